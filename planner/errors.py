@@ -1,0 +1,82 @@
+"""Errors that a user can act on: they carry values, and the command line turns them into exit codes."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from pathlib import Path
+
+EXIT_VERIFIED = 0
+EXIT_BUG = 1
+EXIT_INPUT = 2
+EXIT_NOT_VERIFIED = 3
+EXIT_INTERRUPTED = 130
+
+
+class PlannerError(Exception):
+    """Base of every error that is the user's to mend; `str()` is one clear sentence."""
+
+    exit_code = EXIT_BUG
+
+
+class InputError(PlannerError):
+    """The input is wrong: names the file, the line (from 1), the field, and what would be right."""
+
+    exit_code = EXIT_INPUT
+
+    def __init__(
+        self,
+        reason: str,
+        *,
+        file: Path | str | None = None,
+        line: int | None = None,
+        field: str | None = None,
+        hint: str | None = None,
+    ) -> None:
+        self.reason, self.file, self.line, self.field, self.hint = reason, file, line, field, hint
+        place = "" if file is None else str(file) + ("" if line is None else f":{line}") + ": "
+        what = "" if field is None else f"{field}: "
+        super().__init__(place + what + reason + ("" if hint is None else f" ({hint})"))
+
+
+class OutputError(PlannerError):
+    """The results cannot be written where the user asked for them."""
+
+    exit_code = EXIT_INPUT
+
+
+class Refusal(PlannerError):
+    """There is no plan, and this is where and why.
+
+    `bead` and `waypoint` count from 0, `s_mm` runs along the bead, `point_mm` is in the part frame;
+    `missing_mm` says by how much a point lies out of reach, where that is the reason.
+    """
+
+    exit_code = EXIT_NOT_VERIFIED
+
+    def __init__(
+        self,
+        reason: str,
+        *,
+        bead: int | None = None,
+        waypoint: int | None = None,
+        s_mm: float | None = None,
+        point_mm: tuple[float, float, float] | None = None,
+        missing_mm: float | None = None,
+    ) -> None:
+        self.reason, self.bead, self.waypoint = reason, bead, waypoint
+        self.s_mm, self.point_mm, self.missing_mm = s_mm, point_mm, missing_mm
+        place = []
+        if bead is not None:
+            place.append(f"bead {bead}")
+        if waypoint is not None:
+            place.append(f"waypoint {waypoint}")
+        if s_mm is not None:
+            place.append(f"{s_mm:.1f} mm along it")
+        super().__init__((", ".join(place) + ": " if place else "") + reason)
+
+
+def nearest_name(name: str, names: Iterable[str]) -> str | None:
+    """Return the one of `names` that a misspelt `name` most probably meant, or None."""
+    close = difflib.get_close_matches(name, list(names), n=1, cutoff=0.5)
+    return close[0] if close else None

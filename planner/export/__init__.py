@@ -1,0 +1,77 @@
+"""Files that leave the house: tables for everybody, robot code only of verified plans."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+from planner.errors import OutputError, Refusal
+from planner.export.gcode import gcode
+from planner.export.plan_json import plan_json, refusal_json
+from planner.export.rapid import module_name, pgf, rapid
+from planner.export.rapid_check import compare
+from planner.export.rapid_reader import read_rapid
+from planner.export.table import write_table
+
+if TYPE_CHECKING:
+    from planner.plan import Plan
+    from planner.problem import Problem
+
+# file name (with {Module} for the problem's name in RAPID) → plan → text
+EXPORTERS: dict[str, Callable[[Plan], str]] = {
+    "plan.json": plan_json,
+    "{Module}.mod": rapid,
+    "{Module}.pgf": pgf,
+    "extrusion.gcode": gcode,
+}
+ROBOT_CODE = ("{Module}.mod", "{Module}.pgf", "extrusion.gcode")
+
+
+def write_tables(plan: Plan, folder: Path) -> tuple[Path, ...]:
+    """Write plan.json and trajectory.csv of any plan; returns the paths. OutputError where that is impossible."""
+    return (
+        _write(folder / "trajectory.csv", lambda stream: write_table(plan, stream)),
+        _write_text(folder / "plan.json", plan_json(plan)),
+    )
+
+
+def write_refusal(problem: Problem, strategy: str, refusal: Refusal, folder: Path) -> Path:
+    """Write the plan.json of a problem that has no plan: not verified, and where and why."""
+    return _write_text(folder / "plan.json", refusal_json(problem, strategy, refusal))
+
+
+def write_robot_code(plan: Plan, folder: Path) -> tuple[Path, ...]:
+    """Write RAPID and G-code of a verified plan; returns the paths.
+
+    The program is read back and held against the plan before anything is written. ValueError if the plan is not
+    verified, RuntimeError if the program does not say what the plan says (both mistakes of this code or its caller),
+    OutputError where the files cannot be written.
+    """
+    texts = {name: EXPORTERS[name](plan) for name in ROBOT_CODE}
+    complaints = compare(plan, read_rapid(texts["{Module}.mod"])).complaints()
+    if complaints:
+        raise RuntimeError("the RAPID program does not repeat the plan: " + "; ".join(complaints))
+    module = module_name(plan.problem.name)
+    return tuple(_write_text(folder / name.format(Module=module), text) for name, text in texts.items())
+
+
+def _write_text(path: Path, text: str) -> Path:
+    return _write(path, lambda stream: stream.write(text))
+
+
+def _write(path: Path, fill: Callable[[TextIO], object]) -> Path:
+    """Fill a file beside its place and move it there whole: an interruption leaves no half of one."""
+    part = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with part.open("w", encoding="utf-8", newline="\n") as stream:
+                fill(stream)
+            os.replace(part, path)
+        finally:
+            part.unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error.strerror}") from error
+    return path

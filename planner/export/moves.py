@@ -1,0 +1,228 @@
+"""From samples to moves: which targets a controller needs, and how each is approached."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.export.rotations import angle, continuous, slerp
+from planner.export.thinning import Indices, thin
+
+if TYPE_CHECKING:
+    from planner.plan import Plan, Trajectory
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+PATH_TOLERANCE = 0.018e-3  # [m]; the numbers in the file take the rest of 0.02 mm
+ANGLE_TOLERANCE = np.radians(0.045)  # orientation and the part's axes [rad]; likewise of 0.05 deg
+TIME_TOLERANCE = 8e-3  # [s]; keeps dips of the speed in the program
+LONGEST = 9.5e-3  # [m] of path between two targets in a bead: at most 10 mm with the rounding to samples
+TRAVEL_TOLERANCE = 0.2e-3  # [m]; joint moves against the planned tip path
+TRAVEL_ANGLE_TOLERANCE = np.radians(0.5)
+LEAST_WAIT = 0.05  # [s]
+
+
+@dataclass(frozen=True)
+class Moves:
+    """m moves, each to one sample of the trajectory; the first starts where the trajectory does.
+
+    sample  (m,)   index of the sample that is the target
+    linear  (m,)   straight line in the part frame; otherwise straight in joint space
+    laid    (m,)   material flows; the controller must keep the speed, elsewhere it accelerates as it likes
+    speed   (m,)   of the tip relative to the part: mean of a move that lays material, peak of any other [m/s]
+    turn    (m,)   mean rate of reorientation [rad/s]
+    axis    (m,)   fastest mean rate of the part's axes [rad/s]
+    fine    (m,)   the motion really comes to rest there
+    wait    (m,)   time at rest there [s]
+    on_end, on_start   (m,)  the extruder goes on at the end (start) of this move
+    off_end            (m,)  it goes off at the end of this move
+    after   (m,)   the move belongs to what comes after this many beads: run-outs still count to their bead
+    quat    (n, 4) the trajectory's orientations, sign-continuous
+    """
+
+    sample: Indices
+    linear: Flags
+    laid: Flags
+    speed: Array
+    turn: Array
+    axis: Array
+    fine: Flags
+    wait: Array
+    on_end: Flags
+    on_start: Flags
+    off_end: Flags
+    after: Indices
+    quat: Array
+
+    def __len__(self) -> int:
+        return len(self.sample)
+
+
+def deposits(trajectory: Trajectory) -> tuple[Indices, Indices]:
+    """First and last sample (inclusive) of each stretch with material; ValueError for one that is a single sample."""
+    edge = np.diff(np.concatenate([[False], trajectory.deposit, [False]]).astype(np.int8))
+    first, last = np.flatnonzero(edge > 0), np.flatnonzero(edge < 0) - 1
+    if (first == last).any():
+        k = int(first[first == last][0])
+        raise ValueError(f"sample {k} deposits alone: the extruder cannot be switched within one sample")
+    return first, last
+
+
+def plan_moves(plan: Plan) -> Moves:
+    """Choose the targets of a plan and say how each is approached."""
+    trajectory = plan.trajectory
+    n, na = len(trajectory), len(plan.cell.arm)
+    quat = continuous(trajectory.quat)
+    external = trajectory.q[:, na:]
+    step = np.linalg.norm(np.diff(trajectory.tip, axis=0), axis=1)
+    path = np.concatenate([[0.0], np.cumsum(step)])
+    first, last = deposits(trajectory)
+    fine, wait = _rests(trajectory, first, last)
+    approach, leave = _flown(path, first, last, np.flatnonzero(fine), plan.problem.process.run_in)
+
+    linear = np.zeros(n - 1, dtype=bool)  # of the interval from sample i to i + 1
+    for a, b in zip(approach, leave, strict=True):
+        linear[a:b] = True
+    must = np.zeros(n, dtype=bool)
+    must[[0, n - 1]] = True
+    must[np.concatenate([first, last, approach, leave])] = True
+    must |= fine
+    must[1:] |= (np.diff(trajectory.bead) != 0) & trajectory.deposit[1:] & trajectory.deposit[:-1]
+    must[1:] |= np.diff(trajectory.branch) != 0
+    kept = _no_longer_than(np.flatnonzero(must), path, linear)
+
+    sample = thin(kept, _Misfit(plan, quat, linear))
+    a, b = sample[:-1], sample[1:]
+    took = trajectory.t[b] - trajectory.t[a]
+    peaks = np.maximum.reduceat(np.append(step, 0.0), a) / trajectory.dt
+    rates = np.abs(external[b] - external[a]) / took[:, None]
+    is_linear, laid = linear[a], trajectory.deposit[a] & trajectory.deposit[b]
+    arrives_linear = np.zeros(n, dtype=bool)
+    arrives_linear[b[is_linear]] = True
+    starts, ends = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+    starts[first], ends[last] = True, True
+    return Moves(
+        sample=b,
+        linear=is_linear,
+        laid=laid,
+        speed=np.where(laid, (path[b] - path[a]) / took, peaks),
+        turn=angle(quat[a], quat[b]) / took,
+        axis=rates.max(axis=1, initial=0.0),
+        fine=fine[b],
+        wait=wait[b],
+        on_end=(starts & arrives_linear)[b],
+        on_start=(starts & ~arrives_linear)[a],
+        off_end=ends[b],
+        after=np.searchsorted(leave, a, side="right"),
+        quat=quat,
+    )
+
+
+class _Misfit:
+    """How far the controller's interpolation between two samples misses a third, in tolerances."""
+
+    def __init__(self, plan: Plan, quat: Array, linear: Flags) -> None:
+        self._trajectory, self._cell, self._quat, self._linear = plan.trajectory, plan.cell, quat, linear
+        self._external = plan.trajectory.q[:, len(plan.cell.arm) :]
+
+    def __call__(self, first: Indices, last: Indices, k: Indices) -> Array:
+        out = np.empty(len(k))
+        straight = self._linear[first]
+        for chosen, judge in ((straight, self._line), (~straight, self._joint)):
+            if chosen.any():
+                out[chosen] = judge(first[chosen], last[chosen], k[chosen])
+        return out
+
+    def _line(self, a: Indices, b: Indices, k: Indices) -> Array:
+        tip, t = self._trajectory.tip, self._trajectory.t
+        u = nearest_fraction(tip[a], tip[b], tip[k], (k - a) / (b - a))
+        off = np.linalg.norm(tip[a] + u[:, None] * (tip[b] - tip[a]) - tip[k], axis=1) / PATH_TOLERANCE
+        turned = angle(slerp(self._quat[a], self._quat[b], u), self._quat[k]) / ANGLE_TOLERANCE
+        late = np.where(self._trajectory.deposit[k], np.abs(t[a] + u * (t[b] - t[a]) - t[k]) / TIME_TOLERANCE, 0.0)
+        worst = np.maximum(np.maximum(off, turned), late)
+        for e in self._external.T:
+            worst = np.maximum(worst, np.abs(e[a] + u * (e[b] - e[a]) - e[k]) / ANGLE_TOLERANCE)
+        out: Array = worst
+        return out
+
+    def _joint(self, a: Indices, b: Indices, k: Indices) -> Array:
+        q, tip = self._trajectory.q, self._trajectory.tip
+        u = nearest_fraction(q[a], q[b], q[k], (k - a) / (b - a))
+        T = self._cell.T_part_nozzle(q[a] + u[:, None] * (q[b] - q[a]))
+        off = np.linalg.norm(T[:, :3, 3] - tip[k], axis=1) / TRAVEL_TOLERANCE
+        cosine = np.einsum("ij,ij->i", T[:, :3, 2], self._trajectory.axis[k])
+        out: Array = np.maximum(off, np.arccos(np.clip(cosine, -1.0, 1.0)) / TRAVEL_ANGLE_TOLERANCE)
+        return out
+
+
+def nearest_fraction(a: Array, b: Array, p: Array, otherwise: Array) -> Array:
+    """Fractions (n) of the chords a→b at which points p (n, d) are nearest; `otherwise` where a chord has no length."""
+    chord = b - a
+    square = np.einsum("ij,ij->i", chord, chord)
+    short = square < 1e-14
+    u = np.einsum("ij,ij->i", p - a, chord) / np.where(short, 1.0, square)
+    out: Array = np.where(short, otherwise, np.clip(u, 0.0, 1.0))
+    return out
+
+
+def _rests(trajectory: Trajectory, first: Indices, last: Indices) -> tuple[Flags, Array]:
+    """Samples (n) at which the robot stands still, outside of beads, and how long it stays there [s].
+
+    The exact moment of rest lies between two samples, so rest shows as a speed that is small against the speed
+    0.1 s around it: a slow bead is slow everywhere, and is not mistaken for it.
+    """
+    n = len(trajectory)
+    change = np.abs(np.diff(trajectory.q, axis=0)).max(axis=1)
+    rate = np.empty(n)
+    rate[1:-1] = np.abs(trajectory.q[2:] - trajectory.q[:-2]).max(axis=1) / (2.0 * trajectory.dt)
+    rate[[0, -1]] = 0.0
+    half = max(1, round(0.1 / trajectory.dt))
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(rate, half, mode="edge"), 2 * half + 1).max(axis=1)
+    slow = (rate < 5e-3) & (rate <= 0.05 * around)
+    edge = np.zeros(n, dtype=bool)
+    edge[first], edge[last] = True, True
+    slow &= edge | ~trajectory.deposit
+
+    fine, wait = np.zeros(n, dtype=bool), np.zeros(n)
+    bounds = np.diff(np.concatenate([[False], slow, [False]]).astype(np.int8))
+    for a, b in zip(np.flatnonzero(bounds > 0), np.flatnonzero(bounds < 0), strict=True):
+        # a bead's own end is the better place for the stop, where there is one
+        at = a + int(np.argmin(np.where(edge[a:b], -1.0, rate[a:b])))
+        fine[at] = True
+        still = float(np.count_nonzero(change[a : b - 1] < 1e-9)) * trajectory.dt
+        wait[at] = still if still >= LEAST_WAIT else 0.0
+    fine[[0, n - 1]] = True
+    return fine, wait
+
+
+def _flown(path: Array, first: Indices, last: Indices, rests: Indices, run_in: float) -> tuple[Indices, Indices]:
+    """Samples from which, and up to which, each bead's straight run-in and run-out are flown as lines.
+
+    A little more than the run itself: the bead's true end lies up to one sample outside the first one that deposits.
+    A rest nearby is the better place to change from joint to linear motion.
+    """
+    reach = 1.05 * run_in + 0.2e-3 if run_in > 0.0 else 0.0
+    approach = np.searchsorted(path, path[first] - reach, side="left")
+    leave = np.searchsorted(path, path[last] + reach, side="right") - 1
+    for k in range(len(first)):
+        before = rests[(path[rests] >= path[first[k]] - 1.5 * reach) & (rests <= first[k])]
+        after = rests[(rests >= last[k]) & (path[rests] <= path[last[k]] + 1.5 * reach)]
+        approach[k] = before[-1] if len(before) else approach[k]
+        leave[k] = after[0] if len(after) else leave[k]
+    leave[:-1] = np.minimum(leave[:-1], first[1:])
+    return np.minimum(approach, first), np.maximum(leave, last)
+
+
+def _no_longer_than(kept: Indices, path: Array, linear: Flags) -> Indices:
+    """Cut linear spans into equal lengths, so that none is longer than LONGEST."""
+    extra = [kept]
+    for a, b in itertools.pairwise(kept):
+        parts = int(np.ceil((path[b] - path[a]) / LONGEST))
+        if linear[a] and parts > 1:
+            extra.append(np.searchsorted(path, np.linspace(path[a], path[b], parts + 1)[1:-1]))
+    return np.unique(np.concatenate(extra))

@@ -1,0 +1,122 @@
+"""plan.json: the plan's results, and the cell as screws, so that anyone can recompute every pose without this code."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from planner.cell import Cell
+    from planner.errors import Refusal
+    from planner.kinematics.chain import Chain
+    from planner.plan import Plan
+    from planner.problem import Problem
+
+DECIMALS = 12  # of the screws: a picometre; what lies below is rounding that differs from machine to machine
+
+
+def plan_json(plan: Plan) -> str:
+    """JSON text of a plan; numbers that are not finite become null."""
+    checks = [
+        {"name": c.name, "worst": c.worst, "limit": c.limit, "unit": c.unit, "ok": c.ok, "where": c.where}
+        for c in plan.checks
+    ]
+    data = {
+        "problem": plan.problem.name,
+        "strategy": plan.strategy,
+        "verified": plan.verified,
+        "checks": checks,
+        "metrics": plan.metrics,
+        "cell": cell_screws(plan.cell),
+        "timing_s": plan.timing_s,
+        "versions": plan.versions,
+        "baseline": plan.baseline,
+        "settings": plan.settings,
+    }
+    return json.dumps(_plain(data), indent=1, allow_nan=False) + "\n"
+
+
+def refusal_json(problem: Problem, strategy: str, refusal: Refusal) -> str:
+    """JSON text where there is no plan: the same first fields, and the refusal with its place."""
+    data = {
+        "problem": problem.name,
+        "strategy": strategy,
+        "verified": False,
+        "checks": [],
+        "refusal": {
+            "reason": refusal.reason,
+            "bead": refusal.bead,
+            "waypoint": refusal.waypoint,
+            "s_mm": refusal.s_mm,
+            "point_mm": refusal.point_mm,
+            "missing_mm": refusal.missing_mm,
+        },
+    }
+    return json.dumps(_plain(data), indent=1, allow_nan=False) + "\n"
+
+
+def cell_screws(cell: Cell) -> dict[str, Any]:
+    """Joint screws in the world with all joints at 0 (m, rad), limits, and the two end frames there (4, 4).
+
+    A pose is the product of exponentials of the screws that move it, in the order given, times its frame at 0.
+    """
+    joints: list[dict[str, Any]] = []
+    limits = cell.limits
+    for moves, chain in (("nozzle", cell.arm), ("part", cell.holder)):
+        for name, origin, direction in _axes_at_zero(chain):
+            i = len(joints)
+            joints.append(
+                {
+                    "name": name,
+                    "type": "revolute",
+                    "moves": moves,
+                    "origin_m": origin,
+                    "direction": direction,
+                    "q_min": limits.q_min[i],
+                    "q_max": limits.q_max[i],
+                    "v_max": limits.velocity[i],
+                    "a_max": limits.acceleration[i],
+                    "j_max": limits.jerk[i],
+                }
+            )
+    return {
+        "joints": joints,
+        "T_world_nozzle_zero": np.round(cell.arm.poses(np.zeros((1, len(cell.arm))))[0], DECIMALS),
+        "T_world_part_zero": np.round(cell.holder.poses(np.zeros((1, len(cell.holder))))[0], DECIMALS),
+    }
+
+
+def _axes_at_zero(chain: Chain) -> list[tuple[str, np.ndarray, np.ndarray]]:
+    """Name, a point and the direction of each joint's axis in the world with all joints at 0."""
+    T = np.eye(4)
+    out = []
+    for name, placement, axis in zip(chain.names, chain.placements, chain.axes, strict=True):
+        T = T @ placement
+        out.append((name, np.round(T[:3, 3], DECIMALS), np.round(T[:3, :3] @ axis, DECIMALS)))
+    return out
+
+
+def _plain(value: Any) -> Any:
+    """The same value of JSON's own types; TypeError for what has no such form."""
+    if value is None or isinstance(value, str):
+        return value
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    if isinstance(value, (int, np.integer)):
+        return int(value)
+    if isinstance(value, (float, np.floating)):
+        return float(value) + 0.0 if math.isfinite(value) else None
+    if isinstance(value, np.ndarray):
+        return [_plain(item) for item in value.tolist()]
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, Path):
+        return value.as_posix()
+    raise TypeError(f"no JSON form of {type(value).__name__}")

@@ -1,0 +1,101 @@
+"""Serial chains: forward kinematics and geometric Jacobians of many postures at once, compiled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Revolute joints in series, from the world to a tip frame.
+
+    names       (n) joint names
+    placements  (n, 4, 4) pose of joint i's frame in the previous link's frame; the first one in the world
+    axes        (n, 3) unit joint axes, each in its own joint frame
+    T_last_tip  (4, 4) pose of the tip in the last link's frame (in the world, where n = 0)
+    """
+
+    names: tuple[str, ...]
+    placements: Array
+    axes: Array
+    T_last_tip: Array
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def poses(self, q: Array) -> Array:
+        """Tip poses T_world_tip (m, 4, 4) of postures q (m, n) [rad]."""
+        return chain_poses(self.placements, self.axes, self.T_last_tip, np.ascontiguousarray(q))
+
+    def jacobians(self, q: Array) -> Array:
+        """Geometric Jacobians (m, 6, n) at the tip, world axes, linear rows first [m/rad, rad/rad]."""
+        return chain_jacobians(self.placements, self.axes, self.T_last_tip, np.ascontiguousarray(q))
+
+
+@njit(cache=True)
+def rotate_about(axis: Array, angle: float) -> Array:
+    """Rotation matrix (3, 3) about a unit axis (Rodrigues)."""
+    c, s = np.cos(angle), np.sin(angle)
+    x, y, z = axis[0], axis[1], axis[2]
+    t = 1.0 - c
+    R = np.empty((3, 3))
+    R[0, 0], R[0, 1], R[0, 2] = t * x * x + c, t * x * y - s * z, t * x * z + s * y
+    R[1, 0], R[1, 1], R[1, 2] = t * x * y + s * z, t * y * y + c, t * y * z - s * x
+    R[2, 0], R[2, 1], R[2, 2] = t * x * z - s * y, t * y * z + s * x, t * z * z + c
+    return R
+
+
+@njit(cache=True)
+def mul4(A: Array, B: Array) -> Array:
+    """Product of two homogeneous transforms."""
+    C = np.zeros((4, 4))
+    for i in range(3):
+        for j in range(4):
+            C[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
+        C[i, 3] += A[i, 3]
+    C[3, 3] = 1.0
+    return C
+
+
+@njit(cache=True)
+def chain_poses(placements: Array, axes: Array, T_last_tip: Array, q: Array) -> Array:
+    """Compiled body of `Chain.poses`."""
+    m, n = q.shape
+    out = np.empty((m, 4, 4))
+    for k in range(m):
+        T = np.eye(4)
+        for i in range(n):
+            T = mul4(T, placements[i])
+            T[:3, :3] = T[:3, :3].copy() @ rotate_about(axes[i], q[k, i])
+        out[k] = mul4(T, T_last_tip)
+    return out
+
+
+@njit(cache=True)
+def chain_jacobians(placements: Array, axes: Array, T_last_tip: Array, q: Array) -> Array:
+    """Compiled body of `Chain.jacobians`."""
+    m, n = q.shape
+    out = np.empty((m, 6, n))
+    origins = np.empty((n, 3))
+    directions = np.empty((n, 3))
+    for k in range(m):
+        T = np.eye(4)
+        for i in range(n):
+            T = mul4(T, placements[i])
+            directions[i] = T[:3, :3].copy() @ axes[i]
+            origins[i] = T[:3, 3]
+            T[:3, :3] = T[:3, :3].copy() @ rotate_about(axes[i], q[k, i])
+        tip = mul4(T, T_last_tip)[:3, 3]
+        for i in range(n):
+            z, r = directions[i], tip - origins[i]
+            out[k, 0, i] = z[1] * r[2] - z[2] * r[1]
+            out[k, 1, i] = z[2] * r[0] - z[0] * r[2]
+            out[k, 2, i] = z[0] * r[1] - z[1] * r[0]
+            out[k, 3:, i] = z
+    return out

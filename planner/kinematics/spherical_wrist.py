@@ -1,0 +1,207 @@
+"""Closed-form inverse kinematics of six-axis arms with a spherical wrist: all branches, compiled.
+
+Geometry and symbols after Brandstötter, Angerer, Hofbaur, "An analytical solution of the inverse kinematics
+problem of industrial serial manipulators with an ortho-parallel basis and a spherical wrist", 2014 (OPW).
+The robots' joint 3 is 0 with the forearm horizontal, so theta_3 = q_3 + 90 deg; the other joints are equal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+BRANCHES = 8
+BEHIND_AXIS_1, BEHIND_LOWER_ARM, AXIS_5_NEGATIVE = 4, 2, 1  # the bits of a branch number are those of ABB's cfx
+_TURN = 2.0 * np.pi
+_REACH_ROUNDING = 1e-10  # cosine beyond 1 by this much is a stretched arm, not one out of reach
+_STRAIGHT_WRIST = 1e-9  # rad; below it only q4 + q6 is defined, and q4 is set to 0
+
+
+@dataclass(frozen=True)
+class SphericalWrist:
+    """OPW parameters [m] of an arm; poses are those of the flange in the arm's base frame."""
+
+    a1: float
+    a2: float
+    b: float
+    c1: float
+    c2: float
+    c3: float
+    c4: float
+
+    @property
+    def parameters(self) -> Array:
+        """The seven lengths (7) in the order a1 a2 b c1 c2 c3 c4 [m]."""
+        return np.array(astuple(self))
+
+    def poses(self, q: Array) -> Array:
+        """Flange poses T_base_flange (m, 4, 4) of postures q (m, 6)."""
+        return _poses(self.parameters, np.ascontiguousarray(q))
+
+    def solve(self, T_base_flange: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """All eight postures q (m, 8, 6) in (-pi, pi] of flange poses (m, 4, 4), and which exist (m, 8).
+
+        The index of a posture is its branch number: 4 wrist centre behind axis 1, 2 behind the lower arm,
+        1 axis 5 negative. Joint limits are not looked at. With a straight wrist q4 is 0.
+        """
+        return _solve(self.parameters, np.ascontiguousarray(T_base_flange))
+
+    def branches(self, q: Array) -> NDArray[np.int8]:
+        """Branch numbers (m) of postures q (m, 6)."""
+        return _branches(self.parameters, np.ascontiguousarray(q))
+
+    def out_of_reach(self, T_base_flange: Array) -> Array:
+        """How far (m) the wrist centre lies outside the arm's reach on its better shoulder [m]; 0 within."""
+        centre = T_base_flange[:, :3, 3] - self.c4 * T_base_flange[:, :3, 2]
+        rho2 = centre[:, 0] ** 2 + centre[:, 1] ** 2 - self.b**2
+        rho = np.sqrt(np.maximum(rho2, 0.0))
+        k = np.hypot(self.a2, self.c3)
+        gaps = []
+        for radial in (rho - self.a1, rho + self.a1):
+            reach = np.hypot(radial, centre[:, 2] - self.c1)
+            gaps.append(np.maximum(np.maximum(reach - (self.c2 + k), abs(self.c2 - k) - reach), 0.0))
+        return np.minimum(*gaps)
+
+
+def all_turns(q: Array, q_min: Array, q_max: Array) -> Array:
+    """Every posture (k, n) that equals q (n) up to whole turns of its joints and lies within the limits.
+
+    Ordered by joint; none if a joint cannot be brought into its range.
+    """
+    choices = []
+    for value, low, high in zip(q, q_min, q_max, strict=True):
+        first, last = np.ceil((low - value) / _TURN), np.floor((high - value) / _TURN)
+        choices.append(value + _TURN * np.arange(first, last + 1))
+    return np.stack(np.meshgrid(*choices, indexing="ij"), axis=-1).reshape(-1, len(q))
+
+
+@njit(cache=True)
+def _wrap(angle: float) -> float:
+    """Angle in (-pi, pi]."""
+    return angle - _TURN * np.ceil((angle - np.pi) / _TURN)
+
+
+@njit(cache=True)
+def solve_one(p: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> None:
+    """Fill q (8, 6) and ok (8) with the postures for one flange pose, rotation R (3, 3) and origin t (3)."""
+    a1, a2, b, c1, c2, c3, c4 = p[0], p[1], p[2], p[3], p[4], p[5], p[6]
+    ok[:] = False
+    cx, cy, cz = t[0] - c4 * R[0, 2], t[1] - c4 * R[1, 2], t[2] - c4 * R[2, 2]
+    rho2 = cx * cx + cy * cy - b * b
+    if rho2 < 0.0:
+        return
+    rho = np.sqrt(rho2)
+    k = np.sqrt(a2 * a2 + c3 * c3)
+    lead = np.arctan2(cy, cx)
+    skew = np.arctan2(b, rho)
+    bend = np.arctan2(a2, c3)
+    h = cz - c1
+    for shoulder in range(2):
+        if shoulder == 0:
+            theta1, radial = lead - skew, rho - a1
+        else:
+            theta1, radial = lead + skew - np.pi, -rho - a1
+        s2 = radial * radial + h * h
+        cos3 = (s2 - c2 * c2 - k * k) / (2.0 * c2 * k)
+        if abs(cos3) > 1.0 + _REACH_ROUNDING:
+            continue
+        sin3 = np.sqrt(max(1.0 - cos3 * cos3, 0.0))
+        s1, co1 = np.sin(theta1), np.cos(theta1)
+        for elbow in range(2):
+            phi3 = np.arctan2(sin3 if elbow == 0 else -sin3, cos3)
+            theta2 = np.arctan2(radial, h) - np.arctan2(k * np.sin(phi3), c2 + k * np.cos(phi3))
+            theta3 = phi3 - bend
+            s23, c23 = np.sin(theta2 + theta3), np.cos(theta2 + theta3)
+            # wrist rotation W = (Rz(theta1) Ry(theta2 + theta3))^T R = Rz(q4) Ry(q5) Rz(q6)
+            w02 = c23 * (co1 * R[0, 2] + s1 * R[1, 2]) - s23 * R[2, 2]
+            w12 = -s1 * R[0, 2] + co1 * R[1, 2]
+            w22 = s23 * (co1 * R[0, 2] + s1 * R[1, 2]) + c23 * R[2, 2]
+            w00 = c23 * (co1 * R[0, 0] + s1 * R[1, 0]) - s23 * R[2, 0]
+            w01 = c23 * (co1 * R[0, 1] + s1 * R[1, 1]) - s23 * R[2, 1]
+            w10 = -s1 * R[0, 0] + co1 * R[1, 0]
+            w11 = -s1 * R[0, 1] + co1 * R[1, 1]
+            theta5 = np.arctan2(np.sqrt(w02 * w02 + w12 * w12), w22)
+            theta4 = np.arctan2(w12, w02) if abs(np.sin(theta5)) > _STRAIGHT_WRIST else 0.0
+            # from q4, not from W's last row: exact however straight the wrist is
+            s4, c4_ = np.sin(theta4), np.cos(theta4)
+            theta6 = np.arctan2(c4_ * w10 - s4 * w00, c4_ * w11 - s4 * w01)
+            for wrist in range(2):
+                i = BEHIND_AXIS_1 * shoulder + BEHIND_LOWER_ARM * elbow + AXIS_5_NEGATIVE * wrist
+                q[i, 0] = _wrap(theta1)
+                q[i, 1] = _wrap(theta2)
+                q[i, 2] = _wrap(theta3 - 0.5 * np.pi)
+                q[i, 3] = _wrap(theta4 if wrist == 0 else theta4 + np.pi)
+                q[i, 4] = theta5 if wrist == 0 else -theta5
+                q[i, 5] = _wrap(theta6 if wrist == 0 else theta6 + np.pi)
+                ok[i] = True
+
+
+@njit(cache=True)
+def _solve(p: Array, T: Array) -> tuple[Array, NDArray[np.bool_]]:
+    m = T.shape[0]
+    q = np.zeros((m, BRANCHES, 6))
+    ok = np.zeros((m, BRANCHES), dtype=np.bool_)
+    for i in range(m):
+        solve_one(p, T[i, :3, :3], T[i, :3, 3], q[i], ok[i])
+    return q, ok
+
+
+@njit(cache=True)
+def pose_one(p: Array, q: Array, T: Array) -> None:
+    """Fill T (4, 4) with the flange pose of one posture q (6)."""
+    a1, a2, b, c1, c2, c3, c4 = p[0], p[1], p[2], p[3], p[4], p[5], p[6]
+    theta3 = q[2] + 0.5 * np.pi
+    s1, co1 = np.sin(q[0]), np.cos(q[0])
+    s2, co2 = np.sin(q[1]), np.cos(q[1])
+    s23, c23 = np.sin(q[1] + theta3), np.cos(q[1] + theta3)
+    radial = a1 + c2 * s2 + c3 * s23 + a2 * c23
+    up = c1 + c2 * co2 + c3 * c23 - a2 * s23
+    s4, c4_ = np.sin(q[3]), np.cos(q[3])
+    s5, c5 = np.sin(q[4]), np.cos(q[4])
+    s6, c6 = np.sin(q[5]), np.cos(q[5])
+    W = np.array(
+        (
+            (c4_ * c5 * c6 - s4 * s6, -c4_ * c5 * s6 - s4 * c6, c4_ * s5),
+            (s4 * c5 * c6 + c4_ * s6, -s4 * c5 * s6 + c4_ * c6, s4 * s5),
+            (-s5 * c6, s5 * s6, c5),
+        )
+    )
+    A = np.array(((co1 * c23, -s1, co1 * s23), (s1 * c23, co1, s1 * s23), (-s23, 0.0, c23)))
+    R = A @ W
+    T[:3, :3] = R
+    T[0, 3] = co1 * radial - s1 * b + c4 * R[0, 2]
+    T[1, 3] = s1 * radial + co1 * b + c4 * R[1, 2]
+    T[2, 3] = up + c4 * R[2, 2]
+    T[3, :3] = 0.0
+    T[3, 3] = 1.0
+
+
+@njit(cache=True)
+def _poses(p: Array, q: Array) -> Array:
+    out = np.empty((q.shape[0], 4, 4))
+    for i in range(q.shape[0]):
+        pose_one(p, q[i], out[i])
+    return out
+
+
+@njit(cache=True)
+def _branches(p: Array, q: Array) -> NDArray[np.int8]:
+    a1, a2, c2, c3 = p[0], p[1], p[4], p[5]
+    out = np.empty(q.shape[0], dtype=np.int8)
+    for i in range(q.shape[0]):
+        theta2, theta3 = q[i, 1], q[i, 2] + 0.5 * np.pi
+        phi3 = _wrap(theta3 + np.arctan2(a2, c3))
+        radial = a1 + c2 * np.sin(theta2) + c3 * np.sin(theta2 + theta3) + a2 * np.cos(theta2 + theta3)
+        behind = 0
+        if radial < 0.0:
+            behind += BEHIND_AXIS_1
+        if phi3 < 0.0:
+            behind += BEHIND_LOWER_ARM
+        if _wrap(q[i, 4]) < 0.0:
+            behind += AXIS_5_NEGATIVE
+        out[i] = behind
+    return out

@@ -1,0 +1,285 @@
+"""The problem: cell, part, layers, process and strategy, from one YAML file into frozen SI values.
+
+The keys of the file are the aliases, in mm and degrees; the names of the attributes carry no unit because they are SI
+(m, s, rad). What a value may be, and why, stands with its field.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+
+from planner.errors import InputError
+from planner.problem_fields import (
+    IDENTIFIER,
+    INCREASING,
+    PATH,
+    TEXT,
+    UNIQUE,
+    UNIT_VECTOR,
+    Quantity,
+    one_of,
+    refusal,
+)
+from planner.problem_file import Source, apply_overrides, find_problem, read_problem_file, shipped_problems
+from planner.problem_mistakes import first_mistake
+
+__all__ = ["STRATEGY_NAMES", "CellSpec", "Problem", "find_problem", "load_problem", "shipped_problems"]
+
+StrategyName = Literal["as_published", "fixed", "greedy", "ladder"]
+STRATEGY_NAMES: tuple[str, ...] = get_args(StrategyName)
+
+Vector = tuple[float, float, float]
+Text = Annotated[str, TEXT]
+Identifier = Annotated[str, IDENTIFIER]
+Position = Annotated[Vector, Quantity("mm", -100_000, 100_000, count=3)]  # a hall of 100 m
+Angle = Annotated[float, Quantity("deg", -3600, 3600)]  # ten turns: no cable allows more
+Speed = Annotated[float, Quantity("mm/s", 0.1, 2000)]  # below, a print takes days; above, no arm is exact
+Thickness = Annotated[float, Quantity("mm", 0.01, 50)]  # from a fibre to large concrete beads
+
+
+def _key(alias: str, text: str, default: Any = ...) -> Any:
+    """A field by its key in the file; `default` is in the file's unit and goes through the same validation."""
+    if default is ...:
+        return Field(alias=alias, description=text)
+    return Field(default, alias=alias, description=f"{text}; default {default}" if default or default == 0 else text)
+
+
+class Section(BaseModel):
+    """A section of the problem file: frozen, and no key that is not known."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, validate_default=True)
+
+
+class NozzleSpec(Section):
+    """The nozzle on the arm's flange."""
+
+    tip: Position = _key("tip_mm", "nozzle tip in the flange frame [mm]")
+    axis: Annotated[Vector, Quantity("", -1e6, 1e6, count=3), UNIT_VECTOR] = _key(
+        "axis", "direction in which the nozzle points, in the flange frame, any length but 0", (0, 0, 1)
+    )
+    diameter: Annotated[float, Quantity("mm", 0.05, 50)] = _key("diameter_mm", "bore of the nozzle [mm]")
+
+
+class PositionerSpec(Section):
+    """A positioner that holds the part; its plate carries the part frame."""
+
+    robot: Text = _key("robot", "key of the positioner in robots/")
+    origin: Position = _key("origin_mm", "centre of the plate in the world, all its axes at 0 [mm]")
+    free: Annotated[tuple[Text, ...], UNIQUE] = _key("free", "axes that the planner may move; the others are held")
+    held: dict[Text, Angle] = _key("held_deg", "angles of held axes by name [deg]; each default 0", {})
+
+    @model_validator(mode="after")
+    def _free_or_held(self) -> PositionerSpec:
+        for name in self.free:
+            if name in self.held:
+                raise refusal(
+                    f"axis {name!r} is both free and held", "an axis is one or the other", fields=["free", "held_deg"]
+                )
+        return self
+
+
+class JointLimitsSpec(Section):
+    """Limits of one joint, where the user knows better than the robot's own file."""
+
+    range: Annotated[tuple[float, float], Quantity("deg", -3600, 3600, count=2), INCREASING] | None = _key(
+        "range_deg", "least and greatest angle [deg]; default: the robot's", None
+    )
+    speed: Annotated[float, Quantity("deg/s", 0.01, 10_000)] | None = _key(
+        "speed_deg_s", "greatest speed [deg/s]; default: the robot's", None
+    )
+    acceleration: Annotated[float, Quantity("rad/s2", 0.001, 10_000)] | None = _key(
+        "acceleration_rad_s2", "greatest acceleration [rad/s2]; default: the robot's", None
+    )
+    jerk: Annotated[float, Quantity("rad/s3", 0.01, 1e7)] | None = _key(
+        "jerk_rad_s3", "greatest jerk [rad/s3]; default: the robot's", None
+    )
+
+
+class CellSpec(Section):
+    """Arm, nozzle and what carries the part: a positioner or a fixed bed."""
+
+    arm: Text = _key("arm", "key of the arm in robots/")
+    base: Position = _key("base_mm", "base of the arm in the world [mm]", (0, 0, 0))
+    nozzle: NozzleSpec = _key("nozzle", "the nozzle on the arm's flange")
+    home: Annotated[tuple[float, ...], Quantity("deg", -3600, 3600, count=6)] = _key(
+        "home_deg", "posture of the arm before and after the print, joints 1 to 6 [deg]"
+    )
+    positioner: PositionerSpec | None = _key("positioner", "what turns the part; default: none, but a bed", None)
+    bed: Position | None = _key("bed_mm", "origin of the part frame on a fixed bed [mm]; default: none", None)
+    limits: dict[Text, JointLimitsSpec] = _key("limits", "limits of your own by joint; default: the robots'", {})
+
+    @model_validator(mode="after")
+    def _one_holder(self) -> CellSpec:
+        if (self.positioner is None) == (self.bed is None):
+            found = "neither positioner nor bed_mm is" if self.bed is None else "both positioner and bed_mm are"
+            reason = f"{found} given"
+            raise refusal(reason, "give exactly one of them", fields=["positioner", "bed_mm"])
+        return self
+
+
+class CylinderSpec(Section):
+    """An upright cylinder, standing on the part frame's xy plane."""
+
+    radius: Annotated[float, Quantity("mm", 1, 2000)] = _key("radius_mm", "radius [mm]")
+    height: Annotated[float, Quantity("mm", 1, 10_000)] = _key("height_mm", "height [mm]")
+    centre: Annotated[tuple[float, float], Quantity("mm", -10_000, 10_000, count=2)] = _key(
+        "centre_mm", "its axis in the part frame, x and y [mm]", (0, 0)
+    )
+
+
+class PartSpec(Section):
+    """The body to print on."""
+
+    cylinder: CylinderSpec = _key("cylinder", "an upright cylinder")
+
+
+class SvgSpec(Section):
+    """A drawing whose lines become beads."""
+
+    svg: Annotated[Path, PATH] = _key("svg", "the drawing, counted from the folder of the problem file")
+    width: Annotated[float, Quantity("mm", 0.1, 15_000)] = _key("width_mm", "width of the drawing on the part [mm]")
+
+
+class LayersSpec(Section):
+    """What is printed, and how often."""
+
+    source: SvgSpec = _key("source", "where the curves come from")
+    wrap: Annotated[Literal["cylinder"], one_of(("cylinder",))] = _key("wrap", "the surface they are laid on")
+    count: Annotated[int, Quantity("", 1, 10_000, whole=True)] = _key("count", "number of layers")
+    height: Thickness = _key("height_mm", "height of a layer [mm]")
+
+
+class BeadSpec(Section):
+    """Cross-section of a bead."""
+
+    width: Thickness = _key("width_mm", "width [mm]")
+    # NaN only until Process is complete and the layers' height is put in its place.
+    height: Thickness = Field(
+        default_factory=lambda: math.nan,
+        validate_default=False,
+        alias="height_mm",
+        description="height [mm]; default layers.height_mm",
+    )
+
+
+class ProcessSpec(Section):
+    """How material is laid down."""
+
+    speed: Speed = _key("speed_mm_s", "speed of the nozzle along the part while printing [mm/s]")
+    travel_speed: Speed = _key("travel_speed_mm_s", "greatest speed between beads [mm/s]")
+    bead: BeadSpec = _key("bead", "cross-section of a bead")
+    corner_tolerance: Annotated[float, Quantity("mm", 0.01, 5)] = _key(
+        "corner_tolerance_mm", "how far a rounded corner may leave the drawn one [mm]; finer than an arm repeats", 0.2
+    )
+    chord_tolerance: Annotated[float, Quantity("mm", 0.0005, 1)] = _key(
+        "chord_tolerance_mm", "how far curves may leave the lines that approximate them [mm]", 0.01
+    )
+    run_in: Annotated[float, Quantity("mm", 0.5, 100)] = _key(
+        "run_in_mm", "length of run-in and run-out, where speed is gained and lost and nothing deposited [mm]", 3
+    )
+    lift: Annotated[float, Quantity("mm", 1, 500)] = _key("lift_mm", "least height of travel above the surface [mm]", 5)
+    filament_diameter: Annotated[float, Quantity("mm", 0.5, 10)] = _key(
+        "filament_diameter_mm", "diameter of the filament that the extruder pushes [mm]", 1.75
+    )
+
+
+class ResolveSpec(Section):
+    """Settings of the search for joint paths: finer is better and slower."""
+
+    roll_step: Annotated[float, Quantity("deg", 2, 90)] = _key(
+        "roll_step_deg", "step between tried rotations about the nozzle axis [deg]; refined to a third", 15
+    )
+    table_step: Annotated[float, Quantity("deg", 1, 90)] = _key(
+        "table_step_deg", "step between tried angles of the positioner [deg]; refined to a third", 15
+    )
+    rung: Annotated[float, Quantity("mm", 0.5, 100)] = _key(
+        "rung_mm", "distance along a bead at which postures are searched [mm]; interpolated between", 5
+    )
+    min_sigma: Annotated[float, Quantity("", 0, 1)] = _key(
+        "min_sigma", "least singular value of the arm's Jacobian (metres); below it joints race", 0.05
+    )
+
+
+class ProgramSpec(Section):
+    """Names in the robot program: identifiers of RAPID."""
+
+    tool: Identifier = _key("tool", "the tooldata", "tPen")
+    work_object: Identifier = _key("work_object", "the wobjdata", "wobjPart")
+    station: Identifier = _key("station", "the positioner's mechanical unit", "STN1")
+    extruder_signal: Identifier = _key("extruder_signal", "the digital output of the extruder", "doExtrude")
+
+    @model_validator(mode="after")
+    def _distinct(self) -> ProgramSpec:
+        keys = list(type(self).model_fields)
+        seen: dict[str, str] = {}
+        for key in keys:
+            name = getattr(self, key)
+            first = seen.setdefault(name.lower(), key)  # RAPID does not tell capitals from small letters
+            if first != key:
+                raise refusal(f"{name!r} names both {first} and {key}", "give each its own name", fields=[first, key])
+        return self
+
+
+class Problem(Section):
+    """One print: everything that the planner is told, in SI units. Made by `load_problem`."""
+
+    name: Identifier = _key("name", "name of the problem: of its results' folder and of the robot program")
+    cell: CellSpec = _key("cell", "arm, nozzle, and what carries the part")
+    part: PartSpec = _key("part", "the body to print on")
+    layers: LayersSpec = _key("layers", "what is printed on it")
+    process: ProcessSpec = _key("process", "how material is laid down")
+    strategy: Annotated[StrategyName, one_of(STRATEGY_NAMES)] = _key(
+        "strategy", f"how the free motion is decided: {', '.join(STRATEGY_NAMES)}", "ladder"
+    )
+    resolve: ResolveSpec = _key("resolve", "settings of the search; each has a default", {})
+    program: ProgramSpec = _key("program", "names in the robot program; each has a default", {})
+    _source: Source = PrivateAttr()
+
+    @field_validator("process")
+    @classmethod
+    def _bead_as_high_as_its_layer(cls, process: ProcessSpec, info: ValidationInfo) -> ProcessSpec:
+        if "height" in process.bead.model_fields_set or "layers" not in info.data:
+            return process
+        bead = process.bead.model_copy(update={"height": info.data["layers"].height})
+        return process.model_copy(update={"bead": bead})
+
+    def model_post_init(self, context: Any) -> None:
+        """Keep the places of the values, which come as the validation's context."""
+        self._source = context
+
+    @property
+    def file(self) -> Path:
+        """The problem file, as the user gave it."""
+        return self._source.file
+
+    def error(self, field: str, reason: str, hint: str | None = None) -> InputError:
+        """Return the error of a field, dotted as in the file (`cell.arm`), with its file and line, or its `--set`."""
+        return self._source.error(tuple(field.split(".")), reason, hint)
+
+
+def load_problem(path: str | Path, overrides: Sequence[str] = ()) -> Problem:
+    """Read a problem file, or a shipped problem by name, with `dotted.key=value` overrides applied before validation.
+
+    Raises one InputError for whatever is wrong: the first mistake by line, and how many more there are. The drawing
+    that the problem names is not opened.
+    """
+    data, source = read_problem_file(find_problem(path))
+    data, source = apply_overrides(data, source, overrides)
+    try:
+        return Problem.model_validate(data, context=source)
+    except ValidationError as error:
+        raise first_mistake(error.errors(include_url=False), source, Problem) from None

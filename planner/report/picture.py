@@ -1,0 +1,203 @@
+"""A still picture of a finished plan, from its output folder alone.
+
+    python -m planner.report.picture OUT_FOLDER PICTURE.png
+
+Reads trajectory.csv and plan.json. The part is not in these files: where the nozzle's axes in the lowest layer all
+meet one upright line, the part is a cylinder round it and is drawn; otherwise the lines stand alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from planner.errors import InputError, OutputError, PlannerError
+from planner.report.finished import Cylinder, fit_cylinder, read_folder
+from planner.report.part import PART_DARK, PART_LIT
+from planner.report.scene import ALARM, COLOURS, INK
+from planner.report.thinning import stretches, thin_curve
+
+Array = NDArray[np.float64]
+
+ELEVATION = np.radians(20.0)
+FACETS = 180
+SOFT = "#5b6b7b"
+COLOUR_MAP = LinearSegmentedColormap.from_list("calm", COLOURS)
+
+
+def draw_picture(folder: Path, picture: Path) -> None:
+    """Draw the plan in `folder` into the PNG `picture`.
+
+    Raises InputError for a missing or damaged folder, and OutputError where the picture cannot be written.
+    """
+    summary, rows = read_folder(folder)
+    printing = rows["deposit"] > 0.5
+    if not printing.any():
+        raise InputError("nothing is deposited in this plan", file=folder / "trajectory.csv", field="deposit")
+    points = np.column_stack([rows["x_mm"], rows["y_mm"], rows["z_mm"]])
+    normals = -np.column_stack([rows["ax"], rows["ay"], rows["az"]])
+    cylinder = fit_cylinder(points, normals, rows["layer"], printing)
+    metrics = summary["metrics"]
+    ideal = metrics.get("ideal_deposition_time_s") or np.nan
+    commanded = metrics.get("deposited_length_mm", np.nan) / ideal
+    speed = rows["speed_mm_s"]
+    top = commanded if np.isfinite(commanded) else speed[printing].max()
+    norm = Normalize(min(float(speed[printing].min()), 0.9 * top), max(top, float(speed[printing].max())))
+
+    figure = Figure(figsize=(12.0, 6.4), dpi=150, facecolor="white")
+    scene = figure.add_axes((0.01, 0.02, 0.52, 0.96))
+    _draw_scene(scene, points, normals, rows, printing, cylinder, norm)
+    _draw_words(figure, summary, commanded)
+    _draw_speed(figure.add_axes((0.60, 0.13, 0.37, 0.32)), rows, printing, commanded, norm)
+    try:
+        FigureCanvasAgg(figure).print_png(str(picture), metadata={"Software": None})
+    except OSError as error:
+        raise OutputError(f"cannot write {picture}: {error.strerror}") from error
+
+
+def _view(normals: Array) -> tuple[Array, Array, Array]:
+    """Unit vectors to the right, up, and towards the eye (an orthographic view from where the print faces)."""
+    mean = normals.mean(axis=0)
+    azimuth = np.arctan2(mean[1], mean[0]) if np.hypot(mean[0], mean[1]) > 0.15 else np.radians(-60.0)
+    azimuth += np.radians(14.0)
+    up_angle = ELEVATION if abs(mean[2]) < 0.5 else np.radians(42.0)
+    eye = np.array([np.cos(azimuth) * np.cos(up_angle), np.sin(azimuth) * np.cos(up_angle), np.sin(up_angle)])
+    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    return right, np.cross(eye, right), eye
+
+
+def _draw_scene(
+    axes: Any,
+    points: Array,
+    normals: Array,
+    rows: dict[str, Array],
+    printing: NDArray[np.bool_],
+    cylinder: Cylinder | None,
+    norm: Normalize,
+) -> None:
+    right, up, eye = _view(normals[printing])
+    index, begin, _ = stretches(printing, rows["bead"].astype(int))
+    joined = np.ones(len(index) - 1, dtype=bool)
+    joined[begin[1:] - 1] = False
+    p, n = points[index], normals[index]
+    flat = np.column_stack([p @ right, p @ up])
+    middle = 0.5 * (p[:-1] + p[1:])
+    facing = (n @ eye)[:-1] > 0.0
+    depth = middle @ eye
+    segments = np.stack([flat[:-1], flat[1:]], axis=1)
+    value = np.minimum(rows["speed_mm_s"][index][:-1], rows["speed_mm_s"][index][1:])
+    outlines = [flat]
+    if cylinder is not None:
+        outlines.append(_draw_cylinder(axes, cylinder, right, up, eye))
+    # Lines on the far side lie behind the part: only what sticks out beside it shows.
+    for mine, order in ((joined & ~facing, 1), (joined & facing, 3)):
+        at = np.flatnonzero(mine)
+        at = at[np.argsort(depth[at], kind="stable")]
+        lines = LineCollection(
+            list(segments[at]), cmap=COLOUR_MAP, norm=norm, linewidths=1.35, capstyle="round", zorder=order
+        )
+        lines.set_array(value[at])
+        axes.add_collection(lines)
+    every = np.vstack(outlines)
+    low, high = every.min(axis=0), every.max(axis=0)
+    pad = 0.04 * float((high - low).max())
+    axes.set_xlim(low[0] - pad, high[0] + pad)
+    axes.set_ylim(low[1] - pad, high[1] + pad)
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+
+
+def _draw_cylinder(axes: Any, cylinder: Cylinder, right: Array, up: Array, eye: Array) -> Array:
+    """Shade the near side and the top; returns the outline (k, 2) on the picture."""
+    a = np.linspace(0.0, 2 * np.pi, FACETS + 1)
+    around = np.column_stack([np.cos(a), np.sin(a), np.zeros(len(a))])
+    ring = np.column_stack([cylinder.centre + cylinder.radius * around[:, :2], np.zeros(len(a))])
+    low, high = (ring + [0.0, 0.0, z] for z in (cylinder.bottom, cylinder.top))
+    low, high = (np.column_stack([v @ right, v @ up]) for v in (low, high))
+    near = np.flatnonzero(around[:-1] @ eye > -0.05)
+    quads = np.stack([low[near], low[near + 1], high[near + 1], high[near]], axis=1)
+    light = eye - 0.75 * right + 0.35 * up
+    lit = np.clip(around[near] @ (light / np.linalg.norm(light)), 0.0, 1.0)[:, None]
+    colours = (PART_DARK + lit * (PART_LIT - PART_DARK)) / 255.0
+    axes.add_collection(PolyCollection(list(quads), facecolors=colours, edgecolors=colours, linewidths=0.6, zorder=2))
+    lid = (PART_DARK + 0.85 * (PART_LIT - PART_DARK)) / 255.0
+    axes.add_collection(PolyCollection([high], facecolors=[lid], edgecolors="#b3bec9", linewidths=0.8, zorder=2.5))
+    return np.vstack([low, high])
+
+
+def _draw_words(figure: Figure, summary: dict[str, Any], commanded: float) -> None:
+    metrics = summary["metrics"]
+    figure.text(0.575, 0.895, summary["problem"], fontsize=21, weight="bold", color=INK, parse_math=False)
+    verdict = "✓ verified" if summary["verified"] else "✗ not verified"
+    colour = "#00599c" if summary["verified"] else ALARM
+    figure.text(0.575, 0.838, verdict, fontsize=13, weight="bold", color=colour)
+    figure.text(0.69, 0.838, f"strategy {summary['strategy']}", fontsize=13, color=SOFT, parse_math=False)
+    rows = [
+        ("at_speed_fraction", 100.0, "{:.2f} %", f"of the length at {commanded:.3g} mm/s"),
+        ("speed_min_mm_s", 1.0, "{:.1f} mm/s", "slowest while depositing"),
+        ("sigma_min", 1.0, "{:.3f}", "least distance from singularity, σ"),
+        ("joint_limit_margin_deg", 1.0, "{:.1f}°", "least distance from an end stop"),
+        ("print_time_s", 1.0, "{:.0f} s", "whole print, travel included"),
+    ]
+    y = 0.77
+    for key, scale, form, label in rows:
+        if isinstance(metrics.get(key), int | float):
+            figure.text(0.675, y, form.format(metrics[key] * scale), fontsize=13, weight="bold", color=INK, ha="right")
+            figure.text(0.687, y, label, fontsize=12, color=SOFT)
+            y -= 0.052
+
+
+def _draw_speed(
+    axes: Any, rows: dict[str, Array], printing: NDArray[np.bool_], commanded: float, norm: Normalize
+) -> None:
+    """Tip speed over time while depositing, coloured as in the scene: that makes it the legend too."""
+    index, begin, end = stretches(printing, rows["bead"].astype(int))
+    speed = rows["speed_mm_s"][index]
+    kept = thin_curve(speed, always=np.union1d(begin, end))
+    line = np.column_stack([rows["t_s"][index][kept], speed[kept]])
+    joined = ~np.isin(kept[1:], begin)
+    segments = np.stack([line[:-1], line[1:]], axis=1)[joined]
+    lines = LineCollection(list(segments), cmap=COLOUR_MAP, norm=norm, linewidths=1.0)
+    lines.set_array(segments[:, :, 1].min(axis=1))
+    axes.add_collection(lines)
+    top = float(speed.max())
+    if np.isfinite(commanded):
+        axes.axhline(commanded, color=SOFT, linewidth=0.8, linestyle=(0, (5, 4)), zorder=0)
+        top = max(top, commanded)
+    axes.set_xlim(float(rows["t_s"][0]), float(rows["t_s"][-1]))
+    axes.set_ylim(0.0, 1.12 * top)
+    axes.set_title("Tip speed while depositing", loc="left", fontsize=12, color=INK, weight="bold", pad=8)
+    axes.set_xlabel("time, s", color=SOFT)
+    axes.set_ylabel("mm/s", color=SOFT)
+    axes.tick_params(colors=SOFT, labelsize=9)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_color("#c3ccd5")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns the exit code (0, or 2 for wrong input)."""
+    parser = argparse.ArgumentParser(prog="python -m planner.report.picture", description="Draw a finished plan.")
+    parser.add_argument("folder", type=Path, help="what the planner wrote: holds trajectory.csv and plan.json")
+    parser.add_argument("picture", type=Path, help="the PNG to write")
+    given = parser.parse_args(arguments)
+    try:
+        draw_picture(given.folder, given.picture)
+    except PlannerError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,62 @@
+"""The summary table on stdout: the chosen strategy beside the baseline."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from planner.plan import Plan
+
+# metric, label, unit, factor, decimals
+ROWS = (
+    ("at_speed_fraction", "at commanded speed (±2 %)", "% of length", 100.0, 1),
+    ("deposition_time_s", "deposition time", "s", 1.0, 1),
+    ("ideal_deposition_time_s", "  if never slower", "s", 1.0, 1),
+    ("print_time_s", "print time", "s", 1.0, 1),
+    ("speed_min_mm_s", "lowest speed", "mm/s", 1.0, 1),
+    ("sigma_min", "singularity margin σ", "", 1.0, 3),
+    ("wrist_margin_deg", "wrist margin", "deg", 1.0, 1),
+    ("joint_limit_margin_deg", "joint limit margin", "deg", 1.0, 1),
+    ("velocity_ratio_max", "joint velocity / limit", "", 1.0, 3),
+    ("acceleration_ratio_max", "joint acceleration / limit", "", 1.0, 3),
+    ("jerk_ratio_max", "joint jerk / limit (assumed)", "", 1.0, 2),
+    ("position_error_max_mm", "tip off the path", "mm", 1.0, 4),
+    ("axis_error_max_deg", "axis off the normal", "deg", 1.0, 4),
+    ("path_deviation_max_mm", "rounded corners off the drawing", "mm", 1.0, 3),
+    ("extruded_mm", "filament", "mm", 1.0, 0),
+)
+
+
+def print_summary(plan: Plan, folder: Path) -> None:
+    """Print verdict, summary table, failed checks and the place of the results."""
+    out = Console(highlight=False)
+    m = plan.metrics
+    size = f"{m['beads']:.0f} beads, {m['layers']:.0f} layers, {m['deposited_length_mm'] / 1e3:.2f} m"
+    table = Table(title=f"{plan.problem.name}: {size}", title_justify="left")
+    table.add_column("")
+    table.add_column(plan.strategy, justify="right")
+    for name in plan.baseline:
+        table.add_column(name, justify="right", style="dim")
+    table.add_column("unit")
+    for metric, label, unit, factor, decimals in ROWS:
+        cells = [_number(values.get(metric, math.nan) * factor, decimals) for values in (m, *plan.baseline.values())]
+        table.add_row(label, *cells, unit)
+    out.print(table)
+    for check in plan.checks:
+        if not check.ok:
+            text = f"FAILED {check.name}: {check.worst:.4g} {check.unit}, limit {check.limit:.4g} ({check.where})"
+            out.print(text, markup=False, soft_wrap=True)
+    if plan.verified:
+        verdict = f"verified: {len(plan.checks)} checks hold"
+    else:
+        verdict = "NOT verified: no robot code was written"
+    out.print(f"{verdict}; {plan.timing_s['total']:.1f} s; results in {folder}", markup=False, soft_wrap=True)
+
+
+def _number(value: float, decimals: int) -> str:
+    return "no plan" if math.isnan(value) else f"{value:.{decimals}f}"

@@ -1,0 +1,124 @@
+"""What the report calls things: metrics with human labels and units, numbers as people read them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from html import escape
+
+MISSING = "–"
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A row of the summary: `scale` turns the metric's value into `unit`; `better` is up, down or empty."""
+
+    key: str
+    label: str
+    unit: str
+    digits: int
+    scale: float = 1.0
+    better: str = ""
+    limit: float = math.inf
+
+
+METRICS = (
+    Metric("at_speed_fraction", "Length printed at the commanded speed (±2 %)", "%", 2, 100, "up"),
+    Metric("speed_min_mm_s", "Slowest tip speed while depositing", "mm/s", 2, better="up"),
+    Metric("speed_max_mm_s", "Fastest tip speed while depositing", "mm/s", 2),
+    Metric("deposition_time_s", "Time spent depositing", "s", 1, better="down"),
+    Metric("ideal_deposition_time_s", "Time if the speed never dipped", "s", 1),
+    Metric("print_time_s", "Whole print, travel included", "s", 1, better="down"),
+    Metric("sigma_min", "Distance from singularity: least singular value σ", "", 4, better="up"),
+    Metric("wrist_margin_deg", "Wrist: least angle of joint 5 from straight", "°", 1, better="up"),
+    Metric("joint_limit_margin_deg", "Least distance from a joint's end stop", "°", 1, better="up"),
+    Metric("velocity_ratio_max", "Joint speed, worst share of its limit", "%", 1, 100, "down", 100),
+    Metric("acceleration_ratio_max", "Joint acceleration, worst share of its limit", "%", 1, 100, "down", 100),
+    Metric("jerk_ratio_max", "Joint jerk, worst share of its limit", "%", 1, 100, "down", 100),
+    Metric("position_error_max_mm", "Tip off the planned line, worst", "mm", 4, better="down"),
+    Metric("axis_error_max_deg", "Nozzle axis off the surface normal, worst", "°", 4, better="down"),
+    Metric("path_deviation_max_mm", "Rounded corners: off the drawn path, worst", "mm", 3, better="down"),
+    Metric("clearance_min_mm", "Least clearance from a collision", "mm", 1, better="up"),
+    Metric("branch_changes_in_deposition", "Changes of the arm's branch while depositing", "", 0, better="down"),
+    Metric("deposited_length_mm", "Length deposited", "m", 2, 1e-3),
+    Metric("extruded_mm", "Filament used", "m", 2, 1e-3),
+    Metric("extruded_volume_mm3", "Material deposited", "cm³", 2, 1e-3),
+)
+
+CHECK_NAMES = str.maketrans("_", " ")
+
+
+def number(value: float | None, digits: int) -> str:
+    """HTML of a number with `digits` decimals and thousands apart; tiny but not zero is said to be so."""
+    if value is None or math.isnan(value):
+        return MISSING
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    if 0 < abs(value) < 0.5 * 10**-digits:
+        return f"&lt;\u2009{10**-digits:.{digits}f}"
+    return f"{value:,.{digits}f}".replace(",", "\u202f").replace("-", "−")
+
+
+def significant(value: float, digits: int = 4) -> str:
+    """A number with `digits` significant digits, without a needless exponent."""
+    if math.isnan(value) or math.isinf(value):
+        return number(value, 0)
+    return f"{value:.{digits}g}".replace("-", "−")
+
+
+def duration(seconds: float | None) -> str:
+    """A time span in words: 42.1 s, 3 min 05 s, 2 h 04 min."""
+    if seconds is None or not math.isfinite(seconds):
+        return MISSING
+    if seconds < 60:
+        return f"{seconds:.1f} s"
+    whole = round(seconds)
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    minutes = round(seconds / 60)
+    return f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def summary_table(strategy: str, metrics: Mapping[str, float], baseline: Mapping[str, Mapping[str, float]]) -> str:
+    """HTML table: the chosen strategy's metrics beside the baselines'; the best of a row is bold."""
+    others = {name: values for name, values in baseline.items() if name != strategy}
+    columns = [metrics, *others.values()]
+    head = "".join(f"<th scope=col>{escape(name)}</th>" for name in others)
+    rows = []
+    for metric in METRICS:
+        values = [_scaled(column.get(metric.key), metric) for column in columns]
+        if all(value is None for value in values):
+            continue
+        unit = f"<span class=unit>, {metric.unit}</span>" if metric.unit else ""
+        best = _best(values, metric)
+        cells = "".join(
+            f"<td class='n{' chosen' if i == 0 else ''}'>{_cell(value, metric, i in best)}</td>"
+            for i, value in enumerate(values)
+        )
+        rows.append(f"<tr><th scope=row>{metric.label}{unit}</th>{cells}</tr>")
+    return (
+        "<div class=wide><table><thead><tr><th></th>"
+        f"<th scope=col class=chosen>{escape(strategy)}<small>this plan</small></th>{head}</tr></thead>"
+        f"<tbody>{''.join(rows)}</tbody></table></div>"
+    )
+
+
+def _scaled(value: float | None, metric: Metric) -> float | None:
+    return None if value is None or math.isnan(value) else float(value) * metric.scale
+
+
+def _best(values: list[float | None], metric: Metric) -> set[int]:
+    """Columns that show the best value, unless all show the same."""
+    shown = {i: round(value, metric.digits) for i, value in enumerate(values) if value is not None}
+    if not metric.better or len(set(shown.values())) < 2:
+        return set()
+    best = max(shown.values()) if metric.better == "up" else min(shown.values())
+    return {i for i, value in shown.items() if value == best}
+
+
+def _cell(value: float | None, metric: Metric, best: bool) -> str:
+    text = number(value, metric.digits)
+    if value is not None and round(value, 6) > metric.limit:
+        text = f"<span class=bad>✗ over {text}</span>"
+    return f"<b>{text}</b>" if best else text

@@ -1,0 +1,21 @@
+"""Redundancy resolution: strategies that choose what the nozzle's path leaves free."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from planner.cell import Cell
+from planner.problem import ResolveSpec
+from planner.resolve.baselines import as_published, fixed, greedy
+from planner.resolve.jointpath import JointPath
+from planner.resolve.ladder import ladder
+from planner.task import NozzleTask
+
+Strategy = Callable[[Cell, Sequence[NozzleTask], ResolveSpec], tuple[JointPath, ...]]
+
+STRATEGIES: dict[str, Strategy] = {
+    "as_published": as_published,
+    "fixed": fixed,
+    "greedy": greedy,
+    "ladder": ladder,
+}

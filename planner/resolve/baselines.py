@@ -1,0 +1,107 @@
+"""Strategies to compare with: as published, fixed, greedy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.cell import Cell, Limits, rigid_inverse
+from planner.errors import Refusal
+from planner.problem import ResolveSpec
+from planner.resolve.demand import Demand
+from planner.resolve.jointpath import JointPath, choose_turns, postures
+from planner.resolve.ladder import coarse_nodes, first_of_each_name, paths_of
+from planner.resolve.nodes import Nodes
+from planner.resolve.search import SPEED_SHARE, greedy_route
+from planner.resolve.unreachable import refuse_rung
+from planner.task import NozzleTask
+
+Array = NDArray[np.float64]
+
+
+def as_published(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[JointPath, ...]:
+    """The nozzle's orientation in the world stays that of the home posture, as nearly as its axis allows; the
+    table does all the turning (Pollard, eq. 2 and section 3). The branch is that of the home posture.
+
+    On a fixed bed nothing turns but the arm: roll keeps the nozzle as near to home's orientation as it can.
+    """
+    na = len(cell.arm)
+    R_home = cell.arm.poses(cell.home[None, :na])[0, :3, :3]
+    branch = int(cell.wrist.branches(cell.home[None, :na])[0])
+    paths = []
+    for task in tasks:
+        holder = _turn_to_face(cell, task, R_home[:, 2])
+        R_world_part = cell.holder.poses(holder)[:, :3, :3]
+        R_world_task = R_world_part @ task.frames
+        # the roll that brings the nozzle's x and y closest to home's: maximises the trace of R_home^T R
+        M = np.einsum("ji,njk->nik", R_home, R_world_task)
+        roll = np.unwrap(np.arctan2(M[:, 1, 0] - M[:, 0, 1], M[:, 0, 0] + M[:, 1, 1]))
+        roll = -roll
+        paths.append(JointPath(task, roll, postures(cell, task, roll, holder, branch), branch))
+    return choose_turns(cell, paths)
+
+
+def _turn_to_face(cell: Cell, task: NozzleTask, direction: Array) -> Array:
+    """Holder angles (n, nh) that turn the nozzle axis nearest to a direction of the world."""
+    if len(cell.holder) == 0:
+        return np.zeros((len(task), 0))
+    T_before, k = cell.holder.placements[0], cell.holder.axes[0]
+    R_after = cell.holder.T_last_tip[:3, :3]
+    a = task.frames[:, :, 2] @ R_after.T  # nozzle axis in the turning frame
+    d = rigid_inverse(T_before)[:3, :3] @ direction
+    a = a - (a @ k)[:, None] * k
+    d = d - (d @ k) * k
+    sine, cosine = np.cross(a, d) @ k, a @ d
+    return np.unwrap(np.arctan2(sine, cosine))[:, None]
+
+
+def fixed(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[JointPath, ...]:
+    """The best constant roll for the whole print, and for it the best constant table angle and branch per bead.
+
+    Best is what the ladder's prices add up to; beads that repeat from layer to layer share their choice.
+    """
+    guides = first_of_each_name(tasks)
+    demand, nodes = coarse_nodes(cell, guides, settings)
+    grid = nodes.grid
+    totals = np.stack([_held_price(nodes, demand, cell.limits, i) for i in range(len(guides))])
+    best = totals.reshape(len(guides), grid.rolls, -1).min(axis=2)
+    whole = best.sum(axis=0)
+    if not np.isfinite(whole).any():
+        i = int(np.argmin(np.isfinite(best).sum(axis=1)))
+        name = guides[i].name
+        raise Refusal(f"no constant roll serves the whole of path {name!r} with any table angle", bead=guides[i].bead)
+    roll = int(np.argmin(whole))
+    choice = {}
+    for i, guide in enumerate(guides):
+        holder, branch = np.unravel_index(int(np.argmin(totals[i, roll])), totals.shape[2:])
+        choice[guide.name] = (int(holder), int(branch))
+    paths = []
+    for task in tasks:
+        holder, branch = choice[task.name]
+        n = len(task)
+        rolls = np.full(n, roll * grid.roll_step)
+        holders = np.full((n, len(cell.holder)), holder * grid.holder_step)
+        paths.append(JointPath(task, rolls, postures(cell, task, rolls, holders, branch), branch))
+    return choose_turns(cell, paths)
+
+
+def _held_price(nodes: Nodes, demand: Demand, limits: Limits, task: int) -> Array:
+    """Price (rolls, holders, branches) [s] of holding each node all along a task; infinite where a joint cannot."""
+    rungs = demand.rungs_of(task)
+    total = nodes.price[rungs].sum(axis=0)
+    step = np.abs(np.diff(nodes.q[rungs], axis=0)).astype(float)
+    step[..., 5] = np.abs(step[..., 5] - 2.0 * np.pi * np.round(step[..., 5] / (2.0 * np.pi)))
+    time = demand.time[rungs][1:].reshape((-1, 1, 1, 1, 1))
+    total[(step > SPEED_SHARE * limits.velocity[:6] * time).any(axis=(0, 4))] = np.inf
+    return np.asarray(total)
+
+
+def greedy(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[JointPath, ...]:
+    """Always the next best candidate on the ladder's coarse grid, never looking further."""
+    demand, nodes = coarse_nodes(cell, tasks, settings)
+    route, stuck = greedy_route(nodes, demand, cell.limits)
+    if route is None:
+        refuse_rung(cell, tasks, demand, nodes, stuck)
+    return paths_of(cell, tasks, demand, nodes.grid, route)

@@ -1,0 +1,130 @@
+"""JointPath: the joints along one task, from a choice of roll, holder angle and branch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+
+from planner.cell import Cell, rigid_inverse
+from planner.errors import Refusal
+from planner.task import NozzleTask
+
+Array = NDArray[np.float64]
+_TURN = 2.0 * np.pi
+_MARGIN = 1e-6  # rad kept from a joint's limit, so that rounding cannot cross it
+
+
+@dataclass(frozen=True)
+class JointPath:
+    """Joints q (n, nj) at the task's samples, arm then holder, continuous in whole turns; one branch all along."""
+
+    task: NozzleTask
+    roll: Array
+    q: Array
+    branch: int
+
+
+def spread(values: Array, n: int) -> Array:
+    """n samples of a smooth curve that rung values (m) or (m, k) control: a clamped B-spline of degree 5.
+
+    It has four continuous derivatives, does not overshoot its control values, and starts and ends at the
+    first and last of them; with fewer than six rungs the degree is one less than their number.
+    """
+    m = len(values)
+    degree = min(5, m - 1)
+    if degree == 0:
+        return np.repeat(values, n, axis=0)
+    knots = np.concatenate([np.zeros(degree), np.linspace(0.0, 1.0, m - degree + 1), np.ones(degree)])
+    return np.asarray(BSpline(knots, values, degree)(np.linspace(0.0, 1.0, n)))
+
+
+def postures(cell: Cell, task: NozzleTask, roll: Array, holder: Array, branch: int) -> Array:
+    """Joints (n, nj) that hold the task exactly, for roll (n) and holder joints (n, nh) on one branch.
+
+    Joints are continuous along the path; whole turns are chosen later, by `choose_turns`.
+    Raises Refusal, with the place, where a pose is out of reach or outside a joint's range.
+    """
+    T_base_flange = flange_poses(cell, task, roll, holder)
+    q_all, ok_all = cell.wrist.solve(T_base_flange)
+    q, ok = q_all[:, branch], ok_all[:, branch]
+    if not ok.all():
+        i = int(np.argmin(ok))
+        refuse_at(task, i, "out of the arm's reach", float(cell.wrist.out_of_reach(T_base_flange[i : i + 1])[0]))
+    middle = 0.5 * (cell.limits.q_min[:6] + cell.limits.q_max[:6])
+    q = middle + np.remainder(q - middle + np.pi, _TURN) - np.pi
+    q = np.unwrap(q, axis=0)
+    span = cell.limits.q_max[:6] - cell.limits.q_min[:6]
+    for j in np.flatnonzero(np.ptp(q, axis=0) > span):
+        i = int(np.argmax(np.abs(q[:, j] - middle[j])))
+        refuse_at(task, i, f"{cell.arm.names[j]} would turn further than its range along this bead")
+    return np.hstack([q, holder])
+
+
+def flange_poses(cell: Cell, task: NozzleTask, roll: Array, holder: Array) -> Array:
+    """Flange poses in the arm's base frame (n, 4, 4) that the task asks for."""
+    c, s = np.cos(roll), np.sin(roll)
+    T_part_nozzle = np.zeros((len(task), 4, 4))
+    x, y = task.frames[:, :, 0], task.frames[:, :, 1]
+    T_part_nozzle[:, :3, 0] = c[:, None] * x + s[:, None] * y
+    T_part_nozzle[:, :3, 1] = -s[:, None] * x + c[:, None] * y
+    T_part_nozzle[:, :3, 2] = task.frames[:, :, 2]
+    T_part_nozzle[:, :3, 3] = task.tip
+    T_part_nozzle[:, 3, 3] = 1.0
+    T_world_part = cell.holder.poses(holder)
+    before, after = rigid_inverse(cell.T_world_base), rigid_inverse(cell.T_flange_nozzle)
+    return before @ T_world_part @ T_part_nozzle @ after
+
+
+def choose_turns(cell: Cell, paths: Sequence[JointPath]) -> tuple[JointPath, ...]:
+    """Add whole turns to joints, bead by bead, so that all stay within limits and travel is shortest.
+
+    A joint's turns are chosen by dynamic programming over the beads, each joint for itself.
+    Raises Refusal for a bead along which a joint leaves its range however it is turned.
+    """
+    low, high = cell.limits.q_min + _MARGIN, cell.limits.q_max - _MARGIN
+    shift = np.zeros((len(paths), len(low)))
+    for j in range(len(low)):
+        options = []
+        for path in paths:
+            lo, hi = path.q[:, j].min(), path.q[:, j].max()
+            k = np.arange(np.ceil((low[j] - lo) / _TURN), np.floor((high[j] - hi) / _TURN) + 1)
+            if len(k) == 0:
+                i = int(np.argmax(np.maximum(low[j] - path.q[:, j], path.q[:, j] - high[j])))
+                refuse_at(path.task, i, f"{cell.joint_names[j]} leaves its range here")
+            nearest = np.argsort(np.abs(0.5 * (lo + hi) + k * _TURN - cell.home[j]), kind="stable")[:5]
+            options.append(np.sort(k[nearest]) * _TURN)
+        cost = np.abs(paths[0].q[0, j] + options[0] - cell.home[j])
+        back = []
+        for a, b, oa, ob in zip(paths[:-1], paths[1:], options[:-1], options[1:], strict=True):
+            step = np.abs((b.q[0, j] + ob)[None, :] - (a.q[-1, j] + oa)[:, None])
+            # equal travel: the turn nearer to home, so that cables are not wound up without need
+            wound = 1e-3 * np.abs(b.q[0, j] + ob - cell.home[j])
+            total = cost[:, None] + step + wound[None, :]
+            back.append(np.argmin(total, axis=0))
+            cost = total.min(axis=0)
+        k = int(np.argmin(cost))
+        for i in range(len(paths) - 1, -1, -1):
+            shift[i, j] = options[i][k]
+            if i:
+                k = int(back[i - 1][k])
+    return tuple(replace(path, q=path.q + turn) for path, turn in zip(paths, shift, strict=True))
+
+
+def refuse_at(task: NozzleTask, i: int, reason: str, missing: float | None = None) -> NoReturn:
+    """Raise a Refusal that names the task's bead, sample and point."""
+    mm = task.tip[i] * 1e3
+    if missing is not None:
+        reason += f" by {missing * 1e3:.1f} mm"
+    raise Refusal(
+        f"{reason} (layer {task.layer}, path {task.name!r}, point {mm[0]:.1f} {mm[1]:.1f} {mm[2]:.1f} mm on the part)",
+        bead=task.bead,
+        waypoint=int(i - task.first),
+        s_mm=float(task.s[i] * 1e3),
+        point_mm=(float(mm[0]), float(mm[1]), float(mm[2])),
+        missing_mm=None if missing is None else missing * 1e3,
+    )

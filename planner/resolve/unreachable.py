@@ -1,0 +1,60 @@
+"""Why there is no path: which rung ran out of candidates, and for what reason."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NoReturn
+
+import numpy as np
+
+from planner.cell import Cell
+from planner.resolve.demand import Demand
+from planner.resolve.jointpath import flange_poses, refuse_at
+from planner.resolve.nodes import Nodes
+from planner.task import NozzleTask
+
+_TRIED = 72  # rolls and holder angles that the diagnosis looks at
+
+
+def refuse_rung(cell: Cell, tasks: Sequence[NozzleTask], demand: Demand, nodes: Nodes, rung: int) -> NoReturn:
+    """Raise the Refusal that says why no way leads to this rung: reach, limits, singularity, or joint speed."""
+    k = int(np.searchsorted(demand.task_rungs, rung, side="right") - 1)
+    task = tasks[k]
+    i = int(demand.rung[rung]) - sum(len(t) for t in tasks[:k])
+    angles = np.linspace(0.0, 2.0 * np.pi, _TRIED, endpoint=False)
+    roll, holder = (x.ravel() for x in np.meshgrid(angles, angles if len(cell.holder) else angles[:1], indexing="ij"))
+    spot = _repeat(task, i, len(roll))
+    T = flange_poses(cell, spot, roll, holder[:, None] if len(cell.holder) else np.zeros((len(roll), 0)))
+    q, ok = cell.wrist.solve(T)
+    if not ok.any():
+        refuse_at(task, i, "out of the arm's reach", float(cell.wrist.out_of_reach(T).min()))
+    middle = 0.5 * (cell.limits.q_min[:6] + cell.limits.q_max[:6])
+    q = middle + np.remainder(q - middle + np.pi, 2 * np.pi) - np.pi
+    inside = ok & ((q >= cell.limits.q_min[:6]) & (q <= cell.limits.q_max[:6])).all(axis=2)
+    if not inside.any():
+        over = np.maximum(cell.limits.q_min[:6] - q, q - cell.limits.q_max[:6])
+        over[~ok] = np.inf
+        worst = over.max(axis=2)
+        a, b = np.unravel_index(np.argmin(worst), worst.shape)
+        joint = cell.arm.names[int(np.argmax(over[a, b]))]
+        reason = f"no posture within the joints' ranges; the nearest one leaves that of {joint}"
+        refuse_at(task, i, f"{reason} by {np.degrees(worst[a, b]):.1f} deg")
+    if not np.isfinite(nodes.price[rung]).any():
+        refuse_at(task, i, "every posture is closer to a singularity than resolve.min_sigma allows")
+    refuse_at(task, i, "no branch can follow the path up to here at the commanded speed: a joint would be too slow")
+
+
+def _repeat(task: NozzleTask, i: int, n: int) -> NozzleTask:
+    """A task that stays n times at sample i of another."""
+    one = [i] * n
+    return NozzleTask(
+        task.bead,
+        task.name,
+        task.layer,
+        task.tip[one],
+        task.frames[one],
+        np.arange(n, dtype=float),
+        0,
+        n - 1,
+        task.speed,
+    )

@@ -1,0 +1,218 @@
+"""Solve a problem: from its file to a verified plan, and the command line for it.
+
+python -m planner.solve cylinder_logo.yaml
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from rich.console import Console
+
+from planner.cell import Cell, build_cell
+from planner.errors import (
+    EXIT_INTERRUPTED,
+    EXIT_NOT_VERIFIED,
+    EXIT_VERIFIED,
+    PlannerError,
+    Refusal,
+)
+from planner.export import write_refusal, write_robot_code, write_tables
+from planner.motion import join
+from planner.output import results_folder
+from planner.plan import Plan, Trajectory
+from planner.problem import STRATEGY_NAMES, Problem, load_problem, shipped_problems
+from planner.progress import Stages
+from planner.report.failure import write_failure_report
+from planner.report.html import write_report
+from planner.report.summary import print_summary
+from planner.resolve import STRATEGIES
+from planner.task import NozzleTask, make_tasks
+from planner.timing import time_path
+from planner.toolpath.bead import Toolpath
+from planner.toolpath.build import build_toolpath
+from planner.travel import plan_travels
+from planner.verify import Report, verify
+from planner.versions import versions
+
+DEFAULT_DT = 0.004
+MIN_DT, MAX_DT = 0.0005, 0.02  # s; finer drowns in rounding, coarser hides what a joint does
+BASELINE = "as_published"
+
+
+def solve(problem: Problem, strategy: str | None = None, dt: float = DEFAULT_DT, stages: Stages | None = None) -> Plan:
+    """Plan a problem with a strategy (the problem's own, if none is given), sampled every dt [s], and verify it.
+
+    The plan that comes back may have failed checks: see `Plan.verified`. The baseline strategy is planned as
+    well and its metrics set beside. Raises InputError for wrong input, Refusal where there is no plan at all.
+    """
+    stages = stages or Stages()
+    strategy = strategy or problem.strategy
+    with stages.stage("load"):
+        cell = build_cell(problem)
+    with stages.stage("toolpath"):
+        toolpath = build_toolpath(problem)
+        tasks = make_tasks(toolpath, problem.process.speed, problem.process.run_in)
+    trajectory, report = _plan_with(strategy, problem, cell, toolpath, tasks, dt, stages)
+    with stages.stage("baseline"):
+        baseline = _baseline(strategy, problem, cell, toolpath, tasks, dt)
+    return Plan(
+        problem=problem,
+        cell=cell,
+        toolpath=toolpath,
+        strategy=strategy,
+        trajectory=trajectory,
+        checks=report.checks,
+        metrics=report.metrics,
+        series=report.series,
+        timing_s=dict(stages.seconds),
+        versions=versions(),
+        baseline=baseline,
+        settings={"dt": dt},
+    )
+
+
+def _plan_with(
+    strategy: str,
+    problem: Problem,
+    cell: Cell,
+    toolpath: Toolpath,
+    tasks: Sequence[NozzleTask],
+    dt: float,
+    stages: Stages,
+) -> tuple[Trajectory, Report]:
+    """Resolve, time, join and verify with one strategy."""
+    with stages.stage("resolve"):
+        paths = STRATEGIES[strategy](cell, tasks, problem.resolve)
+    with stages.stage("timing"):
+        timed = [time_path(cell, path, dt) for path in paths]
+        travels = plan_travels(cell, timed, toolpath, problem.process, dt)
+        trajectory = join(cell, toolpath, timed, travels, dt)
+    with stages.stage("verify"):
+        report = verify(problem, cell, toolpath, trajectory)
+    return trajectory, report
+
+
+def _baseline(
+    strategy: str, problem: Problem, cell: Cell, toolpath: Toolpath, tasks: Sequence[NozzleTask], dt: float
+) -> dict[str, dict[str, float]]:
+    """Metrics of the published way of moving; none if it is the chosen one, empty if it cannot be planned here."""
+    if strategy == BASELINE:
+        return {}
+    try:
+        _, report = _plan_with(BASELINE, problem, cell, toolpath, tasks, dt, Stages())
+    except Refusal:
+        return {BASELINE: {}}
+    return {BASELINE: report.metrics}
+
+
+def write(plan: Plan, folder: Path, stages: Stages | None = None) -> Plan:
+    """Write a plan's files into a folder, robot code only if the plan is verified; returns it with all timings."""
+    stages = stages or Stages()
+    with stages.stage("export"):
+        if plan.verified:
+            write_robot_code(plan, folder)
+        write_report(plan, folder / "report.html")
+    plan = replace(plan, timing_s={**stages.seconds, "total": sum(stages.seconds.values())})
+    write_tables(plan, folder)
+    return plan
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    options = _options(arguments)
+    errors = Console(stderr=True, highlight=False)
+    if options.list:
+        print("\n".join(shipped_problems()))
+        return EXIT_VERIFIED
+    try:
+        return _run(options, errors)
+    except KeyboardInterrupt:
+        errors.print("interrupted: nothing was written", markup=False)
+        return EXIT_INTERRUPTED
+    except PlannerError as error:
+        errors.print(f"error: {error}", markup=False, soft_wrap=True)
+        return error.exit_code
+
+
+def _run(options: argparse.Namespace, errors: Console) -> int:
+    with Stages(None if options.quiet else errors) as stages:
+        with stages.stage("load"):
+            problem = load_problem(options.problem, options.set)
+        strategy = options.strategy or problem.strategy
+        folder = options.out or Path("out") / problem.name
+        with results_folder(folder) as fresh:  # first of all: a folder that cannot be written is told at once
+            try:
+                plan = solve(problem, strategy, options.dt, stages)
+            except Refusal as refusal:
+                write_refusal(problem, strategy, refusal, fresh)
+                _report_refusal(problem, strategy, refusal, fresh / "report.html")
+                reason: Refusal | None = refusal
+            else:
+                plan = replace(plan, settings={**plan.settings, "overrides": list(options.set)})
+                plan = write(plan, fresh, stages)
+                reason = None
+    if reason is not None:
+        errors.print(f"no plan: {reason}", markup=False, soft_wrap=True)
+        errors.print(f"see {folder / 'report.html'}", markup=False, soft_wrap=True)
+        return EXIT_NOT_VERIFIED
+    print_summary(plan, folder)
+    return EXIT_VERIFIED if plan.verified else EXIT_NOT_VERIFIED
+
+
+def _report_refusal(problem: Problem, strategy: str, refusal: Refusal, path: Path) -> None:
+    """The report of a refusal shows the beads again, and the place among them."""
+    write_failure_report(
+        path,
+        problem=problem,
+        strategy=strategy,
+        message=str(refusal),
+        beads=build_toolpath(problem).beads,
+        bead=refusal.bead,
+        point_mm=refusal.point_mm,
+        facts={},
+    )
+
+
+def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m planner.solve",
+        description="Plan a curved-layer print: from one YAML file to a verified robot program.",
+        epilog="exit codes: 0 verified plan written, 2 wrong input, 3 no verified plan (report only), 130 interrupted",
+    )
+    parser.add_argument("problem", nargs="?", metavar="PROBLEM.yaml", help="problem file, or the name of a shipped one")
+    parser.add_argument("--strategy", choices=STRATEGY_NAMES, help="instead of the problem's own")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="where the results go (default out/<problem>)")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change a field, e.g. layers.count=1; repeatable",
+    )
+    parser.add_argument("--dt", type=_sample_time, default=DEFAULT_DT, help="seconds between samples (default 0.004)")
+    parser.add_argument("--quiet", action="store_true", help="no progress bars")
+    parser.add_argument("--list", action="store_true", help="name the problems that ship, and stop")
+    options = parser.parse_args(arguments)
+    if options.problem is None and not options.list:
+        parser.error(f"which problem? A file, or one of: {', '.join(shipped_problems())}")
+    return options
+
+
+def _sample_time(text: str) -> float:
+    try:
+        dt = float(text)
+    except ValueError:
+        dt = math.nan
+    if not MIN_DT <= dt <= MAX_DT:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a time between {MIN_DT} and {MAX_DT} s")
+    return dt
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,51 @@
+"""NozzleTask: what a bead fixes for the robot, and what it leaves free."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.process import with_runs
+from planner.toolpath.bead import Toolpath
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class NozzleTask:
+    """The nozzle's path along one bead with its runs, sampled uniformly in the path parameter (n samples).
+
+    tip        (n, 3)    nozzle tip, part frame [m]
+    frames     (n, 3, 3) orientation R_part_nozzle at roll 0: z is the nozzle axis, x the zero of roll
+    s          (n,)      arc length, 0 at the bead's start [m]
+    first, last          samples between which material is deposited
+    speed                commanded [m/s]
+
+    Fixed are tip and axis; free are roll about the axis (periodic) and the holder's joints.
+    """
+
+    bead: int
+    name: str
+    layer: int
+    tip: Array
+    frames: Array
+    s: Array
+    first: int
+    last: int
+    speed: float
+
+    def __len__(self) -> int:
+        return len(self.s)
+
+
+def make_tasks(toolpath: Toolpath, speed: float, run_length: float) -> tuple[NozzleTask, ...]:
+    """One task a bead, in print order; speed [m/s], length of run-in and run-out [m]."""
+    tasks = []
+    for i, bead in enumerate(toolpath.beads):
+        run = with_runs(bead, run_length)
+        z = -run.normals
+        frames = np.stack([run.roll_zero, np.cross(z, run.roll_zero), z], axis=-1)
+        tasks.append(NozzleTask(i, bead.name, bead.layer, run.points, frames, run.s, run.first, run.last, speed))
+    return tuple(tasks)

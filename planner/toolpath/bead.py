@@ -1,0 +1,72 @@
+"""Bead and Toolpath: what is to be printed, in the part frame, before any robot is thought of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Surface(Protocol):
+    """The part's own surface, on which the first layer lies (metres, part frame)."""
+
+    def signed_distance(self, points: Array) -> Array:
+        """Distance (n,) of points (n, 3) from the solid part; negative inside."""
+        ...
+
+    def normals(self, points: Array) -> Array:
+        """Outward unit normals (n, 3) of the surface nearest to points (n, 3)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Bead:
+    """One line of material, laid down without interruption.
+
+    s         (n,)   arc length from the start, strictly increasing, s[0] = 0 [m]; the samples are
+                     uniform in the curve's parameter and draw together where it turns sharply
+    points    (n, 3) nozzle tip, part frame [m]
+    normals   (n, 3) unit surface normal, out of the part; the nozzle axis is its negative
+    roll_zero (n, 3) unit vector in the tangent plane from which roll about the normal is counted
+    source    (m, 3) the input path before corners were rounded, same layer, part frame [m]
+    width, height    cross-section of the bead [m]
+    closed           the last point is the first one again (both are kept)
+    """
+
+    name: str
+    layer: int
+    s: Array
+    points: Array
+    normals: Array
+    roll_zero: Array
+    source: Array
+    width: float
+    height: float
+    closed: bool
+
+    @property
+    def length(self) -> float:
+        """Deposited length [m]."""
+        return float(self.s[-1])
+
+
+@dataclass(frozen=True)
+class Toolpath:
+    """All beads in print order, and the surface they lie on."""
+
+    beads: tuple[Bead, ...]
+    surface: Surface
+
+    @property
+    def length(self) -> float:
+        """Deposited length of all beads [m]."""
+        return sum(bead.length for bead in self.beads)
+
+    @property
+    def layers(self) -> int:
+        """Number of layers."""
+        return 1 + max(bead.layer for bead in self.beads)

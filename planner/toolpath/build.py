@@ -1,0 +1,87 @@
+"""From the problem's part and layers to a Toolpath: source, rounding, order, layers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.problem import Problem
+from planner.toolpath.bead import Bead, Toolpath
+from planner.toolpath.ordering import reverse, shorten_travel
+from planner.toolpath.rounding import round_corners
+from planner.toolpath.svg import PlanePath, read_svg
+from planner.toolpath.wrap import Cylinder, wrap_layer
+
+Array = NDArray[np.float64]
+_KINK = np.radians(10.0)  # a turn above this at one vertex counts as a corner when a seam is looked for
+
+
+def build_toolpath(problem: Problem) -> Toolpath:
+    """Read the drawing, round its corners, order its beads and lay the layers.
+
+    Raises InputError for a drawing that cannot be read or does not fit on the part.
+    """
+    spec, process = problem.layers, problem.process
+    cylinder = Cylinder(
+        problem.part.cylinder.radius, problem.part.cylinder.height, np.asarray(problem.part.cylinder.centre)
+    )
+    paths = read_svg(spec.source.svg, spec.source.width, process.chord_tolerance)
+    _check_fit(problem, paths, cylinder)
+
+    # On the outermost layer x is longest. Rounded in that layer's own metric once, all layers hold the
+    # tolerance, have the same shape, and lie exactly above each other.
+    stretch = np.array([1.0 + spec.count * spec.height / cylinder.radius, 1.0])
+    curves = []
+    for path in paths:
+        path = replace(path, points=path.points * stretch)
+        curve = round_corners(seam_on_smooth_part(path) if path.closed else path, process.corner_tolerance)
+        curves.append(replace(curve, points=curve.points / stretch, source=curve.source / stretch))
+    curves = shorten_travel(curves)
+
+    beads: list[Bead] = []
+    for layer in range(spec.count):
+        beads += wrap_layer(curves, cylinder, layer, spec.height, process.bead.width, process.bead.height)
+        curves = [reverse(curve) for curve in reversed(curves)]  # the next layer starts where this one ended
+    return Toolpath(tuple(beads), cylinder)
+
+
+def seam_on_smooth_part(path: PlanePath) -> PlanePath:
+    """Start a closed path as far from its corners as it can, so that run-in and run-out are smooth."""
+    loop = path.points[:-1]
+    before, after = loop - np.roll(loop, 1, axis=0), np.roll(loop, -1, axis=0) - loop
+    turn = np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], (before * after).sum(axis=1))
+    arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points, axis=0).T))])
+    corners = arc[:-1][np.abs(turn) > _KINK]
+    if len(corners) == 0:
+        return path
+    gaps = np.diff(np.concatenate([corners, [corners[0] + arc[-1]]]))
+    start = float(np.mod(corners[np.argmax(gaps)] + 0.5 * gaps.max(), arc[-1]))
+    k = int(np.searchsorted(arc, start, side="right"))
+    t = (start - arc[k - 1]) / (arc[k] - arc[k - 1])
+    seam = path.points[k - 1] + t * (path.points[k] - path.points[k - 1])
+    around = np.vstack([seam[None], path.points[k:-1], path.points[:k], seam[None]])
+    step = np.hypot(*np.diff(around, axis=0).T)
+    keep = np.concatenate([[True], step > 1e-12])
+    keep[-1] = True
+    return replace(path, points=around[keep])
+
+
+def _check_fit(problem: Problem, paths: tuple[PlanePath, ...], cylinder: Cylinder) -> None:
+    points = np.vstack([path.points for path in paths])
+    around = 2.0 * np.pi * cylinder.radius
+    width, height = np.ptp(points[:, 0]), np.ptp(points[:, 1])
+    if width >= around:
+        raise problem.error(
+            "layers.source.width_mm",
+            f"the drawing, {width * 1e3:.1f} mm wide, does not fit around the cylinder",
+            f"the circumference is {around * 1e3:.1f} mm",
+        )
+    if height > cylinder.height:
+        raise problem.error(
+            "layers.source.width_mm",
+            f"the drawing, {height * 1e3:.1f} mm high at this width, is higher than the cylinder",
+            f"the cylinder is {cylinder.height * 1e3:.1f} mm high: "
+            f"width_mm at most {width * 1e3 * cylinder.height / height:.1f}",
+        )

@@ -1,0 +1,94 @@
+"""Print order: which bead follows which, and in which direction, so that little is travelled."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from planner.toolpath.rounding import PlaneCurve
+
+Array = NDArray[np.float64]
+
+
+def shorten_travel(curves: Sequence[PlaneCurve]) -> list[PlaneCurve]:
+    """Order curves and turn them round: nearest neighbour first, then improved until no 2-opt move helps.
+
+    A closed curve starts and ends where it did; an open one may be run backwards.
+    """
+    if len(curves) < 2:
+        return list(curves)
+    ends = np.array([[curve.points[0], curve.points[-1]] for curve in curves])
+    order, flipped = _improve(ends, *_nearest_neighbour(ends))
+    return [reverse(curves[i]) if back else curves[i] for i, back in zip(order, flipped, strict=True)]
+
+
+def reverse(curve: PlaneCurve) -> PlaneCurve:
+    """The same curve, run backwards."""
+    return replace(curve, points=curve.points[::-1].copy(), source=curve.source[::-1].copy())
+
+
+def travel_length(curves: Sequence[PlaneCurve]) -> float:
+    """Straight-line travel between the curves in their order [m]."""
+    return sum(float(np.hypot(*(b.points[0] - a.points[-1]))) for a, b in zip(curves[:-1], curves[1:], strict=True))
+
+
+@njit(cache=True)
+def _nearest_neighbour(ends: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    n = len(ends)
+    order = np.zeros(n, dtype=np.int64)
+    flipped = np.zeros(n, dtype=np.bool_)
+    left = np.ones(n, dtype=np.bool_)
+    left[0] = False
+    here = ends[0, 1]
+    for k in range(1, n):
+        best, best_i, best_side = np.inf, -1, 0
+        for i in range(n):
+            if left[i]:
+                for side in range(2):
+                    d = np.hypot(ends[i, side, 0] - here[0], ends[i, side, 1] - here[1])
+                    if d < best - 1e-12:
+                        best, best_i, best_side = d, i, side
+        order[k], flipped[k] = best_i, best_side == 1
+        left[best_i] = False
+        here = ends[best_i, 1 - best_side]
+    return order, flipped
+
+
+@njit(cache=True)
+def _end(ends: Array, order: NDArray[np.int64], flipped: NDArray[np.bool_], k: int, last: int) -> Array:
+    return ends[order[k], last if not flipped[k] else 1 - last]
+
+
+@njit(cache=True)
+def _gap(ends: Array, order: NDArray[np.int64], flipped: NDArray[np.bool_], a: int, la: int, b: int, lb: int) -> float:
+    """Distance between end la of the a-th in order and end lb of the b-th; 0 beyond either end of the tour."""
+    if a < 0 or b >= len(order):
+        return 0.0
+    p, q = _end(ends, order, flipped, a, la), _end(ends, order, flipped, b, lb)
+    return float(np.hypot(p[0] - q[0], p[1] - q[1]))
+
+
+@njit(cache=True)
+def _improve(
+    ends: Array, order: NDArray[np.int64], flipped: NDArray[np.bool_]
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """2-opt over stretches i..j (a stretch of one turns a single curve round) until none shortens the travel."""
+    n = len(order)
+    better = True
+    while better:
+        better = False
+        for i in range(n):
+            for j in range(i, n):
+                before = _gap(ends, order, flipped, i - 1, 1, i, 0) + _gap(ends, order, flipped, j, 1, j + 1, 0)
+                after = _gap(ends, order, flipped, i - 1, 1, j, 1)
+                if j + 1 < n:
+                    after += _gap(ends, order, flipped, i, 0, j + 1, 0)
+                if after < before - 1e-9:
+                    order[i : j + 1] = order[i : j + 1][::-1].copy()
+                    flipped[i : j + 1] = ~flipped[i : j + 1][::-1].copy()
+                    better = True
+    return order, flipped

@@ -1,0 +1,101 @@
+"""Wrapping a plane path around a cylinder (Pollard, eq. 2): x becomes angle, y becomes height."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
+
+from planner.toolpath.bead import Bead
+from planner.toolpath.rounding import PlaneCurve
+
+Array = NDArray[np.float64]
+_SOURCE_STEP = 1e-4  # m: the input polyline is wrapped this densely, 0.04 um from the true helix at 34 mm
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """An upright cylinder on the part frame's xy plane; lengths in metres.
+
+    centre (2) of its axis in the part frame, which need not be the table's own axis
+    """
+
+    radius: float
+    height: float
+    centre: Array
+
+    def signed_distance(self, points: Array) -> Array:
+        """Distance (n,) of points (n, 3) from the solid cylinder; negative inside."""
+        radial = np.hypot(points[:, 0] - self.centre[0], points[:, 1] - self.centre[1]) - self.radius
+        axial = np.abs(points[:, 2] - 0.5 * self.height) - 0.5 * self.height
+        outside = np.hypot(np.maximum(radial, 0.0), np.maximum(axial, 0.0))
+        return outside + np.minimum(np.maximum(radial, axial), 0.0)
+
+    def normals(self, points: Array) -> Array:
+        """Outward unit normals (n, 3) of the mantle at points (n, 3)."""
+        d = points[:, :2] - self.centre
+        d = d / np.hypot(d[:, 0], d[:, 1])[:, None]
+        return np.column_stack([d, np.zeros(len(d))])
+
+    def wrap(self, plane: Array, rise: float) -> tuple[Array, Array, Array]:
+        """Points, normals and upright directions (n, 3) of plane points (n, 2), `rise` above the mantle.
+
+        The plane's origin comes to half the cylinder's height at angle 0; x is arc length on the bare mantle.
+        """
+        angle = plane[:, 0] / self.radius
+        c, s, zero = np.cos(angle), np.sin(angle), np.zeros(len(plane))
+        r = self.radius + rise
+        z = plane[:, 1] + 0.5 * self.height
+        points = np.column_stack([self.centre[0] + r * c, self.centre[1] + r * s, z])
+        return points, np.column_stack([c, s, zero]), np.column_stack([zero, zero, zero + 1.0])
+
+
+def wrap_layer(
+    curves: Sequence[PlaneCurve], cylinder: Cylinder, layer: int, layer_height: float, width: float, height: float
+) -> list[Bead]:
+    """Beads of one layer: layer k's nozzle tip runs k + 1 layer heights above the mantle."""
+    rise = (layer + 1) * layer_height
+    beads = []
+    for curve in curves:
+        points, normals, upright = cylinder.wrap(curve.points, rise)
+        source, _, _ = cylinder.wrap(_densify(curve.source), rise)
+        beads.append(
+            Bead(
+                name=curve.name,
+                layer=layer,
+                s=arc_length(points),
+                points=points,
+                normals=normals,
+                roll_zero=upright,
+                source=source,
+                width=width,
+                height=height,
+                closed=curve.closed,
+            )
+        )
+    return beads
+
+
+def arc_length(points: Array) -> Array:
+    """Arc length (n,) along the smooth curve through points (n, 3) that are uniform in its parameter."""
+    u = np.arange(len(points), dtype=float)
+    spline = make_interp_spline(u, points, k=5)
+    # Gauss-Legendre, three points an interval: exact to 1e-12 m where the spline is resolved at all
+    nodes, weights = np.polynomial.legendre.leggauss(3)
+    mid = u[:-1, None] + 0.5 * (nodes[None, :] + 1.0)
+    speed = np.linalg.norm(spline(mid.ravel(), 1), axis=1).reshape(mid.shape)
+    return np.concatenate([[0.0], np.cumsum(0.5 * speed @ weights)])
+
+
+def _densify(polyline: Array) -> Array:
+    """The same polyline with no segment longer than `_SOURCE_STEP`; its vertices are kept."""
+    lengths = np.hypot(*np.diff(polyline, axis=0).T)
+    pieces = np.maximum(np.ceil(lengths / _SOURCE_STEP).astype(int), 1)
+    index = np.repeat(np.arange(len(pieces)), pieces)
+    within = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    t = within / pieces[index]
+    dense = polyline[index] + t[:, None] * np.diff(polyline, axis=0)[index]
+    return np.vstack([dense, polyline[-1]])

@@ -1,0 +1,211 @@
+"""Small synthetic plans for the exporters: real cells, real inverse kinematics, a timing that is simple to write down."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.cell import Cell, build_cell
+from planner.export.gcode import gcode
+from planner.export.plan_json import plan_json
+from planner.export.rapid import pgf, rapid
+from planner.export.rotations import from_matrix
+from planner.export.table import write_table
+from planner.plan import Check, Plan, Trajectory
+
+Array = NDArray[np.float64]
+
+DT = 0.004
+SPEED = 0.04
+CENTRE, RADIUS = np.array([0.0314, 0.037]), 0.034
+RUN_IN = 0.003
+BEAD_AREA = 0.6e-3 * 0.5e-3
+FILAMENT = 1.75e-3
+TABLE_TURN = 0.6  # of the bead's turning done by the table; the arm does the rest
+
+
+def problem(positioner: bool = True, **program: str) -> Any:
+    """What the exporters read of a problem, and what a cell is built from."""
+    names = {"tool": "tPen", "work_object": "wobjPart", "station": "STN1", "extruder_signal": "doExtrude"} | program
+    station = SimpleNamespace(robot="irbp_a250", origin=(0.6335, 0.00987, 0.38), free=("rotation",), held={})
+    return SimpleNamespace(
+        name="two_beads",
+        file=Path("two_beads.yaml"),
+        cell=SimpleNamespace(
+            arm="irb140",
+            base=(0.0, 0.0, 0.0),
+            nozzle=SimpleNamespace(tip=(-0.04451, 0.0099, 0.11395), axis=(0.0, 0.0, 1.0), diameter=0.6e-3),
+            home=tuple(np.radians([30.0, 20.0, 30.0, 90.0, -80.0, 60.0])),
+            positioner=station if positioner else None,
+            bed=None if positioner else (0.45, -0.05, 0.38),
+            limits={},
+        ),
+        process=SimpleNamespace(speed=SPEED, travel_speed=0.2, run_in=RUN_IN, filament_diameter=FILAMENT, lift=0.005),
+        program=SimpleNamespace(**names),
+    )
+
+
+def _ramp(n: int) -> Array:
+    """Smooth way from 0 to 1 at n + 1 instants, at rest at both ends in speed and acceleration."""
+    u = np.linspace(0.0, 1.0, n + 1)
+    return u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+
+
+def _way(length: float, dip: bool) -> tuple[Array, Array]:
+    """Arc length from the run-in's start, and speed, at every instant of a bead with run-in and run-out."""
+    s = np.linspace(0.0, length + 2 * RUN_IN, 20001)
+    ends = np.minimum(s, s[-1] - s)
+    # run-in and run-out: speed grows with the root of the way, as at constant acceleration
+    v = SPEED * np.sqrt(np.clip(ends / (0.9 * RUN_IN), 1e-6, 1.0))
+    if dip:
+        v = v * (1.0 - 0.7 * np.exp(-(((s - 0.5 * s[-1]) / 0.6e-3) ** 2)))
+    t = np.concatenate([[0.0], np.cumsum(np.diff(s) * 2.0 / (v[1:] + v[:-1]))])
+    instants = np.arange(0.0, t[-1], DT)
+    return np.append(np.interp(instants, t, s), s[-1]), np.append(np.interp(instants, t, v), 0.0)
+
+
+def _bead_pose(distance: Array, length: float, z: float, turn: float) -> tuple[Array, Array]:
+    """Tip and normal (k, 3) at the distance from a bead's start: round the cylinder, with a wave in height."""
+    phi = np.pi + turn + (distance - 0.5 * length) / RADIUS
+    normal = np.column_stack([np.cos(phi), np.sin(phi), 0.0 * phi])
+    tip = np.column_stack([CENTRE + RADIUS * normal[:, :2], z + 0.002 * np.sin(distance / 0.004)])
+    return tip, normal
+
+
+def _postures(cell: Cell, tip: Array, normal: Array, previous: Array | None) -> Array:
+    """Joints (k, n) that hold the nozzle against the normal, continuous from `previous`."""
+    nf = len(cell.holder)
+    azimuth = np.unwrap(np.arctan2(normal[:, 1], normal[:, 0]))
+    table = -TABLE_TURN * (azimuth - np.pi)[:, None] if nf else np.empty((len(tip), 0))
+    T_part_nozzle = np.tile(np.eye(4), (len(tip), 1, 1))
+    z = -normal
+    x = np.cross(np.array([0.0, 0.0, 1.0]), z)
+    T_part_nozzle[:, :3, 0], T_part_nozzle[:, :3, 1], T_part_nozzle[:, :3, 2] = x, np.cross(z, x), z
+    T_part_nozzle[:, :3, 3] = tip
+    T_base_flange = (
+        np.linalg.inv(cell.T_world_base)
+        @ cell.holder.poses(table)
+        @ T_part_nozzle
+        @ np.linalg.inv(cell.T_flange_nozzle)
+    )
+    solutions, ok = cell.wrist.solve(T_base_flange)
+    q = np.empty((len(tip), 6))
+    last = cell.home[:6] if previous is None else previous[:6]
+    for k in range(len(tip)):
+        near = solutions[k] + 2 * np.pi * np.round((last - solutions[k]) / (2 * np.pi))
+        cost = np.where(ok[k], np.abs(near - last).max(axis=1), np.inf)
+        assert np.isfinite(cost.min()), "the fixture's bead is out of reach"
+        q[k] = last = near[np.argmin(cost)]
+    return np.column_stack([q, table])
+
+
+@cache
+def make_plan(positioner: bool = True, beads: int = 2, length: float = 0.020, dip: bool = True) -> Plan:
+    """A plan of `beads` beads: home, at rest before each run-in, run-out to rest, back home."""
+    spec = problem(positioner)
+    cell = build_cell(spec)
+    parts: list[tuple[Array, Array, int]] = []  # joints, arc length along the bead or NaN, bead
+    at = cell.home
+    for k in range(beads):
+        way, _ = _way(length, dip)
+        tip, normal = _bead_pose(way - RUN_IN, length, 0.03 + 0.0005 * (k // 2 % 20), 0.3 * (k % 2))
+        q = _postures(cell, tip, normal, at)
+        if not parts:
+            parts.append((at[None], np.full(1, np.nan), -1))
+        parts.append(_travel(at, q[0]))
+        parts.append((q[1:], way[1:] - RUN_IN, k))
+        at = q[-1]
+    parts.append(_travel(at, cell.home))
+
+    q = np.concatenate([part[0] for part in parts])
+    s = np.concatenate([part[1] for part in parts])
+    label = np.concatenate([np.full(len(part[0]), part[2]) for part in parts])
+    deposit = (s >= 0.0) & (s <= length)
+    T = cell.T_part_nozzle(q)
+    tip = np.ascontiguousarray(T[:, :3, 3])
+    speed = np.linalg.norm(np.gradient(tip, DT, axis=0), axis=1)
+    flow = np.where(deposit, speed * BEAD_AREA, 0.0)
+    laid = np.clip(np.nan_to_num(s), 0.0, length)
+    extruded = np.concatenate([[0.0], np.cumsum(np.maximum(np.diff(laid), 0.0))]) * BEAD_AREA
+    bead = np.where(deposit, label, -1).astype(np.int32)
+    trajectory = Trajectory(
+        dt=DT,
+        t=np.arange(len(q)) * DT,
+        bead=bead,
+        layer=np.maximum(0, label // 2).astype(np.int32),
+        deposit=deposit,
+        s=np.where(deposit, s, 0.0),
+        q=q,
+        tip=tip,
+        quat=from_matrix(T[:, :3, :3]),
+        axis=np.ascontiguousarray(T[:, :3, 2]),
+        branch=cell.wrist.branches(q[:, :6]),
+        speed=speed,
+        flow=flow,
+        extruded=extruded,
+    )
+    deposited = 1e3 * beads * length
+    return Plan(
+        problem=spec,
+        cell=cell,
+        toolpath=SimpleNamespace(beads=(None,) * beads, layers=(beads + 1) // 2),  # type: ignore[arg-type]
+        strategy="ladder",
+        trajectory=trajectory,
+        checks=(Check("position_error", 0.0021, 0.05, "mm", True, "bead 0"), Check("reach", 0.0, 0.0, "mm", True, "")),
+        metrics={
+            "deposited_length_mm": deposited,
+            "print_time_s": float(trajectory.t[-1]),
+            "extruded_mm": deposited * BEAD_AREA / (np.pi * FILAMENT**2 / 4.0),
+            "sigma_min": float("nan"),
+        },
+        series={},
+        timing_s={"load": 0.5, "total": 1.25},
+        versions={"planner": "1.0", "numpy": "2.4"},
+        baseline={"fixed": {"at_speed_fraction": float("inf")}},
+        settings={"roll_step_deg": np.float64(5.0), "svg": Path("logo.svg"), "count": np.int64(3)},
+    )
+
+
+def _travel(start: Array, end: Array) -> tuple[Array, Array, int]:
+    """Joints from rest to rest, without the first instant, with a detour that no straight joint motion makes."""
+    n = 150
+    u = _ramp(n)[1:, None]
+    detour = np.zeros(len(start))
+    detour[1] = -0.12
+    q = start + u * (end - start) + 16.0 * (u * (1.0 - u)) ** 2 * detour
+    return q, np.full(n, np.nan), -1
+
+
+GOLDEN = Path(__file__).parent / "golden"
+
+
+def sliced(plan: Plan, rows: slice) -> Plan:
+    """The same plan with only some of its samples: for tables, where any samples do."""
+    values = vars(plan.trajectory).items()
+    return replace(plan, trajectory=Trajectory(**{k: v if k == "dt" else v[rows] for k, v in values}))
+
+
+def golden_texts() -> dict[str, str]:
+    """File name in tests/golden → what the exporters write today."""
+    plan = make_plan()
+    table = io.StringIO()
+    write_table(sliced(plan, slice(180, 220)), table)
+    return {
+        "TwoBeads.mod": rapid(plan),
+        "TwoBeads.pgf": pgf(plan),
+        "extrusion.gcode": gcode(plan),
+        "plan.json": plan_json(plan),
+        "trajectory.csv": table.getvalue(),
+    }
+
+
+if __name__ == "__main__":  # after a change that is meant: write the golden files anew, and read the difference
+    for name, text in golden_texts().items():
+        (GOLDEN / name).write_text(text, encoding="utf-8", newline="\n")

@@ -1,0 +1,605 @@
+"""Exporters: golden files, independent read-back, and programs that were tampered with."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from export_fixtures import BEAD_AREA, FILAMENT, GOLDEN, RUN_IN, golden_texts, make_plan, problem
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
+
+from planner.errors import InputError, OutputError
+from planner.export import write_robot_code, write_tables
+from planner.export.gcode import gcode
+from planner.export.plan_json import plan_json
+from planner.export.rapid import comment, module_name, number, rapid
+from planner.export.rapid_check import compare, replay
+from planner.export.rapid_reader import NUMBER, numbers, read_rapid
+from planner.export.rotations import angle, continuous, from_matrix, slerp, to_matrix
+from planner.export.table import write_table
+from planner.export.thinning import thin
+from planner.plan import Check, Trajectory
+
+HEADER = "t_s,bead,layer,deposit,s_mm,x_mm,y_mm,z_mm,ax,ay,az,speed_mm_s,flow_mm3_s,e_mm"
+MOVE = re.compile(r"(MoveJ|MoveL|TriggL) (\[\[.*?\]\]),(\w+),(?:(trg[\w\\:=]+),)?(fine|z0|z1),tPen\\WObj:=wobjPart;")
+
+
+def moves_of(text: str) -> list[SimpleNamespace]:
+    """The moves of a program, read with nothing of ours but the order of the procedures."""
+    out = []
+    for match in MOVE.finditer(text):
+        word, target, speed, trigger, zone = match.groups()
+        position, quat, conf, external = json.loads(target.replace("9E9", "null"))
+        declared = re.search(rf"CONST speeddata {speed}:=\[(.*?)\];", text)
+        assert declared is not None
+        out.append(
+            SimpleNamespace(
+                word=word,
+                position=np.array(position),
+                quat=np.array(quat),
+                conf=conf,
+                external=external,
+                speed=float(declared.group(1).split(",")[0]),
+                trigger=trigger,
+                zone=zone,
+            )
+        )
+    return out
+
+
+# ---- golden files ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["TwoBeads.mod", "TwoBeads.pgf", "extrusion.gcode", "plan.json", "trajectory.csv"])
+def test_golden_file(name):
+    assert golden_texts()[name] == (GOLDEN / name).read_text(encoding="utf-8")
+
+
+def test_same_plan_same_bytes(tmp_path):
+    plan = make_plan()
+    for folder in ("a", "b"):
+        write_tables(plan, tmp_path / folder)
+        write_robot_code(plan, tmp_path / folder)
+    names = sorted(path.name for path in (tmp_path / "a").iterdir())
+    assert names == ["TwoBeads.mod", "TwoBeads.pgf", "extrusion.gcode", "plan.json", "trajectory.csv"]
+    for name in names:
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+# ---- RAPID: what is written ---------------------------------------------------------------------------------------
+
+
+def test_every_quaternion_is_normalised_and_continuous():
+    quat = np.array([move.quat for move in moves_of(rapid(make_plan()))])
+    assert np.abs(np.linalg.norm(quat, axis=1) - 1.0).max() < 1e-6
+    assert (np.einsum("ij,ij->i", quat[1:], quat[:-1]) > 0.0).all()
+
+
+def test_extruder_is_switched_where_deposit_begins_and_ends():
+    plan = make_plan()
+    moves = moves_of(rapid(plan))
+    deposit, tip = plan.trajectory.deposit, plan.trajectory.tip * 1e3
+    first = np.flatnonzero(deposit[1:] & ~deposit[:-1]) + 1
+    last = np.flatnonzero(deposit[:-1] & ~deposit[1:])
+    for name, samples in (("trgOn", first), ("trgOff", last)):
+        switched = np.array([move.position for move in moves if move.trigger == name])
+        assert len(samples) == 2
+        np.testing.assert_allclose(switched, tip[samples], atol=1e-3)
+    assert {move.trigger for move in moves} == {None, "trgOn", "trgOff"}
+    assert all(move.zone == "z0" for move in moves if move.trigger)
+
+
+def test_targets_reach_the_planned_postures_on_the_turned_station():
+    """Target, station angles and cfx, put through inverse kinematics, give the plan's joints: frames and order hold."""
+    plan = make_plan()
+    cell, q = plan.cell, plan.trajectory.q
+    for move in moves_of(rapid(plan)):
+        tilt, rotation = np.radians(move.external[:2])
+        assert tilt == 0.0 and move.external[2:] == [None] * 4
+        T_part_nozzle = np.eye(4)
+        T_part_nozzle[:3, :3] = Rotation.from_quat(np.roll(move.quat, -1)).as_matrix()
+        T_part_nozzle[:3, 3] = move.position * 1e-3
+        T_plate = np.eye(4)
+        T_plate[:3, :3] = Rotation.from_rotvec([0.0, 0.0, rotation]).as_matrix()
+        T_plate[:3, 3] = plan.problem.cell.positioner.origin
+        flange = np.linalg.inv(cell.T_world_base) @ T_plate @ T_part_nozzle @ np.linalg.inv(cell.T_flange_nozzle)
+        posture = cell.wrist.solve(flange[None])[0][0, move.conf[3]]
+        difference = np.abs(np.angle(np.exp(1j * (q[:, :6] - posture)))).max(axis=1) + np.abs(q[:, 6] - rotation)
+        k = int(np.argmin(difference))
+        assert difference[k] < 2e-5
+        for cf, joint in zip(move.conf[:3], (0, 3, 5), strict=True):
+            assert cf == np.floor(np.degrees(q[k, joint]) / 90.0 + 1e-9)
+
+
+def test_beads_keep_their_speed_and_targets_stay_near_each_other():
+    plan = make_plan()
+    t = plan.trajectory
+    moves = moves_of(rapid(plan))
+    on = False
+    checked = 0
+    for before, move in itertools.pairwise(moves):
+        if on:
+            a, b = (int(np.argmin(np.linalg.norm(t.tip * 1e3 - m.position, axis=1))) for m in (before, move))
+            real = np.linalg.norm(np.diff(t.tip[a : b + 1], axis=0), axis=1).sum() / (t.t[b] - t.t[a]) * 1e3
+            assert abs(move.speed - real) <= 0.5 + 1e-6
+            assert np.linalg.norm(move.position - before.position) <= 10.0
+            assert move.word in ("MoveL", "TriggL") and move.zone == "z0"
+            checked += 1
+        on = {"trgOn": True, "trgOff": False}.get(move.trigger, on)
+    assert checked > 20
+    assert max(move.speed for move in moves) <= plan.problem.process.travel_speed * 1e3
+    slowest = min(move.speed for move in moves if move.word == "MoveL")
+    assert slowest < 25.0  # the dip in the middle of the beads is in the program
+
+
+def test_only_the_tip_governs_the_speed():
+    plan = make_plan()
+    t = plan.trajectory
+    quat = Rotation.from_quat(t.quat)
+    turn = np.degrees((quat[:-1].inv() * quat[1:]).magnitude().max()) / t.dt
+    table = np.degrees(np.abs(np.diff(t.q[:, 6])).max()) / t.dt
+    speeds = read_rapid(rapid(plan)).speed
+    assert np.degrees(speeds[:, 1].min()) > 1.2 * turn and np.degrees(speeds[:, 3].min()) > 1.2 * table
+
+
+def test_where_the_tip_stands_still_the_turning_has_its_real_rate():
+    """A wrist that turns about the tip at 20 deg/s: the tip cannot set the pace."""
+    plan = make_plan(positioner=False)
+    t = plan.trajectory
+    n = 301
+    rows = {k: np.repeat(v[:1], n, axis=0) for k, v in vars(t).items() if k != "dt"}
+    turned = np.radians(20.0) * np.arange(n) * t.dt
+    rows["quat"] = (Rotation.from_quat(t.quat[0]) * Rotation.from_rotvec(turned[:, None] * [0, 0, 1.0])).as_quat()
+    rows["axis"] = Rotation.from_quat(rows["quat"]).as_matrix()[:, :, 2]
+    rows |= {"t": np.arange(n) * t.dt, "q": rows["q"] + turned[:, None] * [0, 0, 0, 0, 0, 1.0]}
+    cell = SimpleNamespace(**vars(plan.cell), T_part_nozzle=lambda q: _standing(t.tip[0], rows["axis"][0], len(q)))
+    text = rapid(replace(plan, cell=cell, trajectory=Trajectory(dt=t.dt, **rows)))
+    turning = [line for line in text.split("\n") if "MoveJ" in line][1:]
+    name = re.search(r",(vel\w+),", turning[0])
+    assert name is not None
+    values = re.search(rf"{name[1]}:=\[(.*)\];", text)
+    assert values is not None
+    assert 19.9 <= float(values[1].split(",")[1]) <= 21.0
+
+
+def _standing(tip, axis, n):
+    T = np.tile(np.eye(4), (n, 1, 1))
+    T[:, :3, 2], T[:, :3, 3] = axis, tip
+    return T
+
+
+def test_straight_lines_of_constant_speed_need_few_targets():
+    """60 mm of straight bead at constant speed: one target every 10 mm at most, none to spare."""
+    plan = make_plan(positioner=False)
+    moves = moves_of(rapid(_straight(plan, 0.06)))
+    bead = [move for move in moves if move.word == "MoveL" or move.trigger == "trgOff"]
+    assert 6 <= len(bead) <= 9
+
+
+def _straight(plan, length):
+    """A bead that runs straight along z with run-in and run-out at 40 mm/s; joints are irrelevant and stand still."""
+    step = 0.04 * plan.trajectory.dt
+    n = round((length + 2 * RUN_IN) / step) + 1
+    along = np.arange(n) * step
+    deposit = (along >= RUN_IN - 1e-9) & (along <= RUN_IN + length + 1e-9)
+    like = plan.trajectory
+    tip = np.tile(like.tip[300], (n, 1)) + along[:, None] * [0.0, 0.0, 1.0]
+    rows = {k: np.repeat(v[300:301], n, axis=0) for k, v in vars(like).items() if k != "dt"}
+    # a joint that moves evenly, so that the robot does not seem to stand still
+    rows["q"] = rows["q"] + along[:, None] * 2.0
+    rows |= {"t": np.arange(n) * like.dt, "tip": tip, "deposit": deposit, "bead": np.where(deposit, 0, -1)}
+    return replace(plan, trajectory=Trajectory(dt=like.dt, **rows))
+
+
+def test_fine_only_at_rest_and_waits_are_kept():
+    plan = make_plan()
+    text = rapid(plan)
+    # start, before each run-in, after each run-out, home
+    fine = [move for move in moves_of(text) if move.zone == "fine"]
+    assert len(fine) == 6 and "WaitTime" not in text
+    t = plan.trajectory
+    rest = int(np.flatnonzero(t.deposit)[0]) - 1
+    while np.abs(t.q[rest] - t.q[rest - 1]).max() > 1e-5:
+        rest -= 1
+    rows = np.concatenate([np.arange(rest), np.full(101, rest), np.arange(rest, len(t))])
+    held = {k: v[rows] for k, v in vars(t).items() if k not in ("dt", "t")}
+    waiting = replace(plan, trajectory=Trajectory(dt=t.dt, t=np.arange(len(rows)) * t.dt, **held))
+    program = read_rapid(rapid(waiting))
+    assert program.fine.sum() == 6
+    assert program.wait.max() == pytest.approx(0.404, abs=0.013)
+    assert compare(waiting, program).complaints() == []
+
+
+def test_without_run_in_the_extruder_goes_on_at_the_start_of_the_bead():
+    plan = make_plan()
+    spec = problem()
+    spec.process.run_in = 0.0
+    text = rapid(replace(plan, problem=spec))
+    moves = moves_of(text)
+    assert [move.trigger for move in moves if move.trigger] == ["trgOnStart", "trgOff"] * 2
+    assert compare(plan, read_rapid(text)).complaints() == []
+
+
+def test_fixed_bed():
+    plan = make_plan(positioner=False)
+    text = rapid(plan)
+    assert 'PERS wobjdata wobjPart:=[FALSE,TRUE,"",[[450.000,-50.000,380.000],[1.0000000,' in text
+    assert "ActUnit" not in text
+    assert {tuple(move.external) for move in moves_of(text)} == {(None,) * 6}
+    assert compare(plan, read_rapid(text)).complaints() == []
+
+
+def test_lines_strings_and_names_are_within_what_a_controller_takes():
+    plan = make_plan()
+    odd = replace(plan, strategy="ladder ü" + "x" * 300)
+    text = rapid(odd)
+    assert text.isascii()
+    assert all(len(line) <= 110 for line in text.split("\n") if line.strip().startswith("!"))
+    assert all(len(line) <= 200 for line in text.split("\n"))
+    assert all(len(string) <= 80 for string in re.findall(r'"([^"]*)"', text))
+    names = re.findall(r"(?:PROC|MODULE|tooldata|wobjdata|speeddata|triggdata) (\w+)", text)
+    assert all(len(name) <= 32 for name in names) and len({n.lower() for n in names}) == len(names)
+    assert "nan" not in text.lower() and "inf" not in text.lower()
+
+
+def test_module_names():
+    assert module_name("cylinder_logo") == "CylinderLogo"
+    assert module_name("test") == "PrintTest"  # TEST is a statement of RAPID
+    assert module_name("main") == "PrintMain"
+    assert module_name("3d_part") == "Print3dPart"
+    assert len(module_name("a_very_long_name_" * 5)) == 32
+
+
+def test_comment_is_one_bounded_ascii_line():
+    assert comment("a\nMoveL ö" + "b" * 500) == "    ! a?MoveL ?" + "b" * 91
+
+
+def test_code_of_an_unverified_plan_is_a_mistake(tmp_path):
+    bad = replace(make_plan(), checks=(Check("reach", 2.0, 1.0, "mm", False, "bead 1"),))
+    with pytest.raises(ValueError, match="verified"):
+        write_robot_code(bad, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+    assert {path.name for path in write_tables(bad, tmp_path)} == {"plan.json", "trajectory.csv"}
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_foreign_parser_accepts_the_program(monkeypatch):
+    config = pytest.importorskip("rapidchecker.config")
+    monkeypatch.setattr(config.CONFIG, "indentation_size", 4)
+    check = pytest.importorskip("rapidchecker.check")
+    whitespace = pytest.importorskip("rapidchecker.whitespace_checks")
+    plan = make_plan(beads=1, length=0.004)
+    text = rapid(plan)
+    assert check.check_format(text) == []
+    assert whitespace.check_whitespace(text) == []
+    assert check.check_format(text.replace("fine,tPen", "fine tPen", 1)) != []
+
+
+# ---- RAPID: what is read back -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("positioner", [True, False])
+def test_program_repeats_the_plan(positioner):
+    plan = make_plan(positioner)
+    found = compare(plan, read_rapid(rapid(plan)))
+    assert found.path < 0.021e-3 and found.travel < 0.3e-3 and found.event < 1e-6
+    assert np.degrees(found.angle) < 0.05 and np.degrees(found.external) < 0.05
+    assert found.conf == 0 and found.complaints() == []
+
+
+def test_replay_is_dense_and_lies_on_the_plan():
+    plan = make_plan()
+    t = plan.trajectory
+    stretches = replay(read_rapid(rapid(plan)), step=0.2e-3)
+    assert len(stretches) == 2
+    for k, stretch in enumerate(stretches):
+        rows = t.bead == k
+        step = np.linalg.norm(np.diff(stretch.position, axis=0), axis=1)
+        assert step.max() <= 0.2e-3 + 1e-12
+        gaps = np.linalg.norm(stretch.position[:, None] - t.tip[None, rows], axis=2)
+        near = np.argmin(gaps, axis=1)
+        # between two samples (0.16 mm) a point may be half of that away along the path
+        assert gaps.min(axis=1).max() < 0.12e-3
+        assert np.degrees(angle(stretch.quat, t.quat[rows][near]).max()) < 0.5
+        np.testing.assert_allclose(stretch.position[[0, -1]], t.tip[rows][[0, -1]], atol=1e-6)
+        np.testing.assert_allclose(stretch.external[[0, -1], 1], t.q[rows][[0, -1], 6], atol=1e-6)
+
+
+def _tamper(text, pattern, change, which):
+    """The text with one match of a pattern replaced."""
+    match = list(re.finditer(pattern, text))[which]
+    return text[: match.start()] + change(match) + text[match.end() :]
+
+
+def _shifted(column, amount, decimals):
+    def change(match):
+        values = match.group(1).split(",")
+        values[column] = f"{float(values[column]) + amount:.{decimals}f}"
+        return match.group(0).replace(match.group(1), ",".join(values))
+
+    return change
+
+
+LINE_TARGET = r"MoveL \[\[([^\]]*)\]"
+LINE_QUAT = r"MoveL \[\[[^\]]*\],\[([^\]]*)\]"
+LINE_CONF = r"MoveL \[\[[^\]]*\],\[[^\]]*\],\[([^\]]*)\]"
+LINE_EXTERNAL = r"MoveL \[\[[^\]]*\],\[[^\]]*\],\[[^\]]*\],\[([^\]]*)\]"
+JOINT_TARGET = r"MoveJ \[\[([^\]]*)\]"
+
+
+@pytest.mark.parametrize("which", range(0, 44, 3))
+def test_any_target_moved_by_a_fifth_of_a_millimetre_is_found(which):
+    """Into or out of the cylinder, which the first axis does where these beads lie."""
+    plan = make_plan()
+    found = compare(plan, read_rapid(_tamper(rapid(plan), LINE_TARGET, _shifted(0, 0.2, 3), which)))
+    assert found.path > 0.1e-3 and any("path" in complaint for complaint in found.complaints())
+
+
+@pytest.mark.parametrize(
+    ("pattern", "change", "which", "named"),
+    [
+        (LINE_TARGET, _shifted(0, 0.2, 3), 12, "path"),
+        (JOINT_TARGET, _shifted(2, 0.2, 3), 12, "path"),
+        (LINE_QUAT, _shifted(0, 0.004, 7), 12, "angle"),
+        (LINE_CONF, _shifted(3, 2, 0), 12, "conf"),
+        (LINE_CONF, _shifted(1, 1, 0), 12, "conf"),
+        (LINE_EXTERNAL, _shifted(1, 0.3, 4), 12, "external"),
+        (LINE_EXTERNAL, _shifted(0, 0.3, 4), 12, "external"),
+        (r"tooldata tPen:=\[TRUE,\[\[([^\]]*)\]", _shifted(2, 0.1, 3), 0, "frames"),
+        (r"\"STN1\",\[\[[^\]]*\],\[[^\]]*\]\],\[\[([^\]]*)\]", _shifted(0, 0.1, 3), 0, "frames"),
+        (r"MoveAbsJ \[\[([^\]]*)\]", _shifted(0, 0.1, 3), 0, "frames"),
+        (r"trgOn,(0)\\DOp", lambda m: "trgOn,2\\DOp", 0, "event"),
+        (r",vel40,z0", lambda m: ",vel42,z0", 2, "speed"),
+        (r",trgOff,z0", lambda m: ",trgOn,z0", 0, "path"),
+        (r" *MoveL .*\n", lambda m: "", 9, "path"),
+        (
+            r" *MoveL .*\n(?= *TriggL .*trgOn)",
+            lambda m: m.group(0) + m.group(0).replace("MoveL [[-", "MoveL [[-1"),
+            0,
+            "path",
+        ),
+    ],
+)
+def test_a_program_that_says_something_else_is_found(pattern, change, which, named):
+    plan = make_plan()
+    text = _tamper(rapid(plan), pattern, change, which)
+    assert any(complaint.startswith(named) for complaint in compare(plan, read_rapid(text)).complaints())
+
+
+def test_a_wrong_program_is_not_written(tmp_path, monkeypatch):
+    wrong = _tamper(rapid(make_plan()), LINE_TARGET, _shifted(0, 0.2, 3), 12)
+    monkeypatch.setitem(write_robot_code.__globals__["EXPORTERS"], "{Module}.mod", lambda plan: wrong)
+    with pytest.raises(RuntimeError, match="path differs"):
+        write_robot_code(make_plan(), tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("SingArea\\Off;", "SingArea\\Wrist;", "unknown statement"),
+        ("ConfL\\Off;", "StopMove\\Quick;", "unknown statement"),
+        ("ConfL\\Off;", "StopMove;", "unknown name"),
+        (",vel40,", ",vel41x,", "unknown name"),
+        ("Bead0002;", "Bead0009;", "unknown name"),
+        ("[0.0000,0.0000,9E9", "[0.0000,9E9", "lengths"),
+        ("-185.811", "-185.8.11", "not a number"),
+        ("PROC Finish()", "PROC Start()", "twice"),
+        ("TriggL ", "MoveL ", "TriggL, and nothing else"),
+        ("    ENDPROC\n\n    PROC Start", "\n    PROC Start", "inside a procedure"),
+        ('FALSE,"STN1"', 'FALSE,""', "names a station"),
+        ("ENDMODULE", "", "no complete module"),
+        ("ENDMODULE\n", "ENDMODULE\nMODULE B\n", "outside"),
+    ],
+)
+def test_reader_refuses_what_it_does_not_know(old, new, message):
+    text = rapid(make_plan())
+    assert old in text
+    line = text[: text.index(old)].count("\n") + 1
+    with pytest.raises(InputError, match=message) as error:
+        read_rapid(text.replace(old, new, 1))
+    if "unknown" in message and "Bead" not in old:
+        assert error.value.line == line
+
+
+@given(st.floats(-1e5, 1e5), st.integers(1, 7))
+def test_numbers_survive_writing_and_reading(value, decimals):
+    text = number(value, decimals)
+    assert re.fullmatch(NUMBER, text)
+    (read,) = numbers(f"[{text}]", "[1]", 1)
+    assert abs(read - value) <= 0.5000001 * 10.0**-decimals + 1e-11
+    assert not text.startswith("-") or read < 0.0
+
+
+@given(st.text(alphabet="0123456789.-+eE_naif ", max_size=8))
+def test_only_plain_numbers_are_read(text):
+    plain = re.fullmatch(r"-?\d+(\.\d+)?(E\d+)?", text, re.ASCII) is not None
+    try:
+        numbers(f"[{text}]", "[1]", 1)
+    except InputError:
+        assert not plain
+    else:
+        assert plain
+
+
+# ---- thinning and rotations ---------------------------------------------------------------------------------------
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(2, 300), st.integers(0, 2**32 - 1), st.floats(0.01, 3.0))
+def test_thinning_meets_every_sample(n, seed, tolerance):
+    random = np.random.default_rng(seed)
+    y = np.cumsum(random.normal(size=n))
+    kept = np.unique(np.concatenate([[0, n - 1], random.integers(0, n, 3)]))
+
+    def misfit(a, b, k):
+        return np.abs(y[a] + (k - a) / (b - a) * (y[b] - y[a]) - y[k]) / tolerance
+
+    found = thin(kept, misfit)
+    assert (np.diff(found) > 0).all() and set(kept) <= set(found)
+    assert np.abs(np.interp(np.arange(n), found, y[found]) - y).max() <= tolerance * (1 + 1e-9)
+
+
+def test_thinning_of_an_arc_is_near_the_fewest():
+    phi = np.linspace(0.0, np.pi, 3001)
+    p = np.column_stack([np.cos(phi), np.sin(phi)]) * 50.0
+
+    def misfit(a, b, k):
+        chord = p[b] - p[a]
+        across = (p[k] - p[a])[:, 0] * chord[:, 1] - (p[k] - p[a])[:, 1] * chord[:, 0]
+        return np.abs(across) / np.linalg.norm(chord, axis=1) / 0.02
+
+    fewest = np.pi / (2 * np.arccos(1 - 0.02 / 50.0))  # arcs whose sagitta is the tolerance
+    assert len(thin(np.array([0, 3000]), misfit)) - 1 <= 1.7 * fewest
+
+
+def test_rotations_against_scipy():
+    random = np.random.default_rng(4)
+    a, b = Rotation.random(500, rng=random), Rotation.random(500, rng=random)
+    u = random.uniform(size=500)
+    qa, qb = a.as_quat(), b.as_quat()
+    np.testing.assert_allclose(angle(qa, qb), (a.inv() * b).magnitude(), atol=1e-9)
+    between = a * Rotation.from_rotvec((a.inv() * b).as_rotvec() * u[:, None])
+    assert angle(slerp(qa, qb, u), between.as_quat()).max() < 1e-9
+    half_turns = Rotation.from_rotvec(np.pi * np.eye(3))
+    both = Rotation.concatenate([a, half_turns])
+    assert angle(from_matrix(both.as_matrix()), both.as_quat()).max() < 1e-7
+    np.testing.assert_allclose(to_matrix(qa), a.as_matrix(), atol=1e-12)
+    signs = np.where(random.uniform(size=500) < 0.5, -2.0, 2.0)[:, None]
+    smooth = Rotation.from_rotvec(np.linspace(0, 20, 500)[:, None] * [0.0, 0.6, 0.8]).as_quat()
+    assert np.linalg.norm(np.diff(continuous(smooth * signs), axis=0), axis=1).max() < 0.05
+
+
+# ---- tables -------------------------------------------------------------------------------------------------------
+
+
+def test_table_holds_the_samples():
+    plan = make_plan()
+    t = plan.trajectory
+    stream = io.StringIO()
+    write_table(plan, stream)
+    head, body = stream.getvalue().split("\n", 1)
+    assert head == HEADER + "," + ",".join(plan.cell.joint_names)
+    rows = np.loadtxt(io.StringIO(body), delimiter=",")
+    assert rows.shape == (len(t), 14 + t.q.shape[1])
+    np.testing.assert_allclose(rows[:, 0], t.t, atol=1e-6)
+    np.testing.assert_array_equal(rows[:, 1:4], np.column_stack([t.bead, t.layer, t.deposit]))
+    np.testing.assert_allclose(rows[:, 5:8], t.tip * 1e3, atol=1e-6)
+    np.testing.assert_allclose(rows[:, 8:11], t.axis, atol=1e-9)
+    np.testing.assert_allclose(rows[:, 11], t.speed * 1e3, atol=1e-5)
+    np.testing.assert_allclose(rows[:, 12], t.flow * 1e9, atol=1e-6)
+    np.testing.assert_allclose(rows[:, 14:], t.q, rtol=1e-11, atol=1e-15)
+    # 40 mm of 0.6 x 0.5 mm bead, in filament of 1.75 mm
+    assert rows[-1, 13] == pytest.approx(40.0 * 0.3 / (np.pi * 1.75**2 / 4), abs=1e-5)
+    assert "-0.0" not in re.sub(r"-0\.0*[1-9]", "", body)
+
+
+def test_nozzle_poses_follow_from_the_json_alone():
+    plan = make_plan()
+    data = json.loads(plan_json(plan))["cell"]
+    random = np.random.default_rng(1)
+    q = random.uniform(-3.0, 3.0, (20, len(data["joints"])))
+    assert [j["name"] for j in data["joints"]] == list(plan.cell.joint_names)
+    assert [j["moves"] for j in data["joints"]] == ["nozzle"] * 6 + ["part"]
+
+    def screw(joint, angle_):
+        w, p = np.array(joint["direction"]), np.array(joint["origin_m"])
+        S = np.zeros((4, 4))
+        S[:3, :3] = [[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]]
+        S[:3, 3] = -np.cross(w, p)
+        return expm(S * angle_)
+
+    expected = plan.cell.T_part_nozzle(q)
+    for row, T in zip(q, expected, strict=True):
+        ends = {"nozzle": np.eye(4), "part": np.eye(4)}
+        for joint, value in zip(data["joints"], row, strict=True):
+            ends[joint["moves"]] = ends[joint["moves"]] @ screw(joint, value)
+        nozzle = ends["nozzle"] @ data["T_world_nozzle_zero"]
+        part = ends["part"] @ data["T_world_part_zero"]
+        np.testing.assert_allclose(np.linalg.inv(part) @ nozzle, T, atol=1e-10)
+    assert data["joints"][6]["v_max"] == pytest.approx(np.radians(180.0))
+
+
+def test_json_is_strict_and_complete():
+    def refuse(constant):
+        raise AssertionError(constant)
+
+    data = json.loads(plan_json(make_plan()), parse_constant=refuse)
+    assert set(data) == {
+        *("problem", "strategy", "verified", "checks", "metrics", "cell", "timing_s", "versions", "baseline"),
+        "settings",
+    }
+    assert data["verified"] is True and data["metrics"]["sigma_min"] is None
+    assert data["baseline"]["fixed"]["at_speed_fraction"] is None
+    assert list(data["checks"][0]) == ["name", "worst", "limit", "unit", "ok", "where"]
+    assert list(data["checks"][0].values()) == ["position_error", 0.0021, 0.05, "mm", True, "bead 0"]
+    assert data["settings"] == {"roll_step_deg": 5.0, "svg": "logo.svg", "count": 3}
+    with pytest.raises(TypeError, match="no JSON form"):
+        plan_json(replace(make_plan(), settings={"x": object()}))
+
+
+def test_places_that_cannot_be_written(tmp_path):
+    file = tmp_path / "taken"
+    file.write_text("a file, not a folder")
+    with pytest.raises(OutputError, match="taken"):
+        write_tables(make_plan(), file / "out")
+    assert [path.name for path in Path(tmp_path).iterdir()] == ["taken"]
+
+
+# ---- G-code -------------------------------------------------------------------------------------------------------
+
+
+def run_gcode(text):
+    """Start [s], duration [s] and filament [mm] of every G1, and the whole duration [s]."""
+    now, moves, relative = 0.0, [], False
+    for line in text.splitlines():
+        code = line.split(";")[0].strip()
+        if code == "M83":
+            relative = True
+        elif match := re.fullmatch(r"G4 P(\d+)", code):
+            now += int(match[1]) * 1e-3
+        elif match := re.fullmatch(r"G1 E([\d.]+) F([\d.]+)", code):
+            assert relative
+            duration = 60.0 * float(match[1]) / float(match[2])
+            moves.append((now, duration, float(match[1])))
+            now += duration
+        else:
+            assert code == "", line
+    return np.array(moves), now
+
+
+@pytest.mark.parametrize("beads", [1, 2, 5])
+def test_gcode_feeds_what_the_plan_lays_down_when_it_does(beads):
+    plan = make_plan(beads=beads)
+    t = plan.trajectory
+    text = gcode(plan)
+    moves, duration = run_gcode(text)
+    assert moves[:, 2].sum() == pytest.approx(plan.metrics["extruded_mm"], rel=1e-4)
+    assert duration == pytest.approx(t.t[-1], rel=1e-3)
+    # fed so far, at every instant, against the plan: never more than a block of 20 ms apart
+    fed = np.concatenate([[0.0], np.cumsum(moves[:, 2])])
+    knots = np.column_stack([moves[:, 0], moves[:, 0] + moves[:, 1]]).ravel()
+    so_far = np.interp(t.t, knots, np.column_stack([fed[:-1], fed[1:]]).ravel())
+    expected = t.extruded / (np.pi * FILAMENT**2 / 4) * 1e3
+    most = 0.045 * BEAD_AREA / (np.pi * FILAMENT**2 / 4) * 1e3  # mm of filament per second
+    assert np.abs(so_far - expected).max() < 0.020 * most
+    assert text.count("; bead ") == beads
+    assert "; bead 0, layer 0" in text and (beads < 5 or "; bead 4, layer 2" in text)
+    # chunks of equal flow are one command: far fewer lines than samples
+    assert len(moves) < 15 * beads
+    assert moves[:, 1].min() > 0.003
+
+
+def test_gcode_of_a_plan_without_dips_is_one_command_per_bead_or_few():
+    moves, _ = run_gcode(gcode(make_plan(dip=False)))
+    assert len(moves) <= 2 * 3

@@ -1,0 +1,444 @@
+"""The report: one offline file, honest words, nothing unescaped, and no extreme lost on the way to the screen."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import json
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from matplotlib.image import imread
+from plotly.offline import get_plotlyjs
+from report_fixtures import CENTRE, RADIUS, make_beads, make_plan, make_problem, write_folder
+
+from planner.errors import InputError, OutputError
+from planner.report import picture
+from planner.report.curves import joint_charts, time_charts
+from planner.report.failure import write_failure_report
+from planner.report.finished import fit_cylinder
+from planner.report.html import write_report
+from planner.report.places import worst_places
+from planner.report.scene import MAX_GROUPS, bead_scene, plan_scene
+from planner.report.thinning import CURVE_BUDGET, SCENE_BUDGET, keep_minima, runs, stretches, thin_curve
+from planner.report.wording import duration, number, summary_table
+
+MB = 1_000_000
+EVIL = "</script><script>alert(1)</script><img src=x onerror=alert(2)>&\"'"
+
+
+@pytest.fixture(scope="module")
+def long_report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    write_report(make_plan(130_000), path)
+    return path
+
+
+def own_text(path: Path) -> str:
+    """The page without the one library inside it."""
+    text = path.read_text(encoding="utf-8")
+    assert text.count(get_plotlyjs()) == 1
+    return text.replace(get_plotlyjs(), "")
+
+
+def figures(path: Path) -> dict:
+    match = re.search(r"<script type=application/json id=data>(.*?)</script>", own_text(path), re.DOTALL)
+    assert match
+    return json.loads(match[1])
+
+
+def unpacked(spec: dict) -> np.ndarray:
+    return np.frombuffer(base64.b64decode(spec["bdata"]), dtype="<" + spec["dtype"])
+
+
+def visible(path: Path) -> str:
+    text = re.sub(r"<(script|style).*?</\1>", "", own_text(path), flags=re.DOTALL)
+    return re.sub(r"\s+", " ", re.sub(r"<[^>]*>", " ", text))
+
+
+# ---- thinning ----------------------------------------------------------------------------------------------------
+
+CURVES = arrays(np.float64, st.integers(1, 800), elements=st.floats(-1e3, 1e3) | st.just(float("nan")))
+
+
+@given(CURVES, st.integers(8, 200))
+def test_a_thinned_curve_keeps_both_extremes_both_ends_and_the_budget(y: np.ndarray, budget: int) -> None:
+    kept = thin_curve(y, budget)
+    assert len(kept) <= budget
+    assert (np.diff(kept) > 0).all()
+    assert kept[0] == 0 and kept[-1] == len(y) - 1
+    if np.isfinite(y).any():
+        assert np.nanmin(y[kept]) == np.nanmin(y)
+        assert np.nanmax(y[kept]) == np.nanmax(y)
+
+
+@given(arrays(np.float64, (3, 500), elements=st.floats(-9, 9)), st.sets(st.integers(0, 499), max_size=20))
+def test_every_signal_keeps_its_minimum_and_every_demanded_sample_stays(signals: np.ndarray, must: set[int]) -> None:
+    kept = keep_minima(list(signals), 80, np.array(sorted(must), dtype=np.intp))
+    assert len(kept) <= 80
+    assert must <= set(kept.tolist())
+    assert (signals[:, kept].min(axis=1) == signals.min(axis=1)).all()
+
+
+def test_a_short_dip_survives_where_a_stride_would_lose_it() -> None:
+    y = np.full(130_000, 40.0)
+    y[77_777] = 3.0
+    kept = thin_curve(y)
+    assert len(kept) <= CURVE_BUDGET
+    assert y[kept].min() == 3.0 and y[:: len(y) // CURVE_BUDGET].min() == 40.0
+
+
+@given(st.lists(st.tuples(st.booleans(), st.integers(0, 2)), min_size=0, max_size=60))
+def test_runs_agree_with_a_plain_loop(samples: list[tuple[bool, int]]) -> None:
+    mask = np.array([m for m, _ in samples], dtype=bool)
+    label = np.array([k for _, k in samples], dtype=np.int32)
+    expected: list[list[int]] = []
+    for i, (on, k) in enumerate(samples):
+        if on and expected and expected[-1][1] == i - 1 and samples[i - 1] == (True, k):
+            expected[-1][1] = i
+        elif on:
+            expected.append([i, i])
+    first, last = runs(mask, label)
+    assert [list(pair) for pair in zip(first.tolist(), last.tolist(), strict=True)] == expected
+    index, begin, end = stretches(mask, label)
+    assert index[begin].tolist() == first.tolist() and index[end].tolist() == last.tolist()
+
+
+# ---- the file ----------------------------------------------------------------------------------------------------
+
+
+def test_a_long_report_is_one_small_file_that_loads_nothing(long_report: Path) -> None:
+    assert long_report.stat().st_size <= 8 * MB
+    text = own_text(long_report)
+    assert not re.search(r"https?://|//cdn|@import|\bfetch\(|XMLHttpRequest|WebSocket|importScripts", text)
+    assert not re.search(r"<(script|img|iframe|source|object|embed)[^>]*\ssrc\s*=", text)
+    assert re.findall(r"<link[^>]*>", text) == ['<link rel=icon href="data:,">']
+    assert "default-src 'none'" in text, "the page forbids itself the network"
+    assert "showSendToCloud: false" in text, "the library's upload button stays away"
+
+
+def test_same_plan_same_bytes(tmp_path: Path) -> None:
+    for name in "ab":
+        write_report(make_plan(6_000), tmp_path / name)
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_every_figure_has_a_place_on_the_page_and_is_valid_plotly(long_report: Path) -> None:
+    data, text = figures(long_report), own_text(long_report)
+    keys = [chart["key"] for chart in data["charts"]]
+    assert keys[:5] == ["speed", "flow", "sigma", "margins", "ratios"] and len(keys) == 5 + 7
+    for key in keys:
+        assert text.count(f"id='chart-{key}'") == 1
+    plan = make_plan(6_000)
+    for chart in time_charts(plan) + joint_charts(plan):
+        go.Figure({"data": chart["traces"], "layout": chart["layout"]})
+    for scene in (
+        plan_scene(plan, worst_places(plan)),
+        bead_scene(make_problem(), make_beads(3), 1, (60.0, 30.0, 20.0)),
+    ):
+        go.Figure({"data": scene["traces"], "layout": scene["layout"]})
+
+
+def test_budgets_hold_and_the_page_shows_the_true_extremes(long_report: Path) -> None:
+    plan, data = make_plan(130_000), figures(long_report)
+    for chart in data["charts"]:
+        for trace in chart["traces"]:
+            shown = unpacked(trace["x"])
+            assert np.isfinite(shown).sum() <= CURVE_BUDGET
+    speed = np.concatenate([unpacked(v) for v in data["scene"]["channels"][0]["values"]])
+    assert np.isfinite(speed).sum() <= SCENE_BUDGET
+    deposited = plan.trajectory.speed[plan.trajectory.deposit] * 1e3
+    assert np.nanmin(speed) == pytest.approx(deposited.min(), rel=1e-6)
+    ratios = next(chart for chart in data["charts"] if chart["key"] == "ratios")
+    assert unpacked(ratios["traces"][2]["y"]).max() == pytest.approx(plan.series["jerk_ratio"].max(), rel=1e-6)
+
+
+def test_lines_of_the_scene_end_where_beads_end_and_keep_corners() -> None:
+    plan = make_plan(130_000)
+    scene = plan_scene(plan, [])
+    trace = scene["traces"][scene["beads"][0]]
+    x = np.column_stack([trace[k] for k in "xyz"])
+    gaps = np.flatnonzero(np.isnan(x[:, 0]))
+    assert len(gaps) == 3, "four beads in a layer"
+    traj = plan.trajectory
+    first_end = np.flatnonzero(traj.bead == 0)[-1]
+    assert x[gaps[0] - 1] == pytest.approx(traj.tip[first_end] * 1e3, abs=1e-4)
+    # Where the first star turns, a drawn point stands no further off than the next sample.
+    tip = traj.tip[traj.bead == 0] * 1e3
+    d = np.diff(tip, axis=0)
+    d /= np.linalg.norm(d, axis=1)[:, None]
+    corners = tip[1:-1][(d[1:] * d[:-1]).sum(axis=1) < 0.9]
+    assert len(corners) >= 9
+    step = np.linalg.norm(np.diff(tip, axis=0), axis=1).max()
+    off = np.nanmin(np.linalg.norm(x[:, None] - corners, axis=2), axis=0)
+    assert off.max() <= step < 0.12
+
+
+def test_many_layers_share_a_bounded_number_of_traces() -> None:
+    scene = plan_scene(make_plan(30_000, layers=150), [])
+    assert len(scene["groups"]) == MAX_GROUPS == len(scene["beads"])
+    assert scene["groups"][0] == "1 to 4"
+
+
+def test_the_part_is_drawn_where_it_is() -> None:
+    part = plan_scene(make_plan(4_000), [])["traces"][0]
+    assert part["type"] == "mesh3d"
+    assert (part["z"].min(), part["z"].max()) == (0.0, 100.0)
+    reach = np.hypot(part["x"] - CENTRE[0] * 1e3, part["y"] - CENTRE[1] * 1e3).max()
+    assert 0.99 * RADIUS * 1e3 < reach < RADIUS * 1e3, "a hair inside the first layer"
+
+
+# ---- the words ---------------------------------------------------------------------------------------------------
+
+
+def test_verdict_in_words(tmp_path: Path) -> None:
+    write_report(make_plan(4_000), tmp_path / "good.html")
+    write_report(make_plan(4_000, ok=False), tmp_path / "bad.html")
+    good, bad = visible(tmp_path / "good.html"), visible(tmp_path / "bad.html")
+    assert "✓ Verified: this motion can be printed All 7 independent checks" in good
+    assert "Not verified" not in good and "fails" not in good
+    assert (
+        "✗ Not verified: do not print this 1 of 7 check fails, so no robot code was written: joint jerk : 1.31 ratio"
+        in bad
+    )
+    assert "✗ fails joint_4 at t 7.2 s" in bad
+    assert "✗ over 131.0" in bad
+
+
+def test_summary_sets_the_strategy_beside_its_baseline() -> None:
+    table = summary_table("ladder", {"at_speed_fraction": 0.9989, "jerk_ratio_max": 0.99},
+                          {"as_published": {"at_speed_fraction": 0.81, "jerk_ratio_max": 4.7}})  # fmt: skip
+    row = re.search(r"<tr><th scope=row>Length printed.*?</tr>", table)
+    assert row and re.findall(r">([\d.]+)<", row[0]) == ["99.89", "81.00"]
+    assert "<b>99.89</b>" in row[0] and "<b>81.00</b>" not in row[0]
+    assert "✗ over 470.0" in table and "sigma" not in table
+
+
+def test_the_strategy_is_not_repeated_as_its_own_baseline() -> None:
+    table = summary_table("ladder", {"print_time_s": 5.0}, {"ladder": {"print_time_s": 5.0}})
+    assert table.count("ladder") == 1
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "text"),
+    [(1234567.0, 0, "1\u202f234\u202f567"), (-0.25, 2, "−0.25"), (None, 1, "–"), (float("nan"), 1, "–"),
+     (2e-7, 3, "&lt;\u20090.001"), (0.0, 3, "0.000"), (float("inf"), 1, "∞")],
+)  # fmt: skip
+def test_numbers_as_people_read_them(value: float | None, digits: int, text: str) -> None:
+    assert number(value, digits) == text
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(42.14, "42.1 s"), (185.2, "3 min 05 s"), (7439.0, "2 h 04 min"), (float("nan"), "–")]
+)
+def test_durations(seconds: float, text: str) -> None:
+    assert duration(seconds) == text
+
+
+def test_worst_places_are_the_worst() -> None:
+    plan = make_plan(20_000)
+    plan.trajectory.speed[np.flatnonzero(plan.trajectory.bead == 6)[30]] = 0.0021
+    slowest = worst_places(plan)[0]
+    assert slowest.what == "Slowest" and slowest.value == "2.10 mm/s of 40 mm/s"
+    assert plan.trajectory.bead[slowest.sample] == 6
+
+
+def test_how_to_make_it_again(tmp_path: Path) -> None:
+    plan = dataclasses.replace(make_plan(4_000), settings={"overrides": ["process.speed_mm_s=25"]})
+    write_report(plan, tmp_path / "r.html")
+    assert "planner.solve cylinder_stars.yaml --strategy ladder --set process.speed_mm_s=25" in visible(
+        tmp_path / "r.html"
+    )
+
+
+def test_names_from_files_cannot_become_markup(tmp_path: Path) -> None:
+    plan = dataclasses.replace(
+        make_plan(4_000, name=EVIL, joint=EVIL),
+        strategy=EVIL,
+        settings={EVIL: EVIL},
+        versions={EVIL: EVIL},
+        baseline={EVIL + "2": {"print_time_s": 3.0}},
+    )
+    checks = tuple(dataclasses.replace(check, name=EVIL, unit=EVIL, where=EVIL, ok=False) for check in plan.checks)
+    plan = dataclasses.replace(plan, checks=checks)
+    write_report(plan, tmp_path / "r.html")
+    beads = make_beads(2)
+    beads[0].name = EVIL
+    write_failure_report(tmp_path / "f.html", problem=plan.problem, strategy=EVIL, message=EVIL, beads=beads, bead=0,
+                         point_mm=None, facts={EVIL: EVIL})  # fmt: skip
+    for name in ("r.html", "f.html"):
+        text = own_text(tmp_path / name)
+        assert "<script>alert" not in text and "<img" not in text
+        assert "&lt;img src=x onerror=alert(2)&gt;" in text
+        assert text.count("</script>") == 3, "the library, the data and the page's own"
+
+
+def test_a_plan_on_a_bed_with_nothing_optional(tmp_path: Path) -> None:
+    plan = make_plan(4_000)
+    problem = SimpleNamespace(**vars(plan.problem))
+    problem.part = SimpleNamespace(cylinder=None)
+    cell = SimpleNamespace(**vars(plan.cell))
+    cell.holder_robot = None
+    plan = dataclasses.replace(plan, problem=problem, cell=cell, series={}, baseline={}, metrics={}, versions={})
+    write_report(plan, tmp_path / "r.html")
+    assert "Verified" in visible(tmp_path / "r.html")
+    assert all(trace["type"] != "mesh3d" for trace in figures(tmp_path / "r.html")["scene"]["traces"])
+
+
+def test_nowhere_to_write(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="cannot write"):
+        write_report(make_plan(2_000), tmp_path / "missing" / "report.html")
+
+
+# ---- a refusal ---------------------------------------------------------------------------------------------------
+
+
+def test_failure_report_says_why_where_and_what_to_change(tmp_path: Path) -> None:
+    beads = make_beads(6)
+    place = tuple(beads[3].points[57] * 1e3)
+    write_failure_report(tmp_path / "f.html", problem=make_problem(), strategy="ladder", message="out of reach by 41.3 mm",
+                         beads=beads, bead=3, point_mm=place, facts={"missing": "41.3 mm", "what to change": "Move it."})  # fmt: skip
+    words = visible(tmp_path / "f.html")
+    assert (
+        words.index("out of reach by 41.3 mm") < words.index("3 of 6 (ring 3), layer 1") < words.index("What to change")
+    )
+    assert "Move it." in words and "cell.positioner.origin_mm" in words
+    traces = {trace.get("name"): trace for trace in figures(tmp_path / "f.html")["scene"]["traces"]}
+    mark = [unpacked(traces["the place"][k])[0] for k in "xyz"]
+    assert mark == pytest.approx(place + 3.0 * beads[3].normals[57], abs=1e-3), "3 mm off the surface, to be seen"
+    assert unpacked(traces["bead 3"]["z"]) == pytest.approx(26.0)
+    assert 26.0 not in unpacked(traces["planned beads"]["z"]).tolist()
+
+
+def test_failure_report_without_any_bead(tmp_path: Path) -> None:
+    write_failure_report(tmp_path / "f.html", problem=make_problem(), strategy="ladder", message="no", beads=None,
+                         bead=None, point_mm=None, facts={})  # fmt: skip
+    assert figures(tmp_path / "f.html")["scene"] is None
+    assert "No plan: this cannot be printed" in visible(tmp_path / "f.html")
+
+
+# ---- the picture -------------------------------------------------------------------------------------------------
+
+
+def test_picture_shows_the_lines_on_the_part(tmp_path: Path) -> None:
+    write_folder(make_plan(6_000), tmp_path / "out")
+    assert picture.main([str(tmp_path / "out"), str(tmp_path / "p.png")]) == 0
+    image = imread(tmp_path / "p.png")[:, :, :3]
+    assert image.shape[0] > 800 and image.shape[1] > 1500
+    left = image[:, : image.shape[1] // 2].reshape(-1, 3)
+    navy = np.array([0x00, 0x22, 0x4E]) / 255
+    assert (np.abs(left - navy).max(axis=1) < 0.05).mean() > 0.005, "beads at the commanded speed"
+    grey = (np.ptp(left, axis=1) < 0.11) & (left.mean(axis=1) > 0.6) & (left.mean(axis=1) < 0.97)
+    assert grey.mean() > 0.15, "the shaded part"
+
+
+def test_the_part_is_found_again_from_the_lines() -> None:
+    traj = make_plan(6_000).trajectory
+    found = fit_cylinder(traj.tip * 1e3, -traj.axis, traj.layer, traj.deposit)
+    assert found is not None
+    assert found.centre == pytest.approx(CENTRE * 1e3, abs=1e-6)
+    assert found.radius == pytest.approx(RADIUS * 1e3 + 0.5, abs=1e-6), "the lowest layer's tip"
+    flat = np.tile([0.0, 0.0, 1.0], (len(traj), 1))
+    assert fit_cylinder(traj.tip * 1e3, flat, traj.layer, traj.deposit) is None
+
+
+def test_picture_refuses_what_is_not_a_plan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert picture.main([str(tmp_path / "none"), str(tmp_path / "p.png")]) == 2
+    assert "no such folder" in capsys.readouterr().err
+    folder = tmp_path / "out"
+    write_folder(make_plan(2_000), folder)
+    table, summary = folder / "trajectory.csv", folder / "plan.json"
+    whole, said = table.read_text(), summary.read_text()
+
+    for text, pattern in (
+        (
+            whole.replace("speed_mm_s", "speed_mms", 1),
+            r"trajectory.csv:1: speed_mm_s: no such column \(there is speed_mms",
+        ),
+        (whole.replace("0.004,", "zero,", 1), "not a table of numbers"),
+        (whole.splitlines()[0] + "\n", "empty"),
+    ):
+        table.write_text(text)
+        with pytest.raises(InputError, match=pattern):
+            picture.draw_picture(folder, tmp_path / "p.png")
+    table.write_text(whole)
+    for text, pattern in (("{", "plan.json:1: not JSON"), (said.replace('"verified"', '"v"'), "verified: missing")):
+        summary.write_text(text)
+        with pytest.raises(InputError, match=pattern):
+            picture.draw_picture(folder, tmp_path / "p.png")
+    summary.unlink()
+    with pytest.raises(InputError, match="there is no plan.json"):
+        picture.draw_picture(folder, tmp_path / "p.png")
+    assert not (tmp_path / "p.png").exists()
+
+
+def test_picture_from_the_command_line(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "planner.report.picture", str(tmp_path / "none"), str(tmp_path / "p.png")]
+    done = subprocess.run(
+        command, capture_output=True, text=True, cwd=Path(__file__).resolve().parent.parent, check=False
+    )
+    assert done.returncode == 2 and done.stderr.startswith("error: ") and "Traceback" not in done.stderr
+
+
+# ---- in a browser ------------------------------------------------------------------------------------------------
+
+CHROMIUM = shutil.which("chromium")
+# Uses the page as a reader would, then writes down what came of it where --dump-dom can see it.
+PROBE = """<script>
+setTimeout(() => {
+  const by = (id) => document.getElementById(id), change = (id) => by(id).dispatchEvent(new Event("change"));
+  by("colour").selectedIndex = 1; change("colour");
+  by("layers").value = 3; by("layers").dispatchEvent(new Event("input"));
+  by("chart-speed").emit("plotly_click", { points: [{ x: 5 }] });
+  Plotly.relayout(by("chart-speed"), { "xaxis.range[0]": 3, "xaxis.range[1]": 9 });
+  setTimeout(() => {
+    const scene = by("scene"), d = document.documentElement.dataset;
+    d.canvas = scene.querySelectorAll("canvas").length;
+    d.gl = Boolean(scene._fullLayout.scene._scene.glplot.gl);
+    d.title = scene.layout.coloraxis.colorbar.title.text;
+    d.hidden = scene.data.filter((t) => t.visible === false).length;
+    d.ring = Number.isFinite(scene.data.at(-1).x[0]);
+    d.zoom = by("chart-joint-3").layout.xaxis.range.join();
+    d.reading = by("reading").textContent;
+  }, 1500);
+}, 1000);
+</script></body>"""
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
+def test_report_works_in_a_browser(tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    write_report(make_plan(8_000), path)
+    path.write_text(path.read_text(encoding="utf-8").replace("</body>", PROBE), encoding="utf-8")
+    flags = "--headless --no-sandbox --disable-gpu --use-gl=swiftshader --enable-unsafe-swiftshader --no-first-run "
+    flags += "--disable-background-networking --disable-sync --enable-logging=stderr --window-size=1200,1600"
+    done = subprocess.run(
+        [str(CHROMIUM), *flags.split(), f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=9000",
+         "--dump-dom", path.as_uri()],
+        capture_output=True, text=True, timeout=180, check=True,
+    )  # fmt: skip
+    complaints = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+    # Hints about speed come from the library and the software renderer, not from the page.
+    complaints = [line for line in complaints if not re.search(r"Canvas2D|GL Driver Message|WebGL", line)]
+    assert complaints == []
+    found = dict(re.findall(r'data-(\w+)="([^"]*)"', done.stdout[: done.stdout.index("<head>")]))
+    assert found.pop("canvas") != "0"
+    assert found == {
+        "ready": "yes",
+        "gl": "true",
+        "title": "Distance from singularity, σ",
+        "hidden": "6",
+        "ring": "true",
+        "zoom": "3,9",
+        "reading": "Ringed in the scene: the printed place nearest to 5.00 s.",
+    }
