@@ -64,7 +64,7 @@ def join(
     quat[1:] *= turned[:, None]
     return Trajectory(
         dt=dt,
-        t=np.arange(len(joints)) * dt,
+        t=np.arange(len(joints), dtype=np.float64) * dt,
         bead=beads,
         layer=np.concatenate(layer),
         deposit=beads != TRAVEL,

@@ -40,7 +40,8 @@ class Report:
 
 @dataclass(frozen=True)
 class _Motion:
-    """What Pinocchio says of the samples: tip and axis in the part frame, sigma and det of the arm's Jacobian."""
+    """What Pinocchio says of the samples: tip and axis in the part frame; of the arm's Jacobian the smallest
+    singular value (NaN in travel, where no limit stands on it) and the determinant."""
 
     tip: Array
     axis: Array
@@ -69,7 +70,9 @@ def _replay(cell: Cell, trajectory: Trajectory) -> _Motion:
     R = np.swapaxes(T_world_part[:, :3, :3], 1, 2)
     tip = np.einsum("nij,nj->ni", R, T_world_nozzle[:, :3, 3] - T_world_part[:, :3, 3])
     axis = np.einsum("nij,nj->ni", R, T_world_nozzle[:, :3, 2])
-    return _Motion(tip, axis, np.linalg.svd(J, compute_uv=False)[:, -1], np.linalg.det(J))
+    sigma = np.full(len(q), np.nan)
+    sigma[trajectory.deposit] = np.linalg.svd(J[trajectory.deposit], compute_uv=False)[:, -1]
+    return _Motion(tip, axis, sigma, np.linalg.det(J))
 
 
 def _nozzle(arm: Robot, T_flange_nozzle: Array, q: Array) -> tuple[Array, Array]:

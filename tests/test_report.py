@@ -377,7 +377,7 @@ def test_picture_refuses_what_is_not_a_plan(tmp_path: Path, capsys: pytest.Captu
         with pytest.raises(InputError, match=pattern):
             picture.draw_picture(folder, tmp_path / "p.png")
     summary.unlink()
-    with pytest.raises(InputError, match="there is no plan.json"):
+    with pytest.raises(InputError, match=r"there is no plan\.json"):
         picture.draw_picture(folder, tmp_path / "p.png")
     assert not (tmp_path / "p.png").exists()
 

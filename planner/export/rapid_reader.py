@@ -137,11 +137,9 @@ class _Reader:
         self.closed = False
 
     def take(self, statement: str, line: int) -> None:
-        for word, pattern in PATTERNS.items():
-            match = pattern.fullmatch(statement)
-            if match:
-                break
-        else:
+        known = ((word, pattern.fullmatch(statement)) for word, pattern in PATTERNS.items())
+        word, match = next((pair for pair in known if pair[1]), ("", None))
+        if match is None:
             raise _error(line, f"unknown statement {statement[:60]!r}")
         parts = match.groups()
         if self.closed or (word != "module") == (not self.module):

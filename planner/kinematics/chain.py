@@ -39,28 +39,34 @@ class Chain:
 
 
 @njit(cache=True)
-def rotate_about(axis: Array, angle: float) -> Array:
-    """Rotation matrix (3, 3) about a unit axis (Rodrigues)."""
+def rotate_about(axis: Array, angle: float, R: Array) -> None:
+    """Fill R (at least 3, 3) with the rotation about a unit axis (Rodrigues)."""
     c, s = np.cos(angle), np.sin(angle)
     x, y, z = axis[0], axis[1], axis[2]
     t = 1.0 - c
-    R = np.empty((3, 3))
     R[0, 0], R[0, 1], R[0, 2] = t * x * x + c, t * x * y - s * z, t * x * z + s * y
     R[1, 0], R[1, 1], R[1, 2] = t * x * y + s * z, t * y * y + c, t * y * z - s * x
     R[2, 0], R[2, 1], R[2, 2] = t * x * z - s * y, t * y * z + s * x, t * z * z + c
-    return R
 
 
 @njit(cache=True)
-def mul4(A: Array, B: Array) -> Array:
-    """Product of two homogeneous transforms."""
-    C = np.zeros((4, 4))
+def mul4(A: Array, B: Array, C: Array) -> None:
+    """Fill C (4, 4) with the product of two rigid transforms; C is neither of them."""
     for i in range(3):
         for j in range(4):
             C[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
         C[i, 3] += A[i, 3]
-    C[3, 3] = 1.0
-    return C
+    C[3, 0], C[3, 1], C[3, 2], C[3, 3] = 0.0, 0.0, 0.0, 1.0
+
+
+@njit(cache=True)
+def turn(T: Array, R: Array, out: Array) -> None:
+    """Fill out (4, 4) with the rigid transform T, its frame turned by the rotation R (3, 3)."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = T[i, 0] * R[0, j] + T[i, 1] * R[1, j] + T[i, 2] * R[2, j]
+        out[i, 3] = T[i, 3]
+    out[3, 0], out[3, 1], out[3, 2], out[3, 3] = 0.0, 0.0, 0.0, 1.0
 
 
 @njit(cache=True)
@@ -68,12 +74,17 @@ def chain_poses(placements: Array, axes: Array, T_last_tip: Array, q: Array) -> 
     """Compiled body of `Chain.poses`."""
     m, n = q.shape
     out = np.empty((m, 4, 4))
+    R = np.empty((3, 3))
+    before, after = np.eye(4), np.eye(4)
     for k in range(m):
-        T = np.eye(4)
+        after[:] = 0.0
+        for i in range(4):
+            after[i, i] = 1.0
         for i in range(n):
-            T = mul4(T, placements[i])
-            T[:3, :3] = T[:3, :3].copy() @ rotate_about(axes[i], q[k, i])
-        out[k] = mul4(T, T_last_tip)
+            mul4(after, placements[i], before)
+            rotate_about(axes[i], q[k, i], R)
+            turn(before, R, after)
+        mul4(after, T_last_tip, out[k])
     return out
 
 
@@ -84,18 +95,25 @@ def chain_jacobians(placements: Array, axes: Array, T_last_tip: Array, q: Array)
     out = np.empty((m, 6, n))
     origins = np.empty((n, 3))
     directions = np.empty((n, 3))
+    R = np.empty((3, 3))
+    before, after, tip = np.eye(4), np.eye(4), np.eye(4)
     for k in range(m):
-        T = np.eye(4)
+        after[:] = 0.0
+        for i in range(4):
+            after[i, i] = 1.0
         for i in range(n):
-            T = mul4(T, placements[i])
-            directions[i] = T[:3, :3].copy() @ axes[i]
-            origins[i] = T[:3, 3]
-            T[:3, :3] = T[:3, :3].copy() @ rotate_about(axes[i], q[k, i])
-        tip = mul4(T, T_last_tip)[:3, 3]
+            mul4(after, placements[i], before)
+            for j in range(3):
+                directions[i, j] = before[j, 0] * axes[i, 0] + before[j, 1] * axes[i, 1] + before[j, 2] * axes[i, 2]
+                origins[i, j] = before[j, 3]
+            rotate_about(axes[i], q[k, i], R)
+            turn(before, R, after)
+        mul4(after, T_last_tip, tip)
         for i in range(n):
-            z, r = directions[i], tip - origins[i]
-            out[k, 0, i] = z[1] * r[2] - z[2] * r[1]
-            out[k, 1, i] = z[2] * r[0] - z[0] * r[2]
-            out[k, 2, i] = z[0] * r[1] - z[1] * r[0]
+            z = directions[i]
+            x, y, w = tip[0, 3] - origins[i, 0], tip[1, 3] - origins[i, 1], tip[2, 3] - origins[i, 2]
+            out[k, 0, i] = z[1] * w - z[2] * y
+            out[k, 1, i] = z[2] * x - z[0] * w
+            out[k, 2, i] = z[0] * y - z[1] * x
             out[k, 3:, i] = z
     return out

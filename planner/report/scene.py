@@ -96,7 +96,9 @@ def plan_scene(plan: Plan, places: Sequence[Place]) -> dict[str, Any]:
     }
 
 
-def bead_scene(problem: Any, beads: Sequence[Bead], failed: int | None, point_mm: Sequence[float] | None) -> dict:
+def bead_scene(
+    problem: Any, beads: Sequence[Bead], failed: int | None, point_mm: Sequence[float] | None
+) -> dict[str, Any]:
     """Scene where there is no trajectory: all beads as planned, the failed one and the place marked."""
     points = [np.asarray(bead.points, dtype=float) * 1e3 for bead in beads]
     every = np.concatenate(points) if points else np.zeros((0, 3))

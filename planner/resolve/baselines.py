@@ -14,7 +14,8 @@ from planner.resolve.demand import Demand
 from planner.resolve.jointpath import JointPath, choose_turns, postures
 from planner.resolve.ladder import coarse_nodes, first_of_each_name, paths_of
 from planner.resolve.nodes import Nodes
-from planner.resolve.search import SPEED_SHARE, greedy_route
+from planner.resolve.search import greedy_route
+from planner.resolve.search_kernel import SPEED_SHARE
 from planner.resolve.unreachable import refuse_rung
 from planner.task import NozzleTask
 
@@ -75,8 +76,8 @@ def fixed(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tup
     roll = int(np.argmin(whole))
     choice = {}
     for i, guide in enumerate(guides):
-        holder, branch = np.unravel_index(int(np.argmin(totals[i, roll])), totals.shape[2:])
-        choice[guide.name] = (int(holder), int(branch))
+        best_pair = np.unravel_index(int(np.argmin(totals[i, roll])), totals.shape[2:])
+        choice[guide.name] = (int(best_pair[0]), int(best_pair[1]))
     paths = []
     for task in tasks:
         holder, branch = choice[task.name]

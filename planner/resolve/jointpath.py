@@ -94,8 +94,8 @@ def choose_turns(cell: Cell, paths: Sequence[JointPath]) -> tuple[JointPath, ...
             lo, hi = path.q[:, j].min(), path.q[:, j].max()
             k = np.arange(np.ceil((low[j] - lo) / _TURN), np.floor((high[j] - hi) / _TURN) + 1)
             if len(k) == 0:
-                i = int(np.argmax(np.maximum(low[j] - path.q[:, j], path.q[:, j] - high[j])))
-                refuse_at(path.task, i, f"{cell.joint_names[j]} leaves its range here")
+                worst = int(np.argmax(np.maximum(low[j] - path.q[:, j], path.q[:, j] - high[j])))
+                refuse_at(path.task, worst, f"{cell.joint_names[j]} leaves its range here")
             nearest = np.argsort(np.abs(0.5 * (lo + hi) + k * _TURN - cell.home[j]), kind="stable")[:5]
             options.append(np.sort(k[nearest]) * _TURN)
         cost = np.abs(paths[0].q[0, j] + options[0] - cell.home[j])
@@ -107,11 +107,11 @@ def choose_turns(cell: Cell, paths: Sequence[JointPath]) -> tuple[JointPath, ...
             total = cost[:, None] + step + wound[None, :]
             back.append(np.argmin(total, axis=0))
             cost = total.min(axis=0)
-        k = int(np.argmin(cost))
+        pick = int(np.argmin(cost))
         for i in range(len(paths) - 1, -1, -1):
-            shift[i, j] = options[i][k]
+            shift[i, j] = options[i][pick]
             if i:
-                k = int(back[i - 1][k])
+                pick = int(back[i - 1][pick])
     return tuple(replace(path, q=path.q + turn) for path, turn in zip(paths, shift, strict=True))
 
 

@@ -1,0 +1,236 @@
+"""Compiled body of the ladder's nodes: inverse kinematics, Jacobian, and the time that the limits would take."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from planner.kinematics.chain import mul4, rotate_about, turn
+from planner.kinematics.spherical_wrist import solve_one
+
+Array = NDArray[np.float64]
+
+SIGMA_COMFORT = 0.20  # singular value below which closeness to a singularity is priced
+SIGMA_PRICE = 0.2  # seconds a second of printing, at half of SIGMA_COMFORT
+LIMIT_COMFORT = 0.35  # rad from a joint's limit, below which closeness is priced
+LIMIT_PRICE = 0.2  # seconds a second of printing, at the limit
+LIMIT_ROOM = 0.07  # rad from a joint's limit that a node must keep: what moves between rungs needs it
+DIP_PRICE = 0.25  # seconds a second of printing below the commanded speed: one deep dip beats two shallow ones
+AT_SPEED = 0.96  # squared share of the commanded speed above which there is no dip
+RAMP_SHARE = 0.7  # of the joints' acceleration, for gaining and losing speed: bends need the rest
+
+
+@njit(cache=True)
+def jacobian_in_base(p: Array, q: Array, tip: Array, J: Array) -> None:
+    """Fill J (6, 6), linear rows first, of an OPW arm at a point `tip` given in its base frame."""
+    a1, a2, b, c1, c2, c3 = p[0], p[1], p[2], p[3], p[4], p[5]
+    theta3 = q[2] + 0.5 * np.pi
+    s1, co1 = np.sin(q[0]), np.cos(q[0])
+    s2, co2 = np.sin(q[1]), np.cos(q[1])
+    s23, c23 = np.sin(q[1] + theta3), np.cos(q[1] + theta3)
+    s4, co4 = np.sin(q[3]), np.cos(q[3])
+    s5, co5 = np.sin(q[4]), np.cos(q[4])
+    z = np.empty((6, 3))
+    o = np.empty((6, 3))
+    z[0] = (0.0, 0.0, 1.0)
+    z[1] = (-s1, co1, 0.0)
+    z[2] = z[1]
+    z[3] = (co1 * s23, s1 * s23, c23)
+    x3 = (co1 * c23, s1 * c23, -s23)
+    for i in range(3):
+        z[4, i] = -s4 * x3[i] + co4 * z[1, i]
+        z[5, i] = s5 * (co4 * x3[i] + s4 * z[1, i]) + co5 * z[3, i]
+    o[0] = (0.0, 0.0, c1)
+    o[1] = (co1 * a1 - s1 * b, s1 * a1 + co1 * b, c1)
+    for i in range(3):
+        o[2, i] = o[1, i]
+    o[2, 0] += c2 * co1 * s2
+    o[2, 1] += c2 * s1 * s2
+    o[2, 2] += c2 * co2
+    for i in range(3):
+        o[3, i] = o[2, i] + c3 * z[3, i] + a2 * x3[i]
+        o[4, i] = o[3, i]
+        o[5, i] = o[3, i]
+    for j in range(6):
+        rx, ry, rz = tip[0] - o[j, 0], tip[1] - o[j, 1], tip[2] - o[j, 2]
+        J[0, j] = z[j, 1] * rz - z[j, 2] * ry
+        J[1, j] = z[j, 2] * rx - z[j, 0] * rz
+        J[2, j] = z[j, 0] * ry - z[j, 1] * rx
+        J[3, j], J[4, j], J[5, j] = z[j, 0], z[j, 1], z[j, 2]
+
+
+@njit(cache=True)
+def invert6(A: Array, B: Array) -> bool:
+    """Fill B with the inverse of A (6, 6), which is spoilt; False if A is singular to rounding."""
+    n = 6
+    for i in range(n):
+        for j in range(n):
+            B[i, j] = 1.0 if i == j else 0.0
+    for k in range(n):
+        best = k
+        for i in range(k + 1, n):
+            if abs(A[i, k]) > abs(A[best, k]):
+                best = i
+        if abs(A[best, k]) < 1e-12:
+            return False
+        if best != k:
+            for j in range(n):
+                A[k, j], A[best, j] = A[best, j], A[k, j]
+                B[k, j], B[best, j] = B[best, j], B[k, j]
+        scale = 1.0 / A[k, k]
+        for j in range(n):
+            A[k, j] *= scale
+            B[k, j] *= scale
+        for i in range(n):
+            if i != k:
+                f = A[i, k]
+                for j in range(n):
+                    A[i, j] -= f * A[k, j]
+                    B[i, j] -= f * B[k, j]
+    return True
+
+
+@njit(cache=True)
+def largest_singular_value(B: Array) -> float:
+    """Of B (6, 6), by power iteration on B B^T; within some 1 % from below, for prices only."""
+    v = np.ones(6)
+    value = 0.0
+    for _ in range(12):
+        w = np.zeros(6)
+        for i in range(6):
+            for j in range(6):
+                w[j] += B[i, j] * v[i]
+        norm = 0.0
+        for i in range(6):
+            v[i] = 0.0
+            for j in range(6):
+                v[i] += B[i, j] * w[j]
+            norm += v[i] * v[i]
+        norm = np.sqrt(norm)
+        for i in range(6):
+            v[i] /= norm
+        value = np.sqrt(norm)
+    return value
+
+
+@njit(cache=True)
+def _time_lost(Ji, twist, rate, weight, start: int, stop: int, v_max, a_max, x, gain) -> float:
+    """Time [s] that the joints' limits take from samples start..stop, with the Jacobian's inverse Ji of their middle.
+
+    x, gain (stop - start) are room for the squared speed over the commanded one and for how fast it may change:
+    first what the path's bends allow, then, forwards and backwards, what can be gained or lost along the path.
+    """
+    slowest = 1.0
+    for i in range(start, stop):
+        k = i - start
+        if weight[i] == 0.0:
+            x[k], gain[k] = 1.0, np.inf
+            continue
+        least = 1.0
+        most = np.inf
+        for j in range(6):
+            qd = 0.0
+            qdd = 0.0
+            for m in range(6):
+                qd += Ji[j, m] * twist[i, m]
+                qdd += Ji[j, m] * rate[i, m]
+            qd, qdd = abs(qd), abs(qdd)
+            if qd * qd * least > v_max[j] * v_max[j]:
+                least = (v_max[j] / qd) ** 2
+            if qdd * least > a_max[j]:
+                least = a_max[j] / qdd
+            if qd * most > a_max[j]:
+                most = a_max[j] / qd
+        x[k] = least
+        gain[k] = 2.0 * RAMP_SHARE * weight[i] * most
+        slowest = min(slowest, least)
+    if slowest == 1.0:
+        return 0.0
+    for k in range(1, stop - start):
+        x[k] = min(x[k], x[k - 1] + gain[k])
+    lost = 0.0
+    for k in range(stop - start - 1, -1, -1):
+        if k + 1 < stop - start:
+            x[k] = min(x[k], x[k + 1] + gain[k])
+        if x[k] < 1.0:
+            lost += weight[start + k] * (1.0 / np.sqrt(x[k]) - 1.0)
+            if x[k] < AT_SPEED:
+                lost += weight[start + k] * DIP_PRICE
+    return lost
+
+
+@njit(cache=True, parallel=True)
+def evaluate_nodes(
+    p, T_base_before, axis, T_after, T_nozzle_flange,
+    q_min, q_max, v_max, a_max,
+    tip, frames, twist, rate, weight,
+    rung, start, stop,
+    roll_step, holder_step, roll_from, holder_from, branch,
+    min_sigma, q_out, price,
+):  # fmt: skip
+    """Fill q_out and price (see `Nodes`); the arguments are fields of Demand, Grid and Cell, rungs run in parallel."""
+    n_rolls, n_holders, n_branches = price.shape[1], price.shape[2], price.shape[3]
+    middle = 0.5 * (q_min + q_max)
+    for r in prange(rung.size):
+        R = np.empty((3, 3))
+        eight = np.empty((8, 6))
+        ok = np.empty(8, dtype=np.bool_)
+        J, Jp, Ji = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+        T_held, T_base_part, T_base_task = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
+        T_rolled, T_base_flange = np.empty((4, 4)), np.empty((4, 4))
+        z_axis = np.array((0.0, 0.0, 1.0))
+        x, gain = np.empty(stop[r] - start[r]), np.empty(stop[r] - start[r])
+        i0 = rung[r]
+        T_part_task = np.eye(4)
+        T_part_task[:3, :3] = frames[i0]
+        T_part_task[:3, 3] = tip[i0]
+        duration = 0.0
+        for i in range(start[r], stop[r]):
+            duration += weight[i]
+        for b in range(n_holders):
+            rotate_about(axis, (holder_from[r] + b) * holder_step, R)
+            turn(T_base_before, R, T_held)
+            mul4(T_held, T_after, T_base_part)
+            mul4(T_base_part, T_part_task, T_base_task)
+            for a in range(n_rolls):
+                rotate_about(z_axis, (roll_from[r] + a) * roll_step, R)
+                turn(T_base_task, R, T_rolled)
+                mul4(T_rolled, T_nozzle_flange, T_base_flange)
+                solve_one(p, T_base_flange[:3, :3], T_base_flange[:3, 3], eight, ok)
+                for c in range(n_branches):
+                    k = branch[r, c]
+                    if not ok[k]:
+                        continue
+                    room = np.inf
+                    for j in range(6):
+                        # the turn nearest the middle of the joint's range
+                        angle = eight[k, j] - middle[j]
+                        angle = middle[j] + angle - 2.0 * np.pi * np.round(angle / (2.0 * np.pi))
+                        eight[k, j] = angle
+                        room = min(room, min(angle - q_min[j], q_max[j] - angle))
+                    if room < LIMIT_ROOM:
+                        continue
+                    jacobian_in_base(p, eight[k], T_base_task[:3, 3], J)
+                    # rows into the part frame, where the demand is given
+                    for j in range(6):
+                        for i in range(3):
+                            lin = 0.0
+                            ang = 0.0
+                            for m in range(3):
+                                lin += T_base_part[m, i] * J[m, j]
+                                ang += T_base_part[m, i] * J[3 + m, j]
+                            Jp[i, j] = lin
+                            Jp[3 + i, j] = ang
+                    if not invert6(Jp, Ji):
+                        continue
+                    sigma = 1.0 / largest_singular_value(Ji)
+                    if sigma < min_sigma:
+                        continue
+                    lost = _time_lost(Ji, twist, rate, weight, start[r], stop[r], v_max, a_max, x, gain)
+                    close = max(0.0, SIGMA_COMFORT / sigma - 1.0)
+                    near = max(0.0, 1.0 - room / LIMIT_COMFORT)
+                    lost += duration * (SIGMA_PRICE * close * close + LIMIT_PRICE * near * near)
+                    price[r, a, b, c] = lost
+                    for j in range(6):
+                        q_out[r, a, b, c, j] = eight[k, j]

@@ -1,0 +1,226 @@
+"""Compiled body of the search through the ladder graph."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SPEED_SHARE = 0.9  # of a joint's speed that an edge may use: the rest is for what happens between rungs
+TRAVEL_PRICE = 0.02  # seconds a second of travel: a dip spoils the bead, travel only takes time
+TURN_PRICE = 50.0  # seconds a second, for a change of roll or holder that needs a joint's whole acceleration
+
+
+@njit(cache=True)
+def travel_price(qa: NDArray[np.float32], qb: NDArray[np.float32], turn: float, v: Array, a: Array) -> float:
+    """Price [s] of travel between postures (6) and over `turn` of the holder: rest to rest, the slowest joint counts."""
+    worst = 0.0
+    for j in range(7):
+        d = abs(turn) if j == 6 else abs(float(qa[j]) - float(qb[j]))
+        if j == 5:
+            d = abs(d - 2.0 * np.pi * np.round(d / (2.0 * np.pi)))
+        if d * a[j] < v[j] * v[j]:
+            worst = max(worst, 2.0 * np.sqrt(d / a[j]))
+        else:
+            worst = max(worst, d / v[j] + v[j] / a[j])
+    return TRAVEL_PRICE * worst
+
+
+@njit(cache=True)
+def edge_price(q0, q1, q1_straight, turn: float, time: float, v: Array, a: Array) -> float:
+    """Price [s] of the edge from q0 to q1 (6) in `time`, where keeping roll and holder would lead to q1_straight.
+
+    Infinite if a joint had to be faster than it may.
+    """
+    if abs(turn) > SPEED_SHARE * v[6] * time:
+        return np.inf
+    need = abs(turn) / (time * time * a[6])
+    for j in range(6):
+        d = float(q1[j]) - float(q0[j])
+        e = float(q1[j]) - float(q1_straight[j])
+        if j == 5:
+            d -= 2.0 * np.pi * np.round(d / (2.0 * np.pi))
+            e -= 2.0 * np.pi * np.round(e / (2.0 * np.pi))
+        if abs(d) > SPEED_SHARE * v[j] * time:
+            return np.inf
+        need = max(need, abs(e) / (time * time * a[j]))
+    return TURN_PRICE * time * need * need
+
+
+@njit(cache=True)
+def _shift(index: int, window: int, periodic: bool) -> int:
+    """Index in a window, round the circle if it is one; -1 outside."""
+    if periodic:
+        return index % window
+    return index if 0 <= index < window else -1
+
+
+@njit(cache=True)
+def _turn(holder_from, r1: int, b1: int, r0: int, b0: int, holder_step: float) -> float:
+    """Holder's turn from node b0 at rung r0 to node b1 at rung r1, the short way round."""
+    turn = ((holder_from[r1] + b1) - (holder_from[r0] + b0)) * holder_step
+    return turn - 2.0 * np.pi * np.round(turn / (2.0 * np.pi))
+
+
+@njit(cache=True)
+def _from_travel(q, price, r: int, arrived, holder_from, holder_step: float, v, a, cost, back) -> None:
+    """Start a bead at rung r: each node's cheapest predecessor among all ends (at rung r - 1) of the bead before.
+
+    The price of travel is a metric, so an end that is reached more cheaply through another end can be left out: few
+    remain. They are tried in the order of their cost, until an end alone costs more than the best way found.
+    """
+    _, A, B, C = price.shape
+    flat = arrived.ravel()
+    kept = np.empty(flat.size, dtype=np.int64)
+    n_kept = 0
+    for k in np.argsort(flat):
+        if flat[k] == np.inf:
+            break
+        i1, b1, c1 = k // (C * B), (k // C) % B, k % C
+        dominated = False
+        for m in range(n_kept):
+            j = kept[m]
+            i0, b0, c0 = j // (C * B), (j // C) % B, j % C
+            turn = _turn(holder_from, r - 1, b1, r - 1, b0, holder_step)
+            if flat[j] + travel_price(q[r - 1, i0, b0, c0], q[r - 1, i1, b1, c1], turn, v, a) <= flat[k]:
+                dominated = True
+                break
+        if not dominated:
+            kept[n_kept] = k
+            n_kept += 1
+    for i in range(A):
+        for b in range(B):
+            for c in range(C):
+                if price[r, i, b, c] == np.inf:
+                    continue
+                best, best_k = np.inf, -1
+                for m in range(n_kept):
+                    k = kept[m]
+                    if flat[k] >= best:
+                        break
+                    i0, b0, c0 = k // (C * B), (k // C) % B, k % C
+                    turn = _turn(holder_from, r, b, r - 1, b0, holder_step)
+                    t = flat[k] + travel_price(q[r - 1, i0, b0, c0], q[r, i, b, c], turn, v, a)
+                    if t < best:
+                        best, best_k = t, k
+                if best_k >= 0:
+                    cost[i, b, c] = best + price[r, i, b, c]
+                    back[r, i, b, c] = best_k
+
+
+@njit(cache=True)
+def search_best(q, price, roll_from, holder_from, periodic, holder_step, task_rungs, time, v, a):
+    """Cheapest route: picked (R, 3) window indices and branch column, its price, and -1; or where it got stuck."""
+    R, A, B, C = price.shape
+    back = np.full((R, A, B, C), -1, dtype=np.int32)
+    picked = np.full((R, 3), -1, dtype=np.int64)
+    cost = np.full((A, B, C), np.inf)
+    for task in range(len(task_rungs) - 1):
+        for r in range(task_rungs[task], task_rungs[task + 1]):
+            arrived = cost
+            cost = np.full((A, B, C), np.inf)
+            if r == 0:
+                cost[:] = price[0]
+            elif r == task_rungs[task]:
+                _from_travel(q, price, r, arrived, holder_from, holder_step, v, a, cost, back)
+            else:
+                shift_a, shift_b = roll_from[r] - roll_from[r - 1], holder_from[r] - holder_from[r - 1]
+                for i in range(A):
+                    for b in range(B):
+                        for da in range(-1, 2):
+                            i0 = _shift(i + shift_a + da, A, periodic)
+                            straight_a = _shift(i + da, A, periodic)
+                            if i0 < 0 or straight_a < 0:
+                                continue
+                            for db in range(-1, 2):
+                                if db != 0 and B == 1:
+                                    continue
+                                b0 = _shift(b + shift_b + db, B, periodic)
+                                straight_b = _shift(b + db, B, periodic)
+                                if b0 < 0 or straight_b < 0:
+                                    continue
+                                for c in range(C):
+                                    if price[r, i, b, c] == np.inf or arrived[i0, b0, c] == np.inf:
+                                        continue
+                                    if price[r, straight_a, straight_b, c] == np.inf:
+                                        continue
+                                    t = arrived[i0, b0, c] + edge_price(
+                                        q[r - 1, i0, b0, c], q[r, i, b, c], q[r, straight_a, straight_b, c],
+                                        db * holder_step, time[r], v, a,
+                                    )  # fmt: skip
+                                    if t + price[r, i, b, c] < cost[i, b, c]:
+                                        cost[i, b, c] = t + price[r, i, b, c]
+                                        back[r, i, b, c] = (i0 * B + b0) * C + c
+            if not np.isfinite(cost.min()):
+                return picked, np.inf, r
+    k = cost.argmin()
+    total = cost.min()
+    for r in range(R - 1, -1, -1):
+        picked[r, 0], picked[r, 1], picked[r, 2] = k // (C * B), (k // C) % B, k % C
+        k = back[r, picked[r, 0], picked[r, 1], picked[r, 2]]
+    return picked, total, -1
+
+
+@njit(cache=True)
+def search_greedy(q, price, roll_from, holder_from, periodic, holder_step, task_rungs, time, v, a):
+    """Greedy route, bead by bead; same returns as `search_best`."""
+    R, A, B, C = price.shape
+    picked = np.full((R, 3), -1, dtype=np.int64)
+    total = 0.0
+    for task in range(len(task_rungs) - 1):
+        r0 = task_rungs[task]
+        starts = price[r0].copy()
+        if r0 > 0:
+            p = picked[r0 - 1]
+            for i in range(A):
+                for b in range(B):
+                    turn = _turn(holder_from, r0, b, r0 - 1, p[1], holder_step)
+                    for c in range(C):
+                        starts[i, b, c] += travel_price(q[r0 - 1, p[0], p[1], p[2]], q[r0, i, b, c], turn, v, a)
+        flat = starts.ravel()
+        furthest, done = r0, False
+        for k in np.argsort(flat):  # the next best start, if this one leads into a dead end
+            if flat[k] == np.inf:
+                break
+            picked[r0] = (k // (C * B), (k // C) % B, k % C)
+            spent, stuck = _follow(q, price, roll_from, holder_from, periodic, holder_step, task_rungs[task + 1], r0, time, v, a, picked)  # fmt: skip
+            if stuck < 0:
+                total += flat[k] + spent
+                done = True
+                break
+            furthest = max(furthest, stuck)
+        if not done:
+            return picked, np.inf, furthest
+    return picked, total, -1
+
+
+@njit(cache=True)
+def _follow(q, price, roll_from, holder_from, periodic, holder_step, stop: int, r0: int, time, v, a, picked):
+    """Walk from the node picked at rung r0, always to the cheapest next one; the rung of a dead end, or -1."""
+    A, B = price.shape[1], price.shape[2]
+    total = 0.0
+    for r in range(r0 + 1, stop):
+        i0, b0, c = picked[r - 1]
+        straight_a = _shift(i0 + roll_from[r - 1] - roll_from[r], A, periodic)
+        straight_b = _shift(b0 + holder_from[r - 1] - holder_from[r], B, periodic)
+        best = np.inf
+        if straight_a >= 0 and straight_b >= 0 and price[r, straight_a, straight_b, c] < np.inf:
+            for da in range(-1, 2):
+                i = _shift(straight_a + da, A, periodic)
+                for db in range(-1, 2):
+                    b = _shift(straight_b + db, B, periodic)
+                    if i < 0 or b < 0 or (db != 0 and B == 1) or price[r, i, b, c] == np.inf:
+                        continue
+                    t = price[r, i, b, c] + edge_price(
+                        q[r - 1, i0, b0, c], q[r, i, b, c], q[r, straight_a, straight_b, c],
+                        db * holder_step, time[r], v, a,
+                    )  # fmt: skip
+                    if t < best:
+                        best = t
+                        picked[r] = (i, b, c)
+        if best == np.inf:
+            return np.inf, r
+        total += best
+    return total, -1

@@ -1,0 +1,89 @@
+"""A small print that plans in about a second, for tests that need a solved plan or a problem file to spoil.
+
+Three short paths on Pollard's cylinder: a zig-zag with sharp corners, a closed curve, and a wave.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from functools import cache
+from pathlib import Path
+
+from planner.plan import Plan
+from planner.problem import Problem, load_problem
+from planner.solve import solve
+
+SVG = """\
+<svg xmlns="http://www.w3.org/2000/svg" width="30mm" height="24mm" viewBox="0 0 30 24">
+  <path id="zigzag" d="M1,1 L11,1 L11,9 L20,4"/>
+  <circle id="ring" cx="7" cy="16" r="5"/>
+  <path id="wave" d="M15,18 C18,10 22,10 24,16 S28,20 29,12"/>
+</svg>
+"""
+
+YAML = """\
+name: small
+cell:
+  arm: irb140
+  nozzle: {tip_mm: [-44.51, 9.9, 113.95], axis: [0, 0, 1], diameter_mm: 0.6}
+  home_deg: [30, 20, 30, 90, -80, 60]
+  positioner:
+    robot: irbp_a250
+    origin_mm: [633.5, 9.87, 380]
+    free: [rotation]
+part:
+  cylinder: {radius_mm: 34, height_mm: 100, centre_mm: [31.4, 37]}
+layers:
+  source: {svg: small.svg, width_mm: 30}
+  wrap: cylinder
+  count: 1
+  height_mm: 0.5
+process:
+  speed_mm_s: 40
+  travel_speed_mm_s: 200
+  bead: {width_mm: 0.6, height_mm: 0.5}
+resolve: {roll_step_deg: 30, table_step_deg: 30, rung_mm: 10}
+strategy: ladder
+"""
+
+
+def write_small(folder: Path, *changes: tuple[str, str], svg: str | bytes = SVG) -> Path:
+    """Write the small problem with its drawing into a folder, each (old, new) text of the YAML exchanged."""
+    text = YAML
+    for old, new in changes:
+        if text.count(old) != 1:
+            raise ValueError(f"{old!r} stands {text.count(old)} times in the small problem")
+        text = text.replace(old, new)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "small.svg").write_bytes(svg.encode() if isinstance(svg, str) else svg)
+    path = folder / "small.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@cache
+def small_problem() -> Problem:
+    """The small problem, loaded; its files stay until the tests end."""
+    return load_problem(write_small(_folder()))
+
+
+@cache
+def small_plan() -> Plan:
+    """The small problem, solved once for all tests of a process."""
+    return solve(small_problem())
+
+
+def line_of(path: Path, text: str) -> int:
+    """Number, from 1, of the first line that holds a text."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    return next(number for number, line in enumerate(lines, 1) if text in line)
+
+
+@cache
+def _folder() -> Path:
+    keep = tempfile.TemporaryDirectory(prefix="beadwise-")
+    _KEPT.append(keep)
+    return Path(keep.name)
+
+
+_KEPT: list[tempfile.TemporaryDirectory[str]] = []
