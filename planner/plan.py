@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.problem import Problem
+from planner.readonly import ReadOnlyArrays
 from planner.toolpath.bead import Toolpath
 
 Array = NDArray[np.float64]
@@ -17,7 +18,7 @@ TRAVEL = -1
 
 
 @dataclass(frozen=True)
-class Trajectory:
+class Trajectory(ReadOnlyArrays):
     """The whole motion, sampled every `dt` seconds (n samples; SI units, radians).
 
     bead          (n,) int32  index of the bead, or TRAVEL (-1); run-in and run-out count as travel

@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.process import with_runs
+from planner.readonly import ReadOnlyArrays
 from planner.toolpath.bead import Toolpath
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class NozzleTask:
+class NozzleTask(ReadOnlyArrays):
     """The nozzle's path along one bead with its runs, sampled uniformly in the path parameter (n samples).
 
     tip        (n, 3)    nozzle tip, part frame [m]

@@ -211,9 +211,9 @@ def _coverage(problem, cell, toolpath, t, motion, checks, metrics, series) -> No
         where = "beads out of order, missing, or laid down twice"
     ok = in_order and worst <= step
     checks.append(Check("every bead complete", worst * 1e3, step * 1e3, "mm between samples", ok, where))
-    metrics["beads"] = float(len(toolpath.beads))
-    metrics["layers"] = float(toolpath.layers)
-    metrics["waypoints"] = float(sum(len(bead.s) for bead in toolpath.beads))
+    metrics["beads"] = len(toolpath.beads)
+    metrics["layers"] = toolpath.layers
+    metrics["waypoints"] = sum(len(bead.s) for bead in toolpath.beads)
     metrics["deposited_length_mm"] = toolpath.length * 1e3
 
 
@@ -231,7 +231,7 @@ def _singularity(problem, cell, toolpath, t, motion, checks, metrics, series) ->
     i = int(np.argmax(flips & together))
     where = _where(t, i) if count else "everywhere"
     checks.append(Check("branch changes in deposition", float(count), 0.0, "", count == 0, where))
-    metrics["branch_changes_in_deposition"] = float(count)
+    metrics["branch_changes_in_deposition"] = count
 
 
 def _speed(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:  # type: ignore[no-untyped-def]

@@ -39,7 +39,7 @@ METRICS = (
     Metric("position_error_max_mm", "Tip off the planned line, worst", "mm", 4, better="down"),
     Metric("axis_error_max_deg", "Nozzle axis off the surface normal, worst", "°", 4, better="down"),
     Metric("path_deviation_max_mm", "Rounded corners: off the drawn path, worst", "mm", 3, better="down"),
-    Metric("clearance_min_mm", "Least clearance from a collision", "mm", 1, better="up"),
+    Metric("clearance_min_mm", "Nozzle tip above the bare part, least", "mm", 1, better="up"),
     Metric("branch_changes_in_deposition", "Changes of the arm's branch while depositing", "", 0, better="down"),
     Metric("deposited_length_mm", "Length deposited", "m", 2, 1e-3),
     Metric("extruded_mm", "Filament used", "m", 2, 1e-3),

@@ -116,15 +116,18 @@ def choose_turns(cell: Cell, paths: Sequence[JointPath]) -> tuple[JointPath, ...
 
 
 def refuse_at(task: NozzleTask, i: int, reason: str, missing: float | None = None) -> NoReturn:
-    """Raise a Refusal that names the task's bead, sample and point."""
+    """Raise a Refusal that names the task's bead, sample and point; places in a run count as the bead's end."""
     mm = task.tip[i] * 1e3
     if missing is not None:
         reason += f" by {missing * 1e3:.1f} mm"
+    run = ", in the run-in" if i < task.first else ", in the run-out" if i > task.last else ""
+    nearest = min(max(i, task.first), task.last)
     raise Refusal(
-        f"{reason} (layer {task.layer}, path {task.name!r}, point {mm[0]:.1f} {mm[1]:.1f} {mm[2]:.1f} mm on the part)",
+        f"{reason} (layer {task.layer}, path {task.name!r}{run}, "
+        f"point {mm[0]:.1f} {mm[1]:.1f} {mm[2]:.1f} mm on the part)",
         bead=task.bead,
-        waypoint=int(i - task.first),
-        s_mm=float(task.s[i] * 1e3),
+        waypoint=nearest - task.first,
+        s_mm=float(task.s[nearest] * 1e3),
         point_mm=(float(mm[0]), float(mm[1]), float(mm[2])),
         missing_mm=None if missing is None else missing * 1e3,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NoReturn
 
 import numpy as np
@@ -11,8 +12,10 @@ from planner.cell import Cell
 from planner.resolve.demand import Demand
 from planner.resolve.jointpath import flange_poses, refuse_at
 from planner.resolve.nodes import Nodes
+from planner.resolve.search import best_route
 from planner.task import NozzleTask
 
+_UNHURRIED = 100.0  # times as long on the way: if this opens one, joint speed was the reason
 _TRIED = 72  # rolls and holder angles that the diagnosis looks at
 
 
@@ -41,7 +44,10 @@ def refuse_rung(cell: Cell, tasks: Sequence[NozzleTask], demand: Demand, nodes: 
         refuse_at(task, i, f"{reason} by {np.degrees(worst[a, b]):.1f} deg")
     if not np.isfinite(nodes.price[rung]).any():
         refuse_at(task, i, "every posture is closer to a singularity than resolve.min_sigma allows")
-    refuse_at(task, i, "no branch can follow the path up to here at the commanded speed: a joint would be too slow")
+    unhurried, _ = best_route(nodes, replace(demand, time=_UNHURRIED * demand.time), cell.limits)
+    if unhurried is not None:
+        refuse_at(task, i, "no branch can follow the path up to here at the commanded speed: a joint would be too slow")
+    refuse_at(task, i, "no branch leads up to here: each ends at a joint's range, a singularity or the arm's reach")
 
 
 def _repeat(task: NozzleTask, i: int, n: int) -> NozzleTask:

@@ -8,6 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.readonly import ReadOnlyArrays
+
 Array = NDArray[np.float64]
 
 
@@ -24,7 +26,7 @@ class Surface(Protocol):
 
 
 @dataclass(frozen=True)
-class Bead:
+class Bead(ReadOnlyArrays):
     """One line of material, laid down without interruption.
 
     s         (n,)   arc length from the start, strictly increasing, s[0] = 0 [m]; the samples are

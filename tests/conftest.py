@@ -1,0 +1,124 @@
+"""Shared fixtures: the shipped cell and problem, and what the planner makes of one coarse layer of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, settings
+from numpy.typing import NDArray
+
+from planner.cell import Cell, build_cell
+from planner.problem import Problem, load_problem
+from planner.resolve import STRATEGIES
+from planner.resolve.jointpath import JointPath
+from planner.task import NozzleTask, make_tasks
+from planner.timing import TimedPath, time_path
+from planner.toolpath.bead import Toolpath
+from planner.toolpath.build import build_toolpath
+
+# Compiled kernels and a shared machine make single examples slow at times, and the same run must be the same run.
+settings.register_profile(
+    "beadwise",
+    deadline=None,
+    derandomize=True,
+    print_blob=False,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+)
+settings.load_profile("beadwise")
+
+COARSE = (
+    "layers.count=1",
+    "resolve.rung_mm=10",
+    "resolve.roll_step_deg=30",
+    "resolve.table_step_deg=30",
+)
+DT = 0.004
+
+DRAWING = """\
+<svg xmlns="http://www.w3.org/2000/svg" width="40mm" height="30mm" viewBox="0 0 40 30">
+  <path id="zigzag" d="M1,1 L14,1 L14,12 L30,3"/>
+  <circle id="ring" cx="9" cy="20" r="7"/>
+  <path id="wave" d="M20,26 C24,10 30,10 32,22 S38,28 39,14"/>
+</svg>
+"""
+
+
+@pytest.fixture(scope="session")
+def rng_of() -> Callable[[int], np.random.Generator]:
+    """A random generator by its seed."""
+    return np.random.default_rng
+
+
+@pytest.fixture(scope="session")
+def problem() -> Problem:
+    """The shipped problem with one layer and a coarse search."""
+    return load_problem("cylinder_logo", COARSE)
+
+
+@pytest.fixture(scope="session")
+def cell(problem: Problem) -> Cell:
+    """Pollard's cell: IRB 140 with its nozzle, A250 whose table turns."""
+    return build_cell(problem)
+
+
+@pytest.fixture(scope="session")
+def bed_cell() -> Cell:
+    """The same arm in front of a fixed bed."""
+    return build_cell(load_problem("cylinder_logo", ["cell.positioner=null", "cell.bed_mm=[560, -93, 290]"]))
+
+
+@pytest.fixture(scope="session")
+def drawing_problem(tmp_path_factory: pytest.TempPathFactory) -> Problem:
+    """Three curves in two layers: sharp corners, a closed curve, and a smooth open one."""
+    svg = tmp_path_factory.mktemp("drawing") / "drawing.svg"
+    svg.write_text(DRAWING, encoding="utf-8")
+    changes = ["layers.count=2", f"layers.source.svg={svg}", "layers.source.width_mm=40"]
+    return load_problem("cylinder_logo", [*COARSE, *changes])
+
+
+@pytest.fixture(scope="session")
+def toolpath(drawing_problem: Problem) -> Toolpath:
+    """Six beads: the three curves, twice."""
+    return build_toolpath(drawing_problem)
+
+
+@pytest.fixture(scope="session")
+def tasks(drawing_problem: Problem, toolpath: Toolpath) -> tuple[NozzleTask, ...]:
+    """What the six beads ask of the nozzle."""
+    return make_tasks(toolpath, drawing_problem.process.speed, drawing_problem.process.run_in)
+
+
+@pytest.fixture(scope="session")
+def joint_paths(
+    cell: Cell, tasks: tuple[NozzleTask, ...], drawing_problem: Problem
+) -> dict[str, tuple[JointPath, ...]]:
+    """Joint paths of the six beads by every strategy."""
+    return {name: resolve(cell, tasks, drawing_problem.resolve) for name, resolve in STRATEGIES.items()}
+
+
+@pytest.fixture(scope="session")
+def timed(cell: Cell, joint_paths: dict[str, tuple[JointPath, ...]]) -> tuple[TimedPath, ...]:
+    """The ladder's paths, timed."""
+    return tuple(time_path(cell, path, DT) for path in joint_paths["ladder"])
+
+
+@pytest.fixture
+def drawing(tmp_path: Path) -> Callable[..., Problem]:
+    """Make the shipped problem with a drawing of one's own: `drawing('<path .../>', width_mm, *overrides)`."""
+
+    def make(shapes: str, width_mm: float, *overrides: str) -> Problem:
+        svg = tmp_path / "own.svg"
+        svg.write_text(f'<svg xmlns="http://www.w3.org/2000/svg">{shapes}</svg>', encoding="utf-8")
+        return load_problem(
+            "cylinder_logo", [f"layers.source.svg={svg}", f"layers.source.width_mm={width_mm}", *overrides]
+        )
+
+    return make
+
+
+def degrees_between(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angles (n) between unit vectors (n, 3), exact for small ones [deg]."""
+    return np.degrees(2.0 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1)))

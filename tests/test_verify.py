@@ -1,0 +1,956 @@
+"""The verifier: a good plan passes, and every way to spoil one is caught by the check that is meant for it.
+
+A test spoils one thing only and demands the whole set of failed checks, so a check that sleeps and one that
+cries wolf both show. The last part recomputes the metrics from the written files alone.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+from solved import small_plan
+
+from planner.cell import Cell
+from planner.nearest import distance_to_polyline
+from planner.plan import TRAVEL, Plan, Trajectory
+from planner.problem import Problem
+from planner.solve import write
+from planner.toolpath.bead import Bead, Toolpath
+from planner.toolpath.wrap import Cylinder
+from planner.verify import Report, verify
+
+Array = NDArray[np.float64]
+
+CHECKS = {
+    "recorded poses",
+    "joint range",
+    "joint velocity",
+    "joint acceleration",
+    "continuity",
+    "tip on the path",
+    "axis on the normal",
+    "path within corner tolerance",
+    "input path reached everywhere",
+    "every bead complete",
+    "singularity margin",
+    "branch changes in deposition",
+    "speed in deposition",
+    "speed in travel",
+    "extrusion balance",
+    "nozzle tip outside the part",
+}
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    return small_plan()
+
+
+# --- tools to spoil a plan ---------------------------------------------------------------------------------
+
+
+def report(
+    plan: Plan,
+    trajectory: Trajectory | None = None,
+    *,
+    toolpath: Toolpath | None = None,
+    problem: Problem | None = None,
+    cell: Cell | None = None,
+) -> Report:
+    """The verifier's report on a plan of which parts are exchanged."""
+    return verify(problem or plan.problem, cell or plan.cell, toolpath or plan.toolpath, trajectory or plan.trajectory)
+
+
+def failed(plan: Plan, trajectory: Trajectory | None = None, **parts: Any) -> set[str]:
+    """Names of the checks that fail."""
+    return {check.name for check in report(plan, trajectory, **parts).checks if not check.ok}
+
+
+def worst(found: Report, name: str) -> float:
+    return next(check.worst for check in found.checks if check.name == name)
+
+
+def where(found: Report, name: str) -> str:
+    return next(check.where for check in found.checks if check.name == name)
+
+
+def with_joints(plan: Plan, trajectory: Trajectory, q: Array) -> Trajectory:
+    """Other joints; what the trajectory says of tip, axis and orientation follows them."""
+    T = plan.cell.T_part_nozzle(q)
+    return replace(
+        trajectory, q=q, tip=T[:, :3, 3], axis=T[:, :3, 2], quat=Rotation.from_matrix(T[:, :3, :3]).as_quat()
+    )
+
+
+def with_process(problem: Problem, **changes: float) -> Problem:
+    return problem.model_copy(update={"process": problem.process.model_copy(update=changes)})
+
+
+def loose(cell: Cell, factor: float) -> Cell:
+    """The cell with `factor` times the speed, acceleration and jerk limits."""
+    limits = cell.limits
+    return replace(
+        cell,
+        limits=replace(
+            limits,
+            velocity=factor * limits.velocity,
+            acceleration=factor**2 * limits.acceleration,
+            jerk=factor**3 * limits.jerk,
+        ),
+    )
+
+
+def rows(trajectory: Trajectory, index: NDArray[np.intp]) -> Trajectory:
+    """The samples at `index`, one after the other."""
+    fields = {k: v[index] for k, v in vars(trajectory).items() if isinstance(v, np.ndarray) and k != "t"}
+    return replace(trajectory, t=np.arange(len(index)) * trajectory.dt, **fields)
+
+
+def paused(plan: Plan, at: int, dq: Array) -> Trajectory:
+    """The trajectory, stopped at sample `at` (at rest, in travel) for the motion q[at] + dq (m, nj)."""
+    trajectory = plan.trajectory
+    n, m = len(trajectory), len(dq)
+    longer = rows(trajectory, np.concatenate([np.arange(at + 1), np.full(m, at), np.arange(at + 1, n)]))
+    q = longer.q.copy()
+    q[at + 1 : at + 1 + m] += dq
+    return with_joints(plan, longer, q)
+
+
+def deposit_of(trajectory: Trajectory, bead: int) -> NDArray[np.intp]:
+    return np.flatnonzero(trajectory.bead == bead)
+
+
+def resting(trajectory: Trajectory) -> NDArray[np.intp]:
+    """Samples at which all joints stand still, but for the rest of a sample's deceleration."""
+    step = np.abs(np.diff(trajectory.q, axis=0)).max(axis=1)
+    return np.flatnonzero((step[1:] < 2.5e-4) & (step[:-1] < 2.5e-4) & (trajectory.bead[1:-1] == TRAVEL)) + 1
+
+
+def rest_after(trajectory: Trajectory, bead: int) -> int:
+    """The sample at the end of a bead's run-out, where the nozzle stands still just above the part."""
+    last = int(deposit_of(trajectory, bead)[-1])
+    near = resting(trajectory)
+    near = near[near > last]
+    near = near[near < near[0] + 5]
+    step = np.linalg.norm(np.diff(trajectory.q, axis=0), axis=1)
+    return int(near[np.argmin(step[near] + step[near - 1])])
+
+
+def hump(m: int) -> Array:
+    """m samples from 0 to 1 and back, smooth at both ends."""
+    return np.sin(np.linspace(0.0, np.pi, m)) ** 4
+
+
+def jacobian(cell: Cell, q: Array) -> Array:
+    """Twist of the nozzle at its tip (6) in the part frame by the arm's joints (6), by central differences."""
+    eps = 1e-6
+    T = cell.T_part_nozzle(q[None])[0]
+    columns = []
+    for j in range(6):
+        dq = np.zeros(len(q))
+        dq[j] = eps
+        a, b = cell.T_part_nozzle(np.stack([q - dq, q + dq]))
+        spin = (b[:3, :3] - a[:3, :3]) / (2 * eps) @ T[:3, :3].T
+        columns.append([*(b[:3, 3] - a[:3, 3]) / (2 * eps), spin[2, 1], spin[0, 2], spin[1, 0]])
+    return np.array(columns).T
+
+
+def nudged(plan: Plan, samples: NDArray[np.intp], twist: Array) -> Trajectory:
+    """The nozzle displaced by twist (6) [m, rad, part frame] in a smooth hump over a stretch of samples."""
+    q = plan.trajectory.q.copy()
+    for i, share in zip(samples, hump(len(samples)), strict=True):
+        q[i, :6] += np.linalg.solve(jacobian(plan.cell, q[i]), share * twist)
+    return with_joints(plan, plan.trajectory, q)
+
+
+def straight_stretch(plan: Plan, m: int) -> NDArray[np.intp]:
+    """m samples inside the wave's bead, which has no sharp corner."""
+    at = deposit_of(plan.trajectory, bead_named(plan, "wave"))
+    start = (len(at) - m) // 2
+    return at[start : start + m]
+
+
+def bead_named(plan: Plan, name: str) -> int:
+    return next(i for i, bead in enumerate(plan.toolpath.beads) if bead.name == name)
+
+
+def with_bead(toolpath: Toolpath, i: int, **changes: Any) -> Toolpath:
+    beads = list(toolpath.beads)
+    beads[i] = replace(beads[i], **changes)
+    return replace(toolpath, beads=tuple(beads))
+
+
+def swapped(values: Array, i: int, by: float) -> Array:
+    """A copy with one value changed."""
+    out = values.copy()
+    out[i] += by
+    return out
+
+
+# --- a good plan -------------------------------------------------------------------------------------------
+
+
+def test_a_solved_plan_holds_every_check(plan: Plan) -> None:
+    found = report(plan)
+    names = [check.name for check in found.checks]
+    assert set(names) >= CHECKS
+    assert len(names) == len(set(names))
+    assert failed(plan) == set()
+    assert plan.verified
+    assert np.isfinite(list(found.metrics.values())).all()
+
+
+def test_verifying_changes_nothing_and_repeats_itself(plan: Plan) -> None:
+    before = plan.trajectory.q.copy()
+    first, second = report(plan), report(plan)
+    assert first.checks == second.checks
+    assert first.metrics == second.metrics
+    assert np.array_equal(plan.trajectory.q, before)
+
+
+def test_one_failed_check_makes_the_plan_unverified(plan: Plan) -> None:
+    tip = plan.trajectory.tip.copy()
+    tip[100] += 1e-5
+    assert not replace(plan, checks=report(plan, replace(plan.trajectory, tip=tip)).checks).verified
+
+
+# --- what the trajectory says of itself --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sample", [0, 500, -1])
+def test_recorded_tip_that_is_not_where_the_joints_are(plan: Plan, sample: int) -> None:
+    tip = plan.trajectory.tip.copy()
+    tip[sample, 1] += 2e-6
+    assert failed(plan, replace(plan.trajectory, tip=tip)) == {"recorded poses"}
+
+
+def test_recorded_axis_that_is_not_the_joints(plan: Plan) -> None:
+    axis = plan.trajectory.axis.copy()
+    axis[700] = Rotation.from_rotvec([0.0, 0.0, 1e-4]).apply(axis[700])
+    assert failed(plan, replace(plan.trajectory, axis=axis)) == {"recorded poses"}
+
+
+@pytest.mark.parametrize("turn", [[0.0, 0.0, 1e-3], [1e-3, 0.0, 0.0]], ids=["roll", "tilt"])
+def test_recorded_orientation_that_is_not_the_joints(plan: Plan, turn: list[float]) -> None:
+    # The orientation is what the robot program is written from.
+    quat = plan.trajectory.quat.copy()
+    quat[700] = (Rotation.from_quat(quat[700]) * Rotation.from_rotvec(turn)).as_quat()
+    assert failed(plan, replace(plan.trajectory, quat=quat)) != set()
+
+
+def test_recorded_branch_that_is_not_the_joints(plan: Plan) -> None:
+    branch = plan.trajectory.branch.copy()
+    branch[straight_stretch(plan, 1)[0]] ^= 1
+    assert failed(plan, replace(plan.trajectory, branch=branch)) != set()
+
+
+# --- joints ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("turns", [1, -2])
+def test_joint_beyond_its_range(plan: Plan, turns: int) -> None:
+    q = plan.trajectory.q.copy()
+    q[:, 5] += turns * 2.0 * np.pi  # the same poses
+    assert failed(plan, with_joints(plan, plan.trajectory, q)) == {"joint range"}
+
+
+def swing(plan: Plan, joint: int, share: float) -> Array:
+    """(m, nj) a swing and back whose greatest speed is `share` of the joint's, at 0.9 of its acceleration."""
+    v, a = share * plan.cell.limits.velocity[joint], 0.9 * plan.cell.limits.acceleration[joint]
+    period = 2.0 * np.pi * v / a
+    angle = np.linspace(0.0, 2.0 * np.pi, int(period / plan.trajectory.dt) + 1)
+    dq = np.zeros((len(angle) + 10, plan.trajectory.q.shape[1]))
+    dq[5:-5, joint] = 0.5 * v * period / np.pi * (1.0 - np.cos(angle))
+    return dq
+
+
+@pytest.mark.parametrize(("share", "expected"), [(0.97, set()), (1.03, {"joint velocity", "continuity"})])
+def test_joint_too_fast(plan: Plan, share: float, expected: set[str]) -> None:
+    trajectory = paused(plan, len(plan.trajectory) - 1, swing(plan, 5, share))
+    found = failed(plan, trajectory, problem=with_process(plan.problem, travel_speed=10.0))
+    assert found == expected
+
+
+@pytest.mark.parametrize("joint", range(7))
+@pytest.mark.parametrize(("share", "expected"), [(0.95, set()), (1.05, {"joint acceleration"})])
+def test_joint_accelerates_too_hard(plan: Plan, joint: int, share: float, expected: set[str]) -> None:
+    # One sample off by d has the second difference 2 d.
+    dq = np.zeros((1, plan.trajectory.q.shape[1]))
+    dq[0, joint] = 0.5 * share * plan.cell.limits.acceleration[joint] * plan.trajectory.dt**2
+    assert failed(plan, paused(plan, len(plan.trajectory) - 1, np.vstack([dq, 0.0 * dq]))) == expected
+
+
+def test_jump_of_a_joint(plan: Plan) -> None:
+    # There and back with a stay between: central differences see but half of the speed.
+    dq = np.zeros((8, plan.trajectory.q.shape[1]))
+    dq[2:5, 5] = 1.2 * plan.cell.limits.velocity[5] * plan.trajectory.dt
+    trajectory = paused(plan, len(plan.trajectory) - 1, dq)
+    relaxed = with_process(plan.problem, travel_speed=10.0)
+    assert failed(plan, trajectory, problem=relaxed) == {"continuity", "joint acceleration"}
+
+
+def test_whole_turn_between_two_samples(plan: Plan) -> None:
+    # The poses are right all along; only the joint knows.
+    q = plan.trajectory.q.copy()
+    q[straight_stretch(plan, 1)[0] :, 5] -= 2.0 * np.pi
+    expected = {"continuity", "joint velocity", "joint acceleration"}
+    assert failed(plan, with_joints(plan, plan.trajectory, q)) == expected
+
+
+def test_a_motion_that_does_not_start_from_rest(plan: Plan) -> None:
+    fast = int(np.argmax(np.abs(np.diff(plan.trajectory.q[:400], axis=0)).max(axis=1)))
+    late = rows(plan.trajectory, np.arange(fast, len(plan.trajectory)))
+    assert failed(plan, late) == {"joint acceleration"}
+
+
+def test_the_place_of_the_worst_sample_is_named(plan: Plan) -> None:
+    rest = rest_after(plan.trajectory, 0)
+    dq = np.zeros((2, plan.trajectory.q.shape[1]))
+    dq[0, 2] = 0.6 * plan.cell.limits.acceleration[2] * plan.trajectory.dt**2
+    found = report(plan, paused(plan, rest, dq))
+    assert where(found, "joint acceleration") == f"t = {(rest + 1) * plan.trajectory.dt:.3f} s, travel"
+
+
+# --- geometry ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("joint", range(7))
+def test_one_joint_off_by_a_tenth_of_a_milliradian(plan: Plan, joint: int) -> None:
+    at = straight_stretch(plan, 120)
+    q = plan.trajectory.q.copy()
+    q[at, joint] += 1e-4 * hump(len(at))
+    T = plan.cell.T_part_nozzle(np.stack([plan.trajectory.q[at[60]], q[at[60]]]))
+    moved = np.linalg.norm(T[1, :3, 3] - T[0, :3, 3]) * 1e3
+    found = report(plan, with_joints(plan, plan.trajectory, q))
+    assert found.metrics["position_error_max_mm"] == pytest.approx(moved, rel=0.1)
+    names = {check.name for check in found.checks if not check.ok}
+    assert ("tip on the path" in names) == (moved > 0.02)
+    # around the cylinder the normal turns by a degree in 0.6 mm
+    assert names <= {"tip on the path", "axis on the normal"}
+    assert f"bead {bead_named(plan, 'wave')}, " in where(found, "tip on the path")
+
+
+def test_most_joints_move_the_tip_that_far(plan: Plan) -> None:
+    """Else the test above would show nothing."""
+    i = straight_stretch(plan, 1)[0]
+    arms = np.linalg.norm(jacobian(plan.cell, plan.trajectory.q[i])[:3], axis=0)
+    assert (arms * 1e-4 > 2e-5).sum() >= 3
+
+
+@pytest.mark.parametrize(("micrometres", "expected"), [(15.0, set()), (25.0, {"tip on the path"})])
+def test_tip_beside_the_path(plan: Plan, micrometres: float, expected: set[str]) -> None:
+    # Along the cylinder's axis, where the normal stays the same.
+    twist = np.array([0.0, 0.0, 1e-6 * micrometres, 0.0, 0.0, 0.0])
+    found = report(plan, nudged(plan, straight_stretch(plan, 120), twist))
+    assert {check.name for check in found.checks if not check.ok} == expected
+    assert found.metrics["position_error_max_mm"] == pytest.approx(1e-3 * micrometres, rel=0.02)
+
+
+def test_table_turned_too_far(plan: Plan) -> None:
+    # A constant angle: nothing moves differently, all is laid down beside its place.
+    q = plan.trajectory.q.copy()
+    q[:, 6] += 1e-3
+    assert failed(plan, with_joints(plan, plan.trajectory, q)) == {
+        "tip on the path",
+        "axis on the normal",
+        "path within corner tolerance",
+    }
+
+
+@pytest.mark.parametrize(("degrees", "expected"), [(0.04, set()), (0.06, {"axis on the normal"})])
+def test_axis_tilted_about_the_tip(plan: Plan, degrees: float, expected: set[str]) -> None:
+    at = straight_stretch(plan, 120)
+    along = np.gradient(plan.trajectory.tip, axis=0)[at[60]]
+    twist = np.concatenate([np.zeros(3), np.radians(degrees) * along / np.linalg.norm(along)])
+    found = report(plan, nudged(plan, at, twist))
+    assert {check.name for check in found.checks if not check.ok} == expected
+    assert found.metrics["axis_error_max_deg"] == pytest.approx(degrees, rel=0.01)
+
+
+def test_turning_about_the_axis_is_free(plan: Plan) -> None:
+    at = straight_stretch(plan, 120)
+    twist = np.concatenate([np.zeros(3), 1e-2 * plan.trajectory.axis[at[60]]])
+    found = report(plan, nudged(plan, at, twist))
+    assert found.metrics["axis_error_max_deg"] < 0.05
+    assert {check.name for check in found.checks if not check.ok} <= {"tip on the path"}
+
+
+def test_nozzle_pointing_out_of_the_part(plan: Plan) -> None:
+    # The sine alone is the same for a nozzle that points the wrong way.
+    class InsideOut(Cylinder):
+        def normals(self, points: Array) -> Array:
+            return -super().normals(points)
+
+    surface = InsideOut(*vars(plan.toolpath.surface).values())
+    found = report(plan, toolpath=replace(plan.toolpath, surface=surface))
+    assert {check.name for check in found.checks if not check.ok} == {"axis on the normal"}
+    assert found.metrics["axis_error_max_deg"] == pytest.approx(180.0, abs=1e-3)
+
+
+def test_path_that_leaves_the_input_path(plan: Plan) -> None:
+    # The drawing's path ends earlier: all of it is reached, but the nozzle goes on.
+    i = bead_named(plan, "wave")
+    source = plan.toolpath.beads[i].source
+    shorter = with_bead(plan.toolpath, i, source=source[:-20])
+    found = report(plan, toolpath=shorter)
+    assert {check.name for check in found.checks if not check.ok} == {"path within corner tolerance"}
+    gap = np.linalg.norm(source[-20:] - source[-21], axis=1).max() * 1e3
+    assert gap > 1.5
+    assert found.metrics["path_deviation_max_mm"] == pytest.approx(gap, rel=0.1)
+
+
+def test_path_beside_the_input_path(plan: Plan) -> None:
+    i = bead_named(plan, "wave")
+    beside = plan.toolpath.beads[i].source + np.array([0.0, 0.0, 0.25e-3])
+    both = {"path within corner tolerance", "input path reached everywhere"}
+    assert failed(plan, toolpath=with_bead(plan.toolpath, i, source=beside)) == both
+
+
+def test_a_spike_of_the_input_path_that_is_not_reached(plan: Plan) -> None:
+    i = bead_named(plan, "wave")
+    source = plan.toolpath.beads[i].source
+    k = len(source) // 2
+    outwards = plan.toolpath.surface.normals(source[k : k + 1])
+    spike = source[k] + np.linspace(0.0, 1.0, 40)[:, None] * 1e-3 * outwards
+    out = np.vstack([source[:k], spike, spike[::-1], source[k:]])
+    found = report(plan, toolpath=with_bead(plan.toolpath, i, source=out))
+    assert {check.name for check in found.checks if not check.ok} == {"input path reached everywhere"}
+    assert worst(found, "input path reached everywhere") == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_corner_that_is_cut_off(plan: Plan) -> None:
+    # Rounded path and motion agree with each other, and not with the drawing.
+    i = bead_named(plan, "zigzag")
+    bead = plan.toolpath.beads[i]
+    coarse = np.linspace(0, len(bead.points) - 1, 7).astype(int)
+    cut = np.column_stack([np.interp(bead.s, bead.s[coarse], bead.points[coarse, k]) for k in range(3)])
+    off = cut + 0.5e-3 * bead.normals * np.sin(np.pi * bead.s / bead.length)[:, None]
+    found = failed(plan, toolpath=with_bead(plan.toolpath, i, points=off))
+    assert "input path reached everywhere" in found
+
+
+# --- beads -------------------------------------------------------------------------------------------------
+
+
+def silent(trajectory: Trajectory, at: NDArray[np.intp]) -> Trajectory:
+    """Samples turned into travel: the same motion with the extruder off."""
+    bead, deposit, s, flow = (v.copy() for v in (trajectory.bead, trajectory.deposit, trajectory.s, trajectory.flow))
+    bead[at], deposit[at], s[at], flow[at] = TRAVEL, False, 0.0, 0.0
+    return replace(trajectory, bead=bead, deposit=deposit, s=s, flow=flow)
+
+
+@pytest.mark.parametrize("bead", [0, 1, 2])
+def test_missing_bead(plan: Plan, bead: int) -> None:
+    missing = silent(plan.trajectory, deposit_of(plan.trajectory, bead))
+    assert failed(plan, missing) == {"every bead complete", "extrusion balance"}
+
+
+@pytest.mark.parametrize("end", ["start", "end"])
+def test_bead_that_is_cut_short(plan: Plan, end: str) -> None:
+    at = deposit_of(plan.trajectory, 1)
+    lost = at[:2] if end == "start" else at[-2:]
+    flow = plan.trajectory.flow.copy()
+    flow[at[10]] += flow[lost].sum()
+    short = silent(replace(plan.trajectory, flow=flow), lost)
+    assert failed(plan, short) == {"every bead complete"}
+
+
+def test_bead_that_is_interrupted(plan: Plan) -> None:
+    at = deposit_of(plan.trajectory, 1)
+    flow = plan.trajectory.flow.copy()
+    flow[at[10]] += flow[at[50:55]].sum()
+    found = report(plan, silent(replace(plan.trajectory, flow=flow), at[50:55]))
+    assert {check.name for check in found.checks if not check.ok} == {"every bead complete"}
+    assert where(found, "every bead complete") == "beads out of order, missing, or laid down twice"
+
+
+def test_bead_laid_down_twice(plan: Plan) -> None:
+    """To and fro over one bead, from rest to rest, and half of the material each time."""
+    trajectory = plan.trajectory
+    at = deposit_of(trajectory, 1)
+    rest = resting(trajectory)
+    first, last = int(rest[rest < at[0]][-1]), rest_after(trajectory, 1)
+    n = len(trajectory)
+    there, back = np.arange(first, last + 1), np.arange(last, first - 1, -1)  # standing still at both ends
+    order = np.concatenate([np.arange(first), there, back, there, np.arange(last + 1, n)])
+    twice = rows(trajectory, order)
+    returning = first + len(there) + np.arange(len(back))
+    halved = np.where(twice.bead == 1, 0.5, 1.0)
+    twice = silent(replace(twice, flow=twice.flow * halved), returning)
+    assert failed(plan, twice) == {"every bead complete"}
+
+
+def test_beads_in_the_wrong_order(plan: Plan) -> None:
+    first, second, third = plan.toolpath.beads
+    bead = np.array([1, 0, 2, TRAVEL])[plan.trajectory.bead].astype(np.int32)
+    other = replace(plan.toolpath, beads=(second, first, third))
+    assert failed(plan, replace(plan.trajectory, bead=bead), toolpath=other) == {"every bead complete"}
+
+
+def test_bead_laid_down_backwards(plan: Plan) -> None:
+    # Played backwards, with the order of the beads put right again: only s tells.
+    n = len(plan.trajectory)
+    backwards = rows(plan.trajectory, np.arange(n - 1, -1, -1))
+    bead = np.array([2, 1, 0, TRAVEL])[backwards.bead].astype(np.int32)
+    extruded = plan.trajectory.extruded[-1] - backwards.extruded
+    backwards = replace(backwards, bead=bead, extruded=extruded)
+    other = replace(plan.toolpath, beads=plan.toolpath.beads[::-1])
+    assert failed(plan, backwards, toolpath=other) == {"every bead complete"}
+
+
+def test_s_that_goes_back_for_one_sample(plan: Plan) -> None:
+    i = straight_stretch(plan, 1)[0]
+    s = plan.trajectory.s.copy()
+    s[[i, i + 1]] = s[[i + 1, i]]
+    assert failed(plan, replace(plan.trajectory, s=s)) == {"every bead complete", "tip on the path"}
+
+
+def test_deposit_without_a_bead(plan: Plan) -> None:
+    deposit = plan.trajectory.deposit.copy()
+    deposit[deposit_of(plan.trajectory, 0)[0] - 1] = True
+    assert failed(plan, replace(plan.trajectory, deposit=deposit)) != set()
+
+
+def test_bead_without_deposit(plan: Plan) -> None:
+    # The extruder stands still in the middle of a bead; its material is booked elsewhere.
+    at = straight_stretch(plan, 5)
+    deposit, flow = plan.trajectory.deposit.copy(), plan.trajectory.flow.copy()
+    deposit[at] = False
+    flow[at[-1] + 1] += flow[at].sum()
+    flow[at] = 0.0
+    assert failed(plan, replace(plan.trajectory, deposit=deposit, flow=flow)) != set()
+
+
+# --- singularities -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("factor", "expected"), [(0.999, set()), (1.001, {"singularity margin"})])
+def test_singularity_margin(plan: Plan, factor: float, expected: set[str]) -> None:
+    least = factor * report(plan).metrics["sigma_min"]
+    resolve = plan.problem.resolve.model_copy(update={"min_sigma": least})
+    assert failed(plan, problem=plan.problem.model_copy(update={"resolve": resolve})) == expected
+
+
+def test_wrist_straightened_in_deposition(plan: Plan) -> None:
+    # Joint 5 at 0: axes 4 and 6 are one. The geometry is lost too, which other checks say.
+    q = plan.trajectory.q.copy()
+    at = straight_stretch(plan, 1)
+    q[at, 4] = 0.0
+    found = report(plan, with_joints(plan, plan.trajectory, q))
+    assert found.metrics["sigma_min"] == pytest.approx(0.0, abs=1e-12)
+    assert not next(check for check in found.checks if check.name == "singularity margin").ok
+
+
+def test_a_singular_posture_in_travel_is_no_matter(plan: Plan) -> None:
+    found = report(plan, paused(plan, 0, np.zeros((3, 7))))
+    assert found.metrics["sigma_min"] == report(plan).metrics["sigma_min"]
+
+
+def test_wrist_flips_in_the_middle_of_a_bead(plan: Plan) -> None:
+    # The other solution of the wrist has the same pose: the geometry is right all along.
+    q = plan.trajectory.q.copy()
+    i = straight_stretch(plan, 40)
+    q[i, 3] -= np.copysign(np.pi, q[i[0], 3])
+    q[i, 4] *= -1.0
+    q[i, 5] += np.copysign(np.pi, q[i[0], 3])
+    found = report(plan, with_joints(plan, plan.trajectory, q))
+    jump = {"continuity", "joint velocity", "joint acceleration"}
+    names = {check.name for check in found.checks if not check.ok}
+    assert names - {"recorded poses"} == {"branch changes in deposition", *jump}  # the record keeps the old branch
+    assert found.metrics["branch_changes_in_deposition"] == 2.0
+
+
+# --- speed -------------------------------------------------------------------------------------------------
+
+
+def played_faster(plan: Plan, factor: float) -> Trajectory:
+    t = plan.trajectory
+    return replace(t, dt=t.dt / factor, t=t.t / factor, speed=factor * t.speed, flow=factor * t.flow)
+
+
+def test_too_fast_in_deposition(plan: Plan) -> None:
+    faster = played_faster(plan, 1.03)
+    relaxed = with_process(plan.problem, travel_speed=1.0)
+    # a sample's way is longer than the commanded speed's, too
+    expected = {"speed in deposition", "every bead complete"}
+    assert failed(plan, faster, problem=relaxed, cell=loose(plan.cell, 1.05)) == expected
+
+
+def test_a_little_too_fast_is_within_tolerance(plan: Plan) -> None:
+    faster = played_faster(plan, 1.01)
+    relaxed = with_process(plan.problem, travel_speed=1.0)
+    assert failed(plan, faster, problem=relaxed, cell=loose(plan.cell, 1.05)) == set()
+
+
+def test_recorded_speed_too_high(plan: Plan) -> None:
+    i = straight_stretch(plan, 1)[0]
+    speed = swapped(plan.trajectory.speed, i, 0.001)
+    assert failed(plan, replace(plan.trajectory, speed=speed)) == {"speed in deposition"}
+
+
+def test_recorded_speed_too_low(plan: Plan) -> None:
+    i = straight_stretch(plan, 1)[0]
+    speed = swapped(plan.trajectory.speed, i, -0.01)
+    assert failed(plan, replace(plan.trajectory, speed=speed)) != set()
+
+
+def test_too_slow_is_counted_and_not_refused(plan: Plan) -> None:
+    slower = report(plan, played_faster(plan, 0.5))
+    assert {check.name for check in slower.checks if not check.ok} == set()
+    assert slower.metrics["at_speed_fraction"] == 0.0
+    assert slower.metrics["deposition_time_s"] == pytest.approx(2.0 * plan.metrics["deposition_time_s"])
+
+
+def test_too_fast_in_travel(plan: Plan) -> None:
+    """Every other sample of the way home: twice as fast, and joints that could follow."""
+    last = deposit_of(plan.trajectory, 2)[-1]
+    home = np.arange(rest_after(plan.trajectory, 2), len(plan.trajectory))
+    keep = np.concatenate([np.arange(home[0]), home[::2]])
+    hasty = rows(plan.trajectory, keep)
+    assert last < home[0]
+    found = report(plan, hasty, cell=loose(plan.cell, 2.1))
+    assert {check.name for check in found.checks if not check.ok} == {"speed in travel"}
+    assert "travel" in where(found, "speed in travel")
+
+
+# --- material ----------------------------------------------------------------------------------------------
+
+
+def test_material_outside_beads(plan: Plan) -> None:
+    i = deposit_of(plan.trajectory, 1)[-1] + 5
+    found = report(plan, replace(plan.trajectory, flow=swapped(plan.trajectory.flow, i, 1e-12)))
+    assert {check.name for check in found.checks if not check.ok} == {"extrusion balance"}
+    assert where(found, "extrusion balance") == "material flows outside a bead"
+
+
+def test_material_sucked_back(plan: Plan) -> None:
+    i = straight_stretch(plan, 1)[0]
+    flow = plan.trajectory.flow
+    back = swapped(swapped(flow, i, -1.5 * flow[i]), i + 1, 1.5 * flow[i])
+    assert failed(plan, replace(plan.trajectory, flow=back)) == {"extrusion balance"}
+
+
+@pytest.mark.parametrize(
+    ("share", "expected"), [(0.9995, set()), (0.998, {"extrusion balance"}), (1.002, {"extrusion balance"})]
+)
+def test_too_little_and_too_much_material(plan: Plan, share: float, expected: set[str]) -> None:
+    t = plan.trajectory
+    assert failed(plan, replace(t, flow=share * t.flow, extruded=share * t.extruded)) == expected
+
+
+def test_material_of_one_bead_given_to_another(plan: Plan) -> None:
+    t = plan.trajectory
+    flow = t.flow.copy()
+    a, b = deposit_of(t, 0), deposit_of(t, 2)
+    shift = 0.01 * flow[a].sum()
+    flow[a] *= 0.99
+    flow[b] *= 1.0 + shift / flow[b].sum()
+    assert failed(plan, replace(t, flow=flow)) == {"extrusion balance"}
+
+
+def test_material_that_does_not_follow_the_speed(plan: Plan) -> None:
+    # As much as the bead holds, but all of it in its first half.
+    t = plan.trajectory
+    at = straight_stretch(plan, 100)
+    flow = t.flow.copy()
+    flow[at[:50]] *= 2.0
+    flow[at[50:]] = 0.0
+    assert failed(plan, replace(t, flow=flow)) != set()
+
+
+def test_extruded_sum_that_is_not_the_flow(plan: Plan) -> None:
+    i = straight_stretch(plan, 1)[0]
+    extruded = swapped(plan.trajectory.extruded, i, 1e-10)
+    assert failed(plan, replace(plan.trajectory, extruded=extruded)) != set()
+
+
+# --- the part ----------------------------------------------------------------------------------------------
+
+
+def test_nozzle_pushed_into_the_part(plan: Plan) -> None:
+    rest = rest_after(plan.trajectory, 0)
+    q = plan.trajectory.q[rest]
+    dq = np.zeros((250, 7))
+    axis = plan.trajectory.axis[rest]
+    dq[:, :6] = hump(250)[:, None] * np.linalg.solve(jacobian(plan.cell, q), np.concatenate([5e-3 * axis, np.zeros(3)]))
+    found = report(plan, paused(plan, rest, dq))
+    assert {check.name for check in found.checks if not check.ok} == {"nozzle tip outside the part"}
+    assert worst(found, "nozzle tip outside the part") < -2.0
+    assert found.metrics["clearance_min_mm"] == worst(found, "nozzle tip outside the part")
+
+
+def test_part_that_is_thicker_than_planned(plan: Plan) -> None:
+    surface: Any = plan.toolpath.surface
+    thicker = replace(surface, radius=surface.radius + 0.6e-3)
+    found = failed(plan, toolpath=replace(plan.toolpath, surface=thicker))
+    assert found == {"nozzle tip outside the part"}
+
+
+# --- what is no number -------------------------------------------------------------------------------------
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize(
+    ("place", "value"), [("deposit", np.nan), ("deposit", np.inf), ("travel", np.nan), ("end", np.nan)]
+)
+@pytest.mark.parametrize("field", ["t", "s", "q", "tip", "quat", "axis", "speed", "flow", "extruded"])
+def test_what_is_no_number_never_passes(plan: Plan, field: str, place: str, value: float) -> None:
+    at = {"deposit": int(straight_stretch(plan, 1)[0]), "travel": 300, "end": -1}[place]
+    values = getattr(plan.trajectory, field).copy()
+    values[at] = value
+    assert failed(plan, replace(plan.trajectory, **{field: values})) != set()
+
+
+def test_times_that_are_not_the_samples(plan: Plan) -> None:
+    t = plan.trajectory.t.copy()
+    t[1000:] += 0.1
+    assert failed(plan, replace(plan.trajectory, t=t)) != set()
+
+
+# --- distance to a polyline --------------------------------------------------------------------------------
+
+
+def brute_force(point: Array, polyline: Array) -> tuple[float, int]:
+    """Distance to the nearest segment, and which one it is."""
+    best, which = np.inf, 0
+    for k in range(len(polyline) - 1):
+        a, b = polyline[k], polyline[k + 1]
+        length = float((b - a) @ (b - a))
+        t = 0.0 if length == 0.0 else min(max(float((point - a) @ (b - a)) / length, 0.0), 1.0)
+        d = float(np.linalg.norm(point - (a + t * (b - a))))
+        if d < best:
+            best, which = d, k
+    return best, which
+
+
+coordinates = st.floats(-1.0, 1.0, width=32)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    arrays(float, (5, 3), elements=coordinates),
+    arrays(float, st.tuples(st.integers(2, 12), st.just(3)), elements=coordinates),
+)
+def test_distance_to_any_polyline(points: Array, polyline: Array) -> None:
+    """Never less than the truth, exact as promised, and off by no more than half a segment."""
+    found = distance_to_polyline(points, polyline)
+    longest = np.linalg.norm(np.diff(polyline, axis=0), axis=1).max()
+    for point, distance in zip(points, found, strict=True):
+        true, segment = brute_force(point, polyline)
+        assert distance >= true - 1e-12
+        assert distance <= true + 0.5 * longest + 1e-12
+        gaps = np.linalg.norm(polyline - point, axis=1)
+        nearest = np.flatnonzero(gaps <= gaps.min() + 1e-12)
+        if len(nearest) == 1 and nearest[0] in (segment, segment + 1):
+            assert distance == pytest.approx(true, abs=1e-12)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(0.5, 3.0), st.floats(0.0, 0.3), arrays(float, (20, 3), elements=coordinates))
+def test_distance_to_a_dense_curve_is_exact(turns: float, pitch: float, offsets: Array) -> None:
+    """A helix sampled densely, and points near it: what the verifier asks."""
+    u = np.linspace(0.0, 2.0 * np.pi * turns, 400)
+    helix = np.column_stack([np.cos(u), np.sin(u), 0.5 * u + pitch * u])
+    points = helix[::20] + 0.2 * offsets
+    expected = [brute_force(point, helix)[0] for point in points]
+    assert distance_to_polyline(points, helix) == pytest.approx(expected, abs=1e-12)
+
+
+def test_distance_of_nothing_and_of_two_points() -> None:
+    line = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    assert distance_to_polyline(np.zeros((0, 3)), line).shape == (0,)
+    points = np.array([[0.5, 3.0, 4.0], [-3.0, 4.0, 0.0], [4.0, 0.0, 4.0], [1.0, 0.0, 0.0]])
+    assert distance_to_polyline(points, line) == pytest.approx([5.0, 5.0, 5.0, 0.0])
+
+
+# --- the files alone: nothing below uses the project's code but to write them ------------------------------
+
+
+class Files:
+    """plan.json and trajectory.csv, and a product of exponentials of what they say."""
+
+    def __init__(self, folder: Path) -> None:
+        self.plan = json.loads((folder / "plan.json").read_text(encoding="utf-8"))
+        with (folder / "trajectory.csv").open(encoding="utf-8") as stream:
+            reader = csv.reader(stream)
+            self.names = next(reader)
+            self.table = np.array([[float(value) for value in row] for row in reader])
+        self.metrics = self.plan["metrics"]
+        self.joints = self.plan["cell"]["joints"]
+        self.q = np.column_stack([self[joint["name"]] for joint in self.joints])
+        self.dt = self["t_s"][1] - self["t_s"][0]
+        self.tip = np.column_stack([self[name] for name in ("x_mm", "y_mm", "z_mm")]) * 1e-3
+        self.deposit = self["deposit"] == 1
+
+    def __getitem__(self, name: str) -> Array:
+        return self.table[:, self.names.index(name)]
+
+    def limit(self, name: str) -> Array:
+        return np.array([joint[name] for joint in self.joints])
+
+    def pose(self, moves: str) -> tuple[Array, list[tuple[Array, Array]]]:
+        """Poses (n, 4, 4) in the world, and for each joint its axis' direction and a point on it (n, 3)."""
+        T = np.tile(np.eye(4), (len(self.q), 1, 1))
+        axes = []
+        for j, joint in enumerate(self.joints):
+            if joint["moves"] != moves:
+                continue
+            assert joint["type"] == "revolute"
+            w, p = np.array(joint["direction"]), np.array(joint["origin_m"])
+            axes.append((T[:, :3, :3] @ w, T[:, :3, :3] @ p + T[:, :3, 3]))
+            K = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
+            q = self.q[:, j, None, None]
+            E = np.tile(np.eye(4), (len(q), 1, 1))
+            E[:, :3, :3] = np.eye(3) + np.sin(q) * K + (1.0 - np.cos(q)) * (K @ K)
+            E[:, :3, 3] = p - E[:, :3, :3] @ p
+            T = T @ E
+        return T @ np.array(self.plan["cell"][f"T_world_{moves}_zero"]), axes
+
+    def nozzle_in_part(self) -> tuple[Array, Array]:
+        """Tip (n, 3) and axis (n, 3) in the part frame."""
+        nozzle, part = self.pose("nozzle")[0], self.pose("part")[0]
+        R = np.swapaxes(part[:, :3, :3], 1, 2)
+        tip = (R @ (nozzle[:, :3, 3] - part[:, :3, 3])[:, :, None])[:, :, 0]
+        return tip, (R @ nozzle[:, :3, 2, None])[:, :, 0]
+
+    def sigma(self) -> Array:
+        """Smallest singular values of the arm's geometric Jacobian at the nozzle tip."""
+        T, axes = self.pose("nozzle")
+        J = np.stack([np.hstack([np.cross(w, T[:, :3, 3] - p), w]) for w, p in axes], axis=2)
+        assert J.shape[1:] == (6, 6)
+        return np.linalg.svd(J, compute_uv=False).min(axis=1)
+
+
+@pytest.fixture(scope="module")
+def files(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Files:
+    folder = tmp_path_factory.mktemp("written")
+    write(plan, folder)
+    return Files(folder)
+
+
+def test_the_files_have_the_promised_fields(files: Files) -> None:
+    promised = "problem strategy verified checks metrics cell timing_s versions"
+    assert set(promised.split()) <= set(files.plan)
+    metrics = """
+    waypoints beads layers deposited_length_mm deposition_time_s ideal_deposition_time_s print_time_s at_speed_fraction
+    speed_min_mm_s speed_max_mm_s sigma_min sigma_p01 wrist_margin_deg joint_limit_margin_deg velocity_ratio_max
+    acceleration_ratio_max jerk_ratio_max position_error_max_mm axis_error_max_deg path_deviation_max_mm
+    clearance_min_mm branch_changes_in_deposition extruded_mm extruded_volume_mm3
+    """
+    assert set(metrics.split()) == set(files.metrics)
+    assert {"load", "toolpath", "resolve", "timing", "verify", "export", "total"} <= set(files.plan["timing_s"])
+    joint = "name type moves origin_m direction q_min q_max v_max a_max j_max"
+    assert all(set(entry) == set(joint.split()) for entry in files.joints)
+    assert all(set(check) == {"name", "worst", "limit", "unit", "ok", "where"} for check in files.plan["checks"])
+    columns = "t_s bead layer deposit s_mm x_mm y_mm z_mm ax ay az speed_mm_s flow_mm3_s e_mm"
+    assert files.names == [*columns.split(), *(joint["name"] for joint in files.joints)]
+    assert files.plan["verified"] is True
+
+
+def test_written_poses_are_those_of_the_written_joints(files: Files) -> None:
+    tip, axis = files.nozzle_in_part()
+    assert np.abs(tip - files.tip).max() * 1e3 < 2e-6
+    assert np.abs(axis - np.column_stack([files[name] for name in ("ax", "ay", "az")])).max() < 2e-9
+
+
+def test_written_singularity_margins(files: Files) -> None:
+    sigma = files.sigma()[files.deposit]
+    assert files.metrics["sigma_min"] == pytest.approx(sigma.min(), rel=1e-9)
+    assert files.metrics["sigma_p01"] == pytest.approx(np.quantile(sigma, 0.01), rel=1e-9)
+    wrist = np.degrees(np.abs(files["joint_5"][files.deposit])).min()
+    assert files.metrics["wrist_margin_deg"] == pytest.approx(wrist, rel=1e-9)
+
+
+def test_written_joint_ratios(files: Files) -> None:
+    q, dt = files.q, files.dt
+    velocity = (q[2:] - q[:-2]) / (2.0 * dt)
+    acceleration = (q[2:] - 2.0 * q[1:-1] + q[:-2]) / dt**2
+    jerk = (q[4:] - 2.0 * q[3:-1] + 2.0 * q[1:-3] - q[:-4]) / (2.0 * dt**3)
+    for values, limit, metric, accuracy in (
+        (velocity, "v_max", "velocity_ratio_max", 1e-8),
+        (acceleration, "a_max", "acceleration_ratio_max", 1e-6),
+        (jerk, "j_max", "jerk_ratio_max", 1e-4),
+    ):
+        ratio = (np.abs(values) / files.limit(limit)).max()
+        assert files.metrics[metric] == pytest.approx(ratio, rel=accuracy), metric
+    margin = np.minimum(q - files.limit("q_min"), files.limit("q_max") - q).min()
+    assert files.metrics["joint_limit_margin_deg"] == pytest.approx(np.degrees(margin), abs=1e-8)
+
+
+def test_written_speeds(files: Files) -> None:
+    speed = np.linalg.norm(np.gradient(files.nozzle_in_part()[0], files.dt, axis=0), axis=1) * 1e3
+    on = files.deposit
+    off = np.abs(speed - files["speed_mm_s"])[on]
+    assert np.quantile(off, 0.9) < 0.05
+    assert off.max() < 2.0  # at a corner, where speed changes within a sample
+    near = on & (np.abs(speed - 40.0) <= 0.8)
+    assert files.metrics["at_speed_fraction"] == pytest.approx(speed[near].sum() / speed[on].sum(), abs=0.005)
+    assert files.metrics["speed_min_mm_s"] == pytest.approx(speed[on].min(), rel=0.03)
+    assert files.metrics["speed_max_mm_s"] == pytest.approx(speed[on].max(), rel=0.001)
+    assert files.metrics["deposition_time_s"] == pytest.approx(on.sum() * files.dt)
+    assert files.metrics["print_time_s"] == pytest.approx(files["t_s"][-1])
+    assert files.metrics["ideal_deposition_time_s"] == pytest.approx(files.metrics["deposited_length_mm"] / 40.0)
+
+
+def test_written_material(files: Files) -> None:
+    flow = files["flow_mm3_s"]
+    assert (flow[~files.deposit] == 0.0).all()
+    laid = np.cumsum(flow) * files.dt
+    assert files.metrics["extruded_volume_mm3"] == pytest.approx(laid[-1], rel=1e-6)
+    assert laid[-1] == pytest.approx(0.6 * 0.5 * files.metrics["deposited_length_mm"], rel=1e-3)
+    filament = np.pi * 1.75**2 / 4.0
+    assert files.metrics["extruded_mm"] == pytest.approx(laid[-1] / filament, rel=1e-6)
+    # both count the same material, at most a sample's share apart
+    assert np.abs(files["e_mm"] - laid / filament).max() < 40.0 * 0.3 * files.dt / filament
+
+
+def test_written_beads(files: Files) -> None:
+    for bead in range(int(files.metrics["beads"])):
+        s = files["s_mm"][files["bead"] == bead]
+        assert (np.diff(s) > 0.0).all()
+        along = np.linalg.norm(np.diff(files.tip[files["bead"] == bead], axis=0), axis=1).sum() * 1e3
+        assert along == pytest.approx(s[-1] - s[0], rel=2e-3)
+    last = [files["s_mm"][files["bead"] == bead].max() for bead in range(3)]
+    assert sum(last) == pytest.approx(files.metrics["deposited_length_mm"], abs=3 * 0.17)
+
+
+def test_written_position_error(files: Files, plan: Plan) -> None:
+    """Against the rounded path, which the files do not hold, evaluated by its own arc length."""
+    off = 0.0
+    for i, bead in enumerate(plan.toolpath.beads):
+        at = files["bead"] == i
+        off = max(
+            off,
+            np.linalg.norm(CubicSpline(bead.s, bead.points)(files["s_mm"][at] * 1e-3) - files.tip[at], axis=1).max(),
+        )
+    assert files.metrics["position_error_max_mm"] == pytest.approx(off * 1e3, abs=2e-5)
+
+
+def test_written_nozzle_stands_upright_on_the_cylinder(files: Files) -> None:
+    """Against the problem file's own figures: radius 34 mm, centre (31.4, 37) mm, one layer of 0.5 mm."""
+    on = files.deposit
+    radial = files.tip[on, :2] - np.array([0.0314, 0.037])
+    r = np.linalg.norm(radial, axis=1)
+    assert r == pytest.approx(0.0345, abs=1e-7)
+    axis = np.column_stack([files["ax"], files["ay"], files["az"]])[on]
+    assert np.abs(axis[:, 2]).max() < 1e-6
+    assert np.abs(axis[:, :2] + radial / r[:, None]).max() < 1e-6
+
+
+def test_a_bead_has_its_source_and_points_within_tolerance_by_brute_force(plan: Plan) -> None:
+    bead: Bead = plan.toolpath.beads[bead_named(plan, "zigzag")]
+    forth = max(brute_force(point, bead.source)[0] for point in bead.points[::5])
+    assert forth * 1e3 <= 0.2
+    assert forth * 1e3 > 0.1, "a sharp corner uses its tolerance"
