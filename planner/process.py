@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from planner.toolpath.bead import Bead
-from planner.toolpath.wrap import arc_length
 
 Array = NDArray[np.float64]
 
@@ -40,31 +39,28 @@ def with_runs(bead: Bead, length: float) -> Run:
     A run leaves along the bead's tangent with its curvature (continuous to the second derivative), becomes
     straight, and rises from the surface with the cube of the distance.
     """
-    before = _leave(bead, length, at_end=False)
-    after = _leave(bead, length, at_end=True)
+    before, s_before = _leave(bead, length, at_end=False)
+    after, s_after = _leave(bead, length, at_end=True)
     points, normals, roll_zero = (
         np.vstack([a[::-1], here, b])
         for a, here, b in zip(before, (bead.points, bead.normals, bead.roll_zero), after, strict=True)
     )
+    s = np.concatenate([-s_before[::-1], bead.s, bead.length + s_after])
     normals = normals / np.linalg.norm(normals, axis=1)[:, None]
     roll_zero = roll_zero - (roll_zero * normals).sum(axis=1)[:, None] * normals
     roll_zero = roll_zero / np.linalg.norm(roll_zero, axis=1)[:, None]
-    first = len(before[0])
-    s = arc_length(points)
-    return Run(points, normals, roll_zero, s - s[first], first, first + len(bead.points) - 1)
+    first = len(s_before)
+    return Run(points, normals, roll_zero, s, first, first + len(bead.points) - 1)
 
 
-def _leave(bead: Bead, length: float, at_end: bool) -> tuple[Array, Array, Array]:
-    """Samples (m, 3) of points, normals and roll directions beyond one end, walking away from the bead."""
+def _leave(bead: Bead, length: float, at_end: bool) -> tuple[tuple[Array, Array, Array], Array]:
+    """Samples (m, 3) of points, normals and roll directions beyond one end, walking away from the bead, and the
+    arc length (m) from that end."""
     k = min(len(bead.points), 12)  # enough samples for the end's derivatives
     take = slice(-1, -k - 1, -1) if at_end else slice(0, k)
-    degree = min(5, k - 1)
-    values, slopes, bends = [], [], []
-    for row in (bead.points, bead.normals, bead.roll_zero):
-        spline = make_interp_spline(np.arange(k, dtype=float), row[take], k=degree)
-        values.append(spline(0.0))
-        slopes.append(-spline(0.0, 1))
-        bends.append(spline(0.0, 2))
+    rows = np.hstack([bead.points[take], bead.normals[take], bead.roll_zero[take]])
+    spline = make_interp_spline(np.arange(k, dtype=float), rows, k=min(5, k - 1))
+    values, slopes, bends = (np.split(sign * spline(0.0, order), 3) for order, sign in ((0, 1.0), (1, -1.0), (2, 1.0)))
     step = float(np.linalg.norm(slopes[0]))
     m = max(int(np.ceil(length / step)), 4)
     u = np.arange(m * _SUBSTEPS + 1) / _SUBSTEPS
@@ -75,8 +71,9 @@ def _leave(bead: Bead, length: float, at_end: bool) -> tuple[Array, Array, Array
     turned = [values[i] + _integral((slopes[i] + bends[i] * u[:, None]) * fade[:, None], u) for i in (1, 2)]
     away = np.linalg.norm(points - values[0], axis=1)
     points = points + (RISE_PER_LENGTH * length * (away / length) ** 3)[:, None] * turned[0]
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     keep = slice(_SUBSTEPS, None, _SUBSTEPS)
-    return points[keep], turned[0][keep], turned[1][keep]
+    return (points[keep], turned[0][keep], turned[1][keep]), arc[keep]
 
 
 def _fade(x: Array) -> Array:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from planner.background import in_background
 from planner.cell import Cell, build_cell
 from planner.errors import (
     EXIT_INTERRUPTED,
@@ -22,7 +23,7 @@ from planner.errors import (
     PlannerError,
     Refusal,
 )
-from planner.export import write_refusal, write_robot_code, write_tables
+from planner.export import write_plan, write_refusal, write_robot_code, write_trajectory
 from planner.motion import join
 from planner.output import results_folder
 from planner.plan import Plan, Trajectory
@@ -45,22 +46,33 @@ MIN_DT, MAX_DT = 0.0005, 0.02  # s; finer drowns in rounding, coarser hides what
 BASELINE = "as_published"
 
 
-def solve(problem: Problem, strategy: str | None = None, dt: float = DEFAULT_DT, stages: Stages | None = None) -> Plan:
+def solve(
+    problem: Problem,
+    strategy: str | None = None,
+    dt: float = DEFAULT_DT,
+    stages: Stages | None = None,
+    second_process: bool = False,
+) -> Plan:
     """Plan a problem with a strategy (the problem's own, if none is given), sampled every dt [s], and verify it.
 
     The plan that comes back may have failed checks: see `Plan.verified`. The baseline strategy is planned as
-    well and its metrics set beside. Raises InputError for wrong input, Refusal where there is no plan at all.
+    well, with `second_process` beside the chosen one, and its metrics are in `Plan.baseline`.
+    Raises InputError for wrong input, Refusal where there is no plan at all.
     """
     stages = stages or Stages()
     strategy = strategy or problem.strategy
     with stages.stage("load"):
         cell = build_cell(problem)
     with stages.stage("toolpath"):
-        toolpath = build_toolpath(problem)
-        tasks = make_tasks(toolpath, problem.process.speed, problem.process.run_in)
+        toolpath, tasks = _toolpath(problem)
+    compare = strategy != BASELINE
+    waiting = in_background(_baseline_from_problem, problem, dt) if compare and second_process else None
     trajectory, report = _plan_with(strategy, problem, cell, toolpath, tasks, dt, stages)
     with stages.stage("baseline"):
-        baseline = _baseline(strategy, problem, cell, toolpath, tasks, dt)
+        if waiting is not None:
+            baseline = waiting()
+        else:
+            baseline = _baseline(problem, cell, toolpath, tasks, dt) if compare else {}
     return Plan(
         problem=problem,
         cell=cell,
@@ -75,6 +87,11 @@ def solve(problem: Problem, strategy: str | None = None, dt: float = DEFAULT_DT,
         baseline=baseline,
         settings={"dt": dt},
     )
+
+
+def _toolpath(problem: Problem) -> tuple[Toolpath, tuple[NozzleTask, ...]]:
+    toolpath = build_toolpath(problem)
+    return toolpath, make_tasks(toolpath, problem.process.speed, problem.process.run_in)
 
 
 def _plan_with(
@@ -99,16 +116,19 @@ def _plan_with(
 
 
 def _baseline(
-    strategy: str, problem: Problem, cell: Cell, toolpath: Toolpath, tasks: Sequence[NozzleTask], dt: float
+    problem: Problem, cell: Cell, toolpath: Toolpath, tasks: Sequence[NozzleTask], dt: float
 ) -> dict[str, dict[str, float]]:
-    """Metrics of the published way of moving; none if it is the chosen one, empty if it cannot be planned here."""
-    if strategy == BASELINE:
-        return {}
+    """Metrics of the published way of moving; empty ones if it cannot be planned here."""
     try:
         _, report = _plan_with(BASELINE, problem, cell, toolpath, tasks, dt, Stages())
     except Refusal:
         return {BASELINE: {}}
     return {BASELINE: report.metrics}
+
+
+def _baseline_from_problem(problem: Problem, dt: float) -> dict[str, dict[str, float]]:
+    """The same in a process that has nothing but the problem."""
+    return _baseline(problem, build_cell(problem), *_toolpath(problem), dt)
 
 
 def write(plan: Plan, folder: Path, stages: Stages | None = None) -> Plan:
@@ -118,8 +138,9 @@ def write(plan: Plan, folder: Path, stages: Stages | None = None) -> Plan:
         if plan.verified:
             write_robot_code(plan, folder)
         write_report(plan, folder / "report.html")
+        write_trajectory(plan, folder)
     plan = replace(plan, timing_s={**stages.seconds, "total": sum(stages.seconds.values())})
-    write_tables(plan, folder)
+    write_plan(plan, folder)
     return plan
 
 
@@ -148,7 +169,7 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
         folder = options.out or Path("out") / problem.name
         with results_folder(folder) as fresh:  # first of all: a folder that cannot be written is told at once
             try:
-                plan = solve(problem, strategy, options.dt, stages)
+                plan = solve(problem, strategy, options.dt, stages, second_process=True)
             except Refusal as refusal:
                 write_refusal(problem, strategy, refusal, fresh)
                 _report_refusal(problem, strategy, refusal, fresh / "report.html")

@@ -17,7 +17,7 @@ from planner.cell import Cell, Robot
 from planner.nearest import distance_to_polyline
 from planner.plan import Check, Trajectory
 from planner.problem import Problem
-from planner.toolpath.bead import Bead, Toolpath
+from planner.toolpath.bead import Toolpath
 
 Array = NDArray[np.float64]
 
@@ -101,12 +101,13 @@ def _part(cell: Cell, q_free: Array) -> Array:
     names = list(model.names[1:])
     q = np.array([cell.held.get(name, 0.0) for name in names])
     free = [names.index(name) for name in cell.holder.names]
-    T = np.empty((len(q_free), 4, 4))
-    for i, row in enumerate(q_free):
+    postures, which = np.unique(q_free, axis=0, return_inverse=True)  # a table often rests
+    T = np.empty((len(postures), 4, 4))
+    for i, row in enumerate(postures):
         q[free] = row
         pin.framesForwardKinematics(model, data, q)
         T[i] = data.oMf[tip].homogeneous
-    return cell.T_world_holder_base @ T
+    return (cell.T_world_holder_base @ T)[which.ravel()]
 
 
 def _where(trajectory: Trajectory, i: int) -> str:
@@ -171,9 +172,10 @@ def _geometry(problem, cell, toolpath, t, motion, checks, metrics, series) -> No
         if len(at) < 2:
             continue  # the coverage check names this bead
         tip = motion.tip[at]
-        position[at] = np.linalg.norm(CubicSpline(bead.s, bead.points)(t.s[at]) - tip, axis=1)
+        path = CubicSpline(bead.s, bead.points)
+        position[at] = np.linalg.norm(path(t.s[at]) - tip, axis=1)
         deviation[at] = distance_to_polyline(tip, bead.source)
-        unreached = max(unreached, float(distance_to_polyline(bead.source, _dense(bead)).max()))
+        unreached = max(unreached, float(distance_to_polyline(bead.source, path(_denser(bead.s))).max()))
     normals = toolpath.surface.normals(motion.tip)
     cosine = -(normals * motion.axis).sum(axis=1)
     sine = np.linalg.norm(np.cross(normals, motion.axis), axis=1)
@@ -189,10 +191,10 @@ def _geometry(problem, cell, toolpath, t, motion, checks, metrics, series) -> No
     metrics["path_deviation_max_mm"] = max(worst, unreached * 1e3)
 
 
-def _dense(bead: Bead) -> Array:
-    """The rounded path four times as dense as its samples, so that chords do not count as deviation."""
-    u = np.arange(len(bead.points), dtype=float)
-    return np.asarray(CubicSpline(u, bead.points)(np.linspace(0.0, u[-1], 4 * len(u))))
+def _denser(s: Array) -> Array:
+    """Arc lengths four times as dense, so that the chords between samples do not count as deviation."""
+    k = np.arange(len(s), dtype=float)
+    return np.interp(np.linspace(0.0, k[-1], 4 * len(k)), k, s)
 
 
 def _coverage(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:  # type: ignore[no-untyped-def]

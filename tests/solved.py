@@ -46,6 +46,18 @@ resolve: {roll_step_deg: 30, table_step_deg: 30, rung_mm: 10}
 strategy: ladder
 """
 
+POSITIONER = """\
+  positioner:
+    robot: irbp_a250
+    origin_mm: [633.5, 9.87, 380]
+    free: [rotation]
+"""
+# On a fixed bed behind the arm, whose base is not the world's origin and whose nozzle leans.
+BED = (
+    (POSITIONER, "  base_mm: [20, -30, 40]\n  bed_mm: [-450, 450, 300]\n"),
+    ("axis: [0, 0, 1]", "axis: [0.2, -0.1, 2]"),
+)
+
 
 def write_small(folder: Path, *changes: tuple[str, str], svg: str | bytes = SVG) -> Path:
     """Write the small problem with its drawing into a folder, each (old, new) text of the YAML exchanged."""
@@ -64,13 +76,19 @@ def write_small(folder: Path, *changes: tuple[str, str], svg: str | bytes = SVG)
 @cache
 def small_problem() -> Problem:
     """The small problem, loaded; its files stay until the tests end."""
-    return load_problem(write_small(_folder()))
+    return load_problem(write_small(_folder() / "positioner"))
 
 
 @cache
 def small_plan() -> Plan:
     """The small problem, solved once for all tests of a process."""
     return solve(small_problem())
+
+
+@cache
+def bed_plan() -> Plan:
+    """The small print on a fixed bed, solved once for all tests of a process."""
+    return solve(load_problem(write_small(_folder() / "bed", *BED)))
 
 
 def line_of(path: Path, text: str) -> int:

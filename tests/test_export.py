@@ -19,7 +19,7 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from planner.errors import InputError, OutputError
-from planner.export import write_robot_code, write_tables
+from planner.export import write_plan, write_robot_code, write_trajectory
 from planner.export.gcode import gcode
 from planner.export.plan_json import plan_json
 from planner.export.rapid import comment, module_name, number, rapid
@@ -68,7 +68,8 @@ def test_golden_file(name):
 def test_same_plan_same_bytes(tmp_path):
     plan = make_plan()
     for folder in ("a", "b"):
-        write_tables(plan, tmp_path / folder)
+        write_trajectory(plan, tmp_path / folder)
+        write_plan(plan, tmp_path / folder)
         write_robot_code(plan, tmp_path / folder)
     names = sorted(path.name for path in (tmp_path / "a").iterdir())
     assert names == ["TwoBeads.mod", "TwoBeads.pgf", "extrusion.gcode", "plan.json", "trajectory.csv"]
@@ -269,7 +270,8 @@ def test_code_of_an_unverified_plan_is_a_mistake(tmp_path):
     with pytest.raises(ValueError, match="verified"):
         write_robot_code(bad, tmp_path)
     assert list(tmp_path.iterdir()) == []
-    assert {path.name for path in write_tables(bad, tmp_path)} == {"plan.json", "trajectory.csv"}
+    assert write_plan(bad, tmp_path).name == "plan.json"
+    assert write_trajectory(bad, tmp_path).name == "trajectory.csv"
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
@@ -552,7 +554,7 @@ def test_places_that_cannot_be_written(tmp_path):
     file = tmp_path / "taken"
     file.write_text("a file, not a folder")
     with pytest.raises(OutputError, match="taken"):
-        write_tables(make_plan(), file / "out")
+        write_trajectory(make_plan(), file / "out")
     assert [path.name for path in Path(tmp_path).iterdir()] == ["taken"]
 
 

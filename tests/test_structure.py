@@ -36,6 +36,7 @@ ROOMS = (
     "versions",
     "progress",
     "output",
+    "background",
     "solve",
 )
 SAME_ROOM = {"problem_fields": "problem", "problem_file": "problem", "problem_mistakes": "problem"}
@@ -47,6 +48,7 @@ NARROW = {
     "versions": {"errors"},
     "progress": {"errors"},
     "output": {"errors"},
+    "background": {"errors"},
     "export": {"errors", "plan"},
     "report": {"errors", "plan"},
 }

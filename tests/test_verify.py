@@ -20,7 +20,7 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
-from solved import small_plan
+from solved import bed_plan, small_plan
 
 from planner.cell import Cell
 from planner.nearest import distance_to_polyline
@@ -210,6 +210,11 @@ def test_a_solved_plan_holds_every_check(plan: Plan) -> None:
     assert failed(plan) == set()
     assert plan.verified
     assert np.isfinite(list(found.metrics.values())).all()
+
+
+def test_a_plan_on_a_fixed_bed_holds_every_check() -> None:
+    assert failed(bed_plan()) == set()
+    assert bed_plan().trajectory.q.shape[1] == 6
 
 
 def test_verifying_changes_nothing_and_repeats_itself(plan: Plan) -> None:
@@ -781,7 +786,8 @@ def test_distance_of_nothing_and_of_two_points() -> None:
 class Files:
     """plan.json and trajectory.csv, and a product of exponentials of what they say."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, made: Plan) -> None:
+        self.made = made  # where a test needs what the files do not hold
         self.plan = json.loads((folder / "plan.json").read_text(encoding="utf-8"))
         with (folder / "trajectory.csv").open(encoding="utf-8") as stream:
             reader = csv.reader(stream)
@@ -833,11 +839,12 @@ class Files:
         return np.linalg.svd(J, compute_uv=False).min(axis=1)
 
 
-@pytest.fixture(scope="module")
-def files(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Files:
+@pytest.fixture(scope="module", params=[small_plan, bed_plan], ids=["positioner", "bed"])
+def files(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Files:
+    made = request.param()
     folder = tmp_path_factory.mktemp("written")
-    write(plan, folder)
-    return Files(folder)
+    write(made, folder)
+    return Files(folder, made)
 
 
 def test_the_files_have_the_promised_fields(files: Files) -> None:
@@ -926,10 +933,10 @@ def test_written_beads(files: Files) -> None:
     assert sum(last) == pytest.approx(files.metrics["deposited_length_mm"], abs=3 * 0.17)
 
 
-def test_written_position_error(files: Files, plan: Plan) -> None:
+def test_written_position_error(files: Files) -> None:
     """Against the rounded path, which the files do not hold, evaluated by its own arc length."""
     off = 0.0
-    for i, bead in enumerate(plan.toolpath.beads):
+    for i, bead in enumerate(files.made.toolpath.beads):
         at = files["bead"] == i
         off = max(
             off,

@@ -29,12 +29,14 @@ EXPORTERS: dict[str, Callable[[Plan], str]] = {
 ROBOT_CODE = ("{Module}.mod", "{Module}.pgf", "extrusion.gcode")
 
 
-def write_tables(plan: Plan, folder: Path) -> tuple[Path, ...]:
-    """Write plan.json and trajectory.csv of any plan; returns the paths. OutputError where that is impossible."""
-    return (
-        _write(folder / "trajectory.csv", lambda stream: write_table(plan, stream)),
-        _write_text(folder / "plan.json", plan_json(plan)),
-    )
+def write_trajectory(plan: Plan, folder: Path) -> Path:
+    """Write trajectory.csv of any plan; returns its path. OutputError where that is impossible."""
+    return _write(folder / "trajectory.csv", lambda stream: write_table(plan, stream))
+
+
+def write_plan(plan: Plan, folder: Path) -> Path:
+    """Write plan.json of any plan; returns its path. OutputError where that is impossible."""
+    return _write_text(folder / "plan.json", plan_json(plan))
 
 
 def write_refusal(problem: Problem, strategy: str, refusal: Refusal, folder: Path) -> Path:

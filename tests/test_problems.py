@@ -1,0 +1,139 @@
+"""The problems that ship: all of them verified, and the ladder better than every baseline on the logo."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from planner.errors import Refusal
+from planner.export.rapid import rapid
+from planner.export.rapid_check import compare, replay
+from planner.export.rapid_reader import read_rapid
+from planner.plan import Plan
+from planner.problem import load_problem, shipped_problems
+from planner.solve import solve
+
+Array = NDArray[np.float64]
+
+UNIVERSITY = Path(__file__).resolve().parents[2] / "shared" / "data" / "bristol" / "uob_logo.svg"
+COARSE = ("layers.count=1", "resolve.rung_mm=10", "resolve.roll_step_deg=30", "resolve.table_step_deg=30")
+OTHERS = ("as_published", "fixed", "greedy")
+# Same tolerances as the promise: figures of the output contract, in the units of their names.
+PROMISES = {
+    "position_error_max_mm": 0.02,
+    "axis_error_max_deg": 0.05,
+    "path_deviation_max_mm": 0.2,
+    "velocity_ratio_max": 1.0,
+    "acceleration_ratio_max": 1.0,
+    "branch_changes_in_deposition": 0.0,
+}
+
+LOGOS = {
+    "ours": (),
+    "university": (f"layers.source.svg={UNIVERSITY}",),
+}
+
+
+@pytest.fixture(
+    scope="module",
+    params=[
+        "ours",
+        pytest.param(
+            "university",
+            marks=pytest.mark.skipif(not UNIVERSITY.exists(), reason="the authors' logo is not part of the project"),
+        ),
+    ],
+)
+def logo(request: pytest.FixtureRequest) -> str:
+    """One layer of a logo on the cylinder, by its key in LOGOS."""
+    return str(request.param)
+
+
+@cache
+def solved(logo: str, strategy: str) -> Plan:
+    """A logo's first layer with a strategy, default settings. Refusal where it has no plan."""
+    return solve(load_problem("cylinder_logo", ("layers.count=1", *LOGOS[logo])), strategy)
+
+
+def promises_kept(plan: Plan) -> None:
+    assert plan.verified, [check for check in plan.checks if not check.ok]
+    for name, limit in PROMISES.items():
+        assert plan.metrics[name] <= limit, name
+
+
+@pytest.mark.parametrize("name", shipped_problems())
+def test_shipped_problem_is_solved_and_verified(name: str) -> None:
+    plan = solve(load_problem(name, COARSE), "ladder")
+    promises_kept(plan)
+    assert plan.problem.name == name
+    assert plan.metrics["deposited_length_mm"] > 100.0
+
+
+def test_ladder_keeps_the_promises(logo: str) -> None:
+    plan = solved(logo, "ladder")
+    promises_kept(plan)
+    m = plan.metrics
+    assert m["at_speed_fraction"] >= 0.75
+    assert m["deposition_time_s"] <= 1.15 * m["ideal_deposition_time_s"]
+
+
+@pytest.mark.parametrize("other", OTHERS)
+def test_ladder_beats(logo: str, other: str) -> None:
+    ladder = solved(logo, "ladder").metrics
+    try:
+        beaten = solved(logo, other).metrics
+    except Refusal as refusal:
+        assert str(refusal)  # no plan at all counts as beaten
+        return
+    assert ladder["at_speed_fraction"] > beaten["at_speed_fraction"]
+    assert ladder["deposition_time_s"] < beaten["deposition_time_s"]
+
+
+@pytest.mark.parametrize("other", OTHERS)
+def test_no_strategy_is_refused_on_a_logo(logo: str, other: str) -> None:
+    """If this fails, test_ladder_beats compares with nothing: say so wherever the comparison is shown."""
+    assert solved(logo, other).metrics["beads"] == solved(logo, "ladder").metrics["beads"]
+
+
+def test_ladder_keeps_at_least_the_singularity_margin_of_fixed(logo: str) -> None:
+    assert solved(logo, "ladder").metrics["sigma_min"] >= solved(logo, "fixed").metrics["sigma_min"]
+
+
+def test_baseline_stands_beside(logo: str) -> None:
+    """What a plan says of the baseline is what the baseline's own plan says."""
+    beside = solved(logo, "ladder").baseline
+    assert set(beside) == {"as_published"}
+    assert beside["as_published"] == solved(logo, "as_published").metrics
+
+
+def test_rapid_program_replays_the_plan(logo: str) -> None:
+    """Read back and run through: the same beads on the same path, both ways, within 0.05 mm."""
+    plan = solved(logo, "ladder")
+    program = read_rapid(rapid(plan))
+    agreement = compare(plan, program)
+    assert agreement.path <= 0.05e-3
+    assert agreement.conf == 0
+    assert agreement.complaints() == []
+
+    beads = replay(program)
+    assert len(beads) == len(plan.toolpath.beads)
+    trajectory = plan.trajectory
+    for i, bead in enumerate(beads):
+        planned = dense(trajectory.tip[trajectory.bead == i])
+        written = dense(bead.position)
+        assert cKDTree(planned).query(written)[0].max() <= 0.05e-3
+        assert cKDTree(written).query(planned)[0].max() <= 0.05e-3
+        for end in (0, -1):
+            assert np.linalg.norm(planned[end] - written[end]) <= 0.05e-3
+
+
+def dense(points: Array) -> Array:
+    """The same polyline, twenty points on each of its segments: some 10 um apart."""
+    at = np.arange(len(points), dtype=float)
+    finer = np.linspace(0.0, len(points) - 1.0, 20 * (len(points) - 1) + 1)
+    return np.column_stack([np.interp(finer, at, points[:, k]) for k in range(3)])
