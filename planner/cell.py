@@ -93,7 +93,7 @@ def build_cell(problem: Problem) -> Cell:
     spec = problem.cell
     arm_robot = load_robot(spec.arm, problem, "cell.arm")
     if arm_robot.wrist is None:
-        raise InputError(f"{arm_robot.key} is not an arm with a spherical wrist", file=problem.file, field="cell.arm")
+        raise problem.error("cell.arm", f"{arm_robot.key} is not an arm with a spherical wrist")
     T_world_base = translation(np.asarray(spec.base))
     T_flange_nozzle = frame_from_z(np.asarray(spec.nozzle.tip), np.asarray(spec.nozzle.axis))
     arm = _chain(arm_robot, T_world_base, T_flange_nozzle, free=arm_robot.model.names[1:], held={})
@@ -109,7 +109,11 @@ def build_cell(problem: Problem) -> Cell:
         for field, names in (("free", spec.positioner.free), ("held_deg", spec.positioner.held)):
             for name in names:
                 if name not in axes:
-                    raise problem.error(f"cell.positioner.{field}", f"no axis {name!r}", nearest_name(name, axes))
+                    near = nearest_name(name, axes)
+                    hint = f"did you mean {near}?" if near else f"axes: {', '.join(axes)}"
+                    raise problem.error(f"cell.positioner.{field}", f"no axis {name!r}", hint)
+        if len(spec.positioner.free) > 1:
+            raise problem.error("cell.positioner.free", "more than one axis", "free one; the others are held")
         held = {name: spec.positioner.held.get(name, 0.0) for name in axes if name not in spec.positioner.free}
         at_zero = _chain(holder_robot, np.eye(4), np.eye(4), (), dict.fromkeys(axes, 0.0)).T_last_tip
         T_world_holder_base = translation(np.asarray(spec.positioner.origin) - at_zero[:3, 3])
@@ -230,7 +234,9 @@ def _limits(
     names = list(arm.names + holder.names)
     for name, own in spec.limits.items():
         if name not in names:
-            raise problem.error(f"cell.limits.{name}", "no such joint", nearest_name(name, names) or ", ".join(names))
+            near = nearest_name(name, names)
+            hint = f"did you mean {near}?" if near else f"joints: {', '.join(names)}"
+            raise problem.error(f"cell.limits.{name}", "no such joint", hint)
         row = table[names.index(name)]
         if own.range is not None:
             row[:2] = own.range

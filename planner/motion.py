@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from planner.cell import Cell
+from planner.errors import Refusal
 from planner.extrusion import deposited_volume, flow
 from planner.plan import TRAVEL, Trajectory
 from planner.timing import TimedPath
@@ -43,6 +44,11 @@ def join(
         layer.append(np.full(len(inside), line.layer, dtype=np.int32))
         s.append(np.where(inside, piece.s[1:], 0.0))
         s_dot.append(np.where(inside, piece.s_dot[1:], np.nan))
+        if inside.sum() < 2:
+            raise Refusal(
+                f"path {line.name!r} is only {line.length * 1e3:.2f} mm long, too short for samples {dt * 1e3:g} ms apart",
+                bead=i,
+            )
         at_edges = deposited_volume(line, piece.edges)
         # what flows in the half sample before the first and after the last one of a bead belongs to the bead
         flowing = flow(at_edges, dt)[1:]

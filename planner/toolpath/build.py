@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from planner.problem import Problem
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.ordering import reverse, shorten_travel
-from planner.toolpath.rounding import round_corners
+from planner.toolpath.rounding import PlaneCurve, round_corners
 from planner.toolpath.svg import PlanePath, read_svg
 from planner.toolpath.wrap import Cylinder, wrap_layer
 
 Array = NDArray[np.float64]
+_SHRUNK = 0.5  # share of its length that a path must keep when its corners are rounded
 _KINK = np.radians(10.0)  # a turn above this at one vertex counts as a corner when a seam is looked for
 
 
@@ -37,6 +38,7 @@ def build_toolpath(problem: Problem) -> Toolpath:
     for path in paths:
         path = replace(path, points=path.points * stretch)
         curve = round_corners(seam_on_smooth_part(path) if path.closed else path, process.corner_tolerance)
+        _check_size(problem, path, curve)
         curves.append(replace(curve, points=curve.points / stretch, source=curve.source / stretch))
     curves = shorten_travel(curves)
 
@@ -66,6 +68,24 @@ def seam_on_smooth_part(path: PlanePath) -> PlanePath:
     keep = np.concatenate([[True], step > 1e-12])
     keep[-1] = True
     return replace(path, points=around[keep])
+
+
+def _check_size(problem: Problem, path: PlanePath, curve: PlaneCurve) -> None:
+    """A path must be a line, and must not vanish in the corner tolerance."""
+    drawn, rounded = (float(np.hypot(*np.diff(points, axis=0).T).sum()) for points in (path.points, curve.points))
+    width = problem.process.bead.width
+    if drawn < width:
+        raise problem.error(
+            "layers.source.width_mm",
+            f"path {path.name!r} is only {drawn * 1e3:.3f} mm long at this width",
+            f"at least as long as the bead is wide, {width * 1e3:g} mm",
+        )
+    if rounded < _SHRUNK * drawn:
+        raise problem.error(
+            "process.corner_tolerance_mm",
+            f"rounding its corners shrinks path {path.name!r} from {drawn * 1e3:.2f} to {rounded * 1e3:.2f} mm",
+            "choose a smaller tolerance, or a greater layers.source.width_mm",
+        )
 
 
 def _check_fit(problem: Problem, paths: tuple[PlanePath, ...], cylinder: Cylinder) -> None:
