@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import shutil
 import signal
 import tempfile
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from planner.errors import OutputError
 
-OURS = ("plan.json", "trajectory.csv", "extrusion.gcode", "report.html", "*.mod", "*.pgf")
+RESULTS = ("plan.json", "trajectory.csv", "extrusion.gcode", "report.html")
+MARK = "! beadwise"  # stands in the header of the robot programs that are ours, and of no one else's
 
 
 @contextmanager
@@ -30,10 +33,13 @@ def results_folder(target: Path) -> Iterator[Path]:
         raise OutputError(f"cannot write into {target}: {error.strerror}") from error
     try:
         yield fresh
+        earlier = _earlier_results(target)
+        taken = [target / new.name for new in fresh.iterdir() if (target / new.name).is_dir()]
+        if taken:
+            raise OutputError(f"cannot write {taken[0]}: a folder of that name is in the way")
         with _uninterrupted():
-            for pattern in OURS:
-                for old in target.glob(pattern):
-                    old.unlink()
+            for old in earlier:
+                old.unlink()
             for new in sorted(fresh.iterdir()):
                 os.replace(new, target / new.name)
     except OSError as error:
@@ -45,14 +51,26 @@ def results_folder(target: Path) -> Iterator[Path]:
                 folder.rmdir()
 
 
+def _earlier_results(target: Path) -> list[Path]:
+    """Files that an earlier run left in a folder; robot programs only if their header says they are ours."""
+    found = [target / name for name in RESULTS if (target / name).is_file()]
+    for program in target.glob("*.mod"):
+        with program.open(encoding="utf-8", errors="replace") as stream:
+            ours = any(MARK in line for line in itertools.islice(stream, 5))
+        if ours:
+            found.append(program)
+            found += [pgf for pgf in [program.with_suffix(".pgf")] if pgf.is_file()]
+    return found
+
+
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
-    """Hold Ctrl-C back for the moment in which files change places; it is delivered afterwards."""
-    caught: list[int] = []
-    previous = signal.signal(signal.SIGINT, lambda number, _frame: caught.append(number))
+    """Hold Ctrl-C back for the moment in which files change places: the work is done then, and stays done."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread gets Ctrl-C
+        return
+    previous = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, previous)
-    if caught:
-        raise KeyboardInterrupt

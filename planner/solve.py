@@ -8,7 +8,8 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -44,6 +45,7 @@ from planner.versions import versions
 DEFAULT_DT = 0.004
 MIN_DT, MAX_DT = 0.0005, 0.02  # s; finer drowns in rounding, coarser hides what a joint does
 BASELINE = "as_published"
+WORTH_A_PROCESS = 50_000  # waypoints above which the baseline takes longer than starting a process for it
 
 
 def solve(
@@ -56,7 +58,7 @@ def solve(
     """Plan a problem with a strategy (the problem's own, if none is given), sampled every dt [s], and verify it.
 
     The plan that comes back may have failed checks: see `Plan.verified`. The baseline strategy is planned as
-    well, with `second_process` beside the chosen one, and its metrics are in `Plan.baseline`.
+    well, for large prints beside the chosen one if `second_process`; its metrics are in `Plan.baseline`.
     Raises InputError for wrong input, Refusal where there is no plan at all.
     """
     stages = stages or Stages()
@@ -65,14 +67,10 @@ def solve(
         cell = build_cell(problem)
     with stages.stage("toolpath"):
         toolpath, tasks = _toolpath(problem)
-    compare = strategy != BASELINE
-    waiting = in_background(_baseline_from_problem, problem, dt) if compare and second_process else None
-    trajectory, report = _plan_with(strategy, problem, cell, toolpath, tasks, dt, stages)
-    with stages.stage("baseline"):
-        if waiting is not None:
-            baseline = waiting()
-        else:
-            baseline = _baseline(problem, cell, toolpath, tasks, dt) if compare else {}
+    with _baseline_beside(strategy, problem, cell, toolpath, tasks, dt, second_process) as baseline_metrics:
+        trajectory, report = _plan_with(strategy, problem, cell, toolpath, tasks, dt, stages)
+        with stages.stage("baseline"):
+            baseline = baseline_metrics()
     return Plan(
         problem=problem,
         cell=cell,
@@ -115,6 +113,27 @@ def _plan_with(
     return trajectory, report
 
 
+@contextmanager
+def _baseline_beside(
+    strategy: str,
+    problem: Problem,
+    cell: Cell,
+    toolpath: Toolpath,
+    tasks: Sequence[NozzleTask],
+    dt: float,
+    second_process: bool,
+) -> Iterator[Callable[[], dict[str, dict[str, float]]]]:
+    """What gives the baseline's metrics by strategy, planned beside the block where that is worth a process."""
+    waypoints = sum(len(bead.s) for bead in toolpath.beads)
+    if strategy == BASELINE:
+        yield dict
+    elif second_process and waypoints >= WORTH_A_PROCESS:
+        with in_background(_baseline_from_problem, problem, dt) as wait:
+            yield wait
+    else:
+        yield lambda: _baseline(problem, cell, toolpath, tasks, dt)
+
+
 def _baseline(
     problem: Problem, cell: Cell, toolpath: Toolpath, tasks: Sequence[NozzleTask], dt: float
 ) -> dict[str, dict[str, float]]:
@@ -139,7 +158,8 @@ def write(plan: Plan, folder: Path, stages: Stages | None = None) -> Plan:
             write_robot_code(plan, folder)
         write_report(plan, folder / "report.html")
         write_trajectory(plan, folder)
-    plan = replace(plan, timing_s={**stages.seconds, "total": sum(stages.seconds.values())})
+    seconds = {**plan.timing_s, **stages.seconds}
+    plan = replace(plan, timing_s={**seconds, "total": sum(seconds.values())})
     write_plan(plan, folder)
     return plan
 

@@ -6,17 +6,18 @@ says of itself (tip, axis, speed, flow) is compared with what its joints do.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from planner.cell import Cell, Robot
+from planner.cell import Cell
 from planner.nearest import distance_to_polyline
 from planner.plan import Check, Trajectory
 from planner.problem import Problem
+from planner.replay import replay
 from planner.toolpath.bead import Toolpath
 
 Array = NDArray[np.float64]
@@ -25,6 +26,7 @@ POSITION_TOLERANCE = 2e-5  # m, tip against the rounded path: a tenth of what an
 AXIS_TOLERANCE = np.radians(0.05)  # rad, nozzle axis against the true normal
 SPEED_TOLERANCE = 0.02  # of the commanded speed: within it a sample counts as at speed
 EXTRUSION_TOLERANCE = 1e-3  # of the volume
+SPEED_RECORD = 5e-3  # m/s, recorded speed against the mean over two samples, which rounds off a dip's tip
 RECORD_TOLERANCE = 1e-6  # m: what the trajectory says of its tip against what its joints do
 DIGITS = 1e-9  # relative: limits are compared with this much room for rounding
 
@@ -38,76 +40,16 @@ class Report:
     series: dict[str, Array]
 
 
-@dataclass(frozen=True)
-class _Motion:
-    """What Pinocchio says of the samples: tip and axis in the part frame; of the arm's Jacobian the smallest
-    singular value (NaN in travel, where no limit stands on it) and the determinant."""
-
-    tip: Array
-    axis: Array
-    sigma: Array
-    det: Array
-
-
 def verify(problem: Problem, cell: Cell, toolpath: Toolpath, trajectory: Trajectory) -> Report:
     """Check a trajectory against the cell's limits and the input geometry; a failed check is reported, not raised."""
-    motion = _replay(cell, trajectory)
     checks: list[Check] = []
+    trajectory = _finite(trajectory, checks)
+    motion = replay(cell, trajectory)
     metrics: dict[str, float] = {}
     series: dict[str, Array] = {}
     for part in (_records, _limits, _geometry, _coverage, _singularity, _speed, _extrusion, _clearance):
         part(problem, cell, toolpath, trajectory, motion, checks, metrics, series)
     return Report(tuple(checks), metrics, series)
-
-
-def _replay(cell: Cell, trajectory: Trajectory) -> _Motion:
-    """Forward kinematics and Jacobians of every sample, from the robots' URDF models."""
-    arm, na = cell.arm_robot, len(cell.arm)
-    q = np.ascontiguousarray(trajectory.q)
-    T_base_nozzle, J = _nozzle(arm, cell.T_flange_nozzle, q[:, :na])
-    T_world_nozzle = cell.T_world_base @ T_base_nozzle
-    T_world_part = _part(cell, q[:, na:])
-    R = np.swapaxes(T_world_part[:, :3, :3], 1, 2)
-    tip = np.einsum("nij,nj->ni", R, T_world_nozzle[:, :3, 3] - T_world_part[:, :3, 3])
-    axis = np.einsum("nij,nj->ni", R, T_world_nozzle[:, :3, 2])
-    sigma = np.full(len(q), np.nan)
-    sigma[trajectory.deposit] = np.linalg.svd(J[trajectory.deposit], compute_uv=False)[:, -1]
-    return _Motion(tip, axis, sigma, np.linalg.det(J))
-
-
-def _nozzle(arm: Robot, T_flange_nozzle: Array, q: Array) -> tuple[Array, Array]:
-    """Nozzle poses in the arm's base (n, 4, 4) and Jacobians at the nozzle tip (n, 6, 6), world axes."""
-    model = arm.model.copy()
-    flange = model.frames[model.getFrameId(arm.tip)]
-    placement = flange.placement * pin.SE3(T_flange_nozzle)
-    nozzle = model.addFrame(pin.Frame("nozzle", flange.parentJoint, placement, pin.FrameType.OP_FRAME))
-    data = model.createData()
-    T = np.empty((len(q), 4, 4))
-    J = np.empty((len(q), 6, model.nv))
-    for i, row in enumerate(q):
-        J[i] = pin.computeFrameJacobian(model, data, row, nozzle, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-        pin.updateFramePlacement(model, data, nozzle)
-        T[i] = data.oMf[nozzle].homogeneous
-    return T, J
-
-
-def _part(cell: Cell, q_free: Array) -> Array:
-    """Part poses in the world (n, 4, 4), from the positioner's URDF model with its held axes at their angles."""
-    if cell.holder_robot is None:
-        return np.broadcast_to(cell.T_world_holder, (len(q_free), 4, 4))
-    robot = cell.holder_robot
-    model, data = robot.model, robot.model.createData()
-    tip = model.getFrameId(robot.tip)
-    names = list(model.names[1:])
-    q = np.array([cell.held.get(name, 0.0) for name in names])
-    free = [names.index(name) for name in cell.holder.names]
-    postures, which = np.unique(q_free, axis=0, return_inverse=True)  # a table often rests
-    T = np.empty((len(postures), 4, 4))
-    for i, row in enumerate(postures):
-        q[free] = row
-        pin.framesForwardKinematics(model, data, q)
-        T[i] = data.oMf[tip].homogeneous
-    return (cell.T_world_holder_base @ T)[which.ravel()]
 
 
 def _where(trajectory: Trajectory, i: int) -> str:
@@ -133,10 +75,35 @@ def _check_least(checks: list[Check], t: Trajectory, name: str, values: Array, l
     return worst
 
 
+def _finite(t: Trajectory, checks: list[Check]) -> Trajectory:
+    """Append the check that every number is one; returns the trajectory with 0 in place of what is none."""
+    fields = {name: value for name, value in vars(t).items() if isinstance(value, np.ndarray)}
+    bad = np.zeros(len(t))
+    for value in fields.values():
+        bad += (~np.isfinite(value)).reshape(len(t), -1).sum(axis=1)
+    numbers: dict[str, Any] = {k: np.nan_to_num(v, posinf=0.0, neginf=0.0) for k, v in fields.items()}
+    clean = replace(t, **numbers)
+    _check_most(checks, clean, "all numbers finite", bad, 0.0, "that are not")
+    return clean if bad.any() else t
+
+
 def _records(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:  # type: ignore[no-untyped-def]
-    """The trajectory's own tip and axis are those of its joints."""
-    off = np.maximum(np.linalg.norm(motion.tip - t.tip, axis=1), np.linalg.norm(motion.axis - t.axis, axis=1))
-    _check_most(checks, t, "recorded poses", off * 1e3, RECORD_TOLERANCE * 1e3, "mm")
+    """What the trajectory says of itself, and what is written from it, is what its joints and its samples are."""
+    x, y, z, w = t.quat.T
+    turned = np.stack(
+        [
+            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], axis=-1),
+            np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], axis=-1),
+            np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], axis=-1),
+        ],
+        axis=1,
+    )
+    off = [np.linalg.norm(motion.tip - t.tip, axis=1), np.linalg.norm(motion.axis - t.axis, axis=1)]
+    off.append(np.abs(motion.rotation - turned).max(axis=(1, 2)))
+    _check_most(checks, t, "recorded poses", np.max(off, axis=0) * 1e3, RECORD_TOLERANCE * 1e3, "mm")
+    _check_most(checks, t, "recorded branch", (motion.branch != t.branch).astype(float), 0.0, "")
+    odd = (np.abs(t.t - np.arange(len(t)) * t.dt) > DIGITS) | (t.deposit != (t.bead >= 0))
+    _check_most(checks, t, "recorded times and beads", odd.astype(float), 0.0, "")
 
 
 def _limits(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:  # type: ignore[no-untyped-def]
@@ -244,6 +211,8 @@ def _speed(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:
     limit = commanded * (1.0 + SPEED_TOLERANCE)
     fast = np.where(t.deposit, np.maximum(mean, t.speed), 0.0)
     metrics["speed_max_mm_s"] = _check_most(checks, t, "speed in deposition", fast * 1e3, limit * 1e3, "mm/s")
+    claim = np.where(t.deposit, np.abs(t.speed - mean), 0.0)
+    _check_most(checks, t, "recorded speed", claim * 1e3, SPEED_RECORD * 1e3, "mm/s")
     travel = np.where(t.deposit, 0.0, mean)
     _check_most(checks, t, "speed in travel", travel * 1e3, problem.process.travel_speed * 1e3, "mm/s")
     metrics["speed_min_mm_s"] = float(mean[t.deposit].min()) * 1e3 if t.deposit.any() else 0.0
@@ -269,9 +238,25 @@ def _extrusion(problem, cell, toolpath, t, motion, checks, metrics, series) -> N
         where = "material flows outside a bead"
     ok = worst <= EXTRUSION_TOLERANCE and balanced and not stray
     checks.append(Check("extrusion balance", worst, EXTRUSION_TOLERANCE, "of a bead's volume", ok, where))
+    _follows(t, toolpath, checks)
     filament = np.pi * (0.5 * problem.process.filament_diameter) ** 2
     metrics["extruded_volume_mm3"] = float(t.extruded[-1]) * 1e9
     metrics["extruded_mm"] = float(t.extruded[-1]) / filament * 1e3
+
+
+def _follows(t: Trajectory, toolpath: Toolpath, checks: list[Check]) -> None:
+    """Material keeps pace with the tip: what has flowed is what the bead holds up to here, at every sample."""
+    areas = np.array([bead.width * bead.height for bead in toolpath.beads])
+    before = np.concatenate([[0.0], np.cumsum(areas * [bead.length for bead in toolpath.beads])])
+    done = before[np.maximum.accumulate(np.where(t.deposit, t.bead, -1)) + 1]  # after the bead, or the last one
+    area = areas[np.maximum(t.bead, 0)]
+    expected = np.where(
+        t.deposit, done + area * t.s - area * np.array([b.length for b in toolpath.beads])[t.bead], done
+    )
+    sample = float(areas.max()) * float(t.speed[t.deposit].max(initial=0.0)) * t.dt
+    late = np.abs(np.cumsum(t.flow) * t.dt - t.extruded)
+    off = np.maximum(np.abs(t.extruded - expected), late) / sample if sample else np.ones(len(t))
+    _check_most(checks, t, "material keeps pace", off, 1.0 + SPEED_TOLERANCE, "of what one sample lays down")
 
 
 def _volume(toolpath: Toolpath) -> float:

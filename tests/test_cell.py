@@ -86,7 +86,6 @@ def test_positioner_is_no_arm() -> None:
     assert error.field.removeprefix("--set ") == "cell.arm"
 
 
-@pytest.mark.xfail(reason="two free axes reach the strategies, which know one: IndexError; see the report")
 def test_two_free_axes_are_refused_while_no_strategy_can_use_them() -> None:
     error = error_of(["cell.positioner.free=[tilt, rotation]", "cell.positioner.held_deg={}"])
     assert error.field is not None

@@ -30,6 +30,7 @@ ROOMS = (
     "plan",
     "nearest",
     "motion",
+    "replay",
     "verify",
     "export",
     "report",
@@ -52,12 +53,12 @@ NARROW = {
     "export": {"errors", "plan"},
     "report": {"errors", "plan"},
 }
-FORBIDDEN = {"verify": {"resolve", "timing", "travel", "motion", "kinematics"}}
+FORBIDDEN = {name: {"resolve", "timing", "travel", "motion", "kinematics"} for name in ("replay", "verify")}
 # Modules that may import a heavy package; a room stands for all its modules.
 HEAVY = {
     "numba": {"kinematics", "toolpath.ordering", "resolve", "timing"},
     "ruckig": {"travel"},
-    "pinocchio": {"cell", "verify"},
+    "pinocchio": {"cell", "replay"},
     "svgelements": {"toolpath"},
     "matplotlib": {"report"},
     "plotly": {"report"},

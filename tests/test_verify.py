@@ -34,7 +34,12 @@ from planner.verify import Report, verify
 Array = NDArray[np.float64]
 
 CHECKS = {
+    "all numbers finite",
     "recorded poses",
+    "recorded branch",
+    "recorded times and beads",
+    "recorded speed",
+    "material keeps pace",
     "joint range",
     "joint velocity",
     "joint acceleration",
@@ -459,7 +464,7 @@ def silent(trajectory: Trajectory, at: NDArray[np.intp]) -> Trajectory:
 @pytest.mark.parametrize("bead", [0, 1, 2])
 def test_missing_bead(plan: Plan, bead: int) -> None:
     missing = silent(plan.trajectory, deposit_of(plan.trajectory, bead))
-    assert failed(plan, missing) == {"every bead complete", "extrusion balance"}
+    assert failed(plan, missing) == {"every bead complete", "extrusion balance", "material keeps pace"}
 
 
 @pytest.mark.parametrize("end", ["start", "end"])
@@ -469,7 +474,7 @@ def test_bead_that_is_cut_short(plan: Plan, end: str) -> None:
     flow = plan.trajectory.flow.copy()
     flow[at[10]] += flow[lost].sum()
     short = silent(replace(plan.trajectory, flow=flow), lost)
-    assert failed(plan, short) == {"every bead complete"}
+    assert failed(plan, short) == {"every bead complete", "material keeps pace"}
 
 
 def test_bead_that_is_interrupted(plan: Plan) -> None:
@@ -477,7 +482,7 @@ def test_bead_that_is_interrupted(plan: Plan) -> None:
     flow = plan.trajectory.flow.copy()
     flow[at[10]] += flow[at[50:55]].sum()
     found = report(plan, silent(replace(plan.trajectory, flow=flow), at[50:55]))
-    assert {check.name for check in found.checks if not check.ok} == {"every bead complete"}
+    assert {check.name for check in found.checks if not check.ok} == {"every bead complete", "material keeps pace"}
     assert where(found, "every bead complete") == "beads out of order, missing, or laid down twice"
 
 
@@ -494,14 +499,17 @@ def test_bead_laid_down_twice(plan: Plan) -> None:
     returning = first + len(there) + np.arange(len(back))
     halved = np.where(twice.bead == 1, 0.5, 1.0)
     twice = silent(replace(twice, flow=twice.flow * halved), returning)
-    assert failed(plan, twice) == {"every bead complete"}
+    assert failed(plan, twice) == {"every bead complete", "material keeps pace"}
 
 
 def test_beads_in_the_wrong_order(plan: Plan) -> None:
     first, second, third = plan.toolpath.beads
     bead = np.array([1, 0, 2, TRAVEL])[plan.trajectory.bead].astype(np.int32)
     other = replace(plan.toolpath, beads=(second, first, third))
-    assert failed(plan, replace(plan.trajectory, bead=bead), toolpath=other) == {"every bead complete"}
+    assert failed(plan, replace(plan.trajectory, bead=bead), toolpath=other) == {
+        "every bead complete",
+        "material keeps pace",
+    }
 
 
 def test_bead_laid_down_backwards(plan: Plan) -> None:
@@ -512,7 +520,7 @@ def test_bead_laid_down_backwards(plan: Plan) -> None:
     extruded = plan.trajectory.extruded[-1] - backwards.extruded
     backwards = replace(backwards, bead=bead, extruded=extruded)
     other = replace(plan.toolpath, beads=plan.toolpath.beads[::-1])
-    assert failed(plan, backwards, toolpath=other) == {"every bead complete"}
+    assert failed(plan, backwards, toolpath=other) == {"every bead complete", "material keeps pace"}
 
 
 def test_s_that_goes_back_for_one_sample(plan: Plan) -> None:
@@ -573,7 +581,11 @@ def test_wrist_flips_in_the_middle_of_a_bead(plan: Plan) -> None:
     found = report(plan, with_joints(plan, plan.trajectory, q))
     jump = {"continuity", "joint velocity", "joint acceleration"}
     names = {check.name for check in found.checks if not check.ok}
-    assert names - {"recorded poses"} == {"branch changes in deposition", *jump}  # the record keeps the old branch
+    assert names - {"recorded poses"} == {
+        "branch changes in deposition",
+        "recorded branch",
+        *jump,
+    }  # the record keeps the old branch
     assert found.metrics["branch_changes_in_deposition"] == 2.0
 
 
@@ -648,7 +660,12 @@ def test_material_sucked_back(plan: Plan) -> None:
 
 
 @pytest.mark.parametrize(
-    ("share", "expected"), [(0.9995, set()), (0.998, {"extrusion balance"}), (1.002, {"extrusion balance"})]
+    ("share", "expected"),
+    [
+        (0.9995, set()),
+        (0.998, {"extrusion balance", "material keeps pace"}),
+        (1.002, {"extrusion balance", "material keeps pace"}),
+    ],
 )
 def test_too_little_and_too_much_material(plan: Plan, share: float, expected: set[str]) -> None:
     t = plan.trajectory
@@ -662,7 +679,7 @@ def test_material_of_one_bead_given_to_another(plan: Plan) -> None:
     shift = 0.01 * flow[a].sum()
     flow[a] *= 0.99
     flow[b] *= 1.0 + shift / flow[b].sum()
-    assert failed(plan, replace(t, flow=flow)) == {"extrusion balance"}
+    assert failed(plan, replace(t, flow=flow)) == {"extrusion balance", "material keeps pace"}
 
 
 def test_material_that_does_not_follow_the_speed(plan: Plan) -> None:

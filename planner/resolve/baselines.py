@@ -70,6 +70,9 @@ def fixed(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tup
     best = totals.reshape(len(guides), grid.rolls, -1).min(axis=2)
     whole = best.sum(axis=0)
     if not np.isfinite(whole).any():
+        nowhere = ~np.isfinite(nodes.price).reshape(len(nodes.price), -1).any(axis=1)
+        if nowhere.any():
+            refuse_rung(cell, guides, demand, nodes, int(np.argmax(nowhere)), settings.min_sigma)
         i = int(np.argmin(np.isfinite(best).sum(axis=1)))
         name = guides[i].name
         raise Refusal(f"no constant roll serves the whole of path {name!r} with any table angle", bead=guides[i].bead)
@@ -104,5 +107,5 @@ def greedy(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tu
     demand, nodes = coarse_nodes(cell, tasks, settings)
     route, stuck = greedy_route(nodes, demand, cell.limits)
     if route is None:
-        refuse_rung(cell, tasks, demand, nodes, stuck)
+        refuse_rung(cell, tasks, demand, nodes, stuck, settings.min_sigma)
     return paths_of(cell, tasks, demand, nodes.grid, route)

@@ -33,14 +33,14 @@ def ladder(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tu
     demand, nodes = coarse_nodes(cell, guides, settings)
     route, stuck = best_route(nodes, demand, cell.limits)
     if route is None:
-        refuse_rung(cell, guides, demand, nodes, stuck)
+        refuse_rung(cell, guides, demand, nodes, stuck, settings.min_sigma)
     guide_of = {task.name: i for i, task in enumerate(guides)}
     all_demand = demand_of(tasks, settings.rung)
     grid = _corridor(tasks, all_demand, guides, demand, nodes.grid, route, guide_of)
     dense = evaluate(cell, all_demand, grid, settings.min_sigma)
     best, stuck = best_route(dense, all_demand, cell.limits)
     if best is None:
-        refuse_rung(cell, tasks, all_demand, dense, stuck)
+        refuse_rung(cell, tasks, all_demand, dense, stuck, settings.min_sigma)
     return paths_of(cell, tasks, all_demand, grid, best)
 
 

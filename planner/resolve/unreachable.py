@@ -11,15 +11,18 @@ import numpy as np
 from planner.cell import Cell
 from planner.resolve.demand import Demand
 from planner.resolve.jointpath import flange_poses, refuse_at
+from planner.resolve.node_kernel import LIMIT_ROOM
 from planner.resolve.nodes import Nodes
 from planner.resolve.search import best_route
 from planner.task import NozzleTask
 
-_UNHURRIED = 100.0  # times as long on the way: if this opens one, joint speed was the reason
+_UNHURRIED = 1e4  # times as long on the way: if this opens one, joint speed was the reason
 _TRIED = 72  # rolls and holder angles that the diagnosis looks at
 
 
-def refuse_rung(cell: Cell, tasks: Sequence[NozzleTask], demand: Demand, nodes: Nodes, rung: int) -> NoReturn:
+def refuse_rung(
+    cell: Cell, tasks: Sequence[NozzleTask], demand: Demand, nodes: Nodes, rung: int, min_sigma: float
+) -> NoReturn:
     """Raise the Refusal that says why no way leads to this rung: reach, limits, singularity, or joint speed."""
     k = int(np.searchsorted(demand.task_rungs, rung, side="right") - 1)
     task = tasks[k]
@@ -43,7 +46,15 @@ def refuse_rung(cell: Cell, tasks: Sequence[NozzleTask], demand: Demand, nodes: 
         reason = f"no posture within the joints' ranges; the nearest one leaves that of {joint}"
         refuse_at(task, i, f"{reason} by {np.degrees(worst[a, b]):.1f} deg")
     if not np.isfinite(nodes.price[rung]).any():
-        refuse_at(task, i, "every posture is closer to a singularity than resolve.min_sigma allows")
+        away = (np.minimum(q - cell.limits.q_min[:6], cell.limits.q_max[:6] - q) >= LIMIT_ROOM).all(axis=2) & ok
+        if not away.any():
+            near = f"every posture is within {np.degrees(LIMIT_ROOM):.0f} deg of the end of a joint's range"
+            refuse_at(task, i, near)
+        sigma = np.linalg.svd(cell.arm.jacobians(q[away]), compute_uv=False)[:, -1].max()
+        if sigma < min_sigma:
+            reason = f"every posture is too close to a singularity: sigma at most {sigma:.4f}"
+            refuse_at(task, i, f"{reason}, resolve.min_sigma is {min_sigma:g}")
+        refuse_at(task, i, "no posture on the search's grid, though there are some between its steps: search finer")
     unhurried, _ = best_route(nodes, replace(demand, time=_UNHURRIED * demand.time), cell.limits)
     if unhurried is not None:
         refuse_at(task, i, "no branch can follow the path up to here at the commanded speed: a joint would be too slow")

@@ -1,0 +1,105 @@
+"""What the joints of a trajectory really do: Pinocchio on q(t), from the robots' own URDF models."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from planner.cell import Cell, Robot
+from planner.plan import Trajectory
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The samples of a trajectory as its joints have them (n samples).
+
+    tip, axis (n, 3) and rotation (n, 3, 3) of the nozzle in the part frame; of the arm's Jacobian at the tip the
+    smallest singular value sigma (NaN in travel, where no limit stands on it) and the determinant; branch (n),
+    ABB's cfx
+    """
+
+    tip: Array
+    axis: Array
+    rotation: Array
+    sigma: Array
+    det: Array
+    branch: NDArray[np.int8]
+
+
+def replay(cell: Cell, trajectory: Trajectory) -> Motion:
+    """Forward kinematics and Jacobians of every sample."""
+    arm, na = cell.arm_robot, len(cell.arm)
+    q = np.ascontiguousarray(trajectory.q)
+    T_base_nozzle, J = _nozzle(arm, cell.T_flange_nozzle, q[:, :na])
+    T_world_nozzle = cell.T_world_base @ T_base_nozzle
+    T_world_part = _part(cell, q[:, na:])
+    R_part_world = np.swapaxes(T_world_part[:, :3, :3], 1, 2)
+    tip = np.einsum("nij,nj->ni", R_part_world, T_world_nozzle[:, :3, 3] - T_world_part[:, :3, 3])
+    rotation = R_part_world @ T_world_nozzle[:, :3, :3]
+    sigma = np.full(len(q), np.nan)
+    sigma[trajectory.deposit] = np.linalg.svd(J[trajectory.deposit], compute_uv=False)[:, -1]
+    det = np.linalg.det(J)
+    branch = _branch(arm, T_base_nozzle @ np.linalg.inv(cell.T_flange_nozzle), q[:, :na], det)
+    return Motion(tip, rotation[:, :, 2], rotation, sigma, det, branch)
+
+
+def _branch(arm: Robot, T_base_flange: Array, q: Array, det: Array) -> NDArray[np.int8]:
+    """ABB's cfx (n): 4 wrist centre behind axis 1, 2 behind the lower arm, 1 axis 5 negative.
+
+    The sign of the Jacobian's determinant changes with each of the three: the second one follows from the others.
+    """
+    model, data = arm.model, arm.model.createData()
+    flange = model.getFrameId(arm.tip)
+
+    def wrist_to_flange(posture: Array) -> tuple[float, float]:
+        J = pin.computeFrameJacobian(model, data, posture, flange, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+        pin.updateFramePlacement(model, data, flange)
+        return float(np.linalg.norm(data.oMf[flange].translation - data.oMi[5].translation)), float(np.linalg.det(J))
+
+    # forearm horizontal forwards, axis 5 bent: no bit is set here
+    length, reference = wrist_to_flange(np.array([0.0, 0.0, 0.0, 0.0, 0.5, 0.0]))
+    centre = T_base_flange[:, :3, 3] - length * T_base_flange[:, :3, 2]
+    shoulder = centre[:, 0] * np.cos(q[:, 0]) + centre[:, 1] * np.sin(q[:, 0]) < 0.0
+    wrist = np.sin(q[:, 4]) < 0.0
+    elbow = (det * reference < 0.0) ^ shoulder ^ wrist
+    return (4 * shoulder + 2 * elbow + wrist).astype(np.int8)
+
+
+def _nozzle(arm: Robot, T_flange_nozzle: Array, q: Array) -> tuple[Array, Array]:
+    """Nozzle poses in the arm's base (n, 4, 4) and Jacobians at the nozzle tip (n, 6, 6), world axes."""
+    model = arm.model.copy()
+    flange = model.frames[model.getFrameId(arm.tip)]
+    placement = flange.placement * pin.SE3(T_flange_nozzle)
+    nozzle = model.addFrame(pin.Frame("nozzle", flange.parentJoint, placement, pin.FrameType.OP_FRAME))
+    data = model.createData()
+    T = np.empty((len(q), 4, 4))
+    J = np.empty((len(q), 6, model.nv))
+    for i, row in enumerate(q):
+        J[i] = pin.computeFrameJacobian(model, data, row, nozzle, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+        pin.updateFramePlacement(model, data, nozzle)
+        T[i] = data.oMf[nozzle].homogeneous
+    return T, J
+
+
+def _part(cell: Cell, q_free: Array) -> Array:
+    """Part poses in the world (n, 4, 4), from the positioner's URDF model with its held axes at their angles."""
+    if cell.holder_robot is None:
+        return np.broadcast_to(cell.T_world_holder, (len(q_free), 4, 4))
+    robot = cell.holder_robot
+    model, data = robot.model, robot.model.createData()
+    tip = model.getFrameId(robot.tip)
+    names = list(model.names[1:])
+    q = np.array([cell.held.get(name, 0.0) for name in names])
+    free = [names.index(name) for name in cell.holder.names]
+    postures, which = np.unique(q_free, axis=0, return_inverse=True)  # a table often rests
+    T = np.empty((len(postures), 4, 4))
+    for i, row in enumerate(postures):
+        q[free] = row
+        pin.framesForwardKinematics(model, data, q)
+        T[i] = data.oMf[tip].homogeneous
+    return (cell.T_world_holder_base @ T)[which.ravel()]

@@ -1,0 +1,296 @@
+"""Timing: the fastest profile against toppra, linear programming and closed forms; limits by differences of samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import toppra
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
+from scipy.optimize import linprog
+from toppra import algorithm, constraint
+
+from planner.cell import Cell
+from planner.resolve.jointpath import JointPath, spread
+from planner.task import NozzleTask
+from planner.timing import HEADROOM, TimedPath, fastest_profile, time_path
+
+Array = NDArray[np.float64]
+DT = 0.004
+
+
+def path_of(q: Array, s: Array, speed: float) -> JointPath:
+    """Joints q (n, 7) along arc length s (n); where the tip is does not matter here."""
+    n = len(q)
+    task = NozzleTask(0, "path", 0, np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1)), s, 0, n - 1, speed)
+    return JointPath(task, np.zeros(n), q, 0)
+
+
+def ratios(timed: TimedPath, cell: Cell, dt: float) -> tuple[float, float]:
+    """Largest share of the velocity and acceleration limits, by central differences of the samples."""
+    q = np.vstack([timed.q[:1], timed.q[:1], timed.q, timed.q[-1:], timed.q[-1:]])  # at rest before and after
+    v, a = (q[2:] - q[:-2]) / (2 * dt), np.diff(q, 2, axis=0) / dt**2
+    return float(np.abs(v / cell.limits.velocity).max()), float(np.abs(a / cell.limits.acceleration).max())
+
+
+@st.composite
+def paths(draw: st.DrawFn) -> JointPath:
+    """Smooth joint paths as `spread` makes them: with rests (repeated values), reversals, and samples that draw
+    together to a fiftieth of their distance, as at a corner; from 0.1 mm to 0.3 m long."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    values = rng.normal(size=(draw(st.integers(2, 12)), 7)) * 10 ** draw(st.floats(-3, 0.3))
+    shape = draw(st.sampled_from(["plain", "rests", "there and back", "one joint"]))
+    if shape == "rests":
+        values = np.repeat(values, draw(st.integers(2, 8)), axis=0)
+    elif shape == "there and back":
+        values = np.vstack([values, values[::-1]])
+    elif shape == "one joint":
+        values[:, 1:] = values[0, 1:]
+    n = 8 * len(values) + draw(st.integers(8, 40))
+    length, speed = 10 ** draw(st.floats(-4, -0.5)), 10 ** draw(st.floats(-2.5, -0.5))
+    steps = np.ones(n - 1)
+    if draw(st.booleans()):
+        u = np.linspace(-1.0, 1.0, n - 1)
+        steps -= 0.98 * np.exp(-(((u - draw(st.floats(-0.5, 0.5))) / 0.3) ** 2))
+    s = np.concatenate([[0.0], np.cumsum(steps)])
+    return path_of(spread(values, n), s * length / s[-1], speed)
+
+
+@given(paths())
+@settings(max_examples=80)
+def test_limits_hold_at_the_samples(cell: Cell, path: JointPath) -> None:
+    velocity, acceleration = ratios(time_path(cell, path, DT), cell, DT)
+    assert velocity <= 1.0
+    assert acceleration <= 1.0
+
+
+@given(paths())
+@settings(max_examples=80)
+def test_from_rest_to_rest_forwards_and_never_too_fast(cell: Cell, path: JointPath) -> None:
+    timed = time_path(cell, path, DT)
+    assert timed.s_dot[0] == 0.0
+    assert timed.s_dot[-1] == pytest.approx(0.0, abs=1e-9)
+    assert (timed.s_dot >= -1e-9).all()
+    assert timed.s_dot.max() <= path.task.speed * (1.0 + 1e-3)
+    assert (np.diff(timed.s) >= -1e-12).all()
+    scale = 1e-9 * max(1.0, float(np.abs(path.q).max()))
+    np.testing.assert_allclose(timed.q[[0, -1]], path.q[[0, -1]], rtol=0, atol=scale)
+    np.testing.assert_allclose(timed.s[[0, -1]], path.task.s[[0, -1]], rtol=0, atol=1e-12)
+    # where it is between the samples
+    assert len(timed.edges) == len(timed.s) + 1
+    assert (timed.edges[:-1] <= timed.s + 1e-12).all()
+    assert (timed.s <= timed.edges[1:] + 1e-12).all()
+
+
+@given(paths())
+@settings(max_examples=25)
+def test_samples_lie_on_the_path_that_was_given(cell: Cell, path: JointPath) -> None:
+    timed = time_path(cell, path, DT)
+    u = np.arange(len(path.task), dtype=float)
+    both = make_interp_spline(u, np.column_stack([path.q, path.task.s]), k=5)
+    fine = both(np.linspace(0.0, u[-1], 4000))
+    for j in range(7):
+        expected = np.interp(timed.s, fine[:, -1], fine[:, j])
+        assert np.abs(timed.q[:, j] - expected).max() < 1e-4 * max(float(np.ptp(path.q[:, j])), 1e-6)
+
+
+def test_recorded_speed_is_the_rate_of_the_arc_length(timed: tuple[TimedPath, ...]) -> None:
+    for piece in timed:
+        middle = (piece.s[2:] - piece.s[:-2]) / (2 * DT)
+        assert np.abs(piece.s_dot[1:-1] - middle).max() < 0.1 * 0.04
+        assert np.median(np.abs(piece.s_dot[1:-1] - middle)) < 1e-5
+
+
+# --- closed forms -----------------------------------------------------------------------------------------------
+
+
+def test_straight_joint_motion_is_the_trapezoid(cell: Cell) -> None:
+    """One joint in proportion to the way: ramps at its acceleration, and the commanded speed between."""
+    length, speed, turn, n = 0.1, 0.04, 1.5, 400
+    s = np.linspace(0.0, length, n)
+    q = np.zeros((n, 7))
+    q[:, 2] = turn * s / length
+    timed = time_path(cell, path_of(q, s, speed), DT)
+    gain = HEADROOM * cell.limits.acceleration[2] * length / turn  # of the tip, m/s^2
+    duration = length / speed + speed / gain
+    assert (len(timed.s) - 1) * DT == pytest.approx(duration, abs=1.01 * DT)
+    t = np.arange(len(timed.s)) * DT
+    ramp = speed / gain
+    inside = t < duration
+    expected = np.minimum.reduce([gain * t, np.full(len(t), speed), gain * (duration - t)])
+    np.testing.assert_allclose(timed.s_dot[inside], expected[inside], rtol=0, atol=2e-3 * speed)
+    middle = (t > 1.1 * ramp) & (t < duration - 1.1 * ramp)
+    np.testing.assert_allclose(timed.s_dot[middle], speed, rtol=1e-9)
+
+
+def test_a_slow_joint_sets_the_speed(cell: Cell) -> None:
+    n, length, turn = 400, 0.05, 10.0
+    s = np.linspace(0.0, length, n)
+    q = np.zeros((n, 7))
+    q[:, 5] = turn * s / length
+    timed = time_path(cell, path_of(q, s, 0.2), DT)
+    fastest = HEADROOM * cell.limits.velocity[5] * length / turn
+    assert timed.s_dot.max() == pytest.approx(fastest, rel=1e-6)
+
+
+def test_a_dip_is_local(cell: Cell) -> None:
+    """A joint that swings in the middle of a long path costs speed there and nowhere else."""
+    n, length, speed = 1000, 0.2, 0.04
+    s = np.linspace(0.0, length, n)
+    q = np.zeros((n, 7))
+    q[:, 1] = 0.1 * np.exp(-(((s - 0.1) / 1.5e-3) ** 2))
+    timed = time_path(cell, path_of(q, s, speed), DT)
+    dip = timed.s_dot < 0.98 * speed
+    places = timed.s[dip & (timed.s > 0.02) & (timed.s < 0.18)]
+    assert len(places) > 0
+    assert places.min() > 0.09
+    assert places.max() < 0.11
+
+
+def test_joints_that_never_move_cost_no_time(cell: Cell) -> None:
+    n = 300
+    s = np.linspace(0.0, 0.1, n)
+    timed = time_path(cell, path_of(np.tile(cell.home, (n, 1)), s, 0.04), DT)
+    assert np.isfinite(timed.q).all()
+    assert (len(timed.s) - 1) * DT < 0.1 / 0.04 * 1.02
+
+
+# --- the profile itself -----------------------------------------------------------------------------------------
+
+
+def random_spline(rng: np.random.Generator, n: int, joints: int = 7) -> tuple[Array, Callable[..., Array]]:
+    """A smooth path through random points, over a parameter whose rate is about 1 when nothing limits."""
+    knots = np.linspace(0.0, 6.0, 9)
+    spline = make_interp_spline(knots, rng.normal(size=(9, joints)), k=5)
+    return np.linspace(0.0, 6.0, n), spline
+
+
+def duration(x: Array, step: float) -> float:
+    rate = np.sqrt(x)
+    return float((2.0 * step / (rate[1:] + rate[:-1])).sum())
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_fastest_profile_against_toppra(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    grid, spline = random_spline(rng, 801)
+    v, a = rng.uniform(0.6, 2.0, 7), rng.uniform(2.0, 6.0, 7)
+    with np.errstate(divide="ignore"):
+        ceiling = np.minimum((v / np.abs(spline(grid, 1))).min(axis=1), 1.0) ** 2
+    x = fastest_profile(spline(grid, 1), spline(grid, 2), ceiling, a, grid[1])
+
+    class Path(toppra.interpolator.AbstractGeometricPath):  # type: ignore[misc]
+        """The spline, and the parameter itself as a joint of its own: its speed limit is the commanded speed."""
+
+        def __call__(self, u: Array, order: int = 0) -> Array:
+            u = np.asarray(u)
+            own = (u, np.ones_like(u), np.zeros_like(u))[order]
+            return np.concatenate([spline(u, order), own[..., None]], axis=-1)
+
+        @property
+        def dof(self) -> int:
+            return 8
+
+        @property
+        def path_interval(self) -> Array:
+            return grid[[0, -1]]
+
+        @property
+        def waypoints(self) -> tuple[Array, Array]:
+            return grid, self(grid)
+
+    limits = [
+        constraint.JointVelocityConstraint(np.column_stack([-np.append(v, 1.0), np.append(v, 1.0)])),
+        constraint.JointAccelerationConstraint(
+            np.column_stack([-np.append(a, 1e6), np.append(a, 1e6)]),
+            discretization_scheme=constraint.DiscretizationType.Interpolation,
+        ),
+    ]
+    rates = algorithm.TOPPRA(limits, Path(), gridpoints=grid).compute_parameterization(0.0, 0.0)[1]
+    assert rates is not None
+    assert duration(x, grid[1]) == pytest.approx(duration(rates**2, grid[1]), rel=5e-3)
+    assert np.abs(x - rates**2).max() < 0.05
+
+
+def constraints(slopes: Array, bends: Array, a_max: Array, step: float) -> Array:
+    """Rows A with A x <= 1: each joint's acceleration at both ends of every interval, which is linear in x."""
+    n, joints = slopes.shape
+    rows = []
+    for i in range(n - 1):
+        for end in (i, i + 1):
+            for j in range(joints):
+                row = np.zeros(n)
+                row[i] -= slopes[end, j] / (2 * step)
+                row[i + 1] += slopes[end, j] / (2 * step)
+                row[end] += bends[end, j]
+                rows += [row / a_max[j], -row / a_max[j]]
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_fastest_profile_against_linear_programming(seed: int) -> None:
+    """On tiny grids: it holds every limit, and nowhere can any profile be faster by more than a little.
+
+    Where a joint turns back within one interval, no profile is the fastest everywhere at once; the forward pass is
+    greedy there, as in TOPP-RA itself, so that equality is asked of most points and nearness of the whole time.
+    """
+    rng = np.random.default_rng(100 + seed)
+    n = int(rng.integers(4, 9)) * 4 + 1
+    joints = int(rng.integers(1, 4))
+    u, spline = random_spline(rng, 400, joints)
+    grid = np.linspace(0.5, 0.5 + 0.05 * (n - 1), n)
+    slopes, bends = np.ascontiguousarray(spline(grid, 1)), np.ascontiguousarray(spline(grid, 2))
+    a_max, v_max = rng.uniform(0.5, 4.0, joints), rng.uniform(0.3, 2.0, joints)
+    ceiling = np.minimum((v_max / np.abs(slopes)).min(axis=1), rng.uniform(0.4, 1.5)) ** 2
+    step = float(grid[1] - grid[0])
+    x = fastest_profile(slopes, bends, ceiling, a_max, step)
+    assert x[0] == 0.0
+    assert x[-1] == 0.0
+    assert (x[1:-1] > 0.0).all()
+    assert (x <= ceiling * (1 + 1e-9)).all()
+    A = constraints(slopes, bends, a_max, step)
+    assert (A @ x).max() <= 1.0 + 1e-6
+    upper = ceiling.copy()
+    upper[[0, -1]] = 0.0
+    bounds = list(zip(np.zeros(n), upper, strict=True))
+    highest = np.zeros(n)
+    for k in range(1, n - 1):
+        best = linprog(-np.eye(n)[k], A_ub=A, b_ub=np.ones(len(A)), bounds=bounds)
+        assert best.success
+        highest[k] = -best.fun
+    assert (x <= highest + 1e-6).all()
+    assert np.mean(x > 0.999 * highest - 1e-9) > 0.6
+    assert duration(x, step) < 1.03 * duration(highest, step)
+
+
+# --- the shipped cell -------------------------------------------------------------------------------------------
+
+
+def test_real_paths_hold_limits_and_speed(
+    cell: Cell, timed: tuple[TimedPath, ...], joint_paths: dict[str, tuple[JointPath, ...]]
+) -> None:
+    for name, pieces in (
+        ("ladder", timed),
+        ("as_published", [time_path(cell, p, DT) for p in joint_paths["as_published"]]),
+    ):
+        for piece in pieces:
+            assert max(ratios(piece, cell, DT)) <= 1.0, name
+            assert piece.s_dot.max() <= 0.04 * (1 + 1e-6)
+
+
+def test_a_finer_sample_time_is_the_same_motion(cell: Cell, joint_paths: dict[str, tuple[JointPath, ...]]) -> None:
+    path = joint_paths["ladder"][0]
+    coarse, fine = time_path(cell, path, DT), time_path(cell, path, DT / 4)
+    m = min(len(coarse.q), (len(fine.q) + 3) // 4)
+    np.testing.assert_allclose(coarse.q[:m], fine.q[::4][:m], rtol=0, atol=1e-12)
+
+
+def test_ladder_prints_faster_than_as_published(
+    cell: Cell, timed: tuple[TimedPath, ...], joint_paths: dict[str, tuple[JointPath, ...]]
+) -> None:
+    published = sum(len(time_path(cell, p, DT).s) for p in joint_paths["as_published"])
+    assert sum(len(piece.s) for piece in timed) < published
