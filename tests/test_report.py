@@ -247,7 +247,9 @@ def test_durations(seconds: float, text: str) -> None:
 
 def test_worst_places_are_the_worst() -> None:
     plan = make_plan(20_000)
-    plan.trajectory.speed[np.flatnonzero(plan.trajectory.bead == 6)[30]] = 0.0021
+    speed = plan.trajectory.speed.copy()
+    speed[np.flatnonzero(plan.trajectory.bead == 6)[30]] = 0.0021
+    plan = dataclasses.replace(plan, trajectory=dataclasses.replace(plan.trajectory, speed=speed))
     slowest = worst_places(plan)[0]
     assert slowest.what == "Slowest" and slowest.value == "2.10 mm/s of 40 mm/s"
     assert plan.trajectory.bead[slowest.sample] == 6
