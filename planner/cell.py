@@ -120,7 +120,9 @@ def build_cell(problem: Problem) -> Cell:
         holder = _chain(holder_robot, T_world_holder_base, np.eye(4), spec.positioner.free, held)
 
     limits = _limits(problem, spec, arm_robot, arm, holder_robot, holder)
-    home = np.concatenate([np.asarray(spec.home), np.zeros(len(holder))])
+    na = len(arm)
+    rest = np.clip(np.zeros(len(holder)), limits.q_min[na:], limits.q_max[na:])
+    home = np.concatenate([np.asarray(spec.home), rest])
     outside = (home < limits.q_min) | (home > limits.q_max)
     if outside.any():
         j = int(np.argmax(outside))

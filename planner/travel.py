@@ -65,8 +65,8 @@ def _travel(
     dt: float,
 ) -> Travel:
     for factor, via in itertools.product(LIFTS, VIAS):
-        start = [_home_beside(cell, reach)] if leave is None else _lifted(cell, leave, -1, factor * lift)
-        end = [_home_beside(cell, leave)] if reach is None else _lifted(cell, reach, 0, factor * lift)[::-1]
+        start = [_home_beside(cell, reach, 0)] if leave is None else _lifted(cell, leave, -1, factor * lift)
+        end = [_home_beside(cell, leave, -1)] if reach is None else _lifted(cell, reach, 0, factor * lift)[::-1]
         if not start or not end:
             continue
         stops = [start[-1], *_via(cell, via, start[-1], end[0]), end[0]]
@@ -81,11 +81,11 @@ def _travel(
     )
 
 
-def _home_beside(cell: Cell, path: JointPath | None) -> Array:
-    """Home for the arm; the holder stays where the nearest bead has it."""
+def _home_beside(cell: Cell, path: JointPath | None, end: int) -> Array:
+    """Home for the arm; the holder stays where that end of the bead has it."""
     home = cell.home.copy()
     if path is not None and len(cell.holder):
-        home[len(cell.arm) :] = path.q[0, len(cell.arm) :]
+        home[len(cell.arm) :] = path.q[end, len(cell.arm) :]
     return home
 
 

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
-from numpy.typing import NDArray
 
 from planner.cell import Cell, build_cell
 from planner.problem import Problem, load_problem
@@ -44,12 +42,6 @@ DRAWING = """\
   <path id="wave" d="M20,26 C24,10 30,10 32,22 S38,28 39,14"/>
 </svg>
 """
-
-
-@pytest.fixture(scope="session")
-def rng_of() -> Callable[[int], np.random.Generator]:
-    """A random generator by its seed."""
-    return np.random.default_rng
 
 
 @pytest.fixture(scope="session")
@@ -117,8 +109,3 @@ def drawing(tmp_path: Path) -> Callable[..., Problem]:
         )
 
     return make
-
-
-def degrees_between(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Angles (n) between unit vectors (n, 3), exact for small ones [deg]."""
-    return np.degrees(2.0 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1)))

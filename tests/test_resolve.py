@@ -119,7 +119,6 @@ def test_rungs_cover_every_task(tasks: tuple[NozzleTask, ...], spacing: float) -
         offset += len(task)
 
 
-@pytest.mark.xfail(reason="rungs closer than samples fall on one sample, and the search divides by 0; see the report")
 def test_rungs_closer_than_samples_take_time(tasks: tuple[NozzleTask, ...]) -> None:
     demand = demand_of(tasks, 2e-5)
     for i in range(len(tasks)):
@@ -612,12 +611,7 @@ def refusal_of(strategy: str, *overrides: str, toolpath: Toolpath) -> Refusal:
     return caught.value
 
 
-FIXED = pytest.param(
-    "fixed", marks=pytest.mark.xfail(reason="fixed names the bead only, not place and distance; see the report")
-)
-
-
-@pytest.mark.parametrize("strategy", ["as_published", FIXED, "greedy", "ladder"])
+@pytest.mark.parametrize("strategy", STRATEGIES)
 def test_cylinder_out_of_reach_is_refused_with_place_and_distance(strategy: str, toolpath: Toolpath) -> None:
     near, far = (
         refusal_of(strategy, f"cell.positioner.origin_mm=[{x}, 9.87, 380]", toolpath=toolpath) for x in (1900, 2000)
@@ -654,7 +648,6 @@ def test_a_joint_range_that_no_posture_fits_is_named(toolpath: Toolpath) -> None
     assert "deg" in str(refusal)
 
 
-@pytest.mark.xfail(reason="the room kept from limits is not looked at when the reason is sought; see the report")
 def test_a_range_too_narrow_for_the_room_kept_from_limits_is_no_singularity(toolpath: Toolpath) -> None:
     refusal = refusal_of("ladder", "cell.limits={joint_2: {range_deg: [17, 22]}}", toolpath=toolpath)
     assert "singularity" not in str(refusal)
@@ -669,7 +662,6 @@ def test_a_table_too_slow_for_the_path_is_refused(toolpath: Toolpath) -> None:
         assert np.ptp(path.q[:, 6]) < 1e-9
 
 
-@pytest.mark.xfail(reason="the dense search cannot always follow its coarse guide; see the report")
 def test_ladder_finds_a_way_where_its_own_coarse_grid_has_one() -> None:
     """A table 900 mm away: the coarse route is feasible, joint limits and all."""
     problem = load_problem(

@@ -296,7 +296,6 @@ def test_seam_of_a_loop_without_corners_stays() -> None:
     np.testing.assert_array_equal(seam_on_smooth_part(PlanePath("circle", circle, True)).points, circle)
 
 
-@pytest.mark.xfail(reason="a seam that falls on a vertex leaves it twice; see the report")
 def test_seam_on_a_vertex_repeats_no_point() -> None:
     square = np.array([[0, 0], [8, 0], [16, 0], [16, 16], [0, 16], [0, 0]]) * MM
     moved = seam_on_smooth_part(PlanePath("square", square, True)).points
@@ -322,8 +321,8 @@ def test_drawing_wider_than_the_circumference(drawing: Callable[..., Problem]) -
     [
         31.1,
         30.7,
-        pytest.param(31.3, marks=pytest.mark.xfail(reason="the advice is rounded up; see the report")),
-        pytest.param(29.9, marks=pytest.mark.xfail(reason="the advice is rounded up; see the report")),
+        31.3,
+        29.9,
     ],
 )
 def test_drawing_higher_than_the_cylinder_and_the_width_that_would_fit(

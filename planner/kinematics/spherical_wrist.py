@@ -92,9 +92,9 @@ def solve_one(p: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> 
     ok[:] = False
     cx, cy, cz = t[0] - c4 * R[0, 2], t[1] - c4 * R[1, 2], t[2] - c4 * R[2, 2]
     rho2 = cx * cx + cy * cy - b * b
-    if rho2 < 0.0:
+    if rho2 < -_REACH_ROUNDING * (cx * cx + cy * cy):
         return
-    rho = np.sqrt(rho2)
+    rho = np.sqrt(max(rho2, 0.0))
     k = np.sqrt(a2 * a2 + c3 * c3)
     lead = np.arctan2(cy, cx)
     skew = np.arctan2(b, rho)

@@ -13,6 +13,9 @@ from planner.task import NozzleTask
 Array = NDArray[np.float64]
 
 
+SAMPLES_PER_RUNG = 8  # at least: what roll and holder do between rungs must be resolved by the samples
+
+
 @dataclass(frozen=True)
 class Demand:
     """All tasks' samples and rungs in one row, ready for compiled kernels (n samples, r rungs).
@@ -61,7 +64,7 @@ def demand_of(tasks: Sequence[NozzleTask], spacing: float) -> Demand:
         rates.append(np.gradient(twist, t, axis=0))
         weights.append(weight)
         n = len(task)
-        m = max(int(np.ceil((task.s[-1] - task.s[0]) / spacing)), 1) + 1
+        m = max(min(int(np.ceil((task.s[-1] - task.s[0]) / spacing)), (n - 1) // SAMPLES_PER_RUNG), 1) + 1
         at = np.round(np.linspace(0, n - 1, m)).astype(np.int64)
         edges = np.concatenate([[0], (at[1:] + at[:-1]) // 2, [n]])
         rungs.append(at + offset)

@@ -18,8 +18,9 @@ from planner.task import NozzleTask
 
 Array = NDArray[np.float64]
 
-REFINE = 3  # a dense step is a third of a coarse one
-CORRIDOR = 4  # dense steps that the second search may leave the guide, to each side
+# Of the second search: coarse steps are divided by the first number, and the guide may be left by the second one
+# of those to each side. A guide that turns by a coarse step a rung is too quick for dense steps: wider, then coarse.
+CORRIDORS = ((3, 4), (3, 12), (1, 1))
 
 
 def ladder(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[JointPath, ...]:
@@ -36,12 +37,13 @@ def ladder(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tu
         refuse_rung(cell, guides, demand, nodes, stuck, settings.min_sigma)
     guide_of = {task.name: i for i, task in enumerate(guides)}
     all_demand = demand_of(tasks, settings.rung)
-    grid = _corridor(tasks, all_demand, guides, demand, nodes.grid, route, guide_of)
-    dense = evaluate(cell, all_demand, grid, settings.min_sigma)
-    best, stuck = best_route(dense, all_demand, cell.limits)
-    if best is None:
-        refuse_rung(cell, tasks, all_demand, dense, stuck, settings.min_sigma)
-    return paths_of(cell, tasks, all_demand, grid, best)
+    for refine, corridor in CORRIDORS:
+        grid = _corridor(tasks, all_demand, guides, demand, nodes.grid, route, guide_of, refine, corridor)
+        dense = evaluate(cell, all_demand, grid, settings.min_sigma)
+        best, stuck = best_route(dense, all_demand, cell.limits)
+        if best is not None:
+            return paths_of(cell, tasks, all_demand, grid, best)
+    refuse_rung(cell, tasks, all_demand, dense, stuck, settings.min_sigma)
 
 
 def first_of_each_name(tasks: Sequence[NozzleTask]) -> list[NozzleTask]:
@@ -67,6 +69,8 @@ def _corridor(
     coarse: Grid,
     route: Route,
     guide_of: dict[str, int],
+    refine: int,
+    corridor: int,
 ) -> Grid:
     """A fine grid whose windows follow the guide route of the bead of the same name, either way round."""
     r = len(demand.rung)
@@ -82,17 +86,17 @@ def _corridor(
             along = along[::-1] if backwards else along
             k = own.stop - own.start
             dense = np.interp(np.linspace(0.0, 1.0, k), np.linspace(0.0, 1.0, len(along)), along)
-            target[own] = np.round(REFINE * dense).astype(np.int64) - CORRIDOR
+            target[own] = np.round(refine * dense).astype(np.int64) - corridor
         branch[own] = route.branch[theirs][0]
     if coarse.holders == 1:
         holder_from[:] = 0
     return Grid(
-        coarse.roll_step / REFINE,
-        coarse.holder_step / REFINE,
+        coarse.roll_step / refine,
+        coarse.holder_step / refine,
         roll_from,
         holder_from,
-        2 * CORRIDOR + 1,
-        1 if coarse.holders == 1 else 2 * CORRIDOR + 1,
+        2 * corridor + 1,
+        1 if coarse.holders == 1 else 2 * corridor + 1,
         False,
         branch,
     )

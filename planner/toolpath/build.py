@@ -65,9 +65,10 @@ def seam_on_smooth_part(path: PlanePath) -> PlanePath:
     seam = path.points[k - 1] + t * (path.points[k] - path.points[k - 1])
     around = np.vstack([seam[None], path.points[k:-1], path.points[:k], seam[None]])
     step = np.hypot(*np.diff(around, axis=0).T)
-    keep = np.concatenate([[True], step > 1e-12])
-    keep[-1] = True
-    return replace(path, points=around[keep])
+    keep = np.concatenate([[True], step > 1e-12])  # a seam on a vertex stands there twice
+    points = around[keep]
+    points[-1] = seam
+    return replace(path, points=points)
 
 
 def _check_size(problem: Problem, path: PlanePath, curve: PlaneCurve) -> None:
@@ -103,5 +104,5 @@ def _check_fit(problem: Problem, paths: tuple[PlanePath, ...], cylinder: Cylinde
             "layers.source.width_mm",
             f"the drawing, {height * 1e3:.1f} mm high at this width, is higher than the cylinder",
             f"the cylinder is {cylinder.height * 1e3:.1f} mm high: "
-            f"width_mm at most {width * 1e3 * cylinder.height / height:.1f}",
+            f"width_mm at most {np.floor(width * 1e4 * cylinder.height / height) / 10:.1f}",
         )
