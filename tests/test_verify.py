@@ -520,14 +520,18 @@ def test_bead_laid_down_backwards(plan: Plan) -> None:
     extruded = plan.trajectory.extruded[-1] - backwards.extruded
     backwards = replace(backwards, bead=bead, extruded=extruded)
     other = replace(plan.toolpath, beads=plan.toolpath.beads[::-1])
-    assert failed(plan, backwards, toolpath=other) == {"every bead complete", "material keeps pace"}
+    assert failed(plan, backwards, toolpath=other) == {"every bead complete", "material keeps pace", "recorded speed"}
 
 
 def test_s_that_goes_back_for_one_sample(plan: Plan) -> None:
     i = straight_stretch(plan, 1)[0]
     s = plan.trajectory.s.copy()
     s[[i, i + 1]] = s[[i + 1, i]]
-    assert failed(plan, replace(plan.trajectory, s=s)) == {"every bead complete", "tip on the path"}
+    assert failed(plan, replace(plan.trajectory, s=s)) == {
+        "every bead complete",
+        "tip on the path",
+        "speed in deposition",
+    }
 
 
 def test_deposit_without_a_bead(plan: Plan) -> None:

@@ -22,6 +22,7 @@ Indices = NDArray[np.intp]
 
 LEVER = 0.05  # [m/rad]: turning counts as path where the tip stands still
 WINDOW = 64  # samples to either side within which a target's own sample is sought
+ASTRAY = 2e-4  # m, between a target and its sample: beyond, the whole piece is searched
 
 
 @dataclass(frozen=True)
@@ -245,15 +246,23 @@ def _own_samples(position: Array, quat: Array, tip: Array, sample_quat: Array) -
 
     planned, written = way(tip, sample_quat), way(position, quat)
     guess = written * (planned[-1] / written[-1]) if written[-1] > 0.0 else written
+
+    def nearest(i: Indices, near: Indices) -> tuple[Indices, Array]:
+        gap = tip[near] - position[i, None]
+        cost = np.sqrt(np.einsum("ijk,ijk->ij", gap, gap))
+        same = np.minimum(np.abs(np.einsum("ijk,ik->ij", sample_quat[near], quat[i])), 1.0)
+        cost += LEVER * np.sqrt(8.0 * (1.0 - same))  # the angle, to third order
+        # the last term only decides where the path meets itself
+        best = np.argmin(cost + 1e-3 * np.abs(planned[near] - guess[i, None]), axis=1)
+        row = np.arange(len(i))
+        return near[row, best], cost[row, best]
+
+    every = np.arange(len(position))
     centre = np.searchsorted(planned, guess)
-    near = np.clip(centre[:, None] + np.arange(-WINDOW, WINDOW + 1), 0, len(tip) - 1)
-    gap = tip[near] - position[:, None]
-    cost = np.sqrt(np.einsum("ijk,ijk->ij", gap, gap))
-    same = np.minimum(np.abs(np.einsum("ijk,ik->ij", sample_quat[near], quat)), 1.0)
-    turned = np.sqrt(8.0 * (1.0 - same))  # the angle, to third order
-    # the last term only decides where the path meets itself
-    cost += LEVER * turned + 1e-3 * np.abs(planned[near] - guess[:, None])
-    at = np.maximum.accumulate(near[np.arange(len(near)), np.argmin(cost, axis=1)])
+    at, cost = nearest(every, np.clip(centre[:, None] + np.arange(-WINDOW, WINDOW + 1), 0, len(tip) - 1))
+    for i in every[cost > ASTRAY]:  # joint moves cut wide turns short, and the guess is then far off
+        at[i] = nearest(np.array([i]), np.arange(len(tip))[None])[0][0]
+    at = np.maximum.accumulate(at)
     at[0], at[-1] = 0, len(tip) - 1
     return at
 
