@@ -125,8 +125,8 @@ def test_defaults(in_tmp: Path) -> None:
     assert process.run_in == pytest.approx(0.003)
     assert process.lift == pytest.approx(0.005)
     assert process.filament_diameter == pytest.approx(0.00175)
-    assert problem.resolve.roll_step == pytest.approx(math.pi / 18)
-    assert problem.resolve.table_step == pytest.approx(math.pi / 24)
+    assert problem.resolve.roll_step == pytest.approx(math.pi / 12)
+    assert problem.resolve.table_step == pytest.approx(math.pi / 12)
     assert problem.resolve.rung == pytest.approx(0.005)
     assert problem.resolve.min_sigma == 0.05
     program = problem.program
