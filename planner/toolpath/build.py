@@ -37,6 +37,7 @@ def build_toolpath(problem: Problem) -> Toolpath:
     curves = []
     for path in paths:
         path = replace(path, points=path.points * stretch)
+        _check_length(problem, path)
         curve = round_corners(seam_on_smooth_part(path) if path.closed else path, process.corner_tolerance)
         _check_size(problem, path, curve)
         curves.append(replace(curve, points=curve.points / stretch, source=curve.source / stretch))
@@ -71,16 +72,24 @@ def seam_on_smooth_part(path: PlanePath) -> PlanePath:
     return replace(path, points=points)
 
 
-def _check_size(problem: Problem, path: PlanePath, curve: PlaneCurve) -> None:
-    """A path must be a line, and must not vanish in the corner tolerance."""
-    drawn, rounded = (float(np.hypot(*np.diff(points, axis=0).T).sum()) for points in (path.points, curve.points))
-    width = problem.process.bead.width
+def _length(points: Array) -> float:
+    return float(np.hypot(*np.diff(points, axis=0).T).sum())
+
+
+def _check_length(problem: Problem, path: PlanePath) -> None:
+    """A path must be a line: at least as long as its bead is wide."""
+    drawn, width = _length(path.points), problem.process.bead.width
     if drawn < width:
         raise problem.error(
             "layers.source.width_mm",
             f"path {path.name!r} is only {drawn * 1e3:.3f} mm long at this width",
             f"at least as long as the bead is wide, {width * 1e3:g} mm",
         )
+
+
+def _check_size(problem: Problem, path: PlanePath, curve: PlaneCurve) -> None:
+    """A path must not vanish in the corner tolerance."""
+    drawn, rounded = _length(path.points), _length(curve.points)
     if rounded < _SHRUNK * drawn:
         raise problem.error(
             "process.corner_tolerance_mm",

@@ -27,7 +27,8 @@ ROUNDING_LENGTH = 12.5  # l in tolerances: long enough that a right angle uses i
 OVERLAP = 16.0  # in l: how far a closed path is unrolled past its seam; the ends' influence is e^-8 there
 _BARRIERS = (1e4, 1e3, 1e2, 1e1)  # against an objective of some 6,000 a sample at a corner
 _NEWTON_STEPS = 20
-_SHRINK = 0.98  # of the tolerance: leaves room for the corners of the input that fall between samples
+_KEPT_ROOM = 0.01  # of the squared distance to a disc's rim that a step must leave: numbers stay finite
+_SHRINK = 0.96  # of the tolerance: leaves room for the corners of the input that fall between samples
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ def round_corners(path: PlanePath, tolerance: float) -> PlaneCurve:
         extra = int(np.ceil(OVERLAP * length / step))
         u = np.arange(-extra, n + extra + 1) * step
         p = _along(path.points, arc, np.mod(u, arc[-1]))
-        radius = _disc_radii(path, arc, u, step, tolerance)
+        radius = _disc_radii(path, arc, u, p, tolerance)
         x = _smooth(p, radius, length / step)[extra : extra + n + 1]
         gap = x[0] - x[-1]  # some nanometres: spread it, so that the curve closes exactly
         x = x + np.linspace(-0.5, 0.5, n + 1)[:, None] * gap
@@ -65,7 +66,7 @@ def round_corners(path: PlanePath, tolerance: float) -> PlaneCurve:
     else:
         u = np.arange(n + 1) * step
         p = _along(path.points, arc, u)
-        x = _smooth(p, _disc_radii(path, arc, u, step, tolerance), length / step)
+        x = _smooth(p, _disc_radii(path, arc, u, p, tolerance), length / step)
     return PlaneCurve(path.name, x, path.points, path.closed)
 
 
@@ -73,27 +74,26 @@ def _along(points: Array, arc: Array, u: Array) -> Array:
     return np.column_stack([np.interp(u, arc, points[:, k]) for k in range(2)])
 
 
-def _disc_radii(path: PlanePath, arc: Array, u: Array, step: float, tolerance: float) -> Array:
-    """Radius (n) of each sample's disc [m]: smaller beside a corner that falls between samples.
+def _disc_radii(path: PlanePath, arc: Array, u: Array, p: Array, tolerance: float) -> Array:
+    """Radius (n) of each sample's disc [m]: smaller beside corners that fall between samples.
 
-    The corner itself then stays within tolerance of the curve: of sample i it is at most |x_i - p_i| + d away,
-    with d from sample to corner, of which a turn by alpha adds sin(alpha / 2).
+    A corner at a distance h from the chord of its two samples p is within radius + h of the curve.
     """
     radius = np.full(len(u), tolerance * _SHRINK)
-    d = np.diff(path.points, axis=0)
-    heading = np.arctan2(d[:, 1], d[:, 0])
+    corner = path.points[:-1] if path.closed else path.points[1:-1]
+    at = arc[:-1] if path.closed else arc[1:-1]
     if path.closed:
-        corner, turn = arc[:-1], heading - np.roll(heading, 1)
-    else:
-        corner, turn = arc[1:-1], np.diff(heading)
-    share = np.minimum(1.2 * np.abs(np.sin(0.5 * turn)), 1.0)
-    loops = np.arange(np.floor(u[0] / arc[-1]), np.ceil(u[-1] / arc[-1]) + 1) if path.closed else np.zeros(1)
-    at = (corner[None, :] + loops[:, None] * arc[-1]).ravel()
-    lost = np.tile(share, len(loops))
-    near = np.round((at - u[0]) / step).astype(int)
-    inside = (near >= 0) & (near < len(u))
-    near, at, lost = near[inside], at[inside], lost[inside]
-    np.minimum.at(radius, near, tolerance * _SHRINK - np.abs(u[near] - at) * lost)
+        loops = np.arange(np.floor(u[0] / arc[-1]), np.ceil(u[-1] / arc[-1]) + 1)
+        at = (at[None, :] + loops[:, None] * arc[-1]).ravel()
+        corner = np.tile(corner, (len(loops), 1))
+    k = np.floor((at - u[0]) / (u[1] - u[0])).astype(int)
+    inside = (k >= 0) & (k < len(u) - 1)
+    k, corner = k[inside], corner[inside]
+    chord = p[k + 1] - p[k]
+    t = ((corner - p[k]) * chord).sum(axis=1) / np.maximum((chord * chord).sum(axis=1), 1e-30)
+    h = np.linalg.norm(corner - p[k] - np.clip(t, 0.0, 1.0)[:, None] * chord, axis=1)
+    for beside in (k, k + 1):
+        np.minimum.at(radius, beside, tolerance * _SHRINK - h)
     return radius
 
 
@@ -140,10 +140,11 @@ def _line_search(
     def value(Y: Array) -> float:
         e = Y - P
         e2 = (e * e).sum(axis=1)
-        if np.any(e2 >= r2):
+        if np.any(r2 - e2 < _KEPT_ROOM * room):
             return np.inf
         return float(0.5 * (Y * _apply(third, Y)).sum() + 0.5 * held @ e2 - barrier * np.log(r2 - e2).sum())
 
+    room = r2 - ((X - P) ** 2).sum(axis=1)
     start, scale = value(X), 1.0
     while scale > 1e-6 and value(X + scale * step) > start - 0.1 * scale * decrement:
         scale *= 0.5
