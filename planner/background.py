@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import multiprocessing
-import signal
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import Any
+
+from planner.interrupts import ignored_interrupts
 
 
 @contextmanager
@@ -21,7 +21,7 @@ def in_background(function: Callable[..., Any], *arguments: Any) -> Iterator[Cal
     context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
     child = context.Process(target=_send_result, args=(sender, function, arguments), daemon=True)
-    with _ignored_interrupt():  # inherited by the child from its first instant on
+    with ignored_interrupts():
         child.start()
     sender.close()
 
@@ -38,18 +38,6 @@ def in_background(function: Callable[..., Any], *arguments: Any) -> Iterator[Cal
         child.terminate()
         child.join()
         receiver.close()
-
-
-@contextmanager
-def _ignored_interrupt() -> Iterator[None]:
-    if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread may set signal handlers, and only it gets Ctrl-C
-        return
-    previous = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, previous)
 
 
 def _send_result(sender: Connection, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:

@@ -5,14 +5,13 @@ from __future__ import annotations
 import itertools
 import os
 import shutil
-import signal
 import tempfile
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from planner.errors import OutputError
+from planner.interrupts import ignored_interrupts
 
 RESULTS = ("plan.json", "trajectory.csv", "extrusion.gcode", "report.html")
 MARK = "! beadwise"  # stands in the header of the robot programs that are ours, and of no one else's
@@ -37,7 +36,7 @@ def results_folder(target: Path) -> Iterator[Path]:
         taken = [target / new.name for new in fresh.iterdir() if (target / new.name).is_dir()]
         if taken:
             raise OutputError(f"cannot write {taken[0]}: a folder of that name is in the way")
-        with _uninterrupted():
+        with ignored_interrupts():  # the work is done by now, and files change places in a moment
             for old in earlier:
                 old.unlink()
             for new in sorted(fresh.iterdir()):
@@ -61,16 +60,3 @@ def _earlier_results(target: Path) -> list[Path]:
             found.append(program)
             found += [pgf for pgf in [program.with_suffix(".pgf")] if pgf.is_file()]
     return found
-
-
-@contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """Hold Ctrl-C back for the moment in which files change places: the work is done then, and stays done."""
-    if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread gets Ctrl-C
-        return
-    previous = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, previous)
