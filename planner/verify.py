@@ -22,7 +22,7 @@ from planner.toolpath.bead import Toolpath
 
 Array = NDArray[np.float64]
 
-POSITION_TOLERANCE = 2e-5  # m, tip against the rounded path: a tenth of what an IRB 140 repeats
+POSITION_TOLERANCE = 2e-5  # m, tip against the rounded path: no more than interpolation between waypoints may add
 AXIS_TOLERANCE = np.radians(0.05)  # rad, nozzle axis against the true normal
 SPEED_TOLERANCE = 0.02  # of the commanded speed: within it a sample counts as at speed
 EXTRUSION_TOLERANCE = 1e-3  # of the volume
