@@ -39,7 +39,7 @@ from planner.problem_mistakes import first_mistake
 
 __all__ = ["STRATEGY_NAMES", "CellSpec", "Problem", "find_problem", "load_problem", "shipped_problems"]
 
-StrategyName = Literal["as_published", "fixed", "greedy", "ladder"]
+StrategyName = Literal["as_published", "fixed", "greedy", "ladder", "sqp"]
 STRATEGY_NAMES: tuple[str, ...] = get_args(StrategyName)
 
 Vector = tuple[float, float, float]
@@ -209,6 +209,9 @@ class ResolveSpec(Section):
     rung: Annotated[float, Quantity("mm", 0.5, 100)] = _key(
         "rung_mm", "distance along a bead at which postures are searched [mm]; interpolated between", 5
     )
+    knot: Annotated[float, Quantity("mm", 0.5, 100)] = _key(
+        "knot_mm", "distance along a bead between control values of the refined free angles [mm]", 2.5
+    )
     min_sigma: Annotated[float, Quantity("", 0, 1)] = _key(
         "min_sigma", "least singular value of the arm's Jacobian (metres); below it joints race", 0.05
     )
@@ -243,7 +246,7 @@ class Problem(Section):
     layers: LayersSpec = _key("layers", "what is printed on it")
     process: ProcessSpec = _key("process", "how material is laid down")
     strategy: Annotated[StrategyName, one_of(STRATEGY_NAMES)] = _key(
-        "strategy", f"how the free motion is decided: {', '.join(STRATEGY_NAMES)}", "ladder"
+        "strategy", f"how the free motion is decided: {', '.join(STRATEGY_NAMES)}", "sqp"
     )
     resolve: ResolveSpec = _key("resolve", "settings of the search; each has a default", {})
     program: ProgramSpec = _key("program", "names in the robot program; each has a default", {})

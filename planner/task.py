@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,23 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class Cones:
+    """Half angles [rad] that bound the nozzle's and the layer's directions; pi where there is no bound.
+
+    tilt            between nozzle axis and surface normal; 0: the axis stands on the surface exactly
+    nozzle_gravity  between nozzle axis and gravity
+    layer_gravity   between surface normal and the vertical
+    """
+
+    tilt: float = 0.0
+    nozzle_gravity: float = math.pi
+    layer_gravity: float = math.pi
+
+
+FREE = Cones()
+
+
+@dataclass(frozen=True)
 class NozzleTask(ReadOnlyArrays):
     """The nozzle's path along one bead with its runs, sampled uniformly in the path parameter (n samples).
 
@@ -24,7 +42,10 @@ class NozzleTask(ReadOnlyArrays):
     first, last          samples between which material is deposited
     speed                commanded [m/s]
 
-    Fixed are tip and axis; free are roll about the axis (periodic) and the holder's joints.
+    cones                what the nozzle's axis may do
+
+    Fixed is the tip, and the axis up to its cones; free are roll about the axis (periodic), tilt within the cone,
+    and the holder's joints.
     """
 
     bead: int
@@ -36,17 +57,18 @@ class NozzleTask(ReadOnlyArrays):
     first: int
     last: int
     speed: float
+    cones: Cones = FREE
 
     def __len__(self) -> int:
         return len(self.s)
 
 
-def make_tasks(toolpath: Toolpath, speed: float, run_length: float) -> tuple[NozzleTask, ...]:
+def make_tasks(toolpath: Toolpath, speed: float, run_length: float, cones: Cones = FREE) -> tuple[NozzleTask, ...]:
     """One task a bead, in print order; speed [m/s], length of run-in and run-out [m]."""
     tasks = []
     for i, bead in enumerate(toolpath.beads):
         run = with_runs(bead, run_length)
         z = -run.normals
         frames = np.stack([run.roll_zero, np.cross(z, run.roll_zero), z], axis=-1)
-        tasks.append(NozzleTask(i, bead.name, bead.layer, run.points, frames, run.s, run.first, run.last, speed))
+        tasks.append(NozzleTask(i, bead.name, bead.layer, run.points, frames, run.s, run.first, run.last, speed, cones))
     return tuple(tasks)

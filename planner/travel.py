@@ -111,7 +111,7 @@ def _lifted(cell: Cell, path: JointPath, end: int, lift: float) -> list[Array]:
         task.bead, task.name, task.layer, (task.tip[end] - lift * task.frames[end, :, 2])[None],
         task.frames[end][None], np.zeros(1), 0, 0, task.speed,
     )  # fmt: skip
-    solutions, ok = cell.wrist.solve(flange_poses(cell, one, path.roll[[end]], q[None, na:]))
+    solutions, ok = cell.wrist.solve(flange_poses(cell, one, path.roll[[end]], path.tilt[[end]], q[None, na:]))
     if not ok[0, path.branch]:
         return []
     arm = solutions[0, path.branch]

@@ -549,7 +549,7 @@ def made_up_paths(cell: Cell, rng: np.random.Generator, beads: int) -> list[Join
         q = np.linspace(start, end, len(task))
         q[:, 5] += rng.uniform(-2.5, 2.5) + TURN * rng.integers(-3, 4)
         q[:, 6] += rng.uniform(-9, 9)
-        paths.append(JointPath(replace(task, bead=i), np.zeros(len(task)), q, 0))
+        paths.append(JointPath(replace(task, bead=i), np.zeros(len(task)), np.zeros((len(task), 2)), q, 0))
     return paths
 
 

@@ -27,7 +27,7 @@ def path_of(q: Array, s: Array, speed: float) -> JointPath:
     """Joints q (n, 7) along arc length s (n); where the tip is does not matter here."""
     n = len(q)
     task = NozzleTask(0, "path", 0, np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1)), s, 0, n - 1, speed)
-    return JointPath(task, np.zeros(n), q, 0)
+    return JointPath(task, np.zeros(n), np.zeros((n, 2)), q, 0)
 
 
 def ratios(timed: TimedPath, cell: Cell, dt: float) -> tuple[float, float]:

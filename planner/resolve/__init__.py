@@ -9,6 +9,7 @@ from planner.problem import ResolveSpec
 from planner.resolve.baselines import as_published, fixed, greedy
 from planner.resolve.jointpath import JointPath
 from planner.resolve.ladder import ladder
+from planner.resolve.sqp import sqp
 from planner.task import NozzleTask
 
 Strategy = Callable[[Cell, Sequence[NozzleTask], ResolveSpec], tuple[JointPath, ...]]
@@ -18,4 +19,5 @@ STRATEGIES: dict[str, Strategy] = {
     "fixed": fixed,
     "greedy": greedy,
     "ladder": ladder,
+    "sqp": sqp,
 }

@@ -11,7 +11,7 @@ from planner.cell import Cell, Limits, rigid_inverse
 from planner.errors import Refusal
 from planner.problem import ResolveSpec
 from planner.resolve.demand import Demand
-from planner.resolve.jointpath import JointPath, choose_turns, postures
+from planner.resolve.jointpath import JointPath, choose_turns, postures, upright
 from planner.resolve.ladder import coarse_nodes, first_of_each_name, paths_of
 from planner.resolve.nodes import Nodes
 from planner.resolve.search import greedy_route
@@ -40,7 +40,7 @@ def as_published(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec)
         M = np.einsum("ji,njk->nik", R_home, R_world_task)
         roll = np.unwrap(np.arctan2(M[:, 1, 0] - M[:, 0, 1], M[:, 0, 0] + M[:, 1, 1]))
         roll = -roll
-        paths.append(JointPath(task, roll, postures(cell, task, roll, holder, branch), branch))
+        paths.append(JointPath(task, roll, upright(task), postures(cell, task, roll, holder, branch), branch))
     return choose_turns(cell, paths)
 
 
@@ -87,7 +87,7 @@ def fixed(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tup
         n = len(task)
         rolls = np.full(n, roll * grid.roll_step)
         holders = np.full((n, len(cell.holder)), holder * grid.holder_step)
-        paths.append(JointPath(task, rolls, postures(cell, task, rolls, holders, branch), branch))
+        paths.append(JointPath(task, rolls, upright(task), postures(cell, task, rolls, holders, branch), branch))
     return choose_turns(cell, paths)
 
 

@@ -9,6 +9,7 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
+from scipy.spatial.transform import Rotation
 
 from planner.cell import Cell, rigid_inverse
 from planner.errors import Refusal
@@ -21,10 +22,14 @@ _MARGIN = 1e-6  # rad kept from a joint's limit, so that rounding cannot cross i
 
 @dataclass(frozen=True)
 class JointPath:
-    """Joints q (n, nj) at the task's samples, arm then holder, continuous in whole turns; one branch all along."""
+    """Joints q (n, nj) at the task's samples, arm then holder, continuous in whole turns; one branch all along.
+
+    roll (n) about the nozzle axis; tilt (n, 2) rotation vector of the axis in the task's frames [rad]
+    """
 
     task: NozzleTask
     roll: Array
+    tilt: Array
     q: Array
     branch: int
 
@@ -43,13 +48,18 @@ def spread(values: Array, n: int) -> Array:
     return np.asarray(BSpline(knots, values, degree)(np.linspace(0.0, 1.0, n)))
 
 
+def upright(task: NozzleTask) -> Array:
+    """No tilt (n, 2): the nozzle axis stands on the surface."""
+    return np.zeros((len(task), 2))
+
+
 def postures(cell: Cell, task: NozzleTask, roll: Array, holder: Array, branch: int) -> Array:
-    """Joints (n, nj) that hold the task exactly, for roll (n) and holder joints (n, nh) on one branch.
+    """Joints (n, nj) that hold the task exactly, for roll (n) and holder joints (n, nh) on one branch, without tilt.
 
     Joints are continuous along the path; whole turns are chosen later, by `choose_turns`.
     Raises Refusal, with the place, where a pose is out of reach or outside a joint's range.
     """
-    T_base_flange = flange_poses(cell, task, roll, holder)
+    T_base_flange = flange_poses(cell, task, roll, upright(task), holder)
     q_all, ok_all = cell.wrist.solve(T_base_flange)
     q, ok = q_all[:, branch], ok_all[:, branch]
     if not ok.all():
@@ -65,14 +75,17 @@ def postures(cell: Cell, task: NozzleTask, roll: Array, holder: Array, branch: i
     return np.hstack([q, holder])
 
 
-def flange_poses(cell: Cell, task: NozzleTask, roll: Array, holder: Array) -> Array:
-    """Flange poses in the arm's base frame (n, 4, 4) that the task asks for."""
+def flange_poses(cell: Cell, task: NozzleTask, roll: Array, tilt: Array, holder: Array) -> Array:
+    """Flange poses in the arm's base frame (n, 4, 4) that the task asks for: frames Exp(tilt) Rz(roll)."""
     c, s = np.cos(roll), np.sin(roll)
     T_part_nozzle = np.zeros((len(task), 4, 4))
-    x, y = task.frames[:, :, 0], task.frames[:, :, 1]
+    turned = task.frames
+    if tilt.any():
+        turned = turned @ Rotation.from_rotvec(np.column_stack([tilt, np.zeros(len(tilt))])).as_matrix()
+    x, y = turned[:, :, 0], turned[:, :, 1]
     T_part_nozzle[:, :3, 0] = c[:, None] * x + s[:, None] * y
     T_part_nozzle[:, :3, 1] = -s[:, None] * x + c[:, None] * y
-    T_part_nozzle[:, :3, 2] = task.frames[:, :, 2]
+    T_part_nozzle[:, :3, 2] = turned[:, :, 2]
     T_part_nozzle[:, :3, 3] = task.tip
     T_part_nozzle[:, 3, 3] = 1.0
     T_world_part = cell.holder.poses(holder)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from planner.cell import Cell
 from planner.problem import ResolveSpec
 from planner.resolve.demand import Demand, demand_of
-from planner.resolve.jointpath import JointPath, choose_turns, postures, spread
+from planner.resolve.jointpath import JointPath, choose_turns, postures, spread, upright
 from planner.resolve.nodes import Grid, Nodes, evaluate, full_grid
 from planner.resolve.search import Route, best_route
 from planner.resolve.unreachable import refuse_rung
@@ -79,7 +79,7 @@ def _corridor(
     for i, task in enumerate(tasks):
         g = guide_of[task.name]
         own, theirs = demand.rungs_of(i), guide_demand.rungs_of(g)
-        backwards = _runs_backwards(task, guides[g])
+        backwards = runs_backwards(task, guides[g])
         for target, index in ((roll_from, route.roll), (holder_from, route.holder)):
             period = coarse.rolls if index is route.roll else coarse.holders
             along = np.unwrap(index[theirs].astype(float), period=period)
@@ -102,7 +102,7 @@ def _corridor(
     )
 
 
-def _runs_backwards(task: NozzleTask, guide: NozzleTask) -> bool:
+def runs_backwards(task: NozzleTask, guide: NozzleTask) -> bool:
     """Whether a task runs its guide's bead the other way (for a loop: turns the other way)."""
     here, there = task.tip[task.first : task.last], guide.tip[guide.first : guide.last]
     n = 64
@@ -129,5 +129,5 @@ def paths_of(
         roll = spread(values[0], n)
         holder = spread(values[1], n)[:, None] if len(cell.holder) else np.zeros((n, 0))
         branch = int(route.branch[rungs][0])
-        paths.append(JointPath(task, roll, postures(cell, task, roll, holder, branch), branch))
+        paths.append(JointPath(task, roll, upright(task), postures(cell, task, roll, holder, branch), branch))
     return choose_turns(cell, paths)

@@ -10,7 +10,7 @@ import numpy as np
 
 from planner.cell import Cell
 from planner.resolve.demand import Demand
-from planner.resolve.jointpath import flange_poses, refuse_at
+from planner.resolve.jointpath import flange_poses, refuse_at, upright
 from planner.resolve.node_kernel import LIMIT_ROOM
 from planner.resolve.nodes import Nodes
 from planner.resolve.search import best_route
@@ -30,7 +30,7 @@ def refuse_rung(
     angles = np.linspace(0.0, 2.0 * np.pi, _TRIED, endpoint=False)
     roll, holder = (x.ravel() for x in np.meshgrid(angles, angles if len(cell.holder) else angles[:1], indexing="ij"))
     spot = _repeat(task, i, len(roll))
-    T = flange_poses(cell, spot, roll, holder[:, None] if len(cell.holder) else np.zeros((len(roll), 0)))
+    T = flange_poses(cell, spot, roll, upright(spot), holder[:, None] if len(cell.holder) else np.zeros((len(roll), 0)))
     q, ok = cell.wrist.solve(T)
     if not ok.any():
         refuse_at(task, i, "out of the arm's reach", float(cell.wrist.out_of_reach(T).min()))

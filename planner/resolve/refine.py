@@ -1,0 +1,254 @@
+"""Refinement of a path's free variables: sequential quadratic programs over B-splines.
+
+The free variables z (roll, tilt, holder joints, given arm joints) are splines, so a few control values decide over
+many samples; the arm's joints follow from the task exactly. Around a path the rates of all joints are linear in the
+control values (derivatives of the inverse kinematics), the price is convex piecewise quadratic, and its minimum in a
+trust region is one banded quadratic program. Steps that do not lower the true price are not taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.cell import Cell
+from planner.resolve.follow_kernel import follow
+from planner.resolve.interior_point import QuadraticProgram, solve_qp
+from planner.resolve.refine_kernel import HARD_PRICE, count_rows, differentiate, price_of, quadratic_program
+from planner.task import Cones
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+QPSolver = Callable[[QuadraticProgram], tuple[Array, int]]
+
+ROLL, TILT, HOLDER = 0, (1, 2), 3  # columns of z; given arm joints come after the holder's
+_TRUST = 0.15  # rad that a control value may move in the first step
+_MOST_TRUST, _LEAST_TRUST = 0.6, 2e-3
+_STEPS = 15
+_ENOUGH = 5e-4  # share of the price: a step that promises less is not worth taking
+ANCHOR = 0.1  # s per square radian that an end of a bead moves: what the search chose there keeps travel short
+_RANGE_ROOM = 1e-4  # rad kept from the ends of the joints' ranges
+_CONE_SIDES = 12  # of the polygon inside the circle that bounds tilt
+
+
+@dataclass(frozen=True)
+class Model:
+    """What the kernels need of a cell: chains, limits, and which arm joints follow from the task or are given.
+
+    limits (3, nj) of velocity, acceleration, jerk; low, high (nj) ends of the joints' ranges; arm: its joints
+    """
+
+    chains: tuple[Array, Array, Array, Array, Array, Array]
+    solved: Index
+    given: Index
+    limits: Array
+    low: Array
+    high: Array
+    arm: int
+
+    @property
+    def columns(self) -> int:
+        """Number of columns of z."""
+        return HOLDER + len(self.low) - self.arm + len(self.given)
+
+    def active(self, cones: Cones) -> Index:
+        """Columns of z that may be chosen."""
+        tilt = TILT if cones.tilt > 0.0 else ()
+        return np.array([ROLL, *tilt, *range(HOLDER, self.columns)])
+
+
+def model_of(cell: Cell) -> Model:
+    """The kernels' view of a cell."""
+    na = len(cell.arm)
+    arm, holder, limits = cell.arm, cell.holder, cell.limits
+    return Model(
+        chains=(arm.placements, arm.axes, arm.T_last_tip, holder.placements, holder.axes, holder.T_last_tip),
+        solved=np.arange(6),
+        given=np.arange(6, na),
+        limits=np.stack([limits.velocity, limits.acceleration, limits.jerk]),
+        low=limits.q_min + _RANGE_ROOM,
+        high=limits.q_max - _RANGE_ROOM,
+        arm=na,
+    )
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A stretch of a task's n samples, and the k control values that it depends on.
+
+    tip, frames, cones        of the task
+    step (n)                  time that a sample stands for at the commanded speed [s]; 0: of no concern here
+    deposits (n)              1 where material is laid down, else 0
+    centre (n), D (n, 3, 5)   as in Clock; first (n), B (n, 4, degree + 1) as in Basis
+    free (k)                  1 for control values that may move, else 0
+    anchor (k, m), hold (k)   where the path's ends were given, and 1 for control values that are ends, else 0
+    """
+
+    tip: Array
+    frames: Array
+    cones: Cones
+    step: Array
+    deposits: Array
+    centre: Index
+    D: Array
+    first: Index
+    B: Array
+    free: Array
+    anchor: Array
+    hold: Array
+
+
+@dataclass(frozen=True)
+class State:
+    """A path over a stretch: control values c (k, m), what follows from them (see the kernels), and its price [s]."""
+
+    c: Array
+    q: Array
+    G: Array
+    sigma: Array
+    sigma_slope: Array
+    rates: Array
+    slack: Array
+    bounds: Array
+    bound_slopes: Array
+    price: float
+
+
+def evaluate(model: Model, stretch: Stretch, c: Array, q_near: Array, least_sigma: float) -> State | None:
+    """The path that control values c (k, m) make, starting Newton's method from q_near; None if there is none."""
+    active = model.active(stretch.cones)
+    z = np.zeros((len(stretch.tip), model.columns))
+    z[:, active] = np.einsum("nb,nbk->nk", stretch.B[:, 0], c[stretch.first[:, None] + np.arange(stretch.B.shape[2])])
+    return evaluate_samples(model, stretch, c, z, q_near, least_sigma)
+
+
+def evaluate_samples(
+    model: Model, stretch: Stretch, c: Array, z: Array, q_near: Array, least_sigma: float
+) -> State | None:
+    """The same for free variables z (n, columns) given at every sample."""
+    active = model.active(stretch.cones)
+    n, nj, m = len(stretch.tip), q_near.shape[1], len(active)
+    q = q_near.copy()
+    G, sigma, sigma_slope = np.empty((n, nj, m)), np.empty(n), np.empty((n, m))
+    upright, upright_slope = np.empty((n, 2)), np.empty((n, 2, m))
+    lost = follow(
+        *model.chains, model.solved, model.given, stretch.tip, stretch.frames, z, active,
+        q, G, sigma, sigma_slope, upright, upright_slope,
+    )  # fmt: skip
+    if lost >= 0:
+        return None
+    limits = np.array([stretch.cones.nozzle_gravity, stretch.cones.layer_gravity])
+    bounded = limits < np.pi
+    bounds = np.ascontiguousarray((np.cos(limits) - upright)[:, bounded])
+    rates, slack = np.empty((n, 3, nj)), np.empty(n)
+    differentiate(q, stretch.centre, stretch.D, rates)
+    price = price_of(
+        rates, model.limits, stretch.step, stretch.deposits, q, model.low[: model.arm], model.high[: model.arm],
+        sigma, least_sigma, bounds, slack,
+    )  # fmt: skip
+    if c.shape[1]:
+        price += ANCHOR * float(stretch.hold @ ((c - stretch.anchor) ** 2).sum(axis=1))
+    slopes = np.ascontiguousarray(-upright_slope[:, bounded])
+    return State(c, q, G, sigma, sigma_slope, rates, slack, bounds, slopes, float(price))
+
+
+def program_around(model: Model, stretch: Stretch, state: State, least_sigma: float, trust: float) -> QuadraticProgram:
+    """The quadratic program whose solution moves the control values of a state, at most by `trust` [rad]."""
+    low, high = model.low[: model.arm], model.high[: model.arm]
+    (k, m), w = state.c.shape, stretch.B.shape[2] * state.c.shape[1]
+    rows, groups = count_rows(
+        state.rates, model.limits, stretch.deposits, state.slack, state.q, low, high, state.sigma, least_sigma,
+        state.bounds,
+    )  # fmt: skip
+    own_A, own_b, own_at = _control_rows(model, stretch, state, w)
+    extra = len(own_b)
+    H, g = np.empty((k * m, w)), np.empty(k * m)
+    A, b, at = np.empty((rows + extra, w)), np.empty(rows + extra), np.empty(rows + extra, dtype=np.int64)
+    group, price = np.empty(groups + extra + 1, dtype=np.int64), np.empty(groups + extra)
+    quadratic_program(
+        state.rates, model.limits, stretch.step, stretch.deposits, state.slack, state.q, state.G, low, high,
+        state.sigma, state.sigma_slope, least_sigma, state.bounds, state.bound_slopes,
+        stretch.centre, stretch.D, stretch.first, stretch.B, stretch.free, H, g, A, b, at, group, price,
+    )  # fmt: skip
+    pull = 2.0 * ANCHOR * np.repeat(stretch.hold * stretch.free, m)
+    H[:, 0] += pull
+    g += pull * (state.c - stretch.anchor).ravel()
+    A[rows:], b[rows:], at[rows:] = own_A, own_b, own_at
+    group[groups + 1 :] = rows + 1 + np.arange(extra)
+    typical = float(stretch.step.mean())
+    price[groups:] = HARD_PRICE * typical
+    # in units of a sample's time, so that the solver sees numbers near 1
+    return QuadraticProgram(H / typical, g / typical, np.full(k * m, trust), A, b, at, group, price / typical)
+
+
+def _control_rows(model: Model, stretch: Stretch, state: State, width: int) -> tuple[Array, Array, Index]:
+    """Bounds of single control values: holder joints' ranges, and a polygon inside the tilt's cone.
+
+    A B-spline stays in the hull of its control values, so these bound every sample.
+    """
+    k, m = state.c.shape
+    active = list(model.active(stretch.cones))
+    rows: list[tuple[NDArray[np.float64], Array]] = []
+    for h in range(len(model.low) - model.arm):
+        for sign, end in ((1.0, model.high[model.arm + h]), (-1.0, -model.low[model.arm + h])):
+            if np.isfinite(end):
+                row = np.zeros(m)
+                row[active.index(HOLDER + h)] = sign
+                rows.append((row, end - state.c @ row))
+    if stretch.cones.tilt > 0.0:
+        for angle in np.arange(_CONE_SIDES) * 2.0 * np.pi / _CONE_SIDES:
+            row = np.zeros(m)
+            row[[active.index(TILT[0]), active.index(TILT[1])]] = np.cos(angle), np.sin(angle)
+            rows.append((row, stretch.cones.tilt * np.cos(np.pi / _CONE_SIDES) - state.c @ row))
+    A, b, at = [np.zeros((0, width))], [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
+    first = np.minimum(np.arange(k), k - width // m)
+    for row, room in rows:
+        near = np.flatnonzero((room < _MOST_TRUST * np.abs(row).sum()) & (stretch.free > 0.0))
+        own = np.zeros((len(near), width // m, m))
+        own[np.arange(len(near)), near - first[near]] = row
+        A.append(own.reshape(len(near), width))
+        b.append(room[near])
+        at.append(first[near] * m)
+    return np.concatenate(A), np.concatenate(b), np.concatenate(at)
+
+
+def _foreseen(stretch: Stretch, state: State, x: Array) -> Array:
+    """Joints (n, nj) that a step x of the control values leads to, to first order."""
+    moved = x.reshape(state.c.shape)[stretch.first[:, None] + np.arange(stretch.B.shape[2])]
+    return state.q + np.einsum("njm,nb,nbm->nj", state.G, stretch.B[:, 0], moved, optimize=True)
+
+
+def refine_stretch(
+    model: Model, stretch: Stretch, state: State, least_sigma: float, solver: QPSolver = solve_qp
+) -> State:
+    """Lower the price of a state step by step; what comes back never costs more than what was given."""
+    trust = _TRUST
+    for _ in range(_STEPS):
+        program = program_around(model, stretch, state, least_sigma, trust)
+        now = program.value(np.zeros(len(program.g)))
+        typical = float(stretch.step.mean())
+        while True:
+            x, _ = solver(program)
+            promised = typical * (now - program.value(x))
+            if promised < _ENOUGH * state.price:
+                return state
+            trial = evaluate(
+                model, stretch, state.c + x.reshape(state.c.shape), _foreseen(stretch, state, x), least_sigma
+            )
+            gained = -np.inf if trial is None else state.price - trial.price
+            if trial is not None and gained > 0.1 * promised:
+                state = trial
+                if gained > 0.7 * promised:
+                    trust = min(2.0 * trust, _MOST_TRUST)
+                break
+            trust *= 0.3
+            if trust < _LEAST_TRUST:
+                return state
+            program = QuadraticProgram(
+                program.H, program.g, np.full(len(program.g), trust),
+                program.A, program.b, program.at, program.group, program.price,
+            )  # fmt: skip
+    return state

@@ -1,0 +1,264 @@
+"""Compiled body of the refinement: what a path costs, and the quadratic program around it.
+
+The price of a path is in seconds. At the commanded speed v the joints' rates are known from the path, so each
+sample has a greatest speed that the limits allow, v / (1 + slack): the slack is the share of its time that is lost.
+
+    price = sum over samples of  step * (deposits * slack + effort + closeness)
+
+effort is small and quadratic in the rates' shares of their limits: of two choices at full speed the calmer one wins.
+closeness grows towards singularities of the arm and the ends of the joints' ranges.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from planner.resolve.node_kernel import LIMIT_COMFORT, LIMIT_PRICE, SIGMA_COMFORT, SIGMA_PRICE
+
+Array = NDArray[np.float64]
+
+EFFORT = 0.01  # seconds a second of printing, for a joint at all its limits
+DIP_PRICE = 0.25  # seconds a second of printing below the commanded speed: one deep dip beats two shallow ones
+DIP = 0.05  # slack at which half of that is counted
+HARD_PRICE = 1e3  # seconds a second and unit (rad, or the share of a bound) beyond what must not be exceeded
+NEAR_RATE = 0.4  # share of a rate's limit above which the program watches it
+NEAR_RANGE = 0.3  # rad from the end of a joint's range below which the program watches it
+NEAR_BOUND = 0.05  # of a bound: cosines and the like
+NEAR_SIGMA = 1.3  # times the least singular value allowed, likewise
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def differentiate(values, centre, D, out) -> None:
+    """Fill out (n, 3, k) with the first three time derivatives of values (n, k)."""
+    n, k = values.shape
+    for i in range(n):
+        for o in range(3):
+            for j in range(k):
+                total = 0.0
+                for s in range(5):
+                    total += D[i, o, s] * values[centre[i] + s - 2, j]
+                out[i, o, j] = total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def allowed(order: int, slack: float):
+    """Bound of a rate's share of its limit at a slack, linear from there on, and its slope: (1 + slack)^order."""
+    if order == 0:
+        return 1.0 + slack, 1.0
+    if order == 1:
+        return (1.0 + slack) ** 2, 2.0 * (1.0 + slack)
+    return (1.0 + slack) ** 3, 3.0 * (1.0 + slack) ** 2
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def lost(slack: float) -> float:
+    """Price a second of a slack: the time lost, and that there is a dip at all."""
+    return slack + DIP_PRICE * slack / (slack + DIP)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def lost_slope(slack: float) -> float:
+    """Derivative of `lost`, which is concave: its tangent is never below it."""
+    return 1.0 + DIP_PRICE * DIP / (slack + DIP) ** 2
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def price_of(rates, limits, step, deposits, q, low, high, sigma, least_sigma, bounds, slack):
+    """Price of a path [s]; fills slack (n). bounds (n, b): what must not be positive, for instance a cone's excess."""
+    n, _, nj = rates.shape
+    na = low.size
+    total = 0.0
+    for i in range(n):
+        worst = 0.0
+        for j in range(nj):
+            v = abs(rates[i, 0, j]) / limits[0, j]
+            a = abs(rates[i, 1, j]) / limits[1, j]
+            y = abs(rates[i, 2, j]) / limits[2, j]
+            worst = max(worst, v, np.sqrt(a), np.cbrt(y))
+        slack[i] = max(worst - 1.0, 0.0)
+        effort = 0.0
+        for o in range(3):
+            for j in range(nj):
+                square = (rates[i, o, j] / limits[o, j]) ** 2
+                effort += square / (1.0 + square)
+        cost = deposits[i] * lost(slack[i]) + EFFORT * effort / nj
+        close = max(0.0, SIGMA_COMFORT / sigma[i] - 1.0)
+        cost += SIGMA_PRICE * close * close + HARD_PRICE * max(0.0, least_sigma - sigma[i])
+        for j in range(na):
+            room = min(q[i, j] - low[j], high[j] - q[i, j])
+            near = max(0.0, 1.0 - room / LIMIT_COMFORT)
+            cost += LIMIT_PRICE * near * near + HARD_PRICE * max(0.0, -room)
+        for c in range(bounds.shape[1]):
+            cost += HARD_PRICE * max(0.0, bounds[i, c])
+        total += step[i] * cost
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def count_rows(rates, limits, deposits, slack, q, low, high, sigma, least_sigma, bounds):
+    """Rows (r) and groups (k) that `quadratic_program` will write."""
+    n, _, nj = rates.shape
+    rows, groups = 0, 0
+    for i in range(n):
+        own = 0
+        if deposits[i] > 0.0:
+            for o in range(3):
+                bound, _ = allowed(o, slack[i])
+                for j in range(nj):
+                    if abs(rates[i, o, j]) > NEAR_RATE * bound * limits[o, j]:
+                        own += 1
+        rows += own
+        groups += 1 if own else 0
+        for j in range(low.size):
+            if min(q[i, j] - low[j], high[j] - q[i, j]) < NEAR_RANGE:
+                rows += 1
+                groups += 1
+        if sigma[i] < NEAR_SIGMA * least_sigma:
+            rows += 1
+            groups += 1
+        for c in range(bounds.shape[1]):
+            if bounds[i, c] > -NEAR_BOUND:
+                rows += 1
+                groups += 1
+    return rows, groups
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def quadratic_program(
+    rates, limits, step, deposits, slack, q, G, low, high, sigma, sigma_slope, least_sigma, bounds, bound_slopes,
+    centre, D, first, B, free,
+    H, g, A, b, at, group, price,
+):  # fmt: skip
+    """Fill the program around a path whose control values move by x; free (controls) is 1 for those that may, else 0.
+
+    q(t) moves by G(t) times the spline of x: its rates by the product rule, with rates of G by differences.
+    """
+    n, _, nj = rates.shape
+    na = low.size
+    m = G.shape[2]
+    nb = B.shape[2]
+    w = nb * m
+    Gd = np.empty((3, nj, m))
+    a = np.empty((3, nj, w))
+    a0 = np.empty(w)
+    r, k = 0, 0
+    group[0] = 0
+    H[:] = 0.0
+    g[:] = 0.0
+    row = np.empty(w)
+    Bf = np.empty((4, nb))
+    for k_free in range(free.size):
+        if free[k_free] == 0.0:
+            for c in range(m):
+                H[k_free * m + c, 0] = 1.0
+    for i in range(n):
+        at_i = first[i] * m
+        for e in range(nb):
+            for o in range(4):
+                Bf[o, e] = B[i, o, e] * free[first[i] + e]
+        for o in range(3):
+            for j in range(nj):
+                for c in range(m):
+                    total = 0.0
+                    for s in range(5):
+                        total += D[i, o, s] * G[centre[i] + s - 2, j, c]
+                    Gd[o, j, c] = total
+        for j in range(nj):
+            for e in range(nb):
+                b0, b1, b2, b3 = Bf[0, e], Bf[1, e], Bf[2, e], Bf[3, e]
+                for c in range(m):
+                    g0, g1, g2, g3 = G[i, j, c], Gd[0, j, c], Gd[1, j, c], Gd[2, j, c]
+                    p = e * m + c
+                    a[0, j, p] = (g0 * b1 + g1 * b0) / limits[0, j]
+                    a[1, j, p] = (g0 * b2 + 2.0 * g1 * b1 + g2 * b0) / limits[1, j]
+                    a[2, j, p] = (g0 * b3 + 3.0 * g1 * b2 + 3.0 * g2 * b1 + g3 * b0) / limits[2, j]
+        # effort
+        for o in range(3):
+            for j in range(nj):
+                share = rates[i, o, j] / limits[o, j]
+                weight = 2.0 * step[i] * EFFORT / nj / (1.0 + share * share) ** 2
+                _add(H, g, at_i, a[o, j], weight, share)
+        # lost time: all rates of a sample share its slack
+        if deposits[i] > 0.0:
+            own = 0
+            for o in range(3):
+                bound, slope = allowed(o, slack[i])
+                for j in range(nj):
+                    share = rates[i, o, j] / limits[o, j]
+                    if abs(share) > NEAR_RATE * bound:
+                        sign = 1.0 if share > 0.0 else -1.0
+                        for p in range(w):
+                            A[r, p] = sign * a[o, j, p] / slope
+                        b[r] = (bound - abs(share)) / slope - slack[i]
+                        at[r] = at_i
+                        r += 1
+                        own += 1
+            if own:
+                price[k] = step[i] * deposits[i] * lost_slope(slack[i])
+                k += 1
+                group[k] = r
+        # closeness to the ends of the joints' ranges
+        for j in range(na):
+            room_low, room_high = q[i, j] - low[j], high[j] - q[i, j]
+            room = min(room_low, room_high)
+            if room < NEAR_RANGE or room < LIMIT_COMFORT:
+                sign = -1.0 if room_low < room_high else 1.0
+                for e in range(nb):
+                    for c in range(m):
+                        row[e * m + c] = sign * G[i, j, c] * Bf[0, e]
+                near = 1.0 - room / LIMIT_COMFORT
+                if near > 0.0:
+                    for p in range(w):
+                        a0[p] = row[p] / LIMIT_COMFORT
+                    _add(H, g, at_i, a0, 2.0 * step[i] * LIMIT_PRICE, near)
+                if room < NEAR_RANGE:
+                    for p in range(w):
+                        A[r, p] = row[p]
+                    b[r] = room
+                    at[r] = at_i
+                    price[k] = step[i] * HARD_PRICE
+                    r += 1
+                    k += 1
+                    group[k] = r
+        # closeness to singularities
+        close = SIGMA_COMFORT / sigma[i] - 1.0
+        if close > 0.0 or sigma[i] < NEAR_SIGMA * least_sigma:
+            for e in range(nb):
+                for c in range(m):
+                    row[e * m + c] = sigma_slope[i, c] * Bf[0, e]
+            if close > 0.0:
+                for p in range(w):
+                    a0[p] = -SIGMA_COMFORT / (sigma[i] * sigma[i]) * row[p]
+                _add(H, g, at_i, a0, 2.0 * step[i] * SIGMA_PRICE, close)
+            if sigma[i] < NEAR_SIGMA * least_sigma:
+                for p in range(w):
+                    A[r, p] = -row[p]
+                b[r] = sigma[i] - least_sigma
+                at[r] = at_i
+                price[k] = step[i] * HARD_PRICE
+                r += 1
+                k += 1
+                group[k] = r
+        for c2 in range(bounds.shape[1]):
+            if bounds[i, c2] > -NEAR_BOUND:
+                for e in range(nb):
+                    for c in range(m):
+                        A[r, e * m + c] = bound_slopes[i, c2, c] * Bf[0, e]
+                b[r] = -bounds[i, c2]
+                at[r] = at_i
+                price[k] = step[i] * HARD_PRICE
+                r += 1
+                k += 1
+                group[k] = r
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _add(H, g, at, row, weight, value) -> None:
+    """Add weight / 2 (value + row x)^2 to the program."""
+    for c in range(row.size):
+        scaled = weight * row[c]
+        g[at + c] += scaled * value
+        for d in range(c + 1):
+            H[at + c, c - d] += scaled * row[d]

@@ -1,0 +1,133 @@
+"""Splines over a task's samples, and derivatives in time at the commanded speed.
+
+Samples are a smooth function of their index, so that derivatives by the index (differences of five neighbours)
+become derivatives in time by the chain rule.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import factorial
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+DEGREE = 5  # four continuous derivatives: jerk has no steps
+LEAST_SAMPLES = 5  # that a stencil needs
+_OFFSETS = np.arange(-2.0, 3.0)
+
+
+def _stencils() -> Array:
+    """Weights (5, 3, 5) of five neighbours' values for derivatives 1, 2, 3 at each of the five places among them."""
+    powers = np.arange(5)
+    out = np.empty((5, 3, 5))
+    for place, x in enumerate(_OFFSETS):
+        V = (_OFFSETS - x)[None, :] ** powers[:, None] / np.array([factorial(p) for p in powers])[:, None]
+        out[place] = np.linalg.inv(V).T[1:4]
+    return out
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Time at the commanded speed along n samples.
+
+    step (n)         time that a sample stands for [s]
+    rate (n, 3)      first three derivatives of time by the sample's index
+    centre (n)       middle of each sample's five-point stencil
+    D (n, 3, 5)      weights of five neighbours that give the first three derivatives in time
+    """
+
+    step: Array
+    rate: Array
+    centre: Index
+    D: Array
+
+    def rates(self, values: Array) -> Array:
+        """First three time derivatives (n, 3, k) of values (n, k)."""
+        return np.einsum("nos,nsk->nok", self.D, values[self.centre[:, None] + np.arange(-2, 3)])
+
+
+def clock_of(t: Array) -> Clock:
+    """The clock of samples at times t (n) [s], at least five of them."""
+    n = len(t)
+    centre = np.clip(np.arange(n), 2, n - 3)
+    weights = _stencils()[np.arange(n) - centre + 2]
+    rate = np.einsum("nos,ns->no", weights, t[centre[:, None] + np.arange(-2, 3)])
+    return Clock(np.gradient(t), rate, centre, _by_time(weights, rate))
+
+
+def _by_time(by_index: Array, rate: Array) -> Array:
+    """Derivatives of order 1, 2, 3 by the index (n, 3, k) into derivatives in time; rate (n, 3) as in Clock."""
+    t1, t2, t3 = (rate[:, k, None] for k in range(3))
+    first = by_index[:, 0] / t1
+    second = (by_index[:, 1] - first * t2) / t1**2
+    third = (by_index[:, 2] - 3.0 * second * t1 * t2 - first * t3) / t1**3
+    return np.stack([first, second, third], axis=1)
+
+
+@dataclass(frozen=True)
+class Basis:
+    """B-splines on clamped uniform knots over n samples, with m control values.
+
+    first (n)              control value that the first of a sample's degree + 1 B-splines belongs to
+    B (n, 4, degree + 1)   their values and their first three derivatives in time
+    """
+
+    first: Index
+    B: Array
+    controls: int
+
+    def values(self, c: Array) -> Array:
+        """The spline (n, k) with control values c (m, k)."""
+        return np.einsum("nb,nbk->nk", self.B[:, 0], c[self.first[:, None] + np.arange(self.B.shape[2])])
+
+
+def basis_over(clock: Clock, controls: int) -> Basis:
+    """B-splines over a clock's samples; the degree is 5, or one less than the number of control values."""
+    n = len(clock.step)
+    degree = min(DEGREE, controls - 1)
+    knots = np.concatenate([np.zeros(degree), np.linspace(0.0, 1.0, controls - degree + 1), np.ones(degree)])
+    first, B = _basis(np.linspace(0.0, 1.0, n), knots, degree)
+    by_index = B[:, 1:] * (1.0 / (n - 1)) ** np.arange(1, 4)[:, None]
+    return Basis(first, np.concatenate([B[:, :1], _by_time(by_index, clock.rate)], axis=1), controls)
+
+
+@njit(cache=True)
+def _basis(u: Array, knots: Array, degree: int) -> tuple[Index, Array]:
+    """First nonzero B-spline (n) at each u (n), and values and three derivatives (n, 4, degree + 1) of all of them.
+
+    The recursion of Cox and de Boor up to degree - k, then k differentiation steps.
+    """
+    n = u.size
+    m = knots.size - degree - 1
+    first = np.empty(n, dtype=np.int64)
+    B = np.zeros((n, 4, degree + 1))
+    N = np.empty(degree + 2)
+    span = degree
+    for i in range(n):
+        while span < m - 1 and u[i] >= knots[span + 1]:
+            span += 1
+        first[i] = span - degree
+        for k in range(min(4, degree + 1)):
+            # N[r] belongs to the B-spline span - d + r of degree d
+            N[:] = 0.0
+            N[0] = 1.0
+            for d in range(1, degree + 1):
+                low = 0.0
+                for r in range(d):
+                    right, left = knots[span + r + 1], knots[span + 1 - d + r]
+                    share = N[r] / (right - left)
+                    if d <= degree - k:
+                        N[r] = low + (right - u[i]) * share
+                        low = (u[i] - left) * share
+                    else:
+                        N[r] = low - d * share
+                        low = d * share
+                N[d] = low
+            for r in range(degree + 1):
+                B[i, k, r] = N[r]
+    return first, B

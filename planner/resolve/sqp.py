@@ -1,0 +1,230 @@
+"""Strategy `sqp`: the ladder's paths, refined continuously over all free variables."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solveh_banded
+
+from planner.cell import Cell
+from planner.problem import ResolveSpec
+from planner.resolve.jointpath import JointPath, choose_turns
+from planner.resolve.ladder import ladder, runs_backwards
+from planner.resolve.refine import (
+    HOLDER,
+    ROLL,
+    TILT,
+    Model,
+    State,
+    Stretch,
+    evaluate,
+    evaluate_samples,
+    model_of,
+    refine_stretch,
+)
+from planner.resolve.splines import LEAST_SAMPLES, Basis, Clock, basis_over, clock_of
+from planner.task import NozzleTask
+
+Array = NDArray[np.float64]
+
+SAMPLES_PER_CONTROL = 4  # at least: what moves between control values must be resolved by the samples
+WINDOW = 160  # control values that move at once: bounds the memory
+OVERLAP = 40  # of a window with each neighbour
+_PAD = 4  # samples on both sides of a window that its derivatives look at
+_FLOOR = 1.0 + 1e-3  # times the least singular value that was given: the program may miss a bound by less
+
+
+@dataclass(frozen=True)
+class Track:
+    """A path as splines: its task, clock and basis, control values c (k, m), where they
+    were given (anchor), joints q (n, nj), and price [s]."""
+
+    task: NozzleTask
+    branch: int
+    clock: Clock
+    basis: Basis
+    c: Array
+    q: Array
+    anchor: Array
+    price: float
+
+
+def sqp(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[JointPath, ...]:
+    """The ladder's paths, their free variables refined until no step lowers the price (see `refine_kernel`).
+
+    No path comes back that costs more than the ladder's. Layers follow each other: a bead starts from the
+    refined one below it, where that is cheaper. Raises Refusal as `ladder` does.
+    """
+    return refine_paths(cell, ladder(cell, tasks, settings), settings)
+
+
+def refine_paths(cell: Cell, paths: Sequence[JointPath], settings: ResolveSpec) -> tuple[JointPath, ...]:
+    """Refine every path: layers in turn, beads of a layer and windows of a bead at the same time."""
+    model = model_of(cell)
+    given = {i: given_price(model, path, settings.min_sigma) for i, path in enumerate(paths) if _long_enough(path)}
+    floor = _FLOOR * max(settings.min_sigma, min((sigma for _, sigma in given.values()), default=0.0))
+    below: dict[str, Track] = {}
+    done = list(paths)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for layer in _alike(paths, given):
+            starts = [below.get(paths[i].task.name) for i in layer]
+            tracks = list(pool.map(partial(_start, model, settings.knot, floor), [paths[i] for i in layer], starts))
+            for colour in (0, 1):
+                jobs = [(k, w) for k, track in enumerate(tracks) for w in windows(track.basis.controls)[colour::2]]
+                refine = partial(_refine_window, model, floor)
+                moved = pool.map(refine, [tracks[k] for k, _ in jobs], [window for _, window in jobs])
+                for (k, _), piece in zip(jobs, list(moved), strict=True):
+                    tracks[k] = tracks[k] if piece is None else piece.put_into(tracks[k])
+            for i, track in zip(layer, tracks, strict=True):
+                below[track.task.name] = track
+                price, sigma = given_price(model, path_of(cell, track), floor)
+                if price < given[i][0] and sigma >= min(floor / _FLOOR, given[i][1]):
+                    done[i] = path_of(cell, track)
+    return choose_turns(cell, done)
+
+
+def _long_enough(path: JointPath) -> bool:
+    return len(path.task) >= LEAST_SAMPLES
+
+
+def _alike(paths: Sequence[JointPath], indices: Iterable[int]) -> list[list[int]]:
+    """Indices in groups: the first bead of each name, then the second one, and so on."""
+    seen: Counter[str] = Counter()
+    groups: list[list[int]] = []
+    for i in indices:
+        k = seen[paths[i].task.name]
+        seen[paths[i].task.name] += 1
+        if k == len(groups):
+            groups.append([])
+        groups[k].append(i)
+    return groups
+
+
+def free_variables(model: Model, path: JointPath) -> Array:
+    """z (n, columns) of a path: roll, tilt, holder joints, given arm joints."""
+    z = np.empty((len(path.task), model.columns))
+    z[:, ROLL] = path.roll
+    z[:, list(TILT)] = path.tilt
+    holder = len(model.low) - model.arm
+    z[:, HOLDER : HOLDER + holder] = path.q[:, model.arm :]
+    z[:, HOLDER + holder :] = path.q[:, model.given]
+    return z
+
+
+def whole(task: NozzleTask, clock: Clock, basis: Basis, anchor: Array) -> Stretch:
+    """The stretch of a whole task."""
+    deposits = np.zeros(len(task))
+    deposits[task.first : task.last + 1] = 1.0
+    hold = np.zeros(basis.controls)
+    hold[[0, -1]] = 1.0
+    return Stretch(
+        task.tip, task.frames, task.cones, clock.step, deposits, clock.centre, clock.D,
+        basis.first, basis.B, np.ones(basis.controls), anchor, hold,
+    )  # fmt: skip
+
+
+def given_price(model: Model, path: JointPath, least_sigma: float) -> tuple[float, float]:
+    """Price [s] and least singular value of a path as it is; infinite and 0 where the kernels cannot follow it."""
+    clock = clock_of(path.task.s / path.task.speed)
+    stretch = whole(path.task, clock, basis_over(clock, 2), np.zeros((2, 0)))
+    state = evaluate_samples(model, stretch, np.zeros((2, 0)), free_variables(model, path), path.q, least_sigma)
+    return (np.inf, 0.0) if state is None else (state.price, float(state.sigma.min()))
+
+
+def _start(model: Model, knot: float, floor: float, path: JointPath, below: Track | None) -> Track:
+    """The path as splines, or the refined path of the bead below it on this task, whichever costs less."""
+    task = path.task
+    n = len(task)
+    clock = clock_of(task.s / task.speed)
+    controls = max(min(int(np.ceil((task.s[-1] - task.s[0]) / knot)), (n - 1) // SAMPLES_PER_CONTROL), 1) + 1
+    basis = basis_over(clock, controls)
+    c = fit(basis, free_variables(model, path)[:, model.active(task.cones)])
+    stretch = whole(task, clock, basis, c)
+    best = evaluate(model, stretch, c, path.q, floor)
+    if below is not None and below.branch == path.branch and below.c.shape == c.shape:
+        flip = slice(None, None, -1 if runs_backwards(task, below.task) else 1)
+        near = below.q[flip][np.round(np.linspace(0, len(below.q) - 1, n)).astype(int)]
+        other = evaluate(model, stretch, below.c[flip], near, floor)
+        if other is not None and (best is None or other.price < best.price):
+            best = other
+    if best is None:
+        return Track(task, path.branch, clock, basis, c, path.q, c, np.inf)
+    return Track(task, path.branch, clock, basis, best.c, best.q, c, best.price)
+
+
+def fit(basis: Basis, values: Array) -> Array:
+    """Control values (k, m) whose splines are nearest to values (n, m), in the least-squares sense."""
+    width = basis.B.shape[2]
+    N, rhs = np.zeros((width, basis.controls)), np.zeros((basis.controls, values.shape[1]))
+    for e in range(width):
+        np.add.at(rhs, basis.first + e, basis.B[:, 0, e, None] * values)
+        for f in range(e, width):
+            np.add.at(N[f - e], basis.first + e, basis.B[:, 0, e] * basis.B[:, 0, f])
+    return np.asarray(solveh_banded(N, rhs, lower=True))
+
+
+def windows(controls: int) -> list[tuple[int, int]]:
+    """Ranges of control values that move together; each second one is apart from the others."""
+    if controls <= WINDOW + OVERLAP:
+        return [(0, controls)]
+    stride = WINDOW - OVERLAP
+    count = -(-(controls - OVERLAP) // stride)
+    edges = [(k * stride, min(k * stride + WINDOW, controls)) for k in range(count)]
+    return edges
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """A refined window: the state over some samples and control values of a track."""
+
+    samples: slice
+    controls: slice
+    state: State
+
+    def put_into(self, track: Track) -> Track:
+        """The track with the window in its place."""
+        c, q = track.c.copy(), track.q.copy()
+        c[self.controls], q[self.samples] = self.state.c, self.state.q
+        return replace(track, c=c, q=q)
+
+
+def _refine_window(model: Model, floor: float, track: Track, window: tuple[int, int]) -> _Piece | None:
+    """Refine the control values of a window, the others held; None where the track itself cannot be followed."""
+    if not np.isfinite(track.price):
+        return None
+    k0, k1 = window
+    first, width = track.basis.first, track.basis.B.shape[2]
+    n = len(first)
+    i0, i1 = int(np.searchsorted(first, k0 - width, side="right")), int(np.searchsorted(first, k1, side="left"))
+    a, b = max(i0 - _PAD, 0), min(i1 + _PAD, n)
+    samples, controls = slice(a, b), slice(int(first[a]), int(first[b - 1]) + width)
+    all_of_it = whole(track.task, track.clock, track.basis, track.anchor)
+    step, deposits = all_of_it.step[samples].copy(), all_of_it.deposits[samples].copy()
+    for edge, inner in ((slice(0, 2), a > 0), (slice(b - a - 2, b - a), b < n)):
+        if inner:  # their stencils reach out of the window
+            step[edge] = deposits[edge] = 0.0
+    free = np.zeros(controls.stop - controls.start)
+    free[k0 - controls.start : k1 - controls.start] = 1.0
+    stretch = Stretch(
+        all_of_it.tip[samples], all_of_it.frames[samples], all_of_it.cones, step, deposits,
+        np.clip(track.clock.centre[samples] - a, 2, b - a - 3), track.clock.D[samples],
+        first[samples] - controls.start, track.basis.B[samples], free,
+        track.anchor[controls], all_of_it.hold[controls],
+    )  # fmt: skip
+    state = evaluate(model, stretch, track.c[controls], track.q[samples], floor)
+    return None if state is None else _Piece(samples, controls, refine_stretch(model, stretch, state, floor))
+
+
+def path_of(cell: Cell, track: Track) -> JointPath:
+    """The joint path of a track."""
+    model = model_of(cell)
+    z = np.zeros((len(track.task), model.columns))
+    z[:, model.active(track.task.cones)] = track.basis.values(track.c)
+    return JointPath(track.task, z[:, ROLL], z[:, list(TILT)], track.q, track.branch)
