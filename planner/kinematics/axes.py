@@ -118,3 +118,15 @@ def between(T_left: Array, R: Array, t: Array, T_right: Array, room: Array, out:
     room[0, 3, 0], room[0, 3, 1], room[0, 3, 2], room[0, 3, 3] = 0.0, 0.0, 0.0, 1.0
     mul4(T_left, room[0], room[1])
     mul4(room[1], T_right, out)
+
+
+@njit(cache=True)
+def inverse_of(T: Array) -> Array:
+    """Inverse (4, 4) of a rigid transform (16) by rows."""
+    out = np.zeros((4, 4))
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = T[4 * j + i]
+            out[i, 3] -= T[4 * j + i] * T[4 * j + 3]
+    out[3, 3] = 1.0
+    return out

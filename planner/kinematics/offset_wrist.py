@@ -30,6 +30,7 @@ from planner.kinematics.axes import (
     axes_at_zero,
     between,
     from_zy,
+    inverse_of,
     wrap,
 )
 from planner.kinematics.chain import Chain, mul4
@@ -109,9 +110,7 @@ def read_offset_wrist(chain: Chain) -> OffsetWrist:
     T_shoulder_k = at(*P) @ about_y(phi) @ about_z(th5)
     T_flange_k = np.linalg.inv(T_base_flange) @ T_base_shoulder @ T_shoulder_k
     T_shoulder_base = np.linalg.inv(T_base_shoulder)
-    return OffsetWrist(
-        np.concatenate([[a2, a3, d4, d5], signs, offsets, T_shoulder_base.ravel(), T_flange_k.ravel()])
-    )
+    return OffsetWrist(np.concatenate([[a2, a3, d4, d5], signs, offsets, T_shoulder_base.ravel(), T_flange_k.ravel()]))
 
 
 @njit(cache=True)
@@ -174,8 +173,8 @@ def _solve(p: Array, T: Array) -> tuple[Array, NDArray[np.bool_]]:
 @njit(cache=True)
 def _poses(p: Array, q: Array) -> Array:
     a2, a3, d4, d5 = p[0], p[1], p[2], p[3]
-    T_base_shoulder = np.linalg.inv(p[16:32].copy().reshape(4, 4))
-    T_k_flange = np.linalg.inv(p[32:48].copy().reshape(4, 4))
+    T_base_shoulder = inverse_of(p[16:32])
+    T_k_flange = inverse_of(p[32:48])
     out = np.empty((q.shape[0], 4, 4))
     K, T = np.eye(4), np.empty((4, 4))
     for i in range(q.shape[0]):
