@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
-from ruamel.yaml import YAML
 
-from planner.errors import InputError, nearest_name
+from planner.errors import Refusal, nearest_name
 from planner.kinematics.chain import Chain
+from planner.kinematics.inverse import InverseKinematics
+from planner.kinematics.seven_axes import SevenAxes
 from planner.kinematics.spherical_wrist import SphericalWrist
 from planner.problem import CellSpec, Problem
+from planner.robot_files import Robot, chain_of, load_robot
+
+__all__ = ["Cell", "Limits", "Robot", "build_cell", "frame_from_z", "rigid_inverse", "translation"]
 
 Array = NDArray[np.float64]
-ROBOTS = Path(__file__).resolve().parent.parent / "robots"
 
 
 @dataclass(frozen=True)
@@ -32,28 +33,14 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Robot:
-    """One robot as its files describe it: a Pinocchio model, its tip frame, and what a URDF cannot say."""
-
-    key: str
-    name: str
-    model: pin.Model
-    tip: str
-    acceleration: Array
-    jerk: Array
-    wrist: SphericalWrist | None
-    assumed: tuple[str, ...]
-
-
-@dataclass(frozen=True)
 class Cell:
     """Arm with nozzle, and whatever holds the part.
 
     arm        chain from the world to the nozzle frame (z = nozzle axis)
     holder     chain from the world to the part frame; only the free axes, none for a fixed bed
     limits     of the arm's joints, then the holder's
-    wrist      closed-form inverse kinematics of the arm, base to flange
-    T_world_base, T_flange_nozzle   what stands at the two ends of `wrist`
+    inverse    closed-form inverse kinematics of the arm, base to flange
+    T_world_base, T_flange_nozzle   what stands at the two ends of `inverse`
     T_world_holder                  the part frame with the holder's free axes at 0
     home       (n) start posture, arm then holder
     arm_robot, holder_robot, held   the robots' own models, for whoever wants to check independently
@@ -62,7 +49,7 @@ class Cell:
     arm: Chain
     holder: Chain
     limits: Limits
-    wrist: SphericalWrist
+    inverse: InverseKinematics
     T_world_base: Array
     T_flange_nozzle: Array
     T_world_holder: Array
@@ -76,6 +63,13 @@ class Cell:
     def joint_names(self) -> tuple[str, ...]:
         """Names in joint order: arm, then holder."""
         return self.arm.names + self.holder.names
+
+    @property
+    def wrist(self) -> SphericalWrist:
+        """`inverse`, for what is written for spherical wrists only; raises Refusal for any other arm."""
+        if not isinstance(self.inverse, SphericalWrist):
+            raise Refusal(f"this cannot be done yet with {self.arm_robot.name}: its wrist is not spherical")
+        return self.inverse
 
     def T_part_nozzle(self, q: Array) -> Array:
         """Nozzle poses in the part frame (m, 4, 4) of postures q (m, n)."""
@@ -92,12 +86,11 @@ def build_cell(problem: Problem) -> Cell:
     """
     spec = problem.cell
     arm_robot = load_robot(spec.arm, problem, "cell.arm")
-    if arm_robot.wrist is None:
-        raise problem.error("cell.arm", f"{arm_robot.key} is not an arm with a spherical wrist")
+    if arm_robot.inverse is None:
+        raise problem.error("cell.arm", f"{arm_robot.key} is not an arm: its file names no inverse kinematics")
     T_world_base = translation(np.asarray(spec.base))
     T_flange_nozzle = frame_from_z(np.asarray(spec.nozzle.tip), np.asarray(spec.nozzle.axis))
-    arm = _chain(arm_robot, T_world_base, T_flange_nozzle, free=arm_robot.model.names[1:], held={})
-    _check_closed_form(arm_robot)
+    arm = chain_of(arm_robot, T_world_base, T_flange_nozzle, arm_robot.joint_names, {})
 
     if spec.positioner is None:
         holder_robot, held = None, {}
@@ -105,7 +98,7 @@ def build_cell(problem: Problem) -> Cell:
         holder = Chain((), np.empty((0, 4, 4)), np.empty((0, 3)), T_world_holder_base)
     else:
         holder_robot = load_robot(spec.positioner.robot, problem, "cell.positioner.robot")
-        axes = tuple(holder_robot.model.names[1:])
+        axes = holder_robot.joint_names
         for field, names in (("free", spec.positioner.free), ("held_deg", spec.positioner.held)):
             for name in names:
                 if name not in axes:
@@ -115,12 +108,15 @@ def build_cell(problem: Problem) -> Cell:
         if len(spec.positioner.free) > 1:
             raise problem.error("cell.positioner.free", "more than one axis", "free one; the others are held")
         held = {name: spec.positioner.held.get(name, 0.0) for name in axes if name not in spec.positioner.free}
-        at_zero = _chain(holder_robot, np.eye(4), np.eye(4), (), dict.fromkeys(axes, 0.0)).T_last_tip
+        at_zero = chain_of(holder_robot, np.eye(4), np.eye(4), (), dict.fromkeys(axes, 0.0)).T_last_tip
         T_world_holder_base = translation(np.asarray(spec.positioner.origin) - at_zero[:3, 3])
-        holder = _chain(holder_robot, T_world_holder_base, np.eye(4), spec.positioner.free, held)
+        holder = chain_of(holder_robot, T_world_holder_base, np.eye(4), spec.positioner.free, held)
 
     limits = _limits(problem, spec, arm_robot, arm, holder_robot, holder)
     na = len(arm)
+    if len(spec.home) != na:
+        reason = f"{arm_robot.name} has {na} joints, not {len(spec.home)}"
+        raise problem.error("cell.home_deg", reason, f"one angle for each of {', '.join(arm.names)}")
     rest = np.clip(np.zeros(len(holder)), limits.q_min[na:], limits.q_max[na:])
     home = np.concatenate([np.asarray(spec.home), rest])
     outside = (home < limits.q_min) | (home > limits.q_max)
@@ -128,11 +124,14 @@ def build_cell(problem: Problem) -> Cell:
         j = int(np.argmax(outside))
         low, high = np.degrees(limits.q_min[j]), np.degrees(limits.q_max[j])
         raise problem.error("cell.home_deg", f"joint {j + 1} is outside its range", f"{low:.0f} to {high:.0f}")
+    inverse = arm_robot.inverse
+    if isinstance(inverse, SevenAxes):
+        inverse = replace(inverse, rest=float(home[inverse.redundant_joint]))
     return Cell(
         arm=arm,
         holder=holder,
         limits=limits,
-        wrist=arm_robot.wrist,
+        inverse=inverse,
         T_world_base=T_world_base,
         T_flange_nozzle=T_flange_nozzle,
         T_world_holder=holder.poses(np.zeros((1, len(holder))))[0],
@@ -144,81 +143,6 @@ def build_cell(problem: Problem) -> Cell:
     )
 
 
-def robot_names() -> list[str]:
-    """Keys of the robots that ship."""
-    return sorted(path.stem for path in ROBOTS.glob("*.yaml"))
-
-
-def load_robot(key: str, problem: Problem, field: str) -> Robot:
-    """Read robots/<key>.yaml and the URDF that it names; InputError where there is none."""
-    path = ROBOTS / f"{key}.yaml"
-    if key not in robot_names():
-        near = nearest_name(key, robot_names())
-        known = ", ".join(robot_names())
-        raise problem.error(field, f"unknown robot {key!r}", f"did you mean {near}?" if near else f"known: {known}")
-    data: dict[str, Any] = YAML(typ="safe").load(path)
-    model = pin.buildModelFromUrdf(str(ROBOTS / data["urdf"]))
-    wrist = data.get("spherical_wrist")
-    return Robot(
-        key=key,
-        name=data["name"],
-        model=model,
-        tip=data["tip"],
-        acceleration=np.asarray(data["acceleration_rad_s2"], dtype=float),
-        jerk=np.asarray(data["jerk_rad_s3"], dtype=float),
-        wrist=None if wrist is None else SphericalWrist(**{k.removesuffix("_mm"): v * 1e-3 for k, v in wrist.items()}),
-        assumed=tuple(data.get("assumed", ())),
-    )
-
-
-def _chain(robot: Robot, T_world_base: Array, T_tip_tool: Array, free: Any, held: dict[str, float]) -> Chain:
-    """Fold the held axes and the fixed frames of a Pinocchio model into a chain over its free joints."""
-    model = robot.model
-    placements, axes, names = [], [], []
-    T = T_world_base.copy()
-    for i in range(1, model.njoints):
-        T = T @ model.jointPlacements[i].homogeneous
-        axis = _joint_axis(model, i)
-        name = model.names[i]
-        if name in free:
-            placements.append(T)
-            axes.append(axis)
-            names.append(name)
-            T = np.eye(4)
-        else:
-            T = T @ pin.SE3(pin.AngleAxis(held[name], axis).toRotationMatrix(), np.zeros(3)).homogeneous
-    frame = model.frames[model.getFrameId(robot.tip)]
-    T = T @ frame.placement.homogeneous @ T_tip_tool
-    n = len(names)
-    return Chain(tuple(names), np.array(placements).reshape(n, 4, 4), np.array(axes).reshape(n, 3), T)
-
-
-def _joint_axis(model: pin.Model, i: int) -> Array:
-    """Unit axis of a revolute joint in its own frame, read off the joint's own motion subspace."""
-    q = pin.neutral(model)
-    data = model.createData()
-    J = pin.computeJointJacobians(model, data, q)
-    return np.asarray(data.oMi[i].rotation.T @ J[3:, model.joints[i].idx_v])
-
-
-def _check_closed_form(robot: Robot) -> None:
-    """The YAML's wrist parameters and the URDF describe one arm twice: hold them to each other."""
-    postures = np.array([[0.0] * 6, [0.3, -0.4, 0.5, 0.6, -0.7, 0.8]])
-    if robot.wrist is None:
-        return
-    data = robot.model.createData()
-    for q, T in zip(postures, robot.wrist.poses(postures), strict=True):
-        pin.framesForwardKinematics(robot.model, data, q)
-        seen = data.oMf[robot.model.getFrameId(robot.tip)].homogeneous
-        if not np.allclose(seen, T, atol=1e-9):
-            raise InputError(
-                "spherical_wrist and the URDF disagree about the flange",
-                file=ROBOTS / f"{robot.key}.yaml",
-                field="spherical_wrist",
-                hint=f"URDF says {np.round(seen[:3, 3] * 1e3, 3)} mm, the YAML {np.round(T[:3, 3] * 1e3, 3)} mm",
-            )
-
-
 def _limits(
     problem: Problem, spec: CellSpec, arm_robot: Robot, arm: Chain, holder_robot: Robot | None, holder: Chain
 ) -> Limits:
@@ -226,9 +150,8 @@ def _limits(
     for robot, chain in ((arm_robot, arm), (holder_robot, holder)):
         if robot is None:
             continue
-        names = list(robot.model.names[1:])
         for name in chain.names:
-            i = names.index(name)
+            i = robot.joint_names.index(name)
             m = robot.model
             row = [m.lowerPositionLimit[i], m.upperPositionLimit[i], m.velocityLimit[i]]
             rows.append([*row, robot.acceleration[i], robot.jerk[i]])

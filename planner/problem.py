@@ -47,6 +47,7 @@ Text = Annotated[str, TEXT]
 Identifier = Annotated[str, IDENTIFIER]
 Position = Annotated[Vector, Quantity("mm", -100_000, 100_000, count=3)]  # a hall of 100 m
 Angle = Annotated[float, Quantity("deg", -3600, 3600)]  # ten turns: no cable allows more
+MOST_JOINTS = 12  # of an arm; how many it has, its own file says
 Speed = Annotated[float, Quantity("mm/s", 0.1, 2000)]  # below, a print takes days; above, no arm is exact
 Thickness = Annotated[float, Quantity("mm", 0.01, 50)]  # from a fibre to large concrete beads
 
@@ -115,8 +116,8 @@ class CellSpec(Section):
     arm: Text = _key("arm", "key of the arm in robots/")
     base: Position = _key("base_mm", "base of the arm in the world [mm]", (0, 0, 0))
     nozzle: NozzleSpec = _key("nozzle", "the nozzle on the arm's flange")
-    home: Annotated[tuple[float, ...], Quantity("deg", -3600, 3600, count=6)] = _key(
-        "home_deg", "posture of the arm before and after the print, joints 1 to 6 [deg]"
+    home: Annotated[tuple[float, ...], Quantity("deg", -3600, 3600, count=(1, MOST_JOINTS))] = _key(
+        "home_deg", "posture of the arm before and after the print, each joint from the base on [deg]"
     )
     positioner: PositionerSpec | None = _key("positioner", "what turns the part; default: none, but a bed", None)
     bed: Position | None = _key("bed_mm", "origin of the part frame on a fixed bed [mm]; default: none", None)

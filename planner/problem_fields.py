@@ -48,13 +48,14 @@ def refusal(reason: str, hint: str | None = None, **context: Any) -> PydanticCus
 class Quantity:
     """Annotation of a number, or a list of `count` numbers, in `unit` within [low, high]; becomes SI.
 
+    `count` is how many, or the least and the greatest number of them.
     `whole` numbers stay integers. A text, a boolean, NaN and infinity are no numbers.
     """
 
     unit: str
     low: float
     high: float
-    count: int | None = None
+    count: int | tuple[int, int] | None = None
     whole: bool = False
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -67,7 +68,15 @@ class Quantity:
         number: JsonSchemaValue = {"type": kind, "minimum": self.low, "maximum": self.high}
         if self.count is None:
             return number
-        return {"type": "array", "items": number, "minItems": self.count, "maxItems": self.count}
+        least, most = self._counts
+        return {"type": "array", "items": number, "minItems": least, "maxItems": most}
+
+    @property
+    def _counts(self) -> tuple[int, int]:
+        """The least and the greatest length of the list."""
+        if isinstance(self.count, tuple):
+            return self.count
+        return (0, 0) if self.count is None else (self.count, self.count)
 
     @property
     def valid(self) -> str:
@@ -79,10 +88,12 @@ class Quantity:
         """Return the value (or the tuple of them) in SI units; raises the refusal for anything else."""
         if self.count is None:
             return self._number(value, {}, "")
+        least, most = self._counts
+        asked = f"{least}" if least == most else f"{least} to {most}"
         if not isinstance(value, tuple):
-            raise refusal(f"must be a list of {self.count} numbers, not {describe(value)}", self.valid)
-        if len(value) != self.count:
-            raise refusal(f"must be a list of {self.count} numbers, not of {len(value)}", self.valid)
+            raise refusal(f"must be a list of {asked} numbers, not {describe(value)}", self.valid)
+        if not least <= len(value) <= most:
+            raise refusal(f"must be a list of {asked} numbers, not of {len(value)}", self.valid)
         return tuple(self._number(v, {"item": i}, f"number {i + 1} ") for i, v in enumerate(value))
 
     def _number(self, value: Any, where: dict[str, int], name: str) -> float:

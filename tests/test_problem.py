@@ -114,7 +114,7 @@ def test_values_are_si(in_tmp: Path) -> None:
 
 def test_defaults(in_tmp: Path) -> None:
     problem = load(swap("strategy: greedy\n", ""))
-    assert problem.strategy == "ladder"
+    assert problem.strategy == "sqp"
     assert problem.cell.base == (0, 0, 0)
     assert problem.cell.bed is None
     assert problem.part.cylinder.centre == (0, 0)
@@ -248,7 +248,7 @@ MISTAKES: list[tuple[str, str, int, str, str, str]] = [
     ("[633.5, 9.87, 380]", "[1, x, 3]", 8, "cell.positioner.origin_mm", "number 2 must be a number", "mm"),
     ("[633.5, 9.87, 380]", "[1, 2,\n     .inf]", 9, "cell.positioner.origin_mm", "number 3", "mm"),
     ("[633.5, 9.87, 380]", "5", 8, "cell.positioner.origin_mm", "a list of 3 numbers, not 5", "mm"),
-    ("-80, 60]", "-80]", 5, "cell.home_deg", "6 numbers, not of 5", "-3600 to 3600 deg"),
+    ("[30, 20, 30, 90, -80, 60]", "[]", 5, "cell.home_deg", "1 to 12 numbers, not of 0", "-3600 to 3600 deg"),
     ("-80, 60]", "-80, 3601]", 5, "cell.home_deg", "number 6 3601 deg is too large", "-3600 to 3600 deg"),
     ("[0, 3, 4]", "[0, 0, 0]", 4, "cell.nozzle.axis", "zero vector", "[0, 0, 1]"),
     ("count: 10", "count: 0", 21, "layers.count", "0 is too small", "1 to 10000"),

@@ -41,7 +41,12 @@ ROOMS = (
     "background",
     "solve",
 )
-SAME_ROOM = {"problem_fields": "problem", "problem_file": "problem", "problem_mistakes": "problem"}
+SAME_ROOM = {
+    "problem_fields": "problem",
+    "problem_file": "problem",
+    "problem_mistakes": "problem",
+    "robot_files": "cell",
+}
 EVERYWHERE = {"errors"}
 # Rooms that see less than what is to their left, when the program runs.
 NARROW = {

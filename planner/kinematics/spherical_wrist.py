@@ -38,11 +38,26 @@ class SphericalWrist:
         """The seven lengths (7) in the order a1 a2 b c1 c2 c3 c4 [m]."""
         return np.array(astuple(self))
 
+    @property
+    def joints(self) -> int:
+        """Six."""
+        return 6
+
+    @property
+    def branch_count(self) -> int:
+        """Eight."""
+        return BRANCHES
+
+    @property
+    def redundant_joint(self) -> int | None:
+        """None: six joints, six coordinates of a pose."""
+        return None
+
     def poses(self, q: Array) -> Array:
         """Flange poses T_base_flange (m, 4, 4) of postures q (m, 6)."""
         return _poses(self.parameters, np.ascontiguousarray(q))
 
-    def solve(self, T_base_flange: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def solve(self, T_base_flange: Array, redundant: Array | None = None) -> tuple[Array, NDArray[np.bool_]]:
         """All eight postures q (m, 8, 6) in (-pi, pi] of flange poses (m, 4, 4), and which exist (m, 8).
 
         The index of a posture is its branch number: 4 wrist centre behind axis 1, 2 behind the lower arm,
@@ -54,7 +69,7 @@ class SphericalWrist:
         """Branch numbers (m) of postures q (m, 6)."""
         return _branches(self.parameters, np.ascontiguousarray(q))
 
-    def out_of_reach(self, T_base_flange: Array) -> Array:
+    def out_of_reach(self, T_base_flange: Array, redundant: Array | None = None) -> Array:
         """How far (m) the wrist centre lies outside the arm's reach on its better shoulder [m]; 0 within."""
         centre = T_base_flange[:, :3, 3] - self.c4 * T_base_flange[:, :3, 2]
         rho2 = centre[:, 0] ** 2 + centre[:, 1] ** 2 - self.b**2

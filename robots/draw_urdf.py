@@ -1,0 +1,151 @@
+"""Write the URDF and YAML files of the arms that are drawn from their makers' data: python robots/draw_urdf.py."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import radians
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+ABB_ACCELERATION = (15, 15, 15, 25, 25, 30)
+JERK_TIME = 50  # 1/s: full acceleration is reached in 20 ms
+
+
+@dataclass(frozen=True)
+class Abb:
+    """An arm with a spherical wrist: OPW lengths [mm], ranges [deg] and speeds [deg/s] of its product specification."""
+
+    name: str
+    lengths: tuple[float, ...]  # a1 a2 b c1 c2 c3 c4
+    ranges: tuple[tuple[float, float], ...]
+    speeds: tuple[float, ...]
+
+
+WRIST_140 = ((-200, 200), (-115, 115), (-400, 400))
+WRIST_1200 = ((-270, 270), (-130, 130), (-360, 360))
+SPEEDS_1200 = (288, 240, 300, 400, 405, 600)
+ABB = {
+    "irb140": Abb(
+        "ABB IRB 140-6/0.8",
+        (70, 0, 0, 352, 360, 380, 65),
+        ((-180, 180), (-90, 110), (-230, 50), *WRIST_140),
+        (200, 200, 260, 360, 360, 450),
+    ),
+    "irb1600_12": Abb(
+        "ABB IRB 1600-x/1.2",
+        (150, 0, 0, 486.5, 475, 600, 65),
+        ((-180, 180), (-63, 110), (-235, 55), *WRIST_140),
+        (150, 160, 170, 320, 400, 460),
+    ),
+    "irb1600_145": Abb(
+        "ABB IRB 1600-x/1.45",
+        (150, 0, 0, 486.5, 700, 600, 65),
+        ((-180, 180), (-90, 120), (-245, 65), *WRIST_140),
+        (180, 180, 185, 385, 400, 460),
+    ),
+    "irb1200_09": Abb(
+        "ABB IRB 1200-5/0.9",
+        (0, -42, 0, 399.1, 448, 451, 82),
+        ((-170, 170), (-100, 130), (-200, 70), *WRIST_1200),
+        SPEEDS_1200,
+    ),
+    "irb1200_07": Abb(
+        "ABB IRB 1200-7/0.7",
+        (0, -42, 0, 399.1, 350, 351, 82),
+        ((-170, 170), (-100, 135), (-200, 70), *WRIST_1200),
+        SPEEDS_1200,
+    ),
+}
+IIWA_RANGES = (170, 120, 170, 120, 170, 120, 175)
+IIWA_SPEEDS = (85, 85, 100, 75, 130, 135, 135)
+
+
+def urdf(
+    key: str,
+    comment: str,
+    joints: list[tuple[tuple[float, ...], str]],
+    ranges: tuple[tuple[float, float], ...],
+    speeds: tuple[float, ...],
+    flange: str,
+) -> str:
+    """Text of a URDF: joints by their origin in the link before [mm] and axis, then the origin of tool0."""
+    n = len(joints)
+    lines = ['<?xml version="1.0"?>', f"<!-- {comment} -->", f'<robot name="{key}">', '  <link name="base_link"/>']
+    lines += [f'  <link name="link_{i}"/>' for i in range(1, n + 1)] + ['  <link name="tool0"/>']
+    for i, ((origin, axis), (low, high), speed) in enumerate(zip(joints, ranges, speeds, strict=True), 1):
+        parent = f"link_{i - 1}" if i > 1 else "base_link"
+        xyz = " ".join(f"{value / 1000:g}" for value in origin)
+        lines += [
+            f'  <joint name="joint_{i}" type="revolute">',
+            f'    <parent link="{parent}"/><child link="link_{i}"/>',
+            f'    <origin xyz="{xyz}"/><axis xyz="{axis}"/>',
+            f'    <limit lower="{radians(low)}" upper="{radians(high)}" velocity="{radians(speed)}" effort="0"/>',
+            "  </joint>",
+        ]
+    lines += [
+        '  <joint name="flange" type="fixed">',
+        f'    <parent link="link_{n}"/><child link="tool0"/>',
+        f"    <origin {flange}/>",
+        "  </joint>",
+        "</robot>",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def abb_urdf(key: str) -> str:
+    """URDF of an ABB arm: z up, x forwards, all joints 0 with the upper arm vertical and the forearm horizontal."""
+    arm = ABB[key]
+    a1, a2, b, c1, c2, c3, c4 = arm.lengths
+    x, y, z = "1 0 0", "0 1 0", "0 0 1"
+    joints: list[tuple[tuple[float, ...], str]] = [
+        ((0, 0, c1), z),
+        ((a1, b, 0), y),
+        ((0, 0, c2), y),
+        ((0, 0, -a2), x),
+        ((c3, 0, 0), y),
+        ((c4, 0, 0), x),
+    ]
+    comment = f"{arm.name}. At zero the upper arm is vertical, the forearm horizontal forwards."
+    return urdf(key, comment, joints, arm.ranges, arm.speeds, f'xyz="0 0 0" rpy="0 {radians(90)} 0"')
+
+
+def abb_yaml(key: str) -> str:
+    """The YAML file beside that URDF."""
+    arm = ABB[key]
+    names = ("a1", "a2", "b", "c1", "c2", "c3", "c4")
+    lengths = ", ".join(f"{name}_mm: {value:g}" for name, value in zip(names, arm.lengths, strict=True))
+    return f"""\
+# {arm.name}. Lengths and ranges: ABB product specification (as in the URDF beside this file).
+# Ranges and speeds of the joints stand in the URDF; what a URDF cannot say stands here.
+name: {arm.name}
+urdf: {key}.urdf
+tip: tool0
+spherical_wrist: {{{lengths}}}
+# ASSUMED: ABB does not publish acceleration and jerk; yours belong into the problem file (cell.limits).
+assumed: [acceleration_rad_s2, jerk_rad_s3]
+acceleration_rad_s2: {list(ABB_ACCELERATION)}
+jerk_rad_s3: {[JERK_TIME * value for value in ABB_ACCELERATION]}
+"""
+
+
+def iiwa_urdf() -> str:
+    """URDF of KUKA's LBR iiwa 14 R820, straight up at zero; the tip is the flange of the robot without a media flange."""
+    axes = ("0 0 1", "0 1 0", "0 0 1", "0 -1 0", "0 0 1", "0 1 0", "0 0 1")
+    up = (360, 0, 420, 0, 400, 0, 0)
+    joints: list[tuple[tuple[float, ...], str]] = [((0, 0, z), axis) for z, axis in zip(up, axes, strict=True)]
+    ranges = tuple((-value, value) for value in IIWA_RANGES)
+    comment = "KUKA LBR iiwa 14 R820. At zero the arm stands straight up."
+    return urdf("iiwa", comment, joints, ranges, IIWA_SPEEDS, 'xyz="0 0 0.126"')
+
+
+def files() -> dict[str, str]:
+    """Texts of all files that are written here, by file name."""
+    texts = {"iiwa.urdf": iiwa_urdf()}
+    for key in ABB:
+        texts |= {f"{key}.urdf": abb_urdf(key), f"{key}.yaml": abb_yaml(key)}
+    return texts
+
+
+if __name__ == "__main__":
+    for name, text in files().items():
+        (HERE / name).write_text(text, encoding="utf-8")
