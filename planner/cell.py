@@ -65,6 +65,17 @@ class Cell:
         return self.arm.names + self.holder.names
 
     @property
+    def chosen(self) -> tuple[int, ...]:
+        """Joints (indices) whose angles are chosen, not solved for: the holder's, then the arm's redundant one."""
+        na, redundant = len(self.arm), self.inverse.redundant_joint
+        return (*range(na, na + len(self.holder)), *(() if redundant is None else (redundant,)))
+
+    @property
+    def solved(self) -> tuple[int, ...]:
+        """The six arm joints (indices) that follow from a nozzle pose."""
+        return tuple(j for j in range(len(self.arm)) if j != self.inverse.redundant_joint)
+
+    @property
     def wrist(self) -> SphericalWrist:
         """`inverse`, for what is written for spherical wrists only; raises Refusal for any other arm."""
         if not isinstance(self.inverse, SphericalWrist):
@@ -105,8 +116,6 @@ def build_cell(problem: Problem) -> Cell:
                     near = nearest_name(name, axes)
                     hint = f"did you mean {near}?" if near else f"axes: {', '.join(axes)}"
                     raise problem.error(f"cell.positioner.{field}", f"no axis {name!r}", hint)
-        if len(spec.positioner.free) > 1:
-            raise problem.error("cell.positioner.free", "more than one axis", "free one; the others are held")
         held = {name: spec.positioner.held.get(name, 0.0) for name in axes if name not in spec.positioner.free}
         at_zero = chain_of(holder_robot, np.eye(4), np.eye(4), (), dict.fromkeys(axes, 0.0)).T_last_tip
         T_world_holder_base = translation(np.asarray(spec.positioner.origin) - at_zero[:3, 3])

@@ -79,7 +79,7 @@ def join(
         tip=tip,
         quat=quat,
         axis=np.ascontiguousarray(T_part_nozzle[:, :3, 2]),
-        branch=cell.wrist.branches(joints[:, : len(cell.arm)]),
+        branch=cell.inverse.branches(joints[:, : len(cell.arm)]),
         speed=speed,
         flow=np.concatenate(rate),
         extruded=np.concatenate(volume),

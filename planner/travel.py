@@ -111,7 +111,10 @@ def _lifted(cell: Cell, path: JointPath, end: int, lift: float) -> list[Array]:
         task.bead, task.name, task.layer, (task.tip[end] - lift * task.frames[end, :, 2])[None],
         task.frames[end][None], np.zeros(1), 0, 0, task.speed,
     )  # fmt: skip
-    solutions, ok = cell.wrist.solve(flange_poses(cell, one, path.roll[[end]], path.tilt[[end]], q[None, na:]))
+    redundant = cell.inverse.redundant_joint
+    given = None if redundant is None else q[None, redundant]
+    T_base_flange = flange_poses(cell, one, path.roll[[end]], path.tilt[[end]], q[None, na:])
+    solutions, ok = cell.inverse.solve(T_base_flange, given)
     if not ok[0, path.branch]:
         return []
     arm = solutions[0, path.branch]

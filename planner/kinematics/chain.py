@@ -117,3 +117,34 @@ def chain_jacobians(placements: Array, axes: Array, T_last_tip: Array, q: Array)
             out[k, 2, i] = z[0] * y - z[1] * x
             out[k, 3:, i] = z
     return out
+
+
+@njit(cache=True)
+def chain_state(
+    placements: Array, axes: Array, T_last_tip: Array, q: Array, origins: Array, directions: Array, T_tip: Array,
+    before: Array, after: Array, R: Array,
+) -> None:  # fmt: skip
+    """Fill origins, directions (n, 3) of the joints and T_tip (4, 4) for one posture; the last three are room."""
+    after[:] = 0.0
+    for i in range(4):
+        after[i, i] = 1.0
+    for i in range(q.size):
+        mul4(after, placements[i], before)
+        for j in range(3):
+            directions[i, j] = before[j, 0] * axes[i, 0] + before[j, 1] * axes[i, 1] + before[j, 2] * axes[i, 2]
+            origins[i, j] = before[j, 3]
+        rotate_about(axes[i], q[i], R)
+        turn(before, R, after)
+    mul4(after, T_last_tip, T_tip)
+
+
+@njit(cache=True)
+def jacobian_at(origins: Array, directions: Array, p: Array, J: Array) -> None:
+    """Fill J (6, n), linear rows first, at a point p (3), from what `chain_state` gives."""
+    for j in range(J.shape[1]):
+        d = directions[j]
+        x, y, w = p[0] - origins[j, 0], p[1] - origins[j, 1], p[2] - origins[j, 2]
+        J[0, j] = d[1] * w - d[2] * y
+        J[1, j] = d[2] * x - d[0] * w
+        J[2, j] = d[0] * y - d[1] * x
+        J[3, j], J[4, j], J[5, j] = d[0], d[1], d[2]

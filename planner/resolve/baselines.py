@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 
 from planner.cell import Cell, Limits, rigid_inverse
 from planner.errors import Refusal
+from planner.kinematics.chain import Chain
 from planner.problem import ResolveSpec
 from planner.resolve.demand import Demand
 from planner.resolve.jointpath import JointPath, choose_turns, postures, upright
-from planner.resolve.ladder import coarse_nodes, first_of_each_name, paths_of
+from planner.resolve.ladder import Found, coarse_nodes, first_of_each_name, paths_of
 from planner.resolve.nodes import Nodes
-from planner.resolve.search import greedy_route
+from planner.resolve.search import greedy_route, joint_limits
 from planner.resolve.search_kernel import SPEED_SHARE
 from planner.resolve.unreachable import refuse_rung
 from planner.task import NozzleTask
@@ -30,32 +31,39 @@ def as_published(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec)
     """
     na = len(cell.arm)
     R_home = cell.arm.poses(cell.home[None, :na])[0, :3, :3]
-    branch = int(cell.wrist.branches(cell.home[None, :na])[0])
+    branch = int(cell.inverse.branches(cell.home[None, :na])[0])
     paths = []
     for task in tasks:
-        holder = _turn_to_face(cell, task, R_home[:, 2])
-        R_world_part = cell.holder.poses(holder)[:, :3, :3]
+        chosen = _turn_to_face(cell, task, R_home[:, 2])
+        R_world_part = cell.holder.poses(chosen[:, : len(cell.holder)])[:, :3, :3]
         R_world_task = R_world_part @ task.frames
         # the roll that brings the nozzle's x and y closest to home's: maximises the trace of R_home^T R
         M = np.einsum("ji,njk->nik", R_home, R_world_task)
         roll = np.unwrap(np.arctan2(M[:, 1, 0] - M[:, 0, 1], M[:, 0, 0] + M[:, 1, 1]))
         roll = -roll
-        paths.append(JointPath(task, roll, upright(task), postures(cell, task, roll, holder, branch), branch))
+        paths.append(JointPath(task, roll, upright(task), postures(cell, task, roll, chosen, branch), branch))
     return choose_turns(cell, paths)
 
 
 def _turn_to_face(cell: Cell, task: NozzleTask, direction: Array) -> Array:
-    """Holder angles (n, nh) that turn the nozzle axis nearest to a direction of the world."""
-    if len(cell.holder) == 0:
-        return np.zeros((len(task), 0))
-    T_before, k = cell.holder.placements[0], cell.holder.axes[0]
+    """Chosen joints (n, k) of which the holder's last axis turns the nozzle axis nearest to a direction of the world,
+    the others resting at home."""
+    nh = len(cell.holder)
+    chosen = np.tile(cell.home[list(cell.chosen)], (len(task), 1))
+    if nh == 0:
+        return chosen
+    before = Chain(
+        cell.holder.names[:-1], cell.holder.placements[:-1], cell.holder.axes[:-1], cell.holder.placements[-1]
+    )
+    T_before, k = before.poses(chosen[:1, : nh - 1])[0], cell.holder.axes[-1]
     R_after = cell.holder.T_last_tip[:3, :3]
     a = task.frames[:, :, 2] @ R_after.T  # nozzle axis in the turning frame
     d = rigid_inverse(T_before)[:3, :3] @ direction
     a = a - (a @ k)[:, None] * k
     d = d - (d @ k) * k
     sine, cosine = np.cross(a, d) @ k, a @ d
-    return np.unwrap(np.arctan2(sine, cosine))[:, None]
+    chosen[:, nh - 1] = np.unwrap(np.arctan2(sine, cosine))
+    return chosen
 
 
 def fixed(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[JointPath, ...]:
@@ -86,8 +94,10 @@ def fixed(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tup
         holder, branch = choice[task.name]
         n = len(task)
         rolls = np.full(n, roll * grid.roll_step)
-        holders = np.full((n, len(cell.holder)), holder * grid.holder_step)
-        paths.append(JointPath(task, rolls, upright(task), postures(cell, task, rolls, holders, branch), branch))
+        chosen = np.tile(cell.home[list(cell.chosen)], (n, 1))
+        if cell.chosen:
+            chosen[:, grid.swept] = holder * grid.holder_step
+        paths.append(JointPath(task, rolls, upright(task), postures(cell, task, rolls, chosen, branch), branch))
     return choose_turns(cell, paths)
 
 
@@ -96,9 +106,10 @@ def _held_price(nodes: Nodes, demand: Demand, limits: Limits, task: int) -> Arra
     rungs = demand.rungs_of(task)
     total = nodes.price[rungs].sum(axis=0)
     step = np.abs(np.diff(nodes.q[rungs], axis=0)).astype(float)
-    step[..., 5] = np.abs(step[..., 5] - 2.0 * np.pi * np.round(step[..., 5] / (2.0 * np.pi)))
+    v, _, wraps = joint_limits(nodes, limits)
+    step[..., wraps] = np.abs(step[..., wraps] - 2.0 * np.pi * np.round(step[..., wraps] / (2.0 * np.pi)))
     time = demand.time[rungs][1:].reshape((-1, 1, 1, 1, 1))
-    total[(step > SPEED_SHARE * limits.velocity[:6] * time).any(axis=(0, 4))] = np.inf
+    total[(step > SPEED_SHARE * v[:-1] * time).any(axis=(0, 4))] = np.inf
     return np.asarray(total)
 
 
@@ -108,4 +119,4 @@ def greedy(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tu
     route, stuck = greedy_route(nodes, demand, cell.limits)
     if route is None:
         refuse_rung(cell, tasks, demand, nodes, stuck, settings.min_sigma)
-    return paths_of(cell, tasks, demand, nodes.grid, route)
+    return paths_of(cell, tasks, Found(demand, nodes, route))

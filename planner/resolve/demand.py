@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.task import NozzleTask
+from planner.task import FREE, Cones, NozzleTask
 
 Array = NDArray[np.float64]
 
@@ -28,6 +28,7 @@ class Demand:
     start, stop (r)                samples that a rung answers for
     time (r)                       time from the rung before it at the commanded speed [s]
     task_rungs (b + 1)             rungs of task i are task_rungs[i] .. task_rungs[i + 1]
+    cones                          of the tasks, the same for all
     """
 
     tip: Array
@@ -40,6 +41,7 @@ class Demand:
     stop: NDArray[np.int64]
     time: Array
     task_rungs: NDArray[np.int64]
+    cones: Cones = FREE
 
     def rungs_of(self, task: int) -> slice:
         """Rungs of the task at this index."""
@@ -84,4 +86,5 @@ def demand_of(tasks: Sequence[NozzleTask], spacing: float) -> Demand:
         stop=np.concatenate(stops),
         time=np.concatenate(times),
         task_rungs=np.array(counts),
+        cones=tasks[0].cones,
     )

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planner.kinematics.chain import mul4, rotate_about, turn
+from planner.kinematics.chain import chain_state, jacobian_at, rotate_about
 from planner.resolve.node_kernel import invert6
 
 Array = NDArray[np.float64]
@@ -22,37 +22,10 @@ _POWER_STEPS = 4  # of the iteration for the smallest singular value, which star
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def chain_state(placements, axes, T_last, q, origins, directions, T_tip, before, after, R) -> None:
-    """Fill origins, directions (n, 3) of the joints and T_tip (4, 4) for one posture; the last three are room."""
-    after[:] = 0.0
-    for i in range(4):
-        after[i, i] = 1.0
-    for i in range(q.size):
-        mul4(after, placements[i], before)
-        for j in range(3):
-            directions[i, j] = before[j, 0] * axes[i, 0] + before[j, 1] * axes[i, 1] + before[j, 2] * axes[i, 2]
-            origins[i, j] = before[j, 3]
-        rotate_about(axes[i], q[i], R)
-        turn(before, R, after)
-    mul4(after, T_last, T_tip)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def _cross(a, b, out) -> None:
     out[0] = a[1] * b[2] - a[2] * b[1]
     out[1] = a[2] * b[0] - a[0] * b[2]
     out[2] = a[0] * b[1] - a[1] * b[0]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _jacobian(origins, directions, p, J) -> None:
-    for j in range(J.shape[1]):
-        d = directions[j]
-        x, y, w = p[0] - origins[j, 0], p[1] - origins[j, 1], p[2] - origins[j, 2]
-        J[0, j] = d[1] * w - d[2] * y
-        J[1, j] = d[2] * x - d[0] * w
-        J[2, j] = d[0] * y - d[1] * x
-        J[3, j], J[4, j], J[5, j] = d[0], d[1], d[2]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -162,7 +135,7 @@ def follow(
         found = False
         for _ in range(_STEPS):
             chain_state(arm_placements, arm_axes, arm_tip, q[i, :na], o_arm, d_arm, T_world_nozzle, before, after, R)
-            _jacobian(o_arm, d_arm, T_world_nozzle[:3, 3], J)
+            jacobian_at(o_arm, d_arm, T_world_nozzle[:3, 3], J)
             for k in range(6):
                 for a in range(6):
                     J6[a, k] = J[a, solved[k]]

@@ -53,22 +53,28 @@ def upright(task: NozzleTask) -> Array:
     return np.zeros((len(task), 2))
 
 
-def postures(cell: Cell, task: NozzleTask, roll: Array, holder: Array, branch: int) -> Array:
-    """Joints (n, nj) that hold the task exactly, for roll (n) and holder joints (n, nh) on one branch, without tilt.
+def postures(cell: Cell, task: NozzleTask, roll: Array, chosen: Array, branch: int) -> Array:
+    """Joints (n, nj) that hold the task exactly, for roll (n) and the cell's chosen joints (n, k) on one branch.
+
+    The nozzle is not tilted.
 
     Joints are continuous along the path; whole turns are chosen later, by `choose_turns`.
     Raises Refusal, with the place, where a pose is out of reach or outside a joint's range.
     """
+    na, nh = len(cell.arm), len(cell.holder)
+    holder, redundant = chosen[:, :nh], chosen[:, nh] if cell.inverse.redundant_joint is not None else None
     T_base_flange = flange_poses(cell, task, roll, upright(task), holder)
-    q_all, ok_all = cell.wrist.solve(T_base_flange)
+    q_all, ok_all = cell.inverse.solve(T_base_flange, redundant)
     q, ok = q_all[:, branch], ok_all[:, branch]
     if not ok.all():
         i = int(np.argmin(ok))
-        refuse_at(task, i, "out of the arm's reach", float(cell.wrist.out_of_reach(T_base_flange[i : i + 1])[0]))
-    middle = 0.5 * (cell.limits.q_min[:6] + cell.limits.q_max[:6])
+        given = None if redundant is None else redundant[i : i + 1]
+        missing = float(cell.inverse.out_of_reach(T_base_flange[i : i + 1], given)[0])
+        refuse_at(task, i, "out of the arm's reach", missing)
+    middle = 0.5 * (cell.limits.q_min[:na] + cell.limits.q_max[:na])
     q = middle + np.remainder(q - middle + np.pi, _TURN) - np.pi
     q = np.unwrap(q, axis=0)
-    span = cell.limits.q_max[:6] - cell.limits.q_min[:6]
+    span = cell.limits.q_max[:na] - cell.limits.q_min[:na]
     for j in np.flatnonzero(np.ptp(q, axis=0) > span):
         i = int(np.argmax(np.abs(q[:, j] - middle[j])))
         refuse_at(task, i, f"{cell.arm.names[j]} would turn further than its range along this bead")

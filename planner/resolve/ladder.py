@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +23,28 @@ Array = NDArray[np.float64]
 # Of the second search: coarse steps are divided by the first number, and the guide may be left by the second one
 # of those to each side. A guide that turns by a coarse step a rung is too quick for dense steps: wider, then coarse.
 CORRIDORS = ((3, 4), (3, 12), (1, 1))
+_SPARSE = 5  # times as far as the settings' rungs stand those of the first look at several chosen joints
+_ROUGH = 2.0  # times the settings' steps in that first look
+_LATTICE = 9  # angles at which a chosen joint is held there, at most
+
+
+@dataclass(frozen=True)
+class Found:
+    """A route over some tasks' rungs, with what it was found on."""
+
+    demand: Demand
+    nodes: Nodes
+    route: Route
+
+    def chosen(self, k: int) -> Array:
+        """Angles (r, k) of the cell's chosen joints along the route, continuous along each task."""
+        grid = self.nodes.grid
+        angles = grid.chosen(len(self.demand.rung), k).copy()
+        if k:
+            for i in range(len(self.demand.task_rungs) - 1):
+                rungs = self.demand.rungs_of(i)
+                angles[rungs, grid.swept] = _angles(grid, self.route.holder[rungs], grid.holders, grid.holder_step)
+        return angles
 
 
 def ladder(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[JointPath, ...]:
@@ -31,19 +55,96 @@ def ladder(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tu
     Raises Refusal where a bead cannot be followed.
     """
     guides = first_of_each_name(tasks)
-    demand, nodes = coarse_nodes(cell, guides, settings)
-    route, stuck = best_route(nodes, demand, cell.limits)
-    if route is None:
-        refuse_rung(cell, guides, demand, nodes, stuck, settings.min_sigma)
+    guide = guide_route(cell, guides, settings)
     guide_of = {task.name: i for i, task in enumerate(guides)}
     all_demand = demand_of(tasks, settings.rung)
     for refine, corridor in CORRIDORS:
-        grid = _corridor(tasks, all_demand, guides, demand, nodes.grid, route, guide_of, refine, corridor)
+        grid = _corridor(cell, tasks, all_demand, guides, guide, guide_of, refine, corridor)
         dense = evaluate(cell, all_demand, grid, settings.min_sigma)
         best, stuck = best_route(dense, all_demand, cell.limits)
         if best is not None:
-            return paths_of(cell, tasks, all_demand, grid, best)
+            return paths_of(cell, tasks, Found(all_demand, dense, best))
     refuse_rung(cell, tasks, all_demand, dense, stuck, settings.min_sigma)
+
+
+def guide_route(cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec) -> Found:
+    """The best route on the coarse grid. Raises Refusal where there is none.
+
+    With several chosen joints a full grid would not fit. One of them at a time is searched together with roll and
+    branch: first the one next to the part, on sparse rungs, for a lattice of angles at which the others rest; then
+    each other one while the rest follow the path found before.
+    """
+    k = len(cell.chosen)
+    if k < 2:
+        demand, nodes = coarse_nodes(cell, guides, settings)
+        route, stuck = best_route(nodes, demand, cell.limits)
+        if route is None:
+            refuse_rung(cell, guides, demand, nodes, stuck, settings.min_sigma)
+        return Found(demand, nodes, route)
+    found = _first_look(cell, guides, settings)
+    demand = demand_of(guides, settings.rung)
+    first = found.nodes.grid.swept
+    for swept in [*(j for j in range(k) if j != first), first]:
+        held = _between_rungs(found, demand, k)
+        grid = full_grid(demand, settings.roll_step, settings.table_step, True, swept, held)
+        nodes = evaluate(cell, demand, grid, settings.min_sigma)
+        route, stuck = best_route(nodes, demand, cell.limits)
+        if route is not None:
+            found = Found(demand, nodes, route)
+    # a joint that finds no way alone leaves the path as it was; one of them must find one
+    if found.demand is not demand:
+        refuse_rung(cell, guides, demand, nodes, stuck, settings.min_sigma)
+    return found
+
+
+def _first_look(cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec) -> Found:
+    """The best route on sparse rungs with all chosen joints but one at rest, at any angles of a lattice."""
+    k, nh = len(cell.chosen), len(cell.holder)
+    demand = demand_of(guides, _SPARSE * settings.rung)
+    swept = max(nh - 1, 0)
+    others = [j for j in range(k) if j != swept]
+    home = cell.home[list(cell.chosen)]
+    best: Found | None = None
+    for rest in itertools.product(*(_rest_angles(cell, j, _ROUGH * settings.table_step, len(others)) for j in others)):
+        held = np.tile(home, (len(demand.rung), 1))
+        held[:, others] = rest
+        grid = full_grid(demand, _ROUGH * settings.roll_step, _ROUGH * settings.table_step, True, swept, held)
+        nodes = evaluate(cell, demand, grid, settings.min_sigma)
+        route, stuck = best_route(nodes, demand, cell.limits)
+        if route is not None and (best is None or route.price < best.route.price):
+            best = Found(demand, nodes, route)
+    if best is None:
+        refuse_rung(cell, guides, demand, nodes, stuck, settings.min_sigma)
+    return best
+
+
+def _rest_angles(cell: Cell, chosen: int, step: float, others: int) -> Array:
+    """Angles at which a chosen joint may rest: a lattice over its range if it is the only one to rest, else home."""
+    joint = cell.chosen[chosen]
+    home = cell.home[joint]
+    if others > 1:
+        return np.array([home])
+    low, high = max(cell.limits.q_min[joint], home - np.pi), min(cell.limits.q_max[joint], home + np.pi)
+    around = home + step * np.arange(-_LATTICE // 2 + 1, _LATTICE // 2 + 1)
+    return around[(around > low) & (around < high)]
+
+
+def _between_rungs(found: Found, demand: Demand, k: int) -> Array:
+    """Angles (r, k) of the chosen joints of a route, at the rungs of another demand of the same tasks."""
+    angles = found.chosen(k)
+    out = np.empty((len(demand.rung), k))
+    for i in range(len(demand.task_rungs) - 1):
+        theirs, own = angles[found.demand.rungs_of(i)], demand.rungs_of(i)
+        at = np.linspace(0.0, 1.0, own.stop - own.start)
+        for j in range(k):
+            out[own, j] = np.interp(at, np.linspace(0.0, 1.0, len(theirs)), theirs[:, j])
+    return out
+
+
+def _angles(grid: Grid, index: NDArray[np.int64], period: int, step: float) -> Array:
+    """Angles [rad] of grid indices along a task, continuous round the circle where the grid is the whole of it."""
+    along = index.astype(float)
+    return (np.unwrap(along, period=period) if grid.periodic and period > 1 else along) * step
 
 
 def first_of_each_name(tasks: Sequence[NozzleTask]) -> list[NozzleTask]:
@@ -55,38 +156,47 @@ def first_of_each_name(tasks: Sequence[NozzleTask]) -> list[NozzleTask]:
 
 
 def coarse_nodes(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[Demand, Nodes]:
-    """The whole grid of the settings' steps at the settings' rungs."""
+    """The whole grid of the settings' steps at the settings' rungs; of several chosen joints the one next to the part
+    is tried, the others rest at home."""
     demand = demand_of(tasks, settings.rung)
-    grid = full_grid(demand, settings.roll_step, settings.table_step, len(cell.holder) > 0)
+    held = np.tile(cell.home[list(cell.chosen)], (len(demand.rung), 1))
+    swept = max(len(cell.holder) - 1, 0)
+    grid = full_grid(demand, settings.roll_step, settings.table_step, len(cell.chosen) > 0, swept, held)
     return demand, evaluate(cell, demand, grid, settings.min_sigma)
 
 
 def _corridor(
+    cell: Cell,
     tasks: Sequence[NozzleTask],
     demand: Demand,
     guides: Sequence[NozzleTask],
-    guide_demand: Demand,
-    coarse: Grid,
-    route: Route,
+    guide: Found,
     guide_of: dict[str, int],
     refine: int,
     corridor: int,
 ) -> Grid:
     """A fine grid whose windows follow the guide route of the bead of the same name, either way round."""
+    coarse, route = guide.nodes.grid, guide.route
+    k = len(cell.chosen)
+    chosen = guide.chosen(k)
     r = len(demand.rung)
     roll_from, holder_from = np.zeros(r, dtype=np.int64), np.zeros(r, dtype=np.int64)
     branch = np.zeros((r, 1), dtype=np.int64)
+    held = np.zeros((r, k))
     for i, task in enumerate(tasks):
         g = guide_of[task.name]
-        own, theirs = demand.rungs_of(i), guide_demand.rungs_of(g)
-        backwards = runs_backwards(task, guides[g])
-        for target, index in ((roll_from, route.roll), (holder_from, route.holder)):
-            period = coarse.rolls if index is route.roll else coarse.holders
-            along = np.unwrap(index[theirs].astype(float), period=period)
-            along = along[::-1] if backwards else along
-            k = own.stop - own.start
-            dense = np.interp(np.linspace(0.0, 1.0, k), np.linspace(0.0, 1.0, len(along)), along)
-            target[own] = np.round(refine * dense).astype(np.int64) - corridor
+        own, theirs = demand.rungs_of(i), guide.demand.rungs_of(g)
+        flip = slice(None, None, -1 if runs_backwards(task, guides[g]) else 1)
+        at = np.linspace(0.0, 1.0, own.stop - own.start)
+        there = np.linspace(0.0, 1.0, theirs.stop - theirs.start)
+        for target, index, period in (
+            (roll_from, route.roll, coarse.rolls),
+            (holder_from, route.holder, coarse.holders),
+        ):
+            along = _angles(coarse, index[theirs], period, 1.0)[flip]
+            target[own] = np.round(refine * np.interp(at, there, along)).astype(np.int64) - corridor
+        for j in range(k):
+            held[own, j] = np.interp(at, there, chosen[theirs][flip, j])
         branch[own] = route.branch[theirs][0]
     if coarse.holders == 1:
         holder_from[:] = 0
@@ -99,6 +209,8 @@ def _corridor(
         1 if coarse.holders == 1 else 2 * corridor + 1,
         False,
         branch,
+        coarse.swept,
+        held,
     )
 
 
@@ -111,23 +223,16 @@ def runs_backwards(task: NozzleTask, guide: NozzleTask) -> bool:
     return bool(((a - b[::-1]) ** 2).sum() < ((a - b) ** 2).sum())
 
 
-def paths_of(
-    cell: Cell, tasks: Sequence[NozzleTask], demand: Demand, grid: Grid, route: Route
-) -> tuple[JointPath, ...]:
-    """Smooth joint paths along a route: its grid values control splines of roll and holder angle."""
+def paths_of(cell: Cell, tasks: Sequence[NozzleTask], found: Found) -> tuple[JointPath, ...]:
+    """Smooth joint paths along a route: its grid values control splines of roll and chosen joints."""
     paths = []
+    grid, route = found.nodes.grid, found.route
+    chosen = found.chosen(len(cell.chosen))
     for i, task in enumerate(tasks):
-        rungs = demand.rungs_of(i)
+        rungs = found.demand.rungs_of(i)
         n = len(task)
-        period = (grid.rolls, grid.holders) if grid.periodic else (None, None)
-        values = []
-        for index, step, turn in zip(
-            (route.roll, route.holder), (grid.roll_step, grid.holder_step), period, strict=True
-        ):
-            along = index[rungs].astype(float)
-            values.append((along if turn is None or turn == 1 else np.unwrap(along, period=turn)) * step)
-        roll = spread(values[0], n)
-        holder = spread(values[1], n)[:, None] if len(cell.holder) else np.zeros((n, 0))
+        roll = spread(_angles(grid, route.roll[rungs], grid.rolls, grid.roll_step), n)
         branch = int(route.branch[rungs][0])
-        paths.append(JointPath(task, roll, upright(task), postures(cell, task, roll, holder, branch), branch))
+        q = postures(cell, task, roll, spread(chosen[rungs], n), branch)
+        paths.append(JointPath(task, roll, upright(task), q, branch))
     return choose_turns(cell, paths)

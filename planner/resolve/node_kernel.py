@@ -6,8 +6,8 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from planner.kinematics.chain import mul4, rotate_about, turn
-from planner.kinematics.spherical_wrist import solve_one
+from planner.kinematics.chain import chain_state, jacobian_at, mul4, rotate_about, turn
+from planner.kinematics.inverse import solve_one
 
 Array = NDArray[np.float64]
 
@@ -16,49 +16,11 @@ SIGMA_PRICE = 0.2  # seconds a second of printing, at half of SIGMA_COMFORT
 LIMIT_COMFORT = 0.35  # rad from a joint's limit, below which closeness is priced
 LIMIT_PRICE = 0.2  # seconds a second of printing, at the limit
 LIMIT_ROOM = 0.07  # rad from a joint's limit that a node must keep: what moves between rungs needs it
+LEAN_PRICE = 10.0  # seconds a second of printing, for each 1 of cosine beyond the cones to gravity
 DIP_PRICE = 0.25  # seconds a second of printing below the commanded speed: one deep dip beats two shallow ones
 AT_SPEED = 0.96  # squared share of the commanded speed above which there is no dip
 _SQUARINGS = 3
 RAMP_SHARE = 0.7  # of the joints' acceleration, for gaining and losing speed: bends need the rest
-
-
-@njit(cache=True)
-def jacobian_in_base(p: Array, q: Array, tip: Array, J: Array) -> None:
-    """Fill J (6, 6), linear rows first, of an OPW arm at a point `tip` given in its base frame."""
-    a1, a2, b, c1, c2, c3 = p[0], p[1], p[2], p[3], p[4], p[5]
-    theta3 = q[2] + 0.5 * np.pi
-    s1, co1 = np.sin(q[0]), np.cos(q[0])
-    s2, co2 = np.sin(q[1]), np.cos(q[1])
-    s23, c23 = np.sin(q[1] + theta3), np.cos(q[1] + theta3)
-    s4, co4 = np.sin(q[3]), np.cos(q[3])
-    s5, co5 = np.sin(q[4]), np.cos(q[4])
-    z = np.empty((6, 3))
-    o = np.empty((6, 3))
-    z[0] = (0.0, 0.0, 1.0)
-    z[1] = (-s1, co1, 0.0)
-    z[2] = z[1]
-    z[3] = (co1 * s23, s1 * s23, c23)
-    x3 = (co1 * c23, s1 * c23, -s23)
-    for i in range(3):
-        z[4, i] = -s4 * x3[i] + co4 * z[1, i]
-        z[5, i] = s5 * (co4 * x3[i] + s4 * z[1, i]) + co5 * z[3, i]
-    o[0] = (0.0, 0.0, c1)
-    o[1] = (co1 * a1 - s1 * b, s1 * a1 + co1 * b, c1)
-    for i in range(3):
-        o[2, i] = o[1, i]
-    o[2, 0] += c2 * co1 * s2
-    o[2, 1] += c2 * s1 * s2
-    o[2, 2] += c2 * co2
-    for i in range(3):
-        o[3, i] = o[2, i] + c3 * z[3, i] + a2 * x3[i]
-        o[4, i] = o[3, i]
-        o[5, i] = o[3, i]
-    for j in range(6):
-        rx, ry, rz = tip[0] - o[j, 0], tip[1] - o[j, 1], tip[2] - o[j, 2]
-        J[0, j] = z[j, 1] * rz - z[j, 2] * ry
-        J[1, j] = z[j, 2] * rx - z[j, 0] * rz
-        J[2, j] = z[j, 0] * ry - z[j, 1] * rx
-        J[3, j], J[4, j], J[5, j] = z[j, 0], z[j, 1], z[j, 2]
 
 
 @njit(cache=True)
@@ -132,7 +94,7 @@ def largest_singular_value(B: Array, M: Array, S: Array) -> float:
 
 
 @njit(cache=True)
-def _time_lost(Ji, twist, rate, weight, start: int, stop: int, v_max, a_max, x, gain) -> float:
+def _time_lost(Ji, solved, twist, rate, weight, start: int, stop: int, v_max, a_max, x, gain) -> float:
     """Time [s] that the joints' limits take from samples start..stop, with the Jacobian's inverse Ji of their middle.
 
     x, gain (stop - start) are room for the squared speed over the commanded one and for how fast it may change:
@@ -146,12 +108,13 @@ def _time_lost(Ji, twist, rate, weight, start: int, stop: int, v_max, a_max, x, 
             continue
         least = 1.0
         most = np.inf
-        for j in range(6):
+        for k6 in range(6):
+            j = solved[k6]
             qd = 0.0
             qdd = 0.0
             for m in range(6):
-                qd += Ji[j, m] * twist[i, m]
-                qdd += Ji[j, m] * rate[i, m]
+                qd += Ji[k6, m] * twist[i, m]
+                qdd += Ji[k6, m] * rate[i, m]
             qd, qdd = abs(qd), abs(qdd)
             if qd * qd * least > v_max[j] * v_max[j]:
                 least = (v_max[j] / qd) ** 2
@@ -179,23 +142,32 @@ def _time_lost(Ji, twist, rate, weight, start: int, stop: int, v_max, a_max, x, 
 
 @njit(cache=True, parallel=True)
 def evaluate_nodes(
-    p, T_base_before, axis, T_after, T_nozzle_flange,
+    kind, p, solved, redundant, T_base_world, T_nozzle_flange, arm_placements, arm_axes, arm_tip,
+    T_before, axis, T_after, sweeps, swept_low, swept_high, held_redundant, least_upright,
     q_min, q_max, v_max, a_max,
     tip, frames, twist, rate, weight,
     rung, start, stop,
     roll_step, holder_step, roll_from, holder_from, branch,
     min_sigma, q_out, price,
 ):  # fmt: skip
-    """Fill q_out and price (see `Nodes`); the arguments are fields of Demand, Grid and Cell, rungs run in parallel."""
-    n_rolls, n_holders, n_branches = price.shape[1], price.shape[2], price.shape[3]
+    """Fill q_out and price (see `Nodes`), rungs in parallel; most arguments are fields of Demand, Grid and Cell.
+
+    solved (6) arm joints that follow from a pose; redundant: the arm's joint that does not, or -1
+    T_before, T_after (r, 4, 4), axis (3)   world to part: T_before Rot(axis, swept angle) T_after
+    sweeps   what the grid's second index turns: 0 nothing, 1 a holder joint, 2 the redundant joint
+    held_redundant (r)                      its angle where it is not swept
+    """
+    n_rolls, n_holders, n_branches, na = price.shape[1], price.shape[2], price.shape[3], q_out.shape[4]
     middle = 0.5 * (q_min + q_max)
     for r in prange(rung.size):
         R = np.empty((3, 3))
-        eight = np.empty((8, 6))
+        eight = np.empty((8, na))
         ok = np.empty(8, dtype=np.bool_)
-        J, Jp, Ji = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-        T_held, T_base_part, T_base_task = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
-        T_rolled, T_base_flange = np.empty((4, 4)), np.empty((4, 4))
+        J, J6, Jp, Ji = np.empty((6, na)), np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+        T_held, T_world_part, T_world_task = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
+        T_rolled, T_base_nozzle, T_base_flange = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
+        before, after = np.empty((4, 4)), np.empty((4, 4))
+        origins, directions = np.empty((na, 3)), np.empty((na, 3))
         z_axis = np.array((0.0, 0.0, 1.0))
         x, gain = np.empty(stop[r] - start[r]), np.empty(stop[r] - start[r])
         i0 = rung[r]
@@ -206,21 +178,30 @@ def evaluate_nodes(
         for i in range(start[r], stop[r]):
             duration += weight[i]
         for b in range(n_holders):
-            rotate_about(axis, (holder_from[r] + b) * holder_step, R)
-            turn(T_base_before, R, T_held)
-            mul4(T_held, T_after, T_base_part)
-            mul4(T_base_part, T_part_task, T_base_task)
+            swept = (holder_from[r] + b) * holder_step
+            if sweeps > 0 and swept_high - swept_low < 2.0 * np.pi:
+                swept_middle = 0.5 * (swept_low + swept_high)
+                swept -= 2.0 * np.pi * np.round((swept - swept_middle) / (2.0 * np.pi))
+                if min(swept - swept_low, swept_high - swept) < LIMIT_ROOM:
+                    continue
+            rotate_about(axis, swept if sweeps == 1 else 0.0, R)
+            turn(T_before[r], R, T_held)
+            mul4(T_held, T_after[r], T_world_part)
+            mul4(T_world_part, T_part_task, T_world_task)
+            leans = duration * LEAN_PRICE * max(0.0, least_upright + T_world_task[2, 2])
             for a in range(n_rolls):
                 rotate_about(z_axis, (roll_from[r] + a) * roll_step, R)
-                turn(T_base_task, R, T_rolled)
-                mul4(T_rolled, T_nozzle_flange, T_base_flange)
-                solve_one(p, T_base_flange[:3, :3], T_base_flange[:3, 3], eight, ok)
+                turn(T_world_task, R, T_rolled)
+                mul4(T_base_world, T_rolled, T_base_nozzle)
+                mul4(T_base_nozzle, T_nozzle_flange, T_base_flange)
+                given = swept if sweeps == 2 else held_redundant[r]
+                solve_one(kind, p, given, T_base_flange[:3, :3], T_base_flange[:3, 3], eight, ok)
                 for c in range(n_branches):
                     k = branch[r, c]
                     if not ok[k]:
                         continue
                     room = np.inf
-                    for j in range(6):
+                    for j in range(na):
                         # the turn nearest the middle of the joint's range
                         angle = eight[k, j] - middle[j]
                         angle = middle[j] + angle - 2.0 * np.pi * np.round(angle / (2.0 * np.pi))
@@ -228,26 +209,29 @@ def evaluate_nodes(
                         room = min(room, min(angle - q_min[j], q_max[j] - angle))
                     if room < LIMIT_ROOM:
                         continue
-                    jacobian_in_base(p, eight[k], T_base_task[:3, 3], J)
+                    chain_state(
+                        arm_placements, arm_axes, arm_tip, eight[k], origins, directions, T_held, before, after, R
+                    )
+                    jacobian_at(origins, directions, T_world_task[:3, 3], J)
                     # rows into the part frame, where the demand is given
                     for j in range(6):
                         for i in range(3):
                             lin = 0.0
                             ang = 0.0
                             for m in range(3):
-                                lin += T_base_part[m, i] * J[m, j]
-                                ang += T_base_part[m, i] * J[3 + m, j]
+                                lin += T_world_part[m, i] * J[m, solved[j]]
+                                ang += T_world_part[m, i] * J[3 + m, solved[j]]
                             Jp[i, j] = lin
                             Jp[3 + i, j] = ang
                     if not invert6(Jp, Ji):
                         continue
-                    sigma = 1.0 / largest_singular_value(Ji, J, Jp)
+                    sigma = 1.0 / largest_singular_value(Ji, J6, Jp)
                     if sigma < min_sigma:
                         continue
-                    lost = _time_lost(Ji, twist, rate, weight, start[r], stop[r], v_max, a_max, x, gain)
+                    lost = _time_lost(Ji, solved, twist, rate, weight, start[r], stop[r], v_max, a_max, x, gain)
                     close = max(0.0, SIGMA_COMFORT / sigma - 1.0)
                     near = max(0.0, 1.0 - room / LIMIT_COMFORT)
-                    lost += duration * (SIGMA_PRICE * close * close + LIMIT_PRICE * near * near)
+                    lost += duration * (SIGMA_PRICE * close * close + LIMIT_PRICE * near * near) + leans
                     price[r, a, b, c] = lost
-                    for j in range(6):
+                    for j in range(na):
                         q_out[r, a, b, c, j] = eight[k, j]

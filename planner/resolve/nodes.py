@@ -12,20 +12,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell import Cell, rigid_inverse
-from planner.kinematics.spherical_wrist import BRANCHES
+from planner.kinematics.chain import Chain
+from planner.kinematics.inverse import kind_of
 from planner.resolve.demand import Demand
 from planner.resolve.node_kernel import evaluate_nodes
 
 Array = NDArray[np.float64]
+BRANCHES = 8  # of every kind of arm
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Which rolls, holder angles and branches are tried at each rung (r rungs).
+    """Which rolls, branches and angles of one chosen joint are tried at each rung (r rungs).
+
+    The chosen joint that is tried, the swept one, is called the holder here, which it mostly is.
 
     roll_step, holder_step [rad]; roll_from, holder_from (r) first grid index of each rung's window, so that a
     node's roll is (roll_from + i) * roll_step; rolls, holders: the window's widths; periodic: the windows are
     the whole circle; branch (r, c) branch numbers to try
+    swept: which of the cell's chosen joints is tried; held (r, k): angles of all chosen joints, used for the others
     """
 
     roll_step: float
@@ -36,57 +41,76 @@ class Grid:
     holders: int
     periodic: bool
     branch: NDArray[np.int64]
+    swept: int = 0
+    held: Array | None = None
+
+    def chosen(self, r: int, k: int) -> Array:
+        """Held angles (r, k) of a cell with k chosen joints: 0 where none were given."""
+        return np.zeros((r, k)) if self.held is None else self.held
 
 
 @dataclass(frozen=True)
 class Nodes:
-    """q (r, rolls, holders, c, 6) arm joints, each within pi of the middle of its range; price (same less 6) [s],
-    infinite where there is no posture; the grid that they stand on."""
+    """q (r, rolls, holders, c, na) arm joints, each within pi of the middle of its range; price (same less 6) [s],
+    infinite where there is no posture; the grid that they stand on; joint: index of the swept one among all joints,
+    beyond them where there is none."""
 
     grid: Grid
     q: NDArray[np.float32]
     price: NDArray[np.float64]
+    joint: int = 6
 
 
-def full_grid(demand: Demand, roll_step: float, holder_step: float, has_holder: bool) -> Grid:
-    """All rolls, all holder angles, all branches at every rung; steps are rounded to divide the circle."""
+def full_grid(
+    demand: Demand, roll_step: float, holder_step: float, has_holder: bool, swept: int = 0, held: Array | None = None
+) -> Grid:
+    """All rolls, all angles of the swept joint, all branches at every rung; steps are rounded to divide the circle."""
     r = len(demand.rung)
     rolls = int(np.ceil(2 * np.pi / roll_step - 1e-9))
     holders = int(np.ceil(2 * np.pi / holder_step - 1e-9)) if has_holder else 1
     zero = np.zeros(r, dtype=np.int64)
     branch = np.tile(np.arange(BRANCHES), (r, 1))
-    return Grid(2 * np.pi / rolls, 2 * np.pi / holders, zero, zero, rolls, holders, True, branch)
+    return Grid(2 * np.pi / rolls, 2 * np.pi / holders, zero, zero, rolls, holders, True, branch, swept, held)
 
 
 def evaluate(cell: Cell, demand: Demand, grid: Grid, min_sigma: float) -> Nodes:
     """Postures and prices of every node of a grid."""
-    wrist, T_base_before, axis, T_after, T_nozzle_flange = _geometry(cell)
-    limits = cell.limits
+    limits, na, nh = cell.limits, len(cell.arm), len(cell.holder)
     r = len(demand.rung)
+    held = grid.chosen(r, len(cell.chosen))
+    sweeps = 0 if not cell.chosen else (1 if grid.swept < nh else 2)
+    T_before, axis, T_after = _holder_around(cell, grid.swept, held[:, :nh])
+    low, high = (
+        (limits.q_min[cell.chosen[grid.swept]], limits.q_max[cell.chosen[grid.swept]]) if sweeps else (-np.inf, np.inf)
+    )
+    redundant = cell.inverse.redundant_joint
     shape = (r, grid.rolls, grid.holders, grid.branch.shape[1])
-    q = np.zeros((*shape, 6), dtype=np.float32)
+    q = np.zeros((*shape, na), dtype=np.float32)
     price = np.full(shape, np.inf)
     evaluate_nodes(
-        wrist, T_base_before, axis, T_after, T_nozzle_flange,
-        limits.q_min[:6], limits.q_max[:6], limits.velocity[:6], limits.acceleration[:6],
+        kind_of(cell.inverse), cell.inverse.parameters, np.array(cell.solved), -1 if redundant is None else redundant,
+        rigid_inverse(cell.T_world_base), rigid_inverse(cell.T_flange_nozzle),
+        cell.arm.placements, cell.arm.axes, cell.arm.T_last_tip,
+        T_before, axis, T_after, sweeps, low, high, np.zeros(r) if redundant is None else held[:, nh].copy(),
+        np.cos(min(demand.cones.layer_gravity, demand.cones.nozzle_gravity)),
+        limits.q_min[:na], limits.q_max[:na], limits.velocity[:na], limits.acceleration[:na],
         demand.tip, demand.frames, demand.twist, demand.rate, demand.weight,
         demand.rung, demand.start, demand.stop,
         grid.roll_step, grid.holder_step, grid.roll_from, grid.holder_from, grid.branch,
         min_sigma, q, price,
     )  # fmt: skip
-    return Nodes(grid, q, price)
+    return Nodes(grid, q, price, cell.chosen[grid.swept] if sweeps else len(cell.joint_names))
 
 
-def _geometry(cell: Cell) -> tuple[Array, Array, Array, Array, Array]:
-    """Constant transforms of the cell, flat, for the kernel; a fixed bed is a holder that never turns."""
-    if len(cell.holder):
-        before, axis, after = cell.holder.placements[0], cell.holder.axes[0], cell.holder.T_last_tip
-    else:
-        before, axis, after = cell.T_world_holder, np.array([0.0, 0.0, 1.0]), np.eye(4)
-    return (
-        cell.wrist.parameters,
-        rigid_inverse(cell.T_world_base) @ before,
-        axis,
-        after,
-        rigid_inverse(cell.T_flange_nozzle),
-    )
+def _holder_around(cell: Cell, swept: int, held: Array) -> tuple[Array, Array, Array]:
+    """World to part as T_before Rot(axis, angle of the swept joint) T_after, the other axes held (r, nh).
+
+    Where no holder joint is swept, T_before is the whole way and the axis any.
+    """
+    r = len(held)
+    holder = cell.holder
+    if swept >= len(holder):
+        return holder.poses(held), np.array([0.0, 0.0, 1.0]), np.tile(np.eye(4), (r, 1, 1))
+    first = Chain(holder.names[:swept], holder.placements[:swept], holder.axes[:swept], holder.placements[swept])
+    rest = Chain(holder.names[swept + 1 :], holder.placements[swept + 1 :], holder.axes[swept + 1 :], holder.T_last_tip)
+    return first.poses(held[:, :swept]), holder.axes[swept], rest.poses(held[:, swept + 1 :])

@@ -66,8 +66,8 @@ def model_of(cell: Cell) -> Model:
     arm, holder, limits = cell.arm, cell.holder, cell.limits
     return Model(
         chains=(arm.placements, arm.axes, arm.T_last_tip, holder.placements, holder.axes, holder.T_last_tip),
-        solved=np.arange(6),
-        given=np.arange(6, na),
+        solved=np.array(cell.solved),
+        given=np.array([j for j in cell.chosen if j < na], dtype=np.int64),
         limits=np.stack([limits.velocity, limits.acceleration, limits.jerk]),
         low=limits.q_min + _RANGE_ROOM,
         high=limits.q_max - _RANGE_ROOM,
@@ -185,15 +185,16 @@ def program_around(model: Model, stretch: Stretch, state: State, least_sigma: fl
 
 
 def _control_rows(model: Model, stretch: Stretch, state: State, width: int) -> tuple[Array, Array, Index]:
-    """Bounds of single control values: holder joints' ranges, and a polygon inside the tilt's cone.
+    """Bounds of single control values: chosen joints' ranges, and a polygon inside the tilt's cone.
 
     A B-spline stays in the hull of its control values, so these bound every sample.
     """
     k, m = state.c.shape
     active = list(model.active(stretch.cones))
     rows: list[tuple[NDArray[np.float64], Array]] = []
-    for h in range(len(model.low) - model.arm):
-        for sign, end in ((1.0, model.high[model.arm + h]), (-1.0, -model.low[model.arm + h])):
+    chosen = [*range(model.arm, len(model.low)), *model.given]
+    for h, joint in enumerate(chosen):
+        for sign, end in ((1.0, model.high[joint]), (-1.0, -model.low[joint])):
             if np.isfinite(end):
                 row = np.zeros(m)
                 row[active.index(HOLDER + h)] = sign

@@ -17,6 +17,7 @@ from planner.resolve.nodes import Nodes
 from planner.resolve.search_kernel import search_best, search_greedy
 
 Array = NDArray[np.float64]
+_ROUND = np.radians(600.0)  # range of a joint that is as good as unbounded along one bead
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ def best_route(nodes: Nodes, demand: Demand, limits: Limits) -> tuple[Route | No
     grid = nodes.grid
     picked, price, stuck = search_best(
         nodes.q, nodes.price, grid.roll_from, grid.holder_from, grid.periodic, grid.holder_step,
-        demand.task_rungs, demand.time, *_arm_and_holder(limits),
+        demand.task_rungs, demand.time, *joint_limits(nodes, limits),
     )  # fmt: skip
     return _route(nodes, picked, price) if stuck < 0 else None, int(stuck)
 
@@ -48,17 +49,21 @@ def greedy_route(nodes: Nodes, demand: Demand, limits: Limits) -> tuple[Route | 
     grid = nodes.grid
     picked, price, stuck = search_greedy(
         nodes.q, nodes.price, grid.roll_from, grid.holder_from, grid.periodic, grid.holder_step,
-        demand.task_rungs, demand.time, *_arm_and_holder(limits),
+        demand.task_rungs, demand.time, *joint_limits(nodes, limits),
     )  # fmt: skip
     return _route(nodes, picked, price) if stuck < 0 else None, int(stuck)
 
 
-def _arm_and_holder(limits: Limits) -> tuple[Array, Array]:
-    """Speed and acceleration limits (7): the arm's, then the holder's (any, where it has no axis)."""
-    v, a = np.ones(7), np.ones(7)
-    n = len(limits.velocity)
-    v[:n], a[:n] = limits.velocity, limits.acceleration
-    return v, a
+def joint_limits(nodes: Nodes, limits: Limits) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Speed and acceleration limits (na + 1), the arm's and then the swept joint's (any, where there is none), and
+    which arm joints (na) can turn so far that their angles count round the circle."""
+    na = nodes.q.shape[-1]
+    arm = np.arange(na)
+    v, a = np.ones(na + 1), np.ones(na + 1)
+    v[:na], a[:na] = limits.velocity[arm], limits.acceleration[arm]
+    if nodes.joint < len(limits.velocity):
+        v[na], a[na] = limits.velocity[nodes.joint], limits.acceleration[nodes.joint]
+    return v, a, (limits.q_max - limits.q_min)[arm] >= _ROUND
 
 
 def _route(nodes: Nodes, picked: NDArray[np.int64], price: float) -> Route:

@@ -14,12 +14,15 @@ TURN_PRICE = 50.0  # seconds a second, for a change of roll or holder that needs
 
 
 @njit(cache=True)
-def travel_price(qa: NDArray[np.float32], qb: NDArray[np.float32], turn: float, v: Array, a: Array) -> float:
-    """Price [s] of travel between postures (6) and over `turn` of the holder: rest to rest, the slowest joint counts."""
+def travel_price(
+    qa: NDArray[np.float32], qb: NDArray[np.float32], turn: float, v: Array, a: Array, wraps: NDArray[np.bool_]
+) -> float:
+    """Price [s] of travel between postures (na) and over `turn` of the holder: rest to rest, the slowest joint counts."""
     worst = 0.0
-    for j in range(7):
-        d = abs(turn) if j == 6 else abs(float(qa[j]) - float(qb[j]))
-        if j == 5:
+    na = wraps.size
+    for j in range(na + 1):
+        d = abs(turn) if j == na else abs(float(qa[j]) - float(qb[j]))
+        if j < na and wraps[j]:
             d = abs(d - 2.0 * np.pi * np.round(d / (2.0 * np.pi)))
         if d * a[j] < v[j] * v[j]:
             worst = max(worst, 2.0 * np.sqrt(d / a[j]))
@@ -29,18 +32,18 @@ def travel_price(qa: NDArray[np.float32], qb: NDArray[np.float32], turn: float, 
 
 
 @njit(cache=True)
-def edge_price(q0, q1, q1_straight, turn: float, time: float, v: Array, a: Array) -> float:
-    """Price [s] of the edge from q0 to q1 (6) in `time`, where keeping roll and holder would lead to q1_straight.
+def edge_price(q0, q1, q1_straight, turn: float, time: float, v: Array, a: Array, wraps) -> float:
+    """Price [s] of the edge from q0 to q1 (na) in `time`, where keeping roll and holder would lead to q1_straight.
 
     Infinite if a joint had to be faster than it may.
     """
-    if abs(turn) > SPEED_SHARE * v[6] * time:
+    if abs(turn) > SPEED_SHARE * v[wraps.size] * time:
         return np.inf
-    need = abs(turn) / (time * time * a[6])
-    for j in range(6):
+    need = abs(turn) / (time * time * a[wraps.size])
+    for j in range(wraps.size):
         d = float(q1[j]) - float(q0[j])
         e = float(q1[j]) - float(q1_straight[j])
-        if j == 5:
+        if wraps[j]:
             d -= 2.0 * np.pi * np.round(d / (2.0 * np.pi))
             e -= 2.0 * np.pi * np.round(e / (2.0 * np.pi))
         if abs(d) > SPEED_SHARE * v[j] * time:
@@ -65,7 +68,7 @@ def _turn(holder_from, r1: int, b1: int, r0: int, b0: int, holder_step: float) -
 
 
 @njit(cache=True)
-def _from_travel(q, price, r: int, arrived, holder_from, holder_step: float, v, a, cost, back) -> None:
+def _from_travel(q, price, r: int, arrived, holder_from, holder_step: float, v, a, wraps, cost, back) -> None:
     """Start a bead at rung r: each node's cheapest predecessor among all ends (at rung r - 1) of the bead before.
 
     The price of travel is a metric, so an end that is reached more cheaply through another end can be left out: few
@@ -84,7 +87,7 @@ def _from_travel(q, price, r: int, arrived, holder_from, holder_step: float, v, 
             j = kept[m]
             i0, b0, c0 = j // (C * B), (j // C) % B, j % C
             turn = _turn(holder_from, r - 1, b1, r - 1, b0, holder_step)
-            if flat[j] + travel_price(q[r - 1, i0, b0, c0], q[r - 1, i1, b1, c1], turn, v, a) <= flat[k]:
+            if flat[j] + travel_price(q[r - 1, i0, b0, c0], q[r - 1, i1, b1, c1], turn, v, a, wraps) <= flat[k]:
                 dominated = True
                 break
         if not dominated:
@@ -102,7 +105,7 @@ def _from_travel(q, price, r: int, arrived, holder_from, holder_step: float, v, 
                         break
                     i0, b0, c0 = k // (C * B), (k // C) % B, k % C
                     turn = _turn(holder_from, r, b, r - 1, b0, holder_step)
-                    t = flat[k] + travel_price(q[r - 1, i0, b0, c0], q[r, i, b, c], turn, v, a)
+                    t = flat[k] + travel_price(q[r - 1, i0, b0, c0], q[r, i, b, c], turn, v, a, wraps)
                     if t < best:
                         best, best_k = t, k
                 if best_k >= 0:
@@ -111,7 +114,7 @@ def _from_travel(q, price, r: int, arrived, holder_from, holder_step: float, v, 
 
 
 @njit(cache=True)
-def search_best(q, price, roll_from, holder_from, periodic, holder_step, task_rungs, time, v, a):
+def search_best(q, price, roll_from, holder_from, periodic, holder_step, task_rungs, time, v, a, wraps):
     """Cheapest route: picked (R, 3) window indices and branch column, its price, and -1; or where it got stuck."""
     R, A, B, C = price.shape
     back = np.full((R, A, B, C), -1, dtype=np.int32)
@@ -124,7 +127,7 @@ def search_best(q, price, roll_from, holder_from, periodic, holder_step, task_ru
             if r == 0:
                 cost[:] = price[0]
             elif r == task_rungs[task]:
-                _from_travel(q, price, r, arrived, holder_from, holder_step, v, a, cost, back)
+                _from_travel(q, price, r, arrived, holder_from, holder_step, v, a, wraps, cost, back)
             else:
                 shift_a, shift_b = roll_from[r] - roll_from[r - 1], holder_from[r] - holder_from[r - 1]
                 for i in range(A):
@@ -148,7 +151,7 @@ def search_best(q, price, roll_from, holder_from, periodic, holder_step, task_ru
                                         continue
                                     t = arrived[i0, b0, c] + edge_price(
                                         q[r - 1, i0, b0, c], q[r, i, b, c], q[r, straight_a, straight_b, c],
-                                        db * holder_step, time[r], v, a,
+                                        db * holder_step, time[r], v, a, wraps,
                                     )  # fmt: skip
                                     if t + price[r, i, b, c] < cost[i, b, c]:
                                         cost[i, b, c] = t + price[r, i, b, c]
@@ -164,7 +167,7 @@ def search_best(q, price, roll_from, holder_from, periodic, holder_step, task_ru
 
 
 @njit(cache=True)
-def search_greedy(q, price, roll_from, holder_from, periodic, holder_step, task_rungs, time, v, a):
+def search_greedy(q, price, roll_from, holder_from, periodic, holder_step, task_rungs, time, v, a, wraps):
     """Greedy route, bead by bead; same returns as `search_best`."""
     R, A, B, C = price.shape
     picked = np.full((R, 3), -1, dtype=np.int64)
@@ -178,14 +181,28 @@ def search_greedy(q, price, roll_from, holder_from, periodic, holder_step, task_
                 for b in range(B):
                     turn = _turn(holder_from, r0, b, r0 - 1, p[1], holder_step)
                     for c in range(C):
-                        starts[i, b, c] += travel_price(q[r0 - 1, p[0], p[1], p[2]], q[r0, i, b, c], turn, v, a)
+                        starts[i, b, c] += travel_price(q[r0 - 1, p[0], p[1], p[2]], q[r0, i, b, c], turn, v, a, wraps)
         flat = starts.ravel()
         furthest, done = r0, False
         for k in np.argsort(flat):  # the next best start, if this one leads into a dead end
             if flat[k] == np.inf:
                 break
             picked[r0] = (k // (C * B), (k // C) % B, k % C)
-            spent, stuck = _follow(q, price, roll_from, holder_from, periodic, holder_step, task_rungs[task + 1], r0, time, v, a, picked)  # fmt: skip
+            spent, stuck = _follow(
+                q,
+                price,
+                roll_from,
+                holder_from,
+                periodic,
+                holder_step,
+                task_rungs[task + 1],
+                r0,
+                time,
+                v,
+                a,
+                wraps,
+                picked,
+            )
             if stuck < 0:
                 total += flat[k] + spent
                 done = True
@@ -197,7 +214,7 @@ def search_greedy(q, price, roll_from, holder_from, periodic, holder_step, task_
 
 
 @njit(cache=True)
-def _follow(q, price, roll_from, holder_from, periodic, holder_step, stop: int, r0: int, time, v, a, picked):
+def _follow(q, price, roll_from, holder_from, periodic, holder_step, stop: int, r0: int, time, v, a, wraps, picked):
     """Walk from the node picked at rung r0, always to the cheapest next one; the rung of a dead end, or -1."""
     A, B = price.shape[1], price.shape[2]
     total = 0.0
@@ -215,7 +232,7 @@ def _follow(q, price, roll_from, holder_from, periodic, holder_step, stop: int, 
                         continue
                     t = price[r, i, b, c] + edge_price(
                         q[r - 1, i0, b0, c], q[r, i, b, c], q[r, straight_a, straight_b, c],
-                        db * holder_step, time[r], v, a,
+                        db * holder_step, time[r], v, a, wraps,
                     )  # fmt: skip
                     if t < best:
                         best = t

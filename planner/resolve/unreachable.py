@@ -27,18 +27,24 @@ def refuse_rung(
     k = int(np.searchsorted(demand.task_rungs, rung, side="right") - 1)
     task = tasks[k]
     i = int(demand.rung[rung]) - sum(len(t) for t in tasks[:k])
+    na, nh = len(cell.arm), len(cell.holder)
+    grid = nodes.grid
     angles = np.linspace(0.0, 2.0 * np.pi, _TRIED, endpoint=False)
-    roll, holder = (x.ravel() for x in np.meshgrid(angles, angles if len(cell.holder) else angles[:1], indexing="ij"))
+    roll, swept = (x.ravel() for x in np.meshgrid(angles, angles if cell.chosen else angles[:1], indexing="ij"))
+    chosen = np.tile(grid.chosen(len(demand.rung), len(cell.chosen))[rung], (len(roll), 1))
+    if cell.chosen:
+        chosen[:, grid.swept] = swept
     spot = _repeat(task, i, len(roll))
-    T = flange_poses(cell, spot, roll, upright(spot), holder[:, None] if len(cell.holder) else np.zeros((len(roll), 0)))
-    q, ok = cell.wrist.solve(T)
+    T = flange_poses(cell, spot, roll, upright(spot), chosen[:, :nh])
+    redundant = None if cell.inverse.redundant_joint is None else chosen[:, nh]
+    q, ok = cell.inverse.solve(T, redundant)
     if not ok.any():
-        refuse_at(task, i, "out of the arm's reach", float(cell.wrist.out_of_reach(T).min()))
-    middle = 0.5 * (cell.limits.q_min[:6] + cell.limits.q_max[:6])
+        refuse_at(task, i, "out of the arm's reach", float(cell.inverse.out_of_reach(T, redundant).min()))
+    middle = 0.5 * (cell.limits.q_min[:na] + cell.limits.q_max[:na])
     q = middle + np.remainder(q - middle + np.pi, 2 * np.pi) - np.pi
-    inside = ok & ((q >= cell.limits.q_min[:6]) & (q <= cell.limits.q_max[:6])).all(axis=2)
+    inside = ok & ((q >= cell.limits.q_min[:na]) & (q <= cell.limits.q_max[:na])).all(axis=2)
     if not inside.any():
-        over = np.maximum(cell.limits.q_min[:6] - q, q - cell.limits.q_max[:6])
+        over = np.maximum(cell.limits.q_min[:na] - q, q - cell.limits.q_max[:na])
         over[~ok] = np.inf
         worst = over.max(axis=2)
         a, b = np.unravel_index(np.argmin(worst), worst.shape)
@@ -46,7 +52,7 @@ def refuse_rung(
         reason = f"no posture within the joints' ranges; the nearest one leaves that of {joint}"
         refuse_at(task, i, f"{reason} by {np.degrees(worst[a, b]):.1f} deg")
     if not np.isfinite(nodes.price[rung]).any():
-        away = (np.minimum(q - cell.limits.q_min[:6], cell.limits.q_max[:6] - q) >= LIMIT_ROOM).all(axis=2) & ok
+        away = (np.minimum(q - cell.limits.q_min[:na], cell.limits.q_max[:na] - q) >= LIMIT_ROOM).all(axis=2) & ok
         if not away.any():
             near = f"every posture is within {np.degrees(LIMIT_ROOM):.0f} deg of the end of a joint's range"
             refuse_at(task, i, near)
