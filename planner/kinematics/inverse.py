@@ -56,7 +56,7 @@ class InverseKinematics(Protocol):
         """Branch numbers (m) of postures q (m, n)."""
 
     def out_of_reach(self, T_base_flange: Array, redundant: Array | None = None) -> Array:
-        """How far (m) the flange poses are out of reach [m]; 0 within."""
+        """By how much (m) the arm's lengths fail to reach the flange poses, about the distance out of reach [m]; 0 within."""
 
 
 def kind_of(inverse: InverseKinematics) -> int:
@@ -73,6 +73,22 @@ def with_rest(inverse: InverseKinematics, angle: float) -> InverseKinematics:
     if isinstance(inverse, Corrected) and isinstance(inverse.nominal, SevenAxes):
         return replace(inverse, nominal=replace(inverse.nominal, rest=angle))
     return replace(inverse, rest=angle) if isinstance(inverse, SevenAxes) else inverse
+
+
+def track(
+    inverse: InverseKinematics, T_base_flange: Array, redundant: Array | None, q_start: Array
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Postures q (m, n) along a path of flange poses (m, 4, 4) on the branch of q_start (n), and where they exist (m).
+
+    redundant (m) as in `solve`. Joints are continuous in whole turns from q_start on; where there is no posture, the
+    one before is repeated.
+    """
+    solutions, exists = inverse.solve(T_base_flange, redundant)
+    branch = int(inverse.branches(q_start[None])[0])
+    q, ok = solutions[:, branch], exists[:, branch]
+    last = np.maximum.accumulate(np.where(ok, np.arange(len(q)), -1))
+    held = np.where((last >= 0)[:, None], q[last], q_start)
+    return np.unwrap(np.vstack([q_start, held]), axis=0)[1:], ok
 
 
 @njit(cache=True)

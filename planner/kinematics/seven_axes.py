@@ -73,18 +73,12 @@ class SevenAxes:
         return kernel.branches(self.parameters, np.ascontiguousarray(q))
 
     def out_of_reach(self, T_base_flange: Array, redundant: Array | None = None) -> Array:
-        """How far (m) the wrist lies outside what the arm reaches with these redundant angles [m]; 0 within."""
+        """By how much (m) the arm is too short or too long for these redundant angles [m]; 0 within reach.
+
+        Another redundant angle may reach what this one does not; with a nearly straight elbow it overstates the way.
+        """
         given = self._given(T_base_flange, redundant)
         return kernel.out_of_reach(self.parameters, given, np.ascontiguousarray(T_base_flange))
-
-    def track(self, T_base_flange: Array, redundant: Array, q_start: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Postures q (m, 7) along a path of poses (m, 4, 4) on the branch of q_start (7), and where they exist (m).
-
-        Joints are continuous in whole turns, from q_start on; the last posture is held where there is none.
-        """
-        solutions, exists = self.solve(T_base_flange, redundant)
-        branch = int(self.branches(q_start[None])[0])
-        return _continued(solutions[:, branch], exists[:, branch], q_start), exists[:, branch]
 
     def _given(self, T: Array, redundant: Array | None) -> Array:
         return np.full(len(T), self.rest) if redundant is None else np.ascontiguousarray(redundant, dtype=np.float64)
@@ -127,14 +121,3 @@ def read_seven_axes(chain: Chain, redundant_joint: int) -> SevenAxes:
     lengths = [a3, d3, a4, d5, a6, y6]
     frames = [np.linalg.inv(T_base_shoulder).ravel(), T_flange_7.ravel()]
     return SevenAxes(np.concatenate([lengths, offsets, *frames, [redundant_joint]]), redundant_joint)
-
-
-def _continued(q: Array, ok: NDArray[np.bool_], q_start: Array) -> Array:
-    """Postures q (m, n) with whole turns added so that each is next to the one before; held where not ok."""
-    out = np.empty_like(q)
-    before = q_start
-    for i in range(len(q)):
-        if ok[i]:
-            before = before + np.remainder(q[i] - before + np.pi, 2.0 * np.pi) - np.pi
-        out[i] = before
-    return out
