@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from planner.kinematics.axes import wrap
@@ -94,7 +94,7 @@ def refine_branches(p: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_
                 q[k, j] = wrap(q[k, j])
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def _refine_all(p: Array, T: Array, q: Array, ok: NDArray[np.bool_]) -> None:
-    for i in prange(T.shape[0]):
+    for i in range(T.shape[0]):
         refine_branches(p, T[i, :3, :3], T[i, :3, 3], q[i], ok[i])

@@ -7,7 +7,7 @@ damping falls with the squared error, so that the last steps are plain Newton's.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from planner.kinematics.chain import pose_and_jacobian
@@ -57,34 +57,37 @@ def refine(
                     A[i, j] += J[k, i] * J[k, j]
             if i == held:
                 b[i] = 0.0
-        step = np.linalg.solve(A, b)
-        longest = np.abs(step).max()
-        if longest > _LONGEST_STEP:
-            step *= _LONGEST_STEP / longest
+        _solve_symmetric(A, b)
+        longest = 0.0
         for i in range(n):
-            q[i] += step[i]
+            longest = max(longest, abs(b[i]))
+        scale = _LONGEST_STEP / longest if longest > _LONGEST_STEP else 1.0
+        for i in range(n):
+            q[i] += scale * b[i]
     pose_and_jacobian(placements, axes, T_last_tip, q, T, J, room)
     return bool(_error(T, R, t, e) < EXACT * EXACT)
 
 
-@njit(cache=True, parallel=True)
-def refine_all(
-    placements: Array,
-    axes: Array,
-    T_last_tip: Array,
-    held: int,
-    T: Array,
-    seeds: Array,
-    iterations: int,
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Postures q (m, k, n) for poses T (m, 4, 4) from seeds (m, k, n), and which got there (m, k); poses in parallel."""
-    q = seeds.copy()
-    m, k = seeds.shape[0], seeds.shape[1]
-    ok = np.zeros((m, k), dtype=np.bool_)
-    for i in prange(m):
-        for j in range(k):
-            ok[i, j] = refine(placements, axes, T_last_tip, held, T[i, :3, :3], T[i, :3, 3], q[i, j], iterations)
-    return q, ok
+@njit(cache=True)
+def _solve_symmetric(A: Array, b: Array) -> None:
+    """b (n) becomes the x of A x = b with a positive definite A (n, n), which is spoilt (Cholesky)."""
+    n = b.size
+    for j in range(n):
+        for i in range(j, n):
+            for k in range(j):
+                A[i, j] -= A[i, k] * A[j, k]
+            if i == j:
+                A[j, j] = np.sqrt(max(A[j, j], _LEAST_DAMPING))
+            else:
+                A[i, j] /= A[j, j]
+    for i in range(n):
+        for k in range(i):
+            b[i] -= A[i, k] * b[k]
+        b[i] /= A[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            b[i] -= A[k, i] * b[k]
+        b[i] /= A[i, i]
 
 
 @njit(cache=True)
