@@ -89,36 +89,31 @@ def chain_poses(placements: Array, axes: Array, T_last_tip: Array, q: Array) -> 
 
 
 @njit(cache=True)
-def pose_and_jacobian(
-    placements: Array, axes: Array, T_last_tip: Array, q: Array, tip: Array, J: Array, room: Array
-) -> None:
-    """Fill tip (4, 4) and its geometric Jacobian J (6, n) of one posture q (n); room (3, 4, 4) is spoilt."""
-    before, after, R = room[0], room[1], room[2, :3, :3]
-    after[:] = 0.0
-    for i in range(4):
-        after[i, i] = 1.0
-    n = q.size
-    for i in range(n):
-        mul4(after, placements[i], before)
-        for j in range(3):  # origins and directions first, where the linear and angular rows will stand
-            J[j, i] = before[j, 3]
-            J[3 + j, i] = before[j, 0] * axes[i, 0] + before[j, 1] * axes[i, 1] + before[j, 2] * axes[i, 2]
-        rotate_about(axes[i], q[i], R)
-        turn(before, R, after)
-    mul4(after, T_last_tip, tip)
-    for i in range(n):
-        x, y, w = tip[0, 3] - J[0, i], tip[1, 3] - J[1, i], tip[2, 3] - J[2, i]
-        J[0, i] = J[4, i] * w - J[5, i] * y
-        J[1, i] = J[5, i] * x - J[3, i] * w
-        J[2, i] = J[3, i] * y - J[4, i] * x
-
-
-@njit(cache=True)
 def chain_jacobians(placements: Array, axes: Array, T_last_tip: Array, q: Array) -> Array:
     """Compiled body of `Chain.jacobians`."""
     m, n = q.shape
     out = np.empty((m, 6, n))
-    tip, room = np.empty((4, 4)), np.empty((3, 4, 4))
+    origins = np.empty((n, 3))
+    directions = np.empty((n, 3))
+    R = np.empty((3, 3))
+    before, after, tip = np.eye(4), np.eye(4), np.eye(4)
     for k in range(m):
-        pose_and_jacobian(placements, axes, T_last_tip, q[k], tip, out[k], room)
+        after[:] = 0.0
+        for i in range(4):
+            after[i, i] = 1.0
+        for i in range(n):
+            mul4(after, placements[i], before)
+            for j in range(3):
+                directions[i, j] = before[j, 0] * axes[i, 0] + before[j, 1] * axes[i, 1] + before[j, 2] * axes[i, 2]
+                origins[i, j] = before[j, 3]
+            rotate_about(axes[i], q[k, i], R)
+            turn(before, R, after)
+        mul4(after, T_last_tip, tip)
+        for i in range(n):
+            z = directions[i]
+            x, y, w = tip[0, 3] - origins[i, 0], tip[1, 3] - origins[i, 1], tip[2, 3] - origins[i, 2]
+            out[k, 0, i] = z[1] * w - z[2] * y
+            out[k, 1, i] = z[2] * x - z[0] * w
+            out[k, 2, i] = z[0] * y - z[1] * x
+            out[k, 3:, i] = z
     return out
