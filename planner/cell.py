@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from planner.errors import Refusal, nearest_name
 from planner.kinematics.chain import Chain
-from planner.kinematics.inverse import InverseKinematics
-from planner.kinematics.seven_axes import SevenAxes
+from planner.kinematics.inverse import InverseKinematics, with_rest
 from planner.kinematics.spherical_wrist import SphericalWrist
 from planner.problem import CellSpec, Problem
 from planner.robot_files import Robot, chain_of, load_robot
@@ -134,8 +133,8 @@ def build_cell(problem: Problem) -> Cell:
         low, high = np.degrees(limits.q_min[j]), np.degrees(limits.q_max[j])
         raise problem.error("cell.home_deg", f"joint {j + 1} is outside its range", f"{low:.0f} to {high:.0f}")
     inverse = arm_robot.inverse
-    if isinstance(inverse, SevenAxes):
-        inverse = replace(inverse, rest=float(home[inverse.redundant_joint]))
+    if inverse.redundant_joint is not None:
+        inverse = with_rest(inverse, float(home[inverse.redundant_joint]))
     return Cell(
         arm=arm,
         holder=holder,

@@ -17,9 +17,10 @@ from ruamel.yaml.error import MarkedYAMLError
 from planner.errors import InputError, nearest_name
 from planner.kinematics.axes import OtherGeometry
 from planner.kinematics.chain import Chain
+from planner.kinematics.corrected import Corrected
 from planner.kinematics.inverse import InverseKinematics
-from planner.kinematics.offset_wrist import read_offset_wrist
-from planner.kinematics.seven_axes import read_seven_axes
+from planner.kinematics.offset_wrist import OffsetWrist, read_offset_wrist
+from planner.kinematics.seven_axes import SevenAxes, read_seven_axes
 from planner.kinematics.spherical_wrist import SphericalWrist
 from planner.problem import Problem
 
@@ -187,7 +188,7 @@ def _joints_to(model: pin.Model, joint: int) -> Collection[int]:
 
 
 def _inverse(file: RobotFile, model: pin.Model) -> InverseKinematics | None:
-    """The closed form that the file names, held to the URDF."""
+    """The closed form that the file names, held to the URDF; corrected where an arm is nearly of its kind."""
     data = file.data
     given = [key for key in ("spherical_wrist", "inverse_kinematics") if key in data]
     if not given:
@@ -197,18 +198,18 @@ def _inverse(file: RobotFile, model: pin.Model) -> InverseKinematics | None:
     field = given[0]
     chain = _fold(model, data["tip"], np.eye(4), np.eye(4), tuple(model.names[1:]), {})
     inverse = _spherical(file, chain) if field == "spherical_wrist" else _read_off(file, chain)
-    low, high = np.full(len(chain), -np.pi), np.full(len(chain), np.pi)
-    q = np.random.default_rng(1).uniform(low, high, (_POSTURES, len(chain)))
+    q = np.random.default_rng(1).uniform(-np.pi, np.pi, (_POSTURES, len(chain)))
     seen, own = chain.poses(q), inverse.poses(q)
-    if not np.allclose(seen, own, rtol=0.0, atol=_SAME_POSE):
-        worst = int(np.argmax(np.abs(seen - own).max(axis=(1, 2))))
-        raise file.error(
-            field,
-            "this closed form and the URDF disagree about the flange",
-            f"URDF says {np.round(seen[worst, :3, 3] * 1e3, 3)} mm, the closed form "
-            f"{np.round(own[worst, :3, 3] * 1e3, 3)} mm",
-        )
-    return inverse
+    if np.allclose(seen, own, rtol=0.0, atol=_SAME_POSE):
+        return inverse
+    if not isinstance(inverse, SphericalWrist):
+        return Corrected(inverse, chain)
+    worst = int(np.argmax(np.abs(seen - own).max(axis=(1, 2))))
+    raise file.error(
+        field,
+        "these lengths and the URDF disagree about the flange",
+        f"URDF says {np.round(seen[worst, :3, 3] * 1e3, 3)} mm, the lengths {np.round(own[worst, :3, 3] * 1e3, 3)} mm",
+    )
 
 
 def _spherical(file: RobotFile, chain: Chain) -> SphericalWrist:
@@ -223,7 +224,7 @@ def _spherical(file: RobotFile, chain: Chain) -> SphericalWrist:
     return SphericalWrist(*(float(lengths[key]) * 1e-3 for key in keys))
 
 
-def _read_off(file: RobotFile, chain: Chain) -> InverseKinematics:
+def _read_off(file: RobotFile, chain: Chain) -> OffsetWrist | SevenAxes:
     kind = file.data["inverse_kinematics"]
     if kind not in KINDS:
         raise file.error("inverse_kinematics", f"unknown kind {kind!r}", f"known: {', '.join(KINDS)}")

@@ -56,6 +56,38 @@ ABB = {
         SPEEDS_1200,
     ),
 }
+
+
+@dataclass(frozen=True)
+class Ur:
+    """An arm of Universal Robots' e-Series: lengths [mm] of the maker's Denavit-Hartenberg table, speeds [deg/s]."""
+
+    name: str
+    d1: float
+    a2: float
+    a3: float
+    d4: float
+    d5: float
+    d6: float
+    speeds: tuple[float, ...]
+
+
+UR_SPEEDS = {5: (180,) * 6, 3: (180, 180, 180, 360, 360, 360), 10: (120, 120, 180, 180, 180, 180)}
+UR_RANGES = ((-360, 360), (-360, 360), (-180, 180), (-360, 360), (-360, 360), (-360, 360))
+UR_JOINTS = (
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "elbow_joint",
+    "wrist_1_joint",
+    "wrist_2_joint",
+    "wrist_3_joint",
+)
+UR = {
+    "ur3e": Ur("Universal Robots UR3e", 151.85, -243.55, -213.2, 131.05, 85.35, 92.1, UR_SPEEDS[3]),
+    "ur5e": Ur("Universal Robots UR5e", 162.5, -425, -392.2, 133.3, 99.7, 99.6, UR_SPEEDS[5]),
+    "ur10e": Ur("Universal Robots UR10e", 180.7, -612.7, -571.55, 174.15, 119.85, 116.55, UR_SPEEDS[10]),
+    "ur16e": Ur("Universal Robots UR16e", 180.7, -478.4, -360, 174.15, 119.85, 116.55, UR_SPEEDS[10]),
+}
 IIWA_RANGES = (170, 120, 170, 120, 170, 120, 175)
 IIWA_SPEEDS = (85, 85, 100, 75, 130, 135, 135)
 
@@ -67,18 +99,22 @@ def urdf(
     ranges: tuple[tuple[float, float], ...],
     speeds: tuple[float, ...],
     flange: str,
+    names: tuple[str, ...] = (),
 ) -> str:
-    """Text of a URDF: joints by their origin in the link before [mm] and axis, then the origin of tool0."""
+    """Text of a URDF: joints by their origin in the link before [mm, and rad after a blank] and axis, then the
+    origin of tool0; names of the joints, if not joint_1 and so on."""
     n = len(joints)
+    names = names or tuple(f"joint_{i}" for i in range(1, n + 1))
     lines = ['<?xml version="1.0"?>', f"<!-- {comment} -->", f'<robot name="{key}">', '  <link name="base_link"/>']
     lines += [f'  <link name="link_{i}"/>' for i in range(1, n + 1)] + ['  <link name="tool0"/>']
     for i, ((origin, axis), (low, high), speed) in enumerate(zip(joints, ranges, speeds, strict=True), 1):
         parent = f"link_{i - 1}" if i > 1 else "base_link"
-        xyz = " ".join(f"{value / 1000:g}" for value in origin)
+        xyz = " ".join(f"{value / 1000:g}" for value in origin[:3])
+        rpy = f' rpy="{" ".join(map(repr, origin[3:]))}"' if len(origin) > 3 else ""
         lines += [
-            f'  <joint name="joint_{i}" type="revolute">',
+            f'  <joint name="{names[i - 1]}" type="revolute">',
             f'    <parent link="{parent}"/><child link="link_{i}"/>',
-            f'    <origin xyz="{xyz}"/><axis xyz="{axis}"/>',
+            f'    <origin xyz="{xyz}"{rpy}/><axis xyz="{axis}"/>',
             f'    <limit lower="{radians(low)}" upper="{radians(high)}" velocity="{radians(speed)}" effort="0"/>',
             "  </joint>",
         ]
@@ -128,6 +164,40 @@ jerk_rad_s3: {[JERK_TIME * value for value in ABB_ACCELERATION]}
 """
 
 
+def ur_urdf(key: str) -> str:
+    """URDF of an e-Series arm by its Denavit-Hartenberg table; base_link is the controller's base."""
+    arm = UR[key]
+    right = radians(90)
+    before = (
+        (0, 0, 0),
+        (0, 0, arm.d1, right),
+        (arm.a2, 0, 0),
+        (arm.a3, 0, 0),
+        (0, 0, arm.d4, right),
+        (0, 0, arm.d5, -right),
+    )
+    joints = [((*place, 0, 0) if len(place) > 3 else place, "0 0 1") for place in before]
+    comment = f"{arm.name}. base_link is the controller's base; at zero the arm lies stretched out along its -x."
+    return urdf(key, comment, joints, UR_RANGES, arm.speeds, f'xyz="0 0 {arm.d6 / 1000:g}"', UR_JOINTS)
+
+
+def ur_yaml(key: str) -> str:
+    """The YAML file beside that URDF."""
+    acceleration = [10, 10, 10, 15, 15, 15]
+    return f"""\
+# {UR[key].name}. Lengths, ranges and speeds: the maker's tables (as in the URDF beside this file). Yours was
+# calibrated: its own URDF is more exact by some millimetres.
+name: {UR[key].name}
+urdf: {key}.urdf
+tip: tool0
+inverse_kinematics: offset_wrist
+# ASSUMED: nobody publishes acceleration and jerk; yours belong into the problem file (cell.limits).
+assumed: [acceleration_rad_s2, jerk_rad_s3]
+acceleration_rad_s2: {acceleration}
+jerk_rad_s3: {[JERK_TIME * value for value in acceleration]}
+"""
+
+
 def iiwa_urdf() -> str:
     """URDF of KUKA's LBR iiwa 14 R820, straight up at zero; the tip is the flange of the robot without a media flange."""
     axes = ("0 0 1", "0 1 0", "0 0 1", "0 -1 0", "0 0 1", "0 1 0", "0 0 1")
@@ -141,6 +211,8 @@ def iiwa_urdf() -> str:
 def files() -> dict[str, str]:
     """Texts of all files that are written here, by file name."""
     texts = {"iiwa.urdf": iiwa_urdf()}
+    for key in UR:
+        texts |= {f"{key}.urdf": ur_urdf(key), f"{key}.yaml": ur_yaml(key)}
     for key in ABB:
         texts |= {f"{key}.urdf": abb_urdf(key), f"{key}.yaml": abb_yaml(key)}
     return texts

@@ -18,7 +18,8 @@ Array = NDArray[np.float64]
 TURN = 2.0 * np.pi
 STRAIGHT = 1e-9  # sine below which two axes count as one; only the sum of their angles is defined there
 REACH_ROUNDING = 1e-10  # cosine beyond 1 by this much is a stretched arm, not one out of reach
-_SAME = 1e-7  # m and rad: files give lengths to a hundredth of a millimetre and right angles to ten digits
+_NEAR = 5e-3  # m: axes that ought to meet may pass each other by this much in an arm as it was measured
+_SQUARE = 0.02  # rad from square or parallel
 
 
 class OtherGeometry(ValueError):
@@ -27,7 +28,10 @@ class OtherGeometry(ValueError):
 
 @dataclass(frozen=True)
 class Lines:
-    """Joint axes at the zero posture in some frame: points (n, 3) on them [m], unit directions (n, 3)."""
+    """Joint axes at the zero posture in some frame: points (n, 3) on them [m], unit directions (n, 3).
+
+    What ought to be square, parallel or meeting may be nearly so, as in an arm that was measured.
+    """
 
     points: Array
     directions: Array
@@ -38,35 +42,38 @@ class Lines:
         return Lines((self.points - origin) @ R, self.directions @ R)
 
     def meet(self, i: int, j: int) -> Array:
-        """Point (3) where axes i and j, square to each other, meet; OtherGeometry if they do not."""
-        if abs(self.directions[i] @ self.directions[j]) > _SAME:
-            raise OtherGeometry(f"axes {i + 1} and {j + 1} are not square to each other")
+        """Point (3) on axis i where it meets axis j, to which it is square; OtherGeometry if they do not."""
+        self.square(i, j)
         apart = self.points[j] - self.points[i]
         gap = abs(apart @ np.cross(self.directions[i], self.directions[j]))
-        if gap > _SAME:
-            raise OtherGeometry(f"axes {i + 1} and {j + 1} pass each other by {gap * 1e3:.3f} mm")
+        if gap > _NEAR:
+            raise OtherGeometry(f"axes {i + 1} and {j + 1} pass each other by {gap * 1e3:.1f} mm")
         return np.asarray(self.points[i] + (apart @ self.directions[i]) * self.directions[i])
 
     def square(self, i: int, j: int) -> None:
         """Raise OtherGeometry unless axes i and j are square to each other."""
-        if abs(self.directions[i] @ self.directions[j]) > _SAME:
+        if abs(self.directions[i] @ self.directions[j]) > _SQUARE:
             raise OtherGeometry(f"axes {i + 1} and {j + 1} are not square to each other")
 
     def parallel(self, i: int, j: int) -> float:
         """1 if axes i and j point the same way, -1 if opposite ways; OtherGeometry otherwise."""
-        if np.linalg.norm(np.cross(self.directions[i], self.directions[j])) > _SAME:
+        if np.linalg.norm(np.cross(self.directions[i], self.directions[j])) > _SQUARE:
             raise OtherGeometry(f"axes {i + 1} and {j + 1} are not parallel")
         return float(np.sign(self.directions[i] @ self.directions[j]))
 
 
 def axes_at_zero(chain: Chain) -> tuple[Lines, Array]:
-    """A chain's joint axes and its tip pose (4, 4) at zero, both in the frame that the chain starts from."""
+    """A chain's joint axes and its tip pose (4, 4) at zero, both in the frame that the chain starts from.
+
+    Points are those nearest to that frame's origin: measured arms have link frames hundreds of metres away.
+    """
     T = np.eye(4)
     points, directions = [], []
     for placement, axis in zip(chain.placements, chain.axes, strict=True):
         T = T @ placement
-        points.append(T[:3, 3].copy())
-        directions.append(T[:3, :3] @ axis)
+        along = T[:3, :3] @ axis
+        points.append(T[:3, 3] - (T[:3, 3] @ along) * along)
+        directions.append(along)
     return Lines(np.array(points), np.array(directions)), T @ chain.T_last_tip
 
 
@@ -96,8 +103,10 @@ def at(x: float, y: float, z: float) -> Array:
 
 
 def from_zy(origin: Array, z: Array, y: Array) -> Array:
-    """Frame (4, 4) by its origin and the directions of z and y, which are square to each other."""
+    """Frame (4, 4) by its origin and the directions of z and y, which are nearly square to each other."""
     T = np.eye(4)
+    y = y - (y @ z) * z
+    y = y / np.linalg.norm(y)
     T[:3, 0], T[:3, 1], T[:3, 2], T[:3, 3] = np.cross(y, z), y, z, origin
     return T
 

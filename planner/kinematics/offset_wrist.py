@@ -83,7 +83,7 @@ class OffsetWrist:
         return _branches(self.parameters, np.ascontiguousarray(q))
 
     def out_of_reach(self, T_base_flange: Array, redundant: Array | None = None) -> Array:
-        """How far (m) the wrist lies outside the arm's reach on its better shoulder and wrist [m]; 0 within."""
+        """By how much (m) the arm is too short or too long, on its better shoulder and wrist [m]; 0 within reach."""
         return _out_of_reach(self.parameters, np.ascontiguousarray(T_base_flange))
 
 

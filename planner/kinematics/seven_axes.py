@@ -26,7 +26,7 @@ from planner.kinematics.seven_axes_kernel import BRANCHES, SEVENTH, THIRD, solve
 __all__ = ["BRANCHES", "SevenAxes", "read_seven_axes", "solve_one"]
 
 Array = NDArray[np.float64]
-_SAME = 1e-7  # m
+_NEAR = 5e-3  # m: as in an arm that was measured
 
 
 @dataclass(frozen=True)
@@ -73,18 +73,12 @@ class SevenAxes:
         return kernel.branches(self.parameters, np.ascontiguousarray(q))
 
     def out_of_reach(self, T_base_flange: Array, redundant: Array | None = None) -> Array:
-        """How far (m) the wrist lies outside what the arm reaches with these redundant angles [m]; 0 within."""
+        """By how much (m) the arm is too short or too long for these redundant angles [m]; 0 within reach.
+
+        Another redundant angle may reach what this one does not; with a nearly straight elbow it overstates the way.
+        """
         given = self._given(T_base_flange, redundant)
         return kernel.out_of_reach(self.parameters, given, np.ascontiguousarray(T_base_flange))
-
-    def track(self, T_base_flange: Array, redundant: Array, q_start: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Postures q (m, 7) along a path of poses (m, 4, 4) on the branch of q_start (7), and where they exist (m).
-
-        Joints are continuous in whole turns, from q_start on; the last posture is held where there is none.
-        """
-        solutions, exists = self.solve(T_base_flange, redundant)
-        branch = int(self.branches(q_start[None])[0])
-        return _continued(solutions[:, branch], exists[:, branch], q_start), exists[:, branch]
 
     def _given(self, T: Array, redundant: Array | None) -> Array:
         return np.full(len(T), self.rest) if redundant is None else np.ascontiguousarray(redundant, dtype=np.float64)
@@ -98,7 +92,7 @@ def read_seven_axes(chain: Chain, redundant_joint: int) -> SevenAxes:
     T = T_base_shoulder = from_zy(lines.meet(0, 1), lines.directions[0], lines.directions[1])
     local = lines.seen_from(T)
     local.square(1, 2)
-    if np.linalg.norm(np.cross(local.points[2], local.directions[2])) > _SAME:
+    if np.linalg.norm(np.cross(local.points[2], local.directions[2])) > _NEAR:
         raise OtherGeometry("axes 1, 2, 3 do not meet in one point")
     offsets = np.zeros(7)
     for i in range(1, 6):  # theta_i turns the frame so that its z (even i: its y) is the axis of joint i + 1
@@ -114,26 +108,16 @@ def read_seven_axes(chain: Chain, redundant_joint: int) -> SevenAxes:
             local = lines.seen_from(T)
             a4, aside, _ = local.points[4]
             d5 = local.meet(4, 5)[2]
-            if abs(aside) > _SAME:
+            if abs(aside) > _NEAR:
                 raise OtherGeometry("the forearm's axis passes beside the elbow's plane")
             T = T @ at(a4, 0.0, d5)
-    a6, y6, _ = lines.seen_from(T).points[6]
+    local = lines.seen_from(T)
+    a6, y6, _ = local.points[6] - local.points[6, 2] * local.directions[6]
     if redundant_joint not in (THIRD, SEVENTH):
         raise OtherGeometry("the redundant joint can be joint 3 or joint 7")
-    if redundant_joint == THIRD and np.hypot(a6, y6) > _SAME:
+    if redundant_joint == THIRD and np.hypot(a6, y6) > _NEAR:
         raise OtherGeometry("axes 5, 6, 7 do not meet in one point: the redundant joint can only be joint 7")
     T_flange_7 = np.linalg.inv(T_base_flange) @ T @ at(a6, y6, 0.0)
     lengths = [a3, d3, a4, d5, a6, y6]
     frames = [np.linalg.inv(T_base_shoulder).ravel(), T_flange_7.ravel()]
     return SevenAxes(np.concatenate([lengths, offsets, *frames, [redundant_joint]]), redundant_joint)
-
-
-def _continued(q: Array, ok: NDArray[np.bool_], q_start: Array) -> Array:
-    """Postures q (m, n) with whole turns added so that each is next to the one before; held where not ok."""
-    out = np.empty_like(q)
-    before = q_start
-    for i in range(len(q)):
-        if ok[i]:
-            before = before + np.remainder(q[i] - before + np.pi, 2.0 * np.pi) - np.pi
-        out[i] = before
-    return out
