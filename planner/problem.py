@@ -177,6 +177,20 @@ class BeadSpec(Section):
     )
 
 
+class ConesSpec(Section):
+    """How far the nozzle and the layer may lean, as half angles of cones."""
+
+    tilt: Annotated[float, Quantity("deg", 0, 60)] = _key(
+        "nozzle_normal_deg", "nozzle axis from the surface normal [deg]; 0 keeps it on the normal", 0
+    )
+    nozzle_gravity: Annotated[float, Quantity("deg", 1, 180)] = _key(
+        "nozzle_gravity_deg", "nozzle axis from straight down [deg]; 180 is free", 180
+    )
+    layer_gravity: Annotated[float, Quantity("deg", 1, 180)] = _key(
+        "layer_gravity_deg", "surface normal from straight up [deg]; 180 is free", 180
+    )
+
+
 class ProcessSpec(Section):
     """How material is laid down."""
 
@@ -193,6 +207,7 @@ class ProcessSpec(Section):
         "run_in_mm", "length of run-in and run-out, where speed is gained and lost and nothing deposited [mm]", 3
     )
     lift: Annotated[float, Quantity("mm", 1, 500)] = _key("lift_mm", "least height of travel above the surface [mm]", 5)
+    cones: ConesSpec = _key("cones", "how far nozzle and layer may lean; each has a default", {})
     filament_diameter: Annotated[float, Quantity("mm", 0.5, 10)] = _key(
         "filament_diameter_mm", "diameter of the filament that the extruder pushes [mm]", 1.75
     )

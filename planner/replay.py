@@ -18,7 +18,8 @@ Array = NDArray[np.float64]
 class Motion:
     """The samples of a trajectory as its joints have them (n samples).
 
-    tip, axis (n, 3) and rotation (n, 3, 3) of the nozzle in the part frame; of the arm's Jacobian at the tip the
+    tip, axis (n, 3) and rotation (n, 3, 3) of the nozzle in the part frame, where up (n, 3) is the world's
+    vertical; of the arm's Jacobian at the tip the
     smallest singular value sigma (NaN in travel, where no limit stands on it) and the determinant; branch (n),
     ABB's cfx
     """
@@ -26,6 +27,7 @@ class Motion:
     tip: Array
     axis: Array
     rotation: Array
+    up: Array
     sigma: Array
     det: Array
     branch: NDArray[np.int8]
@@ -45,7 +47,7 @@ def replay(cell: Cell, trajectory: Trajectory) -> Motion:
     sigma[trajectory.deposit] = np.linalg.svd(J[trajectory.deposit], compute_uv=False)[:, -1]
     det = np.linalg.det(J)
     branch = _branch(arm, T_base_nozzle @ np.linalg.inv(cell.T_flange_nozzle), q[:, :na], det)
-    return Motion(tip, rotation[:, :, 2], rotation, sigma, det, branch)
+    return Motion(tip, rotation[:, :, 2], rotation, R_part_world[:, :, 2], sigma, det, branch)
 
 
 def _branch(arm: Robot, T_base_flange: Array, q: Array, det: Array) -> NDArray[np.int8]:

@@ -34,7 +34,7 @@ from planner.report.failure import write_failure_report
 from planner.report.html import write_report
 from planner.report.summary import print_summary
 from planner.resolve import STRATEGIES
-from planner.task import NozzleTask, make_tasks
+from planner.task import NozzleTask, cones_of, make_tasks
 from planner.timing import time_path
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
@@ -89,7 +89,8 @@ def solve(
 
 def _toolpath(problem: Problem) -> tuple[Toolpath, tuple[NozzleTask, ...]]:
     toolpath = build_toolpath(problem)
-    return toolpath, make_tasks(toolpath, problem.process.speed, problem.process.run_in)
+    process = problem.process
+    return toolpath, make_tasks(toolpath, process.speed, process.run_in, cones_of(process.cones))
 
 
 def _plan_with(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.problem import ConesSpec
 from planner.process import with_runs
 from planner.readonly import ReadOnlyArrays
 from planner.toolpath.bead import Toolpath
@@ -30,6 +31,11 @@ class Cones:
 
 
 FREE = Cones()
+
+
+def cones_of(spec: ConesSpec) -> Cones:
+    """The cones of a problem's process."""
+    return Cones(spec.tilt, spec.nozzle_gravity, spec.layer_gravity)
 
 
 @dataclass(frozen=True)

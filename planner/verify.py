@@ -146,12 +146,21 @@ def _geometry(problem, cell, toolpath, t, motion, checks, metrics, series) -> No
     normals = toolpath.surface.normals(motion.tip)
     cosine = -(normals * motion.axis).sum(axis=1)
     sine = np.linalg.norm(np.cross(normals, motion.axis), axis=1)
-    tilt = np.where(t.deposit, np.arctan2(sine, cosine), 0.0)
+    cones = problem.process.cones
+    tilt = np.where(t.deposit, np.maximum(np.arctan2(sine, cosine) - cones.tilt, 0.0), 0.0)
     tolerance = problem.process.corner_tolerance * 1e3
     worst = _check_most(checks, t, "tip on the path", position * 1e3, POSITION_TOLERANCE * 1e3, "mm")
     metrics["position_error_max_mm"] = worst
     worst = _check_most(checks, t, "axis on the normal", np.degrees(tilt), np.degrees(AXIS_TOLERANCE), "deg")
     metrics["axis_error_max_deg"] = worst
+    for name, cosine, cone in (
+        ("nozzle to gravity", -(motion.axis * motion.up).sum(axis=1), cones.nozzle_gravity),
+        ("layer to gravity", (normals * motion.up).sum(axis=1), cones.layer_gravity),
+    ):
+        if cone == np.pi:
+            continue
+        lean = np.where(t.deposit, np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))), 0.0)
+        _check_most(checks, t, name, lean, np.degrees(cone + AXIS_TOLERANCE), "deg")
     worst = _check_most(checks, t, "path within corner tolerance", deviation * 1e3, tolerance, "mm")
     ok = unreached * 1e3 <= tolerance * (1.0 + DIGITS)
     checks.append(Check("input path reached everywhere", unreached * 1e3, tolerance, "mm", ok, "input path"))
