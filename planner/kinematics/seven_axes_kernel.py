@@ -14,6 +14,7 @@ Flags = NDArray[np.bool_]
 BRANCHES = 8
 ELBOW_NEGATIVE, SHOULDER_OTHER, WRIST_OTHER = 4, 2, 1  # bits of a branch number
 THIRD, SEVENTH = 2, 6  # the joints that can be given, counted from 0
+_ASIDE = 1e-8  # m by which rounding can move a point away from an axis that a straight elbow turns it about
 
 
 @njit(cache=True)
@@ -97,7 +98,7 @@ def _given_seventh(
     vy = -(G[0, 1] * W[0] + G[1, 1] * W[1] + G[2, 1] * W[2])
     vz = -(G[0, 2] * W[0] + G[1, 2] * W[1] + G[2, 2] * W[2])
     x2 = ex * ex - vy * vy
-    if x2 < -REACH_ROUNDING * (ex * ex + ez * ez):
+    if abs(vy) > abs(ex) + _ASIDE:
         return
     side = 1.0 if ex > 0.0 else -1.0
     R, angles = np.empty((3, 3)), np.empty(3)
@@ -130,7 +131,7 @@ def _given_third(
     ux, uy = wx * np.cos(th3), wx * np.sin(th3)  # the wrist after theta_2
     rho2 = W[0] * W[0] + W[1] * W[1]
     x2 = rho2 - uy * uy
-    if x2 < -REACH_ROUNDING * (rho2 + W[2] * W[2]):
+    if abs(uy) > np.sqrt(rho2) + _ASIDE:
         return
     R, T, angles = np.eye(3), np.empty((3, 3)), np.empty(3)
     for shoulder in range(2):
