@@ -33,7 +33,8 @@ _HALVINGS = 44  # of the interval in which a largest feasible x is sought: to 1e
 class TimedPath:
     """Joints and arc length of one bead with its runs, from rest to rest, sampled every dt from t = 0.
 
-    q (m, nj), s (m) [m], s_dot (m) [m/s]; edges (m + 1) arc length half a sample before and after each sample
+    q (m, nj), s (m) [m]; edges (m + 1) arc length half a sample before and after each sample; s_dot (m) speed of the
+    tip between these [m/s]
     """
 
     path: JointPath
@@ -125,5 +126,5 @@ def _sample(path: JointPath, spline: BSpline, grid: Array, rate: Array, dt: floa
     tau = half - time[k]
     u = np.clip(grid[k] + tau * (rate[k] + 0.5 * acceleration[k] * tau), 0.0, grid[-1])
     values = np.asarray(spline(u))
-    s_dot = np.asarray(spline(u[1::2], 1))[:, -1] * (rate[k] + acceleration[k] * tau)[1::2]
-    return TimedPath(path, values[1::2, :-1], values[1::2, -1], s_dot, values[0::2, -1])
+    edges = values[0::2, -1]
+    return TimedPath(path, values[1::2, :-1], values[1::2, -1], np.diff(edges) / dt, edges)

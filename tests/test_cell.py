@@ -87,10 +87,10 @@ def test_positioner_is_no_arm() -> None:
     assert error.field.removeprefix("--set ") == "cell.arm"
 
 
-def test_two_free_axes_are_refused_while_no_strategy_can_use_them() -> None:
-    error = error_of(["cell.positioner.free=[tilt, rotation]", "cell.positioner.held_deg={}"])
-    assert error.field is not None
-    assert error.field.removeprefix("--set ") == "cell.positioner.free"
+def test_two_free_axes_are_chosen_joints() -> None:
+    cell = built("cell.positioner.free=[tilt, rotation]", "cell.positioner.held_deg={}")
+    assert cell.joint_names[6:] == ("tilt", "rotation")
+    assert cell.chosen == (6, 7) and cell.solved == (0, 1, 2, 3, 4, 5)
 
 
 # --- limits -----------------------------------------------------------------------------------------------------

@@ -11,10 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from planner.cell import Cell, build_cell, rigid_inverse
+from planner.cell import Cell, build_cell
+from planner.kinematics.chain import chain_state, jacobian_at
 from planner.kinematics.spherical_wrist import SphericalWrist, all_turns
 from planner.problem import load_problem
-from planner.resolve.node_kernel import invert6, jacobian_in_base, largest_singular_value
+from planner.resolve.node_kernel import invert6, largest_singular_value
 
 Array = NDArray[np.float64]
 
@@ -354,34 +355,17 @@ def test_out_of_reach_in_the_hole_around_the_shoulder() -> None:
 # --- Jacobians and small matrices of the kernels ----------------------------------------------------------------
 
 
-def test_jacobian_in_base_is_that_of_the_chain(tilted_cell: Cell) -> None:
-    cell = tilted_cell
+def test_jacobian_at_is_that_of_the_chain(tilted_cell: Cell) -> None:
+    arm = tilted_cell.arm
     q = np.random.default_rng(13).uniform(-np.pi, np.pi, (500, 6))
-    tips = (rigid_inverse(cell.T_world_base) @ cell.arm.poses(q))[:, :3, 3]
-    expected = cell.arm.jacobians(q)  # the base is moved, not turned: axes are the world's
-    J = np.empty((6, 6))
+    expected = arm.jacobians(q)
+    origins, directions, J = np.empty((6, 3)), np.empty((6, 3)), np.empty((6, 6))
+    T, before, after, R = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4)), np.empty((3, 3))
     for k in range(len(q)):
-        jacobian_in_base(cell.wrist.parameters, q[k], np.ascontiguousarray(tips[k]), J)
+        chain_state(arm.placements, arm.axes, arm.T_last_tip, q[k], origins, directions, T, before, after, R)
+        np.testing.assert_allclose(T, arm.poses(q[k : k + 1])[0], rtol=0, atol=1e-13)
+        jacobian_at(origins, directions, np.ascontiguousarray(T[:3, 3]), J)
         np.testing.assert_allclose(J, expected[k], rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("name", OPW)
-def test_jacobian_in_base_by_finite_differences(name: str) -> None:
-    wrist = wrist_of(name)
-    T_flange_tip = pin.SE3(pin.exp3(np.array([0.2, 0.5, -0.3])), np.array([-0.05, 0.02, 0.15])).homogeneous
-    rng, h = np.random.default_rng(14), 1e-6
-    J, expected = np.empty((6, 6)), np.empty((6, 6))
-    for _ in range(40):
-        q = rng.uniform(-np.pi, np.pi, 6)
-        T = wrist.poses(q[None])[0] @ T_flange_tip
-        for j in range(6):
-            step = np.zeros((2, 6))
-            step[0, j], step[1, j] = h, -h
-            plus, minus = wrist.poses(q + step) @ T_flange_tip
-            expected[:3, j] = (plus[:3, 3] - minus[:3, 3]) / (2 * h)
-            expected[3:, j] = pin.log3(plus[:3, :3] @ minus[:3, :3].T) / (2 * h)
-        jacobian_in_base(wrist.parameters, q, T[:3, 3].copy(), J)
-        np.testing.assert_allclose(J, expected, rtol=0, atol=1e-8)
 
 
 def test_invert6_against_numpy() -> None:

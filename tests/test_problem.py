@@ -192,7 +192,7 @@ def test_shipped_problem_has_the_papers_values() -> None:
     assert problem.part.cylinder.radius == pytest.approx(0.034)
     assert problem.part.cylinder.centre == pytest.approx((0.0314, 0.037))
     assert problem.layers.source.svg == find_problem("cylinder_logo").parent / "logo.svg"
-    assert (problem.layers.count, problem.strategy) == (10, "ladder")
+    assert (problem.layers.count, problem.strategy) == (10, "sqp")
     assert problem.process.speed == pytest.approx(0.04)
 
 
@@ -208,7 +208,7 @@ def test_every_field_is_described_with_unit_and_default() -> None:
     units = {"_mm": "[mm]", "_deg": "[deg]", "_mm_s": "[mm/s]", "_deg_s": "[deg/s]"}
     units |= {"_rad_s2": "[rad/s2]", "_rad_s3": "[rad/s3]"}
     found = list(sections(Problem))
-    assert len(found) == 13
+    assert len(found) == 14
     for model in found:
         for name, field in model.model_fields.items():
             key = field.alias or name
