@@ -28,7 +28,8 @@ _TO_THE_WALL = 0.99  # share of the way to the nearest wall that a step may go
 class QuadraticProgram:
     """H (n, width) lower band: H[i, d] is the entry (i, i - d); g (n); box (n), positive.
 
-    A (r, width), b (r), at (r) first variable of each row; group k has the rows group[k] .. group[k + 1] and price[k]
+    A (r, width), b (r), at (r) first variable of each row; group k has the rows group[k] .. group[k + 1], which begin at
+    the same variable, and price[k], positive
     """
 
     H: Array

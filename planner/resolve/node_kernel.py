@@ -7,7 +7,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from planner.kinematics.chain import chain_state, jacobian_at, mul4, rotate_about, turn
-from planner.kinematics.inverse import solve_one
+from planner.kinematics.inverse import SPHERICAL_WRIST, solve_one
 
 Array = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ _SQUARINGS = 3
 RAMP_SHARE = 0.7  # of the joints' acceleration, for gaining and losing speed: bends need the rest
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def invert6(A: Array, B: Array) -> bool:
     """Fill B with the inverse of A (6, 6), which is spoilt; False if A is singular to rounding."""
     n = 6
@@ -54,7 +54,7 @@ def invert6(A: Array, B: Array) -> bool:
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def largest_singular_value(B: Array, M: Array, S: Array) -> float:
     """Of B (6, 6), within 2 % from below, for prices only; M, S (6, 6) are room.
 
@@ -93,7 +93,7 @@ def largest_singular_value(B: Array, M: Array, S: Array) -> float:
     return np.sqrt(above / below)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _time_lost(Ji, solved, twist, rate, weight, start: int, stop: int, v_max, a_max, x, gain) -> float:
     """Time [s] that the joints' limits take from samples start..stop, with the Jacobian's inverse Ji of their middle.
 
@@ -140,7 +140,7 @@ def _time_lost(Ji, solved, twist, rate, weight, start: int, stop: int, v_max, a_
     return lost
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, error_model="numpy")
 def evaluate_nodes(
     kind, p, solved, redundant, T_base_world, T_nozzle_flange, arm_placements, arm_axes, arm_tip,
     T_before, axis, T_after, sweeps, swept_low, swept_high, held_redundant, least_upright,
@@ -163,6 +163,8 @@ def evaluate_nodes(
         R = np.empty((3, 3))
         eight = np.empty((8, na))
         ok = np.empty(8, dtype=np.bool_)
+        known = np.empty(8, dtype=np.int64)
+        sigmas, times = np.empty(8), np.empty(8)
         J, J6, Jp, Ji = np.empty((6, na)), np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
         T_held, T_world_part, T_world_task = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
         T_rolled, T_base_nozzle, T_base_flange = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
@@ -196,6 +198,7 @@ def evaluate_nodes(
                 mul4(T_base_nozzle, T_nozzle_flange, T_base_flange)
                 given = swept if sweeps == 2 else held_redundant[r]
                 solve_one(kind, p, given, T_base_flange[:3, :3], T_base_flange[:3, 3], eight, ok)
+                known[:] = -1
                 for c in range(n_branches):
                     k = branch[r, c]
                     if not ok[k]:
@@ -209,26 +212,35 @@ def evaluate_nodes(
                         room = min(room, min(angle - q_min[j], q_max[j] - angle))
                     if room < LIMIT_ROOM:
                         continue
-                    chain_state(
-                        arm_placements, arm_axes, arm_tip, eight[k], origins, directions, T_held, before, after, R
-                    )
-                    jacobian_at(origins, directions, T_world_task[:3, 3], J)
-                    # rows into the part frame, where the demand is given
-                    for j in range(6):
-                        for i in range(3):
-                            lin = 0.0
-                            ang = 0.0
-                            for m in range(3):
-                                lin += T_world_part[m, i] * J[m, solved[j]]
-                                ang += T_world_part[m, i] * J[3 + m, solved[j]]
-                            Jp[i, j] = lin
-                            Jp[3 + i, j] = ang
-                    if not invert6(Jp, Ji):
+                    # a spherical wrist turned over has the same axes, one of them reversed: the same rates and sigma
+                    pair = k // 2 if kind == SPHERICAL_WRIST else k
+                    if known[pair] < 0:
+                        chain_state(
+                            arm_placements, arm_axes, arm_tip, eight[k], origins, directions, T_held, before, after, R
+                        )
+                        jacobian_at(origins, directions, T_world_task[:3, 3], J)
+                        # rows into the part frame, where the demand is given
+                        for j in range(6):
+                            for i in range(3):
+                                lin = 0.0
+                                ang = 0.0
+                                for m in range(3):
+                                    lin += T_world_part[m, i] * J[m, solved[j]]
+                                    ang += T_world_part[m, i] * J[3 + m, solved[j]]
+                                Jp[i, j] = lin
+                                Jp[3 + i, j] = ang
+                        if not invert6(Jp, Ji):
+                            sigmas[pair] = 0.0
+                        else:
+                            sigmas[pair] = 1.0 / largest_singular_value(Ji, J6, Jp)
+                            if sigmas[pair] >= min_sigma:
+                                times[pair] = _time_lost(
+                                    Ji, solved, twist, rate, weight, start[r], stop[r], v_max, a_max, x, gain
+                                )
+                        known[pair] = 1
+                    sigma, lost = sigmas[pair], times[pair]
+                    if sigma < min_sigma or sigma == 0.0:
                         continue
-                    sigma = 1.0 / largest_singular_value(Ji, J6, Jp)
-                    if sigma < min_sigma:
-                        continue
-                    lost = _time_lost(Ji, solved, twist, rate, weight, start[r], stop[r], v_max, a_max, x, gain)
                     close = max(0.0, SIGMA_COMFORT / sigma - 1.0)
                     near = max(0.0, 1.0 - room / LIMIT_COMFORT)
                     lost += duration * (SIGMA_PRICE * close * close + LIMIT_PRICE * near * near) + leans

@@ -160,8 +160,8 @@ def program_around(model: Model, stretch: Stretch, state: State, least_sigma: fl
     low, high = model.low[: model.arm], model.high[: model.arm]
     (k, m), w = state.c.shape, stretch.B.shape[2] * state.c.shape[1]
     rows, groups = count_rows(
-        state.rates, model.limits, stretch.deposits, state.slack, state.q, low, high, state.sigma, least_sigma,
-        state.bounds,
+        state.rates, model.limits, stretch.step, stretch.deposits, state.slack, state.q, low, high, state.sigma,
+        least_sigma, state.bounds,
     )  # fmt: skip
     own_A, own_b, own_at = _control_rows(model, stretch, state, w)
     extra = len(own_b)

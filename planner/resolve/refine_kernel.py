@@ -97,11 +97,13 @@ def price_of(rates, limits, step, deposits, q, low, high, sigma, least_sigma, bo
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def count_rows(rates, limits, deposits, slack, q, low, high, sigma, least_sigma, bounds):
+def count_rows(rates, limits, step, deposits, slack, q, low, high, sigma, least_sigma, bounds):
     """Rows (r) and groups (k) that `quadratic_program` will write."""
     n, _, nj = rates.shape
     rows, groups = 0, 0
     for i in range(n):
+        if step[i] == 0.0:
+            continue
         own = 0
         if deposits[i] > 0.0:
             for o in range(3):
@@ -154,6 +156,8 @@ def quadratic_program(
             for c in range(m):
                 H[k_free * m + c, 0] = 1.0
     for i in range(n):
+        if step[i] == 0.0:
+            continue
         at_i = first[i] * m
         for e in range(nb):
             for o in range(4):
