@@ -19,7 +19,7 @@ from planner.resolve.node_kernel import LIMIT_COMFORT, LIMIT_PRICE, SIGMA_COMFOR
 
 Array = NDArray[np.float64]
 
-EFFORT = 0.01  # seconds a second of printing, for a joint at all its limits
+EFFORT = np.array([1.0, 0.1, 0.1])  # seconds a second of printing, for joints at their speed, acceleration, jerk
 DIP_PRICE = 0.25  # seconds a second of printing below the commanded speed: one deep dip beats two shallow ones
 DIP = 0.05  # slack at which half of that is counted
 HARD_PRICE = 1e3  # seconds a second and unit (rad, or the share of a bound) beyond what must not be exceeded
@@ -82,8 +82,8 @@ def price_of(rates, limits, step, deposits, q, low, high, sigma, least_sigma, bo
         for o in range(3):
             for j in range(nj):
                 square = (rates[i, o, j] / limits[o, j]) ** 2
-                effort += square / (1.0 + square)
-        cost = deposits[i] * lost(slack[i]) + EFFORT * effort / nj
+                effort += EFFORT[o] * square / (1.0 + square)
+        cost = deposits[i] * lost(slack[i]) + effort / nj
         close = max(0.0, SIGMA_COMFORT / sigma[i] - 1.0)
         cost += SIGMA_PRICE * close * close + HARD_PRICE * max(0.0, least_sigma - sigma[i])
         for j in range(na):
@@ -182,7 +182,7 @@ def quadratic_program(
         for o in range(3):
             for j in range(nj):
                 share = rates[i, o, j] / limits[o, j]
-                weight = 2.0 * step[i] * EFFORT / nj / (1.0 + share * share) ** 2
+                weight = 2.0 * step[i] * EFFORT[o] / nj / (1.0 + share * share) ** 2
                 _add(H, g, at_i, a[o, j], weight, share)
         # lost time: all rates of a sample share its slack
         if deposits[i] > 0.0:
