@@ -14,15 +14,18 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import (
     BaseModel,
     ConfigDict,
+    Discriminator,
     Field,
     PrivateAttr,
+    Tag,
     ValidationError,
     ValidationInfo,
     field_validator,
     model_validator,
 )
+from pydantic_core import PydanticKnownError
 
-from planner.errors import InputError
+from planner.errors import InputError, nearest_name
 from planner.problem_fields import (
     IDENTIFIER,
     INCREASING,
@@ -37,7 +40,17 @@ from planner.problem_fields import (
 from planner.problem_file import Source, apply_overrides, find_problem, read_problem_file, shipped_problems
 from planner.problem_mistakes import first_mistake
 
-__all__ = ["STRATEGY_NAMES", "CellSpec", "Problem", "find_problem", "load_problem", "shipped_problems"]
+__all__ = [
+    "STRATEGY_NAMES",
+    "CellSpec",
+    "LayersSpec",
+    "Problem",
+    "WaypointLayersSpec",
+    "WaypointsSpec",
+    "find_problem",
+    "load_problem",
+    "shipped_problems",
+]
 
 StrategyName = Literal["as_published", "fixed", "greedy", "ladder", "sqp"]
 STRATEGY_NAMES: tuple[str, ...] = get_args(StrategyName)
@@ -154,6 +167,31 @@ class SvgSpec(Section):
     svg: Annotated[Path, PATH] = _key("svg", "the drawing, counted from the folder of the problem file")
     width: Annotated[float, Quantity("mm", 0.1, 15_000)] = _key("width_mm", "width of the drawing on the part [mm]")
 
+    @model_validator(mode="before")
+    @classmethod
+    def _one_source(cls, value: Any) -> Any:
+        if isinstance(value, dict) and "svg" in value and "waypoints" in value:
+            raise refusal("both svg and waypoints are given", "give one of them", fields=["svg", "waypoints"])
+        return value
+
+
+class WaypointsSpec(Section):
+    """A file of waypoints, each with its normal, that become beads."""
+
+    waypoints: Annotated[Path, PATH] = _key(
+        "waypoints", "the file, counted from the folder of the problem file: lines x y z nx ny nz, points in mm"
+    )
+    up: Annotated[Literal["z", "y"], one_of(("z", "y"))] = _key(
+        "up", "the file's axis that is the part frame's z; y turns (x, y, z) to (x, -z, y)", "z"
+    )
+    normals: Annotated[Literal["outward", "inward"], one_of(("outward", "inward"))] = _key(
+        "normals", "where the file's normals point: outward, against the nozzle, or inward, along it", "outward"
+    )
+    origin: Position = _key("origin_mm", "the file's origin in the part frame, its axes turned [mm]", (0, 0, 0))
+    split: Annotated[float, Quantity("mm", 0.01, 10_000)] | None = _key(
+        "split_mm", "a step longer than this begins a new bead [mm]; default: three median steps", None
+    )
+
 
 class LayersSpec(Section):
     """What is printed, and how often."""
@@ -162,6 +200,28 @@ class LayersSpec(Section):
     wrap: Annotated[Literal["cylinder"], one_of(("cylinder",))] = _key("wrap", "the surface they are laid on")
     count: Annotated[int, Quantity("", 1, 10_000, whole=True)] = _key("count", "number of layers")
     height: Thickness = _key("height_mm", "height of a layer [mm]")
+
+
+class WaypointLayersSpec(Section):
+    """What is printed, if a file says it point by point: all layers stand in the file."""
+
+    source: WaypointsSpec = _key("source", "where the waypoints come from")
+
+
+def _kind_of_layers(value: Any) -> str:
+    """The tag of the model that the keys of `layers.source` belong to."""
+    source = value.get("source") if isinstance(value, dict) else None
+    if not isinstance(source, dict) or "svg" in source:
+        return "[svg]"
+    keys = [[f.alias or name for name, f in model.model_fields.items()] for model in (SvgSpec, WaypointsSpec)]
+    near = {nearest_name(key, keys[0] + keys[1]) for key in source if isinstance(key, str)}
+    return "[waypoints]" if near & set(keys[1]) else "[svg]"
+
+
+AnyLayersSpec = Annotated[
+    Annotated[LayersSpec, Tag("[svg]")] | Annotated[WaypointLayersSpec, Tag("[waypoints]")],
+    Discriminator(_kind_of_layers),
+]
 
 
 class BeadSpec(Section):
@@ -173,7 +233,7 @@ class BeadSpec(Section):
         default_factory=lambda: math.nan,
         validate_default=False,
         alias="height_mm",
-        description="height [mm]; default layers.height_mm",
+        description="height [mm]; default layers.height_mm, where a drawing is wrapped",
     )
 
 
@@ -258,8 +318,8 @@ class Problem(Section):
 
     name: Identifier = _key("name", "name of the problem: of its results' folder and of the robot program")
     cell: CellSpec = _key("cell", "arm, nozzle, and what carries the part")
-    part: PartSpec = _key("part", "the body to print on")
-    layers: LayersSpec = _key("layers", "what is printed on it")
+    layers: AnyLayersSpec = _key("layers", "what is printed")
+    part: PartSpec | None = _key("part", "the body to print on, where a drawing is wrapped; default: none", None)
     process: ProcessSpec = _key("process", "how material is laid down")
     strategy: Annotated[StrategyName, one_of(STRATEGY_NAMES)] = _key(
         "strategy", f"how the free motion is decided: {', '.join(STRATEGY_NAMES)}", "sqp"
@@ -268,12 +328,25 @@ class Problem(Section):
     program: ProgramSpec = _key("program", "names in the robot program; each has a default", {})
     _source: Source = PrivateAttr()
 
+    @field_validator("part")
+    @classmethod
+    def _body_for_drawings(cls, part: PartSpec | None, info: ValidationInfo) -> PartSpec | None:
+        layers = info.data.get("layers")
+        if part is None and isinstance(layers, LayersSpec):
+            raise PydanticKnownError("missing")
+        if part is not None and isinstance(layers, WaypointLayersSpec):
+            raise refusal("waypoints carry their own surface: there is no body", "leave out part")
+        return part
+
     @field_validator("process")
     @classmethod
     def _bead_as_high_as_its_layer(cls, process: ProcessSpec, info: ValidationInfo) -> ProcessSpec:
         if "height" in process.bead.model_fields_set or "layers" not in info.data:
             return process
-        bead = process.bead.model_copy(update={"height": info.data["layers"].height})
+        layers = info.data["layers"]
+        if not isinstance(layers, LayersSpec):
+            raise refusal("height_mm is missing", "height of a bead [mm]; a file of waypoints has none", item="bead")
+        bead = process.bead.model_copy(update={"height": layers.height})
         return process.model_copy(update={"bead": bead})
 
     def model_post_init(self, context: Any) -> None:

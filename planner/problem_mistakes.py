@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import get_args
+from typing import Annotated, Any, get_args, get_origin
 
-from pydantic import BaseModel
+from pydantic import BaseModel, Tag
 from pydantic_core import ErrorDetails
 
 from planner.errors import InputError, nearest_name
@@ -13,6 +13,7 @@ from planner.problem_file import Keys, Source, describe
 
 Mistake = tuple[Keys, str, str | None]  # path, reason, hint
 Model = type[BaseModel]
+_NOT_IN_THE_FILE = ("[key]", "[svg]", "[waypoints]")  # Pydantic's marks in a path: of a key, of a kind of section
 
 
 def first_mistake(details: Sequence[ErrorDetails], source: Source, model: Model) -> InputError:
@@ -36,7 +37,8 @@ def first_mistake(details: Sequence[ErrorDetails], source: Source, model: Model)
 
 def _mistake(detail: ErrorDetails, source: Source, model: Model) -> Mistake:
     """Path, reason and hint of one of Pydantic's findings."""
-    path, value = tuple(key for key in detail["loc"] if key != "[key]"), detail["input"]
+    loc, value = detail["loc"], detail["input"]
+    path = tuple(key for key in loc if key not in _NOT_IN_THE_FILE)
     match detail["type"]:
         case "problem":
             context = detail["ctx"]
@@ -46,13 +48,13 @@ def _mistake(detail: ErrorDetails, source: Source, model: Model) -> Mistake:
                 path = _culprit(path, context["fields"], source)
             return path, context["reason"], context["hint"]
         case "missing":
-            return path, "is missing", _description(model, path)
+            return path, "is missing", _description(model, loc)
         case "extra_forbidden":
-            keys = _keys(model, path[:-1])
+            keys = _keys(model, loc[:-1])
             near = nearest_name(str(path[-1]), keys)
             return path, "unknown key", f"did you mean {near}?" if near else f"known keys: {', '.join(keys)}"
         case "model_type":
-            return path, f"must be a section, not {describe(value)}", f"its keys: {', '.join(_keys(model, path))}"
+            return path, f"must be a section, not {describe(value)}", f"its keys: {', '.join(_keys(model, loc))}"
         case "dict_type":
             return path, f"must be a section, not {describe(value)}", "its keys are names of axes or joints"
         case "tuple_type":
@@ -69,13 +71,27 @@ def _culprit(section: Keys, fields: Sequence[str], source: Source) -> Keys:
 def _section(model: Model, path: Keys) -> Model:
     """The model of the section at `path`; names that the user chose, such as joints, are passed over."""
     section = model
-    for key in path:
+    for i, key in enumerate(path):
         for name, field in section.model_fields.items():
             if key == (field.alias or name):
-                kinds = (field.annotation, *get_args(field.annotation))
-                section = next((k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel)), section)
+                models = _models(field.annotation)
+                kind = path[i + 1] if i + 1 < len(path) else None
+                section = models.get(kind, next(iter(models.values()), section))
                 break
     return section
+
+
+def _models(annotation: Any) -> dict[Any, Model]:
+    """The sections that a field may hold, by their tag where there are several kinds."""
+    found: dict[Any, Model] = {}
+    for choice in (annotation, *get_args(annotation)):
+        tags: list[Any] = [None]
+        if get_origin(choice) is Annotated:
+            choice, *marks = get_args(choice)
+            tags = [mark.tag for mark in marks if isinstance(mark, Tag)]
+        if isinstance(choice, type) and issubclass(choice, BaseModel):
+            found.update(dict.fromkeys(tags, choice))
+    return found
 
 
 def _keys(model: Model, path: Keys) -> list[str]:

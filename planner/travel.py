@@ -47,10 +47,12 @@ def plan_travels(
     for i in range(len(timed) + 1):
         leave = timed[i - 1].path if i > 0 else None
         reach = timed[i].path if i < len(timed) else None
-        travels.append(_travel(cell, leave, reach, toolpath.surface, printed, process.lift, process.travel_speed, dt))
+        surface = toolpath.surface.before(i)
+        travels.append(_travel(cell, leave, reach, surface, printed, process.lift, process.travel_speed, dt))
         if reach is not None:
             bead = toolpath.beads[i]
-            printed = max(printed, float(toolpath.surface.signed_distance(bead.points).max()))
+            surface = toolpath.surface.before(i + 1)
+            printed = max(printed, float(surface.signed_distance(bead.points).max()))
     return travels
 
 

@@ -280,6 +280,9 @@ def _volume(toolpath: Toolpath) -> float:
 
 
 def _clearance(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:  # type: ignore[no-untyped-def]
-    """The nozzle tip stays outside the part."""
-    gap = toolpath.surface.signed_distance(motion.tip)
+    """The nozzle tip stays outside the part, as far as it is printed."""
+    begun = np.maximum.accumulate(t.bead) + 1
+    gap = np.zeros(len(t))
+    for beads in np.unique(begun):
+        gap[begun == beads] = toolpath.surface.before(int(beads)).signed_distance(motion.tip[begun == beads])
     metrics["clearance_min_mm"] = _check_least(checks, t, "nozzle tip outside the part", gap * 1e3, 0.0, "mm")

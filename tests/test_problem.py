@@ -16,6 +16,7 @@ from pydantic import BaseModel, ValidationError
 
 from planner.errors import InputError
 from planner.problem import STRATEGY_NAMES, Problem, find_problem, load_problem, shipped_problems
+from planner.problem_mistakes import _models
 
 # Lines are counted by the tests: keep one section per line.
 TEXT = """\
@@ -199,16 +200,15 @@ def test_shipped_problem_has_the_papers_values() -> None:
 def sections(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
     yield model
     for field in model.model_fields.values():
-        for kind in (field.annotation, *getattr(field.annotation, "__args__", ())):
-            if isinstance(kind, type) and issubclass(kind, BaseModel):
-                yield from sections(kind)
+        for kind in _models(field.annotation).values():
+            yield from sections(kind)
 
 
 def test_every_field_is_described_with_unit_and_default() -> None:
     units = {"_mm": "[mm]", "_deg": "[deg]", "_mm_s": "[mm/s]", "_deg_s": "[deg/s]"}
     units |= {"_rad_s2": "[rad/s2]", "_rad_s3": "[rad/s3]"}
     found = list(sections(Problem))
-    assert len(found) == 14
+    assert len(found) == 16
     for model in found:
         for name, field in model.model_fields.items():
             key = field.alias or name
@@ -225,7 +225,7 @@ MISTAKES: list[tuple[str, str, int, str, str, str]] = [
     ("radius_mm: 34", "raduis_mm: 34", 16, "part.cylinder.raduis_mm", "unknown key", "did you mean radius_mm?"),
     ("radius_mm: 34", "radius: 34", 16, "part.cylinder.radius", "unknown key", "did you mean radius_mm?"),
     ("part:", "prat:", 14, "prat", "unknown key", "did you mean part?"),
-    ("strategy: greedy", "qqqq: 1", 27, "qqqq", "unknown key", "known keys: name, cell, part"),
+    ("strategy: greedy", "qqqq: 1", 27, "qqqq", "unknown key", "known keys: name, cell, layers, part"),
     ("speed_deg_s: 200", "speed: 200", 12, "cell.limits.joint_1.speed", "unknown key", "did you mean speed_deg_s?"),
     ("robot: irbp_a250", "robto: irbp_a250", 7, "cell.positioner.robto", "unknown key", "did you mean robot?"),
     ("    height_mm: 100\n", "", 15, "part.cylinder.height_mm", "is missing", "height [mm]"),

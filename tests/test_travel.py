@@ -181,6 +181,9 @@ class Wall:
     def normals(self, points: Array) -> Array:
         return np.tile([1.0, 0.0, 0.0], (len(points), 1))
 
+    def before(self, bead: int) -> Wall:
+        return self
+
 
 def test_no_way_round_is_a_refusal_that_names_the_bead(
     cell: Cell, timed: tuple[TimedPath, ...], toolpath: Toolpath, drawing_problem: Problem

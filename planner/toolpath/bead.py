@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 class Surface(Protocol):
-    """The part's own surface, on which the first layer lies (metres, part frame)."""
+    """The part's own surface, on which the first layer lies (metres, part frame); it may grow as beads are printed."""
 
     def signed_distance(self, points: Array) -> Array:
         """Distance (n,) of points (n, 3) from the solid part; negative inside."""
@@ -22,6 +22,10 @@ class Surface(Protocol):
 
     def normals(self, points: Array) -> Array:
         """Outward unit normals (n, 3) of the surface nearest to points (n, 3)."""
+        ...
+
+    def before(self, bead: int) -> Surface:
+        """The surface when the first `bead` beads have been printed, if it knows of them."""
         ...
 
 

@@ -3,31 +3,68 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.problem import Problem
+from planner.problem import LayersSpec, PartSpec, Problem, WaypointLayersSpec
 from planner.toolpath.bead import Bead, Toolpath
+from planner.toolpath.interpolation import interpolate
 from planner.toolpath.ordering import reverse, shorten_travel
 from planner.toolpath.rounding import PlaneCurve, round_corners
+from planner.toolpath.surfels import with_layers
 from planner.toolpath.svg import PlanePath, read_svg
-from planner.toolpath.wrap import Cylinder, wrap_layer
+from planner.toolpath.transport import roll_zeros
+from planner.toolpath.waypoints import read_waypoints
+from planner.toolpath.wrap import Cylinder, arc_length, wrap_layer
 
 Array = NDArray[np.float64]
 _SHRUNK = 0.5  # share of its length that a path must keep when its corners are rounded
+_CLOSED = 1e-6  # m between the ends of a closed path
 _KINK = np.radians(10.0)  # a turn above this at one vertex counts as a corner when a seam is looked for
 
 
 def build_toolpath(problem: Problem) -> Toolpath:
-    """Read the drawing, round its corners, order its beads and lay the layers.
+    """Read the source, round its corners and lay its beads in print order.
 
-    Raises InputError for a drawing that cannot be read or does not fit on the part.
+    Raises InputError for a file that cannot be read, and for a drawing that does not fit on the part.
     """
-    spec, process = problem.layers, problem.process
-    cylinder = Cylinder(
-        problem.part.cylinder.radius, problem.part.cylinder.height, np.asarray(problem.part.cylinder.centre)
-    )
+    if isinstance(problem.layers, WaypointLayersSpec):
+        return _through_waypoints(problem, problem.layers)
+    if problem.part is None:
+        raise problem.error("part", "is missing", "the body to print on")
+    return _wrap_drawing(problem, problem.layers, problem.part)
+
+
+def _through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
+    """Lay a bead through each path of a file of waypoints, in the file's order."""
+    process = problem.process
+    paths = read_waypoints(spec.source, partial(problem.error, "layers.source.waypoints"))
+    curves = [interpolate(path.points, path.normals, process.corner_tolerance) for path in paths]
+    zeros = roll_zeros([curve.normals for curve in curves])
+    beads = [
+        Bead(
+            name=path.name,
+            layer=0,
+            s=arc_length(curve.points),
+            points=curve.points,
+            normals=curve.normals,
+            roll_zero=zero,
+            source=curve.source,
+            width=process.bead.width,
+            height=process.bead.height,
+            closed=bool(np.linalg.norm(curve.points[-1] - curve.points[0]) < _CLOSED),
+        )
+        for path, curve, zero in zip(paths, curves, zeros, strict=True)
+    ]
+    return Toolpath(*with_layers(beads))
+
+
+def _wrap_drawing(problem: Problem, spec: LayersSpec, part: PartSpec) -> Toolpath:
+    """Round a drawing's corners, order its beads and lay the layers around the part."""
+    process = problem.process
+    cylinder = Cylinder(part.cylinder.radius, part.cylinder.height, np.asarray(part.cylinder.centre))
     paths = read_svg(spec.source.svg, spec.source.width, process.chord_tolerance)
     _check_fit(problem, paths, cylinder)
 

@@ -40,6 +40,10 @@ class Cylinder:
         d = d / np.hypot(d[:, 0], d[:, 1])[:, None]
         return np.column_stack([d, np.zeros(len(d))])
 
+    def before(self, bead: int) -> Cylinder:
+        """The bare cylinder, whatever has been printed on it."""
+        return self
+
     def wrap(self, plane: Array, rise: float) -> tuple[Array, Array, Array]:
         """Points, normals and upright directions (n, 3) of plane points (n, 2), `rise` above the mantle.
 

@@ -1,0 +1,183 @@
+"""A smooth curve through waypoints: exact where they are smooth, rounded where they turn a corner.
+
+Between corners a spline of degree 5 in chord length passes through every waypoint, points and normals alike. At a
+corner it is averaged with a kernel just wide enough to use the tolerance. Samples stand as far apart as the waypoints
+and draw together at corners; their arc length is a smooth function of their index.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline, make_interp_spline
+from scipy.ndimage import convolve1d
+
+from planner.toolpath.density import SampleDensity
+
+Array = NDArray[np.float64]
+
+CORNER_TURN = np.radians(30.0)  # at one waypoint: a circle with fewer than twelve of them has corners
+_DEGREE = 5
+_MEAN_OFFSET = 63.0 / 256.0  # mean |x| under the kernel (1 - x^2)^4: a corner is cut by this share of its width
+_WIDEST = 12.0  # half width of the kernel, in tolerances
+_CELLS = 24  # grid cells in half the kernel's width
+_SAMPLES = 10.0  # in the same, at the corner
+_HALVINGS = 12
+_USED = 0.9  # of the tolerance: the rest is for the curve between samples
+_SPREAD = 1.5  # kernel widths from a corner at which the density of samples has halved
+_CHORD = 2e-6  # m, by how much the source may leave the curve through the waypoints
+_CORNER_STEP = 2e-4  # m, between the source's points where a corner is rounded
+_FEWEST = 8  # samples of a bead
+
+
+@dataclass(frozen=True)
+class Interpolated:
+    """points and unit normals (n, 3) of a curve, and the input path source (m, 3): same frame and unit as the input."""
+
+    points: Array
+    normals: Array
+    source: Array
+
+
+@dataclass(frozen=True)
+class _Corner:
+    """Corners that are rounded together: chord lengths of the first and the last, half width of the kernel,
+    and the rounded rows over chord length."""
+
+    first: float
+    last: float
+    width: float
+    rows: Any
+
+    def weight(self, c: Array) -> Array:
+        """1 where the rounded rows hold, 0 from one width further on, smooth in between."""
+        beyond = np.maximum(np.maximum(self.first - c, c - self.last), 0.0) / self.width
+        x = np.clip(2.0 - beyond, 0.0, 1.0)
+        return x**5 * (126.0 - x * (420.0 - x * (540.0 - x * (315.0 - 70.0 * x))))
+
+
+def interpolate(points: Array, normals: Array, tolerance: float) -> Interpolated:
+    """Lay a curve through waypoints (m, 3), m at least 2, no two successive ones equal; corners within `tolerance`.
+
+    The curve is within a micrometre of every waypoint that is no corner and not beside one, where these lie densely
+    enough to be smooth. Its end points are the first and the last waypoint.
+    """
+    step = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    chord = np.concatenate([[0.0], np.cumsum(step)])
+    turn = _turns(points, step)
+    sharp = np.flatnonzero(turn > CORNER_TURN)
+    path = _spline(chord, np.hstack([points, normals]), sharp)
+    corners = _round(path, chord, sharp, turn, tolerance)
+
+    density = SampleDensity.of_steps(chord)
+    for corner in corners:
+        at = chord[sharp]
+        inside = at[(at >= corner.first) & (at <= corner.last)]
+        kept = [inside[0]]
+        for c in inside[1:]:
+            if c - kept[-1] > corner.width:
+                kept.append(c)
+        density = density.denser(np.array(kept), corner.width / _SAMPLES, _SPREAD * corner.width)
+    c = density.samples(_FEWEST)
+    rows = np.asarray(path(c))
+    for corner in corners:
+        near = slice(*np.searchsorted(c, [corner.first - 2.0 * corner.width, corner.last + 2.0 * corner.width]))
+        w = corner.weight(c[near])[:, None]
+        rows[near] += w * (np.asarray(corner.rows(c[near])) - rows[near])
+    rows[0, :3], rows[-1, :3] = points[0], points[-1]
+
+    return Interpolated(rows[:, :3].copy(), _unit(rows[:, 3:]), _source(path, chord, turn, corners))
+
+
+def _source(path: BSpline, chord: Array, turn: Array, corners: list[_Corner]) -> Array:
+    """The unrounded path as a polyline (m, 3): all waypoints, and between them as many points as it bends."""
+    step = np.diff(chord)
+    bend = np.maximum(turn[:-1], turn[1:])
+    bend[bend > CORNER_TURN] = CORNER_TURN  # a corner is a waypoint: the path beside it bends less
+    pieces = np.ceil(np.sqrt(step * bend / (8.0 * _CHORD)))
+    for corner in corners:
+        near = slice(*np.searchsorted(chord, [corner.first - 2.0 * corner.width, corner.last + 2.0 * corner.width]))
+        near = slice(max(near.start - 1, 0), near.stop)
+        pieces[near] = np.maximum(pieces[near], np.ceil(step[near] / _CORNER_STEP))
+    count = np.maximum(pieces, 1).astype(int)
+    index = np.repeat(np.arange(len(count)), count)
+    within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    c = np.append(chord[index] + step[index] * (within / count[index]), chord[-1])
+    return np.asarray(path(c)[:, :3])
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1)[:, None])
+
+
+def _turns(points: Array, step: Array) -> Array:
+    """Angle (m) between the chords before and after each waypoint; 0 at both ends."""
+    along = np.diff(points, axis=0) / step[:, None]
+    cosine = (along[1:] * along[:-1]).sum(axis=1)
+    sine = np.linalg.norm(np.cross(along[1:], along[:-1]), axis=1)
+    return np.concatenate([[0.0], np.arctan2(sine, cosine), [0.0]])
+
+
+def _spline(chord: Array, rows: Array, sharp: NDArray[np.int64]) -> BSpline:
+    """One spline of degree 5 through all rows (m, d), smooth but at the waypoints `sharp`, where it only meets."""
+    ends = np.concatenate([[0], sharp, [len(chord) - 1]])
+    knots, coefficients = [], []
+    for first, last in zip(ends[:-1], ends[1:], strict=True):
+        x, y = chord[first : last + 1], rows[first : last + 1]
+        if len(x) <= _DEGREE:  # few points: their polynomial, raised to the degree of the others
+            low = make_interp_spline(x, y, k=len(x) - 1)
+            x = np.linspace(x[0], x[-1], _DEGREE + 1)
+            y = low(x)
+        piece = make_interp_spline(x, y, k=_DEGREE)
+        knots.append(piece.t[: len(piece.c)])
+        coefficients.append(piece.c)
+    knots.append(np.repeat(chord[-1], _DEGREE + 1))
+    return BSpline(np.concatenate(knots), np.concatenate(coefficients), _DEGREE)
+
+
+def _round(path: BSpline, chord: Array, sharp: NDArray[np.int64], turn: Array, tolerance: float) -> list[_Corner]:
+    """Round the corners `sharp` of a path, together where they are close to each other."""
+    if len(sharp) == 0:
+        return []
+    widths = np.minimum(_USED * tolerance / (_MEAN_OFFSET * np.sin(0.5 * turn[sharp])), _WIDEST * tolerance)
+    at = chord[sharp]
+    corners: list[_Corner] = []
+    start = 0
+    for i in range(1, len(at) + 1):
+        # the reach of a corner is twice its width: those that share a place are one
+        if i < len(at) and at[i] - at[i - 1] <= 2.0 * (widths[i] + widths[i - 1]):
+            continue
+        corners.append(_rounded(path, at[start:i], float(widths[start:i].min()), chord[-1], tolerance))
+        start = i
+    return corners
+
+
+def _rounded(path: BSpline, at: Array, width: float, length: float, tolerance: float) -> _Corner:
+    """Average a path around the corners `at` with the widest kernel that keeps it within the tolerance."""
+    low, high = float(at[0]), float(at[-1])
+    for _ in range(_HALVINGS):
+        cell = width / _CELLS
+        grid = low + cell * np.arange(-3 * _CELLS, int(np.ceil((high - low) / cell)) + 3 * _CELLS + 1)
+        rows = _extended(path, grid, length)
+        x = np.linspace(-1.0, 1.0, 2 * _CELLS + 1)
+        kernel = (1.0 - x**2) ** 4
+        smooth = convolve1d(rows, kernel / kernel.sum(), axis=0, mode="nearest")
+        off = np.linalg.norm((smooth - rows)[_CELLS:-_CELLS, :3], axis=1)
+        if off.max() <= _USED * tolerance:
+            break
+        width *= max(0.5, 0.98 * _USED * tolerance / float(off.max()))
+    inner = slice(_CELLS, -_CELLS)
+    return _Corner(low, high, width, make_interp_spline(grid[inner], smooth[inner], k=_DEGREE))
+
+
+def _extended(path: BSpline, c: Array, length: float) -> Array:
+    """A path's rows at chord lengths c, mirrored in its ends beyond them, which the average thus leaves in place."""
+    inside = np.where(c < 0.0, -c, np.where(c > length, 2.0 * length - c, c))
+    rows = np.asarray(path(np.clip(inside, 0.0, length)))
+    for beyond, end in ((c < 0.0, 0.0), (c > length, length)):
+        if beyond.any():
+            rows[beyond] = 2.0 * np.asarray(path(end)) - rows[beyond]
+    return rows

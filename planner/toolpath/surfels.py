@@ -1,0 +1,157 @@
+"""The surface of a part that is known by its waypoints alone: a disc under each, one bead's height below.
+
+Nothing else is known of the part, so nothing else is claimed: the discs are what the first layer lies on and what has
+been printed, with a shell of solid beneath each. Whoever passes through the part passes through a shell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from planner.toolpath.bead import Bead
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+SHELL = 10e-3  # m of solid beneath a disc
+_NEIGHBOURS = 8  # that are looked at to see what lies beneath a waypoint
+_STENCIL = 6  # samples through which normals are interpolated
+_STEPS = 3  # of Newton's method for the nearest place on a bead
+
+
+@dataclass(frozen=True)
+class Surfels:
+    """Discs under the samples of all beads, in print order; lengths in metres, part frame.
+
+    tips, outward (n, 3)   the samples and their outward unit normals
+    centres (n, 3)         of the discs: one bead's height below the tips
+    radius                 of the discs: neighbours touch
+    first (beads + 1)      index of each bead's first sample
+    bare (n)               whether nothing is printed beneath the sample: what it lies on is there from the start
+    printed                how many beads are there
+    trees                  search trees by (size, number) of a block of beads; those of `bare` and of all tips
+    """
+
+    tips: Array
+    outward: Array
+    centres: Array
+    radius: float
+    first: Index
+    bare: NDArray[np.bool_]
+    printed: int
+    trees: dict[tuple[int, int], cKDTree]
+    bare_tree: cKDTree
+    tip_tree: cKDTree
+
+    def before(self, bead: int) -> Surfels:
+        """The surface when the first `bead` beads have been printed."""
+        return replace(self, printed=bead)
+
+    def signed_distance(self, points: Array) -> Array:
+        """Distance (n,) of points (n, 3) from what is there; negative inside a shell."""
+        best, nearest = self.bare_tree.query(points)
+        nearest = np.flatnonzero(self.bare)[nearest]
+        start, left = 0, self.printed
+        for size in sorted({size for size, _ in self.trees}, reverse=True):
+            if left >= size:  # the printed beads are one block for each binary digit of their number
+                distance, index = self.trees[size, start // size].query(points)
+                closer = distance < best
+                best = np.where(closer, distance, best)
+                nearest = np.where(closer, index + self.first[start], nearest)
+                start, left = start + size, left - size
+        away = points - self.centres[nearest]
+        above = (away * self.outward[nearest]).sum(axis=1)
+        aside = np.linalg.norm(away - above[:, None] * self.outward[nearest], axis=1)
+        aside = np.maximum(aside - self.radius, 0.0)
+        inside = (above < 0.0) & (above > -SHELL) & (aside <= -above)
+        return np.where(inside, -1.0, 1.0) * np.hypot(above, aside)
+
+    def normals(self, points: Array) -> Array:
+        """Outward unit normals (n, 3) at the places of the beads nearest to points (n, 3)."""
+        _, k = self.tip_tree.query(points)
+        bead = np.searchsorted(self.first, k, side="right") - 1
+        size = _STENCIL
+        start = np.clip(k - size // 2 + 1, self.first[bead], self.first[bead + 1] - size)
+        stencil = start[:, None] + np.arange(size)
+        x, t = self.tips[stencil], (k - start).astype(float)
+        for _ in range(_STEPS):
+            value, slope = _lagrange(t)
+            off = points - np.einsum("nk,nkd->nd", value, x)
+            along = np.einsum("nk,nkd->nd", slope, x)
+            t = t + np.clip((off * along).sum(axis=1) / np.maximum((along * along).sum(axis=1), 1e-30), -0.5, 0.5)
+            t = np.clip(t, 0.0, size - 1.0)
+        normals = np.einsum("nk,nkd->nd", _lagrange(t)[0], self.outward[stencil])
+        return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])
+
+
+def _lagrange(t: Array) -> tuple[Array, Array]:
+    """Weights (n, 6) of samples 0 to 5 for value and slope at t (n)."""
+    nodes = np.arange(float(_STENCIL))
+    gap = t[:, None] - nodes
+    value, slope = np.empty_like(gap), np.empty_like(gap)
+    for k in range(_STENCIL):
+        others = [j for j in range(_STENCIL) if j != k]
+        scale = np.prod(nodes[k] - nodes[others])
+        value[:, k] = np.prod(gap[:, others], axis=1) / scale
+        slope[:, k] = sum(np.prod(gap[:, [i for i in others if i != j]], axis=1) for j in others) / scale
+    return value, slope
+
+
+def with_layers(beads: Sequence[Bead]) -> tuple[tuple[Bead, ...], Surfels]:
+    """Say in which layer each bead lies, and return the surface of all of them.
+
+    A bead lies on a layer if an earlier one is beneath most of its length, one bead's height below.
+    """
+    tips, normals = (np.vstack([getattr(bead, name) for bead in beads]) for name in ("points", "normals"))
+    first = np.concatenate([[0], np.cumsum([len(bead.points) for bead in beads])])
+    height = np.repeat([bead.height for bead in beads], np.diff(first))
+    centres = tips - height[:, None] * normals
+    spacing = float(np.median(np.concatenate([np.diff(bead.s) for bead in beads])))
+    radius = 0.5 * (spacing + max(bead.width for bead in beads))
+    tip_tree = _tree(tips)
+    beneath = _beneath(tips, normals, centres, height, 2.0 * radius, tip_tree)
+    owner = np.where(beneath >= 0, np.searchsorted(first, beneath, side="right") - 1, -1)
+    layers: list[int] = []
+    for i, bead in enumerate(beads):
+        below = owner[first[i] : first[i + 1]]
+        below = below[(below >= 0) & (below < i)]
+        most = 2 * len(below) > len(bead.points)
+        layers.append(int(np.median(np.array(layers)[below])) + 1 if most else 0)
+    bare = beneath < 0
+    trees: dict[tuple[int, int], cKDTree] = {}
+    size = 1
+    while size <= len(beads):
+        for number in range(len(beads) // size):
+            trees[size, number] = _tree(centres[first[number * size] : first[(number + 1) * size]])
+        size *= 2
+    surfels = Surfels(tips, normals, centres, radius, first, bare, len(beads), trees, _tree(centres[bare]), tip_tree)
+    return tuple(replace(bead, layer=layer) for bead, layer in zip(beads, layers, strict=True)), surfels
+
+
+def _tree(points: Array) -> cKDTree:
+    return cKDTree(points, balanced_tree=False, compact_nodes=False)
+
+
+def _beneath(tips: Array, normals: Array, centres: Array, height: Array, reach: float, tree: cKDTree) -> Index:
+    """For each sample (n) an earlier one that lies about one bead's height beneath it, or -1.
+
+    How far two samples are apart in height is measured along the mean of their normals: 0 on any sphere.
+    """
+    n = len(tips)
+    _, near = tree.query(centres, k=min(_NEIGHBOURS, n))
+    near = near.reshape(n, -1)
+    found = np.full(n, -1, dtype=np.int64)
+    for other in near.T[::-1]:
+        way = tips - tips[other]
+        mean = normals + normals[other]
+        mean = mean / np.maximum(np.linalg.norm(mean, axis=1), 1e-9)[:, None]
+        up = (way * mean).sum(axis=1)
+        aside = np.linalg.norm(way - up[:, None] * mean, axis=1)
+        under = (other < np.arange(n)) & (up > 0.5 * height) & (up < 1.5 * height) & (aside <= reach)
+        found = np.where(under, other, found)
+    return found
