@@ -19,6 +19,7 @@ class Abb:
     lengths: tuple[float, ...]  # a1 a2 b c1 c2 c3 c4
     ranges: tuple[tuple[float, float], ...]
     speeds: tuple[float, ...]
+    assumed: tuple[str, ...] = ()  # of these: what the product specification was not at hand for
 
 
 WRIST_140 = ((-200, 200), (-115, 115), (-400, 400))
@@ -54,6 +55,13 @@ ABB = {
         (0, -42, 0, 399.1, 350, 351, 82),
         ((-170, 170), (-100, 135), (-200, 70), *WRIST_1200),
         SPEEDS_1200,
+    ),
+    "irb2600": Abb(
+        "ABB IRB 2600-20/1.65",
+        (150, -115, 0, 445, 700, 795, 85),
+        ((-180, 180), (-95, 155), (-180, 75), (-400, 400), (-120, 120), (-400, 400)),
+        (175, 175, 175, 360, 360, 500),
+        assumed=("ranges", "speeds"),
     ),
 }
 
@@ -150,15 +158,17 @@ def abb_yaml(key: str) -> str:
     arm = ABB[key]
     names = ("a1", "a2", "b", "c1", "c2", "c3", "c4")
     lengths = ", ".join(f"{name}_mm: {value:g}" for name, value in zip(names, arm.lengths, strict=True))
+    given = "Lengths" if arm.assumed else "Lengths and ranges"
+    unsure = f"# ASSUMED as well: {' and '.join(arm.assumed)} are commonly cited ones.\n" if arm.assumed else ""
     return f"""\
-# {arm.name}. Lengths and ranges: ABB product specification (as in the URDF beside this file).
+# {arm.name}. {given}: ABB product specification (as in the URDF beside this file).
 # Ranges and speeds of the joints stand in the URDF; what a URDF cannot say stands here.
 name: {arm.name}
 urdf: {key}.urdf
 tip: tool0
 spherical_wrist: {{{lengths}}}
 # ASSUMED: ABB does not publish acceleration and jerk; yours belong into the problem file (cell.limits).
-assumed: [acceleration_rad_s2, jerk_rad_s3]
+{unsure}assumed: [{", ".join(("acceleration_rad_s2", "jerk_rad_s3", *arm.assumed))}]
 acceleration_rad_s2: {list(ABB_ACCELERATION)}
 jerk_rad_s3: {[JERK_TIME * value for value in ABB_ACCELERATION]}
 """
