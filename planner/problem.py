@@ -11,39 +11,34 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Discriminator,
-    Field,
-    PrivateAttr,
-    Tag,
-    ValidationError,
-    ValidationInfo,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, PrivateAttr, ValidationError, ValidationInfo, field_validator, model_validator
 from pydantic_core import PydanticKnownError
 
-from planner.errors import InputError, nearest_name
+from planner.errors import InputError
 from planner.problem_fields import (
     IDENTIFIER,
     INCREASING,
-    PATH,
     TEXT,
     UNIQUE,
     UNIT_VECTOR,
+    Position,
     Quantity,
+    Section,
+    Thickness,
+    Vector,
     one_of,
     refusal,
 )
+from planner.problem_fields import key as _key
 from planner.problem_file import Source, apply_overrides, find_problem, read_problem_file, shipped_problems
 from planner.problem_mistakes import first_mistake
+from planner.problem_sources import AnyLayersSpec, LayersSpec, PartSpec, WaypointLayersSpec, WaypointsSpec
 
 __all__ = [
     "STRATEGY_NAMES",
     "CellSpec",
     "LayersSpec",
+    "PartSpec",
     "Problem",
     "WaypointLayersSpec",
     "WaypointsSpec",
@@ -55,27 +50,11 @@ __all__ = [
 StrategyName = Literal["as_published", "fixed", "greedy", "ladder", "sqp"]
 STRATEGY_NAMES: tuple[str, ...] = get_args(StrategyName)
 
-Vector = tuple[float, float, float]
 Text = Annotated[str, TEXT]
 Identifier = Annotated[str, IDENTIFIER]
-Position = Annotated[Vector, Quantity("mm", -100_000, 100_000, count=3)]  # a hall of 100 m
 Angle = Annotated[float, Quantity("deg", -3600, 3600)]  # ten turns: no cable allows more
 MOST_JOINTS = 12  # of an arm; how many it has, its own file says
 Speed = Annotated[float, Quantity("mm/s", 0.1, 2000)]  # below, a print takes days; above, no arm is exact
-Thickness = Annotated[float, Quantity("mm", 0.01, 50)]  # from a fibre to large concrete beads
-
-
-def _key(alias: str, text: str, default: Any = ...) -> Any:
-    """A field by its key in the file; `default` is in the file's unit and goes through the same validation."""
-    if default is ...:
-        return Field(alias=alias, description=text)
-    return Field(default, alias=alias, description=f"{text}; default {default}" if default or default == 0 else text)
-
-
-class Section(BaseModel):
-    """A section of the problem file: frozen, and no key that is not known."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, validate_default=True)
 
 
 class NozzleSpec(Section):
@@ -143,85 +122,6 @@ class CellSpec(Section):
             reason = f"{found} given"
             raise refusal(reason, "give exactly one of them", fields=["positioner", "bed_mm"])
         return self
-
-
-class CylinderSpec(Section):
-    """An upright cylinder, standing on the part frame's xy plane."""
-
-    radius: Annotated[float, Quantity("mm", 1, 2000)] = _key("radius_mm", "radius [mm]")
-    height: Annotated[float, Quantity("mm", 1, 10_000)] = _key("height_mm", "height [mm]")
-    centre: Annotated[tuple[float, float], Quantity("mm", -10_000, 10_000, count=2)] = _key(
-        "centre_mm", "its axis in the part frame, x and y [mm]", (0, 0)
-    )
-
-
-class PartSpec(Section):
-    """The body to print on."""
-
-    cylinder: CylinderSpec = _key("cylinder", "an upright cylinder")
-
-
-class SvgSpec(Section):
-    """A drawing whose lines become beads."""
-
-    svg: Annotated[Path, PATH] = _key("svg", "the drawing, counted from the folder of the problem file")
-    width: Annotated[float, Quantity("mm", 0.1, 15_000)] = _key("width_mm", "width of the drawing on the part [mm]")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _one_source(cls, value: Any) -> Any:
-        if isinstance(value, dict) and "svg" in value and "waypoints" in value:
-            raise refusal("both svg and waypoints are given", "give one of them", fields=["svg", "waypoints"])
-        return value
-
-
-class WaypointsSpec(Section):
-    """A file of waypoints, each with its normal, that become beads."""
-
-    waypoints: Annotated[Path, PATH] = _key(
-        "waypoints", "the file, counted from the folder of the problem file: lines x y z nx ny nz, points in mm"
-    )
-    up: Annotated[Literal["z", "y"], one_of(("z", "y"))] = _key(
-        "up", "the file's axis that is the part frame's z; y turns (x, y, z) to (x, -z, y)", "z"
-    )
-    normals: Annotated[Literal["outward", "inward"], one_of(("outward", "inward"))] = _key(
-        "normals", "where the file's normals point: outward, against the nozzle, or inward, along it", "outward"
-    )
-    origin: Position = _key("origin_mm", "the file's origin in the part frame, its axes turned [mm]", (0, 0, 0))
-    split: Annotated[float, Quantity("mm", 0.01, 10_000)] | None = _key(
-        "split_mm", "a step longer than this begins a new bead [mm]; default: three median steps", None
-    )
-
-
-class LayersSpec(Section):
-    """What is printed, and how often."""
-
-    source: SvgSpec = _key("source", "where the curves come from")
-    wrap: Annotated[Literal["cylinder"], one_of(("cylinder",))] = _key("wrap", "the surface they are laid on")
-    count: Annotated[int, Quantity("", 1, 10_000, whole=True)] = _key("count", "number of layers")
-    height: Thickness = _key("height_mm", "height of a layer [mm]")
-
-
-class WaypointLayersSpec(Section):
-    """What is printed, if a file says it point by point: all layers stand in the file."""
-
-    source: WaypointsSpec = _key("source", "where the waypoints come from")
-
-
-def _kind_of_layers(value: Any) -> str:
-    """The tag of the model that the keys of `layers.source` belong to."""
-    source = value.get("source") if isinstance(value, dict) else None
-    if not isinstance(source, dict) or "svg" in source:
-        return "[svg]"
-    keys = [[f.alias or name for name, f in model.model_fields.items()] for model in (SvgSpec, WaypointsSpec)]
-    near = {nearest_name(key, keys[0] + keys[1]) for key in source if isinstance(key, str)}
-    return "[waypoints]" if near & set(keys[1]) else "[svg]"
-
-
-AnyLayersSpec = Annotated[
-    Annotated[LayersSpec, Tag("[svg]")] | Annotated[WaypointLayersSpec, Tag("[waypoints]")],
-    Discriminator(_kind_of_layers),
-]
 
 
 class BeadSpec(Section):

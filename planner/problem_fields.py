@@ -10,9 +10,18 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
-from pydantic import AfterValidator, BeforeValidator, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    ValidationInfo,
+)
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
@@ -179,3 +188,20 @@ PATH = BeforeValidator(_beside_the_problem)
 UNIQUE = AfterValidator(_unique)
 INCREASING = AfterValidator(_increasing)
 UNIT_VECTOR = AfterValidator(_unit_vector)
+
+Vector = tuple[float, float, float]
+Position = Annotated[Vector, Quantity("mm", -100_000, 100_000, count=3)]  # a hall of 100 m
+Thickness = Annotated[float, Quantity("mm", 0.01, 50)]  # from a fibre to large concrete beads
+
+
+def key(alias: str, text: str, default: Any = ...) -> Any:
+    """A field by its key in the file; `default` is in the file's unit and goes through the same validation."""
+    if default is ...:
+        return Field(alias=alias, description=text)
+    return Field(default, alias=alias, description=f"{text}; default {default}" if default or default == 0 else text)
+
+
+class Section(BaseModel):
+    """A section of the problem file: frozen, and no key that is not known."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, validate_default=True)

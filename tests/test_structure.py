@@ -45,6 +45,7 @@ SAME_ROOM = {
     "problem_fields": "problem",
     "problem_file": "problem",
     "problem_mistakes": "problem",
+    "problem_sources": "problem",
     "robot_files": "cell",
 }
 EVERYWHERE = {"errors"}

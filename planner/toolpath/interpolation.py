@@ -160,7 +160,7 @@ def _rounded(path: BSpline, at: Array, width: float, length: float, tolerance: f
     low, high = float(at[0]), float(at[-1])
     for _ in range(_HALVINGS):
         cell = width / _CELLS
-        grid = low + cell * np.arange(-3 * _CELLS, int(np.ceil((high - low) / cell)) + 3 * _CELLS + 1)
+        grid = low + cell * np.arange(-3 * _CELLS, int(np.ceil((high - low) / cell)) + 3 * _CELLS + 1, dtype=np.float64)
         rows = _extended(path, grid, length)
         x = np.linspace(-1.0, 1.0, 2 * _CELLS + 1)
         kernel = (1.0 - x**2) ** 4
