@@ -33,11 +33,11 @@ class SampleDensity:
     width: Array
 
     @classmethod
-    def of_steps(cls, chord: Array) -> SampleDensity:
-        """The density of waypoints at chord lengths (m), evened out."""
+    def of_steps(cls, chord: Array, samples: Array) -> SampleDensity:
+        """The density of waypoints at chord lengths (m), evened out; each step is worth so many samples (m - 1)."""
         cells = max(len(chord) - 1, 4)
         grid = np.linspace(0.0, chord[-1], cells + 1)
-        steps = np.diff(np.interp(grid, chord, np.arange(len(chord), dtype=float)))
+        steps = np.diff(np.interp(grid, chord, np.concatenate([[0.0], np.cumsum(samples)])))
         even = gaussian_filter1d(steps, _SMOOTHING, mode="nearest") / (chord[-1] / cells)
         middle = 0.5 * (grid[1:] + grid[:-1])
         x, y = np.concatenate([grid[:1], middle, grid[-1:]]), np.concatenate([even[:1], even, even[-1:]])

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
-from scipy.ndimage import convolve1d
+from scipy.ndimage import convolve1d, maximum_filter1d
 
 from planner.toolpath.density import SampleDensity
 
@@ -31,6 +31,8 @@ _SPREAD = 1.5  # kernel widths from a corner at which the density of samples has
 _CHORD = 2e-6  # m, by how much the source may leave the curve through the waypoints
 _CORNER_STEP = 2e-4  # m, between the source's points where a corner is rounded
 _FEWEST = 8  # samples of a bead
+_RESOLVED = 1e-5  # m, third difference of the direction, times the step: below, a sample a waypoint is enough
+_MOST_PER_STEP = 4.0
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,7 @@ def interpolate(points: Array, normals: Array, tolerance: float) -> Interpolated
     path = _spline(chord, np.hstack([points, normals]), sharp)
     corners = _round(path, chord, sharp, turn, tolerance)
 
-    density = SampleDensity.of_steps(chord)
+    density = SampleDensity.of_steps(chord, _samples_per_step(points, step, sharp))
     for corner in corners:
         at = chord[sharp]
         inside = at[(at >= corner.first) & (at <= corner.last)]
@@ -119,6 +121,22 @@ def _turns(points: Array, step: Array) -> Array:
     cosine = (along[1:] * along[:-1]).sum(axis=1)
     sine = np.linalg.norm(np.cross(along[1:], along[:-1]), axis=1)
     return np.concatenate([[0.0], np.arctan2(sine, cosine), [0.0]])
+
+
+def _samples_per_step(points: Array, step: Array, sharp: NDArray[np.int64]) -> Array:
+    """How many samples each step (m - 1) of the waypoints needs: one, more where they bend within few steps.
+
+    The error of interpolation grows with the fourth power of the spacing.
+    """
+    along = np.diff(points, axis=0) / step[:, None]
+    bend = np.diff(along, axis=0)
+    bend[sharp - 1] = 0.0  # a corner is rounded, and sampled for that
+    rough = np.zeros(len(step))
+    if len(bend) > 2:
+        third = np.linalg.norm(np.diff(bend, n=2, axis=0), axis=1)
+        rough[1:-2] = third  # a corner beside it makes it rougher than it is: that does no harm
+        rough = maximum_filter1d(rough, 5, mode="constant") * step
+    return np.asarray(np.clip((rough / _RESOLVED) ** 0.25, 1.0, _MOST_PER_STEP))
 
 
 def _spline(chord: Array, rows: Array, sharp: NDArray[np.int64]) -> BSpline:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -18,6 +19,7 @@ from planner.toolpath.bead import Bead
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+FAR = 50e-3  # m: what is farther away than this is that far away
 SHELL = 10e-3  # m of solid beneath a disc
 _NEIGHBOURS = 8  # that are looked at to see what lies beneath a waypoint
 _STENCIL = 6  # samples through which normals are interpolated
@@ -53,53 +55,67 @@ class Surfels:
         return replace(self, printed=bead)
 
     def signed_distance(self, points: Array) -> Array:
-        """Distance (n,) of points (n, 3) from what is there; negative inside a shell."""
-        best, nearest = self.bare_tree.query(points)
-        nearest = np.flatnonzero(self.bare)[nearest]
+        """Distance (n,) of points (n, 3) from what is there, FAR at most; negative inside a shell."""
+        best, nearest = self.bare_tree.query(points, distance_upper_bound=FAR, workers=-1)
+        nearest = np.append(np.flatnonzero(self.bare), -1)[nearest]
         start, left = 0, self.printed
         for size in sorted({size for size, _ in self.trees}, reverse=True):
             if left >= size:  # the printed beads are one block for each binary digit of their number
-                distance, index = self.trees[size, start // size].query(points)
+                distance, index = self.trees[size, start // size].query(points, distance_upper_bound=FAR, workers=-1)
                 closer = distance < best
                 best = np.where(closer, distance, best)
-                nearest = np.where(closer, index + self.first[start], nearest)
+                nearest = np.where(closer, index + self.first[start], nearest)  # none closer: none found
                 start, left = start + size, left - size
         away = points - self.centres[nearest]
         above = (away * self.outward[nearest]).sum(axis=1)
         aside = np.linalg.norm(away - above[:, None] * self.outward[nearest], axis=1)
         aside = np.maximum(aside - self.radius, 0.0)
         inside = (above < 0.0) & (above > -SHELL) & (aside <= -above)
-        return np.where(inside, -1.0, 1.0) * np.hypot(above, aside)
+        distance = np.where(inside, -1.0, 1.0) * np.hypot(above, aside)
+        return np.where(nearest < 0, FAR, distance)
 
     def normals(self, points: Array) -> Array:
         """Outward unit normals (n, 3) at the places of the beads nearest to points (n, 3)."""
-        _, k = self.tip_tree.query(points)
+        _, k = self.tip_tree.query(points, workers=-1)
         bead = np.searchsorted(self.first, k, side="right") - 1
-        size = _STENCIL
-        start = np.clip(k - size // 2 + 1, self.first[bead], self.first[bead + 1] - size)
-        stencil = start[:, None] + np.arange(size)
-        x, t = self.tips[stencil], (k - start).astype(float)
-        for _ in range(_STEPS):
-            value, slope = _lagrange(t)
-            off = points - np.einsum("nk,nkd->nd", value, x)
-            along = np.einsum("nk,nkd->nd", slope, x)
-            t = t + np.clip((off * along).sum(axis=1) / np.maximum((along * along).sum(axis=1), 1e-30), -0.5, 0.5)
-            t = np.clip(t, 0.0, size - 1.0)
-        normals = np.einsum("nk,nkd->nd", _lagrange(t)[0], self.outward[stencil])
-        return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])
+        start = np.clip(k - _STENCIL // 2 + 1, self.first[bead], self.first[bead + 1] - _STENCIL)
+        return _normals(np.ascontiguousarray(points), self.tips, self.outward, start, k - start)
 
 
-def _lagrange(t: Array) -> tuple[Array, Array]:
-    """Weights (n, 6) of samples 0 to 5 for value and slope at t (n)."""
-    nodes = np.arange(float(_STENCIL))
-    gap = t[:, None] - nodes
-    value, slope = np.empty_like(gap), np.empty_like(gap)
-    for k in range(_STENCIL):
-        others = [j for j in range(_STENCIL) if j != k]
-        scale = np.prod(nodes[k] - nodes[others])
-        value[:, k] = np.prod(gap[:, others], axis=1) / scale
-        slope[:, k] = sum(np.prod(gap[:, [i for i in others if i != j]], axis=1) for j in others) / scale
-    return value, slope
+@njit(cache=True)
+def _normals(points: Array, tips: Array, outward: Array, start: Index, near: Index) -> Array:
+    """Unit normals (n, 3) where the polynomials through six samples from `start` come nearest to points (n, 3)."""
+    out = np.empty_like(points)
+    value, slope = np.empty(_STENCIL), np.empty(_STENCIL)
+    for i in range(len(points)):
+        t = float(near[i])
+        for step in range(_STEPS + 1):
+            for k in range(_STENCIL):  # Lagrange's polynomials and their slopes
+                value[k], slope[k] = 1.0, 0.0
+                for j in range(_STENCIL):
+                    if j != k:
+                        slope[k] = (slope[k] * (t - j) + value[k]) / (k - j)
+                        value[k] *= (t - j) / (k - j)
+            if step == _STEPS:
+                break
+            ahead, size = 0.0, 1e-30
+            for d in range(3):
+                x, dx = 0.0, 0.0
+                for k in range(_STENCIL):
+                    x += value[k] * tips[start[i] + k, d]
+                    dx += slope[k] * tips[start[i] + k, d]
+                ahead += (points[i, d] - x) * dx
+                size += dx * dx
+            t = min(max(t + min(max(ahead / size, -0.5), 0.5), 0.0), _STENCIL - 1.0)
+        length = 0.0
+        for d in range(3):
+            out[i, d] = 0.0
+            for k in range(_STENCIL):
+                out[i, d] += value[k] * outward[start[i] + k, d]
+            length += out[i, d] ** 2
+        for d in range(3):
+            out[i, d] /= np.sqrt(length)
+    return out
 
 
 def with_layers(beads: Sequence[Bead]) -> tuple[tuple[Bead, ...], Surfels]:
@@ -143,7 +159,7 @@ def _beneath(tips: Array, normals: Array, centres: Array, height: Array, reach: 
     How far two samples are apart in height is measured along the mean of their normals: 0 on any sphere.
     """
     n = len(tips)
-    _, near = tree.query(centres, k=min(_NEIGHBOURS, n))
+    _, near = tree.query(centres, k=min(_NEIGHBOURS, n), workers=-1)
     near = near.reshape(n, -1)
     found = np.full(n, -1, dtype=np.int64)
     for other in near.T[::-1]:
