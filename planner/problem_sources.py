@@ -27,18 +27,19 @@ class PartSpec(Section):
     cylinder: CylinderSpec = key("cylinder", "an upright cylinder")
 
 
+def _one_source(value: Any) -> Any:
+    if isinstance(value, dict) and "svg" in value and "waypoints" in value:
+        raise refusal("both svg and waypoints are given", "give one of them", fields=["svg", "waypoints"])
+    return value
+
+
 class SvgSpec(Section):
     """A drawing whose lines become beads."""
 
     svg: Annotated[Path, PATH] = key("svg", "the drawing, counted from the folder of the problem file")
     width: Annotated[float, Quantity("mm", 0.1, 15_000)] = key("width_mm", "width of the drawing on the part [mm]")
 
-    @model_validator(mode="before")
-    @classmethod
-    def _one_source(cls, value: Any) -> Any:
-        if isinstance(value, dict) and "svg" in value and "waypoints" in value:
-            raise refusal("both svg and waypoints are given", "give one of them", fields=["svg", "waypoints"])
-        return value
+    _one_source = model_validator(mode="before")(_one_source)
 
 
 class WaypointsSpec(Section):
@@ -57,6 +58,8 @@ class WaypointsSpec(Section):
     split: Annotated[float, Quantity("mm", 0.01, 10_000)] | None = key(
         "split_mm", "a step longer than this begins a new bead [mm]; default: three median steps", None
     )
+
+    _one_source = model_validator(mode="before")(_one_source)
 
 
 class LayersSpec(Section):
@@ -77,8 +80,10 @@ class WaypointLayersSpec(Section):
 def _kind_of_layers(value: Any) -> str:
     """The tag of the model that the keys of `layers.source` belong to."""
     source = value.get("source") if isinstance(value, dict) else None
-    if not isinstance(source, dict) or "svg" in source:
+    if not isinstance(source, dict) or ("svg" in source and "waypoints" not in source):
         return "[svg]"
+    if "svg" in source:  # both: what stands beside them tells which is too much
+        return "[svg]" if {"wrap", "count", "height_mm"} & value.keys() else "[waypoints]"
     keys = [[f.alias or name for name, f in model.model_fields.items()] for model in (SvgSpec, WaypointsSpec)]
     near = {nearest_name(key, keys[0] + keys[1]) for key in source if isinstance(key, str)}
     return "[waypoints]" if near & set(keys[1]) else "[svg]"

@@ -21,6 +21,7 @@ from planner.toolpath.wrap import Cylinder, arc_length, wrap_layer
 
 Array = NDArray[np.float64]
 _SHRUNK = 0.5  # share of its length that a path must keep when its corners are rounded
+_APART = 0.5  # of the bead's width: passes lie no closer to each other
 _CLOSED = 1e-6  # m between the ends of a closed path
 _KINK = np.radians(10.0)  # a turn above this at one vertex counts as a corner when a seam is looked for
 
@@ -41,7 +42,8 @@ def _through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
     """Lay a bead through each path of a file of waypoints, in the file's order."""
     process = problem.process
     paths = read_waypoints(spec.source, partial(problem.error, "layers.source.waypoints"))
-    curves = [interpolate(path.points, path.normals, process.corner_tolerance) for path in paths]
+    apart = _APART * process.bead.width
+    curves = [interpolate(path.points, path.normals, process.corner_tolerance, apart) for path in paths]
     zeros = roll_zeros([curve.normals for curve in curves])
     beads = [
         Bead(

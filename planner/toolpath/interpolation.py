@@ -61,11 +61,13 @@ class _Corner:
         return x**5 * (126.0 - x * (420.0 - x * (540.0 - x * (315.0 - 70.0 * x))))
 
 
-def interpolate(points: Array, normals: Array, tolerance: float) -> Interpolated:
+def interpolate(points: Array, normals: Array, tolerance: float, apart: float) -> Interpolated:
     """Lay a curve through waypoints (m, 3), m at least 2, no two successive ones equal; corners within `tolerance`.
 
     The curve is within a micrometre of every waypoint that is no corner and not beside one, where these lie densely
-    enough to be smooth. Its end points are the first and the last waypoint.
+    enough to be smooth. Its end points are the first and the last waypoint. apart: greatest distance of the source's
+    points, less than that between neighbouring passes, so that each point's nearest is on its own pass. All in one unit
+    (m: what is smooth is judged in micrometres).
     """
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
     chord = np.concatenate([[0.0], np.cumsum(step)])
@@ -91,20 +93,20 @@ def interpolate(points: Array, normals: Array, tolerance: float) -> Interpolated
         rows[near] += w * (np.asarray(corner.rows(c[near])) - rows[near])
     rows[0, :3], rows[-1, :3] = points[0], points[-1]
 
-    return Interpolated(rows[:, :3].copy(), _unit(rows[:, 3:]), _source(path, chord, turn, corners))
+    return Interpolated(rows[:, :3].copy(), _unit(rows[:, 3:]), _source(path, chord, turn, corners, apart))
 
 
-def _source(path: BSpline, chord: Array, turn: Array, corners: list[_Corner]) -> Array:
+def _source(path: BSpline, chord: Array, turn: Array, corners: list[_Corner], apart: float) -> Array:
     """The unrounded path as a polyline (m, 3): all waypoints, and between them as many points as it bends."""
     step = np.diff(chord)
     bend = np.maximum(turn[:-1], turn[1:])
     bend[bend > CORNER_TURN] = CORNER_TURN  # a corner is a waypoint: the path beside it bends less
-    pieces = np.ceil(np.sqrt(step * bend / (8.0 * _CHORD)))
+    pieces = np.ceil(np.maximum(np.sqrt(step * bend / (8.0 * _CHORD)), step / apart))
     for corner in corners:
         near = slice(*np.searchsorted(chord, [corner.first - 2.0 * corner.width, corner.last + 2.0 * corner.width]))
         near = slice(max(near.start - 1, 0), near.stop)
         pieces[near] = np.maximum(pieces[near], np.ceil(step[near] / _CORNER_STEP))
-    count = np.maximum(pieces, 1).astype(int)
+    count = pieces.astype(int)
     index = np.repeat(np.arange(len(count)), count)
     within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
     c = np.append(chord[index] + step[index] * (within / count[index]), chord[-1])

@@ -1,0 +1,525 @@
+"""Files of waypoints: how they are read, the curve through them, and the surface that they stand for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
+
+from benchmarks.peer_cases import CASES, SHIPPED, cap, cylinder, waypoint_text, write_case
+from benchmarks.scaling import sheet
+from planner.errors import InputError
+from planner.nearest import distance_to_polyline
+from planner.problem import Problem, WaypointsSpec, find_problem, load_problem
+from planner.toolpath.bead import Bead, Toolpath
+from planner.toolpath.build import build_toolpath
+from planner.toolpath.interpolation import CORNER_TURN, Interpolated, interpolate
+from planner.toolpath.surfels import FAR, Surfels, with_layers
+from planner.toolpath.transport import roll_zeros
+from planner.toolpath.waypoints import Waypoints, distinct, read_waypoints
+
+Array = NDArray[np.float64]
+CHEN = Path(__file__).resolve().parents[2] / "shared" / "data" / "chen2025" / "freeform_25.txt"
+TOLERANCE = 0.2e-3
+APART = 0.3e-3
+UP = "0 0 1"
+
+
+@pytest.fixture
+def spec(tmp_path: Path) -> Callable[..., WaypointsSpec]:
+    """Write a file and say how to read it: `spec(text, up='y')`."""
+
+    def make(text: str | bytes, **options: object) -> WaypointsSpec:
+        path = tmp_path / "points.txt"
+        path.write_bytes(text.encode() if isinstance(text, str) else text)
+        return load_problem(case_text(tmp_path, str(path), **options)).layers.source
+
+    return make
+
+
+def case_text(folder: Path, waypoints: str, **options: object) -> Path:
+    """A problem file that reads a file of waypoints."""
+    source = "".join(f", {key}: {value}" for key, value in options.items())
+    path = folder / "case.yaml"
+    path.write_text(
+        f"""\
+name: points
+cell:
+  arm: irb140
+  nozzle: {{tip_mm: [0, 0, 100], diameter_mm: 0.6}}
+  home_deg: [0, 0, 0, 0, 45, 0]
+  bed_mm: [450, 0, 150]
+layers:
+  source: {{waypoints: "{waypoints}"{source}}}
+process:
+  speed_mm_s: 40
+  travel_speed_mm_s: 200
+  bead: {{width_mm: 0.6, height_mm: 0.5}}
+""",
+        encoding="utf-8",
+    )
+    return path
+
+
+def refused(spec: WaypointsSpec) -> InputError:
+    with pytest.raises(InputError) as caught:
+        read_waypoints(spec)
+    return caught.value
+
+
+# Reading
+
+
+@settings(max_examples=60)
+@given(
+    st.lists(
+        st.tuples(
+            *[st.integers(-(10**6), 10**6)] * 3,
+            st.tuples(*[st.integers(-100, 100)] * 3).filter(any),
+            st.sampled_from([" ", ", ", "\t", ",", "   "]),
+            st.sampled_from(["", " 7 8", ",9", "  # not read"]),
+            st.sampled_from(["", "# remark\n", "\n", "// remark\n", "  ; x y\n"]),
+        ),
+        min_size=2,
+        max_size=8,
+        unique_by=lambda row: row[:3],
+    ),
+    st.sampled_from(["\n", "\r\n", "\r"]),
+    st.booleans(),
+    st.booleans(),
+)
+def test_whatever_is_written_is_read(rows: list[tuple], newline: str, header: bool, mark: bool) -> None:  # type: ignore[type-arg]
+    text = ("\ufeff" if mark else "") + ("x y z nx ny nz\n" if header else "")
+    for x, y, z, n, blank, more, before in rows:
+        text += (
+            before + blank.join(f"{v * 1e-3:.3f}" for v in (x, y, z)) + blank + blank.join(map(str, n)) + more + "\n"
+        )
+    path = Path("/nowhere/points.txt")
+    points = np.array([row[:3] for row in rows]) * 1e-6
+    normals = np.array([row[3] for row in rows], dtype=float)
+    found = read_text(path, text.replace("\n", newline))
+    keep = distinct(points)
+    assert np.vstack([bead.points for bead in found]) == pytest.approx(points[keep], abs=1e-12)
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    assert np.vstack([bead.normals for bead in found]) == pytest.approx(normals[keep], abs=1e-12)
+
+
+def read_text(path: Path, text: str) -> tuple[Waypoints, ...]:
+    """Read a text as if it stood in a file, as one bead."""
+
+    class File(type(path)):  # type: ignore[misc]
+        def is_file(self) -> bool:
+            return True
+
+        def open(self, mode: str = "r") -> object:  # type: ignore[override]
+            import io
+
+            return io.BytesIO(text.encode())
+
+    return read_waypoints(
+        WaypointsSpec.model_construct(waypoints=File(path), up="z", normals="outward", origin=(0, 0, 0), split=1e9)
+    )
+
+
+BAD = [
+    # text of the third line, reason, hint
+    ("1 2 3 0 0", "six numbers", "x y z nx ny nz; here are 5 values"),
+    ("1 2 3 0 0 one", "'one' is not a number", ""),
+    ("1 2 nan 0 0 1", "'nan' is not a number that a waypoint can have", ""),
+    ("1 2 3 0 0 inf", "'inf' is not a number", ""),
+    ("1 2 3 0 0 1_0", "'1_0' is not a number", ""),
+    ("1 2 3 0 0 0", "the normal is zero", "direction"),
+    ("1 2 3e9 0 0 1", "farther than 100 m", "mm"),
+    ("x y z nx ny nz", "'x' is not a number", ""),
+    ("1;2;3;0;0;1", "six numbers", "1 value"),
+    ("1 2 3 0 0 1\x00", "is not a number", ""),
+]
+
+
+@pytest.mark.parametrize(("line", "reason", "hint"), BAD)
+def test_a_bad_line_is_named(spec: Callable[..., WaypointsSpec], line: str, reason: str, hint: str) -> None:
+    error = refused(spec(f"# x y z\n0 0 0 {UP}\n{line}\n9 0 0 {UP}\n"))
+    assert error.line == 3
+    assert str(error.file).endswith("points.txt")
+    assert reason in str(error)
+    assert hint in str(error)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", "holds no waypoints"),
+        ("# nothing\n", "holds no waypoints"),
+        (f"0 0 0 {UP}\n", "no two different waypoints"),
+        (f"0 0 0 {UP}\n" * 3, "no two different waypoints"),
+        (b"0 0 0 0 0 1\n1 0 0 0 0 \xff\n", "not UTF-8"),
+    ],
+)
+def test_a_bad_file_is_refused(spec: Callable[..., WaypointsSpec], text: str | bytes, reason: str) -> None:
+    assert reason in str(refused(spec(text)))
+
+
+def test_a_missing_file_is_an_error_of_the_field(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        build_toolpath(load_problem(case_text(tmp_path, "nothing.txt")))
+    assert caught.value.field == "layers.source.waypoints"
+    assert caught.value.line == 8
+    assert "there is no file" in str(caught.value)
+
+
+def test_jumps_split_and_repetitions_are_dropped(spec: Callable[..., WaypointsSpec]) -> None:
+    xs = [0, 1, 1, 1.001, 2, 3, 20, 21, 22, 22.9, 40, 41]
+    text = "".join(f"{x} 0 0 {UP}\n" for x in xs)
+    found = [(bead.points[:, 0] * 1e3).round(3).tolist() for bead in read_waypoints(spec(text))]
+    assert found == [[0, 1, 2, 3], [20, 21, 22, 22.9], [40, 41]]
+    whole = read_waypoints(spec(text, split_mm=30))
+    assert [len(bead.points) for bead in whole] == [10]
+    error = refused(spec(text + f"# alone\n90 0 0 {UP}\n"))
+    assert (error.line, "stands alone" in str(error)) == (14, True)
+
+
+def test_creeping_points_add_up_to_a_step() -> None:
+    points = np.zeros((111, 3))
+    points[:, 0] = np.concatenate([np.arange(61) * 1e-3, 0.06 + np.arange(1, 51) * 0.7e-5])
+    keep = distinct(points)
+    gaps = np.diff(points[keep, 0])
+    assert keep[:61].all()
+    assert gaps.min() > 0.02e-3 - 1e-12
+    assert keep[61:].sum() == 16  # every third of the fifty
+
+
+def test_axes_normals_and_origin(spec: Callable[..., WaypointsSpec]) -> None:
+    (bead,) = read_waypoints(spec("1 2 3 0 -2 1\n2 2 3 0 -2 1\n", up="y", normals="inward", origin_mm="[10, 0, 5]"))
+    assert bead.points * 1e3 == pytest.approx(np.array([[11, -3, 7], [12, -3, 7]]))
+    assert bead.normals[0] == pytest.approx(np.array([0, 1, 2]) / 5**0.5)
+
+
+def test_many_lines_are_read_fast(spec: Callable[..., WaypointsSpec]) -> None:
+    import time
+
+    text = waypoint_text(sheet(100_000))
+    given = spec(text)
+    start = time.perf_counter()
+    beads = read_waypoints(given)
+    assert time.perf_counter() - start < 3.0  # some 0.2 s: no Python at every number
+    assert sum(len(bead.points) for bead in beads) == 100_000
+
+
+# The curve
+
+
+def dense(curve: Interpolated, times: int = 10) -> Array:
+    u = np.arange(len(curve.points), dtype=float)
+    return np.asarray(make_interp_spline(u, curve.points, k=5)(np.linspace(0, u[-1], times * len(u))))
+
+
+def helix(t: Array) -> tuple[Array, Array]:
+    """A curve on a cone, with its normals: curvature and spacing change along it."""
+    r = 0.03 + 0.02 * t
+    points = np.column_stack([r * np.cos(5 * t), r * np.sin(5 * t), 0.04 * t])
+    normals = np.column_stack([np.cos(5 * t), np.sin(5 * t), np.full(len(t), -0.5)])
+    return points, normals / np.linalg.norm(normals, axis=1)[:, None]
+
+
+def test_evenly_spaced_waypoints_are_the_samples() -> None:
+    rows = cylinder(300)
+    points, normals = rows[:, :3] * 1e-3, rows[:, 3:]
+    curve = interpolate(points, normals, TOLERANCE, APART)
+    assert curve.points == pytest.approx(points, abs=1e-12)
+    assert curve.normals == pytest.approx(normals, abs=1e-12)
+
+
+@pytest.mark.parametrize("scatter", [0.0, 0.3])
+def test_the_curve_passes_through_smooth_waypoints(scatter: float) -> None:
+    rng = np.random.default_rng(3)
+    t = np.linspace(0.0, 1.0, 301) ** 1.3
+    t[1:-1] += scatter * rng.uniform(-0.5, 0.5, 299) * np.minimum(np.diff(t)[:-1], np.diff(t)[1:])
+    points, normals = helix(t)
+    curve = interpolate(points, normals, TOLERANCE, APART)
+    fine = helix(np.linspace(0, 1, 40_001))[0]
+    assert distance_to_polyline(points, dense(curve)).max() < 1e-6
+    assert distance_to_polyline(curve.points, fine).max() < 1e-6
+    assert np.linalg.norm(curve.normals, axis=1) == pytest.approx(1.0, abs=1e-12)
+    assert len(curve.points) <= 1.1 * len(points)
+    assert_smooth(curve, 0.05)
+
+
+def assert_smooth(curve: Interpolated, growth: float) -> None:
+    """Neighbouring samples stand equally far apart, up to a share."""
+    step = np.linalg.norm(np.diff(curve.points, axis=0), axis=1)
+    assert np.abs(np.diff(np.log(step))).max() < growth
+
+
+def zigzag(passes: int, length: int, pitch: float, step: float = 1e-3) -> Array:
+    rows = []
+    for k in range(passes):
+        x = np.arange(length + 1) * step
+        rows.append(np.column_stack([x if k % 2 == 0 else x[::-1], np.full(len(x), k * pitch), 0.0 * x]))
+    return np.vstack(rows)
+
+
+@pytest.mark.parametrize("pitch", [0.4e-3, 1e-3, 6e-3])
+@pytest.mark.parametrize("tolerance", [0.05e-3, 0.2e-3])
+def test_corners_are_rounded_within_the_tolerance(pitch: float, tolerance: float) -> None:
+    points = zigzag(4, 60, pitch)
+    curve = interpolate(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)), tolerance, APART)
+    path = dense(curve)
+    assert distance_to_polyline(path, curve.source).max() <= tolerance
+    assert distance_to_polyline(curve.source, path).max() <= tolerance
+    assert curve.points[0] == pytest.approx(points[0])
+    assert curve.points[-1] == pytest.approx(points[-1])
+    away = np.abs(points[:, 0] - 0.03) < 0.01
+    assert distance_to_polyline(points[away], path).max() < 1e-6
+    assert_smooth(curve, 0.35)
+    turn = np.diff(path, axis=0)
+    turn /= np.linalg.norm(turn, axis=1)[:, None]
+    assert np.degrees(np.arccos(np.clip((turn[1:] * turn[:-1]).sum(axis=1), -1, 1))).max() < 10.0
+
+
+def test_samples_stay_near_the_number_of_waypoints() -> None:
+    for waypoints in (1000, 4000):
+        rows = cylinder(waypoints)
+        curve = interpolate(rows[:, :3] * 1e-3, rows[:, 3:], TOLERANCE, APART)
+        corners = 2 * (waypoints // 309)
+        assert waypoints <= len(curve.points) <= waypoints + 50 * corners
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 10_000), st.integers(2, 40), st.floats(0.02, 3.0))
+def test_any_waypoints_make_a_curve_within_the_tolerance(seed: int, count: int, wild: float) -> None:
+    rng = np.random.default_rng(seed)
+    direction = np.cumsum(rng.normal(0.0, wild, (count, 3)), axis=0) + [1.0, 0.0, 0.0]
+    steps = rng.uniform(0.3e-3, 2e-3, count)[:, None] * direction / np.linalg.norm(direction, axis=1)[:, None]
+    points = np.cumsum(steps, axis=0)
+    normals = np.tile([0.0, 0.6, 0.8], (count, 1))
+    curve = interpolate(points, normals, TOLERANCE, APART)
+    assert np.isfinite(curve.points).all()
+    assert distance_to_polyline(curve.source, dense(curve)).max() <= 1.02 * TOLERANCE
+    assert curve.normals == pytest.approx(np.tile([0.0, 0.6, 0.8], (len(curve.normals), 1)), abs=1e-9)
+
+
+def test_a_corner_is_a_corner_only_beyond_its_angle() -> None:
+    for angle, sharp in ((0.9 * CORNER_TURN, False), (1.1 * CORNER_TURN, True)):
+        arm = np.arange(21)[:, None] * 1e-3
+        points = np.vstack([-arm[::-1] * [1, 0, 0], arm[1:] * [np.cos(angle), np.sin(angle), 0]])
+        curve = interpolate(points, np.tile([0.0, 0.0, 1.0], (41, 1)), TOLERANCE, APART)
+        off = distance_to_polyline(points[20:21], dense(curve, 50))[0]
+        assert (off > 50e-6) == sharp
+
+
+# Roll
+
+
+def test_roll_is_counted_from_one_axis_where_that_is_clear() -> None:
+    normals = [cap(400)[:, 3:], cap(200)[:, 3:]]
+    for tangent, n in zip(roll_zeros(normals), normals, strict=True):
+        assert np.linalg.norm(tangent, axis=1) == pytest.approx(1.0)
+        assert (tangent * n).sum(axis=1) == pytest.approx(0.0, abs=1e-12)
+        assert (tangent[:, 0] > 0.6).all() or (tangent[:, 1] > 0.6).all()
+
+
+def test_roll_is_carried_without_spin_where_no_axis_is_clear() -> None:
+    t = np.linspace(0.0, 6.0, 3001)  # a spherical curve that meets all three axes
+    normals = np.column_stack([np.cos(t) * np.cos(8 * t), np.cos(t) * np.sin(8 * t), np.sin(t)])
+    (tangent,) = roll_zeros([normals])
+    assert np.linalg.norm(tangent, axis=1) == pytest.approx(1.0)
+    assert (tangent * normals).sum(axis=1) == pytest.approx(0.0, abs=1e-12)
+    rate = np.gradient(tangent, t, axis=0)[5:-5]
+    spin = (rate * np.cross(normals, tangent)[5:-5]).sum(axis=1)
+    assert np.abs(spin).max() < 1e-3
+    assert np.abs(np.diff(tangent, n=2, axis=0)).max() < 3e-4  # smooth: of the order of the step's square
+
+
+# The surface
+
+
+def beads_of(paths: list[Array], height: float = 0.5e-3) -> list[Bead]:
+    """Beads as they come, of rows x y z nx ny nz [mm]."""
+    return [
+        Bead(
+            f"path {i}",
+            0,
+            np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(rows[:, :3] * 1e-3, axis=0), axis=1))]),
+            rows[:, :3] * 1e-3,
+            rows[:, 3:],
+            np.roll(rows[:, 3:], 1, axis=1),
+            rows[:, :3] * 1e-3,
+            0.6e-3,
+            height,
+            False,
+        )
+        for i, rows in enumerate(paths)
+    ]
+
+
+@pytest.fixture(scope="module")
+def dome() -> Surfels:
+    """A cap, printed all over by one spiral of 2.6 mm pitch; its surface lies half a millimetre beneath."""
+    return with_layers(beads_of([cap(10_000)]))[1]
+
+
+def test_distance_from_a_dome(dome: Surfels) -> None:
+    rng = np.random.default_rng(5)
+    polar, azimuth = rng.uniform(0.0, 0.7, 2000), rng.uniform(0.0, 2 * np.pi, 2000)
+    out = np.column_stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)])
+    height = rng.uniform(-8e-3, 30e-3, 2000)
+    true = height + 0.5e-3
+    found = dome.signed_distance((0.12 + height)[:, None] * out)
+    clear = np.abs(true) > 2e-3  # nearer, the gaps between the rows count
+    assert (np.sign(found) == np.sign(true))[clear].all()
+    assert np.abs(found - true)[clear].max() < 0.4e-3
+    assert (found >= true - 0.05e-3)[true > 0].all()
+
+
+def test_far_away_is_outside_wherever_that_is(dome: Surfels) -> None:
+    beside = np.array([[0.3, 0.0, 0.02], [0.0, -0.4, 0.1], [0.0, 0.0, 0.5], [0.0, 0.0, -0.2]])
+    assert dome.signed_distance(beside) == pytest.approx(FAR)
+    rim = np.array([[0.12, 0.0, 0.04]])  # 5 cm beneath the rim and beside it
+    assert dome.signed_distance(rim)[0] > 0.02
+
+
+def test_whoever_passes_through_the_dome_meets_a_shell(dome: Surfels) -> None:
+    rng = np.random.default_rng(7)
+    for _ in range(50):
+        a = np.array([*rng.uniform(-0.06, 0.06, 2), 0.14])
+        b = np.array([*rng.uniform(-0.05, 0.05, 2), 0.05])
+        way = a + np.linspace(0, 1, 200)[:, None] * (b - a)
+        assert dome.signed_distance(way).min() < 0.0
+
+
+def test_normals_of_the_dome(dome: Surfels) -> None:
+    points = dense(Interpolated(dome.tips, dome.outward, dome.tips), 3)
+    true = points / np.linalg.norm(points, axis=1)[:, None]
+    assert np.degrees(np.linalg.norm(dome.normals(points) - true, axis=1)).max() < 0.01
+
+
+@pytest.fixture(scope="module")
+def stack() -> tuple[tuple[Bead, ...], Surfels]:
+    """Three layers of four strips on a bowed sheet, a bead each."""
+    rows = sheet(3 * 9060)
+    return with_layers(beads_of(list(np.split(rows, 12))))
+
+
+def test_layers_are_what_lies_on_something(stack: tuple[tuple[Bead, ...], Surfels]) -> None:
+    beads, surface = stack
+    assert [bead.layer for bead in beads] == [0] * 4 + [1] * 4 + [2] * 4
+    assert Toolpath(beads, surface).layers == 3
+    assert (np.flatnonzero(surface.bare) < 4 * len(beads[0].points)).mean() > 0.999
+
+
+def test_the_surface_grows(stack: tuple[tuple[Bead, ...], Surfels]) -> None:
+    beads, surface = stack
+    height = 0.5e-3
+    for i, bead in enumerate(beads):
+        assert surface.before(i + 1).signed_distance(bead.points) == pytest.approx(height, abs=2e-5)
+        if bead.layer == 2:
+            under = surface.before(i).signed_distance(bead.points[500:600])
+            assert under == pytest.approx(2 * height, abs=0.15e-3), "there is nothing of its own layer there yet"
+    nothing = surface.before(0)
+    assert nothing.signed_distance(beads[8].points) == pytest.approx(3 * height, abs=2e-5)
+    inside = beads[0].points - 3e-3 * beads[0].normals
+    assert nothing.signed_distance(inside).max() < 0.0, "what the first layer lies on is there from the start"
+
+
+def test_prefixes_agree_with_brute_force(stack: tuple[tuple[Bead, ...], Surfels]) -> None:
+    beads, surface = stack
+    rng = np.random.default_rng(11)
+    points = beads[5].points[rng.integers(0, 2000, 40)] + rng.uniform(-2e-3, 6e-3, (40, 3))
+    for count in (0, 1, 3, 4, 7, 12):
+        there = surface.bare.copy()
+        there[: surface.first[count]] = True
+        away = points[:, None] - surface.centres[there]
+        nearest = np.linalg.norm(away, axis=2).argmin(axis=1)
+        v, n = away[np.arange(40), nearest], surface.outward[there][nearest]
+        up = (v * n).sum(axis=1)
+        aside = np.maximum(np.linalg.norm(v - up[:, None] * n, axis=1) - surface.radius, 0.0)
+        assert np.abs(surface.before(count).signed_distance(points)) == pytest.approx(np.hypot(up, aside), abs=1e-12)
+
+
+# Problems
+
+
+def mistake(folder: Path, old: str, new: str) -> InputError:
+    path = case_text(folder, "points.txt")
+    text = path.read_text(encoding="utf-8")
+    assert text.count(old) == 1
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        load_problem(path)
+    return caught.value
+
+
+MISTAKES = [
+    ('waypoints: "points.txt"', "waypoint: a.txt", "layers.source.waypoint", "unknown key", "did you mean waypoints?"),
+    ('waypoints: "points.txt"', "waypoints: a.txt, slpit_mm: 3", "layers.source.slpit_mm", "unknown", "split_mm"),
+    ('waypoints: "points.txt"', "waypoints: a.txt, up: x", "layers.source.up", "'x'", "choices: z, y"),
+    ('waypoints: "points.txt"', "waypoints: a.txt, normals: in", "layers.source.normals", "'in'", "inward"),
+    ('waypoints: "points.txt"', "waypoints: a.txt, svg: b.svg", "layers.source.svg", "both svg and waypoints", "one"),
+    ('waypoints: "points.txt"', "up: y", "layers.source.waypoints", "is missing", "x y z nx ny nz"),
+    ("layers:", "layers:\n  count: 2", "layers.count", "unknown key", "known keys: source"),
+    ("layers:", "part: {cylinder: {radius_mm: 9, height_mm: 9}}\nlayers:", "part", "own surface", "leave out part"),
+    (", height_mm: 0.5", "", "process.bead", "height_mm is missing", ""),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "field", "reason", "hint"), MISTAKES)
+def test_mistakes_are_told(tmp_path: Path, old: str, new: str, field: str, reason: str, hint: str) -> None:
+    error = mistake(tmp_path, old, new)
+    assert (error.field, error.line is not None) == (field, True)
+    assert reason in error.reason
+    assert hint in (error.hint or "")
+    assert "more" not in (error.hint or "")
+
+
+@pytest.mark.parametrize("name", sorted(CASES))
+def test_shipped_files_are_what_the_script_writes(tmp_path: Path, name: str) -> None:
+    written = write_case(name, SHIPPED, tmp_path)
+    shipped = find_problem(name)
+    for end in (".yaml", ".txt"):
+        assert shipped.with_suffix(end).read_text("utf-8") == written.with_suffix(end).read_text("utf-8")
+
+
+@pytest.mark.parametrize("name", sorted(CASES))
+@pytest.mark.parametrize("waypoints", [200, 1000])
+def test_cases_have_their_waypoints(name: str, waypoints: int) -> None:
+    rows = CASES[name].path(waypoints)
+    assert rows.shape == (waypoints, 6)
+    assert np.linalg.norm(rows[:, 3:], axis=1) == pytest.approx(1.0)
+    steps = np.linalg.norm(np.diff(rows[:, :3], axis=0), axis=1)
+    assert np.median(steps) == pytest.approx(1.0, abs=1e-3)
+    assert steps.max() < 1.001
+
+
+def test_the_cap_is_that_of_the_facts() -> None:
+    rows = cap(10_000)
+    assert np.linalg.norm(rows[:, :3], axis=1) == pytest.approx(120.0)
+    assert np.degrees(np.arccos(rows[-1, 5])) == pytest.approx(45.0)
+    assert rows[0, 5] == 1.0
+
+
+def test_a_problem_becomes_a_toolpath(tmp_path: Path) -> None:
+    problem: Problem = load_problem(write_case("peer_cap", 500, tmp_path))
+    toolpath = build_toolpath(problem)
+    (bead,) = toolpath.beads
+    assert np.linalg.norm(bead.points, axis=1)[5:] == pytest.approx(0.12, abs=1e-6)
+    assert (bead.height, bead.width, bead.closed) == (problem.process.bead.height, problem.process.bead.width, False)
+    assert bead.length == pytest.approx(0.499, rel=1e-3)
+    assert replace(bead, layer=0).s is bead.s
+
+
+@pytest.mark.skipif(not CHEN.exists(), reason="the authors' file is not part of the project")
+def test_a_published_file_is_read(tmp_path: Path) -> None:
+    problem = load_problem(case_text(tmp_path, str(CHEN), up="y", normals="inward", split_mm=3))
+    (bead,) = build_toolpath(problem).beads
+    points = np.loadtxt(CHEN)[:, [0, 2, 1]] * [1e-3, -1e-3, 1e-3]
+    assert bead.normals[:, 2].min() > 0.5, "normals out of the part, which stands on its plate"
+    path = make_interp_spline(np.arange(len(bead.s)), bead.points, k=5)(np.linspace(0, len(bead.s) - 1, 100_000))
+    assert distance_to_polyline(points, path).max() <= problem.process.corner_tolerance
+    assert np.median(distance_to_polyline(points, path)) < 5e-6
