@@ -21,13 +21,17 @@ Array = NDArray[np.float64]
 
 CORNER_TURN = np.radians(30.0)  # at one waypoint: a circle with fewer than twelve of them has corners
 _DEGREE = 5
-_MEAN_OFFSET = 63.0 / 256.0  # mean |x| under the kernel (1 - x^2)^4: a corner is cut by this share of its width
-_WIDEST = 12.0  # half width of the kernel, in tolerances
-_CELLS = 24  # grid cells in half the kernel's width
-_SAMPLES = 10.0  # in the same, at the corner
-_HALVINGS = 12
+# The kernel (1 - x^2)^4 (1 - SWING x^2) has negative sides: the curve swings out before a corner, where the tolerance
+# would lie idle, and turns with a quarter of the jerk that SWING = 0 has at the same tolerance.
+_SWING = 5.0
+_CUT = 0.0752  # of the kernel's half width: what it cuts from a corner, per unit of the jump in direction
+_WIDEST = 25.0  # half width of the kernel, in tolerances
+_CELLS = 48  # grid cells in half the kernel's width
+_SAMPLES = 20.0  # in the same, at the corner
+_TRIES = 12  # to find the width that uses the tolerance
+_NEARLY, _AIM = 0.94, 0.98  # of it: enough is used; aimed at
 _USED = 0.9  # of the tolerance: the rest is for the curve between samples
-_SPREAD = 1.5  # kernel widths from a corner at which the density of samples has halved
+_SPREAD = 0.7  # kernel widths from a corner at which the density of samples has halved
 _CHORD = 2e-6  # m, by how much the source may leave the curve through the waypoints
 _CORNER_STEP = 2e-4  # m, between the source's points where a corner is rounded
 _FEWEST = 8  # samples of a bead
@@ -162,7 +166,7 @@ def _round(path: BSpline, chord: Array, sharp: NDArray[np.int64], turn: Array, t
     """Round the corners `sharp` of a path, together where they are close to each other."""
     if len(sharp) == 0:
         return []
-    widths = np.minimum(_USED * tolerance / (_MEAN_OFFSET * np.sin(0.5 * turn[sharp])), _WIDEST * tolerance)
+    widths = np.minimum(_USED * tolerance / (_CUT * np.sin(0.5 * turn[sharp])), _WIDEST * tolerance)
     at = chord[sharp]
     corners: list[_Corner] = []
     start = 0
@@ -176,21 +180,38 @@ def _round(path: BSpline, chord: Array, sharp: NDArray[np.int64], turn: Array, t
 
 
 def _rounded(path: BSpline, at: Array, width: float, length: float, tolerance: float) -> _Corner:
-    """Average a path around the corners `at` with the widest kernel that keeps it within the tolerance."""
+    """Average a path around the corners `at` with the widest kernel, `width` at most, that keeps the tolerance."""
+    room = _USED * tolerance
+    fits, exceeds = 0.0, np.inf
+    for _ in range(_TRIES):
+        corner, off = _averaged(path, at, width, length)
+        if off <= room:
+            fits, best = width, corner
+            if off > _NEARLY * room or exceeds == np.inf:
+                break
+        else:
+            exceeds = width
+        # the deviation grows about as the width does
+        width = float(
+            np.clip(width * _AIM * room / off, fits + 0.1 * (exceeds - fits), exceeds - 0.1 * (exceeds - fits))
+        )
+        width = max(width, 0.25 * exceeds)
+    return best if fits else corner
+
+
+def _averaged(path: BSpline, at: Array, width: float, length: float) -> tuple[_Corner, float]:
+    """Average a path around the corners `at` with a kernel; and how far that takes a point at most."""
     low, high = float(at[0]), float(at[-1])
-    for _ in range(_HALVINGS):
-        cell = width / _CELLS
-        grid = low + cell * np.arange(-3 * _CELLS, int(np.ceil((high - low) / cell)) + 3 * _CELLS + 1, dtype=np.float64)
-        rows = _extended(path, grid, length)
-        x = np.linspace(-1.0, 1.0, 2 * _CELLS + 1)
-        kernel = (1.0 - x**2) ** 4
-        smooth = convolve1d(rows, kernel / kernel.sum(), axis=0, mode="nearest")
-        off = np.linalg.norm((smooth - rows)[_CELLS:-_CELLS, :3], axis=1)
-        if off.max() <= _USED * tolerance:
-            break
-        width *= max(0.5, 0.98 * _USED * tolerance / float(off.max()))
+    cell = width / _CELLS
+    cells = int(np.ceil((high - low) / cell)) + 6 * _CELLS + 1
+    grid = low - 3.0 * width + cell * np.arange(cells, dtype=np.float64)
+    rows = _extended(path, grid, length)
+    x = np.linspace(-1.0, 1.0, 2 * _CELLS + 1)
+    kernel = (1.0 - x**2) ** 4 * (1.0 - _SWING * x**2)
     inner = slice(_CELLS, -_CELLS)
-    return _Corner(low, high, width, make_interp_spline(grid[inner], smooth[inner], k=_DEGREE))
+    smooth = convolve1d(rows, kernel / kernel.sum(), axis=0, mode="nearest")[inner]
+    off = float(np.linalg.norm((smooth - rows[inner])[:, :3], axis=1).max())
+    return _Corner(low, high, width, make_interp_spline(grid[inner], smooth, k=_DEGREE)), off
 
 
 def _extended(path: BSpline, c: Array, length: float) -> Array:
