@@ -305,6 +305,17 @@ def test_any_waypoints_make_a_curve_within_the_tolerance(seed: int, count: int, 
     assert curve.normals == pytest.approx(np.tile([0.0, 0.6, 0.8], (len(curve.normals), 1)), abs=1e-9)
 
 
+@pytest.mark.parametrize("ends", [0.1e-3, 0.3e-3, 2e-3])
+def test_samples_draw_together_at_the_ends(ends: float) -> None:
+    rows = cylinder(300)
+    curve = interpolate(rows[:, :3] * 1e-3, rows[:, 3:], TOLERANCE, APART, ends)
+    step = np.linalg.norm(np.diff(curve.points, axis=0), axis=1)
+    assert step[[0, -1]] == pytest.approx(min(ends, 1e-3), rel=0.1)
+    assert step[100:200] == pytest.approx(1e-3, rel=0.02)
+    assert_smooth(curve, 0.25)
+    assert abs(np.log(step[1] / step[0])) < 0.05, "what is attached there keeps the last distance"
+
+
 def test_a_corner_is_a_corner_only_beyond_its_angle() -> None:
     for angle, sharp in ((0.9 * CORNER_TURN, False), (1.1 * CORNER_TURN, True)):
         arm = np.arange(21)[:, None] * 1e-3

@@ -22,6 +22,7 @@ from planner.toolpath.wrap import Cylinder, arc_length, wrap_layer
 Array = NDArray[np.float64]
 _SHRUNK = 0.5  # share of its length that a path must keep when its corners are rounded
 _APART = 0.5  # of the bead's width: passes lie no closer to each other
+_PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
 _CLOSED = 1e-6  # m between the ends of a closed path
 _KINK = np.radians(10.0)  # a turn above this at one vertex counts as a corner when a seam is looked for
 
@@ -43,7 +44,8 @@ def _through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
     process = problem.process
     paths = read_waypoints(spec.source, partial(problem.error, "layers.source.waypoints"))
     apart = _APART * process.bead.width
-    curves = [interpolate(path.points, path.normals, process.corner_tolerance, apart) for path in paths]
+    ends = process.run_in / _PER_RUN
+    curves = [interpolate(path.points, path.normals, process.corner_tolerance, apart, ends) for path in paths]
     zeros = roll_zeros([curve.normals for curve in curves])
     beads = [
         Bead(

@@ -32,6 +32,7 @@ _TRIES = 12  # to find the width that uses the tolerance
 _NEARLY, _AIM = 0.94, 0.98  # of it: enough is used; aimed at
 _USED = 0.9  # of the tolerance: the rest is for the curve between samples
 _SPREAD = 0.7  # kernel widths from a corner at which the density of samples has halved
+_ENDS = 2.0  # usual distances of samples over which they draw together at the ends
 _CHORD = 2e-6  # m, by how much the source may leave the curve through the waypoints
 _CORNER_STEP = 2e-4  # m, between the source's points where a corner is rounded
 _FEWEST = 8  # samples of a bead
@@ -65,13 +66,13 @@ class _Corner:
         return x**5 * (126.0 - x * (420.0 - x * (540.0 - x * (315.0 - 70.0 * x))))
 
 
-def interpolate(points: Array, normals: Array, tolerance: float, apart: float) -> Interpolated:
+def interpolate(points: Array, normals: Array, tolerance: float, apart: float, ends: float = np.inf) -> Interpolated:
     """Lay a curve through waypoints (m, 3), m at least 2, no two successive ones equal; corners within `tolerance`.
 
     The curve is within a micrometre of every waypoint that is no corner and not beside one, where these lie densely
     enough to be smooth. Its end points are the first and the last waypoint. apart: greatest distance of the source's
-    points, less than that between neighbouring passes, so that each point's nearest is on its own pass. All in one unit
-    (m: what is smooth is judged in micrometres).
+    points, less than that between neighbouring passes, so that each point's nearest is on its own pass. ends: greatest
+    distance of samples at the two ends, for what is attached there. All in m: what is smooth is judged in micrometres.
     """
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
     chord = np.concatenate([[0.0], np.cumsum(step)])
@@ -89,6 +90,9 @@ def interpolate(points: Array, normals: Array, tolerance: float, apart: float) -
             if c - kept[-1] > corner.width:
                 kept.append(c)
         density = density.denser(np.array(kept), corner.width / _SAMPLES, _SPREAD * corner.width)
+    usual = chord[-1] / max(len(chord) - 1, 1)
+    if ends < usual:
+        density = density.denser(chord[[0, -1]], 1.0 / (1.0 / ends - 1.0 / usual), _ENDS * usual)
     c = density.samples(_FEWEST)
     rows = np.asarray(path(c))
     for corner in corners:
