@@ -23,7 +23,8 @@ from planner.export import write_plan, write_robot_code, write_trajectory
 from planner.export.gcode import gcode
 from planner.export.plan_json import plan_json
 from planner.export.rapid import comment, module_name, number, rapid
-from planner.export.rapid_check import compare, replay
+from planner.export.rapid_check import compare
+from planner.export.rapid_pieces import replay
 from planner.export.rapid_reader import NUMBER, numbers, read_rapid
 from planner.export.rotations import angle, continuous, from_matrix, slerp, to_matrix
 from planner.export.table import write_table

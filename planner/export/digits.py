@@ -26,7 +26,7 @@ def rows_text(fixed: Array, decimals: NDArray[np.int64], free: Array) -> str:
     m = len(free)
     out = np.empty(m * LONGEST_CELL * (fixed.shape[1] + free.shape[1]), dtype=np.uint8)
     fixed, free = np.ascontiguousarray(fixed) + 0.0, np.ascontiguousarray(free) + 0.0
-    scale = 10.0**decimals
+    scale = np.array([10.0**d for d in decimals.tolist()])
     parts = []
     row = 0
     while row < m:
@@ -61,7 +61,7 @@ def _fill(
             value = np.rint(fixed[i, j] * scale[j])
             if not abs(value) < _EXACT:
                 return i, start
-            at = _fixed(np.int64(value), decimals[j], out, at)
+            at = _fixed(int(value), decimals[j], out, at)
             out[at] = 44  # comma
             at += 1
         for j in range(free.shape[1]):
