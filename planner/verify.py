@@ -59,6 +59,13 @@ def _where(trajectory: Trajectory, i: int) -> str:
     return f"t = {trajectory.t[i]:.3f} s, {spot}"
 
 
+def _samples_of(t: Trajectory, beads: int) -> list[NDArray[np.intp]]:
+    """Samples of each bead, in order of time; beads may come in any order, and more than once."""
+    order = np.argsort(t.bead, kind="stable")
+    bounds = np.searchsorted(t.bead[order], np.arange(beads + 1))
+    return [order[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+
+
 def _check_most(checks: list[Check], t: Trajectory, name: str, values: Array, limit: float, unit: str) -> float:
     """Append the check that no value (n) exceeds the limit; returns the worst. NaN fails."""
     i = int(np.argmax(np.where(np.isnan(values), np.inf, values)))
@@ -134,8 +141,7 @@ def _geometry(problem, cell, toolpath, t, motion, checks, metrics, series) -> No
     """Tip on the rounded path, axis on the true normal, rounded path within tolerance of the input, both ways."""
     position, deviation = np.zeros(len(t)), np.zeros(len(t))
     unreached = 0.0
-    for i, bead in enumerate(toolpath.beads):
-        at = np.flatnonzero(t.bead == i)
+    for at, bead in zip(_samples_of(t, len(toolpath.beads)), toolpath.beads, strict=True):
         if len(at) < 2:
             continue  # the coverage check names this bead
         tip = motion.tip[at]
@@ -179,8 +185,8 @@ def _coverage(problem, cell, toolpath, t, motion, checks, metrics, series) -> No
     worst, where = 0.0, "everywhere"
     starts = np.flatnonzero(t.deposit & (np.concatenate([[-1], t.bead[:-1]]) != t.bead))
     in_order = np.array_equal(t.bead[starts], np.arange(len(toolpath.beads)))
-    for i, bead in enumerate(toolpath.beads):
-        s = t.s[t.bead == i]
+    for i, (at, bead) in enumerate(zip(_samples_of(t, len(toolpath.beads)), toolpath.beads, strict=True)):
+        s = t.s[at]
         gaps = np.diff(np.concatenate([[0.0], s, [bead.length]]))
         gap = float(gaps.max()) if len(s) and gaps.min() >= 0.0 else bead.length
         if gap > worst:
@@ -243,9 +249,9 @@ def _speed(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:
 def _extrusion(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:  # type: ignore[no-untyped-def]
     """Material: none outside beads, never backwards, and per bead as much as the bead holds."""
     worst, where = 0.0, "everywhere"
-    for i, bead in enumerate(toolpath.beads):
+    for i, (at, bead) in enumerate(zip(_samples_of(t, len(toolpath.beads)), toolpath.beads, strict=True)):
         volume = bead.width * bead.height * bead.length
-        off = abs(float(t.flow[t.bead == i].sum()) * t.dt - volume) / volume
+        off = abs(float(t.flow[at].sum()) * t.dt - volume) / volume
         if off > worst:
             worst, where = off, f"bead {i}"
     stray = bool((t.flow[~t.deposit] != 0.0).any() or (t.flow < 0.0).any())

@@ -63,7 +63,7 @@ NARROW = {
 FORBIDDEN = {name: {"resolve", "timing", "travel", "motion", "kinematics"} for name in ("replay", "verify")}
 # Modules that may import a heavy package; a room stands for all its modules.
 HEAVY = {
-    "numba": {"kinematics", "toolpath.ordering", "resolve", "timing", "export.digits"},
+    "numba": {"kinematics", "toolpath.ordering", "resolve", "timing", "nearest", "export.digits"},
     "ruckig": {"travel"},
     "pinocchio": {"cell", "replay"},
     "svgelements": {"toolpath"},
