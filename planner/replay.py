@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from planner.background import in_halves, shared
 from planner.cell import Cell, Robot
 from planner.plan import Trajectory
 
@@ -34,17 +35,28 @@ class Motion:
     branch: NDArray[np.int8]
 
 
-def replay(cell: Cell, trajectory: Trajectory) -> Motion:
-    """Forward kinematics and Jacobians of every sample."""
+def replay(cell: Cell, trajectory: Trajectory, second_process: bool = False) -> Motion:
+    """Forward kinematics and Jacobians of every sample, half of them in a second process if that is wanted."""
     n = len(trajectory)
+    vector = (n, 3)
     whole = Motion(
-        np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3, 3)), np.empty(n), np.empty(n), np.empty(n, dtype=np.int8)
+        tip=shared(vector),
+        axis=shared(vector),
+        rotation=shared((n, 3, 3)),
+        up=shared(vector),
+        sigma=shared((n,)),
+        det=shared((n,)),
+        branch=shared((n,), np.int8),
     )
-    for start in range(0, n, BLOCK):
-        rows = slice(start, min(start + BLOCK, n))
-        block = _replay(cell, np.ascontiguousarray(trajectory.q[rows]), trajectory.deposit[rows])
-        for name, values in vars(block).items():
-            getattr(whole, name)[rows] = values
+
+    def fill(first: int, last: int) -> None:
+        for start in range(first, last, BLOCK):
+            rows = slice(start, min(start + BLOCK, last))
+            block = _replay(cell, np.ascontiguousarray(trajectory.q[rows]), trajectory.deposit[rows])
+            for name, values in vars(block).items():
+                getattr(whole, name)[rows] = values
+
+    in_halves(fill, n, second_process)
     return whole
 
 

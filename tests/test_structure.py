@@ -17,6 +17,8 @@ LONGEST_MODULE = 350  # lines: beyond, a module is two ideas
 ROOMS = (
     "errors",
     "readonly",
+    "interrupts",
+    "background",
     "problem",
     "kinematics",
     "cell",
@@ -36,9 +38,7 @@ ROOMS = (
     "report",
     "versions",
     "progress",
-    "interrupts",
     "output",
-    "background",
     "solve",
 )
 SAME_ROOM = {

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
 from planner.export.rotations import angle, continuous, slerp
 from planner.export.thinning import Indices, thin
@@ -182,7 +183,7 @@ def _rests(trajectory: Trajectory, first: Indices, last: Indices) -> tuple[Flags
     rate[1:-1] = np.abs(trajectory.q[2:] - trajectory.q[:-2]).max(axis=1) / (2.0 * trajectory.dt)
     rate[[0, -1]] = 0.0
     half = max(1, round(0.1 / trajectory.dt))
-    around = np.lib.stride_tricks.sliding_window_view(np.pad(rate, half, mode="edge"), 2 * half + 1).max(axis=1)
+    around = maximum_filter1d(rate, 2 * half + 1, mode="nearest")
     slow = (rate < 5e-3) & (rate <= 0.05 * around)
     edge = np.zeros(n, dtype=bool)
     edge[first], edge[last] = True, True
