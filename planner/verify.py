@@ -163,22 +163,23 @@ def _geometry(second_process, problem, cell, toolpath, t, motion, checks, metric
     beads = len(toolpath.beads)
     samples = _samples_of(t, beads)
 
+    parts = 2 if beads == 1 else 1  # of a bead: its samples, and whether it goes wherever the input does
+
     def judge(first: int, last: int) -> float:
-        """Tips against both paths for jobs below the number of beads, then both paths against each other."""
         unreached = 0.0
-        for job in range(first, last):
-            at, bead = samples[job % beads], toolpath.beads[job % beads]
+        for i in range(first, last):
+            at, bead = samples[i // parts], toolpath.beads[i // parts]
             if len(at) < 2:
                 continue  # the coverage check names this bead
             path = CubicSpline(bead.s, bead.points)
-            if job < beads:
+            if i % parts == 0:
                 position[at] = np.linalg.norm(path(t.s[at]) - motion.tip[at], axis=1)
                 deviation[at] = distance_to_polyline(motion.tip[at], bead.source)
-            else:
+            if i % parts == parts - 1:
                 unreached = max(unreached, float(distance_to_polyline(bead.source, path(_denser(bead.s))).max()))
         return unreached
 
-    unreached = max(in_halves(judge, 2 * beads, second_process))
+    unreached = max(in_halves(judge, parts * beads, second_process))
     normals = toolpath.surface.normals(motion.tip)
     cosine = -(normals * motion.axis).sum(axis=1)
     sine = np.linalg.norm(np.cross(normals, motion.axis), axis=1)
