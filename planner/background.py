@@ -19,20 +19,20 @@ from planner.interrupts import ignored_interrupts
 
 
 def spare_core() -> bool:
-    """True where a forked process may help: on Linux, if more than one core is ours."""
+    """True where a second process helps: on Linux, where one may be forked safely, if more than one core is ours."""
     return sys.platform == "linux" and len(os.sched_getaffinity(0)) > 1
 
 
 @contextmanager
-def in_background(function: Callable[..., Any], *arguments: Any, forked: bool = False) -> Iterator[Callable[[], Any]]:
-    """Run `function(*arguments)` beside the block, which gets what waits for its result.
+def in_background(function: Callable[..., Any], *arguments: Any) -> Iterator[Callable[[], Any]]:
+    """Run `function(*arguments)` beside the block, which gets what waits for its result; only where `spare_core`.
 
-    The process is a fresh one, which imports what it needs; or, `forked` (only after `spare_core`), a copy of this
-    one, which starts in a hundredth of a second and has everything. It ends with the block, finished or not. Ctrl-C
-    is the block's to handle: the process does not see it. A PlannerError there is raised where the result is asked
-    for; any other exception shows its traceback and raises RuntimeError there.
+    The process is a copy of this one: it starts in a hundredth of a second, has everything, and shares the memory
+    of whatever neither of them changes. It ends with the block, finished or not. Ctrl-C is the block's to handle:
+    the process does not see it. A PlannerError there is raised where the result is asked for; any other exception
+    shows its traceback and raises RuntimeError there.
     """
-    context: Any = multiprocessing.get_context("fork" if forked else "spawn")
+    context = multiprocessing.get_context("fork")
     receiver, sender = context.Pipe(duplex=False)
     child = context.Process(target=_send_result, args=(sender, function, arguments), daemon=True)
     with ignored_interrupts():
@@ -67,7 +67,7 @@ def in_halves(
     half = count // 2 if middle is None else middle
     if not second_process or not 0 < half < count or not spare_core():
         return [function(0, count)]
-    with in_background(function, half, count, forked=True) as wait:
+    with in_background(function, half, count) as wait:
         return [function(0, half), wait()]
 
 

@@ -50,8 +50,7 @@ Array = NDArray[np.float64]
 DEFAULT_DT = 0.004
 MIN_DT, MAX_DT = 0.0005, 0.02  # s; finer drowns in rounding, coarser hides what a joint does
 BASELINE = "as_published"
-WORTH_A_FORK = 5_000  # waypoints above which half the work takes longer than copying the process for it
-WORTH_A_PROCESS = 50_000  # waypoints above which the baseline takes longer than starting a process for it
+WORTH_A_FORK = 5_000  # waypoints above which sharing the work takes less time than copying the process for it
 
 
 def solve(
@@ -156,8 +155,8 @@ def _baseline_beside(
     """What gives the baseline's metrics by strategy, planned beside the block where that is worth a process."""
     if strategy == BASELINE:
         yield dict
-    elif second_process and _waypoints(toolpath) >= WORTH_A_PROCESS:
-        with in_background(_baseline_from_problem, problem, dt) as wait:
+    elif second_process and _waypoints(toolpath) >= WORTH_A_FORK and spare_core():
+        with in_background(_baseline, problem, cell, toolpath, tasks, dt) as wait:
             yield wait
     else:
         yield lambda: _baseline(problem, cell, toolpath, tasks, dt)
@@ -174,11 +173,6 @@ def _baseline(
     return {BASELINE: report.metrics}
 
 
-def _baseline_from_problem(problem: Problem, dt: float) -> dict[str, dict[str, float]]:
-    """The same in a process that has nothing but the problem."""
-    return _baseline(problem, build_cell(problem), *_toolpath(problem), dt)
-
-
 def write(plan: Plan, folder: Path, stages: Stages | None = None, second_process: bool = False) -> Plan:
     """Write a plan's files into a folder, robot code only if the plan is verified; returns it with all timings.
 
@@ -189,7 +183,7 @@ def write(plan: Plan, folder: Path, stages: Stages | None = None, second_process
         if not plan.verified:
             _write_tables(plan, folder)
         elif second_process and _waypoints(plan.toolpath) >= WORTH_A_FORK and spare_core():
-            with in_background(write_robot_code, plan, folder, forked=True) as wait:
+            with in_background(write_robot_code, plan, folder) as wait:
                 _write_tables(plan, folder)
                 wait()
         else:

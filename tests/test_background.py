@@ -38,17 +38,17 @@ def bug() -> None:
     raise KeyError("a bug")
 
 
-@pytest.mark.parametrize("forked", [False, pytest.param(True, marks=needs_two_cores)])
-def test_errors_arrive_whole(forked: bool) -> None:
-    with in_background(refuse, "too far", 7, forked=forked) as wait, pytest.raises(Refusal) as refusal:
+@needs_two_cores
+def test_errors_arrive_whole() -> None:
+    with in_background(refuse, "too far", 7) as wait, pytest.raises(Refusal) as refusal:
         wait()
     told = refusal.value
     assert (told.reason, told.bead, told.s_mm, told.point_mm) == ("too far", 7, 2.5, (1.0, 2.0, 3.0))
     assert str(told) == "bead 7, 2.5 mm along it: too far"
-    with in_background(mistake, forked=forked) as wait, pytest.raises(PlannerError) as error:
+    with in_background(mistake) as wait, pytest.raises(PlannerError) as error:
         wait()
     assert str(error.value) == "a.yaml:3: cell: is wrong (try b)"
-    with in_background(bug, forked=forked) as wait, pytest.raises(RuntimeError, match="bug failed in its own process"):
+    with in_background(bug) as wait, pytest.raises(RuntimeError, match="bug failed in its own process"):
         wait()
 
 
@@ -129,3 +129,12 @@ def test_an_unverified_plan_has_no_robot_code_from_any_process(tmp_path: Path, m
     plan = small_plan()
     write(replace(plan, checks=(replace(plan.checks[0], ok=False),)), tmp_path, second_process=True)
     assert {path.name for path in tmp_path.iterdir()} == {"plan.json", "trajectory.csv", "report.html"}
+
+
+@needs_two_cores
+def test_the_baseline_beside_is_the_baseline(monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = small_plan()
+    monkeypatch.setattr(command, "WORTH_A_FORK", 0)
+    beside = command.solve(plan.problem, second_process=True)
+    assert beside.baseline == plan.baseline and set(beside.baseline) == {"as_published"}
+    assert beside.metrics == plan.metrics and beside.checks == plan.checks
