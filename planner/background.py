@@ -2,23 +2,37 @@
 
 from __future__ import annotations
 
+import mmap
 import multiprocessing
+import os
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import Any
 
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from planner.errors import PlannerError
 from planner.interrupts import ignored_interrupts
+
+
+def spare_core() -> bool:
+    """True where a second process helps: on Linux, where one may be forked safely, if more than one core is ours."""
+    return sys.platform == "linux" and len(os.sched_getaffinity(0)) > 1
 
 
 @contextmanager
 def in_background(function: Callable[..., Any], *arguments: Any) -> Iterator[Callable[[], Any]]:
-    """Run `function(*arguments)` beside the block, which gets what waits for its result.
+    """Run `function(*arguments)` beside the block, which gets what waits for its result; only where `spare_core`.
 
-    The process ends with the block, finished or not. Ctrl-C is the block's to handle: the process does not see
-    it. An exception there shows its traceback and raises RuntimeError where the result is asked for.
+    The process is a copy of this one: it starts in a hundredth of a second, has everything, and shares the memory
+    of whatever neither of them changes. It ends with the block, finished or not. Ctrl-C is the block's to handle:
+    the process does not see it. A PlannerError there is raised where the result is asked for; any other exception
+    shows its traceback and raises RuntimeError there.
     """
-    context = multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("fork")
     receiver, sender = context.Pipe(duplex=False)
     child = context.Process(target=_send_result, args=(sender, function, arguments), daemon=True)
     with ignored_interrupts():
@@ -27,10 +41,13 @@ def in_background(function: Callable[..., Any], *arguments: Any) -> Iterator[Cal
 
     def wait() -> Any:
         try:
-            return receiver.recv()
+            result, error = receiver.recv()
         except EOFError:
             child.join()
             raise RuntimeError(f"{function.__name__} failed in its own process (exit code {child.exitcode})") from None
+        if error is not None:
+            raise error
+        return result
 
     try:
         yield wait
@@ -40,5 +57,29 @@ def in_background(function: Callable[..., Any], *arguments: Any) -> Iterator[Cal
         receiver.close()
 
 
+def in_halves(
+    function: Callable[[int, int], Any], count: int, second_process: bool, middle: int | None = None
+) -> list[Any]:
+    """Results of `function(first, last)` for the halves of range(count) side by side, or for all of it here.
+
+    What the function fills in must be `shared`. The second half begins at `middle`, if that is not count // 2.
+    """
+    half = count // 2 if middle is None else middle
+    if not second_process or not 0 < half < count or not spare_core():
+        return [function(0, count)]
+    with in_background(function, half, count) as wait:
+        return [function(0, half), wait()]
+
+
+def shared(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
+    """An array of zeros in memory that forked processes share."""
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    return np.frombuffer(mmap.mmap(-1, max(size, 1)), dtype=dtype, count=int(np.prod(shape))).reshape(shape)
+
+
 def _send_result(sender: Connection, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
-    sender.send(function(*arguments))
+    try:
+        result, error = function(*arguments), None
+    except PlannerError as refused:
+        result, error = None, refused
+    sender.send((result, error))

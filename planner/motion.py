@@ -17,6 +17,7 @@ from planner.toolpath.bead import Toolpath
 from planner.travel import Travel
 
 Array = NDArray[np.float64]
+BLOCK = 32768  # samples
 
 
 def join(
@@ -59,13 +60,11 @@ def join(
         volume.append(done + deposited_volume(line, piece.s[1:]))
         done += line.width * line.height * line.length
     joints = np.vstack(q)
-    T_part_nozzle = cell.T_part_nozzle(joints)
-    tip = np.ascontiguousarray(T_part_nozzle[:, :3, 3])
+    tip, axis, quat = _poses(cell, joints)
     speed = np.concatenate(s_dot)
     moving = np.linalg.norm(np.gradient(tip, dt, axis=0), axis=1)
     speed = np.where(np.isnan(speed), moving, speed)
     beads = np.concatenate(bead)
-    quat = Rotation.from_matrix(T_part_nozzle[:, :3, :3]).as_quat()
     turned = np.cumprod(np.where((quat[1:] * quat[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))
     quat[1:] *= turned[:, None]
     return Trajectory(
@@ -78,9 +77,20 @@ def join(
         q=joints,
         tip=tip,
         quat=quat,
-        axis=np.ascontiguousarray(T_part_nozzle[:, :3, 2]),
+        axis=axis,
         branch=cell.inverse.branches(joints[:, : len(cell.arm)]),
         speed=speed,
         flow=np.concatenate(rate),
         extruded=np.concatenate(volume),
     )
+
+
+def _poses(cell: Cell, q: Array) -> tuple[Array, Array, Array]:
+    """Nozzle tip (n, 3), axis (n, 3) and orientation (n, 4) in the part frame, block by block to bound the memory."""
+    tip, axis, quat = np.empty((len(q), 3)), np.empty((len(q), 3)), np.empty((len(q), 4))
+    for start in range(0, len(q), BLOCK):
+        rows = slice(start, start + BLOCK)
+        T_part_nozzle = cell.T_part_nozzle(q[rows])
+        tip[rows], axis[rows] = T_part_nozzle[:, :3, 3], T_part_nozzle[:, :3, 2]
+        quat[rows] = Rotation.from_matrix(T_part_nozzle[:, :3, :3]).as_quat()
+    return tip, axis, quat

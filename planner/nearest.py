@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -17,12 +18,31 @@ def distance_to_polyline(points: Array, polyline: Array) -> Array:
     """
     if len(points) == 0:
         return np.zeros(0)
-    _, nearest = cKDTree(polyline).query(points, k=2)
-    best = np.full(len(points), np.inf)
-    for start in np.concatenate([nearest - 1, nearest], axis=1).T:
-        start = np.clip(start, 0, len(polyline) - 2)
-        a, b = polyline[start], polyline[start + 1]
-        d = b - a
-        t = np.clip(((points - a) * d).sum(axis=1) / np.maximum((d * d).sum(axis=1), 1e-30), 0.0, 1.0)
-        best = np.minimum(best, np.linalg.norm(points - a - t[:, None] * d, axis=1))
-    return best
+    # a tree of sliding midpoints is built in half the time, and as good for points in a row
+    _, nearest = cKDTree(polyline, balanced_tree=False, compact_nodes=False).query(points, k=2)
+    return _distances(np.ascontiguousarray(points), np.ascontiguousarray(polyline), nearest)
+
+
+@njit(cache=True)
+def _distances(points: Array, polyline: Array, nearest: NDArray[np.intp]) -> Array:
+    """Distances (n) to the segments at each point's nearest vertices (n, k)."""
+    out = np.empty(len(points))
+    last = len(polyline) - 2
+    for i in range(len(points)):
+        best = np.inf
+        for vertex in nearest[i]:
+            for start in (vertex - 1, vertex):
+                j = min(max(start, 0), last)
+                along = length = 0.0
+                for k in range(3):
+                    d = polyline[j + 1, k] - polyline[j, k]
+                    along += (points[i, k] - polyline[j, k]) * d
+                    length += d * d
+                t = min(max(along / max(length, 1e-30), 0.0), 1.0)
+                square = 0.0
+                for k in range(3):
+                    gap = points[i, k] - polyline[j, k] - t * (polyline[j + 1, k] - polyline[j, k])
+                    square += gap * gap
+                best = min(best, square)
+        out[i] = np.sqrt(best)
+    return out

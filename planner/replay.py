@@ -8,10 +8,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from planner.background import in_halves, shared
 from planner.cell import Cell, Robot
 from planner.plan import Trajectory
 
 Array = NDArray[np.float64]
+BLOCK = 8192  # samples at once: bounds the memory, since a Jacobian takes more than all that is kept of a sample
 
 
 @dataclass(frozen=True)
@@ -33,10 +35,34 @@ class Motion:
     branch: NDArray[np.int8]
 
 
-def replay(cell: Cell, trajectory: Trajectory) -> Motion:
-    """Forward kinematics and Jacobians of every sample."""
+def replay(cell: Cell, trajectory: Trajectory, second_process: bool = False) -> Motion:
+    """Forward kinematics and Jacobians of every sample, half of them in a second process if that is wanted."""
+    n = len(trajectory)
+    vector = (n, 3)
+    whole = Motion(
+        tip=shared(vector),
+        axis=shared(vector),
+        rotation=shared((n, 3, 3)),
+        up=shared(vector),
+        sigma=shared((n,)),
+        det=shared((n,)),
+        branch=shared((n,), np.int8),
+    )
+
+    def fill(first: int, last: int) -> None:
+        for start in range(first, last, BLOCK):
+            rows = slice(start, min(start + BLOCK, last))
+            block = _replay(cell, np.ascontiguousarray(trajectory.q[rows]), trajectory.deposit[rows])
+            for name, values in vars(block).items():
+                getattr(whole, name)[rows] = values
+
+    in_halves(fill, n, second_process)
+    return whole
+
+
+def _replay(cell: Cell, q: Array, deposit: NDArray[np.bool_]) -> Motion:
+    """The same of postures q (n, nj)."""
     arm, na = cell.arm_robot, len(cell.arm)
-    q = np.ascontiguousarray(trajectory.q)
     T_base_nozzle, J = _nozzle(arm, cell.T_flange_nozzle, q[:, :na])
     T_world_nozzle = cell.T_world_base @ T_base_nozzle
     T_world_part = _part(cell, q[:, na:])
@@ -44,7 +70,7 @@ def replay(cell: Cell, trajectory: Trajectory) -> Motion:
     tip = np.einsum("nij,nj->ni", R_part_world, T_world_nozzle[:, :3, 3] - T_world_part[:, :3, 3])
     rotation = R_part_world @ T_world_nozzle[:, :3, :3]
     sigma = np.full(len(q), np.nan)
-    sigma[trajectory.deposit] = np.linalg.svd(J[trajectory.deposit], compute_uv=False)[:, -1]
+    sigma[deposit] = np.linalg.svd(J[deposit], compute_uv=False)[:, -1]
     det = np.linalg.det(J)
     branch = _branch(arm, T_base_nozzle @ np.linalg.inv(cell.T_flange_nozzle), q[:, :na], det)
     return Motion(tip, rotation[:, :, 2], rotation, R_part_world[:, :, 2], sigma, det, branch)
@@ -79,12 +105,12 @@ def _nozzle(arm: Robot, T_flange_nozzle: Array, q: Array) -> tuple[Array, Array]
     placement = flange.placement * pin.SE3(T_flange_nozzle)
     nozzle = model.addFrame(pin.Frame("nozzle", flange.parentJoint, placement, pin.FrameType.OP_FRAME))
     data = model.createData()
+    jacobian, pose, axes = pin.computeFrameJacobian, pin.updateFramePlacement, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
     T = np.empty((len(q), 4, 4))
     J = np.empty((len(q), 6, model.nv))
     for i, row in enumerate(q):
-        J[i] = pin.computeFrameJacobian(model, data, row, nozzle, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-        pin.updateFramePlacement(model, data, nozzle)
-        T[i] = data.oMf[nozzle].homogeneous
+        J[i] = jacobian(model, data, row, nozzle, axes)
+        T[i] = pose(model, data, nozzle).homogeneous
     return T, J
 
 
@@ -98,10 +124,10 @@ def _part(cell: Cell, q_free: Array) -> Array:
     names = list(model.names[1:])
     q = np.array([cell.held.get(name, 0.0) for name in names])
     free = [names.index(name) for name in cell.holder.names]
-    postures, which = np.unique(q_free, axis=0, return_inverse=True)  # a table often rests
-    T = np.empty((len(postures), 4, 4))
-    for i, row in enumerate(postures):
+    turned = np.append(True, (np.diff(q_free, axis=0) != 0.0).any(axis=1))  # a table often rests
+    T = np.empty((np.count_nonzero(turned), 4, 4))
+    for i, row in enumerate(q_free[turned]):
         q[free] = row
-        pin.framesForwardKinematics(model, data, q)
-        T[i] = data.oMf[tip].homogeneous
-    return (cell.T_world_holder_base @ T)[which.ravel()]
+        pin.forwardKinematics(model, data, q)
+        T[i] = pin.updateFramePlacement(model, data, tip).homogeneous
+    return (cell.T_world_holder_base @ T)[np.cumsum(turned) - 1]

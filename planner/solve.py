@@ -13,9 +13,11 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 
-from planner.background import in_background
+from planner.background import in_background, in_halves, spare_core
 from planner.cell import Cell, build_cell
 from planner.errors import (
     EXIT_INTERRUPTED,
@@ -34,18 +36,21 @@ from planner.report.failure import write_failure_report
 from planner.report.html import write_report
 from planner.report.summary import print_summary
 from planner.resolve import STRATEGIES
+from planner.resolve.jointpath import JointPath
 from planner.task import NozzleTask, cones_of, make_tasks
-from planner.timing import time_path
+from planner.timing import TimedPath, time_path
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.travel import plan_travels
+from planner.travel import Travel, plan_travels
 from planner.verify import Report, verify
 from planner.versions import versions
+
+Array = NDArray[np.float64]
 
 DEFAULT_DT = 0.004
 MIN_DT, MAX_DT = 0.0005, 0.02  # s; finer drowns in rounding, coarser hides what a joint does
 BASELINE = "as_published"
-WORTH_A_PROCESS = 50_000  # waypoints above which the baseline takes longer than starting a process for it
+WORTH_A_FORK = 5_000  # waypoints above which sharing the work takes less time than copying the process for it
 
 
 def solve(
@@ -58,7 +63,7 @@ def solve(
     """Plan a problem with a strategy (the problem's own, if none is given), sampled every dt [s], and verify it.
 
     The plan that comes back may have failed checks: see `Plan.verified`. The baseline strategy is planned as
-    well, for large prints beside the chosen one if `second_process`; its metrics are in `Plan.baseline`.
+    well; its metrics are in `Plan.baseline`. With a `second_process` the same comes sooner, where the print is large.
     Raises InputError for wrong input, Refusal where there is no plan at all.
     """
     stages = stages or Stages()
@@ -68,7 +73,7 @@ def solve(
     with stages.stage("toolpath"):
         toolpath, tasks = _toolpath(problem)
     with _baseline_beside(strategy, problem, cell, toolpath, tasks, dt, second_process) as baseline_metrics:
-        trajectory, report = _plan_with(strategy, problem, cell, toolpath, tasks, dt, stages)
+        trajectory, report = _plan_with(strategy, problem, cell, toolpath, tasks, dt, stages, second_process)
         with stages.stage("baseline"):
             baseline = baseline_metrics()
     return Plan(
@@ -101,17 +106,40 @@ def _plan_with(
     tasks: Sequence[NozzleTask],
     dt: float,
     stages: Stages,
+    second_process: bool = False,
 ) -> tuple[Trajectory, Report]:
     """Resolve, time, join and verify with one strategy."""
+    beside = second_process and _waypoints(toolpath) >= WORTH_A_FORK
     with stages.stage("resolve"):
         paths = STRATEGIES[strategy](cell, tasks, problem.resolve)
     with stages.stage("timing"):
-        timed = [time_path(cell, path, dt) for path in paths]
-        travels = plan_travels(cell, timed, toolpath, problem.process, dt)
-        trajectory = join(cell, toolpath, timed, travels, dt)
+        trajectory = _trajectory(problem, cell, toolpath, paths, dt, beside)
     with stages.stage("verify"):
-        report = verify(problem, cell, toolpath, trajectory)
+        report = verify(problem, cell, toolpath, trajectory, beside)
     return trajectory, report
+
+
+def _trajectory(
+    problem: Problem, cell: Cell, toolpath: Toolpath, paths: Sequence[JointPath], dt: float, second_process: bool
+) -> Trajectory:
+    """Time the beads' paths and plan the travel between them, half of both in a second process if that is wanted."""
+    n = len(paths)
+
+    def part(first: int, last: int) -> tuple[list[tuple[Array, ...]], list[Travel]]:
+        timed = [time_path(cell, path, dt) for path in paths[first:last]]
+        which = range(first, last + (last == n))  # the way home comes after the last bead
+        arrays: list[tuple[Array, ...]] = [(each.q, each.s, each.s_dot, each.edges) for each in timed]
+        return arrays, plan_travels(cell, paths, toolpath, problem.process, dt, which)
+
+    done = np.cumsum([len(path.q) for path in paths])
+    parts = in_halves(part, n, second_process, middle=1 + int(np.searchsorted(done, 0.5 * done[-1])))
+    arrays = [each for timed, _ in parts for each in timed]
+    timed = [TimedPath(path, *each) for path, each in zip(paths, arrays, strict=True)]
+    return join(cell, toolpath, timed, [travel for _, travels in parts for travel in travels], dt)
+
+
+def _waypoints(toolpath: Toolpath) -> int:
+    return sum(len(bead.s) for bead in toolpath.beads)
 
 
 @contextmanager
@@ -125,11 +153,10 @@ def _baseline_beside(
     second_process: bool,
 ) -> Iterator[Callable[[], dict[str, dict[str, float]]]]:
     """What gives the baseline's metrics by strategy, planned beside the block where that is worth a process."""
-    waypoints = sum(len(bead.s) for bead in toolpath.beads)
     if strategy == BASELINE:
         yield dict
-    elif second_process and waypoints >= WORTH_A_PROCESS:
-        with in_background(_baseline_from_problem, problem, dt) as wait:
+    elif second_process and _waypoints(toolpath) >= WORTH_A_FORK and spare_core():
+        with in_background(_baseline, problem, cell, toolpath, tasks, dt) as wait:
             yield wait
     else:
         yield lambda: _baseline(problem, cell, toolpath, tasks, dt)
@@ -146,23 +173,31 @@ def _baseline(
     return {BASELINE: report.metrics}
 
 
-def _baseline_from_problem(problem: Problem, dt: float) -> dict[str, dict[str, float]]:
-    """The same in a process that has nothing but the problem."""
-    return _baseline(problem, build_cell(problem), *_toolpath(problem), dt)
+def write(plan: Plan, folder: Path, stages: Stages | None = None, second_process: bool = False) -> Plan:
+    """Write a plan's files into a folder, robot code only if the plan is verified; returns it with all timings.
 
-
-def write(plan: Plan, folder: Path, stages: Stages | None = None) -> Plan:
-    """Write a plan's files into a folder, robot code only if the plan is verified; returns it with all timings."""
+    Robot code, which is read back and compared, takes as long as all else: a second process may write it meanwhile.
+    """
     stages = stages or Stages()
     with stages.stage("export"):
-        if plan.verified:
+        if not plan.verified:
+            _write_tables(plan, folder)
+        elif second_process and _waypoints(plan.toolpath) >= WORTH_A_FORK and spare_core():
+            with in_background(write_robot_code, plan, folder) as wait:
+                _write_tables(plan, folder)
+                wait()
+        else:
             write_robot_code(plan, folder)
-        write_report(plan, folder / "report.html")
-        write_trajectory(plan, folder)
+            _write_tables(plan, folder)
     seconds = {**plan.timing_s, **stages.seconds}
     plan = replace(plan, timing_s={**seconds, "total": sum(seconds.values())})
     write_plan(plan, folder)
     return plan
+
+
+def _write_tables(plan: Plan, folder: Path) -> None:
+    write_report(plan, folder / "report.html")
+    write_trajectory(plan, folder)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -197,7 +232,7 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
                 reason: Refusal | None = refusal
             else:
                 plan = replace(plan, settings={**plan.settings, "overrides": list(options.set)})
-                plan = write(plan, fresh, stages)
+                plan = write(plan, fresh, stages, second_process=True)
                 reason = None
     if reason is not None:
         errors.print(f"no plan: {reason}", markup=False, soft_wrap=True)

@@ -15,7 +15,7 @@ from planner.errors import Refusal
 from planner.problem import ProcessSpec
 from planner.resolve.jointpath import JointPath, flange_poses
 from planner.task import NozzleTask
-from planner.timing import HEADROOM, TimedPath
+from planner.timing import HEADROOM
 from planner.toolpath.bead import Surface, Toolpath
 
 Array = NDArray[np.float64]
@@ -36,23 +36,29 @@ class Travel:
 
 
 def plan_travels(
-    cell: Cell, timed: Sequence[TimedPath], toolpath: Toolpath, process: ProcessSpec, dt: float
+    cell: Cell,
+    paths: Sequence[JointPath],
+    toolpath: Toolpath,
+    process: ProcessSpec,
+    dt: float,
+    which: range | None = None,
 ) -> list[Travel]:
-    """The way from home to the first bead, between beads, and home: one more than there are beads.
+    """The way from home to the first bead, between beads, and home: one more than there are beads; or `which` of them.
 
     Raises Refusal if no lift brings the nozzle clear of the part and of what has been printed on it.
     """
     travels = []
-    printed = 0.0  # how far the part has grown
-    for i in range(len(timed) + 1):
-        leave = timed[i - 1].path if i > 0 else None
-        reach = timed[i].path if i < len(timed) else None
-        surface = toolpath.surface.before(i)
-        travels.append(_travel(cell, leave, reach, surface, printed, process.lift, process.travel_speed, dt))
-        if reach is not None:
-            bead = toolpath.beads[i]
-            surface = toolpath.surface.before(i + 1)
-            printed = max(printed, float(surface.signed_distance(bead.points).max()))
+    surfaces = [toolpath.surface.before(i) for i in range(len(paths) + 1)]
+    heights = [
+        float(surface.signed_distance(bead.points).max())
+        for surface, bead in zip(surfaces[1:], toolpath.beads, strict=True)
+    ]
+    printed = list(itertools.accumulate(heights, max, initial=0.0))  # how far the part has grown before each bead
+    for i in range(len(paths) + 1) if which is None else which:
+        leave = paths[i - 1] if i > 0 else None
+        reach = paths[i] if i < len(paths) else None
+        height, lift, speed = printed[i], process.lift, process.travel_speed
+        travels.append(_travel(cell, leave, reach, surfaces[i], height, lift, speed, dt))
     return travels
 
 

@@ -6,13 +6,16 @@ says of itself (tip, axis, speed, flow) is compared with what its joints do.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from planner.background import in_halves, shared
 from planner.cell import Cell
 from planner.nearest import distance_to_polyline
 from planner.plan import Check, Trajectory
@@ -28,6 +31,7 @@ SPEED_TOLERANCE = 0.02  # of the commanded speed: within it a sample counts as a
 EXTRUSION_TOLERANCE = 1e-3  # of the volume
 SPEED_RECORD = 1e-3  # m/s, recorded speed off the mean of two steps, beyond what four steps differ by
 RECORD_TOLERANCE = 1e-6  # m: what the trajectory says of its tip against what its joints do
+BLOCK = 32768  # samples
 DIGITS = 1e-9  # relative: limits are compared with this much room for rounding
 
 
@@ -40,14 +44,20 @@ class Report:
     series: dict[str, Array]
 
 
-def verify(problem: Problem, cell: Cell, toolpath: Toolpath, trajectory: Trajectory) -> Report:
-    """Check a trajectory against the cell's limits and the input geometry; a failed check is reported, not raised."""
+def verify(
+    problem: Problem, cell: Cell, toolpath: Toolpath, trajectory: Trajectory, second_process: bool = False
+) -> Report:
+    """Check a trajectory against the cell's limits and the input geometry; a failed check is reported, not raised.
+
+    With a second process the report is the same, and there sooner.
+    """
     checks: list[Check] = []
     trajectory = _finite(trajectory, checks)
-    motion = replay(cell, trajectory)
+    motion = replay(cell, trajectory, second_process)
     metrics: dict[str, float] = {}
     series: dict[str, Array] = {}
-    for part in (_records, _limits, _geometry, _coverage, _singularity, _speed, _extrusion, _clearance):
+    geometry = partial(_geometry, second_process)
+    for part in (_records, _limits, geometry, _coverage, _singularity, _speed, _extrusion, _clearance):
         part(problem, cell, toolpath, trajectory, motion, checks, metrics, series)
     return Report(tuple(checks), metrics, series)
 
@@ -57,6 +67,18 @@ def _where(trajectory: Trajectory, i: int) -> str:
     bead = int(trajectory.bead[i])
     spot = f"bead {bead}, {trajectory.s[i] * 1e3:.1f} mm" if bead >= 0 else "travel"
     return f"t = {trajectory.t[i]:.3f} s, {spot}"
+
+
+def _samples_of(t: Trajectory, beads: int) -> list[NDArray[np.intp]]:
+    """Samples of each bead, in order of time; beads may come in any order, and more than once."""
+    order = np.argsort(t.bead, kind="stable")
+    bounds = np.searchsorted(t.bead[order], np.arange(beads + 1))
+    return [order[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+
+
+def _blocks(n: int) -> Iterator[slice]:
+    """Samples in blocks, which bounds the memory."""
+    return (slice(start, min(start + BLOCK, n)) for start in range(0, n, BLOCK))
 
 
 def _check_most(checks: list[Check], t: Trajectory, name: str, values: Array, limit: float, unit: str) -> float:
@@ -81,26 +103,30 @@ def _finite(t: Trajectory, checks: list[Check]) -> Trajectory:
     bad = np.zeros(len(t))
     for value in fields.values():
         bad += (~np.isfinite(value)).reshape(len(t), -1).sum(axis=1)
-    numbers: dict[str, Any] = {k: np.nan_to_num(v, posinf=0.0, neginf=0.0) for k, v in fields.items()}
-    clean = replace(t, **numbers)
-    _check_most(checks, clean, "all numbers finite", bad, 0.0, "that are not")
-    return clean if bad.any() else t
+    if bad.any():
+        numbers: dict[str, Any] = {k: np.nan_to_num(v, posinf=0.0, neginf=0.0) for k, v in fields.items()}
+        t = replace(t, **numbers)
+    _check_most(checks, t, "all numbers finite", bad, 0.0, "that are not")
+    return t
 
 
 def _records(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:  # type: ignore[no-untyped-def]
     """What the trajectory says of itself, and what is written from it, is what its joints and its samples are."""
-    x, y, z, w = t.quat.T
-    turned = np.stack(
-        [
-            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], axis=-1),
-            np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], axis=-1),
-            np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], axis=-1),
-        ],
-        axis=1,
-    )
-    off = [np.linalg.norm(motion.tip - t.tip, axis=1), np.linalg.norm(motion.axis - t.axis, axis=1)]
-    off.append(np.abs(motion.rotation - turned).max(axis=(1, 2)))
-    _check_most(checks, t, "recorded poses", np.max(off, axis=0) * 1e3, RECORD_TOLERANCE * 1e3, "mm")
+    off = np.empty(len(t))
+    for rows in _blocks(len(t)):
+        x, y, z, w = t.quat[rows].T
+        turned = np.stack(
+            [
+                np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], axis=-1),
+                np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], axis=-1),
+                np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], axis=-1),
+            ],
+            axis=1,
+        )
+        tip = np.linalg.norm(motion.tip[rows] - t.tip[rows], axis=1)
+        axis = np.linalg.norm(motion.axis[rows] - t.axis[rows], axis=1)
+        off[rows] = np.max([tip, axis, np.abs(motion.rotation[rows] - turned).max(axis=(1, 2))], axis=0)
+    _check_most(checks, t, "recorded poses", off * 1e3, RECORD_TOLERANCE * 1e3, "mm")
     _check_most(checks, t, "recorded branch", (motion.branch != t.branch).astype(float), 0.0, "")
     odd = (np.abs(t.t - np.arange(len(t)) * t.dt) > DIGITS) | (t.deposit != (t.bead >= 0))
     _check_most(checks, t, "recorded times and beads", odd.astype(float), 0.0, "")
@@ -109,40 +135,51 @@ def _records(problem, cell, toolpath, t, motion, checks, metrics, series) -> Non
 def _limits(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:  # type: ignore[no-untyped-def]
     """Joint ranges, speed, acceleration and jerk by central differences of the samples."""
     limits = cell.limits
-    margin = np.minimum(t.q - limits.q_min, limits.q_max - t.q)
-    series["limit_margin_deg"] = np.degrees(margin.min(axis=1))
-    metrics["joint_limit_margin_deg"] = _check_least(checks, t, "joint range", series["limit_margin_deg"], 0.0, "deg")
     q = np.vstack([t.q[:1], t.q[:1], t.q, t.q[-1:], t.q[-1:]])  # at rest before and after
-    velocity = (q[3:-1] - q[1:-3]) / (2.0 * t.dt)
-    acceleration = (q[3:-1] - 2.0 * q[2:-2] + q[1:-3]) / t.dt**2
-    jerk = (q[4:] - 2.0 * q[3:-1] + 2.0 * q[1:-3] - q[:-4]) / (2.0 * t.dt**3)
-    for name, values, limit in (
-        ("velocity", velocity, limits.velocity),
-        ("acceleration", acceleration, limits.acceleration),
-        ("jerk", jerk, limits.jerk),
-    ):
-        ratio = (np.abs(values) / limit).max(axis=1)
+    margin, step = np.empty(len(t)), np.empty(len(t))
+    ratios = {name: np.empty(len(t)) for name in ("velocity", "acceleration", "jerk")}
+    for rows in _blocks(len(t)):
+        a, b, c, d, e = (q[rows.start + k : rows.stop + k] for k in range(5))
+        margin[rows] = np.degrees(np.minimum(c - limits.q_min, limits.q_max - c).min(axis=1))
+        step[rows] = (np.abs(c - b) / (limits.velocity * t.dt)).max(axis=1)
+        velocity, acceleration = (d - b) / (2.0 * t.dt), (d - 2.0 * c + b) / t.dt**2
+        jerk = (e - 2.0 * d + 2.0 * b - a) / (2.0 * t.dt**3)
+        ratios["velocity"][rows] = (np.abs(velocity) / limits.velocity).max(axis=1)
+        ratios["acceleration"][rows] = (np.abs(acceleration) / limits.acceleration).max(axis=1)
+        ratios["jerk"][rows] = (np.abs(jerk) / limits.jerk).max(axis=1)
+    series["limit_margin_deg"] = margin
+    metrics["joint_limit_margin_deg"] = _check_least(checks, t, "joint range", margin, 0.0, "deg")
+    for name, ratio in ratios.items():
         series[f"{name}_ratio"] = ratio
         metrics[f"{name}_ratio_max"] = float(ratio.max())
         if name != "jerk":
             _check_most(checks, t, f"joint {name}", ratio, 1.0, "of limit")
-    step = (np.abs(np.diff(t.q, axis=0, prepend=t.q[:1])) / (limits.velocity * t.dt)).max(axis=1)
     _check_most(checks, t, "continuity", step, 1.0, "of a sample's travel at full speed")
 
 
-def _geometry(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:  # type: ignore[no-untyped-def]
+def _geometry(second_process, problem, cell, toolpath, t, motion, checks, metrics, series) -> None:  # type: ignore[no-untyped-def]
     """Tip on the rounded path, axis on the true normal, rounded path within tolerance of the input, both ways."""
-    position, deviation = np.zeros(len(t)), np.zeros(len(t))
-    unreached = 0.0
-    for i, bead in enumerate(toolpath.beads):
-        at = np.flatnonzero(t.bead == i)
-        if len(at) < 2:
-            continue  # the coverage check names this bead
-        tip = motion.tip[at]
-        path = CubicSpline(bead.s, bead.points)
-        position[at] = np.linalg.norm(path(t.s[at]) - tip, axis=1)
-        deviation[at] = distance_to_polyline(tip, bead.source)
-        unreached = max(unreached, float(distance_to_polyline(bead.source, path(_denser(bead.s))).max()))
+    position, deviation = shared((len(t),)), shared((len(t),))
+    beads = len(toolpath.beads)
+    samples = _samples_of(t, beads)
+
+    parts = 2 if beads == 1 else 1  # of a bead: its samples, and whether it goes wherever the input does
+
+    def judge(first: int, last: int) -> float:
+        unreached = 0.0
+        for i in range(first, last):
+            at, bead = samples[i // parts], toolpath.beads[i // parts]
+            if len(at) < 2:
+                continue  # the coverage check names this bead
+            path = CubicSpline(bead.s, bead.points)
+            if i % parts == 0:
+                position[at] = np.linalg.norm(path(t.s[at]) - motion.tip[at], axis=1)
+                deviation[at] = distance_to_polyline(motion.tip[at], bead.source)
+            if i % parts == parts - 1:
+                unreached = max(unreached, float(distance_to_polyline(bead.source, path(_denser(bead.s))).max()))
+        return unreached
+
+    unreached = max(in_halves(judge, parts * beads, second_process))
     normals = toolpath.surface.normals(motion.tip)
     cosine = -(normals * motion.axis).sum(axis=1)
     sine = np.linalg.norm(np.cross(normals, motion.axis), axis=1)
@@ -179,8 +216,8 @@ def _coverage(problem, cell, toolpath, t, motion, checks, metrics, series) -> No
     worst, where = 0.0, "everywhere"
     starts = np.flatnonzero(t.deposit & (np.concatenate([[-1], t.bead[:-1]]) != t.bead))
     in_order = np.array_equal(t.bead[starts], np.arange(len(toolpath.beads)))
-    for i, bead in enumerate(toolpath.beads):
-        s = t.s[t.bead == i]
+    for i, (at, bead) in enumerate(zip(_samples_of(t, len(toolpath.beads)), toolpath.beads, strict=True)):
+        s = t.s[at]
         gaps = np.diff(np.concatenate([[0.0], s, [bead.length]]))
         gap = float(gaps.max()) if len(s) and gaps.min() >= 0.0 else bead.length
         if gap > worst:
@@ -243,9 +280,9 @@ def _speed(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:
 def _extrusion(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:  # type: ignore[no-untyped-def]
     """Material: none outside beads, never backwards, and per bead as much as the bead holds."""
     worst, where = 0.0, "everywhere"
-    for i, bead in enumerate(toolpath.beads):
+    for i, (at, bead) in enumerate(zip(_samples_of(t, len(toolpath.beads)), toolpath.beads, strict=True)):
         volume = bead.width * bead.height * bead.length
-        off = abs(float(t.flow[t.bead == i].sum()) * t.dt - volume) / volume
+        off = abs(float(t.flow[at].sum()) * t.dt - volume) / volume
         if off > worst:
             worst, where = off, f"bead {i}"
     stray = bool((t.flow[~t.deposit] != 0.0).any() or (t.flow < 0.0).any())

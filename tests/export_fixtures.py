@@ -31,10 +31,10 @@ FILAMENT = 1.75e-3
 TABLE_TURN = 0.6  # of the bead's turning done by the table; the arm does the rest
 
 
-def problem(positioner: bool = True, **program: str) -> Any:
+def problem(positioner: bool = True, free: tuple[str, ...] = ("rotation",), **program: str) -> Any:
     """What the exporters read of a problem, and what a cell is built from."""
     names = {"tool": "tPen", "work_object": "wobjPart", "station": "STN1", "extruder_signal": "doExtrude"} | program
-    station = SimpleNamespace(robot="irbp_a250", origin=(0.6335, 0.00987, 0.38), free=("rotation",), held={})
+    station = SimpleNamespace(robot="irbp_a250", origin=(0.6335, 0.00987, 0.38), free=free, held={})
     return SimpleNamespace(
         name="two_beads",
         file=Path("two_beads.yaml"),
@@ -84,6 +84,8 @@ def _postures(cell: Cell, tip: Array, normal: Array, previous: Array | None) -> 
     nf = len(cell.holder)
     azimuth = np.unwrap(np.arctan2(normal[:, 1], normal[:, 0]))
     table = -TABLE_TURN * (azimuth - np.pi)[:, None] if nf else np.empty((len(tip), 0))
+    if nf == 2:  # before the turning, tilting: to and fro
+        table = np.column_stack([0.1 * np.sin(4.0 * azimuth), table])
     T_part_nozzle = np.tile(np.eye(4), (len(tip), 1, 1))
     z = -normal
     x = np.cross(np.array([0.0, 0.0, 1.0]), z)
@@ -107,9 +109,15 @@ def _postures(cell: Cell, tip: Array, normal: Array, previous: Array | None) -> 
 
 
 @cache
-def make_plan(positioner: bool = True, beads: int = 2, length: float = 0.020, dip: bool = True) -> Plan:
+def make_plan(
+    positioner: bool = True,
+    beads: int = 2,
+    length: float = 0.020,
+    dip: bool = True,
+    free: tuple[str, ...] = ("rotation",),
+) -> Plan:
     """A plan of `beads` beads: home, at rest before each run-in, run-out to rest, back home."""
-    spec = problem(positioner)
+    spec = problem(positioner, free)
     cell = build_cell(spec)
     parts: list[tuple[Array, Array, int]] = []  # joints, arc length along the bead or NaN, bead
     at = cell.home

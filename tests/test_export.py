@@ -23,7 +23,8 @@ from planner.export import write_plan, write_robot_code, write_trajectory
 from planner.export.gcode import gcode
 from planner.export.plan_json import plan_json
 from planner.export.rapid import comment, module_name, number, rapid
-from planner.export.rapid_check import compare, replay
+from planner.export.rapid_check import compare
+from planner.export.rapid_pieces import replay
 from planner.export.rapid_reader import NUMBER, numbers, read_rapid
 from planner.export.rotations import angle, continuous, from_matrix, slerp, to_matrix
 from planner.export.table import write_table
@@ -32,6 +33,8 @@ from planner.plan import Check, Trajectory
 
 HEADER = "t_s,bead,layer,deposit,s_mm,x_mm,y_mm,z_mm,ax,ay,az,speed_mm_s,flow_mm3_s,e_mm"
 MOVE = re.compile(r"(MoveJ|MoveL|TriggL) (\[\[.*?\]\]),(\w+),(?:(trg[\w\\:=]+),)?(fine|z0|z1),tPen\\WObj:=wobjPart;")
+
+BOTH = ("tilt", "rotation")  # axes of the station
 
 
 def moves_of(text: str) -> list[SimpleNamespace]:
@@ -299,6 +302,24 @@ def test_program_repeats_the_plan(positioner):
     assert found.conf == 0 and found.complaints() == []
 
 
+def test_program_repeats_a_plan_that_moves_both_axes_of_the_station():
+    plan = make_plan(free=BOTH)
+    assert plan.cell.joint_names[6:] == BOTH
+    text = rapid(plan)
+    assert "eax_a tilt, eax_b rotation." in text
+    program = read_rapid(text)
+    found = compare(plan, program)
+    assert found.path < 0.021e-3 and np.degrees(found.external) < 0.05 and found.complaints() == []
+    # each axis moves for itself, and stands where the plan has it at the targets of the second bead's ends
+    turned = np.ptp(program.external[:, :2], axis=0)
+    assert turned[0] > 0.05 and turned[1] > 0.2
+    np.testing.assert_allclose(program.start[6:8], plan.trajectory.q[0, 6:], atol=1e-6)
+    np.testing.assert_allclose(program.external[-1, :2], plan.trajectory.q[-1, 6:], atol=1e-6)
+    for column in (0, 1):
+        spoilt = _tamper(text, LINE_EXTERNAL, _shifted(column, 0.3, 4), 12)
+        assert any("external" in complaint for complaint in compare(plan, read_rapid(spoilt)).complaints())
+
+
 def test_replay_is_dense_and_lies_on_the_plan():
     plan = make_plan()
     t = plan.trajectory
@@ -506,13 +527,14 @@ def test_table_holds_the_samples():
     assert "-0.0" not in re.sub(r"-0\.0*[1-9]", "", body)
 
 
-def test_nozzle_poses_follow_from_the_json_alone():
-    plan = make_plan()
+@pytest.mark.parametrize("free", [("rotation",), BOTH], ids=len)
+def test_nozzle_poses_follow_from_the_json_alone(free):
+    plan = make_plan(free=free)
     data = json.loads(plan_json(plan))["cell"]
     random = np.random.default_rng(1)
     q = random.uniform(-3.0, 3.0, (20, len(data["joints"])))
     assert [j["name"] for j in data["joints"]] == list(plan.cell.joint_names)
-    assert [j["moves"] for j in data["joints"]] == ["nozzle"] * 6 + ["part"]
+    assert [j["moves"] for j in data["joints"]] == ["nozzle"] * 6 + ["part"] * len(free)
 
     def screw(joint, angle_):
         w, p = np.array(joint["direction"]), np.array(joint["origin_m"])
@@ -529,7 +551,7 @@ def test_nozzle_poses_follow_from_the_json_alone():
         nozzle = ends["nozzle"] @ data["T_world_nozzle_zero"]
         part = ends["part"] @ data["T_world_part_zero"]
         np.testing.assert_allclose(np.linalg.inv(part) @ nozzle, T, atol=1e-10)
-    assert data["joints"][6]["v_max"] == pytest.approx(np.radians(180.0))
+    assert data["joints"][-1]["v_max"] == pytest.approx(np.radians(180.0))
 
 
 def test_json_is_strict_and_complete():

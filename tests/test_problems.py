@@ -12,7 +12,8 @@ from scipy.spatial import cKDTree
 
 from planner.errors import Refusal
 from planner.export.rapid import rapid
-from planner.export.rapid_check import compare, replay
+from planner.export.rapid_check import compare
+from planner.export.rapid_pieces import replay
 from planner.export.rapid_reader import read_rapid
 from planner.plan import Plan
 from planner.problem import load_problem, shipped_problems

@@ -17,6 +17,8 @@ LONGEST_MODULE = 350  # lines: beyond, a module is two ideas
 ROOMS = (
     "errors",
     "readonly",
+    "interrupts",
+    "background",
     "problem",
     "kinematics",
     "cell",
@@ -36,9 +38,7 @@ ROOMS = (
     "report",
     "versions",
     "progress",
-    "interrupts",
     "output",
-    "background",
     "solve",
 )
 SAME_ROOM = {
@@ -64,7 +64,16 @@ NARROW = {
 FORBIDDEN = {name: {"resolve", "timing", "travel", "motion", "kinematics"} for name in ("replay", "verify")}
 # Modules that may import a heavy package; a room stands for all its modules.
 HEAVY = {
-    "numba": {"kinematics", "toolpath.ordering", "toolpath.surfels", "toolpath.transport", "resolve", "timing"},
+    "numba": {
+        "kinematics",
+        "toolpath.ordering",
+        "toolpath.surfels",
+        "toolpath.transport",
+        "resolve",
+        "timing",
+        "nearest",
+        "export.digits",
+    },
     "ruckig": {"travel"},
     "pinocchio": {"cell", "replay"},
     "svgelements": {"toolpath"},

@@ -103,7 +103,7 @@ def test_a_speed_that_no_move_can_keep_is_refused(cell: Cell) -> None:
 
 @pytest.fixture(scope="module")
 def travels(cell: Cell, timed: tuple[TimedPath, ...], toolpath: Toolpath, drawing_problem: Problem) -> list[Travel]:
-    return plan_travels(cell, timed, toolpath, drawing_problem.process, DT)
+    return plan_travels(cell, [piece.path for piece in timed], toolpath, drawing_problem.process, DT)
 
 
 def test_travels_join_home_and_beads(cell: Cell, timed: tuple[TimedPath, ...], travels: list[Travel]) -> None:
@@ -190,7 +190,9 @@ def test_no_way_round_is_a_refusal_that_names_the_bead(
 ) -> None:
     surface: Surface = Wall()
     with pytest.raises(Refusal) as caught:
-        plan_travels(cell, timed, Toolpath(toolpath.beads, surface), drawing_problem.process, DT)
+        plan_travels(
+            cell, [piece.path for piece in timed], Toolpath(toolpath.beads, surface), drawing_problem.process, DT
+        )
     assert caught.value.bead == 0
     assert "clear" in str(caught.value)
 
@@ -201,5 +203,5 @@ def test_the_table_stays_where_the_last_bead_leaves_it(
     # As published the table does all the turning, so that it ends elsewhere than it began.
     timed = [time_path(cell, path, DT) for path in joint_paths["as_published"]]
     assert abs(timed[-1].q[-1, 6] - timed[-1].q[0, 6]) > 1e-3
-    home = plan_travels(cell, timed, toolpath, drawing_problem.process, DT)[-1]
+    home = plan_travels(cell, [piece.path for piece in timed], toolpath, drawing_problem.process, DT)[-1]
     np.testing.assert_allclose(home.q[:, 6], timed[-1].q[-1, 6], rtol=0, atol=1e-9)

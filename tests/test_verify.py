@@ -22,10 +22,11 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 from solved import bed_plan, small_plan
 
-from planner.cell import Cell
+from planner.cell import Cell, build_cell
 from planner.nearest import distance_to_polyline
 from planner.plan import TRAVEL, Plan, Trajectory
-from planner.problem import Problem
+from planner.problem import Problem, load_problem
+from planner.replay import replay
 from planner.solve import write
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.wrap import Cylinder
@@ -984,3 +985,29 @@ def test_a_bead_has_its_source_and_points_within_tolerance_by_brute_force(plan: 
     forth = max(brute_force(point, bead.source)[0] for point in bead.points[::5])
     assert forth * 1e3 <= 0.2
     assert forth * 1e3 > 0.1, "a sharp corner uses its tolerance"
+
+
+def test_a_station_with_two_moving_axes_is_replayed_as_it_moves() -> None:
+    """Pinocchio on the URDFs, against the planner's own kinematics; one axis moves, then the other, then both."""
+    changes = ["cell.positioner.free=[rotation, tilt]", "cell.positioner.held_deg={}"]
+    cell = build_cell(load_problem("cylinder_logo", changes))
+    assert cell.joint_names[6:] == ("tilt", "rotation")
+    wave = np.sin(np.linspace(0.0, 6.0, 40))
+    q = np.tile(cell.home, (120, 1)) + 0.2 * np.random.default_rng(3).uniform(-1.0, 1.0, (120, 8)) * (
+        [1.0] * 6 + [0, 0]
+    )
+    q[:40, 6], q[40:80, 7] = wave, 2.0 * wave
+    q[80:, 6], q[80:, 7] = -wave, wave[::-1]
+    T = cell.T_part_nozzle(q)
+    nothing = np.zeros(len(q))
+    motion = replay(
+        cell,
+        Trajectory(
+            dt=0.004, t=nothing, bead=nothing.astype(np.int32), layer=nothing.astype(np.int32), deposit=nothing > 0,
+            s=nothing, q=q, tip=T[:, :3, 3], quat=np.zeros((120, 4)), axis=T[:, :3, 2], branch=nothing.astype(np.int8),
+            speed=nothing, flow=nothing, extruded=nothing,
+        ),
+    )  # fmt: skip
+    np.testing.assert_allclose(motion.tip, T[:, :3, 3], atol=1e-12)
+    np.testing.assert_allclose(motion.rotation, T[:, :3, :3], atol=1e-12)
+    np.testing.assert_allclose(motion.up, np.linalg.inv(cell.holder.poses(q[:, 6:]))[:, :3, 2], atol=1e-12)

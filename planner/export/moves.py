@@ -182,7 +182,7 @@ def _rests(trajectory: Trajectory, first: Indices, last: Indices) -> tuple[Flags
     rate[1:-1] = np.abs(trajectory.q[2:] - trajectory.q[:-2]).max(axis=1) / (2.0 * trajectory.dt)
     rate[[0, -1]] = 0.0
     half = max(1, round(0.1 / trajectory.dt))
-    around = np.lib.stride_tricks.sliding_window_view(np.pad(rate, half, mode="edge"), 2 * half + 1).max(axis=1)
+    around = _sliding_maximum(np.pad(rate, half, mode="edge"), 2 * half + 1)
     slow = (rate < 5e-3) & (rate <= 0.05 * around)
     edge = np.zeros(n, dtype=bool)
     edge[first], edge[last] = True, True
@@ -198,6 +198,15 @@ def _rests(trajectory: Trajectory, first: Indices, last: Indices) -> tuple[Flags
         wait[at] = still if still >= LEAST_WAIT else 0.0
     fine[[0, n - 1]] = True
     return fine, wait
+
+
+def _sliding_maximum(values: Array, width: int) -> Array:
+    """Largest of each `width` neighbouring values (n), n - width + 1 of them."""
+    out, covered = values, 1
+    while covered < width:  # each step joins two windows, which may overlap
+        step = min(covered, width - covered)
+        out, covered = np.maximum(out[:-step], out[step:]), covered + step
+    return out
 
 
 def _flown(path: Array, first: Indices, last: Indices, rests: Indices, run_in: float) -> tuple[Indices, Indices]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from planner.export.moves import deposits, nearest_fraction
 from planner.export.rapid import external_degrees, quadrants
+from planner.export.rapid_pieces import Piece, pieces_of
 from planner.export.rapid_reader import Program
 from planner.export.rotations import angle, continuous, slerp, to_matrix
 
@@ -21,8 +22,11 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 LEVER = 0.05  # [m/rad]: turning counts as path where the tip stands still
-WINDOW = 64  # samples to either side within which a target's own sample is sought
+# samples to either side within which a target's own sample is sought, for those not found this near [m] before
+WINDOWS = ((6, -1.0), (64, 1e-6))
 ASTRAY = 2e-4  # m, between a target and its sample: beyond, the whole piece is searched
+BLOCK = 200_000  # samples looked at, and
+PIECES = 64  # pieces compared at once: bounds the memory
 
 
 @dataclass(frozen=True)
@@ -67,169 +71,154 @@ class Agreement:
         ]
 
 
-@dataclass(frozen=True)
-class Replay:
-    """One stretch between extruder on and off: tip (k, 3) [m], orientation (k, 4), part's axes (k, 6) [rad]."""
-
-    position: Array
-    quat: Array
-    external: Array
-
-
-@dataclass(frozen=True)
-class _Piece:
-    """Targets between two extruder events, both included; `linear`, `speed` (m - 1,) are those of the move to the next."""
-
-    position: Array
-    quat: Array
-    external: Array
-    conf: Indices
-    linear: NDArray[np.bool_]
-    speed: Array
-    known: NDArray[np.bool_]  # a target of the program, not a point where a trigger cuts a move
-
-
-def replay(program: Program, step: float = 0.5e-3) -> tuple[Replay, ...]:
-    """Dense path of every stretch with the extruder on, at most `step` [m] between its points."""
-    out = []
-    for piece in [piece for on, piece in _pieces(program) if on]:
-        parts = np.maximum(1, np.ceil(np.linalg.norm(np.diff(piece.position, axis=0), axis=1) / step)).astype(np.intp)
-        a = np.append(np.repeat(np.arange(len(parts)), parts), len(parts) - 1)
-        u = np.append((np.arange(len(a) - 1) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[a[:-1]], 1.0)
-        between = u[:, None]
-        out.append(
-            Replay(
-                position=piece.position[a] + between * (piece.position[a + 1] - piece.position[a]),
-                quat=slerp(piece.quat[a], piece.quat[a + 1], u),
-                external=piece.external[a] + between * (piece.external[a + 1] - piece.external[a]),
-            )
-        )
-    return tuple(out)
-
-
 def compare(plan: Plan, program: Program) -> Agreement:
     """Worst differences between the plan and a program that was read back."""
     trajectory = plan.trajectory
     first, last = deposits(trajectory)
-    pieces = list(_pieces(program))
+    pieces = list(pieces_of(program))
     cuts = np.concatenate([[0], np.column_stack([first, last]).ravel(), [len(trajectory) - 1]])
     expected_on = [k % 2 == 1 for k in range(len(cuts) - 1)]
     if [on for on, _ in pieces] != expected_on:
         return Agreement(np.inf, np.inf, np.inf, np.inf, np.inf, np.inf, np.inf, len(program.conf))
-    worst = np.zeros(5)
-    event, conf = 0.0, 0
-    for k, (on, piece) in enumerate(pieces):
-        found, wrong = _compare_piece(plan, piece, int(cuts[k]), int(cuts[k + 1]), on)
-        worst, conf = np.maximum(worst, found), conf + wrong
-        if k:
-            event = max(event, float(np.linalg.norm(piece.position[0] - trajectory.tip[cuts[k]])))
+    match = _matched(plan, [piece for _, piece in pieces], cuts)
+    starts = match.targets[1:-1]
+    event = np.linalg.norm(match.all.position[starts] - trajectory.tip[cuts[1:-1]], axis=1).max(initial=0.0)
+    worst = np.maximum(_targets(plan, match), _lines(plan, match))
     frames, turned = _frames(plan, program)
     return Agreement(
         path=float(worst[0]),
         travel=float(worst[1]),
         angle=max(float(worst[2]), turned),
         external=float(worst[3]),
-        event=event,
+        event=float(event),
         frames=frames,
-        speed=float(worst[4]),
-        conf=conf,
+        speed=_speed(plan, match, np.array(expected_on)),
+        conf=_wrong_configurations(plan, match),
     )
 
 
-def _pieces(program: Program) -> Iterator[tuple[bool, _Piece]]:
-    """The program's targets, cut at the points where the extruder is switched: (extruder on, piece)."""
-    rows = np.column_stack([program.position, program.quat, program.external, program.conf])
-    begun: list[Array] = [rows[0]]
-    by: list[int] = []  # the move that goes from each target to the next
-    known: list[bool] = [True]
-    on = False
+@dataclass(frozen=True)
+class _Match:
+    """All pieces in one row (m targets), and which samples they stand for.
 
-    def piece() -> _Piece:
-        table = np.array(begun)
-        return _Piece(
-            position=table[:, :3],
-            quat=continuous(table[:, 3:7]),
-            external=table[:, 7:13],
-            conf=table[:, 13:].astype(np.intp),
-            linear=program.linear[np.array(by, dtype=np.intp)],
-            speed=program.speed[np.array(by, dtype=np.intp), 0],
-            known=np.array(known, dtype=bool),
-        )
+    all               the pieces' targets, one after the other; `linear` and `speed` have a last one too many per piece
+    targets, cuts     (p + 1) first target of each piece, first sample of each piece; a piece's last sample is the
+                      first one of the next
+    piece, at         (m) piece of each target, and its own sample
+    """
 
-    for i in range(1, len(rows)):
-        length = float(np.linalg.norm(program.position[i] - program.position[i - 1]))
-        events = []
-        for trigger in program.triggers.get(i, ()):
-            at = trigger.distance if trigger.from_start else length - trigger.distance
-            events.append((min(max(at / length, 0.0), 1.0) if length else float(not trigger.from_start), trigger.value))
-        for u, value in sorted(events, key=lambda event: event[0]):
-            cut = rows[i - 1] + u * (rows[i] - rows[i - 1])
-            cut[3:7] = slerp(rows[i - 1 : i, 3:7], rows[i : i + 1, 3:7], np.array([u]))[0]
-            if u > 0.0:
-                begun.append(rows[i] if u == 1.0 else cut)
-                by.append(i)
-                known.append(u == 1.0)
-            if len(begun) > 1 or on != value:
-                yield on, piece()
-            begun, by, known, on = [begun[-1]], [], [known[-1]], value
-        if not events or events[-1][0] < 1.0:
-            begun.append(rows[i])
-            by.append(i)
-            known.append(True)
-    yield on, piece()
+    all: Piece
+    targets: Indices
+    cuts: Indices
+    piece: Indices
+    at: Indices
 
 
-def _compare_piece(plan: Plan, piece: _Piece, first: int, last: int, on: bool) -> tuple[Array, int]:
-    """Worst (path, travel, angle, external, speed) of one piece against samples first..last, and wrong configurations."""
-    trajectory, na = plan.trajectory, len(plan.cell.arm)
-    rows = slice(first, last + 1)
-    tip, quat, q = trajectory.tip[rows], continuous(trajectory.quat[rows]), trajectory.q[rows]
-    external = np.radians(external_degrees(plan.cell, q[:, na:]))
-    k = external.shape[1]
-    unused = np.isnan(piece.external[:, k:]).all() and not np.isnan(piece.external[:, :k]).any()
+def _matched(plan: Plan, pieces: Sequence[Piece], cuts: Indices) -> _Match:
+    """Pieces against the samples between the extruder's events `cuts`."""
+    trajectory = plan.trajectory
+    rows = Piece(
+        position=np.concatenate([piece.position for piece in pieces]),
+        quat=np.concatenate([piece.quat for piece in pieces]),
+        external=np.concatenate([piece.external for piece in pieces]),
+        conf=np.concatenate([piece.conf for piece in pieces]),
+        linear=np.concatenate([np.append(piece.linear, False) for piece in pieces]),
+        speed=np.concatenate([np.append(piece.speed, 0.0) for piece in pieces]),
+        known=np.concatenate([piece.known for piece in pieces]),
+    )
+    counts = [len(piece.position) for piece in pieces]
+    targets = np.concatenate([[0], np.cumsum(counts)])
+    owner = np.repeat(np.arange(len(pieces)), counts)
+    at = _own_samples(rows.position, rows.quat, trajectory.tip, continuous(trajectory.quat), targets, cuts)
+    return _Match(rows, targets, cuts, owner, at)
 
-    at = _own_samples(piece.position, piece.quat, tip, quat)
+
+def _external(plan: Plan, samples: Indices) -> Array:
+    """The station's axes (n, k) [rad] at samples."""
+    return np.radians(external_degrees(plan.cell, plan.trajectory.q[samples, len(plan.cell.arm) :]))
+
+
+def _targets(plan: Plan, match: _Match) -> Array:
+    """Worst (path, travel, angle, external) of the targets against the planned path around their samples."""
+    tip, rows = plan.trajectory.tip, match.all
+    least, most = match.cuts[match.piece], match.cuts[match.piece + 1]
     off, turned, shifted = [], [], []
-    for nearer in (np.maximum(at - 1, 0), at):  # the piece of planned path before and after each target's sample
-        after = np.minimum(nearer + 1, len(tip) - 1)
-        u = nearest_fraction(tip[nearer], tip[after], piece.position, np.zeros(len(at)))
-        off.append(np.linalg.norm(tip[nearer] + u[:, None] * (tip[after] - tip[nearer]) - piece.position, axis=1))
-        turned.append(angle(slerp(quat[nearer], quat[after], u), piece.quat))
-        between = external[nearer] + u[:, None] * (external[after] - external[nearer])
-        shifted.append(np.abs(between - piece.external[:, :k]).max(axis=1, initial=0.0))
+    for nearer in (np.maximum(match.at - 1, least), match.at):  # the piece of path before and after the sample
+        after = np.minimum(nearer + 1, most)
+        u = nearest_fraction(tip[nearer], tip[after], rows.position, np.zeros(len(nearer)))
+        off.append(np.linalg.norm(tip[nearer] + u[:, None] * (tip[after] - tip[nearer]) - rows.position, axis=1))
+        quat_a, quat_b = _unit(plan.trajectory.quat[nearer]), _unit(plan.trajectory.quat[after])
+        turned.append(angle(slerp(quat_a, quat_b, u), rows.quat))
+        a, b = _external(plan, nearer), _external(plan, after)
+        k = a.shape[1]
+        between = a + u[:, None] * (b - a)
+        shifted.append(np.abs(between - rows.external[:, :k]).max(axis=1, initial=0.0))
     best = np.argmin(off, axis=0)[None]
-    worst = np.zeros(5)
-    worst[0] = np.take_along_axis(np.array(off), best, axis=0).max()
-    worst[2] = np.take_along_axis(np.array(turned), best, axis=0).max()
-    worst[3] = np.take_along_axis(np.array(shifted), best, axis=0).max() if unused else np.inf
+    unused = np.isnan(rows.external[:, k:]).all() and not np.isnan(rows.external[:, :k]).any()
+    worst = [np.take_along_axis(np.array(values), best, axis=0).max() for values in (off, turned, shifted)]
+    return np.array([worst[0], 0.0, worst[1], worst[2] if unused else np.inf])
 
-    if len(at) > 1:
-        sample = np.arange(len(tip))
-        owner = np.clip(np.searchsorted(at, sample, side="right") - 1, 0, len(at) - 2)
-        line = piece.linear[owner]
-        a, s = owner[line], sample[line]
-        if len(a):
-            p = piece.position
-            u = nearest_fraction(p[a], p[a + 1], tip[s], _share(at, a, s))
-            worst[0] = max(worst[0], np.linalg.norm(p[a] + u[:, None] * (p[a + 1] - p[a]) - tip[s], axis=1).max())
-            worst[2] = max(worst[2], angle(slerp(piece.quat[a], piece.quat[a + 1], u), quat[s]).max())
-            between = piece.external[a, :k] + u[:, None] * (piece.external[a + 1, :k] - piece.external[a, :k])
-            worst[3] = max(worst[3], np.abs(between - external[s]).max(initial=0.0))
-        a, s = owner[~line], sample[~line]
-        if len(a):
-            qa, qb = q[at[a]], q[at[a + 1]]
-            u = nearest_fraction(qa, qb, q[s], _share(at, a, s))
-            T = plan.cell.T_part_nozzle(qa + u[:, None] * (qb - qa))
-            worst[1] = np.linalg.norm(T[:, :3, 3] - tip[s], axis=1).max()
-    if on:
-        path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))])
-        real = np.diff(path[at]) / np.maximum(np.diff(at) * trajectory.dt, trajectory.dt)
-        worst[4] = np.abs(real - piece.speed).max(initial=0.0)
-    # a target rounded across a quarter turn belongs to its neighbour sample
-    planned = np.column_stack([quadrants(q), trajectory.branch[rows]])
-    near = [planned[np.clip(at + d, 0, len(tip) - 1)] for d in (-1, 0, 1)]
-    right = np.any([(piece.conf == conf).all(axis=1) for conf in near], axis=0)
-    return worst, int(np.count_nonzero(piece.known & ~right))
+
+def _lines(plan: Plan, match: _Match) -> Array:
+    """Worst (path, travel, angle, external) of the planned samples against the lines between targets."""
+    worst = np.zeros(4)
+    for first in range(0, len(match.cuts) - 1, PIECES):
+        pieces = np.arange(first, min(first + PIECES, len(match.cuts) - 1))
+        pieces = pieces[np.diff(match.targets)[pieces] > 1]
+        counts = match.cuts[pieces + 1] - match.cuts[pieces] + 1
+        inner = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+        sample = inner + np.repeat(match.cuts[pieces], counts)
+        piece = np.repeat(pieces, counts)
+        owner = np.searchsorted(match.at, sample, side="right") - 1
+        owner = np.clip(owner, match.targets[piece], match.targets[piece + 1] - 2)
+        line = match.all.linear[owner]
+        if line.any():
+            worst = np.maximum(worst, _straight(plan, match, owner[line], sample[line]))
+        if not line.all():
+            worst[1] = max(worst[1], _joint(plan, match, owner[~line], sample[~line]))
+    return worst
+
+
+def _straight(plan: Plan, match: _Match, a: Indices, s: Indices) -> Array:
+    """Worst (path, travel, angle, external) of samples s (n) against the lines from targets a (n) to the next ones."""
+    rows, tip = match.all, plan.trajectory.tip
+    p, external = rows.position, _external(plan, s)
+    u = nearest_fraction(p[a], p[a + 1], tip[s], _share(match.at, a, s))
+    off = np.linalg.norm(p[a] + u[:, None] * (p[a + 1] - p[a]) - tip[s], axis=1).max()
+    turned = angle(slerp(rows.quat[a], rows.quat[a + 1], u), _unit(plan.trajectory.quat[s])).max()
+    k = external.shape[1]
+    between = rows.external[a, :k] + u[:, None] * (rows.external[a + 1, :k] - rows.external[a, :k])
+    return np.array([off, 0.0, turned, np.abs(between - external).max(initial=0.0)])
+
+
+def _joint(plan: Plan, match: _Match, a: Indices, s: Indices) -> float:
+    """Worst distance of samples s (n) from the tip paths of joint moves from targets a (n) to the next ones."""
+    q = plan.trajectory.q
+    qa, qb = q[match.at[a]], q[match.at[a + 1]]
+    u = nearest_fraction(qa, qb, q[s], _share(match.at, a, s))
+    T = plan.cell.T_part_nozzle(qa + u[:, None] * (qb - qa))
+    return float(np.linalg.norm(T[:, :3, 3] - plan.trajectory.tip[s], axis=1).max())
+
+
+def _speed(plan: Plan, match: _Match, on: NDArray[np.bool_]) -> float:
+    """Worst difference between programmed and planned speed of the moves that lay material."""
+    trajectory, at = plan.trajectory, match.at
+    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(trajectory.tip, axis=0), axis=1))])
+    real = np.diff(path[at]) / np.maximum(np.diff(at) * trajectory.dt, trajectory.dt)
+    inside = on[match.piece[:-1]] & (np.diff(match.piece) == 0)
+    return float(np.abs(real - match.all.speed[:-1])[inside].max(initial=0.0))
+
+
+def _wrong_configurations(plan: Plan, match: _Match) -> int:
+    """How many targets have another configuration than the plan's postures have around them."""
+    trajectory = plan.trajectory
+    least, most = match.cuts[match.piece], match.cuts[match.piece + 1]
+    right = np.zeros(len(match.at), dtype=bool)
+    for d in (-1, 0, 1):  # a target rounded across a quarter turn belongs to its neighbour sample
+        near = np.clip(match.at + d, least, most)
+        planned = np.column_stack([quadrants(trajectory.q[near]), trajectory.branch[near]])
+        right |= (match.all.conf == planned).all(axis=1)
+    return int(np.count_nonzero(match.all.known & ~right))
 
 
 def _share(at: Indices, a: Indices, s: Indices) -> Array:
@@ -237,15 +226,31 @@ def _share(at: Indices, a: Indices, s: Indices) -> Array:
     return out
 
 
-def _own_samples(position: Array, quat: Array, tip: Array, sample_quat: Array) -> Indices:
-    """Sample of each target, ascending: the nearest one, around the place that the way travelled so far points to."""
+def _unit(quat: Array) -> Array:
+    out: Array = quat / np.linalg.norm(quat, axis=1, keepdims=True)
+    return out
+
+
+def _own_samples(
+    position: Array, quat: Array, tip: Array, sample_quat: Array, targets: Indices, cuts: Indices
+) -> Indices:
+    """Sample of each target, ascending: the nearest one, around the place that the way travelled so far points to.
+
+    targets, cuts (p + 1) are the first target and the first sample of each piece (see `_Match`).
+    """
 
     def way(p: Array, o: Array) -> Array:
         steps = np.linalg.norm(np.diff(p, axis=0), axis=1) + LEVER * angle(o[1:], o[:-1])
         return np.concatenate([[0.0], np.cumsum(steps)])
 
     planned, written = way(tip, sample_quat), way(position, quat)
-    guess = written * (planned[-1] / written[-1]) if written[-1] > 0.0 else written
+    counts = np.diff(targets)
+    begin, end = written[targets[:-1]], written[targets[1:] - 1]
+    length = end - begin
+    stretch = np.where(length > 0.0, np.diff(planned[cuts]) / np.where(length > 0.0, length, 1.0), 0.0)
+    guess = np.repeat(planned[cuts[:-1]], counts) + np.repeat(stretch, counts) * (written - np.repeat(begin, counts))
+    least, most = np.repeat(cuts[:-1], counts), np.repeat(cuts[1:], counts)
+    centre = np.clip(np.searchsorted(planned, guess), least, most)
 
     def nearest(i: Indices, near: Indices) -> tuple[Indices, Array]:
         gap = tip[near] - position[i, None]
@@ -257,13 +262,17 @@ def _own_samples(position: Array, quat: Array, tip: Array, sample_quat: Array) -
         row = np.arange(len(i))
         return near[row, best], cost[row, best]
 
-    every = np.arange(len(position))
-    centre = np.searchsorted(planned, guess)
-    at, cost = nearest(every, np.clip(centre[:, None] + np.arange(-WINDOW, WINDOW + 1), 0, len(tip) - 1))
-    for i in every[cost > ASTRAY]:  # joint moves cut wide turns short, and the guess is then far off
-        at[i] = nearest(np.array([i]), np.arange(len(tip))[None])[0][0]
+    at, cost = np.empty(len(position), dtype=np.intp), np.full(len(position), np.inf)
+    for window, found in WINDOWS:
+        wanted = np.flatnonzero(cost > found)
+        reach = np.arange(-window, window + 1)
+        for block in np.array_split(wanted, 1 + len(wanted) * len(reach) // BLOCK):
+            near = np.clip(centre[block, None] + reach, least[block, None], most[block, None])
+            at[block], cost[block] = nearest(block, near)
+    for i in np.flatnonzero(cost > ASTRAY):  # joint moves cut wide turns short, and the guess is then far off
+        at[i] = nearest(np.array([i]), np.arange(least[i], most[i] + 1)[None])[0][0]
     at = np.maximum.accumulate(at)
-    at[0], at[-1] = 0, len(tip) - 1
+    at[targets[:-1]], at[targets[1:] - 1] = cuts[:-1], cuts[1:]
     return at
 
 

@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 
+from planner.export.digits import rows_text
+
 if TYPE_CHECKING:
     from planner.plan import Plan
 
-CHUNK = 4096  # rows formatted at once: bounds the memory, not the speed
+CHUNK = 4096  # rows formatted at once: bounds the memory
 # name → format and decimals to round to; a joint keeps 12 significant digits, so that third differences mean something
 FIXED = {
     "t_s": 6,
@@ -39,25 +41,22 @@ def write_table(plan: Plan, stream: TextIO) -> None:
     """Write one row per sample to a text stream: mm, mm/s, mm^3/s, joints in rad; e_mm is filament [mm]."""
     t = plan.trajectory
     stream.write(",".join([*FIXED, *plan.cell.joint_names]) + "\n")
-    values = np.column_stack(
-        [
-            t.t,
-            t.bead,
-            t.layer,
-            t.deposit,
-            t.s * 1e3,
-            t.tip * 1e3,
-            t.axis,
-            t.speed * 1e3,
-            t.flow * 1e9,
-            t.extruded / filament_area(plan) * 1e3,
-            t.q,
-        ]
-    )
-    for column, decimals in enumerate(FIXED.values()):
-        values[:, column] = np.round(values[:, column], decimals)
-    values += 0.0  # turns minus nought into nought
-    row = ",".join([f"%.{d}f" if d else "%d" for d in FIXED.values()] + ["%.12g"] * t.q.shape[1]) + "\n"
-    for start in range(0, len(values), CHUNK):
-        block = values[start : start + CHUNK]
-        stream.write((row * len(block)) % tuple(block.ravel().tolist()))
+    decimals = np.array(list(FIXED.values()), dtype=np.int64)
+    area = filament_area(plan)
+    for start in range(0, len(t), CHUNK):
+        rows = slice(start, start + CHUNK)
+        columns = np.column_stack(
+            [
+                t.t[rows],
+                t.bead[rows],
+                t.layer[rows],
+                t.deposit[rows],
+                t.s[rows] * 1e3,
+                t.tip[rows] * 1e3,
+                t.axis[rows],
+                t.speed[rows] * 1e3,
+                t.flow[rows] * 1e9,
+                t.extruded[rows] / area * 1e3,
+            ]
+        )
+        stream.write(rows_text(columns, decimals, t.q[rows]))

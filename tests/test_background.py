@@ -1,0 +1,140 @@
+"""A second process: what it computes is what would have been computed here, and what goes wrong there is told here."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from solved import bed_plan, small_plan
+
+from planner import solve as command
+from planner.background import in_background, in_halves, shared, spare_core
+from planner.errors import InputError, PlannerError, Refusal
+from planner.plan import Plan
+from planner.resolve import STRATEGIES
+from planner.solve import write
+from planner.task import make_tasks
+from planner.verify import Report, verify
+
+needs_two_cores = pytest.mark.skipif(not spare_core(), reason="nothing is forked here")
+
+
+def squares(first: int, last: int) -> list[int]:
+    return [k * k for k in range(first, last)]
+
+
+def refuse(reason: str, bead: int) -> None:
+    raise Refusal(reason, bead=bead, s_mm=2.5, point_mm=(1.0, 2.0, 3.0))
+
+
+def mistake() -> None:
+    raise InputError("is wrong", file="a.yaml", line=3, field="cell", hint="try b")
+
+
+def bug() -> None:
+    raise KeyError("a bug")
+
+
+@needs_two_cores
+def test_errors_arrive_whole() -> None:
+    with in_background(refuse, "too far", 7) as wait, pytest.raises(Refusal) as refusal:
+        wait()
+    told = refusal.value
+    assert (told.reason, told.bead, told.s_mm, told.point_mm) == ("too far", 7, 2.5, (1.0, 2.0, 3.0))
+    assert str(told) == "bead 7, 2.5 mm along it: too far"
+    with in_background(mistake) as wait, pytest.raises(PlannerError) as error:
+        wait()
+    assert str(error.value) == "a.yaml:3: cell: is wrong (try b)"
+    with in_background(bug) as wait, pytest.raises(RuntimeError, match="bug failed in its own process"):
+        wait()
+
+
+@needs_two_cores
+def test_halves_are_the_whole() -> None:
+    for count in (0, 1, 2, 3, 10):
+        for middle in (None, 0, 1, count):
+            parts = in_halves(squares, count, True, middle)
+            assert [k for part in parts for k in part] == squares(0, count)
+
+
+@needs_two_cores
+def test_both_halves_write_into_shared_memory() -> None:
+    table = shared((1000, 3))
+
+    def fill(first: int, last: int) -> None:
+        table[first:last] = np.arange(first, last)[:, None]
+
+    in_halves(fill, 1000, True)
+    np.testing.assert_array_equal(table, np.repeat(np.arange(1000.0)[:, None], 3, axis=1))
+    assert shared((0, 3)).shape == (0, 3) and shared((2,), np.int8).dtype == np.int8
+
+
+def _same(one: Report, other: Report) -> None:
+    assert one.checks == other.checks
+    assert one.metrics == other.metrics
+    assert one.series.keys() == other.series.keys()
+    for name, values in one.series.items():
+        np.testing.assert_array_equal(values, other.series[name], err_msg=name)
+
+
+@needs_two_cores
+@pytest.mark.parametrize("plan", [small_plan, bed_plan], ids=["positioner", "bed"])
+def test_verification_in_two_processes_is_the_same(plan: Any) -> None:
+    plan = plan()
+    given = plan.problem, plan.cell, plan.toolpath, plan.trajectory
+    _same(verify(*given), verify(*given, second_process=True))
+    spoilt = replace(plan.trajectory, bead=np.roll(plan.trajectory.bead, 300))
+    given = plan.problem, plan.cell, plan.toolpath, spoilt
+    _same(verify(*given), verify(*given, second_process=True))
+
+
+@needs_two_cores
+def test_trajectory_in_two_processes_is_the_same() -> None:
+    plan = small_plan()
+    process = plan.problem.process
+    tasks = make_tasks(plan.toolpath, process.speed, process.run_in)
+    paths = STRATEGIES[plan.strategy](plan.cell, tasks, plan.problem.resolve)
+    here, beside = (
+        command._trajectory(plan.problem, plan.cell, plan.toolpath, paths, plan.trajectory.dt, both)
+        for both in (False, True)
+    )
+    for name, values in vars(here).items():
+        np.testing.assert_array_equal(values, getattr(beside, name), err_msg=name)
+        np.testing.assert_array_equal(values, getattr(plan.trajectory, name), err_msg=name)
+
+
+def _files(folder: Path) -> dict[str, bytes]:
+    found = {path.name: path.read_bytes() for path in folder.iterdir()}
+    del found["plan.json"]  # holds the time it took
+    return found
+
+
+@needs_two_cores
+def test_files_of_two_processes_are_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan: Plan = small_plan()
+    monkeypatch.setattr(command, "WORTH_A_FORK", 0)
+    for name, both in (("here", False), ("beside", True)):
+        (tmp_path / name).mkdir()
+        write(plan, tmp_path / name, second_process=both)
+    assert len(_files(tmp_path / "here")) == 5
+    assert _files(tmp_path / "here") == _files(tmp_path / "beside")
+
+
+@needs_two_cores
+def test_an_unverified_plan_has_no_robot_code_from_any_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(command, "WORTH_A_FORK", 0)
+    plan = small_plan()
+    write(replace(plan, checks=(replace(plan.checks[0], ok=False),)), tmp_path, second_process=True)
+    assert {path.name for path in tmp_path.iterdir()} == {"plan.json", "trajectory.csv", "report.html"}
+
+
+@needs_two_cores
+def test_the_baseline_beside_is_the_baseline(monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = small_plan()
+    monkeypatch.setattr(command, "WORTH_A_FORK", 0)
+    beside = command.solve(plan.problem, second_process=True)
+    assert beside.baseline == plan.baseline and set(beside.baseline) == {"as_published"}
+    assert beside.metrics == plan.metrics and beside.checks == plan.checks
