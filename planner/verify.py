@@ -320,6 +320,8 @@ def _clearance(problem, cell, toolpath, t, motion, checks, metrics, series) -> N
     """The nozzle tip stays outside the part, as far as it is printed."""
     begun = np.maximum.accumulate(t.bead) + 1
     gap = np.zeros(len(t))
-    for beads in np.unique(begun):
-        gap[begun == beads] = toolpath.surface.before(int(beads)).signed_distance(motion.tip[begun == beads])
+    changes = np.flatnonzero(np.diff(begun)) + 1
+    for first, last in zip(np.append(0, changes), np.append(changes, len(t)), strict=True):
+        surface = toolpath.surface.before(int(begun[first]))
+        gap[first:last] = surface.signed_distance(motion.tip[first:last])
     metrics["clearance_min_mm"] = _check_least(checks, t, "nozzle tip outside the part", gap * 1e3, 0.0, "mm")
