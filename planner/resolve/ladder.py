@@ -15,6 +15,7 @@ from planner.resolve.demand import Demand, demand_of
 from planner.resolve.jointpath import JointPath, choose_turns, postures, spread, upright
 from planner.resolve.nodes import Grid, Nodes, evaluate, full_grid
 from planner.resolve.search import Route, best_route
+from planner.resolve.table_first import upright_table
 from planner.resolve.unreachable import refuse_rung
 from planner.task import NozzleTask
 
@@ -24,7 +25,8 @@ Array = NDArray[np.float64]
 # of those to each side. A guide that turns by a coarse step a rung is too quick for dense steps: wider, then coarse.
 CORRIDORS = ((3, 4), (3, 12), (1, 1))
 _SPARSE = 5  # times as far as the settings' rungs stand those of the first look at several chosen joints
-_ROUGH = 2.0  # times the settings' steps in that first look
+_ROUGH = 2.0  # times the settings' steps in that first look, and where the grid would be too large
+_MOST_NODES = 3e6  # of the guide's grid: 100 MB, and a second; the second search is finer anyway
 _LATTICE = 9  # angles at which a chosen joint is held there, at most
 
 
@@ -40,7 +42,7 @@ class Found:
         """Angles (r, k) of the cell's chosen joints along the route, continuous along each task."""
         grid = self.nodes.grid
         angles = grid.chosen(len(self.demand.rung), k).copy()
-        if k:
+        if k and grid.swept is not None:
             for i in range(len(self.demand.task_rungs) - 1):
                 rungs = self.demand.rungs_of(i)
                 angles[rungs, grid.swept] = _angles(grid, self.route.holder[rungs], grid.holders, grid.holder_step)
@@ -72,17 +74,20 @@ def guide_route(cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec)
 
     With several chosen joints a full grid would not fit. One of them at a time is searched together with roll and
     branch: first the one next to the part, on sparse rungs, for a lattice of angles at which the others rest; then
-    each other one while the rest follow the path found before.
+    each other one while the rest follow the path found before. Where the layer must stay upright, the table's path is
+    found first, and roll and branch alone are searched with it.
     """
     k = len(cell.chosen)
     if k < 2:
-        demand, nodes = coarse_nodes(cell, guides, settings)
+        demand, nodes = coarse_nodes(cell, guides, settings, _MOST_NODES)
         route, stuck = best_route(nodes, demand, cell.limits)
         if route is None:
             refuse_rung(cell, guides, demand, nodes, stuck, settings.min_sigma)
         return Found(demand, nodes, route)
-    found = _first_look(cell, guides, settings)
     demand = demand_of(guides, settings.rung)
+    if len(cell.holder) > 1 and demand.cones.layer_gravity < np.pi:
+        return _after_table(cell, guides, demand, settings)
+    found = _first_look(cell, guides, settings)
     first = found.nodes.grid.swept
     for swept in [*(j for j in range(k) if j != first), first]:
         held = _between_rungs(found, demand, k)
@@ -95,6 +100,16 @@ def guide_route(cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec)
     if found.demand is not demand:
         refuse_rung(cell, guides, demand, nodes, stuck, settings.min_sigma)
     return found
+
+
+def _after_table(cell: Cell, guides: Sequence[NozzleTask], demand: Demand, settings: ResolveSpec) -> Found:
+    """The best route of roll and branch while the table follows a path that holds the layer upright."""
+    held = upright_table(cell, guides, demand)
+    nodes = evaluate(cell, demand, full_grid(demand, settings.roll_step, 1.0, False, None, held), settings.min_sigma)
+    route, stuck = best_route(nodes, demand, cell.limits)
+    if route is None:
+        refuse_rung(cell, guides, demand, nodes, stuck, settings.min_sigma)
+    return Found(demand, nodes, route)
 
 
 def _first_look(cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec) -> Found:
@@ -155,13 +170,21 @@ def first_of_each_name(tasks: Sequence[NozzleTask]) -> list[NozzleTask]:
     return list(seen.values())
 
 
-def coarse_nodes(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[Demand, Nodes]:
-    """The whole grid of the settings' steps at the settings' rungs; of several chosen joints the one next to the part
-    is tried, the others rest at home."""
+def coarse_nodes(
+    cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, most: float = np.inf
+) -> tuple[Demand, Nodes]:
+    """The whole grid of the settings' steps at the settings' rungs, or of twice those steps if it has too many nodes.
+
+    Of several chosen joints the one next to the part is tried, the others rest at home.
+    """
     demand = demand_of(tasks, settings.rung)
     held = np.tile(cell.home[list(cell.chosen)], (len(demand.rung), 1))
     swept = max(len(cell.holder) - 1, 0)
-    grid = full_grid(demand, settings.roll_step, settings.table_step, len(cell.chosen) > 0, swept, held)
+    for rough in (1.0, _ROUGH):
+        steps = rough * settings.roll_step, rough * settings.table_step
+        grid = full_grid(demand, *steps, len(cell.chosen) > 0, swept, held)
+        if len(demand.rung) * grid.rolls * grid.holders * grid.branch.shape[1] <= most:
+            break
     return demand, evaluate(cell, demand, grid, settings.min_sigma)
 
 

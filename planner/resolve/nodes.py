@@ -30,7 +30,7 @@ class Grid:
     roll_step, holder_step [rad]; roll_from, holder_from (r) first grid index of each rung's window, so that a
     node's roll is (roll_from + i) * roll_step; rolls, holders: the window's widths; periodic: the windows are
     the whole circle; branch (r, c) branch numbers to try
-    swept: which of the cell's chosen joints is tried; held (r, k): angles of all chosen joints, used for the others
+    swept: which of the cell's chosen joints is tried, None: none of them; held (r, k): angles of all chosen joints, used for the others
     """
 
     roll_step: float
@@ -41,7 +41,7 @@ class Grid:
     holders: int
     periodic: bool
     branch: NDArray[np.int64]
-    swept: int = 0
+    swept: int | None = 0
     held: Array | None = None
 
     def chosen(self, r: int, k: int) -> Array:
@@ -62,7 +62,12 @@ class Nodes:
 
 
 def full_grid(
-    demand: Demand, roll_step: float, holder_step: float, has_holder: bool, swept: int = 0, held: Array | None = None
+    demand: Demand,
+    roll_step: float,
+    holder_step: float,
+    has_holder: bool,
+    swept: int | None = 0,
+    held: Array | None = None,
 ) -> Grid:
     """All rolls, all angles of the swept joint, all branches at every rung; steps are rounded to divide the circle."""
     r = len(demand.rung)
@@ -78,11 +83,11 @@ def evaluate(cell: Cell, demand: Demand, grid: Grid, min_sigma: float) -> Nodes:
     limits, na, nh = cell.limits, len(cell.arm), len(cell.holder)
     r = len(demand.rung)
     held = grid.chosen(r, len(cell.chosen))
-    sweeps = 0 if not cell.chosen else (1 if grid.swept < nh else 2)
-    T_before, axis, T_after = _holder_around(cell, grid.swept, held[:, :nh])
-    low, high = (
-        (limits.q_min[cell.chosen[grid.swept]], limits.q_max[cell.chosen[grid.swept]]) if sweeps else (-np.inf, np.inf)
-    )
+    swept = grid.swept if cell.chosen else None
+    sweeps = 0 if swept is None else (1 if swept < nh else 2)
+    T_before, axis, T_after = _holder_around(cell, nh if swept is None else swept, held[:, :nh])
+    joint = len(cell.joint_names) if swept is None else cell.chosen[swept]
+    low, high = (-np.inf, np.inf) if swept is None else (limits.q_min[joint], limits.q_max[joint])
     redundant = cell.inverse.redundant_joint
     shape = (r, grid.rolls, grid.holders, grid.branch.shape[1])
     q = np.zeros((*shape, na), dtype=np.float32)
@@ -99,7 +104,7 @@ def evaluate(cell: Cell, demand: Demand, grid: Grid, min_sigma: float) -> Nodes:
         grid.roll_step, grid.holder_step, grid.roll_from, grid.holder_from, grid.branch,
         min_sigma, q, price,
     )  # fmt: skip
-    return Nodes(grid, q, price, cell.chosen[grid.swept] if sweeps else len(cell.joint_names))
+    return Nodes(grid, q, price, joint)
 
 
 def _holder_around(cell: Cell, swept: int, held: Array) -> tuple[Array, Array, Array]:

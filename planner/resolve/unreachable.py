@@ -32,7 +32,7 @@ def refuse_rung(
     angles = np.linspace(0.0, 2.0 * np.pi, _TRIED, endpoint=False)
     roll, swept = (x.ravel() for x in np.meshgrid(angles, angles if cell.chosen else angles[:1], indexing="ij"))
     chosen = np.tile(grid.chosen(len(demand.rung), len(cell.chosen))[rung], (len(roll), 1))
-    if cell.chosen:
+    if cell.chosen and grid.swept is not None:
         chosen[:, grid.swept] = swept
     spot = _repeat(task, i, len(roll))
     T = flange_poses(cell, spot, roll, upright(spot), chosen[:, :nh])
