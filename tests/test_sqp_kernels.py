@@ -1,8 +1,8 @@
-"""What the strategy `sqp` computes with: splines and clocks and the interior-point method."""
+"""What the strategy `sqp` computes with: splines and clocks, Newton's method on the chain, the interior-point method."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import clarabel
 import numpy as np
@@ -12,8 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
+from scipy.spatial.transform import Rotation
 
+from planner.cell import Cell, build_cell
+from planner.problem import load_problem
+from planner.resolve.follow_kernel import follow
 from planner.resolve.interior_point import QuadraticProgram, factorise, solve_qp, substitute
+from planner.resolve.refine import HOLDER, model_of
 from planner.resolve.splines import Clock, basis_over, clock_of
 from planner.resolve.sqp import fit
 
@@ -123,6 +128,183 @@ def test_fit_reproduces_splines_and_is_the_least_squares_fit(controls: int, n: i
     dense = basis.values(np.eye(controls))
     best = np.linalg.lstsq(dense, values, rcond=None)[0]
     np.testing.assert_allclose(dense @ fit(basis, values), dense @ best, rtol=0, atol=1e-8)
+
+
+# --- Newton's method on the chain -------------------------------------------------------------------------------
+
+BUILDS = {
+    "table": (),
+    "bed": ("cell.positioner=null", "cell.bed_mm=[560, -93, 290]", "cell.nozzle.axis=[0.2, -0.1, 2]"),
+    "table and tilt": ("cell.positioner.held_deg={}", "cell.positioner.free=[tilt, rotation]", "cell.base_mm=[20, -30, 40]"),
+    "seven axes": ("cell.arm=iiwa", "cell.home_deg=[10, 30, -20, -80, 15, 60, 0]"),
+}
+
+
+@pytest.fixture(scope="module", params=BUILDS)
+def any_cell(request: pytest.FixtureRequest) -> Cell:
+    return build_cell(load_problem("cylinder_logo", BUILDS[request.param]))
+
+
+@dataclass
+class Followed:
+    """What `follow` fills."""
+
+    lost: int
+    q: Array
+    G: Array
+    sigma: Array
+    sigma_slope: Array
+    upright: Array
+    upright_slope: Array
+
+
+def run_follow(cell: Cell, tip: Array, frames: Array, z: Array, q_near: Array) -> Followed:
+    model = model_of(cell)
+    n, m = len(tip), z.shape[1]
+    nan = np.nan
+    out = Followed(
+        -2, q_near.copy(), np.full((n, q_near.shape[1], m), nan), np.full(n, nan), np.full((n, m), nan),
+        np.full((n, 2), nan), np.full((n, 2, m), nan),
+    )  # fmt: skip
+    out.lost = follow(
+        *model.chains, model.solved, model.given, np.ascontiguousarray(tip), np.ascontiguousarray(frames), z,
+        np.arange(m), out.q, out.G, out.sigma, out.sigma_slope, out.upright, out.upright_slope,
+    )  # fmt: skip
+    return out
+
+
+def tilted(frames: Array, z: Array) -> Array:
+    """frames Exp(tilt) Rz(roll), by scipy."""
+    zero = np.zeros(len(z))
+    tilt = Rotation.from_rotvec(np.column_stack([z[:, 1], z[:, 2], zero])).as_matrix()
+    return frames @ tilt @ Rotation.from_rotvec(np.column_stack([zero, zero, z[:, 0]])).as_matrix()
+
+
+def made_up_tasks(cell: Cell, rng: np.random.Generator, n: int) -> tuple[Array, Array, Array, Array]:
+    """tip, frames, z, and the postures q that hold them: the postures come first, so they are known."""
+    na, nh = len(cell.arm), len(cell.holder)
+    low, high = np.maximum(cell.limits.q_min, -2.5), np.minimum(cell.limits.q_max, 2.5)
+    q = rng.uniform(low, high, (40 * n, na + nh))
+    sigma = np.linalg.svd(cell.arm.jacobians(q[:, :na])[:, :, list(cell.solved)], compute_uv=False)[:, -1]
+    q = q[sigma > 0.06][:n]
+    assert len(q) == n
+    angle, towards = np.radians(20.0) * np.sqrt(rng.random(n)), rng.uniform(0.0, 2 * np.pi, n)
+    z = np.zeros((n, HOLDER + len(cell.chosen)))
+    z[:, 0] = rng.uniform(-7.0, 7.0, n)
+    z[:, 1], z[:, 2] = angle * np.cos(towards), angle * np.sin(towards)
+    z[: n // 10, 1:3] = 0.0
+    z[:, HOLDER:] = q[:, list(cell.chosen)]
+    T = cell.T_part_nozzle(q)
+    turn = tilted(np.broadcast_to(np.eye(3), (n, 3, 3)), z)
+    return T[:, :3, 3].copy(), T[:, :3, :3] @ np.swapaxes(turn, 1, 2), z, q
+
+
+def test_postures_hold_the_task_exactly(any_cell: Cell) -> None:
+    rng = np.random.default_rng(3)
+    tip, frames, z, q = made_up_tasks(any_cell, rng, 400)
+    near = q + rng.uniform(-0.02, 0.02, q.shape)
+    out = run_follow(any_cell, tip, frames, z, near)
+    assert out.lost == -1
+    T = any_cell.T_part_nozzle(out.q)
+    np.testing.assert_allclose(T[:, :3, 3], tip, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(T[:, :3, :3], tilted(frames, z), rtol=0, atol=1e-11)
+    np.testing.assert_array_equal(out.q[:, list(any_cell.chosen)], z[:, HOLDER:])
+    same = np.abs(out.q - q).max(axis=1) < 1e-8  # from further away Newton's method may find another posture
+    assert same.mean() > 0.99
+    lean = np.arccos(np.clip(np.einsum("ni,ni->n", T[:, :3, 2], frames[:, :, 2]), -1, 1))
+    np.testing.assert_allclose(lean, np.hypot(z[:, 1], z[:, 2]), rtol=0, atol=1e-7)
+
+
+def test_slopes_are_finite_differences(any_cell: Cell) -> None:
+    na = len(any_cell.arm)
+    tip, frames, z, q = made_up_tasks(any_cell, np.random.default_rng(4), 60)
+    h = 1e-5
+    for i in range(len(q)):
+        one = slice(i, i + 1)
+        out = run_follow(any_cell, tip[one], frames[one], z[one], q[one])
+        assert out.lost == -1
+        singular = np.linalg.svd(any_cell.arm.jacobians(out.q[:, :na])[0], compute_uv=False)
+        clear = singular[-2] > 1.15 * singular[-1]  # else the two smallest are about to change places
+        assert out.sigma[0] == pytest.approx(singular[-1], rel=1e-9 if clear else 1e-2)
+        T_world_nozzle = any_cell.arm.poses(out.q[:, :na])[0]
+        T_world_part = any_cell.holder.poses(out.q[:, na:])[0]
+        assert out.upright[0, 0] == pytest.approx(-T_world_nozzle[2, 2], abs=1e-11)
+        assert out.upright[0, 1] == pytest.approx(-(T_world_part[:3, :3] @ frames[i, :, 2])[2], abs=1e-11)
+        for m in range(z.shape[1]):
+            sides = []
+            for sign in (1.0, -1.0):
+                moved = z[one].copy()
+                moved[0, m] += sign * h
+                side = run_follow(any_cell, tip[one], frames[one], moved, out.q)
+                assert side.lost == -1
+                sides.append(side)
+            plus, minus = sides
+            scale = 1.0 + np.abs(out.G[0, :, m]).max()
+            np.testing.assert_allclose((plus.q - minus.q)[0] / (2 * h), out.G[0, :, m], rtol=0, atol=1e-5 * scale**3)
+            lean = (plus.upright - minus.upright)[0] / (2 * h)
+            np.testing.assert_allclose(lean, out.upright_slope[0, :, m], rtol=0, atol=1e-6)
+            if clear:
+                by = [np.linalg.svd(any_cell.arm.jacobians(s.q[:, :na])[0], compute_uv=False)[-1] for s in sides]
+                slope = (by[0] - by[1]) / (2 * h)
+                assert slope == pytest.approx(out.sigma_slope[0, m], abs=1e-4 * scale**3)
+
+
+def test_smallest_singular_value_is_followed_along_a_path(cell: Cell) -> None:
+    """From sample to sample the iteration goes on where it was, through places where two values come close."""
+    rng = np.random.default_rng(5)
+    closest = np.inf
+    for _ in range(40):
+        a, b = rng.uniform(-1.2, 1.2, (2, 7))
+        a[4], b[4] = abs(a[4]) + 0.3, abs(b[4]) + 0.3
+        q = a + np.linspace(0.0, 0.5, 300)[:, None] * (b - a)
+        T = cell.T_part_nozzle(q)
+        z = np.zeros((300, 4))
+        z[:, HOLDER] = q[:, 6]
+        out = run_follow(cell, T[:, :3, 3], T[:, :3, :3], z, q)
+        assert out.lost == -1
+        singular = np.linalg.svd(cell.arm.jacobians(q[:, :6]), compute_uv=False)
+        closest = min(closest, float((singular[:, -2] / singular[:, -1]).min()))
+        assert (out.sigma > singular[:, -1] * (1 - 1e-6)).all()
+        assert (out.sigma < singular[:, -1] * (1 + 5e-3)).all()
+    assert closest < 1.05
+
+
+def test_failure_is_reported_by_its_place(any_cell: Cell) -> None:
+    tip, frames, z, q = made_up_tasks(any_cell, np.random.default_rng(6), 9)
+    away = tip.copy()
+    away[5] += 10.0
+    lost_axis = z.copy()
+    lost_axis[3, 0] = np.nan
+    lost_tip = tip.copy()
+    lost_tip[7, 1] = np.nan
+    singular = q.copy()
+    singular[4, list(any_cell.solved)] = 0.0  # stretched out
+    for expected, out in (
+        (5, run_follow(any_cell, away, frames, z, q)),
+        (3, run_follow(any_cell, tip, frames, lost_axis, q)),
+        (7, run_follow(any_cell, lost_tip, frames, z, q)),
+        (4, run_follow(any_cell, tip, frames, z, singular)),
+    ):
+        assert out.lost == expected
+        done = slice(0, expected)
+        for values in (out.q, out.G, out.sigma, out.sigma_slope, out.upright, out.upright_slope):
+            assert np.isfinite(values[done]).all()
+    assert run_follow(any_cell, tip, frames, z, q).lost == -1
+
+
+def test_half_a_turn_away_is_not_taken_for_there(any_cell: Cell) -> None:
+    """Where the nozzle has to turn by pi, the rotation's antisymmetric part is zero, as it is at the goal."""
+    tip, frames, z, q = made_up_tasks(any_cell, np.random.default_rng(8), 30)
+    z[:, 0] += np.pi
+    held = 0
+    for i in range(len(q)):
+        one = slice(i, i + 1)
+        out = run_follow(any_cell, tip[one], frames[one], z[one], q[one])
+        if out.lost == -1:
+            T = any_cell.T_part_nozzle(out.q)[0]
+            np.testing.assert_allclose(T[:3, :3], tilted(frames[one], z[one])[0], rtol=0, atol=1e-9)
+            held += 1
+    assert held > 3
 
 
 # --- the interior-point method ----------------------------------------------------------------------------------
