@@ -135,7 +135,11 @@ def test_fit_reproduces_splines_and_is_the_least_squares_fit(controls: int, n: i
 BUILDS = {
     "table": (),
     "bed": ("cell.positioner=null", "cell.bed_mm=[560, -93, 290]", "cell.nozzle.axis=[0.2, -0.1, 2]"),
-    "table and tilt": ("cell.positioner.held_deg={}", "cell.positioner.free=[tilt, rotation]", "cell.base_mm=[20, -30, 40]"),
+    "table and tilt": (
+        "cell.positioner.held_deg={}",
+        "cell.positioner.free=[tilt, rotation]",
+        "cell.base_mm=[20, -30, 40]",
+    ),
     "seven axes": ("cell.arm=iiwa", "cell.home_deg=[10, 30, -20, -80, 15, 60, 0]"),
 }
 
