@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 CONVERGED = 1e-12  # m and rad: error of the nozzle's pose that is none
 _STEPS = 12  # of Newton's method; from a neighbouring sample's posture three or four do
 _LONGEST = 0.5  # rad that a joint may move in a step
-_POWER_STEPS = 4  # of the iteration for the smallest singular value, which starts from the sample before
+_POWER_STEPS = 16  # of the iteration for the smallest singular value, which starts from the sample before
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -30,7 +30,7 @@ def _cross(a, b, out) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def rotation_error(R_to, R_from, w) -> None:
-    """Fill w (3) with the rotation vector that turns R_from into R_to, in the outer frame; exact below pi / 2."""
+    """Fill w (3) with the rotation vector that turns R_from into R_to, in the outer frame; half a turn's axis is x."""
     for a in range(3):
         b, c = (a + 1) % 3, (a + 2) % 3
         up = 0.0
@@ -40,14 +40,16 @@ def rotation_error(R_to, R_from, w) -> None:
             down += R_to[b, k] * R_from[c, k]
         w[a] = 0.5 * (up - down)
     s = np.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+    trace = 0.0
+    for a in range(3):
+        for k in range(3):
+            trace += R_to[a, k] * R_from[a, k]
     if s > 1e-9:
-        trace = 0.0
-        for a in range(3):
-            for k in range(3):
-                trace += R_to[a, k] * R_from[a, k]
         angle = np.arctan2(s, 0.5 * (trace - 1.0))
         for a in range(3):
             w[a] *= angle / s
+    elif trace < 0.0:
+        w[0] = np.pi  # whatever the axis: once Newton's method has moved, it sees the right one
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -146,7 +148,9 @@ def follow(
             for a in range(3):
                 e[a] = p[a] - T_world_nozzle[a, 3]
                 e[3 + a] = a3[a]
-                size = max(size, max(abs(e[a]), abs(e[3 + a])))
+                size += abs(e[a]) + abs(e[3 + a])  # a sum, because max loses a NaN
+            if not size < np.inf:
+                return i
             if size < CONVERGED:
                 found = True
                 break

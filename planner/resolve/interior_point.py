@@ -20,7 +20,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 _STEPS = 60
-_GAP = 1e-5  # of the prices' sum: mean complementarity at which the solution is taken
+_FREE = 1e-9  # of what there is to gain: price of a slack that has none
+_GAP = 1e-4  # of what there is to gain at all: complementarity and residual at which the solution is taken
 _TO_THE_WALL = 0.99  # share of the way to the nearest wall that a step may go
 
 
@@ -47,7 +48,7 @@ class QuadraticProgram:
 
 
 def solve_qp(qp: QuadraticProgram) -> tuple[Array, int]:
-    """The minimiser x (n) and the number of Newton steps; x = 0 if there is no descent to be had."""
+    """The minimiser x (n) and the number of Newton steps; x = 0 where that is no worse."""
     return minimise(qp.H, qp.g, qp.box, qp.A, qp.b, qp.at, qp.group, qp.price)
 
 
@@ -160,9 +161,12 @@ def minimise(H, g, box, A, b, at, group, price) -> tuple[Array, int]:
     n, w = H.shape
     rows, groups = b.size, price.size
     x = np.zeros(n)
-    scale = price.sum() + np.abs(g * box).sum()
+    # not the prices' sum: of what must not be exceeded the prices are huge, and most of it is far away
+    now = _value(H, g, A, b, at, group, price, x)
+    scale = now + np.abs(g * box).sum()
     if scale == 0.0:
         return x, 0
+    price = np.maximum(price, _FREE * scale)  # without a price a group would have no interior
     low, high = box.copy(), box.copy()  # distances to the two walls of the box
     slack = np.empty(groups)
     s, lam = np.empty(rows), np.empty(rows)
@@ -216,7 +220,7 @@ def minimise(H, g, box, A, b, at, group, price) -> tuple[Array, int]:
         dual = 0.0
         for i in range(n):
             dual += abs(Hx[i] + g[i] + Aty[i] - lam_low[i] + lam_high[i]) * box[i]
-        if gap <= _GAP * scale and dual <= 1e-4 * scale:
+        if gap <= _GAP * scale and dual <= _GAP * scale:
             break
         for i in range(n):
             for d in range(w):
@@ -292,6 +296,8 @@ def minimise(H, g, box, A, b, at, group, price) -> tuple[Array, int]:
             lam_low[i] += length * d_low
             lam_high[i] += length * d_high
         taken += 1
+    if not _value(H, g, A, b, at, group, price, x) < now:
+        x[:] = 0.0
     return x, taken
 
 

@@ -17,7 +17,7 @@ from planner.task import NozzleTask
 
 Array = NDArray[np.float64]
 _TURN = 2.0 * np.pi
-_MARGIN = 1e-6  # rad kept from a joint's limit, so that rounding cannot cross it
+MARGIN = 1e-6  # rad kept from a joint's limit, so that rounding cannot cross it
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def choose_turns(cell: Cell, paths: Sequence[JointPath]) -> tuple[JointPath, ...
     A joint's turns are chosen by dynamic programming over the beads, each joint for itself.
     Raises Refusal for a bead along which a joint leaves its range however it is turned.
     """
-    low, high = cell.limits.q_min + _MARGIN, cell.limits.q_max - _MARGIN
+    low, high = cell.limits.q_min + MARGIN, cell.limits.q_max - MARGIN
     shift = np.zeros((len(paths), len(low)))
     for j in range(len(low)):
         options = []

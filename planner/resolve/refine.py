@@ -17,20 +17,31 @@ from numpy.typing import NDArray
 from planner.cell import Cell
 from planner.resolve.follow_kernel import follow
 from planner.resolve.interior_point import QuadraticProgram, solve_qp
-from planner.resolve.refine_kernel import HARD_PRICE, count_rows, differentiate, price_of, quadratic_program
+from planner.resolve.refine_kernel import (
+    HARD_PRICE,
+    count_rows,
+    differentiate,
+    price_of,
+    quadratic_program,
+    watch_missed,
+    watch_near,
+)
 from planner.task import Cones
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 QPSolver = Callable[[QuadraticProgram], tuple[Array, int]]
 
 ROLL, TILT, HOLDER = 0, (1, 2), 3  # columns of z; given arm joints come after the holder's
 _TRUST = 0.15  # rad that a control value may move in the first step
 _MOST_TRUST, _LEAST_TRUST = 0.6, 2e-3
 _STEPS = 15
+_ROUNDS = 4  # of solving a program and watching what its solution has missed
 _ENOUGH = 5e-4  # share of the price: a step that promises less is not worth taking
 ANCHOR = 0.1  # s per square radian that an end of a bead moves: what the search chose there keeps travel short
 _RANGE_ROOM = 1e-4  # rad kept from the ends of the joints' ranges
+_CONE_ROOM = 1e-4  # rad kept from the cones about gravity
 _CONE_SIDES = 12  # of the polygon inside the circle that bounds tilt
 
 
@@ -142,7 +153,7 @@ def evaluate_samples(
         return None
     limits = np.array([stretch.cones.nozzle_gravity, stretch.cones.layer_gravity])
     bounded = limits < np.pi
-    bounds = np.ascontiguousarray((np.cos(limits) - upright)[:, bounded])
+    bounds = np.ascontiguousarray((np.cos(limits - _CONE_ROOM) - upright)[:, bounded])
     rates, slack = np.empty((n, 3, nj)), np.empty(n)
     differentiate(q, stretch.centre, stretch.D, rates)
     price = price_of(
@@ -155,21 +166,32 @@ def evaluate_samples(
     return State(c, q, G, sigma, sigma_slope, rates, slack, bounds, slopes, float(price))
 
 
-def program_around(model: Model, stretch: Stretch, state: State, least_sigma: float, trust: float) -> QuadraticProgram:
-    """The quadratic program whose solution moves the control values of a state, at most by `trust` [rad]."""
+def watched(model: Model, stretch: Stretch, state: State) -> Flags:
+    """The rates (n, 3, nj, 2) that the program watches from the start, upwards and downwards."""
+    watch = np.zeros((*state.rates.shape, 2), dtype=np.bool_)
+    watch_near(state.rates, model.limits, stretch.deposits, state.slack, watch)
+    return watch
+
+
+def program_around(
+    model: Model, stretch: Stretch, state: State, least_sigma: float, trust: float, watch: Flags
+) -> QuadraticProgram:
+    """The quadratic program whose solution moves the control values of a state, at most by `trust` [rad].
+
+    Only the watched rates (n, 3, nj, 2) have rows in it.
+    """
     low, high = model.low[: model.arm], model.high[: model.arm]
     (k, m), w = state.c.shape, stretch.B.shape[2] * state.c.shape[1]
     rows, groups = count_rows(
-        state.rates, model.limits, stretch.step, stretch.deposits, state.slack, state.q, low, high, state.sigma,
-        least_sigma, state.bounds,
-    )  # fmt: skip
+        stretch.step, stretch.deposits, watch, state.q, low, high, state.sigma, least_sigma, state.bounds
+    )
     own_A, own_b, own_at = _control_rows(model, stretch, state, w)
     extra = len(own_b)
     H, g = np.empty((k * m, w)), np.empty(k * m)
     A, b, at = np.empty((rows + extra, w)), np.empty(rows + extra), np.empty(rows + extra, dtype=np.int64)
     group, price = np.empty(groups + extra + 1, dtype=np.int64), np.empty(groups + extra)
     quadratic_program(
-        state.rates, model.limits, stretch.step, stretch.deposits, state.slack, state.q, state.G, low, high,
+        state.rates, model.limits, stretch.step, stretch.deposits, state.slack, watch, state.q, state.G, low, high,
         state.sigma, state.sigma_slope, least_sigma, state.bounds, state.bound_slopes,
         stretch.centre, stretch.D, stretch.first, stretch.B, stretch.free, H, g, A, b, at, group, price,
     )  # fmt: skip
@@ -222,18 +244,33 @@ def _foreseen(stretch: Stretch, state: State, x: Array) -> Array:
     return state.q + np.einsum("njm,nb,nbm->nj", state.G, stretch.B[:, 0], moved, optimize=True)
 
 
+def _best_step(
+    model: Model, stretch: Stretch, state: State, least_sigma: float, trust: float, watch: Flags, solver: QPSolver
+) -> tuple[Array, float]:
+    """The step x that lowers the model's price most, and by how much [s].
+
+    A sample has some forty bounds, few of which matter: those that a solution goes beyond are added to `watch`.
+    """
+    for _ in range(_ROUNDS):
+        program = program_around(model, stretch, state, least_sigma, trust, watch)
+        x, _ = solver(program)
+        if not watch_missed(
+            state.rates, model.limits, stretch.deposits, state.slack, state.G, stretch.centre, stretch.D,
+            stretch.first, stretch.B, stretch.free, x, watch,
+        ):  # fmt: skip
+            break
+    return x, float(stretch.step.mean()) * (program.value(np.zeros(len(x))) - program.value(x))
+
+
 def refine_stretch(
     model: Model, stretch: Stretch, state: State, least_sigma: float, solver: QPSolver = solve_qp
 ) -> State:
     """Lower the price of a state step by step; what comes back never costs more than what was given."""
     trust = _TRUST
     for _ in range(_STEPS):
-        program = program_around(model, stretch, state, least_sigma, trust)
-        now = program.value(np.zeros(len(program.g)))
-        typical = float(stretch.step.mean())
+        watch = watched(model, stretch, state)
         while True:
-            x, _ = solver(program)
-            promised = typical * (now - program.value(x))
+            x, promised = _best_step(model, stretch, state, least_sigma, trust, watch, solver)
             if promised < _ENOUGH * state.price:
                 return state
             trial = evaluate(
@@ -248,8 +285,4 @@ def refine_stretch(
             trust *= 0.3
             if trust < _LEAST_TRUST:
                 return state
-            program = QuadraticProgram(
-                program.H, program.g, np.full(len(program.g), trust),
-                program.A, program.b, program.at, program.group, program.price,
-            )  # fmt: skip
     return state

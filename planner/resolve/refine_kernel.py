@@ -23,7 +23,8 @@ EFFORT = np.array([1.0, 0.1, 0.1])  # seconds a second of printing, for joints a
 DIP_PRICE = 0.25  # seconds a second of printing below the commanded speed: one deep dip beats two shallow ones
 DIP = 0.05  # slack at which half of that is counted
 HARD_PRICE = 1e3  # seconds a second and unit (rad, or the share of a bound) beyond what must not be exceeded
-NEAR_RATE = 0.4  # share of a rate's limit above which the program watches it
+NEAR_RATE = 0.4  # share of a rate's limit above which the program watches it from the start
+MISSED = 1e-3  # slack that a rate must ask for beyond the watched ones before the program watches it too
 NEAR_RANGE = 0.3  # rad from the end of a joint's range below which the program watches it
 NEAR_BOUND = 0.05  # of a bound: cosines and the like
 NEAR_SIGMA = 1.3  # times the least singular value allowed, likewise
@@ -97,20 +98,88 @@ def price_of(rates, limits, step, deposits, q, low, high, sigma, least_sigma, bo
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def count_rows(rates, limits, step, deposits, slack, q, low, high, sigma, least_sigma, bounds):
-    """Rows (r) and groups (k) that `quadratic_program` will write."""
+def _slopes(i: int, limits, G, centre, D, first, B, free, Gd, Bf, a) -> None:
+    """Fill a (3, nj, w) with the slopes of a sample's rates, as shares of their limits, by the control values.
+
+    Fills Bf (4, nb), the B-splines of those that may move, on the way; Gd (3, nj, m) is room.
+    """
+    _, nj, m = G.shape
+    nb = B.shape[2]
+    for e in range(nb):
+        for o in range(4):
+            Bf[o, e] = B[i, o, e] * free[first[i] + e]
+    for o in range(3):
+        for j in range(nj):
+            for c in range(m):
+                total = 0.0
+                for s in range(5):
+                    total += D[i, o, s] * G[centre[i] + s - 2, j, c]
+                Gd[o, j, c] = total
+    for j in range(nj):
+        for e in range(nb):
+            b0, b1, b2, b3 = Bf[0, e], Bf[1, e], Bf[2, e], Bf[3, e]
+            for c in range(m):
+                g0, g1, g2, g3 = G[i, j, c], Gd[0, j, c], Gd[1, j, c], Gd[2, j, c]
+                p = e * m + c
+                a[0, j, p] = (g0 * b1 + g1 * b0) / limits[0, j]
+                a[1, j, p] = (g0 * b2 + 2.0 * g1 * b1 + g2 * b0) / limits[1, j]
+                a[2, j, p] = (g0 * b3 + 3.0 * g1 * b2 + 3.0 * g2 * b1 + g3 * b0) / limits[2, j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def watch_near(rates, limits, deposits, slack, watch) -> None:
+    """Mark in watch (n, 3, nj, 2), upwards and downwards, the rates that are near what their sample's slack allows."""
     n, _, nj = rates.shape
+    for i in range(n):
+        for o in range(3):
+            bound, _ = allowed(o, slack[i])
+            for j in range(nj):
+                if deposits[i] > 0.0 and abs(rates[i, o, j]) > NEAR_RATE * bound * limits[o, j]:
+                    watch[i, o, j, 0 if rates[i, o, j] > 0.0 else 1] = True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def watch_missed(rates, limits, deposits, slack, G, centre, D, first, B, free, x, watch):
+    """Mark the rates that a step x takes beyond what the watched ones of their sample ask for; returns how many."""
+    n, _, nj = rates.shape
+    m = G.shape[2]
+    w = B.shape[2] * m
+    Gd, a, Bf = np.empty((3, nj, m)), np.empty((3, nj, w)), np.empty((4, B.shape[2]))
+    over = np.empty((3, nj, 2))
+    missed = 0
+    for i in range(n):
+        if deposits[i] == 0.0:
+            continue
+        _slopes(i, limits, G, centre, D, first, B, free, Gd, Bf, a)
+        needed = 0.0
+        for o in range(3):
+            bound, slope = allowed(o, slack[i])
+            for j in range(nj):
+                share = rates[i, o, j] / limits[o, j]
+                for p in range(w):
+                    share += a[o, j, p] * x[first[i] * m + p]
+                for side in range(2):
+                    over[o, j, side] = ((share if side == 0 else -share) - bound) / slope + slack[i]
+                    if watch[i, o, j, side]:
+                        needed = max(needed, over[o, j, side])
+        for o in range(3):
+            for j in range(nj):
+                for side in range(2):
+                    if over[o, j, side] > needed + MISSED and not watch[i, o, j, side]:
+                        watch[i, o, j, side] = True
+                        missed += 1
+    return missed
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def count_rows(step, deposits, watch, q, low, high, sigma, least_sigma, bounds):
+    """Rows (r) and groups (k) that `quadratic_program` will write."""
+    n = len(q)
     rows, groups = 0, 0
     for i in range(n):
         if step[i] == 0.0:
             continue
-        own = 0
-        if deposits[i] > 0.0:
-            for o in range(3):
-                bound, _ = allowed(o, slack[i])
-                for j in range(nj):
-                    if abs(rates[i, o, j]) > NEAR_RATE * bound * limits[o, j]:
-                        own += 1
+        own = watch[i].sum() if deposits[i] > 0.0 else 0
         rows += own
         groups += 1 if own else 0
         for j in range(low.size):
@@ -129,7 +198,7 @@ def count_rows(rates, limits, step, deposits, slack, q, low, high, sigma, least_
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def quadratic_program(
-    rates, limits, step, deposits, slack, q, G, low, high, sigma, sigma_slope, least_sigma, bounds, bound_slopes,
+    rates, limits, step, deposits, slack, watch, q, G, low, high, sigma, sigma_slope, least_sigma, bounds, bound_slopes,
     centre, D, first, B, free,
     H, g, A, b, at, group, price,
 ):  # fmt: skip
@@ -159,25 +228,7 @@ def quadratic_program(
         if step[i] == 0.0:
             continue
         at_i = first[i] * m
-        for e in range(nb):
-            for o in range(4):
-                Bf[o, e] = B[i, o, e] * free[first[i] + e]
-        for o in range(3):
-            for j in range(nj):
-                for c in range(m):
-                    total = 0.0
-                    for s in range(5):
-                        total += D[i, o, s] * G[centre[i] + s - 2, j, c]
-                    Gd[o, j, c] = total
-        for j in range(nj):
-            for e in range(nb):
-                b0, b1, b2, b3 = Bf[0, e], Bf[1, e], Bf[2, e], Bf[3, e]
-                for c in range(m):
-                    g0, g1, g2, g3 = G[i, j, c], Gd[0, j, c], Gd[1, j, c], Gd[2, j, c]
-                    p = e * m + c
-                    a[0, j, p] = (g0 * b1 + g1 * b0) / limits[0, j]
-                    a[1, j, p] = (g0 * b2 + 2.0 * g1 * b1 + g2 * b0) / limits[1, j]
-                    a[2, j, p] = (g0 * b3 + 3.0 * g1 * b2 + 3.0 * g2 * b1 + g3 * b0) / limits[2, j]
+        _slopes(i, limits, G, centre, D, first, B, free, Gd, Bf, a)
         # effort
         for o in range(3):
             for j in range(nj):
@@ -191,14 +242,15 @@ def quadratic_program(
                 bound, slope = allowed(o, slack[i])
                 for j in range(nj):
                     share = rates[i, o, j] / limits[o, j]
-                    if abs(share) > NEAR_RATE * bound:
-                        sign = 1.0 if share > 0.0 else -1.0
-                        for p in range(w):
-                            A[r, p] = sign * a[o, j, p] / slope
-                        b[r] = (bound - abs(share)) / slope - slack[i]
-                        at[r] = at_i
-                        r += 1
-                        own += 1
+                    for side in range(2):
+                        if watch[i, o, j, side]:
+                            sign = 1.0 if side == 0 else -1.0
+                            for p in range(w):
+                                A[r, p] = sign * a[o, j, p] / slope
+                            b[r] = (bound - sign * share) / slope - slack[i]
+                            at[r] = at_i
+                            r += 1
+                            own += 1
             if own:
                 price[k] = step[i] * deposits[i] * lost_slope(slack[i])
                 k += 1

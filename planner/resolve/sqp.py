@@ -15,7 +15,7 @@ from scipy.linalg import solveh_banded
 
 from planner.cell import Cell
 from planner.problem import ResolveSpec
-from planner.resolve.jointpath import JointPath, choose_turns
+from planner.resolve.jointpath import MARGIN, JointPath, choose_turns
 from planner.resolve.ladder import ladder, runs_backwards
 from planner.resolve.refine import (
     HOLDER,
@@ -37,6 +37,7 @@ Array = NDArray[np.float64]
 SAMPLES_PER_CONTROL = 4  # at least: what moves between control values must be resolved by the samples
 WINDOW = 160  # control values that move at once: bounds the memory
 OVERLAP = 40  # of a window with each neighbour
+_TURN = 2.0 * np.pi
 _PAD = 4  # samples on both sides of a window that its derivatives look at
 _FLOOR = 1.0 + 1e-3  # times the least singular value that was given: the program may miss a bound by less
 
@@ -84,14 +85,21 @@ def refine_paths(cell: Cell, paths: Sequence[JointPath], settings: ResolveSpec) 
                     tracks[k] = tracks[k] if piece is None else piece.put_into(tracks[k])
             for i, track in zip(layer, tracks, strict=True):
                 below[track.task.name] = track
-                price, sigma = given_price(model, path_of(cell, track), floor)
-                if price < given[i][0] and sigma >= min(floor / _FLOOR, given[i][1]):
-                    done[i] = path_of(cell, track)
+                refined = path_of(cell, track)
+                price, sigma = given_price(model, refined, floor)
+                if price < given[i][0] and sigma >= min(floor / _FLOOR, given[i][1]) and _within(cell, refined):
+                    done[i] = refined
     return choose_turns(cell, done)
 
 
 def _long_enough(path: JointPath) -> bool:
     return len(path.task) >= LEAST_SAMPLES
+
+
+def _within(cell: Cell, path: JointPath) -> bool:
+    """Whether a path keeps to the joints' ranges and to its tilt: in the program both have a price, if a high one."""
+    inside = (path.q >= cell.limits.q_min + MARGIN) & (path.q <= cell.limits.q_max - MARGIN)
+    return bool(inside.all() and (np.hypot(*path.tilt.T) <= path.task.cones.tilt).all())
 
 
 def _alike(paths: Sequence[JointPath], indices: Iterable[int]) -> list[list[int]]:
@@ -151,7 +159,8 @@ def _start(model: Model, knot: float, floor: float, path: JointPath, below: Trac
     if below is not None and below.branch == path.branch and below.c.shape == c.shape:
         flip = slice(None, None, -1 if runs_backwards(task, below.task) else 1)
         near = below.q[flip][np.round(np.linspace(0, len(below.q) - 1, n)).astype(int)]
-        other = evaluate(model, stretch, below.c[flip], near, floor)
+        turns = np.round((c[0] - below.c[flip][0]) / _TURN) * _TURN  # they were chosen for each bead
+        other = evaluate(model, stretch, below.c[flip] + turns, near, floor)
         if other is not None and (best is None or other.price < best.price):
             best = other
     if best is None:

@@ -1,0 +1,446 @@
+"""Strategy `sqp`: prices and programs against finite differences, refined paths against what they must keep."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from planner.cell import Cell, build_cell
+from planner.problem import Problem, load_problem
+from planner.resolve.jointpath import JointPath, postures
+from planner.resolve.ladder import ladder, runs_backwards
+from planner.resolve.node_kernel import LIMIT_COMFORT, LIMIT_PRICE, SIGMA_COMFORT, SIGMA_PRICE
+from planner.resolve.refine import (
+    Model,
+    State,
+    Stretch,
+    evaluate,
+    model_of,
+    program_around,
+    refine_stretch,
+)
+from planner.resolve.refine_kernel import DIP, DIP_PRICE, EFFORT, HARD_PRICE, allowed, lost, lost_slope, price_of
+from planner.resolve.sqp import Track, _start, given_price, refine_paths, whole, windows
+from planner.task import NozzleTask, cones_of, make_tasks
+from planner.toolpath.bead import Toolpath
+
+Array = NDArray[np.float64]
+MODULE = sys.modules["planner.resolve.sqp"]  # the package's attribute of that name is the strategy
+
+
+# --- price and program ------------------------------------------------------------------------------------------
+
+
+def test_price_against_plain_numpy() -> None:
+    rng = np.random.default_rng(1)
+    for n, nj, na, nb in ((40, 7, 6, 0), (30, 6, 6, 2), (25, 9, 7, 1)):
+        limits = rng.uniform(1.0, 50.0, (3, nj))
+        rates = rng.normal(size=(n, 3, nj)) * limits * rng.choice([0.3, 1.0, 3.0], (n, 1, 1))
+        step, deposits = rng.uniform(0.0, 0.02, n), (rng.random(n) < 0.7).astype(float)
+        q, low, high = rng.uniform(-2.1, 2.1, (n, nj)), np.full(na, -2.0), np.full(na, 2.0)
+        sigma, least = rng.uniform(0.04, 0.4, n), 0.06
+        bounds, slack = rng.normal(size=(n, nb)) * 0.02, np.empty(n)
+        price = price_of(rates, limits, step, deposits, q, low, high, sigma, least, bounds, slack)
+        share = np.abs(rates) / limits
+        need = np.maximum((share ** (1.0 / np.array([1, 2, 3])[:, None])).max(axis=(1, 2)) - 1.0, 0.0)
+        np.testing.assert_allclose(slack, need, rtol=0, atol=1e-12)
+        room = np.minimum(q[:, :na] - low, high - q[:, :na])
+        effort = (share**2 / (1 + share**2)).sum(axis=2) @ np.broadcast_to(EFFORT, 3) / nj
+        close = SIGMA_PRICE * np.maximum(SIGMA_COMFORT / sigma - 1, 0) ** 2
+        close += LIMIT_PRICE * (np.maximum(1 - room / LIMIT_COMFORT, 0) ** 2).sum(axis=1)
+        hard = np.maximum(least - sigma, 0) + np.maximum(-room, 0).sum(axis=1) + np.maximum(bounds, 0).sum(axis=1)
+        late = deposits * (need + DIP_PRICE * need / (need + DIP))
+        assert price == pytest.approx(float(step @ (late + effort + close + HARD_PRICE * hard)), rel=1e-9)
+
+
+def test_what_the_program_says_of_slack_is_never_too_little() -> None:
+    """Tangents: above the price of slack, which is concave, and below the rates that slack allows."""
+    s = np.linspace(0.0, 4.0, 41)
+    for at in (0.0, 0.02, 0.5, 3.0):
+        assert all(lost(at) + lost_slope(at) * (x - at) >= lost(x) - 1e-12 for x in s)
+        assert lost_slope(at) == pytest.approx((lost(at + 1e-6) - lost(at)) / 1e-6, rel=1e-4)
+        for order in (0, 1, 2):
+            bound, slope = allowed(order, at)
+            assert bound == pytest.approx((1.0 + at) ** (order + 1))
+            assert all(bound + slope * (x - at) <= allowed(order, x)[0] + 1e-12 for x in s)
+            assert slope == pytest.approx((allowed(order, at + 1e-6)[0] - bound) / 1e-6, rel=1e-4)
+
+
+TWO_AXES = ("cell.positioner.held_deg={}", "cell.positioner.free=[tilt, rotation]")
+TILT = "process.cones={nozzle_normal_deg: 20}"
+SETUPS = {
+    "plain": (),
+    "fast": ("process.speed_mm_s=150",),
+    "fast, tilt": ("process.speed_mm_s=150", TILT),
+    "two axes, gravity": (
+        *TWO_AXES, "process.speed_mm_s=120",
+        "process.cones={nozzle_normal_deg: 20, nozzle_gravity_deg: 80, layer_gravity_deg: 85}",
+    ),
+    "narrow": (TILT, "process.speed_mm_s=100", "cell.limits={joint_1: {range_deg: [-20, 40]}}"),
+    "seven axes": ("cell.arm=iiwa", "cell.home_deg=[10, 30, -20, -80, 15, 60, 0]"),
+}  # fmt: skip
+Setup = tuple[Cell, Problem, tuple[JointPath, ...]]
+
+
+@pytest.fixture(scope="module")
+def setup_of(drawing_problem: Problem, toolpath: Toolpath) -> Callable[[str], Setup]:
+    """Cell, problem and the ladder's paths of two layers of the drawing, by the name of a setup."""
+    known: dict[str, Setup] = {}
+
+    def make(name: str) -> Setup:
+        if name not in known:
+            steps = ["resolve.rung_mm=10", "resolve.roll_step_deg=30", "resolve.table_step_deg=30"]
+            problem = load_problem("cylinder_logo", [*steps, *SETUPS[name]])
+            cell = build_cell(problem)
+            tasks = make_tasks(toolpath, problem.process.speed, 5e-3, cones_of(problem.process.cones))
+            known[name] = cell, problem, ladder(cell, tasks, problem.resolve)
+        return known[name]
+
+    return make
+
+
+def start(cell: Cell, path: JointPath, floor: float, knot: float = 2.5e-3) -> tuple[Model, Track, Stretch, State]:
+    model = model_of(cell)
+    track = _start(model, knot, floor, path, None)
+    stretch = whole(track.task, track.clock, track.basis, track.anchor)
+    state = evaluate(model, stretch, track.c, track.q, floor)
+    assert state is not None
+    return model, track, stretch, state
+
+
+def perturbed(model: Model, stretch: Stretch, state: State, floor: float, size: float, seed: int) -> State:
+    """Smoothly, so that the joints keep following."""
+    rng = np.random.default_rng(seed)
+    k, m = state.c.shape
+    wave = np.sin(np.linspace(0.0, 3.0, k)[:, None] * rng.uniform(0.5, 2.0, m) + rng.uniform(0, 6, m))
+    out = evaluate(model, stretch, state.c + size * wave * rng.uniform(-1, 1, m), state.q, floor)
+    assert out is not None
+    return out
+
+
+@pytest.mark.parametrize("name", ["plain", "fast, tilt", "two axes, gravity"])
+def test_rows_of_the_program_are_derivatives_of_the_rates(name: str, setup_of: Callable[[str], Setup]) -> None:
+    cell, _, paths = setup_of(name)
+    floor = 0.1
+    model, _, stretch, state = start(cell, paths[0], floor)
+    state = perturbed(model, stretch, state, floor, 0.02, 1)
+    stretch = replace(stretch, free=(np.arange(len(state.c)) % 5 != 2).astype(float))
+    watch = np.ones((*state.rates.shape, 2), dtype=np.bool_)
+    qp = program_around(model, stretch, state, floor, 0.1, watch)
+    np.testing.assert_array_equal(qp.box, 0.1)
+    nj = state.rates.shape[2]
+    rng = np.random.default_rng(2)
+    laid = np.flatnonzero(stretch.deposits)
+    x = rng.normal(size=state.c.shape)
+    held = stretch.free == 0.0
+    h = 1e-5
+    moved = x * stretch.free[:, None]
+    sides = [evaluate(model, stretch, state.c + s * h * moved, state.q, floor) for s in (1.0, -1.0)]
+    assert sides[0] is not None
+    assert sides[1] is not None
+    by = (sides[0].rates - sides[1].rates) / (2 * h) / model.limits
+    scale = np.abs(by).max(axis=(0, 2))
+    w = qp.A.shape[1]
+    starts = np.flatnonzero(np.diff(qp.group) == 6 * nj)  # a sample's rates are a group of this many
+    assert len(starts) == len(laid)
+    for k, i in zip(starts, laid, strict=True):
+        rows = slice(qp.group[k], qp.group[k + 1])
+        at = int(qp.at[qp.group[k]])
+        slopes = np.array([allowed(o, state.slack[i])[1] for o in range(3)])
+        seen = (qp.A[rows] @ x.ravel()[at : at + w]).reshape(3, nj, 2) * slopes[:, None, None]
+        np.testing.assert_allclose(seen[:, :, 0], -seen[:, :, 1], rtol=0, atol=1e-12)
+        assert (np.abs(seen[:, :, 0] - by[i]) < np.array([2e-3, 5e-3, 4e-2])[:, None] * scale[:, None]).all()
+        share = state.rates[i] / model.limits
+        bound = np.array([allowed(o, state.slack[i])[0] for o in range(3)])
+        room = (qp.b[rows].reshape(3, nj, 2) + state.slack[i]) * slopes[:, None, None]
+        np.testing.assert_allclose(room[:, :, 0], bound[:, None] - share, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(room[:, :, 1], bound[:, None] + share, rtol=0, atol=1e-9)
+    columns = np.repeat(held, x.shape[1])
+    for r in range(len(qp.b)):
+        assert not qp.A[r, columns[qp.at[r] : qp.at[r] + w]].any()  # control values that are held
+    assert not qp.g[columns].any()
+    assert (qp.H[columns, 0] > 0.0).all()
+
+
+@pytest.mark.parametrize("name", ["plain", "fast, tilt", "two axes, gravity", "narrow"])
+@pytest.mark.parametrize("floor", [0.1, 0.19])
+def test_program_is_the_price_to_first_order_and_not_below(
+    name: str, floor: float, setup_of: Callable[[str], Setup]
+) -> None:
+    cell, _, paths = setup_of(name)
+    for path in paths[:2]:
+        model, _, stretch, state = start(cell, path, floor)
+        state = perturbed(model, stretch, state, floor, 0.03, 3)
+        watch = np.ones((*state.rates.shape, 2), dtype=np.bool_)
+        qp = program_around(model, stretch, state, floor, 0.1, watch)
+        typical, now = float(stretch.step.mean()), qp.value(np.zeros(len(qp.g)))
+        rng = np.random.default_rng(4)
+        k = np.arange(len(state.c))[:, None]
+        for _ in range(6):
+            x = np.sin(k * rng.uniform(0.1, 1.0, state.c.shape[1]) + rng.uniform(0, 6, state.c.shape[1]))
+            errors, changes = [], []
+            for h in (2e-3, 2e-4, 2e-5):
+                moved = evaluate(model, stretch, state.c + h * x, state.q, floor)
+                assert moved is not None
+                change = typical * (qp.value(h * x.ravel()) - now)
+                errors.append((moved.price - state.price - change) / h)
+                changes.append(abs(change) / h)
+            # the stencils' own error aside, what the program leaves out is of second order
+            # the steps are a tenth of each other: what the program leaves out is of second order
+            assert abs(errors[2]) < 0.25 * abs(errors[1]) + 3e-4 * changes[2] + 1e-5
+            # and, where it is not, the program asks too much rather than too little
+            assert errors[0] < 0.02 * max(changes) + 0.03
+
+
+# --- refining ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SETUPS)
+def test_refining_never_raises_the_price(name: str, setup_of: Callable[[str], Setup]) -> None:
+    cell, _, paths = setup_of(name)
+    gained = 0
+    for path in paths[:2]:
+        floor = 0.1
+        model, _, stretch, state = start(cell, path, floor)
+        for size, seed in ((0.0, 0), (0.05, 1)):
+            given = perturbed(model, stretch, state, floor, size, seed)
+            out = refine_stretch(model, stretch, given, floor)
+            assert out.price <= given.price
+            gained += out.price < 0.8 * given.price
+            again = evaluate(model, stretch, out.c, out.q, floor)
+            assert again is not None
+            assert again.price == pytest.approx(out.price, rel=1e-6)  # and it is the price of what came back
+    assert gained >= 2
+
+
+def test_a_useless_solver_changes_nothing(setup_of: Callable[[str], Setup]) -> None:
+    cell, _, paths = setup_of("fast")
+    model, _, stretch, state = start(cell, paths[0], 0.1)
+    rng = np.random.default_rng(1)
+    for answer in (
+        lambda qp: (np.full(len(qp.g), np.nan), 0),
+        lambda qp: (np.zeros(len(qp.g)), 0),
+        lambda qp: (rng.uniform(-1, 1, len(qp.g)) * qp.box, 0),
+        lambda qp: (qp.box * 20.0, 0),
+    ):
+        out = refine_stretch(model, stretch, state, 0.1, answer)
+        assert out.price <= state.price
+        assert np.isfinite(out.q).all()
+
+
+def lean(cell: Cell, path: JointPath) -> tuple[float, float]:
+    """Largest angles between nozzle axis and gravity, and between surface normal and the vertical [rad]."""
+    na = len(cell.arm)
+    axis = -cell.arm.poses(path.q[:, :na])[:, 2, 2]
+    normal = -(cell.holder.poses(path.q[:, na:])[:, :3, :3] @ path.task.frames[:, :, 2, None])[:, 2, 0]
+    return float(np.arccos(np.clip(axis, -1, 1)).max()), float(np.arccos(np.clip(normal, -1, 1)).max())
+
+
+@pytest.mark.parametrize("name", SETUPS)
+def test_refined_paths_cost_less_and_keep_every_bound(name: str, setup_of: Callable[[str], Setup]) -> None:
+    cell, problem, paths = setup_of(name)
+    model, least = model_of(cell), problem.resolve.min_sigma
+    out = refine_paths(cell, paths, problem.resolve)
+    assert [p.task for p in out] == [p.task for p in paths]
+    before, after = ([given_price(model, p, least) for p in some] for some in (paths, out))
+    assert sum(p for p, _ in after) < 0.8 * sum(p for p, _ in before)
+    worst = min(s for _, s in before)
+    for path, given, price in zip(out, before, after, strict=True):
+        assert price[0] <= given[0]
+        task = path.task
+        T = cell.T_part_nozzle(path.q)
+        np.testing.assert_allclose(T[:, :3, 3], task.tip, rtol=0, atol=1e-9)
+        tilt = 2.0 * np.arcsin(0.5 * np.linalg.norm(T[:, :3, 2] - task.frames[:, :, 2], axis=1))
+        assert tilt.max() <= task.cones.tilt + 1e-9
+        np.testing.assert_allclose(tilt, np.hypot(*path.tilt.T), rtol=0, atol=1e-9)
+        sigma = np.linalg.svd(cell.arm.jacobians(path.q[:, : len(cell.arm)]), compute_uv=False)[:, -1]
+        assert sigma.min() > min(max(worst, least), given[1]) - 1e-9
+        assert (path.q > cell.limits.q_min).all()
+        assert (path.q < cell.limits.q_max).all()
+        nozzle, layer = lean(cell, path)
+        assert nozzle < task.cones.nozzle_gravity + 1e-9
+        assert layer < task.cones.layer_gravity + 1e-9
+
+
+def test_no_path_comes_back_that_leaves_a_range_or_its_cone(
+    setup_of: Callable[[str], Setup], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What must not be exceeded has a price in the program; whatever that buys, it is not sold."""
+    cell, problem, paths = setup_of("fast, tilt")
+    cell = replace(cell, limits=replace(cell.limits, q_min=cell.limits.q_min.copy(), q_max=cell.limits.q_max.copy()))
+    cell.limits.q_min[6], cell.limits.q_max[6] = paths[0].q[:, 6].min() - 0.1, paths[0].q[:, 6].max() + 0.1
+    monkeypatch.setattr(MODULE, "_refine_window", lambda *_: None)
+    monkeypatch.setattr(MODULE, "given_price", lambda model, path, least: (-float(np.ptp(path.roll)), 1.0))
+    for column, by in ((3, 0.2), (1, 0.4), (3, 0.05), (1, 0.3)):
+
+        def shifted(*given: object, column: int = column, by: float = by) -> Track:
+            track = _start(*given)  # type: ignore[arg-type]
+            c = track.c.copy()
+            c[:, column] += by
+            c[0, 0] -= 10.0  # cheaper, by the price above
+            q = track.q.copy()
+            q[:, 6] += by if column == 3 else 0.0
+            return replace(track, c=c, q=q)
+
+        monkeypatch.setattr(MODULE, "_start", shifted)
+        (out,) = refine_paths(cell, paths[:1], problem.resolve)
+        assert (out.roll is paths[0].roll) == (by in (0.2, 0.4))
+
+
+def test_layers_start_from_the_one_below_either_way_round(setup_of: Callable[[str], Setup]) -> None:
+    cell, _, paths = setup_of("fast, tilt")
+    floor, model = 0.1, model_of(cell)
+    seen = set()
+    for lower in paths[:3]:
+        upper = next(p for p in paths[3:] if p.task.name == lower.task.name)
+        _, track, stretch, state = start(cell, lower, floor)
+        done = refine_stretch(model, stretch, state, floor)
+        below = replace(track, c=done.c, q=done.q)
+        alone = _start(model, 2.5e-3, floor, upper, None)
+        if below.c.shape != alone.c.shape:
+            continue
+        for turn in (0.0, 2.0 * np.pi):  # the table of the bead below may have been left a turn further
+            turned = replace(below, c=below.c.copy(), q=below.q.copy())
+            turned.c[:, -1] += turn
+            turned.q[:, -1] += turn
+            both = _start(model, 2.5e-3, floor, upper, turned)
+            assert both.price < 0.8 * alone.price
+            assert np.abs(both.q[:, -1] - alone.q[:, -1]).max() < np.pi
+        np.testing.assert_array_equal(both.anchor, alone.anchor)
+        seen.add(runs_backwards(upper.task, lower.task))
+        other = _start(model, 2.5e-3, floor, replace(upper, branch=upper.branch ^ 1), below)
+        assert other.price == alone.price  # of no use on another branch
+    assert seen >= {True} or len(seen) == 2
+
+
+# --- windows ----------------------------------------------------------------------------------------------------
+
+
+def test_windows_cover_everything_and_stay_apart() -> None:
+    for controls in (2, 7, 160, 200, 201, 240, 241, 280, 281, 999, 1000, 2003):
+        edges = windows(controls)
+        assert (edges[0][0], edges[-1][1]) == (0, controls)
+        for (a0, a1), (b0, b1) in zip(edges[:-1], edges[1:], strict=True):
+            assert a0 < b0 < a1 < b1  # neighbours overlap
+        for colour in (edges[::2], edges[1::2]):
+            for (_, a1), (b0, _) in zip(colour[:-1], colour[1:], strict=True):
+                assert b0 - a1 > 2 * 6  # more than the B-splines of both sides reach
+        assert max(b - a for a, b in edges) <= MODULE.WINDOW + MODULE.OVERLAP
+
+
+def priced(cell: Cell, paths: tuple[JointPath, ...]) -> float:
+    model = model_of(cell)
+    return sum(given_price(model, path, 0.05)[0] for path in paths)
+
+
+@pytest.mark.parametrize("name", ["fast, tilt", "narrow"])
+def test_small_windows_come_near_to_one_large_one(
+    name: str, setup_of: Callable[[str], Setup], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With knots so close that the windows are many; in "narrow" joints come near the ends of their ranges."""
+    cell, problem, paths = setup_of(name)
+    settings = problem.resolve.model_copy(update={"knot": 1e-3})
+    large = refine_paths(cell, paths[:1], settings)
+    monkeypatch.setattr(MODULE, "WINDOW", 28)
+    monkeypatch.setattr(MODULE, "OVERLAP", 8)
+    assert len(windows(54)) == 3
+    small = refine_paths(cell, paths[:1], settings)
+    given, one, many = (priced(cell, p) for p in (paths[:1], large, small))
+    assert one < 0.7 * given
+    assert given - many > 0.6 * (given - one)
+
+
+def test_a_window_sees_the_rates_of_the_whole_path(
+    setup_of: Callable[[str], Setup], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Wherever it counts them; and it counts all samples that its control values touch."""
+    cell, _, paths = setup_of("fast, tilt")
+    model, track, stretch, state = start(cell, paths[0], 0.1, knot=1e-3)
+    seen: list[tuple[Stretch, State]] = []
+
+    def capture(model: Model, stretch: Stretch, state: State, floor: float) -> State:
+        seen.append((stretch, state))
+        return state
+
+    monkeypatch.setattr(MODULE, "refine_stretch", capture)
+    for window in ((0, 20), (15, 35), (30, len(track.c))):
+        piece = MODULE._refine_window(model, 0.1, track, window)
+        part, its = seen.pop()
+        counted = part.step > 0.0
+        np.testing.assert_allclose(its.rates[counted], state.rates[piece.samples][counted], rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(its.slack[counted], state.slack[piece.samples][counted], rtol=0, atol=1e-6)
+        np.testing.assert_array_equal(part.step[counted], stretch.step[piece.samples][counted])
+        assert not part.deposits[~counted].any()
+        np.testing.assert_array_equal(np.flatnonzero(part.free) + piece.controls.start, np.arange(*window))
+        first, width = track.basis.first, track.basis.B.shape[2]
+        touched = np.flatnonzero((first + width > window[0]) & (first < window[1]))
+        reach = np.unique(np.clip(touched[:, None] + np.arange(-2, 3), 0, len(first) - 1))
+        assert set(reach) <= set(np.arange(len(first))[piece.samples][counted])
+        assert piece.put_into(track).c.shape == track.c.shape
+
+
+def test_threads_do_not_matter(setup_of: Callable[[str], Setup], monkeypatch: pytest.MonkeyPatch) -> None:
+    cell, problem, paths = setup_of("fast")
+    monkeypatch.setattr(MODULE, "WINDOW", 14)
+    monkeypatch.setattr(MODULE, "OVERLAP", 4)
+    results = []
+    for threads in (1, 2, 5):
+        monkeypatch.setattr(MODULE.os, "cpu_count", lambda threads=threads: threads)
+        results.append(refine_paths(cell, paths, problem.resolve))
+    for other in results[1:]:
+        for a, b in zip(results[0], other, strict=True):
+            np.testing.assert_array_equal(a.q, b.q)
+            np.testing.assert_array_equal(a.roll, b.roll)
+
+
+def test_a_long_bead(cell: Cell) -> None:
+    """Twelve turns round the cylinder, 850 control values, in windows of the size that ships."""
+    path = spiral_path(cell, turns=12.0, n=4300)
+    settings = load_problem("cylinder_logo").resolve
+    track = _start(model_of(cell), settings.knot, 0.05, path, None)
+    assert len(windows(track.basis.controls)) > 4
+    (out,) = refine_paths(cell, [path], settings)
+    assert given_price(model_of(cell), out, 0.05)[0] < 0.8 * given_price(model_of(cell), path, 0.05)[0]
+    assert (np.abs(np.diff(out.q, 4, axis=0)).max(axis=0) < 2e-3).all()  # no seams between windows
+
+
+@pytest.mark.parametrize("n", [2, 4, 5, 6, 9, 30])
+def test_short_beads(cell: Cell, n: int) -> None:
+    """Too short for a stencil: left alone. Otherwise at least as good as before."""
+    path = spiral_path(cell, turns=0.003 * n, n=n)
+    settings = load_problem("cylinder_logo").resolve
+    long = spiral_path(cell, turns=0.2, n=100)
+    out, _ = refine_paths(cell, [path, long], settings)
+    assert out.q.shape == path.q.shape
+    assert np.isfinite(out.q).all()
+    if n < 5:
+        np.testing.assert_array_equal(out.q, path.q)
+    else:
+        assert given_price(model_of(cell), out, 0.05)[0] <= given_price(model_of(cell), path, 0.05)[0]
+    assert refine_paths(cell, [path], settings)[0].q.shape == path.q.shape
+
+
+def spiral_path(cell: Cell, turns: float, n: int) -> JointPath:
+    """A nozzle that stands on a cylinder's side while the table turns, with a needless swing of roll and table."""
+    angle = np.linspace(0.0, 2.0 * np.pi * turns, n)
+    c, s, zero = np.cos(angle), np.sin(angle), np.zeros(n)
+    radius, rise = 0.034, 0.01 * angle / (2.0 * np.pi)
+    tip = np.column_stack([0.0314 + radius * c, 0.037 + radius * s, 0.03 + 0.2 * rise])
+    down = np.column_stack([zero, zero, zero - 1.0])
+    z = np.column_stack([-c, -s, zero])
+    frames = np.stack([np.cross(z, down) * -1.0, down, z], axis=-1)
+    frames[:, :, 0] = np.cross(frames[:, :, 1], z)
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))])
+    task = NozzleTask(0, f"spiral {n}", 0, tip, frames, arc, 0, n - 1, 0.04)
+    # the arm's z axis horizontal, towards the cylinder, as at home; the table turns the point there
+    swing = 0.15 * np.sin(np.linspace(0.0, 40.0 * turns, n))
+    home = cell.arm.poses(cell.home[None, :6])[0, :3, :3]
+    towards = np.arctan2(-home[1, 2], -home[0, 2])
+    table = towards - angle + swing
+    q = postures(cell, task, 0.3 * swing, table[:, None], 0)
+    return JointPath(task, 0.3 * swing, np.zeros((n, 2)), q, 0)
