@@ -53,7 +53,11 @@ def test_price_against_plain_numpy() -> None:
         effort = (share**2 / (1 + share**2)).sum(axis=2) @ np.broadcast_to(EFFORT, 3) / nj
         close = SIGMA_PRICE * np.maximum(SIGMA_COMFORT / sigma - 1, 0) ** 2
         close += LIMIT_PRICE * (np.maximum(1 - room / LIMIT_COMFORT, 0) ** 2).sum(axis=1)
-        hard = np.maximum(least - sigma, 0) + np.maximum(-room, 0).sum(axis=1) + np.maximum(bounds, 0).sum(axis=1)
+        hard = (
+            deposits * np.maximum(least - sigma, 0)
+            + np.maximum(-room, 0).sum(axis=1)
+            + np.maximum(bounds, 0).sum(axis=1)
+        )
         late = deposits * (need + DIP_PRICE * need / (need + DIP))
         assert price == pytest.approx(float(step @ (late + effort + close + HARD_PRICE * hard)), rel=1e-9)
 

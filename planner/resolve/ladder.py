@@ -27,6 +27,7 @@ CORRIDORS = ((3, 4), (3, 12), (1, 1))
 _SPARSE = 5  # times as far as the settings' rungs stand those of the first look at several chosen joints
 _ROUGH = 2.0  # times the settings' steps in that first look, and where the grid would be too large
 _MOST_NODES = 3e6  # of the guide's grid: 100 MB, and a second; the second search is finer anyway
+_UPRIGHT = np.radians(30.0)  # cone of the layer to gravity below which the table has little choice left
 _LATTICE = 9  # angles at which a chosen joint is held there, at most
 
 
@@ -74,7 +75,7 @@ def guide_route(cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec)
 
     With several chosen joints a full grid would not fit. One of them at a time is searched together with roll and
     branch: first the one next to the part, on sparse rungs, for a lattice of angles at which the others rest; then
-    each other one while the rest follow the path found before. Where the layer must stay upright, the table's path is
+    each other one while the rest follow the path found before. Where the layer must stay nearly upright, the table's path is
     found first, and roll and branch alone are searched with it.
     """
     k = len(cell.chosen)
@@ -85,7 +86,7 @@ def guide_route(cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec)
             refuse_rung(cell, guides, demand, nodes, stuck, settings.min_sigma)
         return Found(demand, nodes, route)
     demand = demand_of(guides, settings.rung)
-    if len(cell.holder) > 1 and demand.cones.layer_gravity < np.pi:
+    if len(cell.holder) > 1 and demand.cones.layer_gravity < _UPRIGHT:
         return _after_table(cell, guides, demand, settings)
     found = _first_look(cell, guides, settings)
     first = found.nodes.grid.swept

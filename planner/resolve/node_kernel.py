@@ -12,9 +12,9 @@ from planner.kinematics.inverse import SPHERICAL_WRIST, solve_one
 Array = NDArray[np.float64]
 
 SIGMA_COMFORT = 0.20  # singular value below which closeness to a singularity is priced
-SIGMA_PRICE = 0.2  # seconds a second of printing, at half of SIGMA_COMFORT
+SIGMA_PRICE = 0.3  # seconds a second of printing, at half of SIGMA_COMFORT
 LIMIT_COMFORT = 0.35  # rad from a joint's limit, below which closeness is priced
-LIMIT_PRICE = 0.2  # seconds a second of printing, at the limit
+LIMIT_PRICE = 0.4  # seconds a second of printing, at the limit
 LIMIT_ROOM = 0.07  # rad from a joint's limit that a node must keep: what moves between rungs needs it
 LEAN_PRICE = 10.0  # seconds a second of printing, for each 1 of cosine beyond the cones to gravity
 DIP_PRICE = 0.25  # seconds a second of printing below the commanded speed: one deep dip beats two shallow ones

@@ -19,7 +19,7 @@ from planner.resolve.node_kernel import LIMIT_COMFORT, LIMIT_PRICE, SIGMA_COMFOR
 
 Array = NDArray[np.float64]
 
-EFFORT = np.array([1.0, 0.1, 0.1])  # seconds a second of printing, for joints at their speed, acceleration, jerk
+EFFORT = np.array([3.0, 0.1, 0.1])  # seconds a second of printing, for joints at their speed, acceleration, jerk
 DIP_PRICE = 0.25  # seconds a second of printing below the commanded speed: one deep dip beats two shallow ones
 DIP = 0.05  # slack at which half of that is counted
 HARD_PRICE = 1e3  # seconds a second and unit (rad, or the share of a bound) beyond what must not be exceeded
@@ -86,7 +86,7 @@ def price_of(rates, limits, step, deposits, q, low, high, sigma, least_sigma, bo
                 effort += EFFORT[o] * square / (1.0 + square)
         cost = deposits[i] * lost(slack[i]) + effort / nj
         close = max(0.0, SIGMA_COMFORT / sigma[i] - 1.0)
-        cost += SIGMA_PRICE * close * close + HARD_PRICE * max(0.0, least_sigma - sigma[i])
+        cost += SIGMA_PRICE * close * close + deposits[i] * HARD_PRICE * max(0.0, least_sigma - sigma[i])
         for j in range(na):
             room = min(q[i, j] - low[j], high[j] - q[i, j])
             near = max(0.0, 1.0 - room / LIMIT_COMFORT)
@@ -186,7 +186,7 @@ def count_rows(step, deposits, watch, q, low, high, sigma, least_sigma, bounds):
             if min(q[i, j] - low[j], high[j] - q[i, j]) < NEAR_RANGE:
                 rows += 1
                 groups += 1
-        if sigma[i] < NEAR_SIGMA * least_sigma:
+        if deposits[i] > 0.0 and sigma[i] < NEAR_SIGMA * least_sigma:
             rows += 1
             groups += 1
         for c in range(bounds.shape[1]):
@@ -280,7 +280,7 @@ def quadratic_program(
                     group[k] = r
         # closeness to singularities
         close = SIGMA_COMFORT / sigma[i] - 1.0
-        if close > 0.0 or sigma[i] < NEAR_SIGMA * least_sigma:
+        if close > 0.0 or (deposits[i] > 0.0 and sigma[i] < NEAR_SIGMA * least_sigma):
             for e in range(nb):
                 for c in range(m):
                     row[e * m + c] = sigma_slope[i, c] * Bf[0, e]
@@ -288,7 +288,7 @@ def quadratic_program(
                 for p in range(w):
                     a0[p] = -SIGMA_COMFORT / (sigma[i] * sigma[i]) * row[p]
                 _add(H, g, at_i, a0, 2.0 * step[i] * SIGMA_PRICE, close)
-            if sigma[i] < NEAR_SIGMA * least_sigma:
+            if deposits[i] > 0.0 and sigma[i] < NEAR_SIGMA * least_sigma:
                 for p in range(w):
                     A[r, p] = -row[p]
                 b[r] = sigma[i] - least_sigma

@@ -69,11 +69,13 @@ def sqp(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple
 def refine_paths(cell: Cell, paths: Sequence[JointPath], settings: ResolveSpec) -> tuple[JointPath, ...]:
     """Refine every path: layers in turn, beads of a layer and windows of a bead at the same time."""
     model = model_of(cell)
-    given = {i: given_price(model, path, settings.min_sigma) for i, path in enumerate(paths) if _long_enough(path)}
-    floor = _FLOOR * max(settings.min_sigma, min((sigma for _, sigma in given.values()), default=0.0))
     below: dict[str, Track] = {}
     done = list(paths)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
+        long_enough = [i for i, path in enumerate(paths) if len(path.task) >= LEAST_SAMPLES]
+        prices = pool.map(lambda i: given_price(model, paths[i], settings.min_sigma), long_enough)
+        given = dict(zip(long_enough, prices, strict=True))
+        floor = _FLOOR * max(settings.min_sigma, min((sigma for _, sigma in given.values()), default=0.0))
         for layer in _alike(paths, given):
             starts = [below.get(paths[i].task.name) for i in layer]
             tracks = list(pool.map(partial(_start, model, settings.knot, floor), [paths[i] for i in layer], starts))
@@ -90,10 +92,6 @@ def refine_paths(cell: Cell, paths: Sequence[JointPath], settings: ResolveSpec) 
                 if price < given[i][0] and sigma >= min(floor / _FLOOR, given[i][1]) and _within(cell, refined):
                     done[i] = refined
     return choose_turns(cell, done)
-
-
-def _long_enough(path: JointPath) -> bool:
-    return len(path.task) >= LEAST_SAMPLES
 
 
 def _within(cell: Cell, path: JointPath) -> bool:
@@ -139,11 +137,11 @@ def whole(task: NozzleTask, clock: Clock, basis: Basis, anchor: Array) -> Stretc
 
 
 def given_price(model: Model, path: JointPath, least_sigma: float) -> tuple[float, float]:
-    """Price [s] and least singular value of a path as it is; infinite and 0 where the kernels cannot follow it."""
+    """Price [s] of a path as it is, and its least singular value in deposition; infinite and 0 where the kernels cannot follow it."""
     clock = clock_of(path.task.s / path.task.speed)
     stretch = whole(path.task, clock, basis_over(clock, 2), np.zeros((2, 0)))
     state = evaluate_samples(model, stretch, np.zeros((2, 0)), free_variables(model, path), path.q, least_sigma)
-    return (np.inf, 0.0) if state is None else (state.price, float(state.sigma.min()))
+    return (np.inf, 0.0) if state is None else (state.price, float(state.sigma[stretch.deposits > 0.0].min()))
 
 
 def _start(model: Model, knot: float, floor: float, path: JointPath, below: Track | None) -> Track:

@@ -63,9 +63,9 @@ def _lattice(cell: Cell, axis: int, step: float) -> tuple[Array, bool]:
     low, high = cell.limits.q_min[joint], cell.limits.q_max[joint]
     if high - low >= 2.0 * np.pi:
         n = int(np.ceil(2.0 * np.pi / step))
-        return -np.pi + 2.0 * np.pi / n * np.arange(n), True
+        return np.asarray(-np.pi + 2.0 * np.pi / n * np.arange(n)), True
     n = max(int(np.ceil((high - low) / step)), 1)
-    return low + (high - low) / n * np.arange(n + 1), False
+    return np.asarray(low + (high - low) / n * np.arange(n + 1)), False
 
 
 @njit(cache=True)
