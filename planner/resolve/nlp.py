@@ -39,7 +39,7 @@ _COMMON = {
 # then, from a point that is nearly right, with all of them.
 _APPROACH = {
     **_COMMON,
-    "max_iter": 200,
+    "max_iter": 100,
     "mu_init": 1e-2,
     "acceptable_iter": 4,
     "acceptable_tol": 1e10,
@@ -50,7 +50,7 @@ _APPROACH = {
 }
 _FINISH = {
     **_COMMON,
-    "max_iter": 100,
+    "max_iter": 250,
     "mu_init": 1e-5,
     "tol": 1e-6,
     "warm_start_init_point": "yes",
