@@ -47,8 +47,10 @@ __all__ = [
     "shipped_problems",
 ]
 
-StrategyName = Literal["as_published", "fixed", "greedy", "ladder", "sqp"]
+StrategyName = Literal["as_published", "fixed", "greedy", "ladder", "sqp", "nlp"]
 STRATEGY_NAMES: tuple[str, ...] = get_args(StrategyName)
+QPName = Literal["interior_point", "osqp"]
+QP_NAMES: tuple[str, ...] = get_args(QPName)
 
 Text = Annotated[str, TEXT]
 Identifier = Annotated[str, IDENTIFIER]
@@ -190,6 +192,9 @@ class ResolveSpec(Section):
     )
     min_sigma: Annotated[float, Quantity("", 0, 1)] = _key(
         "min_sigma", "least singular value of the arm's Jacobian (metres); below it joints race", 0.05
+    )
+    qp: Annotated[QPName, one_of(QP_NAMES)] = _key(
+        "qp", f"solver of the quadratic programs of strategy sqp: {' or '.join(QP_NAMES)} (slower)", "interior_point"
     )
 
 

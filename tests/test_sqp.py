@@ -25,7 +25,7 @@ from planner.resolve.refine import (
     refine_stretch,
 )
 from planner.resolve.refine_kernel import DIP, DIP_PRICE, EFFORT, HARD_PRICE, allowed, lost, lost_slope, price_of
-from planner.resolve.sqp import Track, _start, given_price, refine_paths, whole, windows
+from planner.resolve.sqp import Track, given_price, refine_paths, start_track, whole, windows
 from planner.task import NozzleTask, cones_of, make_tasks
 from planner.toolpath.bead import Toolpath
 
@@ -110,7 +110,7 @@ def setup_of(drawing_problem: Problem, toolpath: Toolpath) -> Callable[[str], Se
 
 def start(cell: Cell, path: JointPath, floor: float, knot: float = 2.5e-3) -> tuple[Model, Track, Stretch, State]:
     model = model_of(cell)
-    track = _start(model, knot, floor, path, None)
+    track = start_track(model, knot, floor, path, None)
     stretch = whole(track.task, track.clock, track.basis, track.anchor)
     state = evaluate(model, stretch, track.c, track.q, floor)
     assert state is not None
@@ -283,7 +283,7 @@ def test_no_path_comes_back_that_leaves_a_range_or_its_cone(
     for column, by in ((3, 0.2), (1, 0.4), (3, 0.05), (1, 0.3)):
 
         def shifted(*given: object, column: int = column, by: float = by) -> Track:
-            track = _start(*given)  # type: ignore[arg-type]
+            track = start_track(*given)  # type: ignore[arg-type]
             c = track.c.copy()
             c[:, column] += by
             c[0, 0] -= 10.0  # cheaper, by the price above
@@ -291,7 +291,7 @@ def test_no_path_comes_back_that_leaves_a_range_or_its_cone(
             q[:, 6] += by if column == 3 else 0.0
             return replace(track, c=c, q=q)
 
-        monkeypatch.setattr(MODULE, "_start", shifted)
+        monkeypatch.setattr(MODULE, "start_track", shifted)
         (out,) = refine_paths(cell, paths[:1], problem.resolve)
         assert (out.roll is paths[0].roll) == (by in (0.2, 0.4))
 
@@ -305,19 +305,19 @@ def test_layers_start_from_the_one_below_either_way_round(setup_of: Callable[[st
         _, track, stretch, state = start(cell, lower, floor)
         done = refine_stretch(model, stretch, state, floor)
         below = replace(track, c=done.c, q=done.q)
-        alone = _start(model, 2.5e-3, floor, upper, None)
+        alone = start_track(model, 2.5e-3, floor, upper, None)
         if below.c.shape != alone.c.shape:
             continue
         for turn in (0.0, 2.0 * np.pi):  # the table of the bead below may have been left a turn further
             turned = replace(below, c=below.c.copy(), q=below.q.copy())
             turned.c[:, -1] += turn
             turned.q[:, -1] += turn
-            both = _start(model, 2.5e-3, floor, upper, turned)
+            both = start_track(model, 2.5e-3, floor, upper, turned)
             assert both.price < 0.8 * alone.price
             assert np.abs(both.q[:, -1] - alone.q[:, -1]).max() < np.pi
         np.testing.assert_array_equal(both.anchor, alone.anchor)
         seen.add(runs_backwards(upper.task, lower.task))
-        other = _start(model, 2.5e-3, floor, replace(upper, branch=upper.branch ^ 1), below)
+        other = start_track(model, 2.5e-3, floor, replace(upper, branch=upper.branch ^ 1), below)
         assert other.price == alone.price  # of no use on another branch
     assert seen >= {True} or len(seen) == 2
 
@@ -367,7 +367,7 @@ def test_a_window_sees_the_rates_of_the_whole_path(
     model, track, stretch, state = start(cell, paths[0], 0.1, knot=1e-3)
     seen: list[tuple[Stretch, State]] = []
 
-    def capture(model: Model, stretch: Stretch, state: State, floor: float) -> State:
+    def capture(model: Model, stretch: Stretch, state: State, *_: object) -> State:
         seen.append((stretch, state))
         return state
 
@@ -406,7 +406,7 @@ def test_a_long_bead(cell: Cell) -> None:
     """Twelve turns round the cylinder, 850 control values, in windows of the size that ships."""
     path = spiral_path(cell, turns=12.0, n=4300)
     settings = load_problem("cylinder_logo").resolve
-    track = _start(model_of(cell), settings.knot, 0.05, path, None)
+    track = start_track(model_of(cell), settings.knot, 0.05, path, None)
     assert len(windows(track.basis.controls)) > 4
     (out,) = refine_paths(cell, [path], settings)
     assert given_price(model_of(cell), out, 0.05)[0] < 0.8 * given_price(model_of(cell), path, 0.05)[0]

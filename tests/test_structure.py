@@ -84,8 +84,8 @@ HEAVY = {
     "pydantic_core": {"problem"},
     "ruamel": {"problem", "cell"},
     "toppra": set(),
-    "casadi": set(),
-    "osqp": set(),
+    "casadi": {"kinematics.symbolic", "resolve.nlp_program"},
+    "osqp": {"resolve.osqp_reference"},
 }
 NEVER = {"pickle", "cPickle", "dill", "shelve", "marshal", "joblib", "cloudpickle", "importlib.util", "runpy"}
 NEVER_CALLED = {"eval", "exec", "compile", "__import__", "execfile"}

@@ -14,10 +14,19 @@ from planner.task import NozzleTask
 
 Strategy = Callable[[Cell, Sequence[NozzleTask], ResolveSpec], tuple[JointPath, ...]]
 
+
+def _nlp(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[JointPath, ...]:
+    """See `planner.resolve.nlp`, loaded for who asks for it only: nobody else needs CasADi."""
+    from planner.resolve.nlp import nlp
+
+    return nlp(cell, tasks, settings)
+
+
 STRATEGIES: dict[str, Strategy] = {
     "as_published": as_published,
     "fixed": fixed,
     "greedy": greedy,
     "ladder": ladder,
     "sqp": sqp,
+    "nlp": _nlp,
 }

@@ -41,8 +41,8 @@ _ROUNDS = 4  # of solving a program and watching what its solution has missed
 _ENOUGH = 5e-4  # share of the price: a step that promises less is not worth taking
 ANCHOR = 0.1  # s per square radian that an end of a bead moves: what the search chose there keeps travel short
 _RANGE_ROOM = 1e-4  # rad kept from the ends of the joints' ranges
-_CONE_ROOM = 1e-4  # rad kept from the cones about gravity
-_CONE_SIDES = 12  # of the polygon inside the circle that bounds tilt
+CONE_ROOM = 1e-4  # rad kept from the cones about gravity
+CONE_SIDES = 12  # of the polygon inside the circle that bounds tilt
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ def evaluate_samples(
         return None
     limits = np.array([stretch.cones.nozzle_gravity, stretch.cones.layer_gravity])
     bounded = limits < np.pi
-    bounds = np.ascontiguousarray((np.cos(limits - _CONE_ROOM) - upright)[:, bounded])
+    bounds = np.ascontiguousarray((np.cos(limits - CONE_ROOM) - upright)[:, bounded])
     rates, slack = np.empty((n, 3, nj)), np.empty(n)
     differentiate(q, stretch.centre, stretch.D, rates)
     price = price_of(
@@ -222,10 +222,10 @@ def _control_rows(model: Model, stretch: Stretch, state: State, width: int) -> t
                 row[active.index(HOLDER + h)] = sign
                 rows.append((row, end - state.c @ row))
     if stretch.cones.tilt > 0.0:
-        for angle in np.arange(_CONE_SIDES) * 2.0 * np.pi / _CONE_SIDES:
+        for angle in np.arange(CONE_SIDES) * 2.0 * np.pi / CONE_SIDES:
             row = np.zeros(m)
             row[[active.index(TILT[0]), active.index(TILT[1])]] = np.cos(angle), np.sin(angle)
-            rows.append((row, stretch.cones.tilt * np.cos(np.pi / _CONE_SIDES) - state.c @ row))
+            rows.append((row, stretch.cones.tilt * np.cos(np.pi / CONE_SIDES) - state.c @ row))
     A, b, at = [np.zeros((0, width))], [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
     first = np.minimum(np.arange(k), k - width // m)
     for row, room in rows:

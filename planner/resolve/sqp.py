@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import repeat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from scipy.linalg import solveh_banded
 
 from planner.cell import Cell
 from planner.problem import ResolveSpec
+from planner.resolve.interior_point import solve_qp
 from planner.resolve.jointpath import MARGIN, JointPath, choose_turns
 from planner.resolve.ladder import ladder, runs_backwards
 from planner.resolve.refine import (
@@ -22,6 +24,7 @@ from planner.resolve.refine import (
     ROLL,
     TILT,
     Model,
+    QPSolver,
     State,
     Stretch,
     evaluate,
@@ -69,29 +72,57 @@ def sqp(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple
 def refine_paths(cell: Cell, paths: Sequence[JointPath], settings: ResolveSpec) -> tuple[JointPath, ...]:
     """Refine every path: layers in turn, beads of a layer and windows of a bead at the same time."""
     model = model_of(cell)
+    given = given_prices(model, paths, settings)
+    floor = sigma_floor(given, settings)
+    solver = qp_solver(settings.qp)
     below: dict[str, Track] = {}
     done = list(paths)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        long_enough = [i for i, path in enumerate(paths) if len(path.task) >= LEAST_SAMPLES]
-        prices = pool.map(lambda i: given_price(model, paths[i], settings.min_sigma), long_enough)
-        given = dict(zip(long_enough, prices, strict=True))
-        floor = _FLOOR * max(settings.min_sigma, min((sigma for _, sigma in given.values()), default=0.0))
         for layer in _alike(paths, given):
             starts = [below.get(paths[i].task.name) for i in layer]
-            tracks = list(pool.map(partial(_start, model, settings.knot, floor), [paths[i] for i in layer], starts))
+            tracks = list(
+                pool.map(partial(start_track, model, settings.knot, floor), [paths[i] for i in layer], starts)
+            )
             for colour in (0, 1):
                 jobs = [(k, w) for k, track in enumerate(tracks) for w in windows(track.basis.controls)[colour::2]]
                 refine = partial(_refine_window, model, floor)
-                moved = pool.map(refine, [tracks[k] for k, _ in jobs], [window for _, window in jobs])
+                moved = pool.map(refine, [tracks[k] for k, _ in jobs], [window for _, window in jobs], repeat(solver))
                 for (k, _), piece in zip(jobs, list(moved), strict=True):
                     tracks[k] = tracks[k] if piece is None else piece.put_into(tracks[k])
             for i, track in zip(layer, tracks, strict=True):
                 below[track.task.name] = track
-                refined = path_of(cell, track)
-                price, sigma = given_price(model, refined, floor)
-                if price < given[i][0] and sigma >= min(floor / _FLOOR, given[i][1]) and _within(cell, refined):
-                    done[i] = refined
+                done[i] = cheaper(cell, paths[i], given[i], track, floor)
     return choose_turns(cell, done)
+
+
+def qp_solver(name: str) -> QPSolver:
+    """The solver of quadratic programs that the settings name."""
+    if name == "osqp":
+        from planner.resolve.osqp_reference import solve_with_osqp  # loaded for who asks for it only
+
+        return solve_with_osqp
+    return solve_qp
+
+
+def given_prices(model: Model, paths: Sequence[JointPath], settings: ResolveSpec) -> dict[int, tuple[float, float]]:
+    """Price [s] and least singular value of the paths that are long enough to be refined, by their index."""
+    long_enough = [i for i, path in enumerate(paths) if len(path.task) >= LEAST_SAMPLES]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        prices = pool.map(lambda i: given_price(model, paths[i], settings.min_sigma), long_enough)
+        return dict(zip(long_enough, prices, strict=True))
+
+
+def sigma_floor(given: dict[int, tuple[float, float]], settings: ResolveSpec) -> float:
+    """The least singular value that refined paths must keep, from what `given_prices` says."""
+    return _FLOOR * max(settings.min_sigma, min((sigma for _, sigma in given.values()), default=0.0))
+
+
+def cheaper(cell: Cell, path: JointPath, given: tuple[float, float], track: Track, floor: float) -> JointPath:
+    """A refined track as a path if it costs less than the path that was given and keeps what it kept, else that."""
+    refined = path_of(cell, track)
+    price, sigma = given_price(model_of(cell), refined, floor)
+    better = price < given[0] and sigma >= min(floor / _FLOOR, given[1]) and _within(cell, refined)
+    return refined if better else path
 
 
 def _within(cell: Cell, path: JointPath) -> bool:
@@ -144,7 +175,7 @@ def given_price(model: Model, path: JointPath, least_sigma: float) -> tuple[floa
     return (np.inf, 0.0) if state is None else (state.price, float(state.sigma[stretch.deposits > 0.0].min()))
 
 
-def _start(model: Model, knot: float, floor: float, path: JointPath, below: Track | None) -> Track:
+def start_track(model: Model, knot: float, floor: float, path: JointPath, below: Track | None) -> Track:
     """The path as splines, or the refined path of the bead below it on this task, whichever costs less."""
     task = path.task
     n = len(task)
@@ -202,7 +233,9 @@ class _Piece:
         return replace(track, c=c, q=q)
 
 
-def _refine_window(model: Model, floor: float, track: Track, window: tuple[int, int]) -> _Piece | None:
+def _refine_window(
+    model: Model, floor: float, track: Track, window: tuple[int, int], solver: QPSolver = solve_qp
+) -> _Piece | None:
     """Refine the control values of a window, the others held; None where the track itself cannot be followed."""
     if not np.isfinite(track.price):
         return None
@@ -226,7 +259,7 @@ def _refine_window(model: Model, floor: float, track: Track, window: tuple[int, 
         track.anchor[controls], all_of_it.hold[controls],
     )  # fmt: skip
     state = evaluate(model, stretch, track.c[controls], track.q[samples], floor)
-    return None if state is None else _Piece(samples, controls, refine_stretch(model, stretch, state, floor))
+    return None if state is None else _Piece(samples, controls, refine_stretch(model, stretch, state, floor, solver))
 
 
 def path_of(cell: Cell, track: Track) -> JointPath:

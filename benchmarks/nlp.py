@@ -1,0 +1,115 @@
+"""Strategy `sqp` beside `nlp`, its slow reference, on single beads: the price that both minimise, and the time.
+
+python -m benchmarks.nlp
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from planner.cell import Cell, build_cell
+from planner.problem import ResolveSpec, load_problem
+from planner.resolve.jointpath import JointPath
+from planner.resolve.ladder import ladder
+from planner.resolve.nlp import Solution, solve_nlp
+from planner.resolve.refine import evaluate, model_of, refine_stretch
+from planner.resolve.sqp import Track, given_prices, sigma_floor, start_track, whole
+from planner.task import cones_of, make_tasks
+from planner.toolpath.build import build_toolpath
+from planner.versions import versions
+
+STEPS = (
+    '<svg xmlns="http://www.w3.org/2000/svg" width="12mm" height="6mm" viewBox="0 0 12 6">'
+    '<path id="steps" d="M0,0 L4,0 L4,3 L8,3 L8,6 L12,6"/></svg>'
+)
+COLUMNS = ("bead", "samples", "price: ladder", "sqp", "nlp", "sqp / nlp", "s: sqp", "nlp", "nlp / sqp", "IPOPT")
+REPEATS = 20
+
+
+@dataclass(frozen=True)
+class Case:
+    """A bead of a problem, by its name; drawing: in place of the logo."""
+
+    label: str
+    bead: str
+    overrides: tuple[str, ...] = ()
+    drawing: str | None = None
+
+
+CASES = (
+    Case("letter B, one of its holes", "B.2"),
+    Case("five square corners", "steps", ("layers.source.width_mm=12",), STEPS),
+    Case("pin, tilt up to 15°", "wrist_pin", ("process.cones.nozzle_normal_deg=15",)),
+    Case("pin", "wrist_pin"),
+    Case("pin of the elbow", "elbow_pin"),
+)
+
+
+def ladders_path(case: Case, folder: Path) -> tuple[Cell, JointPath, ResolveSpec]:
+    """What the ladder makes of a case's bead on its own."""
+    overrides = ["layers.count=1", *case.overrides]
+    if case.drawing is not None:
+        (folder / "drawing.svg").write_text(case.drawing, encoding="utf-8")
+        overrides.append(f"layers.source.svg={folder / 'drawing.svg'}")
+    problem = load_problem("cylinder_logo", overrides)
+    cell = build_cell(problem)
+    process = problem.process
+    tasks = make_tasks(build_toolpath(problem), process.speed, process.run_in, cones_of(process.cones))
+    (task,) = (task for task in tasks if task.name == case.bead)
+    return cell, ladder(cell, [task], problem.resolve)[0], problem.resolve
+
+
+def with_sqp(cell: Cell, track: Track, floor: float) -> float:
+    """Price that sqp's refinement reaches from a track."""
+    model = model_of(cell)
+    stretch = whole(track.task, track.clock, track.basis, track.anchor)
+    state = evaluate(model, stretch, track.c, track.q, floor)
+    return np.inf if state is None else refine_stretch(model, stretch, state, floor).price
+
+
+def compare(case: Case, folder: Path) -> tuple[float, float, float, float, float, Solution, int]:
+    """Price of the ladder, of sqp and its seconds, of nlp and its seconds; what IPOPT says; samples."""
+    cell, path, settings = ladders_path(case, folder)
+    given = given_prices(model_of(cell), [path], settings)
+    floor = sigma_floor(given, settings)
+    track = start_track(model_of(cell), settings.knot, floor, path, None)
+    sqp = with_sqp(cell, track, floor)  # compiles
+    seconds = []
+    for _ in range(REPEATS):
+        start = time.perf_counter()
+        with_sqp(cell, track, floor)
+        seconds.append(time.perf_counter() - start)
+    start = time.perf_counter()
+    solution = solve_nlp(cell, track, floor)
+    slow = time.perf_counter() - start
+    return given[0][0], sqp, float(np.median(seconds)), solution.track.price, slow, solution, len(path.task)
+
+
+def main() -> int:
+    """Print the table."""
+    table = Table(*COLUMNS, title="one bead, from the ladder's path; prices in ms", title_justify="left")
+    for case in CASES:
+        with tempfile.TemporaryDirectory() as folder:
+            ladder_price, sqp, fast, nlp, slow, solution, n = compare(case, Path(folder))
+        prices = [f"{1e3 * price:.3f}" for price in (ladder_price, sqp, nlp)]
+        times = [f"{fast:.3f}", f"{slow:.1f}", f"{slow / fast:.0f}"]
+        table.add_row(case.label, str(n), *prices, f"{sqp / nlp:.4f}", *times, f"{solution.status} ({solution.steps})")
+    Console(width=150).print(table)
+    used = ", ".join(f"{name} {number}" for name, number in {**versions(), "casadi": version("casadi")}.items())
+    print(f"{time.strftime('%Y-%m-%d')}, {platform.machine()}, {os.cpu_count()} cores; {used}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,125 @@
+"""Our own solver of quadratic programs beside OSQP and Clarabel, on those of the logo's hardest beads.
+
+python -m benchmarks.qp
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+
+import clarabel
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+from scipy import sparse
+
+from planner.cell import build_cell
+from planner.problem import load_problem
+from planner.resolve.interior_point import QuadraticProgram, solve_qp
+from planner.resolve.ladder import ladder
+from planner.resolve.osqp_reference import solve_with_osqp, standard_form
+from planner.resolve.refine import QPSolver, evaluate, model_of, refine_stretch
+from planner.resolve.sqp import given_prices, sigma_floor, start_track, whole
+from planner.task import cones_of, make_tasks
+from planner.toolpath.build import build_toolpath
+from planner.versions import versions
+
+Array = NDArray[np.float64]
+
+BEADS = 4  # the costliest ones
+MOST_CONTROLS = 200  # in one program, as in the refinement
+COLUMNS = ("bead", "variables", "rows", "programs", "solver", "s a program", "iterations", "worse than the best")
+
+
+def solve_with_clarabel(qp: QuadraticProgram) -> tuple[Array, int]:
+    """As `solve_qp`, by Clarabel: a general interior-point method for sparse programs."""
+    P, c, A, low, high = standard_form(qp)
+    above, below = np.isfinite(high), np.isfinite(low)
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    rows = sparse.vstack([A[above], -A[below]], format="csc")
+    cones = [clarabel.NonnegativeConeT(rows.shape[0])]
+    solution = clarabel.DefaultSolver(P, c, rows, np.concatenate([high[above], -low[below]]), cones, settings).solve()
+    return np.clip(np.asarray(solution.x[: len(qp.g)]), -qp.box, qp.box), int(solution.iterations)
+
+
+SOLVERS: dict[str, QPSolver] = {
+    "interior_point": solve_qp,
+    "OSQP": solve_with_osqp,
+    "Clarabel": solve_with_clarabel,
+}
+
+
+def programs() -> list[tuple[str, list[QuadraticProgram]]]:
+    """The programs that the refinement of the costliest beads solves on its way, by bead."""
+    problem = load_problem("cylinder_logo", ["layers.count=1"])
+    cell = build_cell(problem)
+    process, settings = problem.process, problem.resolve
+    tasks = make_tasks(build_toolpath(problem), process.speed, process.run_in, cones_of(process.cones))
+    paths = ladder(cell, tasks, settings)
+    model = model_of(cell)
+    given = given_prices(model, paths, settings)
+    floor = sigma_floor(given, settings)
+    out: list[tuple[str, list[QuadraticProgram]]] = []
+    for i in sorted(given, key=lambda i: -given[i][0]):
+        track = start_track(model, settings.knot, floor, paths[i], None)
+        stretch = whole(track.task, track.clock, track.basis, track.anchor)
+        state = evaluate(model, stretch, track.c, track.q, floor)
+        if state is None or len(track.c) > MOST_CONTROLS:
+            continue
+        seen: list[QuadraticProgram] = []
+        refine_stretch(model, stretch, state, floor, _recording(seen))
+        out.append((track.task.name, seen))
+        if len(out) == BEADS:
+            break
+    return out
+
+
+def _recording(seen: list[QuadraticProgram]) -> Callable[[QuadraticProgram], tuple[Array, int]]:
+    def solve(qp: QuadraticProgram) -> tuple[Array, int]:
+        seen.append(qp)
+        return solve_qp(qp)
+
+    return solve
+
+
+def main() -> int:
+    """Print the table."""
+    table = Table(*COLUMNS, title="programs on the way of the refinement; medians", title_justify="left")
+    for name, qps in programs():
+        values = {}
+        seconds, steps = {}, {}
+        for label, solve in SOLVERS.items():
+            results, times = [], []
+            for qp in qps:
+                start = time.perf_counter()
+                results.append(solve(qp))
+                times.append(time.perf_counter() - start)
+            values[label] = np.array([qp.value(x) for qp, (x, _) in zip(qps, results, strict=True)])
+            seconds[label], steps[label] = np.median(times), np.median([k for _, k in results])
+        at_rest = np.array([qp.value(np.zeros(len(qp.g))) for qp in qps])
+        best = np.min(list(values.values()), axis=0)
+        for label in SOLVERS:
+            share = np.max((values[label] - best) / np.maximum(at_rest - best, 1e-12))
+            size = (
+                (name, str(len(qps[0].g)), str(len(qps[0].b)), str(len(qps))) if label == "interior_point" else [""] * 4
+            )
+            table.add_row(*size, label, f"{seconds[label]:.4f}", f"{steps[label]:.0f}", f"{100 * share:.3f} %")
+    Console(width=130).print(table)
+    print("worse than the best: the largest of all programs, as a share of the descent")
+    used = ", ".join(
+        f"{name} {number}"
+        for name, number in {**versions(), **{name: version(name) for name in ("osqp", "clarabel")}}.items()
+    )
+    print(f"{time.strftime('%Y-%m-%d')}, {platform.machine()}, {os.cpu_count()} cores; {used}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
