@@ -143,6 +143,7 @@ def built(cell: Cell, stretch: Stretch, state: State) -> tuple[Program, Array]:
 @pytest.mark.parametrize("cones", CONES, ids=["axis fixed", "axis free"])
 def test_a_followed_path_satisfies_the_program_at_the_same_price(cell: Cell, path: JointPath, cones: Cones) -> None:
     track, stretch, _, floor = started(cell, path, cones)
+    floor *= 0.9  # what is shaken may come closer to a singularity
     rng = np.random.default_rng(5)
     c = track.c + rng.uniform(-0.02, 0.02, track.c.shape)
     state = evaluate(model_of(cell), stretch, c, track.q, floor)
