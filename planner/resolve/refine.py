@@ -39,6 +39,7 @@ _MOST_TRUST, _LEAST_TRUST = 0.6, 2e-3
 _STEPS = 15
 _ROUNDS = 4  # of solving a program and watching what its solution has missed
 _ENOUGH = 5e-4  # share of the price: a step that promises less is not worth taking
+_NEGLIGIBLE = 1e-4  # seconds a second of printing, likewise
 ANCHOR = 0.1  # s per square radian that an end of a bead moves: what the search chose there keeps travel short
 _RANGE_ROOM = 1e-4  # rad kept from the ends of the joints' ranges
 CONE_ROOM = 1e-4  # rad kept from the cones about gravity
@@ -267,11 +268,12 @@ def refine_stretch(
 ) -> State:
     """Lower the price of a state step by step; what comes back never costs more than what was given."""
     trust = _TRUST
+    enough = _NEGLIGIBLE * float(stretch.step.sum())
     for _ in range(_STEPS):
         watch = watched(model, stretch, state)
         while True:
             x, promised = _best_step(model, stretch, state, least_sigma, trust, watch, solver)
-            if promised < _ENOUGH * state.price:
+            if promised < enough + _ENOUGH * state.price:
                 return state
             trial = evaluate(
                 model, stretch, state.c + x.reshape(state.c.shape), _foreseen(stretch, state, x), least_sigma
