@@ -115,7 +115,7 @@ def _nozzle(arm: Robot, T_flange_nozzle: Array, q: Array) -> tuple[Array, Array]
 
 
 def _part(cell: Cell, q_free: Array) -> Array:
-    """Part poses in the world (n, 4, 4), from the positioner's URDF model with its held axes at their angles."""
+    """Part poses in the world (n, 4, 4), from the holder's URDF model with its held axes at their angles."""
     if cell.holder_robot is None:
         return np.broadcast_to(cell.T_world_holder, (len(q_free), 4, 4))
     robot = cell.holder_robot
@@ -130,4 +130,4 @@ def _part(cell: Cell, q_free: Array) -> Array:
         q[free] = row
         pin.forwardKinematics(model, data, q)
         T[i] = pin.updateFramePlacement(model, data, tip).homogeneous
-    return (cell.T_world_holder_base @ T)[np.cumsum(turned) - 1]
+    return (cell.T_world_holder_base @ T @ cell.T_plate_part)[np.cumsum(turned) - 1]
