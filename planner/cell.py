@@ -78,6 +78,11 @@ class Cell:
         return tuple(j for j in range(len(self.arm)) if j != self.inverse.redundant_joint)
 
     @property
+    def spherical(self) -> bool:
+        """Whether the arm's wrist is spherical and its six joints are those of the usual industrial arm."""
+        return isinstance(self.inverse, SphericalWrist)
+
+    @property
     def wrist(self) -> SphericalWrist:
         """`inverse`, for what is written for spherical wrists only; raises Refusal for any other arm."""
         if not isinstance(self.inverse, SphericalWrist):
