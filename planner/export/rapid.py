@@ -150,14 +150,15 @@ def _frames(plan: Plan) -> list[str]:
     if cell.holder_robot is None:
         frames = f'TRUE,"",{_pose(cell.T_world_holder)},{identity}'
     else:
-        axes = ", ".join(
+        axes = [
             f"eax_{letter} {name}" + (" (held)" if name in cell.held else "")
-            for letter, name in zip("abcdef", list(cell.holder_robot.model.names)[1:], strict=False)
-        )
+            for letter, name in zip("abcdef", cell.holder_robot.joint_names, strict=False)
+        ]
         lines += [
             comment(f"The base of station {names.station}:"),
             comment("  " + _pose(cell.T_world_holder_base)),
-            comment(f"Its axes: {axes}."),
+            comment(f"Its axes: {', '.join(axes[:3])}."),
+            *([comment(f"  {', '.join(axes[3:])}.")] if len(axes) > 3 else []),
             comment("Its user frame comes from the system parameters; the part frame stands in it, on the plate."),
         ]
         if cell.holder_robot.inverse is not None:
