@@ -22,6 +22,7 @@ from planner.problem import Problem, load_problem
 from planner.replay import replay
 from planner.report.summary import print_summary
 from planner.resolve.ladder import ladder
+from planner.resolve.table_first import _lattice
 from planner.solve import solve
 from planner.task import make_tasks
 from planner.toolpath.build import build_toolpath
@@ -236,6 +237,34 @@ def test_a_second_arm_need_not_start_where_it_can_work(folder: Path, monkeypatch
     monkeypatch.setitem(ladder.__globals__, "_DRAWN", 0)
     with pytest.raises(Refusal, match="reach"):
         ladder(cell, tasks, problem.resolve)
+
+
+@pytest.mark.parametrize("axis", range(6))
+def test_the_lattice_of_a_held_layer_keeps_off_the_ends_of_an_axis(folder: Path, axis: int) -> None:
+    limits = "cell.limits={positioner_joint_1: {range_deg: [-1, 2]}}"
+    cell = build_cell(problem_of(folder, CELLS["arm_all"], limits))
+    angles, turns = _lattice(cell, axis, np.radians(5.0))
+    low, high = cell.limits.q_min[6 + axis], cell.limits.q_max[6 + axis]
+    if turns:
+        assert high - low >= 2 * np.pi
+    else:
+        assert low < angles.min() <= angles.max() < high
+        assert np.diff(angles).max() <= np.radians(5.0) + 1e-12
+
+
+def test_a_second_arm_holds_the_layer_upright(folder: Path) -> None:
+    free = plan_of(folder, "arm_all")
+    assert lean_of(free) > 10.0
+    plan = solve(problem_of(folder, CELLS["arm_all"], "process.cones={layer_gravity_deg: 10}"))
+    assert plan.verified
+    assert lean_of(plan) < 10.05
+
+
+def lean_of(plan: Plan) -> float:
+    """The greatest angle [deg] of the printed plane's normal from the vertical."""
+    q = plan.trajectory.q[plan.trajectory.deposit]
+    normal = plan.cell.holder.poses(q[:, len(plan.cell.arm) :])[:, :3, 2]
+    return float(np.degrees(np.arccos(normal[:, 2].min())))
 
 
 # Arms that are not ABB's
