@@ -12,12 +12,13 @@ from planner.errors import Refusal, nearest_name
 from planner.kinematics.chain import Chain
 from planner.kinematics.inverse import InverseKinematics, with_rest
 from planner.kinematics.spherical_wrist import SphericalWrist
-from planner.problem import CellSpec, Problem
+from planner.problem import CellSpec, PositionerSpec, Problem
 from planner.robot_files import Robot, chain_of, load_robot
 
 __all__ = ["Cell", "Limits", "Robot", "build_cell", "frame_from_z", "rigid_inverse", "translation"]
 
 Array = NDArray[np.float64]
+_ROUNDING = 1e-9  # rad: an angle at the end of its range is inside, though degrees became radians
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,7 @@ class Cell:
     inverse    closed-form inverse kinematics of the arm, base to flange
     T_world_base, T_flange_nozzle   what stands at the two ends of `inverse`
     T_world_holder                  the part frame with the holder's free axes at 0
+    T_world_holder_base, T_plate_part   what stands at the two ends of the holder: its base, the part on its plate
     home       (n) start posture, arm then holder
     arm_robot, holder_robot, held   the robots' own models, for whoever wants to check independently
     """
@@ -57,11 +59,12 @@ class Cell:
     holder_robot: Robot | None
     held: dict[str, float]
     T_world_holder_base: Array
+    T_plate_part: Array
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names in joint order: arm, then holder."""
-        return self.arm.names + self.holder.names
+        """Names in joint order: arm, then holder; a holder's joint named as one of the arm's is `positioner_<name>`."""
+        return _joint_names(self.arm, self.holder)
 
     @property
     def chosen(self) -> tuple[int, ...]:
@@ -73,6 +76,11 @@ class Cell:
     def solved(self) -> tuple[int, ...]:
         """The six arm joints (indices) that follow from a nozzle pose."""
         return tuple(j for j in range(len(self.arm)) if j != self.inverse.redundant_joint)
+
+    @property
+    def spherical(self) -> bool:
+        """Whether the arm's wrist is spherical and its six joints are those of the usual industrial arm."""
+        return isinstance(self.inverse, SphericalWrist)
 
     @property
     def wrist(self) -> SphericalWrist:
@@ -102,23 +110,18 @@ def build_cell(problem: Problem) -> Cell:
     T_flange_nozzle = frame_from_z(np.asarray(spec.nozzle.tip), np.asarray(spec.nozzle.axis))
     arm = chain_of(arm_robot, T_world_base, T_flange_nozzle, arm_robot.joint_names, {})
 
+    T_plate_part = np.eye(4)
     if spec.positioner is None:
         holder_robot, held = None, {}
         T_world_holder_base = translation(np.asarray(spec.bed))
         holder = Chain((), np.empty((0, 4, 4)), np.empty((0, 3)), T_world_holder_base)
     else:
         holder_robot = load_robot(spec.positioner.robot, problem, "cell.positioner.robot")
-        axes = holder_robot.joint_names
-        for field, names in (("free", spec.positioner.free), ("held_deg", spec.positioner.held)):
-            for name in names:
-                if name not in axes:
-                    near = nearest_name(name, axes)
-                    hint = f"did you mean {near}?" if near else f"axes: {', '.join(axes)}"
-                    raise problem.error(f"cell.positioner.{field}", f"no axis {name!r}", hint)
-        held = {name: spec.positioner.held.get(name, 0.0) for name in axes if name not in spec.positioner.free}
-        at_zero = chain_of(holder_robot, np.eye(4), np.eye(4), (), dict.fromkeys(axes, 0.0)).T_last_tip
-        T_world_holder_base = translation(np.asarray(spec.positioner.origin) - at_zero[:3, 3])
-        holder = chain_of(holder_robot, T_world_holder_base, np.eye(4), spec.positioner.free, held)
+        held = _held(problem, spec.positioner, holder_robot)
+        T_plate_part[:3, :3] = pin.rpy.rpyToMatrix(*spec.positioner.part_rpy)
+        T_plate_part[:3, 3] = spec.positioner.part
+        T_world_holder_base = _holder_base(spec.positioner, holder_robot)
+        holder = chain_of(holder_robot, T_world_holder_base, T_plate_part, spec.positioner.free, held)
 
     limits = _limits(problem, spec, arm_robot, arm, holder_robot, holder)
     na = len(arm)
@@ -126,12 +129,17 @@ def build_cell(problem: Problem) -> Cell:
         reason = f"{arm_robot.name} has {na} joints, not {len(spec.home)}"
         raise problem.error("cell.home_deg", reason, f"one angle for each of {', '.join(arm.names)}")
     rest = np.clip(np.zeros(len(holder)), limits.q_min[na:], limits.q_max[na:])
+    if spec.positioner is not None:
+        rest = np.array([spec.positioner.home.get(name, at) for name, at in zip(holder.names, rest, strict=True)])
     home = np.concatenate([np.asarray(spec.home), rest])
     outside = (home < limits.q_min) | (home > limits.q_max)
     if outside.any():
         j = int(np.argmax(outside))
         low, high = np.degrees(limits.q_min[j]), np.degrees(limits.q_max[j])
-        raise problem.error("cell.home_deg", f"joint {j + 1} is outside its range", f"{low:.0f} to {high:.0f}")
+        field, joint = "cell.home_deg", f"joint {j + 1}"
+        if j >= na:
+            field, joint = f"cell.positioner.home_deg.{holder.names[j - na]}", "the angle"
+        raise problem.error(field, f"{joint} is outside its range", f"{low:.0f} to {high:.0f}")
     inverse = arm_robot.inverse
     if inverse.redundant_joint is not None:
         inverse = with_rest(inverse, float(home[inverse.redundant_joint]))
@@ -148,7 +156,45 @@ def build_cell(problem: Problem) -> Cell:
         holder_robot=holder_robot,
         held=held,
         T_world_holder_base=T_world_holder_base,
+        T_plate_part=T_plate_part,
     )
+
+
+def _held(problem: Problem, spec: PositionerSpec, robot: Robot) -> dict[str, float]:
+    """Angles [rad] of the axes that are not free, by name; InputError for names and angles that the robot has not."""
+    axes = robot.joint_names
+    for field, names in (("free", spec.free), ("held_deg", spec.held), ("home_deg", spec.home)):
+        for name in names:
+            if name not in axes:
+                near = nearest_name(name, axes)
+                hint = f"did you mean {near}?" if near else f"axes: {', '.join(axes)}"
+                raise problem.error(f"cell.positioner.{field}", f"no axis {name!r}", hint)
+    for name in spec.home:
+        if name not in spec.free:
+            where = f"cell.positioner.home_deg.{name}"
+            raise problem.error(where, f"axis {name!r} is not free", "the angle of a held axis stands in held_deg")
+    for name, angle in spec.held.items():
+        low, high = (
+            float(limit[axes.index(name)]) for limit in (robot.model.lowerPositionLimit, robot.model.upperPositionLimit)
+        )
+        if not low - _ROUNDING <= angle <= high + _ROUNDING:
+            valid = f"{np.degrees(low):.0f} to {np.degrees(high):.0f}"
+            raise problem.error(f"cell.positioner.held_deg.{name}", "the angle is outside the axis' range", valid)
+    return {name: spec.held.get(name, 0.0) for name in axes if name not in spec.free}
+
+
+def _holder_base(spec: PositionerSpec, robot: Robot) -> Array:
+    """Where the base of what holds the part stands (4, 4): at base_mm, or so that the plate's centre is at origin_mm."""
+    turn = np.eye(4)
+    turn[:3, :3] = pin.rpy.rpyToMatrix(0.0, 0.0, spec.turn)
+    if spec.base is not None:
+        return translation(np.asarray(spec.base)) @ turn
+    at_zero = chain_of(robot, turn, np.eye(4), (), dict.fromkeys(robot.joint_names, 0.0)).T_last_tip
+    return translation(np.asarray(spec.origin) - at_zero[:3, 3]) @ turn
+
+
+def _joint_names(arm: Chain, holder: Chain) -> tuple[str, ...]:
+    return arm.names + tuple(f"positioner_{name}" if name in arm.names else name for name in holder.names)
 
 
 def _limits(
@@ -164,7 +210,7 @@ def _limits(
             row = [m.lowerPositionLimit[i], m.upperPositionLimit[i], m.velocityLimit[i]]
             rows.append([*row, robot.acceleration[i], robot.jerk[i]])
     table = np.array(rows)
-    names = list(arm.names + holder.names)
+    names = list(_joint_names(arm, holder))
     for name, own in spec.limits.items():
         if name not in names:
             near = nearest_name(name, names)

@@ -15,6 +15,7 @@ from planner.toolpath.bead import Toolpath
 
 Array = NDArray[np.float64]
 TRAVEL = -1
+RAPID_EXTERNAL_AXES = 6
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,8 @@ class Trajectory(ReadOnlyArrays):
     tip           (n, 3)      nozzle tip in the part frame [m]
     quat          (n, 4)      orientation of the nozzle frame in the part frame, x y z w; its z is the axis
     axis          (n, 3)      unit nozzle axis, from the nozzle into the part, part frame
-    branch        (n,) int8   ABB's cfx: 4 wrist centre behind axis 1, 2 behind the lower arm, 1 axis 5 negative
+    branch        (n,) int8   ABB's cfx: 4 wrist centre behind axis 1, 2 behind the lower arm, 1 axis 5 negative;
+                              without a spherical wrist the number that the inverse kinematics gives the branch
     speed         (n,)        of the tip relative to the part [m/s]
     flow          (n,)        of material [m^3/s]
     extruded      (n,)        volume deposited since the start [m^3]
@@ -72,7 +74,7 @@ class Plan:
 
     metrics:  name → value, in the units that the name says (see the output contract in the docs)
     series:   per-sample arrays (n,) or (n, nj) that the verifier found on the way, for the report:
-              sigma, wrist_deg, limit_margin_deg, velocity_ratio, acceleration_ratio, jerk_ratio
+              sigma, wrist_deg (not of seven axes), limit_margin_deg, velocity_ratio, acceleration_ratio, jerk_ratio
     timing_s: seconds by stage
     baseline: strategy name → its metrics, for the summary beside the chosen strategy
     """
@@ -94,3 +96,13 @@ class Plan:
     def verified(self) -> bool:
         """True if every check of the verifier holds."""
         return all(check.ok for check in self.checks)
+
+    @property
+    def no_rapid(self) -> str | None:
+        """Why no RAPID program can say this plan; None if one can."""
+        arm, holder = self.cell.arm_robot, self.cell.holder_robot
+        if not self.cell.spherical or not arm.name.startswith("ABB "):
+            return f"{arm.name} is not programmed in RAPID"
+        if holder is not None and len(holder.joint_names) > RAPID_EXTERNAL_AXES:
+            return f"{holder.name} has more axes than RAPID's {RAPID_EXTERNAL_AXES} external ones"
+        return None

@@ -39,6 +39,7 @@ __all__ = [
     "CellSpec",
     "LayersSpec",
     "PartSpec",
+    "PositionerSpec",
     "Problem",
     "WaypointLayersSpec",
     "WaypointsSpec",
@@ -70,12 +71,32 @@ class NozzleSpec(Section):
 
 
 class PositionerSpec(Section):
-    """A positioner that holds the part; its plate carries the part frame."""
+    """A positioner, or an arm, that holds the part; its plate or flange carries the part frame."""
 
-    robot: Text = _key("robot", "key of the positioner in robots/")
-    origin: Position = _key("origin_mm", "centre of the plate in the world, all its axes at 0 [mm]")
+    robot: Text = _key("robot", "key of the positioner in robots/, or of an arm that holds the part")
+    origin: Position | None = _key(
+        "origin_mm", "centre of the plate in the world, all its axes at 0 [mm]; default: none, but base_mm", None
+    )
+    base: Position | None = _key("base_mm", "where its base stands in the world [mm]; default: none", None)
+    turn: Annotated[float, Quantity("deg", -360, 360)] = _key(
+        "turn_deg", "by how much its base is turned about the vertical [deg]", 0
+    )
     free: Annotated[tuple[Text, ...], UNIQUE] = _key("free", "axes that the planner may move; the others are held")
     held: dict[Text, Angle] = _key("held_deg", "angles of held axes by name [deg]; each default 0", {})
+    home: dict[Text, Angle] = _key(
+        "home_deg", "angles of free axes that the search starts from, by name [deg]; each default 0", {}
+    )
+    part: Position = _key("part_mm", "origin of the part frame on the plate or flange [mm]", (0, 0, 0))
+    part_rpy: Annotated[Vector, Quantity("deg", -360, 360, count=3)] = _key(
+        "part_rpy_deg", "the part frame turned about x, then y, then z of the plate or flange [deg]", (0, 0, 0)
+    )
+
+    @model_validator(mode="after")
+    def _one_place(self) -> PositionerSpec:
+        if (self.origin is None) == (self.base is None):
+            found = "neither origin_mm nor base_mm is" if self.base is None else "both origin_mm and base_mm are"
+            raise refusal(f"{found} given", "give exactly one of them", fields=["origin_mm", "base_mm"])
+        return self
 
     @model_validator(mode="after")
     def _free_or_held(self) -> PositionerSpec:

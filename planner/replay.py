@@ -13,6 +13,7 @@ from planner.cell import Cell, Robot
 from planner.plan import Trajectory
 
 Array = NDArray[np.float64]
+UNKNOWN = -1  # branch that is numbered by no convention but that of the inverse kinematics itself
 BLOCK = 8192  # samples at once: bounds the memory, since a Jacobian takes more than all that is kept of a sample
 
 
@@ -22,8 +23,8 @@ class Motion:
 
     tip, axis (n, 3) and rotation (n, 3, 3) of the nozzle in the part frame, where up (n, 3) is the world's
     vertical; of the arm's Jacobian at the tip the
-    smallest singular value sigma (NaN in travel, where no limit stands on it) and the determinant; branch (n),
-    ABB's cfx
+    smallest singular value sigma (NaN in travel, where no limit stands on it) and the determinant, of seven axes
+    without the redundant one; branch (n), ABB's cfx, or UNKNOWN without a spherical wrist
     """
 
     tip: Array
@@ -71,8 +72,10 @@ def _replay(cell: Cell, q: Array, deposit: NDArray[np.bool_]) -> Motion:
     rotation = R_part_world @ T_world_nozzle[:, :3, :3]
     sigma = np.full(len(q), np.nan)
     sigma[deposit] = np.linalg.svd(J[deposit], compute_uv=False)[:, -1]
-    det = np.linalg.det(J)
-    branch = _branch(arm, T_base_nozzle @ np.linalg.inv(cell.T_flange_nozzle), q[:, :na], det)
+    det = np.linalg.det(J[:, :, list(cell.solved)])
+    branch = np.full(len(q), UNKNOWN, dtype=np.int8)
+    if cell.spherical:
+        branch = _branch(arm, T_base_nozzle @ np.linalg.inv(cell.T_flange_nozzle), q[:, :na], det)
     return Motion(tip, rotation[:, :, 2], rotation, R_part_world[:, :, 2], sigma, det, branch)
 
 
@@ -99,7 +102,7 @@ def _branch(arm: Robot, T_base_flange: Array, q: Array, det: Array) -> NDArray[n
 
 
 def _nozzle(arm: Robot, T_flange_nozzle: Array, q: Array) -> tuple[Array, Array]:
-    """Nozzle poses in the arm's base (n, 4, 4) and Jacobians at the nozzle tip (n, 6, 6), world axes."""
+    """Nozzle poses in the arm's base (n, 4, 4) and Jacobians at the nozzle tip (n, 6, na), world axes."""
     model = arm.model.copy()
     flange = model.frames[model.getFrameId(arm.tip)]
     placement = flange.placement * pin.SE3(T_flange_nozzle)
@@ -115,7 +118,7 @@ def _nozzle(arm: Robot, T_flange_nozzle: Array, q: Array) -> tuple[Array, Array]
 
 
 def _part(cell: Cell, q_free: Array) -> Array:
-    """Part poses in the world (n, 4, 4), from the positioner's URDF model with its held axes at their angles."""
+    """Part poses in the world (n, 4, 4), from the holder's URDF model with its held axes at their angles."""
     if cell.holder_robot is None:
         return np.broadcast_to(cell.T_world_holder, (len(q_free), 4, 4))
     robot = cell.holder_robot
@@ -130,4 +133,4 @@ def _part(cell: Cell, q_free: Array) -> Array:
         q[free] = row
         pin.forwardKinematics(model, data, q)
         T[i] = pin.updateFramePlacement(model, data, tip).homogeneous
-    return (cell.T_world_holder_base @ T)[np.cumsum(turned) - 1]
+    return (cell.T_world_holder_base @ T @ cell.T_plate_part)[np.cumsum(turned) - 1]

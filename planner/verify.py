@@ -127,7 +127,8 @@ def _records(problem, cell, toolpath, t, motion, checks, metrics, series) -> Non
         axis = np.linalg.norm(motion.axis[rows] - t.axis[rows], axis=1)
         off[rows] = np.max([tip, axis, np.abs(motion.rotation[rows] - turned).max(axis=(1, 2))], axis=0)
     _check_most(checks, t, "recorded poses", off * 1e3, RECORD_TOLERANCE * 1e3, "mm")
-    _check_most(checks, t, "recorded branch", (motion.branch != t.branch).astype(float), 0.0, "")
+    if cell.spherical:  # of other arms no number is written anywhere
+        _check_most(checks, t, "recorded branch", (motion.branch != t.branch).astype(float), 0.0, "")
     odd = (np.abs(t.t - np.arange(len(t)) * t.dt) > DIGITS) | (t.deposit != (t.bead >= 0))
     _check_most(checks, t, "recorded times and beads", odd.astype(float), 0.0, "")
 
@@ -235,13 +236,18 @@ def _coverage(problem, cell, toolpath, t, motion, checks, metrics, series) -> No
 def _singularity(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:  # type: ignore[no-untyped-def]
     """Distance from singularities of the arm alone, and no change of branch while material flows."""
     series["sigma"] = motion.sigma
-    series["wrist_deg"] = np.degrees(np.abs(t.q[:, 4]))
+    sides = [np.sign(motion.det)]
+    if len(cell.arm) == 6:  # joint 5 is singular at 0 and at half a turn; which joint is, differs with seven axes
+        sides.append(np.sign(np.sin(t.q[:, 4])))
+        series["wrist_deg"] = np.degrees(np.abs(np.arcsin(np.sin(t.q[:, 4]))))
+        if cell.spherical:
+            series["wrist_deg"] = np.degrees(np.abs(t.q[:, 4]))
+        metrics["wrist_margin_deg"] = float(series["wrist_deg"][t.deposit].min(initial=180.0))
     sigma = np.where(t.deposit, motion.sigma, np.inf)
     metrics["sigma_min"] = _check_least(checks, t, "singularity margin", sigma, problem.resolve.min_sigma, "")
     metrics["sigma_p01"] = float(np.quantile(motion.sigma[t.deposit], 0.01)) if t.deposit.any() else 0.0
-    metrics["wrist_margin_deg"] = float(series["wrist_deg"][t.deposit].min(initial=180.0))
     together = t.deposit[1:] & (t.bead[1:] == t.bead[:-1])
-    flips = (np.sign(motion.det[1:]) != np.sign(motion.det[:-1])) | (np.sign(t.q[1:, 4]) != np.sign(t.q[:-1, 4]))
+    flips = np.any([side[1:] != side[:-1] for side in sides], axis=0)
     count = int((flips & together).sum())
     i = int(np.argmax(flips & together))
     where = _where(t, i) if count else "everywhere"

@@ -34,7 +34,17 @@ TABLE_TURN = 0.6  # of the bead's turning done by the table; the arm does the re
 def problem(positioner: bool = True, free: tuple[str, ...] = ("rotation",), **program: str) -> Any:
     """What the exporters read of a problem, and what a cell is built from."""
     names = {"tool": "tPen", "work_object": "wobjPart", "station": "STN1", "extruder_signal": "doExtrude"} | program
-    station = SimpleNamespace(robot="irbp_a250", origin=(0.6335, 0.00987, 0.38), free=free, held={})
+    station = SimpleNamespace(
+        robot="irbp_a250",
+        origin=(0.6335, 0.00987, 0.38),
+        base=None,
+        turn=0.0,
+        free=free,
+        held={},
+        home={},
+        part=(0.0, 0.0, 0.0),
+        part_rpy=(0.0, 0.0, 0.0),
+    )
     return SimpleNamespace(
         name="two_beads",
         file=Path("two_beads.yaml"),

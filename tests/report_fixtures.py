@@ -90,10 +90,10 @@ def make_plan(
         "sigma_min": 0.021, "wrist_margin_deg": 3.2, "jerk_ratio_max": 4.7, "acceleration_ratio_max": 2.2,
     }  # fmt: skip
     robot = SimpleNamespace(name="ABB IRB 140-6/0.8", assumed=("acceleration_rad_s2", "jerk_rad_s3"))
-    table = SimpleNamespace(name="ABB IRBP A250", assumed=("acceleration_rad_s2",))
+    table = SimpleNamespace(name="ABB IRBP A250", joint_names=("tilt", "rotation"), assumed=("acceleration_rad_s2",))
     return Plan(
         problem=make_problem(name),
-        cell=SimpleNamespace(joint_names=names, limits=limits, arm_robot=robot, holder_robot=table),
+        cell=SimpleNamespace(joint_names=names, limits=limits, arm_robot=robot, holder_robot=table, spherical=True),
         toolpath=SimpleNamespace(beads=make_beads(4 * layers), layers=layers),
         strategy="ladder",
         trajectory=trajectory,

@@ -166,7 +166,8 @@ def test_where_the_tip_stands_still_the_turning_has_its_real_rate():
     rows["quat"] = (Rotation.from_quat(t.quat[0]) * Rotation.from_rotvec(turned[:, None] * [0, 0, 1.0])).as_quat()
     rows["axis"] = Rotation.from_quat(rows["quat"]).as_matrix()[:, :, 2]
     rows |= {"t": np.arange(n) * t.dt, "q": rows["q"] + turned[:, None] * [0, 0, 0, 0, 0, 1.0]}
-    cell = SimpleNamespace(**vars(plan.cell), T_part_nozzle=lambda q: _standing(t.tip[0], rows["axis"][0], len(q)))
+    parts = vars(plan.cell) | {"spherical": True}
+    cell = SimpleNamespace(**parts, T_part_nozzle=lambda q: _standing(t.tip[0], rows["axis"][0], len(q)))
     text = rapid(replace(plan, cell=cell, trajectory=Trajectory(dt=t.dt, **rows)))
     turning = [line for line in text.split("\n") if "MoveJ" in line][1:]
     name = re.search(r",(vel\w+),", turning[0])

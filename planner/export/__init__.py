@@ -26,7 +26,8 @@ EXPORTERS: dict[str, Callable[[Plan], str]] = {
     "{Module}.pgf": pgf,
     "extrusion.gcode": gcode,
 }
-ROBOT_CODE = ("{Module}.mod", "{Module}.pgf", "extrusion.gcode")
+RAPID = ("{Module}.mod", "{Module}.pgf")
+ROBOT_CODE = (*RAPID, "extrusion.gcode")
 
 
 def write_trajectory(plan: Plan, folder: Path) -> Path:
@@ -45,14 +46,14 @@ def write_refusal(problem: Problem, strategy: str, refusal: Refusal, folder: Pat
 
 
 def write_robot_code(plan: Plan, folder: Path) -> tuple[Path, ...]:
-    """Write RAPID and G-code of a verified plan; returns the paths.
+    """Write RAPID, where the robots speak it (see `Plan.no_rapid`), and G-code of a verified plan; returns the paths.
 
     The program is read back and held against the plan before anything is written. ValueError if the plan is not
     verified, RuntimeError if the program does not say what the plan says (both mistakes of this code or its caller),
     OutputError where the files cannot be written.
     """
-    texts = {name: EXPORTERS[name](plan) for name in ROBOT_CODE}
-    complaints = compare(plan, read_rapid(texts["{Module}.mod"])).complaints()
+    texts = {name: EXPORTERS[name](plan) for name in ROBOT_CODE if name not in RAPID or plan.no_rapid is None}
+    complaints = compare(plan, read_rapid(texts["{Module}.mod"])).complaints() if "{Module}.mod" in texts else []
     if complaints:
         raise RuntimeError("the RAPID program does not repeat the plan: " + "; ".join(complaints))
     module = module_name(plan.problem.name)

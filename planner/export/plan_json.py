@@ -68,11 +68,11 @@ def cell_screws(cell: Cell) -> dict[str, Any]:
     joints: list[dict[str, Any]] = []
     limits = cell.limits
     for moves, chain in (("nozzle", cell.arm), ("part", cell.holder)):
-        for name, origin, direction in _axes_at_zero(chain):
+        for origin, direction in _axes_at_zero(chain):
             i = len(joints)
             joints.append(
                 {
-                    "name": name,
+                    "name": cell.joint_names[i],
                     "type": "revolute",
                     "moves": moves,
                     "origin_m": origin,
@@ -91,13 +91,13 @@ def cell_screws(cell: Cell) -> dict[str, Any]:
     }
 
 
-def _axes_at_zero(chain: Chain) -> list[tuple[str, np.ndarray, np.ndarray]]:
-    """Name, a point and the direction of each joint's axis in the world with all joints at 0."""
+def _axes_at_zero(chain: Chain) -> list[tuple[np.ndarray, np.ndarray]]:
+    """A point and the direction of each joint's axis in the world with all joints at 0."""
     T = np.eye(4)
     out = []
-    for name, placement, axis in zip(chain.names, chain.placements, chain.axes, strict=True):
+    for placement, axis in zip(chain.placements, chain.axes, strict=True):
         T = T @ placement
-        out.append((name, np.round(T[:3, 3], DECIMALS), np.round(T[:3, :3] @ axis, DECIMALS)))
+        out.append((np.round(T[:3, 3], DECIMALS), np.round(T[:3, :3] @ axis, DECIMALS)))
     return out
 
 

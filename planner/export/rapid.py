@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from planner.export.moves import Moves, deposits, plan_moves
 from planner.export.rotations import continuous, from_matrix
+from planner.plan import RAPID_EXTERNAL_AXES
 
 if TYPE_CHECKING:
     from planner.cell import Cell
@@ -30,9 +31,13 @@ RESERVED = """ALIAS AND BACKWARD CASE CONNECT CONST DEFAULT DIV DO ELSE ELSEIF E
     WITH XOR BASE USER MAIN START FINISH"""
 LONGEST_STRING = 80
 LONGEST_COMMENT = 100
-EXTERNAL_AXES = 6
 UNUSED = "9E9"
 HEAD_ROOM = 1.5  # of reorientation and axis speeds over what the plan needs, so that the tip's speed alone governs
+SECOND_ARM = (
+    "NOTE: what holds the part is an arm. A controller runs two arms as two tasks (MultiMove), not as external axes:",
+    "this program says what both arms do, but runs only where the second one is set up as a mechanical unit of this",
+    "task, as in a simulation. On two real arms, start from trajectory.csv.",
+)
 TOOL_LOAD = "[1,[0,0,50],[1,0,0,0],0,0,0]"
 
 
@@ -54,10 +59,12 @@ def pgf(plan: Plan) -> str:
 def rapid(plan: Plan) -> str:
     """RAPID module of a verified plan (ASCII, mm, degrees, targets in the part frame).
 
-    Raises ValueError if the plan is not verified: that is a mistake of the caller's.
+    Raises ValueError if the plan is not verified or has no form in RAPID: that is a mistake of the caller's.
     """
     if not plan.verified:
         raise ValueError("robot code is written for verified plans only")
+    if plan.no_rapid is not None:
+        raise ValueError(plan.no_rapid)
     moves = plan_moves(plan)
     speeds, speed_names = _speeds(plan, moves)
     procedures, calls = _procedures(plan, moves, speed_names)
@@ -139,22 +146,25 @@ def _frames(plan: Plan) -> list[str]:
         comment("Poses in the world that the controller's configuration must have. The robot's base:"),
         comment("  " + _pose(cell.T_world_base)),
     ]
-    identity = _pose(np.eye(4))
+    identity, on_plate = _pose(np.eye(4)), _pose(cell.T_plate_part)
     if cell.holder_robot is None:
         frames = f'TRUE,"",{_pose(cell.T_world_holder)},{identity}'
     else:
-        axes = ", ".join(
+        axes = [
             f"eax_{letter} {name}" + (" (held)" if name in cell.held else "")
-            for letter, name in zip("abcdef", list(cell.holder_robot.model.names)[1:], strict=False)
-        )
+            for letter, name in zip("abcdef", cell.holder_robot.joint_names, strict=False)
+        ]
         lines += [
             comment(f"The base of station {names.station}:"),
             comment("  " + _pose(cell.T_world_holder_base)),
-            comment(f"Its axes: {axes}."),
-            comment("Its user frame comes from the system parameters; the part frame is that frame, on the plate."),
+            comment(f"Its axes: {', '.join(axes[:3])}."),
+            *([comment(f"  {', '.join(axes[3:])}.")] if len(axes) > 3 else []),
+            comment("Its user frame comes from the system parameters; the part frame stands in it, on the plate."),
         ]
+        if cell.holder_robot.inverse is not None:
+            lines += [comment(text) for text in SECOND_ARM]
         # ABB, RAPID reference, wobjdata: with ufprog FALSE the system parameters define the user frame
-        frames = f'FALSE,"{names.station}",{identity},{identity}'
+        frames = f'FALSE,"{names.station}",{identity},{on_plate}'
     return [*lines, f"    PERS wobjdata {names.work_object}:=[FALSE,{frames}];"]
 
 
@@ -218,7 +228,7 @@ def _main(plan: Plan, calls: list[str], speed: str) -> list[str]:
 
 def _external_text(degrees: Array) -> list[str]:
     """`eax_a,..,eax_f` of each row."""
-    unused = ",".join([UNUSED] * (EXTERNAL_AXES - degrees.shape[1]))
+    unused = ",".join([UNUSED] * (RAPID_EXTERNAL_AXES - degrees.shape[1]))
     if not degrees.shape[1]:
         return [unused] * len(degrees)
     degrees = np.round(degrees, 4) + 0.0  # turns minus nought into nought

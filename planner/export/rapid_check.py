@@ -285,7 +285,7 @@ def _frames(plan: Plan, program: Program) -> tuple[float, float]:
     for written, T in (
         (program.tool, cell.T_flange_nozzle),
         (program.uframe, identity if moving else cell.T_world_holder),
-        (program.oframe, identity),
+        (program.oframe, cell.T_plate_part if moving else identity),
     ):
         far.append(float(np.linalg.norm(written[:3] - T[:3, 3])))
         cosine = 0.5 * (np.trace(to_matrix(written[None, 3:])[0].T @ T[:3, :3]) - 1.0)

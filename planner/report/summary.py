@@ -53,6 +53,8 @@ def print_summary(plan: Plan, folder: Path) -> None:
             out.print(text, markup=False, soft_wrap=True)
     if plan.verified:
         verdict = f"verified: {len(plan.checks)} checks hold"
+        if plan.no_rapid is not None:
+            verdict += f"; no RAPID program: {plan.no_rapid}"
     else:
         verdict = "NOT verified: no robot code was written"
     out.print(f"{verdict}; {plan.timing_s['total']:.1f} s; results in {folder}", markup=False, soft_wrap=True)

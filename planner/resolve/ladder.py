@@ -28,6 +28,8 @@ _SPARSE = 5  # times as far as the settings' rungs stand those of the first look
 _ROUGH = 2.0  # times the settings' steps in that first look, and where the grid would be too large
 _MOST_NODES = 3e6  # of the guide's grid: 100 MB, and a second; the second search is finer anyway
 _UPRIGHT = np.radians(30.0)  # cone of the layer to gravity below which the table has little choice left
+_FEW = 50  # times as far stand those at which postures of a holder of many joints are tried, if home does not do
+_DRAWN = 400  # of those postures
 _LATTICE = 9  # angles at which a chosen joint is held there, at most
 
 
@@ -121,17 +123,40 @@ def _first_look(cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec)
     others = [j for j in range(k) if j != swept]
     home = cell.home[list(cell.chosen)]
     best: Found | None = None
-    for rest in itertools.product(*(_rest_angles(cell, j, _ROUGH * settings.table_step, len(others)) for j in others)):
+
+    def nodes_at(rest: Array, demand: Demand) -> Nodes:
         held = np.tile(home, (len(demand.rung), 1))
         held[:, others] = rest
         grid = full_grid(demand, _ROUGH * settings.roll_step, _ROUGH * settings.table_step, True, swept, held)
-        nodes = evaluate(cell, demand, grid, settings.min_sigma)
+        return evaluate(cell, demand, grid, settings.min_sigma)
+
+    lattice = [_rest_angles(cell, j, _ROUGH * settings.table_step, len(others)) for j in others]
+    for rest in itertools.product(*lattice):
+        nodes = nodes_at(np.array(rest), demand)
         route, stuck = best_route(nodes, demand, cell.limits)
         if route is not None and (best is None or route.price < best.route.price):
             best = Found(demand, nodes, route)
+    if best is None and len(others) > 1:  # home does not do: look around it, at few rungs first
+        few = demand_of(guides, _FEW * settings.rung)
+        for rest in _around_home(cell, others):
+            if np.isfinite(nodes_at(rest, few).price).any(axis=(1, 2, 3)).all():
+                elsewhere = nodes_at(rest, demand)
+                route, _ = best_route(elsewhere, demand, cell.limits)
+                if route is not None:
+                    return Found(demand, elsewhere, route)
     if best is None:
         refuse_rung(cell, guides, demand, nodes, stuck, settings.min_sigma)
     return best
+
+
+def _around_home(cell: Cell, chosen: Sequence[int]) -> Array:
+    """Angles (m, len(chosen)) of chosen joints, drawn ever further from home within their ranges."""
+    joints = [cell.chosen[j] for j in chosen]
+    home = cell.home[joints]
+    low = np.maximum(cell.limits.q_min[joints], home - np.pi)
+    high = np.minimum(cell.limits.q_max[joints], home + np.pi)
+    drawn = np.random.default_rng(0).uniform(low, high, (_DRAWN, len(joints)))
+    return home + np.linspace(0.0, 1.0, _DRAWN)[:, None] * (drawn - home)
 
 
 def _rest_angles(cell: Cell, chosen: int, step: float, others: int) -> Array:

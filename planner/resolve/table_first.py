@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.resolve.demand import Demand
+from planner.resolve.node_kernel import LIMIT_ROOM
 from planner.task import NozzleTask
 
 Array = NDArray[np.float64]
@@ -64,6 +65,8 @@ def _lattice(cell: Cell, axis: int, step: float) -> tuple[Array, bool]:
     if high - low >= 2.0 * np.pi:
         n = int(np.ceil(2.0 * np.pi / step))
         return np.asarray(-np.pi + 2.0 * np.pi / n * np.arange(n)), True
+    room = min(LIMIT_ROOM, 0.25 * (high - low))
+    low, high = low + room, high - room
     n = max(int(np.ceil((high - low) / step)), 1)
     return np.asarray(low + (high - low) / n * np.arange(n + 1)), False
 

@@ -13,7 +13,7 @@ MODULE TwoBeads
     ! The base of station STN1:
     !   [[633.500,9.870,-520.000],[1.0000000,0.0000000,0.0000000,0.0000000]]
     ! Its axes: eax_a tilt (held), eax_b rotation.
-    ! Its user frame comes from the system parameters; the part frame is that frame, on the plate.
+    ! Its user frame comes from the system parameters; the part frame stands in it, on the plate.
     PERS wobjdata wobjPart:=[FALSE,FALSE,"STN1",[[0.000,0.000,0.000],[1.0000000,0.0000000,0.0000000,0.0000000]],[[0.000,0.000,0.000],[1.0000000,0.0000000,0.0000000,0.0000000]]];
 
     CONST speeddata vel4:=[4,470,1000,110];
