@@ -296,7 +296,7 @@ def _moved(cell: Cell, by: Array) -> Cell:
     )
 
 
-_GIVES = {_HERE: "gives postures here, though no path all along", _ALONG: "gives a path"}
+_GIVES = {_HERE: "gives postures here, though no path all along", _ALONG: "gives a path in the coarse search"}
 
 
 def _two_digits_down(x: float) -> float:
