@@ -49,7 +49,8 @@ class Refusal(PlannerError):
     """There is no plan, and this is where and why.
 
     `bead` and `waypoint` count from 0, `s_mm` runs along the bead, `point_mm` is in the part frame;
-    `missing_mm` says by how much a point lies out of reach, where that is the reason.
+    `missing_mm` says by how much a point lies out of reach, where that is the reason; `hints` name changes
+    that were tried and would help.
     """
 
     exit_code = EXIT_NOT_VERIFIED
@@ -63,9 +64,11 @@ class Refusal(PlannerError):
         s_mm: float | None = None,
         point_mm: tuple[float, float, float] | None = None,
         missing_mm: float | None = None,
+        hints: tuple[str, ...] = (),
     ) -> None:
         self.reason, self.bead, self.waypoint = reason, bead, waypoint
         self.s_mm, self.point_mm, self.missing_mm = s_mm, point_mm, missing_mm
+        self.hints = hints
         place = []
         if bead is not None:
             place.append(f"bead {bead}")

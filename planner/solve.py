@@ -236,6 +236,8 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
                 reason = None
     if reason is not None:
         errors.print(f"no plan: {reason}", markup=False, soft_wrap=True)
+        for hint in reason.hints:
+            errors.print(f"try: {hint}", markup=False, soft_wrap=True)
         errors.print(f"see {folder / 'report.html'}", markup=False, soft_wrap=True)
         return EXIT_NOT_VERIFIED
     print_summary(plan, folder)
@@ -253,6 +255,7 @@ def _report_refusal(problem: Problem, strategy: str, refusal: Refusal, path: Pat
         bead=refusal.bead,
         point_mm=refusal.point_mm,
         facts={},
+        hints=refusal.hints,
     )
 
 

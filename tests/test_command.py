@@ -285,17 +285,19 @@ def test_disk_that_is_full(run: Callable[..., Outcome], tmp_path: Path, monkeypa
 
 
 def refused(outcome: Outcome, folder: Path) -> tuple[str, dict[str, Any]]:
-    """Exit code 3, one message, and only a report and a plan.json that is not verified; returns both texts."""
+    """Exit code 3, one message, what to try, and only a report and a plan.json that is not verified; returns both."""
     assert outcome.code == 3, outcome.err
     assert "Traceback" not in outcome.err
-    first, second = (line for line in outcome.err.splitlines() if line.strip())
+    first, *tries, last = (line for line in outcome.err.splitlines() if line.strip())
     assert first.startswith("no plan: ")
-    assert second == f"see {folder.relative_to(Path.cwd()) / 'report.html'}"
+    assert last == f"see {folder.relative_to(Path.cwd()) / 'report.html'}"
     assert {path.name for path in folder.iterdir()} == REFUSED
     plan = json.loads((folder / "plan.json").read_text(encoding="utf-8"))
     assert plan["verified"] is False
     html = unescape((folder / "report.html").read_text(encoding="utf-8"))
     assert plan["refusal"]["reason"].split(" (")[0] in html
+    assert tries == [f"try: {hint}" for hint in plan["refusal"]["hints"]]
+    assert all(hint in html for hint in plan["refusal"]["hints"])
     return first, plan["refusal"]
 
 
@@ -349,10 +351,12 @@ def test_no_branch_can_follow(run: Callable[..., Outcome], tmp_path: Path) -> No
     """Joints that crawl: every rung has postures, and none is reached in time from the one before."""
     crawl = ", ".join(f"joint_{j}: {{speed_deg_s: 2}}" for j in range(1, 7))
     write_small(tmp_path, (LIMITS, f"{LIMITS}  limits: {{{crawl}, rotation: {{speed_deg_s: 2}}}}\n"))
-    message, _ = refused(run("small.yaml"), tmp_path / "out" / "small")
+    message, refusal = refused(run("small.yaml"), tmp_path / "out" / "small")
     place_in(message)
     assert "no branch can follow the path" in message
     assert "a joint would be too slow" in message
+    (hint,) = refusal["hints"]
+    assert re.fullmatch(r"process.speed_mm_s: [\d.]+ would do, a path exists then", hint)
 
 
 def test_every_posture_too_near_a_singularity(run: Callable[..., Outcome], tmp_path: Path) -> None:

@@ -55,6 +55,7 @@ def refusal_json(problem: Problem, strategy: str, refusal: Refusal) -> str:
             "s_mm": refusal.s_mm,
             "point_mm": refusal.point_mm,
             "missing_mm": refusal.missing_mm,
+            "hints": refusal.hints,
         },
     }
     return json.dumps(_plain(data), indent=1, allow_nan=False) + "\n"

@@ -42,6 +42,7 @@ def write_failure_report(
     bead: int | None,
     point_mm: tuple[float, float, float] | None,
     facts: Mapping[str, str],
+    hints: Sequence[str] = (),
 ) -> None:
     """Write the report of a refused problem.
 
@@ -49,6 +50,7 @@ def write_failure_report(
     beads     the planned lines, if planning came that far; `bead` is the index of the one that failed
     point_mm  the place in the part frame, if known
     facts     name -> text, shown as they are; "what to change", if there, is shown first of the advice
+    hints     changes that were tried and would help, shown after it
     Raises OutputError where `path` cannot be written.
     """
     facts = dict(facts)
@@ -78,6 +80,9 @@ def write_failure_report(
     body += "<h2>What to change</h2>"
     if advice:
         body += f"<p><b>{escape(advice)}</b></p>"
+    if hints:
+        items = "".join(f"<li>{escape(hint)}</li>" for hint in hints)
+        body += f"<p>Tried on this problem, each by itself:</p><ul>{items}</ul>"
     body += "<p class=note>The fields of the problem file that decide whether a plan exists:</p>"
     rows = "".join(f"<tr><th scope=row><code>{name}</code></th><td>{what}</td></tr>" for name, what in LEVERS)
     body += f"<table><tbody>{rows}</tbody></table>"

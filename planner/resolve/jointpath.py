@@ -134,7 +134,9 @@ def choose_turns(cell: Cell, paths: Sequence[JointPath]) -> tuple[JointPath, ...
     return tuple(replace(path, q=path.q + turn) for path, turn in zip(paths, shift, strict=True))
 
 
-def refuse_at(task: NozzleTask, i: int, reason: str, missing: float | None = None) -> NoReturn:
+def refuse_at(
+    task: NozzleTask, i: int, reason: str, missing: float | None = None, hints: tuple[str, ...] = ()
+) -> NoReturn:
     """Raise a Refusal that names the task's bead, sample and point; places in a run count as the bead's end."""
     mm = task.tip[i] * 1e3
     if missing is not None:
@@ -149,4 +151,5 @@ def refuse_at(task: NozzleTask, i: int, reason: str, missing: float | None = Non
         s_mm=float(task.s[nearest] * 1e3),
         point_mm=(float(mm[0]), float(mm[1]), float(mm[2])),
         missing_mm=None if missing is None else missing * 1e3,
+        hints=hints,
     )

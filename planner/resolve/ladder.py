@@ -59,6 +59,11 @@ def ladder(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tu
     it. Beads that repeat from layer to layer share the guide of the first of them.
     Raises Refusal where a bead cannot be followed.
     """
+    return paths_of(cell, tasks, ladder_route(cell, tasks, settings))
+
+
+def ladder_route(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> Found:
+    """The route that `ladder` makes its paths of. Raises Refusal where there is none."""
     guides = first_of_each_name(tasks)
     guide = guide_route(cell, guides, settings)
     guide_of = {task.name: i for i, task in enumerate(guides)}
@@ -68,7 +73,7 @@ def ladder(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tu
         dense = evaluate(cell, all_demand, grid, settings.min_sigma)
         best, stuck = best_route(dense, all_demand, cell.limits)
         if best is not None:
-            return paths_of(cell, tasks, Found(all_demand, dense, best))
+            return Found(all_demand, dense, best)
     refuse_rung(cell, tasks, all_demand, dense, stuck, settings.min_sigma)
 
 

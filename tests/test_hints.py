@@ -1,0 +1,125 @@
+"""What a refusal tells to try: every change that is named is made, and the search is run again."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from planner.cell import build_cell
+from planner.errors import Refusal
+from planner.problem import load_problem
+from planner.resolve.jointpath import JointPath, flange_poses
+from planner.resolve.ladder import coarse_nodes, ladder
+from planner.resolve.search import best_route
+from planner.task import NozzleTask, make_tasks
+from planner.toolpath.bead import Toolpath
+from planner.toolpath.build import build_toolpath
+
+Array = NDArray[np.float64]
+BASE = ("layers.count=1", "resolve.rung_mm=10")
+
+
+@pytest.fixture(scope="module")
+def toolpath() -> Toolpath:
+    return build_toolpath(load_problem("cylinder_logo", BASE))
+
+
+def plan(toolpath: Toolpath, *overrides: str) -> tuple[JointPath, ...]:
+    problem = load_problem("cylinder_logo", [*BASE, *overrides])
+    tasks = make_tasks(toolpath, problem.process.speed, problem.process.run_in)[:1]
+    return ladder(build_cell(problem), tasks, problem.resolve)
+
+
+def has_coarse_path(toolpath: Toolpath, *overrides: str) -> bool:
+    problem = load_problem("cylinder_logo", [*BASE, *overrides])
+    cell = build_cell(problem)
+    tasks = make_tasks(toolpath, problem.process.speed, problem.process.run_in)[:1]
+    demand, nodes = coarse_nodes(cell, tasks, problem.resolve)
+    return best_route(nodes, demand, cell.limits)[0] is not None
+
+
+def hints_of(toolpath: Toolpath, *overrides: str) -> tuple[str, ...]:
+    with pytest.raises(Refusal) as caught:
+        plan(toolpath, *overrides)
+    assert not any("roll " in hint for hint in caught.value.hints)  # it may turn all round as it is
+    return caught.value.hints
+
+
+def vector_in(hint: str) -> Array:
+    found = re.search(r"by \[(.*?)\]", hint)
+    assert found, hint
+    return np.array([float(x) for x in found[1].split(",")])
+
+
+def test_the_speed_that_is_named_has_a_path_and_a_higher_one_has_not(toolpath: Toolpath) -> None:
+    (hint,) = hints_of(toolpath, "process.speed_mm_s=400")
+    found = re.match(r"process.speed_mm_s: ([\d.]+) would do", hint)
+    assert found, hint
+    speed = float(found[1])
+    assert 40.0 < speed < 400.0
+    assert len(plan(toolpath, f"process.speed_mm_s={speed}")) == 1
+    with pytest.raises(Refusal):
+        plan(toolpath, f"process.speed_mm_s={1.15 * speed}")
+
+
+@pytest.mark.parametrize(
+    ("field", "where"), [("cell.positioner.origin_mm", [1200.0, 9.87, 380.0]), ("cell.bed_mm", [-1020.0, 455.0, 300.0])]
+)
+def test_a_part_out_of_reach_is_moved_to_where_it_can_be_printed(
+    toolpath: Toolpath, field: str, where: list[float]
+) -> None:
+    fixed = ["cell.positioner=null"] if field == "cell.bed_mm" else []
+    hint = next(h for h in hints_of(toolpath, *fixed, f"{field}={where}") if h.startswith(field))
+    assert "towards the arm's base" in hint
+    assert hint.endswith("gives a path in the coarse search")
+    move = vector_in(hint)
+    assert np.sign(move[0]) == -np.sign(where[0])
+    assert move[2] == 0.0
+    assert has_coarse_path(toolpath, *fixed, f"{field}={(np.array(where) + move).tolist()}")
+    assert not has_coarse_path(toolpath, *fixed, f"{field}={(np.array(where) + 0.75 * move).tolist()}")
+
+
+def test_a_held_axis_is_turned_to_where_there_is_a_path(toolpath: Toolpath) -> None:
+    tight = "resolve.min_sigma=0.24"
+    hint = next(h for h in hints_of(toolpath, tight) if "held_deg" in h)
+    found = re.fullmatch(r"cell.positioner.held_deg: \{tilt: (-?\d+)\} gives a path in the coarse search", hint)
+    assert found, hint
+    assert len(plan(toolpath, tight, f"cell.positioner.held_deg={{tilt: {found[1]}}}")) == 1
+
+
+def test_the_tilt_that_is_named_is_the_least_that_has_a_posture(toolpath: Toolpath) -> None:
+    """Against the arm's inverse kinematics, direction by direction, at the place of the refusal."""
+    bed = ("cell.positioner=null", "cell.base_mm=[20, -30, 40]", "cell.bed_mm=[-450, 450, 300]")
+    overrides = (*bed, "cell.limits={joint_5: {range_deg: [-70, -45]}}", "cell.home_deg=[30, 20, 30, 90, -60, 60]")
+    problem = load_problem("cylinder_logo", [*BASE, *overrides])
+    cell = build_cell(problem)
+    task = make_tasks(toolpath, problem.process.speed, problem.process.run_in)[0]
+    with pytest.raises(Refusal) as caught:
+        ladder(cell, [task], problem.resolve)
+    (hint,) = (h for h in caught.value.hints if h.startswith("a nozzle tilted"))
+    tilts = [5.0, 10.0, 20.0]
+    found = re.match(r"a nozzle tilted (\d+) deg", hint)
+    assert found
+    named = float(found[1])
+    assert named > tilts[0]
+    assert caught.value.point_mm is not None
+    i = int(np.argmin(np.linalg.norm(task.tip * 1e3 - caught.value.point_mm, axis=1)))
+    for tilt in tilts[: tilts.index(named) + 1]:
+        turns, rolls = np.meshgrid(np.arange(0, 360, 30.0), np.arange(0, 360, 15.0))
+        turns, rolls = np.radians(turns.ravel()), np.radians(rolls.ravel())
+        spot = NozzleTask(0, "spot", 0, task.tip[[i] * len(turns)], task.frames[[i] * len(turns)], turns, 0, 1, 0.04)
+        lean = np.radians(tilt) * np.column_stack([np.cos(turns), np.sin(turns)])
+        q, ok = cell.inverse.solve(flange_poses(cell, spot, rolls, lean, np.empty((len(turns), 0))))
+        inside = ok & ((q >= cell.limits.q_min) & (q <= cell.limits.q_max)).all(axis=2)
+        assert inside.any() or tilt != named
+        room = np.minimum(q - cell.limits.q_min, cell.limits.q_max - q).min(axis=2)
+        if tilt < named:
+            assert not (inside & (room > 0.07)).any()
+
+
+def test_nothing_is_named_where_nothing_helps(toolpath: Toolpath) -> None:
+    """A least singular value beyond what an arm of this size can reach anywhere."""
+    assert hints_of(toolpath, "resolve.min_sigma=0.9") == ()
