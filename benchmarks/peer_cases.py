@@ -11,6 +11,7 @@ import resource
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -172,7 +173,7 @@ def row(name: str, strategy: str, waypoints: int) -> list[str]:
         problem = load_problem(write_case(name, waypoints, Path(folder)))
         stages = Stages()
         try:
-            plan = solve(problem, strategy, stages=stages)
+            plan = solve(problem, strategy, stages=stages, second_process=True)
         except Refusal as refusal:
             return [name, strategy, f"no plan: {refusal}", *[""] * (len(COLUMNS) - 3)]
     seconds = sum(value for stage, value in stages.seconds.items() if stage != "baseline")
@@ -209,9 +210,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     table = Table(*COLUMNS, title=title, title_justify="left")
     try:
         # a process for each row: its peak memory is its own
-        with get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
+        with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as pool:
             jobs = [(name, strategy, options.waypoints) for name in options.case for strategy in options.strategy]
-            for cells in pool.starmap(row, jobs, chunksize=1):
+            for cells in pool.map(row, *zip(*jobs, strict=True)):
                 table.add_row(*cells)
     except PlannerError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -10,6 +10,7 @@ import resource
 import sys
 import tempfile
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from benchmarks.peer_cases import waypoint_text
 from planner.errors import EXIT_VERIFIED, PlannerError
 from planner.problem import STRATEGY_NAMES, load_problem
 from planner.progress import Stages
-from planner.solve import solve
+from planner.solve import solve, write
 
 Array = NDArray[np.float64]
 
@@ -30,7 +31,7 @@ PASS, PASSES, PITCH, SPACING = 150.0, 15, 1.0, 1.0  # mm: a strip of passes to a
 STRIPS, GAP = 4, 4.0  # strips of a layer, and the way from one to the next
 LAYER = 0.5  # mm
 BOW = 300.0  # mm, radius along the passes; across them, twice as much
-STAGES = ("load", "toolpath", "resolve", "timing", "verify", "baseline")
+STAGES = ("load", "toolpath", "resolve", "timing", "verify", "baseline", "export")
 
 PROBLEM = """\
 name: sheet
@@ -68,7 +69,7 @@ def sheet(waypoints: int) -> Array:
 
 
 def measure(waypoints: int, strategy: str) -> tuple[dict[str, float], float, bool]:
-    """Seconds by stage, peak memory [MB] of this process, and whether the plan is verified."""
+    """Seconds by stage, peak memory [MB] of this process and the largest it forked, and whether the plan is verified."""
     with tempfile.TemporaryDirectory() as folder:
         problem = Path(folder) / "sheet.yaml"
         problem.write_text(PROBLEM, encoding="utf-8")
@@ -76,8 +77,10 @@ def measure(waypoints: int, strategy: str) -> tuple[dict[str, float], float, boo
         for n in (600, waypoints):  # the first compiles
             stages = Stages()
             (Path(folder) / "sheet.txt").write_text(waypoint_text(sheet(n)), encoding="utf-8")
-            plan = solve(load_problem(problem), strategy, stages=stages)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+            plan = write(
+                solve(load_problem(problem), strategy, stages=stages, second_process=True), Path(folder), stages
+            )
+    peak = sum(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)) / 1024
     return dict(stages.seconds), peak, plan.verified
 
 
@@ -90,9 +93,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     table = Table("waypoints", *STAGES, "all", "of the first", "MB", "verified", title=options.strategy)
     first: tuple[int, float] | None = None
     try:
-        with get_context("spawn").Pool(1, maxtasksperchild=1) as pool:  # each has a peak memory of its own
+        with ProcessPoolExecutor(
+            1, get_context("spawn"), max_tasks_per_child=1
+        ) as pool:  # each has a peak memory of its own
             jobs = [(n, options.strategy) for n in options.waypoints]
-            for n, (seconds, peak, verified) in zip(options.waypoints, pool.starmap(measure, jobs, 1), strict=True):
+            for n, (seconds, peak, verified) in zip(
+                options.waypoints, pool.map(measure, *zip(*jobs, strict=True)), strict=True
+            ):
                 total = sum(seconds.values())
                 first = first or (n, total)
                 table.add_row(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell import Cell
+from planner.errors import Refusal
 from planner.problem import ResolveSpec
 from planner.resolve.demand import Demand, demand_of
 from planner.resolve.jointpath import JointPath, choose_turns, postures, spread, upright
@@ -59,22 +60,38 @@ def ladder(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tu
     it. Beads that repeat from layer to layer share the guide of the first of them.
     Raises Refusal where a bead cannot be followed.
     """
-    return paths_of(cell, tasks, ladder_route(cell, tasks, settings))
+    refusal: Refusal | None = None
+    for found in _routes(cell, tasks, settings):
+        try:
+            return paths_of(cell, tasks, found)
+        except Refusal as between_rungs:  # what the rungs allow, the path between them may not: try the next corridor
+            refusal = refusal or between_rungs
+    if refusal is None:
+        raise RuntimeError("a search without routes must refuse by itself")
+    raise refusal
 
 
 def ladder_route(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> Found:
-    """The route that `ladder` makes its paths of. Raises Refusal where there is none."""
+    """The route that `ladder` tries first to make its paths of. Raises Refusal where there is none."""
+    return next(_routes(cell, tasks, settings))
+
+
+def _routes(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> Iterator[Found]:
+    """Dense routes, one for each corridor that has any; Refusal where none has."""
     guides = first_of_each_name(tasks)
     guide = guide_route(cell, guides, settings)
     guide_of = {task.name: i for i, task in enumerate(guides)}
     all_demand = demand_of(tasks, settings.rung)
+    any_route = False
     for refine, corridor in CORRIDORS:
         grid = _corridor(cell, tasks, all_demand, guides, guide, guide_of, refine, corridor)
         dense = evaluate(cell, all_demand, grid, settings.min_sigma)
         best, stuck = best_route(dense, all_demand, cell.limits)
         if best is not None:
-            return Found(all_demand, dense, best)
-    refuse_rung(cell, tasks, all_demand, dense, stuck, settings.min_sigma)
+            any_route = True
+            yield Found(all_demand, dense, best)
+    if not any_route:
+        refuse_rung(cell, tasks, all_demand, dense, stuck, settings.min_sigma)
 
 
 def guide_route(cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec) -> Found:

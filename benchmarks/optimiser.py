@@ -1,0 +1,101 @@
+"""The optimiser's figures in one run: strategies on the logo, the peers' cases, rates of search and refinement, scaling.
+
+python -m benchmarks.optimiser [--logo OTHER.svg]
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import platform
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks import peer_cases, scaling, strategies
+from planner.cell import build_cell
+from planner.errors import EXIT_VERIFIED, PlannerError
+from planner.problem import Problem, load_problem
+from planner.resolve.ladder import coarse_nodes, ladder
+from planner.resolve.search import best_route
+from planner.resolve.sqp import refine_paths
+from planner.task import cones_of, make_tasks
+from planner.toolpath.build import build_toolpath
+from planner.versions import versions
+
+LAYER = ["layers.count=1"]
+ROLLS = 36
+
+
+def searched(waypoints: int) -> list[str]:
+    """CPU time of the ladder's whole grid on the cap: all rolls and branches at each rung, then the search."""
+    with tempfile.TemporaryDirectory() as folder:
+        problem = load_problem(peer_cases.write_case("peer_cap", waypoints, Path(folder)))
+        cell = build_cell(problem)
+        process = problem.process
+        tasks = make_tasks(build_toolpath(problem), process.speed, process.run_in, cones_of(process.cones))
+    settings = problem.resolve.model_copy(update={"roll_step": 2.0 * math.pi / ROLLS})
+    for _ in range(2):  # the first compiles
+        start = time.process_time()
+        demand, nodes = coarse_nodes(cell, tasks, settings)
+        best_route(nodes, demand, cell.limits)
+        seconds = time.process_time() - start
+    rate = f"{waypoints / seconds:.0f} waypoints/s, {nodes.price.size / seconds / 1e6:.1f} million nodes/s"
+    return [f"ladder, {waypoints} waypoints, {len(demand.rung)} rungs x {ROLLS} rolls x 8", rate]
+
+
+def refined(problem: Problem) -> list[str]:
+    """CPU time of refining the ladder's paths."""
+    cell = build_cell(problem)
+    process = problem.process
+    tasks = make_tasks(build_toolpath(problem), process.speed, process.run_in, cones_of(process.cones))
+    paths = ladder(cell, tasks, problem.resolve)
+    refine_paths(cell, paths[:1], problem.resolve)
+    start = time.process_time()
+    refine_paths(cell, paths, problem.resolve)
+    seconds = time.process_time() - start
+    n = sum(len(task) for task in tasks)
+    length = sum(float(task.s[-1] - task.s[0]) for task in tasks)
+    rate = f"{n / seconds:.0f} samples/s, {length * 1e3 / seconds:.0f} mm/s"
+    return [f"refinement of {problem.name}, {n} samples, {1e3 * length / n:.2f} mm apart", rate]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.optimiser", description=__doc__)
+    parser.add_argument("--logo", type=Path, metavar="SVG", help="a drawing in place of the project's own, as well")
+    options = parser.parse_args(arguments)
+    console = Console(width=150)
+    try:
+        logos = [load_problem("cylinder_logo", LAYER)]
+        if options.logo is not None:
+            other = load_problem("cylinder_logo", [*LAYER, f"layers.source.svg={options.logo.resolve()}"])
+            logos.append(other.model_copy(update={"name": options.logo.stem}))
+        for problem in logos:
+            table = Table(*strategies.COLUMNS, title=f"{problem.name}, one layer", title_justify="left")
+            for strategy in ("as_published", "fixed", "ladder", "sqp"):
+                table.add_row(*strategies.row(problem, strategy))
+            console.print(table)
+        rates = Table("CPU time, all cores together", "rate")
+        rates.add_row(*searched(10_000))
+        for problem in logos:
+            rates.add_row(*refined(problem))
+        console.print(rates)
+        peer_cases.main(["--waypoints", "10000", "--strategy", "sqp"])
+        scaling.main([])
+    except PlannerError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code
+    used = ", ".join(f"{name} {version}" for name, version in versions().items())
+    print(f"{time.strftime('%Y-%m-%d')}, {platform.machine()}, {os.cpu_count()} cores; {used}")
+    return EXIT_VERIFIED
+
+
+if __name__ == "__main__":
+    sys.exit(main())
