@@ -16,7 +16,7 @@ from planner.resolve.demand import Demand, demand_of
 from planner.resolve.jointpath import JointPath, choose_turns, postures, spread, upright
 from planner.resolve.nodes import Grid, Nodes, evaluate, full_grid
 from planner.resolve.search import Route, best_route
-from planner.resolve.table_first import upright_table
+from planner.resolve.table_first import slowed, upright_table
 from planner.resolve.unreachable import refuse_rung
 from planner.task import NozzleTask
 
@@ -85,11 +85,12 @@ def _routes(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> I
     any_route = False
     for refine, corridor in CORRIDORS:
         grid = _corridor(cell, tasks, all_demand, guides, guide, guide_of, refine, corridor)
-        dense = evaluate(cell, all_demand, grid, settings.min_sigma)
-        best, stuck = best_route(dense, all_demand, cell.limits)
+        demand = all_demand if grid.held is None or grid.swept is not None else slowed(cell, all_demand, grid.held)
+        dense = evaluate(cell, demand, grid, settings.min_sigma)
+        best, stuck = best_route(dense, demand, cell.limits)
         if best is not None:
             any_route = True
-            yield Found(all_demand, dense, best)
+            yield Found(demand, dense, best)
     if not any_route:
         refuse_rung(cell, tasks, all_demand, dense, stuck, settings.min_sigma)
 
@@ -130,6 +131,7 @@ def guide_route(cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec)
 def _after_table(cell: Cell, guides: Sequence[NozzleTask], demand: Demand, settings: ResolveSpec) -> Found:
     """The best route of roll and branch while the table follows a path that holds the layer upright."""
     held = upright_table(cell, guides, demand)
+    demand = slowed(cell, demand, held)
     nodes = evaluate(cell, demand, full_grid(demand, settings.roll_step, 1.0, False, None, held), settings.min_sigma)
     route, stuck = best_route(nodes, demand, cell.limits)
     if route is None:

@@ -7,6 +7,7 @@ do: they are found by dynamic programming on a lattice of their own, and roll an
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numba import njit
@@ -23,7 +24,9 @@ _SHARE = 0.6  # of the cone that is aimed at: splines cut what is found on the l
 _STEPS_IN_CONE = 2.0  # lattice steps in that share
 _FINEST = np.radians(2.0)
 _SPEED_SHARE = 0.7  # of an axis' speed
-LEAN = 5.0  # seconds a second, at twice the lean that is aimed at
+_HURRY = 4.0  # times that speed which an axis may need: the print slows down there
+_ARM_SHARE = 1.5  # times as long, there: the arm has to follow as well
+LEAN = 50.0  # seconds a second, at twice the lean that is aimed at
 MOVE = 1.0  # seconds a second, for an axis at its full speed
 RETURN = 0.02  # s per rad between the end of a bead and the start of the next
 
@@ -58,6 +61,20 @@ def upright_table(cell: Cell, tasks: Sequence[NozzleTask], demand: Demand) -> Ar
     return out
 
 
+def slowed(cell: Cell, demand: Demand, held: Array) -> Demand:
+    """The demand with more time between rungs where the held angles (r, k) need it: the print slows down there."""
+    time = demand.time.copy()
+    nh = len(cell.holder)
+    if nh:
+        na = len(cell.arm)
+        need = (np.abs(np.diff(held[:, :nh], axis=0)) / (_SPEED_SHARE * cell.limits.velocity[na:])).max(axis=1)
+        inside = np.ones(len(time) - 1, dtype=bool)
+        inside[demand.task_rungs[1:-1] - 1] = False  # between tasks there is travel
+        late = inside & (need > time[1:])
+        time[1:][late] = _ARM_SHARE * need[late]
+    return replace(demand, time=time)
+
+
 def _lattice(cell: Cell, axis: int, step: float) -> tuple[Array, bool]:
     """Angles of a holder axis in its range, and whether they are the whole circle."""
     joint = len(cell.arm) + axis
@@ -86,26 +103,30 @@ def _cheapest(
             dj = min(dj, nb - dj) if turns[1] else dj
             cost[i, j] = RETURN * step * (di + dj)
     back = np.empty((r, na, nb, 2), dtype=np.int16)
+    moved = np.empty((na, nb))
     for k in range(r):
         if k:
-            before, cost = cost, np.full((na, nb), np.inf)
-            reach_i = max(int(speed[0] * time[k] / step), 1)
-            reach_j = max(int(speed[1] * time[k] / step), 1)
+            # moves of the two axes cost independently of each other: one axis after the other is the least of both
+            pace_i, pace_j = step / (time[k] * speed[0]), step / (time[k] * speed[1])
+            reach_i, reach_j = max(int(_HURRY / pace_i), 1), max(int(_HURRY / pace_j), 1)
             for i in range(na):
                 for j in range(nb):
+                    least = np.inf
                     for di in range(-reach_i, reach_i + 1):
                         i0 = (i + di) % na if turns[0] else i + di
-                        if i0 < 0 or i0 >= na:
-                            continue
-                        move_i = MOVE * time[k] * (di * step / (time[k] * speed[0])) ** 2
-                        for dj in range(-reach_j, reach_j + 1):
-                            j0 = (j + dj) % nb if turns[1] else j + dj
-                            if j0 < 0 or j0 >= nb:
-                                continue
-                            total = before[i0, j0] + move_i + MOVE * time[k] * (dj * step / (time[k] * speed[1])) ** 2
-                            if total < cost[i, j]:
-                                cost[i, j] = total
-                                back[k, i, j] = (i0, j0)
+                        if 0 <= i0 < na and cost[i0, j] + MOVE * time[k] * (di * pace_i) ** 2 < least:
+                            least = cost[i0, j] + MOVE * time[k] * (di * pace_i) ** 2
+                            back[k, i, j, 0] = i0
+                    moved[i, j] = least
+            for i in range(na):
+                for j in range(nb):
+                    least = np.inf
+                    for dj in range(-reach_j, reach_j + 1):
+                        j0 = (j + dj) % nb if turns[1] else j + dj
+                        if 0 <= j0 < nb and moved[i, j0] + MOVE * time[k] * (dj * pace_j) ** 2 < least:
+                            least = moved[i, j0] + MOVE * time[k] * (dj * pace_j) ** 2
+                            back[k, i, j, 1] = j0
+                    cost[i, j] = least
         for i in range(na):
             for j in range(nb):
                 cosine = 0.0
@@ -118,6 +139,6 @@ def _cheapest(
     flat = cost.argmin()
     picked[r - 1] = (flat // nb, flat % nb)
     for k in range(r - 1, 0, -1):
-        i, j = back[k, picked[k, 0], picked[k, 1]]
-        picked[k - 1] = (i, j)
+        j = back[k, picked[k, 0], picked[k, 1], 1]
+        picked[k - 1] = (back[k, picked[k, 0], j, 0], j)
     return picked

@@ -1,0 +1,82 @@
+"""The table's path where the layer must stay upright: dynamic programming against brute force, and lean in a cell."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from planner.cell import build_cell
+from planner.problem import load_problem
+from planner.resolve.demand import demand_of
+from planner.resolve.table_first import _HURRY, LEAN, MOVE, RETURN, _cheapest, slowed, upright_table
+from planner.task import Cones, NozzleTask
+
+
+def price(way: list[tuple[int, int]], normals, up, time, step, speed, aim, turns, start) -> float:  # type: ignore[no-untyped-def]
+    """Price of one way through the lattice, written down once more; infinite for a move that is too quick."""
+    shape = up.shape[:2]
+
+    def apart(x: int, y: int, axis: int) -> int:
+        d = abs(x - y)
+        return min(d, shape[axis] - d) if turns[axis] else d
+
+    total = RETURN * step * sum(apart(way[0][axis], start[axis], axis) for axis in (0, 1))
+    for k, here in enumerate(way):
+        if k:
+            for axis in (0, 1):
+                moved = apart(here[axis], way[k - 1][axis], axis)
+                pace = step / (time[k] * speed[axis])
+                if moved > max(int(_HURRY / pace), 1):
+                    return np.inf
+                total += MOVE * time[k] * (moved * pace) ** 2
+        lean = np.arccos(np.clip(normals[k] @ up[here], -1.0, 1.0))
+        total += time[k] * LEAN * max(0.0, lean / aim - 1.0) ** 2
+    return float(total)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_cheapest_way_against_all_ways(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    normals, up = rng.normal(size=(4, 3)), rng.normal(size=(4, 3, 3))
+    normals[:, 2], up[..., 2] = 3.0, 3.0
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    up /= np.linalg.norm(up, axis=2)[..., None]
+    turns = np.array([seed % 2 == 0, seed % 3 == 0])
+    start = rng.integers(0, 3, 2)
+    time, step, speed, aim = rng.uniform(0.05, 0.4, 4), 0.3, np.array([1.0, 2.0]), 0.2
+    picked = _cheapest(normals, up, time, step, speed, aim, turns, start)
+    inputs = (normals, up, time, step, speed, aim, turns, start)
+    cells = list(itertools.product(range(4), range(3)))
+    least = min(price(list(way), *inputs) for way in itertools.product(cells, repeat=4))
+    assert price([(int(i), int(j)) for i, j in picked], *inputs) == pytest.approx(least, rel=1e-12)
+
+
+def leaning_task(lean: float) -> NozzleTask:
+    """A circle whose normals lean outwards, all round."""
+    phi = np.linspace(0.0, 1.8 * np.pi, 300)
+    n = np.column_stack([np.sin(lean) * np.cos(phi), np.sin(lean) * np.sin(phi), np.full(300, np.cos(lean))])
+    x = np.cross(n, [0.0, 1.0, 0.0])
+    x /= np.linalg.norm(x, axis=1)[:, None]
+    tip = 0.03 * np.column_stack([np.cos(phi), np.sin(phi), 0.0 * phi])
+    cones = Cones(layer_gravity=np.radians(8.0))
+    frames = np.stack([x, np.cross(-n, x), -n], axis=-1)
+    return NozzleTask(0, "ring", 0, tip, frames, 0.03 * phi, 0, 299, 0.02, cones)
+
+
+def test_layer_stays_upright_and_the_print_slows_where_the_table_must_hurry() -> None:
+    problem = load_problem("cylinder_logo", ["cell.positioner.held_deg={}", "cell.positioner.free=[tilt, rotation]"])
+    cell = build_cell(problem)
+    task = leaning_task(np.radians(25.0))
+    demand = demand_of([task], 2e-3)
+    angles = upright_table(cell, [task], demand)
+    up = cell.holder.poses(angles)[:, 2, :3]
+    normals = -demand.frames[demand.rung][:, :, 2]
+    lean = np.degrees(np.arccos((up * normals).sum(axis=1)))
+    assert lean.max() < 8.0
+    assert (np.abs(np.diff(angles, axis=0)) < np.pi / 2).all()  # no turn counted twice
+    assert (slowed(cell, demand, angles).time >= demand.time).all()
+    quick = replace(demand, time=0.1 * demand.time)
+    assert slowed(cell, quick, angles).time.sum() > quick.time.sum()
