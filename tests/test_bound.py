@@ -7,7 +7,8 @@ import pytest
 from planner.cell import Cell, build_cell
 from planner.problem import load_problem
 from planner.resolve.bound import lower_bound
-from planner.resolve.ladder import Found, ladder_route
+from planner.resolve.found import Found
+from planner.resolve.ladder import ladder_route
 from planner.resolve.nodes import evaluate, full_grid
 from planner.resolve.search import best_route
 from planner.task import make_tasks

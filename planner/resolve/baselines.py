@@ -12,8 +12,9 @@ from planner.errors import Refusal
 from planner.kinematics.chain import Chain
 from planner.problem import ResolveSpec
 from planner.resolve.demand import Demand
+from planner.resolve.found import Found
 from planner.resolve.jointpath import JointPath, choose_turns, postures, upright
-from planner.resolve.ladder import Found, coarse_nodes, first_of_each_name, paths_of
+from planner.resolve.ladder import coarse_nodes, first_of_each_name, paths_of
 from planner.resolve.nodes import Nodes
 from planner.resolve.search import greedy_route, joint_limits
 from planner.resolve.search_kernel import SPEED_SHARE

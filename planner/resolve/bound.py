@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from planner.cell import Cell
-from planner.resolve.ladder import Found
+from planner.resolve.found import Found
 from planner.resolve.nodes import evaluate, full_grid
 from planner.resolve.search import best_route
 
@@ -28,14 +26,7 @@ def lower_bound(cell: Cell, found: Found, min_sigma: float, piece: int = PIECE) 
         rungs = demand.rungs_of(k)
         count = int(np.ceil((rungs.stop - rungs.start) / piece))
         for part in np.array_split(np.arange(rungs.start, rungs.stop), count):
-            few = replace(
-                demand,
-                rung=demand.rung[part],
-                start=demand.start[part],
-                stop=demand.stop[part],
-                time=demand.time[part],
-                task_rungs=np.array([0, len(part)]),
-            )
+            few = demand.only(part, [0, len(part)])
             held = None if grid.held is None else grid.held[part]
             whole = full_grid(few, grid.roll_step, grid.holder_step, swept is not None, swept, held)
             route, _ = best_route(evaluate(cell, few, whole, min_sigma), few, cell.limits)

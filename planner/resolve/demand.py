@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,17 @@ class Demand:
     def rungs_of(self, task: int) -> slice:
         """Rungs of the task at this index."""
         return slice(int(self.task_rungs[task]), int(self.task_rungs[task + 1]))
+
+    def only(self, rungs: NDArray[np.int64], task_rungs: Sequence[int]) -> Demand:
+        """The same samples with some of the rungs (indices), which `task_rungs` divides anew into tasks."""
+        return replace(
+            self,
+            rung=self.rung[rungs],
+            start=self.start[rungs],
+            stop=self.stop[rungs],
+            time=self.time[rungs],
+            task_rungs=np.array(task_rungs),
+        )
 
 
 def demand_of(tasks: Sequence[NozzleTask], spacing: float) -> Demand:

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from planner.cell import Cell, translation
 from planner.errors import Refusal
 from planner.resolve.demand import Demand
+from planner.resolve.found import Found, angles_along
 from planner.resolve.jointpath import postures, spread
 from planner.resolve.nodes import Grid, Nodes, evaluate, full_grid
 from planner.resolve.search import Route, best_route
@@ -59,17 +60,15 @@ class Stuck:
             return _HERE
         nodes = evaluate(cell, self.demand, self._grid(self.demand, slice(None)), self.min_sigma)
         route, _ = best_route(nodes, self.demand, cell.limits)
-        return _HERE if route is None or not self._holds_between(cell, nodes.grid, route) else _ALONG
+        return _HERE if route is None or not self._holds_between(cell, nodes, route) else _ALONG
 
-    def _holds_between(self, cell: Cell, grid: Grid, route: Route) -> bool:
+    def _holds_between(self, cell: Cell, nodes: Nodes, route: Route) -> bool:
         """Whether the arm reaches the samples between a route's rungs too."""
-        chosen = grid.chosen(len(route.roll), len(cell.chosen)).copy()
+        grid = nodes.grid
+        chosen = Found(self.demand, nodes, route).chosen(len(cell.chosen))
         for k, task in enumerate(self.tasks):
             rungs = self.demand.rungs_of(k)
-            roll = np.unwrap(route.roll[rungs].astype(float), period=grid.rolls) * grid.roll_step
-            if cell.chosen and grid.swept is not None:
-                swept = np.unwrap(route.holder[rungs].astype(float), period=grid.holders)
-                chosen[rungs, grid.swept] = swept * grid.holder_step
+            roll = angles_along(grid, route.roll[rungs], grid.rolls, grid.roll_step)
             n = len(task)
             try:
                 postures(cell, task, spread(roll, n), spread(chosen[rungs], n), int(route.branch[rungs][0]))
@@ -90,14 +89,7 @@ class Stuck:
         return False
 
     def _prices(self, cell: Cell, demand: Demand, rungs: NDArray[np.int64]) -> Array:
-        few = replace(
-            demand,
-            rung=demand.rung[rungs],
-            start=demand.start[rungs],
-            stop=demand.stop[rungs],
-            time=demand.time[rungs],
-            task_rungs=np.array([0, len(rungs)]),
-        )
+        few = demand.only(rungs, [0, len(rungs)])
         return evaluate(cell, few, self._grid(few, rungs), self.min_sigma).price
 
     def _grid(self, demand: Demand, rungs: NDArray[np.int64] | slice) -> Grid:
@@ -116,14 +108,7 @@ def stuck_at(cell: Cell, tasks: Sequence[NozzleTask], demand: Demand, grid: Grid
     kept = sorted(named.values())
     rungs = np.concatenate([np.arange(demand.task_rungs[k], demand.task_rungs[k + 1]) for k in kept])
     counts = [demand.task_rungs[k + 1] - demand.task_rungs[k] for k in kept]
-    fewer = replace(
-        demand,
-        rung=demand.rung[rungs],
-        start=demand.start[rungs],
-        stop=demand.stop[rungs],
-        time=demand.time[rungs],
-        task_rungs=np.concatenate([[0], np.cumsum(counts)]),
-    )
+    fewer = demand.only(rungs, [0, *np.cumsum(counts).tolist()])
     here = int(np.searchsorted(rungs, rung))
     held = None if grid.held is None else grid.held[rungs]
     return Stuck(cell, tuple(tasks[k] for k in kept), fewer, replace(grid, held=held), here, min_sigma)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +12,10 @@ from planner.cell import Cell
 from planner.errors import Refusal
 from planner.problem import ResolveSpec
 from planner.resolve.demand import Demand, demand_of
+from planner.resolve.found import Found, angles_along
 from planner.resolve.jointpath import JointPath, choose_turns, postures, spread, upright
 from planner.resolve.nodes import Grid, Nodes, evaluate, full_grid
-from planner.resolve.search import Route, best_route
+from planner.resolve.search import best_route
 from planner.resolve.table_first import slowed, upright_table
 from planner.resolve.unreachable import refuse_rung
 from planner.task import NozzleTask
@@ -32,25 +32,6 @@ _UPRIGHT = np.radians(30.0)  # cone of the layer to gravity below which the tabl
 _FEW = 50  # times as far stand those at which postures of a holder of many joints are tried, if home does not do
 _DRAWN = 400  # of those postures
 _LATTICE = 9  # angles at which a chosen joint is held there, at most
-
-
-@dataclass(frozen=True)
-class Found:
-    """A route over some tasks' rungs, with what it was found on."""
-
-    demand: Demand
-    nodes: Nodes
-    route: Route
-
-    def chosen(self, k: int) -> Array:
-        """Angles (r, k) of the cell's chosen joints along the route, continuous along each task."""
-        grid = self.nodes.grid
-        angles = grid.chosen(len(self.demand.rung), k).copy()
-        if k and grid.swept is not None:
-            for i in range(len(self.demand.task_rungs) - 1):
-                rungs = self.demand.rungs_of(i)
-                angles[rungs, grid.swept] = _angles(grid, self.route.holder[rungs], grid.holders, grid.holder_step)
-        return angles
 
 
 def ladder(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[JointPath, ...]:
@@ -206,12 +187,6 @@ def _between_rungs(found: Found, demand: Demand, k: int) -> Array:
     return out
 
 
-def _angles(grid: Grid, index: NDArray[np.int64], period: int, step: float) -> Array:
-    """Angles [rad] of grid indices along a task, continuous round the circle where the grid is the whole of it."""
-    along = index.astype(float)
-    return (np.unwrap(along, period=period) if grid.periodic and period > 1 else along) * step
-
-
 def first_of_each_name(tasks: Sequence[NozzleTask]) -> list[NozzleTask]:
     """The first task of every name: those of the layers above repeat it."""
     seen: dict[str, NozzleTask] = {}
@@ -266,7 +241,7 @@ def _corridor(
             (roll_from, route.roll, coarse.rolls),
             (holder_from, route.holder, coarse.holders),
         ):
-            along = _angles(coarse, index[theirs], period, 1.0)[flip]
+            along = angles_along(coarse, index[theirs], period, 1.0)[flip]
             target[own] = np.round(refine * np.interp(at, there, along)).astype(np.int64) - corridor
         for j in range(k):
             held[own, j] = np.interp(at, there, chosen[theirs][flip, j])
@@ -304,7 +279,7 @@ def paths_of(cell: Cell, tasks: Sequence[NozzleTask], found: Found) -> tuple[Joi
     for i, task in enumerate(tasks):
         rungs = found.demand.rungs_of(i)
         n = len(task)
-        roll = spread(_angles(grid, route.roll[rungs], grid.rolls, grid.roll_step), n)
+        roll = spread(angles_along(grid, route.roll[rungs], grid.rolls, grid.roll_step), n)
         branch = int(route.branch[rungs][0])
         q = postures(cell, task, roll, spread(chosen[rungs], n), branch)
         paths.append(JointPath(task, roll, upright(task), q, branch))
