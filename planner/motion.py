@@ -1,4 +1,4 @@
-"""The whole motion: beads and travel joined into one sampled Trajectory."""
+"""The whole motion: beads and travel laid end to end in time, and sampled as one Trajectory."""
 
 from __future__ import annotations
 
@@ -9,80 +9,90 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from planner.cell import Cell
+from planner.cubics import Cubics
 from planner.errors import Refusal
 from planner.extrusion import deposited_volume, flow
 from planner.plan import TRAVEL, Trajectory
 from planner.timing import TimedPath
-from planner.toolpath.bead import Toolpath
-from planner.travel import Travel
+from planner.toolpath.bead import Bead, Toolpath
 
 Array = NDArray[np.float64]
 BLOCK = 32768  # samples
+_ON_TIME = 1e-9  # of a sample: an instant this close behind a sample counts as on it
 
 
 def join(
-    cell: Cell, toolpath: Toolpath, timed: Sequence[TimedPath], travels: Sequence[Travel], dt: float
+    cell: Cell, toolpath: Toolpath, timed: Sequence[TimedPath], travels: Sequence[Cubics], dt: float
 ) -> Trajectory:
-    """Travel, bead, travel, …, travel. All pieces start and end at rest, so their common samples coincide."""
-    q, bead, layer, s, s_dot, rate, volume = [], [], [], [], [], [], []
+    """Travel, bead, travel, …, travel, sampled every dt [s] from the start of the first; at the end it rests."""
+    pieces: list[TimedPath | Cubics] = [travels[0]]
+    for path, travel in zip(timed, travels[1:], strict=True):
+        pieces += [path, travel]
+    starts = np.concatenate([[0.0], np.cumsum([piece.duration for piece in pieces])])
+    first = np.ceil(starts / dt - _ON_TIME).astype(int)  # sample of each piece
+    first[-1] += 1
+    n = int(first[-1])
+    t = np.arange(n, dtype=np.float64) * dt
+    q = np.empty((n, len(cell.joint_names)))
+    s, s_dot, rate, volume = np.zeros(n), np.full(n, np.nan), np.zeros(n), np.zeros(n)
+    bead, layer = np.full(n, TRAVEL, dtype=np.int32), np.empty(n, dtype=np.int32)
     done = 0.0
-    for i in range(len(travels)):
-        first = 0 if i == 0 else 1  # a piece's first sample is the last one of the piece before
-        m = len(travels[i].q) - first
-        q.append(travels[i].q[first:])
-        bead.append(np.full(m, TRAVEL, dtype=np.int32))
-        layer.append(np.full(m, toolpath.beads[min(i, len(timed) - 1)].layer, dtype=np.int32))
-        s.append(np.zeros(m))
-        s_dot.append(np.full(m, np.nan))
-        rate.append(np.zeros(m))
-        volume.append(np.full(m, done))
-        if i == len(timed):
-            break
-        piece, line = timed[i], toolpath.beads[i]
-        inside = (piece.s[1:] >= 0.0) & (piece.s[1:] <= line.length)
-        q.append(piece.q[1:])
-        bead.append(np.where(inside, i, TRAVEL).astype(np.int32))
-        layer.append(np.full(len(inside), line.layer, dtype=np.int32))
-        s.append(np.where(inside, piece.s[1:], 0.0))
-        s_dot.append(np.where(inside, piece.s_dot[1:], np.nan))
+    for k, piece in enumerate(pieces):
+        rows, i = slice(first[k], first[k + 1]), k // 2
+        layer[rows] = toolpath.beads[min(i, len(timed) - 1)].layer
+        volume[rows] = done
+        if isinstance(piece, Cubics):
+            q[rows] = piece.joints(t[rows] - starts[k])
+            continue
+        line = toolpath.beads[i]
+        half = (2.0 * np.arange(first[k], first[k + 1]) - 1.0) * (0.5 * dt) - starts[k]
+        joints, way = piece.at(np.concatenate([half, half + 0.5 * dt, half[-1:] + dt]))
+        m = len(half)
+        edges, at = np.append(way[:m], way[-1]), way[m:-1]
+        inside = (at >= 0.0) & (at <= line.length)
         if inside.sum() < 2:
-            raise Refusal(
-                f"path {line.name!r} is only {line.length * 1e3:.2f} mm long, too short for samples {dt * 1e3:g} ms apart",
-                bead=i,
-            )
-        at_edges = deposited_volume(line, piece.edges)
-        # what flows in the half sample before the first and after the last one of a bead belongs to the bead
-        flowing = flow(at_edges, dt)[1:]
-        edge = np.flatnonzero(inside)[[0, -1]]
-        flowing[edge[0]] += flowing[: edge[0]].sum()
-        flowing[edge[1]] += flowing[edge[1] + 1 :].sum()
-        rate.append(np.where(inside, flowing, 0.0))
-        volume.append(done + deposited_volume(line, piece.s[1:]))
-        done += line.width * line.height * line.length
-    joints = np.vstack(q)
-    tip, axis, quat = _poses(cell, joints)
-    speed = np.concatenate(s_dot)
+            raise Refusal(_too_short(line, dt), bead=i)
+        q[rows] = joints[m:-1]
+        bead[rows] = np.where(inside, i, TRAVEL)
+        s[rows] = np.where(inside, at, 0.0)
+        s_dot[rows] = np.where(inside, np.diff(edges) / dt, np.nan)
+        rate[rows] = _flow(line, edges, inside, dt)
+        volume[rows] = done + deposited_volume(line, at)
+        done += float(deposited_volume(line, np.array([line.length]))[0])
+    tip, axis, quat = _poses(cell, q)
     moving = np.linalg.norm(np.gradient(tip, dt, axis=0), axis=1)
-    speed = np.where(np.isnan(speed), moving, speed)
-    beads = np.concatenate(bead)
     turned = np.cumprod(np.where((quat[1:] * quat[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))
     quat[1:] *= turned[:, None]
     return Trajectory(
         dt=dt,
-        t=np.arange(len(joints), dtype=np.float64) * dt,
-        bead=beads,
-        layer=np.concatenate(layer),
-        deposit=beads != TRAVEL,
-        s=np.concatenate(s),
-        q=joints,
+        t=t,
+        bead=bead,
+        layer=layer,
+        deposit=bead != TRAVEL,
+        s=s,
+        q=q,
         tip=tip,
         quat=quat,
         axis=axis,
-        branch=cell.inverse.branches(joints[:, : len(cell.arm)]),
-        speed=speed,
-        flow=np.concatenate(rate),
-        extruded=np.concatenate(volume),
+        branch=cell.inverse.branches(q[:, : len(cell.arm)]),
+        speed=np.where(np.isnan(s_dot), moving, s_dot),
+        flow=rate,
+        extruded=volume,
     )
+
+
+def _too_short(line: Bead, dt: float) -> str:
+    return f"path {line.name!r} is only {line.length * 1e3:.2f} mm long, too short for samples {dt * 1e3:g} ms apart"
+
+
+def _flow(line: Bead, edges: Array, inside: NDArray[np.bool_], dt: float) -> Array:
+    """Mean flow (m) of a bead's samples, from the arc length (m + 1) half a sample before and after each."""
+    flowing = flow(deposited_volume(line, edges), dt)
+    # what flows in the half sample before the first and after the last one of a bead belongs to the bead
+    start, end = np.flatnonzero(inside)[[0, -1]]
+    flowing[start] += flowing[:start].sum()
+    flowing[end] += flowing[end + 1 :].sum()
+    return np.where(inside, flowing, 0.0)
 
 
 def _poses(cell: Cell, q: Array) -> tuple[Array, Array, Array]:

@@ -19,6 +19,20 @@ RAPID_EXTERNAL_AXES = 6
 
 
 @dataclass(frozen=True)
+class Event:
+    """Something that the extruder or its heating does: "heat", "purge", "prime", "retract", "cut", …
+
+    bead its index, or -1; start, duration [s]; amount of filament [m], signed, 0 if none
+    """
+
+    kind: str
+    bead: int
+    start: float
+    duration: float
+    amount: float
+
+
+@dataclass(frozen=True)
 class Trajectory(ReadOnlyArrays):
     """The whole motion, sampled every `dt` seconds (n samples; SI units, radians).
 

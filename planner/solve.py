@@ -19,6 +19,7 @@ from rich.console import Console
 
 from planner.background import in_background, in_halves, spare_core
 from planner.cell import Cell, build_cell
+from planner.cubics import Cubics
 from planner.errors import (
     EXIT_INTERRUPTED,
     EXIT_NOT_VERIFIED,
@@ -41,7 +42,7 @@ from planner.task import NozzleTask, cones_of, make_tasks
 from planner.timing import TimedPath, time_path
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.travel import Travel, plan_travels
+from planner.travel import plan_travels
 from planner.verify import Report, verify
 from planner.versions import versions
 
@@ -125,17 +126,18 @@ def _trajectory(
     """Time the beads' paths and plan the travel between them, half of both in a second process if that is wanted."""
     n = len(paths)
 
-    def part(first: int, last: int) -> tuple[list[tuple[Array, ...]], list[Travel]]:
-        timed = [time_path(cell, path, dt) for path in paths[first:last]]
+    def part(first: int, last: int) -> list[TimedPath]:
+        return [time_path(cell, path) for path in paths[first:last]]
+
+    def ways(first: int, last: int) -> list[Cubics]:
         which = range(first, last + (last == n))  # the way home comes after the last bead
-        arrays: list[tuple[Array, ...]] = [(each.q, each.s, each.s_dot, each.edges) for each in timed]
-        return arrays, plan_travels(cell, paths, toolpath, problem.process, dt, which)
+        return plan_travels(cell, timed, toolpath, problem.process, which)
 
     done = np.cumsum([len(path.q) for path in paths])
-    parts = in_halves(part, n, second_process, middle=1 + int(np.searchsorted(done, 0.5 * done[-1])))
-    arrays = [each for timed, _ in parts for each in timed]
-    timed = [TimedPath(path, *each) for path, each in zip(paths, arrays, strict=True)]
-    return join(cell, toolpath, timed, [travel for _, travels in parts for travel in travels], dt)
+    middle = 1 + int(np.searchsorted(done, 0.5 * done[-1]))
+    timed = [each for half in in_halves(part, n, second_process, middle) for each in half]
+    travels = [each for half in in_halves(ways, n, second_process) for each in half]
+    return join(cell, toolpath, timed, travels, dt)
 
 
 def _waypoints(toolpath: Toolpath) -> int:

@@ -39,6 +39,15 @@ def cones_of(spec: ConesSpec) -> Cones:
 
 
 @dataclass(frozen=True)
+class Stop:
+    """A place where the nozzle comes to rest within a bead: arc length s [m], wait [s], and what it does there."""
+
+    s: float
+    wait: float
+    kind: str
+
+
+@dataclass(frozen=True)
 class NozzleTask(ReadOnlyArrays):
     """The nozzle's path along one bead with its runs, sampled uniformly in the path parameter (n samples).
 
@@ -64,6 +73,7 @@ class NozzleTask(ReadOnlyArrays):
     last: int
     speed: float
     cones: Cones = FREE
+    stops: tuple[Stop, ...] = ()
 
     def __len__(self) -> int:
         return len(self.s)

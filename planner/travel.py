@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import ruckig
 from numpy.typing import NDArray
 
 from planner.cell import Cell
+from planner.cubics import Cubics, chain, from_ruckig, rest
 from planner.errors import Refusal
 from planner.problem import ProcessSpec
 from planner.resolve.jointpath import JointPath, flange_poses
 from planner.task import NozzleTask
-from planner.timing import HEADROOM
+from planner.timing import HEADROOM, TimedPath
 from planner.toolpath.bead import Surface, Toolpath
 
 Array = NDArray[np.float64]
@@ -25,29 +25,22 @@ LIFTS = (1.0, 2.0, 4.0, 8.0, 16.0)  # of the least lift, tried in turn until the
 VIAS = ("straight", "drawn back", "home", "drawn back and home")  # ways to try, the quickest first
 DRAW_BACK = 0.5  # rad of the lower arm, backwards: lifts the nozzle off the part and towards the arm's base
 NOZZLE_POINTS = (0.0, 0.01, 0.03, 0.06, 0.1)  # m behind the tip, along the nozzle, that must keep clear
+LOOK = 4e-3  # s between the instants of a move that are looked at
 _SLOWER_TRIES = 12  # each brings the tip's speed down to the limit or close to it
-
-
-@dataclass(frozen=True)
-class Travel:
-    """Joints q (m, nj) sampled every dt, from rest to rest."""
-
-    q: Array
 
 
 def plan_travels(
     cell: Cell,
-    paths: Sequence[JointPath],
+    timed: Sequence[TimedPath],
     toolpath: Toolpath,
     process: ProcessSpec,
-    dt: float,
     which: range | None = None,
-) -> list[Travel]:
+) -> list[Cubics]:
     """The way from home to the first bead, between beads, and home: one more than there are beads; or `which` of them.
 
     Raises Refusal if no lift brings the nozzle clear of the part and of what has been printed on it.
     """
-    travels = []
+    travels, paths = [], [each.path for each in timed]
     surfaces = [toolpath.surface.before(i) for i in range(len(paths) + 1)]
     heights = [
         float(surface.signed_distance(bead.points).max())
@@ -58,7 +51,7 @@ def plan_travels(
         leave = paths[i - 1] if i > 0 else None
         reach = paths[i] if i < len(paths) else None
         height, lift, speed = printed[i], process.lift, process.travel_speed
-        travels.append(_travel(cell, leave, reach, surfaces[i], height, lift, speed, dt))
+        travels.append(_travel(cell, leave, reach, surfaces[i], height, lift, speed))
     return travels
 
 
@@ -70,18 +63,17 @@ def _travel(
     height: float,
     lift: float,
     travel_speed: float,
-    dt: float,
-) -> Travel:
+) -> Cubics:
     for factor, via in itertools.product(LIFTS, VIAS):
         start = [_home_beside(cell, reach, 0)] if leave is None else _lifted(cell, leave, -1, factor * lift)
         end = [_home_beside(cell, leave, -1)] if reach is None else _lifted(cell, reach, 0, factor * lift)[::-1]
         if not start or not end:
             continue
         stops = [start[-1], *_via(cell, via, start[-1], end[0]), end[0]]
-        across = _through(cell, stops, travel_speed, dt)
-        if _clear(cell, across, surface, height):
-            up, down = _through(cell, start, travel_speed, dt), _through(cell, end, travel_speed, dt)
-            return Travel(np.vstack([up, across[1:], down[1:]]))
+        across = _through(cell, stops, travel_speed)
+        if _clear(cell, _sampled(across), surface, height):
+            up, down = _through(cell, start, travel_speed), _through(cell, end, travel_speed)
+            return chain([up, across, down])
     beside = leave if reach is None else reach
     raise Refusal(
         "no lift brings the nozzle clear of the part on the way to or from this bead",
@@ -133,14 +125,17 @@ def _lifted(cell: Cell, path: JointPath, end: int, lift: float) -> list[Array]:
     return [q, np.concatenate([arm, q[na:]])]
 
 
-def _through(cell: Cell, stops: Sequence[Array], travel_speed: float, dt: float) -> Array:
-    """Joints (m, nj) from posture to posture, resting at each; a single posture is one sample."""
-    pieces = [move(cell, a, b, travel_speed, dt) for a, b in zip(stops[:-1], stops[1:], strict=True)]
-    return np.vstack([stops[0][None], *(piece[1:] for piece in pieces)])
+def _through(cell: Cell, stops: Sequence[Array], travel_speed: float) -> Cubics:
+    """Joints from posture to posture, resting at each; a single posture takes no time."""
+    return chain([rest(stops[0], 0.0), *(move(cell, a, b, travel_speed) for a, b in itertools.pairwise(stops))])
 
 
-def move(cell: Cell, a: Array, b: Array, travel_speed: float, dt: float) -> Array:
-    """Joints (m, nj) from rest at a to rest at b, jerk-limited, the tip no faster than `travel_speed` [m/s].
+def _sampled(motion: Cubics) -> Array:
+    return motion.joints(np.linspace(0.0, motion.duration, int(np.ceil(motion.duration / LOOK)) + 1))
+
+
+def move(cell: Cell, a: Array, b: Array, travel_speed: float) -> Cubics:
+    """Joints from rest at a to rest at b, jerk-limited, the tip no faster than `travel_speed` [m/s].
 
     All joints start and stop together. Tip speed is relative to the part.
     """
@@ -156,11 +151,12 @@ def move(cell: Cell, a: Array, b: Array, travel_speed: float, dt: float) -> Arra
         result = ruckig.Ruckig(n).calculate(inputs, trajectory)
         if result not in (ruckig.Result.Working, ruckig.Result.Finished):
             raise Refusal(f"travel between two postures was refused by the motion generator ({result})")
-        m = int(np.ceil(trajectory.duration / dt - 1e-9)) + 1
-        q = np.array([trajectory.at_time(min(i * dt, trajectory.duration))[0] for i in range(m)])
-        fastest = _tip_speed(cell, q, dt)
+        motion = from_ruckig(trajectory)
+        q = _sampled(motion)
+        dt = motion.duration / max(len(q) - 1, 1)
+        fastest = _tip_speed(cell, q, dt) if dt > 0.0 else 0.0
         if fastest <= travel_speed:
-            return q
+            return motion
         reached = np.abs(np.diff(q, axis=0)).max(axis=0) / dt
         fastest_joint = np.maximum(0.98 * travel_speed / fastest * reached, 1e-3)
     raise Refusal(f"travel between two postures cannot be held below {travel_speed * 1e3:.0f} mm/s")

@@ -153,8 +153,7 @@ def _limits(problem, cell, toolpath, t, motion, checks, metrics, series) -> None
     for name, ratio in ratios.items():
         series[f"{name}_ratio"] = ratio
         metrics[f"{name}_ratio_max"] = float(ratio.max())
-        if name != "jerk":
-            _check_most(checks, t, f"joint {name}", ratio, 1.0, "of limit")
+        _check_most(checks, t, f"joint {name}", ratio, 1.0, "of limit")
     _check_most(checks, t, "continuity", step, 1.0, "of a sample's travel at full speed")
 
 

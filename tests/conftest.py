@@ -95,7 +95,7 @@ def joint_paths(
 @pytest.fixture(scope="session")
 def timed(cell: Cell, joint_paths: dict[str, tuple[JointPath, ...]]) -> tuple[TimedPath, ...]:
     """The ladder's paths, timed."""
-    return tuple(time_path(cell, path, DT) for path in joint_paths["ladder"])
+    return tuple(time_path(cell, path) for path in joint_paths["ladder"])
 
 
 @pytest.fixture

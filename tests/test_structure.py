@@ -26,6 +26,7 @@ ROOMS = (
     "process",
     "task",
     "resolve",
+    "cubics",
     "timing",
     "travel",
     "extrusion",

@@ -1,4 +1,4 @@
-"""Timing of deposition: the commanded speed wherever the joints allow it, and minimal dips where they do not.
+"""The fastest profile without jerk limits: what timing is measured against.
 
 Time-optimal path parameterisation by reachability analysis, after Pham and Pham, "A new approach to time-optimal
 path parameterization based on reachability analysis", IEEE T-RO 2018 (TOPP-RA). With x the squared rate of the
@@ -12,54 +12,44 @@ and each interval has constant a. The limits are imposed with the geometry of bo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, make_interp_spline
 
 from planner.cell import Cell
 from planner.resolve.jointpath import JointPath
+from planner.timing.profile import HEADROOM
+from planner.timing.timed_path import stretches_of
 
 Array = NDArray[np.float64]
 
-HEADROOM = 0.98  # share of the joint limits that is used: the rest covers the path between grid points
 REFINE = 4  # grid intervals for each interval of the task's samples
 _HALVINGS = 44  # of the interval in which a largest feasible x is sought: to 1e-13 of it
 
 
-@dataclass(frozen=True)
-class TimedPath:
-    """Joints and arc length of one bead with its runs, from rest to rest, sampled every dt from t = 0.
+def bound_time(cell: Cell, path: JointPath) -> float:
+    """Time [s] that deposition takes at least, from rest to rest and to the task's stops, without limits on jerk.
 
-    q (m, nj), s (m) [m]; edges (m + 1) arc length half a sample before and after each sample; s_dot (m) speed of the
-    tip between these [m/s]
+    Rests at stops are not counted.
     """
-
-    path: JointPath
-    q: Array
-    s: Array
-    s_dot: Array
-    edges: Array
-
-
-def time_path(cell: Cell, path: JointPath, dt: float) -> TimedPath:
-    """Time one bead from rest to rest as fast as the limits and the commanded speed allow, and sample it."""
-    task = path.task
-    n = len(task)
-    # The path parameter is time at the commanded speed, so that its rate is 1 where that speed is held.
-    knots = np.linspace(0.0, (task.s[-1] - task.s[0]) / task.speed, n)
-    spline = make_interp_spline(knots, np.column_stack([path.q, task.s]), k=min(5, n - 1))
-    grid = np.linspace(0.0, knots[-1], REFINE * (n - 1) + 1)
-    first = spline(grid, 1)
-    second = np.ascontiguousarray(spline(grid, 2)[:, :-1])
+    task, total = path.task, 0.0
+    spline, stretches = stretches_of(path, (False, False))
     v = np.append(HEADROOM * cell.limits.velocity, task.speed)
-    with np.errstate(divide="ignore"):
-        ceiling = (v / np.abs(first)).min(axis=1) ** 2
-    slopes = np.ascontiguousarray(first[:, :-1])
-    x = fastest_profile(slopes, second, ceiling, HEADROOM * cell.limits.acceleration, float(grid[1]))
-    return _sample(path, spline, grid, np.sqrt(x), dt)
+    for stretch in stretches:
+        intervals = max(int(np.ceil(REFINE * (stretch.last - stretch.first) / stretch.spacing)), REFINE)
+        grid = np.linspace(stretch.first, stretch.last, intervals + 1)
+        first = spline(grid, 1)
+        second = np.ascontiguousarray(spline(grid, 2)[:, :-1])
+        with np.errstate(divide="ignore"):
+            ceiling = (v / np.abs(first)).min(axis=1) ** 2
+        slopes = np.ascontiguousarray(first[:, :-1])
+        x = fastest_profile(slopes, second, ceiling, HEADROOM * cell.limits.acceleration, float(grid[1] - grid[0]))
+        rate = np.sqrt(x)
+        times = np.concatenate([[0.0], np.cumsum(2.0 * np.diff(grid) / (rate[1:] + rate[:-1]))])
+        s = spline(grid)[:, -1]
+        start, end = np.interp([0.0, task.s[task.last]], s, times)
+        total += float(end - start)
+    return total
 
 
 @njit(cache=True)
@@ -113,18 +103,3 @@ def fastest_profile(slopes: Array, bends: Array, ceiling: Array, a_max: Array, s
         x[i + 1] = min(max(x[i] + 2.0 * step * most, 0.0), reachable[i + 1])
     x[n - 1] = 0.0
     return x
-
-
-def _sample(path: JointPath, spline: BSpline, grid: Array, rate: Array, dt: float) -> TimedPath:
-    """Sample a parameterisation with constant acceleration of u between grid points."""
-    du = np.diff(grid)
-    time = np.concatenate([[0.0], np.cumsum(2.0 * du / (rate[1:] + rate[:-1]))])
-    acceleration = (rate[1:] ** 2 - rate[:-1] ** 2) / (2.0 * du)
-    m = int(np.ceil(time[-1] / dt - 1e-9)) + 1
-    half = np.clip((np.arange(2 * m + 1) - 1) * (0.5 * dt), 0.0, time[-1])  # samples, and the instants between
-    k = np.clip(np.searchsorted(time, half, side="right") - 1, 0, len(du) - 1)
-    tau = half - time[k]
-    u = np.clip(grid[k] + tau * (rate[k] + 0.5 * acceleration[k] * tau), 0.0, grid[-1])
-    values = np.asarray(spline(u))
-    edges = values[0::2, -1]
-    return TimedPath(path, values[1::2, :-1], values[1::2, -1], np.diff(edges) / dt, edges)

@@ -1,0 +1,322 @@
+"""The fastest jerk-limited profile along a path: a primal-dual interior-point method, compiled.
+
+Notation: x is the squared rate of the path parameter, a quadratic B-spline with coefficients c (m + 2) over m
+intervals of widths h, so that the acceleration x'/2 is continuous and jerk limits bind x'' interval by interval:
+
+    |q' x'/2 + q'' x|                 <= a_max            at grid points
+    |q' x''/2 + 3/2 q'' x' + q''' x|  <= j_max / sqrt(x)  at both ends of every interval
+    x                                 <= ceiling          at grid points
+
+The time, the sum of h / sqrt(x), is convex. So is 1/sqrt(x), which makes the jerk limit the only part that is not:
+there a linear function is bounded by a convex one, and in every step the tangent of that one, which lies below it,
+takes its place. A step within the tangents is within the limits; the curvature that is left out is that of the
+limits alone, and the systems of equations, banded with half-bandwidth 2, stay positive definite.
+
+Debrouwere et al., "Time-optimal path following for robots with convex-concave constraints using sequential convex
+programming", IEEE T-RO 2013, solve the same program by a general solver, one convex program after the other.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+OVERRUN = 1e-3  # of a limit: the most by which a solution may miss it; who asks for one keeps more in reserve
+_STEPS = 80  # most of the method's steps: 20 to 40 are usual
+_TO_BOUNDARY = 0.99  # share of the way to the nearest limit that a step may go
+_LEAST_SLACK = 1e-2  # of a limit, at the start, where the start does not keep it
+_FIRST_GAP = 0.1  # of the time: the duality gap to begin with
+_FASTEST_FALL = 0.1  # of the gap in one step
+
+
+@njit(cache=True, error_model="numpy")
+def fastest(
+    point: Array, middle: Array, end: Array, a: Array, j: Array, ceiling: Array, h: Array, start: Array,
+    level: tuple[bool, bool], accuracy: float,
+) -> tuple[Array, bool]:
+    """Coefficients c (m + 2) of the fastest profile, and whether it was found to the accuracy asked for.
+
+    point (m + 1, 2): x at grid point i from c[i : i + 2]; middle (m, 3): x in the middle of interval i from
+    c[i : i + 3]; end (2 m, 3): at its two ends, 2 i and 2 i + 1, from the same; a (m + 1, nj, 2) and j (2 m, nj, 3):
+    shares of the acceleration limit at points, and of the jerk limit over sqrt(x) at ends; ceiling (m + 1): largest x;
+    h (m); start (m + 2): positive, need not hold the limits; level: x is constant in front of, and behind the grid;
+    accuracy: share of the time by which it may be missed.
+    """  # fmt: skip
+    m, nj = len(h), a.shape[1]
+    c = start.copy()
+    rooms = (np.empty(m + 1), np.empty((m + 1, nj, 2)), np.empty((2 * m, nj, 2)))
+    time = _rooms(c, point, middle, end, a, j, ceiling, h, rooms)
+    slacks = _first_slacks(rooms)
+    count = (m + 1) * (2 * nj + 1) + 4 * m * nj
+    mu = _FIRST_GAP * time / count
+    duals = (mu / slacks[0], mu / slacks[1], mu / slacks[2])
+    step, band = np.empty(m + 2), np.empty((m + 2, 3))
+    for _ in range(_STEPS):
+        _assemble(c, point, middle, end, a, j, h, mu, rooms, slacks, duals, step, band)
+        _keep_level(level, step, band)
+        if not _solve(band, step):
+            return c, False
+        if level[0]:
+            step[0] = step[1]
+        if level[1]:
+            step[m + 1] = step[m]
+        primal, dual = _lengths(c, step, point, middle, end, a, j, mu, rooms, slacks, duals)
+        for i in range(m + 2):
+            c[i] += primal * step[i]
+        gap = _move(primal, dual, mu, rooms[0], slacks[0], duals[0])
+        gap += _move(primal, dual, mu, rooms[1].ravel(), slacks[1].ravel(), duals[1].ravel())
+        gap += _move(primal, dual, mu, rooms[2].ravel(), slacks[2].ravel(), duals[2].ravel())
+        time = _rooms(c, point, middle, end, a, j, ceiling, h, rooms)
+        if gap < accuracy * time and _overrun(rooms, slacks, ceiling) < OVERRUN:
+            return c, True
+        least = min(primal, dual)
+        mu = gap / count * (max(_FASTEST_FALL, (1.0 - least) ** 2) if least > 0.1 else 1.0)
+    return c, False
+
+
+@njit(cache=True)
+def _first_slacks(rooms: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    """Slacks to begin with: the room there is, where there is some."""
+    return (
+        np.maximum(rooms[0], _LEAST_SLACK),
+        np.maximum(rooms[1], _LEAST_SLACK),
+        np.maximum(rooms[2], _LEAST_SLACK),
+    )
+
+
+@njit(cache=True)
+def _overrun(rooms: tuple[Array, Array, Array], slacks: tuple[Array, Array, Array], ceiling: Array) -> float:
+    """Largest share of a limit by which there is less room than slack."""
+    worst = ((slacks[0] - rooms[0]) / ceiling).max()
+    return float(max(worst, (slacks[1] - rooms[1]).max(), (slacks[2] - rooms[2]).max()))
+
+
+@njit(cache=True, error_model="numpy")
+def _rooms(
+    c: Array, point: Array, middle: Array, end: Array, a: Array, j: Array, ceiling: Array, h: Array,
+    rooms: tuple[Array, Array, Array],
+) -> float:  # fmt: skip
+    """Room below every limit, on either side, into `rooms`; returns the time."""
+    m, nj = len(h), a.shape[1]
+    time = 0.0
+    for i in range(m):
+        time += h[i] / np.sqrt(middle[i, 0] * c[i] + middle[i, 1] * c[i + 1] + middle[i, 2] * c[i + 2])
+        for e in range(2 * i, 2 * i + 2):
+            r = 1.0 / np.sqrt(end[e, 0] * c[i] + end[e, 1] * c[i + 1] + end[e, 2] * c[i + 2])
+            for k in range(nj):
+                value = j[e, k, 0] * c[i] + j[e, k, 1] * c[i + 1] + j[e, k, 2] * c[i + 2]
+                rooms[2][e, k, 0], rooms[2][e, k, 1] = r - value, r + value
+    for i in range(m + 1):
+        rooms[0][i] = ceiling[i] - point[i, 0] * c[i] - point[i, 1] * c[i + 1]
+        for k in range(nj):
+            value = a[i, k, 0] * c[i] + a[i, k, 1] * c[i + 1]
+            rooms[1][i, k, 0], rooms[1][i, k, 1] = 1.0 - value, 1.0 + value
+    return time
+
+
+@njit(cache=True, inline="always")
+def _weights(mu: float, room: float, slack: float, dual: float) -> tuple[float, float]:
+    """What a limit adds to the matrix, per square of its gradient, and to the right-hand side, per gradient."""
+    inverse = 1.0 / slack
+    w = dual * inverse
+    return w, mu * inverse - w * (room - slack)
+
+
+@njit(cache=True, error_model="numpy")
+def _assemble(
+    c: Array, point: Array, middle: Array, end: Array, a: Array, j: Array, h: Array, mu: float,
+    rooms: tuple[Array, Array, Array], slacks: tuple[Array, Array, Array], duals: tuple[Array, Array, Array],
+    rhs: Array, band: Array,
+) -> None:  # fmt: skip
+    """Newton's equations for c, slacks and duals eliminated: right-hand side, and matrix as `_solve` takes it.
+
+    The two sides of a jerk limit have gradients t g - d and t g + d, with g that of x, t the tangent of 1 / sqrt(x) and
+    d the row: their squares are summed over the joints in these terms.
+    """
+    m, nj = len(h), a.shape[1]
+    rhs[:] = 0.0
+    band[:] = 0.0
+    for i in range(m):
+        g0, g1, g2 = middle[i]
+        r = 1.0 / np.sqrt(g0 * c[i] + g1 * c[i + 1] + g2 * c[i + 2])
+        w, p = 0.75 * h[i] * r**5, 0.5 * h[i] * r**3
+        b00, b11, b22, b01, b12, b02 = w * g0 * g0, w * g1 * g1, w * g2 * g2, w * g0 * g1, w * g1 * g2, w * g0 * g2
+        t0, t1, t2 = p * g0, p * g1, p * g2
+        for e in range(2 * i, 2 * i + 2):
+            both, push, x0, x1, x2 = 0.0, 0.0, 0.0, 0.0, 0.0
+            for k in range(nj):
+                d0, d1, d2 = j[e, k]
+                low, p_low = _weights(mu, rooms[2][e, k, 0], slacks[2][e, k, 0], duals[2][e, k, 0])
+                high, p_high = _weights(mu, rooms[2][e, k, 1], slacks[2][e, k, 1], duals[2][e, k, 1])
+                w, skew, p = low + high, high - low, p_high - p_low
+                both += w
+                push += p_low + p_high
+                x0 += skew * d0
+                x1 += skew * d1
+                x2 += skew * d2
+                t0 += p * d0
+                t1 += p * d1
+                t2 += p * d2
+                b00 += w * d0 * d0
+                b11 += w * d1 * d1
+                b22 += w * d2 * d2
+                b01 += w * d0 * d1
+                b12 += w * d1 * d2
+                b02 += w * d0 * d2
+            g0, g1, g2 = end[e]
+            r = 1.0 / np.sqrt(g0 * c[i] + g1 * c[i + 1] + g2 * c[i + 2])
+            t = -0.5 * r**3
+            g0, g1, g2 = t * g0, t * g1, t * g2
+            t0 += push * g0
+            t1 += push * g1
+            t2 += push * g2
+            b00 += g0 * (both * g0 + 2.0 * x0)
+            b11 += g1 * (both * g1 + 2.0 * x1)
+            b22 += g2 * (both * g2 + 2.0 * x2)
+            b01 += both * g0 * g1 + g0 * x1 + g1 * x0
+            b12 += both * g1 * g2 + g1 * x2 + g2 * x1
+            b02 += both * g0 * g2 + g0 * x2 + g2 * x0
+        rhs[i] += t0
+        rhs[i + 1] += t1
+        rhs[i + 2] += t2
+        band[i, 0] += b00
+        band[i + 1, 0] += b11
+        band[i + 2, 0] += b22
+        band[i + 1, 1] += b01
+        band[i + 2, 1] += b12
+        band[i + 2, 2] += b02
+    for i in range(m + 1):
+        g0, g1 = point[i]
+        w, p = _weights(mu, rooms[0][i], slacks[0][i], duals[0][i])
+        b00, b11, b01 = w * g0 * g0, w * g1 * g1, w * g0 * g1
+        t0, t1 = -p * g0, -p * g1
+        for k in range(nj):
+            d0, d1 = a[i, k]
+            low, p_low = _weights(mu, rooms[1][i, k, 0], slacks[1][i, k, 0], duals[1][i, k, 0])
+            high, p_high = _weights(mu, rooms[1][i, k, 1], slacks[1][i, k, 1], duals[1][i, k, 1])
+            w, p = low + high, p_high - p_low
+            b00 += w * d0 * d0
+            b11 += w * d1 * d1
+            b01 += w * d0 * d1
+            t0 += p * d0
+            t1 += p * d1
+        rhs[i] += t0
+        rhs[i + 1] += t1
+        band[i, 0] += b00
+        band[i + 1, 0] += b11
+        band[i + 1, 1] += b01
+
+
+@njit(cache=True)
+def _keep_level(level: tuple[bool, bool], rhs: Array, band: Array) -> None:
+    """Make the outermost two coefficients one variable, where x has to leave the grid with slope 0."""
+    m = len(rhs) - 2
+    if level[0]:
+        rhs[1] += rhs[0]
+        band[1, 0] += band[0, 0] + 2.0 * band[1, 1]
+        band[2, 1] += band[2, 2]
+        rhs[0], band[0, 0], band[1, 1], band[2, 2] = 0.0, 1.0, 0.0, 0.0
+    if level[1]:
+        rhs[m] += rhs[m + 1]
+        band[m, 0] += band[m + 1, 0] + 2.0 * band[m + 1, 1]
+        band[m, 1] += band[m + 1, 2]
+        rhs[m + 1], band[m + 1, 0], band[m + 1, 1], band[m + 1, 2] = 0.0, 1.0, 0.0, 0.0
+
+
+@njit(cache=True)
+def _solve(band: Array, rhs: Array) -> bool:
+    """Solve in place by Cholesky's method; False if the matrix is not positive definite.
+
+    band (n, 3): the diagonal, and the entries one and two to the left of it.
+    """
+    n = len(rhs)
+    for i in range(n):
+        l2 = 0.0
+        l1 = band[i, 1]
+        if i > 1:
+            l2 = band[i, 2] / band[i - 2, 0]
+            l1 -= l2 * band[i - 1, 1]
+        if i > 0:
+            l1 /= band[i - 1, 0]
+        d = band[i, 0] - l1 * l1 - l2 * l2
+        if not d > 0.0:
+            return False
+        band[i, 0], band[i, 1], band[i, 2] = np.sqrt(d), l1, l2
+        value = rhs[i]
+        if i > 0:
+            value -= l1 * rhs[i - 1]
+        if i > 1:
+            value -= l2 * rhs[i - 2]
+        rhs[i] = value / band[i, 0]
+    for i in range(n - 1, -1, -1):
+        value = rhs[i]
+        if i + 1 < n:
+            value -= band[i + 1, 1] * rhs[i + 1]
+        if i + 2 < n:
+            value -= band[i + 2, 2] * rhs[i + 2]
+        rhs[i] = value / band[i, 0]
+    return True
+
+
+@njit(cache=True, inline="always")
+def _falls(mu: float, ds: float, slack: float, dual: float) -> tuple[float, float]:
+    """By which share of itself a slack falls in a full step that changes it by ds, and its dual."""
+    fall = -ds / slack
+    return fall, 1.0 - fall - mu / (slack * dual)
+
+
+@njit(cache=True, error_model="numpy")
+def _lengths(
+    c: Array, step: Array, point: Array, middle: Array, end: Array, a: Array, j: Array, mu: float,
+    rooms: tuple[Array, Array, Array], slacks: tuple[Array, Array, Array], duals: tuple[Array, Array, Array],
+) -> tuple[float, float]:  # fmt: skip
+    """How far along the step c and the slacks, and how far the duals may go; rooms become the steps of the slacks."""
+    m, nj = len(middle), a.shape[1]
+    primal, dual = _TO_BOUNDARY, _TO_BOUNDARY  # largest falls
+    for i in range(m):
+        x = middle[i, 0] * c[i] + middle[i, 1] * c[i + 1] + middle[i, 2] * c[i + 2]
+        primal = max(primal, -(middle[i, 0] * step[i] + middle[i, 1] * step[i + 1] + middle[i, 2] * step[i + 2]) / x)
+        for e in range(2 * i, 2 * i + 2):
+            x = end[e, 0] * c[i] + end[e, 1] * c[i + 1] + end[e, 2] * c[i + 2]
+            dx = end[e, 0] * step[i] + end[e, 1] * step[i + 1] + end[e, 2] * step[i + 2]
+            primal = max(primal, -dx / x)
+            dr = -0.5 * dx / (x * np.sqrt(x))
+            for k in range(nj):
+                change = j[e, k, 0] * step[i] + j[e, k, 1] * step[i + 1] + j[e, k, 2] * step[i + 2]
+                for side in range(2):
+                    s = slacks[2][e, k, side]
+                    ds = rooms[2][e, k, side] - s + (dr - change if side == 0 else dr + change)
+                    rooms[2][e, k, side] = ds
+                    fall, dual_fall = _falls(mu, ds, s, duals[2][e, k, side])
+                    primal, dual = max(primal, fall), max(dual, dual_fall)
+    for i in range(m + 1):
+        s = slacks[0][i]
+        ds = rooms[0][i] - s - point[i, 0] * step[i] - point[i, 1] * step[i + 1]
+        rooms[0][i] = ds
+        fall, dual_fall = _falls(mu, ds, s, duals[0][i])
+        primal, dual = max(primal, fall), max(dual, dual_fall)
+        for k in range(nj):
+            change = a[i, k, 0] * step[i] + a[i, k, 1] * step[i + 1]
+            for side in range(2):
+                s = slacks[1][i, k, side]
+                ds = rooms[1][i, k, side] - s + (-change if side == 0 else change)
+                rooms[1][i, k, side] = ds
+                fall, dual_fall = _falls(mu, ds, s, duals[1][i, k, side])
+                primal, dual = max(primal, fall), max(dual, dual_fall)
+    return _TO_BOUNDARY / primal, _TO_BOUNDARY / dual
+
+
+@njit(cache=True, error_model="numpy")
+def _move(primal: float, dual: float, mu: float, steps: Array, slacks: Array, duals: Array) -> float:
+    """Go these lengths along the steps of slacks and duals, in place; returns their products' sum."""
+    gap = 0.0
+    for k in range(len(slacks)):
+        s, y = slacks[k], duals[k]
+        y += dual * ((mu - y * steps[k]) / s - y)
+        s += primal * steps[k]
+        slacks[k], duals[k] = s, y
+        gap += s * y
+    return gap

@@ -1,0 +1,121 @@
+"""TimedPath: the joints along one bead as a function of time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline, make_interp_spline
+from scipy.optimize import brentq
+
+from planner.cell import Cell
+from planner.cubics import State
+from planner.resolve.jointpath import JointPath
+from planner.timing.profile import Profile, fastest_profile
+from planner.timing.stretch import Stretch
+
+Array = NDArray[np.float64]
+
+@dataclass(frozen=True)
+class TimedPath:
+    """One bead with its runs in time, from t = 0: stretches of path, and rests between them.
+
+    spline: joints and arc length over the path parameter; starts (k) of each stretch, and how long it rests before it
+    """
+
+    path: JointPath
+    spline: BSpline
+    stretches: tuple[Profile, ...]
+    starts: tuple[float, ...]
+
+    @property
+    def duration(self) -> float:
+        """From the start of the run-in to the end of the run-out [s]."""
+        return self.starts[-1] + self.stretches[-1].duration
+
+    @property
+    def start(self) -> State:
+        """Joints, velocities and accelerations (nj) at t = 0."""
+        return self._end(last=False)
+
+    @property
+    def end(self) -> State:
+        """Joints, velocities and accelerations (nj) at t = duration."""
+        return self._end(last=True)
+
+    def joints(self, t: Array) -> Array:
+        """Joints (k, nj) at times t (k), which are held within [0, duration]."""
+        return self.at(t)[0]
+
+    def at(self, t: Array) -> tuple[Array, Array]:
+        """Joints (k, nj) and arc length (k) [m] at times t (k), which are held within [0, duration]."""
+        values = np.asarray(self.spline(self._u(t)))
+        return values[:, :-1], values[:, -1]
+
+    def when(self, s: float) -> float:
+        """An instant at which the nozzle is at arc length s [m], or at the nearer end [s]."""
+        ends = self.at(np.array([0.0, self.duration]))[1]
+        if not ends[0] < s < ends[1]:
+            return 0.0 if s <= ends[0] else self.duration
+        return float(brentq(lambda t: float(self.at(np.array([t]))[1][0]) - s, 0.0, self.duration, xtol=1e-12))
+
+    @property
+    def rests(self) -> tuple[tuple[float, float], ...]:
+        """First and last instant of the rest at each of the task's stops [s]."""
+        ends = [start + each.duration for start, each in zip(self.starts, self.stretches, strict=True)]
+        return tuple(zip(ends[:-1], self.starts[1:], strict=True))
+
+    def _u(self, t: Array) -> Array:
+        u = np.empty(len(t))
+        which = np.clip(np.searchsorted(self.starts, t, side="right") - 1, 0, len(self.starts) - 1)
+        for i, (profile, begin) in enumerate(zip(self.stretches, self.starts, strict=True)):
+            rows = which == i
+            u[rows] = profile.u(t[rows] - begin)
+        return u
+
+    def _end(self, last: bool) -> State:
+        profile = self.stretches[-1 if last else 0]
+        u = profile.stretch.last if last else profile.stretch.first
+        first, second = profile.rates_at_end(last)
+        return State(np.asarray(self.spline(u))[:-1], first[:-1], second[:-1])
+
+
+def time_path(cell: Cell, path: JointPath, moving: tuple[bool, bool] = (False, False)) -> TimedPath:
+    """Time one bead as fast as speed, acceleration and jerk limits and the commanded speed allow.
+
+    It starts and ends at rest, but where it is `moving`, and comes to rest at the task's stops.
+    """
+    spline, stretches = stretches_of(path, moving)
+    profiles = tuple(fastest_profile(stretch, cell.limits, path.task.speed) for stretch in stretches)
+    waits = [0.0, *(stop.wait for stop in path.task.stops)]
+    starts, now = [], 0.0
+    for wait, profile in zip(waits, profiles, strict=True):
+        starts.append(now + wait)
+        now = starts[-1] + profile.duration
+    return TimedPath(path, spline, profiles, tuple(starts))
+
+
+def stretches_of(path: JointPath, moving: tuple[bool, bool]) -> tuple[BSpline, tuple[Stretch, ...]]:
+    """Joints and arc length over time at the commanded speed, and the stretches from rest to rest of that spline."""
+    task = path.task
+    n = len(task)
+    # The path parameter is time at the commanded speed, so that its rate is 1 where that speed is held.
+    u = np.linspace(0.0, (task.s[-1] - task.s[0]) / task.speed, n)
+    spline = make_interp_spline(u, np.column_stack([path.q, task.s]), k=min(5, n - 1))
+    ends = [0.0, *(at_arc_length(spline, stop.s) for stop in task.stops), float(u[-1])]
+    runs = (u[task.first], u[-1] - u[task.last])
+    stretches = []
+    for i, (a, b) in enumerate(zip(ends[:-1], ends[1:], strict=True)):
+        at_start, at_end = i > 0 or not moving[0], i + 2 < len(ends) or not moving[1]
+        ramps = tuple(min(run, (b - a) / 3.0) if rests else 0.0 for run, rests in zip(runs, (at_start, at_end), strict=True))
+        stretches.append(Stretch(spline, a, b, (ramps[0], ramps[1])))
+    return spline, tuple(stretches)
+
+
+def at_arc_length(spline: BSpline, wanted: float) -> float:
+    """Path parameter where the spline's last column, which never falls, has the value wanted; or the nearer end."""
+    ends = spline.t[spline.k], spline.t[-spline.k - 1]
+    if wanted <= spline(ends[0])[-1] or wanted >= spline(ends[1])[-1]:
+        return float(ends[0] if wanted <= spline(ends[0])[-1] else ends[1])
+    return float(brentq(lambda u: float(spline(u)[-1]) - wanted, *ends, xtol=1e-14))
