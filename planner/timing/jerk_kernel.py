@@ -34,8 +34,16 @@ _FASTEST_FALL = 0.1  # of the gap in one step
 
 @njit(cache=True, error_model="numpy")
 def fastest(
-    point: Array, middle: Array, end: Array, a: Array, j: Array, ceiling: Array, h: Array, start: Array,
-    level: tuple[bool, bool], accuracy: float,
+    point: Array,
+    middle: Array,
+    end: Array,
+    a: Array,
+    j: Array,
+    ceiling: Array,
+    h: Array,
+    start: Array,
+    level: tuple[bool, bool],
+    accuracy: float,
 ) -> tuple[Array, bool]:
     """Coefficients c (m + 2) of the fastest profile, and whether it was found to the accuracy asked for.
 
@@ -55,7 +63,7 @@ def fastest(
     duals = (mu / slacks[0], mu / slacks[1], mu / slacks[2])
     step, band = np.empty(m + 2), np.empty((m + 2, 3))
     for _ in range(_STEPS):
-        _assemble(c, point, middle, end, a, j, h, mu, rooms, slacks, duals, step, band)
+        _assemble(c, point, middle, end, a, j, ceiling, h, mu, rooms, slacks, duals, step, band)
         _keep_level(level, step, band)
         if not _solve(band, step):
             return c, False
@@ -63,14 +71,14 @@ def fastest(
             step[0] = step[1]
         if level[1]:
             step[m + 1] = step[m]
-        primal, dual = _lengths(c, step, point, middle, end, a, j, mu, rooms, slacks, duals)
+        primal, dual = _lengths(c, step, point, middle, end, a, j, ceiling, mu, rooms, slacks, duals)
         for i in range(m + 2):
             c[i] += primal * step[i]
         gap = _move(primal, dual, mu, rooms[0], slacks[0], duals[0])
         gap += _move(primal, dual, mu, rooms[1].ravel(), slacks[1].ravel(), duals[1].ravel())
         gap += _move(primal, dual, mu, rooms[2].ravel(), slacks[2].ravel(), duals[2].ravel())
         time = _rooms(c, point, middle, end, a, j, ceiling, h, rooms)
-        if gap < accuracy * time and _overrun(rooms, slacks, ceiling) < OVERRUN:
+        if gap < accuracy * time and _overrun(rooms, slacks) < OVERRUN:
             return c, True
         least = min(primal, dual)
         mu = gap / count * (max(_FASTEST_FALL, (1.0 - least) ** 2) if least > 0.1 else 1.0)
@@ -88,10 +96,9 @@ def _first_slacks(rooms: tuple[Array, Array, Array]) -> tuple[Array, Array, Arra
 
 
 @njit(cache=True)
-def _overrun(rooms: tuple[Array, Array, Array], slacks: tuple[Array, Array, Array], ceiling: Array) -> float:
+def _overrun(rooms: tuple[Array, Array, Array], slacks: tuple[Array, Array, Array]) -> float:
     """Largest share of a limit by which there is less room than slack."""
-    worst = ((slacks[0] - rooms[0]) / ceiling).max()
-    return float(max(worst, (slacks[1] - rooms[1]).max(), (slacks[2] - rooms[2]).max()))
+    return float(max((slacks[0] - rooms[0]).max(), (slacks[1] - rooms[1]).max(), (slacks[2] - rooms[2]).max()))
 
 
 @njit(cache=True, error_model="numpy")
@@ -110,7 +117,7 @@ def _rooms(
                 value = j[e, k, 0] * c[i] + j[e, k, 1] * c[i + 1] + j[e, k, 2] * c[i + 2]
                 rooms[2][e, k, 0], rooms[2][e, k, 1] = r - value, r + value
     for i in range(m + 1):
-        rooms[0][i] = ceiling[i] - point[i, 0] * c[i] - point[i, 1] * c[i + 1]
+        rooms[0][i] = 1.0 - (point[i, 0] * c[i] + point[i, 1] * c[i + 1]) / ceiling[i]
         for k in range(nj):
             value = a[i, k, 0] * c[i] + a[i, k, 1] * c[i + 1]
             rooms[1][i, k, 0], rooms[1][i, k, 1] = 1.0 - value, 1.0 + value
@@ -127,7 +134,7 @@ def _weights(mu: float, room: float, slack: float, dual: float) -> tuple[float, 
 
 @njit(cache=True, error_model="numpy")
 def _assemble(
-    c: Array, point: Array, middle: Array, end: Array, a: Array, j: Array, h: Array, mu: float,
+    c: Array, point: Array, middle: Array, end: Array, a: Array, j: Array, ceiling: Array, h: Array, mu: float,
     rooms: tuple[Array, Array, Array], slacks: tuple[Array, Array, Array], duals: tuple[Array, Array, Array],
     rhs: Array, band: Array,
 ) -> None:  # fmt: skip
@@ -189,7 +196,7 @@ def _assemble(
         band[i + 2, 1] += b12
         band[i + 2, 2] += b02
     for i in range(m + 1):
-        g0, g1 = point[i]
+        g0, g1 = point[i, 0] / ceiling[i], point[i, 1] / ceiling[i]
         w, p = _weights(mu, rooms[0][i], slacks[0][i], duals[0][i])
         b00, b11, b01 = w * g0 * g0, w * g1 * g1, w * g0 * g1
         t0, t1 = -p * g0, -p * g1
@@ -270,7 +277,7 @@ def _falls(mu: float, ds: float, slack: float, dual: float) -> tuple[float, floa
 
 @njit(cache=True, error_model="numpy")
 def _lengths(
-    c: Array, step: Array, point: Array, middle: Array, end: Array, a: Array, j: Array, mu: float,
+    c: Array, step: Array, point: Array, middle: Array, end: Array, a: Array, j: Array, ceiling: Array, mu: float,
     rooms: tuple[Array, Array, Array], slacks: tuple[Array, Array, Array], duals: tuple[Array, Array, Array],
 ) -> tuple[float, float]:  # fmt: skip
     """How far along the step c and the slacks, and how far the duals may go; rooms become the steps of the slacks."""
@@ -294,7 +301,7 @@ def _lengths(
                     primal, dual = max(primal, fall), max(dual, dual_fall)
     for i in range(m + 1):
         s = slacks[0][i]
-        ds = rooms[0][i] - s - point[i, 0] * step[i] - point[i, 1] * step[i + 1]
+        ds = rooms[0][i] - s - (point[i, 0] * step[i] + point[i, 1] * step[i + 1]) / ceiling[i]
         rooms[0][i] = ds
         fall, dual_fall = _falls(mu, ds, s, duals[0][i])
         primal, dual = max(primal, fall), max(dual, dual_fall)

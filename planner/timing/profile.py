@@ -17,11 +17,11 @@ from planner.timing.stretch import Stretch
 
 Array = NDArray[np.float64]
 
-HEADROOM = 0.98  # share of the joint limits that is used: the rest covers the path between grid points
+HEADROOM = 0.975  # share of the joint limits that is used: the rest covers the path between grid points
 GRID = 2.5e-3  # s between grid points, about: an eighth of the time in which an arm builds up its acceleration
 ACCURACY = 1e-4  # share of the time by which the optimum may be missed
 _DIP = 20e-3  # s: the width over which a slow place slows its neighbourhood, where the method starts
-_SLOWEST = 0.1  # of the commanded rate: the grid is not made finer for slower places
+_SLOWEST = 1e-3  # of the commanded rate: the grid is not made finer for slower places
 _FASTEST = 25.0  # squared rates above which the nominal motion never goes
 _LEAD = 0.08  # share of a ramp from rest that is begun with a constant rate, where limits bind only together
 _LEAST_INTERVALS = 60
@@ -29,7 +29,7 @@ _LEAST_RATE = 1e-12  # squared: keeps what rounding leaves of rest above 0
 _NEWTON_STEPS = 8
 _ON_TIME = 1e-13  # s: a thousandth of what the third difference of samples would show
 _ROUNDS = 4  # of tightening limits where the path between grid points overruns them
-_ENOUGH = 1.02  # of the limit less its headroom, between grid points: no need to tighten it
+_ENOUGH = 1.01  # of the limit less its headroom, between grid points: no need to tighten it
 
 _NODES, _WEIGHTS = (np.ascontiguousarray(each) for each in np.polynomial.legendre.leggauss(6))
 
@@ -99,7 +99,7 @@ def fastest_profile(stretch: Stretch, limits: Limits, speed: float) -> Profile:
     shares = [np.ones(len(program.h) + 1), np.ones(len(program.h))]  # of acceleration and jerk limits that are used
     c = program.start
     for _ in range(_ROUNDS):
-        c, found = fastest(
+        c, _ = fastest(
             program.point,
             program.middle,
             program.ends,
@@ -113,7 +113,7 @@ def fastest_profile(stretch: Stretch, limits: Limits, speed: float) -> Profile:
         )
         c = np.maximum(c, _LEAST_RATE)
         acceleration, jerk = _overruns(program, c)
-        if not found or max(acceleration.max(), jerk.max()) <= _ENOUGH:
+        if max(acceleration.max(), jerk.max()) <= _ENOUGH:
             break
         shares[0][:-1] /= np.maximum(acceleration, 1.0)
         shares[0][1:] /= np.maximum(acceleration, 1.0)
@@ -187,10 +187,12 @@ def _grid(stretch: Stretch, leads: tuple[float, float], allowed: Callable[[Array
     a, b = leads[0], stretch.end - leads[1]
     step = min(GRID, stretch.spacing)
     even = np.linspace(a, b, max(int(np.ceil((b - a) / step)), _LEAST_INTERVALS) + 1)
-    width = int(_DIP / (even[1] - even[0])) | 1
+    step = float(even[1] - even[0])
+    width = int(_DIP / step) | 1
     envelope = uniform_filter1d(minimum_filter1d(allowed(even), width, mode="nearest"), width, mode="nearest")
-    steps = (even[1] - even[0]) / np.clip(np.sqrt(envelope), _SLOWEST, 1.0)
-    count = np.concatenate([[0.0], np.cumsum(0.5 * (steps[1:] + steps[:-1]))]) / (even[1] - even[0])
+    # as fine as the path's own samples, and as GRID in the time that it will take
+    density = np.maximum(1.0 / step, 1.0 / (GRID * np.clip(np.sqrt(envelope), _SLOWEST, 1.0)))
+    count = np.concatenate([[0.0], np.cumsum(0.5 * step * (density[1:] + density[:-1]))])
     m = int(np.ceil(count[-1]))
     grid = np.interp(np.linspace(0.0, count[-1], m + 1), count, even)
     grid[[0, -1]] = a, b

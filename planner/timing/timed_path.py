@@ -17,6 +17,9 @@ from planner.timing.stretch import Stretch
 
 Array = NDArray[np.float64]
 
+RAMP = 60e-3  # s at the commanded speed: what an arm takes, about, from rest to that speed
+
+
 @dataclass(frozen=True)
 class TimedPath:
     """One bead with its runs in time, from t = 0: stretches of path, and rests between them.
@@ -104,12 +107,11 @@ def stretches_of(path: JointPath, moving: tuple[bool, bool]) -> tuple[BSpline, t
     u = np.linspace(0.0, (task.s[-1] - task.s[0]) / task.speed, n)
     spline = make_interp_spline(u, np.column_stack([path.q, task.s]), k=min(5, n - 1))
     ends = [0.0, *(at_arc_length(spline, stop.s) for stop in task.stops), float(u[-1])]
-    runs = (u[task.first], u[-1] - u[task.last])
     stretches = []
     for i, (a, b) in enumerate(zip(ends[:-1], ends[1:], strict=True)):
         at_start, at_end = i > 0 or not moving[0], i + 2 < len(ends) or not moving[1]
-        ramps = tuple(min(run, (b - a) / 3.0) if rests else 0.0 for run, rests in zip(runs, (at_start, at_end), strict=True))
-        stretches.append(Stretch(spline, a, b, (ramps[0], ramps[1])))
+        ramp = min(RAMP, (b - a) / 3.0)
+        stretches.append(Stretch(spline, a, b, (ramp if at_start else 0.0, ramp if at_end else 0.0)))
     return spline, tuple(stretches)
 
 
