@@ -16,6 +16,14 @@ from planner.toolpath.bead import Toolpath
 Array = NDArray[np.float64]
 TRAVEL = -1
 RAPID_EXTERNAL_AXES = 6
+MOST_SHOWN = 2  # changes of a remedy in words
+# Of dips that no joint limits.
+CAUSES = {
+    "start": "starts from rest",
+    "end": "comes to rest",
+    "stop": "stops here",
+    "shape": "samples of the path coincide",
+}
 
 
 @dataclass(frozen=True)
@@ -49,6 +57,7 @@ class Trajectory(ReadOnlyArrays):
     speed         (n,)        of the tip relative to the part [m/s]
     flow          (n,)        of material [m^3/s]
     extruded      (n,)        volume deposited since the start [m^3]
+    events                    what the extruder does besides, in order of time
     """
 
     dt: float
@@ -65,6 +74,7 @@ class Trajectory(ReadOnlyArrays):
     speed: Array
     flow: Array
     extruded: Array
+    events: tuple[Event, ...] = ()
 
     def __len__(self) -> int:
         return len(self.t)
@@ -83,6 +93,62 @@ class Check:
 
 
 @dataclass(frozen=True)
+class Remedy:
+    """What would avoid a dip: fields of the problem file, and the values that they would need, all of them together.
+
+    kind is "speed", "limits", "corner_tolerance" or "run_in".
+    Values are in the file's units, the change that matters most comes first. exact: at constant speed it follows from
+    this joint path; else it is an estimate. A plan made anew with the change is another one: the search sees it too.
+    """
+
+    kind: str
+    changes: tuple[tuple[str, float], ...]
+    exact: bool
+
+    @property
+    def words(self) -> str:
+        """As it may be written into the problem file, with `about` where it is an estimate; of many the first."""
+        about = "" if self.exact else "about "
+        shown = self.changes if len(self.changes) <= MOST_SHOWN else self.changes[:1]
+        text = " and ".join(f"{field}: {about}{value:.12g}" for field, value in shown)
+        others = len(self.changes) - len(shown)
+        return text + (f" and {others} other limits" if others else "")
+
+
+@dataclass(frozen=True)
+class Dip:
+    """A stretch of a bead where the tip is slower than commanded, why, and what would avoid it.
+
+    from_s, to_s, at_s   arc length where it begins, where it ends and where it is slowest [m]
+    t                    time of the slowest sample [s]
+    speed                there [m/s]
+    lost                 time lost to it [s]
+    joint, limit         whose "velocity", "acceleration" or "jerk" asks for the lowest constant speed; no joint where
+                         it is none of them: then limit is one of CAUSES
+    over_extruded        material that flows beyond what the bead holds here [m^3]
+    remedies             each by itself avoids it
+    """
+
+    bead: int
+    layer: int
+    from_s: float
+    to_s: float
+    at_s: float
+    t: float
+    speed: float
+    lost: float
+    joint: str
+    limit: str
+    over_extruded: float
+    remedies: tuple[Remedy, ...]
+
+    @property
+    def cause(self) -> str:
+        """Joint and limit in words, or the rest near by."""
+        return CAUSES.get(self.limit) or f"{self.joint} {self.limit}"
+
+
+@dataclass(frozen=True)
 class Plan:
     """A finished plan. `verified` is true only if every check holds.
 
@@ -91,6 +157,7 @@ class Plan:
               sigma, wrist_deg (not of seven axes), limit_margin_deg, velocity_ratio, acceleration_ratio, jerk_ratio
     timing_s: seconds by stage
     baseline: strategy name → its metrics, for the summary beside the chosen strategy
+    dips:     where the speed falls short of the commanded one, in order of time
     """
 
     problem: Problem
@@ -105,6 +172,7 @@ class Plan:
     versions: dict[str, str]
     baseline: dict[str, dict[str, float]]
     settings: dict[str, Any]
+    dips: tuple[Dip, ...] = ()
 
     @property
     def verified(self) -> bool:

@@ -33,6 +33,7 @@ ROOMS = (
     "plan",
     "nearest",
     "motion",
+    "dips",
     "replay",
     "verify",
     "export",
@@ -62,7 +63,7 @@ NARROW = {
     "export": {"errors", "plan"},
     "report": {"errors", "plan"},
 }
-FORBIDDEN = {name: {"resolve", "timing", "travel", "motion", "kinematics"} for name in ("replay", "verify")}
+FORBIDDEN = {name: {"resolve", "timing", "travel", "motion", "dips", "kinematics"} for name in ("replay", "verify")}
 # Modules that may import a heavy package; a room stands for all its modules.
 HEAVY = {
     "numba": {
