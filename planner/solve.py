@@ -20,6 +20,7 @@ from rich.console import Console
 from planner.background import in_background, in_halves, spare_core
 from planner.cell import Cell, build_cell
 from planner.cubics import Cubics
+from planner.dips import find_dips
 from planner.errors import (
     EXIT_INTERRUPTED,
     EXIT_NOT_VERIFIED,
@@ -39,7 +40,7 @@ from planner.report.summary import print_summary
 from planner.resolve import STRATEGIES
 from planner.resolve.jointpath import JointPath
 from planner.task import NozzleTask, cones_of, make_tasks
-from planner.timing import TimedPath, time_path
+from planner.timing import TimedPath, bound_time, time_path
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.travel import plan_travels
@@ -74,7 +75,9 @@ def solve(
     with stages.stage("toolpath"):
         toolpath, tasks = _toolpath(problem)
     with _baseline_beside(strategy, problem, cell, toolpath, tasks, dt, second_process) as baseline_metrics:
-        trajectory, report = _plan_with(strategy, problem, cell, toolpath, tasks, dt, stages, second_process)
+        trajectory, report, paths = _plan_with(strategy, problem, cell, toolpath, tasks, dt, stages, second_process)
+        with stages.stage("dips"):
+            dips = find_dips(problem, cell, toolpath, paths, trajectory)
         with stages.stage("baseline"):
             baseline = baseline_metrics()
     return Plan(
@@ -90,6 +93,7 @@ def solve(
         versions=versions(),
         baseline=baseline,
         settings={"dt": dt},
+        dips=dips,
     )
 
 
@@ -108,8 +112,8 @@ def _plan_with(
     dt: float,
     stages: Stages,
     second_process: bool = False,
-) -> tuple[Trajectory, Report]:
-    """Resolve, time, join and verify with one strategy."""
+) -> tuple[Trajectory, Report, Sequence[JointPath]]:
+    """Resolve, time, join and verify with one strategy; the bound on the deposition time joins the metrics."""
     beside = second_process and _waypoints(toolpath) >= WORTH_A_FORK
     with stages.stage("resolve"):
         paths = STRATEGIES[strategy](cell, tasks, problem.resolve)
@@ -117,7 +121,9 @@ def _plan_with(
         trajectory = _trajectory(problem, cell, toolpath, paths, dt, beside)
     with stages.stage("verify"):
         report = verify(problem, cell, toolpath, trajectory, beside)
-    return trajectory, report
+    with stages.stage("dips"):
+        bound = {"bound_deposition_time_s": sum(bound_time(cell, path) for path in paths)}
+    return trajectory, replace(report, metrics=report.metrics | bound), paths
 
 
 def _trajectory(
@@ -169,7 +175,7 @@ def _baseline(
 ) -> dict[str, dict[str, float]]:
     """Metrics of the published way of moving; empty ones if it cannot be planned here."""
     try:
-        _, report = _plan_with(BASELINE, problem, cell, toolpath, tasks, dt, Stages())
+        _, report, _ = _plan_with(BASELINE, problem, cell, toolpath, tasks, dt, Stages())
     except Refusal:
         return {BASELINE: {}}
     return {BASELINE: report.metrics}
