@@ -29,7 +29,7 @@ from planner.export.rapid_reader import NUMBER, numbers, read_rapid
 from planner.export.rotations import angle, continuous, from_matrix, slerp, to_matrix
 from planner.export.table import write_table
 from planner.export.thinning import thin
-from planner.plan import Check, Trajectory
+from planner.plan import Check, Dip, Event, Remedy, Trajectory
 
 HEADER = "t_s,bead,layer,deposit,s_mm,x_mm,y_mm,z_mm,ax,ay,az,speed_mm_s,flow_mm3_s,e_mm"
 MOVE = re.compile(r"(MoveJ|MoveL|TriggL) (\[\[.*?\]\]),(\w+),(?:(trg[\w\\:=]+),)?(fine|z0|z1),tPen\\WObj:=wobjPart;")
@@ -161,7 +161,7 @@ def test_where_the_tip_stands_still_the_turning_has_its_real_rate():
     plan = make_plan(positioner=False)
     t = plan.trajectory
     n = 301
-    rows = {k: np.repeat(v[:1], n, axis=0) for k, v in vars(t).items() if k != "dt"}
+    rows = {k: np.repeat(v[:1], n, axis=0) for k, v in vars(t).items() if isinstance(v, np.ndarray)}
     turned = np.radians(20.0) * np.arange(n) * t.dt
     rows["quat"] = (Rotation.from_quat(t.quat[0]) * Rotation.from_rotvec(turned[:, None] * [0, 0, 1.0])).as_quat()
     rows["axis"] = Rotation.from_quat(rows["quat"]).as_matrix()[:, :, 2]
@@ -217,7 +217,7 @@ def test_fine_only_at_rest_and_waits_are_kept():
     while np.abs(t.q[rest] - t.q[rest - 1]).max() > 1e-5:
         rest -= 1
     rows = np.concatenate([np.arange(rest), np.full(101, rest), np.arange(rest, len(t))])
-    held = {k: v[rows] for k, v in vars(t).items() if k not in ("dt", "t")}
+    held = {k: v[rows] for k, v in vars(t).items() if k != "t" and isinstance(v, np.ndarray)}
     waiting = replace(plan, trajectory=Trajectory(dt=t.dt, t=np.arange(len(rows)) * t.dt, **held))
     program = read_rapid(rapid(waiting))
     assert program.fine.sum() == 6
@@ -562,8 +562,9 @@ def test_json_is_strict_and_complete():
     data = json.loads(plan_json(make_plan()), parse_constant=refuse)
     assert set(data) == {
         *("problem", "strategy", "verified", "checks", "metrics", "cell", "timing_s", "versions", "baseline"),
-        "settings",
+        *("settings", "dips", "events"),
     }
+    assert data["dips"] == data["events"] == []
     assert data["verified"] is True and data["metrics"]["sigma_min"] is None
     assert data["baseline"]["fixed"]["at_speed_fraction"] is None
     assert list(data["checks"][0]) == ["name", "worst", "limit", "unit", "ok", "where"]
@@ -571,6 +572,32 @@ def test_json_is_strict_and_complete():
     assert data["settings"] == {"roll_step_deg": 5.0, "svg": "logo.svg", "count": 3}
     with pytest.raises(TypeError, match="no JSON form"):
         plan_json(replace(make_plan(), settings={"x": object()}))
+
+
+def test_json_tells_dips_and_events_in_the_units_of_their_names():
+    limits = Remedy(
+        "limits", (("cell.limits.joint_4.jerk_rad_s3", 1800.0), ("cell.limits.rotation.speed_deg_s", 91.0)), True
+    )
+    tolerance = Remedy("corner_tolerance", (("process.corner_tolerance_mm", 0.4),), False)
+    dip = Dip(3, 1, 0.0121, 0.0136, 0.0125, 7.104, 0.0082, 0.0405, "joint_4", "jerk", 1.2e-9, (limits, tolerance))
+    start = replace(dip, joint="", limit="start", over_extruded=0.0, remedies=())
+    plan = replace(make_plan(), dips=(dip, start))
+    events = (Event("retract", 2, 3.5, 0.2, -0.0015),)
+    plan = replace(plan, trajectory=replace(plan.trajectory, events=events))
+    data = json.loads(plan_json(plan))
+    assert data["dips"][0] == {
+        "bead": 3, "layer": 1, "from_mm": 12.1, "to_mm": 13.6, "at_mm": 12.5, "t_s": 7.104, "speed_min_mm_s": 8.2,
+        "lost_s": 0.0405, "joint": "joint_4", "limit": "jerk", "over_extruded_mm3": 1.2,
+        "avoid": {
+            "limits": {
+                "exact": True,
+                "change": {"cell.limits.joint_4.jerk_rad_s3": 1800.0, "cell.limits.rotation.speed_deg_s": 91.0},
+            },
+            "corner_tolerance": {"exact": False, "change": {"process.corner_tolerance_mm": 0.4}},
+        },
+    }  # fmt: skip
+    assert (data["dips"][1]["joint"], data["dips"][1]["limit"], data["dips"][1]["avoid"]) == (None, "start", {})
+    assert data["events"] == [{"kind": "retract", "bead": 2, "start_s": 3.5, "duration_s": 0.2, "amount_mm": -1.5}]
 
 
 def test_places_that_cannot_be_written(tmp_path):

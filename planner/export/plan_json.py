@@ -14,9 +14,10 @@ if TYPE_CHECKING:
     from planner.cell import Cell
     from planner.errors import Refusal
     from planner.kinematics.chain import Chain
-    from planner.plan import Plan
+    from planner.plan import Dip, Plan
     from planner.problem import Problem
 
+PLACES = 5  # decimals of what is said of dips
 DECIMALS = 12  # of the screws: a picometre; what lies below is rounding that differs from machine to machine
 
 
@@ -32,6 +33,17 @@ def plan_json(plan: Plan) -> str:
         "verified": plan.verified,
         "checks": checks,
         "metrics": plan.metrics,
+        "dips": [_dip(dip) for dip in plan.dips],
+        "events": [
+            {
+                "kind": event.kind,
+                "bead": event.bead,
+                "start_s": event.start,
+                "duration_s": event.duration,
+                "amount_mm": event.amount * 1e3,
+            }
+            for event in plan.trajectory.events
+        ],
         "cell": cell_screws(plan.cell),
         "timing_s": plan.timing_s,
         "versions": plan.versions,
@@ -39,6 +51,24 @@ def plan_json(plan: Plan) -> str:
         "settings": plan.settings,
     }
     return json.dumps(_plain(data), indent=1, allow_nan=False) + "\n"
+
+
+def _dip(dip: Dip) -> dict[str, Any]:
+    """A dip in the units that the names say; of each remedy all its fields, and whether it is exact."""
+    return {
+        "bead": dip.bead,
+        "layer": dip.layer,
+        "from_mm": round(dip.from_s * 1e3, PLACES),
+        "to_mm": round(dip.to_s * 1e3, PLACES),
+        "at_mm": round(dip.at_s * 1e3, PLACES),
+        "t_s": round(dip.t, PLACES),
+        "speed_min_mm_s": round(dip.speed * 1e3, PLACES),
+        "lost_s": round(dip.lost, PLACES),
+        "joint": dip.joint or None,
+        "limit": dip.limit,
+        "over_extruded_mm3": round(dip.over_extruded * 1e9, PLACES),
+        "avoid": {remedy.kind: {"exact": remedy.exact, "change": dict(remedy.changes)} for remedy in dip.remedies},
+    }
 
 
 def refusal_json(problem: Problem, strategy: str, refusal: Refusal) -> str:
