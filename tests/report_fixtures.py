@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 
-from planner.plan import Check, Plan, Trajectory
+from planner.plan import Check, Dip, Plan, Remedy, Trajectory
 
 RADIUS, HEIGHT, CENTRE = 0.034, 0.100, np.array([0.0314, 0.037])
 COMMANDED = 0.040
@@ -77,6 +78,7 @@ def make_plan(
     v = cat["speed"][deposit]
     metrics = {
         "waypoints": 10000, "beads": 4 * layers, "layers": layers, "deposited_length_mm": float(v.sum() * DT * 1e3),
+        "bound_deposition_time_s": 0.98 * float(deposit.sum() * DT),
         "deposition_time_s": float(deposit.sum() * DT), "ideal_deposition_time_s": float(v.sum() * DT / COMMANDED),
         "print_time_s": float(n * DT), "at_speed_fraction": float(v[v > 0.98 * COMMANDED].sum() / v.sum()),
         "speed_min_mm_s": float(v.min() * 1e3), "speed_max_mm_s": float(v.max() * 1e3), "sigma_min": 0.13,
@@ -107,6 +109,35 @@ def make_plan(
     )
 
 
+def with_dips(plan: Plan, *, every: int = 1, joint: str = "joint_4", over: float = 0.0) -> Plan:
+    """The plan with its dips told, a dip at each `every`-th corner of the stars, and those that no joint asks for."""
+    traj = plan.trajectory
+    v = np.where(traj.deposit, traj.speed, COMMANDED)
+    low = np.flatnonzero((v[1:-1] < 0.9 * COMMANDED) & (v[1:-1] <= v[:-2]) & (v[1:-1] < v[2:]))[::every] + 1
+    speed = Remedy("speed", (("process.speed_mm_s", 18.0),), True)
+    limits = Remedy("limits", ((f"cell.limits.{joint}.jerk_rad_s3", 1800.0), ("cell.limits.joint_6.jerk_rad_s3", 1600.0),
+                               ("cell.limits.rotation.jerk_rad_s3", 400.0)), True)  # fmt: skip
+    tolerance = Remedy("corner_tolerance", (("process.corner_tolerance_mm", 0.4),), False)
+    dips = tuple(
+        Dip(
+            bead=int(traj.bead[i]),
+            layer=int(traj.layer[i]),
+            from_s=float(traj.s[i] - 5e-4),
+            to_s=float(traj.s[i] + 5e-4),
+            at_s=float(traj.s[i]),
+            t=float(traj.t[i]),
+            speed=float(v[i]),
+            lost=0.01 + 0.001 * (k % 7),
+            joint="" if k % 9 == 8 else joint,
+            limit="start" if k % 9 == 8 else "jerk",
+            over_extruded=over,
+            remedies=() if k % 9 == 8 else (speed, limits, tolerance),
+        )
+        for k, i in enumerate(low)
+    )
+    return dataclasses.replace(plan, dips=dips)
+
+
 def make_beads(count: int = 6, waypoints: int = 200) -> tuple[SimpleNamespace, ...]:
     """Rings round the cylinder, one above the other."""
     a = np.linspace(0, 2 * np.pi, waypoints)
@@ -135,6 +166,7 @@ def write_folder(plan, folder: Path) -> None:
         "strategy": plan.strategy,
         "verified": plan.verified,
         "metrics": plan.metrics,
+        "dips": [{"t_s": dip.t, "lost_s": dip.lost} for dip in plan.dips],
     }
     (folder / "plan.json").write_text(json.dumps(summary))
 

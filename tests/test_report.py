@@ -20,18 +20,20 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from matplotlib.image import imread
 from plotly.offline import get_plotlyjs
-from report_fixtures import CENTRE, RADIUS, make_beads, make_plan, make_problem, write_folder
+from report_fixtures import CENTRE, RADIUS, make_beads, make_plan, make_problem, with_dips, write_folder
 
 from planner.errors import InputError, OutputError
 from planner.report import picture
 from planner.report.curves import joint_charts, time_charts
+from planner.report.dips import MOST_MARKS, MOST_ROWS
 from planner.report.failure import write_failure_report
 from planner.report.finished import fit_cylinder
-from planner.report.html import write_report
+from planner.report.html import _header, write_report
 from planner.report.places import worst_places
 from planner.report.scene import MAX_GROUPS, bead_scene, plan_scene
+from planner.report.summary import print_summary
 from planner.report.thinning import CURVE_BUDGET, SCENE_BUDGET, keep_minima, runs, stretches, thin_curve
-from planner.report.wording import duration, number, summary_table
+from planner.report.wording import duration, number, summary_table, with_ratios
 
 MB = 1_000_000
 EVIL = "</script><script>alert(1)</script><img src=x onerror=alert(2)>&\"'"
@@ -40,7 +42,7 @@ EVIL = "</script><script>alert(1)</script><img src=x onerror=alert(2)>&\"'"
 @pytest.fixture(scope="module")
 def long_report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("report") / "report.html"
-    write_report(make_plan(130_000), path)
+    write_report(with_dips(make_plan(130_000)), path)
     return path
 
 
@@ -144,6 +146,7 @@ def test_every_figure_has_a_place_on_the_page_and_is_valid_plotly(long_report: P
         go.Figure({"data": chart["traces"], "layout": chart["layout"]})
     for scene in (
         plan_scene(plan, worst_places(plan)),
+        plan_scene(with_dips(plan), worst_places(plan)),
         bead_scene(make_problem(), make_beads(3), 1, (60.0, 30.0, 20.0)),
     ):
         go.Figure({"data": scene["traces"], "layout": scene["layout"]})
@@ -198,6 +201,82 @@ def test_the_part_is_drawn_where_it_is() -> None:
     assert 0.99 * RADIUS * 1e3 < reach < RADIUS * 1e3, "a hair inside the first layer"
 
 
+# ---- dips --------------------------------------------------------------------------------------------------------
+
+
+def test_dips_are_marked_where_they_are_and_say_why() -> None:
+    plan = with_dips(make_plan(12_000))
+    scene = plan_scene(plan, worst_places(plan))
+    assert len(plan.dips) > 100
+    assert len(scene["dips"]) == len(scene["beads"]) == len(scene["groups"])
+    for layer, number_of in enumerate(scene["dips"]):
+        trace = scene["traces"][number_of]
+        here = [dip for dip in plan.dips if dip.layer == layer]
+        assert len(trace["x"]) == len(trace["hovertext"]) == len(here) > 0
+        for dip in here:
+            i = round(dip.t / plan.trajectory.dt)
+            begin = f"bead {dip.bead}, layer {layer + 1}, {dip.from_s * 1e3:.1f} to "
+            (k,) = (k for k, text in enumerate(trace["hovertext"]) if text.startswith(begin))
+            off = np.array([trace[axis][k] for axis in "xyz"]) - plan.trajectory.tip[i] * 1e3
+            assert off == pytest.approx(-plan.trajectory.axis[i], abs=1e-3), "1 mm off the surface"
+            words = trace["hovertext"][k]
+            assert f"{dip.speed * 1e3:.1f} of 40 mm/s" in words
+            assert "joint_4 jerk" in words or "starts from rest" in words
+    words = next(text for text in scene["traces"][scene["dips"][0]]["hovertext"] if "joint_4" in text)
+    assert words.split("<br>")[2:] == [
+        "why: joint_4 jerk",
+        "would avoid it: process.speed_mm_s: 18",
+        "or cell.limits.joint_4.jerk_rad_s3: 1800 and 2 other limits",
+        "or process.corner_tolerance_mm: about 0.4",
+    ]
+
+
+def test_marks_of_dips_do_not_rely_on_hue() -> None:
+    """Their fill and their rim differ in brightness as much as can be, and neither is one of the scale's."""
+    mark = plan_scene(with_dips(make_plan(4_000)), [])["traces"][-1]["marker"]
+    assert {mark["color"], mark["line"]["color"]} == {"#ffffff", "#000000"}
+
+
+def test_a_table_of_the_worst_dips_says_how_many_there_are(tmp_path: Path) -> None:
+    plan = with_dips(make_plan(12_000), over=2.5e-9)
+    write_report(plan, tmp_path / "r.html")
+    words, text = visible(tmp_path / "r.html"), own_text(tmp_path / "r.html")
+    lost = sum(dip.lost for dip in plan.dips)
+    assert f"{len(plan.dips)} dips cost {lost:.2f} s" in words
+    assert f"The {MOST_ROWS} of {len(plan.dips)} that cost most" in words
+    table = text[text.index("that cost most") :]
+    table = table[: table.index("</table>")]
+    assert table.count("<tr>") == 1 + MOST_ROWS
+    costs = [float(cost) for cost in re.findall(r"of 40</td><td class=n>([\d.]+)</td>", table)]
+    assert costs == sorted(costs, reverse=True) and costs[0] == max(round(dip.lost, 3) for dip in plan.dips)
+    assert "too much material, mm³" in table and "<td class=n>2.500</td>" in table
+    assert "process.corner_tolerance_mm: about 0.4" in table
+    assert "starts from rest" in words and "joint_4 jerk" in words
+    by_cause = re.search(r"starts from rest (\d+) ", words)
+    assert by_cause and int(by_cause[1]) == sum(dip.limit == "start" for dip in plan.dips)
+    write_report(with_dips(make_plan(12_000)), tmp_path / "even.html")
+    assert "too much material" not in visible(tmp_path / "even.html")
+
+
+def test_no_dip_is_said_too(tmp_path: Path) -> None:
+    write_report(make_plan(4_000), tmp_path / "r.html")
+    assert "None: all beads are printed at the commanded speed" in visible(tmp_path / "r.html")
+    assert plan_scene(make_plan(4_000), [])["dips"] == []
+    assert "id=dips" not in own_text(tmp_path / "r.html")
+
+
+def test_thousands_of_dips_keep_the_report_small(tmp_path: Path) -> None:
+    plan = with_dips(make_plan(180_000, layers=100))
+    dips = tuple(dataclasses.replace(dip, lost=dip.lost + 1e-6 * k) for k, dip in enumerate(plan.dips * 4))
+    assert len(dips) > 8_000
+    plan = dataclasses.replace(plan, dips=dips)
+    write_report(plan, tmp_path / "r.html")
+    assert (tmp_path / "r.html").stat().st_size <= 8 * MB
+    scene = plan_scene(plan, [])
+    assert sum(len(scene["traces"][k]["x"]) for k in scene["dips"]) == MOST_MARKS
+    assert f"{len(dips):,} dips cost".replace(",", " ") in visible(tmp_path / "r.html")
+
+
 # ---- the words ---------------------------------------------------------------------------------------------------
 
 
@@ -213,6 +292,38 @@ def test_verdict_in_words(tmp_path: Path) -> None:
     )
     assert "✗ fails joint_4 at t 7.2 s" in bad
     assert "✗ over 131.0" in bad
+
+
+@given(st.lists(st.booleans(), min_size=7, max_size=7))
+def test_the_banner_says_printable_only_if_every_check_holds(holds: list[bool]) -> None:
+    plan = make_plan(2_000)
+    checks = tuple(dataclasses.replace(check, ok=ok) for check, ok in zip(plan.checks, holds, strict=True))
+    plan = dataclasses.replace(plan, checks=checks)
+    banner = _header(plan)
+    assert ("can be printed" in banner) == ("Verified:" in banner) == all(holds) == plan.verified
+    assert ("do not print" in banner) == (not all(holds))
+
+
+def test_deposition_time_stands_beside_both_bounds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan = with_dips(make_plan(4_000))
+    m = plan.metrics
+    over = [m["deposition_time_s"] / m[f"{best}_deposition_time_s"] for best in ("ideal", "bound")]
+    assert over[1] == pytest.approx(1 / 0.98)
+    write_report(plan, tmp_path / "r.html")
+    words = visible(tmp_path / "r.html")
+    for ratio in over:
+        assert f"that is, times that , × {ratio:.3f}" in words
+    print_summary(plan, tmp_path)
+    out = " ".join(capsys.readouterr().out.split())
+    assert f"over length / commanded speed │ {over[0]:.3f}" in out
+    assert f"over the bound without jerk limits │ {over[1]:.3f}" in out
+    worst = max(plan.dips, key=lambda dip: dip.lost)
+    assert f"{len(plan.dips)} dips cost" in out and f"the worst: bead {worst.bead}, layer {worst.layer + 1}" in out
+    assert "joint_4 jerk; process.speed_mm_s: 18 would avoid it" in out
+    assert with_ratios({"deposition_time_s": 3.0, "bound_deposition_time_s": 0.0}) == {
+        "deposition_time_s": 3.0,
+        "bound_deposition_time_s": 0.0,
+    }
 
 
 def test_summary_sets_the_strategy_beside_its_baseline() -> None:
@@ -271,6 +382,7 @@ def test_names_from_files_cannot_become_markup(tmp_path: Path) -> None:
         versions={EVIL: EVIL},
         baseline={EVIL + "2": {"print_time_s": 3.0}},
     )
+    plan = with_dips(plan, joint=EVIL)
     checks = tuple(dataclasses.replace(check, name=EVIL, unit=EVIL, where=EVIL, ok=False) for check in plan.checks)
     plan = dataclasses.replace(plan, checks=checks)
     write_report(plan, tmp_path / "r.html")
@@ -344,6 +456,25 @@ def test_picture_shows_the_lines_on_the_part(tmp_path: Path) -> None:
     assert grey.mean() > 0.15, "the shaded part"
 
 
+def test_picture_marks_dips_on_the_near_side(tmp_path: Path) -> None:
+    plan = make_plan(6_000)
+    pictures = []
+    for name, each in (("none", plan), ("some", with_dips(plan))):
+        write_folder(each, tmp_path / name)
+        picture.draw_picture(tmp_path / name, tmp_path / f"{name}.png")
+        pictures.append(imread(tmp_path / f"{name}.png")[:, :, :3])
+    half = pictures[0].shape[1] // 2
+    none, some = (image[:, :half] for image in pictures)
+    dots = (some.min(axis=2) > 0.97) & (none.max(axis=2) < 0.97)
+    rims = (some.max(axis=2) < 0.1) & (none.max(axis=2) > 0.2)
+    assert dots.sum() > 100 and rims.sum() > 100
+    old = json.loads((tmp_path / "none" / "plan.json").read_text())
+    del old["dips"]
+    (tmp_path / "none" / "plan.json").write_text(json.dumps(old))
+    picture.draw_picture(tmp_path / "none", tmp_path / "old.png")  # of a plan that does not tell of dips
+    assert (tmp_path / "old.png").exists()
+
+
 def test_the_part_is_found_again_from_the_lines() -> None:
     traj = make_plan(6_000).trajectory
     found = fit_cylinder(traj.tip * 1e3, -traj.axis, traj.layer, traj.deposit)
@@ -400,6 +531,7 @@ PROBE = """<script>
 setTimeout(() => {
   const by = (id) => document.getElementById(id), change = (id) => by(id).dispatchEvent(new Event("change"));
   by("colour").selectedIndex = 1; change("colour");
+  by("dips").click();
   by("layers").value = 3; by("layers").dispatchEvent(new Event("input"));
   by("chart-speed").emit("plotly_click", { points: [{ x: 5 }] });
   Plotly.relayout(by("chart-speed"), { "xaxis.range[0]": 3, "xaxis.range[1]": 9 });
@@ -408,7 +540,8 @@ setTimeout(() => {
     d.canvas = scene.querySelectorAll("canvas").length;
     d.gl = Boolean(scene._fullLayout.scene._scene.glplot.gl);
     d.title = scene.layout.coloraxis.colorbar.title.text;
-    d.hidden = scene.data.filter((t) => t.visible === false).length;
+    d.hidden = scene.data.filter((t) => t.visible === false && t.name !== "dips").length;
+    d.dips = scene.data.filter((t) => t.visible === false && t.name === "dips").length;
     d.ring = Number.isFinite(scene.data.at(-1).x[0]);
     d.zoom = by("chart-joint-3").layout.xaxis.range.join();
     d.reading = by("reading").textContent;
@@ -420,7 +553,7 @@ setTimeout(() => {
 @pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
 def test_report_works_in_a_browser(tmp_path: Path) -> None:
     path = tmp_path / "report.html"
-    write_report(make_plan(8_000), path)
+    write_report(with_dips(make_plan(8_000)), path)
     path.write_text(path.read_text(encoding="utf-8").replace("</body>", PROBE), encoding="utf-8")
     flags = "--headless --no-sandbox --disable-gpu --use-gl=swiftshader --enable-unsafe-swiftshader --no-first-run "
     flags += "--disable-background-networking --disable-sync --enable-logging=stderr --window-size=1200,1600"
@@ -440,6 +573,7 @@ def test_report_works_in_a_browser(tmp_path: Path) -> None:
         "gl": "true",
         "title": "Distance from singularity, σ",
         "hidden": "6",
+        "dips": "10",
         "ring": "true",
         "zoom": "3,9",
         "reading": "Ringed in the scene: the printed place nearest to 5.00 s.",

@@ -11,6 +11,7 @@ import numpy as np
 
 from planner.report import page as frame
 from planner.report.curves import joint_charts, time_charts
+from planner.report.dips import dips_section
 from planner.report.places import where_words, worst_places
 from planner.report.scene import Place, plan_scene
 from planner.report.thinning import CURVE_BUDGET
@@ -35,6 +36,7 @@ def write_report(plan: Plan, path: Path) -> None:
         [
             _summary(plan),
             _scene(scene, places, plan),
+            dips_section(plan),
             _checks(plan.checks),
             _curves(curves),
             _joints(plan, joints),
@@ -114,6 +116,8 @@ def _scene(scene: dict[str, Any], places: list[Place], plan: Plan) -> str:
             "<label><input type=checkbox id=only autocomplete=off> only this layer</label>"
             "<label><input type=checkbox id=through autocomplete=off> see through the part</label>"
         )
+        if scene["dips"]:
+            controls += "<label><input type=checkbox id=dips autocomplete=off checked> mark dips in speed</label>"
     rows = "".join(
         f"<tr><td><span class=letter>{place.letter}</span></td><th scope=row>{escape(place.what)}</th>"
         f"<td class=n>{escape(place.value)}</td><td class=n>{plan.trajectory.t[place.sample]:.2f}</td>"

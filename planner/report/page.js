@@ -49,12 +49,15 @@
       const c = colouring(scene.channels[e.target.selectedIndex]);
       Plotly.update(div, c.trace, c.layout, scene.beads);
     });
-    const layers = by("layers"), only = by("only");
+    const layers = by("layers"), only = by("only"), dips = by("dips");
     function filter() {
       const last = Number(layers.value);
       by("layer-words").textContent = (only.checked ? "only " : (last ? "up to " : "")) + scene.groups[last];
-      Plotly.restyle(div, { visible: scene.groups.map((_, g) => (only.checked ? g === last : g <= last)) }, scene.beads);
+      const shown = scene.groups.map((_, g) => (only.checked ? g === last : g <= last));
+      const marks = scene.dips.map((_, g) => shown[g] && dips.checked);
+      Plotly.restyle(div, { visible: shown.concat(marks) }, scene.beads.concat(scene.dips));
     }
+    if (dips) dips.addEventListener("change", filter);
     layers.addEventListener("input", filter);
     only.addEventListener("change", filter);
     const solid = scene.part.length ? scene.traces[0].opacity : 1;

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ Array = NDArray[np.float64]
 
 ELEVATION = np.radians(20.0)
 FACETS = 180
+SMALLEST_DOT, LARGEST_DOT = 5.0, 40.0  # of a dip, square points
 SOFT = "#5b6b7b"
 COLOUR_MAP = LinearSegmentedColormap.from_list("calm", COLOURS)
 
@@ -56,6 +58,7 @@ def draw_picture(folder: Path, picture: Path) -> None:
     figure = Figure(figsize=(12.0, 6.4), dpi=150, facecolor="white")
     scene = figure.add_axes((0.01, 0.02, 0.52, 0.96))
     _draw_scene(scene, points, normals, rows, printing, cylinder, norm)
+    _mark_dips(scene, points, normals, rows["t_s"], summary.get("dips", []), _view(normals[printing]))
     _draw_words(figure, summary, commanded)
     _draw_speed(figure.add_axes((0.60, 0.13, 0.37, 0.32)), rows, printing, commanded, norm)
     try:
@@ -116,6 +119,21 @@ def _draw_scene(
     axes.set_axis_off()
 
 
+def _mark_dips(
+    axes: Any, points: Array, normals: Array, time: Array, dips: Sequence[dict[str, Any]], view: tuple[Array, ...]
+) -> None:
+    """A white dot within black at each dip on the near side, the larger the more time it costs."""
+    right, up, eye = view
+    at = np.searchsorted(time, [dip["t_s"] - 0.5 * (time[1] - time[0]) for dip in dips])
+    cost = np.array([dip["lost_s"] for dip in dips])
+    near = normals[at] @ eye > 0.0 if len(dips) else np.empty(0, dtype=bool)
+    at, cost = at[near], cost[near]
+    if not len(at):
+        return
+    size = SMALLEST_DOT + (LARGEST_DOT - SMALLEST_DOT) * cost / cost.max()
+    axes.scatter(points[at] @ right, points[at] @ up, s=size, c="white", edgecolors="black", linewidths=0.7, zorder=4)
+
+
 def _draw_cylinder(axes: Any, cylinder: Cylinder, right: Array, up: Array, eye: Array) -> Array:
     """Shade the near side and the top; returns the outline (k, 2) on the picture."""
     a = np.linspace(0.0, 2 * np.pi, FACETS + 1)
@@ -135,7 +153,7 @@ def _draw_cylinder(axes: Any, cylinder: Cylinder, right: Array, up: Array, eye: 
 
 
 def _draw_words(figure: Figure, summary: dict[str, Any], commanded: float) -> None:
-    metrics = summary["metrics"]
+    metrics = summary["metrics"] | {"dips": len(summary.get("dips", []))}
     figure.text(0.575, 0.895, summary["problem"], fontsize=21, weight="bold", color=INK, parse_math=False)
     verdict = "✓ verified" if summary["verified"] else "✗ not verified"
     colour = "#00599c" if summary["verified"] else ALARM
@@ -144,6 +162,7 @@ def _draw_words(figure: Figure, summary: dict[str, Any], commanded: float) -> No
     rows = [
         ("at_speed_fraction", 100.0, "{:.2f} %", f"of the length at {commanded:.3g} mm/s"),
         ("speed_min_mm_s", 1.0, "{:.1f} mm/s", "slowest while depositing"),
+        ("dips", 1.0, "{:.0f}", "dips in speed, white dots by time lost"),
         ("sigma_min", 1.0, "{:.3f}", "least distance from singularity, σ"),
         ("joint_limit_margin_deg", 1.0, "{:.1f}°", "least distance from an end stop"),
         ("print_time_s", 1.0, "{:.0f} s", "whole print, travel included"),

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.report.dips import dip_traces
 from planner.report.part import eye, part_traces
 from planner.report.thinning import SCENE_BUDGET, keep_minima, stretches, turning, with_gaps
 
@@ -52,7 +53,7 @@ class Place:
 
 
 def plan_scene(plan: Plan, places: Sequence[Place]) -> dict[str, Any]:
-    """Scene of a plan: `traces`, `layout`, `beads` (trace numbers), `groups` (labels) and `channels`."""
+    """Scene of a plan: `traces`, `layout`, `beads` and `dips` (trace numbers), `groups` (labels) and `channels`."""
     traj = plan.trajectory
     facing = -traj.axis[traj.deposit].mean(axis=0) if traj.deposit.any() else np.zeros(3)
     kept, cuts = _kept_samples(plan)
@@ -82,11 +83,14 @@ def plan_scene(plan: Plan, places: Sequence[Place]) -> dict[str, Any]:
             carried[channel["key"]].append(with_gaps(channel["values"][mine], breaks))
     for channel in channels:
         channel["values"] = carried[channel["key"]]
-    traces += _place_traces(places)
+    marks = dip_traces(plan, bundles)
+    first_mark = len(traces)
+    traces += [*marks, *_place_traces(places)]
     return {
         "traces": traces,
         "layout": scene_layout(traces, facing, colour_bar=True),
         "beads": list(range(first_bead, first_bead + len(groups))),
+        "dips": list(range(first_mark, first_mark + len(marks))),
         "part": list(range(first_bead)),
         "groups": groups,
         "channels": channels,
@@ -118,7 +122,13 @@ def bead_scene(
     if point_mm is not None:
         where = np.asarray(point_mm, dtype=float) + MARK_OUT_MM * facing
         traces.append(_marks(where[None], ["here"], size=9) | {"name": "the place", "showlegend": True})
-    return {"traces": traces, "layout": scene_layout(traces, facing, colour_bar=False), "part": [], "beads": []}
+    return {
+        "traces": traces,
+        "layout": scene_layout(traces, facing, colour_bar=False),
+        "part": [],
+        "beads": [],
+        "dips": [],
+    }
 
 
 def scene_layout(traces: Sequence[dict[str, Any]], facing: Array, *, colour_bar: bool) -> dict[str, Any]:

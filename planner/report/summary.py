@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
+from planner.report.dips import place_words, worst_first
+from planner.report.wording import OVER_BOUND, OVER_IDEAL, with_ratios
+
 if TYPE_CHECKING:
     from planner.plan import Plan
 
@@ -16,7 +19,8 @@ if TYPE_CHECKING:
 ROWS = (
     ("at_speed_fraction", "at commanded speed (±2 %)", "% of length", 100.0, 1),
     ("deposition_time_s", "deposition time", "s", 1.0, 1),
-    ("ideal_deposition_time_s", "  if never slower", "s", 1.0, 1),
+    (OVER_IDEAL, "  over length / commanded speed", "×", 1.0, 3),
+    (OVER_BOUND, "  over the bound without jerk limits", "×", 1.0, 3),
     ("print_time_s", "print time", "s", 1.0, 1),
     ("speed_min_mm_s", "lowest speed", "mm/s", 1.0, 1),
     ("sigma_min", "singularity margin σ", "", 1.0, 3),
@@ -24,7 +28,7 @@ ROWS = (
     ("joint_limit_margin_deg", "joint limit margin", "deg", 1.0, 1),
     ("velocity_ratio_max", "joint velocity / limit", "", 1.0, 3),
     ("acceleration_ratio_max", "joint acceleration / limit", "", 1.0, 3),
-    ("jerk_ratio_max", "joint jerk / limit (assumed)", "", 1.0, 2),
+    ("jerk_ratio_max", "joint jerk / limit", "", 1.0, 3),
     ("position_error_max_mm", "tip off the path", "mm", 1.0, 4),
     ("axis_error_max_deg", "axis off the normal", "deg", 1.0, 4),
     ("path_deviation_max_mm", "rounded corners off the drawing", "mm", 1.0, 3),
@@ -43,10 +47,13 @@ def print_summary(plan: Plan, folder: Path) -> None:
     for name in plan.baseline:
         table.add_column(name, justify="right", style="dim")
     table.add_column("unit")
+    columns = [with_ratios(values) for values in (m, *plan.baseline.values())]
     for metric, label, unit, factor, decimals in ROWS:
-        cells = [_number(values.get(metric, math.nan) * factor, decimals) for values in (m, *plan.baseline.values())]
+        cells = [_number(values.get(metric, math.nan) * factor, decimals) for values in columns]
         table.add_row(label, *cells, unit)
     out.print(table)
+    if plan.dips:
+        out.print(_dips(plan), markup=False, soft_wrap=True)
     for check in plan.checks:
         if not check.ok:
             text = f"FAILED {check.name}: {check.worst:.4g} {check.unit}, limit {check.limit:.4g} ({check.where})"
@@ -58,6 +65,15 @@ def print_summary(plan: Plan, folder: Path) -> None:
     else:
         verdict = "NOT verified: no robot code was written"
     out.print(f"{verdict}; {plan.timing_s['total']:.1f} s; results in {folder}", markup=False, soft_wrap=True)
+
+
+def _dips(plan: Plan) -> str:
+    """How many dips there are, what they cost, and the worst of them with what would avoid it."""
+    worst = worst_first(plan.dips)[0]
+    lost = sum(dip.lost for dip in plan.dips)
+    count = "1 dip costs" if len(plan.dips) == 1 else f"{len(plan.dips)} dips cost"
+    text = f"{count} {lost:.2f} s; the worst: {place_words(worst)}, {worst.speed * 1e3:.1f} mm/s, {worst.cause}"
+    return text + (f"; {worst.remedies[0].words} would avoid it" if worst.remedies else "")
 
 
 def _number(value: float, decimals: int) -> str:

@@ -23,12 +23,16 @@ class Metric:
     limit: float = math.inf
 
 
+OVER_IDEAL, OVER_BOUND = "deposition_over_ideal", "deposition_over_bound"  # ratios made here, of metrics
 METRICS = (
     Metric("at_speed_fraction", "Length printed at the commanded speed (±2 %)", "%", 2, 100, "up"),
     Metric("speed_min_mm_s", "Slowest tip speed while depositing", "mm/s", 2, better="up"),
     Metric("speed_max_mm_s", "Fastest tip speed while depositing", "mm/s", 2),
     Metric("deposition_time_s", "Time spent depositing", "s", 1, better="down"),
     Metric("ideal_deposition_time_s", "Time if the speed never dipped", "s", 1),
+    Metric(OVER_IDEAL, "  that is, times that", "×", 3, better="down"),
+    Metric("bound_deposition_time_s", "Time that joint speed and acceleration alone would allow", "s", 1),
+    Metric(OVER_BOUND, "  that is, times that", "×", 3, better="down"),
     Metric("print_time_s", "Whole print, travel included", "s", 1, better="down"),
     Metric("sigma_min", "Distance from singularity: least singular value σ", "", 4, better="up"),
     Metric("wrist_margin_deg", "Wrist: least angle of joint 5 from straight", "°", 1, better="up"),
@@ -47,6 +51,15 @@ METRICS = (
 )
 
 CHECK_NAMES = str.maketrans("_", " ")
+
+
+def with_ratios(metrics: Mapping[str, float]) -> dict[str, float]:
+    """Metrics, and how the deposition time compares with what it would be at best, where both are known."""
+    out = dict(metrics)
+    for ratio, best in ((OVER_IDEAL, "ideal_deposition_time_s"), (OVER_BOUND, "bound_deposition_time_s")):
+        if out.get(best, 0.0) > 0.0 and "deposition_time_s" in out:
+            out[ratio] = out["deposition_time_s"] / out[best]
+    return out
 
 
 def number(value: float | None, digits: int) -> str:
@@ -83,7 +96,7 @@ def duration(seconds: float | None) -> str:
 def summary_table(strategy: str, metrics: Mapping[str, float], baseline: Mapping[str, Mapping[str, float]]) -> str:
     """HTML table: the chosen strategy's metrics beside the baselines'; the best of a row is bold."""
     others = {name: values for name, values in baseline.items() if name != strategy}
-    columns = [metrics, *others.values()]
+    columns = [with_ratios(column) for column in (metrics, *others.values())]
     head = "".join(f"<th scope=col>{escape(name)}</th>" for name in others)
     rows = []
     for metric in METRICS:

@@ -1,0 +1,119 @@
+"""Dips in the report: marks on the part, a table of those that cost most, and what would avoid them."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.report.wording import number
+
+if TYPE_CHECKING:
+    from planner.plan import Dip, Plan, Trajectory
+
+Array = NDArray[np.float64]
+
+MOST_ROWS = 30
+MOST_MARKS = 800  # each carries some 300 bytes of words
+MARK_OUT_MM = 1.0  # marks stand a little off the surface, or the part would hide half of each
+# Told apart by shape and brightness, not by hue: white within black.
+MARK = {"size": 5, "symbol": "circle", "color": "#ffffff", "line": {"width": 2, "color": "#000000"}}
+
+
+def worst_first(dips: Sequence[Dip]) -> list[Dip]:
+    """Dips by the time that they cost, most first."""
+    return sorted(dips, key=lambda dip: -dip.lost)
+
+
+def samples_of(trajectory: Trajectory, dips: Sequence[Dip]) -> NDArray[np.intp]:
+    """Sample at which each dip is slowest."""
+    return np.rint(np.array([dip.t for dip in dips]) / trajectory.dt).astype(np.intp)
+
+
+def dip_traces(plan: Plan, bundles: Sequence[NDArray[np.integer]]) -> list[dict[str, Any]]:
+    """Marks of the dips that cost most, a trace for each bundle of layers; none where there is no dip."""
+    if not plan.dips:
+        return []
+    shown = worst_first(plan.dips)[:MOST_MARKS]
+    traj, layers = plan.trajectory, np.array([dip.layer for dip in shown])
+    at = samples_of(traj, shown)
+    points = (traj.tip[at] * 1e3 - MARK_OUT_MM * traj.axis[at]).astype(np.float32)
+    words = np.array([_hover(dip, plan.problem.process.speed) for dip in shown], dtype=object)
+    traces = []
+    for bundle in bundles:
+        mine = np.isin(layers, bundle)
+        x, y, z = points[mine].T
+        trace = {"type": "scatter3d", "mode": "markers", "x": x, "y": y, "z": z, "marker": MARK, "showlegend": False}
+        traces.append(trace | {"name": "dips", "hoverinfo": "text", "hovertext": list(words[mine])})
+    return traces
+
+
+def dips_section(plan: Plan) -> str:
+    """HTML of the dips: how many, what they cost, by cause, and the worst of them with what would avoid each."""
+    head = "<h2>Dips in speed</h2>"
+    if not plan.dips:
+        return head + "<p class=note>None: all beads are printed at the commanded speed, within 2 %.</p>"
+    shown = worst_first(plan.dips)[:MOST_ROWS]
+    count, lost = len(plan.dips), sum(dip.lost for dip in plan.dips)
+    many = f"The {len(shown)} of {number(count, 0)} that cost most" if count > len(shown) else "Most costly first"
+    flows = any(dip.over_extruded for dip in plan.dips)
+    rows = "".join(_row(dip, plan.problem.process.speed, flows) for dip in shown)
+    extra = "<th>too much material, mm³</th>" if flows else ""
+    return (
+        f"{head}<p class=note>{number(count, 0)} {'dips cost' if count > 1 else 'dip costs'} {number(lost, 2)} s. In the "
+        "print above each is a white mark, to be pointed at.</p>"
+        f"{_causes(plan.dips)}<h3>{many}</h3>"
+        "<p class=note>What would avoid a dip, each by itself: the speed and the limits follow exactly from this motion "
+        "held at constant speed; what is “about” is an estimate. The search sees a change too, so that a new plan may "
+        "come out better or worse.</p>"
+        "<div class=wide><table><thead><tr><th class=left>where</th><th>lowest, mm/s</th><th>lost, s</th>"
+        f"<th class=left>why</th>{extra}<th class=left>what would avoid it</th></tr></thead>"
+        f"<tbody>{rows}</tbody></table></div>"
+    )
+
+
+def place_words(dip: Dip) -> str:
+    """Where a dip is, in words."""
+    return f"bead {dip.bead}, layer {dip.layer + 1}, {dip.from_s * 1e3:.1f} to {dip.to_s * 1e3:.1f} mm along it"
+
+
+def _causes(dips: Sequence[Dip]) -> str:
+    """A table: how many dips each joint's limit asks for, and what they cost."""
+    groups: dict[str, list[Dip]] = defaultdict(list)
+    for dip in dips:
+        groups[dip.cause].append(dip)
+    ordered = sorted(groups.items(), key=lambda item: -sum(dip.lost for dip in item[1]))
+    rows = "".join(
+        f"<tr><th scope=row>{escape(cause)}</th><td class=n>{number(len(group), 0)}</td>"
+        f"<td class=n>{number(sum(dip.lost for dip in group), 2)}</td>"
+        f"<td class=n>{number(min(dip.speed for dip in group) * 1e3, 1)}</td></tr>"
+        for cause, group in ordered
+    )
+    return (
+        "<div class=wide><table><thead><tr><th class=left>why</th><th>dips</th><th>lost, s</th><th>lowest, mm/s</th>"
+        f"</tr></thead><tbody>{rows}</tbody></table></div>"
+    )
+
+
+def _row(dip: Dip, commanded: float, flows: bool) -> str:
+    extra = f"<td class=n>{number(dip.over_extruded * 1e9, 3)}</td>" if flows else ""
+    remedies = "<br>".join(escape(remedy.words) for remedy in dip.remedies) or "–"
+    return (
+        f"<tr><td class=where>{escape(place_words(dip))}</td><td class=n>{number(dip.speed * 1e3, 1)} of "
+        f"{commanded * 1e3:g}</td><td class=n>{number(dip.lost, 3)}</td><td>{escape(dip.cause)}</td>{extra}"
+        f"<td class=where>{remedies}</td></tr>"
+    )
+
+
+def _hover(dip: Dip, commanded: float) -> str:
+    lines = [
+        place_words(dip),
+        f"{dip.speed * 1e3:.1f} of {commanded * 1e3:g} mm/s, {dip.lost:.3f} s lost",
+        f"why: {dip.cause}",
+        *(f"{'or' if k else 'would avoid it:'} {remedy.words}" for k, remedy in enumerate(dip.remedies)),
+    ]
+    return "<br>".join(map(escape, lines))
