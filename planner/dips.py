@@ -8,16 +8,17 @@ corner grows with the tolerance, so that second derivatives fall with it and thi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
+from scipy.spatial import cKDTree
 
 from planner.cell import Cell
 from planner.extrusion import deposited_volume
-from planner.nearest import distance_to_polyline
 from planner.plan import Dip, Remedy, Trajectory
 from planner.problem import Problem
 from planner.resolve.jointpath import JointPath
@@ -33,23 +34,30 @@ ORDERS = np.array([1, 2, 3])
 # Of a joint in the problem file: its key, its unit in SI, the greatest value that the file may hold.
 KEYS = (("speed_deg_s", np.pi / 180.0, 1e4), ("acceleration_rad_s2", 1.0, 1e4), ("jerk_rad_s3", 1.0, 1e7))
 WIDEST_TOLERANCE, LONGEST_RUN = 5e-3, 0.1  # m, that the problem file may hold
+_CORNER_LENGTH = 10.0  # tolerances that a rounded corner is long: it has to fit into the bead
 SLOWEST = 1e-4  # m/s, that it may hold
-ROUNDED = 0.25  # of the tolerance: where the path is further off the drawn one, rounding shapes it
+MOST_TIMES = 100.0  # by which a limit may have to be raised to be told: no robot is so much better than its file says
+CORNER = np.radians(20.0)  # by which the drawn path turns over two tolerances, where rounding shapes it
+_BESIDE = 2.0  # tolerances from there to the bead, at most
 REFINE = 4  # places looked at between two samples of the task
 DIGITS = 3  # of a value that is told
+_ROUNDING = 1e-12  # relative
 _NEGLIGIBLE = 5e-3  # of a dip's volume: less is not told as over-extrusion
 
 
 @dataclass(frozen=True)
 class _Line:
-    """What all dips of a bead share: the task's geometry by its samples' index, and where rounding shapes it."""
+    """What all dips of a bead share: the task's geometry by its samples' index, and the drawn path's corners (k, 3),
+    joints' names and their velocity, acceleration and jerk limits (nj, 3)."""
 
     path: JointPath
     bead: Bead
     spline: BSpline
-    off: Array
+    corners: Array
+    names: tuple[str, ...]
+    limits: Array
 
-    def ceilings(self, cell: Cell, low: float, high: float) -> tuple[Array, Array]:
+    def ceilings(self, low: float, high: float) -> tuple[Array, Array]:
         """Greatest constant speed (k, nj, 3) that each limit allows at places between two arc lengths, which are
         (k) too. A place where samples coincide has no direction and is left out."""
         s = self.path.task.s
@@ -64,12 +72,14 @@ class _Line:
         by_sss = (third[:, :-1] - 3.0 * by_ss * s1 * s2 - by_s * s3) / s1**3
         rates = np.abs(np.stack([by_s, by_ss, by_sss], axis=-1))
         with np.errstate(divide="ignore"):
-            return (HEADROOM * _limits(cell) / rates) ** (1.0 / ORDERS), np.asarray(self.spline(u))[:, -1]
+            return (HEADROOM * self.limits / rates) ** (1.0 / ORDERS), np.asarray(self.spline(u))[:, -1]
 
-    def rounded(self, low: float, high: float, tolerance: float) -> bool:
-        """Whether rounding of corners shapes the bead between two arc lengths."""
-        inside = (self.bead.s >= low) & (self.bead.s <= high)
-        return bool((self.off[inside] > ROUNDED * tolerance).any())
+    def corner(self, low: float, high: float, tolerance: float) -> bool:
+        """Whether the drawn path has a corner beside the bead between two arc lengths."""
+        points = self.bead.points[(self.bead.s >= low) & (self.bead.s <= high)]
+        if len(points) == 0 or len(self.corners) == 0:
+            return False
+        return bool(cKDTree(self.corners).query(points)[0].min() <= _BESIDE * tolerance)
 
 
 @dataclass(frozen=True)
@@ -98,18 +108,31 @@ def find_dips(
     for first, last in zip(slow[np.append(0, cut)], slow[np.append(cut - 1, -1)], strict=True):
         i = int(t.bead[first])
         if line is None or line.path.task.bead != i:
-            line = _line(toolpath.beads[i], paths[i])
-        dips.append(_dip(problem, cell, line, t, int(first), int(last)))
+            line = _line(cell, toolpath.beads[i], paths[i], problem.process.corner_tolerance)
+        dips.append(_dip(problem, line, t, int(first), int(last)))
     return tuple(dips)
 
 
-def _line(bead: Bead, path: JointPath) -> _Line:
+def _line(cell: Cell, bead: Bead, path: JointPath, tolerance: float) -> _Line:
     n = len(path.task)
     spline = make_interp_spline(np.arange(n, dtype=float), np.column_stack([path.q, path.task.s]), k=min(5, n - 1))
-    return _Line(path, bead, spline, distance_to_polyline(bead.points, bead.source))
+    limits = np.column_stack([cell.limits.velocity, cell.limits.acceleration, cell.limits.jerk])
+    corners = bead.source[_turns(bead.source, tolerance) > CORNER]
+    return _Line(path, bead, spline, corners, cell.joint_names, limits)
 
 
-def _dip(problem: Problem, cell: Cell, line: _Line, t: Trajectory, first: int, last: int) -> Dip:
+def _turns(path: Array, reach: float) -> Array:
+    """Angle [rad] between the ways by which a polyline (m, 3) comes to and leaves each vertex, over `reach` [m]."""
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+
+    def at(s: Array) -> Array:
+        return np.column_stack([np.interp(s, arc, column) for column in path.T])
+
+    come, leave = path - at(arc - reach), at(arc + reach) - path
+    return np.arctan2(np.linalg.norm(np.cross(come, leave), axis=1), (come * leave).sum(axis=1))
+
+
+def _dip(problem: Problem, line: _Line, t: Trajectory, first: int, last: int) -> Dip:
     """The dip between two samples, both included."""
     rows = slice(first, last + 1)
     at = first + int(np.argmin(t.speed[rows]))
@@ -118,7 +141,7 @@ def _dip(problem: Problem, cell: Cell, line: _Line, t: Trajectory, first: int, l
     low = 0.0 if begins else 0.5 * float(t.s[first - 1] + t.s[first])
     high = line.bead.length if ends else 0.5 * float(t.s[last] + t.s[last + 1])
     stretch = _Stretch(low, high, begins, ends, float(t.s[at]), float(t.speed[at]))
-    joint, limit, remedies = _cause(problem, cell, line, stretch)
+    joint, limit, remedies = _cause(problem, line, stretch)
     return Dip(
         bead=line.path.task.bead,
         layer=int(t.layer[at]),
@@ -146,28 +169,26 @@ def _over_extruded(bead: Bead, t: Trajectory, rows: slice, low: float, high: flo
     return over if abs(over) > _NEGLIGIBLE * held else 0.0
 
 
-def _cause(problem: Problem, cell: Cell, line: _Line, dip: _Stretch) -> tuple[str, str, tuple[Remedy, ...]]:
+def _cause(problem: Problem, line: _Line, dip: _Stretch) -> tuple[str, str, tuple[Remedy, ...]]:
     """Joint, limit and remedies of a dip."""
     task = line.path.task
     if any(dip.low <= stop.s <= dip.high for stop in task.stops):
         return "", "stop", ()
     # what asks for a low speed at a bead's end may stand in its run
-    ceilings, places = line.ceilings(cell, task.s[0] if dip.begins else dip.low, task.s[-1] if dip.ends else dip.high)
+    ceilings, places = line.ceilings(task.s[0] if dip.begins else dip.low, task.s[-1] if dip.ends else dip.high)
     if len(places) == 0:
         return "", "shape", ()
     _, joint, order = np.unravel_index(int(np.argmin(ceilings)), ceilings.shape)
     if ceilings.min() < AT_SPEED * problem.process.speed:
-        return cell.joint_names[joint], LIMITS[order], _remedies(problem, cell, line, dip, ceilings, places)
+        return line.names[joint], LIMITS[order], _remedies(problem, line, dip, ceilings, places)
     if dip.begins or dip.ends:
         start = dip.begins and (not dip.ends or dip.at < 0.5 * line.bead.length)
         more = dip.high if start else line.bead.length - dip.low
         return "", "start" if start else "end", _longer_run(problem, problem.process.run_in + more)
-    return cell.joint_names[joint], LIMITS[order], ()  # no limit asks for it: the one that is nearest is named
+    return line.names[joint], LIMITS[order], ()  # no limit asks for it: the one that is nearest is named
 
 
-def _remedies(
-    problem: Problem, cell: Cell, line: _Line, dip: _Stretch, ceilings: Array, places: Array
-) -> tuple[Remedy, ...]:
+def _remedies(problem: Problem, line: _Line, dip: _Stretch, ceilings: Array, places: Array) -> tuple[Remedy, ...]:
     """What would let the commanded speed be held where ceilings (k, nj, 3) are below it: speed, limits, geometry."""
     speed = problem.process.speed
     slowest = ceilings.min(axis=(1, 2))
@@ -178,12 +199,13 @@ def _remedies(
     if slower >= SLOWEST:
         out.append(Remedy("speed", (("process.speed_mm_s", _down(slower * 1e3)),), exact))
     each = ceilings.min(axis=0)
-    needed = _limits(cell) * (speed / each) ** ORDERS
+    needed = line.limits * (speed / each) ** ORDERS
     short = np.argwhere(each < speed)
     short = short[np.argsort(each[each < speed], kind="stable")]  # the one that sets the speed comes first
     values = [float(needed[j, k]) / KEYS[k][1] for j, k in short]
-    if all(value <= KEYS[k][2] for value, (_, k) in zip(values, short, strict=True)):
-        names = [f"cell.limits.{cell.joint_names[j]}.{KEYS[k][0]}" for j, k in short]
+    told = (needed / line.limits).max() <= MOST_TIMES
+    if told and all(value <= KEYS[k][2] for value, (_, k) in zip(values, short, strict=True)):
+        names = [f"cell.limits.{line.names[j]}.{KEYS[k][0]}" for j, k in short]
         out.append(Remedy("limits", tuple(zip(names, map(_up, values), strict=True)), exact))
     return (*out, *_larger_shape(problem, line, dip, ceilings, places))
 
@@ -199,7 +221,9 @@ def _larger_shape(problem: Problem, line: _Line, dip: _Stretch, ceilings: Array,
     if np.minimum(tight, length - tight).max() < process.corner_tolerance:  # all in a run, or just before it
         return _longer_run(problem, process.run_in * (process.speed / dip.lowest) ** 2 if dip.lowest > 0.0 else np.inf)
     wider = process.corner_tolerance * _growth(ceilings, process.speed)
-    if wider > WIDEST_TOLERANCE or not line.rounded(float(tight[0]), float(tight[-1]), process.corner_tolerance):
+    if wider > min(WIDEST_TOLERANCE, length / _CORNER_LENGTH) or not line.corner(
+        float(tight[0]), float(tight[-1]), process.corner_tolerance
+    ):
         return ()
     return (Remedy("corner_tolerance", (("process.corner_tolerance_mm", _up(wider * 1e3, 2)),), False),)
 
@@ -219,18 +243,13 @@ def _growth(ceilings: Array, speed: float) -> float:
     return float(((speed / lowest[1:]) ** (ORDERS[1:] / (ORDERS[1:] - 1.0))).max())
 
 
-def _limits(cell: Cell) -> Array:
-    """Velocity, acceleration and jerk limits (nj, 3)."""
-    return np.column_stack([cell.limits.velocity, cell.limits.acceleration, cell.limits.jerk])
-
-
 def _down(value: float, digits: int = DIGITS) -> float:
     """A positive value rounded down to so many digits that count."""
-    unit = 10.0 ** (np.floor(np.log10(value)) + 1 - digits)
-    return float(np.round(np.floor(value / unit * (1.0 + 1e-12)) * unit, 12))
+    places = digits - 1 - math.floor(math.log10(value))
+    return round(math.floor(value * 10.0**places * (1.0 + _ROUNDING)) / 10.0**places, max(places, 0))
 
 
 def _up(value: float, digits: int = DIGITS) -> float:
     """A positive value rounded up to so many digits that count."""
-    unit = 10.0 ** (np.floor(np.log10(value)) + 1 - digits)
-    return float(np.round(np.ceil(value / unit * (1.0 - 1e-12)) * unit, 12))
+    places = digits - 1 - math.floor(math.log10(value))
+    return round(math.ceil(value * 10.0**places * (1.0 - _ROUNDING)) / 10.0**places, max(places, 0))

@@ -44,13 +44,14 @@ def line_of(q: Callable[[Array], Array], run: float = 0.01, n: int = 1200, **mor
     return JointPath(task, np.zeros(n), np.zeros((n, 2)), q(s), 0)
 
 
-def bead_of(path: JointPath, off: float = 0.0) -> Bead:
-    """The bead under such a path; its input path stands `off` [m] beside it."""
-    s = np.linspace(0.0, LENGTH, 500)
+def bead_of(turn: float = 0.0) -> Bead:
+    """The bead under such a path; the drawn one turns aside in its middle by an angle [rad]."""
+    s = np.linspace(0.0, LENGTH, 501)
     points = np.column_stack([s, np.zeros((len(s), 2))])
     up = np.tile([0.0, 0.0, 1.0], (len(s), 1))
     along = np.tile([1.0, 0.0, 0.0], (len(s), 1))
-    return Bead("line", 0, s, points, up, along, points + [0.0, off, 0.0], 0.6e-3, 0.5e-3, False)
+    drawn = points + np.column_stack([0 * s, np.tan(turn) * np.maximum(s - 0.5 * LENGTH, 0.0), 0 * s])
+    return Bead("line", 0, s, points, up, along, drawn, 0.6e-3, 0.5e-3, False)
 
 
 def samples(s: Array, flow: Array | None = None) -> Trajectory:
@@ -79,10 +80,12 @@ def with_limits(cell: Cell, **changes: Array) -> Cell:
     return replace(cell, limits=replace(cell.limits, **changes))
 
 
-def dips_of(cell: Cell, path: JointPath, trajectory: Trajectory, off: float = 0.0, **process: float) -> tuple[Dip, ...]:
+def dips_of(
+    cell: Cell, path: JointPath, trajectory: Trajectory, turn: float = 0.0, **process: float
+) -> tuple[Dip, ...]:
     problem = small_problem()
     problem = problem.model_copy(update={"process": problem.process.model_copy(update=process)})
-    return find_dips(problem, cell, Toolpath((bead_of(path, off),), None), (path,), trajectory)  # type: ignore[arg-type]
+    return find_dips(problem, cell, Toolpath((bead_of(turn),), None), (path,), trajectory)  # type: ignore[arg-type]
 
 
 def remedy(dip: Dip, kind: str) -> Remedy:
@@ -128,14 +131,14 @@ def test_cause_and_remedies_of_one_swing_in_closed_form(cell: Cell, order: int) 
     assert dip.over_extruded == 0.0
     speed = remedy(dip, "speed")
     assert speed.exact
-    assert speed.changes[0][1] == pytest.approx(0.5 * SPEED * 1e3, rel=5e-3)
+    assert speed.changes[0][1] == pytest.approx(0.5 * SPEED * 1e3, rel=1.01e-2)
     assert speed.changes[0][1] <= 0.5 * SPEED * 1e3
     limits = remedy(dip, "limits")
     unit = np.pi / 180.0 if order == 1 else 1.0
     ((field, value),) = limits.changes
     assert limits.exact
     assert field == f"cell.limits.joint_4.{next(k for k, v in FIELDS.items() if v == name)}"
-    assert value * unit == pytest.approx(bound[joint] * 2.0**order, rel=5e-3)
+    assert value * unit == pytest.approx(bound[joint] * 2.0**order, rel=1.01e-2)  # three digits, rounded up
     assert value * unit >= bound[joint] * 2.0**order * (1 - 1e-4)
 
 
@@ -208,8 +211,8 @@ def test_a_joint_that_is_short_at_the_start_is_named(cell: Cell) -> None:
 def test_corner_tolerance_is_named_where_rounding_shapes_the_path(cell: Cell, tight: float) -> None:
     cell = with_limits(cell, jerk=tight * cell.limits.jerk)
     path, trajectory = line_of(bump(2, 0.02, 2e-3)), slowed((0.044, 0.056, 0.02))
-    (smooth,) = dips_of(cell, path, trajectory, off=0.0)
-    (corner,) = dips_of(cell, path, trajectory, off=0.15e-3)
+    (smooth,) = dips_of(cell, path, trajectory, turn=np.radians(15.0))
+    (corner,) = dips_of(cell, path, trajectory, turn=np.radians(30.0))
     assert "corner_tolerance" not in [each.kind for each in smooth.remedies]
     about = remedy(corner, "corner_tolerance")
     assert not about.exact
