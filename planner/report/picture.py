@@ -172,7 +172,7 @@ def _draw_words(figure: Figure, summary: dict[str, Any], commanded: float) -> No
         if isinstance(metrics.get(key), int | float):
             figure.text(0.675, y, form.format(metrics[key] * scale), fontsize=13, weight="bold", color=INK, ha="right")
             figure.text(0.687, y, label, fontsize=12, color=SOFT)
-            y -= 0.052
+            y -= 0.046
 
 
 def _draw_speed(
