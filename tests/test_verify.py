@@ -891,13 +891,13 @@ def files(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 
 def test_the_files_have_the_promised_fields(files: Files) -> None:
-    promised = "problem strategy verified checks metrics cell timing_s versions"
+    promised = "problem strategy verified checks metrics dips events cell timing_s versions"
     assert set(promised.split()) <= set(files.plan)
     metrics = """
     waypoints beads layers deposited_length_mm deposition_time_s ideal_deposition_time_s print_time_s at_speed_fraction
     speed_min_mm_s speed_max_mm_s sigma_min sigma_p01 wrist_margin_deg joint_limit_margin_deg velocity_ratio_max
     acceleration_ratio_max jerk_ratio_max position_error_max_mm axis_error_max_deg path_deviation_max_mm
-    clearance_min_mm branch_changes_in_deposition extruded_mm extruded_volume_mm3
+    clearance_min_mm branch_changes_in_deposition extruded_mm extruded_volume_mm3 bound_deposition_time_s
     """
     assert set(metrics.split()) == set(files.metrics)
     assert {"load", "toolpath", "resolve", "timing", "verify", "export", "total"} <= set(files.plan["timing_s"])
