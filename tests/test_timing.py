@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
+from scipy.ndimage import uniform_filter1d
 from scipy.optimize import linprog
 from toppra import algorithm, constraint
 
@@ -155,7 +156,7 @@ def test_the_bound_of_straight_joint_motion_is_the_trapezoid(cell: Cell) -> None
     s = np.linspace(0.0, length, n)
     q = np.zeros((n, 7))
     q[:, 5] = turn * s / length
-    gain = HEADROOM * cell.limits.acceleration[5] * length / turn  # of the tip, m/s^2
+    gain = cell.limits.acceleration[5] * length / turn  # of the tip, m/s^2
     assert bound_time(cell, path_of(q, s, speed)) == pytest.approx(length / speed + speed / gain, rel=1e-3)
 
 
@@ -183,12 +184,16 @@ def test_a_dip_is_local(cell: Cell) -> None:
     assert places.max() < 0.11
 
 
-def test_joints_that_never_move_cost_no_time(cell: Cell) -> None:
+@pytest.mark.parametrize("closer", [1.0, 0.1, 0.01])
+def test_joints_that_never_move_cost_no_time(cell: Cell, closer: float) -> None:
+    """However close the samples are in the middle of the path, and then at its ends."""
     n = 300
-    s = np.linspace(0.0, 0.1, n)
+    steps = np.where(np.abs(np.arange(n - 1) - 150) < 40, closer, 1.0)
+    s = np.concatenate([[0.0], np.cumsum(uniform_filter1d(uniform_filter1d(steps, 15), 15))])
+    s *= 0.1 / s[-1]
     timed = sampled(cell, path_of(np.tile(cell.home, (n, 1)), s, 0.04))
     assert np.isfinite(timed.q).all()
-    assert timed.timed.duration < 0.1 / 0.04 * 1.02
+    assert timed.timed.duration < 0.1 / 0.04 * 1.04
 
 
 # --- the profile itself -----------------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ GRID = 2.5e-3  # s between grid points, about: an eighth of the time in which an
 ACCURACY = 1e-4  # share of the time by which the optimum may be missed
 _DIP = 20e-3  # s: the width over which a slow place slows its neighbourhood, where the method starts
 _SLOWEST = 1e-3  # of the commanded rate: the grid is not made finer for slower places
-_FASTEST = 25.0  # squared rates above which the nominal motion never goes
+_FASTEST = 1e4  # times the nominal motion: where samples coincide there is no other bound
 _LEAD = 0.08  # share of a ramp from rest that is begun with a constant rate, where limits bind only together
 _LEAST_INTERVALS = 60
 _LEAST_RATE = 1e-12  # squared: keeps what rounding leaves of rest above 0
@@ -135,8 +135,7 @@ def _program(stretch: Stretch, v: Array, a: Array, j: Array) -> _Program:
     slope = 2.0 / (around[:-1] + around[1:])
     points = stretch.rates(sigma, 3)
     middles = stretch.rates(sigma[:-1] + 0.5 * h, 3)
-    with np.errstate(divide="ignore"):
-        ceiling = np.minimum((v / np.abs(points[0])).min(axis=1) ** 2, _FASTEST)
+    ceiling = _ceiling(stretch, v, sigma, points[0])
     for end, lead in enumerate(leads):  # rows of the grid do not see the leads: there x is that of the grid's end
         if lead > 0.0:
             within = np.linspace(0.0, lead, 9)
@@ -177,9 +176,16 @@ def _allowed(stretch: Stretch, v: Array, a: Array, j: Array, sigma: Array) -> Ar
     """Largest constant x (k) that the limits allow at sigma (k)."""
     first, second, third = stretch.rates(sigma, 3)
     with np.errstate(divide="ignore"):
-        x = np.minimum((v / np.abs(first)).min(axis=1) ** 2, (a / np.abs(second[:, :-1])).min(axis=1))
+        x = np.minimum(_ceiling(stretch, v, sigma, first), (a / np.abs(second[:, :-1])).min(axis=1))
         x = np.minimum(x, (j / np.abs(third[:, :-1])).min(axis=1) ** (2.0 / 3.0))
-    return np.asarray(np.clip(x, _LEAST_RATE, _FASTEST))
+    return np.asarray(np.maximum(x, _LEAST_RATE))
+
+
+def _ceiling(stretch: Stretch, v: Array, sigma: Array, first: Array) -> Array:
+    """Largest x (k) that speed limits allow at sigma (k), where first (k, nj + 1) are the rates of order 1."""
+    with np.errstate(divide="ignore"):
+        rate = np.minimum((v[:-1] / np.abs(first[:, :-1])).min(axis=1), v[-1] / np.abs(stretch.along(sigma)))
+    return np.asarray(np.minimum(rate, _FASTEST) ** 2)
 
 
 def _grid(stretch: Stretch, leads: tuple[float, float], allowed: Callable[[Array], Array]) -> tuple[Array, Array]:

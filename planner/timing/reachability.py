@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.resolve.jointpath import JointPath
-from planner.timing.profile import HEADROOM
 from planner.timing.timed_path import stretches_of
 
 Array = NDArray[np.float64]
@@ -30,11 +29,11 @@ _HALVINGS = 44  # of the interval in which a largest feasible x is sought: to 1e
 def bound_time(cell: Cell, path: JointPath) -> float:
     """Time [s] that deposition takes at least, from rest to rest and to the task's stops, without limits on jerk.
 
-    Rests at stops are not counted.
+    No headroom is kept below the limits. Rests at stops are not counted.
     """
     task, total = path.task, 0.0
     spline, stretches = stretches_of(path, (False, False))
-    v = np.append(HEADROOM * cell.limits.velocity, task.speed)
+    v = np.append(cell.limits.velocity, task.speed)
     for stretch in stretches:
         intervals = max(int(np.ceil(REFINE * (stretch.last - stretch.first) / stretch.spacing)), REFINE)
         grid = np.linspace(stretch.first, stretch.last, intervals + 1)
@@ -43,7 +42,7 @@ def bound_time(cell: Cell, path: JointPath) -> float:
         with np.errstate(divide="ignore"):
             ceiling = (v / np.abs(first)).min(axis=1) ** 2
         slopes = np.ascontiguousarray(first[:, :-1])
-        x = fastest_profile(slopes, second, ceiling, HEADROOM * cell.limits.acceleration, float(grid[1] - grid[0]))
+        x = fastest_profile(slopes, second, ceiling, cell.limits.acceleration, float(grid[1] - grid[0]))
         rate = np.sqrt(x)
         times = np.concatenate([[0.0], np.cumsum(2.0 * np.diff(grid) / (rate[1:] + rate[:-1]))])
         s = spline(grid)[:, -1]

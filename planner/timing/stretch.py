@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 Array = NDArray[np.float64]
+_LEAST_NOMINAL = 0.2  # of the nominal motion's full rate: below it counts as nearly at rest
 _MEAN = 0.6  # mean speed of a nominal ramp over its last
 
 
@@ -46,6 +47,14 @@ class Stretch:
         """Of the path's knots, of which there is at least one interval."""
         knots = np.unique(self.path.t)
         return float((knots[-1] - knots[0]) / (len(knots) - 1))
+
+    def along(self, sigma: Array) -> Array:
+        """Rate of arc length by sigma (k), where the nominal motion is nearly at rest as if it were not [m].
+
+        So a commanded speed bounds profiles there too, which the vanishing rate itself would leave free.
+        """
+        u, u1, _, _ = self._nominal(sigma)
+        return np.asarray(self.path(u, 1))[:, -1] * np.maximum(u1, _LEAST_NOMINAL)
 
     def u(self, sigma: Array) -> Array:
         """Path parameter (k) at sigma (k)."""
