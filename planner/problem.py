@@ -32,6 +32,7 @@ from planner.problem_fields import (
 from planner.problem_fields import key as _key
 from planner.problem_file import Source, apply_overrides, find_problem, read_problem_file, shipped_problems
 from planner.problem_mistakes import first_mistake
+from planner.problem_process import AroundBeadSpec
 from planner.problem_sources import AnyLayersSpec, LayersSpec, PartSpec, WaypointLayersSpec, WaypointsSpec
 
 __all__ = [
@@ -174,8 +175,8 @@ class ConesSpec(Section):
     )
 
 
-class ProcessSpec(Section):
-    """How material is laid down."""
+class ProcessSpec(AroundBeadSpec):
+    """How material is laid down, and what happens around a bead."""
 
     speed: Speed = _key("speed_mm_s", "speed of the nozzle along the part while printing [mm/s]")
     travel_speed: Speed = _key("travel_speed_mm_s", "greatest speed between beads [mm/s]")
@@ -186,10 +187,6 @@ class ProcessSpec(Section):
     chord_tolerance: Annotated[float, Quantity("mm", 0.0005, 1)] = _key(
         "chord_tolerance_mm", "how far curves may leave the lines that approximate them [mm]", 0.01
     )
-    run_in: Annotated[float, Quantity("mm", 0.5, 100)] = _key(
-        "run_in_mm", "length of run-in and run-out, where speed is gained and lost and nothing deposited [mm]", 3
-    )
-    lift: Annotated[float, Quantity("mm", 1, 500)] = _key("lift_mm", "least height of travel above the surface [mm]", 5)
     cones: ConesSpec = _key("cones", "how far nozzle and layer may lean; each has a default", {})
     filament_diameter: Annotated[float, Quantity("mm", 0.5, 10)] = _key(
         "filament_diameter_mm", "diameter of the filament that the extruder pushes [mm]", 1.75

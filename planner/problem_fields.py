@@ -44,6 +44,8 @@ _TO_SI: dict[str, Callable[[float], float]] = {
     "deg/s": math.radians,
     "rad/s2": float,
     "rad/s3": float,
+    "s": float,
+    "°C": float,
     "": float,
 }
 

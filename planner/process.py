@@ -1,19 +1,32 @@
-"""What happens around a bead: run-in and run-out, where the nozzle moves but nothing is deposited."""
+"""What happens around a bead: run-in and run-out, where the nozzle moves and nothing is deposited; where fibre is cut;
+how long the extruder needs between beads."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import make_interp_spline
 
+from planner.errors import InputError
+from planner.problem import ProcessSpec
+from planner.problem_process import FibreSpec
+from planner.run_ends import End, end_of
 from planner.toolpath.bead import Bead
 
 Array = NDArray[np.float64]
+Complaint = Callable[..., InputError]
 
 RISE_PER_LENGTH = 0.5  # height of the far end of a run over its length: clears a bead within the run's last half
-_STRAIGHTEN = 0.4  # share of a run in which the bead's curvature fades to a straight line
+_STRAIGHTEN = 0.4  # greatest share of a run in which the bead's curvature fades to a straight line
+_BENT = 0.5  # share of a run in which it bends up to its ramp, which is straight from there on
+_TURN = 1.0  # rad; twice what a run turns at most before it is straight, where the samples allow it
+_GROWTH = 0.7  # twice the logarithm of how far the samples' distance changes along a run
+_FADE = 3.0  # samples in which anything fades at least: quicker would be a step to whoever reads the samples
+_FEWEST = 8.0  # samples of a run at least: fewer cannot show its shape, so a coarse bead has longer runs
+_MOST = 500.0  # samples of a run, about: a bead that begins with closer ones has runs that thin them out
+_THINNING = 10.0  # samples in which their distance grows e-fold
 _SUBSTEPS = 8  # of the integration of a run, per sample
 
 
@@ -33,14 +46,15 @@ class Run:
     last: int
 
 
-def with_runs(bead: Bead, length: float) -> Run:
-    """Extend a bead by a run-in and a run-out of `length` [m] each.
+def with_runs(bead: Bead, length: float, ramp: float | None = None) -> Run:
+    """Extend a bead by a run-in and a run-out of `length` [m] each, or of eight of its samples if these are longer.
 
-    A run leaves along the bead's tangent with its curvature (continuous to the second derivative), becomes
-    straight, and rises from the surface with the cube of the distance.
+    A run leaves along the bead's tangent with its curvature (continuous to the second derivative) and becomes
+    straight. Without a `ramp` it rises from the surface with the cube of the distance, which is then counted along
+    the surface; else its far half is straight and stands at the angle `ramp` [rad] to the bead's surface at that end.
     """
-    before, s_before = _leave(bead, length, at_end=False)
-    after, s_after = _leave(bead, length, at_end=True)
+    before, s_before = _leave(end_of(bead, at_end=False), length, ramp)
+    after, s_after = _leave(end_of(bead, at_end=True), length, ramp)
     points, normals, roll_zero = (
         np.vstack([a[::-1], here, b])
         for a, here, b in zip(before, (bead.points, bead.normals, bead.roll_zero), after, strict=True)
@@ -53,27 +67,66 @@ def with_runs(bead: Bead, length: float) -> Run:
     return Run(points, normals, roll_zero, s, first, first + len(bead.points) - 1)
 
 
-def _leave(bead: Bead, length: float, at_end: bool) -> tuple[tuple[Array, Array, Array], Array]:
+def _leave(end: End, length: float, ramp: float | None) -> tuple[tuple[Array, Array, Array], Array]:
     """Samples (m, 3) of points, normals and roll directions beyond one end, walking away from the bead, and the
     arc length (m) from that end."""
-    k = min(len(bead.points), 12)  # enough samples for the end's derivatives
-    take = slice(-1, -k - 1, -1) if at_end else slice(0, k)
-    rows = np.hstack([bead.points[take], bead.normals[take], bead.roll_zero[take]])
-    spline = make_interp_spline(np.arange(k, dtype=float), rows, k=min(5, k - 1))
-    values, slopes, bends = (np.split(sign * spline(0.0, order), 3) for order, sign in ((0, 1.0), (1, -1.0), (2, 1.0)))
-    step = float(np.linalg.norm(slopes[0]))
-    m = max(int(np.ceil(length / step)), 4)
-    u = np.arange(m * _SUBSTEPS + 1) / _SUBSTEPS
-    fade = _fade(u / (_STRAIGHTEN * m))
-    # x'' = x''(0) fade: the point's slope settles; n' = (n'(0) + n''(0) u) fade: the nozzle stops turning
-    slope = slopes[0] + bends[0] * _integral(fade, u)[:, None]
-    points = values[0] + _integral(slope, u)
-    turned = [values[i] + _integral((slopes[i] + bends[i] * u[:, None]) * fade[:, None], u) for i in (1, 2)]
-    away = np.linalg.norm(points - values[0], axis=1)
-    points = points + (RISE_PER_LENGTH * length * (away / length) ** 3)[:, None] * turned[0]
+    length = max(length, _FEWEST * end.step)
+    far = _distances(end, length)
+
+    # the curvature fades, so that the tangent turns about one axis by less and less
+    bend = float(np.linalg.norm(end.bend))
+    angle = bend * _faded(far, _within(end, length, bend))
+    across = end.bend / bend if bend > 0.0 else end.bend
+    along = np.cos(angle)[:, None] * end.tangent + np.sin(angle)[:, None] * across
+    normal = end.frame[:, 2]
+    if ramp is not None:
+        along = _raised(along, far / length, ramp, normal, end.frame[:, 0])
+    points = end.point + _integral(along, far)
+    if ramp is None:
+        points = points + (RISE_PER_LENGTH * length * (far / length) ** 3)[:, None] * normal
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+
     keep = slice(_SUBSTEPS, None, _SUBSTEPS)
-    return (points[keep], turned[0][keep], turned[1][keep]), arc[keep]
+    frames = end.turned(far[keep], _within(end, length, *end.turning))
+    return (points[keep], frames[:, :, 2], frames[:, :, 0]), arc[keep]
+
+
+def _distances(end: End, length: float) -> Array:
+    """Distances (m) from a bead's end along a run until `length` is reached, _SUBSTEPS of them a sample, from 0 on.
+
+    They begin as the bead's samples go on, and become even.
+    """
+    usual = length / end.step
+    fade = float(np.clip(_GROWTH / max(abs(end.growth), 1e-9), _FADE, _STRAIGHTEN * usual))
+    thin = np.log(max(usual / _MOST, 1.0))
+    over = max(_THINNING * thin, 1.0)
+    fewer = float(np.exp(-0.5 * abs(end.growth) * fade))  # samples may draw together, hence more of them
+    m = int(np.ceil(min(usual, _MOST) / fewer + over)) + 1
+    u = np.arange(m * _SUBSTEPS + 1) / _SUBSTEPS
+    step = end.step * np.exp(end.growth * _faded(u, fade) + thin * (1.0 - _fade(u / over)))
+    far = _integral(step, u)
+    samples = np.searchsorted(far[::_SUBSTEPS], (1.0 - 1e-9) * length)
+    return far[: samples * _SUBSTEPS + 1]
+
+
+def _within(end: End, length: float, *rates: float) -> float:
+    """Distance [m] in which the rates of an end's n-th derivatives (n = 1, 2; [rad/m^n]) fade."""
+    turns = [(_TURN / rate) ** (1.0 / (n + 1)) for n, rate in enumerate(rates) if rate > 0.0]
+    return float(np.clip(min(turns, default=np.inf), _FADE * end.step, _STRAIGHTEN * length))
+
+
+def _raised(along: Array, share: Array, ramp: float, normal: Array, otherwise: Array) -> Array:
+    """Directions (m, 3), turned up towards the normal until at `share` _BENT of the run they are `ramp` above the surface.
+
+    otherwise: a direction in the surface, for those that follow the normal
+    """
+    up = along @ normal
+    level = along - up[:, None] * normal
+    size = np.linalg.norm(level, axis=1)
+    level = np.where((size > 1e-6)[:, None], level / np.maximum(size, 1e-6)[:, None], otherwise)
+    elevation = np.arctan2(up, size)
+    elevation = elevation + (ramp - elevation[-1]) * (1.0 - _fade(share / _BENT))
+    return np.asarray(np.cos(elevation)[:, None] * level + np.sin(elevation)[:, None] * normal)
 
 
 def _fade(x: Array) -> Array:
@@ -82,8 +135,42 @@ def _fade(x: Array) -> Array:
     return 1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
 
 
+def _faded(x: Array, end: float) -> Array:
+    """Integral from 0 to x (m) of what is 1 at 0 and fades until `end`: half of `end` there and beyond."""
+    y = np.clip(x / end, 0.0, 1.0)
+    return end * (y - y**4 * (2.5 - 3.0 * y + y**2))
+
+
 def _integral(f: Array, u: Array) -> Array:
     """Integral of f (m, ...) over u (m) from u[0], by the trapezoidal rule."""
     mid = 0.5 * (f[1:] + f[:-1])
     steps = np.diff(u).reshape((-1,) + (1,) * (f.ndim - 1))
     return np.concatenate([np.zeros_like(f[:1]), np.cumsum(mid * steps, axis=0)])
+
+
+def cut_place(bead: Bead, fibre: FibreSpec, where: Complaint | None = None) -> float:
+    """Arc length [m] at which the fibre is cut, so that its end is laid down at the end of the bead.
+
+    `where(reason, hint)` makes the InputError for a bead that is too short, in which the fibre would not hold.
+    """
+    if bead.length >= fibre.least_length:
+        return bead.length - fibre.cut_length
+    complain = InputError if where is None else where
+    cut, laid, least = fibre.cut_length * 1e3, fibre.least_laid * 1e3, fibre.least_length * 1e3
+    raise complain(
+        f"path {bead.name!r} in layer {bead.layer} is {bead.length * 1e3:.2f} mm long, too short to be cut fibre",
+        hint=f"at least {least:g} mm: {laid:g} laid before the cut (least_laid_mm), {cut:g} after it (cut_length_mm)",
+    )
+
+
+def least_travel_time(process: ProcessSpec, leaves: bool = True, reaches: bool = True) -> float:
+    """Least time [s] between the end of a bead and the start of the next: what retract and prime take.
+
+    The runs count to it. Before the first bead nothing is left, after the last none reached: leaves, reaches.
+    """
+    return (process.retract.time if leaves else 0.0) + (prime_time(process) if reaches else 0.0)
+
+
+def prime_time(process: ProcessSpec) -> float:
+    """How long the extruder pushes filament before a bead [s]."""
+    return process.prime_length / process.prime.speed

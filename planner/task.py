@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.problem import ConesSpec
-from planner.process import with_runs
+from planner.problem import ConesSpec, Problem
+from planner.problem_process import FibreSpec
+from planner.process import Complaint, cut_place, with_runs
 from planner.readonly import ReadOnlyArrays
 from planner.toolpath.bead import Toolpath
 
@@ -58,6 +60,7 @@ class NozzleTask(ReadOnlyArrays):
     speed                commanded [m/s]
 
     cones                what the nozzle's axis may do
+    stops                where it comes to rest while material is deposited, in order of s
 
     Fixed is the tip, and the axis up to its cones; free are roll about the axis (periodic), tilt within the cone,
     and the holder's joints.
@@ -79,12 +82,37 @@ class NozzleTask(ReadOnlyArrays):
         return len(self.s)
 
 
-def make_tasks(toolpath: Toolpath, speed: float, run_length: float, cones: Cones = FREE) -> tuple[NozzleTask, ...]:
-    """One task a bead, in print order; speed [m/s], length of run-in and run-out [m]."""
+def make_tasks(
+    toolpath: Toolpath,
+    speed: float,
+    run_length: float,
+    cones: Cones = FREE,
+    ramp: float | None = None,
+    fibre: FibreSpec | None = None,
+    where: Complaint | None = None,
+) -> tuple[NozzleTask, ...]:
+    """One task a bead, in print order; speed [m/s], length of run-in and run-out [m], their ramp as in `with_runs`.
+
+    Raises InputError, made by `where`, for a bead that is too short to be laid with this fibre.
+    """
     tasks = []
     for i, bead in enumerate(toolpath.beads):
-        run = with_runs(bead, run_length)
+        stops = () if fibre is None else (Stop(cut_place(bead, fibre, where), fibre.cut_wait, "cut"),)
+        run = with_runs(bead, run_length, ramp)
         z = -run.normals
         frames = np.stack([run.roll_zero, np.cross(z, run.roll_zero), z], axis=-1)
-        tasks.append(NozzleTask(i, bead.name, bead.layer, run.points, frames, run.s, run.first, run.last, speed, cones))
+        tasks.append(
+            NozzleTask(i, bead.name, bead.layer, run.points, frames, run.s, run.first, run.last, speed, cones, stops)
+        )
     return tuple(tasks)
+
+
+def tasks_of(problem: Problem, toolpath: Toolpath) -> tuple[NozzleTask, ...]:
+    """The tasks that a problem makes of its toolpath.
+
+    Raises InputError for a bead that is too short for the problem's fibre.
+    """
+    process = problem.process
+    where = partial(problem.error, "process.fibre.cut_length_mm")
+    cones = cones_of(process.cones)
+    return make_tasks(toolpath, process.speed, process.run_in, cones, process.ramp, process.fibre, where)

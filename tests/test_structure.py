@@ -31,6 +31,7 @@ ROOMS = (
     "travel",
     "extrusion",
     "plan",
+    "events",
     "nearest",
     "motion",
     "dips",
@@ -47,7 +48,9 @@ SAME_ROOM = {
     "problem_fields": "problem",
     "problem_file": "problem",
     "problem_mistakes": "problem",
+    "problem_process": "problem",
     "problem_sources": "problem",
+    "run_ends": "process",
     "robot_files": "cell",
 }
 EVERYWHERE = {"errors"}
