@@ -27,6 +27,9 @@ _FADE = 3.0  # samples in which anything fades at least: quicker would be a step
 _FEWEST = 8.0  # samples of a run at least: fewer cannot show its shape, so a coarse bead has longer runs
 _MOST = 500.0  # samples of a run, about: a bead that begins with closer ones has runs that thin them out
 _THINNING = 10.0  # samples in which their distance grows e-fold
+_UPRIGHT = 1e-6  # sine of the angle between a bead and its normal: below, it stands upright on its surface
+_STEEP = 0.5  # cosine of a bead's elevation above its surface: a steeper one is not a bead on it
+_STEEPEST = 1.0  # rad; elevation with which a run goes on
 _SUBSTEPS = 8  # of the integration of a run, per sample
 
 
@@ -73,17 +76,10 @@ def _leave(end: End, length: float, ramp: float | None) -> tuple[tuple[Array, Ar
     length = max(length, _FEWEST * end.step)
     far = _distances(end, length)
 
-    # the curvature fades, so that the tangent turns about one axis by less and less
-    bend = float(np.linalg.norm(end.bend))
-    angle = bend * _faded(far, _within(end, length, bend))
-    across = end.bend / bend if bend > 0.0 else end.bend
-    along = np.cos(angle)[:, None] * end.tangent + np.sin(angle)[:, None] * across
-    normal = end.frame[:, 2]
-    if ramp is not None:
-        along = _raised(along, far / length, ramp, normal, end.frame[:, 0])
+    along = _directions(end, far, length, ramp)
     points = end.point + _integral(along, far)
     if ramp is None:
-        points = points + (RISE_PER_LENGTH * length * (far / length) ** 3)[:, None] * normal
+        points = points + (RISE_PER_LENGTH * length * (far / length) ** 3)[:, None] * end.frame[:, 2]
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
     keep = slice(_SUBSTEPS, None, _SUBSTEPS)
@@ -115,18 +111,29 @@ def _within(end: End, length: float, *rates: float) -> float:
     return float(np.clip(min(turns, default=np.inf), _FADE * end.step, _STRAIGHTEN * length))
 
 
-def _raised(along: Array, share: Array, ramp: float, normal: Array, otherwise: Array) -> Array:
-    """Directions (m, 3), turned up towards the normal until at `share` _BENT of the run they are `ramp` above the surface.
+def _directions(end: End, far: Array, length: float, ramp: float | None) -> Array:
+    """Directions (m, 3) of a run at distances (m), by heading in the bead's surface and elevation above it.
 
-    otherwise: a direction in the surface, for those that follow the normal
+    Both go on as the bead does, by less and less. From _BENT of the run on, the elevation is the ramp; without one it
+    is the bead's own, but never down into the surface.
     """
-    up = along @ normal
-    level = along - up[:, None] * normal
-    size = np.linalg.norm(level, axis=1)
-    level = np.where((size > 1e-6)[:, None], level / np.maximum(size, 1e-6)[:, None], otherwise)
-    elevation = np.arctan2(up, size)
-    elevation = elevation + (ramp - elevation[-1]) * (1.0 - _fade(share / _BENT))
-    return np.asarray(np.cos(elevation)[:, None] * level + np.sin(elevation)[:, None] * normal)
+    normal = end.frame[:, 2]
+    up = float(end.tangent @ normal)
+    level = end.tangent - up * normal
+    size = float(np.linalg.norm(level))
+    # a bead along its own normal has no heading: any will do
+    level = level / size if size > _UPRIGHT else end.frame[:, 0]
+    aside = np.cross(normal, level)
+    lifted = float(np.arctan2(up, size))
+    heads = float(end.bend @ aside) / max(size, _STEEP)
+    climbs = float(end.bend @ (np.cos(lifted) * normal - np.sin(lifted) * level))
+
+    faded = _faded(far, _within(end, length, float(np.linalg.norm(end.bend))))
+    heading, elevation = heads * faded, lifted + climbs * faded
+    risen = float(np.clip(elevation[-1], 0.0, _STEEPEST)) if ramp is None else ramp
+    elevation = elevation + (risen - elevation[-1]) * (1.0 - _fade(far / (_BENT * length)))
+    flat = np.cos(heading)[:, None] * level + np.sin(heading)[:, None] * aside
+    return np.asarray(np.cos(elevation)[:, None] * flat + np.sin(elevation)[:, None] * normal)
 
 
 def _fade(x: Array) -> Array:

@@ -18,6 +18,7 @@ _DEGREE = 5
 _SMOOTH = 0.4  # rad or e-folds a sample: what turns or stretches more is too coarse for a polynomial
 _AGREES = 2.0  # times what neighbouring samples turn: no smooth end turns more
 _STEEPEST = 1.0  # rad a sample that a coarse bead's end goes on with
+_WHOLE = 3.0  # rad: beyond pi a rotation vector points the other way
 _ROUNDING = 1e-9  # rad a sample
 
 
@@ -77,7 +78,7 @@ def _smooth_end(points: Array, turns: Array, frame: Array) -> End | None:
     turn = float(_angles(chords[1:], chords[:-1]).max())
     stretch = float(np.abs(np.diff(np.log(sizes))).max())
     spin = float(np.linalg.norm(np.diff(turns[: _DEGREE + 1], axis=0), axis=1).max())
-    if max(turn, stretch, spin) > _SMOOTH:
+    if max(turn, stretch, spin) > _SMOOTH or np.linalg.norm(turns, axis=1).max() > _WHOLE:
         return None
     fine = _by_polynomial(points, turns, frame)
     measured = (
@@ -114,7 +115,7 @@ def _by_arc(points: Array, turns: Array, frame: Array) -> End:
         before = float(np.linalg.norm(inner))
         growth = float(np.clip(np.log(size / before), -_SMOOTH, _SMOOTH))
         across = (tangent @ inner) * tangent - inner
-        angle = min(float(_angles(chord, inner)), _STEEPEST)
+        angle = min(float(_angles(chord, inner)), _STEEPEST * np.exp(-max(growth, 0.0)))  # the next chord is longer
         sideways = float(np.linalg.norm(across))
         if sideways > _ROUNDING * before:
             # the arc turns by as much from the middle of its last chord to the end as from the middle to the sample before

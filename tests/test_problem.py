@@ -314,6 +314,12 @@ def test_a_mistake_is_told_with_its_place(
         ("chord_tolerance_mm", 0.0005, 1, "mm"),
         ("run_in_mm", 0.5, 100, "mm"),
         ("lift_mm", 1, 500, "mm"),
+        ("prime.length_mm", 0, 100, "mm"),
+        ("prime.speed_mm_s", 0.1, 200, "mm/s"),
+        ("retract.length_mm", 0, 100, "mm"),
+        ("retract.speed_mm_s", 0.1, 200, "mm/s"),
+        ("start.purge_mm", 0, 1000, "mm"),
+        ("start.purge_speed_mm_s", 0.1, 200, "mm/s"),
         ("filament_diameter_mm", 0.5, 10, "mm"),
         ("bead.width_mm", 0.01, 50, "mm"),
         ("bead.height_mm", 0.01, 50, "mm"),
@@ -325,8 +331,110 @@ def test_ranges_include_their_ends(in_tmp: Path, key: str, low: float, high: flo
         for name in key.replace("_mm_s", "").replace("_mm", "").split("."):
             value = getattr(value, name)
         assert value == pytest.approx(good / 1000)
-    for bad in (low * 0.999, high * 1.001):
+    for bad in (low * 0.999 if low else -0.001, high * 1.001):
         assert refused(TEXT, [f"process.{key}={bad}"]).hint == f"valid: {low:g} to {high:g} {unit}"
+
+
+def test_around_a_bead_nothing_happens_by_default(in_tmp: Path) -> None:
+    process = load(TEXT).process
+    assert (process.ramp, process.fibre, process.prime_length) == (None, None, 0.0)
+    assert (process.prime.length, process.retract.length, process.start.time) == (0.0, 0.0, 0.0)
+    assert (process.start.nozzle_c, process.start.bed_c, process.start.purge) == (None, None, 0.0)
+
+
+def test_fibre_brings_its_ramp_its_clearance_and_its_feed(in_tmp: Path) -> None:
+    process = load(TEXT, ["process.fibre={cut_length_mm: 45, clearance_mm: 30, least_laid_mm: 8}"]).process
+    assert process.fibre is not None
+    assert math.degrees(process.ramp or 0.0) == pytest.approx(30)
+    assert process.lift == pytest.approx(0.03)
+    assert process.prime_length == pytest.approx(0.045)
+    assert process.fibre.cut_wait == 3.0
+    assert process.fibre.least_length == pytest.approx(0.053)
+    given = load(TEXT, ["process.fibre={cut_length_mm: 45}", "process.ramp_deg=20", "process.lift_mm=7"]).process
+    assert math.degrees(given.ramp or 0.0) == pytest.approx(20)
+    assert given.lift == pytest.approx(0.007)
+
+
+def test_temperatures_stay_in_celsius_and_waits_in_seconds(in_tmp: Path) -> None:
+    start = load(TEXT, ["process.start={nozzle_c: 200, bed_c: 60, heat_wait_s: 90, purge_mm: 30}"]).process.start
+    assert (start.nozzle_c, start.bed_c, start.heat_wait) == (200, 60, 90)
+    assert start.time == pytest.approx(90 + 30 / 5)
+
+
+@pytest.mark.parametrize(
+    ("change", "field", "reason", "hint"),
+    [
+        ("ramp_deg=4", "ramp_deg", "4 deg is too small", "valid: 5 to 60 deg"),
+        ("ramp_deg=61", "ramp_deg", "61 deg is too large", "valid: 5 to 60 deg"),
+        ("ramp_deg=steep", "ramp_deg", "not the text 'steep'", "valid: 5 to 60 deg"),
+        ("start.nozzle_c=501", "start.nozzle_c", "501 °C is too large", "valid: 20 to 500 °C"),
+        ("start.bed_c=19", "start.bed_c", "19 °C is too small", "valid: 20 to 300 °C"),
+        ("start.heat_wait_s=-1", "start.heat_wait_s", "-1 s is too small", "valid: 0 to 3600 s"),
+        ("fibre.cut_length_mm=0", "fibre.cut_length_mm", "0 mm is too small", "valid: 1 to 500 mm"),
+        ("fibre={cut_wait_s: 1}", "fibre: process.fibre.cut_length_mm", "is missing", "from the cutter to the nozzle"),
+        (
+            "fibre={cut_length_mm: 9, cut_wait_s: 601}",
+            "fibre: process.fibre.cut_wait_s",
+            "601 s is too large",
+            "0 to 600",
+        ),
+        (
+            "fibre={cut_length_mm: 9, clearance_mm: 0.5}",
+            "fibre: process.fibre.clearance_mm",
+            "0.5 mm is too",
+            "1 to 500 mm",
+        ),
+        (
+            "fibre={cut_length_mm: 9, least_laid_mm: 0}",
+            "fibre: process.fibre.least_laid_mm",
+            "too small",
+            "1 to 500 mm",
+        ),
+        ("fibre={cut_lenght_mm: 9}", "fibre: process.fibre.cut_lenght_mm", "unknown key", "did you mean cut_length_mm"),
+        ("prime={lenght_mm: 9}", "prime: process.prime.lenght_mm", "unknown key", "did you mean length_mm?"),
+        ("retract=3", "retract", "must be a section, not 3", "its keys: length_mm, speed_mm_s"),
+    ],
+)
+def test_mistakes_around_a_bead(in_tmp: Path, change: str, field: str, reason: str, hint: str) -> None:
+    error = refused(TEXT, [f"process.{change}"])
+    assert error.field == f"--set process.{field}"
+    assert reason in error.reason
+    assert hint in (error.hint or "")
+
+
+@pytest.mark.parametrize(
+    ("lines", "field", "line", "reason", "hint"),
+    [
+        (
+            "lift_mm: 5\n  fibre: {cut_length_mm: 9, clearance_mm: 30}",
+            "fibre",
+            28,
+            "both lift_mm and fibre.clearance_mm are given",
+            "give one of them",
+        ),
+        (
+            "fibre: {cut_length_mm: 9}\n  retract: {length_mm: 2}",
+            "retract",
+            28,
+            "retract.length_mm is 2, and there is fibre",
+            "cut fibre is not pulled back",
+        ),
+        (
+            "prime: {length_mm: 1.5}\n  fibre: {cut_length_mm: 9}",
+            "fibre",
+            28,
+            "prime.length_mm is 1.5, and there is fibre",
+            "fed forward by fibre.cut_length_mm",
+        ),
+    ],
+)
+def test_fibre_refuses_what_contradicts_it(
+    in_tmp: Path, lines: str, field: str, line: int, reason: str, hint: str
+) -> None:
+    error = refused(swap("  bead: {width_mm: 0.6}\n", f"  bead: {{width_mm: 0.6}}\n  {lines}\n"))
+    assert (error.line, error.field) == (line, f"process.{field}")
+    assert reason in error.reason
+    assert hint in (error.hint or "")
 
 
 def test_neither_positioner_nor_bed(in_tmp: Path) -> None:
