@@ -93,11 +93,13 @@ def make_tasks(
 ) -> tuple[NozzleTask, ...]:
     """One task a bead, in print order; speed [m/s], length of run-in and run-out [m], their ramp as in `with_runs`.
 
-    Raises InputError, made by `where`, for a bead that is too short to be laid with this fibre.
+    Raises InputError, made by `where`, for the shortest bead if that is too short to be laid with this fibre.
     """
+    if fibre is not None:
+        cut_place(min(toolpath.beads, key=lambda bead: bead.length), fibre, where)
     tasks = []
     for i, bead in enumerate(toolpath.beads):
-        stops = () if fibre is None else (Stop(cut_place(bead, fibre, where), fibre.cut_wait, "cut"),)
+        stops = () if fibre is None else (Stop(cut_place(bead, fibre), fibre.cut_wait, "cut"),)
         run = with_runs(bead, run_length, ramp)
         z = -run.normals
         frames = np.stack([run.roll_zero, np.cross(z, run.roll_zero), z], axis=-1)
