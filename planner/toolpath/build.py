@@ -8,15 +8,17 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.errors import InputError
 from planner.problem import LayersSpec, PartSpec, Problem, WaypointLayersSpec
 from planner.toolpath.bead import Bead, Toolpath
-from planner.toolpath.interpolation import interpolate
+from planner.toolpath.interpolation import Interpolated, TooRough, interpolate
 from planner.toolpath.ordering import reverse, shorten_travel
 from planner.toolpath.rounding import PlaneCurve, round_corners
 from planner.toolpath.surfels import with_layers
 from planner.toolpath.svg import PlanePath, read_svg
 from planner.toolpath.transport import roll_zeros
-from planner.toolpath.waypoints import read_waypoints
+from planner.toolpath.waypoint_checks import check_waypoints
+from planner.toolpath.waypoints import Waypoints, read_waypoints
 from planner.toolpath.wrap import Cylinder, arc_length, wrap_layer
 
 Array = NDArray[np.float64]
@@ -43,9 +45,11 @@ def _through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
     """Lay a bead through each path of a file of waypoints, in the file's order."""
     process = problem.process
     paths = read_waypoints(spec.source, partial(problem.error, "layers.source.waypoints"))
+    for path in paths:
+        check_waypoints(path, spec.source.waypoints, process.bead.width)
     apart = _APART * process.bead.width
     ends = process.run_in / _PER_RUN
-    curves = [interpolate(path.points, path.normals, process.corner_tolerance, apart, ends) for path in paths]
+    curves = [_curve(problem, spec, path, apart, ends) for path in paths]
     zeros = roll_zeros([curve.normals for curve in curves])
     beads = [
         Bead(
@@ -63,6 +67,19 @@ def _through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
         for path, curve, zero in zip(paths, curves, zeros, strict=True)
     ]
     return Toolpath(*with_layers(beads))
+
+
+def _curve(problem: Problem, spec: WaypointLayersSpec, path: Waypoints, apart: float, ends: float) -> Interpolated:
+    """The curve through a path of waypoints."""
+    try:
+        return interpolate(path.points, path.normals, problem.process.corner_tolerance, apart, ends)
+    except TooRough as error:
+        raise InputError(
+            f"{path.name} is too rough from here on: no smooth curve keeps process.corner_tolerance_mm",
+            file=spec.source.waypoints,
+            line=int(path.lines[error.waypoint]),
+            hint="choose a greater tolerance, or smooth the waypoints",
+        ) from None
 
 
 def _wrap_drawing(problem: Problem, spec: LayersSpec, part: PartSpec) -> Toolpath:

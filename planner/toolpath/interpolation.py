@@ -36,8 +36,21 @@ _ENDS = 2.0  # usual distances of samples over which they draw together at the e
 _CHORD = 2e-6  # m, by how much the source may leave the curve through the waypoints
 _CORNER_STEP = 2e-4  # m, between the source's points where a corner is rounded
 _FEWEST = 8  # samples of a bead
+_SWING_OUT = 0.15  # of a step: a curve between two waypoints leaves their chord by less, on a circle by 0.07 at most
+_STILL = 2e-5  # m, and 0.05 of a normal's length: less does no harm, however short the step
+_STILL_NORMAL = 0.05
+_LOOKS = np.linspace(0.0, 1.0, 7)[1:-1]  # places within a step where that is looked at
+_MOST_CELLS = 8_000_000  # of a grid on which corners are averaged: some 2 GB
 _RESOLVED = 1e-5  # m, third difference of the direction, times the step: below, a sample a waypoint is enough
 _MOST_PER_STEP = 4.0
+
+
+class TooRough(ValueError):
+    """No smooth curve keeps the tolerance at the corners from this waypoint (counted from 0) on."""
+
+    def __init__(self, waypoint: int) -> None:
+        self.waypoint = waypoint
+        super().__init__(f"no smooth curve keeps the tolerance from waypoint {waypoint} on")
 
 
 @dataclass(frozen=True)
@@ -73,12 +86,12 @@ def interpolate(points: Array, normals: Array, tolerance: float, apart: float, e
     enough to be smooth. Its end points are the first and the last waypoint. apart: greatest distance of the source's
     points, less than that between neighbouring passes, so that each point's nearest is on its own pass. ends: greatest
     distance of samples at the two ends, for what is attached there. All in m: what is smooth is judged in micrometres.
+    Raises TooRough where there is none.
     """
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
     chord = np.concatenate([[0.0], np.cumsum(step)])
     turn = _turns(points, step)
-    sharp = np.flatnonzero(turn > CORNER_TURN)
-    path = _spline(chord, np.hstack([points, normals]), sharp)
+    path, sharp = _calm_spline(chord, np.hstack([points, normals]), np.flatnonzero(turn > CORNER_TURN))
     corners = _round(path, chord, sharp, turn, tolerance)
 
     density = SampleDensity.of_steps(chord, _samples_per_step(points, step, sharp))
@@ -149,6 +162,30 @@ def _samples_per_step(points: Array, step: Array, sharp: NDArray[np.int64]) -> A
     return np.asarray(np.clip((rough / _RESOLVED) ** 0.25, 1.0, _MOST_PER_STEP))
 
 
+def _calm_spline(chord: Array, rows: Array, sharp: NDArray[np.int64]) -> tuple[BSpline, NDArray[np.int64]]:
+    """The spline through all rows, and the waypoints where it has corners: `sharp`, and where it would swing out.
+
+    Through points whose distances or directions jump, a spline of high degree swings out between them. Both ends of a
+    step where it does so become corners, until it is calm; a step between two corners is straight.
+    """
+    ends = np.array([0, len(chord) - 1])
+    step = np.diff(chord)
+    while True:
+        path = _spline(chord, rows, sharp)
+        between = np.asarray(path(chord[:-1, None] + step[:, None] * _LOOKS))
+        straight = rows[:-1, None] + _LOOKS[:, None] * np.diff(rows, axis=0)[:, None]
+        off = np.linalg.norm((between - straight).reshape(len(step), len(_LOOKS), 2, 3), axis=3).max(axis=1)
+        turned = np.linalg.norm(np.diff(rows[:, 3:], axis=0), axis=1)
+        wild = (off[:, 0] > np.maximum(_SWING_OUT * step, _STILL)) | (
+            off[:, 1] > np.maximum(_SWING_OUT * turned, _STILL_NORMAL)
+        )
+        k = np.flatnonzero(wild)
+        more = np.setdiff1d(np.union1d(sharp, np.concatenate([k, k + 1])), ends)
+        if len(more) == len(sharp):
+            return path, sharp
+        sharp = more
+
+
 def _spline(chord: Array, rows: Array, sharp: NDArray[np.int64]) -> BSpline:
     """One spline of degree 5 through all rows (m, d), smooth but at the waypoints `sharp`, where it only meets."""
     ends = np.concatenate([[0], sharp, [len(chord) - 1]])
@@ -170,7 +207,8 @@ def _round(path: BSpline, chord: Array, sharp: NDArray[np.int64], turn: Array, t
     """Round the corners `sharp` of a path, together where they are close to each other."""
     if len(sharp) == 0:
         return []
-    widths = np.minimum(_USED * tolerance / (_CUT * np.sin(0.5 * turn[sharp])), _WIDEST * tolerance)
+    cut = _CUT * np.maximum(np.sin(0.5 * turn[sharp]), _USED / (_CUT * _WIDEST))  # a straight place is cut by nothing
+    widths = _USED * tolerance / cut
     at = chord[sharp]
     corners: list[_Corner] = []
     start = 0
@@ -178,16 +216,25 @@ def _round(path: BSpline, chord: Array, sharp: NDArray[np.int64], turn: Array, t
         # the reach of a corner is twice its width: those that share a place are one
         if i < len(at) and at[i] - at[i - 1] <= 2.0 * (widths[i] + widths[i - 1]):
             continue
-        corners.append(_rounded(path, at[start:i], float(widths[start:i].min()), chord[-1], tolerance))
+        corner = _rounded(path, at[start:i], float(widths[start:i].min()), chord[-1], tolerance)
+        if corner is None:
+            raise TooRough(int(sharp[start]))
+        corners.append(corner)
         start = i
     return corners
 
 
-def _rounded(path: BSpline, at: Array, width: float, length: float, tolerance: float) -> _Corner:
-    """Average a path around the corners `at` with the widest kernel, `width` at most, that keeps the tolerance."""
+def _rounded(path: BSpline, at: Array, width: float, length: float, tolerance: float) -> _Corner | None:
+    """Average a path around the corners `at` with the widest kernel, `width` at most, that keeps the tolerance.
+
+    None if none of those that were tried does.
+    """
     room = _USED * tolerance
     fits, exceeds = 0.0, np.inf
+    best: _Corner | None = None
     for _ in range(_TRIES):
+        if (float(at[-1] - at[0]) / width + 6.0) * _CELLS > _MOST_CELLS:
+            return best
         corner, off = _averaged(path, at, width, length)
         if off <= room:
             fits, best = width, corner
@@ -200,7 +247,7 @@ def _rounded(path: BSpline, at: Array, width: float, length: float, tolerance: f
             np.clip(width * _AIM * room / off, fits + 0.1 * (exceeds - fits), exceeds - 0.1 * (exceeds - fits))
         )
         width = max(width, 0.25 * exceeds)
-    return best if fits else corner
+    return best
 
 
 def _averaged(path: BSpline, at: Array, width: float, length: float) -> tuple[_Corner, float]:

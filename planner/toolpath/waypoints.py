@@ -24,17 +24,22 @@ FARTHEST = 1e5  # mm: a hall of 100 m
 COMMENTS = ("#", "//", "%", ";")
 SPLIT = 3.0  # median steps: a longer one is no step of the path but a way to the next bead
 SAME_POINT = 0.02  # of the median step: points nearer than this to the one before are the same point again
+SAME_PLACE = 1e-7  # m: so are points nearer than this, whatever the steps; files are rounded to that
 _SHORTEST_NORMAL = 1e-6
 _COLUMNS = 6
 
 
 @dataclass(frozen=True)
 class Waypoints(ReadOnlyArrays):
-    """The waypoints of one bead: points (n, 3) [m] and outward unit normals (n, 3), part frame; n is at least 2."""
+    """The waypoints of one bead: points (n, 3) [m] and outward unit normals (n, 3), part frame; n is at least 2.
+
+    lines (n): where in the file they stand, from 1.
+    """
 
     name: str
     points: Array
     normals: Array
+    lines: NDArray[np.int64]
 
 
 def read_waypoints(spec: WaypointsSpec, where: Complaint | None = None) -> tuple[Waypoints, ...]:
@@ -69,15 +74,16 @@ def read_waypoints(spec: WaypointsSpec, where: Complaint | None = None) -> tuple
                 line=int(numbers[first]),
                 hint="leave it out, or choose a greater layers.source.split_mm",
             )
-        beads.append(Waypoints(f"path {i + 1}", points[first:last].copy(), normals[first:last].copy()))
+        rows = slice(first, last)
+        beads.append(Waypoints(f"path {i + 1}", points[rows].copy(), normals[rows].copy(), numbers[rows].copy()))
     return tuple(beads)
 
 
 def distinct(points: Array) -> NDArray[np.bool_]:
     """Which points (n) are no repetition of the last one kept before them."""
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    moving = step[step > 0.0]
-    same = SAME_POINT * float(np.median(moving)) if len(moving) else 0.0
+    moving = step[step > SAME_PLACE]  # points that creep say nothing of how densely the path is written
+    same = max(SAME_POINT * float(np.median(moving)), SAME_PLACE) if len(moving) else SAME_PLACE
     keep = np.concatenate([[True], step > same])
     before, last = 0, -1
     for i in np.flatnonzero(~keep).tolist():  # a few creeping points may add up to a step
