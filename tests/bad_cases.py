@@ -258,8 +258,67 @@ def _shape(rng: Rng, p: Array) -> str:
     if way in ("polyline", "polygon"):
         return f'<{way} points="{" ".join(pairs)}"/>'
     if way == "curves" and len(p) >= 4:
-        return f'<path d="M{pairs[0]} ' + " ".join("C" + " ".join(pairs[i : i + 3]) for i in range(1, len(p) - 3, 3)) + '"/>'
+        return (
+            f'<path d="M{pairs[0]} '
+            + " ".join("C" + " ".join(pairs[i : i + 3]) for i in range(1, len(p) - 3, 3))
+            + '"/>'
+        )
     if way == "relative":
         steps = np.diff(p, axis=0)
         return f'<path d="M{pairs[0]} ' + " ".join(f"l{x:.10g},{y:.10g}" for x, y in steps) + '"/>'
     return f'<path d="M{" L".join(pairs)}{" Z" if way == "closed path" else ""}"/>'
+
+
+# Joint paths
+
+
+def joint_case(seed: int) -> tuple[str, Array, Array, float]:
+    """What is wrong, in words; joints (n, 7) [rad], arc length (n) [m] that does not decrease, commanded speed [m/s]."""
+    rng = np.random.default_rng([3, seed])
+    n = int(rng.choice([2, 3, 4, 6, int(rng.integers(7, 40)), int(rng.integers(40, 400))]))
+    q = _joints(rng, n)
+    told = [f"{n} samples"]
+    for _ in range(int(rng.integers(1, 3))):
+        way = str(rng.choice(["repeat", "hold", "reverse", "kink", "jump", "noise", "constant", "one joint", "smooth"]))
+        told.append(way)
+        q = _spoil_joints(rng, q, way)
+    steps = np.ones(len(q) - 1)
+    way = str(rng.choice(["even", "uneven", "hardly", "tiny steps"]))
+    if way == "uneven":
+        steps = 10.0 ** rng.uniform(-3, 0, len(steps))
+    elif way == "hardly":  # nearly all of the way lies in a few steps
+        steps = np.where(rng.random(len(steps)) < 0.2, 1.0, 1e-9)
+    elif way == "tiny steps":
+        steps[int(rng.integers(0, len(steps)))] = 1e-9
+    s = np.concatenate([[0.0], np.cumsum(steps)])
+    s *= 10 ** rng.uniform(-4, -0.3) / s[-1]
+    return " ".join([*told, way]), q, s, float(rng.choice([0.005, 0.04, 0.2, 1.0]))
+
+
+def _joints(rng: Rng, n: int) -> Array:
+    """A gentle random path of seven joints."""
+    u = np.linspace(0.0, 1.0, n)[:, None]
+    waves = sum(rng.normal(size=7) / k**2 * np.sin(np.pi * k * u + rng.uniform(0, 6, 7)) for k in range(1, 6))
+    return np.asarray(waves) * 10 ** rng.uniform(-3, 0)
+
+
+def _spoil_joints(rng: Rng, q: Array, way: str) -> Array:
+    n, i = len(q), int(rng.integers(0, len(q)))
+    out = q.copy()
+    if way == "repeat":
+        out = np.repeat(q, 2, axis=0)[: max(n, 2)]
+    elif way == "hold":
+        out[i : i + max(n // 5, 1)] = q[i]
+    elif way == "reverse":
+        out = np.vstack([q, q[::-1]])
+    elif way == "kink":
+        out[i:] += np.arange(n - i)[:, None] * rng.normal(size=7) * 10 ** rng.uniform(-4, -1)
+    elif way == "jump":
+        out[i:] += rng.normal(size=7) * 10 ** rng.uniform(-6, -0.5)
+    elif way == "noise":
+        out += rng.normal(size=q.shape) * 10 ** rng.uniform(-9, -3)
+    elif way == "constant":
+        out[:] = q[0]
+    elif way == "one joint":
+        out[:, np.arange(7) != int(rng.integers(0, 7))] = q[0, 0]
+    return out

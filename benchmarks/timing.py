@@ -1,0 +1,174 @@
+"""How good the timing is: every problem's deposition time against two bounds, its limits, flow and cost.
+
+python -m benchmarks.timing cylinder_logo peer_cap --set process.speed_mm_s=30
+
+Bounds of the time of deposition: length / commanded speed, and the time-optimal profile of the same joint paths
+without limits on jerk. Dips are stretches of a bead below 0.98 of the commanded speed. Flow is judged by what has
+flowed over each millimetre of a bead against what the bead holds there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import platform
+import sys
+import time
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+from scipy.interpolate import CubicSpline
+
+from planner.cell import Cell, build_cell
+from planner.errors import EXIT_VERIFIED, PlannerError, Refusal
+from planner.extrusion import deposited_volume
+from planner.plan import Plan
+from planner.problem import Problem, load_problem, shipped_problems
+from planner.resolve import STRATEGIES
+from planner.resolve.jointpath import JointPath
+from planner.solve import DEFAULT_DT, solve
+from planner.task import NozzleTask, cones_of, make_tasks
+from planner.timing import TimedPath, bound_time, time_path
+from planner.toolpath.build import build_toolpath
+from planner.versions import versions
+
+Array = NDArray[np.float64]
+
+AT_SPEED = 0.98  # of the commanded speed: below, a sample is in a dip
+BIN = 1e-3  # m of a bead over which flow is judged
+LENGTHS = (1_000, 10_000, 100_000)  # trajectory samples of one path, to see whether cost is linear
+REPEATS = 3  # of which the least counts: the machine may be shared
+# A long path of the arm near its home: each joint a sum of two waves, some of which are too quick for the limits.
+WAVES = ((0.11, 0.05), (0.023, 0.004))  # m, rad
+SPEED, SPACING, RUN = 0.04, 1e-3, 3e-3  # m/s, m between its samples, m of run-in and run-out
+COLUMNS = (
+    "problem", "verified", "deposition s", "x length/speed", "x v/a optimum", "at speed", "v", "a", "jerk",
+    "print s", "dips", "us/sample", "flow error/mm",
+)  # fmt: skip
+
+
+def dips(plan: Plan) -> int:
+    """How many stretches of deposition are below the commanded speed."""
+    t = plan.trajectory
+    slow = t.deposit & (t.speed < AT_SPEED * plan.problem.process.speed)
+    before = np.concatenate([[False], slow[:-1]])
+    return int((slow & (~before | (t.bead != np.concatenate([t.bead[:1], t.bead[:-1]])))).sum())
+
+
+def flow_error(plan: Plan) -> float:
+    """Largest share by which the volume that flows over a millimetre of a bead is off what the bead holds there."""
+    t, worst = plan.trajectory, 0.0
+    for i, bead in enumerate(plan.toolpath.beads):
+        at = np.flatnonzero(t.bead == i)
+        if len(at) < 4:
+            continue
+        # a sample's flow lasts from half a sample before it to half a sample after it
+        edges = CubicSpline(t.t[at], t.s[at])(t.t[at[:-1]] + 0.5 * t.dt)
+        edges = np.concatenate([[0.0], np.clip(edges, 0.0, bead.length), [bead.length]])
+        flowed = np.concatenate([[0.0], np.cumsum(t.flow[at]) * t.dt])
+        places = np.linspace(0.0, bead.length, max(int(bead.length / BIN), 1) + 1)
+        held = np.diff(deposited_volume(bead, places))
+        found = np.diff(np.interp(places, np.maximum.accumulate(edges), flowed))
+        worst = max(worst, float(np.abs(found / held - 1.0).max()))
+    return worst
+
+
+def measure_timing(cell: Cell, paths: Sequence[JointPath]) -> tuple[list[TimedPath], float]:
+    """These paths timed, and how much CPU time that takes for a trajectory sample [s]."""
+    least = math.inf
+    for _ in range(REPEATS):
+        start = time.process_time()
+        timed = [time_path(cell, path) for path in paths]
+        least = min(least, time.process_time() - start)
+    return timed, least * DEFAULT_DT / sum(each.duration for each in timed)
+
+
+def deposition_time(timed: Sequence[TimedPath]) -> float:
+    """From the start to the end of each bead, to the instant: samples would round it [s]."""
+    tasks = [each.path.task for each in timed]
+    return sum(
+        each.when(float(task.s[task.last])) - each.when(float(task.s[task.first]))
+        for each, task in zip(timed, tasks, strict=True)
+    )
+
+
+def row(problem: Problem) -> list[str]:
+    """One line of the table."""
+    cell, process = build_cell(problem), problem.process
+    tasks = make_tasks(build_toolpath(problem), process.speed, process.run_in, cones_of(process.cones))
+    try:
+        plan = solve(problem)
+        paths = STRATEGIES[problem.strategy](cell, tasks, problem.resolve)
+    except Refusal as refusal:
+        return [problem.name, f"no plan: {refusal}", *[""] * (len(COLUMNS) - 2)]
+    m = plan.metrics
+    bound = sum(bound_time(cell, path) for path in paths)
+    timed, cost = measure_timing(cell, paths)
+    deposition = deposition_time(timed)
+    return [
+        problem.name,
+        "yes" if plan.verified else "no: " + ", ".join(check.name for check in plan.checks if not check.ok),
+        f"{deposition:.3f}",
+        f"{deposition / m['ideal_deposition_time_s']:.4f}",
+        f"{deposition / bound:.4f}",
+        f"{100.0 * m['at_speed_fraction']:.2f} %",
+        *(f"{m[f'{name}_ratio_max']:.3f}" for name in ("velocity", "acceleration", "jerk")),
+        f"{m['print_time_s']:.1f}",
+        f"{dips(plan)}",
+        f"{1e6 * cost:.1f}",
+        f"{100.0 * flow_error(plan):.3f} %",
+    ]
+
+
+def long_path(cell: Cell, samples: int) -> JointPath:
+    """A path of the arm that takes about so many trajectory samples at its commanded speed."""
+    n = int(samples * DEFAULT_DT * SPEED / SPACING) + 1
+    s = np.arange(n) * SPACING - RUN
+    joints = np.arange(len(cell.home))
+    q = cell.home + sum(
+        size * np.sin(2.0 * np.pi * s[:, None] / (length * (1.0 + 0.13 * joints)) + joints) for length, size in WAVES
+    )
+    frames, runs = np.tile(np.eye(3), (n, 1, 1)), round(RUN / SPACING)
+    task = NozzleTask(0, "long", 0, np.zeros((n, 3)), frames, s, runs, n - 1 - runs, SPEED)
+    return JointPath(task, np.zeros(n), np.zeros((n, 2)), q, 0)
+
+
+def linearity(problem: Problem) -> str:
+    """Cost of a trajectory sample by the number of them, in one line."""
+    cell, costs = build_cell(problem), []
+    for samples in LENGTHS:
+        (timed,), cost = measure_timing(cell, [long_path(cell, samples)])
+        costs.append(f"{1e6 * cost:.1f} us at {timed.duration / DEFAULT_DT:.0f}")
+    return f"timing, CPU time of a trajectory sample on a path of one bead: {', '.join(costs)} samples"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.timing", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("problem", nargs="*", help="problem files, or names of shipped ones; default: all of these")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
+    options = parser.parse_args(arguments)
+    table = Table(*COLUMNS, title=" ".join(options.set) or None, title_justify="left")
+    try:
+        problems = [load_problem(name, options.set) for name in options.problem or shipped_problems()]
+        for problem in problems:
+            table.add_row(*row(problem))
+        line = linearity(problems[0])
+    except PlannerError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code
+    Console(width=170).print(table)
+    print(line)
+    used = ", ".join(f"{name} {version}" for name, version in versions().items())
+    print(f"{time.strftime('%Y-%m-%d')}, {platform.machine()}, {os.cpu_count()} cores; {used}")
+    return EXIT_VERIFIED
+
+
+if __name__ == "__main__":
+    sys.exit(main())
