@@ -43,6 +43,7 @@ _LOOKS = np.linspace(0.0, 1.0, 7)[1:-1]  # places within a step where that is lo
 _MOST_CELLS = 8_000_000  # of a grid on which corners are averaged: some 2 GB
 _RESOLVED = 1e-5  # m, third difference of the direction, times the step: below, a sample a waypoint is enough
 _MOST_PER_STEP = 4.0
+_LOOSEST = 6.0  # times the distance that sets passes apart: sparser, a place's nearest sample is on another pass
 
 
 class TooRough(ValueError):
@@ -94,7 +95,8 @@ def interpolate(points: Array, normals: Array, tolerance: float, apart: float, e
     path, sharp = _calm_spline(chord, np.hstack([points, normals]), np.flatnonzero(turn > CORNER_TURN))
     corners = _round(path, chord, sharp, turn, tolerance)
 
-    density = SampleDensity.of_steps(chord, _samples_per_step(points, step, sharp))
+    per_step = np.maximum(_samples_per_step(points, step, sharp), step / (_LOOSEST * apart))
+    density = SampleDensity.of_steps(chord, per_step)
     for corner in corners:
         at = chord[sharp]
         inside = at[(at >= corner.first) & (at <= corner.last)]
