@@ -13,7 +13,7 @@ from planner.problem import LayersSpec, PartSpec, Problem, WaypointLayersSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.interpolation import Interpolated, TooRough, interpolate
 from planner.toolpath.ordering import reverse, shorten_travel
-from planner.toolpath.rounding import PlaneCurve, round_corners
+from planner.toolpath.rounding import round_corners
 from planner.toolpath.surfels import with_layers
 from planner.toolpath.svg import PlanePath, read_svg
 from planner.toolpath.transport import roll_zeros
@@ -72,7 +72,7 @@ def _through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
 def _curve(problem: Problem, spec: WaypointLayersSpec, path: Waypoints, apart: float, ends: float) -> Interpolated:
     """The curve through a path of waypoints."""
     try:
-        return interpolate(path.points, path.normals, problem.process.corner_tolerance, apart, ends)
+        curve = interpolate(path.points, path.normals, problem.process.corner_tolerance, apart, ends)
     except TooRough as error:
         raise InputError(
             f"{path.name} is too rough from here on: no smooth curve keeps process.corner_tolerance_mm",
@@ -80,6 +80,9 @@ def _curve(problem: Problem, spec: WaypointLayersSpec, path: Waypoints, apart: f
             line=int(path.lines[error.waypoint]),
             hint="choose a greater tolerance, or smooth the waypoints",
         ) from None
+    hint = f"choose a smaller tolerance, or smooth the waypoints from line {path.lines[0]} on"
+    _check_size(problem, path.name, _length(path.points), _length(curve.points), hint)
+    return curve
 
 
 def _wrap_drawing(problem: Problem, spec: LayersSpec, part: PartSpec) -> Toolpath:
@@ -97,7 +100,8 @@ def _wrap_drawing(problem: Problem, spec: LayersSpec, part: PartSpec) -> Toolpat
         path = replace(path, points=path.points * stretch)
         _check_length(problem, path)
         curve = round_corners(seam_on_smooth_part(path) if path.closed else path, process.corner_tolerance)
-        _check_size(problem, path, curve)
+        wider = "choose a smaller tolerance, or a greater layers.source.width_mm"
+        _check_size(problem, path.name, _length(path.points), _length(curve.points), wider)
         curves.append(replace(curve, points=curve.points / stretch, source=curve.source / stretch))
     curves = shorten_travel(curves)
 
@@ -131,7 +135,7 @@ def seam_on_smooth_part(path: PlanePath) -> PlanePath:
 
 
 def _length(points: Array) -> float:
-    return float(np.hypot(*np.diff(points, axis=0).T).sum())
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
 def _check_length(problem: Problem, path: PlanePath) -> None:
@@ -145,14 +149,13 @@ def _check_length(problem: Problem, path: PlanePath) -> None:
         )
 
 
-def _check_size(problem: Problem, path: PlanePath, curve: PlaneCurve) -> None:
-    """A path must not vanish in the corner tolerance."""
-    drawn, rounded = _length(path.points), _length(curve.points)
+def _check_size(problem: Problem, name: str, drawn: float, rounded: float, hint: str) -> None:
+    """A path must not vanish in the corner tolerance; lengths drawn and rounded [m]."""
     if rounded < _SHRUNK * drawn:
         raise problem.error(
             "process.corner_tolerance_mm",
-            f"rounding its corners shrinks path {path.name!r} from {drawn * 1e3:.2f} to {rounded * 1e3:.2f} mm",
-            "choose a smaller tolerance, or a greater layers.source.width_mm",
+            f"rounding its corners shrinks path {name!r} from {drawn * 1e3:.2f} to {rounded * 1e3:.2f} mm",
+            hint,
         )
 
 

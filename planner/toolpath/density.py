@@ -54,6 +54,10 @@ class SampleDensity:
             width=np.concatenate([self.width, k * width]),
         )
 
+    def spacing_at(self, c: Array) -> Array:
+        """Distance (k) between samples at chord lengths c (k) [m]."""
+        return 1.0 / self._density(c)
+
     def samples(self, fewest: int) -> Array:
         """Chord lengths (n) of the samples, the two ends among them, n at least `fewest`."""
         rough = np.linspace(0.0, self.length, max(8, int(self.counted(self.length)) + 1))

@@ -32,6 +32,7 @@ _TRIES = 12  # to find the width that uses the tolerance
 _NEARLY, _AIM = 0.94, 0.98  # of it: enough is used; aimed at
 _USED = 0.9  # of the tolerance: the rest is for the curve between samples
 _SPREAD = 0.7  # kernel widths from a corner at which the density of samples has halved
+_SPARSE = 1.5  # usual distances of waypoints: an end where they stand this far apart is judged by its own
 _ENDS = 2.0  # usual distances of samples over which they draw together at the ends
 _CHORD = 2e-6  # m, by how much the source may leave the curve through the waypoints
 _CORNER_STEP = 2e-4  # m, between the source's points where a corner is rounded
@@ -106,8 +107,10 @@ def interpolate(points: Array, normals: Array, tolerance: float, apart: float, e
                 kept.append(c)
         density = density.denser(np.array(kept), corner.width / _SAMPLES, _SPREAD * corner.width)
     usual = chord[-1] / max(len(chord) - 1, 1)
-    if ends < usual:
-        density = density.denser(chord[[0, -1]], 1.0 / (1.0 / ends - 1.0 / usual), _ENDS * usual)
+    for end, spacing in zip(chord[[0, -1]], density.spacing_at(chord[[0, -1]]), strict=True):
+        local = spacing if spacing > _SPARSE * usual else usual
+        if ends < local:
+            density = density.denser(np.array([end]), 1.0 / (1.0 / ends - 1.0 / local), _ENDS * local)
     c = density.samples(_FEWEST)
     rows = np.asarray(path(c))
     for corner in corners:
