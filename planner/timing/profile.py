@@ -29,7 +29,8 @@ _LEAST_RATE = 1e-12  # squared: keeps what rounding leaves of rest above 0
 _NEWTON_STEPS = 8
 _ON_TIME = 1e-13  # s: a thousandth of what the third difference of samples would show
 _ROUNDS = 4  # of tightening limits where the path between grid points overruns them
-_ENOUGH = 1.01  # of the limit less its headroom, between grid points: no need to tighten it
+_BETWEEN = (0.25, 0.5, 0.75)  # fractions of intervals at which limits are looked at again
+_ENOUGH = 1.015  # of the limit less its headroom, between grid points: no need to tighten it
 
 _NODES, _WEIGHTS = (np.ascontiguousarray(each) for each in np.polynomial.legendre.leggauss(6))
 
@@ -68,8 +69,8 @@ class Profile:
 class _Program:
     """The limits of a stretch as `fastest` takes them, and where they are looked at again.
 
-    acceleration_between, jerk_between: rows in the middle of intervals, where `fastest` does not look;
-    left, right (m): what the first and last of three coefficients give of x at an interval's own ends
+    left, right (m): what the first and last of three coefficients give of x at an interval's own ends; looks: fractions
+    of intervals with the path's rates there, where limits are looked at again; a, j (nj): the limits
     """
 
     sigma: Array
@@ -80,9 +81,10 @@ class _Program:
     middle: Array
     ends: Array
     acceleration: Array
-    acceleration_between: Array
     jerk: Array
-    jerk_between: Array
+    looks: tuple[tuple[float, list[Array]], ...]
+    a: Array
+    j: Array
     ceiling: Array
     start: Array
     level: tuple[bool, bool]
@@ -134,7 +136,6 @@ def _program(stretch: Stretch, v: Array, a: Array, j: Array) -> _Program:
     share = np.append(left, 0.5)
     slope = 2.0 / (around[:-1] + around[1:])
     points = stretch.rates(sigma, 3)
-    middles = stretch.rates(sigma[:-1] + 0.5 * h, 3)
     ceiling = _ceiling(stretch, v, sigma, points[0])
     for end, lead in enumerate(leads):  # rows of the grid do not see the leads: there x is that of the grid's end
         if lead > 0.0:
@@ -143,14 +144,13 @@ def _program(stretch: Stretch, v: Array, a: Array, j: Array) -> _Program:
             ceiling[-end] = min(ceiling[-end], float(allowed(at).min()))
     first, second = points[0][:, :-1], points[1][:, :-1]
     bases = [_basis(left, right, h, f) for f in (0.0, 0.5, 1.0)]
-    x, by_slope, _ = bases[1]
     return _Program(
         sigma=sigma,
         h=h,
         left=left,
         right=right,
         point=np.column_stack([share, 1.0 - share]),
-        middle=x,
+        middle=bases[1][0],
         ends=_in_turn(bases[0][0], bases[2][0]),
         acceleration=np.stack(
             [
@@ -160,12 +160,17 @@ def _program(stretch: Stretch, v: Array, a: Array, j: Array) -> _Program:
             axis=-1,
         )
         / a[:, None],
-        acceleration_between=_rows([(middles[1], x, 1.0), (middles[0], by_slope, 0.5)], a),
         jerk=_in_turn(
             _jerk_rows(bases[0], [each[:-1] for each in points], j),
             _jerk_rows(bases[2], [each[1:] for each in points], j),
         ),
-        jerk_between=_jerk_rows(bases[1], middles, j),
+        looks=(
+            (0.0, [each[:-1] for each in points]),
+            *((f, stretch.rates(sigma[:-1] + f * h, 3)) for f in _BETWEEN),
+            (1.0, [each[1:] for each in points]),
+        ),
+        a=a,
+        j=j,
         ceiling=ceiling,
         start=_start(envelope, ceiling, level),
         level=level,
@@ -245,17 +250,19 @@ def _in_turn(a: Array, b: Array) -> Array:
 
 
 def _overruns(program: _Program, c: Array) -> tuple[Array, Array]:
-    """Largest acceleration and jerk (m) over their limits in each interval, at its ends and in its middle."""
-    three = np.column_stack([c[:-2], c[1:-1], c[2:]])
-    at_points = np.abs((program.acceleration * np.column_stack([c[:-1], c[1:]])[:, None, :]).sum(axis=-1)).max(axis=1)
-    acceleration = np.abs((program.acceleration_between * three[:, None, :]).sum(axis=-1)).max(axis=1)
-    acceleration = np.maximum(acceleration, np.maximum(at_points[1:], at_points[:-1]))
-    x = (program.point * np.column_stack([c[:-1], c[1:]])).sum(axis=1)
-    at_ends = np.abs((program.jerk * np.repeat(three, 2, axis=0)[:, None, :]).sum(axis=-1)).max(axis=1).reshape(-1, 2)
-    jerk = np.abs((program.jerk_between * three[:, None, :]).sum(axis=-1)).max(axis=1)
-    jerk = jerk * np.sqrt((program.middle * three).sum(axis=1))
-    jerk = np.maximum(jerk, np.maximum(at_ends[:, 0] * np.sqrt(x[:-1]), at_ends[:, 1] * np.sqrt(x[1:])))
-    return acceleration, jerk
+    """Largest acceleration and jerk (m) as shares of their limits in each interval, at its ends and between."""
+    worst = np.zeros((2, len(program.h)))
+    before, after = program.left * (c[:-2] - c[1:-1]), program.right * (c[2:] - c[1:-1])
+    bend = (2.0 * (before + after) / program.h**2)[:, None]
+    for f, rates in program.looks:
+        first, second, third = (each[:, :-1] for each in rates)
+        x = (c[1:-1] + before * (1.0 - f) ** 2 + after * f**2)[:, None]
+        slope = (2.0 * (after * f - before * (1.0 - f)) / program.h)[:, None]
+        acceleration = second * x + 0.5 * first * slope
+        jerk = np.sqrt(x) * (third * x + 1.5 * second * slope + 0.5 * first * bend)
+        for k, (value, limit) in enumerate(((acceleration, program.a), (jerk, program.j))):
+            np.maximum(worst[k], (np.abs(value) / limit).max(axis=1), out=worst[k])
+    return worst[0], worst[1]
 
 
 def _profile(stretch: Stretch, program: _Program, c: Array) -> Profile:

@@ -11,12 +11,14 @@ from scipy.optimize import brentq
 
 from planner.cell import Cell
 from planner.cubics import State
-from planner.resolve.jointpath import JointPath
+from planner.resolve.jointpath import JointPath, refuse_at
 from planner.timing.profile import Profile, fastest_profile
 from planner.timing.stretch import Stretch
 
 Array = NDArray[np.float64]
 
+LOOKS = 4  # between two samples of the task, to see that its arc length grows
+ROUNDING = 1e-9  # of the path's length, by which it may fall
 RAMP = 60e-3  # s at the commanded speed: what an arm takes, about, from rest to that speed
 
 
@@ -87,7 +89,8 @@ class TimedPath:
 def time_path(cell: Cell, path: JointPath, moving: tuple[bool, bool] = (False, False)) -> TimedPath:
     """Time one bead as fast as speed, acceleration and jerk limits and the commanded speed allow.
 
-    It starts and ends at rest, but where it is `moving`, and comes to rest at the task's stops.
+    It starts and ends at rest, but where it is `moving`, and comes to rest at the task's stops. Raises Refusal for a
+    task whose arc length does not grow from sample to sample.
     """
     spline, stretches = stretches_of(path, moving)
     profiles = tuple(fastest_profile(stretch, cell.limits, path.task.speed) for stretch in stretches)
@@ -106,6 +109,10 @@ def stretches_of(path: JointPath, moving: tuple[bool, bool]) -> tuple[BSpline, t
     # The path parameter is time at the commanded speed, so that its rate is 1 where that speed is held.
     u = np.linspace(0.0, (task.s[-1] - task.s[0]) / task.speed, n)
     spline = make_interp_spline(u, np.column_stack([path.q, task.s]), k=min(5, n - 1))
+    way = BSpline(spline.t, spline.c[:, -1], spline.k)(np.linspace(0.0, u[-1], LOOKS * (n - 1) + 1))
+    falls = np.flatnonzero(np.diff(way) < -ROUNDING * (task.s[-1] - task.s[0]))
+    if len(falls):
+        refuse_at(task, int(falls[0]) // LOOKS, "the path turns back on itself between samples")
     ends = [0.0, *(at_arc_length(spline, stop.s) for stop in task.stops), float(u[-1])]
     stretches = []
     for i, (a, b) in enumerate(zip(ends[:-1], ends[1:], strict=True)):
