@@ -8,29 +8,50 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.export.table import filament_area
-
 if TYPE_CHECKING:
-    from planner.plan import Plan
+    from planner.plan import Event, Plan, Trajectory
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
+Labels = NDArray[np.int64]
 
 BLOCK_S = 0.02  # shortest command [s]: a board that is fed faster than 50 lines/s may stutter
 FLOW_STEP = 0.01  # blocks whose flow is equal to this share of the largest flow become one command
+NOTHING = -1  # label of what belongs neither to a bead nor to an event
+FIRST_EVENT = -2  # label of the first event; those of later ones count down
 
 
 def gcode(plan: Plan) -> str:
-    """G-code of the extruder: G1 E F while a bead is laid, G4 P in between; E is relative, mm of filament."""
+    """G-code of the extruder: G1 E F while filament moves, G4 P in between; E is relative, mm of filament.
+
+    Heaters are set and not waited for: only what takes a known time keeps pace with the robot, which waits at home
+    for as long as its problem says.
+    """
     t = plan.trajectory
-    cuts, bead = _chunks(plan)
-    fed = t.extruded / filament_area(plan) * 1e3
+    cuts, label = _chunks(t)
+    fed = t.feed * 1e3
     # differences of rounded totals: rounding never adds up, neither in filament nor in time
     amount = np.diff(np.round(fed[cuts] - fed[0], 5))
     clock = t.t[cuts] - t.t[0]
     # a G1 lasts E / F, which a rounded E sets only nearly: what is lost or gained goes into the pauses
-    rate = np.round(amount / np.diff(clock) * 60.0, 3)
-    lasts = np.where(amount > 0.0, amount / np.where(amount > 0.0, rate, 1.0) * 60.0, 0.0)
+    rate = np.round(np.abs(amount) / np.diff(clock) * 60.0, 3)
+    lasts = np.where(rate > 0.0, np.abs(amount) / np.where(rate > 0.0, rate, 1.0) * 60.0, 0.0)
+    what = [(event.start, 0.0, _standing(plan, event)) for event in t.events if event.amount == 0.0]
+    last = NOTHING
+    for e, f, took, end, who, layer in zip(
+        amount.tolist(),
+        rate.tolist(),
+        lasts.tolist(),
+        clock[1:].tolist(),
+        label.tolist(),
+        t.layer[(cuts[:-1] + cuts[1:] + 1) // 2].tolist(),
+        strict=True,
+    ):
+        if f <= 0.0:
+            continue
+        said = [f"; {_name(t.events[FIRST_EVENT - who])}"] if who <= FIRST_EVENT else [f"; bead {who}, layer {layer}"]
+        what.append((end - took, took, [*(said if who not in (last, NOTHING) else []), f"G1 E{e:.5f} F{f:.3f}"]))
+        last = last if who == NOTHING else who
 
     name = re.sub(r"[^\x20-\x7e]", "?", plan.problem.name)
     size = f"{len(plan.toolpath.beads)} beads in {plan.toolpath.layers} layers"
@@ -40,27 +61,27 @@ def gcode(plan: Plan) -> str:
         f"; {size}, {total:.3f} mm of filament, {seconds:.3f} s from the robot's first motion",
         "M83",
     ]
-    now, waited_until, last_bead = 0.0, 0.0, -1
-    for e, f, took, end, b, layer in zip(
-        amount.tolist(),
-        rate.tolist(),
-        lasts.tolist(),
-        clock[1:].tolist(),
-        bead.tolist(),
-        t.layer[(cuts[:-1] + cuts[1:] + 1) // 2].tolist(),
-        strict=True,
-    ):
-        waited_until = end
-        if e <= 0.0:
-            continue
-        lines += _pause(end - took - now)
-        now += _pause_length(end - took - now) + took
-        if b != last_bead:
-            lines.append(f"; bead {b}, layer {layer}")
-            last_bead = b
-        lines.append(f"G1 E{e:.5f} F{f:.3f}")
-    lines += _pause(waited_until - now)
+    now = 0.0
+    for start, took, said in sorted(what, key=lambda each: each[0]):
+        lines += _pause(start - now)
+        now += _pause_length(start - now) + took
+        lines += said
+    lines += _pause(float(clock[-1]) - now)
     return "\n".join(lines) + "\n"
+
+
+def _name(event: Event) -> str:
+    return event.kind if event.bead < 0 else f"{event.kind}, bead {event.bead}"
+
+
+def _standing(plan: Plan, event: Event) -> list[str]:
+    """What is said of an event that moves no filament."""
+    lines = [f"; {_name(event)}"]
+    if event.kind == "heat":
+        start = plan.problem.process.start
+        for code, celsius in (("M140", start.bed_c), ("M104", start.nozzle_c)):
+            lines += [] if celsius is None else [f"{code} S{celsius:g}"]
+    return lines
 
 
 def _pause_length(seconds: float) -> float:
@@ -73,22 +94,28 @@ def _pause(seconds: float) -> list[str]:
     return [f"G4 P{ms}"] if ms else []
 
 
-def _chunks(plan: Plan) -> tuple[Indices, NDArray[np.int32]]:
-    """Samples (m + 1) between which the flow counts as constant, and the bead (m) of each chunk (-1: none)."""
-    t = plan.trajectory
-    volume = np.diff(t.extruded)
+def _chunks(t: Trajectory) -> tuple[Indices, Labels]:
+    """Samples (m + 1) between which filament moves at a constant rate, and what each chunk (m) belongs to.
+
+    That is the index of a bead, FIRST_EVENT less the index of an event, or NOTHING.
+    """
+    moved = np.diff(t.feed)
     # a bead's first or last part sample belongs to the bead beside it
-    bead = np.where(volume > 0.0, np.maximum(t.bead[:-1], t.bead[1:]), -1)
-    edge = np.flatnonzero(np.diff(bead)) + 1
+    label = np.where(np.diff(t.extruded) > 0.0, np.maximum(t.bead[:-1], t.bead[1:]), NOTHING)
+    for k, event in enumerate(t.events):
+        if event.amount != 0.0:  # which moves more filament than the part of a bead in the same sample
+            since = int(np.searchsorted(t.t, event.start, side="right")) - 1
+            label[since : np.searchsorted(t.t, event.start + event.duration)] = FIRST_EVENT - k
+    edge = np.flatnonzero(np.diff(label)) + 1
     starts = np.concatenate([[0], edge])
-    ends = np.concatenate([edge, [len(volume)]])
+    ends = np.concatenate([edge, [len(moved)]])
     block = max(1, round(BLOCK_S / t.dt))
-    # blocks count from each run's own start, so that no block spans two runs
+    # blocks count from each run's own start, so that no block spans two runs; an event is one block
     first = np.repeat(starts, ends - starts)
-    at = np.arange(len(volume))
-    heads = np.flatnonzero((at - first) % block == 0)
-    mean = np.add.reduceat(volume, heads) / np.diff(np.append(heads, len(volume)))
-    level = np.round(mean / max(float(mean.max()), 1e-300) / FLOW_STEP)
-    changes = np.concatenate([[True], (np.diff(level) != 0) | (np.diff(bead[heads]) != 0)])
+    at = np.arange(len(moved))
+    heads = np.flatnonzero((at == first) | (((at - first) % block == 0) & (label > FIRST_EVENT)))
+    mean = np.add.reduceat(moved, heads) / np.diff(np.append(heads, len(moved)))
+    level = np.round(mean / max(float(np.abs(mean[label[heads] >= 0]).max(initial=0.0)), 1e-300) / FLOW_STEP)
+    changes = np.concatenate([[True], (np.diff(level) != 0) | (np.diff(label[heads]) != 0)])
     cuts = heads[changes]
-    return np.append(cuts, len(volume)), bead[cuts]
+    return np.append(cuts, len(moved)), label[cuts]
