@@ -1,23 +1,148 @@
-"""Extrusion: how much material has flowed, from the arc length that is really reached."""
+"""Extrusion: the bead's cross-section, what flows at each instant, and how far the extruder's motor pushes for it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
+from planner.errors import InputError
+from planner.plan import Event
+from planner.problem import ProcessSpec
 from planner.toolpath.bead import Bead
 
 Array = NDArray[np.float64]
 
+ADVANCE_RAMP = 0.4  # share of the lag over which pressure is built up at a bead's start and let off at its end,
+LONGEST_RAMP = 0.04  # s, and at most this long: what is left of the error a lag later is below 0.3 %
 
-def deposited_volume(bead: Bead, s: Array) -> Array:
-    """Volume (n) [m^3] laid down when the nozzle has come to arc length s (n) [m]: nothing before 0 or past the end.
 
-    The bead's cross-section is taken as width times height.
+def filament_area(process: ProcessSpec) -> float:
+    """Cross-section of the filament [m^2]."""
+    return float(np.pi * process.filament_diameter**2 / 4.0)
+
+
+def cross_section(section: str, width: Array, height: Array, filament_diameter: float) -> Array:
+    """Area (n) [m^2] of a bead of width and height (n) [m].
+
+    A rectangle; rounded: with half a circle at both sides; or a fibre, which is as thick as it comes.
+    Raises InputError where a rounded bead is higher than wide.
     """
-    return bead.width * bead.height * np.clip(s, 0.0, bead.length)
+    if section == "rectangle":
+        return width * height
+    if section == "rounded":
+        if np.any(width < height):
+            i = int(np.argmax(height - width))
+            narrow = f"{width[i] * 1e3:g} mm wide and {height[i] * 1e3:g} mm high"
+            raise InputError(f"a rounded bead cannot be {narrow}", hint="at least as wide as high")
+        return (width - height) * height + 0.25 * np.pi * height**2
+    return np.full(len(width), 0.25 * np.pi * filament_diameter**2)
+
+
+def bead_area(bead: Bead, process: ProcessSpec) -> Array:
+    """Area (n) [m^2] of the bead's cross-section at its samples."""
+    return cross_section(process.section, bead.width, bead.height, process.filament_diameter)
+
+
+def deposited_volume(bead: Bead, area: Array, s: Array) -> Array:
+    """Volume (k) [m^3] of the bead from its start to arc length s (k) [m]: nothing before 0 or past the end.
+
+    The area (n) [m^2] is linear between the bead's samples; its integral is exact.
+    """
+    # what varies apart from what does not: a constant area gives area times length to the last digit
+    extra = area - area[0]
+    before = np.concatenate([[0.0], np.cumsum(0.5 * (extra[1:] + extra[:-1]) * np.diff(bead.s))])
+    s = np.clip(s, 0.0, bead.length)
+    k = np.clip(np.searchsorted(bead.s, s, side="right") - 1, 0, len(bead.s) - 2)
+    within = s - bead.s[k]
+    slope = (extra[k + 1] - extra[k]) / (bead.s[k + 1] - bead.s[k])
+    return area[0] * s + (before[k] + within * (extra[k] + 0.5 * slope * within))
+
+
+def extruded_volume(bead: Bead, process: ProcessSpec, t: Array, s: Array) -> Array:
+    """Volume (k) [m^3] that has left the nozzle in this bead at the instants t (k) [s], when the nozzle is at s (k) [m].
+
+    Both never fall, and last from before the bead to behind it. A motor that is only on or off runs at the rate of the
+    commanded speed as long as the bead is laid; any other follows the real speed.
+    """
+    area = bead_area(bead, process)
+    if process.extruder.motor != "on_off":
+        return deposited_volume(bead, area, s)
+    mean = deposited_volume(bead, area, bead.s[-1:])[0] / bead.length
+    start, end = np.interp([0.0, bead.length], s, t)
+    return mean * process.speed * np.clip(t - start, 0.0, end - start)
 
 
 def flow(volume_at_edges: Array, dt: float) -> Array:
     """Mean flow (n) [m^3/s] over each sample's own dt, from the volume at its two edges (n + 1)."""
     return np.diff(volume_at_edges) / dt
+
+
+def feed(
+    t: Array,
+    bead: NDArray[np.int32],
+    extruded: Array,
+    flow: Array,
+    events: Sequence[Event],
+    filament_area: float,
+    lag: float,
+) -> Array:
+    """How far the motor has pushed the filament (n) [m] at the instants t (n) [s], uniform.
+
+    extruded (n) [m^3] and flow (n) [m^3/s] in beads (n), -1 in travel. From a cut to the end of its bead fibre is drawn,
+    not pushed; events with an amount push it evenly over their duration. With a lag [s] the filament runs ahead by lag
+    times its rate: flow that follows the motor with that lag is then the bead's.
+    """
+    fed = (extruded - _drawn(t, bead, extruded, events)) / filament_area + _pushed(t, events)
+    if lag > 0.0:
+        fed = fed + lag / filament_area * _advance(bead, extruded, flow, lag, float(t[1] - t[0]))
+    return fed
+
+
+def _drawn(t: Array, bead: NDArray[np.int32], extruded: Array, events: Sequence[Event]) -> Array:
+    """Volume (n) [m^3] laid down behind cuts, which nobody pushes."""
+    cuts = [event for event in events if event.kind == "cut"]
+    if not cuts:
+        return np.zeros(len(t))
+    last = np.flatnonzero((bead >= 0) & (np.append(bead[1:], -1) != bead))  # of each bead; the next holds all of it
+    ends = last[np.searchsorted(bead[last], [event.bead for event in cuts])] + 1
+    begin = np.interp([event.start for event in cuts], t, extruded)
+    end = extruded[np.minimum(ends, len(t) - 1)]
+    total = np.cumsum(end - begin)
+    drawn = np.column_stack([np.append(0.0, total[:-1]), total]).ravel()
+    return np.interp(extruded, np.column_stack([begin, end]).ravel(), drawn)
+
+
+def _pushed(t: Array, events: Sequence[Event]) -> Array:
+    """Filament (n) [m] pushed by events, which come one after the other."""
+    pushes = [event for event in events if event.amount != 0.0]
+    if not pushes:
+        return np.zeros(len(t))
+    times = np.maximum.accumulate(np.array([[event.start, event.start + event.duration] for event in pushes]).ravel())
+    total = np.cumsum([event.amount for event in pushes])
+    return np.interp(t, times, np.column_stack([np.append(0.0, total[:-1]), total]).ravel())
+
+
+def _advance(bead: NDArray[np.int32], extruded: Array, flow: Array, lag: float, dt: float) -> Array:
+    """The flow (n) that pressure is kept for: that of the sample, coming and going smoothly at the ends of a bead."""
+    laid = np.flatnonzero(bead >= 0)
+    if len(laid) == 0:
+        return np.zeros(len(flow))
+    edges = np.flatnonzero(np.diff(bead[laid])) + 1
+    first, last = np.append(0, edges), np.append(edges, len(laid)) - 1
+    # the rate at a sample's own instant: means over its dt and over twice that tell what lies between (Richardson)
+    rate = flow[laid] + (flow - np.gradient(extruded, dt))[laid] / 3.0
+    # a bead's first and last sample also carry what flows in the part sample beside them
+    rate[first] = rate[np.minimum(first + 1, last)]
+    rate[last] = rate[np.maximum(last - 1, first)]
+    share = (bead >= 0).astype(np.float64)
+    for end in (first, last):
+        share[laid[end]] = flow[laid[end]] / np.where(rate[end] > 0.0, rate[end], 1.0)
+    share = uniform_filter1d(share, 2 * int(0.5 * min(ADVANCE_RAMP * lag, LONGEST_RAMP) / dt) + 1, mode="constant")
+    samples = np.arange(len(flow))
+    after = np.clip(np.searchsorted(laid, samples), 0, len(laid) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(samples - laid[before] < laid[after] - samples, before, after)
+    return share * rate[nearest]

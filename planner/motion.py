@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 from planner.cell import Cell
 from planner.cubics import Cubics
 from planner.errors import Refusal
-from planner.extrusion import deposited_volume, flow
-from planner.plan import TRAVEL, Trajectory
+from planner.extrusion import extruded_volume, feed, filament_area, flow
+from planner.plan import TRAVEL, Event, Trajectory
+from planner.problem import ProcessSpec
 from planner.timing import TimedPath
 from planner.toolpath.bead import Bead, Toolpath
 
@@ -22,7 +23,13 @@ _ON_TIME = 1e-9  # of a sample: an instant this close behind a sample counts as 
 
 
 def join(
-    cell: Cell, toolpath: Toolpath, timed: Sequence[TimedPath], travels: Sequence[Cubics], dt: float
+    cell: Cell,
+    toolpath: Toolpath,
+    process: ProcessSpec,
+    timed: Sequence[TimedPath],
+    travels: Sequence[Cubics],
+    dt: float,
+    events: tuple[Event, ...] = (),
 ) -> Trajectory:
     """Travel, bead, travel, …, travel, sampled every dt [s] from the start of the first; at the end it rests."""
     pieces: list[TimedPath | Cubics] = [travels[0]]
@@ -45,20 +52,19 @@ def join(
             q[rows] = piece.joints(t[rows] - starts[k])
             continue
         line = toolpath.beads[i]
-        half = (2.0 * np.arange(first[k], first[k + 1]) - 1.0) * (0.5 * dt) - starts[k]
-        joints, way = piece.at(np.concatenate([half, half + 0.5 * dt, half[-1:] + dt]))
-        m = len(half)
-        edges, at = np.append(way[:m], way[-1]), way[m:-1]
+        half = np.arange(2 * first[k] - 1, 2 * first[k + 1]) * (0.5 * dt) - starts[k]  # edge, sample, edge, …, edge
+        joints, way = piece.at(half)
+        laid, at = extruded_volume(line, process, half, way), way[1::2]
         inside = (at >= 0.0) & (at <= line.length)
         if inside.sum() < 2:
             raise Refusal(_too_short(line, dt), bead=i)
-        q[rows] = joints[m:-1]
+        q[rows] = joints[1::2]
         bead[rows] = np.where(inside, i, TRAVEL)
         s[rows] = np.where(inside, at, 0.0)
-        s_dot[rows] = np.where(inside, np.diff(edges) / dt, np.nan)
-        rate[rows] = _flow(line, edges, inside, dt)
-        volume[rows] = done + deposited_volume(line, at)
-        done += float(deposited_volume(line, np.array([line.length]))[0])
+        s_dot[rows] = np.where(inside, np.diff(way[0::2]) / dt, np.nan)
+        rate[rows] = _flow(laid[0::2], inside, dt)
+        volume[rows] = done + laid[1::2]
+        done += float(laid[-1])
     tip, axis, quat = _poses(cell, q)
     moving = np.linalg.norm(np.gradient(tip, dt, axis=0), axis=1)
     turned = np.cumprod(np.where((quat[1:] * quat[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))
@@ -78,6 +84,8 @@ def join(
         speed=np.where(np.isnan(s_dot), moving, s_dot),
         flow=rate,
         extruded=volume,
+        feed=feed(t, bead, volume, rate, events, filament_area(process), process.extruder.lag),
+        events=events,
     )
 
 
@@ -85,9 +93,9 @@ def _too_short(line: Bead, dt: float) -> str:
     return f"path {line.name!r} is only {line.length * 1e3:.2f} mm long, too short for samples {dt * 1e3:g} ms apart"
 
 
-def _flow(line: Bead, edges: Array, inside: NDArray[np.bool_], dt: float) -> Array:
-    """Mean flow (m) of a bead's samples, from the arc length (m + 1) half a sample before and after each."""
-    flowing = flow(deposited_volume(line, edges), dt)
+def _flow(at_edges: Array, inside: NDArray[np.bool_], dt: float) -> Array:
+    """Mean flow (m) of a bead's samples, from the volume (m + 1) laid down half a sample before and after each."""
+    flowing = flow(at_edges, dt)
     # what flows in the half sample before the first and after the last one of a bead belongs to the bead
     start, end = np.flatnonzero(inside)[[0, -1]]
     flowing[start] += flowing[:start].sum()

@@ -57,7 +57,9 @@ class Trajectory(ReadOnlyArrays):
     speed         (n,)        of the tip relative to the part [m/s]
     flow          (n,)        of material [m^3/s]
     extruded      (n,)        volume deposited since the start [m^3]
-    events                    what the extruder does besides, in order of time
+    feed          (n,)        filament that the motor has pushed since the start [m]: what is deposited, ahead by the
+                              extruder's lag, primes and retracts
+    events                    what the extruder and its heating do besides, in order of time
     """
 
     dt: float
@@ -74,6 +76,7 @@ class Trajectory(ReadOnlyArrays):
     speed: Array
     flow: Array
     extruded: Array
+    feed: Array
     events: tuple[Event, ...] = ()
 
     def __len__(self) -> int:

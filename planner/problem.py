@@ -6,15 +6,15 @@ The keys of the file are the aliases, in mm and degrees; the names of the attrib
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import Field, PrivateAttr, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic import PrivateAttr, ValidationError, ValidationInfo, field_validator, model_validator
 from pydantic_core import PydanticKnownError
 
 from planner.errors import InputError
+from planner.problem_extrusion import BeadSpec, ExtruderSpec, SectionName
 from planner.problem_fields import (
     IDENTIFIER,
     INCREASING,
@@ -24,7 +24,6 @@ from planner.problem_fields import (
     Position,
     Quantity,
     Section,
-    Thickness,
     Vector,
     one_of,
     refusal,
@@ -148,19 +147,6 @@ class CellSpec(Section):
         return self
 
 
-class BeadSpec(Section):
-    """Cross-section of a bead."""
-
-    width: Thickness = _key("width_mm", "width [mm]")
-    # NaN only until Process is complete and the layers' height is put in its place.
-    height: Thickness = Field(
-        default_factory=lambda: math.nan,
-        validate_default=False,
-        alias="height_mm",
-        description="height [mm]; default layers.height_mm, where a drawing is wrapped",
-    )
-
-
 class ConesSpec(Section):
     """How far the nozzle and the layer may lean, as half angles of cones."""
 
@@ -191,6 +177,34 @@ class ProcessSpec(AroundBeadSpec):
     filament_diameter: Annotated[float, Quantity("mm", 0.5, 10)] = _key(
         "filament_diameter_mm", "diameter of the filament that the extruder pushes [mm]", 1.75
     )
+    extruder: ExtruderSpec = _key("extruder", "what pushes the filament; each has a default", {})
+
+    @property
+    def section(self) -> SectionName:
+        """Shape of a bead's cross-section."""
+        return self.bead.section or ("rectangle" if self.fibre is None else "fibre")
+
+    @model_validator(mode="after")
+    def _motor_can_pull_back(self) -> ProcessSpec:
+        if self.extruder.motor == "on_off" and self.retract.length > 0.0:
+            reason = "a motor that is only on or off cannot pull filament back"
+            raise refusal(reason, "leave out retract, or take another motor", fields=["extruder", "retract"])
+        return self
+
+    @model_validator(mode="after")
+    def _fibre_is_fed_as_it_is_laid(self) -> ProcessSpec:
+        if self.section != "fibre":
+            if self.fibre is not None:
+                raise refusal(f"a fibre's section is not {self.section}", "leave out section", fields=["fibre", "bead"])
+            return self
+        if self.extruder.motor == "on_off":
+            reason = "a fibre is fed as fast as it is laid, which a motor that is only on or off cannot do"
+            raise refusal(reason, "take another motor", fields=["fibre", "bead", "extruder"])
+        if self.extruder.lag > 0.0:
+            raise refusal(
+                "a fibre does not lag the motor that feeds it", "leave out lag_s", fields=["fibre", "bead", "extruder"]
+            )
+        return self
 
 
 class ResolveSpec(Section):
@@ -271,6 +285,15 @@ class Problem(Section):
             raise refusal("height_mm is missing", "height of a bead [mm]; a file of waypoints has none", item="bead")
         bead = process.bead.model_copy(update={"height": layers.height})
         return process.model_copy(update={"bead": bead})
+
+    @field_validator("process")
+    @classmethod
+    def _rounded_bead_as_wide_as_high(cls, process: ProcessSpec) -> ProcessSpec:
+        bead = process.bead
+        if process.section == "rounded" and bead.width < bead.height:
+            size = f"{bead.width * 1e3:g} mm wide and {bead.height * 1e3:g} mm high"
+            raise refusal(f"a rounded bead cannot be {size}", "at least as wide as high", item="bead")
+        return process
 
     def model_post_init(self, context: Any) -> None:
         """Keep the places of the values, which come as the validation's context."""

@@ -143,7 +143,7 @@ def _trajectory(
     middle = 1 + int(np.searchsorted(done, 0.5 * done[-1]))
     timed = [each for half in in_halves(part, n, second_process, middle) for each in half]
     travels = [each for half in in_halves(ways, n, second_process) for each in half]
-    return join(cell, toolpath, timed, travels, dt)
+    return join(cell, toolpath, problem.process, timed, travels, dt)
 
 
 def _waypoints(toolpath: Toolpath) -> int:

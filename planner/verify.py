@@ -22,17 +22,16 @@ from planner.plan import Check, Trajectory
 from planner.problem import Problem
 from planner.replay import replay
 from planner.toolpath.bead import Toolpath
+from planner.verify_checks import DIGITS, SPEED_TOLERANCE, check_least, check_most, place, samples_of
+from planner.verify_extrusion import extrusion
 
 Array = NDArray[np.float64]
 
 POSITION_TOLERANCE = 2e-5  # m, tip against the rounded path: no more than interpolation between waypoints may add
 AXIS_TOLERANCE = np.radians(0.05)  # rad, nozzle axis against the true normal
-SPEED_TOLERANCE = 0.02  # of the commanded speed: within it a sample counts as at speed
-EXTRUSION_TOLERANCE = 1e-3  # of the volume
 SPEED_RECORD = 1e-3  # m/s, recorded speed off the mean of two steps, beyond what four steps differ by
 RECORD_TOLERANCE = 1e-6  # m: what the trajectory says of its tip against what its joints do
 BLOCK = 32768  # samples
-DIGITS = 1e-9  # relative: limits are compared with this much room for rounding
 
 
 @dataclass(frozen=True)
@@ -57,44 +56,14 @@ def verify(
     metrics: dict[str, float] = {}
     series: dict[str, Array] = {}
     geometry = partial(_geometry, second_process)
-    for part in (_records, _limits, geometry, _coverage, _singularity, _speed, _extrusion, _clearance):
+    for part in (_records, _limits, geometry, _coverage, _singularity, _speed, extrusion, _clearance):
         part(problem, cell, toolpath, trajectory, motion, checks, metrics, series)
     return Report(tuple(checks), metrics, series)
-
-
-def _where(trajectory: Trajectory, i: int) -> str:
-    """The place of a sample in words."""
-    bead = int(trajectory.bead[i])
-    spot = f"bead {bead}, {trajectory.s[i] * 1e3:.1f} mm" if bead >= 0 else "travel"
-    return f"t = {trajectory.t[i]:.3f} s, {spot}"
-
-
-def _samples_of(t: Trajectory, beads: int) -> list[NDArray[np.intp]]:
-    """Samples of each bead, in order of time; beads may come in any order, and more than once."""
-    order = np.argsort(t.bead, kind="stable")
-    bounds = np.searchsorted(t.bead[order], np.arange(beads + 1))
-    return [order[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
 
 
 def _blocks(n: int) -> Iterator[slice]:
     """Samples in blocks, which bounds the memory."""
     return (slice(start, min(start + BLOCK, n)) for start in range(0, n, BLOCK))
-
-
-def _check_most(checks: list[Check], t: Trajectory, name: str, values: Array, limit: float, unit: str) -> float:
-    """Append the check that no value (n) exceeds the limit; returns the worst. NaN fails."""
-    i = int(np.argmax(np.where(np.isnan(values), np.inf, values)))
-    worst = float(values[i])
-    checks.append(Check(name, worst, limit, unit, bool(worst <= limit * (1.0 + DIGITS)), _where(t, i)))
-    return worst
-
-
-def _check_least(checks: list[Check], t: Trajectory, name: str, values: Array, limit: float, unit: str) -> float:
-    """Append the check that no value (n) falls below the limit; returns the worst. NaN fails."""
-    i = int(np.argmin(np.where(np.isnan(values), -np.inf, values)))
-    worst = float(values[i])
-    checks.append(Check(name, worst, limit, unit, bool(worst >= limit - DIGITS * abs(limit)), _where(t, i)))
-    return worst
 
 
 def _finite(t: Trajectory, checks: list[Check]) -> Trajectory:
@@ -106,7 +75,7 @@ def _finite(t: Trajectory, checks: list[Check]) -> Trajectory:
     if bad.any():
         numbers: dict[str, Any] = {k: np.nan_to_num(v, posinf=0.0, neginf=0.0) for k, v in fields.items()}
         t = replace(t, **numbers)
-    _check_most(checks, t, "all numbers finite", bad, 0.0, "that are not")
+    check_most(checks, t, "all numbers finite", bad, 0.0, "that are not")
     return t
 
 
@@ -126,11 +95,11 @@ def _records(problem, cell, toolpath, t, motion, checks, metrics, series) -> Non
         tip = np.linalg.norm(motion.tip[rows] - t.tip[rows], axis=1)
         axis = np.linalg.norm(motion.axis[rows] - t.axis[rows], axis=1)
         off[rows] = np.max([tip, axis, np.abs(motion.rotation[rows] - turned).max(axis=(1, 2))], axis=0)
-    _check_most(checks, t, "recorded poses", off * 1e3, RECORD_TOLERANCE * 1e3, "mm")
+    check_most(checks, t, "recorded poses", off * 1e3, RECORD_TOLERANCE * 1e3, "mm")
     if cell.spherical:  # of other arms no number is written anywhere
-        _check_most(checks, t, "recorded branch", (motion.branch != t.branch).astype(float), 0.0, "")
+        check_most(checks, t, "recorded branch", (motion.branch != t.branch).astype(float), 0.0, "")
     odd = (np.abs(t.t - np.arange(len(t)) * t.dt) > DIGITS) | (t.deposit != (t.bead >= 0))
-    _check_most(checks, t, "recorded times and beads", odd.astype(float), 0.0, "")
+    check_most(checks, t, "recorded times and beads", odd.astype(float), 0.0, "")
 
 
 def _limits(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:  # type: ignore[no-untyped-def]
@@ -149,19 +118,19 @@ def _limits(problem, cell, toolpath, t, motion, checks, metrics, series) -> None
         ratios["acceleration"][rows] = (np.abs(acceleration) / limits.acceleration).max(axis=1)
         ratios["jerk"][rows] = (np.abs(jerk) / limits.jerk).max(axis=1)
     series["limit_margin_deg"] = margin
-    metrics["joint_limit_margin_deg"] = _check_least(checks, t, "joint range", margin, 0.0, "deg")
+    metrics["joint_limit_margin_deg"] = check_least(checks, t, "joint range", margin, 0.0, "deg")
     for name, ratio in ratios.items():
         series[f"{name}_ratio"] = ratio
         metrics[f"{name}_ratio_max"] = float(ratio.max())
-        _check_most(checks, t, f"joint {name}", ratio, 1.0, "of limit")
-    _check_most(checks, t, "continuity", step, 1.0, "of a sample's travel at full speed")
+        check_most(checks, t, f"joint {name}", ratio, 1.0, "of limit")
+    check_most(checks, t, "continuity", step, 1.0, "of a sample's travel at full speed")
 
 
 def _geometry(second_process, problem, cell, toolpath, t, motion, checks, metrics, series) -> None:  # type: ignore[no-untyped-def]
     """Tip on the rounded path, axis on the true normal, rounded path within tolerance of the input, both ways."""
     position, deviation = shared((len(t),)), shared((len(t),))
     beads = len(toolpath.beads)
-    samples = _samples_of(t, beads)
+    samples = samples_of(t, beads)
 
     parts = 2 if beads == 1 else 1  # of a bead: its samples, and whether it goes wherever the input does
 
@@ -186,9 +155,9 @@ def _geometry(second_process, problem, cell, toolpath, t, motion, checks, metric
     cones = problem.process.cones
     tilt = np.where(t.deposit, np.maximum(np.arctan2(sine, cosine) - cones.tilt, 0.0), 0.0)
     tolerance = problem.process.corner_tolerance * 1e3
-    worst = _check_most(checks, t, "tip on the path", position * 1e3, POSITION_TOLERANCE * 1e3, "mm")
+    worst = check_most(checks, t, "tip on the path", position * 1e3, POSITION_TOLERANCE * 1e3, "mm")
     metrics["position_error_max_mm"] = worst
-    worst = _check_most(checks, t, "axis on the normal", np.degrees(tilt), np.degrees(AXIS_TOLERANCE), "deg")
+    worst = check_most(checks, t, "axis on the normal", np.degrees(tilt), np.degrees(AXIS_TOLERANCE), "deg")
     metrics["axis_error_max_deg"] = worst
     for name, cosine, cone in (
         ("nozzle to gravity", -(motion.axis * motion.up).sum(axis=1), cones.nozzle_gravity),
@@ -197,8 +166,8 @@ def _geometry(second_process, problem, cell, toolpath, t, motion, checks, metric
         if cone == np.pi:
             continue
         lean = np.where(t.deposit, np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))), 0.0)
-        _check_most(checks, t, name, lean, np.degrees(cone + AXIS_TOLERANCE), "deg")
-    worst = _check_most(checks, t, "path within corner tolerance", deviation * 1e3, tolerance, "mm")
+        check_most(checks, t, name, lean, np.degrees(cone + AXIS_TOLERANCE), "deg")
+    worst = check_most(checks, t, "path within corner tolerance", deviation * 1e3, tolerance, "mm")
     ok = unreached * 1e3 <= tolerance * (1.0 + DIGITS)
     checks.append(Check("input path reached everywhere", unreached * 1e3, tolerance, "mm", ok, "input path"))
     metrics["path_deviation_max_mm"] = max(worst, unreached * 1e3)
@@ -216,7 +185,7 @@ def _coverage(problem, cell, toolpath, t, motion, checks, metrics, series) -> No
     worst, where = 0.0, "everywhere"
     starts = np.flatnonzero(t.deposit & (np.concatenate([[-1], t.bead[:-1]]) != t.bead))
     in_order = np.array_equal(t.bead[starts], np.arange(len(toolpath.beads)))
-    for i, (at, bead) in enumerate(zip(_samples_of(t, len(toolpath.beads)), toolpath.beads, strict=True)):
+    for i, (at, bead) in enumerate(zip(samples_of(t, len(toolpath.beads)), toolpath.beads, strict=True)):
         s = t.s[at]
         gaps = np.diff(np.concatenate([[0.0], s, [bead.length]]))
         gap = float(gaps.max()) if len(s) and gaps.min() >= 0.0 else bead.length
@@ -243,13 +212,13 @@ def _singularity(problem, cell, toolpath, t, motion, checks, metrics, series) ->
             series["wrist_deg"] = np.degrees(np.abs(t.q[:, 4]))
         metrics["wrist_margin_deg"] = float(series["wrist_deg"][t.deposit].min(initial=180.0))
     sigma = np.where(t.deposit, motion.sigma, np.inf)
-    metrics["sigma_min"] = _check_least(checks, t, "singularity margin", sigma, problem.resolve.min_sigma, "")
+    metrics["sigma_min"] = check_least(checks, t, "singularity margin", sigma, problem.resolve.min_sigma, "")
     metrics["sigma_p01"] = float(np.quantile(motion.sigma[t.deposit], 0.01)) if t.deposit.any() else 0.0
     together = t.deposit[1:] & (t.bead[1:] == t.bead[:-1])
     flips = np.any([side[1:] != side[:-1] for side in sides], axis=0)
     count = int((flips & together).sum())
     i = int(np.argmax(flips & together))
-    where = _where(t, i) if count else "everywhere"
+    where = place(t, i) if count else "everywhere"
     checks.append(Check("branch changes in deposition", float(count), 0.0, "", count == 0, where))
     metrics["branch_changes_in_deposition"] = count
 
@@ -265,14 +234,14 @@ def _speed(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:
     mean = 0.5 * (before + after)
     limit = commanded * (1.0 + SPEED_TOLERANCE)
     fast = np.where(t.deposit, np.maximum(mean, t.speed), 0.0)
-    metrics["speed_max_mm_s"] = _check_most(checks, t, "speed in deposition", fast * 1e3, limit * 1e3, "mm/s")
+    metrics["speed_max_mm_s"] = check_most(checks, t, "speed in deposition", fast * 1e3, limit * 1e3, "mm/s")
     around = np.stack(
         [np.concatenate([before[:1], before[:-1]]), before, after, np.concatenate([after[1:], after[-1:]])]
     )
     claim = np.where(t.deposit, np.abs(t.speed - mean) - np.ptp(around, axis=0), 0.0)
-    _check_most(checks, t, "recorded speed", claim * 1e3, SPEED_RECORD * 1e3, "mm/s")
+    check_most(checks, t, "recorded speed", claim * 1e3, SPEED_RECORD * 1e3, "mm/s")
     travel = np.where(t.deposit, 0.0, mean)
-    _check_most(checks, t, "speed in travel", travel * 1e3, problem.process.travel_speed * 1e3, "mm/s")
+    check_most(checks, t, "speed in travel", travel * 1e3, problem.process.travel_speed * 1e3, "mm/s")
     metrics["speed_min_mm_s"] = float(mean[t.deposit].min()) * 1e3 if t.deposit.any() else 0.0
     at_speed = t.deposit & (mean >= commanded * (1.0 - SPEED_TOLERANCE)) & (mean <= limit)
     deposited = mean[t.deposit].sum()
@@ -280,45 +249,6 @@ def _speed(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:
     metrics["deposition_time_s"] = float(t.deposit.sum() * t.dt)
     metrics["ideal_deposition_time_s"] = toolpath.length / commanded
     metrics["print_time_s"] = float(t.t[-1])
-
-
-def _extrusion(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:  # type: ignore[no-untyped-def]
-    """Material: none outside beads, never backwards, and per bead as much as the bead holds."""
-    worst, where = 0.0, "everywhere"
-    for i, (at, bead) in enumerate(zip(_samples_of(t, len(toolpath.beads)), toolpath.beads, strict=True)):
-        volume = bead.width * bead.height * bead.length
-        off = abs(float(t.flow[at].sum()) * t.dt - volume) / volume
-        if off > worst:
-            worst, where = off, f"bead {i}"
-    stray = bool((t.flow[~t.deposit] != 0.0).any() or (t.flow < 0.0).any())
-    balanced = abs(float(t.extruded[-1]) - _volume(toolpath)) <= EXTRUSION_TOLERANCE * _volume(toolpath)
-    if stray:
-        where = "material flows outside a bead"
-    ok = worst <= EXTRUSION_TOLERANCE and balanced and not stray
-    checks.append(Check("extrusion balance", worst, EXTRUSION_TOLERANCE, "of a bead's volume", ok, where))
-    _follows(t, toolpath, checks)
-    filament = np.pi * (0.5 * problem.process.filament_diameter) ** 2
-    metrics["extruded_volume_mm3"] = float(t.extruded[-1]) * 1e9
-    metrics["extruded_mm"] = float(t.extruded[-1]) / filament * 1e3
-
-
-def _follows(t: Trajectory, toolpath: Toolpath, checks: list[Check]) -> None:
-    """Material keeps pace with the tip: what has flowed is what the bead holds up to here, at every sample."""
-    areas = np.array([bead.width * bead.height for bead in toolpath.beads])
-    before = np.concatenate([[0.0], np.cumsum(areas * [bead.length for bead in toolpath.beads])])
-    done = before[np.maximum.accumulate(np.where(t.deposit, t.bead, -1)) + 1]  # after the bead, or the last one
-    area = areas[np.maximum(t.bead, 0)]
-    expected = np.where(
-        t.deposit, done + area * t.s - area * np.array([b.length for b in toolpath.beads])[t.bead], done
-    )
-    sample = float(areas.max()) * float(t.speed[t.deposit].max(initial=0.0)) * t.dt
-    late = np.abs(np.cumsum(t.flow) * t.dt - t.extruded)
-    off = np.maximum(np.abs(t.extruded - expected), late) / sample if sample else np.ones(len(t))
-    _check_most(checks, t, "material keeps pace", off, 1.0 + SPEED_TOLERANCE, "of what one sample lays down")
-
-
-def _volume(toolpath: Toolpath) -> float:
-    return float(sum(bead.width * bead.height * bead.length for bead in toolpath.beads))
 
 
 def _clearance(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:  # type: ignore[no-untyped-def]
@@ -329,4 +259,4 @@ def _clearance(problem, cell, toolpath, t, motion, checks, metrics, series) -> N
     for first, last in zip(np.append(0, changes), np.append(changes, len(t)), strict=True):
         surface = toolpath.surface.before(int(begun[first]))
         gap[first:last] = surface.signed_distance(motion.tip[first:last])
-    metrics["clearance_min_mm"] = _check_least(checks, t, "nozzle tip outside the part", gap * 1e3, 0.0, "mm")
+    metrics["clearance_min_mm"] = check_least(checks, t, "nozzle tip outside the part", gap * 1e3, 0.0, "mm")

@@ -169,6 +169,7 @@ def make_plan(
         speed=speed,
         flow=flow,
         extruded=extruded,
+        feed=extruded / (np.pi * FILAMENT**2 / 4.0),
     )
     deposited = 1e3 * beads * length
     return Plan(
@@ -208,7 +209,9 @@ GOLDEN = Path(__file__).parent / "golden"
 def sliced(plan: Plan, rows: slice) -> Plan:
     """The same plan with only some of its samples: for tables, where any samples do."""
     values = vars(plan.trajectory).items()
-    return replace(plan, trajectory=Trajectory(**{k: v if k == "dt" else v[rows] for k, v in values}))
+    return replace(
+        plan, trajectory=replace(plan.trajectory, **{k: v[rows] for k, v in values if isinstance(v, np.ndarray)})
+    )
 
 
 def golden_texts() -> dict[str, str]:

@@ -53,7 +53,7 @@ def make_plan(
     quat = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
     trajectory = Trajectory(
         dt=DT, t=t, bead=bead, layer=cat["layer"].astype(np.int32), deposit=deposit, s=cat["s"], q=q, tip=cat["tip"],
-        axis=cat["axis"], speed=cat["speed"], flow=flow, extruded=np.cumsum(flow) * DT,
+        axis=cat["axis"], speed=cat["speed"], flow=flow, extruded=np.cumsum(flow) * DT, feed=np.cumsum(flow) * DT / (np.pi / 4 * 1.75e-3**2),
         quat=quat, branch=np.zeros(n, dtype=np.int8),
     )  # fmt: skip
     series = {

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from solved import small_plan
 
 from planner.export.digits import SIGNIFICANT, rows_text
-from planner.export.table import FIXED, filament_area, write_table
+from planner.export.table import FIXED, write_table
 
 DECIMALS = np.array([0, 2, 5, 9], dtype=np.int64)
 ANY = st.floats(allow_nan=True, allow_infinity=True)
@@ -74,7 +74,7 @@ def test_whole_table_is_what_formatting_row_by_row_writes() -> None:
     assert lines[0].split(",") == [*FIXED, *plan.cell.joint_names]
     assert len(lines) == len(t) + 1
     one = (t.t, t.bead, t.layer, t.deposit, t.s * 1e3, *(t.tip.T * 1e3), *t.axis.T, t.speed * 1e3, t.flow * 1e9)
-    columns = [*one, t.extruded / filament_area(plan) * 1e3]
+    columns = [*one, t.feed * 1e3]
     for k in range(0, len(t), 7):
         fixed = [f"{round(float(c[k]), d) + 0.0:.{d}f}" for c, d in zip(columns, FIXED.values(), strict=True)]
         assert lines[k + 1] == ",".join([*fixed, *(f"{q + 0.0:.12g}" for q in t.q[k])])

@@ -199,7 +199,7 @@ def _straight(plan, length):
     deposit = (along >= RUN_IN - 1e-9) & (along <= RUN_IN + length + 1e-9)
     like = plan.trajectory
     tip = np.tile(like.tip[300], (n, 1)) + along[:, None] * [0.0, 0.0, 1.0]
-    rows = {k: np.repeat(v[300:301], n, axis=0) for k, v in vars(like).items() if k != "dt"}
+    rows = {k: np.repeat(v[300:301], n, axis=0) for k, v in vars(like).items() if isinstance(v, np.ndarray)}
     # a joint that moves evenly, so that the robot does not seem to stand still
     rows["q"] = rows["q"] + along[:, None] * 2.0
     rows |= {"t": np.arange(n) * like.dt, "tip": tip, "deposit": deposit, "bead": np.where(deposit, 0, -1)}
@@ -217,8 +217,8 @@ def test_fine_only_at_rest_and_waits_are_kept():
     while np.abs(t.q[rest] - t.q[rest - 1]).max() > 1e-5:
         rest -= 1
     rows = np.concatenate([np.arange(rest), np.full(101, rest), np.arange(rest, len(t))])
-    held = {k: v[rows] for k, v in vars(t).items() if k != "t" and isinstance(v, np.ndarray)}
-    waiting = replace(plan, trajectory=Trajectory(dt=t.dt, t=np.arange(len(rows)) * t.dt, **held))
+    held = {k: v[rows] for k, v in vars(t).items() if isinstance(v, np.ndarray)}
+    waiting = replace(plan, trajectory=replace(t, **held | {"t": np.arange(len(rows)) * t.dt}))
     program = read_rapid(rapid(waiting))
     assert program.fine.sum() == 6
     assert program.wait.max() == pytest.approx(0.404, abs=0.013)

@@ -208,7 +208,7 @@ def test_every_field_is_described_with_unit_and_default() -> None:
     units = {"_mm": "[mm]", "_deg": "[deg]", "_mm_s": "[mm/s]", "_deg_s": "[deg/s]"}
     units |= {"_rad_s2": "[rad/s2]", "_rad_s3": "[rad/s3]", "_s": "[s]", "_c": "[°C]"}
     found = list(sections(Problem))
-    assert len(found) == 20
+    assert len(found) == 21
     for model in found:
         for name, field in model.model_fields.items():
             key = field.alias or name
@@ -216,6 +216,73 @@ def test_every_field_is_described_with_unit_and_default() -> None:
             unit = next((unit for end, unit in units.items() if key.endswith(end)), "")
             assert unit in field.description, key
             assert field.is_required() or "default" in field.description, key
+
+
+def test_extruder_and_section(in_tmp: Path) -> None:
+    process = load(TEXT).process
+    assert (process.section, process.extruder.motor, process.extruder.lag) == ("rectangle", "e_axis", 0.0)
+    process = load(
+        TEXT, ["process.bead.section=rounded", "process.extruder={motor: speed_demand, lag_s: 0.06}"]
+    ).process
+    assert (process.section, process.extruder.motor, process.extruder.lag) == ("rounded", "speed_demand", 0.06)
+    assert load(TEXT, ["process.fibre={cut_length_mm: 30}"]).process.section == "fibre"
+    for bad in (-0.001, 2.001):
+        assert refused(TEXT, [f"process.extruder.lag_s={bad}"]).hint == "valid: 0 to 2 s"
+
+
+@pytest.mark.parametrize(
+    ("changes", "field", "reason", "hint"),
+    [
+        (["process.bead.section=round"], "process.bead.section", "unknown name 'round'", "did you mean rounded?"),
+        (
+            ["process.extruder.motor=off"],
+            "process.extruder.motor",
+            "unknown name 'off'",
+            "e_axis, speed_demand, on_off",
+        ),
+        (
+            ["process.bead={width_mm: 0.4, section: rounded}"],
+            "process.bead",
+            "0.4 mm wide and 0.5 mm high",
+            "at least as wide as high",
+        ),
+        (
+            ["process.extruder.motor=on_off", "process.extruder.lag_s=0.1"],
+            "process.extruder.motor",
+            "cannot make up for lag_s",
+            "leave out lag_s",
+        ),
+        (
+            ["process.extruder.motor=on_off", "process.retract.length_mm=2"],
+            "process.extruder",
+            "cannot pull filament back",
+            "leave out retract",
+        ),
+        (
+            ["process.bead.section=fibre", "process.extruder.motor=on_off"],
+            "process.extruder",
+            "fed as fast as it is laid",
+            "another motor",
+        ),
+        (
+            ["process.bead.section=fibre", "process.extruder.lag_s=0.1"],
+            "process.extruder",
+            "does not lag",
+            "leave out lag_s",
+        ),
+        (
+            ["process.fibre={cut_length_mm: 30}", "process.bead.section=rounded"],
+            "process.fibre",
+            "a fibre's section is not rounded",
+            "leave out section",
+        ),
+    ],
+)
+def test_what_an_extruder_cannot_do(in_tmp: Path, changes: list[str], field: str, reason: str, hint: str) -> None:
+    error = refused(TEXT, changes)
+    assert (error.field or "").startswith(f"--set {field}")
+    assert reason in error.reason
+    assert hint in (error.hint or "")
 
 
 # What is wrong with the text

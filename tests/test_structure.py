@@ -29,8 +29,8 @@ ROOMS = (
     "cubics",
     "timing",
     "travel",
-    "extrusion",
     "plan",
+    "extrusion",
     "events",
     "nearest",
     "motion",
@@ -46,12 +46,15 @@ ROOMS = (
 )
 SAME_ROOM = {
     "problem_fields": "problem",
+    "problem_extrusion": "problem",
     "problem_file": "problem",
     "problem_mistakes": "problem",
     "problem_process": "problem",
     "problem_sources": "problem",
     "run_ends": "process",
     "robot_files": "cell",
+    "verify_checks": "verify",
+    "verify_extrusion": "verify",
 }
 EVERYWHERE = {"errors"}
 # Rooms that see less than what is to their left, when the program runs.
@@ -66,7 +69,9 @@ NARROW = {
     "export": {"errors", "plan"},
     "report": {"errors", "plan"},
 }
-FORBIDDEN = {name: {"resolve", "timing", "travel", "motion", "dips", "kinematics"} for name in ("replay", "verify")}
+FORBIDDEN = {
+    name: {"resolve", "timing", "travel", "extrusion", "motion", "dips", "kinematics"} for name in ("replay", "verify")
+}
 # Modules that may import a heavy package; a room stands for all its modules.
 HEAVY = {
     "numba": {

@@ -81,7 +81,9 @@ def test_wrapped_points_lie_on_their_layer() -> None:
 
 def test_bead_keeps_what_it_is_told() -> None:
     (bead,) = wrap_layer([line((0, 0), (0.02, 0.01))], CYLINDER, 3, 0.5 * MM, 0.6 * MM, 0.4 * MM)
-    assert (bead.name, bead.layer, bead.width, bead.height, bead.closed) == ("curve", 3, 0.6 * MM, 0.4 * MM, False)
+    assert (bead.name, bead.layer, bead.closed) == ("curve", 3, False)
+    assert bead.width.tolist() == [0.6 * MM] * len(bead.s)
+    assert bead.height.tolist() == [0.4 * MM] * len(bead.s)
 
 
 @pytest.mark.parametrize("end", [(0.05, 0.0), (0.0, 0.03), (0.2, 0.05), (-0.03, 0.02)])

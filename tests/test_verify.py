@@ -56,6 +56,8 @@ CHECKS = {
     "speed in deposition",
     "speed in travel",
     "extrusion balance",
+    "flow per millimetre",
+    "filament fed",
     "nozzle tip outside the part",
 }
 
@@ -495,7 +497,7 @@ def test_bead_that_is_cut_short(plan: Plan, end: str) -> None:
     flow = plan.trajectory.flow.copy()
     flow[at[10]] += flow[lost].sum()
     short = silent(replace(plan.trajectory, flow=flow), lost)
-    assert failed(plan, short) == {"every bead complete", "material keeps pace"}
+    assert failed(plan, short) == {"every bead complete", "material keeps pace", "flow per millimetre"}
 
 
 def test_bead_that_is_interrupted(plan: Plan) -> None:
@@ -503,7 +505,11 @@ def test_bead_that_is_interrupted(plan: Plan) -> None:
     flow = plan.trajectory.flow.copy()
     flow[at[10]] += flow[at[50:55]].sum()
     found = report(plan, silent(replace(plan.trajectory, flow=flow), at[50:55]))
-    assert {check.name for check in found.checks if not check.ok} == {"every bead complete", "material keeps pace"}
+    assert {check.name for check in found.checks if not check.ok} == {
+        "every bead complete",
+        "material keeps pace",
+        "flow per millimetre",
+    }
     assert where(found, "every bead complete") == "beads out of order, missing, or laid down twice"
 
 
@@ -521,7 +527,8 @@ def test_bead_laid_down_twice(plan: Plan) -> None:
     halved = np.where(twice.bead == 1, 0.5, 1.0)
     twice = silent(replace(twice, flow=twice.flow * halved), returning)
     # the motion turns back on a sample, but comes to rest between two
-    assert failed(plan, twice) - {"joint jerk"} == {"every bead complete", "material keeps pace"}
+    expected = {"every bead complete", "material keeps pace", "flow per millimetre"}
+    assert failed(plan, twice) - {"joint jerk"} == expected
 
 
 def test_beads_in_the_wrong_order(plan: Plan) -> None:
@@ -540,9 +547,14 @@ def test_bead_laid_down_backwards(plan: Plan) -> None:
     backwards = rows(plan.trajectory, np.arange(n - 1, -1, -1))
     bead = np.array([2, 1, 0, TRAVEL])[backwards.bead].astype(np.int32)
     extruded = plan.trajectory.extruded[-1] - backwards.extruded
-    backwards = replace(backwards, bead=bead, extruded=extruded)
+    backwards = replace(backwards, bead=bead, extruded=extruded, feed=plan.trajectory.feed[-1] - backwards.feed)
     other = replace(plan.toolpath, beads=plan.toolpath.beads[::-1])
-    assert failed(plan, backwards, toolpath=other) == {"every bead complete", "material keeps pace", "recorded speed"}
+    assert failed(plan, backwards, toolpath=other) == {
+        "every bead complete",
+        "material keeps pace",
+        "flow per millimetre",
+        "recorded speed",
+    }
 
 
 def test_s_that_goes_back_for_one_sample(plan: Plan) -> None:
@@ -553,6 +565,7 @@ def test_s_that_goes_back_for_one_sample(plan: Plan) -> None:
         "every bead complete",
         "tip on the path",
         "speed in deposition",
+        "flow per millimetre",
     }
 
 
@@ -682,7 +695,7 @@ def test_material_sucked_back(plan: Plan) -> None:
     i = straight_stretch(plan, 1)[0]
     flow = plan.trajectory.flow
     back = swapped(swapped(flow, i, -1.5 * flow[i]), i + 1, 1.5 * flow[i])
-    assert failed(plan, replace(plan.trajectory, flow=back)) == {"extrusion balance"}
+    assert failed(plan, replace(plan.trajectory, flow=back)) == {"extrusion balance", "flow per millimetre"}
 
 
 @pytest.mark.parametrize(
@@ -691,11 +704,13 @@ def test_material_sucked_back(plan: Plan) -> None:
         (0.9995, set()),
         (0.998, {"extrusion balance", "material keeps pace"}),
         (1.002, {"extrusion balance", "material keeps pace"}),
+        (1.006, {"extrusion balance", "material keeps pace", "flow per millimetre"}),
     ],
 )
 def test_too_little_and_too_much_material(plan: Plan, share: float, expected: set[str]) -> None:
     t = plan.trajectory
-    assert failed(plan, replace(t, flow=share * t.flow, extruded=share * t.extruded)) == expected
+    less = replace(t, flow=share * t.flow, extruded=share * t.extruded, feed=share * t.feed)
+    assert failed(plan, less) == expected
 
 
 def test_material_of_one_bead_given_to_another(plan: Plan) -> None:
@@ -705,7 +720,7 @@ def test_material_of_one_bead_given_to_another(plan: Plan) -> None:
     shift = 0.01 * flow[a].sum()
     flow[a] *= 0.99
     flow[b] *= 1.0 + shift / flow[b].sum()
-    assert failed(plan, replace(t, flow=flow)) == {"extrusion balance", "material keeps pace"}
+    assert failed(plan, replace(t, flow=flow)) == {"extrusion balance", "material keeps pace", "flow per millimetre"}
 
 
 def test_material_that_does_not_follow_the_speed(plan: Plan) -> None:
@@ -753,7 +768,7 @@ def test_part_that_is_thicker_than_planned(plan: Plan) -> None:
 @pytest.mark.parametrize(
     ("place", "value"), [("deposit", np.nan), ("deposit", np.inf), ("travel", np.nan), ("end", np.nan)]
 )
-@pytest.mark.parametrize("field", ["t", "s", "q", "tip", "quat", "axis", "speed", "flow", "extruded"])
+@pytest.mark.parametrize("field", ["t", "s", "q", "tip", "quat", "axis", "speed", "flow", "extruded", "feed"])
 def test_what_is_no_number_never_passes(plan: Plan, field: str, place: str, value: float) -> None:
     at = {"deposit": int(straight_stretch(plan, 1)[0]), "travel": 300, "end": -1}[place]
     values = getattr(plan.trajectory, field).copy()
@@ -897,7 +912,7 @@ def test_the_files_have_the_promised_fields(files: Files) -> None:
     waypoints beads layers deposited_length_mm deposition_time_s ideal_deposition_time_s print_time_s at_speed_fraction
     speed_min_mm_s speed_max_mm_s sigma_min sigma_p01 wrist_margin_deg joint_limit_margin_deg velocity_ratio_max
     acceleration_ratio_max jerk_ratio_max position_error_max_mm axis_error_max_deg path_deviation_max_mm
-    clearance_min_mm branch_changes_in_deposition extruded_mm extruded_volume_mm3 bound_deposition_time_s
+    clearance_min_mm branch_changes_in_deposition extruded_mm extruded_volume_mm3 bound_deposition_time_s flow_error_max
     """
     assert set(metrics.split()) == set(files.metrics)
     assert {"load", "toolpath", "resolve", "timing", "verify", "export", "total"} <= set(files.plan["timing_s"])
@@ -1024,7 +1039,7 @@ def test_a_station_with_two_moving_axes_is_replayed_as_it_moves() -> None:
         Trajectory(
             dt=0.004, t=nothing, bead=nothing.astype(np.int32), layer=nothing.astype(np.int32), deposit=nothing > 0,
             s=nothing, q=q, tip=T[:, :3, 3], quat=np.zeros((120, 4)), axis=T[:, :3, 2], branch=nothing.astype(np.int8),
-            speed=nothing, flow=nothing, extruded=nothing,
+            speed=nothing, flow=nothing, extruded=nothing, feed=nothing,
         ),
     )  # fmt: skip
     np.testing.assert_allclose(motion.tip, T[:, :3, 3], atol=1e-12)

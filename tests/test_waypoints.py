@@ -362,8 +362,8 @@ def beads_of(paths: list[Array], height: float = 0.5e-3) -> list[Bead]:
             rows[:, 3:],
             np.roll(rows[:, 3:], 1, axis=1),
             rows[:, :3] * 1e-3,
-            0.6e-3,
-            height,
+            np.full(len(rows), 0.6e-3),
+            np.full(len(rows), height),
             False,
         )
         for i, rows in enumerate(paths)
@@ -520,7 +520,9 @@ def test_a_problem_becomes_a_toolpath(tmp_path: Path) -> None:
     toolpath = build_toolpath(problem)
     (bead,) = toolpath.beads
     assert np.linalg.norm(bead.points, axis=1)[5:] == pytest.approx(0.12, abs=1e-6)
-    assert (bead.height, bead.width, bead.closed) == (problem.process.bead.height, problem.process.bead.width, False)
+    assert not bead.closed
+    for sizes, size in ((bead.height, problem.process.bead.height), (bead.width, problem.process.bead.width)):
+        assert sizes.tolist() == [size] * len(bead.s)
     assert bead.length == pytest.approx(0.499, rel=1e-3)
     assert replace(bead, layer=0).s is bead.s
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
@@ -32,17 +31,11 @@ FIXED = {
 }
 
 
-def filament_area(plan: Plan) -> float:
-    """Cross-section of the filament [m^2]."""
-    return math.pi * plan.problem.process.filament_diameter**2 / 4.0
-
-
 def write_table(plan: Plan, stream: TextIO) -> None:
     """Write one row per sample to a text stream: mm, mm/s, mm^3/s, joints in rad; e_mm is filament [mm]."""
     t = plan.trajectory
     stream.write(",".join([*FIXED, *plan.cell.joint_names]) + "\n")
     decimals = np.array(list(FIXED.values()), dtype=np.int64)
-    area = filament_area(plan)
     for start in range(0, len(t), CHUNK):
         rows = slice(start, start + CHUNK)
         columns = np.column_stack(
@@ -56,7 +49,7 @@ def write_table(plan: Plan, stream: TextIO) -> None:
                 t.axis[rows],
                 t.speed[rows] * 1e3,
                 t.flow[rows] * 1e9,
-                t.extruded[rows] / area * 1e3,
+                t.feed[rows] * 1e3,
             ]
         )
         stream.write(rows_text(columns, decimals, t.q[rows]))

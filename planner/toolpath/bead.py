@@ -39,8 +39,8 @@ class Bead(ReadOnlyArrays):
     normals   (n, 3) unit surface normal, out of the part; the nozzle axis is its negative
     roll_zero (n, 3) unit vector in the tangent plane from which roll about the normal is counted
     source    (m, 3) the input path before corners were rounded, same layer, part frame [m]
-    width, height    cross-section of the bead [m]
-    closed           the last point is the first one again (both are kept)
+    width, height (n,) of the bead [m]
+    closed         the last point is the first one again (both are kept)
     """
 
     name: str
@@ -50,8 +50,8 @@ class Bead(ReadOnlyArrays):
     normals: Array
     roll_zero: Array
     source: Array
-    width: float
-    height: float
+    width: Array
+    height: Array
     closed: bool
 
     @property

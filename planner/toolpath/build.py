@@ -60,8 +60,8 @@ def _through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
             normals=curve.normals,
             roll_zero=zero,
             source=curve.source,
-            width=process.bead.width,
-            height=process.bead.height,
+            width=np.full(len(curve.points), process.bead.width),
+            height=np.full(len(curve.points), process.bead.height),
             closed=bool(np.linalg.norm(curve.points[-1] - curve.points[0]) < _CLOSED),
         )
         for path, curve, zero in zip(paths, curves, zeros, strict=True)

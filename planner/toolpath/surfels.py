@@ -125,10 +125,10 @@ def with_layers(beads: Sequence[Bead]) -> tuple[tuple[Bead, ...], Surfels]:
     """
     tips, normals = (np.vstack([getattr(bead, name) for bead in beads]) for name in ("points", "normals"))
     first = np.concatenate([[0], np.cumsum([len(bead.points) for bead in beads])])
-    height = np.repeat([bead.height for bead in beads], np.diff(first))
+    height = np.concatenate([bead.height for bead in beads])
     centres = tips - height[:, None] * normals
     spacing = float(np.median(np.concatenate([np.diff(bead.s) for bead in beads])))
-    radius = 0.5 * (spacing + max(bead.width for bead in beads))
+    radius = 0.5 * (spacing + max(float(bead.width.max()) for bead in beads))
     tip_tree = _tree(tips)
     beneath = _beneath(tips, normals, centres, height, 2.0 * radius, tip_tree)
     owner = np.where(beneath >= 0, np.searchsorted(first, beneath, side="right") - 1, -1)

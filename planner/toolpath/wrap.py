@@ -75,8 +75,8 @@ def wrap_layer(
                 normals=normals,
                 roll_zero=upright,
                 source=source,
-                width=width,
-                height=height,
+                width=np.full(len(points), width),
+                height=np.full(len(points), height),
                 closed=curve.closed,
             )
         )

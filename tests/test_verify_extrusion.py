@@ -1,0 +1,410 @@
+"""The verifier on material: every motor and section passes, and every way to spoil what flows or is fed is caught."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from solved import small_plan, write_small
+
+import planner.solve
+from planner.export.gcode import gcode
+from planner.extrusion import feed, filament_area
+from planner.plan import Event, Plan, Trajectory
+from planner.problem import load_problem
+from planner.solve import solve
+from planner.toolpath.bead import Toolpath
+from planner.verify import Report, verify
+
+Array = NDArray[np.float64]
+MM = 1e-3
+PACE = {"material keeps pace", "flow per millimetre"}
+
+
+@cache
+def solved(*changes: str) -> Plan:
+    """The small print, solved with changes to its problem."""
+    with tempfile.TemporaryDirectory() as folder:
+        return solve(load_problem(write_small(Path(folder)), changes))
+
+
+def report(plan: Plan, trajectory: Trajectory | None = None, toolpath: Toolpath | None = None) -> Report:
+    return verify(plan.problem, plan.cell, toolpath or plan.toolpath, trajectory or plan.trajectory)
+
+
+def failed(plan: Plan, **changes: Any) -> set[str]:
+    """Names of the checks that fail when fields of the trajectory are exchanged."""
+    return {check.name for check in report(plan, replace(plan.trajectory, **changes)).checks if not check.ok}
+
+
+def samples(plan: Plan, bead: int) -> NDArray[np.intp]:
+    return np.flatnonzero(plan.trajectory.bead == bead)
+
+
+def area(plan: Plan) -> float:
+    return filament_area(plan.problem.process)
+
+
+# --- what is right -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("section", "mm2"),
+    [("rectangle", 0.3), ("rounded", 0.1 * 0.5 + np.pi * 0.25**2), ("fibre", np.pi * 0.875**2)],
+)
+@pytest.mark.parametrize("motor", ["e_axis", "speed_demand"])
+def test_every_section_and_motor_that_follows_is_verified(section: str, mm2: float, motor: str) -> None:
+    plan = solved(f"process.bead.section={section}", f"process.extruder.motor={motor}")
+    assert plan.verified
+    assert plan.metrics["extruded_volume_mm3"] == pytest.approx(mm2 * plan.metrics["deposited_length_mm"], rel=1e-9)
+    if section == "fibre":
+        assert plan.metrics["extruded_mm"] == pytest.approx(plan.metrics["deposited_length_mm"], rel=1e-9)
+    assert plan.metrics["flow_error_max"] < 0.001
+    assert plan.metrics["speed_min_mm_s"] < 36.0, "there is a dip to follow"
+
+
+def test_flow_follows_the_real_speed() -> None:
+    plan = solved()
+    t = plan.trajectory
+    inside = t.deposit & np.roll(t.deposit, 1) & np.roll(t.deposit, -1)
+    np.testing.assert_allclose(t.flow[inside], 0.3 * MM**2 * t.speed[inside], rtol=1e-9)
+
+
+def varied(toolpath: Toolpath) -> Toolpath:
+    """Beads that grow and shrink in both measures along their length."""
+    beads = []
+    for bead in toolpath.beads:
+        wave = np.sin(2.0 * np.pi * bead.s / (7.0 * MM))
+        beads.append(replace(bead, width=bead.width * (1.0 + 0.3 * wave), height=bead.height * (1.0 - 0.2 * wave**2)))
+    return replace(toolpath, beads=tuple(beads))
+
+
+@pytest.fixture
+def varying(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Plan]:
+    original = planner.solve.build_toolpath
+    monkeypatch.setattr(planner.solve, "build_toolpath", lambda problem: varied(original(problem)))
+
+    def solve_it(*changes: str) -> Plan:
+        with tempfile.TemporaryDirectory() as folder:
+            return solve(load_problem(write_small(Path(folder)), changes))
+
+    return solve_it
+
+
+@pytest.mark.parametrize("section", ["rectangle", "rounded"])
+def test_measures_that_vary_along_a_bead(varying: Callable[..., Plan], section: str) -> None:
+    plan = varying(f"process.bead.section={section}", "process.bead.width_mm=0.9")
+    assert plan.verified
+    assert plan.metrics["flow_error_max"] < 0.002
+    volume = 0.0
+    for bead in plan.toolpath.beads:
+        w, h = bead.width / MM, bead.height / MM
+        mm2 = w * h if section == "rectangle" else (w - h) * h + np.pi * h**2 / 4.0
+        volume += float(np.trapezoid(mm2, bead.s / MM))
+    assert plan.metrics["extruded_volume_mm3"] == pytest.approx(volume, rel=1e-9)
+    # the same motion, of beads that do not vary
+    flat = replace(
+        plan.toolpath, beads=tuple(replace(b, width=0.0 * b.s + b.width.mean()) for b in plan.toolpath.beads)
+    )
+    names = {check.name for check in report(plan, toolpath=flat).checks if not check.ok}
+    assert {"flow per millimetre"} <= names <= {*PACE, "extrusion balance"}
+
+
+# --- flow --------------------------------------------------------------------------------------------------
+
+
+def test_flow_that_pulses_along_the_bead() -> None:
+    """Three in a hundred, to and fro every two millimetres: right by bead, by sample and in sum."""
+    plan = small_plan()
+    t = plan.trajectory
+    at = samples(plan, 2)
+    wave = np.sin(2.0 * np.pi * t.s / (2.0 * MM)) * 0.03 * (t.bead == 2)
+    wave[at[-1] - np.arange(40)] = 0.0
+    flow = t.flow * (1.0 + wave)
+    extruded = t.extruded + (np.cumsum(flow - t.flow) - 0.5 * (flow - t.flow)) * t.dt
+    away = extruded[-1] - t.extruded[-1]
+    assert abs(away) < 1e-3 * t.extruded[-1]
+    assert failed(plan, flow=flow, extruded=extruded, feed=extruded / area(plan)) == {"flow per millimetre"}
+    # each of the three records by itself
+    assert "flow per millimetre" in failed(plan, flow=flow)
+    assert "flow per millimetre" in failed(plan, extruded=extruded)
+    assert "flow per millimetre" in failed(plan, feed=extruded / area(plan))
+
+
+def test_a_pulse_is_told_with_its_place_and_size() -> None:
+    plan = small_plan()
+    i = samples(plan, 1)[100]
+    flow = plan.trajectory.flow.copy()
+    flow[i] *= 1.2
+    found = report(plan, replace(plan.trajectory, flow=flow))
+    check = next(check for check in found.checks if check.name == "flow per millimetre")
+    assert not check.ok
+    # 0.16 mm a sample
+    assert check.worst == pytest.approx(0.2 * 0.16, rel=0.1)
+    bead, place = check.where.removesuffix(" mm").split(", ")
+    assert bead == "bead 1"
+    assert abs(float(place) - plan.trajectory.s[i] / MM) <= 1.1
+    assert found.metrics["flow_error_max"] == check.worst
+
+
+# --- filament ----------------------------------------------------------------------------------------------
+
+
+def test_filament_that_is_fed_too_much_throughout() -> None:
+    plan = small_plan()
+    assert failed(plan, feed=1.006 * plan.trajectory.feed) == {"flow per millimetre", "filament fed"}
+
+
+@pytest.mark.parametrize("away", [0.02, -0.02])
+def test_filament_that_moves_in_travel(away: float) -> None:
+    plan = small_plan()
+    i = samples(plan, 1)[0] - 30
+    moved = plan.trajectory.feed + away * MM * (np.arange(len(plan.trajectory)) >= i)
+    assert failed(plan, feed=moved) == {"filament fed"}
+
+
+@cache
+def with_moves() -> Plan:
+    """The small print with a purge at the start, primes and retracts, as events and in its feed."""
+    plan = small_plan()
+    t = plan.trajectory
+    events = [Event("heat", -1, 0.0, 0.1, 0.0), Event("purge", -1, 0.1, 0.3, 5.0 * MM)]
+    for bead in range(3):
+        start, end = t.t[samples(plan, bead)[[0, -1]]] + [-0.5 * t.dt, 0.5 * t.dt]
+        events += [Event("prime", bead, start - 0.061, 0.061, 1.2 * MM), Event("retract", bead, end, 0.043, -1.0 * MM)]
+    return with_events(plan, tuple(events))
+
+
+def with_events(plan: Plan, events: tuple[Event, ...]) -> Plan:
+    t, lag = plan.trajectory, plan.problem.process.extruder.lag
+    fed = feed(t.t, t.bead, t.extruded, t.flow, events, area(plan), lag)
+    return replace(plan, trajectory=replace(t, feed=fed, events=events))
+
+
+def test_primes_and_retracts_are_verified() -> None:
+    plan = with_moves()
+    found = report(plan)
+    assert all(check.ok for check in found.checks)
+    assert found.metrics["extruded_mm"] == pytest.approx(plan.metrics["extruded_mm"] + 5.0 + 3 * 0.2, rel=1e-9)
+
+
+@pytest.mark.parametrize("which", range(1, 8))
+def test_an_event_that_is_not_in_the_feed(which: int) -> None:
+    plan = with_moves()
+    events = plan.trajectory.events
+    assert "filament fed" in failed(plan, events=events[:which] + events[which + 1 :])
+    late = replace(events[which], start=events[which].start + 0.02)
+    assert "filament fed" in failed(plan, events=(*events[:which], late, *events[which + 1 :]))
+    more = replace(events[which], amount=1.01 * events[which].amount)
+    assert failed(plan, events=(*events[:which], more, *events[which + 1 :])) == {"filament fed"}
+
+
+def test_an_event_of_no_number_never_passes() -> None:
+    plan = with_moves()
+    for spoilt in ({"start": np.nan}, {"duration": np.nan}, {"amount": np.nan}, {"amount": np.inf}):
+        assert failed(plan, events=(replace(plan.trajectory.events[1], **spoilt),))
+        lagging = solved("process.extruder.lag_s=0.05")
+        assert failed(lagging, events=(replace(plan.trajectory.events[1], **spoilt),))
+
+
+@cache
+def with_cuts() -> Plan:
+    """Fibre that is cut 8 mm before the end of each bead, without stopping for it, and fed forward before the next."""
+    plan = solved("process.bead.section=fibre")
+    t = plan.trajectory
+    events = []
+    for bead, line in enumerate(plan.toolpath.beads):
+        at = samples(plan, bead)
+        cut = float(np.interp(line.length - 8.0 * MM, t.s[at], t.t[at]))
+        events += [Event("prime", bead, t.t[at[0]] - 0.1, 0.09, 8.0 * MM), Event("cut", bead, cut, 0.0, 0.0)]
+    return with_events(plan, tuple(events))
+
+
+def test_fibre_behind_a_cut_is_drawn_and_not_fed() -> None:
+    plan = with_cuts()
+    found = report(plan)
+    assert [check for check in found.checks if not check.ok] == []
+    assert found.metrics["extruded_mm"] == pytest.approx(plan.metrics["deposited_length_mm"], abs=1e-3)
+    t = plan.trajectory
+    behind = (t.bead == 1) & (t.s > plan.toolpath.beads[1].length - 7.5 * MM)
+    assert np.ptp(t.feed[behind]) < 1e-12
+
+
+def test_fibre_that_is_fed_on_behind_its_cut() -> None:
+    plan = with_cuts()
+    events = plan.trajectory.events
+    fed_on = with_events(plan, tuple(event for event in events if event != events[3])).trajectory.feed
+    assert failed(plan, feed=fed_on) == {"filament fed", "flow per millimetre"}
+
+
+# --- lag ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("lag", [0.02, 0.05, 0.1])
+def test_flow_that_lags_is_right_outside_of_lag_zones(lag: float) -> None:
+    plan = solved(f"process.extruder.lag_s={lag}")
+    assert plan.verified
+    t = plan.trajectory
+    assert t.flow == pytest.approx(small_plan().trajectory.flow), "what is laid is the same"
+    ahead = t.feed - small_plan().trajectory.feed
+    straight = samples(plan, 1)[150:160]
+    assert ahead[straight] == pytest.approx(lag * 0.3 * MM**2 * 0.04 / area(plan), rel=0.01)
+    # each of three beads, at both ends
+    assert plan.metrics["lag_zone_mm"] == pytest.approx(3 * 2 * 40.0 * (lag + 0.008), rel=0.1)
+
+
+def test_a_lag_that_nobody_makes_up_for() -> None:
+    plan = solved("process.extruder.lag_s=0.05")
+    names = failed(plan, feed=small_plan().trajectory.feed)
+    assert names == {"filament fed", "flow per millimetre"}
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.2])
+def test_a_lag_that_is_made_up_for_by_too_little_or_too_much(factor: float) -> None:
+    plan = solved("process.extruder.lag_s=0.05")
+    bare = small_plan().trajectory.feed
+    off = bare + factor * (plan.trajectory.feed - bare)
+    assert failed(plan, feed=off) == {"filament fed", "flow per millimetre"}
+
+
+def test_what_stands_in_a_lag_zone_is_not_weighed_and_what_stands_beyond_is() -> None:
+    plan = solved("process.extruder.lag_s=0.05")
+    t = plan.trajectory
+    for first, expected in ((1, set()), (80, {"filament fed", "flow per millimetre"})):
+        at = samples(plan, 1)[first : first + 5]
+        spoilt = t.feed.copy()
+        spoilt[at] += 0.003 * MM  # of filament, of which a millimetre of the bead takes 0.125 mm
+        assert failed(plan, feed=spoilt) == expected
+
+
+# --- a motor that is only on or off ------------------------------------------------------------------------
+
+
+def on_off() -> Plan:
+    return solved("process.extruder.motor=on_off")
+
+
+def test_a_motor_that_is_on_or_off_lays_down_too_much_in_dips() -> None:
+    plan = on_off()
+    assert plan.verified
+    t, like = plan.trajectory, small_plan().trajectory
+    missing = ((0.04 - like.speed)[like.deposit] * 0.3 * MM**2).sum() * t.dt  # what the dips keep back
+    assert missing * 1e9 > 0.1
+    assert plan.metrics["over_extruded_mm3"] == pytest.approx(missing * 1e9, rel=0.05)
+    over = plan.series["over_extruded_mm3"]
+    assert over.sum() == pytest.approx(plan.metrics["over_extruded_mm3"])
+    slow = t.deposit & (t.speed < 0.039)
+    assert over[slow].sum() > 0.9 * over.sum()
+    assert np.abs(over[~t.deposit]).max() == 0.0
+    assert plan.metrics["flow_error_max"] > 0.1
+    inner = t.deposit & np.roll(t.deposit, 1) & np.roll(t.deposit, -1)
+    assert t.flow[inner] == pytest.approx(0.3 * MM**2 * 0.04, rel=1e-9)
+    assert t.feed == pytest.approx(t.extruded / area(plan))
+
+
+def test_a_motor_that_is_on_or_off_cannot_follow() -> None:
+    like = small_plan().trajectory
+    names = failed(on_off(), flow=like.flow, extruded=like.extruded, feed=like.feed)
+    assert names == {"motor runs while a bead is laid"}
+
+
+def shifted(plan: Plan, by: int) -> dict[str, Array]:
+    """Material that comes `by` samples late."""
+    t = plan.trajectory
+    return {name: np.roll(getattr(t, name), by) for name in ("flow", "extruded", "feed")}
+
+
+@pytest.mark.parametrize("by", [2, -2])
+def test_a_motor_that_is_switched_too_late_or_too_soon(by: int) -> None:
+    plan = on_off()
+    t = plan.trajectory
+    changes = shifted(plan, by)
+    turned, end = (slice(0, by), 0) if by > 0 else (slice(by, None), -1)
+    changes["extruded"][turned], changes["feed"][turned] = t.extruded[end], t.feed[end]
+    assert failed(plan, **changes) == {"motor runs while a bead is laid"}
+
+
+def test_a_motor_that_rests_within_a_bead_or_runs_in_travel() -> None:
+    plan = on_off()
+    t = plan.trajectory
+    for i in (samples(plan, 1)[50], samples(plan, 1)[-1] + 40):
+        flow = t.flow.copy()
+        flow[i] = 0.3 * MM**2 * 0.04 - flow[i]
+        found = failed(plan, flow=flow)
+        assert "motor runs while a bead is laid" in found
+    assert "motor runs while a bead is laid" in failed(plan, extruded=1.01 * t.extruded)
+
+
+def test_a_motor_that_runs_at_another_rate() -> None:
+    plan = on_off()
+    t = plan.trajectory
+    names = failed(plan, flow=1.01 * t.flow, extruded=1.01 * t.extruded, feed=1.01 * t.feed)
+    assert names == {"motor runs while a bead is laid"}
+
+
+# --- G-code ------------------------------------------------------------------------------------------------
+
+
+def driven(text: str) -> tuple[Array, Array]:
+    """Instants [s] and filament [mm] at the ends of all commands: what a board does with the file."""
+    now, at, out = 0.0, 0.0, [(0.0, 0.0)]
+    for line in text.splitlines():
+        words = line.split(";")[0].split()
+        if not words or words[0] in ("M83", "M104", "M140"):
+            continue
+        value = {word[0]: float(word[1:]) for word in words[1:]}
+        if words[0] == "G4":
+            now += value["P"] * 1e-3
+        else:
+            assert words[0] == "G1"
+            assert value["F"] > 0.0
+            now += 60.0 * abs(value["E"]) / value["F"]
+            at += value["E"]
+        out.append((now, at))
+    instants, filament = np.array(out).T
+    return instants, filament
+
+
+@pytest.mark.parametrize(
+    "make", [small_plan, on_off, with_moves, with_cuts, lambda: solved("process.extruder.lag_s=0.05")]
+)
+def test_gcode_read_back_moves_the_filament_as_planned(make: Callable[[], Plan]) -> None:
+    plan = make()
+    t = plan.trajectory
+    instants, filament = driven(gcode(plan))
+    assert instants[-1] == pytest.approx(t.t[-1], abs=1e-3)
+    assert filament[-1] == pytest.approx(t.feed[-1] / MM, abs=1e-4)
+    off = np.interp(t.t, instants, filament) - t.feed / MM
+    most = np.abs(np.gradient(t.feed / MM, t.t)).max()
+    # a command lasts 20 ms or moves evenly; commands begin within a sample
+    assert np.abs(off).max() < 0.02 * most
+
+
+def test_gcode_says_what_happens_when() -> None:
+    plan = with_moves()
+    text = gcode(plan)
+    assert "M104" not in text and "M140" not in text
+    said = [line for line in text.splitlines()[2:] if line.startswith(";")]
+    beads = [[f"; prime, bead {i}", f"; bead {i}, layer 0", f"; retract, bead {i}"] for i in range(3)]
+    assert said == ["; heat", "; purge", *(line for bead in beads for line in bead)]
+    assert text.count("G1 E-") == 3
+    assert "; purge\nG1 E5.00000 F1000.000\n" in text, "5 mm in 0.3 s"
+
+
+def test_gcode_sets_the_temperatures_that_are_given() -> None:
+    plan = with_moves()
+    process = plan.problem.process
+    start = process.start.model_copy(update={"nozzle_c": 280.0, "bed_c": 62.5})
+    problem = plan.problem.model_copy(update={"process": process.model_copy(update={"start": start})})
+    lines = gcode(replace(plan, problem=problem)).splitlines()
+    i = lines.index("; heat")
+    assert lines[i : i + 3] == ["; heat", "M140 S62.5", "M104 S280"]
+    assert lines[i + 3] == "G4 P100"
+    assert "M109" not in " ".join(lines), "who waits for an unknown time loses the robot"
