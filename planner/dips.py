@@ -18,9 +18,9 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial import cKDTree
 
 from planner.cell import Cell
-from planner.extrusion import deposited_volume
+from planner.extrusion import bead_area, deposited_volume
 from planner.plan import Dip, Remedy, Trajectory
-from planner.problem import Problem
+from planner.problem import Problem, ProcessSpec
 from planner.resolve.jointpath import JointPath
 from planner.timing import HEADROOM
 from planner.toolpath.bead import Bead, Toolpath
@@ -154,16 +154,17 @@ def _dip(problem: Problem, line: _Line, t: Trajectory, first: int, last: int) ->
         joint=joint,
         limit=limit,
         # the first and the last sample of a bead stand for what flows around them too
-        over_extruded=_over_extruded(line.bead, t, slice(first + begins, last + 1 - ends), low, high),
+        over_extruded=_over_extruded(problem.process, line.bead, t, slice(first + begins, last + 1 - ends), low, high),
         remedies=remedies,
     )
 
 
-def _over_extruded(bead: Bead, t: Trajectory, rows: slice, low: float, high: float) -> float:
+def _over_extruded(process: ProcessSpec, bead: Bead, t: Trajectory, rows: slice, low: float, high: float) -> float:
     """Material [m^3] that flows in some samples beyond what the bead holds where they pass, from low to high [m]."""
     if high <= low:  # at rest all along: there the bead's mean has to do
         low, high = 0.0, bead.length
-    area = float(np.diff(deposited_volume(bead, np.array([low, high])))[0]) / (high - low)
+    volume = deposited_volume(bead, bead_area(bead, process), np.array([low, high]))
+    area = float(volume[1] - volume[0]) / (high - low)
     held = area * float(t.speed[rows].sum()) * t.dt
     over = float(t.flow[rows].sum()) * t.dt - held
     return over if abs(over) > _NEGLIGIBLE * held else 0.0

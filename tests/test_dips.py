@@ -51,7 +51,7 @@ def bead_of(turn: float = 0.0) -> Bead:
     up = np.tile([0.0, 0.0, 1.0], (len(s), 1))
     along = np.tile([1.0, 0.0, 0.0], (len(s), 1))
     drawn = points + np.column_stack([0 * s, np.tan(turn) * np.maximum(s - 0.5 * LENGTH, 0.0), 0 * s])
-    return Bead("line", 0, s, points, up, along, drawn, 0.6e-3, 0.5e-3, False)
+    return Bead("line", 0, s, points, up, along, drawn, 0.6e-3 + 0 * s, 0.5e-3 + 0 * s, False)
 
 
 def samples(s: Array, flow: Array | None = None) -> Trajectory:
@@ -63,7 +63,7 @@ def samples(s: Array, flow: Array | None = None) -> Trajectory:
     return Trajectory(
         dt=DT, t=np.arange(n) * DT, bead=bead, layer=np.zeros(n, dtype=np.int32), deposit=bead == 0, s=s,
         q=np.zeros((n, 7)), tip=rows, quat=np.zeros((n, 4)), axis=rows, branch=np.zeros(n, dtype=np.int8), speed=speed,
-        flow=AREA * speed if flow is None else flow, extruded=zeros,
+        flow=AREA * speed if flow is None else flow, extruded=zeros, feed=zeros,
     )  # fmt: skip
 
 
