@@ -100,6 +100,8 @@ def extrusion(
     metrics["flow_error_max"] = worst
     near = _near_ends(t, process.extruder.lag)
     _fed(t, pressed, process.extruder.lag, near, sample, checks)
+    if process.section == "fibre":
+        _as_long_as_its_bead(t, volumes, samples, checks)
     if process.extruder.lag > 0.0:
         metrics["lag_zone_mm"] = float((t.speed * t.dt)[near & t.deposit].sum()) * 1e3
     metrics["extruded_volume_mm3"] = float(t.extruded[-1]) * 1e9
@@ -122,6 +124,21 @@ def _fed(
     off = np.abs(pressed - t.extruded - ahead)
     off = np.where(near, np.maximum(off - lag * t.flow.max(initial=0.0), 0.0), off)
     _shares(t, off, sample, FILAMENT_TOLERANCE, "filament fed", checks)
+
+
+def _as_long_as_its_bead(
+    t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples], checks: list[Check]
+) -> None:
+    """From the end of one bead to that of the next as much fibre is fed as the next is long, purges aside."""
+    fed = t.feed - _pushed(t.t, [event for event in t.events if event.kind == "purge"])
+    worst, where, before = 0.0, "everywhere", 0.0
+    for i, (at, volume) in enumerate(zip(samples, volumes, strict=True)):
+        after = float(fed[min(int(at[-1]) + 1, len(t) - 1)]) if len(at) else before
+        off, before = abs(after - before - float(volume.s[-1])) / float(volume.s[-1]), after
+        if not off <= worst:
+            worst, where = off, f"bead {i}"
+    ok = worst <= EXTRUSION_TOLERANCE
+    checks.append(Check("fibre as long as its bead", worst, EXTRUSION_TOLERANCE, "of a bead's length", ok, where))
 
 
 def _balance(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples], checks: list[Check]) -> None:

@@ -241,7 +241,18 @@ def test_fibre_that_is_fed_on_behind_its_cut() -> None:
     plan = with_cuts()
     events = plan.trajectory.events
     fed_on = with_events(plan, tuple(event for event in events if event != events[3])).trajectory.feed
-    assert failed(plan, feed=fed_on) == {"filament fed", "flow per millimetre"}
+    assert failed(plan, feed=fed_on) == {"filament fed", "flow per millimetre", "fibre as long as its bead"}
+
+
+def test_fibre_that_is_not_as_long_as_its_bead() -> None:
+    plan = with_cuts()
+    events = plan.trajectory.events
+    for left_out in (2, 3):  # fed forward but not cut, cut but not fed forward
+        other = with_events(plan, tuple(event for event in events if event != events[left_out]))
+        found = report(other)
+        wrong = [check for check in found.checks if not check.ok]
+        assert [(check.name, check.where) for check in wrong] == [("fibre as long as its bead", "bead 1")]
+        assert wrong[0].worst == pytest.approx(8.0 * MM / plan.toolpath.beads[1].length, rel=1e-6)
 
 
 # --- lag ---------------------------------------------------------------------------------------------------
