@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+import ruckig
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -554,9 +555,25 @@ def made_up_paths(cell: Cell, rng: np.random.Generator, beads: int) -> list[Join
     return paths
 
 
-def winding(cell: Cell, paths: Sequence[JointPath], joint: int) -> float:
-    q = [path.q[[0, -1], joint] for path in paths]
-    return float(abs(q[0][0] - cell.home[joint]) + sum(abs(b[0] - a[1]) for a, b in itertools.pairwise(q)))
+def travel_time(cell: Cell, paths: Sequence[JointPath]) -> float:
+    """Of all travels, home included, if nothing stood in the way [s], by the general formulas of ruckig."""
+    q = [(path.q[0], path.q[-1]) for path in paths]
+    home = cell.home.copy()
+    home[6] = q[0][0][6]
+    last = cell.home.copy()
+    last[6] = q[-1][1][6]
+    stops = [home, *itertools.chain.from_iterable(q), last]
+    return sum(ruckig_time(cell, a, b) for a, b in zip(stops[::2], stops[1::2], strict=True))
+
+
+def ruckig_time(cell: Cell, a: Array, b: Array) -> float:
+    inputs = ruckig.InputParameter(len(a))
+    inputs.current_position, inputs.target_position = list(a), list(b)
+    inputs.max_velocity, inputs.max_acceleration = list(cell.limits.velocity), list(cell.limits.acceleration)
+    inputs.max_jerk = list(cell.limits.jerk)
+    trajectory = ruckig.Trajectory(len(a))
+    ruckig.Ruckig(len(a)).calculate(inputs, trajectory)
+    return float(trajectory.duration)
 
 
 def test_choose_turns_changes_no_pose_and_keeps_limits(cell: Cell) -> None:
@@ -573,22 +590,74 @@ def test_choose_turns_changes_no_pose_and_keeps_limits(cell: Cell) -> None:
             np.testing.assert_allclose(T[0], T[1], rtol=0, atol=1e-12)
 
 
-def test_choose_turns_winds_least(cell: Cell) -> None:
-    """Joint 6 has two turns of play: every combination of them, tried one by one, travels at least as far."""
+def test_choose_turns_travels_least(cell: Cell) -> None:
+    """Joint 6 has two turns of play: every combination of them, tried one by one, travels at least as long."""
     rng = np.random.default_rng(6)
     low, high = cell.limits.q_min[5], cell.limits.q_max[5]
-    for _ in range(20):
+    for _ in range(8):
         after = choose_turns(cell, made_up_paths(cell, rng, 4))
         options = [
             [k for k in range(-3, 4) if p.q[:, 5].min() + k * TURN >= low and p.q[:, 5].max() + k * TURN <= high]
             for p in after
         ]
         assert max(len(o) for o in options) > 1
+        turn = np.eye(7)[5] * TURN
         best = min(
-            winding(cell, [replace(p, q=p.q + TURN * k) for p, k in zip(after, ks, strict=True)], 5)
+            travel_time(cell, [replace(p, q=p.q + turn * k) for p, k in zip(after, ks, strict=True)])
             for ks in itertools.product(*options)
         )
-        assert winding(cell, after, 5) <= best + 1e-3 * 4 * (high - low)  # what nearness to home may cost
+        # what nearness to home may cost: of four beads, a thousandth of the time that a joint takes to it
+        assert travel_time(cell, after) <= best + 1e-3 * 4 * (high - low) / cell.limits.velocity[5]
+
+
+def test_a_joint_turns_back_where_another_one_takes_the_time_anyway(cell: Cell) -> None:
+    """Joint 6 has to turn back once: in the travel where the slow table turns far, not in one that would be short."""
+    task = helix_task(n=120)
+    paths, at = [], cell.home.copy()
+    at[5] = 0.0
+    for i, table in enumerate((0.0, 0.0, 12.0, 0.0, 0.0)):
+        end = at.copy()
+        at[6] += table
+        end[6] = at[6]
+        end[5] = at[5] + 0.45 * TURN
+        q = np.linspace(at, end, len(task))
+        paths.append(JointPath(replace(task, bead=i), np.zeros(len(task)), np.zeros((len(task), 2)), q, 0))
+        at = end
+    after = choose_turns(cell, paths)
+    back = [round((b.q[0, 5] - a.q[-1, 5]) / TURN) for a, b in itertools.pairwise(after)]
+    assert back[1] != 0
+    assert [turns for i, turns in enumerate(back) if i != 1] == [0, 0, 0]
+
+
+@pytest.mark.parametrize(("joint", "reach", "each"), [(3, 200.0, 35.0), (5, 400.0, 110.0), (6, 300.0, 110.0)])
+def test_joints_and_table_unwind_in_travel_and_never_in_a_bead(
+    cell: Cell, joint: int, reach: float, each: float
+) -> None:
+    """Beads that all turn a joint the same way: it unwinds whenever its limit nears, between them."""
+    q_min, q_max = cell.limits.q_min.copy(), cell.limits.q_max.copy()
+    q_min[joint], q_max[joint] = -np.radians(reach), np.radians(reach)
+    cell = replace(cell, limits=replace(cell.limits, q_min=q_min, q_max=q_max))
+    task = helix_task(n=120)
+    paths, at = [], cell.home.copy()
+    at[joint] = 0.0
+    for i in range(24):
+        end = at.copy()
+        end[joint] += np.radians(each)
+        q = np.linspace(at, end, len(task))
+        paths.append(JointPath(replace(task, bead=i), np.zeros(len(task)), np.zeros((len(task), 2)), q, 0))
+        at = end
+    after = choose_turns(cell, paths)
+    q = np.vstack([path.q for path in after])
+    assert (q >= q_min).all()
+    assert (q <= q_max).all()
+    for a, b in zip(paths, after, strict=True):  # as it was but for whole turns: what it does in a bead stays
+        np.testing.assert_allclose(np.diff(b.q, axis=0), np.diff(a.q, axis=0), rtol=0, atol=1e-9)
+    jumps = np.array([b.q[0, joint] - a.q[-1, joint] for a, b in itertools.pairwise(after)])
+    turns = np.round(jumps / TURN)
+    np.testing.assert_allclose(jumps, turns * TURN, rtol=0, atol=1e-9)
+    needed = np.ceil((24 * each - 2 * reach) / 360.0)  # the beads turn further than the range by this
+    assert needed <= -turns.sum() <= needed + 2
+    assert (turns <= 0).all()
 
 
 def test_choose_turns_refuses_what_no_turn_brings_inside(cell: Cell) -> None:

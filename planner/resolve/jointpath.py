@@ -11,12 +11,15 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
-from planner.cell import Cell, rigid_inverse
+from planner.cell import Cell, Limits, rigid_inverse
 from planner.errors import Refusal
 from planner.task import NozzleTask
 
 Array = NDArray[np.float64]
 _TURN = 2.0 * np.pi
+TURNS = 5  # of a joint that are tried along a bead
+COMBINATIONS = 128  # of joints' turns that are tried along a bead
+WOUND = 1e-3  # of the time from home to where a joint is: with equal travel cables are not wound up without need
 MARGIN = 1e-6  # rad kept from a joint's limit, so that rounding cannot cross it
 
 
@@ -100,38 +103,62 @@ def flange_poses(cell: Cell, task: NozzleTask, roll: Array, tilt: Array, holder:
 
 
 def choose_turns(cell: Cell, paths: Sequence[JointPath]) -> tuple[JointPath, ...]:
-    """Add whole turns to joints, bead by bead, so that all stay within limits and travel is shortest.
+    """Add whole turns to joints, bead by bead, so that all stay within limits and travel takes the least time.
 
-    A joint's turns are chosen by dynamic programming over the beads, each joint for itself.
-    Raises Refusal for a bead along which a joint leaves its range however it is turned.
+    Turns change in travel alone, never within a bead: that is where a joint unwinds when a limit nears. They are
+    chosen by dynamic programming over the beads, for all joints together, since a travel takes as long as its slowest
+    joint. Raises Refusal for a bead along which a joint leaves its range however it is turned.
     """
+    options = [_turns(cell, path) for path in paths]
+    limits, na = cell.limits, len(cell.arm)
+    home, rate = cell.home, WOUND / limits.velocity
+    # the holder waits where the first bead begins, and stays where the last one ends
+    arm = slice(0, na)
+    cost = _slowest(paths[0].q[0, arm] + options[0][:, arm] - home[arm], limits, arm)
+    cost = cost + np.abs(paths[0].q[0] + options[0] - home) @ rate
+    back = []
+    for a, b, oa, ob in zip(paths[:-1], paths[1:], options[:-1], options[1:], strict=True):
+        begin = b.q[0] + ob
+        step = _slowest(begin[None] - (a.q[-1] + oa)[:, None], limits, slice(None))
+        total = cost[:, None] + step + np.abs(begin - home) @ rate
+        back.append(np.argmin(total, axis=0))
+        cost = total.min(axis=0)
+    pick = int(np.argmin(cost + _slowest(home[arm] - paths[-1].q[-1, arm] - options[-1][:, arm], limits, arm)))
+    turned = []
+    for i in range(len(paths) - 1, -1, -1):
+        turned.append(replace(paths[i], q=paths[i].q + options[i][pick]))
+        if i:
+            pick = int(back[i - 1][pick])
+    return tuple(turned[::-1])
+
+
+def _turns(cell: Cell, path: JointPath) -> Array:
+    """Whole turns (k, nj) [rad] that keep a path within the joints' ranges, those nearest to home."""
     low, high = cell.limits.q_min + MARGIN, cell.limits.q_max - MARGIN
-    shift = np.zeros((len(paths), len(low)))
+    least, most = path.q.min(axis=0), path.q.max(axis=0)
+    each = []
     for j in range(len(low)):
-        options = []
-        for path in paths:
-            lo, hi = path.q[:, j].min(), path.q[:, j].max()
-            k = np.arange(np.ceil((low[j] - lo) / _TURN), np.floor((high[j] - hi) / _TURN) + 1)
-            if len(k) == 0:
-                worst = int(np.argmax(np.maximum(low[j] - path.q[:, j], path.q[:, j] - high[j])))
-                refuse_at(path.task, worst, f"{cell.joint_names[j]} leaves its range here")
-            nearest = np.argsort(np.abs(0.5 * (lo + hi) + k * _TURN - cell.home[j]), kind="stable")[:5]
-            options.append(np.sort(k[nearest]) * _TURN)
-        cost = np.abs(paths[0].q[0, j] + options[0] - cell.home[j])
-        back = []
-        for a, b, oa, ob in zip(paths[:-1], paths[1:], options[:-1], options[1:], strict=True):
-            step = np.abs((b.q[0, j] + ob)[None, :] - (a.q[-1, j] + oa)[:, None])
-            # equal travel: the turn nearer to home, so that cables are not wound up without need
-            wound = 1e-3 * np.abs(b.q[0, j] + ob - cell.home[j])
-            total = cost[:, None] + step + wound[None, :]
-            back.append(np.argmin(total, axis=0))
-            cost = total.min(axis=0)
-        pick = int(np.argmin(cost))
-        for i in range(len(paths) - 1, -1, -1):
-            shift[i, j] = options[i][pick]
-            if i:
-                pick = int(back[i - 1][pick])
-    return tuple(replace(path, q=path.q + turn) for path, turn in zip(paths, shift, strict=True))
+        k = np.arange(np.ceil((low[j] - least[j]) / _TURN), np.floor((high[j] - most[j]) / _TURN) + 1)
+        if len(k) == 0:
+            worst = int(np.argmax(np.maximum(low[j] - path.q[:, j], path.q[:, j] - high[j])))
+            refuse_at(path.task, worst, f"{cell.joint_names[j]} leaves its range here")
+        nearest = np.argsort(np.abs(0.5 * (least[j] + most[j]) + k * _TURN - cell.home[j]), kind="stable")
+        each.append(k[nearest[:TURNS]] * _TURN)
+    together = np.stack(np.meshgrid(*each, indexing="ij"), axis=-1).reshape(-1, len(low))
+    away = np.abs(0.5 * (least + most) + together - cell.home) @ (1.0 / cell.limits.velocity)
+    return np.asarray(together[np.sort(np.argsort(away, kind="stable")[:COMBINATIONS])])
+
+
+def _slowest(way: Array, limits: Limits, joints: slice) -> Array:
+    """Time [s] that joints need from rest to rest over ways (..., n), the slowest of them."""
+    v, a, jerk = limits.velocity[joints], limits.acceleration[joints], limits.jerk[joints]
+    way = np.abs(way)
+    rise = np.minimum(a / jerk, np.sqrt(v / jerk))  # of the acceleration, which then is held, and falls again
+    held = v / (jerk * rise) - rise
+    full = way / v + 2.0 * rise + held
+    less = np.maximum(np.minimum(a / jerk, np.cbrt(0.5 * way / jerk)), 1e-12)  # where full speed is not reached
+    short = 4.0 * less + 2.0 * np.maximum(np.sqrt(0.25 * less**2 + way / (jerk * less)) - 1.5 * less, 0.0)
+    return np.asarray(np.where(way >= v * (2.0 * rise + held), full, short).max(axis=-1))
 
 
 def refuse_at(
