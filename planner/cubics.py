@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import ruckig
+from numba import njit
 from numpy.typing import NDArray
 
 from planner.readonly import ReadOnlyArrays
@@ -21,6 +21,11 @@ class State(NamedTuple):
     q: Array
     v: Array
     a: Array
+
+    @property
+    def resting(self) -> bool:
+        """Whether nothing moves."""
+        return not (self.v.any() or self.a.any())
 
 
 @dataclass(frozen=True)
@@ -84,45 +89,70 @@ def chain(pieces: Sequence[Cubics]) -> Cubics:
     )
 
 
-def from_ruckig(trajectory: ruckig.Trajectory) -> Cubics:
-    """The same motion as ruckig's trajectory: per joint up to eleven pieces of constant jerk, at common breakpoints."""
-    rows = [_constant_jerk(profile) for profile in trajectory.profiles[0]]
-    n = max(len(durations) for durations, _ in rows)
-    starts, states = np.zeros((len(rows), n)), np.zeros((len(rows), n, 4))
-    for j, (durations, begin) in enumerate(rows):
-        k = len(durations)
-        starts[j, 1:k], starts[j, k:] = np.cumsum(durations[:-1]), np.inf
-        states[j, :k] = begin
-    duration = trajectory.duration
-    times = np.unique(np.concatenate([[0.0, duration], starts[(starts > 0.0) & (starts < duration)]]))
+def add(a: Cubics, b: Cubics) -> Cubics:
+    """The sum of two motions; the shorter one holds its end, where it must be at rest."""
+    return Cubics(*_add(a.times, a.coefficients, b.times, b.coefficients))
+
+
+@njit(cache=True)
+def _add(times_a: Array, a: Array, times_b: Array, b: Array) -> tuple[Array, Array]:
+    times = np.unique(np.concatenate((times_a, times_b)))
     if len(times) == 1:
         times = np.zeros(2)
-    middle = 0.5 * (times[1:] + times[:-1])
-    joint = np.arange(len(rows))
-    piece = (starts[None] <= middle[:, None, None]).sum(axis=-1) - 1
-    tau = times[:-1, None] - starts[joint, piece]
-    jerk, a, v, q = np.moveaxis(states[joint, piece], -1, 0)
-    coefficients = np.stack(
-        [
-            jerk / 6.0,
-            0.5 * (a + jerk * tau),
-            v + tau * (a + 0.5 * tau * jerk),
-            q + tau * (v + tau * (a / 2.0 + tau * jerk / 6.0)),
-        ]
-    )
-    return Cubics(times, coefficients)
+    out = np.zeros((4, len(times) - 1, a.shape[2]))
+    for own, c in ((times_a, a), (times_b, b)):
+        piece, last = 0, len(own) - 2
+        for i in range(len(times) - 1):
+            while piece < last and own[piece + 1] <= times[i]:
+                piece += 1
+            over = times[i] >= own[-1] > 0.0
+            tau = min(times[i], own[-1]) - own[piece]
+            for j in range(a.shape[2]):
+                c3, c2, c1, c0 = c[0, piece, j], c[1, piece, j], c[2, piece, j], c[3, piece, j]
+                out[3, i, j] += c0 + tau * (c1 + tau * (c2 + tau * c3))
+                if not over:
+                    out[0, i, j] += c3
+                    out[1, i, j] += c2 + 3.0 * c3 * tau
+                    out[2, i, j] += c1 + tau * (2.0 * c2 + 3.0 * c3 * tau)
+    return times, out
 
 
-def _constant_jerk(profile: ruckig.Profile) -> tuple[list[float], Array]:
-    """Durations (k) of one joint's pieces that last, and jerk, acceleration, velocity and joint (k, 4) at their start."""
-    before, after = profile.brake, profile.accel
-    durations = [*before.t, *profile.t, *after.t]
-    n = len(profile.t)
-    columns = (
-        [*before.j, *profile.j, *after.j],
-        [*before.a, *profile.a[:n], *after.a],
-        [*before.v, *profile.v[:n], *after.v],
-        [*before.p, *profile.p[:n], *after.p],
-    )
-    lasting = [i for i, each in enumerate(durations) if each > 0.0] or [len(before.t)]
-    return [durations[i] for i in lasting], np.array(columns).T[lasting]
+@dataclass(frozen=True)
+class Extremes:
+    """The exact extremes of a motion: joints low and high; greatest |velocity|, |acceleration| and |jerk|; all (nj)."""
+
+    low: Array
+    high: Array
+    velocity: Array
+    acceleration: Array
+    jerk: Array
+
+
+def extremes(cubics: Cubics) -> Extremes:
+    """Extremes of every joint over all of a motion, between breakpoints too."""
+    return Extremes(*_extremes(cubics.times, cubics.coefficients))
+
+
+@njit(cache=True)
+def _extremes(times: Array, coefficients: Array) -> Array:
+    m, nj = coefficients.shape[1:]
+    out = np.zeros((5, nj))
+    out[0], out[1] = np.inf, -np.inf
+    for i in range(m):
+        h = times[i + 1] - times[i]
+        for j in range(nj):
+            c3, c2, c1, c0 = coefficients[0, i, j], coefficients[1, i, j], coefficients[2, i, j], coefficients[3, i, j]
+            out[4, j] = max(out[4, j], abs(6.0 * c3))
+            # where the joint may turn back: ends, and zeros of the velocity c1 + 2 c2 t + 3 c3 t^2
+            root = c2 * c2 - 3.0 * c3 * c1
+            far = -(c2 + np.copysign(np.sqrt(max(root, 0.0)), c2))
+            first = far / (3.0 * c3) if c3 != 0.0 else 0.0
+            second = c1 / far if far != 0.0 else 0.0
+            top = -c2 / (3.0 * c3) if c3 != 0.0 else 0.0  # of the velocity
+            for t in (0.0, h, first, second, top):
+                if 0.0 <= t <= h:
+                    q = c0 + t * (c1 + t * (c2 + t * c3))
+                    out[0, j], out[1, j] = min(out[0, j], q), max(out[1, j], q)
+                    out[2, j] = max(out[2, j], abs(c1 + t * (2.0 * c2 + 3.0 * c3 * t)))
+                    out[3, j] = max(out[3, j], abs(2.0 * c2 + 6.0 * c3 * t))
+    return out

@@ -1,0 +1,100 @@
+"""What a travel keeps clear of: the part as far as it is printed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.cell import Cell
+from planner.cubics import Cubics, State
+from planner.readonly import ReadOnlyArrays
+from planner.toolpath.bead import Surface
+
+Array = NDArray[np.float64]
+
+NOZZLE_POINTS = (0.0, 0.01, 0.03, 0.06, 0.1)  # m behind the tip, along the nozzle, that must keep clear
+SLOPE = 0.5  # height gained, for each distance from an end: as steeply as runs rise
+STEP = 1e-3  # m that a point of the nozzle moves at most between two instants at which it is looked at
+_ENOUGH = 20e-3  # m: what is farther than this from the part is clear, however high travels are to be lifted
+_SLACK = 0.25 * STEP  # m of height that may be lacking, since a way is looked at in steps; but never to the part itself
+_FIRST_LOOK = 5e-3  # s between instants, unless the nozzle moves too far in that time
+_MOST_LOOKS = 20_000
+
+
+@dataclass(frozen=True)
+class Track:
+    """Nozzle points (k, n, 3) in the part frame at n instants `every` seconds apart, tip first [m]."""
+
+    points: Array
+    every: float
+
+    @property
+    def tip_speed(self) -> float:
+        """Greatest speed of the tip relative to the part [m/s]."""
+        steps = np.diff(self.points[0], axis=0)
+        return float(np.sqrt(np.einsum("ni,ni->n", steps, steps).max(initial=0.0))) / self.every if len(steps) else 0.0
+
+
+def track(cell: Cell, motion: Cubics) -> Track:
+    """Nozzle points all along a motion, none of which moves by more than STEP between two instants."""
+    n = max(int(np.ceil(motion.duration / _FIRST_LOOK)), 4)
+    while True:
+        t = np.linspace(0.0, motion.duration, n + 1)
+        points = nozzle_points(cell, motion.joints(t))
+        steps = np.diff(points, axis=1)
+        most = float(np.sqrt(np.einsum("kni,kni->kn", steps, steps).max()))
+        if most <= STEP or n >= _MOST_LOOKS:
+            return Track(points, motion.duration / n)
+        n = min(int(np.ceil(1.05 * n * most / STEP)), _MOST_LOOKS)
+
+
+def nozzle_points(cell: Cell, q: Array) -> Array:
+    """Points (k, n, 3) of the nozzle in the part frame at postures q (n, nj), tip first."""
+    T = cell.T_part_nozzle(q)
+    return T[:, :3, 3] - np.array(NOZZLE_POINTS)[:, None, None] * T[:, :3, 2]
+
+
+@dataclass(frozen=True)
+class Room(ReadOnlyArrays):
+    """What a travel keeps clear of, and how far.
+
+    surface   the part; `height` is how far it has grown in print [m]
+    lift      height above both at which travel is clear [m]
+    tips      (2, 3) where the travel starts and ends [m], part frame
+    gaps      (2, k) distances of the nozzle's points from the surface there [m]
+
+    Near its ends a travel is as near to the part as the bead's ends are. From there it must have gained height in
+    proportion to the distance from the end: it stays above a cone round each end, up to the height of the lift.
+    """
+
+    surface: Surface
+    height: float
+    lift: float
+    tips: Array
+    gaps: Array
+
+    @property
+    def full(self) -> float:
+        """Distance from the surface at which a travel is clear anywhere [m]."""
+        return self.height + min(self.lift, _ENOUGH)
+
+    def distances(self, points: Array) -> Array:
+        """From the surface (k, n) of points (k, n, 3) [m]."""
+        return self.surface.signed_distance(points.reshape(-1, 3)).reshape(points.shape[:2])
+
+    def lacking(self, points: Array) -> float:
+        """Greatest height that nozzle points (k, n, 3) lack to be clear [m]; 0 or less: clear."""
+        away = np.linalg.norm(points[0][:, None] - self.tips, axis=2)  # (n, 2)
+        cones = self.gaps[:, :, None] + SLOPE * away.T[:, None]  # (2, k, n)
+        needed = np.minimum(self.full, cones.min(axis=0))
+        needed = np.maximum(needed - _SLACK, min(0.0, float(self.gaps.min())))
+        return float((needed - self.distances(points)).max())
+
+
+def room(cell: Cell, surface: Surface, height: float, lift: float, start: State, end: State) -> Room:
+    """What a travel from `start` to `end` keeps clear of."""
+    points = nozzle_points(cell, np.stack([start.q, end.q]))
+    gaps = surface.signed_distance(points.reshape(-1, 3)).reshape(points.shape[:2])
+    return Room(surface, height, lift, np.ascontiguousarray(points[0]), np.ascontiguousarray(gaps.T))

@@ -1,0 +1,204 @@
+"""Travel between beads: the quickest way that is clear of the part and within all limits."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.cell import Cell
+from planner.cubics import Cubics, State, extremes
+from planner.errors import Refusal
+from planner.problem import ProcessSpec
+from planner.process import least_travel_time
+from planner.timing import TimedPath
+from planner.toolpath.bead import Toolpath
+from planner.travel import ways
+from planner.travel.arc import FITS, arc
+from planner.travel.clearance import Room, room, track
+from planner.travel.ways import Built, Caps, Ends
+
+Array = NDArray[np.float64]
+
+LOW_HUMPS = (0.6, 0.35)  # of the least lift, by which the nozzle is raised where little is enough: beads close by
+HIGH_HUMPS = (1.6, 2.5)  # where the lift alone is not enough
+LIFTS = (1.0, 2.0, 4.0, 8.0, 16.0)  # of the least lift, for ways that rest when they are lifted
+_SLOWER_TRIES = 12  # each brings the tip's speed down to the limit or close to it
+_AIM, _FAST = 0.98, 0.995  # of the tip's greatest speed: what is aimed at, and what is slow enough between instants
+_SLOWEST = 1e-3  # rad/s that a joint may always move, so that a cap never stops it
+_ARC = 1.5  # of a straight move's time, that an arc hardly beats
+_EQUAL = 1e-3  # s by which a way may be slower than one that is less preferred
+_ROUNDING = 1e-6  # s that a travel lasts longer than it has to
+_LIMIT_ROUNDING = 1e-9  # of a limit
+
+
+@dataclass(frozen=True)
+class Task:
+    """One travel: its ends, what it keeps clear of, how fast the tip may move over the part [m/s]."""
+
+    cell: Cell
+    ends: Ends
+    room: Room
+    speed: float
+
+
+def plan_travels(
+    cell: Cell, timed: Sequence[TimedPath], toolpath: Toolpath, process: ProcessSpec, which: range | None = None
+) -> list[Cubics]:
+    """The way from home to the first bead, between beads, and home: one more than there are beads; or `which` of them.
+
+    With the runs beside it each leaves the extruder the time to retract and prime. Raises Refusal if no way is clear of
+    the part and of what is printed.
+    """
+    surfaces = [toolpath.surface.before(i) for i in range(len(timed) + 1)]
+    heights = [
+        float(surface.signed_distance(bead.points).max())
+        for surface, bead in zip(surfaces[1:], toolpath.beads, strict=True)
+    ]
+    printed = list(itertools.accumulate(heights, max, initial=0.0))  # how far the part has grown before each bead
+    travels, bounds = [], ways.bounds_of(cell)
+    for i in range(len(timed) + 1) if which is None else which:
+        leave = timed[i - 1] if i > 0 else None
+        reach = timed[i] if i < len(timed) else None
+        start = _home_beside(cell, None if reach is None else reach.start) if leave is None else leave.end
+        end = _home_beside(cell, None if leave is None else leave.end) if reach is None else reach.start
+        space = room(cell, surfaces[i], printed[i], process.lift, start, end)
+        ends = Ends(start, end, _least(process, leave, reach), bounds)
+        motion = quickest(Task(cell, ends, space, process.travel_speed))
+        if motion is None:
+            beside = leave if reach is None else reach
+            raise Refusal(
+                "no way to or from this bead is clear of the part, and within the limits of joints and travel speed",
+                bead=None if beside is None else beside.path.task.bead,
+            )
+        travels.append(motion)
+    return travels
+
+
+def _least(process: ProcessSpec, leave: TimedPath | None, reach: TimedPath | None) -> float:
+    """How long the travel between two beads lasts at least [s]: what the runs leave of the time that the extruder needs."""
+    least = least_travel_time(process, leaves=leave is not None, reaches=reach is not None)
+    if least > 0.0 and leave is not None:
+        task = leave.path.task
+        least -= leave.duration - leave.when(float(task.s[task.last]))
+    if least > 0.0 and reach is not None:
+        least -= reach.when(0.0)
+    return least + _ROUNDING if least > 0.0 else 0.0
+
+
+def _home_beside(cell: Cell, state: State | None) -> State:
+    """At rest at home, the arm's; the holder stays where the bead's end has it."""
+    home = cell.home.copy()
+    if state is not None:
+        home[len(cell.arm) :] = state.q[len(cell.arm) :]
+    return State(home, np.zeros_like(home), np.zeros_like(home))
+
+
+@dataclass(frozen=True)
+class Way:
+    """One way to travel: how it is built below caps of velocity, and a time [s] that it cannot beat, or hardly.
+
+    instead: what to try where it is not clear of the part
+    """
+
+    build: Callable[[Caps], Built | None]
+    bound: float
+    instead: tuple[Way, ...] = ()
+
+
+def quickest(task: Task) -> Cubics | None:
+    """The quickest of all ways that is clear and within limits; None if none is.
+
+    To know a way's duration costs little, to see whether it is clear costs more. So ways are built in the order of
+    the times that they cannot beat, and looked at in the order of their durations; one that is too fast for the tip
+    goes back into the queue, slowed down.
+    """
+    cell = task.cell
+    free = Caps(np.full(len(cell.home), np.inf), np.full(len(cell.arm), np.inf))
+    number = itertools.count()
+    queue: list[tuple[float, int, Way, Caps, Built | None, int]] = []
+
+    def push(bound: float, way: Way, caps: Caps, built: Built | None = None, tries: int = 0) -> None:
+        heapq.heappush(queue, (bound, next(number), way, caps, built, tries))
+
+    for way in _ways(task, free):
+        push(way.bound, way, free)
+    while queue:
+        bound, _, way, caps, built, tries = heapq.heappop(queue)
+        if built is None:
+            built = way.build(caps)
+            if built is not None and queue and built.motion.duration > queue[0][0] + _EQUAL:
+                push(built.motion.duration, way, caps, built, tries)
+                continue
+        clear = built is not None and within_limits(cell, built.motion)
+        if built is not None and clear:
+            looked = track(cell, built.motion)
+            clear = task.room.lacking(looked.points) <= 0.0
+            if clear and looked.tip_speed <= _FAST * task.speed:
+                return built.motion
+            if clear and tries < _SLOWER_TRIES:
+                slower = _slower(built, _AIM * task.speed / looked.tip_speed)
+                push(built.motion.duration, way, slower, tries=tries + 1)
+        if not clear:
+            for other in way.instead:
+                push(max(bound, other.bound), other, free)
+    return None
+
+
+def _ways(task: Task, free: Caps) -> Iterator[Way]:
+    """All ways; among those that take as long, the one that is preferred comes first."""
+    cell, ends, room = task.cell, task.ends, task.room
+    lift = room.lift
+    direct = ways.straight(cell, ends, free)
+    least = ends.least if direct is None else direct.motion.duration
+    yield Way(partial(ways.straight, cell, ends), least)
+    higher: tuple[Way, ...] = ()
+    for factor in reversed(HIGH_HUMPS):
+        higher = (Way(partial(ways.hump, cell, ends, room, factor * lift, 3), least, higher),)
+    yield Way(partial(ways.hump, cell, ends, room, lift, 1), least)
+    yield Way(partial(ways.hump, cell, ends, room, lift, 3), least, higher)
+    for factor in LOW_HUMPS:
+        yield Way(partial(ways.hump, cell, ends, room, factor * lift, 1), least)
+    chord = float(np.linalg.norm(room.tips[1] - room.tips[0]))
+    other: tuple[Way, ...] = ()
+    for fit in reversed(FITS):
+        build = partial(_uncapped, partial(arc, cell, ends, room, _AIM * task.speed, fit))
+        other = (Way(build, max(_ARC * least, chord / task.speed), other),)
+    yield from other
+    resting = ways.by_way_of(cell, ends, room, lift, "straight", free)
+    least = least if resting is None else resting.motion.duration
+    other = ()
+    for factor in reversed(LIFTS):
+        heights = [partial(ways.by_way_of, cell, ends, room, factor * lift, name) for name in ways.POSTURES]
+        other = tuple(Way(build, least, other if build is heights[-1] else ()) for build in heights)
+    yield from other
+
+
+def _uncapped(build: Callable[[], Built | None], caps: Caps) -> Built | None:
+    """A way that keeps the tip's speed by itself."""
+    return build()
+
+
+def _slower(built: Built, factor: float) -> Caps:
+    """Caps that bring the velocities of a way's parts down to a share of what they reached."""
+    along = built.motion if built.along is None else built.along
+    caps = np.maximum(factor * extremes(along).velocity, _SLOWEST)
+    over = np.inf * np.ones(0) if built.over is None else np.maximum(factor * extremes(built.over).velocity, _SLOWEST)
+    return Caps(caps, over)
+
+
+def within_limits(cell: Cell, motion: Cubics) -> bool:
+    """Whether a motion keeps all joint limits, between its breakpoints too."""
+    found, limits, wide = extremes(motion), cell.limits, 1.0 + _LIMIT_ROUNDING
+    return bool(
+        (found.low >= limits.q_min).all()
+        and (found.high <= limits.q_max).all()
+        and (found.velocity <= limits.velocity * wide).all()
+        and (found.acceleration <= limits.acceleration * wide).all()
+        and (found.jerk <= limits.jerk * wide).all()
+    )
