@@ -15,7 +15,7 @@ from planner.errors import EXIT_VERIFIED, PlannerError
 from planner.problem import load_problem
 from planner.resolve.bound import PIECE, lower_bound
 from planner.resolve.ladder import ladder_route
-from planner.task import cones_of, make_tasks
+from planner.task import tasks_of
 from planner.toolpath.build import build_toolpath
 
 
@@ -28,8 +28,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         problem = load_problem(options.problem, options.set)
-        cell, process = build_cell(problem), problem.process
-        tasks = make_tasks(build_toolpath(problem), process.speed, process.run_in, cones_of(process.cones))
+        cell = build_cell(problem)
+        tasks = tasks_of(problem, build_toolpath(problem))
         ladder_route(cell, tasks, problem.resolve)  # compiles
         started = time.perf_counter()
         found = ladder_route(cell, tasks, problem.resolve)

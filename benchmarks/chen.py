@@ -28,7 +28,7 @@ from planner.problem import STRATEGY_NAMES, Problem, load_problem
 from planner.resolve import STRATEGIES
 from planner.resolve.jointpath import JointPath
 from planner.solve import solve
-from planner.task import cones_of, make_tasks
+from planner.task import tasks_of
 from planner.toolpath.build import build_toolpath
 
 Array = NDArray[np.float64]
@@ -90,8 +90,7 @@ COLUMNS = ("mm/s", "strategy", "objective", "of start", "v", "a", "j max", "reso
 def row(problem: Problem, strategy: str, start: float | None) -> tuple[list[str], float]:
     """One line of the table, and the objective."""
     cell = build_cell(problem)
-    process = problem.process
-    tasks = make_tasks(build_toolpath(problem), process.speed, process.run_in, cones_of(process.cones))
+    tasks = tasks_of(problem, build_toolpath(problem))
     STRATEGIES[strategy](cell, tasks, problem.resolve)  # the first time compiles
     began = time.perf_counter()
     paths = STRATEGIES[strategy](cell, tasks, problem.resolve)
@@ -100,7 +99,7 @@ def row(problem: Problem, strategy: str, start: float | None) -> tuple[list[str]
     plan = solve(problem, strategy)
     m = plan.metrics
     cells = [
-        f"{process.speed * 1e3:g}",
+        f"{problem.process.speed * 1e3:g}",
         strategy,
         f"{value:.4g}",
         "" if start is None else f"{100 * (value / start - 1):+.1f} %",

@@ -25,7 +25,7 @@ from planner.resolve.ladder import ladder
 from planner.resolve.nlp import Solution, solve_nlp
 from planner.resolve.refine import evaluate, model_of, refine_stretch
 from planner.resolve.sqp import Track, given_prices, sigma_floor, start_track, whole
-from planner.task import cones_of, make_tasks
+from planner.task import tasks_of
 from planner.toolpath.build import build_toolpath
 from planner.versions import versions
 
@@ -64,8 +64,7 @@ def ladders_path(case: Case, folder: Path) -> tuple[Cell, JointPath, ResolveSpec
         overrides.append(f"layers.source.svg={folder / 'drawing.svg'}")
     problem = load_problem("cylinder_logo", overrides)
     cell = build_cell(problem)
-    process = problem.process
-    tasks = make_tasks(build_toolpath(problem), process.speed, process.run_in, cones_of(process.cones))
+    tasks = tasks_of(problem, build_toolpath(problem))
     (task,) = (task for task in tasks if task.name == case.bead)
     return cell, ladder(cell, [task], problem.resolve)[0], problem.resolve
 

@@ -25,7 +25,7 @@ from planner.problem import Problem, load_problem
 from planner.resolve.ladder import coarse_nodes, ladder
 from planner.resolve.search import best_route
 from planner.resolve.sqp import refine_paths
-from planner.task import cones_of, make_tasks
+from planner.task import tasks_of
 from planner.toolpath.build import build_toolpath
 from planner.versions import versions
 
@@ -38,8 +38,7 @@ def searched(waypoints: int) -> list[str]:
     with tempfile.TemporaryDirectory() as folder:
         problem = load_problem(peer_cases.write_case("peer_cap", waypoints, Path(folder)))
         cell = build_cell(problem)
-        process = problem.process
-        tasks = make_tasks(build_toolpath(problem), process.speed, process.run_in, cones_of(process.cones))
+        tasks = tasks_of(problem, build_toolpath(problem))
     settings = problem.resolve.model_copy(update={"roll_step": 2.0 * math.pi / ROLLS})
     for _ in range(2):  # the first compiles
         start = time.process_time()
@@ -53,8 +52,7 @@ def searched(waypoints: int) -> list[str]:
 def refined(problem: Problem) -> list[str]:
     """CPU time of refining the ladder's paths."""
     cell = build_cell(problem)
-    process = problem.process
-    tasks = make_tasks(build_toolpath(problem), process.speed, process.run_in, cones_of(process.cones))
+    tasks = tasks_of(problem, build_toolpath(problem))
     paths = ladder(cell, tasks, problem.resolve)
     refine_paths(cell, paths[:1], problem.resolve)
     start = time.process_time()

@@ -26,7 +26,7 @@ from planner.resolve.ladder import ladder
 from planner.resolve.osqp_reference import solve_with_osqp, standard_form
 from planner.resolve.refine import QPSolver, evaluate, model_of, refine_stretch
 from planner.resolve.sqp import given_prices, sigma_floor, start_track, whole
-from planner.task import cones_of, make_tasks
+from planner.task import tasks_of
 from planner.toolpath.build import build_toolpath
 from planner.versions import versions
 
@@ -60,8 +60,8 @@ def programs() -> list[tuple[str, list[QuadraticProgram]]]:
     """The programs that the refinement of the costliest beads solves on its way, by bead."""
     problem = load_problem("cylinder_logo", ["layers.count=1"])
     cell = build_cell(problem)
-    process, settings = problem.process, problem.resolve
-    tasks = make_tasks(build_toolpath(problem), process.speed, process.run_in, cones_of(process.cones))
+    settings = problem.resolve
+    tasks = tasks_of(problem, build_toolpath(problem))
     paths = ladder(cell, tasks, settings)
     model = model_of(cell)
     given = given_prices(model, paths, settings)

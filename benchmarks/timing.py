@@ -3,8 +3,7 @@
 python -m benchmarks.timing cylinder_logo peer_cap --set process.speed_mm_s=30
 
 Bounds of the time of deposition: length / commanded speed, and the time-optimal profile of the same joint paths
-without limits on jerk. Dips are stretches of a bead below 0.98 of the commanded speed. Flow is judged by what has
-flowed over each millimetre of a bead against what the bead holds there.
+without limits on jerk. Dips and the error of flow over a millimetre of a bead are the plan's own.
 """
 
 from __future__ import annotations
@@ -21,25 +20,20 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
-from scipy.interpolate import CubicSpline
 
 from planner.cell import Cell, build_cell
 from planner.errors import EXIT_VERIFIED, PlannerError, Refusal
-from planner.extrusion import deposited_volume
-from planner.plan import Plan
 from planner.problem import Problem, load_problem, shipped_problems
 from planner.resolve import STRATEGIES
 from planner.resolve.jointpath import JointPath
 from planner.solve import DEFAULT_DT, solve
-from planner.task import NozzleTask, cones_of, make_tasks
+from planner.task import NozzleTask, tasks_of
 from planner.timing import TimedPath, bound_time, time_path
 from planner.toolpath.build import build_toolpath
 from planner.versions import versions
 
 Array = NDArray[np.float64]
 
-AT_SPEED = 0.98  # of the commanded speed: below, a sample is in a dip
-BIN = 1e-3  # m of a bead over which flow is judged
 LENGTHS = (1_000, 10_000, 100_000)  # trajectory samples of one path, to see whether cost is linear
 REPEATS = 3  # of which the least counts: the machine may be shared
 # A long path of the arm near its home: each joint a sum of two waves, some of which are too quick for the limits.
@@ -49,32 +43,6 @@ COLUMNS = (
     "problem", "verified", "deposition s", "x length/speed", "x v/a optimum", "at speed", "v", "a", "jerk",
     "print s", "dips", "us/sample", "flow error/mm",
 )  # fmt: skip
-
-
-def dips(plan: Plan) -> int:
-    """How many stretches of deposition are below the commanded speed."""
-    t = plan.trajectory
-    slow = t.deposit & (t.speed < AT_SPEED * plan.problem.process.speed)
-    before = np.concatenate([[False], slow[:-1]])
-    return int((slow & (~before | (t.bead != np.concatenate([t.bead[:1], t.bead[:-1]])))).sum())
-
-
-def flow_error(plan: Plan) -> float:
-    """Largest share by which the volume that flows over a millimetre of a bead is off what the bead holds there."""
-    t, worst = plan.trajectory, 0.0
-    for i, bead in enumerate(plan.toolpath.beads):
-        at = np.flatnonzero(t.bead == i)
-        if len(at) < 4:
-            continue
-        # a sample's flow lasts from half a sample before it to half a sample after it
-        edges = CubicSpline(t.t[at], t.s[at])(t.t[at[:-1]] + 0.5 * t.dt)
-        edges = np.concatenate([[0.0], np.clip(edges, 0.0, bead.length), [bead.length]])
-        flowed = np.concatenate([[0.0], np.cumsum(t.flow[at]) * t.dt])
-        places = np.linspace(0.0, bead.length, max(int(bead.length / BIN), 1) + 1)
-        held = np.diff(deposited_volume(bead, places))
-        found = np.diff(np.interp(places, np.maximum.accumulate(edges), flowed))
-        worst = max(worst, float(np.abs(found / held - 1.0).max()))
-    return worst
 
 
 def measure_timing(cell: Cell, paths: Sequence[JointPath]) -> tuple[list[TimedPath], float]:
@@ -98,8 +66,8 @@ def deposition_time(timed: Sequence[TimedPath]) -> float:
 
 def row(problem: Problem) -> list[str]:
     """One line of the table."""
-    cell, process = build_cell(problem), problem.process
-    tasks = make_tasks(build_toolpath(problem), process.speed, process.run_in, cones_of(process.cones))
+    cell = build_cell(problem)
+    tasks = tasks_of(problem, build_toolpath(problem))
     try:
         plan = solve(problem)
         paths = STRATEGIES[problem.strategy](cell, tasks, problem.resolve)
@@ -118,16 +86,16 @@ def row(problem: Problem) -> list[str]:
         f"{100.0 * m['at_speed_fraction']:.2f} %",
         *(f"{m[f'{name}_ratio_max']:.3f}" for name in ("velocity", "acceleration", "jerk")),
         f"{m['print_time_s']:.1f}",
-        f"{dips(plan)}",
+        f"{len(plan.dips)}",
         f"{1e6 * cost:.1f}",
-        f"{100.0 * flow_error(plan):.3f} %",
+        f"{100.0 * m['flow_error_max']:.3f} %",
     ]
 
 
 def long_path(cell: Cell, samples: int) -> JointPath:
     """A path of the arm that takes about so many trajectory samples at its commanded speed."""
     n = int(samples * DEFAULT_DT * SPEED / SPACING) + 1
-    s = np.arange(n) * SPACING - RUN
+    s = np.arange(n, dtype=np.float64) * SPACING - RUN
     joints = np.arange(len(cell.home))
     q = cell.home + sum(
         size * np.sin(2.0 * np.pi * s[:, None] / (length * (1.0 + 0.13 * joints)) + joints) for length, size in WAVES

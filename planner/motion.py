@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from planner.cell import Cell
-from planner.cubics import Cubics
+from planner.cubics import Cubics, chain, rest
 from planner.errors import Refusal
+from planner.events import Span, events
 from planner.extrusion import extruded_volume, feed, filament_area, flow
-from planner.plan import TRAVEL, Event, Trajectory
+from planner.plan import TRAVEL, Trajectory
 from planner.problem import ProcessSpec
+from planner.process import least_travel_time
 from planner.timing import TimedPath
 from planner.toolpath.bead import Bead, Toolpath
 
@@ -29,10 +31,12 @@ def join(
     timed: Sequence[TimedPath],
     travels: Sequence[Cubics],
     dt: float,
-    events: tuple[Event, ...] = (),
 ) -> Trajectory:
-    """Travel, bead, travel, …, travel, sampled every dt [s] from the start of the first; at the end it rests."""
-    pieces: list[TimedPath | Cubics] = [travels[0]]
+    """Rest at home while the extruder gets ready, then travel, bead, travel, …, travel, sampled every dt [s].
+
+    At the end it rests.
+    """
+    pieces: list[TimedPath | Cubics] = [chain([rest(travels[0].start.q, process.start.time), travels[0]])]
     for path, travel in zip(timed, travels[1:], strict=True):
         pieces += [path, travel]
     starts = np.concatenate([[0.0], np.cumsum([piece.duration for piece in pieces])])
@@ -65,6 +69,7 @@ def join(
         rate[rows] = _flow(laid[0::2], inside, dt)
         volume[rows] = done + laid[1::2]
         done += float(laid[-1])
+    told = events(process, _spans(process, toolpath, timed, starts[1::2]))
     tip, axis, quat = _poses(cell, q)
     moving = np.linalg.norm(np.gradient(tip, dt, axis=0), axis=1)
     turned = np.cumprod(np.where((quat[1:] * quat[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))
@@ -84,9 +89,19 @@ def join(
         speed=np.where(np.isnan(s_dot), moving, s_dot),
         flow=rate,
         extruded=volume,
-        feed=feed(t, bead, volume, rate, events, filament_area(process), process.extruder.lag),
-        events=events,
+        feed=feed(t, bead, volume, rate, told, filament_area(process), process.extruder.lag),
+        events=told,
     )
+
+
+def _spans(process: ProcessSpec, toolpath: Toolpath, timed: Sequence[TimedPath], starts: Array) -> list[Span]:
+    """When the beads are laid down, if the extruder does anything before, in or after them."""
+    if least_travel_time(process) <= 0.0 and process.fibre is None:
+        return []
+    return [
+        Span(i, at + path.when(0.0), at + path.when(bead.length), tuple(at + begin for begin, _ in path.rests))
+        for i, (path, bead, at) in enumerate(zip(timed, toolpath.beads, starts.tolist(), strict=False))
+    ]
 
 
 def _too_short(line: Bead, dt: float) -> str:

@@ -39,7 +39,7 @@ from planner.report.html import write_report
 from planner.report.summary import print_summary
 from planner.resolve import STRATEGIES
 from planner.resolve.jointpath import JointPath
-from planner.task import NozzleTask, cones_of, make_tasks
+from planner.task import NozzleTask, tasks_of
 from planner.timing import TimedPath, bound_time, time_path
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
@@ -99,8 +99,7 @@ def solve(
 
 def _toolpath(problem: Problem) -> tuple[Toolpath, tuple[NozzleTask, ...]]:
     toolpath = build_toolpath(problem)
-    process = problem.process
-    return toolpath, make_tasks(toolpath, process.speed, process.run_in, cones_of(process.cones))
+    return toolpath, tasks_of(problem, toolpath)
 
 
 def _plan_with(

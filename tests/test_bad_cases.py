@@ -17,7 +17,7 @@ from planner.nearest import distance_to_polyline
 from planner.plan import Plan
 from planner.problem import Problem, load_problem
 from planner.resolve.jointpath import JointPath
-from planner.solve import MIN_DT, solve
+from planner.solve import solve
 from planner.task import NozzleTask
 from planner.timing import time_path
 from planner.toolpath.build import build_toolpath

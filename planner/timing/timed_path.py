@@ -17,6 +17,7 @@ from planner.timing.stretch import Stretch
 
 Array = NDArray[np.float64]
 
+BRACKETS = 256  # in which an instant is sought at which the nozzle is at a place
 LOOKS = 4  # between two samples of the task, to see that its arc length grows
 ROUNDING = 1e-9  # of the path's length, by which it may fall
 RAMP = 60e-3  # s at the commanded speed: what an arm takes, about, from rest to that speed
@@ -60,10 +61,12 @@ class TimedPath:
 
     def when(self, s: float) -> float:
         """An instant at which the nozzle is at arc length s [m], or at the nearer end [s]."""
-        ends = self.at(np.array([0.0, self.duration]))[1]
-        if not ends[0] < s < ends[1]:
-            return 0.0 if s <= ends[0] else self.duration
-        return float(brentq(lambda t: float(self.at(np.array([t]))[1][0]) - s, 0.0, self.duration, xtol=1e-12))
+        times = np.linspace(0.0, self.duration, BRACKETS + 1)
+        way = self.at(times)[1]
+        if not way[0] < s < way[-1]:
+            return 0.0 if s <= way[0] else self.duration
+        i = int(np.searchsorted(way, s))
+        return float(brentq(lambda t: float(self.at(np.array([t]))[1][0]) - s, times[i - 1], times[i], xtol=1e-12))
 
     @property
     def rests(self) -> tuple[tuple[float, float], ...]:
