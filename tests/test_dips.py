@@ -332,7 +332,7 @@ def test_exact_remedies_avoid_the_dip_on_the_same_joint_path(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["corner_tolerance", "run_in"])
 def test_estimates_are_of_the_right_order(kind: str) -> None:
-    """Solved anew with the estimate, the dip costs a fifth or less; with a tenth of the change it is still there."""
+    """Solved anew with the estimate, the dip costs a quarter or less; with a tenth of the change it is still there."""
     plan = small_plan()
     dip = max((dip for dip in plan.dips if kind in [each.kind for each in dip.remedies]), key=lambda dip: dip.lost)
     ((field, value),) = remedy(dip, kind).changes
@@ -343,5 +343,5 @@ def test_estimates_are_of_the_right_order(kind: str) -> None:
         near = [d for d in again.dips if d.bead == dip.bead and abs(d.at_s - dip.at_s) < 3e-3]
         return sum(d.lost for d in near)
 
-    assert lost(value) <= 0.2 * dip.lost
+    assert lost(value) <= 0.25 * dip.lost
     assert lost(now + (value - now) / 10.0) > 0.3 * dip.lost

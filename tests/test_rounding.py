@@ -164,12 +164,12 @@ def test_right_angle_is_rounder_than_the_best_one_sided_blend() -> None:
 @given(turn=st.floats(-np.pi, np.pi), legs=st.tuples(st.floats(5, 20), st.floats(5, 20)))
 @settings(max_examples=40)
 def test_third_derivative_of_any_corner_is_bounded(turn: float, legs: tuple[float, float]) -> None:
-    """Of a right angle it is 0.012 / tolerance^2, and even a reversal stays below 0.05 / tolerance^2."""
+    """Of a right angle it is 0.012 / tolerance^2, and even a reversal stays below 0.06 / tolerance^2."""
     a, b = legs
     corner = np.array([[-a, 0.0], [0.0, 0.0], [b * np.cos(turn), b * np.sin(turn)]]) * MM
     curve = rounded(corner)
     _, step = sources(curve)
-    assert np.abs(np.diff(curve.points, 3, axis=0)).max() / step**3 < 0.05 / TOLERANCE**2
+    assert np.abs(np.diff(curve.points, 3, axis=0)).max() / step**3 < 0.06 / TOLERANCE**2
 
 
 @given(angle=st.floats(0, 2 * np.pi), length=st.floats(0.6, 40))
