@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from planner.cell import Cell, build_cell
 from planner.problem import Problem, load_problem
+from planner.resolve.cone_kernel import FACETS
 from planner.resolve.jointpath import JointPath, postures
 from planner.resolve.ladder import ladder, runs_backwards
 from planner.resolve.node_kernel import LIMIT_COMFORT, LIMIT_PRICE, SIGMA_COMFORT, SIGMA_PRICE
@@ -19,6 +20,7 @@ from planner.resolve.refine import (
     Model,
     State,
     Stretch,
+    Watch,
     evaluate,
     model_of,
     program_around,
@@ -127,6 +129,12 @@ def perturbed(model: Model, stretch: Stretch, state: State, floor: float, size: 
     return out
 
 
+def everything(state: State) -> Watch:
+    return Watch(
+        np.ones((*state.rates.shape, 2), dtype=np.bool_), np.ones((*state.lean.shape[:2], FACETS.size), dtype=np.bool_)
+    )
+
+
 @pytest.mark.parametrize("name", ["plain", "fast, tilt", "two axes, gravity"])
 def test_rows_of_the_program_are_derivatives_of_the_rates(name: str, setup_of: Callable[[str], Setup]) -> None:
     cell, _, paths = setup_of(name)
@@ -134,7 +142,7 @@ def test_rows_of_the_program_are_derivatives_of_the_rates(name: str, setup_of: C
     model, _, stretch, state = start(cell, paths[0], floor)
     state = perturbed(model, stretch, state, floor, 0.02, 1)
     stretch = replace(stretch, free=(np.arange(len(state.c)) % 5 != 2).astype(float))
-    watch = np.ones((*state.rates.shape, 2), dtype=np.bool_)
+    watch = everything(state)
     qp = program_around(model, stretch, state, floor, 0.1, watch)
     np.testing.assert_array_equal(qp.box, 0.1)
     nj = state.rates.shape[2]
@@ -180,7 +188,7 @@ def test_program_is_the_price_to_first_order_and_not_below(
     for path in paths[:2]:
         model, _, stretch, state = start(cell, path, floor)
         state = perturbed(model, stretch, state, floor, 0.03, 3)
-        watch = np.ones((*state.rates.shape, 2), dtype=np.bool_)
+        watch = everything(state)
         qp = program_around(model, stretch, state, floor, 0.1, watch)
         typical, now = float(stretch.step.mean()), qp.value(np.zeros(len(qp.g)))
         rng = np.random.default_rng(4)

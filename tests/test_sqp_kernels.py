@@ -16,8 +16,9 @@ from scipy.spatial.transform import Rotation
 
 from planner.cell import Cell, build_cell
 from planner.problem import load_problem
+from planner.resolve.banded import factorise, substitute
 from planner.resolve.follow_kernel import follow
-from planner.resolve.interior_point import QuadraticProgram, factorise, solve_qp, substitute
+from planner.resolve.interior_point import QuadraticProgram, solve_qp
 from planner.resolve.refine import HOLDER, model_of
 from planner.resolve.splines import Clock, basis_over, clock_of
 from planner.resolve.sqp import fit
@@ -43,7 +44,9 @@ def uneven_clock(n: int, bend: float = 0.3) -> Clock:
 def test_basis_is_scipys(controls: int) -> None:
     n = 131
     knots, degree = clamped(controls)
-    basis = basis_over(clock_of(np.linspace(0.0, 1.0, n)), controls)  # time is the splines' own parameter
+    basis = basis_over(
+        clock_of(np.linspace(0.0, 1.0, n)), np.linspace(0.0, 1.0, controls)
+    )  # time is the splines' own parameter
     assert basis.B.shape == (n, 4, degree + 1)
     dense = np.zeros((n, 4, controls))
     for i in range(n):
@@ -71,7 +74,7 @@ def test_derivatives_in_time_on_an_uneven_clock() -> None:
     """By refinement: the spline as a function of time, interpolated densely and differentiated by scipy."""
     n, controls = 400, 9
     u = np.linspace(0.0, 1.0, n)
-    clock, basis = uneven_clock(n), basis_over(uneven_clock(n), controls)
+    clock, basis = uneven_clock(n), basis_over(uneven_clock(n), np.linspace(0.0, 1.0, controls))
     c = np.random.default_rng(1).normal(size=(controls, 3))
     knots, degree = clamped(controls)
     f = [BSpline(knots, c, degree).derivative(k)(u) for k in (1, 2, 3)]
@@ -121,7 +124,7 @@ def test_clock_of_a_sine_on_uneven_samples() -> None:
 @pytest.mark.parametrize(("controls", "n"), [(2, 5), (4, 13), (6, 25), (40, 170)])
 def test_fit_reproduces_splines_and_is_the_least_squares_fit(controls: int, n: int) -> None:
     rng = np.random.default_rng(controls)
-    basis = basis_over(uneven_clock(n), controls)
+    basis = basis_over(uneven_clock(n), np.linspace(0.0, 1.0, controls))
     c = rng.normal(size=(controls, 3))
     np.testing.assert_allclose(fit(basis, basis.values(c)), c, rtol=0, atol=1e-8)
     values = rng.normal(size=(n, 2))
@@ -158,8 +161,8 @@ class Followed:
     G: Array
     sigma: Array
     sigma_slope: Array
-    upright: Array
-    upright_slope: Array
+    lean: Array
+    lean_slope: Array
 
 
 def run_follow(cell: Cell, tip: Array, frames: Array, z: Array, q_near: Array) -> Followed:
@@ -168,11 +171,11 @@ def run_follow(cell: Cell, tip: Array, frames: Array, z: Array, q_near: Array) -
     nan = np.nan
     out = Followed(
         -2, q_near.copy(), np.full((n, q_near.shape[1], m), nan), np.full(n, nan), np.full((n, m), nan),
-        np.full((n, 2), nan), np.full((n, 2, m), nan),
+        np.full((n, 2, 2), nan), np.full((n, 2, 2, m), nan),
     )  # fmt: skip
     out.lost = follow(
         *model.chains, model.solved, model.given, np.ascontiguousarray(tip), np.ascontiguousarray(frames), z,
-        np.arange(m), out.q, out.G, out.sigma, out.sigma_slope, out.upright, out.upright_slope,
+        np.arange(m), out.q, out.G, out.sigma, out.sigma_slope, out.lean, out.lean_slope,
     )  # fmt: skip
     return out
 
@@ -232,8 +235,9 @@ def test_slopes_are_finite_differences(any_cell: Cell) -> None:
         assert out.sigma[0] == pytest.approx(singular[-1], rel=1e-9 if clear else 1e-2)
         T_world_nozzle = any_cell.arm.poses(out.q[:, :na])[0]
         T_world_part = any_cell.holder.poses(out.q[:, na:])[0]
-        assert out.upright[0, 0] == pytest.approx(-T_world_nozzle[2, 2], abs=1e-11)
-        assert out.upright[0, 1] == pytest.approx(-(T_world_part[:3, :3] @ frames[i, :, 2])[2], abs=1e-11)
+        for lean, d in zip(out.lean[0], (-T_world_nozzle[:3, 2], -T_world_part[:3, :3] @ frames[i, :, 2]), strict=True):
+            level = np.hypot(d[0], d[1])
+            np.testing.assert_allclose(lean, np.arctan2(level, d[2]) * d[:2] / level, rtol=0, atol=1e-10)
         for m in range(z.shape[1]):
             sides = []
             for sign in (1.0, -1.0):
@@ -245,8 +249,10 @@ def test_slopes_are_finite_differences(any_cell: Cell) -> None:
             plus, minus = sides
             scale = 1.0 + np.abs(out.G[0, :, m]).max()
             np.testing.assert_allclose((plus.q - minus.q)[0] / (2 * h), out.G[0, :, m], rtol=0, atol=1e-5 * scale**3)
-            lean = (plus.upright - minus.upright)[0] / (2 * h)
-            np.testing.assert_allclose(lean, out.upright_slope[0, :, m], rtol=0, atol=1e-6)
+            for k in range(2):
+                if np.hypot(*out.lean[0, k]) < 3.0:  # upside down all directions meet
+                    slope = (plus.lean - minus.lean)[0, k] / (2 * h)
+                    np.testing.assert_allclose(slope, out.lean_slope[0, k, :, m], rtol=0, atol=1e-5)
             if clear:
                 by = [np.linalg.svd(any_cell.arm.jacobians(s.q[:, :na])[0], compute_uv=False)[-1] for s in sides]
                 slope = (by[0] - by[1]) / (2 * h)
@@ -291,7 +297,7 @@ def test_failure_is_reported_by_its_place(any_cell: Cell) -> None:
     ):
         assert out.lost == expected
         done = slice(0, expected)
-        for values in (out.q, out.G, out.sigma, out.sigma_slope, out.upright, out.upright_slope):
+        for values in (out.q, out.G, out.sigma, out.sigma_slope, out.lean, out.lean_slope):
             assert np.isfinite(values[done]).all()
     assert run_follow(any_cell, tip, frames, z, q).lost == -1
 

@@ -11,6 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from planner.kinematics.chain import chain_state, jacobian_at, rotate_about
+from planner.resolve.cone_kernel import lean_of, lean_slope_of
 from planner.resolve.node_kernel import invert6
 
 Array = NDArray[np.float64]
@@ -88,7 +89,7 @@ def _tilted(frame, roll, tilt_x, tilt_y, R_tilt, axis, R_part_nozzle, slopes) ->
 @njit(cache=True, nogil=True, error_model="numpy")
 def follow(
     arm_placements, arm_axes, arm_tip, holder_placements, holder_axes, holder_tip, solved, given,
-    tip, frames, z, active, q, G, sigma, sigma_slope, upright, upright_slope,
+    tip, frames, z, active, q, G, sigma, sigma_slope, lean, lean_slope,
 ):  # fmt: skip
     """Postures along samples, and their slopes; returns the first sample where there is none, or -1.
 
@@ -99,8 +100,8 @@ def follow(
     q (n, nj)       on entry a posture nearby for each sample, on exit the posture
     G (n, nj, m)    dq/dz
     sigma (n), sigma_slope (n, m)   smallest singular value of the arm's Jacobian at the tip, and d sigma / dz
-    upright (n, 2), upright_slope (n, 2, m)   cosines of the angles between nozzle axis and gravity, and between
-                                              surface normal and the vertical, and their slopes
+    lean (n, 2, 2), lean_slope (n, 2, 2, m)   where the reversed nozzle axis and the surface normal lean, see `lean_of`,
+                                              and their slopes
     """
     na, nh = len(arm_axes), len(holder_axes)
     o_arm, d_arm = np.empty((na, 3)), np.empty((na, 3))
@@ -117,6 +118,7 @@ def follow(
     dJ = np.empty(6)
     slope_q = np.empty(na)
     a3, b3 = np.empty(3), np.empty(3)
+    back, normal, slope = np.empty(3), np.empty(3), np.empty(2)
     for i in range(len(tip)):
         for h in range(nh):
             q[i, na + h] = z[i, 3 + h]
@@ -171,15 +173,17 @@ def follow(
         if not found:
             return i
         for a in range(3):
-            b3[a] = 0.0
+            back[a] = -R_target[a, 2]
+            normal[a] = 0.0
             for k in range(3):
-                b3[a] -= T_world_part[a, k] * frames[i, k, 2]
-        normal_x, normal_y = b3[0], b3[1]
-        upright[i, 0], upright[i, 1] = -R_target[2, 2], b3[2]
+                normal[a] -= T_world_part[a, k] * frames[i, k, 2]
+        lean_of(back, lean[i, 0])
+        lean_of(normal, lean[i, 1])
         for c in range(active.size):
             m = active[c]
-            upright_slope[i, 0, c] = 0.0
-            upright_slope[i, 1, c] = 0.0
+            for a in range(2):
+                lean_slope[i, 0, a, c] = 0.0
+                lean_slope[i, 1, a, c] = 0.0
             for j in range(q.shape[1]):
                 G[i, j, c] = 0.0
             if m == 0:
@@ -191,7 +195,9 @@ def follow(
                     twist[3 + a] = 0.0
                     for k in range(3):
                         twist[3 + a] += T_world_part[a, k] * slopes[m - 1, k]
-                upright_slope[i, 0, c] = twist[4] * R_target[0, 2] - twist[3] * R_target[1, 2]
+                lean_slope_of(back, twist[3:], slope)
+                for a in range(2):
+                    lean_slope[i, 0, a, c] = slope[a]
             elif m < 3 + nh:
                 h = m - 3
                 for a in range(3):
@@ -199,8 +205,12 @@ def follow(
                 _cross(d_hold[h], b3, a3)
                 for a in range(3):
                     twist[a], twist[3 + a] = a3[a], d_hold[h, a]
-                upright_slope[i, 0, c] = twist[4] * R_target[0, 2] - twist[3] * R_target[1, 2]
-                upright_slope[i, 1, c] = twist[3] * normal_y - twist[4] * normal_x
+                lean_slope_of(back, twist[3:], slope)
+                for a in range(2):
+                    lean_slope[i, 0, a, c] = slope[a]
+                lean_slope_of(normal, twist[3:], slope)
+                for a in range(2):
+                    lean_slope[i, 1, a, c] = slope[a]
                 G[i, na + h, c] = 1.0
             else:
                 joint = given[m - 3 - nh]

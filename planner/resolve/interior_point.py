@@ -16,6 +16,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from planner.resolve.banded import add_rows, factorise, substitute, times_band
+
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
@@ -53,21 +55,10 @@ def solve_qp(qp: QuadraticProgram) -> tuple[Array, int]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _times_band(H, x, out) -> None:
-    n, w = H.shape
-    for i in range(n):
-        out[i] = H[i, 0] * x[i]
-    for i in range(n):
-        for d in range(1, min(w, i + 1)):
-            out[i] += H[i, d] * x[i - d]
-            out[i - d] += H[i, d] * x[i]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def _value(H, g, A, b, at, group, price, x):
     n = x.size
     Hx = np.empty(n)
-    _times_band(H, x, Hx)
+    times_band(H, x, Hx)
     total = 0.0
     for i in range(n):
         total += x[i] * (0.5 * Hx[i] + g[i])
@@ -80,42 +71,6 @@ def _value(H, g, A, b, at, group, price, x):
             slack = max(slack, over)
         total += price[k] * slack
     return total
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def factorise(L) -> bool:
-    """Banded Cholesky in place: L (n, w) holds the lower band of a symmetric matrix, then that of its factor."""
-    n, w = L.shape
-    for i in range(n):
-        for d in range(min(w - 1, i), -1, -1):
-            j = i - d
-            s = L[i, d]
-            for m in range(d + 1, min(w, i + 1)):
-                k = i - m
-                if j - k < w:
-                    s -= L[i, m] * L[j, j - k]
-            if d == 0:
-                if s <= 0.0:
-                    return False
-                L[i, 0] = np.sqrt(s)
-            else:
-                L[i, d] = s / L[j, 0]
-    return True
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def substitute(L, x) -> None:
-    """Solve with a factor of `factorise`, in place."""
-    n, w = L.shape
-    for i in range(n):
-        s = x[i]
-        for d in range(1, min(w, i + 1)):
-            s -= L[i, d] * x[i - d]
-        x[i] = s / L[i, 0]
-    for i in range(n - 1, -1, -1):
-        x[i] /= L[i, 0]
-        for d in range(1, min(w, i + 1)):
-            x[i - d] -= L[i, d] * x[i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -201,7 +156,6 @@ def minimise(H, g, box, A, b, at, group, price) -> tuple[Array, int]:
     dslack, dmu = np.empty(groups), np.empty(groups)
     second_s, second_slack = np.zeros(rows), np.zeros(groups)
     second_low, second_high = np.zeros(n), np.zeros(n)
-    band = np.empty(w)
     taken = 0
     while taken < _STEPS:
         gap = 0.0
@@ -211,7 +165,7 @@ def minimise(H, g, box, A, b, at, group, price) -> tuple[Array, int]:
             gap += slack[k] * mu[k]
         for i in range(n):
             gap += low[i] * lam_low[i] + high[i] * lam_high[i]
-        _times_band(H, x, Hx)
+        times_band(H, x, Hx)
         Aty[:] = 0.0
         for k in range(groups):
             for r in range(group[k], group[k + 1]):
@@ -226,26 +180,7 @@ def minimise(H, g, box, A, b, at, group, price) -> tuple[Array, int]:
             for d in range(w):
                 L[i, d] = H[i, d]
             L[i, 0] += lam_low[i] / low[i] + lam_high[i] / high[i]
-        for k in range(groups):
-            total_d = mu[k] / slack[k]
-            for r in range(group[k], group[k + 1]):
-                D[r] = lam[r] / s[r]
-                total_d += D[r]
-            S[k] = total_d
-            first = group[k]
-            if group[k + 1] == first:
-                continue
-            for c in range(w):
-                band[c] = 0.0
-            for r in range(first, group[k + 1]):
-                for c in range(w):
-                    weighted = D[r] * A[r, c]
-                    band[c] += weighted
-                    for d in range(c + 1):
-                        L[at[r] + c, c - d] += weighted * A[r, d]
-            for c in range(w):
-                for d in range(c + 1):
-                    L[at[first] + c, c - d] -= band[c] * band[d] / total_d
+        add_rows(A, at, group, lam, s, mu, slack, D, S, L)
         if not factorise(L):
             break
         second_s[:] = 0.0

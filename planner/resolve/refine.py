@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell import Cell
+from planner.resolve.cone_kernel import FACETS, watch_leans, watch_missed_leans
 from planner.resolve.follow_kernel import follow
 from planner.resolve.interior_point import QuadraticProgram, solve_qp
 from planner.resolve.refine_kernel import (
@@ -42,7 +43,7 @@ _ENOUGH = 5e-4  # share of the price: a step that promises less is not worth tak
 _NEGLIGIBLE = 1e-4  # seconds a second of printing, likewise
 ANCHOR = 0.1  # s per square radian that an end of a bead moves: what the search chose there keeps travel short
 _RANGE_ROOM = 1e-4  # rad kept from the ends of the joints' ranges
-CONE_ROOM = 1e-4  # rad kept from the cones about gravity
+CONE_ROOM = 1e-3  # rad kept from the cones about gravity: between waypoints normals are known no better
 CONE_SIDES = 12  # of the polygon inside the circle that bounds tilt
 
 
@@ -115,7 +116,10 @@ class Stretch:
 
 @dataclass(frozen=True)
 class State:
-    """A path over a stretch: control values c (k, m), what follows from them (see the kernels), and its price [s]."""
+    """A path over a stretch: control values c (k, m), what follows from them (see the kernels), and its price [s].
+
+    lean (n, b, 2), lean_slope (n, b, 2, m), cones (b): of the directions that are bounded, and by what [rad]
+    """
 
     c: Array
     q: Array
@@ -124,9 +128,18 @@ class State:
     sigma_slope: Array
     rates: Array
     slack: Array
-    bounds: Array
-    bound_slopes: Array
+    lean: Array
+    lean_slope: Array
+    cones: Array
     price: float
+
+
+@dataclass(frozen=True)
+class Watch:
+    """What a program watches: rates (n, 3, nj, 2), upwards and downwards, and facets (n, b, FACETS.size) of b cones."""
+
+    rates: Flags
+    facets: Flags
 
 
 def evaluate(model: Model, stretch: Stretch, c: Array, q_near: Array, least_sigma: float) -> State | None:
@@ -145,55 +158,57 @@ def evaluate_samples(
     n, nj, m = len(stretch.tip), q_near.shape[1], len(active)
     q = q_near.copy()
     G, sigma, sigma_slope = np.empty((n, nj, m)), np.empty(n), np.empty((n, m))
-    upright, upright_slope = np.empty((n, 2)), np.empty((n, 2, m))
+    lean, lean_slope = np.empty((n, 2, 2)), np.empty((n, 2, 2, m))
     lost = follow(
         *model.chains, model.solved, model.given, stretch.tip, stretch.frames, z, active,
-        q, G, sigma, sigma_slope, upright, upright_slope,
+        q, G, sigma, sigma_slope, lean, lean_slope,
     )  # fmt: skip
     if lost >= 0:
         return None
     limits = np.array([stretch.cones.nozzle_gravity, stretch.cones.layer_gravity])
     bounded = limits < np.pi
-    bounds = np.ascontiguousarray((np.cos(limits - CONE_ROOM) - upright)[:, bounded])
+    cones = limits[bounded] - CONE_ROOM
+    lean, lean_slope = np.ascontiguousarray(lean[:, bounded]), np.ascontiguousarray(lean_slope[:, bounded])
     rates, slack = np.empty((n, 3, nj)), np.empty(n)
     differentiate(q, stretch.centre, stretch.D, rates)
     price = price_of(
         rates, model.limits, stretch.step, stretch.deposits, q, model.low[: model.arm], model.high[: model.arm],
-        sigma, least_sigma, bounds, slack,
+        sigma, least_sigma, np.hypot(lean[..., 0], lean[..., 1]) - cones, slack,
     )  # fmt: skip
     if c.shape[1]:
         price += ANCHOR * float(stretch.hold @ ((c - stretch.anchor) ** 2).sum(axis=1))
-    slopes = np.ascontiguousarray(-upright_slope[:, bounded])
-    return State(c, q, G, sigma, sigma_slope, rates, slack, bounds, slopes, float(price))
+    return State(c, q, G, sigma, sigma_slope, rates, slack, lean, lean_slope, cones, float(price))
 
 
-def watched(model: Model, stretch: Stretch, state: State) -> Flags:
-    """The rates (n, 3, nj, 2) that the program watches from the start, upwards and downwards."""
-    watch = np.zeros((*state.rates.shape, 2), dtype=np.bool_)
-    watch_near(state.rates, model.limits, stretch.deposits, state.slack, watch)
-    return watch
+def watched(model: Model, stretch: Stretch, state: State) -> Watch:
+    """What the program watches from the start."""
+    rates = np.zeros((*state.rates.shape, 2), dtype=np.bool_)
+    watch_near(state.rates, model.limits, stretch.deposits, state.slack, rates)
+    facets = np.zeros((*state.lean.shape[:2], FACETS.size), dtype=np.bool_)
+    watch_leans(stretch.step, state.lean, state.cones, facets)
+    return Watch(rates, facets)
 
 
 def program_around(
-    model: Model, stretch: Stretch, state: State, least_sigma: float, trust: float, watch: Flags
+    model: Model, stretch: Stretch, state: State, least_sigma: float, trust: float, watch: Watch
 ) -> QuadraticProgram:
     """The quadratic program whose solution moves the control values of a state, at most by `trust` [rad].
 
-    Only the watched rates (n, 3, nj, 2) have rows in it.
+    Only what is watched has rows in it.
     """
     low, high = model.low[: model.arm], model.high[: model.arm]
     (k, m), w = state.c.shape, stretch.B.shape[2] * state.c.shape[1]
     rows, groups = count_rows(
-        stretch.step, stretch.deposits, watch, state.q, low, high, state.sigma, least_sigma, state.bounds
+        stretch.step, stretch.deposits, watch.rates, state.q, low, high, state.sigma, least_sigma, watch.facets
     )
-    own_A, own_b, own_at = _control_rows(model, stretch, state, w)
+    own_A, own_b, own_at = _control_rows(model, stretch, state, w, trust)
     extra = len(own_b)
     H, g = np.empty((k * m, w)), np.empty(k * m)
     A, b, at = np.empty((rows + extra, w)), np.empty(rows + extra), np.empty(rows + extra, dtype=np.int64)
     group, price = np.empty(groups + extra + 1, dtype=np.int64), np.empty(groups + extra)
     quadratic_program(
-        state.rates, model.limits, stretch.step, stretch.deposits, state.slack, watch, state.q, state.G, low, high,
-        state.sigma, state.sigma_slope, least_sigma, state.bounds, state.bound_slopes,
+        state.rates, model.limits, stretch.step, stretch.deposits, state.slack, watch.rates, state.q, state.G, low, high,
+        state.sigma, state.sigma_slope, least_sigma, state.lean, state.lean_slope, state.cones, watch.facets,
         stretch.centre, stretch.D, stretch.first, stretch.B, stretch.free, H, g, A, b, at, group, price,
     )  # fmt: skip
     pull = 2.0 * ANCHOR * np.repeat(stretch.hold * stretch.free, m)
@@ -207,8 +222,9 @@ def program_around(
     return QuadraticProgram(H / typical, g / typical, np.full(k * m, trust), A, b, at, group, price / typical)
 
 
-def _control_rows(model: Model, stretch: Stretch, state: State, width: int) -> tuple[Array, Array, Index]:
-    """Bounds of single control values: chosen joints' ranges, and a polygon inside the tilt's cone.
+def _control_rows(model: Model, stretch: Stretch, state: State, width: int, trust: float) -> tuple[Array, Array, Index]:
+    """Bounds of single control values that a step within `trust` may reach: chosen joints' ranges, and a polygon
+    inside the tilt's cone.
 
     A B-spline stays in the hull of its control values, so these bound every sample.
     """
@@ -230,13 +246,14 @@ def _control_rows(model: Model, stretch: Stretch, state: State, width: int) -> t
     A, b, at = [np.zeros((0, width))], [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
     first = np.minimum(np.arange(k), k - width // m)
     for row, room in rows:
-        near = np.flatnonzero((room < _MOST_TRUST * np.abs(row).sum()) & (stretch.free > 0.0))
+        near = np.flatnonzero((room < trust * np.abs(row).sum()) & (stretch.free > 0.0))
         own = np.zeros((len(near), width // m, m))
         own[np.arange(len(near)), near - first[near]] = row
         A.append(own.reshape(len(near), width))
         b.append(room[near])
         at.append(first[near] * m)
-    return np.concatenate(A), np.concatenate(b), np.concatenate(at)
+    order = np.argsort(np.concatenate(at), kind="stable")  # the solver sums rows that begin at the same variable
+    return np.concatenate(A)[order], np.concatenate(b)[order], np.concatenate(at)[order]
 
 
 def _foreseen(stretch: Stretch, state: State, x: Array) -> Array:
@@ -246,7 +263,7 @@ def _foreseen(stretch: Stretch, state: State, x: Array) -> Array:
 
 
 def _best_step(
-    model: Model, stretch: Stretch, state: State, least_sigma: float, trust: float, watch: Flags, solver: QPSolver
+    model: Model, stretch: Stretch, state: State, least_sigma: float, trust: float, watch: Watch, solver: QPSolver
 ) -> tuple[Array, float]:
     """The step x that lowers the model's price most, and by how much [s].
 
@@ -255,10 +272,14 @@ def _best_step(
     for _ in range(_ROUNDS):
         program = program_around(model, stretch, state, least_sigma, trust, watch)
         x, _ = solver(program)
-        if not watch_missed(
+        missed = watch_missed(
             state.rates, model.limits, stretch.deposits, state.slack, state.G, stretch.centre, stretch.D,
-            stretch.first, stretch.B, stretch.free, x, watch,
-        ):  # fmt: skip
+            stretch.first, stretch.B, stretch.free, x, watch.rates,
+        ) + watch_missed_leans(
+            stretch.step, state.lean, state.lean_slope, state.cones, stretch.first, stretch.B, stretch.free, x,
+            watch.facets,
+        )  # fmt: skip
+        if not missed:
             break
     return x, float(stretch.step.mean()) * (program.value(np.zeros(len(x))) - program.value(x))
 

@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from planner.resolve.cone_kernel import facet
 from planner.resolve.node_kernel import LIMIT_COMFORT, LIMIT_PRICE, SIGMA_COMFORT, SIGMA_PRICE
 
 Array = NDArray[np.float64]
@@ -26,7 +27,6 @@ HARD_PRICE = 1e3  # seconds a second and unit (rad, or the share of a bound) bey
 NEAR_RATE = 0.4  # share of a rate's limit above which the program watches it from the start
 MISSED = 1e-3  # slack that a rate must ask for beyond the watched ones before the program watches it too
 NEAR_RANGE = 0.3  # rad from the end of a joint's range below which the program watches it
-NEAR_BOUND = 0.05  # of a bound: cosines and the like
 NEAR_SIGMA = 1.3  # times the least singular value allowed, likewise
 
 
@@ -172,7 +172,7 @@ def watch_missed(rates, limits, deposits, slack, G, centre, D, first, B, free, x
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def count_rows(step, deposits, watch, q, low, high, sigma, least_sigma, bounds):
+def count_rows(step, deposits, watch, q, low, high, sigma, least_sigma, watch_lean):
     """Rows (r) and groups (k) that `quadratic_program` will write."""
     n = len(q)
     rows, groups = 0, 0
@@ -189,16 +189,17 @@ def count_rows(step, deposits, watch, q, low, high, sigma, least_sigma, bounds):
         if deposits[i] > 0.0 and sigma[i] < NEAR_SIGMA * least_sigma:
             rows += 1
             groups += 1
-        for c in range(bounds.shape[1]):
-            if bounds[i, c] > -NEAR_BOUND:
-                rows += 1
-                groups += 1
+        for c in range(watch_lean.shape[1]):
+            own = watch_lean[i, c].sum()
+            rows += own
+            groups += 1 if own else 0
     return rows, groups
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def quadratic_program(
-    rates, limits, step, deposits, slack, watch, q, G, low, high, sigma, sigma_slope, least_sigma, bounds, bound_slopes,
+    rates, limits, step, deposits, slack, watch, q, G, low, high, sigma, sigma_slope, least_sigma,
+    lean, lean_slope, cones, watch_lean,
     centre, D, first, B, free,
     H, g, A, b, at, group, price,
 ):  # fmt: skip
@@ -297,15 +298,22 @@ def quadratic_program(
                 r += 1
                 k += 1
                 group[k] = r
-        for c2 in range(bounds.shape[1]):
-            if bounds[i, c2] > -NEAR_BOUND:
-                for e in range(nb):
-                    for c in range(m):
-                        A[r, e * m + c] = bound_slopes[i, c2, c] * Bf[0, e]
-                b[r] = -bounds[i, c2]
-                at[r] = at_i
+        # cones: of a direction's lean, all facets share a slack
+        for v in range(cones.size):
+            own = 0
+            for f in range(watch_lean.shape[2]):
+                if watch_lean[i, v, f]:
+                    u_x, u_y = facet(lean[i, v], f)
+                    for e in range(nb):
+                        for c in range(m):
+                            slope = u_x * lean_slope[i, v, 0, c] + u_y * lean_slope[i, v, 1, c]
+                            A[r, e * m + c] = slope * Bf[0, e]
+                    b[r] = cones[v] - u_x * lean[i, v, 0] - u_y * lean[i, v, 1]
+                    at[r] = at_i
+                    r += 1
+                    own += 1
+            if own:
                 price[k] = step[i] * HARD_PRICE
-                r += 1
                 k += 1
                 group[k] = r
 

@@ -13,6 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from planner.resolve.spacing import breaks_of
+
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
@@ -71,7 +73,7 @@ def _by_time(by_index: Array, rate: Array) -> Array:
 
 @dataclass(frozen=True)
 class Basis:
-    """B-splines on clamped uniform knots over n samples, with m control values.
+    """B-splines on clamped knots over n samples, with m control values.
 
     first (n)              control value that the first of a sample's degree + 1 B-splines belongs to
     B (n, 4, degree + 1)   their values and their first three derivatives in time
@@ -86,11 +88,14 @@ class Basis:
         return np.einsum("nb,nbk->nk", self.B[:, 0], c[self.first[:, None] + np.arange(self.B.shape[2])])
 
 
-def basis_over(clock: Clock, controls: int) -> Basis:
-    """B-splines over a clock's samples; the degree is 5, or one less than the number of control values."""
-    n = len(clock.step)
+def basis_over(clock: Clock, places: Array) -> Basis:
+    """B-splines over a clock's samples; the degree is 5, or one less than the number of control values.
+
+    places (m): about where each control value stands, from 0 to 1, in shares of the samples.
+    """
+    n, controls = len(clock.step), len(places)
     degree = min(DEGREE, controls - 1)
-    knots = np.concatenate([np.zeros(degree), np.linspace(0.0, 1.0, controls - degree + 1), np.ones(degree)])
+    knots = np.concatenate([np.zeros(degree), breaks_of(places, controls - degree + 1), np.ones(degree)])
     first, B = _basis(np.linspace(0.0, 1.0, n), knots, degree)
     by_index = B[:, 1:] * (1.0 / (n - 1)) ** np.arange(1, 4)[:, None]
     return Basis(first, np.concatenate([B[:, :1], _by_time(by_index, clock.rate)], axis=1), controls)

@@ -32,6 +32,7 @@ from planner.resolve.refine import (
     model_of,
     refine_stretch,
 )
+from planner.resolve.spacing import places_along
 from planner.resolve.splines import LEAST_SAMPLES, Basis, Clock, basis_over, clock_of
 from planner.task import NozzleTask
 
@@ -170,7 +171,7 @@ def whole(task: NozzleTask, clock: Clock, basis: Basis, anchor: Array) -> Stretc
 def given_price(model: Model, path: JointPath, least_sigma: float) -> tuple[float, float]:
     """Price [s] of a path as it is, and its least singular value in deposition; infinite and 0 where the kernels cannot follow it."""
     clock = clock_of(path.task.s / path.task.speed)
-    stretch = whole(path.task, clock, basis_over(clock, 2), np.zeros((2, 0)))
+    stretch = whole(path.task, clock, basis_over(clock, np.array([0.0, 1.0])), np.zeros((2, 0)))
     state = evaluate_samples(model, stretch, np.zeros((2, 0)), free_variables(model, path), path.q, least_sigma)
     return (np.inf, 0.0) if state is None else (state.price, float(state.sigma[stretch.deposits > 0.0].min()))
 
@@ -180,8 +181,7 @@ def start_track(model: Model, knot: float, floor: float, path: JointPath, below:
     task = path.task
     n = len(task)
     clock = clock_of(task.s / task.speed)
-    controls = max(min(int(np.ceil((task.s[-1] - task.s[0]) / knot)), (n - 1) // SAMPLES_PER_CONTROL), 1) + 1
-    basis = basis_over(clock, controls)
+    basis = basis_over(clock, places_along(task, knot, SAMPLES_PER_CONTROL))
     c = fit(basis, free_variables(model, path)[:, model.active(task.cones)])
     stretch = whole(task, clock, basis, c)
     best = evaluate(model, stretch, c, path.q, floor)
