@@ -355,7 +355,7 @@ def tiny_ladder(rng: np.random.Generator, periodic: bool) -> tuple[Nodes, Demand
     time[task_rungs[:-1]] = 0.0
     empty = np.zeros(0)
     index = np.arange(R)
-    demand = Demand(empty, empty, empty, empty, empty, index, index, index + 1, time, task_rungs)
+    demand = Demand(empty, empty, empty, empty, empty, index, empty, index, index + 1, time, task_rungs)
     v, a = rng.uniform(0.5, 1.2, 7), rng.uniform(2.0, 6.0, 7)
     v[6] = 4.0 if periodic else 0.5
     limits = Limits(np.full(7, -9.0), np.full(7, 9.0), v, a, 50 * a)
@@ -401,7 +401,7 @@ def test_search_prefers_a_short_travel() -> None:
     zero = np.zeros(2, dtype=np.int64)
     grid = Grid(0.3, TURN, zero, zero, 3, 1, True, np.zeros((2, 1), dtype=np.int64))
     empty = np.zeros(0)
-    demand = Demand(empty, empty, empty, empty, empty, zero, zero, zero + 1, np.zeros(2), np.array([0, 1, 2]))
+    demand = Demand(empty, empty, empty, empty, empty, zero, empty, zero, zero + 1, np.zeros(2), np.array([0, 1, 2]))
     limits = Limits(*(np.full(7, x) for x in (-9.0, 9.0, 1.0, 5.0, 250.0)))
     route, _ = best_route(Nodes(grid, q, price), demand, limits)
     assert route is not None
@@ -432,7 +432,8 @@ def test_greedy_is_never_cheaper_on_the_real_ladder(
 @settings(max_examples=80)
 def test_spread_stays_within_its_values_and_keeps_the_ends(values: list[float], n: int) -> None:
     rows = np.array(values)
-    curve = spread(rows, n)
+    places = np.linspace(0.0, 1.0, len(rows))
+    curve = spread(rows, n, places)
     assert curve.shape == (n,)
     assert curve[0] == pytest.approx(values[0], abs=1e-9)
     assert curve[-1] == pytest.approx(values[-1], abs=1e-9)
@@ -441,7 +442,7 @@ def test_spread_stays_within_its_values_and_keeps_the_ends(values: list[float], 
     if (np.diff(rows) >= 0).all():
         assert (np.diff(curve) >= -1e-9).all()
     # each column for itself, and linear in the values
-    both = spread(np.column_stack([rows, 2.0 * rows + 1.0]), n)
+    both = spread(np.column_stack([rows, 2.0 * rows + 1.0]), n, places)
     np.testing.assert_allclose(both, np.column_stack([curve, 2.0 * curve + 1.0]), rtol=0, atol=1e-9)
 
 
@@ -449,7 +450,7 @@ def test_spread_keeps_close_to_where_its_values_are() -> None:
     """A local change of one value is felt nearby only."""
     values = np.zeros(40)
     values[20] = 1.0
-    curve = spread(values, 401)
+    curve = spread(values, 401, np.linspace(0.0, 1.0, 40))
     felt = np.flatnonzero(np.abs(curve) > 1e-12) / 400
     assert felt.min() > (20 - 4) / 39
     assert felt.max() < (20 + 4) / 39
@@ -458,7 +459,7 @@ def test_spread_keeps_close_to_where_its_values_are() -> None:
 
 def test_spread_has_four_continuous_derivatives() -> None:
     values = np.random.default_rng(3).normal(size=12)
-    curve = spread(values, 14_001)
+    curve = spread(values, 14_001, np.linspace(0.0, 1.0, 12))
     for order in (1, 2, 3, 4):
         rows = np.diff(curve[::20], order)
         inner = rows[5:-5]

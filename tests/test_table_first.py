@@ -11,12 +11,12 @@ import pytest
 from planner.cell import build_cell
 from planner.problem import load_problem
 from planner.resolve.demand import demand_of
-from planner.resolve.table_first import _HURRY, LEAN, MOVE, RETURN, _cheapest, slowed, upright_table
+from planner.resolve.table_first import ARM_SHARES, BEYOND, LEAN, MOVE, RETURN, _cheapest, slowed, upright_table
 from planner.task import Cones, NozzleTask
 
 
-def price(way: list[tuple[int, int]], normals, up, time, step, speed, aim, turns, start) -> float:  # type: ignore[no-untyped-def]
-    """Price of one way through the lattice, written down once more; infinite for a move that is too quick."""
+def price(way: list[tuple[int, int]], normals, up, time, step, speed, aim, most, turns, start) -> float:  # type: ignore[no-untyped-def]
+    """Price of one way through the lattice, written down once more."""
     shape = up.shape[:2]
 
     def apart(x: int, y: int, axis: int) -> int:
@@ -29,11 +29,9 @@ def price(way: list[tuple[int, int]], normals, up, time, step, speed, aim, turns
             for axis in (0, 1):
                 moved = apart(here[axis], way[k - 1][axis], axis)
                 pace = step / (time[k] * speed[axis])
-                if moved > max(int(_HURRY / pace), 1):
-                    return np.inf
                 total += MOVE * time[k] * (moved * pace) ** 2
         lean = np.arccos(np.clip(normals[k] @ up[here], -1.0, 1.0))
-        total += time[k] * LEAN * max(0.0, lean / aim - 1.0) ** 2
+        total += time[max(k, 1)] * (LEAN * max(0.0, lean / aim - 1.0) ** 2 + BEYOND * max(0.0, lean - most))
     return float(total)
 
 
@@ -46,9 +44,9 @@ def test_cheapest_way_against_all_ways(seed: int) -> None:
     up /= np.linalg.norm(up, axis=2)[..., None]
     turns = np.array([seed % 2 == 0, seed % 3 == 0])
     start = rng.integers(0, 3, 2)
-    time, step, speed, aim = rng.uniform(0.05, 0.4, 4), 0.3, np.array([1.0, 2.0]), 0.2
-    picked = _cheapest(normals, up, time, step, speed, aim, turns, start)
-    inputs = (normals, up, time, step, speed, aim, turns, start)
+    time, step, speed, aim, most = rng.uniform(0.05, 0.4, 4), 0.3, np.array([1.0, 2.0]), 0.2, 0.3
+    picked = _cheapest(normals, up, time, step, speed, aim, most, turns, start)
+    inputs = (normals, up, time, step, speed, aim, most, turns, start)
     cells = list(itertools.product(range(4), range(3)))
     least = min(price(list(way), *inputs) for way in itertools.product(cells, repeat=4))
     assert price([(int(i), int(j)) for i, j in picked], *inputs) == pytest.approx(least, rel=1e-12)
@@ -77,6 +75,32 @@ def test_layer_stays_upright_and_the_print_slows_where_the_table_must_hurry() ->
     lean = np.degrees(np.arccos((up * normals).sum(axis=1)))
     assert lean.max() < 8.0
     assert (np.abs(np.diff(angles, axis=0)) < np.pi / 2).all()  # no turn counted twice
-    assert (slowed(cell, demand, angles).time >= demand.time).all()
+    assert (slowed(cell, demand, angles, ARM_SHARES[0]).time >= demand.time).all()
     quick = replace(demand, time=0.1 * demand.time)
-    assert slowed(cell, quick, angles).time.sum() > quick.time.sum()
+    first, second = (slowed(cell, quick, angles, share).time for share in ARM_SHARES)
+    assert first.sum() > quick.time.sum()
+    assert (second >= first).all()
+    assert second.sum() > first.sum()
+
+
+def passing_task() -> NozzleTask:
+    """Normals that pass the vertical at 9 degrees, quickly: the way straight through the table's axis is the shortest."""
+    n = 200
+    x, y = np.linspace(0.5, -0.5, n), np.full(n, np.tan(np.radians(9.0)))
+    normal = np.column_stack([x, y, np.ones(n)])
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    across = np.cross(normal, [0.0, 1.0, 0.0])
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    s = np.linspace(0.0, 0.006, n)
+    frames = np.stack([across, np.cross(-normal, across), -normal], axis=-1)
+    cones = Cones(layer_gravity=np.radians(8.0))
+    return NozzleTask(0, "pass", 0, np.column_stack([s, 0 * s, 0 * s]), frames, s, 0, n - 1, 0.04, cones)
+
+
+def test_table_turns_all_it_must_rather_than_leave_the_cone() -> None:
+    problem = load_problem("cylinder_logo", ["cell.positioner.held_deg={}", "cell.positioner.free=[tilt, rotation]"])
+    cell = build_cell(problem)
+    demand = demand_of([passing_task()], 0.5e-3)
+    up = cell.holder.poses(upright_table(cell, [passing_task()], demand))[:, 2, :3]
+    normals = -demand.frames[demand.rung][:, :, 2]
+    assert np.degrees(np.arccos((up * normals).sum(axis=1))).max() < 8.0

@@ -80,7 +80,7 @@ def paths(draw: st.DrawFn) -> JointPath:
         u = np.linspace(-1.0, 1.0, n - 1)
         steps -= 0.9 * np.exp(-(((u - draw(st.floats(-0.5, 0.5))) / 0.3) ** 2))
     s = np.concatenate([[0.0], np.cumsum(steps)])
-    return path_of(spread(values, n), s * length / s[-1], speed)
+    return path_of(spread(values, n, np.linspace(0.0, 1.0, len(values))), s * length / s[-1], speed)
 
 
 @given(paths())

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.resolve.spacing import places_along
 from planner.task import FREE, Cones, NozzleTask
 
 Array = NDArray[np.float64]
@@ -24,7 +25,8 @@ class Demand:
     twist, rate (n, 6)             velocity of the nozzle in the part frame with roll and holder at rest, at the
                                    commanded speed, linear rows first [m/s, rad/s], and its time derivative
     weight (n)                     time that a sample stands for at that speed [s]; 0 where nothing is deposited
-    rung (r)                       sample of each rung; rungs of one task are evenly spaced in its samples
+    rung (r)                       sample of each rung
+    place (r)                      where along its task a rung stands, from 0 to 1, in shares of the task's samples
     start, stop (r)                samples that a rung answers for
     time (r)                       time from the rung before it at the commanded speed [s]
     task_rungs (b + 1)             rungs of task i are task_rungs[i] .. task_rungs[i + 1]
@@ -37,6 +39,7 @@ class Demand:
     rate: Array
     weight: Array
     rung: NDArray[np.int64]
+    place: Array
     start: NDArray[np.int64]
     stop: NDArray[np.int64]
     time: Array
@@ -52,6 +55,7 @@ class Demand:
         return replace(
             self,
             rung=self.rung[rungs],
+            place=self.place[rungs],
             start=self.start[rungs],
             stop=self.stop[rungs],
             time=self.time[rungs],
@@ -60,8 +64,8 @@ class Demand:
 
 
 def demand_of(tasks: Sequence[NozzleTask], spacing: float) -> Demand:
-    """Differentiate the tasks' paths at the commanded speed and set rungs `spacing` [m] apart."""
-    twists, rates, weights, rungs, starts, stops, times = [], [], [], [], [], [], []
+    """Differentiate the tasks' paths at the commanded speed and set rungs `spacing` [m] apart, see `places_along`."""
+    twists, rates, weights, rungs, places, starts, stops, times = [], [], [], [], [], [], [], []
     offset = 0
     counts = [0]
     for task in tasks:
@@ -77,14 +81,15 @@ def demand_of(tasks: Sequence[NozzleTask], spacing: float) -> Demand:
         rates.append(np.gradient(twist, t, axis=0))
         weights.append(weight)
         n = len(task)
-        m = max(min(int(np.ceil((task.s[-1] - task.s[0]) / spacing)), (n - 1) // SAMPLES_PER_RUNG), 1) + 1
-        at = np.round(np.linspace(0, n - 1, m)).astype(np.int64)
+        place = places_along(task, spacing, SAMPLES_PER_RUNG)
+        at = np.round(place * (n - 1)).astype(np.int64)
         edges = np.concatenate([[0], (at[1:] + at[:-1]) // 2, [n]])
         rungs.append(at + offset)
+        places.append(place)
         starts.append(edges[:-1] + offset)
         stops.append(edges[1:] + offset)
         times.append(np.concatenate([[0.0], np.diff(t[at])]))
-        counts.append(counts[-1] + m)
+        counts.append(counts[-1] + len(at))
         offset += n
     return Demand(
         tip=np.concatenate([task.tip for task in tasks]),
@@ -93,6 +98,7 @@ def demand_of(tasks: Sequence[NozzleTask], spacing: float) -> Demand:
         rate=np.concatenate(rates),
         weight=np.concatenate(weights),
         rung=np.concatenate(rungs),
+        place=np.concatenate(places),
         start=np.concatenate(starts),
         stop=np.concatenate(stops),
         time=np.concatenate(times),

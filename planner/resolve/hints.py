@@ -69,9 +69,9 @@ class Stuck:
         for k, task in enumerate(self.tasks):
             rungs = self.demand.rungs_of(k)
             roll = angles_along(grid, route.roll[rungs], grid.rolls, grid.roll_step)
-            n = len(task)
+            n, places, branch = len(task), self.demand.place[rungs], int(route.branch[rungs][0])
             try:
-                postures(cell, task, spread(roll, n), spread(chosen[rungs], n), int(route.branch[rungs][0]))
+                postures(cell, task, spread(roll, n, places), spread(chosen[rungs], n, places), branch)
             except Refusal:
                 return False
         return True

@@ -37,17 +37,19 @@ class JointPath:
     branch: int
 
 
-def spread(values: Array, n: int) -> Array:
+def spread(values: Array, n: int, places: Array) -> Array:
     """n samples of a smooth curve that rung values (m) or (m, k) control: a clamped B-spline of degree 5.
 
-    It has four continuous derivatives, does not overshoot its control values, and starts and ends at the
-    first and last of them; with fewer than six rungs the degree is one less than their number.
+    places (m): where the rungs stand, from 0 to 1, in shares of the samples. The curve has four continuous derivatives,
+    does not overshoot its control values, and starts and ends at the first and last of them; with fewer than six rungs
+    the degree is one less than their number.
     """
     m = len(values)
     degree = min(5, m - 1)
     if degree == 0:
         return np.repeat(values, n, axis=0)
-    knots = np.concatenate([np.zeros(degree), np.linspace(0.0, 1.0, m - degree + 1), np.ones(degree)])
+    # inner knots at the rungs themselves, so that each value is felt where its rung stands, near the ends too
+    knots = np.concatenate([np.zeros(degree + 1), places[3 : m - 3], np.ones(degree + 1)])
     return np.asarray(BSpline(knots, values, degree)(np.linspace(0.0, 1.0, n)))
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,8 @@ from planner.resolve.found import Found, angles_along
 from planner.resolve.jointpath import JointPath, choose_turns, postures, spread, upright
 from planner.resolve.nodes import Grid, Nodes, evaluate, full_grid
 from planner.resolve.search import best_route
-from planner.resolve.table_first import slowed, upright_table
+from planner.resolve.spacing import NARROW
+from planner.resolve.table_first import ARM_SHARES, slowed, upright_table
 from planner.resolve.unreachable import refuse_rung
 from planner.task import NozzleTask
 
@@ -28,7 +30,6 @@ CORRIDORS = ((3, 4), (3, 12), (1, 1))
 _SPARSE = 5  # times as far as the settings' rungs stand those of the first look at several chosen joints
 _ROUGH = 2.0  # times the settings' steps in that first look, and where the grid would be too large
 _MOST_NODES = 3e6  # of the guide's grid: 100 MB, and a second; the second search is finer anyway
-_UPRIGHT = np.radians(30.0)  # cone of the layer to gravity below which the table has little choice left
 _FEW = 50  # times as far stand those at which postures of a holder of many joints are tried, if home does not do
 _DRAWN = 400  # of those postures
 _LATTICE = 9  # angles at which a chosen joint is held there, at most
@@ -66,12 +67,16 @@ def _routes(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> I
     any_route = False
     for refine, corridor in CORRIDORS:
         grid = _corridor(cell, tasks, all_demand, guides, guide, guide_of, refine, corridor)
-        demand = all_demand if grid.held is None or grid.swept is not None else slowed(cell, all_demand, grid.held)
-        dense = evaluate(cell, demand, grid, settings.min_sigma)
-        best, stuck = best_route(dense, demand, cell.limits)
-        if best is not None:
-            any_route = True
-            yield Found(demand, dense, best)
+        dense = evaluate(cell, all_demand, grid, settings.min_sigma)
+        demands: Iterable[Demand] = [all_demand]
+        if grid.held is not None and grid.swept is None:
+            demands = map(partial(slowed, cell, all_demand, grid.held), ARM_SHARES)
+        for demand in demands:
+            best, stuck = best_route(dense, demand, cell.limits)
+            if best is not None:
+                any_route = True
+                yield Found(demand, dense, best)
+                break
     if not any_route:
         refuse_rung(cell, tasks, all_demand, dense, stuck, settings.min_sigma)
 
@@ -92,7 +97,7 @@ def guide_route(cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec)
             refuse_rung(cell, guides, demand, nodes, stuck, settings.min_sigma)
         return Found(demand, nodes, route)
     demand = demand_of(guides, settings.rung)
-    if len(cell.holder) > 1 and demand.cones.layer_gravity < _UPRIGHT:
+    if len(cell.holder) > 1 and demand.cones.layer_gravity < NARROW:
         return _after_table(cell, guides, demand, settings)
     found = _first_look(cell, guides, settings)
     first = found.nodes.grid.swept
@@ -112,12 +117,13 @@ def guide_route(cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec)
 def _after_table(cell: Cell, guides: Sequence[NozzleTask], demand: Demand, settings: ResolveSpec) -> Found:
     """The best route of roll and branch while the table follows a path that holds the layer upright."""
     held = upright_table(cell, guides, demand)
-    demand = slowed(cell, demand, held)
     nodes = evaluate(cell, demand, full_grid(demand, settings.roll_step, 1.0, False, None, held), settings.min_sigma)
-    route, stuck = best_route(nodes, demand, cell.limits)
-    if route is None:
-        refuse_rung(cell, guides, demand, nodes, stuck, settings.min_sigma)
-    return Found(demand, nodes, route)
+    for share in ARM_SHARES:
+        slow = slowed(cell, demand, held, share)
+        route, stuck = best_route(nodes, slow, cell.limits)
+        if route is not None:
+            return Found(slow, nodes, route)
+    refuse_rung(cell, guides, slow, nodes, stuck, settings.min_sigma)
 
 
 def _first_look(cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec) -> Found:
@@ -180,10 +186,9 @@ def _between_rungs(found: Found, demand: Demand, k: int) -> Array:
     angles = found.chosen(k)
     out = np.empty((len(demand.rung), k))
     for i in range(len(demand.task_rungs) - 1):
-        theirs, own = angles[found.demand.rungs_of(i)], demand.rungs_of(i)
-        at = np.linspace(0.0, 1.0, own.stop - own.start)
+        theirs, own = found.demand.rungs_of(i), demand.rungs_of(i)
         for j in range(k):
-            out[own, j] = np.interp(at, np.linspace(0.0, 1.0, len(theirs)), theirs[:, j])
+            out[own, j] = np.interp(demand.place[own], found.demand.place[theirs], angles[theirs, j])
     return out
 
 
@@ -234,9 +239,10 @@ def _corridor(
     for i, task in enumerate(tasks):
         g = guide_of[task.name]
         own, theirs = demand.rungs_of(i), guide.demand.rungs_of(g)
-        flip = slice(None, None, -1 if runs_backwards(task, guides[g]) else 1)
-        at = np.linspace(0.0, 1.0, own.stop - own.start)
-        there = np.linspace(0.0, 1.0, theirs.stop - theirs.start)
+        backwards = runs_backwards(task, guides[g])
+        flip = slice(None, None, -1 if backwards else 1)
+        at, there = demand.place[own], guide.demand.place[theirs]
+        there = 1.0 - there[::-1] if backwards else there
         for target, index, period in (
             (roll_from, route.roll, coarse.rolls),
             (holder_from, route.holder, coarse.holders),
@@ -278,9 +284,9 @@ def paths_of(cell: Cell, tasks: Sequence[NozzleTask], found: Found) -> tuple[Joi
     chosen = found.chosen(len(cell.chosen))
     for i, task in enumerate(tasks):
         rungs = found.demand.rungs_of(i)
-        n = len(task)
-        roll = spread(angles_along(grid, route.roll[rungs], grid.rolls, grid.roll_step), n)
+        n, places = len(task), found.demand.place[rungs]
+        roll = spread(angles_along(grid, route.roll[rungs], grid.rolls, grid.roll_step), n, places)
         branch = int(route.branch[rungs][0])
-        q = postures(cell, task, roll, spread(chosen[rungs], n), branch)
+        q = postures(cell, task, roll, spread(chosen[rungs], n, places), branch)
         paths.append(JointPath(task, roll, upright(task), q, branch))
     return choose_turns(cell, paths)

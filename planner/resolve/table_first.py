@@ -24,9 +24,10 @@ _SHARE = 0.6  # of the cone that is aimed at: splines cut what is found on the l
 _STEPS_IN_CONE = 2.0  # lattice steps in that share
 _FINEST = np.radians(2.0)
 _SPEED_SHARE = 0.7  # of an axis' speed
-_HURRY = 4.0  # times that speed which an axis may need: the print slows down there
-_ARM_SHARE = 1.5  # times as long, there: the arm has to follow as well
+ARM_SHARES = (1.5, 3.0)  # times as long, there: the arm has to follow as well; tried one after the other
 LEAN = 50.0  # seconds a second, at twice the lean that is aimed at
+BEYOND = 1e4  # seconds a second and rad, beyond most of the cone: no way past that costs less
+_MOST = 0.9  # of the cone, there: paths between the rungs need the rest
 MOVE = 1.0  # seconds a second, for an axis at its full speed
 RETURN = 0.02  # s per rad between the end of a bead and the start of the next
 
@@ -52,7 +53,15 @@ def upright_table(cell: Cell, tasks: Sequence[NozzleTask], demand: Demand) -> Ar
     for i in range(len(tasks)):
         rungs = demand.rungs_of(i)
         picked = _cheapest(
-            normals[rungs], up, demand.time[rungs], step, speed, aim, np.array([turns for _, turns in lattices]), near
+            normals[rungs],
+            up,
+            demand.time[rungs],
+            step,
+            speed,
+            aim,
+            _MOST / _SHARE * aim,
+            np.array([turns for _, turns in lattices]),
+            near,
         )
         near = picked[-1]
         for axis, (angles, turns), k in zip((a, b), lattices, range(2), strict=True):
@@ -61,8 +70,11 @@ def upright_table(cell: Cell, tasks: Sequence[NozzleTask], demand: Demand) -> Ar
     return out
 
 
-def slowed(cell: Cell, demand: Demand, held: Array) -> Demand:
-    """The demand with more time between rungs where the held angles (r, k) need it: the print slows down there."""
+def slowed(cell: Cell, demand: Demand, held: Array, share: float) -> Demand:
+    """The demand with more time between rungs where the held angles (r, k) need it: the print slows down there.
+
+    share: times the table's own time that its move is given, one of ARM_SHARES; a greater one slows down earlier, too.
+    """
     time = demand.time.copy()
     nh = len(cell.holder)
     if nh:
@@ -70,8 +82,8 @@ def slowed(cell: Cell, demand: Demand, held: Array) -> Demand:
         need = (np.abs(np.diff(held[:, :nh], axis=0)) / (_SPEED_SHARE * cell.limits.velocity[na:])).max(axis=1)
         inside = np.ones(len(time) - 1, dtype=bool)
         inside[demand.task_rungs[1:-1] - 1] = False  # between tasks there is travel
-        late = inside & (need > time[1:])
-        time[1:][late] = _ARM_SHARE * need[late]
+        late = inside & (need > (ARM_SHARES[0] / share) * time[1:])
+        time[1:][late] = np.maximum(time[1:], share * need)[late]
     return replace(demand, time=time)
 
 
@@ -89,8 +101,38 @@ def _lattice(cell: Cell, axis: int, step: float) -> tuple[Array, bool]:
 
 
 @njit(cache=True)
+def _after_moves(cost: Array, weight: float, turns: bool, least: Array, came: NDArray[np.int64]) -> None:
+    """Fill least (n) with the least of cost (n) plus weight times the move's square, and came with where that is from.
+
+    The lower envelope of parabolas (Felzenszwalb and Huttenlocher 2012), in time linear in n. Where the axis turns all
+    round, half of it is repeated at both ends.
+    """
+    n = cost.size
+    beside = n // 2 if turns else 0
+    at, edge = np.empty(n + 2 * beside, dtype=np.int64), np.empty(n + 2 * beside)
+    top = -1
+    for i in range(-beside, n + beside):
+        start = -np.inf
+        while top >= 0:
+            v = at[top]
+            start = (cost[i % n] - cost[v % n]) / (2.0 * weight * (i - v)) + 0.5 * (i + v)
+            if start > edge[top]:
+                break
+            top -= 1
+            start = -np.inf
+        top += 1
+        at[top], edge[top] = i, start
+    k = 0
+    for i in range(n):
+        while k < top and edge[k + 1] < i:
+            k += 1
+        came[i] = at[k] % n
+        least[i] = cost[came[i]] + weight * (i - at[k]) ** 2
+
+
+@njit(cache=True)
 def _cheapest(
-    normals: Array, up: Array, time: Array, step: float, speed: Array, aim: float, turns: NDArray[np.bool_],
+    normals: Array, up: Array, time: Array, step: float, speed: Array, aim: float, most: float, turns: NDArray[np.bool_],
     start: NDArray[np.int64],
 ) -> NDArray[np.int64]:  # fmt: skip
     """Lattice indices (r, 2) along one task; up (na, nb, 3) the vertical in the part frame, start where travel begins."""
@@ -103,30 +145,19 @@ def _cheapest(
             dj = min(dj, nb - dj) if turns[1] else dj
             cost[i, j] = RETURN * step * (di + dj)
     back = np.empty((r, na, nb, 2), dtype=np.int16)
-    moved = np.empty((na, nb))
+    moved, came = np.empty((na, nb)), np.empty(max(na, nb), dtype=np.int64)
     for k in range(r):
         if k:
             # moves of the two axes cost independently of each other: one axis after the other is the least of both
-            pace_i, pace_j = step / (time[k] * speed[0]), step / (time[k] * speed[1])
-            reach_i, reach_j = max(int(_HURRY / pace_i), 1), max(int(_HURRY / pace_j), 1)
+            for j in range(nb):
+                _after_moves(cost[:, j], MOVE * step * step / (time[k] * speed[0] ** 2), turns[0], moved[:, j], came)
+                for i in range(na):
+                    back[k, i, j, 0] = came[i]
             for i in range(na):
+                _after_moves(moved[i], MOVE * step * step / (time[k] * speed[1] ** 2), turns[1], cost[i], came)
                 for j in range(nb):
-                    least = np.inf
-                    for di in range(-reach_i, reach_i + 1):
-                        i0 = (i + di) % na if turns[0] else i + di
-                        if 0 <= i0 < na and cost[i0, j] + MOVE * time[k] * (di * pace_i) ** 2 < least:
-                            least = cost[i0, j] + MOVE * time[k] * (di * pace_i) ** 2
-                            back[k, i, j, 0] = i0
-                    moved[i, j] = least
-            for i in range(na):
-                for j in range(nb):
-                    least = np.inf
-                    for dj in range(-reach_j, reach_j + 1):
-                        j0 = (j + dj) % nb if turns[1] else j + dj
-                        if 0 <= j0 < nb and moved[i, j0] + MOVE * time[k] * (dj * pace_j) ** 2 < least:
-                            least = moved[i, j0] + MOVE * time[k] * (dj * pace_j) ** 2
-                            back[k, i, j, 1] = j0
-                    cost[i, j] = least
+                    back[k, i, j, 1] = came[j]
+        spell = time[k] if k else time[min(1, r - 1)]  # no time leads to the first rung, but it is printed
         for i in range(na):
             for j in range(nb):
                 cosine = 0.0
@@ -134,7 +165,7 @@ def _cheapest(
                     cosine += normals[k, c] * up[i, j, c]
                 lean = np.arccos(min(max(cosine, -1.0), 1.0))
                 over = max(0.0, lean / aim - 1.0)
-                cost[i, j] += time[k] * LEAN * over * over
+                cost[i, j] += spell * (LEAN * over * over + BEYOND * max(0.0, lean - most))
     picked = np.empty((r, 2), dtype=np.int64)
     flat = cost.argmin()
     picked[r - 1] = (flat // nb, flat % nb)
