@@ -20,6 +20,7 @@ Complaint = Callable[..., InputError]
 
 RISE_PER_LENGTH = 0.5  # height of the far end of a run over its length: clears a bead within the run's last half
 _STRAIGHTEN = 0.4  # greatest share of a run in which the bead's curvature fades to a straight line
+_SETTLE = 1.0  # likewise in which the nozzle stops turning: quicker asks more jerk of the wrist than the bead does
 _BENT = 0.5  # share of a run in which it bends up to its ramp, which is straight from there on
 _TURN = 1.0  # rad; twice what a run turns at most before it is straight, where the samples allow it
 _GROWTH = 0.7  # twice the logarithm of how far the samples' distance changes along a run
@@ -83,7 +84,7 @@ def _leave(end: End, length: float, ramp: float | None) -> tuple[tuple[Array, Ar
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
     keep = slice(_SUBSTEPS, None, _SUBSTEPS)
-    frames = end.turned(far[keep], _within(end, length, *end.turning))
+    frames = end.turned(far[keep], _within(end, length, _SETTLE, *end.turning))
     return (points[keep], frames[:, :, 2], frames[:, :, 0]), arc[keep]
 
 
@@ -105,10 +106,10 @@ def _distances(end: End, length: float) -> Array:
     return far[: samples * _SUBSTEPS + 1]
 
 
-def _within(end: End, length: float, *rates: float) -> float:
-    """Distance [m] in which the rates of an end's n-th derivatives (n = 1, 2; [rad/m^n]) fade."""
+def _within(end: End, length: float, share: float, *rates: float) -> float:
+    """Distance [m] in which the rates of an end's n-th derivatives (n = 1, 2; [rad/m^n]) fade: a share of the run."""
     turns = [(_TURN / rate) ** (1.0 / (n + 1)) for n, rate in enumerate(rates) if rate > 0.0]
-    return float(np.clip(min(turns, default=np.inf), _FADE * end.step, _STRAIGHTEN * length))
+    return float(np.clip(min(turns, default=np.inf), _FADE * end.step, share * length))
 
 
 def _directions(end: End, far: Array, length: float, ramp: float | None) -> Array:
@@ -128,7 +129,7 @@ def _directions(end: End, far: Array, length: float, ramp: float | None) -> Arra
     heads = float(end.bend @ aside) / max(size, _STEEP)
     climbs = float(end.bend @ (np.cos(lifted) * normal - np.sin(lifted) * level))
 
-    faded = _faded(far, _within(end, length, float(np.linalg.norm(end.bend))))
+    faded = _faded(far, _within(end, length, _STRAIGHTEN, float(np.linalg.norm(end.bend))))
     heading, elevation = heads * faded, lifted + climbs * faded
     risen = float(np.clip(elevation[-1], 0.0, _STEEPEST)) if ramp is None else ramp
     elevation = elevation + (risen - elevation[-1]) * (1.0 - _fade(far / (_BENT * length)))
