@@ -1,0 +1,191 @@
+"""Program: the limits of a stretch of path, on a grid of its own, as the interior-point method takes them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter1d, uniform_filter1d
+
+from planner.timing.stretch import Stretch
+
+Array = NDArray[np.float64]
+
+GRID = 2.5e-3  # s between grid points, about: an eighth of the time in which an arm builds up its acceleration
+LEAST_RATE = 1e-12  # squared: keeps what rounding leaves of rest above 0
+_DIP = 20e-3  # s: the width over which a slow place slows its neighbourhood, where the method starts
+_START = 0.9  # of what limits allow at constant rates: where the method starts
+_SLOWEST = 1e-3  # of the commanded rate: the grid is not made finer for slower places
+_FASTEST = 1e4  # times the nominal motion: where samples coincide there is no other bound
+_LEAD = 0.08  # share of a ramp from rest that is begun with a constant rate, where limits bind only together
+_LEAST_INTERVALS = 60
+_BETWEEN = (0.25, 0.5, 0.75)  # fractions of intervals at which limits are looked at again
+
+
+@dataclass(frozen=True)
+class Program:
+    """The limits of a stretch as `fastest` takes them, and where they are looked at again.
+
+    left, right (m): what the first and last of three coefficients give of x at an interval's own ends; looks: fractions
+    of intervals with the path's rates there, where limits are looked at again; a, j (nj): the limits
+    """
+
+    sigma: Array
+    h: Array
+    left: Array
+    right: Array
+    point: Array
+    middle: Array
+    ends: Array
+    acceleration: Array
+    jerk: Array
+    looks: tuple[tuple[float, list[Array]], ...]
+    a: Array
+    j: Array
+    ceiling: Array
+    start: Array
+    level: tuple[bool, bool]
+
+
+def program_of(stretch: Stretch, v: Array, a: Array, j: Array) -> Program:
+    """The program of a stretch under limits of velocity (nj + 1), the last of arc length, acceleration and jerk (nj)."""
+    leads = (_LEAD * stretch.lasts[0], _LEAD * stretch.lasts[1])
+    level = (leads[0] > 0.0, leads[1] > 0.0)
+    allowed = partial(_allowed, stretch, v, a, j)
+    sigma, envelope = _grid(stretch, leads, allowed)
+    h = np.diff(sigma)
+    around = np.concatenate([h[:1], h, h[-1:]])
+    left, right = h / (around[:-2] + h), h / (h + around[2:])
+    share = np.append(left, 0.5)
+    slope = 2.0 / (around[:-1] + around[1:])
+    points = stretch.rates(sigma, 3)
+    ceiling = _ceiling(stretch, v, sigma, points[0])
+    for end, lead in enumerate(leads):  # rows of the grid do not see the leads: there x is that of the grid's end
+        if lead > 0.0:
+            within = np.linspace(0.0, lead, 9)
+            at = sigma[0] - within if end == 0 else sigma[-1] + within
+            ceiling[-end] = min(ceiling[-end], float(allowed(at).min()))
+    first, second = points[0][:, :-1], points[1][:, :-1]
+    bases = [_basis(left, right, h, f) for f in (0.0, 0.5, 1.0)]
+    return Program(
+        sigma=sigma,
+        h=h,
+        left=left,
+        right=right,
+        point=np.column_stack([share, 1.0 - share]),
+        middle=bases[1][0],
+        ends=_in_turn(bases[0][0], bases[2][0]),
+        acceleration=np.stack(
+            [
+                second * share[:, None] - 0.5 * first * slope[:, None],
+                second * (1.0 - share)[:, None] + 0.5 * first * slope[:, None],
+            ],
+            axis=-1,
+        )
+        / a[:, None],
+        jerk=_in_turn(
+            _jerk_rows(bases[0], [each[:-1] for each in points], j),
+            _jerk_rows(bases[2], [each[1:] for each in points], j),
+        ),
+        looks=(
+            (0.0, [each[:-1] for each in points]),
+            *((f, stretch.rates(sigma[:-1] + f * h, 3)) for f in _BETWEEN),
+            (1.0, [each[1:] for each in points]),
+        ),
+        a=a,
+        j=j,
+        ceiling=ceiling,
+        start=_start(envelope, ceiling, level),
+        level=level,
+    )
+
+
+def _allowed(stretch: Stretch, v: Array, a: Array, j: Array, sigma: Array) -> Array:
+    """Largest constant x (k) that the limits allow at sigma (k)."""
+    first, second, third = stretch.rates(sigma, 3)
+    with np.errstate(divide="ignore"):
+        x = np.minimum(_ceiling(stretch, v, sigma, first), (a / np.abs(second[:, :-1])).min(axis=1))
+        x = np.minimum(x, (j / np.abs(third[:, :-1])).min(axis=1) ** (2.0 / 3.0))
+    return np.asarray(np.maximum(x, LEAST_RATE))
+
+
+def _ceiling(stretch: Stretch, v: Array, sigma: Array, first: Array) -> Array:
+    """Largest x (k) that speed limits allow at sigma (k), where first (k, nj + 1) are the rates of order 1."""
+    with np.errstate(divide="ignore"):
+        rate = np.minimum((v[:-1] / np.abs(first[:, :-1])).min(axis=1), v[-1] / np.abs(stretch.along(sigma)))
+    return np.asarray(np.minimum(rate, _FASTEST) ** 2)
+
+
+def _grid(stretch: Stretch, leads: tuple[float, float], allowed: Callable[[Array], Array]) -> tuple[Array, Array]:
+    """Grid points (m + 1) between the leads, denser where the path is slow, and a guess of x there."""
+    a, b = leads[0], stretch.end - leads[1]
+    step = min(GRID, stretch.spacing)
+    even = np.linspace(a, b, max(int(np.ceil((b - a) / step)), _LEAST_INTERVALS) + 1)
+    step = float(even[1] - even[0])
+    width = int(_DIP / step) | 1
+    envelope = uniform_filter1d(minimum_filter1d(allowed(even), width, mode="nearest"), width, mode="nearest")
+    # as fine as the path's own samples, and as GRID in the time that it will take
+    density = np.maximum(1.0 / step, 1.0 / (GRID * np.clip(np.sqrt(envelope), _SLOWEST, 1.0)))
+    count = np.concatenate([[0.0], np.cumsum(0.5 * step * (density[1:] + density[:-1]))])
+    m = int(np.ceil(count[-1]))
+    grid = np.interp(np.linspace(0.0, count[-1], m + 1), count, even)
+    grid[[0, -1]] = a, b
+    return grid, np.interp(grid, even, envelope)
+
+
+def _start(envelope: Array, ceiling: Array, level: tuple[bool, bool]) -> Array:
+    """Coefficients (m + 2) to begin with: most of the guess."""
+    c = np.concatenate([envelope[:1], np.minimum(envelope[1:], envelope[:-1]), envelope[-1:]])
+    c[:2], c[-2:] = np.minimum(c[:2], ceiling[0]), np.minimum(c[-2:], ceiling[-1])
+    if level[0]:
+        c[0] = c[1]
+    if level[1]:
+        c[-1] = c[-2]
+    return _START * c
+
+
+def _basis(left: Array, right: Array, h: Array, f: float) -> tuple[Array, Array, Array]:
+    """What c[i : i + 3] give of x, x' and x'' at the fraction f of each interval, (m, 3) each."""
+    ends = (
+        (left * (1.0 - f) ** 2, right * f**2, 1.0),
+        (-2.0 * left * (1.0 - f) / h, 2.0 * right * f / h, 0.0),
+        (2.0 * left / h**2, 2.0 * right / h**2, 0.0),
+    )
+    x, slope, bend = (np.column_stack([a, total - a - b, b]) for a, b, total in ends)
+    return x, slope, bend
+
+
+def _rows(terms: Sequence[tuple[Array, Array, float]], limit: Array) -> Array:
+    """Sum of rates (m, nj + 1) times what c[i : i + 3] give (m, 3) times a factor, as a share of a limit (nj)."""
+    total = sum(factor * rate[:, :-1, None] * basis[:, None, :] for rate, basis, factor in terms)
+    return np.ascontiguousarray(total / limit[:, None])
+
+
+def _jerk_rows(basis: tuple[Array, Array, Array], rates: Sequence[Array], limit: Array) -> Array:
+    """Jerk over sqrt(x) from c[i : i + 3], as a share of its limit, (m, nj, 3)."""
+    x, slope, bend = basis
+    return _rows([(rates[0], bend, 0.5), (rates[1], slope, 1.5), (rates[2], x, 1.0)], limit)
+
+
+def _in_turn(a: Array, b: Array) -> Array:
+    """Rows of a and b (m, ...) by turns, (2 m, ...)."""
+    return np.ascontiguousarray(np.stack([a, b], axis=1).reshape(2 * len(a), *a.shape[1:]))
+
+
+def overruns(program: Program, c: Array) -> tuple[Array, Array]:
+    """Largest acceleration and jerk (m) as shares of their limits in each interval, at its ends and between."""
+    worst = np.zeros((2, len(program.h)))
+    before, after = program.left * (c[:-2] - c[1:-1]), program.right * (c[2:] - c[1:-1])
+    bend = (2.0 * (before + after) / program.h**2)[:, None]
+    for f, rates in program.looks:
+        first, second, third = (each[:, :-1] for each in rates)
+        x = (c[1:-1] + before * (1.0 - f) ** 2 + after * f**2)[:, None]
+        slope = (2.0 * (after * f - before * (1.0 - f)) / program.h)[:, None]
+        acceleration = second * x + 0.5 * first * slope
+        jerk = np.sqrt(x) * (third * x + 1.5 * second * slope + 0.5 * first * bend)
+        for k, (value, limit) in enumerate(((acceleration, program.a), (jerk, program.j))):
+            np.maximum(worst[k], (np.abs(value) / limit).max(axis=1), out=worst[k])
+    return worst[0], worst[1]
