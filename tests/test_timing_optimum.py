@@ -1,0 +1,135 @@
+"""The interior-point method of timing against IPOPT on the same program, and each of its steps' promises."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
+
+from planner.timing.jerk_kernel import OVERRUN, fastest
+from planner.timing.profile import ACCURACY
+from planner.timing.program import Program, program_of
+from planner.timing.stretch import Stretch
+
+Array = NDArray[np.float64]
+JOINTS = 3
+LENGTH = 0.25  # s at the commanded speed: some hundred intervals
+
+
+def program(seed: int, ramps: tuple[float, float] = (0.05, 0.05)) -> Program:
+    """A short path of three joints with a bend that its limits slow down."""
+    rng = np.random.default_rng(seed)
+    u = np.linspace(0.0, LENGTH, 60)
+    waves = sum(
+        rng.normal(size=JOINTS)
+        * 0.02
+        * k**-1.5
+        * np.sin(2 * np.pi * k * u[:, None] / LENGTH + rng.uniform(0, 6, JOINTS))
+        for k in range(1, 5)
+    )
+    bend = np.outer(np.exp(-(((u - 0.12) / 0.02) ** 2)), rng.normal(size=JOINTS) * 0.02)
+    path = make_interp_spline(u, np.column_stack([waves + bend, 0.04 * u]), k=5)
+    v, a, j = np.array([3.0, 3.0, 3.0, 0.04]), rng.uniform(10.0, 30.0, JOINTS), rng.uniform(500.0, 1500.0, JOINTS)
+    return program_of(Stretch(path, 0.0, LENGTH, ramps), v, a, j)
+
+
+def solve(p: Program) -> tuple[Array, bool]:
+    arguments = (p.point, p.middle, p.ends, p.acceleration, p.jerk, p.ceiling, p.h, p.start, p.level, ACCURACY)
+    c, found = fastest(*arguments)
+    return np.asarray(c), bool(found)
+
+
+def time_of(p: Program, c: Array) -> float:
+    return float((p.h / np.sqrt((p.middle * np.column_stack([c[:-2], c[1:-1], c[2:]])).sum(axis=1))).sum())
+
+
+def overrun(p: Program, c: Array) -> float:
+    """Largest share by which any limit is missed, each written out anew."""
+    two, three = np.column_stack([c[:-1], c[1:]]), np.column_stack([c[:-2], c[1:-1], c[2:]])
+    twice = np.repeat(three, 2, axis=0)
+    x = (p.point * two).sum(axis=1)
+    acceleration = np.abs(np.einsum("mjk,mk->mj", p.acceleration, two))
+    jerk = np.abs(np.einsum("mjk,mk->mj", p.jerk, twice)) - 1.0 / np.sqrt((p.ends * twice).sum(axis=1))[:, None]
+    return float(max((x / p.ceiling).max() - 1.0, acceleration.max() - 1.0, jerk.max()))
+
+
+def by_ipopt(p: Program) -> float:
+    """The least time of the same program, from the same start, with the jerk limit as it is, not convex."""
+    m = len(p.h)
+    opti = ca.Opti()
+    c = opti.variable(m + 2)
+    x = [ca.dot(p.point[i], ca.vertcat(c[i], c[i + 1])) for i in range(m + 1)]
+    total = 0
+    for i in range(m):
+        three = ca.vertcat(c[i], c[i + 1], c[i + 2])
+        middle = ca.dot(p.middle[i], three)
+        opti.subject_to(middle >= 1e-9)
+        total += p.h[i] / ca.sqrt(middle)
+        for e in (2 * i, 2 * i + 1):
+            at = ca.dot(p.ends[e], three)
+            opti.subject_to(at >= 1e-9)
+            for k in range(JOINTS):
+                row = ca.dot(p.jerk[e, k], three)
+                opti.subject_to(row * ca.sqrt(at) <= 1)
+                opti.subject_to(row * ca.sqrt(at) >= -1)
+    for i in range(m + 1):
+        opti.subject_to(x[i] <= p.ceiling[i])
+        for k in range(JOINTS):
+            opti.subject_to(opti.bounded(-1, ca.dot(p.acceleration[i, k], ca.vertcat(c[i], c[i + 1])), 1))
+    if p.level[0]:
+        opti.subject_to(c[0] == c[1])
+    if p.level[1]:
+        opti.subject_to(c[m] == c[m + 1])
+    opti.minimize(total)
+    opti.set_initial(c, p.start)
+    opti.solver("ipopt", {"print_time": False}, {"print_level": 0, "max_iter": 500})
+    return float(opti.solve().value(total))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_as_fast_as_ipopt_finds(seed: int) -> None:
+    p = program(seed)
+    c, found = solve(p)
+    assert found
+    assert overrun(p, c) <= OVERRUN
+    assert time_of(p, c) <= (1.0 + 2e-3) * by_ipopt(p)
+
+
+@pytest.mark.parametrize("ramps", [(0.05, 0.05), (0.0, 0.05), (0.05, 0.0), (0.0, 0.0)])
+def test_limits_hold_however_it_starts_and_ends(ramps: tuple[float, float]) -> None:
+    times = []
+    for seed in range(20):
+        p = program(seed, ramps)
+        c, found = solve(p)
+        assert found
+        assert overrun(p, c) <= OVERRUN
+        if p.level[0]:
+            assert c[0] == c[1]
+        times.append(time_of(p, c))
+    assert min(times) > 0.9 * LENGTH
+
+
+def test_a_limit_that_is_raised_makes_nothing_slower() -> None:
+    for seed in range(10):
+        p = program(seed)
+        slow = time_of(p, solve(p)[0])
+        wide = Program(**{**vars(p), "jerk": 0.5 * p.jerk})
+        assert time_of(wide, solve(wide)[0]) <= slow * (1.0 + 2.0 * ACCURACY)
+
+
+@pytest.mark.parametrize("ramps", [(0.05, 0.08), (0.0, 0.0)])
+def test_rates_of_a_stretch_by_finite_differences(ramps: tuple[float, float]) -> None:
+    rng = np.random.default_rng(5)
+    path = make_interp_spline(np.linspace(0.0, LENGTH, 9), rng.normal(size=(9, JOINTS + 1)), k=5)
+    stretch = Stretch(path, 0.02, LENGTH - 0.01, ramps)
+    joints = [0.0, *stretch.lasts, stretch.end - stretch.lasts[1], stretch.end]
+    sigma = np.linspace(0.0, stretch.end, 203)[1:-1]
+    sigma = sigma[np.abs(sigma[:, None] - joints).min(axis=1) > 1e-4]  # the nominal third derivative jumps there
+    np.testing.assert_allclose(stretch.u(np.array([0.0, stretch.end])), [0.02, LENGTH - 0.01], atol=1e-12)
+    h = 1e-5
+    before = [path(stretch.u(sigma - h)), *stretch.rates(sigma - h, 2)]
+    after = [path(stretch.u(sigma + h)), *stretch.rates(sigma + h, 2)]
+    for a, b, rate in zip(before, after, stretch.rates(sigma, 3), strict=True):
+        np.testing.assert_allclose((b - a) / (2 * h), rate, rtol=1e-4, atol=1e-5 * np.abs(rate).max())
