@@ -23,7 +23,13 @@ def make_problem(name: str = "cylinder_stars") -> SimpleNamespace:
         name=name,
         file=Path("problems/cylinder_stars.yaml"),
         part=SimpleNamespace(cylinder=cylinder),
-        process=SimpleNamespace(speed=COMMANDED, travel_speed=0.2),
+        process=SimpleNamespace(
+            speed=COMMANDED,
+            travel_speed=0.2,
+            filament_diameter=1.75e-3,
+            section="rectangle",
+            extruder=SimpleNamespace(motor="e_axis", lag=0.0),
+        ),
     )
 
 

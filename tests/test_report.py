@@ -23,9 +23,11 @@ from plotly.offline import get_plotlyjs
 from report_fixtures import CENTRE, RADIUS, make_beads, make_plan, make_problem, with_dips, write_folder
 
 from planner.errors import InputError, OutputError
+from planner.plan import Event
 from planner.report import picture
 from planner.report.curves import joint_charts, time_charts
 from planner.report.dips import MOST_MARKS, MOST_ROWS
+from planner.report.extruder import even_flow, flow_note
 from planner.report.failure import write_failure_report
 from planner.report.finished import fit_cylinder
 from planner.report.html import _header, write_report
@@ -247,15 +249,33 @@ def test_a_table_of_the_worst_dips_says_how_many_there_are(tmp_path: Path) -> No
     table = text[text.index("that cost most") :]
     table = table[: table.index("</table>")]
     assert table.count("<tr>") == 1 + MOST_ROWS
-    costs = [float(cost) for cost in re.findall(r"of 40</td><td class=n>([\d.]+)</td>", table)]
+    costs = [float(cost) for cost in re.findall(r"of 40</td><td class=n data-unit='s lost'>([\d.]+)</td>", table)]
     assert costs == sorted(costs, reverse=True) and costs[0] == max(round(dip.lost, 3) for dip in plan.dips)
-    assert "too much material, mm³" in table and "<td class=n>2.500</td>" in table
+    assert "too much material, mm³" in table and "<td class=n data-unit='mm³ too much'>2.500</td>" in table
     assert "process.corner_tolerance_mm: about 0.4" in table
     assert "starts from rest" in words and "joint_4 jerk" in words
     by_cause = re.search(r"starts from rest (\d+) ", words)
     assert by_cause and int(by_cause[1]) == sum(dip.limit == "start" for dip in plan.dips)
     write_report(with_dips(make_plan(12_000)), tmp_path / "even.html")
     assert "too much material" not in visible(tmp_path / "even.html")
+
+
+def test_a_stop_that_was_asked_for_is_no_dip(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan = with_dips(make_plan(12_000))
+    stop = dataclasses.replace(plan.dips[0], speed=0.0, lost=3.0, joint="", limit="stop", remedies=())
+    lost = sum(dip.lost for dip in plan.dips[1:])
+    plan = dataclasses.replace(plan, dips=(stop, *plan.dips[1:]))
+    write_report(plan, tmp_path / "r.html")
+    words = visible(tmp_path / "r.html")
+    assert f"{len(plan.dips) - 1} dips cost {lost:.2f} s" in words and "stops here" not in words
+    assert "the nozzle stops on its bead: 1 time, 3.00 s in all" in words
+    print_summary(plan, tmp_path)
+    assert f"{len(plan.dips) - 1} dips cost {lost:.2f} s" in capsys.readouterr().out
+    write_report(dataclasses.replace(plan, dips=(stop,)), tmp_path / "only.html")
+    words = visible(tmp_path / "only.html")
+    assert "None: all beads are printed at the commanded speed, within 2 %. Where fibre is cut" in words
+    print_summary(dataclasses.replace(plan, dips=(stop,)), tmp_path)
+    assert "dip" not in capsys.readouterr().out.replace("dips │", "")
 
 
 def test_no_dip_is_said_too(tmp_path: Path) -> None:
@@ -275,6 +295,115 @@ def test_thousands_of_dips_keep_the_report_small(tmp_path: Path) -> None:
     scene = plan_scene(plan, [])
     assert sum(len(scene["traces"][k]["x"]) for k in scene["dips"]) == MOST_MARKS
     assert f"{len(dips):,} dips cost".replace(",", " ") in visible(tmp_path / "r.html")
+
+
+# ---- the extruder ------------------------------------------------------------------------------------------------
+
+
+def extruder_plan(*, events: tuple[Event, ...] = (), section: str = "rectangle", motor: str = "e_axis", lag: float = 0):
+    plan = make_plan(4_000)
+    problem = SimpleNamespace(**vars(plan.problem))
+    process = vars(problem.process) | {"section": section, "extruder": SimpleNamespace(motor=motor, lag=lag)}
+    problem.process = SimpleNamespace(**process)
+    return dataclasses.replace(plan, problem=problem, trajectory=dataclasses.replace(plan.trajectory, events=events))
+
+
+def flow_chart(plan) -> dict:
+    return next(chart for chart in time_charts(plan) if chart["key"] == "flow")
+
+
+PRIMES = (
+    Event("heat", -1, 0.0, 5.0, 0.0),
+    Event("prime", 0, 5.0, 0.15, 0.003),
+    Event("retract", 0, 7.0, 0.2, -0.002),
+    Event("prime", 1, 8.0, 0.15, 0.003),
+)
+
+
+def test_the_note_on_flow_is_true_of_every_motor() -> None:
+    follows = "the bead stays even through a dip"
+    assert follows in flow_note(extruder_plan()) and "proportion" not in flow_note(extruder_plan())
+    demand = flow_note(extruder_plan(motor="speed_demand"))
+    assert follows in demand and "in proportion to the nozzle's real speed" in demand
+    plan = extruder_plan(motor="on_off")
+    plan.metrics["over_extruded_mm3"] = 12.34
+    assert follows not in flow_note(plan) and "gets more than it holds there: 12.3 mm³ in all" in flow_note(plan)
+    cut = extruder_plan(section="fibre", events=(Event("cut", 0, 3.0, 3.0, 0.0),))
+    assert "as fast as the nozzle really moves" in flow_note(cut) and "drawn, not pushed" in flow_note(cut)
+    assert "lags the motor by 0.05 s" in flow_note(extruder_plan(lag=0.05))
+    assert "pushes and pulls filament" in flow_note(extruder_plan(events=PRIMES))
+    for each in (extruder_plan(), plan, cut):
+        assert "lags" not in flow_note(each)
+
+
+def test_what_the_motor_pushes_stands_beside_the_flow_where_they_differ() -> None:
+    assert [trace["name"] for trace in flow_chart(extruder_plan())["traces"]] == ["laid down"]
+    assert len(flow_chart(extruder_plan(lag=0.05))["traces"]) == 2
+    plan = extruder_plan(events=PRIMES)
+    feed = plan.trajectory.feed + np.interp(plan.trajectory.t, [5.0, 5.15], [0.0, 0.003])
+    plan = dataclasses.replace(plan, trajectory=dataclasses.replace(plan.trajectory, feed=feed))
+    push = next(trace for trace in flow_chart(plan)["traces"] if trace["name"] == "pushed by the motor")
+    during = (push["x"] > 5.01) & (push["x"] < 5.14)
+    prime = 0.003 / 0.15 * np.pi / 4 * 1.75e-3**2 * 1e9
+    laid = 0.3 * 40.0  # at most, mm³/s
+    assert during.any() and (push["y"][during] >= 0.99 * prime).all()
+    assert (push["y"][during] <= prime + 1.01 * laid).all()
+
+
+def test_the_part_samples_at_a_beads_ends_are_no_peaks_of_flow() -> None:
+    plan = make_plan(4_000)
+    flow = plan.trajectory.flow.copy()
+    first, last = runs(plan.trajectory.deposit, plan.trajectory.bead)
+    flow[first] *= 1.5
+    flow[last] *= 0.5
+    trajectory = dataclasses.replace(plan.trajectory, flow=flow)
+    drawn = even_flow(trajectory)
+    assert (drawn[first] <= flow[first + 1]).all() and (drawn[last] == flow[last]).all()
+    inside = np.ones(len(flow), dtype=bool)
+    inside[[*first, *last]] = False
+    assert (drawn[inside] == flow[inside]).all()
+
+
+def test_events_are_listed_shortly(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan = extruder_plan(events=PRIMES)
+    write_report(plan, tmp_path / "r.html")
+    words = visible(tmp_path / "r.html")
+    assert "heat up, at home 1 5.00 – 0.00" in words
+    assert "prime, before a bead 2 0.30 6.0 5.00" in words
+    assert "retract, after a bead 1 0.20 −2.0 7.00" in words
+    print_summary(plan, tmp_path)
+    told = "extruder besides laying down: 1 x heat (5 s); 2 x prime (0.3 s, +6 mm); 1 x retract (0.2 s, -2 mm)\n"
+    assert told in capsys.readouterr().out
+    write_report(make_plan(4_000), tmp_path / "none.html")
+    assert "What the extruder does besides" not in visible(tmp_path / "none.html")
+    print_summary(make_plan(4_000), tmp_path)
+    assert "extruder" not in capsys.readouterr().out
+
+
+def test_too_much_material_is_a_colour_a_row_and_a_metric(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan = with_dips(extruder_plan(motor="on_off"), over=2.5e-9)
+    t = plan.trajectory
+    flow = np.where(t.deposit, 0.3e-6 * 0.040, 0.0)
+    over = (flow - np.where(t.deposit, 0.3e-6 * t.speed, 0.0)) * t.dt * 1e9
+    plan = dataclasses.replace(
+        plan,
+        trajectory=dataclasses.replace(t, flow=flow),
+        series=plan.series | {"over_extruded_mm3": over},
+        metrics=plan.metrics | {"over_extruded_mm3": float(over.sum()), "flow_error_max": 0.42},
+    )
+    scene = plan_scene(plan, [])
+    channel = next(channel for channel in scene["channels"] if channel["key"] == "surplus")
+    slowest = t.speed[t.deposit].min()
+    assert channel["reverse"] and channel["max"] == pytest.approx(100 * (1 - slowest / 0.040), rel=1e-6)
+    assert all("too much material: 2.5 mm³" in text for k in scene["dips"] for text in scene["traces"][k]["hovertext"])
+    write_report(plan, tmp_path / "r.html")
+    words = visible(tmp_path / "r.html")
+    assert f"Too much material, where speed dips , mm³ {over.sum():.2f}" in words
+    assert "off by at most , % 42.00" in words
+    print_summary(plan, tmp_path)
+    out = " ".join(capsys.readouterr().out.split())
+    assert "material in a millimetre, off by │ 42.00" in out and f"in dips │ {over.sum():.2f}" in out
+    assert all(channel["key"] != "surplus" for channel in plan_scene(make_plan(4_000), [])["channels"])
 
 
 # ---- the words ---------------------------------------------------------------------------------------------------
@@ -532,6 +661,7 @@ setTimeout(() => {
   const by = (id) => document.getElementById(id), change = (id) => by(id).dispatchEvent(new Event("change"));
   by("colour").selectedIndex = 1; change("colour");
   by("dips").click();
+  by("places").click();
   by("layers").value = 3; by("layers").dispatchEvent(new Event("input"));
   by("chart-speed").emit("plotly_click", { points: [{ x: 5 }] });
   Plotly.relayout(by("chart-speed"), { "xaxis.range[0]": 3, "xaxis.range[1]": 9 });
@@ -540,7 +670,8 @@ setTimeout(() => {
     d.canvas = scene.querySelectorAll("canvas").length;
     d.gl = Boolean(scene._fullLayout.scene._scene.glplot.gl);
     d.title = scene.layout.coloraxis.colorbar.title.text;
-    d.hidden = scene.data.filter((t) => t.visible === false && t.name !== "dips").length;
+    d.hidden = scene.data.filter((t) => t.visible === false && !["dips", "worst places"].includes(t.name)).length;
+    d.places = scene.data.filter((t) => t.visible === false && t.name === "worst places").length;
     d.dips = scene.data.filter((t) => t.visible === false && t.name === "dips").length;
     d.ring = Number.isFinite(scene.data.at(-1).x[0]);
     d.zoom = by("chart-joint-3").layout.xaxis.range.join();
@@ -574,6 +705,7 @@ def test_report_works_in_a_browser(tmp_path: Path) -> None:
         "title": "Distance from singularity, σ",
         "hidden": "6",
         "dips": "10",
+        "places": "1",
         "ring": "true",
         "zoom": "3,9",
         "reading": "Ringed in the scene: the printed place nearest to 5.00 s.",

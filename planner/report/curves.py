@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.report.extruder import even_flow, flow_note, pushed, pushes_otherwise
 from planner.report.scene import INK, PAPER
 from planner.report.thinning import CURVE_BUDGET, keep_minima, stretches, thin_curve, with_gaps
 
@@ -117,9 +118,10 @@ def _speed(plan: Plan) -> dict[str, Any]:
 
 
 def _flow(plan: Plan) -> dict[str, Any]:
-    curve = _curve(plan, plan.trajectory.flow * 1e9, "flow", BLUE, "%{y:.3f} mm³/s")
-    note = "Material follows the speed that is really reached, so that the bead stays even through a dip."
-    return _chart("flow", "Flow of material", "mm³/s", [curve], note=note, from_zero=True)
+    curves = [_curve(plan, even_flow(plan.trajectory) * 1e9, "laid down", BLUE, "%{y:.3f} mm³/s")]
+    if pushes_otherwise(plan):
+        curves.insert(0, _curve(plan, pushed(plan) * 1e9, "pushed by the motor", ORANGE, "%{y:.3f} mm³/s"))
+    return _chart("flow", "Flow of material", "mm³/s", curves, note=flow_note(plan), from_zero=True)
 
 
 def _ratio(plan: Plan, name: str, label: str, colour: str) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.report.wording import number
+from planner.report.wording import counted, number
 
 if TYPE_CHECKING:
     from planner.plan import Dip, Plan, Trajectory
@@ -27,6 +27,11 @@ MARK = {"size": 5, "symbol": "circle", "color": "#ffffff", "line": {"width": 2, 
 def worst_first(dips: Sequence[Dip]) -> list[Dip]:
     """Dips by the time that they cost, most first."""
     return sorted(dips, key=lambda dip: -dip.lost)
+
+
+def without_stops(dips: Sequence[Dip]) -> list[Dip]:
+    """Dips but for those where the nozzle has to rest on its bead."""
+    return [dip for dip in dips if dip.limit != "stop"]
 
 
 def samples_of(trajectory: Trajectory, dips: Sequence[Dip]) -> NDArray[np.intp]:
@@ -55,22 +60,27 @@ def dip_traces(plan: Plan, bundles: Sequence[NDArray[np.integer]]) -> list[dict[
 def dips_section(plan: Plan) -> str:
     """HTML of the dips: how many, what they cost, by cause, and the worst of them with what would avoid each."""
     head = "<h2>Dips in speed</h2>"
-    if not plan.dips:
-        return head + "<p class=note>None: all beads are printed at the commanded speed, within 2 %.</p>"
-    shown = worst_first(plan.dips)[:MOST_ROWS]
-    count, lost = len(plan.dips), sum(dip.lost for dip in plan.dips)
+    dips = without_stops(plan.dips)
+    rests = [dip for dip in plan.dips if dip.limit == "stop"]
+    took = number(sum(dip.lost for dip in rests), 2)
+    many = counted(len(rests), "time")
+    stops = f" Where fibre is cut the nozzle stops on its bead: {many}, {took} s in all." if rests else ""
+    if not dips:
+        return f"{head}<p class=note>None: all beads are printed at the commanded speed, within 2 %.{stops}</p>"
+    shown = worst_first(dips)[:MOST_ROWS]
+    count, lost = len(dips), sum(dip.lost for dip in dips)
     many = f"The {len(shown)} of {number(count, 0)} that cost most" if count > len(shown) else "Most costly first"
-    flows = any(dip.over_extruded for dip in plan.dips)
+    flows = any(dip.over_extruded for dip in dips)
     rows = "".join(_row(dip, plan.problem.process.speed, flows) for dip in shown)
     extra = "<th>too much material, mm³</th>" if flows else ""
     return (
         f"{head}<p class=note>{number(count, 0)} {'dips cost' if count > 1 else 'dip costs'} {number(lost, 2)} s. In the "
-        "print above each is a white mark, to be pointed at.</p>"
-        f"{_causes(plan.dips)}<h3>{many}</h3>"
+        f"print above each is a white mark, to be pointed at.{stops}</p>"
+        f"{_causes(dips)}<h3>{many}</h3>"
         "<p class=note>What would avoid a dip, each by itself: the speed and the limits follow exactly from this motion "
         "held at constant speed; what is “about” is an estimate. The search sees a change too, so that a new plan may "
         "come out better or worse.</p>"
-        "<div class=wide><table><thead><tr><th class=left>where</th><th>lowest, mm/s</th><th>lost, s</th>"
+        "<div class=wide><table class=stack><thead><tr><th class=left>where</th><th>lowest, mm/s</th><th>lost, s</th>"
         f"<th class=left>why</th>{extra}<th class=left>what would avoid it</th></tr></thead>"
         f"<tbody>{rows}</tbody></table></div>"
     )
@@ -100,11 +110,11 @@ def _causes(dips: Sequence[Dip]) -> str:
 
 
 def _row(dip: Dip, commanded: float, flows: bool) -> str:
-    extra = f"<td class=n>{number(dip.over_extruded * 1e9, 3)}</td>" if flows else ""
+    extra = f"<td class=n data-unit='mm³ too much'>{number(dip.over_extruded * 1e9, 3)}</td>" if flows else ""
     remedies = "<br>".join(escape(remedy.words) for remedy in dip.remedies) or "–"
     return (
-        f"<tr><td class=where>{escape(place_words(dip))}</td><td class=n>{number(dip.speed * 1e3, 1)} of "
-        f"{commanded * 1e3:g}</td><td class=n>{number(dip.lost, 3)}</td><td>{escape(dip.cause)}</td>{extra}"
+        f"<tr><td class=where>{escape(place_words(dip))}</td><td class=n data-unit='mm/s'>{number(dip.speed * 1e3, 1)} of "
+        f"{commanded * 1e3:g}</td><td class=n data-unit='s lost'>{number(dip.lost, 3)}</td><td>{escape(dip.cause)}</td>{extra}"
         f"<td class=where>{remedies}</td></tr>"
     )
 
@@ -114,6 +124,7 @@ def _hover(dip: Dip, commanded: float) -> str:
         place_words(dip),
         f"{dip.speed * 1e3:.1f} of {commanded * 1e3:g} mm/s, {dip.lost:.3f} s lost",
         f"why: {dip.cause}",
+        *([f"too much material: {dip.over_extruded * 1e9:.3g} mm³"] if dip.over_extruded else []),
         *(f"{'or' if k else 'would avoid it:'} {remedy.words}" for k, remedy in enumerate(dip.remedies)),
     ]
     return "<br>".join(map(escape, lines))

@@ -28,7 +28,7 @@ LEVERS = (
     ),
     ("process.speed_mm_s", "Print slower, if a joint is too slow for the path."),
     ("process.corner_tolerance_mm", "Round corners more, if they ask too much of a joint."),
-    ("strategy", "as_published and fixed leave the search little freedom; ladder uses all of it."),
+    ("strategy", "as_published and fixed leave the search little freedom; ladder and sqp use all of it."),
 )
 
 

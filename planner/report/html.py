@@ -12,10 +12,11 @@ import numpy as np
 from planner.report import page as frame
 from planner.report.curves import joint_charts, time_charts
 from planner.report.dips import dips_section
+from planner.report.extruder import events_section
 from planner.report.places import where_words, worst_places
 from planner.report.scene import Place, plan_scene
 from planner.report.thinning import CURVE_BUDGET
-from planner.report.wording import CHECK_NAMES, MISSING, duration, number, significant, summary_table
+from planner.report.wording import CHECK_NAMES, MISSING, counted, duration, number, significant, summary_table
 
 if TYPE_CHECKING:
     from planner.plan import Check, Plan
@@ -37,6 +38,7 @@ def write_report(plan: Plan, path: Path) -> None:
             _summary(plan),
             _scene(scene, places, plan),
             dips_section(plan),
+            events_section(plan),
             _checks(plan.checks),
             _curves(curves),
             _joints(plan, joints),
@@ -59,8 +61,8 @@ def _header(plan: Plan) -> str:
     robots = [plan.cell.arm_robot.name] + ([plan.cell.holder_robot.name] if plan.cell.holder_robot else [])
     beads, layers = (m.get("beads", len(plan.toolpath.beads)), m.get("layers", plan.toolpath.layers))
     about = (
-        f"{escape(' with '.join(robots))}, strategy <b>{escape(plan.strategy)}</b>; {number(beads, 0)} beads in "
-        f"{number(layers, 0)} layers, {number(len(traj), 0)} samples of {traj.dt * 1e3:g} ms"
+        f"{escape(' with '.join(robots))}, strategy <b>{escape(plan.strategy)}</b>; {counted(beads, 'bead')} in "
+        f"{counted(layers, 'layer')}, {number(len(traj), 0)} samples of {traj.dt * 1e3:g} ms"
     )
     failed = [check for check in plan.checks if not check.ok]
     count = len(plan.checks)
@@ -79,6 +81,7 @@ def _header(plan: Plan) -> str:
         detail = f"<p>{len(failed)} of {count} {what}, so no robot code was written:</p><ul>{items}</ul>"
         banner = frame.verdict(False, "Not verified: do not print this", detail)
     dip = m.get("deposition_time_s", np.nan) - m.get("ideal_deposition_time_s", np.nan)
+    cuts = " and to cuts" if any(event.kind == "cut" for event in traj.events) else ""
     figures = [
         (
             _unit(m.get("at_speed_fraction"), 100, 2, "%"),
@@ -86,7 +89,7 @@ def _header(plan: Plan) -> str:
         ),
         (_unit(m.get("speed_min_mm_s"), 1, 1, "mm/s"), "slowest while depositing"),
         (duration(m.get("print_time_s")), "whole print, travel included"),
-        (_unit(dip, 1, 1, "s"), "lost to dips in speed"),
+        (_unit(dip, 1, 1, "s"), f"lost to dips in speed{cuts}"),
         (_unit(m.get("wrist_margin_deg"), 1, 1, "°"), "least wrist angle from the singularity"),
         (_unit(m.get("joint_limit_margin_deg"), 1, 1, "°"), "least distance from an end stop"),
     ]
@@ -111,21 +114,23 @@ def _scene(scene: dict[str, Any], places: list[Place], plan: Plan) -> str:
     if last >= 0:
         controls = (
             f"<label>Colour by <select id=colour autocomplete=off>{options}</select></label>"
-            f"<label>Layers <input type=range id=layers autocomplete=off min=0 max={last} value={last} step=1>"
+            f"<label{'' if last else ' hidden'}>Layers <input type=range id=layers autocomplete=off min=0 max={last} value={last} step=1>"
             f"<output id=layer-words>{'up to ' if last else ''}{scene['groups'][last]}</output></label>"
-            "<label><input type=checkbox id=only autocomplete=off> only this layer</label>"
+            f"<label{'' if last else ' hidden'}><input type=checkbox id=only autocomplete=off> only this layer</label>"
             "<label><input type=checkbox id=through autocomplete=off> see through the part</label>"
         )
         if scene["dips"]:
             controls += "<label><input type=checkbox id=dips autocomplete=off checked> mark dips in speed</label>"
+        if scene["places"]:
+            controls += "<label><input type=checkbox id=places autocomplete=off checked> mark worst places</label>"
     rows = "".join(
         f"<tr><td><span class=letter>{place.letter}</span></td><th scope=row>{escape(place.what)}</th>"
-        f"<td class=n>{escape(place.value)}</td><td class=n>{plan.trajectory.t[place.sample]:.2f}</td>"
+        f"<td class=n>{escape(place.value)}</td><td class=n data-unit=s>{plan.trajectory.t[place.sample]:.2f}</td>"
         f"<td class=where>{escape(where_words(plan, place.sample))}</td></tr>"
         for place in places
     )
     table = (
-        "<h3>Worst places while depositing</h3><div class=wide><table><thead><tr><th></th><th class=left>what</th>"
+        "<h3>Worst places while depositing</h3><div class=wide><table class=stack><thead><tr><th></th><th class=left>what</th>"
         f"<th>value</th><th>time, s</th><th class=left>where</th></tr></thead><tbody>{rows}</tbody></table></div>"
         if rows
         else ""

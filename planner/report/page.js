@@ -16,9 +16,14 @@
   function drawScene(scene) {
     const div = by("scene");
     const small = div.clientWidth < 560;
+    if (small) {
+      // Room for the names of the axes, and lines that dips do not hide.
+      for (const k of "xyz") scene.layout.scene.aspectratio[k] *= 0.86;
+      scene.dips.forEach((k) => { scene.traces[k].marker = Object.assign({}, scene.traces[k].marker, { size: 3 }); });
+      if (scene.beads.length) scene.layout.scene.domain.y = [0.16, 1];
+    }
     if (scene.beads.length) {
       scene.layout.coloraxis.colorbar.len = small ? 0.9 : 0.5;
-      if (small) scene.layout.scene.domain.y = [0.16, 1];
       scene.channels.forEach((c) => { c.values = c.values.map(array); });
       scene.t = scene.t.map(array);
       scene.bead = scene.bead.map(array);
@@ -29,7 +34,7 @@
     const unit = (c) => (c.unit === "°" ? "°" : c.unit && " " + c.unit);
     const colouring = (c) => ({
       trace: { "line.color": c.values },
-      layout: { "coloraxis.cmin": c.min, "coloraxis.cmax": c.max,
+      layout: { "coloraxis.cmin": c.min, "coloraxis.cmax": c.max, "coloraxis.reversescale": Boolean(c.reverse),
                 "coloraxis.colorbar.title.text": c.label + (c.unit ? ", " + c.unit : "") } });
     scene.beads.forEach((trace, g) => { scene.traces[trace].hoverinfo = "none"; });
     if (scene.beads.length) {
@@ -58,6 +63,10 @@
       Plotly.restyle(div, { visible: shown.concat(marks) }, scene.beads.concat(scene.dips));
     }
     if (dips) dips.addEventListener("change", filter);
+    const places = by("places");
+    if (places) places.addEventListener("change", () => {
+      Plotly.restyle(div, { visible: places.checked }, scene.places);
+    });
     layers.addEventListener("input", filter);
     only.addEventListener("change", filter);
     const solid = scene.part.length ? scene.traces[0].opacity : 1;

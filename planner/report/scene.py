@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.report.dips import dip_traces
+from planner.report.extruder import surplus
 from planner.report.part import eye, part_traces
 from planner.report.thinning import SCENE_BUDGET, keep_minima, stretches, turning, with_gaps
 
@@ -53,7 +54,7 @@ class Place:
 
 
 def plan_scene(plan: Plan, places: Sequence[Place]) -> dict[str, Any]:
-    """Scene of a plan: `traces`, `layout`, `beads` and `dips` (trace numbers), `groups` (labels) and `channels`."""
+    """Scene of a plan: `traces`, `layout`, `beads`, `dips` and `places` (trace numbers), `groups` (labels) and `channels`."""
     traj = plan.trajectory
     facing = -traj.axis[traj.deposit].mean(axis=0) if traj.deposit.any() else np.zeros(3)
     kept, cuts = _kept_samples(plan)
@@ -85,12 +86,14 @@ def plan_scene(plan: Plan, places: Sequence[Place]) -> dict[str, Any]:
         channel["values"] = carried[channel["key"]]
     marks = dip_traces(plan, bundles)
     first_mark = len(traces)
-    traces += [*marks, *_place_traces(places)]
+    worst = _place_traces(places)
+    traces += [*marks, *worst]
     return {
         "traces": traces,
         "layout": scene_layout(traces, facing, colour_bar=True),
         "beads": list(range(first_bead, first_bead + len(groups))),
         "dips": list(range(first_mark, first_mark + len(marks))),
+        "places": list(range(first_mark + len(marks), len(traces))),
         "part": list(range(first_bead)),
         "groups": groups,
         "channels": channels,
@@ -128,6 +131,7 @@ def bead_scene(
         "part": [],
         "beads": [],
         "dips": [],
+        "places": [],
     }
 
 
@@ -206,6 +210,13 @@ def _channels(plan: Plan, kept: NDArray[np.intp]) -> list[dict[str, Any]]:
     if len(speed):
         low, high = min(speed.min(), 0.9 * commanded), max(speed.max(), commanded)
         out.append(_channel("speed", "Tip speed", "mm/s", speed, low, high))
+        over = surplus(plan)
+        if over is not None:
+            values = over[kept]
+            channel = _channel(
+                "surplus", "Too much material, share of what flows", "%", values, 0.0, max(values.max(), 1.0)
+            )
+            out.append(channel | {"reverse": True})
     for name, label, unit in (
         ("sigma", "Distance from singularity, σ", ""),
         ("wrist_deg", "Wrist: joint 5 from straight", "°"),

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
-from planner.report.dips import place_words, worst_first
-from planner.report.wording import OVER_BOUND, OVER_IDEAL, with_ratios
+from planner.report.dips import place_words, without_stops, worst_first
+from planner.report.extruder import events_words
+from planner.report.wording import OVER_BOUND, OVER_IDEAL, counted, with_ratios
 
 if TYPE_CHECKING:
     from planner.plan import Plan
@@ -32,6 +33,8 @@ ROWS = (
     ("position_error_max_mm", "tip off the path", "mm", 1.0, 4),
     ("axis_error_max_deg", "axis off the normal", "deg", 1.0, 4),
     ("path_deviation_max_mm", "rounded corners off the drawing", "mm", 1.0, 3),
+    ("flow_error_max", "material in a millimetre, off by", "%", 100.0, 2),
+    ("over_extruded_mm3", "too much material, in dips", "mm³", 1.0, 2),
     ("extruded_mm", "filament", "mm", 1.0, 0),
 )
 
@@ -40,7 +43,7 @@ def print_summary(plan: Plan, folder: Path) -> None:
     """Print verdict, summary table, failed checks and the place of the results."""
     out = Console(highlight=False)
     m = plan.metrics
-    size = f"{m['beads']:.0f} beads, {m['layers']:.0f} layers, {m['deposited_length_mm'] / 1e3:.2f} m"
+    size = f"{counted(m['beads'], 'bead')}, {counted(m['layers'], 'layer')}, {m['deposited_length_mm'] / 1e3:.2f} m"
     table = Table(title=f"{plan.problem.name}: {size}", title_justify="left")
     table.add_column("")
     table.add_column(plan.strategy, justify="right")
@@ -49,11 +52,14 @@ def print_summary(plan: Plan, folder: Path) -> None:
     table.add_column("unit")
     columns = [with_ratios(values) for values in (m, *plan.baseline.values())]
     for metric, label, unit, factor, decimals in ROWS:
+        if all(metric not in values for values in columns):
+            continue
         cells = [_number(values.get(metric, math.nan) * factor, decimals) for values in columns]
         table.add_row(label, *cells, unit)
     out.print(table)
-    if plan.dips:
-        out.print(_dips(plan), markup=False, soft_wrap=True)
+    for line in (_dips(plan), events_words(plan.trajectory.events)):
+        if line:
+            out.print(line, markup=False, soft_wrap=True)
     for check in plan.checks:
         if not check.ok:
             text = f"FAILED {check.name}: {check.worst:.4g} {check.unit}, limit {check.limit:.4g} ({check.where})"
@@ -68,10 +74,13 @@ def print_summary(plan: Plan, folder: Path) -> None:
 
 
 def _dips(plan: Plan) -> str:
-    """How many dips there are, what they cost, and the worst of them with what would avoid it."""
-    worst = worst_first(plan.dips)[0]
-    lost = sum(dip.lost for dip in plan.dips)
-    count = "1 dip costs" if len(plan.dips) == 1 else f"{len(plan.dips)} dips cost"
+    """How many dips there are, what they cost, and the worst of them with what would avoid it; empty without any."""
+    dips = without_stops(plan.dips)
+    if not dips:
+        return ""
+    worst = worst_first(dips)[0]
+    lost = sum(dip.lost for dip in dips)
+    count = "1 dip costs" if len(dips) == 1 else f"{len(dips)} dips cost"
     text = f"{count} {lost:.2f} s; the worst: {place_words(worst)}, {worst.speed * 1e3:.1f} mm/s, {worst.cause}"
     return text + (f"; {worst.remedies[0].words} would avoid it" if worst.remedies else "")
 

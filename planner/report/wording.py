@@ -46,6 +46,9 @@ METRICS = (
     Metric("clearance_min_mm", "Nozzle tip above the bare part, least", "mm", 1, better="up"),
     Metric("branch_changes_in_deposition", "Changes of the arm's branch while depositing", "", 0, better="down"),
     Metric("deposited_length_mm", "Length deposited", "m", 2, 1e-3),
+    Metric("flow_error_max", "Material in a millimetre of a bead: off by at most", "%", 2, 100, "down"),
+    Metric("over_extruded_mm3", "Too much material, where speed dips", "mm³", 2, better="down"),
+    Metric("lag_zone_mm", "Length not judged by that, where pressure rises or falls", "mm", 0),
     Metric("extruded_mm", "Filament used", "m", 2, 1e-3),
     Metric("extruded_volume_mm3", "Material deposited", "cm³", 2, 1e-3),
 )
@@ -71,6 +74,11 @@ def number(value: float | None, digits: int) -> str:
     if 0 < abs(value) < 0.5 * 10**-digits:
         return f"&lt;\u2009{10**-digits:.{digits}f}"
     return f"{value:,.{digits}f}".replace(",", "\u202f").replace("-", "−")
+
+
+def counted(count: float, one: str) -> str:
+    """A count with its noun, HTML: 1 layer, 10 layers."""
+    return f"{number(count, 0)} {one}{'' if count == 1 else 's'}"
 
 
 def significant(value: float, digits: int = 4) -> str:
@@ -109,7 +117,8 @@ def summary_table(strategy: str, metrics: Mapping[str, float], baseline: Mapping
             f"<td class='n{' chosen' if i == 0 else ''}'>{_cell(value, metric, i in best)}</td>"
             for i, value in enumerate(values)
         )
-        rows.append(f"<tr><th scope=row>{metric.label}{unit}</th>{cells}</tr>")
+        sub = " class=sub" if metric.label.startswith(" ") else ""
+        rows.append(f"<tr><th scope=row{sub}>{metric.label.strip()}{unit}</th>{cells}</tr>")
     return (
         "<div class=wide><table><thead><tr><th></th>"
         f"<th scope=col class=chosen>{escape(strategy)}<small>this plan</small></th>{head}</tr></thead>"

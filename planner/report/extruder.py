@@ -1,0 +1,145 @@
+"""What the extruder does, for the report: its events in words and as a table, and flow beside what the motor pushes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.report.thinning import stretches
+from planner.report.wording import MISSING, number
+
+if TYPE_CHECKING:
+    from planner.plan import Event, Plan, Trajectory
+
+Array = NDArray[np.float64]
+
+WORDS = {
+    "heat": "heat up, at home",
+    "purge": "purge, at home",
+    "prime": "prime, before a bead",
+    "retract": "retract, after a bead",
+    "cut": "cut the fibre, at rest on the bead",
+}
+
+
+@dataclass(frozen=True)
+class Kind:
+    """All events of one kind: how many, how long in all [s], filament in all [m], when the first begins [s]."""
+
+    kind: str
+    count: int
+    time: float
+    amount: float
+    first: float
+
+
+def kinds_of(events: Sequence[Event]) -> list[Kind]:
+    """Events by kind, in the order in which each kind first occurs."""
+    found: dict[str, list[Event]] = {}
+    for event in events:
+        found.setdefault(event.kind, []).append(event)
+    return [
+        Kind(
+            kind,
+            len(group),
+            math.fsum(event.duration for event in group),
+            math.fsum(event.amount for event in group),
+            group[0].start,
+        )
+        for kind, group in found.items()
+    ]
+
+
+def events_words(events: Sequence[Event]) -> str:
+    """One line: how often each kind occurs, how long it takes and what filament it moves, in all; empty without any."""
+    each = []
+    for kind in kinds_of(events):
+        filament = f", {kind.amount * 1e3:+.4g} mm" if kind.amount else ""
+        each.append(f"{kind.count} x {kind.kind} ({kind.time:.4g} s{filament})")
+    return f"extruder besides laying down: {'; '.join(each)}" if each else ""
+
+
+def events_section(plan: Plan) -> str:
+    """HTML of what the extruder does besides depositing; empty where it does nothing."""
+    kinds = kinds_of(plan.trajectory.events)
+    if not kinds:
+        return ""
+    rows = "".join(
+        f"<tr><th scope=row>{escape(WORDS.get(kind.kind, kind.kind))}</th><td class=n>{number(kind.count, 0)}</td>"
+        f"<td class=n>{number(kind.time, 2)}</td><td class=n>{number(kind.amount * 1e3, 1) if kind.amount else MISSING}"
+        f"</td><td class=n>{number(kind.first, 2)}</td></tr>"
+        for kind in kinds
+    )
+    return (
+        "<h2>What the extruder does besides</h2><p class=note>Each one with its time stands in plan.json, under "
+        "“events”.</p><div class=wide><table><thead><tr><th class=left>what</th><th>how often</th><th>in all, s</th>"
+        f"<th>filament in all, mm</th><th>first at, s</th></tr></thead><tbody>{rows}</tbody></table></div>"
+    )
+
+
+def flow_note(plan: Plan) -> str:
+    """What the chart of flow shows, by what pushes the material."""
+    process, events = plan.problem.process, plan.trajectory.events
+    if process.extruder.motor == "on_off":
+        note = (
+            "The motor only runs or stops: at the commanded speed's rate as long as a bead is laid. "
+            "Flow stays the same through a dip in speed, and the bead gets more than it holds there"
+        )
+        over = plan.metrics.get("over_extruded_mm3")
+        return f"{note}: {over:.3g} mm³ in all." if over is not None else f"{note}."
+    if process.section == "fibre":
+        note = "Fibre is laid exactly as fast as the nozzle really moves."
+    elif process.extruder.motor == "speed_demand":
+        note = (
+            "The motor is driven in proportion to the nozzle's real speed, so that the bead stays even through a dip."
+        )
+    else:
+        note = "Material follows the speed that is really reached, so that the bead stays even through a dip."
+    if process.extruder.lag > 0.0:
+        note += (
+            f" Flow lags the motor by {process.extruder.lag:g} s, so the motor runs ahead: more where flow grows, less "
+            "where it falls."
+        )
+    if any(event.amount for event in events):
+        note += " Beside beads the motor also pushes and pulls filament, which is not deposited."
+    if any(event.kind == "cut" for event in events):
+        note += " From its cut to the end of the bead fibre is drawn, not pushed."
+    return note
+
+
+def pushes_otherwise(plan: Plan) -> bool:
+    """Whether the motor pushes anything but what is laid down at that moment."""
+    trajectory = plan.trajectory
+    return plan.problem.process.extruder.lag > 0.0 or any(event.amount for event in trajectory.events)
+
+
+def pushed(plan: Plan) -> Array:
+    """What the motor pushes (n) [m^3/s]: the rate of the feed, as volume."""
+    area = 0.25 * math.pi * plan.problem.process.filament_diameter**2
+    return np.asarray(area * np.gradient(plan.trajectory.feed, plan.trajectory.dt))
+
+
+def even_flow(trajectory: Trajectory) -> Array:
+    """Flow (n) [m^3/s] for the eye: a bead's first and last sample also carry what flows in the part sample beside
+    them, which would look like a peak; here they are no higher than the sample next to them."""
+    flow = trajectory.flow.copy()
+    index, begin, end = stretches(trajectory.deposit, trajectory.bead)
+    longer = end > begin
+    for at, step in ((begin[longer], 1), (end[longer], -1)):
+        flow[index[at]] = np.minimum(flow[index[at]], flow[index[at + step]])
+    return np.asarray(flow)
+
+
+def surplus(plan: Plan) -> Array | None:
+    """Share (n) [%] of what flows that is more than the bead holds; None where flow follows the speed."""
+    over = plan.series.get("over_extruded_mm3")
+    if over is None:
+        return None
+    flows = plan.trajectory.flow * plan.trajectory.dt * 1e9
+    return np.asarray(100.0 * np.divide(over, flows, out=np.zeros(len(over)), where=flows > 0.0))
