@@ -666,7 +666,7 @@ setTimeout(() => {
   by("chart-speed").emit("plotly_click", { points: [{ x: 5 }] });
   Plotly.relayout(by("chart-speed"), { "xaxis.range[0]": 3, "xaxis.range[1]": 9 });
   setTimeout(() => {
-    const scene = by("scene"), d = document.documentElement.dataset;
+    const scene = by("view"), d = document.documentElement.dataset;
     d.canvas = scene.querySelectorAll("canvas").length;
     d.gl = Boolean(scene._fullLayout.scene._scene.glplot.gl);
     d.title = scene.layout.coloraxis.colorbar.title.text;

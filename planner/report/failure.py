@@ -75,7 +75,7 @@ def write_failure_report(
         body += (
             "<h2>Where</h2><p class=note>All planned lines in the part’s own frame, in millimetres"
             f"{'; the one that fails is thick and red' if failed is not None else ''}"
-            f"{'; the place is marked “here”' if point_mm is not None else ''}. Drag to turn.</p><div id=scene></div>"
+            f"{'; the place is marked “here”' if point_mm is not None else ''}. Drag to turn.</p><div id=view></div>"
         )
     body += "<h2>What to change</h2>"
     if advice:

@@ -138,7 +138,7 @@ def _scene(scene: dict[str, Any], places: list[Place], plan: Plan) -> str:
     return (
         "<h2>The print</h2><p class=note>Where the nozzle tip goes while material flows, in the part’s own frame, in "
         "millimetres. Drag to turn; then the wheel, or a pinch, comes closer. Light is where it gets tight.</p>"
-        f"<div class=controls>{controls}</div><div id=scene></div><p id=reading>Point at a line to read it.</p>{table}"
+        f"<div class=controls>{controls}</div><div id=view></div><p id=reading>Point at a line to read it.</p>{table}"
     )
 
 

@@ -14,7 +14,7 @@
   }
 
   function drawScene(scene) {
-    const div = by("scene");
+    const div = by("view");
     const small = div.clientWidth < 560;
     if (small) {
       // Room for the names of the axes, and lines that dips do not hide.
