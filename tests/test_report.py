@@ -294,6 +294,7 @@ def test_thousands_of_dips_keep_the_report_small(tmp_path: Path) -> None:
     assert (tmp_path / "r.html").stat().st_size <= 8 * MB
     scene = plan_scene(plan, [])
     assert sum(len(scene["traces"][k]["x"]) for k in scene["dips"]) == MOST_MARKS
+    assert f"the {MOST_MARKS} that cost most are white marks" in visible(tmp_path / "r.html")
     assert f"{len(dips):,} dips cost".replace(",", " ") in visible(tmp_path / "r.html")
 
 

@@ -71,11 +71,13 @@ def dips_section(plan: Plan) -> str:
     count, lost = len(dips), sum(dip.lost for dip in dips)
     many = f"The {len(shown)} of {number(count, 0)} that cost most" if count > len(shown) else "Most costly first"
     flows = any(dip.over_extruded for dip in dips)
+    all_marked = len(plan.dips) <= MOST_MARKS
+    marked = "each is a white mark" if all_marked else f"the {MOST_MARKS} that cost most are white marks"
     rows = "".join(_row(dip, plan.problem.process.speed, flows) for dip in shown)
     extra = "<th>too much material, mm³</th>" if flows else ""
     return (
         f"{head}<p class=note>{number(count, 0)} {'dips cost' if count > 1 else 'dip costs'} {number(lost, 2)} s. In the "
-        f"print above each is a white mark, to be pointed at.{stops}</p>"
+        f"print above {marked}, to be pointed at.{stops}</p>"
         f"{_causes(dips)}<h3>{many}</h3>"
         "<p class=note>What would avoid a dip, each by itself: the speed and the limits follow exactly from this motion "
         "held at constant speed; what is “about” is an estimate. The search sees a change too, so that a new plan may "
