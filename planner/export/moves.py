@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.export.rests import Rests, Wait, rests_of
 from planner.export.rotations import angle, continuous, slerp
 from planner.export.thinning import Indices, thin
 
@@ -24,7 +25,6 @@ TIME_TOLERANCE = 8e-3  # [s]; keeps dips of the speed in the program
 LONGEST = 9.5e-3  # [m] of path between two targets in a bead: at most 10 mm with the rounding to samples
 TRAVEL_TOLERANCE = 0.2e-3  # [m]; joint moves against the planned tip path
 TRAVEL_ANGLE_TOLERANCE = np.radians(0.5)
-LEAST_WAIT = 0.05  # [s]
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Moves:
     turn    (m,)   mean rate of reorientation [rad/s]
     axis    (m,)   fastest mean rate of the part's axes [rad/s]
     fine    (m,)   the motion really comes to rest there
-    wait    (m,)   time at rest there [s]
+    waits          move → what it waits for at its end, one after the other; -1: before the first move
     on_end, on_start   (m,)  the extruder goes on at the end (start) of this move
     off_end            (m,)  it goes off at the end of this move
     after   (m,)   the move belongs to what comes after this many beads: run-outs still count to their bead
@@ -52,7 +52,7 @@ class Moves:
     turn: Array
     axis: Array
     fine: Flags
-    wait: Array
+    waits: dict[int, tuple[Wait, ...]]
     on_end: Flags
     on_start: Flags
     off_end: Flags
@@ -82,8 +82,8 @@ def plan_moves(plan: Plan) -> Moves:
     step = np.linalg.norm(np.diff(trajectory.tip, axis=0), axis=1)
     path = np.concatenate([[0.0], np.cumsum(step)])
     first, last = deposits(trajectory)
-    fine, wait = _rests(trajectory, first, last)
-    approach, leave = _flown(path, first, last, np.flatnonzero(fine), plan.problem.process.run_in)
+    rests = rests_of(trajectory, first, last)
+    approach, leave = _flown(path, first, last, np.flatnonzero(rests.fine), plan.problem.process.run_in)
 
     linear = np.zeros(n - 1, dtype=bool)  # of the interval from sample i to i + 1
     for a, b in zip(approach, leave, strict=True):
@@ -91,14 +91,17 @@ def plan_moves(plan: Plan) -> Moves:
     must = np.zeros(n, dtype=bool)
     must[[0, n - 1]] = True
     must[np.concatenate([first, last, approach, leave])] = True
-    must |= fine
+    must |= rests.fine
+    must[1:] |= rests.inside[1:] & ~np.append(rests.inside[2:], False)  # where the robot goes on after a wait
     must[1:] |= (np.diff(trajectory.bead) != 0) & trajectory.deposit[1:] & trajectory.deposit[:-1]
     must[1:] |= np.diff(trajectory.branch) != 0
     kept = _no_longer_than(np.flatnonzero(must), path, linear)
 
-    sample = thin(kept, _Misfit(plan, quat, linear))
+    sample = thin(kept, _Misfit(plan, quat, linear, rests))
     a, b = sample[:-1], sample[1:]
-    took = trajectory.t[b] - trajectory.t[a]
+    goes = ~rests.inside[b]  # from one sample of a wait to another there is no move
+    a, b = a[goes], b[goes]
+    took = rests.clock[b] - rests.clock[a]
     peaks = np.maximum.reduceat(np.append(step, 0.0), a) / trajectory.dt
     rates = np.abs(external[b] - external[a]) / took[:, None]
     is_linear, laid = linear[a], trajectory.deposit[a] & trajectory.deposit[b]
@@ -113,8 +116,8 @@ def plan_moves(plan: Plan) -> Moves:
         speed=np.where(laid, (path[b] - path[a]) / took, peaks),
         turn=angle(quat[a], quat[b]) / took,
         axis=rates.max(axis=1, initial=0.0),
-        fine=fine[b],
-        wait=wait[b],
+        fine=rests.fine[b],
+        waits={int(np.searchsorted(b, at, side="right")) - 1: waits for at, waits in rests.waits.items()},
         on_end=(starts & arrives_linear)[b],
         on_start=(starts & ~arrives_linear)[a],
         off_end=ends[b],
@@ -126,8 +129,9 @@ def plan_moves(plan: Plan) -> Moves:
 class _Misfit:
     """How far the controller's interpolation between two samples misses a third, in tolerances."""
 
-    def __init__(self, plan: Plan, quat: Array, linear: Flags) -> None:
+    def __init__(self, plan: Plan, quat: Array, linear: Flags, rests: Rests) -> None:
         self._trajectory, self._cell, self._quat, self._linear = plan.trajectory, plan.cell, quat, linear
+        self._clock = rests.clock
         self._external = plan.trajectory.q[:, len(plan.cell.arm) :]
 
     def __call__(self, first: Indices, last: Indices, k: Indices) -> Array:
@@ -139,7 +143,7 @@ class _Misfit:
         return out
 
     def _line(self, a: Indices, b: Indices, k: Indices) -> Array:
-        tip, t = self._trajectory.tip, self._trajectory.t
+        tip, t = self._trajectory.tip, self._clock
         u = nearest_fraction(tip[a], tip[b], tip[k], (k - a) / (b - a))
         off = np.linalg.norm(tip[a] + u[:, None] * (tip[b] - tip[a]) - tip[k], axis=1) / PATH_TOLERANCE
         turned = angle(slerp(self._quat[a], self._quat[b], u), self._quat[k]) / ANGLE_TOLERANCE
@@ -167,45 +171,6 @@ def nearest_fraction(a: Array, b: Array, p: Array, otherwise: Array) -> Array:
     short = square < 1e-14
     u = np.einsum("ij,ij->i", p - a, chord) / np.where(short, 1.0, square)
     out: Array = np.where(short, otherwise, np.clip(u, 0.0, 1.0))
-    return out
-
-
-def _rests(trajectory: Trajectory, first: Indices, last: Indices) -> tuple[Flags, Array]:
-    """Samples (n) at which the robot stands still, outside of beads, and how long it stays there [s].
-
-    The exact moment of rest lies between two samples, so rest shows as a speed that is small against the speed
-    0.1 s around it: a slow bead is slow everywhere, and is not mistaken for it.
-    """
-    n = len(trajectory)
-    change = np.abs(np.diff(trajectory.q, axis=0)).max(axis=1)
-    rate = np.empty(n)
-    rate[1:-1] = np.abs(trajectory.q[2:] - trajectory.q[:-2]).max(axis=1) / (2.0 * trajectory.dt)
-    rate[[0, -1]] = 0.0
-    half = max(1, round(0.1 / trajectory.dt))
-    around = _sliding_maximum(np.pad(rate, half, mode="edge"), 2 * half + 1)
-    slow = (rate < 5e-3) & (rate <= 0.05 * around)
-    edge = np.zeros(n, dtype=bool)
-    edge[first], edge[last] = True, True
-    slow &= edge | ~trajectory.deposit
-
-    fine, wait = np.zeros(n, dtype=bool), np.zeros(n)
-    bounds = np.diff(np.concatenate([[False], slow, [False]]).astype(np.int8))
-    for a, b in zip(np.flatnonzero(bounds > 0), np.flatnonzero(bounds < 0), strict=True):
-        # a bead's own end is the better place for the stop, where there is one
-        at = a + int(np.argmin(np.where(edge[a:b], -1.0, rate[a:b])))
-        fine[at] = True
-        still = float(np.count_nonzero(change[a : b - 1] < 1e-9)) * trajectory.dt
-        wait[at] = still if still >= LEAST_WAIT else 0.0
-    fine[[0, n - 1]] = True
-    return fine, wait
-
-
-def _sliding_maximum(values: Array, width: int) -> Array:
-    """Largest of each `width` neighbouring values (n), n - width + 1 of them."""
-    out, covered = values, 1
-    while covered < width:  # each step joins two windows, which may overlap
-        step = min(covered, width - covered)
-        out, covered = np.maximum(out[:-step], out[step:]), covered + step
     return out
 
 

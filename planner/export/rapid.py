@@ -9,12 +9,14 @@ the loader must hold at once, and a loop over them puts logic between fly-by poi
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.export.moves import Moves, deposits, plan_moves
+from planner.export.rests import Wait
 from planner.export.rotations import continuous, from_matrix
 from planner.plan import RAPID_EXTERNAL_AXES
 
@@ -263,11 +265,12 @@ def _procedures(plan: Plan, moves: Moves, speeds: list[str]) -> tuple[list[str],
         "    PROC Start()",
         comment("The planned start as a target: the robot must not move here, if tool and work object are right.", 8),
         f"        MoveJ {targets[0]},{speeds[0]},fine,{frames}",
+        *_waiting(moves.waits.get(-1, ())),
         "    ENDPROC",
         "",
     ]
     calls = ["Start"]
-    linear, fine, wait = moves.linear.tolist(), moves.fine.tolist(), moves.wait.tolist()
+    linear, fine = moves.linear.tolist(), moves.fine.tolist()
     on_end, on_start, off_end = moves.on_end.tolist(), moves.on_start.tolist(), moves.off_end.tolist()
     bounds = np.searchsorted(moves.after, np.arange(len(first) + 2))
     for k, (a, b) in enumerate(zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True)):
@@ -287,10 +290,18 @@ def _procedures(plan: Plan, moves: Moves, speeds: list[str]) -> tuple[list[str],
             word = "TriggL" if triggers else "MoveL" if linear[i] else "MoveJ"
             what = "," + "\\T2:=".join(triggers) if triggers else ""
             lines.append(f"        {word} {targets[i + 1]},{speeds[i + 1]}{what},{zone},{frames}")
-            if wait[i] > 0.0:
-                lines.append(f"        WaitTime {wait[i]:.3f};")
+            lines += _waiting(moves.waits.get(i, ()))
         lines += ["    ENDPROC", ""]
     return lines, calls
+
+
+def _waiting(waits: Sequence[Wait]) -> list[str]:
+    """Statements of what the robot stands still for, each with a comment that says why."""
+    lines = []
+    for wait in waits:
+        lines += [comment(wait.why, 8)] if wait.why else []
+        lines += [f"        WaitTime {wait.time:.3f};"] if wait.time > 0.0 else []
+    return lines
 
 
 def _about(plan: Plan, first: int, last: int) -> str:

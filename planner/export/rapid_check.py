@@ -13,6 +13,7 @@ from planner.export.moves import deposits, nearest_fraction
 from planner.export.rapid import external_degrees, quadrants
 from planner.export.rapid_pieces import Piece, pieces_of
 from planner.export.rapid_reader import Program
+from planner.export.rapid_waits import moving_time, waits_differ
 from planner.export.rotations import angle, continuous, slerp, to_matrix
 
 if TYPE_CHECKING:
@@ -40,6 +41,7 @@ class Agreement:
     event     where the extruder is switched, against the sample where deposit begins or ends
     frames    positions of tool and work object; the first posture, times 1 m/rad
     speed     moves that lay material: programmed speed against the mean of the samples [m/s]
+    wait      how long the robot stands still, wherever it does [s]
     conf      targets whose configuration is not that of the plan's posture
     """
 
@@ -50,6 +52,7 @@ class Agreement:
     event: float
     frames: float
     speed: float
+    wait: float
     conf: int
 
     def complaints(self) -> list[str]:
@@ -62,6 +65,7 @@ class Agreement:
             "event": (0.05e-3, "m"),
             "frames": (2e-6, "m"),
             "speed": (1e-3, "m/s"),
+            "wait": (2e-3, "s"),
             "conf": (0, "targets"),
         }
         return [
@@ -79,7 +83,7 @@ def compare(plan: Plan, program: Program) -> Agreement:
     cuts = np.concatenate([[0], np.column_stack([first, last]).ravel(), [len(trajectory) - 1]])
     expected_on = [k % 2 == 1 for k in range(len(cuts) - 1)]
     if [on for on, _ in pieces] != expected_on:
-        return Agreement(np.inf, np.inf, np.inf, np.inf, np.inf, np.inf, np.inf, len(program.conf))
+        return Agreement(*[np.inf] * 8, len(program.conf))
     match = _matched(plan, [piece for _, piece in pieces], cuts)
     starts = match.targets[1:-1]
     event = np.linalg.norm(match.all.position[starts] - trajectory.tip[cuts[1:-1]], axis=1).max(initial=0.0)
@@ -93,6 +97,7 @@ def compare(plan: Plan, program: Program) -> Agreement:
         event=float(event),
         frames=frames,
         speed=_speed(plan, match, np.array(expected_on)),
+        wait=waits_differ(plan, program),
         conf=_wrong_configurations(plan, match),
     )
 
@@ -204,7 +209,7 @@ def _speed(plan: Plan, match: _Match, on: NDArray[np.bool_]) -> float:
     """Worst difference between programmed and planned speed of the moves that lay material."""
     trajectory, at = plan.trajectory, match.at
     path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(trajectory.tip, axis=0), axis=1))])
-    real = np.diff(path[at]) / np.maximum(np.diff(at) * trajectory.dt, trajectory.dt)
+    real = np.diff(path[at]) / np.maximum(np.diff(moving_time(trajectory)[at]), 0.5 * trajectory.dt)
     inside = on[match.piece[:-1]] & (np.diff(match.piece) == 0)
     return float(np.abs(real - match.all.speed[:-1])[inside].max(initial=0.0))
 

@@ -206,7 +206,10 @@ class _Reader:
             elif word == "move":
                 moves.append((line, parts))
             elif word == "wait":
-                waits[len(moves) - 1] = float(str(parts[0]))
+                at = len(moves) - 1
+                if at < 0:
+                    raise _error(line, "a wait before the first target")
+                waits[at] = waits.get(at, 0.0) + float(str(parts[0]))
         if not start or not moves:
             raise InputError("no moves", file="RAPID")
         return self._arrays(start, moves, waits)
