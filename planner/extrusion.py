@@ -109,6 +109,9 @@ def _drawn(t: Array, bead: NDArray[np.int32], extruded: Array, events: Sequence[
     last = np.flatnonzero((bead >= 0) & (np.append(bead[1:], -1) != bead))  # of each bead; the next holds all of it
     ends = last[np.searchsorted(bead[last], [event.bead for event in cuts])] + 1
     begin = np.interp([event.start for event in cuts], t, extruded)
+    resting = np.searchsorted(t, [event.start for event in cuts]).clip(max=len(t) - 1)  # where a sample tells, exactly
+    rests = t[resting] <= [event.start + event.duration for event in cuts]
+    begin = np.where(rests, extruded[resting], begin)
     end = extruded[np.minimum(ends, len(t) - 1)]
     total = np.cumsum(end - begin)
     drawn = np.column_stack([np.append(0.0, total[:-1]), total]).ravel()

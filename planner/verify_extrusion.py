@@ -131,9 +131,13 @@ def _as_long_as_its_bead(
 ) -> None:
     """From the end of one bead to that of the next as much fibre is fed as the next is long, purges aside."""
     fed = t.feed - _pushed(t.t, [event for event in t.events if event.kind == "purge"])
+    primes = {event.bead: event for event in t.events if event.kind == "prime"}
     worst, where, before = 0.0, "everywhere", 0.0
     for i, (at, volume) in enumerate(zip(samples, volumes, strict=True)):
-        after = float(fed[min(int(at[-1]) + 1, len(t) - 1)]) if len(at) else before
+        k = min(int(at[-1]) + 1, len(t) - 1) if len(at) else 0
+        after = float(fed[k]) if len(at) else before
+        if len(at) and i + 1 in primes:  # which may begin in the very sample in which this bead ends
+            after -= float(_pushed(t.t[k : k + 1], [primes[i + 1]])[0])
         off, before = abs(after - before - float(volume.s[-1])) / float(volume.s[-1]), after
         if not off <= worst:
             worst, where = off, f"bead {i}"
@@ -274,11 +278,18 @@ def _drawn(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples])
     for event in t.events:
         if event.kind == "cut" and 0 <= event.bead < len(volumes) and len(samples[event.bead]):
             at, volume = samples[event.bead], volumes[event.bead]
-            cut = volume.to(np.interp([event.start], t.t[at], t.s[at]))[0]
+            cut = volume.to(np.array([_rested_at(event, t.t[at], t.s[at])]))[0]
             behind = np.append(np.maximum(volume.to(t.s[at]) - cut, 0.0), volume.total - cut)
             gain[np.append(at, at[-1] + 1).clip(max=len(t) - 1)] += np.diff(behind, prepend=0.0)
     total: Array = np.cumsum(gain)
     return total
+
+
+def _rested_at(event: Event, t: Array, s: Array) -> float:
+    """Arc length [m] at which the nozzle rests for an event, among samples at t (k) and s (k) of its bead."""
+    first = min(int(np.searchsorted(t, event.start)), len(t) - 1)
+    resting = event.start <= t[first] <= event.start + event.duration
+    return float(s[first] if resting else np.interp(event.start, t, s))
 
 
 def _pushed(t: Array, events: Sequence[Event]) -> Array:
