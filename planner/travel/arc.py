@@ -42,7 +42,15 @@ def arc(cell: Cell, ends: Ends, room: Room, speed: float, fit: tuple[float, floa
     """Round the part from state to state, the tip no faster than `speed` [m/s]; None if time does not help."""
     if not ends.resting:
         return _from_motion(cell, ends, room, speed, fit)
-    q = _postures(cell, ends, _walk(room, *fit))
+    return along_tips(cell, ends, _walk(room, *fit), speed)
+
+
+def along_tips(cell: Cell, ends: Ends, tips: Array, speed: float) -> Built | None:
+    """From rest to rest with the tip close to positions (k, 3) of the part frame, no faster than `speed` [m/s].
+
+    None if time does not help.
+    """
+    q = _postures(cell, ends, tips)
     if not np.isfinite(q).all():  # the part has no normal on its axis
         return None
     times = _times(cell, q, ends.bounds, speed)

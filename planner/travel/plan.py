@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -21,6 +21,8 @@ from planner.toolpath.bead import Toolpath
 from planner.travel import ways
 from planner.travel.arc import FITS, arc
 from planner.travel.clearance import Room, room, track
+from planner.travel.moves import between
+from planner.travel.upright import above, along_normal
 from planner.travel.ways import Built, Caps, Ends
 
 Array = NDArray[np.float64]
@@ -69,7 +71,8 @@ def plan_travels(
         end = _home_beside(cell, None if leave is None else leave.end) if reach is None else reach.start
         space = room(cell, surfaces[i], printed[i], process.lift, start, end)
         ends = Ends(start, end, _least(process, leave, reach), bounds)
-        motion = quickest(Task(cell, ends, space, process.travel_speed))
+        way = with_time if process.fibre is None else upright
+        motion = way(Task(cell, ends, space, process.travel_speed))
         if motion is None:
             beside = leave if reach is None else reach
             raise Refusal(
@@ -148,6 +151,55 @@ def quickest(task: Task) -> Cubics | None:
             for other in way.instead:
                 push(max(bound, other.bound), other, free)
     return None
+
+
+def with_time(task: Task) -> Cubics | None:
+    """The quickest way; if it has to last longer, what is to spare is waited where the nozzle is lifted, or at home.
+
+    Where it has to last only a little longer, less than lifting takes, it is a slower one.
+    """
+    ends, space = task.ends, task.room
+    motion = quickest(replace(task, ends=replace(ends, least=0.0)))
+    if motion is None or motion.duration >= ends.least:
+        return motion
+    a, _ = above(task.cell, ends, space, space.lift)
+    up = between(ends.bounds, ends.start, a)
+    if up is not None and _is_clear(task, up):
+        after = room(task.cell, space.surface, space.height, space.lift, a, ends.end)
+        onward = quickest(replace(task, ends=replace(ends, start=a, least=0.0), room=after))
+        if onward is not None and up.duration + onward.duration <= ends.least:
+            return ways.waiting([up, onward], ends.least)
+    return quickest(task)
+
+
+def upright(task: Task) -> Cubics | None:
+    """Up along the normal, the quickest way across, and down along the normal, at rest in between; None if none is clear.
+
+    The way across keeps clear by the whole lift; time to spare is waited above the start. Both ends are at rest.
+    """
+    cell, ends, space = task.cell, task.ends, task.room
+    for factor in LIFTS:
+        a, b = above(cell, ends, space, factor * space.lift)
+        climbs = [
+            along_normal(cell, replace(ends, start=start, end=end), _AIM * task.speed)
+            for start, end in ((ends.start, a), (b, ends.end))
+        ]
+        if not all(climb is not None and _is_clear(task, climb) for climb in climbs):
+            continue
+        across = Ends(a, b, 0.0, ends.bounds)
+        high = room(cell, space.surface, space.height, space.lift, a, b)
+        motion = ways.waiting([climbs[0], quickest(replace(task, ends=across, room=high)), climbs[1]], ends.least)
+        if motion is not None:
+            return motion
+    return None
+
+
+def _is_clear(task: Task, motion: Cubics) -> bool:
+    """Whether a motion is clear of the part, and within the limits of joints and tip."""
+    if not within_limits(task.cell, motion):
+        return False
+    looked = track(task.cell, motion)
+    return looked.tip_speed <= _FAST * task.speed and task.room.lacking(looked.points) <= 0.0
 
 
 def _ways(task: Task, free: Caps) -> Iterator[Way]:

@@ -193,16 +193,28 @@ def by_way_of(cell: Cell, ends: Ends, room: Room, raised: float, through: str, c
 
 def _through(cell: Cell, ends: Ends, caps: Caps, vias: Sequence[Array]) -> Built | None:
     bounds = ends.bounds.capped(caps.along)
-    still = np.zeros_like(ends.start.q)
-    states = [ends.start, *(State(via, still, still) for via in vias), ends.end]
-    pieces = [between(bounds, a, b) for a, b in itertools.pairwise(states)]
+    states = [ends.start, *(at_rest(via) for via in vias), ends.end]
+    motion = waiting([between(bounds, a, b) for a, b in itertools.pairwise(states)], ends.least)
+    return None if motion is None else Built(motion)
+
+
+def at_rest(q: Array) -> State:
+    """The state of standing still at posture q (nj)."""
+    return State(q, np.zeros_like(q), np.zeros_like(q))
+
+
+def waiting(pieces: Sequence[Cubics | None], least: float) -> Cubics | None:
+    """Pieces with rests between, end to end; what lacks to the least duration [s] is waited at the first rest.
+
+    None if there is no such piece.
+    """
     known = [piece for piece in pieces if piece is not None]
     if len(known) < len(pieces):
         return None
-    wait = ends.least - sum(piece.duration for piece in known)
+    wait = least - sum(piece.duration for piece in known)
     if wait > 0.0:
-        known.insert(1, rest(vias[0], wait))
-    return Built(chain(known))
+        known.insert(1, rest(known[0].end.q, wait))
+    return chain(known)
 
 
 def _drawn_back(cell: Cell, q: Array) -> Array:
