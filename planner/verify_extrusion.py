@@ -28,6 +28,7 @@ MILLIMETRE = 1e-3  # m: stretch of a bead that is weighed
 RESOLVED = 4  # samples that a stretch lasts at least: fewer do not tell how much lies in it
 STEPS = 4  # places in a stretch at which the next one begins
 FILAMENT_TOLERANCE = 1e-2  # of what one sample lays down, in filament
+FINE = 5e-3  # s between samples: what the motor does between them matters little
 ZONE_SAMPLES = 2  # beyond the lag itself: within a sample nobody knows when it began
 
 
@@ -96,7 +97,9 @@ def extrusion(
     worst, where = _per_millimetre(process, t, volumes, samples, out)
     if process.extruder.motor != "on_off":
         unit = "of what a millimetre holds"
-        checks.append(Check("flow per millimetre", worst, PER_MILLIMETRE, unit, worst <= PER_MILLIMETRE, where))
+        ok = worst <= PER_MILLIMETRE
+        where = where if ok else _if_coarse(t, where)
+        checks.append(Check("flow per millimetre", worst, PER_MILLIMETRE, unit, ok, where))
     metrics["flow_error_max"] = worst
     near = _near_ends(t, process.extruder.lag)
     _fed(t, pressed, process.extruder.lag, near, sample, checks)
@@ -142,7 +145,13 @@ def _as_long_as_its_bead(
         if not off <= worst:
             worst, where = off, f"bead {i}"
     ok = worst <= EXTRUSION_TOLERANCE
+    where = where if ok else _if_coarse(t, where)
     checks.append(Check("fibre as long as its bead", worst, EXTRUSION_TOLERANCE, "of a bead's length", ok, where))
+
+
+def _if_coarse(t: Trajectory, where: str) -> str:
+    """A place where a check fails, and what may be the reason where samples are far apart."""
+    return where if t.dt <= FINE else f"{where}; samples {t.dt * 1e3:g} ms apart may be too coarse to feed it in time"
 
 
 def _balance(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples], checks: list[Check]) -> None:

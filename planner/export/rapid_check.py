@@ -83,7 +83,7 @@ def compare(plan: Plan, program: Program) -> Agreement:
     cuts = np.concatenate([[0], np.column_stack([first, last]).ravel(), [len(trajectory) - 1]])
     expected_on = [k % 2 == 1 for k in range(len(cuts) - 1)]
     if [on for on, _ in pieces] != expected_on:
-        return Agreement(*[np.inf] * 8, len(program.conf))
+        return Agreement(np.inf, np.inf, np.inf, np.inf, np.inf, np.inf, np.inf, np.inf, len(program.conf))
     match = _matched(plan, [piece for _, piece in pieces], cuts)
     starts = match.targets[1:-1]
     event = np.linalg.norm(match.all.position[starts] - trajectory.tip[cuts[1:-1]], axis=1).max(initial=0.0)

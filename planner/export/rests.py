@@ -123,7 +123,8 @@ def _between_beads(trajectory: Trajectory, first: Indices, last: Indices) -> tup
     edge[first], edge[last] = True, True
     slow &= edge | ~trajectory.deposit
 
-    fine, found = np.zeros(n, dtype=bool), []
+    fine: Flags = np.zeros(n, dtype=bool)
+    found: list[tuple[int, int, int]] = []
     bounds = np.diff(np.concatenate([[False], slow, [False]]).astype(np.int8))
     for a, b in zip(np.flatnonzero(bounds > 0), np.flatnonzero(bounds < 0), strict=True):
         # a bead's own end is the better place for the stop, where there is one
@@ -134,7 +135,7 @@ def _between_beads(trajectory: Trajectory, first: Indices, last: Indices) -> tup
             parts = np.concatenate([still[:1], a + np.flatnonzero(edge[a:b]), still[-1:] + 1])
             parts = np.unique(np.clip(parts, still[0], still[-1] + 1))
             longest = int(np.argmax(np.diff(parts)))
-            found.append((at, int(parts[longest]), int(parts[longest + 1])))
+            found.append((int(at), int(parts[longest]), int(parts[longest + 1])))
     fine[[0, n - 1]] = True
     return fine, found
 

@@ -34,7 +34,8 @@ class Track:
     def tip_speed(self) -> float:
         """Greatest speed of the tip relative to the part [m/s]."""
         steps = np.diff(self.points[0], axis=0)
-        return float(np.sqrt(np.einsum("ni,ni->n", steps, steps).max(initial=0.0))) / self.every if self.every > 0.0 else 0.0
+        farthest = float(np.sqrt(np.einsum("ni,ni->n", steps, steps).max(initial=0.0)))
+        return farthest / self.every if self.every > 0.0 else 0.0
 
 
 def track(cell: Cell, motion: Cubics) -> Track:
