@@ -6,14 +6,18 @@ Temperatures stay in degrees Celsius, which every printer's board takes; so thei
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Literal, get_args
 
 from pydantic import model_validator
 
-from planner.problem_fields import Quantity, Section, key, refusal
+from planner.problem_fields import Quantity, Section, key, one_of, refusal
 
 FIBRE_RAMP_DEG = 30  # Tawfik et al., section III.A.2: laid down at this angle, the end of the fibre sticks
 Wait = Annotated[float, Quantity("s", 0, 3600)]  # an hour heats any bed
+
+
+HandOver = Literal["rest", "motion"]
+HAND_OVERS: tuple[str, ...] = get_args(HandOver)
 
 
 class FilamentMoveSpec(Section):
@@ -88,6 +92,11 @@ class AroundBeadSpec(Section):
     lift_height: Annotated[float, Quantity("mm", 1, 500)] = key(
         "lift_mm", "least height of travel above the surface [mm]", 5
     )
+    hand_over: Annotated[HandOver, one_of(HAND_OVERS)] = key(
+        "hand_over",
+        "how travel and a bead's runs meet: at rest, or in motion, which fibre does not allow",
+        "rest",
+    )
     prime: FilamentMoveSpec = key("prime", "filament pushed until a bead starts; default: none", {})
     retract: FilamentMoveSpec = key("retract", "filament pulled back from a bead's end on; default: none", {})
     start: StartSpec = key("start", "heating and purge at home before the first move; default: none", {})
@@ -109,6 +118,13 @@ class AroundBeadSpec(Section):
                     "leave it out: cut fibre is not pulled back, and is fed forward by fibre.cut_length_mm",
                     fields=["fibre", name],
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _fibre_rests(self) -> AroundBeadSpec:
+        if self.fibre is not None and self.hand_over == "motion":
+            reason = "hand_over is motion, and there is fibre"
+            raise refusal(reason, "leave it out: a fibre's bead begins and ends at rest", fields=["fibre", "hand_over"])
         return self
 
     @property

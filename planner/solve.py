@@ -129,10 +129,10 @@ def _trajectory(
     problem: Problem, cell: Cell, toolpath: Toolpath, paths: Sequence[JointPath], dt: float, second_process: bool
 ) -> Trajectory:
     """Time the beads' paths and plan the travel between them, half of both in a second process if that is wanted."""
-    n = len(paths)
+    n, moving = len(paths), problem.process.hand_over == "motion"
 
     def part(first: int, last: int) -> list[TimedPath]:
-        return [time_path(cell, path) for path in paths[first:last]]
+        return [time_path(cell, path, (moving, moving)) for path in paths[first:last]]
 
     def ways(first: int, last: int) -> list[Cubics]:
         which = range(first, last + (last == n))  # the way home comes after the last bead
