@@ -128,7 +128,7 @@ def _limits(problem, cell, toolpath, t, motion, checks, metrics, series) -> None
 
 def _geometry(second_process, problem, cell, toolpath, t, motion, checks, metrics, series) -> None:  # type: ignore[no-untyped-def]
     """Tip on the rounded path, axis on the true normal, rounded path within tolerance of the input, both ways."""
-    position, deviation = shared((len(t),)), shared((len(t),))
+    position, deviation, normals = shared((len(t),)), shared((len(t),)), shared((len(t), 3))
     beads = len(toolpath.beads)
     samples = samples_of(t, beads)
 
@@ -144,12 +144,12 @@ def _geometry(second_process, problem, cell, toolpath, t, motion, checks, metric
             if i % parts == 0:
                 position[at] = np.linalg.norm(path(t.s[at]) - motion.tip[at], axis=1)
                 deviation[at] = distance_to_polyline(motion.tip[at], bead.source)
+                normals[at] = toolpath.surface.normals_on(i // parts, t.s[at], motion.tip[at])
             if i % parts == parts - 1:
                 unreached = max(unreached, float(distance_to_polyline(bead.source, path(_denser(bead.s))).max()))
         return unreached
 
     unreached = max(in_halves(judge, parts * beads, second_process))
-    normals = toolpath.surface.normals(motion.tip)
     cosine = -(normals * motion.axis).sum(axis=1)
     sine = np.linalg.norm(np.cross(normals, motion.axis), axis=1)
     cones = problem.process.cones

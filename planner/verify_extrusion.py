@@ -79,7 +79,7 @@ def extrusion(
     process = problem.process
     volumes = [volume_of(bead, process) for bead in toolpath.beads]
     samples = samples_of(t, len(volumes))
-    sample = max(float(v.area.max()) for v in volumes) * float(t.speed[t.deposit].max(initial=0.0)) * t.dt
+    sample = max(float(v.area.max()) for v in volumes) * _fastest(process, t, motion) * t.dt
     filament = float(np.pi * (0.5 * process.filament_diameter) ** 2)
     drawn, pushed = _drawn(t, volumes, samples), _pushed(t.t, t.events)
     pressed = filament * (t.feed - pushed) + drawn
@@ -109,6 +109,14 @@ def extrusion(
         metrics["lag_zone_mm"] = float((t.speed * t.dt)[near & t.deposit].sum()) * 1e3
     metrics["extruded_volume_mm3"] = float(t.extruded[-1]) * 1e9
     metrics["extruded_mm"] = float(t.feed[-1]) * 1e3
+
+
+def _fastest(process: ProcessSpec, t: Trajectory, motion: Motion) -> float:
+    """Greatest speed [m/s] at which material is laid: in a bead, or from its last sample to the next one, where it ends."""
+    ending = t.deposit[1:] != t.deposit[:-1]
+    step = np.linalg.norm(np.diff(motion.tip, axis=0)[ending], axis=1).max(initial=0.0) / t.dt
+    most = process.speed * (1.0 + SPEED_TOLERANCE)
+    return max(float(t.speed[t.deposit].max(initial=0.0)), min(float(step), most))
 
 
 def _shares(t: Trajectory, off: Array, sample: float, limit: float, name: str, checks: list[Check]) -> None:

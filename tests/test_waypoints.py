@@ -24,6 +24,7 @@ from planner.toolpath.interpolation import CORNER_TURN, Interpolated, interpolat
 from planner.toolpath.surfels import FAR, Surfels, with_layers
 from planner.toolpath.transport import roll_zeros
 from planner.toolpath.waypoints import Waypoints, distinct, read_waypoints
+from planner.toolpath.wrap import arc_length
 
 Array = NDArray[np.float64]
 CHEN = Path(__file__).resolve().parents[2] / "shared" / "data" / "chen2025" / "freeform_25.txt"
@@ -357,7 +358,7 @@ def beads_of(paths: list[Array], height: float = 0.5e-3) -> list[Bead]:
         Bead(
             f"path {i}",
             0,
-            np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(rows[:, :3] * 1e-3, axis=0), axis=1))]),
+            arc_length(rows[:, :3] * 1e-3),
             rows[:, :3] * 1e-3,
             rows[:, 3:],
             np.roll(rows[:, 3:], 1, axis=1),

@@ -24,6 +24,10 @@ class Surface(Protocol):
         """Outward unit normals (n, 3) of the surface nearest to points (n, 3)."""
         ...
 
+    def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
+        """Outward unit normals (n, 3) on which a bead is laid at arc lengths s (n) [m], the nozzle's tip at tips (n, 3)."""
+        ...
+
     def before(self, bead: int) -> Surface:
         """The surface when the first `bead` beads have been printed, if it knows of them."""
         ...

@@ -17,7 +17,7 @@ from planner.toolpath.rounding import round_corners
 from planner.toolpath.surfels import with_layers
 from planner.toolpath.svg import PlanePath, read_svg
 from planner.toolpath.transport import roll_zeros
-from planner.toolpath.waypoint_checks import check_waypoints
+from planner.toolpath.waypoint_checks import check_clear, check_waypoints
 from planner.toolpath.waypoints import Waypoints, read_waypoints
 from planner.toolpath.wrap import Cylinder, arc_length, wrap_layer
 
@@ -66,7 +66,10 @@ def _through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
         )
         for path, curve, zero in zip(paths, curves, zeros, strict=True)
     ]
-    return Toolpath(*with_layers(beads))
+    toolpath = Toolpath(*with_layers(beads))
+    for i, (path, bead) in enumerate(zip(paths, toolpath.beads, strict=True)):
+        check_clear(path, bead, toolpath.surface.before(i + 1), spec.source.waypoints)
+    return toolpath
 
 
 def _curve(problem: Problem, spec: WaypointLayersSpec, path: Waypoints, apart: float, ends: float) -> Interpolated:

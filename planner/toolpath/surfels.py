@@ -31,6 +31,7 @@ class Surfels:
     """Discs under the samples of all beads, in print order; lengths in metres, part frame.
 
     tips, outward (n, 3)   the samples and their outward unit normals
+    along (n)              arc length of the samples in their bead
     centres (n, 3)         of the discs: one bead's height below the tips
     radius                 of the discs: neighbours touch
     first (beads + 1)      index of each bead's first sample
@@ -41,6 +42,7 @@ class Surfels:
 
     tips: Array
     outward: Array
+    along: Array
     centres: Array
     radius: float
     first: Index
@@ -79,16 +81,30 @@ class Surfels:
         _, k = self.tip_tree.query(points, workers=-1)
         bead = np.searchsorted(self.first, k, side="right") - 1
         start = np.clip(k - _STENCIL // 2 + 1, self.first[bead], self.first[bead + 1] - _STENCIL)
-        return _normals(np.ascontiguousarray(points), self.tips, self.outward, start, k - start)
+        return _normals(np.ascontiguousarray(points), self.tips, self.outward, start, (k - start).astype(float))
+
+    def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
+        """Outward unit normals (n, 3) of a bead nearest to tips (n, 3) beside its arc lengths s (n) [m].
+
+        However close other passes lie, or other parts of the bead, they say nothing here.
+        """
+        first, last = self.first[bead], self.first[bead + 1]
+        along = self.along[first:last]
+        start = np.clip(first + np.searchsorted(along, s) - _STENCIL // 2, first, last - _STENCIL)
+        near = first + np.interp(s, along, np.arange(last - first)) - start
+        return _normals(np.ascontiguousarray(tips), self.tips, self.outward, start, near)
 
 
 @njit(cache=True)
-def _normals(points: Array, tips: Array, outward: Array, start: Index, near: Index) -> Array:
-    """Unit normals (n, 3) where the polynomials through six samples from `start` come nearest to points (n, 3)."""
+def _normals(points: Array, tips: Array, outward: Array, start: Index, near: Array) -> Array:
+    """Unit normals (n, 3) where the polynomials through six samples from `start` come nearest to points (n, 3).
+
+    near (n): about where in the six that is.
+    """
     out = np.empty_like(points)
     value, slope = np.empty(_STENCIL), np.empty(_STENCIL)
     for i in range(len(points)):
-        t = float(near[i])
+        t = near[i]
         for step in range(_STEPS + 1):
             for k in range(_STENCIL):  # Lagrange's polynomials and their slopes
                 value[k], slope[k] = 1.0, 0.0
@@ -125,7 +141,7 @@ def with_layers(beads: Sequence[Bead]) -> tuple[tuple[Bead, ...], Surfels]:
     """
     tips, normals = (np.vstack([getattr(bead, name) for bead in beads]) for name in ("points", "normals"))
     first = np.concatenate([[0], np.cumsum([len(bead.points) for bead in beads])])
-    height = np.concatenate([bead.height for bead in beads])
+    height, along = (np.concatenate([getattr(bead, name) for bead in beads]) for name in ("height", "s"))
     centres = tips - height[:, None] * normals
     spacing = float(np.median(np.concatenate([np.diff(bead.s) for bead in beads])))
     radius = 0.5 * (spacing + max(float(bead.width.max()) for bead in beads))
@@ -145,7 +161,8 @@ def with_layers(beads: Sequence[Bead]) -> tuple[tuple[Bead, ...], Surfels]:
         for number in range(len(beads) // size):
             trees[size, number] = _tree(centres[first[number * size] : first[(number + 1) * size]])
         size *= 2
-    surfels = Surfels(tips, normals, centres, radius, first, bare, len(beads), trees, _tree(centres[bare]), tip_tree)
+    bare_tree = _tree(centres[bare])
+    surfels = Surfels(tips, normals, along, centres, radius, first, bare, len(beads), trees, bare_tree, tip_tree)
     return tuple(replace(bead, layer=layer) for bead, layer in zip(beads, layers, strict=True)), surfels
 
 

@@ -5,12 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
+from scipy.spatial import cKDTree
 
 from planner.errors import InputError
+from planner.toolpath.bead import Bead, Surface
 from planner.toolpath.waypoints import Waypoints
 
 MOST_TURN = 90.0  # deg, of the normal from one waypoint to the next: no surface that a nozzle can follow turns further
 STEEPEST = 0.8  # sine of the angle between path and surface; steeper over half its length, it is on no surface
+
+LOOKS_PER_WIDTH = 4.0  # places in each bead's width of a path at which it is seen whether the nozzle is clear there
+CLEAR = 2e-5  # m, and a tenth of a bead's height: how far it must be, since it may be that far off its path
 
 
 def check_waypoints(path: Waypoints, file: Path, width: float) -> None:
@@ -59,4 +65,27 @@ def _check_slope(path: Waypoints, file: Path) -> None:
             file=file,
             line=int(path.lines[int(np.argmax(steep))]),
             hint="nx ny nz is the normal of the surface, not the direction of the path",
+        )
+
+
+def check_clear(path: Waypoints, bead: Bead, surface: Surface, file: Path) -> None:
+    """Raise InputError, with file and line, where the nozzle would lay the path's bead inside the part.
+
+    surface: what the first layer lies on and all that is printed by the end of the bead. Inside is where passes
+    contradict each other: what one lies on is where another one runs.
+    """
+    steps = np.ceil(np.diff(bead.s) * LOOKS_PER_WIDTH / bead.width[:-1]).astype(int)
+    k = np.repeat(np.arange(len(steps)), steps)
+    k = k + (np.arange(len(k)) - np.repeat(np.cumsum(steps) - steps, steps)) / steps[k]
+    points = make_interp_spline(np.arange(len(bead.s)), bead.points, k=5)(np.append(k, len(steps)))
+    gap = surface.signed_distance(points)
+    if (gap < min(CLEAR, 0.1 * float(bead.height.min()))).any():
+        i = int(np.argmin(gap))
+        depth = f"{-gap[i] * 1e3:.2f} mm deep " if gap[i] < -CLEAR else ""
+        _, nearest = cKDTree(path.points).query(points[i])
+        raise InputError(
+            f"near here {path.name} runs {depth}in what another pass lies on",
+            file=file,
+            line=int(path.lines[nearest]),
+            hint="passes that cross or lie beside each other stand at one height, or a bead's height apart",
         )

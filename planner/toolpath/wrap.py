@@ -40,6 +40,10 @@ class Cylinder:
         d = d / np.hypot(d[:, 0], d[:, 1])[:, None]
         return np.column_stack([d, np.zeros(len(d))])
 
+    def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
+        """The mantle's at the tips (n, 3), whatever bead is laid there."""
+        return self.normals(tips)
+
     def before(self, bead: int) -> Cylinder:
         """The bare cylinder, whatever has been printed on it."""
         return self
