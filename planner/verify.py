@@ -252,8 +252,11 @@ def _speed(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:
 
 
 def _clearance(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:  # type: ignore[no-untyped-def]
-    """The nozzle tip stays outside the part, as far as it is printed."""
-    begun = np.maximum.accumulate(t.bead) + 1
+    """The nozzle tip stays outside the part, as far as it is printed.
+
+    Of the bead that is being laid only what lies on nothing else counts: it may be its own next layer.
+    """
+    begun = np.where(t.deposit, t.bead, np.maximum.accumulate(t.bead) + 1)
     gap = np.zeros(len(t))
     changes = np.flatnonzero(np.diff(begun)) + 1
     for first, last in zip(np.append(0, changes), np.append(changes, len(t)), strict=True):

@@ -357,6 +357,9 @@ class Wall:
     def normals(self, points: Array) -> Array:
         return np.tile([1.0, 0.0, 0.0], (len(points), 1))
 
+    def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
+        return self.normals(tips)
+
     def before(self, bead: int) -> Wall:
         return self
 

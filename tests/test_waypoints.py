@@ -412,6 +412,27 @@ def test_normals_of_the_dome(dome: Surfels) -> None:
     assert np.degrees(np.linalg.norm(dome.normals(points) - true, axis=1)).max() < 0.01
 
 
+def test_normals_where_passes_cross_are_those_of_each() -> None:
+    k = np.arange(21.0)[:, None] - 10.0
+    lean = np.array([[0.2, 0.0, 1.0], [0.0, -0.3, 1.0]])
+    paths = [np.hstack([k * way, np.tile(lean[i], (21, 1))]) for i, way in enumerate(np.eye(3)[:2])]
+    beads, surface = with_layers(beads_of(paths))
+    for i, bead in enumerate(beads):
+        s = np.linspace(0.0, bead.length, 401)
+        tips = make_interp_spline(bead.s, bead.points, k=3)(s)
+        true = np.tile(lean[i] / np.linalg.norm(lean[i]), (401, 1))
+        np.testing.assert_allclose(surface.normals_on(i, s, tips), true, rtol=0, atol=1e-12)
+
+
+def test_normals_on_a_bead_that_turns(dome: Surfels) -> None:
+    points = dense(Interpolated(dome.tips, dome.outward, dome.tips), 3)
+    s = make_interp_spline(np.arange(len(dome.along)), dome.along, k=5)(
+        np.linspace(0, len(dome.along) - 1, len(points))
+    )
+    true = points / np.linalg.norm(points, axis=1)[:, None]
+    assert np.degrees(np.linalg.norm(dome.normals_on(0, s, points) - true, axis=1)).max() < 0.01
+
+
 @pytest.fixture(scope="module")
 def stack() -> tuple[tuple[Bead, ...], Surfels]:
     """Three layers of four strips on a bowed sheet, a bead each."""

@@ -68,7 +68,7 @@ def _through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
     ]
     toolpath = Toolpath(*with_layers(beads))
     for i, (path, bead) in enumerate(zip(paths, toolpath.beads, strict=True)):
-        check_clear(path, bead, toolpath.surface.before(i + 1), spec.source.waypoints)
+        check_clear(path, bead, toolpath.surface.before(i), spec.source.waypoints)
     return toolpath
 
 

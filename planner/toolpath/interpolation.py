@@ -44,6 +44,11 @@ _LOOKS = np.linspace(0.0, 1.0, 7)[1:-1]  # places within a step where that is lo
 _MOST_CELLS = 8_000_000  # of a grid on which corners are averaged: some 2 GB
 _RESOLVED = 1e-5  # m, third difference of the direction, times the step: below, a sample a waypoint is enough
 _MOST_PER_STEP = 4.0
+_SHAKY = 0.05  # third difference of normals from which on they count as rough
+_BESIDE = 8  # waypoints from an end that are beside it
+_LESS = 1.0 - 1e-6  # of a distance: what is less than it
+_ORDER = 3  # of the difference by which normals are seen to be rough
+_RESOLVED_NORMAL = 2e-3  # third difference of normals there, as above
 _LOOSEST = 6.0  # times the distance that sets passes apart: sparser, a place's nearest sample is on another pass
 
 
@@ -96,7 +101,7 @@ def interpolate(points: Array, normals: Array, tolerance: float, apart: float, e
     path, sharp = _calm_spline(chord, np.hstack([points, normals]), np.flatnonzero(turn > CORNER_TURN))
     corners = _round(path, chord, sharp, turn, tolerance)
 
-    per_step = np.maximum(_samples_per_step(points, step, sharp), step / (_LOOSEST * apart))
+    per_step = np.maximum(_samples_per_step(points, normals, chord, sharp), step / (_LOOSEST * apart))
     density = SampleDensity.of_steps(chord, per_step)
     for corner in corners:
         at = chord[sharp]
@@ -107,10 +112,16 @@ def interpolate(points: Array, normals: Array, tolerance: float, apart: float, e
                 kept.append(c)
         density = density.denser(np.array(kept), corner.width / _SAMPLES, _SPREAD * corner.width)
     usual = chord[-1] / max(len(chord) - 1, 1)
-    for end, spacing in zip(chord[[0, -1]], density.spacing_at(chord[[0, -1]]), strict=True):
+    for k in (0, -1):
+        end = chord[[k]]
+        spacing = float(density.spacing_at(end)[0])
         local = spacing if spacing > _SPARSE * usual else usual
-        if ends < local:
-            density = density.denser(np.array([end]), 1.0 / (1.0 / ends - 1.0 / local), _ENDS * local)
+        beside = slice(0, _BESIDE) if k == 0 else slice(-_BESIDE, None)
+        rough = float(_roughness(normals[beside], chord[beside]).max(initial=0.0))
+        # so densely that what is attached there changes nothing between the samples
+        wanted = min(ends, spacing / float(np.clip((rough / _RESOLVED_NORMAL) ** 0.25, 1.0, _MOST_PER_STEP)))
+        if wanted < _LESS * local:
+            density = density.denser(end, 1.0 / (1.0 / wanted - 1.0 / local), _ENDS * local)
     c = density.samples(_FEWEST)
     rows = np.asarray(path(c))
     for corner in corners:
@@ -120,6 +131,17 @@ def interpolate(points: Array, normals: Array, tolerance: float, apart: float, e
     rows[0, :3], rows[-1, :3] = points[0], points[-1]
 
     return Interpolated(rows[:, :3].copy(), _unit(rows[:, 3:]), _source(path, chord, turn, corners, apart))
+
+
+def _roughness(normals: Array, chord: Array) -> Array:
+    """Third differences (m - 3) of normals (m, 3) at chord lengths (m), as if they stood at even distances; 0 if few."""
+    if len(normals) <= _ORDER:
+        return np.zeros(0)
+    divided = normals
+    for order in range(1, _ORDER + 1):
+        divided = np.diff(divided, axis=0) / (chord[order:] - chord[:-order])[:, None] * order
+    mean = (chord[_ORDER:] - chord[:-_ORDER]) / _ORDER
+    return np.asarray(np.linalg.norm(divided, axis=1) * mean**_ORDER)
 
 
 def _source(path: BSpline, chord: Array, turn: Array, corners: list[_Corner], apart: float) -> Array:
@@ -151,11 +173,13 @@ def _turns(points: Array, step: Array) -> Array:
     return np.concatenate([[0.0], np.arctan2(sine, cosine), [0.0]])
 
 
-def _samples_per_step(points: Array, step: Array, sharp: NDArray[np.int64]) -> Array:
+def _samples_per_step(points: Array, normals: Array, chord: Array, sharp: NDArray[np.int64]) -> Array:
     """How many samples each step (m - 1) of the waypoints needs: one, more where they bend within few steps.
 
-    The error of interpolation grows with the fourth power of the spacing.
+    The error of interpolation grows with the fourth power of the spacing. Where normals are rough, joints between two
+    samples leave the path by the square of what they turn.
     """
+    step = np.diff(chord)
     along = np.diff(points, axis=0) / step[:, None]
     bend = np.diff(along, axis=0)
     bend[sharp - 1] = 0.0  # a corner is rounded, and sampled for that
@@ -164,7 +188,12 @@ def _samples_per_step(points: Array, step: Array, sharp: NDArray[np.int64]) -> A
         third = np.linalg.norm(np.diff(bend, n=2, axis=0), axis=1)
         rough[1:-2] = third  # a corner beside it makes it rougher than it is: that does no harm
         rough = maximum_filter1d(rough, 5, mode="constant") * step
-    return np.asarray(np.clip((rough / _RESOLVED) ** 0.25, 1.0, _MOST_PER_STEP))
+    shaky = np.zeros(len(step))
+    if len(normals) > _ORDER:
+        shaky[1:-1] = _roughness(normals, chord)
+        shaky = maximum_filter1d(shaky, 5, mode="constant")
+    needed = np.maximum((rough / _RESOLVED) ** 0.25, (shaky / _SHAKY) ** 0.5)
+    return np.asarray(np.clip(needed, 1.0, _MOST_PER_STEP))
 
 
 def _calm_spline(chord: Array, rows: Array, sharp: NDArray[np.int64]) -> tuple[BSpline, NDArray[np.int64]]:

@@ -71,8 +71,8 @@ def _check_slope(path: Waypoints, file: Path) -> None:
 def check_clear(path: Waypoints, bead: Bead, surface: Surface, file: Path) -> None:
     """Raise InputError, with file and line, where the nozzle would lay the path's bead inside the part.
 
-    surface: what the first layer lies on and all that is printed by the end of the bead. Inside is where passes
-    contradict each other: what one lies on is where another one runs.
+    surface: what the first layer lies on and all that is printed before the bead. Inside is where passes contradict
+    each other: what one lies on is where another one runs.
     """
     steps = np.ceil(np.diff(bead.s) * LOOKS_PER_WIDTH / bead.width[:-1]).astype(int)
     k = np.repeat(np.arange(len(steps)), steps)
