@@ -25,7 +25,7 @@ Indices = NDArray[np.intp]
 LEVER = 0.05  # [m/rad]: turning counts as path where the tip stands still
 # samples to either side within which a target's own sample is sought, for those not found this near [m] before
 WINDOWS = ((6, -1.0), (64, 1e-6))
-ASTRAY = 2e-4  # m, between a target and its sample: beyond, the whole piece is searched
+ASTRAY = 2e-5  # m, between a target and its sample: beyond, the whole piece is searched
 BLOCK = 200_000  # samples looked at, and
 PIECES = 64  # pieces compared at once: bounds the memory
 
