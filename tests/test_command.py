@@ -608,7 +608,7 @@ def nothing_runs_in(folder: Path) -> None:
 
 
 PLACES = {
-    "before the resolving": ("planner.solve", "make_tasks", True),
+    "before the resolving": ("planner.solve", "tasks_of", True),
     "before the verifying": ("planner.solve", "verify", True),
     "between robot code and report": ("planner.solve", "write_robot_code", False),
     "when all is written aside": ("planner.solve", "write_plan", False),
