@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numba import njit
@@ -19,8 +20,10 @@ HEADROOM = 0.975  # share of the joint limits that is used: the rest covers the 
 ACCURACY = 1e-4  # share of the time by which the optimum may be missed
 _NEWTON_STEPS = 8
 _ON_TIME = 1e-13  # s: a thousandth of what the third difference of samples would show
+_LONGEST = 30e-3  # s that an interval of the grid may take
 _ROUNDS = 4  # of tightening limits where the path between grid points overruns them
-_ENOUGH = 1.015  # of the limit less its headroom, between grid points: no need to tighten it
+# Of limits less their headroom, between grid points, of squared speed, acceleration and jerk: no need to tighten them.
+_ENOUGH = (1.005, 1.015, 1.015)
 
 _NODES, _WEIGHTS = (np.ascontiguousarray(each) for each in np.polynomial.legendre.leggauss(6))
 
@@ -62,31 +65,41 @@ def fastest_profile(stretch: Stretch, limits: Limits, speed: float) -> Profile:
     whole stretch is slowed down by what is left over.
     """
     v = np.append(HEADROOM * limits.velocity, speed)
-    program = program_of(stretch, v, HEADROOM * limits.acceleration, HEADROOM * limits.jerk)
-    shares = [np.ones(len(program.h) + 1), np.ones(len(program.h))]  # of acceleration and jerk limits that are used
+    program_on = partial(program_of, stretch, v, HEADROOM * limits.acceleration, HEADROOM * limits.jerk)
+    profile = _within_limits(stretch, program_on())
+    if float(np.diff(profile.times).max()) > _LONGEST:  # it is slower there than the grid was made for
+        profile = _within_limits(stretch, program_on((profile.sigma[:-1], profile.x[:, 0])))
+    return profile
+
+
+def _within_limits(stretch: Stretch, program: Program) -> Profile:
+    """The fastest profile on a program's grid, its limits tightened as told above."""
+    m = len(program.h)
+    at_speed, acceleration, jerk = np.ones(m + 1), np.ones(m + 1), np.ones(m)  # shares of the limits that are used
     c = program.start
     for _ in range(_ROUNDS):
         c, _ = fastest(
             program.point,
             program.middle,
             program.ends,
-            program.acceleration / shares[0][:, None, None],
-            program.jerk / np.repeat(shares[1], 2)[:, None, None],
-            program.ceiling,
+            program.acceleration / acceleration[:, None, None],
+            program.jerk / np.repeat(jerk, 2)[:, None, None],
+            program.ceiling * at_speed,
             program.h,
             np.maximum(c, LEAST_RATE),
             program.level,
             ACCURACY,
         )
         c = np.maximum(c, LEAST_RATE)
-        acceleration, jerk = overruns(program, c)
-        if max(acceleration.max(), jerk.max()) <= _ENOUGH:
+        over = overruns(program, c)
+        if all(float(values.max()) <= enough for values, enough in zip(over, _ENOUGH, strict=True)):
             break
-        shares[0][:-1] /= np.maximum(acceleration, 1.0)
-        shares[0][1:] /= np.maximum(acceleration, 1.0)
-        shares[1] /= np.maximum(jerk, 1.0)
-    speed_up = max(float(((program.point * np.column_stack([c[:-1], c[1:]])).sum(axis=1) / program.ceiling).max()), 1.0)
-    worst = max(speed_up, float(acceleration.max()) / _ENOUGH, (float(jerk.max()) / _ENOUGH) ** (2.0 / 3.0))
+        for share, overrun in ((at_speed, over[0]), (acceleration, over[1])):
+            share[:-1] /= np.maximum(overrun, 1.0)
+            share[1:] /= np.maximum(overrun, 1.0)
+        jerk /= np.maximum(over[2], 1.0)
+    left = [float(values.max()) / enough for values, enough in zip(over, _ENOUGH, strict=True)]
+    worst = max(1.0, left[0], left[1], left[2] ** (2.0 / 3.0))
     return _profile(stretch, program, c / worst)
 
 

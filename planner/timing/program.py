@@ -8,11 +8,12 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import minimum_filter1d, uniform_filter1d
+from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from planner.timing.stretch import Stretch
 
 Array = NDArray[np.float64]
+Allowed = Callable[[Array], tuple[Array, Array]]
 
 GRID = 2.5e-3  # s between grid points, about: an eighth of the time in which an arm builds up its acceleration
 LEAST_RATE = 1e-12  # squared: keeps what rounding leaves of rest above 0
@@ -21,6 +22,11 @@ _START = 0.9  # of what limits allow at constant rates: where the method starts
 _SLOWEST = 1e-3  # of the commanded rate: the grid is not made finer for slower places
 _FASTEST = 1e4  # times the nominal motion: where samples coincide there is no other bound
 _LEAD = 0.08  # share of a ramp from rest that is begun with a constant rate, where limits bind only together
+_LEAD_LOOKS = 65  # places of a lead at which limits are looked at
+_COARSE = 20e-3  # s between grid points where nothing but the commanded speed limits the speed, for _FAR around:
+_FAR = 80e-3  # s: more than an arm takes to gather speed
+_EASY = 4.0  # times the commanded speed's squared rate that the joints allow there
+_STEADY = 1.002  # by which that squared rate varies at most there
 _LEAST_INTERVALS = 60
 _BETWEEN = (0.25, 0.5, 0.75)  # fractions of intervals at which limits are looked at again
 
@@ -30,7 +36,7 @@ class Program:
     """The limits of a stretch as `fastest` takes them, and where they are looked at again.
 
     left, right (m): what the first and last of three coefficients give of x at an interval's own ends; looks: fractions
-    of intervals with the path's rates there, where limits are looked at again; a, j (nj): the limits
+    of intervals with the path's rates there, where limits are looked at again; v (nj + 1), a, j (nj): the limits
     """
 
     sigma: Array
@@ -43,6 +49,7 @@ class Program:
     acceleration: Array
     jerk: Array
     looks: tuple[tuple[float, list[Array]], ...]
+    v: Array
     a: Array
     j: Array
     ceiling: Array
@@ -50,24 +57,27 @@ class Program:
     level: tuple[bool, bool]
 
 
-def program_of(stretch: Stretch, v: Array, a: Array, j: Array) -> Program:
-    """The program of a stretch under limits of velocity (nj + 1), the last of arc length, acceleration and jerk (nj)."""
+def program_of(stretch: Stretch, v: Array, a: Array, j: Array, known: tuple[Array, Array] | None = None) -> Program:
+    """The program of a stretch under limits of velocity (nj + 1), the last of arc length, acceleration and jerk (nj).
+
+    known: places and the squared rates that a solution on another grid has there, so that this one fits it better.
+    """
     leads = (_LEAD * stretch.lasts[0], _LEAD * stretch.lasts[1])
     level = (leads[0] > 0.0, leads[1] > 0.0)
     allowed = partial(_allowed, stretch, v, a, j)
-    sigma, envelope = _grid(stretch, leads, allowed)
+    sigma, envelope = _grid(stretch, leads, allowed, known)
     h = np.diff(sigma)
     around = np.concatenate([h[:1], h, h[-1:]])
     left, right = h / (around[:-2] + h), h / (h + around[2:])
     share = np.append(left, 0.5)
     slope = 2.0 / (around[:-1] + around[1:])
     points = stretch.rates(sigma, 3)
-    ceiling = _ceiling(stretch, v, sigma, points[0])
+    ceiling = np.minimum(*_ceilings(stretch, v, sigma, points[0]))
     for end, lead in enumerate(leads):  # rows of the grid do not see the leads: there x is that of the grid's end
         if lead > 0.0:
-            within = np.linspace(0.0, lead, 9)
+            within = np.linspace(0.0, lead, _LEAD_LOOKS)
             at = sigma[0] - within if end == 0 else sigma[-1] + within
-            ceiling[-end] = min(ceiling[-end], float(allowed(at).min()))
+            ceiling[-end] = min(ceiling[-end], float(np.minimum(*allowed(at)).min()))
     first, second = points[0][:, :-1], points[1][:, :-1]
     bases = [_basis(left, right, h, f) for f in (0.0, 0.5, 1.0)]
     return Program(
@@ -95,6 +105,7 @@ def program_of(stretch: Stretch, v: Array, a: Array, j: Array) -> Program:
             *((f, stretch.rates(sigma[:-1] + f * h, 3)) for f in _BETWEEN),
             (1.0, [each[1:] for each in points]),
         ),
+        v=v,
         a=a,
         j=j,
         ceiling=ceiling,
@@ -103,37 +114,56 @@ def program_of(stretch: Stretch, v: Array, a: Array, j: Array) -> Program:
     )
 
 
-def _allowed(stretch: Stretch, v: Array, a: Array, j: Array, sigma: Array) -> Array:
-    """Largest constant x (k) that the limits allow at sigma (k)."""
+def _allowed(stretch: Stretch, v: Array, a: Array, j: Array, sigma: Array) -> tuple[Array, Array]:
+    """Largest constant x (k) that the joints' limits allow at sigma (k), and the one that the commanded speed allows."""
     first, second, third = stretch.rates(sigma, 3)
     with np.errstate(divide="ignore"):
-        x = np.minimum(_ceiling(stretch, v, sigma, first), (a / np.abs(second[:, :-1])).min(axis=1))
+        x = np.minimum(_ceilings(stretch, v, sigma, first)[0], (a / np.abs(second[:, :-1])).min(axis=1))
         x = np.minimum(x, (j / np.abs(third[:, :-1])).min(axis=1) ** (2.0 / 3.0))
-    return np.asarray(np.maximum(x, LEAST_RATE))
+    return np.maximum(x, LEAST_RATE), np.maximum(_ceilings(stretch, v, sigma, first)[1], LEAST_RATE)
 
 
-def _ceiling(stretch: Stretch, v: Array, sigma: Array, first: Array) -> Array:
-    """Largest x (k) that speed limits allow at sigma (k), where first (k, nj + 1) are the rates of order 1."""
+def _ceilings(stretch: Stretch, v: Array, sigma: Array, first: Array) -> tuple[Array, Array]:
+    """Largest x (k) by the joints' and by the commanded speed at sigma (k); first (k, nj + 1) are rates of order 1."""
     with np.errstate(divide="ignore"):
-        rate = np.minimum((v[:-1] / np.abs(first[:, :-1])).min(axis=1), v[-1] / np.abs(stretch.along(sigma)))
-    return np.asarray(np.minimum(rate, _FASTEST) ** 2)
+        joints = (v[:-1] / np.abs(first[:, :-1])).min(axis=1)
+        along = v[-1] / np.abs(stretch.along(sigma))
+    return np.minimum(joints, _FASTEST) ** 2, np.minimum(along, _FASTEST) ** 2
 
 
-def _grid(stretch: Stretch, leads: tuple[float, float], allowed: Callable[[Array], Array]) -> tuple[Array, Array]:
+def _grid(
+    stretch: Stretch, leads: tuple[float, float], allowed: Allowed, known: tuple[Array, Array] | None
+) -> tuple[Array, Array]:
     """Grid points (m + 1) between the leads, denser where the path is slow, and a guess of x there."""
     a, b = leads[0], stretch.end - leads[1]
     step = min(GRID, stretch.spacing)
     even = np.linspace(a, b, max(int(np.ceil((b - a) / step)), _LEAST_INTERVALS) + 1)
     step = float(even[1] - even[0])
-    width = int(_DIP / step) | 1
-    envelope = uniform_filter1d(minimum_filter1d(allowed(even), width, mode="nearest"), width, mode="nearest")
+    width = min(int(_DIP / step), len(even)) | 1
+    joints, commanded = allowed(even)
+    guess = np.minimum(joints, commanded) if known is None else np.interp(even, *known)
+    around = minimum_filter1d(guess, width, mode="nearest")
+    envelope = uniform_filter1d(around, width, mode="nearest")
     # as fine as the path's own samples, and as GRID in the time that it will take
     density = np.maximum(1.0 / step, 1.0 / (GRID * np.clip(np.sqrt(envelope), _SLOWEST, 1.0)))
+    apart = np.where(_calm(stretch, even, joints, commanded), np.maximum(_COARSE, 1.0 / density), 1.0 / density)
+    width = min(int(_FAR / step), len(even)) | 1  # neighbours differ by less than a half
+    density = 1.0 / uniform_filter1d(minimum_filter1d(apart, width, mode="nearest"), width, mode="nearest")
     count = np.concatenate([[0.0], np.cumsum(0.5 * step * (density[1:] + density[:-1]))])
-    m = int(np.ceil(count[-1]))
+    m = max(int(np.ceil(count[-1])), _LEAST_INTERVALS)
     grid = np.interp(np.linspace(0.0, count[-1], m + 1), count, even)
     grid[[0, -1]] = a, b
     return grid, np.interp(grid, even, envelope)
+
+
+def _calm(stretch: Stretch, even: Array, joints: Array, commanded: Array) -> NDArray[np.bool_]:
+    """Places (k) of an even grid far around which the commanded speed alone sets the speed, and is constant."""
+    width = min(2 * int(_FAR / float(even[1] - even[0])), len(even)) | 1
+    calm = minimum_filter1d(joints / commanded, width, mode="nearest") > _EASY
+    varies = maximum_filter1d(commanded, width, mode="nearest") / minimum_filter1d(commanded, width, mode="nearest")
+    start, end = stretch.lasts
+    inside = (even > start + _FAR) & (even < stretch.end - end - _FAR)
+    return np.asarray(calm & inside & (varies < _STEADY))
 
 
 def _start(envelope: Array, ceiling: Array, level: tuple[bool, bool]) -> Array:
@@ -175,9 +205,9 @@ def _in_turn(a: Array, b: Array) -> Array:
     return np.ascontiguousarray(np.stack([a, b], axis=1).reshape(2 * len(a), *a.shape[1:]))
 
 
-def overruns(program: Program, c: Array) -> tuple[Array, Array]:
-    """Largest acceleration and jerk (m) as shares of their limits in each interval, at its ends and between."""
-    worst = np.zeros((2, len(program.h)))
+def overruns(program: Program, c: Array) -> tuple[Array, Array, Array]:
+    """Largest squared speed, acceleration and jerk (m) as shares of their limits in each interval, ends included."""
+    worst = np.zeros((3, len(program.h)))
     before, after = program.left * (c[:-2] - c[1:-1]), program.right * (c[2:] - c[1:-1])
     bend = (2.0 * (before + after) / program.h**2)[:, None]
     for f, rates in program.looks:
@@ -186,6 +216,8 @@ def overruns(program: Program, c: Array) -> tuple[Array, Array]:
         slope = (2.0 * (after * f - before * (1.0 - f)) / program.h)[:, None]
         acceleration = second * x + 0.5 * first * slope
         jerk = np.sqrt(x) * (third * x + 1.5 * second * slope + 0.5 * first * bend)
-        for k, (value, limit) in enumerate(((acceleration, program.a), (jerk, program.j))):
+        for k, (value, limit) in enumerate(
+            ((rates[0] * np.sqrt(x), program.v), (acceleration, program.a), (jerk, program.j))
+        ):
             np.maximum(worst[k], (np.abs(value) / limit).max(axis=1), out=worst[k])
-    return worst[0], worst[1]
+    return worst[0] ** 2, worst[1], worst[2]
