@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
-from pydantic import Discriminator, Tag, model_validator
+from pydantic import BaseModel, Discriminator, Tag, model_validator
 
 from planner.errors import nearest_name
-from planner.problem_fields import PATH, Position, Quantity, Section, Thickness, key, one_of, refusal
+from planner.problem_fields import PATH, Position, Quantity, Section, Thickness, Vector, key, one_of, refusal
 
 
 class CylinderSpec(Section):
@@ -21,15 +22,52 @@ class CylinderSpec(Section):
     )
 
 
-class PartSpec(Section):
-    """The body to print on."""
+class SphereSpec(Section):
+    """A ball; where it reaches below the bed, it is a dome."""
 
-    cylinder: CylinderSpec = key("cylinder", "an upright cylinder")
+    radius: Annotated[float, Quantity("mm", 1, 5000)] = key("radius_mm", "radius [mm]")
+    centre: Position = key("centre_mm", "its centre in the part frame [mm]", (0, 0, 0))
+
+
+class MeshSpec(Section):
+    """A body from a file of facets; what is seen of it from above is printed on."""
+
+    file: Annotated[Path, PATH] = key("file", "the STL file, in mm, counted from the folder of the problem file")
+    origin: Position = key("origin_mm", "the file's origin in the part frame, once the file is turned [mm]", (0, 0, 0))
+    rpy: Annotated[Vector, Quantity("deg", -360, 360, count=3)] = key(
+        "rpy_deg",
+        "the file turned about x, then y, then z of the part frame [deg]; [90, 0, 0] where y points up",
+        (0, 0, 0),
+    )
+
+
+class PartSpec(Section):
+    """The body to print on: one of these."""
+
+    cylinder: CylinderSpec | None = key("cylinder", "an upright cylinder; default: none", None)
+    sphere: SphereSpec | None = key("sphere", "a ball or a dome; default: none", None)
+    mesh: MeshSpec | None = key("mesh", "a file of facets; default: none", None)
+
+    @property
+    def body(self) -> str:
+        """Which of them it is, by its key."""
+        return next(name for name in type(self).model_fields if getattr(self, name) is not None)
+
+    @model_validator(mode="after")
+    def _one_body(self) -> PartSpec:
+        given = [name for name in type(self).model_fields if getattr(self, name) is not None]
+        if len(given) == 1:
+            return self
+        names = list(type(self).model_fields)
+        if not given:
+            raise refusal("no body is given", f"give one of them: {', '.join(names)}")
+        raise refusal(f"both {given[0]} and {given[1]} are given", "give one of them", fields=given)
 
 
 def _one_source(value: Any) -> Any:
-    if isinstance(value, dict) and "svg" in value and "waypoints" in value:
-        raise refusal("both svg and waypoints are given", "give one of them", fields=["svg", "waypoints"])
+    given = [name for name in _leading() if isinstance(value, dict) and name in value]
+    if len(given) > 1:
+        raise refusal(f"both {given[0]} and {given[1]} are given", "give one of them", fields=given)
     return value
 
 
@@ -62,8 +100,31 @@ class WaypointsSpec(Section):
     _one_source = model_validator(mode="before")(_one_source)
 
 
+PatternName = Literal["honeycomb", "zigzag", "squares", "concentric"]
+PATTERN_NAMES: tuple[str, ...] = get_args(PatternName)
+
+
+class PatternSpec(Section):
+    """A plane pattern whose lines become beads."""
+
+    pattern: Annotated[PatternName, one_of(PATTERN_NAMES)] = key("pattern", f"one of {', '.join(PATTERN_NAMES)}")
+    cell: Annotated[float, Quantity("mm", 0.1, 1000)] = key(
+        "cell_mm", "width of a cell from wall to wall, or distance between lines [mm]"
+    )
+    size: Annotated[tuple[float, float], Quantity("mm", 0.1, 15_000, count=2)] = key(
+        "size_mm", "what the pattern covers at most, in x and y [mm]"
+    )
+    outline: Annotated[Literal["rectangle", "ellipse"], one_of(("rectangle", "ellipse"))] = key(
+        "outline", "shape of what it covers: rectangle or ellipse", "rectangle"
+    )
+
+    _one_source = model_validator(mode="before")(_one_source)
+
+
 class LayersSpec(Section):
-    """What is printed, and how often."""
+    """What is printed, and how often: a drawing wrapped around the part."""
+
+    bodies: ClassVar[tuple[str, ...]] = ("cylinder",)  # what they can be laid on
 
     source: SvgSpec = key("source", "where the curves come from")
     wrap: Annotated[Literal["cylinder"], one_of(("cylinder",))] = key("wrap", "the surface they are laid on")
@@ -71,25 +132,93 @@ class LayersSpec(Section):
     height: Thickness = key("height_mm", "height of a layer [mm]")
 
 
+class ProjectedLayersSpec(Section):
+    """What is printed, and how often: plane curves projected onto the part."""
+
+    bodies: ClassVar[tuple[str, ...]] = ("sphere", "mesh")
+
+    project: Annotated[Literal["z"], one_of(("z",))] = key("project", "the axis along which curves fall onto the part")
+    offset: Annotated[Literal["normal", "z"], one_of(("normal", "z"))] = key(
+        "offset", "where the next layer lies: along the surface's normal, or along z", "normal"
+    )
+    centre: Annotated[tuple[float, float], Quantity("mm", -100_000, 100_000, count=2)] = key(
+        "centre_mm", "where the middle of the curves lies, x and y of the part frame [mm]", (0, 0)
+    )
+    turn: Annotated[float, Quantity("deg", -360, 360)] = key(
+        "turn_deg", "by how much the curves are turned about the vertical [deg]", 0
+    )
+    count: Annotated[int, Quantity("", 1, 10_000, whole=True)] = key("count", "number of layers")
+    height: Thickness = key("height_mm", "height of a layer [mm]")
+
+
+class ProjectedDrawingSpec(ProjectedLayersSpec):
+    """A drawing projected onto the part."""
+
+    source: SvgSpec = key("source", "where the curves come from")
+
+
+class ProjectedPatternSpec(ProjectedLayersSpec):
+    """A pattern projected onto the part."""
+
+    source: PatternSpec = key("source", "where the curves come from")
+
+
 class WaypointLayersSpec(Section):
     """What is printed, if a file says it point by point: all layers stand in the file."""
+
+    bodies: ClassVar[tuple[str, ...]] = ()
 
     source: WaypointsSpec = key("source", "where the waypoints come from")
 
 
+# Kinds of layers by Pydantic's tag. The first key of `layers.source` leads: it tells the kind, with what stands beside.
+KINDS: dict[str, type[BaseModel]] = {
+    "[svg]": LayersSpec,
+    "[projected]": ProjectedDrawingSpec,
+    "[pattern]": ProjectedPatternSpec,
+    "[waypoints]": WaypointLayersSpec,
+}
+
+
+def _keys(model: type[BaseModel], required: bool = False) -> list[str]:
+    fields = model.model_fields.items()
+    return [field.alias or name for name, field in fields if field.is_required() or not required]
+
+
+def _source_of(model: type[BaseModel]) -> type[BaseModel]:
+    source: Any = model.model_fields["source"].annotation
+    return source
+
+
+def _leading() -> list[str]:
+    """The keys of `layers.source` that lead, each once."""
+    return list(dict.fromkeys(_keys(_source_of(model))[0] for model in KINDS.values()))
+
+
 def _kind_of_layers(value: Any) -> str:
-    """The tag of the model that the keys of `layers.source` belong to."""
-    source = value.get("source") if isinstance(value, dict) else None
-    if not isinstance(source, dict) or ("svg" in source and "waypoints" not in source):
-        return "[svg]"
-    if "svg" in source:  # both: what stands beside them tells which is too much
-        return "[svg]" if {"wrap", "count", "height_mm"} & value.keys() else "[waypoints]"
-    keys = [[f.alias or name for name, f in model.model_fields.items()] for model in (SvgSpec, WaypointsSpec)]
-    near = {nearest_name(key, keys[0] + keys[1]) for key in source if isinstance(key, str)}
-    return "[waypoints]" if near & set(keys[1]) else "[svg]"
+    """The tag of the model that the keys of `layers` and of `layers.source` come nearest to: fewest wrong or missing."""
+    layers = value if isinstance(value, dict) else {}
+    source = layers.get("source")
+
+    def mistakes(section: Any, of: Callable[[type[BaseModel]], type[BaseModel]], tag: str) -> int:
+        if not isinstance(section, dict):
+            return 0
+        every = [key for model in KINDS.values() for key in _keys(of(model))]
+        meant = {nearest_name(key, every) for key in section if isinstance(key, str)} - {None}
+        model = of(KINDS[tag])
+        return len(meant - set(_keys(model))) + len(set(_keys(model, required=True)) - meant)
+
+    tags = list(KINDS)
+    if isinstance(source, dict):
+        led = [tag for tag in tags if _keys(_source_of(KINDS[tag]))[0] in source]
+        tags = led or tags
+    return min(tags, key=lambda tag: mistakes(source, _source_of, tag) + mistakes(layers, lambda model: model, tag))
 
 
 AnyLayersSpec = Annotated[
-    Annotated[LayersSpec, Tag("[svg]")] | Annotated[WaypointLayersSpec, Tag("[waypoints]")],
+    Annotated[LayersSpec, Tag("[svg]")]
+    | Annotated[ProjectedDrawingSpec, Tag("[projected]")]
+    | Annotated[ProjectedPatternSpec, Tag("[pattern]")]
+    | Annotated[WaypointLayersSpec, Tag("[waypoints]")],
     Discriminator(_kind_of_layers),
 ]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import InputError
-from planner.problem import LayersSpec, PartSpec, Problem, WaypointLayersSpec
+from planner.problem import CylinderSpec, LayersSpec, Problem, WaypointLayersSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.interpolation import Interpolated, TooRough, interpolate
 from planner.toolpath.ordering import reverse, shorten_travel
@@ -34,11 +34,12 @@ def build_toolpath(problem: Problem) -> Toolpath:
 
     Raises InputError for a file that cannot be read, and for a drawing that does not fit on the part.
     """
-    if isinstance(problem.layers, WaypointLayersSpec):
-        return _through_waypoints(problem, problem.layers)
-    if problem.part is None:
+    layers, part = problem.layers, problem.part
+    if isinstance(layers, WaypointLayersSpec):
+        return _through_waypoints(problem, layers)
+    if part is None or part.cylinder is None or not isinstance(layers, LayersSpec):
         raise problem.error("part", "is missing", "the body to print on")
-    return _wrap_drawing(problem, problem.layers, problem.part)
+    return _wrap_drawing(problem, layers, part.cylinder)
 
 
 def _through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
@@ -88,10 +89,10 @@ def _curve(problem: Problem, spec: WaypointLayersSpec, path: Waypoints, apart: f
     return curve
 
 
-def _wrap_drawing(problem: Problem, spec: LayersSpec, part: PartSpec) -> Toolpath:
+def _wrap_drawing(problem: Problem, spec: LayersSpec, part: CylinderSpec) -> Toolpath:
     """Round a drawing's corners, order its beads and lay the layers around the part."""
     process = problem.process
-    cylinder = Cylinder(part.cylinder.radius, part.cylinder.height, np.asarray(part.cylinder.centre))
+    cylinder = Cylinder(part.radius, part.height, np.asarray(part.centre))
     paths = read_svg(spec.source.svg, spec.source.width, process.chord_tolerance)
     _check_fit(problem, paths, cylinder)
 
