@@ -34,12 +34,14 @@ from planner.problem_mistakes import first_mistake
 from planner.problem_process import AroundBeadSpec
 from planner.problem_sources import (
     AnyLayersSpec,
-    CylinderSpec,
     LayersSpec,
     MeshSpec,
     PartSpec,
     PatternSpec,
+    ProjectedDrawingSpec,
     ProjectedLayersSpec,
+    ProjectedPatternSpec,
+    SvgSpec,
     WaypointLayersSpec,
     WaypointsSpec,
 )
@@ -47,14 +49,16 @@ from planner.problem_sources import (
 __all__ = [
     "STRATEGY_NAMES",
     "CellSpec",
-    "CylinderSpec",
     "LayersSpec",
     "MeshSpec",
     "PartSpec",
     "PatternSpec",
     "PositionerSpec",
     "Problem",
+    "ProjectedDrawingSpec",
     "ProjectedLayersSpec",
+    "ProjectedPatternSpec",
+    "SvgSpec",
     "WaypointLayersSpec",
     "WaypointsSpec",
     "find_problem",
