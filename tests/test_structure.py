@@ -76,6 +76,8 @@ FORBIDDEN = {
 HEAVY = {
     "numba": {
         "kinematics",
+        "toolpath.facet_tree",
+        "toolpath.height_field",
         "toolpath.ordering",
         "toolpath.surfels",
         "toolpath.transport",
@@ -89,6 +91,7 @@ HEAVY = {
     "ruckig": {"travel"},
     "pinocchio": {"cell", "replay"},
     "svgelements": {"toolpath"},
+    "trimesh": {"toolpath.facets"},
     "matplotlib": {"report"},
     "plotly": {"report"},
     "rich": {"progress", "report.summary", "solve"},

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Inside = Callable[[Array], NDArray[np.bool_]]
 
 MOST_CELLS = 100_000
-THINNEST_CELL = 4.0  # bead widths: in a narrower honeycomb cell the beads of two walls touch
+THINNEST_CELL = 4.0  # widths: in a narrower honeycomb cell the beads of two walls touch
 _ROOM = 1e-9  # m: a cell that just fits, fits
 _SIDES = {"honeycomb": "cell", "squares": "cell", "zigzag": "pair of lines", "concentric": "line"}
 
@@ -27,7 +27,7 @@ class NoPattern(ValueError):
 
 
 def pattern(spec: PatternSpec, width: float, flatness: float) -> tuple[PlanePath, ...]:
-    """The lines of a pattern for beads `width` wide [m], curves within `flatness` [m] of the chords that stand for them.
+    """The lines of a pattern, `width` [m] apart where two run side by side, curves within `flatness` [m] of chords.
 
     Raises NoPattern where nothing fits into the outline, or too much does.
     """
@@ -36,7 +36,8 @@ def pattern(spec: PatternSpec, width: float, flatness: float) -> tuple[PlanePath
         raise NoPattern(f"the pattern has more than {MOST_CELLS} cells")
     if spec.pattern == "honeycomb":
         if spec.cell < THINNEST_CELL * width:
-            raise NoPattern(f"cells are narrower than {THINNEST_CELL:g} beads, {THINNEST_CELL * width * 1e3:g} mm")
+            least = f"{THINNEST_CELL * width * 1e3:.2f} mm"
+            raise NoPattern(f"honeycomb cells are narrower than {least}, four beads with their rounded corners")
         paths = _honeycomb(spec, width)
     elif spec.pattern == "squares":
         paths = _squares(spec)

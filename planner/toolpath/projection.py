@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 
 STEEPEST = 75.0  # deg from the horizontal: beyond, a hair's breadth aside is a long way down, and the nozzle lies flat
 _REACH = 2.0  # bead widths beside a curve within which the surface counts
+_SWING = 0.9  # of the corner tolerance, by which a rounded curve leaves a straight line between corners
 _RESERVE = 1.02  # the stretch varies within a tolerance
 _FOLDED = 0.2  # of the way from the body to a layer that folds: nearer to folding it is no layer
 
@@ -74,7 +75,8 @@ def _paths(problem: Problem, source: SvgSpec | PatternSpec) -> tuple[PlanePath, 
     if isinstance(source, SvgSpec):
         return read_svg(source.svg, source.width, process.chord_tolerance, partial(problem.error, "layers.source.svg"))
     try:
-        return pattern(source, process.bead.width, process.chord_tolerance)
+        beside = process.bead.width + 2.0 * _SWING * process.corner_tolerance
+        return pattern(source, beside, process.chord_tolerance)
     except NoPattern as error:
         raise problem.error("layers.source.cell_mm", str(error), "change cell_mm or size_mm") from None
 
