@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, get_args
+from typing import Annotated, Any, ClassVar, Literal, cast, get_args
 
-from pydantic import BaseModel, Discriminator, Tag, model_validator
+from pydantic import Discriminator, Tag, model_validator
 
 from planner.errors import nearest_name
 from planner.problem_fields import PATH, Position, Quantity, Section, Thickness, Vector, key, one_of, refusal
@@ -65,7 +65,8 @@ class PartSpec(Section):
 
 
 def _one_source(value: Any) -> Any:
-    given = [name for name in _leading() if isinstance(value, dict) and name in value]
+    names = dict.fromkeys(name for kind in KINDS for name in kind.names)
+    given = [name for name in names if isinstance(value, dict) and name in value]
     if len(given) > 1:
         raise refusal(f"both {given[0]} and {given[1]} are given", "give one of them", fields=given)
     return value
@@ -171,48 +172,57 @@ class WaypointLayersSpec(Section):
     source: WaypointsSpec = key("source", "where the waypoints come from")
 
 
-# Kinds of layers by Pydantic's tag. The first key of `layers.source` leads: it tells the kind, with what stands beside.
-KINDS: dict[str, type[BaseModel]] = {
-    "[svg]": LayersSpec,
-    "[projected]": ProjectedDrawingSpec,
-    "[pattern]": ProjectedPatternSpec,
-    "[waypoints]": WaypointLayersSpec,
-}
+@dataclass(frozen=True)
+class _Kind:
+    """A kind of layers: its tag, its model, and the keys of `layers.source` that name it."""
+
+    tag: str
+    model: type[Section]
+    names: tuple[str, ...]
+
+    @property
+    def source_keys(self) -> list[str]:
+        return _aliases(cast(type[Section], self.model.model_fields["source"].annotation))
+
+    def claim(self, layers: set[str | None], source: set[str | None]) -> tuple[int, int, int, int]:
+        """How well it fits the keys that the file holds; the greatest fits best."""
+        needed = {field.alias for field in self.model.model_fields.values() if field.is_required()}
+        return (
+            int(any(name in source for name in self.names)),
+            len(source & set(self.source_keys)),
+            len(layers & set(_aliases(self.model))),
+            -len(needed - layers),
+        )
 
 
-def _keys(model: type[BaseModel], required: bool = False) -> list[str]:
-    fields = model.model_fields.items()
-    return [field.alias or name for name, field in fields if field.is_required() or not required]
+def _aliases(model: type[Section]) -> list[str]:
+    """The keys of a section, as they stand in the file."""
+    return [field.alias or name for name, field in model.model_fields.items()]
 
 
-def _source_of(model: type[BaseModel]) -> type[BaseModel]:
-    source: Any = model.model_fields["source"].annotation
-    return source
-
-
-def _leading() -> list[str]:
-    """The keys of `layers.source` that lead, each once."""
-    return list(dict.fromkeys(_keys(_source_of(model))[0] for model in KINDS.values()))
+KINDS = (
+    _Kind("[svg]", LayersSpec, ("svg",)),
+    _Kind("[projected]", ProjectedDrawingSpec, ("svg",)),
+    _Kind("[pattern]", ProjectedPatternSpec, ("pattern",)),
+    _Kind("[waypoints]", WaypointLayersSpec, ("waypoints",)),
+)
 
 
 def _kind_of_layers(value: Any) -> str:
-    """The tag of the model that the keys of `layers` and of `layers.source` come nearest to: fewest wrong or missing."""
+    """The tag of the model that the keys of `layers` belong to, misspelt ones read as what they may mean."""
+    source = value.get("source") if isinstance(value, dict) else None
+    if not isinstance(source, dict):
+        source = {}
+    inner = [key for kind in KINDS for key in kind.source_keys]
+    outer = [key for kind in KINDS for key in _aliases(kind.model)]
     layers = value if isinstance(value, dict) else {}
-    source = layers.get("source")
-
-    def mistakes(section: Any, of: Callable[[type[BaseModel]], type[BaseModel]], tag: str) -> int:
-        if not isinstance(section, dict):
-            return 0
-        every = [key for model in KINDS.values() for key in _keys(of(model))]
-        meant = {nearest_name(key, every) for key in section if isinstance(key, str)} - {None}
-        model = of(KINDS[tag])
-        return len(meant - set(_keys(model))) + len(set(_keys(model, required=True)) - meant)
-
-    tags = list(KINDS)
-    if isinstance(source, dict):
-        led = [tag for tag in tags if _keys(_source_of(KINDS[tag]))[0] in source]
-        tags = led or tags
-    return min(tags, key=lambda tag: mistakes(source, _source_of, tag) + mistakes(layers, lambda model: model, tag))
+    meant, beside = (
+        {nearest_name(key, known) for key in section if isinstance(key, str)}
+        for section, known in ((source, inner), (layers, outer))
+    )
+    if not source:
+        return max(KINDS, key=lambda kind: len(beside & set(_aliases(kind.model)))).tag
+    return max(KINDS, key=lambda kind: kind.claim(beside, meant)).tag
 
 
 AnyLayersSpec = Annotated[

@@ -53,6 +53,10 @@ class Substrate:
             return normals
         return self.body.normals(points)
 
+    def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
+        """The layer's at the tips (n, 3), whatever bead is laid there."""
+        return self.normals(tips)
+
     def project(self, plane: Array, layer: int) -> tuple[Array, Array]:
         """Nozzle tip and normals (n, 3) above plane points (n, 2): layer k's runs k + 1 layer heights above the body."""
         points, normals = self.body.at(plane)
