@@ -15,10 +15,11 @@ from planner.toolpath.height_field import HeightField, fit
 Array = NDArray[np.float64]
 
 FARTHEST_FROM_FACETS = 5e-5  # m, of the smooth surface, at the curves
-_CALM = 3.5e-5  # m: near enough to take a surface and try none that bends more quickly
+_BETTER = 0.7  # times as far off: else a surface with twice the knots only repeats the facets more closely
 _COARSEST, _FINEST = 4, 64  # knots of the smooth surface along the longer side of what is covered
 _SAMPLES = 240  # of the facets along that side
-_ASIDE = 1e-4  # weight of the facets that no curve comes near, against those at a curve
+_FARTHEST_NEAR = 5e-3  # m: facets larger than this are looked at no farther aside
+_ASIDE = 1e-3  # weight of the facets that no curve comes near, against those at a curve
 _STEEPEST = 0.17  # upward component of a facet's normal: steeper ones say nothing of the surface
 
 
@@ -85,21 +86,25 @@ class MeshTop:
 
     @classmethod
     def near(cls, facets: FacetTree, curves: Array, reach: float) -> MeshTop:
-        """Lay a smooth surface through facets within `reach` [m] of curves, given as points x, y (n, 2) on them.
+        """Lay a smooth surface through facets near curves, given as points x, y (n, 2) that all fall onto facets.
 
-        Raises TooRough where it leaves them by more than FARTHEST_FROM_FACETS at a curve.
+        Near is what is within `reach` [m], or farther where facets are larger. Raises TooRough where the surface
+        leaves them by more than FARTHEST_FROM_FACETS at a curve.
         """
+        z, found = facets.top(curves)
+        size = np.linalg.norm(np.diff(facets.corners[found], axis=1), axis=2).max(axis=1)
+        reach = max(reach, min(float(np.median(size)), _FARTHEST_NEAR))
         low, high = curves.min(axis=0) - reach, curves.max(axis=0) + reach
         side = float((high - low).max())
-        samples, weights = _samples(facets, curves, low, high, reach)
-        z, found = facets.top(curves)
-        best: MeshTop | None = None
-        worst = 0
+        samples, weights = _samples(facets, np.column_stack([curves, z]), low, high, reach)
+        best, worst = None, 0
         knots = _COARSEST
-        while knots <= _FINEST and (best is None or best.gap > _CALM):
+        while knots <= _FINEST:
             surface = fit(samples, weights, low, high, side / knots)
             points, normals = surface.at(curves)
             off = np.abs(points[:, 2] - z) * np.minimum(normals[:, 2], facets.normals[found, 2])
+            if best is not None and best.gap <= FARTHEST_FROM_FACETS and off.max() > _BETTER * best.gap:
+                break
             if best is None or off.max() < best.gap:
                 worst = int(np.argmax(off))
                 best = cls(facets, surface, float(off[worst]))
@@ -127,17 +132,17 @@ class MeshTop:
 
 
 def _samples(facets: FacetTree, curves: Array, low: Array, high: Array, reach: float) -> tuple[Array, Array]:
-    """Points (n, 3) of the facets, on a grid and at the curves, and the weights (n) of their squared heights.
+    """Points (n, 3) of the facets on a grid, and the weights (n) of their squared heights; curves (m, 3).
 
-    A height counts as much as the distance from the surface that it stands for.
+    A height counts as much as the distance from the surface that it stands for, and nothing beyond a cliff.
     """
     step = float((high - low).max()) / _SAMPLES
     axes = [np.arange(a + 0.5 * step, b, step) for a, b in zip(low, high, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    away, _ = cKDTree(curves).query(grid, distance_upper_bound=reach)
-    weights = np.where(np.isfinite(away), 1.0, _ASIDE)
+    away, nearest = cKDTree(curves[:, :2]).query(grid)
     z, found = facets.top(grid)
     up = np.where(found >= 0, facets.normals[found, 2], 0.0)
-    weights = weights * up**2
-    keep = up > _STEEPEST
+    weights = np.where(away <= reach, 1.0, _ASIDE) * up**2
+    beyond = np.abs(z - curves[nearest, 2]) * _STEEPEST > away + step  # as no slope would take it
+    keep = (up > _STEEPEST) & ~beyond
     return np.column_stack([grid, z])[keep], weights[keep]

@@ -44,6 +44,7 @@ def read_facets(spec: MeshSpec, where: Complaint) -> Array:
     keep = across > _THINNEST * np.maximum(longest, _THINNEST)
     if not keep.any():
         raise where(f"{name} holds no facet that has an area")
+    mesh.merge_vertices()
     if mesh.is_watertight and mesh.volume < 0.0:
         raise where(f"{name} is inside out: its facets face inwards", hint="flip its normals in a CAD program")
     turn = Rotation.from_euler("xyz", spec.rpy).as_matrix()
@@ -80,7 +81,7 @@ def _binary(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
         raise where(f"{path.name} is no STL file, or damaged: it announces {count} facets and has room for {there}")
     _check_count(path, count, where)
     parts = trimesh.exchange.stl.load_stl_binary(io.BytesIO(data))
-    return trimesh.Trimesh(vertices=parts["vertices"], faces=parts["faces"])
+    return trimesh.Trimesh(vertices=parts["vertices"], faces=parts["faces"], process=False)
 
 
 def _text(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
@@ -91,7 +92,7 @@ def _text(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            mesh = trimesh.load_mesh(io.BytesIO(data), file_type="stl_ascii")
+            mesh = trimesh.load_mesh(io.BytesIO(data), file_type="stl_ascii", process=False)
     except (ValueError, IndexError, KeyError, TypeError, Warning, trimesh.exchange.stl.HeaderError) as error:
         raise where(f"{reason}: {error}") from error
     found = len(mesh.faces)

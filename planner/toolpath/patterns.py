@@ -81,17 +81,21 @@ def _honeycomb(spec: PatternSpec, width: float) -> list[PlanePath]:
     for column, level in zip(i[kept].tolist(), k[kept].tolist(), strict=True):
         for band in (level - 1, level):  # the cell's lower and upper half
             columns.setdefault(band, []).append(column)
-    ribbons = []
+    ribbons: list[PlanePath] = []
     inset = 0.5 * width
-    for number, band in enumerate(sorted(columns), 1):
+    for band in sorted(columns):
         low, high = half * band + inset, half * (band + 1) - inset
-        points = []
-        for column in range(min(columns[band]), max(columns[band]) + 1):
-            x = 1.5 * side * column
-            upper = (column + band) % 2 == 0  # the band holds the upper half of this column's cell
-            rim, flat = (low, high) if upper else (high, low)
-            points += [(x - side, rim), (x - 0.5 * side, flat), (x + 0.5 * side, flat), (x + side, rim)]
-        ribbons.append(PlanePath(f"ribbon {number}", _distinct(np.array(points)), False))
+        row = np.array(sorted(columns[band]))
+        for run in np.split(row, np.flatnonzero(np.diff(row) > 1) + 1):
+            points = []
+            for column in run.tolist():
+                x = 1.5 * side * column
+                upper = (column + band) % 2 == 0  # the band holds the upper half of this column's cell
+                rim, flat = (low, high) if upper else (high, low)
+                points += [(x - side, rim), (x - 0.5 * side, flat), (x + 0.5 * side, flat), (x + side, rim)]
+            line = _distinct(np.array(points))
+            line[[0, -1], 0] += np.array([1.0, -1.0]) * inset / np.sqrt(3.0)  # on the walls of the outermost cells
+            ribbons.append(PlanePath(f"ribbon {len(ribbons) + 1}", line, False))
     return ribbons
 
 
