@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from benchmarks.orientation import angles, published_axes
+from benchmarks.orientation import main as orientation
 from planner.errors import InputError
 from planner.problem import PatternSpec, Problem, load_problem
 from planner.solve import main, solve
@@ -437,3 +439,31 @@ def test_the_published_mesh_is_solved() -> None:
     normals = np.vstack([bead.normals for bead in plan.toolpath.beads])
     assert np.abs(DOME.signed_distance(points) - 0.5e-3).max() <= 5e-5
     assert np.degrees(np.linalg.norm(np.cross(normals, DOME.normals(points)), axis=1)).max() <= 0.3
+
+
+# The published way of directing the nozzle
+
+
+def test_equation_3_is_exact_only_on_two_great_circles() -> None:
+    lean = np.radians(np.array([-50.0, -20.0, 0.0, 35.0]))
+    none = np.zeros(4)
+    for along in ([np.sin(lean), none, np.cos(lean)], [none, np.sin(lean), np.cos(lean)]):
+        normals = np.column_stack(along)
+        np.testing.assert_allclose(published_axes(normals), -normals, atol=1e-12)
+    normals = DOME.at(np.array([[0.02, 0.02], [0.03, -0.02]]))[1]
+    off = angles(published_axes(normals), -normals)
+    # by hand for the first: n = (0.4, 0.4, 0.8246), whose projections lean by 25.88 degrees each
+    s = 0.4 / np.hypot(0.4, normals[0, 2])
+    axis = -np.array([s * np.sqrt(1 - s**2), s, 1 - s**2])
+    assert off[0] == pytest.approx(np.degrees(np.arccos(-axis @ normals[0])), abs=1e-6)
+    assert (off > 1.0).all()
+
+
+def test_the_orientation_benchmark_tells_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert orientation([]) == 0
+    assert "equation (3)" in capsys.readouterr().out
+    dome(tmp_path)
+    changes = [word for change in on_mesh(tmp_path / "dome.stl") for word in ("--set", change)]
+    assert orientation(changes) == 0
+    assert "jump of the normal" in capsys.readouterr().out
+    assert orientation(["--set", "layers.centre_mm=[300, 0]"]) == 2
