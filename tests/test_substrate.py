@@ -289,6 +289,22 @@ def test_the_surface_grows_with_the_layers() -> None:
     np.testing.assert_allclose(found, [0.01, 0.01, 0.01, 0.0095, 0.009])
 
 
+def test_a_pattern_may_reach_to_the_edge(tmp_path: Path) -> None:
+    """A zig-zag over all of a slab's top; where a rounded turn would swing over the edge, it is refused."""
+    slab = trimesh.creation.box([40.0, 40.0, 20.0])
+    (tmp_path / "slab.stl").write_bytes(slab.export(file_type="stl"))
+    mesh = on_mesh(tmp_path / "slab.stl", "origin_mm: [0, 0, 10]")
+    for pattern_name, side, fits in (("squares", 40, True), ("zigzag", 39, True), ("zigzag", 40, False)):
+        source = f"layers.source={{pattern: {pattern_name}, cell_mm: 5, size_mm: [{side}, {side}]}}"
+        problem = load_problem("hemisphere_honeycomb", (*mesh, source, "layers.count=1"))
+        if fits:
+            points = np.vstack([bead.points for bead in build_toolpath(problem).beads])
+            np.testing.assert_allclose(points[:, 2], 20.5e-3, atol=1e-9)
+            continue
+        with pytest.raises(InputError, match="leaves the part"):
+            build_toolpath(problem)
+
+
 # Files
 
 

@@ -27,7 +27,11 @@ class Body(Protocol):
     """A body whose surface is seen from above (metres, part frame)."""
 
     def at(self, plane: Array) -> tuple[Array, Array]:
-        """Points and outward unit normals (n, 3) of the surface at x, y (n, 2); NaN where there is none."""
+        """Points and outward unit normals (n, 3) of the surface at x, y (n, 2)."""
+        ...
+
+    def upward(self, plane: Array) -> Array:
+        """Upward components (n,) of the surface's normals at x, y (n, 2); NaN where there is no surface."""
         ...
 
     def normals(self, points: Array) -> Array:
@@ -54,6 +58,10 @@ class Ball:
         normals = np.column_stack([across, up]) / self.radius
         normals[np.isnan(up)] = np.nan
         return self.centre + self.radius * normals, normals
+
+    def upward(self, plane: Array) -> Array:
+        """Upward components (n,) of the normals at x, y (n, 2); NaN beside the ball."""
+        return self.at(plane)[1][:, 2]
 
     def normals(self, points: Array) -> Array:
         """Outward unit normals (n, 3): away from the centre."""
@@ -114,11 +122,12 @@ class MeshTop:
         return best
 
     def at(self, plane: Array) -> tuple[Array, Array]:
-        """Points and outward unit normals (n, 3) of the smooth surface at x, y (n, 2); NaN where there is no facet."""
-        points, normals = self.surface.at(plane)
-        missing = self.facets.top(plane)[1] < 0
-        points[missing], normals[missing] = np.nan, np.nan
-        return points, normals
+        """Points and outward unit normals (n, 3) of the smooth surface at x, y (n, 2), a hair beyond the facets too."""
+        return self.surface.at(plane)
+
+    def upward(self, plane: Array) -> Array:
+        """Upward components (n,) of the smooth surface's normals at x, y (n, 2); NaN where there is no facet."""
+        return np.where(self.facets.top(plane)[1] >= 0, self.surface.at(plane)[1][:, 2], np.nan)
 
     def normals(self, points: Array) -> Array:
         """Outward unit normals (n, 3) of the smooth surface at the places nearest to points (n, 3)."""

@@ -59,6 +59,11 @@ class FacetTree(ReadOnlyArrays):
         """The highest facet that is seen from above at x, y (n, 2): z there [m], NaN where none is; its index, or -1."""
         return _top(np.ascontiguousarray(plane), self.corners, self.normals, self.low, self.high)
 
+    def upward(self, plane: Array) -> Array:
+        """Upward components (n,) of the normals of the highest facets at x, y (n, 2); NaN where none is."""
+        found = self.top(plane)[1]
+        return np.where(found >= 0, self.normals[found, 2], np.nan)
+
 
 def _morton(points: Array) -> NDArray[np.uint64]:
     """Points (n, 3) by the interleaved bits of their coordinates: near in this order is near in space."""

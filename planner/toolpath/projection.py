@@ -101,7 +101,7 @@ def _body(problem: Problem, part: PartSpec, paths: Sequence[PlanePath], outline:
     facets = FacetTree.of(read_facets(part.mesh, complain))
     if facets.normals[:, 2].max() <= 0.0:
         raise complain(f"no facet of {part.mesh.file.name} faces upwards", "turn it with part.mesh.rpy_deg")
-    _check_all(problem, _Bare(facets), paths, outline)
+    _check_all(problem, facets, paths, outline)
     try:
         return MeshTop.near(facets, np.vstack(outline), _REACH * problem.process.bead.width)
     except TooRough as error:
@@ -112,20 +112,8 @@ def _body(problem: Problem, part: PartSpec, paths: Sequence[PlanePath], outline:
         ) from None
 
 
-class _Bare:
-    """A mesh as it is, for the question whether curves fall onto it."""
-
-    def __init__(self, facets: FacetTree) -> None:
-        self.facets = facets
-
-    def at(self, plane: Array) -> tuple[Array, Array]:
-        z, found = self.facets.top(plane)
-        normals = np.where((found >= 0)[:, None], self.facets.normals[found], np.nan)
-        return np.column_stack([plane, z]), normals
-
-
-def _check_all(problem: Problem, body: Ball | _Bare, paths: Sequence[PlanePath], outline: Sequence[Array]) -> None:
-    if not any(np.isfinite(body.at(points)[1]).any() for points in outline):
+def _check_all(problem: Problem, body: Ball | FacetTree, paths: Sequence[PlanePath], outline: Sequence[Array]) -> None:
+    if not any(np.isfinite(body.upward(points)).any() for points in outline):
         raise problem.error(
             "layers.centre_mm", "no curve falls onto the part", "the middle of the curves, x and y of the part frame"
         )
@@ -133,9 +121,9 @@ def _check_all(problem: Problem, body: Ball | _Bare, paths: Sequence[PlanePath],
         _check_there(problem, body, path.name, points)
 
 
-def _check_there(problem: Problem, body: Ball | _Bare | Body, name: str, plane: Array) -> None:
+def _check_there(problem: Problem, body: Ball | FacetTree | Body, name: str, plane: Array) -> None:
     """Raise InputError where a curve leaves the part, or where this is too steep."""
-    up = body.at(plane)[1][:, 2]
+    up = body.upward(plane)
     off = ~(up >= np.cos(np.radians(STEEPEST)))
     if not off.any():
         return
