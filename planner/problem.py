@@ -32,10 +32,20 @@ from planner.problem_fields import key as _key
 from planner.problem_file import Source, apply_overrides, find_problem, read_problem_file, shipped_problems
 from planner.problem_mistakes import first_mistake
 from planner.problem_process import AroundBeadSpec
-from planner.problem_sources import AnyLayersSpec, LayersSpec, PartSpec, WaypointLayersSpec, WaypointsSpec
+from planner.problem_sources import (
+    AerofoilLayersSpec,
+    AerofoilSpec,
+    AnyLayersSpec,
+    LayersSpec,
+    PartSpec,
+    WaypointLayersSpec,
+    WaypointsSpec,
+)
 
 __all__ = [
     "STRATEGY_NAMES",
+    "AerofoilLayersSpec",
+    "AerofoilSpec",
     "CellSpec",
     "LayersSpec",
     "PartSpec",
@@ -273,6 +283,8 @@ class Problem(Section):
             raise PydanticKnownError("missing")
         if part is not None and isinstance(layers, WaypointLayersSpec):
             raise refusal("waypoints carry their own surface: there is no body", "leave out part")
+        if part is not None and isinstance(layers, AerofoilLayersSpec):
+            raise refusal("a wing is its own body", "leave out part")
         return part
 
     @field_validator("process")
@@ -281,7 +293,7 @@ class Problem(Section):
         if "height" in process.bead.model_fields_set or "layers" not in info.data:
             return process
         layers = info.data["layers"]
-        if not isinstance(layers, LayersSpec):
+        if isinstance(layers, WaypointLayersSpec):
             raise refusal("height_mm is missing", "height of a bead [mm]; a file of waypoints has none", item="bead")
         bead = process.bead.model_copy(update={"height": layers.height})
         return process.model_copy(update={"bead": bead})

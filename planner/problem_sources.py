@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
-from pydantic import Discriminator, Tag, model_validator
+from pydantic import BeforeValidator, Discriminator, Tag, model_validator
 
 from planner.errors import nearest_name
 from planner.problem_fields import PATH, Position, Quantity, Section, Thickness, key, one_of, refusal
+from planner.problem_file import describe, shorten
 
 
 class CylinderSpec(Section):
@@ -25,6 +28,22 @@ class PartSpec(Section):
     """The body to print on."""
 
     cylinder: CylinderSpec = key("cylinder", "an upright cylinder")
+
+
+def _naca(value: Any) -> str:
+    if not isinstance(value, str):
+        raise refusal(f"must be four digits in quotes, not {describe(value)}", 'for example naca: "0015"')
+    if not re.fullmatch(r"[0-9]{4}", value):
+        raise refusal(f"{shorten(value)!r} is no section of four digits", 'for example naca: "0015"')
+    if value[2:] == "00":
+        raise refusal(f"section {value} has no thickness", 'the last two digits, for example naca: "0015"')
+    if (value[0] == "0") != (value[1] == "0"):
+        reason = f"section {value} has camber without its place, or a place without camber"
+        raise refusal(reason, "the first two digits are both 0, or neither is")
+    return value
+
+
+_NACA = BeforeValidator(_naca)
 
 
 def _one_source(value: Any) -> Any:
@@ -62,6 +81,28 @@ class WaypointsSpec(Section):
     _one_source = model_validator(mode="before")(_one_source)
 
 
+class AerofoilSpec(Section):
+    """A wing: a section, straight along its span. The part frame's x runs along the chord, y along the span."""
+
+    aerofoil: Annotated[Path, PATH] | None = key(
+        "aerofoil", "file of the section's points, counted from the folder of the problem file", None
+    )
+    naca: Annotated[str, _NACA] | None = key("naca", "the section by its four digits, in quotes", None)
+    chord: Annotated[float, Quantity("mm", 1, 10_000)] = key("chord_mm", "length of the chord [mm]")
+    span: Annotated[float, Quantity("mm", 1, 10_000)] = key("span_mm", "length along the span [mm]")
+    origin: Position = key("origin_mm", "leading edge in the part frame, where the span begins [mm]", (0, 0, 0))
+    tilt: Annotated[float, Quantity("deg", 5, 90)] = key(
+        "tilt_deg", "greatest tilt of a layer [deg]; where a layer is steeper, it is left out", 45
+    )
+
+    @model_validator(mode="after")
+    def _one_section(self) -> AerofoilSpec:
+        if (self.aerofoil is None) == (self.naca is None):
+            found = "neither aerofoil nor naca is" if self.naca is None else "both aerofoil and naca are"
+            raise refusal(f"{found} given", "give exactly one of them", fields=["aerofoil", "naca"])
+        return self
+
+
 class LayersSpec(Section):
     """What is printed, and how often."""
 
@@ -77,19 +118,65 @@ class WaypointLayersSpec(Section):
     source: WaypointsSpec = key("source", "where the waypoints come from")
 
 
+class AerofoilLayersSpec(Section):
+    """What is printed, if it is a wing: layers parallel to its lower and its upper surface."""
+
+    source: AerofoilSpec = key("source", "where the wing's section comes from")
+    count: Annotated[int, Quantity("", 1, 10_000, whole=True)] | None = key(
+        "count", "number of layers, from the first; default: all of the wing", None
+    )
+    height: Thickness = key("height_mm", "height of a layer [mm]")
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """A kind of layers: its tag, its model, and the keys of `layers.source` that only it has and that name it."""
+
+    tag: str
+    model: type[Section]
+    names: tuple[str, ...]
+
+    @property
+    def source_keys(self) -> list[str]:
+        return _aliases(cast(type[Section], self.model.model_fields["source"].annotation))
+
+    def claim(self, layers: dict[Any, Any], source: dict[Any, Any]) -> tuple[int, int, int, int]:
+        """How well it fits what the file holds; the greatest fits best."""
+        own = _aliases(self.model)
+        needed = {field.alias for field in self.model.model_fields.values() if field.is_required()}
+        return (
+            int(any(name in source for name in self.names)),
+            sum(key in self.source_keys for key in source),
+            sum(key in own for key in layers),
+            -len(needed - layers.keys()),
+        )
+
+
+def _aliases(model: type[Section]) -> list[str]:
+    """The keys of a section, as they stand in the file."""
+    return [field.alias or name for name, field in model.model_fields.items()]
+
+
+KINDS = (
+    _Kind("[svg]", LayersSpec, ("svg",)),
+    _Kind("[waypoints]", WaypointLayersSpec, ("waypoints",)),
+    _Kind("[aerofoil]", AerofoilLayersSpec, ("aerofoil", "naca")),
+)
+
+
 def _kind_of_layers(value: Any) -> str:
-    """The tag of the model that the keys of `layers.source` belong to."""
+    """The tag of the model that the keys of `layers.source` belong to, misspelt ones read as what they may mean."""
     source = value.get("source") if isinstance(value, dict) else None
-    if not isinstance(source, dict) or ("svg" in source and "waypoints" not in source):
-        return "[svg]"
-    if "svg" in source:  # both: what stands beside them tells which is too much
-        return "[svg]" if {"wrap", "count", "height_mm"} & value.keys() else "[waypoints]"
-    keys = [[f.alias or name for name, f in model.model_fields.items()] for model in (SvgSpec, WaypointsSpec)]
-    near = {nearest_name(key, keys[0] + keys[1]) for key in source if isinstance(key, str)}
-    return "[waypoints]" if near & set(keys[1]) else "[svg]"
+    if not isinstance(source, dict):
+        return KINDS[0].tag
+    known = list(dict.fromkeys(key for kind in KINDS for key in kind.source_keys))
+    meant = {nearest_name(key, known): None for key in source if isinstance(key, str)}
+    return max(KINDS, key=lambda kind: kind.claim(value, meant)).tag
 
 
 AnyLayersSpec = Annotated[
-    Annotated[LayersSpec, Tag("[svg]")] | Annotated[WaypointLayersSpec, Tag("[waypoints]")],
+    Annotated[LayersSpec, Tag("[svg]")]
+    | Annotated[WaypointLayersSpec, Tag("[waypoints]")]
+    | Annotated[AerofoilLayersSpec, Tag("[aerofoil]")],
     Discriminator(_kind_of_layers),
 ]
