@@ -85,9 +85,13 @@ class AerofoilSpec(Section):
     """A wing: a section, straight along its span. The part frame's x runs along the chord, y along the span."""
 
     aerofoil: Annotated[Path, PATH] | None = key(
-        "aerofoil", "file of the section's points, counted from the folder of the problem file", None
+        "aerofoil",
+        "file of the section's points, counted from the folder of the problem file; default: none, but naca",
+        None,
     )
-    naca: Annotated[str, _NACA] | None = key("naca", "the section by its four digits, in quotes", None)
+    naca: Annotated[str, _NACA] | None = key(
+        "naca", "the section by its four digits, in quotes; default: none, but aerofoil", None
+    )
     chord: Annotated[float, Quantity("mm", 1, 10_000)] = key("chord_mm", "length of the chord [mm]")
     span: Annotated[float, Quantity("mm", 1, 10_000)] = key("span_mm", "length along the span [mm]")
     origin: Position = key("origin_mm", "leading edge in the part frame, where the span begins [mm]", (0, 0, 0))

@@ -1,0 +1,114 @@
+"""A wing in layers parallel to its lower and its upper surface (Arigela et al.): from the problem to its beads.
+
+The lower half is printed from its surface up to where both sides are equally near, which is the chord line of a
+symmetric section; the upper half from there to its surface. A layer's tip curve is the section's own spline, offset.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.problem import AerofoilLayersSpec, Problem
+from planner.toolpath.aerofoil_files import naca_section, read_section
+from planner.toolpath.bead import Bead, Toolpath
+from planner.toolpath.section import Section, TooUneven, parallels, section_through
+from planner.toolpath.strips import CurvedStrip, LayeredSolid, Strip
+from planner.toolpath.zigzag import Filling, beads_end, fill
+
+Array = NDArray[np.float64]
+
+_CLEAR = 0.1  # layer heights that a tip curve keeps from where the other side is as near: its normal is never in doubt
+_THINNEST = 0.5  # layer heights between the sides where the last layer ends: it would be printed into the support
+_SHORTEST = 3.0  # bead widths: a shorter piece of a layer is left out
+
+
+def wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
+    """Lay the beads of a wing. Raises InputError for a section that cannot be read or printed."""
+    section = _section(problem, spec)
+    process, origin = problem.process, spec.source.origin
+    span = (origin[1], origin[1] + spec.source.span)
+    floor = float(section.lower.points(section.lower.grid)[:, 1].min())
+    if floor < 0.0:
+        raise problem.error(
+            "layers.source.origin_mm",
+            f"the lower surface reaches {-floor * 1e3:.2f} mm below the part frame's xy plane, on which the part stands",
+            f"its z at least {(origin[2] - floor) * 1e3 + 0.005:.2f}",
+        )
+    layers = _layers(section, spec, _SHORTEST * process.bead.width)[: spec.count]
+    if not layers:
+        raise problem.error(
+            "layers.height_mm", "the section is too small for a single layer", "choose a smaller height, or tilt_deg"
+        )
+    filling = Filling(process.bead.width, process.bead.height, process.corner_tolerance, process.run_in)
+    _check_span(problem, spec, filling)
+    beads: list[Bead] = []
+    strips: list[Strip] = [*_mould(section, spec, floor)]
+    levels = [-1] * len(strips)
+    # the outer layers run along the curve, and so does every second one from each surface inwards
+    for layer, (pieces, depth) in enumerate(layers):
+        for piece in pieces:
+            name = f"layer {layer + 1}" + (f" piece {pieces.index(piece) + 1}" if len(pieces) > 1 else "")
+            beads.append(fill(piece, depth % 2 == 0, span, filling, name, layer, beads_end(beads)))
+            strips.append(piece)
+            levels.append(layer)
+    order = tuple(bead.layer for bead in beads)
+    return Toolpath(tuple(beads), LayeredSolid(tuple(strips), tuple(levels), order, span, 0, {}))
+
+
+def _section(problem: Problem, spec: AerofoilLayersSpec) -> Section:
+    """The section at its place in the part frame."""
+    source = spec.source
+    if source.aerofoil is not None:
+        field = "layers.source.aerofoil"
+        points = read_section(source.aerofoil, partial(problem.error, field))
+    else:
+        field = "layers.source.naca"
+        points = naca_section(source.naca or "")
+    nose = int(np.argmin(np.linalg.norm(points, axis=1)))
+    try:
+        return section_through(source.chord * points + np.array([source.origin[0], source.origin[2]]), nose)
+    except TooUneven as error:
+        x, z = points[error.point]
+        reason = f"no smooth curve goes through its points: it swings out beside x = {x:.5f}, z = {z:.5f} of the chord"
+        raise problem.error(field, reason, "leave out points, or set more where the section bends") from None
+
+
+def _layers(section: Section, spec: AerofoilLayersSpec, shortest: float) -> list[tuple[list[CurvedStrip], int]]:
+    """The pieces of each layer in print order, and how many layers lie between it and its surface."""
+    height, tilt = spec.height, spec.source.tilt
+    lower: list[tuple[list[CurvedStrip], int]] = []
+    upper: list[tuple[list[CurvedStrip], int]] = []
+    for found, side, other, rise in (
+        (lower, section.lower, section.upper, 1),
+        (upper, section.upper, section.lower, 0),
+    ):
+        while True:
+            depth = len(found)
+            tip, base = (depth + rise) * height, (depth + 1 - rise) * height
+            apart = max(tip + _CLEAR * height, _THINNEST * height)
+            ends = parallels(side, other, tip, apart, tilt)
+            pieces = [CurvedStrip(side, tip, base, first, last) for first, last in ends]
+            pieces = [piece for piece in pieces if piece.length >= shortest]
+            if not pieces:
+                break
+            found.append((pieces, depth))
+    return lower + upper[::-1]
+
+
+def _mould(section: Section, spec: AerofoilLayersSpec, floor: float) -> list[CurvedStrip]:
+    """What the first layer lies on where no support is printed: a shell down to the bed under the lower surface."""
+    ends = parallels(section.lower, section.upper, 0.0, 0.0, spec.source.tilt)
+    return [CurvedStrip(section.lower, 0.0, -floor, first, last) for first, last in ends]
+
+
+def _check_span(problem: Problem, spec: AerofoilLayersSpec, filling: Filling) -> None:
+    least = _SHORTEST * filling.width
+    if spec.source.span < least:
+        raise problem.error(
+            "layers.source.span_mm",
+            f"a wing of {spec.source.span * 1e3:g} mm is too short to be filled",
+            f"at least three bead widths, {least * 1e3:g}",
+        )
