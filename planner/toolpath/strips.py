@@ -19,6 +19,7 @@ _Piece = tuple[Array, Array, NDArray[np.int64]]  # of an outline: see there
 
 _SAMPLE = 5e-5  # m between places at which outlines are looked up
 _NUDGE = 1e-6  # m that a place of an outline is moved out to see whether something else is there
+_ON_TIP = 0.5  # of a layer's height from its tip curve: nearer, a point lies on that layer
 _DENSE = 400  # intervals on which the length of a parallel curve is integrated
 
 
@@ -108,8 +109,9 @@ class CurvedStrip:
         return self.side.points(t) + self.tip * inward, self._outward * inward
 
     def normals(self, points: Array) -> Array:
-        """Outward unit normals (n, 2) of the side at its places nearest to points (n, 2)."""
-        return self._outward * self.side.inward(self.side.nearest(points))
+        """Outward unit normals (n, 2) of the side at those of its places nearest to points (n, 2) that the strip covers."""
+        t = np.clip(self.side.nearest(points), self.first, self.last)
+        return self._outward * self.side.inward(t)
 
     def covers(self, places: Places) -> Mask:
         """Which places (n) lie inside."""
@@ -230,14 +232,34 @@ class LayeredSolid:
         return np.asarray(np.minimum(outside + np.minimum(np.maximum(across, beyond), 0.0), bed))
 
     def normals(self, points: Array) -> Array:
-        """Outward unit normals (n, 3) of the layers whose tip curves are nearest to points (n, 3), their true ones."""
+        """Outward unit normals (n, 3): of the layer on whose tip curve points (n, 3) lie, its true ones; elsewhere away
+        from what is there."""
         flat = np.ascontiguousarray(points[:, ::2])
         outline = self._tip_outline
-        strip = outline.strip[outline.tree.query(flat)[1]]
-        out = np.zeros((len(points), 3))
+        distance, k = outline.tree.query(flat)
+        strip = outline.strip[k]
+        beyond = np.maximum(self.span[0] - points[:, 1], points[:, 1] - self.span[1])
+        out = self._away(points)
         for i in np.unique(strip):
-            rows = strip == i
+            rows = (strip == i) & (np.maximum(distance, beyond) <= _ON_TIP * self.strips[i].height)
+            out[rows] = 0.0
             out[np.ix_(rows, [0, 2])] = self.strips[i].normals(flat[rows])
+        return out
+
+    def _away(self, points: Array) -> Array:
+        """Unit directions (n, 3) in which the distance from what is there grows; upwards above the bed and inside."""
+        out = np.tile([0.0, 0.0, 1.0], (len(points), 1))
+        outline = self._outline(self.level)
+        if len(outline.points) == 0:
+            return out
+        away = np.zeros_like(points)
+        away[:, ::2] = points[:, ::2] - outline.points[outline.tree.query(points[:, ::2])[1]]
+        away[:, 1] = points[:, 1] - np.clip(points[:, 1], *self.span)
+        inside = self._covered(points[:, ::2])
+        away[inside] = [0.0, 0.0, 0.0]
+        size = np.linalg.norm(away, axis=1)
+        free = (size > _NUDGE) & (size <= points[:, 2])
+        out[free] = away[free] / size[free, None]
         return out
 
     def _covered(self, points: Array) -> Mask:

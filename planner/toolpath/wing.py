@@ -20,8 +20,9 @@ from planner.toolpath.zigzag import Filling, beads_end, fill
 
 Array = NDArray[np.float64]
 
-_CLEAR = 0.1  # layer heights that a tip curve keeps from where the other side is as near: its normal is never in doubt
-_THINNEST = 0.5  # layer heights between the sides where the last layer ends: it would be printed into the support
+# Layer heights by which the other side is farther away where a layer ends: in the lower half enough to tell the halves
+# apart; in the upper half so that no bead is squeezed into less than half its height above the steps of the lower one.
+_CLEAR_LOWER, _CLEAR_UPPER = 0.1, 0.5
 _SHORTEST = 3.0  # bead widths: a shorter piece of a layer is left out
 
 
@@ -81,15 +82,14 @@ def _layers(section: Section, spec: AerofoilLayersSpec, shortest: float) -> list
     height, tilt = spec.height, spec.source.tilt
     lower: list[tuple[list[CurvedStrip], int]] = []
     upper: list[tuple[list[CurvedStrip], int]] = []
-    for found, side, other, rise in (
-        (lower, section.lower, section.upper, 1),
-        (upper, section.upper, section.lower, 0),
+    for found, side, other, rise, clear in (
+        (lower, section.lower, section.upper, 1, _CLEAR_LOWER),
+        (upper, section.upper, section.lower, 0, _CLEAR_UPPER),
     ):
         while True:
             depth = len(found)
             tip, base = (depth + rise) * height, (depth + 1 - rise) * height
-            apart = max(tip + _CLEAR * height, _THINNEST * height)
-            ends = parallels(side, other, tip, apart, tilt)
+            ends = parallels(side, other, tip, tip + clear * height, tilt)
             pieces = [CurvedStrip(side, tip, base, first, last) for first, last in ends]
             pieces = [piece for piece in pieces if piece.length >= shortest]
             if not pieces:

@@ -18,7 +18,7 @@ from planner.toolpath.wrap import arc_length
 Array = NDArray[np.float64]
 
 _STEP = 1e-3  # m between waypoints where a strip is flat
-_TURN = 0.12  # rad that the nozzle turns from one waypoint to the next at most, where a strip bends most
+_TURN = 0.06  # rad that the nozzle turns from one waypoint to the next at most, where a strip bends most
 _APART = 0.5  # of the distance of passes: the source's points lie no farther apart
 _PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
 
