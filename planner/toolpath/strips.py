@@ -19,7 +19,6 @@ _Piece = tuple[Array, Array, NDArray[np.int64]]  # of an outline: see there
 
 _SAMPLE = 5e-5  # m between places at which outlines are looked up
 _NUDGE = 1e-6  # m that a place of an outline is moved out to see whether something else is there
-_ON_TIP = 0.5  # of a layer's height from its tip curve: nearer, a point lies on that layer
 _DENSE = 400  # intervals on which the length of a parallel curve is integrated
 
 
@@ -201,7 +200,7 @@ class LayeredSolid:
     """The surface that layers lie on: what has been printed, up to the layer that is being printed, on the bed z = 0.
 
     strips, levels   all strips, and the layer of each in print order, which never falls; -1: there from the start
-    layers           layer of each bead
+    laid             the strip that each bead fills
     span             least and greatest y of the solid [m]
     level            the layers before this one are there
     outlines         of the strips that are there, by level; filled in when it is asked for
@@ -209,14 +208,14 @@ class LayeredSolid:
 
     strips: tuple[Strip, ...]
     levels: tuple[int, ...]
-    layers: tuple[int, ...]
+    laid: tuple[int, ...]
     span: tuple[float, float]
     level: int
     outlines: dict[int, _Outline]
 
     def before(self, bead: int) -> LayeredSolid:
         """The solid when the first `bead` beads have been printed: without the layer of the last of them."""
-        return replace(self, level=self.layers[max(bead - 1, 0)])
+        return replace(self, level=self.levels[self.laid[max(bead - 1, 0)]])
 
     def signed_distance(self, points: Array) -> Array:
         """Distance (n,) of points (n, 3) from what is there; negative inside."""
@@ -234,23 +233,14 @@ class LayeredSolid:
         outside = np.hypot(np.maximum(across, 0.0), np.maximum(beyond, 0.0))
         return np.asarray(np.minimum(outside + np.minimum(np.maximum(across, beyond), 0.0), bed))
 
-    def normals(self, points: Array) -> Array:
-        """Outward unit normals (n, 3): of the layer on whose tip curve points (n, 3) lie, its true ones; elsewhere away
-        from what is there."""
-        flat = np.ascontiguousarray(points[:, ::2])
-        outline = self._tip_outline
-        distance, k = outline.tree.query(flat)
-        strip = outline.strip[k]
-        beyond = np.maximum(self.span[0] - points[:, 1], points[:, 1] - self.span[1])
-        out = self._away(points)
-        for i in np.unique(strip):
-            rows = (strip == i) & (np.maximum(distance, beyond) <= _ON_TIP * self.strips[i].height)
-            out[rows] = 0.0
-            out[np.ix_(rows, [0, 2])] = self.strips[i].normals(flat[rows])
+    def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
+        """True outward unit normals (n, 3) of a bead's layer at the places nearest to tips (n, 3)."""
+        out = np.zeros((len(tips), 3))
+        out[:, ::2] = self.strips[self.laid[bead]].normals(tips[:, ::2])
         return out
 
-    def _away(self, points: Array) -> Array:
-        """Unit directions (n, 3) in which the distance from what is there grows; upwards above the bed and inside."""
+    def normals(self, points: Array) -> Array:
+        """Unit directions (n, 3) in which the distance from what is there grows; upwards next to the bed and inside."""
         out = np.tile([0.0, 0.0, 1.0], (len(points), 1))
         outline = self._outline(self.level)
         if len(outline.points) == 0:
@@ -276,11 +266,6 @@ class LayeredSolid:
 
     def _there(self, level: int) -> list[tuple[int, Strip]]:
         return [(i, strip) for i, strip in enumerate(self.strips) if self.levels[i] < level]
-
-    @cached_property
-    def _tip_outline(self) -> _Outline:
-        tips = [_tips(strip) for strip in self.strips]
-        return _collected([(*tip, np.full(len(tip[0]), i)) for i, tip in enumerate(tips)])
 
     def _outline(self, level: int) -> _Outline:
         if level not in self.outlines:

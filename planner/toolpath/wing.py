@@ -55,8 +55,8 @@ def wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
             beads.append(fill(piece, depth % 2 == 0, span, filling, name, layer, beads_end(beads)))
             strips.append(piece)
             levels.append(layer)
-    order = tuple(bead.layer for bead in beads)
-    return Toolpath(tuple(beads), LayeredSolid(tuple(strips), tuple(levels), order, span, 0, {}))
+    laid = tuple(range(len(strips) - len(beads), len(strips)))
+    return Toolpath(tuple(beads), LayeredSolid(tuple(strips), tuple(levels), laid, span, 0, {}))
 
 
 def _section(problem: Problem, spec: AerofoilLayersSpec) -> Section:
