@@ -38,6 +38,7 @@ from planner.problem_sources import (
     AnyLayersSpec,
     LayersSpec,
     PartSpec,
+    SupportSpec,
     WaypointLayersSpec,
     WaypointsSpec,
 )
@@ -51,6 +52,7 @@ __all__ = [
     "PartSpec",
     "PositionerSpec",
     "Problem",
+    "SupportSpec",
     "WaypointLayersSpec",
     "WaypointsSpec",
     "find_problem",

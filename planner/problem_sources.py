@@ -122,14 +122,28 @@ class WaypointLayersSpec(Section):
     source: WaypointsSpec = key("source", "where the waypoints come from")
 
 
+class SupportSpec(Section):
+    """What is printed under a wing: level layers, loosely filled, and curved ones on them that follow its surface."""
+
+    length: Annotated[float, Quantity("mm", 1, 10_000)] = key(
+        "length_mm", "length of the level layers along the chord, as much before the wing as behind it [mm]"
+    )
+    height: Annotated[float, Quantity("mm", 0, 10_000)] = key(
+        "height_mm", "height of the level layers before and behind the wing [mm]"
+    )
+    infill: Annotated[float, Quantity("", 0.1, 1)] = key("infill", "share of the level layers that is filled", 0.5)
+    curved: Annotated[int, Quantity("", 0, 20, whole=True)] = key("curved", "number of curved layers", 2)
+
+
 class AerofoilLayersSpec(Section):
     """What is printed, if it is a wing: layers parallel to its lower and its upper surface."""
 
     source: AerofoilSpec = key("source", "where the wing's section comes from")
     count: Annotated[int, Quantity("", 1, 10_000, whole=True)] | None = key(
-        "count", "number of layers, from the first; default: all of the wing", None
+        "count", "number of layers, from the first; default: all of support and wing", None
     )
     height: Thickness = key("height_mm", "height of a layer [mm]")
+    support: SupportSpec | None = key("support", "what is printed under the wing; default: none, it is there", None)
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,12 @@ def problem(*changes: str) -> Problem:
 
 @pytest.fixture(scope="module")
 def toolpath() -> Toolpath:
-    return build_toolpath(problem("layers.source.span_mm=4"))
+    return build_toolpath(problem("layers.source.span_mm=4", "layers.support=null"))
+
+
+@pytest.fixture(scope="module")
+def supported() -> Toolpath:
+    return build_toolpath(problem("layers.source.span_mm=4", "layers.count=20"))
 
 
 def section_of(digits: str, chord: float) -> Section:
@@ -195,7 +200,7 @@ def test_each_layer_lies_on_what_is_printed(toolpath: Toolpath) -> None:
 
 def test_beads_fill_the_wing() -> None:
     """Volume of all beads against the section's area times the span: what is missing is nose, tail and half passes."""
-    toolpath = build_toolpath(problem())
+    toolpath = build_toolpath(problem("layers.support=null"))
     volume = sum(float(bead.width[0] * bead.height[0] * bead.length) for bead in toolpath.beads)
     area = 80e-3**2 * 2.0 * np.trapezoid(formula(np.linspace(0.0, 1.0, 10_001)), dx=1e-4)
     assert 0.92 * area * 20e-3 < volume < 1.02 * area * 20e-3
@@ -213,7 +218,9 @@ def test_a_layer_begins_at_the_corner_nearest_to_the_last_end(toolpath: Toolpath
 @pytest.mark.parametrize("digits", ["0006", "2412", "6409", "4415"])
 def test_other_sections_are_laid(digits: str) -> None:
     text = problem().file.read_text("utf-8").replace("aerofoil: naca0015_arigela.dat", f'naca: "{digits}"')
-    toolpath = build_toolpath(load_text(text, "layers.source.span_mm=2", "layers.source.origin_mm=[0, 0, 9]"))
+    toolpath = build_toolpath(
+        load_text(text, "layers.source.span_mm=2", "layers.source.origin_mm=[0, 0, 9]", "layers.support=null")
+    )
     assert toolpath.layers >= 8
     for i, bead in enumerate(toolpath.beads):
         assert toolpath.surface.before(i + 1).signed_distance(bead.points).min() > 0.0
@@ -232,6 +239,55 @@ def load_text(text: str, *changes: str) -> Problem:
     path = _FOLDER[0] / "wing.yaml"
     path.write_text(text, encoding="utf-8")
     return load_problem(path, changes)
+
+
+# Supports
+
+
+def test_level_layers_stand_on_the_bed_and_stay_below_the_curved_ones(supported: Toolpath) -> None:
+    level = [bead for bead in supported.beads if bead.layer < 17]
+    assert {round(float(z) * 1e6) for bead in level for z in bead.points[:, 2]} == {500 * k for k in range(1, 18)}
+    assert min(bead.points[:, 0].min() for bead in level) == pytest.approx(0.25e-3, abs=0.2e-3)
+    assert max(bead.points[:, 0].max() for bead in level) == pytest.approx(109.75e-3, abs=0.2e-3)
+    curved, surface = (next(bead for bead in supported.beads if bead.layer == layer) for layer in (17, 18))
+    tree = cKDTree(curved.points[:, ::2] - HEIGHT * curved.normals[:, ::2])
+    for bead in level:
+        under = (bead.points[:, 0] > curved.points[:, 0].min()) & (bead.points[:, 0] < curved.points[:, 0].max())
+        _, k = tree.query(bead.points[under][:, ::2])
+        away = bead.points[under][:, ::2] - tree.data[k]
+        assert ((away * curved.normals[k][:, ::2]).sum(axis=1) < 2e-5).all()
+    assert surface.points[:, 2].min() == pytest.approx(2.7000e-3, abs=1e-6), "the wing's own lower surface"
+
+
+def test_level_layers_are_half_filled_and_curved_ones_whole(supported: Toolpath) -> None:
+    for bead in supported.beads:
+        if bead.layer >= 17:
+            continue
+        sizes = np.ptp(bead.points, axis=0)
+        if sizes[0] > 20e-3:
+            filled = bead.length * bead.width[0] / ((sizes[0] + 0.5e-3) * 4e-3)
+            assert 0.45 < filled < 0.62, "the turns add a little to the half"
+    curved = [bead for bead in supported.beads if bead.layer in (17, 18)]
+    for bead in curved:
+        assert bead.length * bead.width[0] / (np.ptp(bead.points[:, 0]) * 4e-3) > 0.9
+
+
+def test_a_supported_wing_lies_on_its_support(supported: Toolpath) -> None:
+    for i, bead in enumerate(supported.beads):
+        gap = supported.surface.before(i + 1).signed_distance(bead.points)
+        assert gap.min() > 0.9 * HEIGHT
+        assert gap.max() < 2.0 * HEIGHT
+        if bead.layer != 17:
+            assert gap == pytest.approx(HEIGHT, abs=1e-6)
+
+
+def test_pieces_of_a_layer_are_laid_from_the_near_end_on(supported: Toolpath) -> None:
+    way = sum(
+        float(np.linalg.norm(bead.points[0] - before.points[-1]))
+        for before, bead in zip(supported.beads[:-1], supported.beads[1:], strict=True)
+    )
+    assert len(supported.beads) > 25
+    assert way / (len(supported.beads) - 1) < 40e-3
 
 
 # The solid
@@ -284,6 +340,8 @@ MISTAKES = [
     ("aerofoil:", "airfoil:", "layers.source.airfoil", "unknown key", "did you mean aerofoil?"),
     ("span_mm: 20, ", "", "layers.source.span_mm", "is missing", "span [mm]"),
     ("tilt_deg: 45", "tilt_deg: 91", "layers.source.tilt_deg", "too large", "5 to 90"),
+    ("curved: 2", "curved: 1.5", "layers.support.curved", "whole number", "0 to 20"),
+    ("length_mm: 110, ", "", "layers.support.length_mm", "is missing", "[mm]"),
     ("layers:", "part: {cylinder: {radius_mm: 9, height_mm: 9}}\nlayers:", "part", "its own body", "leave out part"),
 ]
 

@@ -98,7 +98,7 @@ def section_through(points: Array, nose: int) -> Section:
 
 
 def parallels(side: Side, other: Side, distance: float, apart: float, tilt: float) -> list[tuple[float, float]]:
-    """Where a curve parallel to `side`, so far inside [m], is worth printing: intervals of the side's parameter.
+    """Where a curve parallel to `side`, so far inside (or outside, if negative) [m], is worth printing: intervals of t.
 
     It ends where the other side is less than `apart` [m] away, where it would cross itself, and where it is steeper than
     `tilt` [rad].
@@ -108,8 +108,8 @@ def parallels(side: Side, other: Side, distance: float, apart: float, tilt: floa
         inward = side.inward(t)
         points = side.points(t) + distance * inward
         clear = other.distance(points) - apart
-        if distance > 0.0:
-            clear = np.minimum(clear, side.distance(points) - distance + _CROSSES)
+        if distance != 0.0:
+            clear = np.minimum(clear, side.distance(points) - abs(distance) + _CROSSES)
         return np.minimum(clear, np.abs(inward[:, 1]) - np.cos(tilt))
 
     inside = np.concatenate([[False], room(side.grid) >= 0.0, [False]])

@@ -15,7 +15,7 @@ from planner.toolpath.section import Side
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-_Piece = tuple[Array, Array, NDArray[np.int64]]  # of an outline: see there
+_Piece = tuple[Array, Array]  # of an outline: see there
 
 _SAMPLE = 5e-5  # m between places at which outlines are looked up
 _NUDGE = 1e-6  # m that a place of an outline is moved out to see whether something else is there
@@ -187,11 +187,10 @@ class FlatStrip:
 
 @dataclass(frozen=True)
 class _Outline:
-    """Places (n, 2) on the edges of strips, their outward normals (n, 2), and the strip (n) of each."""
+    """Places (n, 2) on the edges of strips, and their outward normals (n, 2)."""
 
     points: Array
     normals: Array
-    strip: NDArray[np.int64]
     tree: cKDTree
 
 
@@ -261,32 +260,31 @@ class LayeredSolid:
         low, high = outline.points.min(axis=0), outline.points.max(axis=0)
         near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
         covered = np.zeros(len(points), dtype=bool)
-        covered[near] = _inside([strip for _, strip in self._there(self.level)], points[near])
+        covered[near] = _inside(self._there(self.level), points[near])
         return covered
 
-    def _there(self, level: int) -> list[tuple[int, Strip]]:
-        return [(i, strip) for i, strip in enumerate(self.strips) if self.levels[i] < level]
+    def _there(self, level: int) -> list[Strip]:
+        return [strip for strip, at in zip(self.strips, self.levels, strict=True) if at < level]
 
     def _outline(self, level: int) -> _Outline:
         if level not in self.outlines:
             there = self._there(level)
-            new = [(i, strip) for i, strip in there if self.levels[i] == level - 1 or level == 0]
+            new = (
+                there if level == 0 else [s for s, at in zip(self.strips, self.levels, strict=True) if at == level - 1]
+            )
             before = [] if level == 0 else [self._outline(level - 1)]
-            pieces = [(o.points, o.normals, o.strip) for o in before]
-            free = [_bare(piece, [strip for _, strip in new]) for piece in pieces]
-            for i, strip in new:
-                for points, normals in (_tips(strip), _bottom(strip), *_faces(strip)):
-                    piece = points, normals, np.full(len(points), i)
-                    free.append(_bare(piece, [strip for _, strip in there]))
+            free = [_bare((o.points, o.normals), new) for o in before]
+            for strip in new:
+                free += [_bare(edge, there) for edge in (_tips(strip), _bottom(strip), *_faces(strip))]
             self.outlines[level] = _collected(free)
         return self.outlines[level]
 
 
 def _bare(piece: _Piece, strips: list[Strip]) -> _Piece:
     """What of an edge lies on no strip."""
-    points, normals, owner = piece
+    points, normals = piece
     bare = ~_inside(strips, points + _NUDGE * normals)
-    return points[bare], normals[bare], owner[bare]
+    return points[bare], normals[bare]
 
 
 def _inside(strips: list[Strip], points: Array) -> Mask:
@@ -301,8 +299,7 @@ def _collected(pieces: list[_Piece]) -> _Outline:
     none = np.zeros((0, 2))
     points = np.vstack([none, *(piece[0] for piece in pieces)])
     normals = np.vstack([none, *(piece[1] for piece in pieces)])
-    owner = np.concatenate([np.zeros(0, dtype=np.int64), *(piece[2] for piece in pieces)])
-    return _Outline(points, normals, owner, cKDTree(points))
+    return _Outline(points, normals, cKDTree(points))
 
 
 def _tips(strip: Strip) -> tuple[Array, Array]:

@@ -6,17 +6,20 @@ symmetric section; the upper half from there to its surface. A layer's tip curve
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.problem import AerofoilLayersSpec, Problem
+from planner.problem import AerofoilLayersSpec, Problem, SupportSpec
 from planner.toolpath.aerofoil_files import naca_section, read_section
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.section import Section, TooUneven, parallels, section_through
-from planner.toolpath.strips import CurvedStrip, LayeredSolid, Strip
-from planner.toolpath.zigzag import Filling, beads_end, fill
+from planner.toolpath.strips import CurvedStrip, FlatStrip, LayeredSolid, Strip
+from planner.toolpath.support import strips_of
+from planner.toolpath.zigzag import Filling, fill
 
 Array = NDArray[np.float64]
 
@@ -24,6 +27,16 @@ Array = NDArray[np.float64]
 # apart; in the upper half so that no bead is squeezed into less than half its height above the steps of the lower one.
 _CLEAR_LOWER, _CLEAR_UPPER = 0.1, 0.5
 _SHORTEST = 3.0  # bead widths: a shorter piece of a layer is left out
+
+
+@dataclass(frozen=True)
+class Job:
+    """One layer: the strips that it fills, along their curves or along the span."""
+
+    name: str
+    pieces: Sequence[Strip]
+    along: bool
+    filling: Filling
 
 
 def wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
@@ -38,25 +51,59 @@ def wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
             f"the lower surface reaches {-floor * 1e3:.2f} mm below the part frame's xy plane, on which the part stands",
             f"its z at least {(origin[2] - floor) * 1e3 + 0.005:.2f}",
         )
-    layers = _layers(section, spec, _SHORTEST * process.bead.width)[: spec.count]
-    if not layers:
+    _check_span(problem, spec)
+    shortest = _SHORTEST * process.bead.width
+    halves = _layers(section, spec, shortest)
+    if not halves:
         raise problem.error(
             "layers.height_mm", "the section is too small for a single layer", "choose a smaller height, or tilt_deg"
         )
-    filling = Filling(process.bead.width, process.bead.height, process.corner_tolerance, process.run_in)
-    _check_span(problem, spec, filling)
-    beads: list[Bead] = []
-    strips: list[Strip] = [*_mould(section, spec, floor)]
-    levels = [-1] * len(strips)
+    solid = Filling(process.bead.width, process.bead.height, process.corner_tolerance, process.run_in)
     # the outer layers run along the curve, and so does every second one from each surface inwards
-    for layer, (pieces, depth) in enumerate(layers):
-        for piece in pieces:
-            name = f"layer {layer + 1}" + (f" piece {pieces.index(piece) + 1}" if len(pieces) > 1 else "")
-            beads.append(fill(piece, depth % 2 == 0, span, filling, name, layer, beads_end(beads)))
+    jobs = [Job("layer", pieces, depth % 2 == 0, solid) for pieces, depth in halves]
+    ground: list[Strip] = []
+    if spec.support is None:
+        ground += _mould(section, spec, floor)
+    else:
+        jobs = _support(section, spec, spec.support, shortest, solid) + jobs
+    beads: list[Bead] = []
+    strips, levels = ground, [-1] * len(ground)
+    for layer, job in enumerate(jobs[: spec.count]):
+        start = beads[-1].points[-1] if beads else None
+        for number, piece in enumerate(_nearest_first(job.pieces, start), 1):
+            name = f"{job.name} {layer + 1}" + (f" piece {number}" if len(job.pieces) > 1 else "")
+            start = beads[-1].points[-1] if beads else None
+            beads.append(fill(piece, job.along, span, job.filling, name, layer, start))
             strips.append(piece)
             levels.append(layer)
     laid = tuple(range(len(strips) - len(beads), len(strips)))
     return Toolpath(tuple(beads), LayeredSolid(tuple(strips), tuple(levels), laid, span, 0, {}))
+
+
+def _nearest_first(pieces: Sequence[Strip], start: Array | None) -> Sequence[Strip]:
+    """The pieces of a layer from the end of the chord on that is nearer to `start` (3)."""
+    ends = [float(piece.tips(np.array([0.5 * piece.length]))[0][0, 0]) for piece in pieces]
+    order = np.argsort(ends)
+    if start is not None and abs(ends[order[-1]] - start[0]) < abs(ends[order[0]] - start[0]):
+        order = order[::-1]
+    return [pieces[i] for i in order]
+
+
+def _support(
+    section: Section, spec: AerofoilLayersSpec, support: SupportSpec, shortest: float, solid: Filling
+) -> list[Job]:
+    """The layers of a printed support: level ones in turn along and across, curved ones along the curve at last."""
+    loose = replace(solid, spacing=1.0 / support.infill)
+    layers = strips_of(section, spec, support, shortest)
+    return [
+        Job(
+            "support",
+            pieces,
+            (len(layers) - k) % 2 == 1,
+            loose if isinstance(pieces[0], FlatStrip) else solid,
+        )
+        for k, pieces in enumerate(layers)
+    ]
 
 
 def _section(problem: Problem, spec: AerofoilLayersSpec) -> Section:
@@ -104,8 +151,8 @@ def _mould(section: Section, spec: AerofoilLayersSpec, floor: float) -> list[Cur
     return [CurvedStrip(section.lower, 0.0, -floor, first, last) for first, last in ends]
 
 
-def _check_span(problem: Problem, spec: AerofoilLayersSpec, filling: Filling) -> None:
-    least = _SHORTEST * filling.width
+def _check_span(problem: Problem, spec: AerofoilLayersSpec) -> None:
+    least = _SHORTEST * problem.process.bead.width
     if spec.source.span < least:
         raise problem.error(
             "layers.source.span_mm",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,8 +92,3 @@ def _in_space(strip: Strip, span: tuple[float, float], plane: Array) -> tuple[Ar
     y = span[0] + plane[:, 1]
     points = np.column_stack([flat[:, 0], y, flat[:, 1]])
     return points, np.column_stack([outward[:, 0], np.zeros(len(y)), outward[:, 1]])
-
-
-def beads_end(beads: Sequence[Bead]) -> Array | None:
-    """Where the last bead ends (3), if there is one."""
-    return beads[-1].points[-1] if beads else None
