@@ -363,6 +363,9 @@ UNPRINTABLE = [
     ("layers.source.origin_mm=[15, 0, 5]", "layers.source.origin_mm", "1.00 mm below"),
     ("layers.source.chord_mm=2", "layers.height_mm", "too small for a single layer"),
     ("layers.source.span_mm=1.2", "layers.source.span_mm", "too short"),
+    ("layers.support.curved=6", "layers.support.curved", "2.70 mm above the bed"),
+    ("layers.support.length_mm=79", "layers.support.length_mm", "less than the chord"),
+    ("layers.support.height_mm=9", "layers.support.height_mm", "above the leading edge"),
     ("layers.source.aerofoil=none.dat", "layers.source.aerofoil", "no file"),
 ]
 

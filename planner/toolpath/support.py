@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.problem import AerofoilLayersSpec, SupportSpec
+from planner.problem import AerofoilLayersSpec, Problem, SupportSpec
 from planner.toolpath.section import Section, parallels
 from planner.toolpath.strips import CurvedStrip, FlatStrip, Strip
 
@@ -14,6 +14,26 @@ Array = NDArray[np.float64]
 _SAMPLES = 4000  # of the section's underside, between which level layers end
 _APART = 0.5  # layer heights in x that level layers keep from the ends of curved ones
 _ROUNDING = 1e-9  # m
+
+
+def check_support(problem: Problem, spec: AerofoilLayersSpec, support: SupportSpec, floor: float) -> None:
+    """A support must reach from the bed to all of the wing, whose lowest point is at `floor` [m], and not beyond.
+
+    Raises InputError.
+    """
+    field, least = "layers.support", 1e3 * support.curved * spec.height
+    if floor * 1e3 < least - _ROUNDING:
+        raise problem.error(
+            f"{field}.curved",
+            f"the wing is {floor * 1e3:.2f} mm above the bed, less than its curved layers are high, {least:g}",
+            f"fewer of them, or z of layers.source.origin_mm greater by {least - floor * 1e3 + 0.005:.2f}",
+        )
+    if support.length < spec.source.chord:
+        reason = f"{support.length * 1e3:g} mm are less than the chord"
+        raise problem.error(f"{field}.length_mm", reason, f"at least {spec.source.chord * 1e3:g}")
+    if support.height > spec.source.origin[2]:
+        reason = f"{support.height * 1e3:g} mm are above the leading edge: the nozzle would meet the support"
+        raise problem.error(f"{field}.height_mm", reason, f"at most {spec.source.origin[2] * 1e3:g}")
 
 
 def curved_layers(section: Section, spec: AerofoilLayersSpec, support: SupportSpec) -> list[list[CurvedStrip]]:

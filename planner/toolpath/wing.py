@@ -18,7 +18,7 @@ from planner.toolpath.aerofoil_files import naca_section, read_section
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.section import Section, TooUneven, parallels, section_through
 from planner.toolpath.strips import CurvedStrip, FlatStrip, LayeredSolid, Strip
-from planner.toolpath.support import strips_of
+from planner.toolpath.support import check_support, strips_of
 from planner.toolpath.zigzag import Filling, fill
 
 Array = NDArray[np.float64]
@@ -65,6 +65,7 @@ def wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
     if spec.support is None:
         ground += _mould(section, spec, floor)
     else:
+        check_support(problem, spec, spec.support, floor)
         jobs = _support(section, spec, spec.support, shortest, solid) + jobs
     beads: list[Bead] = []
     strips, levels = ground, [-1] * len(ground)
