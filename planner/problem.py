@@ -33,21 +33,25 @@ from planner.problem_file import Source, apply_overrides, find_problem, read_pro
 from planner.problem_mistakes import first_mistake
 from planner.problem_process import AroundBeadSpec
 from planner.problem_sources import (
+    AerofoilLayersSpec,
+    AerofoilSpec,
     AnyLayersSpec,
     LayersSpec,
     MeshSpec,
     PartSpec,
     PatternSpec,
-    ProjectedDrawingSpec,
     ProjectedLayersSpec,
-    ProjectedPatternSpec,
+    SupportSpec,
     SvgSpec,
     WaypointLayersSpec,
     WaypointsSpec,
+    check_body,
 )
 
 __all__ = [
     "STRATEGY_NAMES",
+    "AerofoilLayersSpec",
+    "AerofoilSpec",
     "CellSpec",
     "LayersSpec",
     "MeshSpec",
@@ -55,9 +59,8 @@ __all__ = [
     "PatternSpec",
     "PositionerSpec",
     "Problem",
-    "ProjectedDrawingSpec",
     "ProjectedLayersSpec",
-    "ProjectedPatternSpec",
+    "SupportSpec",
     "SvgSpec",
     "WaypointLayersSpec",
     "WaypointsSpec",
@@ -293,13 +296,8 @@ class Problem(Section):
             return part
         if part is None and layers.bodies:
             raise PydanticKnownError("missing")
-        if part is not None and not layers.bodies:
-            raise refusal("waypoints carry their own surface: there is no body", "leave out part")
-        if part is not None and part.body not in layers.bodies:
-            way, other = ("wrap", "project: z") if isinstance(layers, LayersSpec) else ("project", "wrap: cylinder")
-            bodies = " or ".join(layers.bodies)
-            hint = f"layers.{way} goes with {bodies}; layers.{other} with {part.body}"
-            raise refusal(f"layers.{way} and a {part.body} do not go together", hint, item=part.body)
+        if part is not None:
+            check_body(part, layers)
         return part
 
     @field_validator("process")

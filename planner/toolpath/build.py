@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import InputError
-from planner.problem import LayersSpec, PartSpec, Problem, WaypointLayersSpec
+from planner.problem import AerofoilLayersSpec, LayersSpec, PartSpec, Problem, WaypointLayersSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.interpolation import Interpolated, TooRough, interpolate
 from planner.toolpath.ordering import reverse, shorten_travel
@@ -21,6 +21,7 @@ from planner.toolpath.svg import PlanePath, read_svg
 from planner.toolpath.transport import roll_zeros
 from planner.toolpath.waypoint_checks import check_clear, check_waypoints
 from planner.toolpath.waypoints import Waypoints, read_waypoints
+from planner.toolpath.wing import wing
 from planner.toolpath.wrap import Cylinder, arc_length, wrap_layer
 
 Array = NDArray[np.float64]
@@ -37,6 +38,8 @@ def build_toolpath(problem: Problem) -> Toolpath:
     layers, part = problem.layers, problem.part
     if isinstance(layers, WaypointLayersSpec):
         return _through_waypoints(problem, layers)
+    if isinstance(layers, AerofoilLayersSpec):
+        return wing(problem, layers)
     if part is None:
         raise problem.error("part", "is missing", "the body to print on")
     if isinstance(layers, LayersSpec):
