@@ -33,20 +33,18 @@ from planner.problem_file import Source, apply_overrides, find_problem, read_pro
 from planner.problem_mistakes import first_mistake
 from planner.problem_process import AroundBeadSpec
 from planner.problem_sources import (
-    AerofoilLayersSpec,
-    AerofoilSpec,
     AnyLayersSpec,
     LayersSpec,
     MeshSpec,
     PartSpec,
     PatternSpec,
     ProjectedLayersSpec,
-    SupportSpec,
     SvgSpec,
     WaypointLayersSpec,
     WaypointsSpec,
     check_body,
 )
+from planner.problem_wing import AerofoilLayersSpec, AerofoilSpec, SupportSpec
 
 __all__ = [
     "STRATEGY_NAMES",

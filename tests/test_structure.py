@@ -51,6 +51,7 @@ SAME_ROOM = {
     "problem_mistakes": "problem",
     "problem_process": "problem",
     "problem_sources": "problem",
+    "problem_wing": "problem",
     "run_ends": "process",
     "robot_files": "cell",
     "verify_checks": "verify",
