@@ -39,18 +39,15 @@ from planner.problem_sources import (
     WaypointLayersSpec,
     WaypointsSpec,
 )
-from planner.problem_wing import AerofoilLayersSpec, AerofoilSpec, SupportSpec
+from planner.problem_wing import AerofoilLayersSpec
 
 __all__ = [
     "STRATEGY_NAMES",
-    "AerofoilLayersSpec",
-    "AerofoilSpec",
     "CellSpec",
     "LayersSpec",
     "PartSpec",
     "PositionerSpec",
     "Problem",
-    "SupportSpec",
     "WaypointLayersSpec",
     "WaypointsSpec",
     "find_problem",
