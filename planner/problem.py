@@ -44,12 +44,9 @@ from planner.problem_sources import (
     WaypointsSpec,
     check_body,
 )
-from planner.problem_wing import AerofoilLayersSpec, AerofoilSpec, SupportSpec
 
 __all__ = [
     "STRATEGY_NAMES",
-    "AerofoilLayersSpec",
-    "AerofoilSpec",
     "CellSpec",
     "LayersSpec",
     "MeshSpec",
@@ -58,7 +55,6 @@ __all__ = [
     "PositionerSpec",
     "Problem",
     "ProjectedLayersSpec",
-    "SupportSpec",
     "SvgSpec",
     "WaypointLayersSpec",
     "WaypointsSpec",

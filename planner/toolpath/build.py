@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import InputError
-from planner.problem import AerofoilLayersSpec, LayersSpec, PartSpec, Problem, WaypointLayersSpec
+from planner.problem import LayersSpec, PartSpec, Problem, WaypointLayersSpec
+from planner.problem_wing import AerofoilLayersSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.interpolation import Interpolated, TooRough, interpolate
 from planner.toolpath.ordering import reverse, shorten_travel

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.problem import AerofoilLayersSpec, Problem, SupportSpec
+from planner.problem import Problem
+from planner.problem_wing import AerofoilLayersSpec, SupportSpec
 from planner.toolpath.section import Section, parallels
 from planner.toolpath.strips import CurvedStrip, FlatStrip, Strip
 

@@ -13,7 +13,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.problem import AerofoilLayersSpec, Problem, SupportSpec
+from planner.problem import Problem
+from planner.problem_wing import AerofoilLayersSpec, SupportSpec
 from planner.toolpath.aerofoil_files import naca_section, read_section
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.section import Section, TooUneven, parallels, section_through
