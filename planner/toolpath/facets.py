@@ -20,7 +20,7 @@ from planner.toolpath.waypoints import FARTHEST
 Array = NDArray[np.float64]
 Complaint = Callable[..., InputError]
 
-MOST_FACETS = 2_000_000  # some 2 GB while they are read
+MOST_FACETS = 2_000_000  # read in 5 s with 1.5 GB as a binary file
 LARGEST_FILE = 600_000_000  # bytes: so many as text
 _HEADER = 84  # bytes of a binary file before its facets, of _FACET bytes each
 _FACET = 50
