@@ -32,15 +32,30 @@ from planner.problem_fields import key as _key
 from planner.problem_file import Source, apply_overrides, find_problem, read_problem_file, shipped_problems
 from planner.problem_mistakes import first_mistake
 from planner.problem_process import AroundBeadSpec
-from planner.problem_sources import AnyLayersSpec, LayersSpec, PartSpec, WaypointLayersSpec, WaypointsSpec
+from planner.problem_sources import (
+    AnyLayersSpec,
+    LayersSpec,
+    MeshSpec,
+    PartSpec,
+    PatternSpec,
+    ProjectedLayersSpec,
+    SvgSpec,
+    WaypointLayersSpec,
+    WaypointsSpec,
+    check_body,
+)
 
 __all__ = [
     "STRATEGY_NAMES",
     "CellSpec",
     "LayersSpec",
+    "MeshSpec",
     "PartSpec",
+    "PatternSpec",
     "PositionerSpec",
     "Problem",
+    "ProjectedLayersSpec",
+    "SvgSpec",
     "WaypointLayersSpec",
     "WaypointsSpec",
     "find_problem",
@@ -256,7 +271,9 @@ class Problem(Section):
     name: Identifier = _key("name", "name of the problem: of its results' folder and of the robot program")
     cell: CellSpec = _key("cell", "arm, nozzle, and what carries the part")
     layers: AnyLayersSpec = _key("layers", "what is printed")
-    part: PartSpec | None = _key("part", "the body to print on, where a drawing is wrapped; default: none", None)
+    part: PartSpec | None = _key(
+        "part", "the body to print on, where curves are wrapped or projected; default: none", None
+    )
     process: ProcessSpec = _key("process", "how material is laid down")
     strategy: Annotated[StrategyName, one_of(STRATEGY_NAMES)] = _key(
         "strategy", f"how the free motion is decided: {', '.join(STRATEGY_NAMES)}", "sqp"
@@ -269,10 +286,12 @@ class Problem(Section):
     @classmethod
     def _body_for_drawings(cls, part: PartSpec | None, info: ValidationInfo) -> PartSpec | None:
         layers = info.data.get("layers")
-        if part is None and isinstance(layers, LayersSpec):
+        if layers is None:
+            return part
+        if part is None and layers.bodies:
             raise PydanticKnownError("missing")
-        if part is not None and isinstance(layers, WaypointLayersSpec):
-            raise refusal("waypoints carry their own surface: there is no body", "leave out part")
+        if part is not None:
+            check_body(part, layers)
         return part
 
     @field_validator("process")
@@ -281,7 +300,7 @@ class Problem(Section):
         if "height" in process.bead.model_fields_set or "layers" not in info.data:
             return process
         layers = info.data["layers"]
-        if not isinstance(layers, LayersSpec):
+        if isinstance(layers, WaypointLayersSpec):
             raise refusal("height_mm is missing", "height of a bead [mm]; a file of waypoints has none", item="bead")
         bead = process.bead.model_copy(update={"height": layers.height})
         return process.model_copy(update={"bead": bead})

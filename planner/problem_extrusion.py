@@ -24,7 +24,7 @@ class BeadSpec(Section):
         default_factory=lambda: math.nan,
         validate_default=False,
         alias="height_mm",
-        description="height [mm]; default layers.height_mm, where a drawing is wrapped",
+        description="height [mm]; default layers.height_mm, where that is given",
     )
     section: Annotated[SectionName, one_of(SECTIONS)] | None = key(
         "section",

@@ -10,10 +10,14 @@ from pydantic_core import ErrorDetails
 
 from planner.errors import InputError, nearest_name
 from planner.problem_file import Keys, Source, describe
+from planner.problem_sources import KINDS
 
 Mistake = tuple[Keys, str, str | None]  # path, reason, hint
 Model = type[BaseModel]
-_NOT_IN_THE_FILE = ("[key]", "[svg]", "[waypoints]")  # Pydantic's marks in a path: of a key, of a kind of section
+_NOT_IN_THE_FILE = (
+    "[key]",
+    *(kind.tag for kind in KINDS),
+)  # Pydantic's marks in a path: of a key, of a kind of section
 
 
 def first_mistake(details: Sequence[ErrorDetails], source: Source, model: Model) -> InputError:

@@ -51,6 +51,7 @@ SAME_ROOM = {
     "problem_mistakes": "problem",
     "problem_process": "problem",
     "problem_sources": "problem",
+    "problem_wing": "problem",
     "run_ends": "process",
     "robot_files": "cell",
     "verify_checks": "verify",
@@ -76,6 +77,8 @@ FORBIDDEN = {
 HEAVY = {
     "numba": {
         "kinematics",
+        "toolpath.facet_tree",
+        "toolpath.height_field",
         "toolpath.ordering",
         "toolpath.surfels",
         "toolpath.transport",
@@ -89,6 +92,7 @@ HEAVY = {
     "ruckig": {"travel"},
     "pinocchio": {"cell", "replay"},
     "svgelements": {"toolpath"},
+    "trimesh": {"toolpath.facets"},
     "matplotlib": {"report"},
     "plotly": {"report"},
     "rich": {"progress", "report.summary", "solve"},

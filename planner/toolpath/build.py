@@ -10,23 +10,25 @@ from numpy.typing import NDArray
 
 from planner.errors import InputError
 from planner.problem import LayersSpec, PartSpec, Problem, WaypointLayersSpec
+from planner.problem_wing import AerofoilLayersSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.interpolation import Interpolated, TooRough, interpolate
 from planner.toolpath.ordering import reverse, shorten_travel
+from planner.toolpath.paths import check_length, check_size, length, seam_on_smooth_part
+from planner.toolpath.projection import project_curves
 from planner.toolpath.rounding import round_corners
 from planner.toolpath.surfels import with_layers
 from planner.toolpath.svg import PlanePath, read_svg
 from planner.toolpath.transport import roll_zeros
 from planner.toolpath.waypoint_checks import check_clear, check_waypoints
 from planner.toolpath.waypoints import Waypoints, read_waypoints
+from planner.toolpath.wing import wing
 from planner.toolpath.wrap import Cylinder, arc_length, wrap_layer
 
 Array = NDArray[np.float64]
-_SHRUNK = 0.5  # share of its length that a path must keep when its corners are rounded
 _APART = 0.5  # of the bead's width: passes lie no closer to each other
 _PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
 _CLOSED = 1e-6  # m between the ends of a closed path
-_KINK = np.radians(10.0)  # a turn above this at one vertex counts as a corner when a seam is looked for
 
 
 def build_toolpath(problem: Problem) -> Toolpath:
@@ -34,11 +36,16 @@ def build_toolpath(problem: Problem) -> Toolpath:
 
     Raises InputError for a file that cannot be read, and for a drawing that does not fit on the part.
     """
-    if isinstance(problem.layers, WaypointLayersSpec):
-        return _through_waypoints(problem, problem.layers)
-    if problem.part is None:
+    layers, part = problem.layers, problem.part
+    if isinstance(layers, WaypointLayersSpec):
+        return _through_waypoints(problem, layers)
+    if isinstance(layers, AerofoilLayersSpec):
+        return wing(problem, layers)
+    if part is None:
         raise problem.error("part", "is missing", "the body to print on")
-    return _wrap_drawing(problem, problem.layers, problem.part)
+    if isinstance(layers, LayersSpec):
+        return _wrap_drawing(problem, layers, part)
+    return project_curves(problem, layers, layers.source, part)
 
 
 def _through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
@@ -84,12 +91,14 @@ def _curve(problem: Problem, spec: WaypointLayersSpec, path: Waypoints, apart: f
             hint="choose a greater tolerance, or smooth the waypoints",
         ) from None
     hint = f"choose a smaller tolerance, or smooth the waypoints from line {path.lines[0]} on"
-    _check_size(problem, path.name, _length(path.points), _length(curve.points), hint)
+    check_size(problem, path.name, length(path.points), length(curve.points), hint)
     return curve
 
 
 def _wrap_drawing(problem: Problem, spec: LayersSpec, part: PartSpec) -> Toolpath:
     """Round a drawing's corners, order its beads and lay the layers around the part."""
+    if part.cylinder is None:
+        raise problem.error("part", "is missing", "the body to wrap around: cylinder")
     process = problem.process
     cylinder = Cylinder(part.cylinder.radius, part.cylinder.height, np.asarray(part.cylinder.centre))
     paths = read_svg(spec.source.svg, spec.source.width, process.chord_tolerance)
@@ -101,10 +110,10 @@ def _wrap_drawing(problem: Problem, spec: LayersSpec, part: PartSpec) -> Toolpat
     curves = []
     for path in paths:
         path = replace(path, points=path.points * stretch)
-        _check_length(problem, path)
+        check_length(problem, path)
         curve = round_corners(seam_on_smooth_part(path) if path.closed else path, process.corner_tolerance)
         wider = "choose a smaller tolerance, or a greater layers.source.width_mm"
-        _check_size(problem, path.name, _length(path.points), _length(curve.points), wider)
+        check_size(problem, path.name, length(path.points), length(curve.points), wider)
         curves.append(replace(curve, points=curve.points / stretch, source=curve.source / stretch))
     curves = shorten_travel(curves)
 
@@ -113,53 +122,6 @@ def _wrap_drawing(problem: Problem, spec: LayersSpec, part: PartSpec) -> Toolpat
         beads += wrap_layer(curves, cylinder, layer, spec.height, process.bead.width, process.bead.height)
         curves = [reverse(curve) for curve in reversed(curves)]  # the next layer starts where this one ended
     return Toolpath(tuple(beads), cylinder)
-
-
-def seam_on_smooth_part(path: PlanePath) -> PlanePath:
-    """Start a closed path as far from its corners as it can, so that run-in and run-out are smooth."""
-    loop = path.points[:-1]
-    before, after = loop - np.roll(loop, 1, axis=0), np.roll(loop, -1, axis=0) - loop
-    turn = np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], (before * after).sum(axis=1))
-    arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points, axis=0).T))])
-    corners = arc[:-1][np.abs(turn) > _KINK]
-    if len(corners) == 0:
-        return path
-    gaps = np.diff(np.concatenate([corners, [corners[0] + arc[-1]]]))
-    start = float(np.mod(corners[np.argmax(gaps)] + 0.5 * gaps.max(), arc[-1]))
-    k = int(np.searchsorted(arc, start, side="right"))
-    t = (start - arc[k - 1]) / (arc[k] - arc[k - 1])
-    seam = path.points[k - 1] + t * (path.points[k] - path.points[k - 1])
-    around = np.vstack([seam[None], path.points[k:-1], path.points[:k], seam[None]])
-    step = np.hypot(*np.diff(around, axis=0).T)
-    keep = np.concatenate([[True], step > 1e-12])  # a seam on a vertex stands there twice
-    points = around[keep]
-    points[-1] = seam
-    return replace(path, points=points)
-
-
-def _length(points: Array) -> float:
-    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-
-
-def _check_length(problem: Problem, path: PlanePath) -> None:
-    """A path must be a line: at least as long as its bead is wide."""
-    drawn, width = _length(path.points), problem.process.bead.width
-    if drawn < width:
-        raise problem.error(
-            "layers.source.width_mm",
-            f"path {path.name!r} is only {drawn * 1e3:.3f} mm long at this width",
-            f"at least as long as the bead is wide, {width * 1e3:g} mm",
-        )
-
-
-def _check_size(problem: Problem, name: str, drawn: float, rounded: float, hint: str) -> None:
-    """A path must not vanish in the corner tolerance; lengths drawn and rounded [m]."""
-    if rounded < _SHRUNK * drawn:
-        raise problem.error(
-            "process.corner_tolerance_mm",
-            f"rounding its corners shrinks path {name!r} from {drawn * 1e3:.2f} to {rounded * 1e3:.2f} mm",
-            hint,
-        )
 
 
 def _check_fit(problem: Problem, paths: tuple[PlanePath, ...], cylinder: Cylinder) -> None:

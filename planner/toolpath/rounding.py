@@ -12,6 +12,7 @@ convex; a log-barrier Newton method with a banded Cholesky factorisation solves 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +29,8 @@ OVERLAP = 16.0  # in l: how far a closed path is unrolled past its seam; the end
 _BARRIERS = (1e4, 1e3, 1e2, 1e1)  # against an objective of some 6,000 a sample at a corner
 _NEWTON_STEPS = 20
 _KEPT_ROOM = 0.01  # of the squared distance to a disc's rim that a step must leave: numbers stay finite
+_FINEST = 0.5  # of the tolerance: where less of it is used, samples draw no closer together
+_LEAST = 0.1  # of the tolerance, radius of any disc: where the tolerance is shared out, few samples see a corner
 _SHRINK = 0.96  # of the tolerance: leaves room for the corners of the input that fall between samples
 
 
@@ -45,20 +48,22 @@ class PlaneCurve:
     closed: bool
 
 
-def round_corners(path: PlanePath, tolerance: float) -> PlaneCurve:
+def round_corners(path: PlanePath, tolerance: float, share: Callable[[Array], Array] | None = None) -> PlaneCurve:
     """Smooth a polyline within `tolerance` [m] of itself, sample by sample (so in Fréchet distance too).
 
-    Open paths keep their end points; closed ones are smooth across the seam.
+    Open paths keep their end points; closed ones are smooth across the seam. Where `share` is given, only that part
+    (n) of the tolerance is used at points (n, 2) of the path.
     """
     length = ROUNDING_LENGTH * tolerance
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points, axis=0).T))])
-    n = max(int(np.ceil(arc[-1] / tolerance * SAMPLES_PER_TOLERANCE)), 8)
+    finest = tolerance if share is None else tolerance * max(float(share(path.points).min()), _FINEST)
+    n = max(int(np.ceil(arc[-1] / finest * SAMPLES_PER_TOLERANCE)), 8)
     step = arc[-1] / n
     if path.closed:
         extra = int(np.ceil(OVERLAP * length / step))
         u = np.arange(-extra, n + extra + 1) * step
         p = _along(path.points, arc, np.mod(u, arc[-1]))
-        radius = _disc_radii(path, arc, u, p, tolerance)
+        radius = _disc_radii(path, arc, u, p, _rooms(p, tolerance, share))
         x = _smooth(p, radius, length / step)[extra : extra + n + 1]
         gap = x[0] - x[-1]  # some nanometres: spread it, so that the curve closes exactly
         x = x + np.linspace(-0.5, 0.5, n + 1)[:, None] * gap
@@ -66,7 +71,7 @@ def round_corners(path: PlanePath, tolerance: float) -> PlaneCurve:
     else:
         u = np.arange(n + 1) * step
         p = _along(path.points, arc, u)
-        x = _smooth(p, _disc_radii(path, arc, u, p, tolerance), length / step)
+        x = _smooth(p, _disc_radii(path, arc, u, p, _rooms(p, tolerance, share)), length / step)
     return PlaneCurve(path.name, x, path.points, path.closed)
 
 
@@ -74,12 +79,17 @@ def _along(points: Array, arc: Array, u: Array) -> Array:
     return np.column_stack([np.interp(u, arc, points[:, k]) for k in range(2)])
 
 
-def _disc_radii(path: PlanePath, arc: Array, u: Array, p: Array, tolerance: float) -> Array:
-    """Radius (n) of each sample's disc [m]: smaller beside corners that fall between samples.
+def _rooms(p: Array, tolerance: float, share: Callable[[Array], Array] | None) -> Array:
+    """The tolerance (n) at each sample."""
+    return np.full(len(p), tolerance) if share is None else tolerance * share(p)
+
+
+def _disc_radii(path: PlanePath, arc: Array, u: Array, p: Array, tolerance: Array) -> Array:
+    """Radius (n) of each sample's disc [m], within its tolerance (n): smaller beside corners between samples.
 
     A corner at a distance h from the chord of its two samples p is within radius + h of the curve.
     """
-    radius = np.full(len(u), tolerance * _SHRINK)
+    radius = tolerance * _SHRINK
     corner = path.points[:-1] if path.closed else path.points[1:-1]
     at = arc[:-1] if path.closed else arc[1:-1]
     if path.closed:
@@ -93,8 +103,8 @@ def _disc_radii(path: PlanePath, arc: Array, u: Array, p: Array, tolerance: floa
     t = ((corner - p[k]) * chord).sum(axis=1) / np.maximum((chord * chord).sum(axis=1), 1e-30)
     h = np.linalg.norm(corner - p[k] - np.clip(t, 0.0, 1.0)[:, None] * chord, axis=1)
     for beside in (k, k + 1):
-        np.minimum.at(radius, beside, tolerance * _SHRINK - h)
-    return radius
+        np.minimum.at(radius, beside, tolerance[beside] * _SHRINK - h)
+    return np.maximum(radius, _LEAST * tolerance)
 
 
 def _smooth(p: Array, radius: Array, stiffness: float) -> Array:

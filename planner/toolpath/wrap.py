@@ -69,7 +69,7 @@ def wrap_layer(
     beads = []
     for curve in curves:
         points, normals, upright = cylinder.wrap(curve.points, rise)
-        source, _, _ = cylinder.wrap(_densify(curve.source), rise)
+        source, _, _ = cylinder.wrap(densify(curve.source), rise)
         beads.append(
             Bead(
                 name=curve.name,
@@ -98,7 +98,7 @@ def arc_length(points: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(0.5 * speed @ weights)])
 
 
-def _densify(polyline: Array) -> Array:
+def densify(polyline: Array) -> Array:
     """The same polyline with no segment longer than `_SOURCE_STEP`; its vertices are kept."""
     lengths = np.hypot(*np.diff(polyline, axis=0).T)
     pieces = np.maximum(np.ceil(lengths / _SOURCE_STEP).astype(int), 1)
