@@ -7,7 +7,6 @@ points on each side, then the upper and the lower side, both from the leading ed
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -15,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import InputError
+from planner.toolpath.input_file import Complaint, read_lines
 
 Array = NDArray[np.float64]
-Complaint = Callable[..., InputError]
 Row = tuple[int, float, float]  # line from 1, x, z
 
 LARGEST_FILE = 1_000_000  # bytes
@@ -55,7 +54,7 @@ def read_section(path: Path, where: Complaint | None = None) -> Array:
     Raises InputError with file and line for a line that is no point, or one of no section.
     """
     complain = partial(InputError, file=path) if where is None else where
-    rows = _rows(path, _lines(path, complain))
+    rows = _rows(path, read_lines(path, LARGEST_FILE, complain))
     if len(rows) > MOST_POINTS:
         raise complain(f"{path.name} has more than {MOST_POINTS} points")
     if not rows:
@@ -73,24 +72,6 @@ def read_section(path: Path, where: Complaint | None = None) -> Array:
         raise InputError("the lower side is above the upper side here", file=path, line=lower[1 + crossed[0]][0])
     points = np.array([row[1:] for row in upper[::-1]] + [row[1:] for row in lower])
     return _in_chords(points, len(upper) - 1, complain, path)
-
-
-def _lines(path: Path, complain: Complaint) -> list[str]:
-    try:
-        if not path.is_file():
-            raise complain(f"there is no file {path}")
-        with path.open("rb") as stream:
-            data = stream.read(LARGEST_FILE + 1)
-    except OSError as error:
-        raise complain(f"cannot read {path}: {error.strerror}") from error
-    if len(data) > LARGEST_FILE:
-        raise complain(f"{path.name} is larger than {LARGEST_FILE // 10**6} MB")
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = data[: error.start].count(b"\n") + 1
-        raise InputError("is not UTF-8 text", file=path, line=line, hint="save it as plain text") from None
-    return text.replace("\r\n", "\n").replace("\r", "\n").replace(",", " ").split("\n")
 
 
 def _rows(path: Path, lines: list[str]) -> list[Row]:

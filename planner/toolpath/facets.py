@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import struct
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +12,11 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from planner.errors import InputError
 from planner.problem import MeshSpec
+from planner.toolpath.input_file import Complaint, read_bytes
 from planner.toolpath.waypoints import FARTHEST
 
 Array = NDArray[np.float64]
-Complaint = Callable[..., InputError]
 
 MOST_FACETS = 2_000_000  # read in 5 s with 1.5 GB as a binary file
 LARGEST_FILE = 600_000_000  # bytes: so many as text
@@ -32,7 +30,7 @@ def read_facets(spec: MeshSpec, where: Complaint) -> Array:
 
     `where(reason, hint=...)` makes the InputError for what is wrong with the file, as for what stands inside out.
     """
-    data = _bytes(spec.file, where)
+    data = read_bytes(spec.file, LARGEST_FILE, where, _FEWER)
     mesh = _binary(spec.file, data, where) if _is_binary(data) else _text(spec.file, data, where)
     name = spec.file.name
     corners = np.asarray(mesh.vertices, dtype=float)[np.asarray(mesh.faces)]
@@ -49,19 +47,6 @@ def read_facets(spec: MeshSpec, where: Complaint) -> Array:
         raise where(f"{name} is inside out: its facets face inwards", hint="flip its normals in a CAD program")
     turn = Rotation.from_euler("xyz", spec.rpy).as_matrix()
     return np.asarray((corners[keep] * 1e-3) @ turn.T + np.asarray(spec.origin))
-
-
-def _bytes(path: Path, where: Complaint) -> bytes:
-    try:
-        if not path.is_file():
-            raise where(f"there is no file {path}")
-        with path.open("rb") as stream:
-            data = stream.read(LARGEST_FILE + 1)
-    except OSError as error:
-        raise where(f"cannot read {path}: {error.strerror}") from error
-    if len(data) > LARGEST_FILE:
-        raise where(f"{path.name} is larger than {LARGEST_FILE // 10**6} MB", hint=_FEWER)
-    return data
 
 
 _FEWER = f"make a mesh of fewer facets, at most {MOST_FACETS}"

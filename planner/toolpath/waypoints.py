@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,9 +14,9 @@ from numpy.typing import NDArray
 from planner.errors import InputError
 from planner.problem import WaypointsSpec
 from planner.readonly import ReadOnlyArrays
+from planner.toolpath.input_file import Complaint, read_lines
 
 Array = NDArray[np.float64]
-Complaint = Callable[..., InputError]
 
 LARGEST_FILE = 500_000_000  # bytes: some five million waypoints
 FARTHEST = 1e5  # mm: a hall of 100 m
@@ -95,7 +94,7 @@ def distinct(points: Array) -> NDArray[np.bool_]:
 
 def _table(path: Path, complain: Complaint) -> tuple[Array, NDArray[np.int64]]:
     """The file's first six columns (n, 6) as they stand there, and the line (n) of each row, from 1."""
-    lines = _lines(path, complain)
+    lines = read_lines(path, LARGEST_FILE, complain)
     rows, numbers = _content(lines)
     if not rows:
         raise complain(f"{path.name} holds no waypoints", hint="lines x y z nx ny nz, in mm")
@@ -111,24 +110,6 @@ def _table(path: Path, complain: Complaint) -> tuple[Array, NDArray[np.int64]]:
         i = int(np.argmin(good))
         _row(path, rows[i], int(numbers[i]))
     return table, numbers
-
-
-def _lines(path: Path, complain: Complaint) -> list[str]:
-    try:
-        if not path.is_file():
-            raise complain(f"there is no file {path}")
-        with path.open("rb") as stream:
-            data = stream.read(LARGEST_FILE + 1)
-    except OSError as error:
-        raise complain(f"cannot read {path}: {error.strerror}") from error
-    if len(data) > LARGEST_FILE:
-        raise complain(f"{path.name} is larger than {LARGEST_FILE // 10**6} MB")
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = data[: error.start].count(b"\n") + 1
-        raise InputError("is not UTF-8 text", file=path, line=line, hint="save it as plain text") from None
-    return text.replace("\r\n", "\n").replace("\r", "\n").replace(",", " ").split("\n")
 
 
 def _content(lines: list[str]) -> tuple[list[str], NDArray[np.int64]]:

@@ -1,0 +1,38 @@
+"""Files that toolpaths come from: read whole, up to a size, with what is wrong said by the field that names them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from planner.errors import InputError
+
+Complaint = Callable[..., InputError]
+
+
+def read_bytes(path: Path, largest: int, complain: Complaint, hint: str | None = None) -> bytes:
+    """The file's content; `complain` makes the InputError for one that is missing, unreadable, or above `largest` bytes.
+
+    hint: what to do about a file that is too large.
+    """
+    try:
+        if not path.is_file():
+            raise complain(f"there is no file {path}")
+        with path.open("rb") as stream:
+            data = stream.read(largest + 1)
+    except OSError as error:
+        raise complain(f"cannot read {path}: {error.strerror}") from error
+    if len(data) > largest:
+        raise complain(f"{path.name} is larger than {largest // 10**6} MB", hint=hint)
+    return data
+
+
+def read_lines(path: Path, largest: int, complain: Complaint) -> list[str]:
+    """The lines of a text file as `read_bytes` reads it, commas taken as blanks; InputError where it is not UTF-8."""
+    data = read_bytes(path, largest, complain)
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data[: error.start].count(b"\n") + 1
+        raise InputError("is not UTF-8 text", file=path, line=line, hint="save it as plain text") from None
+    return text.replace("\r\n", "\n").replace("\r", "\n").replace(",", " ").split("\n")
