@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.export.rapid_reader import Program
-from planner.export.rests import AT_HOME, LEAST_WAIT, STILL, cuts, samples_of_rest
+from planner.export.rests import AT_HOME, LEAST_WAIT, ON_TIME, STILL, cuts, samples_of_rest
 
 if TYPE_CHECKING:
     from planner.plan import Plan, Trajectory
@@ -33,7 +33,7 @@ def waits_differ(plan: Plan, program: Program) -> float:
         return float("inf")
     worst = 0.0
     for (start, duration, doubt), i in zip(planned, written.tolist(), strict=True):
-        tip = t.tip[min(int(np.searchsorted(t.t, start - STILL)), len(t) - 1)]
+        tip = t.tip[min(int(np.searchsorted(t.t, start - ON_TIME)), len(t) - 1)]
         if np.linalg.norm(program.position[i] - tip) > PLACE:
             return float("inf")
         worst = max(worst, abs(float(program.wait[i]) - duration) - doubt)

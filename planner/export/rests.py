@@ -17,6 +17,7 @@ Indices = NDArray[np.intp]
 
 LEAST_WAIT = 0.05  # [s]; a shorter rest is no more than the turn of a motion
 STILL = 1e-9  # rad that a joint moves in a sample, at most, where the robot stands still
+ON_TIME = 1e-9  # s: by which an event may miss a sample and still fall on it
 SLOW, SHARE = 5e-3, 0.05  # rad/s, and of the speed around: below both a motion comes to rest
 AROUND = 0.1  # s
 AT_HOME = ("heat", "purge")  # events for which the robot rests before its first move
@@ -82,7 +83,7 @@ def cuts(trajectory: Trajectory) -> list[Event]:
 def samples_of_rest(trajectory: Trajectory, event: Event) -> tuple[int, int]:
     """First and last sample of an event that rests; the nearest one, twice, where it passes between two samples."""
     end = event.start + event.duration
-    a, b = np.searchsorted(trajectory.t, [event.start - STILL, end + STILL])
+    a, b = np.searchsorted(trajectory.t, [event.start - ON_TIME, end + ON_TIME])
     if a >= b:
         a = int(np.argmin(np.abs(trajectory.t - event.start)))
         return a, a
