@@ -24,7 +24,8 @@ from scipy.interpolate import make_interp_spline
 
 from planner.cell import build_cell
 from planner.errors import EXIT_VERIFIED, PlannerError, Refusal
-from planner.problem import STRATEGY_NAMES, Problem, load_problem
+from planner.problem import Problem, load_problem
+from planner.problem.settings import STRATEGY_NAMES
 from planner.resolve import STRATEGIES
 from planner.resolve.jointpath import JointPath
 from planner.solve import solve

@@ -19,7 +19,8 @@ from rich.console import Console
 from rich.table import Table
 
 from planner.cell import Cell, build_cell
-from planner.problem import ResolveSpec, load_problem
+from planner.problem import load_problem
+from planner.problem.settings import ResolveSpec
 from planner.resolve.jointpath import JointPath
 from planner.resolve.ladder import ladder
 from planner.resolve.nlp import Solution, solve_nlp

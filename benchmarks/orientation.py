@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 from planner.errors import EXIT_VERIFIED, PlannerError
 from planner.problem import load_problem
 from planner.toolpath.bead import Bead
-from planner.toolpath.bodies import MeshTop
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.substrate import Substrate
+from planner.toolpath.substrate.bodies import MeshTop
+from planner.toolpath.substrate.layers import Substrate
 
 Array = NDArray[np.float64]
 

@@ -24,7 +24,8 @@ from scipy.interpolate import CubicSpline
 
 from planner.errors import EXIT_VERIFIED, PlannerError, Refusal
 from planner.plan import Plan
-from planner.problem import STRATEGY_NAMES, load_problem
+from planner.problem import load_problem
+from planner.problem.settings import STRATEGY_NAMES
 from planner.progress import Stages
 from planner.solve import solve
 

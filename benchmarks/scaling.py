@@ -21,7 +21,8 @@ from rich.table import Table
 
 from benchmarks.peer_cases import waypoint_text
 from planner.errors import EXIT_VERIFIED, PlannerError
-from planner.problem import STRATEGY_NAMES, load_problem
+from planner.problem import load_problem
+from planner.problem.settings import STRATEGY_NAMES
 from planner.progress import Stages
 from planner.solve import solve, write
 

@@ -16,7 +16,8 @@ from rich.console import Console
 from rich.table import Table
 
 from planner.errors import EXIT_VERIFIED, PlannerError, Refusal
-from planner.problem import STRATEGY_NAMES, Problem, load_problem
+from planner.problem import Problem, load_problem
+from planner.problem.settings import STRATEGY_NAMES
 from planner.progress import Stages
 from planner.solve import solve
 from planner.versions import versions

@@ -12,7 +12,8 @@ from planner.errors import Refusal, nearest_name
 from planner.kinematics.chain import Chain
 from planner.kinematics.inverse import InverseKinematics, with_rest
 from planner.kinematics.spherical_wrist import SphericalWrist
-from planner.problem import CellSpec, PositionerSpec, Problem
+from planner.problem import Problem
+from planner.problem.cell import CellSpec, PositionerSpec
 from planner.robot_files import Robot, chain_of, load_robot
 
 __all__ = ["Cell", "Limits", "Robot", "build_cell", "frame_from_z", "rigid_inverse", "translation"]

@@ -20,7 +20,8 @@ from scipy.spatial import cKDTree
 from planner.cell import Cell
 from planner.extrusion import bead_area, deposited_volume
 from planner.plan import Dip, Remedy, Trajectory
-from planner.problem import Problem, ProcessSpec
+from planner.problem import Problem
+from planner.problem.process import ProcessSpec
 from planner.resolve.jointpath import JointPath
 from planner.timing import HEADROOM
 from planner.toolpath.bead import Bead, Toolpath

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from planner.plan import TRAVEL, Event
-from planner.problem import ProcessSpec
+from planner.problem.process import ProcessSpec
 from planner.process import prime_time
 
 _ROUNDING = 1e-9  # s

@@ -10,7 +10,7 @@ from scipy.ndimage import uniform_filter1d
 
 from planner.errors import InputError
 from planner.plan import Event
-from planner.problem import ProcessSpec
+from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Bead
 
 Array = NDArray[np.float64]

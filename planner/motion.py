@@ -14,7 +14,7 @@ from planner.errors import Refusal
 from planner.events import Span, events
 from planner.extrusion import extruded_volume, feed, filament_area, flow
 from planner.plan import TRAVEL, Trajectory
-from planner.problem import ProcessSpec
+from planner.problem.process import ProcessSpec
 from planner.process import least_travel_time
 from planner.timing import TimedPath
 from planner.toolpath.bead import Bead, Toolpath

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import InputError
-from planner.problem import ProcessSpec
-from planner.problem_process import FibreSpec
+from planner.problem.process import FibreSpec, ProcessSpec
 from planner.run_ends import End, end_of
 from planner.toolpath.bead import Bead
 

@@ -32,7 +32,8 @@ from planner.export import write_plan, write_refusal, write_robot_code, write_tr
 from planner.motion import join
 from planner.output import results_folder
 from planner.plan import Plan, Trajectory
-from planner.problem import STRATEGY_NAMES, Problem, load_problem, shipped_problems
+from planner.problem import Problem, load_problem, shipped_problems
+from planner.problem.settings import STRATEGY_NAMES
 from planner.progress import Stages
 from planner.report.failure import write_failure_report
 from planner.report.html import write_report

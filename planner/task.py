@@ -9,8 +9,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.problem import ConesSpec, Problem
-from planner.problem_process import FibreSpec
+from planner.problem import Problem
+from planner.problem.process import ConesSpec, FibreSpec
 from planner.process import Complaint, cut_place, with_runs
 from planner.readonly import ReadOnlyArrays
 from planner.toolpath.bead import Toolpath

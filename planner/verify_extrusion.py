@@ -14,7 +14,8 @@ from scipy.linalg import solve_banded
 
 from planner.cell import Cell
 from planner.plan import Check, Event, Trajectory
-from planner.problem import Problem, ProcessSpec
+from planner.problem import Problem
+from planner.problem.process import ProcessSpec
 from planner.replay import Motion
 from planner.toolpath.bead import Bead, Toolpath
 from planner.verify_checks import SPEED_TOLERANCE, check_most, samples_of

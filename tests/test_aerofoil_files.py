@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from planner.errors import InputError
 from planner.problem import find_problem
-from planner.toolpath.aerofoil_files import naca_section, read_section
+from planner.toolpath.wing.aerofoil_files import naca_section, read_section
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from planner.task import NozzleTask
 from planner.timing import time_path
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.interpolation import interpolate
-from planner.toolpath.waypoints import SAME_PLACE, distinct
+from planner.toolpath.waypoints.reader import SAME_PLACE, distinct
 
 Array = NDArray[np.float64]
 DT = 0.004

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from planner.events import Span, events
 from planner.plan import TRAVEL, Event
-from planner.problem import ProcessSpec
+from planner.problem.process import ProcessSpec
 from planner.process import least_travel_time, prime_time
 
 ROUNDING = 1e-9  # s

@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 
 from planner.errors import InputError
-from planner.problem import STRATEGY_NAMES, Problem, find_problem, load_problem, shipped_problems
-from planner.problem_mistakes import _models
+from planner.problem import Problem, find_problem, load_problem, shipped_problems
+from planner.problem.mistakes import _models
+from planner.problem.settings import STRATEGY_NAMES
 
 # Lines are counted by the tests: keep one section per line.
 TEXT = """\

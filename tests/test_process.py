@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from planner.errors import InputError
 from planner.problem import Problem, load_problem
-from planner.problem_process import FibreSpec
+from planner.problem.process import FibreSpec
 from planner.process import Run, cut_place, with_runs
 from planner.task import NozzleTask, Stop, make_tasks, tasks_of
 from planner.toolpath.bead import Bead, Toolpath

@@ -45,13 +45,6 @@ ROOMS = (
     "solve",
 )
 SAME_ROOM = {
-    "problem_fields": "problem",
-    "problem_extrusion": "problem",
-    "problem_file": "problem",
-    "problem_mistakes": "problem",
-    "problem_process": "problem",
-    "problem_sources": "problem",
-    "problem_wing": "problem",
     "run_ends": "process",
     "robot_files": "cell",
     "verify_checks": "verify",
@@ -77,10 +70,10 @@ FORBIDDEN = {
 HEAVY = {
     "numba": {
         "kinematics",
-        "toolpath.facet_tree",
-        "toolpath.height_field",
+        "toolpath.substrate.facet_tree",
+        "toolpath.substrate.height_field",
         "toolpath.ordering",
-        "toolpath.surfels",
+        "toolpath.waypoints.surfels",
         "toolpath.transport",
         "resolve",
         "cubics",
@@ -92,7 +85,7 @@ HEAVY = {
     "ruckig": {"travel"},
     "pinocchio": {"cell", "replay"},
     "svgelements": {"toolpath"},
-    "trimesh": {"toolpath.facets"},
+    "trimesh": {"toolpath.substrate.facets"},
     "matplotlib": {"report"},
     "plotly": {"report"},
     "rich": {"progress", "report.summary", "solve"},

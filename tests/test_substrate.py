@@ -16,14 +16,15 @@ from scipy.spatial import cKDTree
 from benchmarks.orientation import angles, published_axes
 from benchmarks.orientation import main as orientation
 from planner.errors import InputError
-from planner.problem import PatternSpec, Problem, load_problem
+from planner.problem import Problem, load_problem
+from planner.problem.drawings import PatternSpec
 from planner.solve import main, solve
-from planner.toolpath.bodies import FARTHEST_FROM_FACETS, Ball, MeshTop, TooRough
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.facet_tree import FacetTree
-from planner.toolpath.height_field import fit
-from planner.toolpath.patterns import NoPattern, pattern
-from planner.toolpath.substrate import Substrate
+from planner.toolpath.substrate.bodies import FARTHEST_FROM_FACETS, Ball, MeshTop, TooRough
+from planner.toolpath.substrate.facet_tree import FacetTree
+from planner.toolpath.substrate.height_field import fit
+from planner.toolpath.substrate.layers import Substrate
+from planner.toolpath.substrate.patterns import NoPattern, pattern
 from planner.toolpath.wrap import densify
 
 Array = NDArray[np.float64]
@@ -361,7 +362,7 @@ def test_bad_files_are_refused(tmp_path: Path, name: str) -> None:
 
 
 def test_a_mesh_of_too_many_facets_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("planner.toolpath.facets.MOST_FACETS", 1000)
+    monkeypatch.setattr("planner.toolpath.substrate.facets.MOST_FACETS", 1000)
     with pytest.raises(InputError, match="has 5120 facets"):
         build_toolpath(dome(tmp_path))
 

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from planner.cell import Cell
 from planner.cubics import Cubics, State, extremes
 from planner.errors import Refusal
-from planner.problem import Problem, ProcessSpec
+from planner.problem import Problem
+from planner.problem.process import ProcessSpec
 from planner.process import least_travel_time
 from planner.resolve.jointpath import JointPath
 from planner.timing import HEADROOM, TimedPath, time_path

@@ -17,13 +17,14 @@ from benchmarks.peer_cases import CASES, SHIPPED, cap, cylinder, waypoint_text, 
 from benchmarks.scaling import sheet
 from planner.errors import InputError
 from planner.nearest import distance_to_polyline
-from planner.problem import Problem, WaypointsSpec, find_problem, load_problem
+from planner.problem import Problem, find_problem, load_problem
+from planner.problem.waypoints import WaypointsSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.interpolation import CORNER_TURN, Interpolated, interpolate
-from planner.toolpath.surfels import FAR, Surfels, with_layers
 from planner.toolpath.transport import roll_zeros
-from planner.toolpath.waypoints import Waypoints, distinct, read_waypoints
+from planner.toolpath.waypoints.reader import Waypoints, distinct, read_waypoints
+from planner.toolpath.waypoints.surfels import FAR, Surfels, with_layers
 from planner.toolpath.wrap import arc_length
 
 Array = NDArray[np.float64]

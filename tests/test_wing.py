@@ -13,11 +13,11 @@ from scipy.spatial import cKDTree
 
 from planner.errors import InputError
 from planner.problem import Problem, load_problem
-from planner.toolpath.aerofoil_files import naca_section
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.section import Section, TooUneven, parallels, section_through
-from planner.toolpath.strips import CurvedStrip, FlatStrip, LayeredSolid
+from planner.toolpath.wing.aerofoil_files import naca_section
+from planner.toolpath.wing.section import Section, TooUneven, parallels, section_through
+from planner.toolpath.wing.strips import CurvedStrip, FlatStrip, LayeredSolid
 
 Array = NDArray[np.float64]
 HEIGHT = 0.5e-3

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from planner.cell import Cell
-from planner.problem import ResolveSpec
+from planner.problem.settings import ResolveSpec
 from planner.resolve.baselines import as_published, fixed, greedy
 from planner.resolve.jointpath import JointPath
 from planner.resolve.ladder import ladder

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from planner.cell import Cell, Limits, rigid_inverse
 from planner.errors import Refusal
 from planner.kinematics.chain import Chain
-from planner.problem import ResolveSpec
+from planner.problem.settings import ResolveSpec
 from planner.resolve.demand import Demand
 from planner.resolve.found import Found
 from planner.resolve.jointpath import JointPath, choose_turns, postures, upright

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.errors import Refusal
-from planner.problem import ResolveSpec
+from planner.problem.settings import ResolveSpec
 from planner.resolve.demand import Demand, demand_of
 from planner.resolve.found import Found, angles_along
 from planner.resolve.jointpath import JointPath, choose_turns, postures, spread, upright

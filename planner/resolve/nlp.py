@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.errors import Refusal
-from planner.problem import ResolveSpec
+from planner.problem.settings import ResolveSpec
 from planner.resolve.jointpath import JointPath, choose_turns
 from planner.resolve.ladder import ladder
 from planner.resolve.nlp_program import bounds_of, program_of, row_bounds, start_values

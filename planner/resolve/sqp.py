@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
 from planner.cell import Cell
-from planner.problem import ResolveSpec
+from planner.problem.settings import ResolveSpec
 from planner.resolve.interior_point import solve_qp
 from planner.resolve.jointpath import MARGIN, JointPath, choose_turns
 from planner.resolve.ladder import ladder, runs_backwards

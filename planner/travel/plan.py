@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from planner.cell import Cell
 from planner.cubics import Cubics, State, extremes
 from planner.errors import Refusal
-from planner.problem import ProcessSpec
+from planner.problem.process import ProcessSpec
 from planner.process import least_travel_time
 from planner.timing import TimedPath
 from planner.toolpath.bead import Toolpath

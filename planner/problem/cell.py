@@ -1,0 +1,111 @@
+"""Arm, nozzle and what carries the part: the section `cell` of the problem file."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import model_validator
+
+from planner.problem.fields import (
+    INCREASING,
+    TEXT,
+    UNIQUE,
+    UNIT_VECTOR,
+    Position,
+    Quantity,
+    Section,
+    Vector,
+    key,
+    refusal,
+)
+
+Text = Annotated[str, TEXT]
+Angle = Annotated[float, Quantity("deg", -3600, 3600)]  # ten turns: no cable allows more
+MOST_JOINTS = 12  # of an arm; how many it has, its own file says
+
+
+class NozzleSpec(Section):
+    """The nozzle on the arm's flange."""
+
+    tip: Position = key("tip_mm", "nozzle tip in the flange frame [mm]")
+    axis: Annotated[Vector, Quantity("", -1e6, 1e6, count=3), UNIT_VECTOR] = key(
+        "axis", "direction in which the nozzle points, in the flange frame, any length but 0", (0, 0, 1)
+    )
+    diameter: Annotated[float, Quantity("mm", 0.05, 50)] = key("diameter_mm", "bore of the nozzle [mm]")
+
+
+class PositionerSpec(Section):
+    """A positioner, or an arm, that holds the part; its plate or flange carries the part frame."""
+
+    robot: Text = key("robot", "key of the positioner in robots/, or of an arm that holds the part")
+    origin: Position | None = key(
+        "origin_mm", "centre of the plate in the world, all its axes at 0 [mm]; default: none, but base_mm", None
+    )
+    base: Position | None = key("base_mm", "where its base stands in the world [mm]; default: none", None)
+    turn: Annotated[float, Quantity("deg", -360, 360)] = key(
+        "turn_deg", "by how much its base is turned about the vertical [deg]", 0
+    )
+    free: Annotated[tuple[Text, ...], UNIQUE] = key("free", "axes that the planner may move; the others are held")
+    held: dict[Text, Angle] = key("held_deg", "angles of held axes by name [deg]; each default 0", {})
+    home: dict[Text, Angle] = key(
+        "home_deg", "angles of free axes that the search starts from, by name [deg]; each default 0", {}
+    )
+    part: Position = key("part_mm", "origin of the part frame on the plate or flange [mm]", (0, 0, 0))
+    part_rpy: Annotated[Vector, Quantity("deg", -360, 360, count=3)] = key(
+        "part_rpy_deg", "the part frame turned about x, then y, then z of the plate or flange [deg]", (0, 0, 0)
+    )
+
+    @model_validator(mode="after")
+    def _one_place(self) -> PositionerSpec:
+        if (self.origin is None) == (self.base is None):
+            found = "neither origin_mm nor base_mm is" if self.base is None else "both origin_mm and base_mm are"
+            raise refusal(f"{found} given", "give exactly one of them", fields=["origin_mm", "base_mm"])
+        return self
+
+    @model_validator(mode="after")
+    def _free_or_held(self) -> PositionerSpec:
+        for name in self.free:
+            if name in self.held:
+                raise refusal(
+                    f"axis {name!r} is both free and held", "an axis is one or the other", fields=["free", "held_deg"]
+                )
+        return self
+
+
+class JointLimitsSpec(Section):
+    """Limits of one joint, where the user knows better than the robot's own file."""
+
+    range: Annotated[tuple[float, float], Quantity("deg", -3600, 3600, count=2), INCREASING] | None = key(
+        "range_deg", "least and greatest angle [deg]; default: the robot's", None
+    )
+    speed: Annotated[float, Quantity("deg/s", 0.01, 10_000)] | None = key(
+        "speed_deg_s", "greatest speed [deg/s]; default: the robot's", None
+    )
+    acceleration: Annotated[float, Quantity("rad/s2", 0.001, 10_000)] | None = key(
+        "acceleration_rad_s2", "greatest acceleration [rad/s2]; default: the robot's", None
+    )
+    jerk: Annotated[float, Quantity("rad/s3", 0.01, 1e7)] | None = key(
+        "jerk_rad_s3", "greatest jerk [rad/s3]; default: the robot's", None
+    )
+
+
+class CellSpec(Section):
+    """Arm, nozzle and what carries the part: a positioner or a fixed bed."""
+
+    arm: Text = key("arm", "key of the arm in robots/")
+    base: Position = key("base_mm", "base of the arm in the world [mm]", (0, 0, 0))
+    nozzle: NozzleSpec = key("nozzle", "the nozzle on the arm's flange")
+    home: Annotated[tuple[float, ...], Quantity("deg", -3600, 3600, count=(1, MOST_JOINTS))] = key(
+        "home_deg", "posture of the arm before and after the print, each joint from the base on [deg]"
+    )
+    positioner: PositionerSpec | None = key("positioner", "what turns the part; default: none, but a bed", None)
+    bed: Position | None = key("bed_mm", "origin of the part frame on a fixed bed [mm]; default: none", None)
+    limits: dict[Text, JointLimitsSpec] = key("limits", "limits of your own by joint; default: the robots'", {})
+
+    @model_validator(mode="after")
+    def _one_holder(self) -> CellSpec:
+        if (self.positioner is None) == (self.bed is None):
+            found = "neither positioner nor bed_mm is" if self.bed is None else "both positioner and bed_mm are"
+            reason = f"{found} given"
+            raise refusal(reason, "give exactly one of them", fields=["positioner", "bed_mm"])
+        return self

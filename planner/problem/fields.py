@@ -1,0 +1,209 @@
+"""The kinds of value a problem file holds: what is accepted; millimetres and degrees into SI, here and nowhere else.
+
+Each kind refuses with a PydanticCustomError whose context carries the hint, and the item of a list where it is one.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, cast
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    ValidationInfo,
+)
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+from planner.errors import nearest_name
+from planner.problem.file import Source, describe, shorten
+
+LONGEST_NAME = 32  # characters of an identifier in RAPID
+_RESERVED = """
+alias and backward case connect const default div do else elseif endfor endfunc endif endmodule endproc
+endrecord endtest endtrap endwhile error exit false for from func goto if inout local mod module nostepin not
+noview or pers proc raise readonly record retry return step sysmodule test then to trap true trynext undo var
+viewonly while with xor
+"""
+RAPID_WORDS = frozenset(_RESERVED.split())
+
+_TO_SI: dict[str, Callable[[float], float]] = {
+    "mm": lambda value: value / 1000,
+    "mm/s": lambda value: value / 1000,
+    "deg": math.radians,
+    "deg/s": math.radians,
+    "rad/s2": float,
+    "rad/s3": float,
+    "s": float,
+    "°C": float,
+    "": float,
+}
+
+
+def refusal(reason: str, hint: str | None = None, **context: Any) -> PydanticCustomError:
+    """Return the error of a field: reason and hint for the user; `item` or `fields` say where below it."""
+    return PydanticCustomError("problem", "{reason}", {"reason": reason, "hint": hint, **context})
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Annotation of a number, or a list of `count` numbers, in `unit` within [low, high]; becomes SI.
+
+    `count` is how many, or the least and the greatest number of them.
+    `whole` numbers stay integers. A text, a boolean, NaN and infinity are no numbers.
+    """
+
+    unit: str
+    low: float
+    high: float
+    count: int | tuple[int, int] | None = None
+    whole: bool = False
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Validate by `to_si` alone."""
+        return core_schema.no_info_plain_validator_function(self.to_si)
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        """Describe the value as it stands in the file."""
+        kind = "integer" if self.whole else "number"
+        number: JsonSchemaValue = {"type": kind, "minimum": self.low, "maximum": self.high}
+        if self.count is None:
+            return number
+        least, most = self._counts
+        return {"type": "array", "items": number, "minItems": least, "maxItems": most}
+
+    @property
+    def _counts(self) -> tuple[int, int]:
+        """The least and the greatest length of the list."""
+        if isinstance(self.count, tuple):
+            return self.count
+        return (0, 0) if self.count is None else (self.count, self.count)
+
+    @property
+    def valid(self) -> str:
+        """The valid range in words."""
+        each = "" if self.count is None else "each "
+        return f"valid: {each}{_figure(self.low)} to {_figure(self.high)} {self.unit}".rstrip()
+
+    def to_si(self, value: Any) -> Any:
+        """Return the value (or the tuple of them) in SI units; raises the refusal for anything else."""
+        if self.count is None:
+            return self._number(value, {}, "")
+        least, most = self._counts
+        asked = f"{least}" if least == most else f"{least} to {most}"
+        if not isinstance(value, tuple):
+            raise refusal(f"must be a list of {asked} numbers, not {describe(value)}", self.valid)
+        if not least <= len(value) <= most:
+            raise refusal(f"must be a list of {asked} numbers, not of {len(value)}", self.valid)
+        return tuple(self._number(v, {"item": i}, f"number {i + 1} ") for i, v in enumerate(value))
+
+    def _number(self, value: Any, where: dict[str, int], name: str) -> float:
+        if type(value) not in (int, float):
+            hint = f"{self.valid}, without quotes" if isinstance(value, str) else self.valid
+            raise refusal(f"{name}must be a number, not {describe(value)}", hint, **where)
+        if not abs(value) < math.inf:
+            raise refusal(f"{name}must be a finite number, not {describe(value)}", self.valid, **where)
+        if self.whole and type(value) is not int:
+            raise refusal(f"{name}must be a whole number, not {value}", self.valid, **where)
+        if not self.low <= value <= self.high:
+            side = "small" if value < self.low else "large"
+            raise refusal(f"{name}{describe(value)} {self.unit}".rstrip() + f" is too {side}", self.valid, **where)
+        return value if self.whole else _TO_SI[self.unit](value)
+
+
+def _figure(value: float) -> str:
+    return f"{value:.0f}" if value == round(value) else f"{value:g}"
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise refusal(f"must be a name, not {describe(value)}", "quote it if it is a text")
+    if not value.strip() or not value.isprintable() or len(value) > 1000:
+        raise refusal(f"must be a name, not {describe(value)}")
+    return value
+
+
+def _identifier(value: Any) -> str:
+    text = _text(value)
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", text) or len(text) > LONGEST_NAME:
+        reason = f"{shorten(text)!r} cannot be a name in RAPID"
+        raise refusal(reason, f"a letter, then letters, digits or _, at most {LONGEST_NAME} characters in all")
+    if text.lower() in RAPID_WORDS:
+        raise refusal(f"{text!r} is a word of RAPID itself", f"for example my_{text}"[:LONGEST_NAME])
+    return text
+
+
+def _beside_the_problem(value: Any, info: ValidationInfo) -> Path:
+    """A path in a problem file counts from the folder of that file."""
+    source = cast(Source, info.context)
+    return source.file.parent / _text(value)
+
+
+def one_of(names: Sequence[str]) -> BeforeValidator:
+    """Accept one of the names only, and suggest the nearest."""
+
+    def check(value: Any) -> str:
+        if isinstance(value, str) and value in names:
+            return value
+        choices = f"choices: {', '.join(names)}"
+        if not isinstance(value, str):
+            raise refusal(f"must be a name, not {describe(value)}", choices)
+        near = nearest_name(value, names)
+        raise refusal(f"unknown name {shorten(value)!r}", f"did you mean {near}? {choices}" if near else choices)
+
+    return BeforeValidator(check)
+
+
+def _unique(names: tuple[str, ...]) -> tuple[str, ...]:
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise refusal(f"{name!r} stands in the list twice", "name each axis once", item=i)
+    return names
+
+
+def _increasing(pair: tuple[float, float]) -> tuple[float, float]:
+    if not pair[0] < pair[1]:
+        raise refusal("the first angle must be less than the second", "for example [-180, 180]")
+    return pair
+
+
+def _unit_vector(vector: tuple[float, ...]) -> tuple[float, ...]:
+    length = math.hypot(*vector)
+    if length < 1e-6:
+        raise refusal("must not be the zero vector", "for example [0, 0, 1], the flange's z")
+    return tuple(value / length for value in vector)
+
+
+TEXT = BeforeValidator(_text)
+IDENTIFIER = BeforeValidator(_identifier)
+PATH = BeforeValidator(_beside_the_problem)
+UNIQUE = AfterValidator(_unique)
+INCREASING = AfterValidator(_increasing)
+UNIT_VECTOR = AfterValidator(_unit_vector)
+
+Vector = tuple[float, float, float]
+Position = Annotated[Vector, Quantity("mm", -100_000, 100_000, count=3)]  # a hall of 100 m
+Thickness = Annotated[float, Quantity("mm", 0.01, 50)]  # from a fibre to large concrete beads
+
+
+def key(alias: str, text: str, default: Any = ...) -> Any:
+    """A field by its key in the file; `default` is in the file's unit and goes through the same validation."""
+    if default is ...:
+        return Field(alias=alias, description=text)
+    return Field(default, alias=alias, description=f"{text}; default {default}" if default or default == 0 else text)
+
+
+class Section(BaseModel):
+    """A section of the problem file: frozen, and no key that is not known."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, validate_default=True)

@@ -1,0 +1,92 @@
+"""What is printed: the kinds of the section `layers` of the problem file, told apart by their keys."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, cast
+
+from pydantic import Discriminator, Tag
+
+from planner.errors import nearest_name
+from planner.problem.drawings import LayersSpec, ProjectedDrawingSpec, ProjectedPatternSpec
+from planner.problem.fields import Section, refusal
+from planner.problem.part import PartSpec
+from planner.problem.waypoints import WaypointLayersSpec
+from planner.problem.wing import AerofoilLayersSpec
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """A kind of layers: its tag, its model, and the keys of `layers.source` that name it."""
+
+    tag: str
+    model: type[Section]
+    names: tuple[str, ...]
+
+    @property
+    def source_keys(self) -> list[str]:
+        return _aliases(cast(type[Section], self.model.model_fields["source"].annotation))
+
+    def claim(self, layers: set[str | None], source: set[str | None]) -> tuple[int, int, int, int]:
+        """How well it fits the keys that the file holds; the greatest fits best."""
+        needed = {field.alias for field in self.model.model_fields.values() if field.is_required()}
+        return (
+            int(any(name in source for name in self.names)),
+            len(source & set(self.source_keys)),
+            len(layers & set(_aliases(self.model))),
+            -len(needed - layers),
+        )
+
+
+def _aliases(model: type[Section]) -> list[str]:
+    """The keys of a section, as they stand in the file."""
+    return [field.alias or name for name, field in model.model_fields.items()]
+
+
+KINDS = (
+    _Kind("[svg]", LayersSpec, ("svg",)),
+    _Kind("[projected]", ProjectedDrawingSpec, ("svg",)),
+    _Kind("[pattern]", ProjectedPatternSpec, ("pattern",)),
+    _Kind("[waypoints]", WaypointLayersSpec, ("waypoints",)),
+    _Kind("[aerofoil]", AerofoilLayersSpec, ("aerofoil", "naca")),
+)
+
+
+def _kind_of_layers(value: Any) -> str:
+    """The tag of the model that the keys of `layers` belong to, misspelt ones read as what they may mean."""
+    source = value.get("source") if isinstance(value, dict) else None
+    if not isinstance(source, dict):
+        source = {}
+    inner = [key for kind in KINDS for key in kind.source_keys]
+    outer = [key for kind in KINDS for key in _aliases(kind.model)]
+    layers = value if isinstance(value, dict) else {}
+    meant, beside = (
+        {nearest_name(key, known) for key in section if isinstance(key, str)}
+        for section, known in ((source, inner), (layers, outer))
+    )
+    if not source:
+        return max(KINDS, key=lambda kind: len(beside & set(_aliases(kind.model)))).tag
+    return max(KINDS, key=lambda kind: kind.claim(beside, meant)).tag
+
+
+AnyLayersSpec = Annotated[
+    Annotated[LayersSpec, Tag("[svg]")]
+    | Annotated[ProjectedDrawingSpec, Tag("[projected]")]
+    | Annotated[ProjectedPatternSpec, Tag("[pattern]")]
+    | Annotated[WaypointLayersSpec, Tag("[waypoints]")]
+    | Annotated[AerofoilLayersSpec, Tag("[aerofoil]")],
+    Discriminator(_kind_of_layers),
+]
+
+
+def check_body(part: PartSpec, layers: AnyLayersSpec) -> None:
+    """Raise the refusal of a body that layers of this kind are not laid on."""
+    if part.body in layers.bodies:
+        return
+    if not layers.bodies:
+        wing = isinstance(layers, AerofoilLayersSpec)
+        what = "a wing is its own body" if wing else "waypoints carry their own surface: there is no body"
+        raise refusal(what, "leave out part")
+    way, other = ("wrap", "project: z") if isinstance(layers, LayersSpec) else ("project", "wrap: cylinder")
+    hint = f"layers.{way} goes with {' or '.join(layers.bodies)}; layers.{other} with {part.body}"
+    raise refusal(f"layers.{way} and a {part.body} do not go together", hint, item=part.body)

@@ -1,0 +1,62 @@
+"""The body to print on: the section `part` of the problem file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import model_validator
+
+from planner.problem.fields import PATH, Position, Quantity, Section, Vector, key, refusal
+
+
+class CylinderSpec(Section):
+    """An upright cylinder, standing on the part frame's xy plane."""
+
+    radius: Annotated[float, Quantity("mm", 1, 2000)] = key("radius_mm", "radius [mm]")
+    height: Annotated[float, Quantity("mm", 1, 10_000)] = key("height_mm", "height [mm]")
+    centre: Annotated[tuple[float, float], Quantity("mm", -10_000, 10_000, count=2)] = key(
+        "centre_mm", "its axis in the part frame, x and y [mm]", (0, 0)
+    )
+
+
+class SphereSpec(Section):
+    """A ball; where it reaches below the bed, it is a dome."""
+
+    radius: Annotated[float, Quantity("mm", 1, 5000)] = key("radius_mm", "radius [mm]")
+    centre: Position = key("centre_mm", "its centre in the part frame [mm]", (0, 0, 0))
+
+
+class MeshSpec(Section):
+    """A body from a file of facets; what is seen of it from above is printed on."""
+
+    file: Annotated[Path, PATH] = key("file", "the STL file, in mm, counted from the folder of the problem file")
+    origin: Position = key("origin_mm", "the file's origin in the part frame, once the file is turned [mm]", (0, 0, 0))
+    rpy: Annotated[Vector, Quantity("deg", -360, 360, count=3)] = key(
+        "rpy_deg",
+        "the file turned about x, then y, then z of the part frame [deg]; [90, 0, 0] where y points up",
+        (0, 0, 0),
+    )
+
+
+class PartSpec(Section):
+    """The body to print on: one of these."""
+
+    cylinder: CylinderSpec | None = key("cylinder", "an upright cylinder; default: none", None)
+    sphere: SphereSpec | None = key("sphere", "a ball or a dome; default: none", None)
+    mesh: MeshSpec | None = key("mesh", "a file of facets; default: none", None)
+
+    @property
+    def body(self) -> str:
+        """Which of them it is, by its key."""
+        return next(name for name in type(self).model_fields if getattr(self, name) is not None)
+
+    @model_validator(mode="after")
+    def _one_body(self) -> PartSpec:
+        given = [name for name in type(self).model_fields if getattr(self, name) is not None]
+        if len(given) == 1:
+            return self
+        names = list(type(self).model_fields)
+        if not given:
+            raise refusal("no body is given", f"give one of them: {', '.join(names)}")
+        raise refusal(f"both {given[0]} and {given[1]} are given", "give one of them", fields=given)

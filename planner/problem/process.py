@@ -1,0 +1,211 @@
+"""What happens around a bead: sections of `process` in the problem file.
+
+Temperatures stay in degrees Celsius, which every printer's board takes; so their names carry the unit.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal, get_args
+
+from pydantic import model_validator
+
+from planner.problem.extrusion import BeadSpec, ExtruderSpec, SectionName
+from planner.problem.fields import Quantity, Section, key, one_of, refusal
+
+FIBRE_RAMP_DEG = 30  # Tawfik et al., section III.A.2: laid down at this angle, the end of the fibre sticks
+Wait = Annotated[float, Quantity("s", 0, 3600)]  # an hour heats any bed
+
+
+HandOver = Literal["rest", "motion"]
+HAND_OVERS: tuple[str, ...] = get_args(HandOver)
+
+
+class FilamentMoveSpec(Section):
+    """Filament that the extruder pushes or pulls while nothing is deposited."""
+
+    length: Annotated[float, Quantity("mm", 0, 100)] = key("length_mm", "of filament [mm]; 0 is none", 0)
+    speed: Annotated[float, Quantity("mm/s", 0.1, 200)] = key("speed_mm_s", "of the filament [mm/s]", 25)
+
+    @property
+    def time(self) -> float:
+        """How long it takes [s]."""
+        return self.length / self.speed
+
+
+class StartSpec(Section):
+    """What the extruder does at home, before the first move."""
+
+    nozzle_c: Annotated[float, Quantity("°C", 20, 500)] | None = key(
+        "nozzle_c", "temperature of the nozzle [°C]; default: it is not set", None
+    )
+    bed_c: Annotated[float, Quantity("°C", 20, 300)] | None = key(
+        "bed_c", "temperature of what carries the part [°C]; default: it is not set", None
+    )
+    heat_wait: Wait = key("heat_wait_s", "time that the robot waits at home while nozzle and bed heat up [s]", 0)
+    purge: Annotated[float, Quantity("mm", 0, 1000)] = key(
+        "purge_mm", "filament pushed out at home when all is hot [mm]; 0 is none", 0
+    )
+    purge_speed: Annotated[float, Quantity("mm/s", 0.1, 200)] = key(
+        "purge_speed_mm_s", "speed of the filament in it [mm/s]", 5
+    )
+
+    @property
+    def time(self) -> float:
+        """How long the robot rests at home before its first move [s]."""
+        return self.heat_wait + self.purge / self.purge_speed
+
+
+class FibreSpec(Section):
+    """Continuous fibre, cut inside the head so that it ends where the bead does."""
+
+    cut_length: Annotated[float, Quantity("mm", 1, 500)] = key(
+        "cut_length_mm", "from the cutter to the nozzle's tip along the fibre [mm]"
+    )
+    cut_wait: Annotated[float, Quantity("s", 0, 600)] = key(
+        "cut_wait_s", "time that the nozzle rests on the bead while the fibre is cut [s]", 3
+    )
+    clearance: Annotated[float, Quantity("mm", 1, 500)] | None = key(
+        "clearance_mm", "height to which the nozzle leaves a bead along the normal [mm]; default: lift_mm", None
+    )
+    least_laid: Annotated[float, Quantity("mm", 1, 500)] = key(
+        "least_laid_mm", "least length laid before the cut, whose adhesion holds the fibre [mm]", 5
+    )
+
+    @property
+    def least_length(self) -> float:
+        """Length [m] of the shortest bead that can be laid."""
+        return self.cut_length + self.least_laid
+
+
+class AroundBeadSpec(Section):
+    """Run-in and run-out, lift, and what the extruder does before and after a bead."""
+
+    run_in: Annotated[float, Quantity("mm", 0.5, 100)] = key(
+        "run_in_mm", "length of run-in and run-out, where speed is gained and lost and nothing deposited [mm]", 3
+    )
+    ramp_angle: Annotated[float, Quantity("deg", 5, 60)] | None = key(
+        "ramp_deg",
+        "angle to the surface at which a run-in comes down and a run-out leaves, on a straight line [deg]; "
+        f"default: none, but a rise with the cube of the distance; with fibre {FIBRE_RAMP_DEG}",
+        None,
+    )
+    lift_height: Annotated[float, Quantity("mm", 1, 500)] = key(
+        "lift_mm", "least height of travel above the surface [mm]", 5
+    )
+    hand_over: Annotated[HandOver, one_of(HAND_OVERS)] = key(
+        "hand_over",
+        "how travel and a bead's runs meet: at rest, or in motion, which fibre does not allow",
+        "rest",
+    )
+    prime: FilamentMoveSpec = key("prime", "filament pushed until a bead starts; default: none", {})
+    retract: FilamentMoveSpec = key("retract", "filament pulled back from a bead's end on; default: none", {})
+    start: StartSpec = key("start", "heating and purge at home before the first move; default: none", {})
+    fibre: FibreSpec | None = key("fibre", "continuous fibre and its cut; default: none", None)
+
+    @model_validator(mode="after")
+    def _one_clearance(self) -> AroundBeadSpec:
+        if self.fibre is not None and self.fibre.clearance is not None and "lift_height" in self.model_fields_set:
+            reason = "both lift_mm and fibre.clearance_mm are given"
+            raise refusal(reason, "give one of them", fields=["lift_mm", "fibre"])
+        return self
+
+    @model_validator(mode="after")
+    def _fibre_feeds_itself(self) -> AroundBeadSpec:
+        for name, move in (("prime", self.prime), ("retract", self.retract)):
+            if self.fibre is not None and move.length > 0.0:
+                raise refusal(
+                    f"{name}.length_mm is {move.length * 1e3:g}, and there is fibre",
+                    "leave it out: cut fibre is not pulled back, and is fed forward by fibre.cut_length_mm",
+                    fields=["fibre", name],
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _fibre_rests(self) -> AroundBeadSpec:
+        if self.fibre is not None and self.hand_over == "motion":
+            reason = "hand_over is motion, and there is fibre"
+            raise refusal(reason, "leave it out: a fibre's bead begins and ends at rest", fields=["fibre", "hand_over"])
+        return self
+
+    @property
+    def ramp(self) -> float | None:
+        """Angle of run-in and run-out to the surface [rad]; None for a rise with the cube of the distance."""
+        if self.ramp_angle is None and self.fibre is not None:
+            return math.radians(FIBRE_RAMP_DEG)
+        return self.ramp_angle
+
+    @property
+    def lift(self) -> float:
+        """Least height of travel above the surface [m]: the clearance after a fibre, where that is given."""
+        if self.fibre is None or self.fibre.clearance is None:
+            return self.lift_height
+        return self.fibre.clearance
+
+    @property
+    def prime_length(self) -> float:
+        """Filament pushed before each bead [m]; of a fibre, what reaches from the cutter to the nozzle's tip."""
+        return self.prime.length if self.fibre is None else self.fibre.cut_length
+
+
+Speed = Annotated[float, Quantity("mm/s", 0.1, 2000)]  # below, a print takes days; above, no arm is exact
+
+
+class ConesSpec(Section):
+    """How far the nozzle and the layer may lean, as half angles of cones."""
+
+    tilt: Annotated[float, Quantity("deg", 0, 60)] = key(
+        "nozzle_normal_deg", "nozzle axis from the surface normal [deg]; 0 keeps it on the normal", 0
+    )
+    nozzle_gravity: Annotated[float, Quantity("deg", 1, 180)] = key(
+        "nozzle_gravity_deg", "nozzle axis from straight down [deg]; 180 is free", 180
+    )
+    layer_gravity: Annotated[float, Quantity("deg", 1, 180)] = key(
+        "layer_gravity_deg", "surface normal from straight up [deg]; 180 is free", 180
+    )
+
+
+class ProcessSpec(AroundBeadSpec):
+    """How material is laid down, and what happens around a bead."""
+
+    speed: Speed = key("speed_mm_s", "speed of the nozzle along the part while printing [mm/s]")
+    travel_speed: Speed = key("travel_speed_mm_s", "greatest speed between beads [mm/s]")
+    bead: BeadSpec = key("bead", "cross-section of a bead")
+    corner_tolerance: Annotated[float, Quantity("mm", 0.01, 5)] = key(
+        "corner_tolerance_mm", "how far a rounded corner may leave the drawn one [mm]; finer than an arm repeats", 0.2
+    )
+    chord_tolerance: Annotated[float, Quantity("mm", 0.0005, 1)] = key(
+        "chord_tolerance_mm", "how far curves may leave the lines that approximate them [mm]", 0.01
+    )
+    cones: ConesSpec = key("cones", "how far nozzle and layer may lean; each has a default", {})
+    filament_diameter: Annotated[float, Quantity("mm", 0.5, 10)] = key(
+        "filament_diameter_mm", "diameter of the filament that the extruder pushes [mm]", 1.75
+    )
+    extruder: ExtruderSpec = key("extruder", "what pushes the filament; each has a default", {})
+
+    @property
+    def section(self) -> SectionName:
+        """Shape of a bead's cross-section."""
+        return self.bead.section or ("rectangle" if self.fibre is None else "fibre")
+
+    @model_validator(mode="after")
+    def _motor_can_pull_back(self) -> ProcessSpec:
+        if self.extruder.motor == "on_off" and self.retract.length > 0.0:
+            reason = "a motor that is only on or off cannot pull filament back"
+            raise refusal(reason, "leave out retract, or take another motor", fields=["extruder", "retract"])
+        return self
+
+    @model_validator(mode="after")
+    def _fibre_is_fed_as_it_is_laid(self) -> ProcessSpec:
+        if self.section != "fibre":
+            if self.fibre is not None:
+                raise refusal(f"a fibre's section is not {self.section}", "leave out section", fields=["fibre", "bead"])
+            return self
+        if self.extruder.motor == "on_off":
+            reason = "a fibre is fed as fast as it is laid, which a motor that is only on or off cannot do"
+            raise refusal(reason, "take another motor", fields=["fibre", "bead", "extruder"])
+        if self.extruder.lag > 0.0:
+            raise refusal(
+                "a fibre does not lag the motor that feeds it", "leave out lag_s", fields=["fibre", "bead", "extruder"]
+            )
+        return self

@@ -1,0 +1,59 @@
+"""Strategy, settings of the search and names in the robot program: the sections `resolve` and `program`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, get_args
+
+from pydantic import model_validator
+
+from planner.problem.fields import IDENTIFIER, Quantity, Section, key, one_of, refusal
+
+StrategyName = Literal["as_published", "fixed", "greedy", "ladder", "sqp", "nlp"]
+STRATEGY_NAMES: tuple[str, ...] = get_args(StrategyName)
+QPName = Literal["interior_point", "osqp"]
+QP_NAMES: tuple[str, ...] = get_args(QPName)
+Identifier = Annotated[str, IDENTIFIER]
+
+
+class ResolveSpec(Section):
+    """Settings of the search for joint paths: finer is better and slower."""
+
+    roll_step: Annotated[float, Quantity("deg", 2, 90)] = key(
+        "roll_step_deg", "step between tried rotations about the nozzle axis [deg]; refined to a third", 15
+    )
+    table_step: Annotated[float, Quantity("deg", 1, 90)] = key(
+        "table_step_deg", "step between tried angles of the positioner [deg]; refined to a third", 15
+    )
+    rung: Annotated[float, Quantity("mm", 0.5, 100)] = key(
+        "rung_mm", "distance along a bead at which postures are searched [mm]; interpolated between", 5
+    )
+    knot: Annotated[float, Quantity("mm", 0.5, 100)] = key(
+        "knot_mm", "distance along a bead between control values of the refined free angles [mm]", 2.5
+    )
+    min_sigma: Annotated[float, Quantity("", 0, 1)] = key(
+        "min_sigma", "least singular value of the arm's Jacobian (metres); below it joints race", 0.05
+    )
+    qp: Annotated[QPName, one_of(QP_NAMES)] = key(
+        "qp", f"solver of the quadratic programs of strategy sqp: {' or '.join(QP_NAMES)} (slower)", "interior_point"
+    )
+
+
+class ProgramSpec(Section):
+    """Names in the robot program: identifiers of RAPID."""
+
+    tool: Identifier = key("tool", "the tooldata", "tPen")
+    work_object: Identifier = key("work_object", "the wobjdata", "wobjPart")
+    station: Identifier = key("station", "the positioner's mechanical unit", "STN1")
+    extruder_signal: Identifier = key("extruder_signal", "the digital output of the extruder", "doExtrude")
+
+    @model_validator(mode="after")
+    def _distinct(self) -> ProgramSpec:
+        seen: dict[str, str] = {}
+        for field in type(self).model_fields:
+            name = getattr(self, field)
+            first = seen.setdefault(name.lower(), field)  # RAPID does not tell capitals from small letters
+            if first != field:
+                raise refusal(
+                    f"{name!r} names both {first} and {field}", "give each its own name", fields=[first, field]
+                )
+        return self

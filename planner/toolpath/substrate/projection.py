@@ -1,0 +1,163 @@
+"""From a drawing or a pattern to plane curves that fit a body, and their layers on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from planner.problem import Problem
+from planner.problem.drawings import (
+    PatternSpec,
+    ProjectedDrawingSpec,
+    ProjectedLayersSpec,
+    ProjectedPatternSpec,
+    SvgSpec,
+)
+from planner.problem.part import PartSpec
+from planner.toolpath.bead import Toolpath
+from planner.toolpath.ordering import reverse, shorten_travel
+from planner.toolpath.paths import check_length, check_size, length, seam_on_smooth_part
+from planner.toolpath.rounding import PlaneCurve, round_corners
+from planner.toolpath.substrate.bodies import Ball, Body, MeshTop, TooRough
+from planner.toolpath.substrate.facet_tree import FacetTree
+from planner.toolpath.substrate.facets import read_facets
+from planner.toolpath.substrate.layers import Substrate
+from planner.toolpath.substrate.patterns import NoPattern, pattern
+from planner.toolpath.svg import PlanePath, read_svg
+from planner.toolpath.wrap import densify
+
+Array = NDArray[np.float64]
+
+STEEPEST = 75.0  # deg from the horizontal: beyond, a hair's breadth aside is a long way down, and the nozzle lies flat
+_REACH = 2.0  # bead widths beside a curve within which the surface counts
+_SWING = 0.9  # of the corner tolerance, by which a rounded curve leaves a straight line between corners
+_RESERVE = 1.02  # the stretch varies within a tolerance
+_FOLDED = 0.2  # of the way from the body to a layer that folds: nearer to folding it is no layer
+
+
+def project_curves(problem: Problem, spec: ProjectedDrawingSpec | ProjectedPatternSpec) -> Toolpath:
+    """Round the corners of plane paths, order them and lay their layers on the part.
+
+    Raises InputError for paths that miss the part or leave it, and for a part that nothing can be laid on.
+    """
+    process, source, part = problem.process, spec.source, problem.part
+    if part is None:
+        raise problem.error("part", "is missing", "the body to project onto: sphere or mesh")
+    paths = [_placed(path, spec) for path in _paths(problem, source)]
+    outline = [densify(path.points) for path in paths]
+    body = _body(problem, part, paths, outline)
+    substrate = Substrate(body, spec.height, spec.offset == "z")
+
+    curves = []
+    for path, dense in zip(paths, outline, strict=True):
+        check_length(problem, path, _size_key(source))
+        start = seam_on_smooth_part(path) if path.closed else path
+        share = _share(problem, substrate, spec.count, path.name, dense)
+        curve = round_corners(start, process.corner_tolerance, share)
+        hint = f"choose a smaller tolerance, or a greater {_size_key(source)}"
+        check_size(problem, path.name, length(path.points), length(curve.points), hint)
+        _check_there(problem, body, path.name, curve.points)
+        curves.append(curve)
+    rows = [shorten_travel(curves)]
+    while len(rows) < spec.count:  # the next layer starts where this one ended
+        rows.append([reverse(curve) for curve in reversed(rows[-1])])
+    return _laid(substrate, rows, process.bead.width, process.bead.height)
+
+
+def _laid(substrate: Substrate, rows: Sequence[Sequence[PlaneCurve]], width: float, height: float) -> Toolpath:
+    beads = substrate.lay(rows, width, height)
+    return Toolpath(tuple(beads), replace(substrate, layers=tuple(bead.layer for bead in beads)))
+
+
+def _size_key(source: SvgSpec | PatternSpec) -> str:
+    return "layers.source.width_mm" if isinstance(source, SvgSpec) else "layers.source.size_mm"
+
+
+def _paths(problem: Problem, source: SvgSpec | PatternSpec) -> tuple[PlanePath, ...]:
+    process = problem.process
+    if isinstance(source, SvgSpec):
+        return read_svg(source.svg, source.width, process.chord_tolerance, partial(problem.error, "layers.source.svg"))
+    try:
+        beside = process.bead.width + 2.0 * _SWING * process.corner_tolerance
+        return pattern(source, beside, process.chord_tolerance)
+    except NoPattern as error:
+        raise problem.error("layers.source.cell_mm", str(error), "change cell_mm or size_mm") from None
+
+
+def _placed(path: PlanePath, spec: ProjectedLayersSpec) -> PlanePath:
+    c, s = np.cos(spec.turn), np.sin(spec.turn)
+    points = path.points @ np.array([[c, s], [-s, c]]) + np.asarray(spec.centre)
+    if path.closed:
+        points[-1] = points[0]
+    return replace(path, points=points)
+
+
+def _body(problem: Problem, part: PartSpec, paths: Sequence[PlanePath], outline: Sequence[Array]) -> Body:
+    """The body, once it is known that all paths fall onto it."""
+    if part.sphere is not None:
+        ball = Ball(part.sphere.radius, np.asarray(part.sphere.centre))
+        _check_all(problem, ball, paths, outline)
+        return ball
+    if part.mesh is None:
+        raise problem.error("part", "is missing", "the body to project onto: sphere or mesh")
+    complain = partial(problem.error, "part.mesh.file")
+    facets = FacetTree.of(read_facets(part.mesh, complain))
+    if facets.normals[:, 2].max() <= 0.0:
+        raise complain(f"no facet of {part.mesh.file.name} faces upwards", "turn it with part.mesh.rpy_deg")
+    _check_all(problem, facets, paths, outline)
+    try:
+        return MeshTop.near(facets, np.vstack(outline), _REACH * problem.process.bead.width)
+    except TooRough as error:
+        x, y = error.place * 1e3
+        raise complain(
+            f"the smooth surface through the facets is {error.gap * 1e3:.3f} mm off them at x {x:.1f}, y {y:.1f} mm",
+            "there is an edge under the curves, or facets are too large: keep off the edge, or export a finer mesh",
+        ) from None
+
+
+def _check_all(problem: Problem, body: Ball | FacetTree, paths: Sequence[PlanePath], outline: Sequence[Array]) -> None:
+    if not any(np.isfinite(body.upward(points)).any() for points in outline):
+        raise problem.error(
+            "layers.centre_mm", "no curve falls onto the part", "the middle of the curves, x and y of the part frame"
+        )
+    for path, points in zip(paths, outline, strict=True):
+        _check_there(problem, body, path.name, points)
+
+
+def _check_there(problem: Problem, body: Ball | FacetTree | Body, name: str, plane: Array) -> None:
+    """Raise InputError where a curve leaves the part, or where this is too steep."""
+    up = body.upward(plane)
+    off = ~(up >= np.cos(np.radians(STEEPEST)))
+    if not off.any():
+        return
+    i = int(np.argmax(off))
+    x, y = plane[i] * 1e3
+    what = "leaves the part" if np.isnan(up[i]) else f"comes to a wall of {np.degrees(np.arccos(up[i])):.0f} degrees"
+    raise problem.error(
+        "layers.source",
+        f"path {name!r} {what} at x {x:.1f}, y {y:.1f} mm",
+        f"make it smaller or move it (layers.centre_mm); the part may lean by {STEEPEST:g} degrees",
+    )
+
+
+def _share(problem: Problem, substrate: Substrate, count: int, name: str, dense: Array) -> Callable[[Array], Array]:
+    """How much shorter a line is in the plane than on the part, at least over the layers, at points (n, 2) of a path.
+
+    Raises InputError for layers that would fold.
+    """
+    last = count - 1
+    reserve = substrate.stretch(dense, last)[1]
+    if reserve.min() < _FOLDED:
+        x, y = dense[int(np.argmin(reserve))] * 1e3
+        raise problem.error(
+            "layers.count",
+            f"the part is bent inwards too tightly under path {name!r} at x {x:.1f}, y {y:.1f} mm: layers would fold",
+            "fewer or thinner layers, or layers.offset: z",
+        )
+    tree, values = cKDTree(dense), np.maximum(substrate.stretch(dense, 0)[0], substrate.stretch(dense, last)[0])
+    return lambda plane: np.asarray(1.0 / (_RESERVE * values[tree.query(plane)[1]]))

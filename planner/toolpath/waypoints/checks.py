@@ -1,0 +1,91 @@
+"""Whether a path of waypoints can be a bead: long enough, and on a surface that its normals are those of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+from scipy.spatial import cKDTree
+
+from planner.errors import InputError
+from planner.toolpath.bead import Bead, Surface
+from planner.toolpath.waypoints.reader import Waypoints
+
+MOST_TURN = 90.0  # deg, of the normal from one waypoint to the next: no surface that a nozzle can follow turns further
+STEEPEST = 0.8  # sine of the angle between path and surface; steeper over half its length, it is on no surface
+
+LOOKS_PER_WIDTH = 4.0  # places in each bead's width of a path at which it is seen whether the nozzle is clear there
+CLEAR = 2e-5  # m, and a tenth of a bead's height: how far it must be, since it may be that far off its path
+
+
+def check_waypoints(path: Waypoints, file: Path, width: float) -> None:
+    """Raise InputError, with file and line, for a path that is no bead of this width [m]."""
+    _check_length(path, file, width)
+    _check_normals(path, file)
+    _check_slope(path, file)
+
+
+def _check_length(path: Waypoints, file: Path, width: float) -> None:
+    """At least as long as its bead is wide."""
+    length = float(np.linalg.norm(np.diff(path.points, axis=0), axis=1).sum())
+    if length < width:
+        raise InputError(
+            f"{path.name}, which begins here, is only {length * 1e3:.4f} mm long",
+            file=file,
+            line=int(path.lines[0]),
+            hint=f"a path is at least as long as its bead is wide, {width * 1e3:g} mm",
+        )
+
+
+def _check_normals(path: Waypoints, file: Path) -> None:
+    """A normal that jumps to the other side belongs to no surface, and half way there is none at all."""
+    before, after = path.normals[:-1], path.normals[1:]
+    sine = np.linalg.norm(np.cross(before, after), axis=1)
+    turn = np.degrees(np.arctan2(sine, (before * after).sum(axis=1)))
+    i = int(np.argmax(turn > MOST_TURN))
+    if turn[i] > MOST_TURN:
+        raise InputError(
+            f"the normal turns by {turn[i]:.0f} degrees from the waypoint before to this one",
+            file=file,
+            line=int(path.lines[i + 1]),
+            hint=f"normals point out of the part, and turn by at most {MOST_TURN:g} degrees",
+        )
+
+
+def _check_slope(path: Waypoints, file: Path) -> None:
+    """A path may climb to its next layer, but not run along its normals throughout."""
+    way, middle = np.diff(path.points, axis=0), path.normals[:-1] + path.normals[1:]
+    length = np.linalg.norm(way, axis=1)
+    climb = np.abs((way * middle).sum(axis=1)) / np.linalg.norm(middle, axis=1)
+    steep = climb > STEEPEST * length
+    if 2.0 * float(length[steep].sum()) > float(length.sum()):
+        raise InputError(
+            f"{path.name} runs along its normals, not along a surface",
+            file=file,
+            line=int(path.lines[int(np.argmax(steep))]),
+            hint="nx ny nz is the normal of the surface, not the direction of the path",
+        )
+
+
+def check_clear(path: Waypoints, bead: Bead, surface: Surface, file: Path) -> None:
+    """Raise InputError, with file and line, where the nozzle would lay the path's bead inside the part.
+
+    surface: what the first layer lies on and all that is printed before the bead. Inside is where passes contradict
+    each other: what one lies on is where another one runs.
+    """
+    steps = np.ceil(np.diff(bead.s) * LOOKS_PER_WIDTH / bead.width[:-1]).astype(int)
+    k = np.repeat(np.arange(len(steps)), steps)
+    k = k + (np.arange(len(k)) - np.repeat(np.cumsum(steps) - steps, steps)) / steps[k]
+    points = make_interp_spline(np.arange(len(bead.s)), bead.points, k=5)(np.append(k, len(steps)))
+    gap = surface.signed_distance(points)
+    if (gap < min(CLEAR, 0.1 * float(bead.height.min()))).any():
+        i = int(np.argmin(gap))
+        depth = f"{-gap[i] * 1e3:.2f} mm deep " if gap[i] < -CLEAR else ""
+        _, nearest = cKDTree(path.points).query(points[i])
+        raise InputError(
+            f"near here {path.name} runs {depth}in what another pass lies on",
+            file=file,
+            line=int(path.lines[nearest]),
+            hint="passes that cross or lie beside each other stand at one height, or a bead's height apart",
+        )

@@ -1,0 +1,325 @@
+"""Layers of a print that is straight along its span: strips of the section, and the solid that they add up to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.spatial import cKDTree
+
+from planner.toolpath.wing.section import Side
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+_Piece = tuple[Array, Array]  # of an outline: see there
+
+_SAMPLE = 5e-5  # m between places at which outlines are looked up
+_NUDGE = 1e-6  # m that a place of an outline is moved out to see whether something else is there
+_DENSE = 400  # intervals on which the length of a parallel curve is integrated
+
+
+class Places:
+    """Points (n, 2), and where they lie beside sides of a section; each side is searched once."""
+
+    def __init__(self, points: Array) -> None:
+        self.points = points
+        self._beside: dict[int, tuple[Array, Array]] = {}
+
+    def beside(self, side: Side) -> tuple[Array, Array]:
+        """Parameters (n) of the nearest places on a side, and the distances (n) from these, inwards; NaN beyond its ends."""
+        if id(side) not in self._beside:
+            t = side.nearest(self.points)
+            away, inward = self.points - side.points(t), side.inward(t)
+            ahead = np.abs(away[:, 0] * inward[:, 1] - away[:, 1] * inward[:, 0])
+            beyond = ((t <= side.first) | (t >= side.last)) & (ahead > _NUDGE)
+            self._beside[id(side)] = t, np.where(beyond, np.nan, (away * inward).sum(axis=1))
+        return self._beside[id(side)]
+
+
+class Strip(Protocol):
+    """One layer seen along the span: what lies under its tip curve. Points are (x, z) in the part frame [m]."""
+
+    @property
+    def length(self) -> float:
+        """Of the tip curve [m]."""
+        ...
+
+    @property
+    def height(self) -> float:
+        """From its bottom to its top [m]."""
+        ...
+
+    @property
+    def bend(self) -> float:
+        """Greatest curvature of the tip curve [1/m]."""
+        ...
+
+    def tips(self, s: Array) -> tuple[Array, Array]:
+        """Points and outward unit normals (n, 2) of the tip curve at lengths s (n) from its start."""
+        ...
+
+    def normals(self, points: Array) -> Array:
+        """Outward unit normals (n, 2) of the tip curve's direction at points (n, 2)."""
+        ...
+
+    def covers(self, places: Places) -> Mask:
+        """Which places (n) lie inside."""
+        ...
+
+
+@dataclass(frozen=True)
+class CurvedStrip:
+    """A layer parallel to one side of the section, between parameters `first` and `last` of that side.
+
+    tip, base   signed distances inwards from the side, of its top and its bottom [m]
+    """
+
+    side: Side
+    tip: float
+    base: float
+    first: float
+    last: float
+
+    @property
+    def length(self) -> float:
+        """Of the tip curve [m]."""
+        return float(self._lengths(self.last))
+
+    @property
+    def height(self) -> float:
+        """From its bottom to its top [m]."""
+        return abs(self.tip - self.base)
+
+    @property
+    def bend(self) -> float:
+        """Greatest curvature of the tip curve [1/m]."""
+        t = np.linspace(self.first, self.last, _DENSE)
+        return float(np.abs(self._curvature(t) / (1.0 - self.tip * self._curvature(t))).max())
+
+    @property
+    def _outward(self) -> float:
+        return 1.0 if self.tip > self.base else -1.0
+
+    def tips(self, s: Array) -> tuple[Array, Array]:
+        """Points and outward unit normals (n, 2) of the tip curve at lengths s (n) from its start."""
+        t = np.asarray(self._parameters(s))
+        inward = self.side.inward(t)
+        return self.side.points(t) + self.tip * inward, self._outward * inward
+
+    def normals(self, points: Array) -> Array:
+        """Outward unit normals (n, 2) of the side at those of its places nearest to points (n, 2) that the strip covers."""
+        t = np.clip(self.side.nearest(points), self.first, self.last)
+        return self._outward * self.side.inward(t)
+
+    def covers(self, places: Places) -> Mask:
+        """Which places (n) lie inside."""
+        t, depth = places.beside(self.side)
+        low, high = sorted((self.tip, self.base))
+        return np.asarray((t >= self.first) & (t <= self.last) & (depth > low) & (depth < high))
+
+    def _curvature(self, t: Array) -> Array:
+        along, bend = self.side.curve(t, 1), self.side.curve(t, 2)
+        return np.asarray((along[:, 0] * bend[:, 1] - along[:, 1] * bend[:, 0]) / np.linalg.norm(along, axis=1) ** 3)
+
+    @cached_property
+    def _grid(self) -> tuple[Array, Array]:
+        """Parameters along the tip curve, and its length up to them."""
+        t = np.linspace(self.first, self.last, _DENSE + 1)
+        nodes, weights = np.polynomial.legendre.leggauss(4)
+        middle = 0.5 * (t[1:] + t[:-1])[:, None] + 0.5 * np.diff(t)[:, None] * nodes
+        speed = np.linalg.norm(self.side.curve(middle.ravel(), 1), axis=1)
+        speed = speed * (1.0 - self.tip * self._curvature(middle.ravel()))
+        pieces = 0.5 * np.diff(t) * (speed.reshape(middle.shape) @ weights)
+        return t, np.concatenate([[0.0], np.cumsum(pieces)])
+
+    @cached_property
+    def _lengths(self) -> CubicSpline:
+        return CubicSpline(*self._grid)
+
+    @cached_property
+    def _parameters(self) -> CubicSpline:
+        """Parameter by length: within a micrometre, which moves a point along the curve and never off it."""
+        return CubicSpline(*self._grid[::-1])
+
+
+@dataclass(frozen=True)
+class FlatStrip:
+    """A level layer between x `first` and `last`, its top and its bottom at heights `tip` and `base` [m]."""
+
+    first: float
+    last: float
+    tip: float
+    base: float
+
+    @property
+    def length(self) -> float:
+        """Of the tip curve [m]."""
+        return self.last - self.first
+
+    @property
+    def height(self) -> float:
+        """From its bottom to its top [m]."""
+        return self.tip - self.base
+
+    @property
+    def bend(self) -> float:
+        """Greatest curvature of the tip curve [1/m]."""
+        return 0.0
+
+    def tips(self, s: Array) -> tuple[Array, Array]:
+        """Points and outward unit normals (n, 2) of the tip curve at lengths s (n) from its start."""
+        points = np.column_stack([self.first + s, np.full(len(s), self.tip)])
+        return points, self.normals(points)
+
+    def normals(self, points: Array) -> Array:
+        """Upwards (n, 2)."""
+        return np.tile([0.0, 1.0], (len(points), 1))
+
+    def covers(self, places: Places) -> Mask:
+        """Which places (n) lie inside."""
+        x, z = places.points.T
+        return np.asarray((x > self.first) & (x < self.last) & (z > self.base) & (z < self.tip))
+
+
+@dataclass(frozen=True)
+class _Outline:
+    """Places (n, 2) on the edges of strips, and their outward normals (n, 2)."""
+
+    points: Array
+    normals: Array
+    tree: cKDTree
+
+
+@dataclass(frozen=True)
+class LayeredSolid:
+    """The surface that layers lie on: what has been printed, up to the layer that is being printed, on the bed z = 0.
+
+    strips, levels   all strips, and the layer of each in print order, which never falls; -1: there from the start
+    laid             the strip that each bead fills
+    span             least and greatest y of the solid [m]
+    level            the layers before this one are there
+    outlines         of the strips that are there, by level; filled in when it is asked for
+    """
+
+    strips: tuple[Strip, ...]
+    levels: tuple[int, ...]
+    laid: tuple[int, ...]
+    span: tuple[float, float]
+    level: int
+    outlines: dict[int, _Outline]
+
+    def before(self, bead: int) -> LayeredSolid:
+        """The solid when the first `bead` beads have been printed: without the layer of the last of them."""
+        return replace(self, level=self.levels[self.laid[max(bead - 1, 0)]])
+
+    def signed_distance(self, points: Array) -> Array:
+        """Distance (n,) of points (n, 3) from what is there; negative inside."""
+        flat = points[:, ::2]
+        bed = points[:, 2]
+        outline = self._outline(self.level)
+        if len(outline.points) == 0:
+            return np.asarray(bed.copy())
+        _, k = outline.tree.query(flat)
+        away = flat - outline.points[k]
+        out = (away * outline.normals[k]).sum(axis=1)
+        aside = np.maximum(np.linalg.norm(away - out[:, None] * outline.normals[k], axis=1) - 0.5 * _SAMPLE, 0.0)
+        across = np.where(self._covered(flat), -1.0, 1.0) * np.hypot(out, aside)
+        beyond = np.maximum(self.span[0] - points[:, 1], points[:, 1] - self.span[1])
+        outside = np.hypot(np.maximum(across, 0.0), np.maximum(beyond, 0.0))
+        return np.asarray(np.minimum(outside + np.minimum(np.maximum(across, beyond), 0.0), bed))
+
+    def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
+        """True outward unit normals (n, 3) of a bead's layer at the places nearest to tips (n, 3)."""
+        out = np.zeros((len(tips), 3))
+        out[:, ::2] = self.strips[self.laid[bead]].normals(tips[:, ::2])
+        return out
+
+    def normals(self, points: Array) -> Array:
+        """Unit directions (n, 3) in which the distance from what is there grows; upwards next to the bed and inside."""
+        out = np.tile([0.0, 0.0, 1.0], (len(points), 1))
+        outline = self._outline(self.level)
+        if len(outline.points) == 0:
+            return out
+        away = np.zeros_like(points)
+        away[:, ::2] = points[:, ::2] - outline.points[outline.tree.query(points[:, ::2])[1]]
+        away[:, 1] = points[:, 1] - np.clip(points[:, 1], *self.span)
+        inside = self._covered(points[:, ::2])
+        away[inside] = [0.0, 0.0, 0.0]
+        size = np.linalg.norm(away, axis=1)
+        free = (size > _NUDGE) & (size <= points[:, 2])
+        out[free] = away[free] / size[free, None]
+        return out
+
+    def _covered(self, points: Array) -> Mask:
+        """Which points (n, 2) lie in a strip that is there."""
+        outline = self._outline(self.level)
+        low, high = outline.points.min(axis=0), outline.points.max(axis=0)
+        near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
+        covered = np.zeros(len(points), dtype=bool)
+        covered[near] = _inside(self._there(self.level), points[near])
+        return covered
+
+    def _there(self, level: int) -> list[Strip]:
+        return [strip for strip, at in zip(self.strips, self.levels, strict=True) if at < level]
+
+    def _outline(self, level: int) -> _Outline:
+        if level not in self.outlines:
+            there = self._there(level)
+            new = (
+                there if level == 0 else [s for s, at in zip(self.strips, self.levels, strict=True) if at == level - 1]
+            )
+            before = [] if level == 0 else [self._outline(level - 1)]
+            free = [_bare((o.points, o.normals), new) for o in before]
+            for strip in new:
+                free += [_bare(edge, there) for edge in (_tips(strip), _bottom(strip), *_faces(strip))]
+            self.outlines[level] = _collected(free)
+        return self.outlines[level]
+
+
+def _bare(piece: _Piece, strips: list[Strip]) -> _Piece:
+    """What of an edge lies on no strip."""
+    points, normals = piece
+    bare = ~_inside(strips, points + _NUDGE * normals)
+    return points[bare], normals[bare]
+
+
+def _inside(strips: list[Strip], points: Array) -> Mask:
+    """Which points (n, 2) lie in any of the strips."""
+    places, covered = Places(points), np.zeros(len(points), dtype=bool)
+    for strip in strips:
+        covered |= strip.covers(places)
+    return covered
+
+
+def _collected(pieces: list[_Piece]) -> _Outline:
+    none = np.zeros((0, 2))
+    points = np.vstack([none, *(piece[0] for piece in pieces)])
+    normals = np.vstack([none, *(piece[1] for piece in pieces)])
+    return _Outline(points, normals, cKDTree(points))
+
+
+def _tips(strip: Strip) -> tuple[Array, Array]:
+    """Places along a strip's tip curve, with their normals."""
+    return strip.tips(np.linspace(0.0, strip.length, int(np.ceil(strip.length / _SAMPLE)) + 1))
+
+
+def _bottom(strip: Strip) -> tuple[Array, Array]:
+    """Places along a strip's underside, with their normals."""
+    points, normals = _tips(strip)
+    return points - strip.height * normals, -normals
+
+
+def _faces(strip: Strip) -> list[tuple[Array, Array]]:
+    """Places on the two ends of a strip, with their normals."""
+    ends, normals = strip.tips(np.array([0.0, strip.length]))
+    down = np.linspace(0.0, strip.height, int(np.ceil(strip.height / _SAMPLE)) + 1)
+    along = np.column_stack([normals[:, 1], -normals[:, 0]])
+    along *= np.sign(along @ (ends[1] - ends[0]))[:, None]
+    return [
+        (end - down[:, None] * normal, np.tile(out, (len(down), 1)))
+        for end, normal, out in zip(ends, normals, along * [[-1.0], [1.0]], strict=True)
+    ]

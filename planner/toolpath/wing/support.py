@@ -1,0 +1,91 @@
+"""What a wing is printed on: level layers from the bed up, and curved ones between them and its lower surface."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.problem import Problem
+from planner.problem.wing import AerofoilLayersSpec, SupportSpec
+from planner.toolpath.wing.section import Section, parallels
+from planner.toolpath.wing.strips import CurvedStrip, FlatStrip, Strip
+
+Array = NDArray[np.float64]
+
+_SAMPLES = 4000  # of the section's underside, between which level layers end
+_APART = 0.5  # layer heights in x that level layers keep from the ends of curved ones
+_ROUNDING = 1e-9  # m
+
+
+def check_support(problem: Problem, spec: AerofoilLayersSpec, support: SupportSpec, floor: float) -> None:
+    """A support must reach from the bed to all of the wing, whose lowest point is at `floor` [m], and not beyond.
+
+    Raises InputError.
+    """
+    field, least = "layers.support", 1e3 * support.curved * spec.height
+    if floor * 1e3 < least - _ROUNDING:
+        raise problem.error(
+            f"{field}.curved",
+            f"the wing is {floor * 1e3:.2f} mm above the bed, less than its curved layers are high, {least:g}",
+            f"fewer of them, or z of layers.source.origin_mm greater by {least - floor * 1e3 + 0.005:.2f}",
+        )
+    if support.length < spec.source.chord:
+        reason = f"{support.length * 1e3:g} mm are less than the chord"
+        raise problem.error(f"{field}.length_mm", reason, f"at least {spec.source.chord * 1e3:g}")
+    if support.height > spec.source.origin[2]:
+        reason = f"{support.height * 1e3:g} mm are above the leading edge: the nozzle would meet the support"
+        raise problem.error(f"{field}.height_mm", reason, f"at most {spec.source.origin[2] * 1e3:g}")
+
+
+def curved_layers(section: Section, spec: AerofoilLayersSpec, support: SupportSpec) -> list[list[CurvedStrip]]:
+    """The pieces of each curved layer, in print order; the last one's tip is the wing's lower surface."""
+    height = spec.height
+    layers = []
+    for depth in range(support.curved - 1, -1, -1):
+        tip, base = -depth * height, -(depth + 1) * height
+        ends = parallels(section.lower, section.upper, tip, 0.0, spec.source.tilt)
+        layers.append([CurvedStrip(section.lower, tip, base, first, last) for first, last in ends])
+    return layers
+
+
+def level_layers(
+    section: Section, spec: AerofoilLayersSpec, support: SupportSpec, shortest: float
+) -> list[list[FlatStrip]]:
+    """The pieces of each level layer, in print order, none of them shorter than `shortest` [m].
+
+    Under the wing they stay below the curved layers, beside it they reach the support's height.
+    """
+    height, middle = spec.height, spec.source.origin[0] + 0.5 * spec.source.chord
+    low, high = middle - 0.5 * support.length, middle + 0.5 * support.length
+    under = _underside(section, spec, support)
+    beside = [low, under[0, 0] - _ROUNDING, under[-1, 0] + _ROUNDING, high]
+    layers = []
+    for layer in range(int(support.height / height + _ROUNDING)):
+        top = (layer + 1) * height
+        x = np.unique(np.clip(np.concatenate([beside, under[:, 0]]), low, high))
+        room = np.interp(x, under[:, 0], under[:, 1], left=np.inf, right=np.inf) >= top - _ROUNDING
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], room, [False]]).astype(int)))
+        pieces = [FlatStrip(x[a], x[b - 1], top, top - height) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+        layers.append([piece for piece in pieces if piece.length >= shortest])
+    return [pieces for pieces in layers if pieces]
+
+
+def _underside(section: Section, spec: AerofoilLayersSpec, support: SupportSpec) -> Array:
+    """Points (n, 2), by x, above which there is wing or curved support."""
+    below = support.curved * spec.height
+    side = section.lower
+    ends = parallels(side, section.upper, -below, 0.0, spec.source.tilt)
+    t = np.linspace(ends[0][0], ends[-1][1], _SAMPLES) if ends else side.grid
+    points = side.points(t) - below * side.inward(t)
+    reach = np.array([_APART * spec.height, 0.0])
+    points = np.vstack([points[:1] - reach, points, points[-1:] + reach])
+    return points[np.argsort(points[:, 0], kind="stable")]
+
+
+def strips_of(section: Section, spec: AerofoilLayersSpec, support: SupportSpec, shortest: float) -> list[list[Strip]]:
+    """The pieces of all layers of the support, in print order."""
+    level: list[list[Strip]] = [list(pieces) for pieces in level_layers(section, spec, support, shortest)]
+    curved: list[list[Strip]] = [
+        [piece for piece in pieces if piece.length >= shortest] for pieces in curved_layers(section, spec, support)
+    ]
+    return level + [pieces for pieces in curved if pieces]
