@@ -13,7 +13,7 @@ from pathlib import Path
 from planner.errors import OutputError
 from planner.interrupts import ignored_interrupts
 
-RESULTS = ("plan.json", "trajectory.csv", "extrusion.gcode", "report.html")
+RESULTS = ("plan.json", "trajectory.csv", "report_part.stl", "extrusion.gcode", "report.html")
 MARK = "! beadwise"  # stands in the header of the robot programs that are ours, and of no one else's
 
 

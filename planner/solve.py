@@ -28,7 +28,7 @@ from planner.errors import (
     PlannerError,
     Refusal,
 )
-from planner.export import write_plan, write_refusal, write_robot_code, write_trajectory
+from planner.export import write_part, write_plan, write_refusal, write_robot_code, write_trajectory
 from planner.motion import join
 from planner.output import results_folder
 from planner.plan import Plan, Trajectory
@@ -206,6 +206,7 @@ def write(plan: Plan, folder: Path, stages: Stages | None = None, second_process
 def _write_tables(plan: Plan, folder: Path) -> None:
     write_report(plan, folder / "report.html")
     write_trajectory(plan, folder)
+    write_part(plan, folder)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -259,7 +260,7 @@ def _report_refusal(problem: Problem, strategy: str, refusal: Refusal, path: Pat
         problem=problem,
         strategy=strategy,
         message=str(refusal),
-        beads=build_toolpath(problem).beads,
+        toolpath=build_toolpath(problem),
         bead=refusal.bead,
         point_mm=refusal.point_mm,
         facts={},

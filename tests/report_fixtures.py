@@ -10,19 +10,19 @@ from types import SimpleNamespace
 import numpy as np
 
 from planner.plan import Check, Dip, Plan, Remedy, Trajectory
+from planner.toolpath.shape import cylinder_shape
 
 RADIUS, HEIGHT, CENTRE = 0.034, 0.100, np.array([0.0314, 0.037])
 COMMANDED = 0.040
 DT = 0.004
+SHAPE = cylinder_shape(RADIUS, HEIGHT, CENTRE)
 
 
 def make_problem(name: str = "cylinder_stars") -> SimpleNamespace:
     """The fields of a Problem that the report reads (SI units)."""
-    cylinder = SimpleNamespace(radius=RADIUS, height=HEIGHT, centre=CENTRE)
     return SimpleNamespace(
         name=name,
         file=Path("problems/cylinder_stars.yaml"),
-        part=SimpleNamespace(cylinder=cylinder),
         process=SimpleNamespace(
             speed=COMMANDED,
             travel_speed=0.2,
@@ -102,7 +102,7 @@ def make_plan(
     return Plan(
         problem=make_problem(name),
         cell=SimpleNamespace(joint_names=names, limits=limits, arm_robot=robot, holder_robot=table, spherical=True),
-        toolpath=SimpleNamespace(beads=make_beads(4 * layers), layers=layers),
+        toolpath=SimpleNamespace(beads=make_beads(4 * layers), layers=layers, shape=SHAPE),
         strategy="ladder",
         trajectory=trajectory,
         checks=checks,

@@ -24,7 +24,15 @@ from planner.problem import shipped_problems
 from planner.solve import main
 
 ROOT = Path(__file__).resolve().parents[1]
-VERIFIED = {"plan.json", "trajectory.csv", "Small.mod", "Small.pgf", "extrusion.gcode", "report.html"}
+VERIFIED = {
+    "plan.json",
+    "trajectory.csv",
+    "report_part.stl",
+    "Small.mod",
+    "Small.pgf",
+    "extrusion.gcode",
+    "report.html",
+}
 REFUSED = {"plan.json", "report.html"}
 OUT_OF_REACH = ("origin_mm: [633.5, 9.87, 380]", "origin_mm: [1500, 9.87, 380]")
 
@@ -375,7 +383,7 @@ def test_plan_that_fails_a_check(run: Callable[..., Outcome], tmp_path: Path) ->
     assert "FAILED singularity margin" in outcome.out
     assert "NOT verified: no robot code was written" in outcome.out
     folder = tmp_path / "out" / "small"
-    assert {path.name for path in folder.iterdir()} == {"plan.json", "report.html", "trajectory.csv"}
+    assert {path.name for path in folder.iterdir()} == {"plan.json", "report.html", "trajectory.csv", "report_part.stl"}
     plan = json.loads((folder / "plan.json").read_text(encoding="utf-8"))
     assert plan["verified"] is False
     assert [check["name"] for check in plan["checks"] if not check["ok"]] == ["singularity margin"]
@@ -407,7 +415,7 @@ def test_plan_that_fails_a_check_removes_stale_robot_code(run: Callable[..., Out
     assert run("small.yaml", "--quiet").code == 0
     old = (folder / "plan.json").read_bytes()
     assert run("small.yaml", "--strategy", "as_published", "--set", "resolve.min_sigma=0.3", "--quiet").code == 3
-    assert {path.name for path in folder.iterdir()} == {"plan.json", "report.html", "trajectory.csv"}
+    assert {path.name for path in folder.iterdir()} == {"plan.json", "report.html", "trajectory.csv", "report_part.stl"}
     assert (folder / "plan.json").read_bytes() != old
 
 

@@ -20,16 +20,17 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from matplotlib.image import imread
 from plotly.offline import get_plotlyjs
-from report_fixtures import CENTRE, RADIUS, make_beads, make_plan, make_problem, with_dips, write_folder
+from report_fixtures import CENTRE, HEIGHT, RADIUS, SHAPE, make_beads, make_plan, make_problem, with_dips, write_folder
 
 from planner.errors import InputError, OutputError
+from planner.export import write_part
 from planner.plan import Event
 from planner.report import picture
 from planner.report.curves import joint_charts, time_charts
 from planner.report.dips import MOST_MARKS, MOST_ROWS
 from planner.report.extruder import even_flow, flow_note
 from planner.report.failure import write_failure_report
-from planner.report.finished import fit_cylinder
+from planner.report.finished import read_part
 from planner.report.html import _header, write_report
 from planner.report.places import worst_places
 from planner.report.scene import MAX_GROUPS, bead_scene, plan_scene
@@ -149,7 +150,7 @@ def test_every_figure_has_a_place_on_the_page_and_is_valid_plotly(long_report: P
     for scene in (
         plan_scene(plan, worst_places(plan)),
         plan_scene(with_dips(plan), worst_places(plan)),
-        bead_scene(make_problem(), make_beads(3), 1, (60.0, 30.0, 20.0)),
+        bead_scene(SHAPE, make_beads(3), 1, (60.0, 30.0, 20.0)),
     ):
         go.Figure({"data": scene["traces"], "layout": scene["layout"]})
 
@@ -199,8 +200,8 @@ def test_the_part_is_drawn_where_it_is() -> None:
     part = plan_scene(make_plan(4_000), [])["traces"][0]
     assert part["type"] == "mesh3d"
     assert (part["z"].min(), part["z"].max()) == (0.0, 100.0)
-    reach = np.hypot(part["x"] - CENTRE[0] * 1e3, part["y"] - CENTRE[1] * 1e3).max()
-    assert 0.99 * RADIUS * 1e3 < reach < RADIUS * 1e3, "a hair inside the first layer"
+    reach = np.hypot(part["x"] - CENTRE[0] * 1e3, part["y"] - CENTRE[1] * 1e3)
+    assert 0.99 * RADIUS * 1e3 < reach[part["z"] == 0.0].min() < RADIUS * 1e3 - 0.1, "a hair inside the first layer"
 
 
 # ---- dips --------------------------------------------------------------------------------------------------------
@@ -518,8 +519,16 @@ def test_names_from_files_cannot_become_markup(tmp_path: Path) -> None:
     write_report(plan, tmp_path / "r.html")
     beads = make_beads(2)
     beads[0].name = EVIL
-    write_failure_report(tmp_path / "f.html", problem=plan.problem, strategy=EVIL, message=EVIL, beads=beads, bead=0,
-                         point_mm=None, facts={EVIL: EVIL})  # fmt: skip
+    write_failure_report(
+        tmp_path / "f.html",
+        problem=plan.problem,
+        strategy=EVIL,
+        message=EVIL,
+        toolpath=SimpleNamespace(beads=beads, shape=None),
+        bead=0,
+        point_mm=None,
+        facts={EVIL: EVIL},
+    )
     for name in ("r.html", "f.html"):
         text = own_text(tmp_path / name)
         assert "<script>alert" not in text and "<img" not in text
@@ -530,10 +539,12 @@ def test_names_from_files_cannot_become_markup(tmp_path: Path) -> None:
 def test_a_plan_on_a_bed_with_nothing_optional(tmp_path: Path) -> None:
     plan = make_plan(4_000)
     problem = SimpleNamespace(**vars(plan.problem))
-    problem.part = SimpleNamespace(cylinder=None)
+    toolpath = SimpleNamespace(**vars(plan.toolpath) | {"shape": None})
     cell = SimpleNamespace(**vars(plan.cell))
     cell.holder_robot = None
-    plan = dataclasses.replace(plan, problem=problem, cell=cell, series={}, baseline={}, metrics={}, versions={})
+    plan = dataclasses.replace(
+        plan, problem=problem, toolpath=toolpath, cell=cell, series={}, baseline={}, metrics={}, versions={}
+    )
     write_report(plan, tmp_path / "r.html")
     assert "Verified" in visible(tmp_path / "r.html")
     assert all(trace["type"] != "mesh3d" for trace in figures(tmp_path / "r.html")["scene"]["traces"])
@@ -550,8 +561,16 @@ def test_nowhere_to_write(tmp_path: Path) -> None:
 def test_failure_report_says_why_where_and_what_to_change(tmp_path: Path) -> None:
     beads = make_beads(6)
     place = tuple(beads[3].points[57] * 1e3)
-    write_failure_report(tmp_path / "f.html", problem=make_problem(), strategy="ladder", message="out of reach by 41.3 mm",
-                         beads=beads, bead=3, point_mm=place, facts={"missing": "41.3 mm", "what to change": "Move it."})  # fmt: skip
+    write_failure_report(
+        tmp_path / "f.html",
+        problem=make_problem(),
+        strategy="ladder",
+        message="out of reach by 41.3 mm",
+        toolpath=SimpleNamespace(beads=beads, shape=SHAPE),
+        bead=3,
+        point_mm=place,
+        facts={"missing": "41.3 mm", "what to change": "Move it."},
+    )
     words = visible(tmp_path / "f.html")
     assert (
         words.index("out of reach by 41.3 mm") < words.index("3 of 6 (ring 3), layer 1") < words.index("What to change")
@@ -565,8 +584,16 @@ def test_failure_report_says_why_where_and_what_to_change(tmp_path: Path) -> Non
 
 
 def test_failure_report_without_any_bead(tmp_path: Path) -> None:
-    write_failure_report(tmp_path / "f.html", problem=make_problem(), strategy="ladder", message="no", beads=None,
-                         bead=None, point_mm=None, facts={})  # fmt: skip
+    write_failure_report(
+        tmp_path / "f.html",
+        problem=make_problem(),
+        strategy="ladder",
+        message="no",
+        toolpath=None,
+        bead=None,
+        point_mm=None,
+        facts={},
+    )
     assert figures(tmp_path / "f.html")["scene"] is None
     assert "No plan: this cannot be printed" in visible(tmp_path / "f.html")
 
@@ -575,7 +602,9 @@ def test_failure_report_without_any_bead(tmp_path: Path) -> None:
 
 
 def test_picture_shows_the_lines_on_the_part(tmp_path: Path) -> None:
-    write_folder(make_plan(6_000), tmp_path / "out")
+    plan = make_plan(6_000)
+    write_folder(plan, tmp_path / "out")
+    write_part(plan, tmp_path / "out")
     assert picture.main([str(tmp_path / "out"), str(tmp_path / "p.png")]) == 0
     image = imread(tmp_path / "p.png")[:, :, :3]
     assert image.shape[0] > 800 and image.shape[1] > 1500
@@ -605,14 +634,25 @@ def test_picture_marks_dips_on_the_near_side(tmp_path: Path) -> None:
     assert (tmp_path / "old.png").exists()
 
 
-def test_the_part_is_found_again_from_the_lines() -> None:
-    traj = make_plan(6_000).trajectory
-    found = fit_cylinder(traj.tip * 1e3, -traj.axis, traj.layer, traj.deposit)
-    assert found is not None
-    assert found.centre == pytest.approx(CENTRE * 1e3, abs=1e-6)
-    assert found.radius == pytest.approx(RADIUS * 1e3 + 0.5, abs=1e-6), "the lowest layer's tip"
-    flat = np.tile([0.0, 0.0, 1.0], (len(traj), 1))
-    assert fit_cylinder(traj.tip * 1e3, flat, traj.layer, traj.deposit) is None
+def test_the_part_is_drawn_behind_its_lines(tmp_path: Path) -> None:
+    plan = make_plan(6_000)
+    write_folder(plan, tmp_path / "bare")
+    write_folder(plan, tmp_path / "whole")
+    write_part(plan, tmp_path / "whole")
+    triangles = read_part(tmp_path / "whole")
+    assert np.allclose(triangles.min(axis=(0, 1)), [*(CENTRE - RADIUS) * 1e3, 0.0], atol=1e-3)
+    assert np.allclose(triangles.max(axis=(0, 1)), [*(CENTRE + RADIUS) * 1e3, HEIGHT * 1e3], atol=1e-3)
+    pictures = []
+    for name in ("bare", "whole"):
+        picture.draw_picture(tmp_path / name, tmp_path / f"{name}.png")
+        pictures.append(imread(tmp_path / f"{name}.png")[:, :, :3])
+    half = pictures[0].shape[1] // 2
+    white = [(image[:, :half] > 0.999).all(axis=2).mean() for image in pictures]
+    assert white[1] < 0.75 * white[0], "a shaded body where there was paper"
+    assert len(read_part(tmp_path / "bare")) == 0
+    (tmp_path / "bare" / "report_part.stl").write_bytes(b"solid nothing")
+    with pytest.raises(InputError, match="no triangles"):
+        read_part(tmp_path / "bare")
 
 
 def test_picture_refuses_what_is_not_a_plan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -85,7 +85,7 @@ HEAVY = {
     "ruckig": {"travel"},
     "pinocchio": {"cell", "replay"},
     "svgelements": {"toolpath"},
-    "trimesh": {"toolpath.substrate.facets"},
+    "trimesh": {"toolpath.substrate.facets", "export.part_stl", "report.finished"},
     "matplotlib": {"report"},
     "plotly": {"report"},
     "rich": {"progress", "report.summary", "solve"},

@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, Any
 
 from planner.errors import OutputError, Refusal
 from planner.export.gcode import gcode
+from planner.export.part_stl import part_stl
 from planner.export.plan_json import plan_json, refusal_json
 from planner.export.rapid import module_name, pgf, rapid
 from planner.export.rapid_check import compare
@@ -40,6 +41,13 @@ def write_plan(plan: Plan, folder: Path) -> Path:
     return _write_text(folder / "plan.json", plan_json(plan))
 
 
+def write_part(plan: Plan, folder: Path) -> None:
+    """Write report_part.stl where the part has a shape of its own. OutputError where that is impossible."""
+    shape = plan.toolpath.shape
+    if shape is not None:
+        _write(folder / "report_part.stl", lambda stream: stream.write(part_stl(shape)), binary=True)
+
+
 def write_refusal(problem: Problem, strategy: str, refusal: Refusal, folder: Path) -> Path:
     """Write the plan.json of a problem that has no plan: not verified, and where and why."""
     return _write_text(folder / "plan.json", refusal_json(problem, strategy, refusal))
@@ -64,13 +72,13 @@ def _write_text(path: Path, text: str) -> Path:
     return _write(path, lambda stream: stream.write(text))
 
 
-def _write(path: Path, fill: Callable[[TextIO], object]) -> Path:
+def _write(path: Path, fill: Callable[[Any], object], binary: bool = False) -> Path:
     """Fill a file beside its place and move it there whole: an interruption leaves no half of one."""
     part = path.with_name(path.name + ".part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            with part.open("w", encoding="utf-8", newline="\n") as stream:
+            with part.open("wb") if binary else part.open("w", encoding="utf-8", newline="\n") as stream:
                 fill(stream)
             os.replace(part, path)
         finally:

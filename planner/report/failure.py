@@ -11,7 +11,7 @@ from planner.report import page as frame
 from planner.report.scene import bead_scene
 
 if TYPE_CHECKING:
-    from planner.toolpath.bead import Bead
+    from planner.toolpath.bead import Toolpath
 
 # What a user can turn, by field of the problem file, and what it does: true of every refusal.
 LEVERS = (
@@ -38,7 +38,7 @@ def write_failure_report(
     problem: Any,
     strategy: str,
     message: str,
-    beads: Sequence[Bead] | None,
+    toolpath: Toolpath | None,
     bead: int | None,
     point_mm: tuple[float, float, float] | None,
     facts: Mapping[str, str],
@@ -47,7 +47,7 @@ def write_failure_report(
     """Write the report of a refused problem.
 
     message   one sentence: the reason
-    beads     the planned lines, if planning came that far; `bead` is the index of the one that failed
+    toolpath  what was to be printed, if planning came that far; `bead` is the index of the one that failed
     point_mm  the place in the part frame, if known
     facts     name -> text, shown as they are; "what to change", if there, is shown first of the advice
     hints     changes that were tried and would help, shown after it
@@ -61,7 +61,8 @@ def write_failure_report(
         + frame.verdict(False, "No plan: this cannot be printed as it stands", f"<p>{escape(message)}</p>")
     )
     known = []
-    if bead is not None and beads is not None and 0 <= bead < len(beads):
+    beads = toolpath.beads if toolpath is not None else ()
+    if bead is not None and 0 <= bead < len(beads):
         line = beads[bead]
         known.append(("bead", f"{bead} of {len(beads)} ({line.name}), layer {line.layer + 1}"))
     if point_mm is not None:
@@ -69,9 +70,9 @@ def write_failure_report(
         known.append(("place in the part frame", f"x {x:.2f}, y {y:.2f}, z {z:.2f} mm"))
     body = frame.pairs_table("What is known", [*known, *facts.items()])
     scene = None
-    if beads:
+    if toolpath is not None:
         failed = bead if bead is not None and 0 <= bead < len(beads) else None
-        scene = bead_scene(problem, beads, failed, point_mm)
+        scene = bead_scene(toolpath.shape, beads, failed, point_mm)
         body += (
             "<h2>Where</h2><p class=note>All planned lines in the part’s own frame, in millimetres"
             f"{'; the one that fails is thick and red' if failed is not None else ''}"

@@ -1,31 +1,21 @@
-"""A finished plan as its output folder holds it: plan.json, trajectory.csv, and the part guessed from both."""
+"""A finished plan as its output folder holds it: plan.json, trajectory.csv, and report_part.stl."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 from planner.errors import InputError, nearest_name
 
 Array = NDArray[np.float64]
 
-COLUMNS = ("t_s", "bead", "layer", "deposit", "x_mm", "y_mm", "z_mm", "ax", "ay", "az", "speed_mm_s")
-FIT_TOLERANCE_MM = 0.05
-
-
-@dataclass(frozen=True)
-class Cylinder:
-    """An upright part: centre (2,), radius and the z of its two ends, in mm."""
-
-    centre: Array
-    radius: float
-    bottom: float
-    top: float
+COLUMNS = ("t_s", "bead", "layer", "deposit", "x_mm", "y_mm", "z_mm", "ax", "ay", "az", "speed_mm_s", "flow_mm3_s")
 
 
 def read_folder(folder: Path) -> tuple[dict[str, Any], dict[str, Array]]:
@@ -62,22 +52,20 @@ def read_folder(folder: Path) -> tuple[dict[str, Any], dict[str, Array]]:
     return summary, dict(zip(COLUMNS, table.T, strict=True))
 
 
-def fit_cylinder(points: Array, normals: Array, layer: Array, printing: NDArray[np.bool_]) -> Cylinder | None:
-    """The upright cylinder under the lowest layer, or None: points (n, 3) mm, outward unit normals (n, 3).
+def read_part(folder: Path) -> Array:
+    """Triangles (n, 3, 3) of the part [mm] in report_part.stl; none where there is no such file.
 
-    Least squares of p_xy - r n_xy = c over the centre c and the radius r; it must hold to 0.05 mm everywhere.
+    Raises InputError for a file that is no STL file.
     """
-    lowest = printing & (layer == layer[printing].min())
-    p, n = points[lowest], normals[lowest]
-    if np.abs(n[:, 2]).max() > 1e-3:
-        return None
-    one, zero = np.ones(len(p)), np.zeros(len(p))
-    A = np.vstack([np.column_stack([one, zero, n[:, 0]]), np.column_stack([zero, one, n[:, 1]])])
-    b = np.concatenate([p[:, 0], p[:, 1]])
-    solution, _, rank, _ = np.linalg.lstsq(A, b, rcond=1e-6)
-    if rank < 3 or np.abs(A @ solution - b).max() > FIT_TOLERANCE_MM or solution[2] <= 0:
-        return None
-    z = points[printing, 2]
-    # The part stands on z = 0; as much is left free above the print as below it.
-    bottom = min(0.0, float(z.min()))
-    return Cylinder(solution[:2], float(solution[2]), bottom, float(z.max()) + max(float(z.min()), 2.0))
+    path = folder / "report_part.stl"
+    if not path.is_file():
+        return np.zeros((0, 3, 3))
+    try:
+        with path.open("rb") as stream:
+            mesh = trimesh.load_mesh(stream, file_type="stl", process=False)
+        triangles = np.asarray(mesh.triangles, dtype=float)
+    except (ValueError, TypeError, IndexError, struct.error, UnicodeDecodeError) as error:
+        raise InputError("not an STL file", file=path) from error
+    if not (len(triangles) and np.isfinite(triangles).all()):
+        raise InputError("no triangles, or one with a corner that is no number", file=path)
+    return triangles

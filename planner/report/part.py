@@ -2,51 +2,33 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+if TYPE_CHECKING:
+    from planner.toolpath.shape import Shape
+
 Array = NDArray[np.float64]
 
-CIRCLE = 97
 PART_LIT, PART_DARK = np.array([238.0, 242.0, 246.0]), np.array([176.0, 187.0, 199.0])
+SUNK_MM = 0.15  # the part is drawn this much smaller, so that the first layer's lines are not half sunk into it
 
 
-def part_traces(problem: Any, facing: Array) -> list[dict[str, Any]]:
-    """The part as a light solid, where its shape is known: a cylinder from z = 0 to its height, lit from where it is seen."""
-    cylinder = getattr(getattr(problem, "part", None), "cylinder", None)
-    if cylinder is None:
+def part_traces(shape: Shape | None, facing: Array) -> list[dict[str, Any]]:
+    """The part as a light solid, where its shape is known, lit from where the print is seen."""
+    if shape is None:
         return []
-    centre, radius, height = (np.asarray(cylinder.centre) * 1e3, cylinder.radius * 1e3, cylinder.height * 1e3)
-    # A hair smaller than it is, so that the first layer's lines are not half sunk into it.
-    radius *= 0.995
-    a = np.linspace(0, 2 * np.pi, CIRCLE)
-    ring = np.column_stack([centre[0] + radius * np.cos(a), centre[1] + radius * np.sin(a)])
-    bottom = np.column_stack([ring, np.zeros(CIRCLE)])
-    top = np.column_stack([ring, np.full(CIRCLE, height)])
-    hub = np.array([[*centre[:2], height]])
-    vertices = np.vstack([bottom, top, top, hub]).astype(np.float32)
-    wall = np.column_stack([np.cos(a), np.sin(a), np.zeros(CIRCLE)])
-    up = np.tile([0.0, 0.0, 1.0], (CIRCLE, 1))
-    k = np.arange(CIRCLE - 1)
-    side_i = np.concatenate([k, k + 1])
-    side_j = np.concatenate([k + 1, k + 1 + CIRCLE])
-    side_k = np.concatenate([k + CIRCLE, k + CIRCLE])
-    i = np.concatenate([side_i, k + 2 * CIRCLE])
-    j = np.concatenate([side_j, k + 1 + 2 * CIRCLE])
-    kk = np.concatenate([side_k, np.full(CIRCLE - 1, 3 * CIRCLE)])
+    vertices = (shape.vertices * 1e3 - SUNK_MM * shape.normals).astype(np.float32)
+    corners = shape.triangles.astype(np.uint16 if len(vertices) <= np.iinfo(np.uint16).max else np.uint32)
     return [
         {
             "type": "mesh3d",
-            "x": vertices[:, 0].copy(),
-            "y": vertices[:, 1].copy(),
-            "z": vertices[:, 2].copy(),
-            "i": i.astype(np.uint16),
-            "j": j.astype(np.uint16),
-            "k": kk.astype(np.uint16),
+            **{axis: vertices[:, k].copy() for k, axis in enumerate("xyz")},
+            **{corner: corners[:, k].copy() for k, corner in enumerate("ijk")},
             # Shaded here: plotly lights an orthographic scene evenly, and a round part would look flat.
-            "vertexcolor": _shade(np.vstack([wall, wall, up, up[:1]]), facing),
+            "vertexcolor": _shade(shape.normals, facing),
             # Opaque at first: plotly does not sort translucent triangles, and stripes would show.
             "opacity": 1.0,
             "hoverinfo": "skip",

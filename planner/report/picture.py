@@ -2,8 +2,7 @@
 
     python -m planner.report.picture OUT_FOLDER PICTURE.png
 
-Reads trajectory.csv and plan.json. The part is not in these files: where the nozzle's axes in the lowest layer all
-meet one upright line, the part is a cylinder round it and is drawn; otherwise the lines stand alone.
+Reads trajectory.csv, plan.json and, where the part has a shape of its own, report_part.stl.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from planner.errors import InputError, OutputError, PlannerError
-from planner.report.finished import Cylinder, fit_cylinder, read_folder
+from planner.report.finished import read_folder, read_part
 from planner.report.part import PART_DARK, PART_LIT
 from planner.report.scene import ALARM, COLOURS, INK
 from planner.report.thinning import stretches, thin_curve
@@ -30,9 +29,14 @@ from planner.report.thinning import stretches, thin_curve
 Array = NDArray[np.float64]
 
 ELEVATION = np.radians(20.0)
-FACETS = 180
+SCENE_INCHES = np.array([6.2, 6.1])  # width and height of the scene
+SHEEN = 0.45  # of the way to white, where light falls straight on a bead
+WIDEST = 1.35  # points: a bead's line
+LINE = 0.75  # of a bead's size: its line, so that beads side by side stay apart
+LEAST_DOT = 0.03  # of the costliest dip's time: cheaper ones are not marked
 SMALLEST_DOT, LARGEST_DOT = 5.0, 40.0  # of a dip, square points
 SOFT = "#5b6b7b"
+_FLAT = 1e-12  # mm^2: a triangle without an area
 COLOUR_MAP = LinearSegmentedColormap.from_list("calm", COLOURS)
 
 
@@ -47,7 +51,7 @@ def draw_picture(folder: Path, picture: Path) -> None:
         raise InputError("nothing is deposited in this plan", file=folder / "trajectory.csv", field="deposit")
     points = np.column_stack([rows["x_mm"], rows["y_mm"], rows["z_mm"]])
     normals = -np.column_stack([rows["ax"], rows["ay"], rows["az"]])
-    cylinder = fit_cylinder(points, normals, rows["layer"], printing)
+    part = read_part(folder)
     metrics = summary["metrics"]
     ideal = metrics.get("ideal_deposition_time_s") or np.nan
     commanded = metrics.get("deposited_length_mm", np.nan) / ideal
@@ -57,7 +61,7 @@ def draw_picture(folder: Path, picture: Path) -> None:
 
     figure = Figure(figsize=(12.0, 6.4), dpi=150, facecolor="white")
     scene = figure.add_axes((0.01, 0.02, 0.52, 0.96))
-    _draw_scene(scene, points, normals, rows, printing, cylinder, norm)
+    _draw_scene(scene, points, normals, rows, printing, part, norm)
     _mark_dips(scene, points, normals, rows["t_s"], summary.get("dips", []), _view(normals[printing]))
     _draw_words(figure, summary, commanded)
     _draw_speed(figure.add_axes((0.60, 0.13, 0.37, 0.32)), rows, printing, commanded, norm)
@@ -78,13 +82,19 @@ def _view(normals: Array) -> tuple[Array, Array, Array]:
     return right, np.cross(eye, right), eye
 
 
+def _light(right: Array, up: Array, eye: Array) -> Array:
+    """Unit vector to the light: from the left and above, in front."""
+    light = eye - 0.75 * right + 0.35 * up
+    return np.asarray(light / np.linalg.norm(light))
+
+
 def _draw_scene(
     axes: Any,
     points: Array,
     normals: Array,
     rows: dict[str, Array],
     printing: NDArray[np.bool_],
-    cylinder: Cylinder | None,
+    part: Array,
     norm: Normalize,
 ) -> None:
     right, up, eye = _view(normals[printing])
@@ -98,17 +108,20 @@ def _draw_scene(
     depth = middle @ eye
     segments = np.stack([flat[:-1], flat[1:]], axis=1)
     value = np.minimum(rows["speed_mm_s"][index][:-1], rows["speed_mm_s"][index][1:])
+    lit = np.clip(n[:-1] @ _light(right, up, eye), 0.0, 1.0)
+    section = np.median(rows["flow_mm3_s"][index] / np.maximum(rows["speed_mm_s"][index], _FLAT))
+    scale = 72.0 * min(SCENE_INCHES / np.ptp(flat, axis=0))  # points per millimetre, at most
+    width = min(WIDEST, float(np.sqrt(section)) * scale * LINE)
     outlines = [flat]
-    if cylinder is not None:
-        outlines.append(_draw_cylinder(axes, cylinder, right, up, eye))
+    if len(part):
+        outlines.append(_draw_part(axes, part, right, up, eye))
     # Lines on the far side lie behind the part: only what sticks out beside it shows.
     for mine, order in ((joined & ~facing, 1), (joined & facing, 3)):
         at = np.flatnonzero(mine)
         at = at[np.argsort(depth[at], kind="stable")]
-        lines = LineCollection(
-            list(segments[at]), cmap=COLOUR_MAP, norm=norm, linewidths=1.35, capstyle="round", zorder=order
-        )
-        lines.set_array(value[at])
+        colours = COLOUR_MAP(norm(value[at]))[:, :3]
+        colours += SHEEN * lit[at, None] * (1.0 - colours)
+        lines = LineCollection(list(segments[at]), colors=colours, linewidths=width, capstyle="round", zorder=order)
         axes.add_collection(lines)
     every = np.vstack(outlines)
     low, high = every.min(axis=0), every.max(axis=0)
@@ -126,7 +139,7 @@ def _mark_dips(
     right, up, eye = view
     at = np.searchsorted(time, [dip["t_s"] - 0.5 * (time[1] - time[0]) for dip in dips])
     cost = np.array([dip["lost_s"] for dip in dips])
-    near = normals[at] @ eye > 0.0 if len(dips) else np.empty(0, dtype=bool)
+    near = (normals[at] @ eye > 0.0) & (cost >= LEAST_DOT * cost.max()) if len(dips) else np.empty(0, dtype=bool)
     at, cost = at[near], cost[near]
     if not len(at):
         return
@@ -134,22 +147,17 @@ def _mark_dips(
     axes.scatter(points[at] @ right, points[at] @ up, s=size, c="white", edgecolors="black", linewidths=0.7, zorder=4)
 
 
-def _draw_cylinder(axes: Any, cylinder: Cylinder, right: Array, up: Array, eye: Array) -> Array:
-    """Shade the near side and the top; returns the outline (k, 2) on the picture."""
-    a = np.linspace(0.0, 2 * np.pi, FACETS + 1)
-    around = np.column_stack([np.cos(a), np.sin(a), np.zeros(len(a))])
-    ring = np.column_stack([cylinder.centre + cylinder.radius * around[:, :2], np.zeros(len(a))])
-    low, high = (ring + [0.0, 0.0, z] for z in (cylinder.bottom, cylinder.top))
-    low, high = (np.column_stack([v @ right, v @ up]) for v in (low, high))
-    near = np.flatnonzero(around[:-1] @ eye > -0.05)
-    quads = np.stack([low[near], low[near + 1], high[near + 1], high[near]], axis=1)
-    light = eye - 0.75 * right + 0.35 * up
-    lit = np.clip(around[near] @ (light / np.linalg.norm(light)), 0.0, 1.0)[:, None]
+def _draw_part(axes: Any, triangles: Array, right: Array, up: Array, eye: Array) -> Array:
+    """Shade what is seen of triangles (n, 3, 3), the nearest last; returns their corners (k, 2) on the picture."""
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1), _FLAT)[:, None]
+    near = np.flatnonzero(normals @ eye > 0.0)
+    near = near[np.argsort(triangles[near].mean(axis=1) @ eye, kind="stable")]
+    flat = triangles[near] @ np.column_stack([right, up])
+    lit = np.clip(normals[near] @ _light(right, up, eye), 0.0, 1.0)[:, None]
     colours = (PART_DARK + lit * (PART_LIT - PART_DARK)) / 255.0
-    axes.add_collection(PolyCollection(list(quads), facecolors=colours, edgecolors=colours, linewidths=0.6, zorder=2))
-    lid = (PART_DARK + 0.85 * (PART_LIT - PART_DARK)) / 255.0
-    axes.add_collection(PolyCollection([high], facecolors=[lid], edgecolors="#b3bec9", linewidths=0.8, zorder=2.5))
-    return np.vstack([low, high])
+    axes.add_collection(PolyCollection(list(flat), facecolors=colours, edgecolors=colours, linewidths=0.6, zorder=2))
+    return flat.reshape(-1, 2)
 
 
 def _draw_words(figure: Figure, summary: dict[str, Any], commanded: float) -> None:

@@ -21,6 +21,7 @@ from planner.report.thinning import SCENE_BUDGET, keep_minima, stretches, turnin
 if TYPE_CHECKING:
     from planner.plan import Plan
     from planner.toolpath.bead import Bead
+    from planner.toolpath.shape import Shape
 
 Array = NDArray[np.float64]
 
@@ -69,7 +70,7 @@ def plan_scene(plan: Plan, places: Sequence[Place]) -> dict[str, Any]:
         "bead": traj.bead[kept],
     }
     channels = _channels(plan, kept)
-    traces, groups = part_traces(plan.problem, facing), []
+    traces, groups = part_traces(plan.toolpath.shape, facing), []
     carried: dict[str, list[Array]] = {key: [] for key in ("t", "bead", *(c["key"] for c in channels))}
     first_bead = len(traces)
     for bundle in bundles:
@@ -104,7 +105,7 @@ def plan_scene(plan: Plan, places: Sequence[Place]) -> dict[str, Any]:
 
 
 def bead_scene(
-    problem: Any, beads: Sequence[Bead], failed: int | None, point_mm: Sequence[float] | None
+    shape: Shape | None, beads: Sequence[Bead], failed: int | None, point_mm: Sequence[float] | None
 ) -> dict[str, Any]:
     """Scene where there is no trajectory: all beads as planned, the failed one and the place marked."""
     points = [np.asarray(bead.points, dtype=float) * 1e3 for bead in beads]
@@ -114,7 +115,7 @@ def bead_scene(
     kept = keep_minima([-turning(every, first, last), np.zeros(len(every))], SCENE_BUDGET, np.union1d(first, last))
     owner = np.repeat(np.arange(len(points)), [len(p) for p in points])[kept] if points else np.empty(0, dtype=int)
     facing = _facing(beads, failed, point_mm)
-    traces = part_traces(problem, facing)
+    traces = part_traces(shape, facing)
     sets = [(owner != failed, "#40566e", 3, "planned beads")]
     if failed is not None:
         sets.append((owner == failed, ALARM, 7, f"bead {failed}"))

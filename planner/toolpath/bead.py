@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.readonly import ReadOnlyArrays
+from planner.toolpath.shape import Shape
 
 Array = NDArray[np.float64]
 
@@ -66,10 +67,11 @@ class Bead(ReadOnlyArrays):
 
 @dataclass(frozen=True)
 class Toolpath:
-    """All beads in print order, and the surface they lie on."""
+    """All beads in print order, the surface they lie on, and a body's shape to draw beneath them, if there is one."""
 
     beads: tuple[Bead, ...]
     surface: Surface
+    shape: Shape | None = None
 
     @property
     def length(self) -> float:

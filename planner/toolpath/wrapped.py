@@ -13,6 +13,7 @@ from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.ordering import reverse, shorten_travel
 from planner.toolpath.paths import check_length, check_size, length, seam_on_smooth_part
 from planner.toolpath.rounding import round_corners
+from planner.toolpath.shape import cylinder_shape
 from planner.toolpath.svg import PlanePath, read_svg
 from planner.toolpath.wrap import Cylinder, wrap_layer
 
@@ -46,7 +47,8 @@ def wrap_drawing(problem: Problem, spec: LayersSpec) -> Toolpath:
     for layer in range(spec.count):
         beads += wrap_layer(curves, cylinder, layer, spec.height, process.bead.width, process.bead.height)
         curves = [reverse(curve) for curve in reversed(curves)]  # the next layer starts where this one ended
-    return Toolpath(tuple(beads), cylinder)
+    shape = cylinder_shape(cylinder.radius, cylinder.height, cylinder.centre)
+    return Toolpath(tuple(beads), cylinder, shape)
 
 
 def _check_fit(problem: Problem, paths: tuple[PlanePath, ...], cylinder: Cylinder) -> None:

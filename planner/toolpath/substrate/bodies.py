@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from planner.toolpath.shape import Shape, dome_shape, facets_shape, skin_shape
 from planner.toolpath.substrate.facet_tree import FacetTree
 from planner.toolpath.substrate.height_field import HeightField, fit
 
@@ -42,6 +43,10 @@ class Body(Protocol):
         """Distance (n,) of points (n, 3) from the body; negative inside."""
         ...
 
+    def shape(self) -> Shape | None:
+        """The body to be drawn, if it can be."""
+        ...
+
 
 @dataclass(frozen=True)
 class Ball:
@@ -71,6 +76,10 @@ class Ball:
     def signed_distance(self, points: Array) -> Array:
         """Distance (n,) of points (n, 3) from the ball; negative inside."""
         return np.asarray(np.linalg.norm(points - self.centre, axis=1) - self.radius)
+
+    def shape(self) -> Shape:
+        """The dome that stands above the bed."""
+        return dome_shape(self.radius, self.centre)
 
 
 class TooRough(ValueError):
@@ -138,6 +147,10 @@ class MeshTop:
         z, found = self.facets.top(points[:, :2])
         inside = (found >= 0) & (points[:, 2] < z)
         return np.where(inside, -1.0, 1.0) * self.facets.distance(points)
+
+    def shape(self) -> Shape:
+        """The facets, or of too many only where the smooth surface is."""
+        return facets_shape(self.facets.corners) or skin_shape(self.at, *self.surface.span)
 
 
 def _samples(facets: FacetTree, curves: Array, low: Array, high: Array, reach: float) -> tuple[Array, Array]:

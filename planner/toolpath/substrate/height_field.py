@@ -44,6 +44,11 @@ class HeightField(ReadOnlyArrays):
     step: float
     coefficients: Array
 
+    @property
+    def span(self) -> tuple[Array, Array]:
+        """The rectangle's corners of least and of greatest x and y (2)."""
+        return self.corner, self.corner + self.step * (np.array(self.coefficients.shape) - _DEGREE)
+
     def at(self, plane: Array) -> tuple[Array, Array]:
         """Points (n, 3) and upward unit normals (n, 3) at x, y (n, 2), which are held within the rectangle."""
         values = _values(np.ascontiguousarray(plane), self.corner, self.step, self.coefficients, _BASIS)

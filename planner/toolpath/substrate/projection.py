@@ -71,7 +71,8 @@ def project_curves(problem: Problem, spec: ProjectedDrawingSpec | ProjectedPatte
 
 def _laid(substrate: Substrate, rows: Sequence[Sequence[PlaneCurve]], width: float, height: float) -> Toolpath:
     beads = substrate.lay(rows, width, height)
-    return Toolpath(tuple(beads), replace(substrate, layers=tuple(bead.layer for bead in beads)))
+    grown = replace(substrate, layers=tuple(bead.layer for bead in beads))
+    return Toolpath(tuple(beads), grown, substrate.body.shape())
 
 
 def _size_key(source: SvgSpec | PatternSpec) -> str:
