@@ -66,10 +66,14 @@ class Bead(ReadOnlyArrays):
 
 @dataclass(frozen=True)
 class Toolpath:
-    """All beads in print order, and the surface they lie on."""
+    """All beads in print order, and the surface they lie on.
+
+    notes  sentences for the user: what was left out of the input, or changed in it
+    """
 
     beads: tuple[Bead, ...]
     surface: Surface
+    notes: tuple[str, ...] = ()
 
     @property
     def length(self) -> float:
