@@ -175,7 +175,7 @@ def make_plan(
     return Plan(
         problem=spec,
         cell=cell,
-        toolpath=SimpleNamespace(beads=(None,) * beads, layers=(beads + 1) // 2),  # type: ignore[arg-type]
+        toolpath=SimpleNamespace(beads=(None,) * beads, layers=(beads + 1) // 2, notes=()),  # type: ignore[arg-type]
         strategy="ladder",
         trajectory=trajectory,
         checks=(Check("position_error", 0.0021, 0.05, "mm", True, "bead 0"), Check("reach", 0.0, 0.0, "mm", True, "")),

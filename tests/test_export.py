@@ -562,9 +562,9 @@ def test_json_is_strict_and_complete():
     data = json.loads(plan_json(make_plan()), parse_constant=refuse)
     assert set(data) == {
         *("problem", "strategy", "verified", "checks", "metrics", "cell", "timing_s", "versions", "baseline"),
-        *("settings", "dips", "events"),
+        *("settings", "dips", "events", "notes"),
     }
-    assert data["dips"] == data["events"] == []
+    assert data["dips"] == data["events"] == data["notes"] == []
     assert data["verified"] is True and data["metrics"]["sigma_min"] is None
     assert data["baseline"]["fixed"]["at_speed_fraction"] is None
     assert list(data["checks"][0]) == ["name", "worst", "limit", "unit", "ok", "where"]

@@ -279,6 +279,22 @@ def test_a_stop_that_was_asked_for_is_no_dip(tmp_path: Path, capsys: pytest.Capt
     assert "dip" not in capsys.readouterr().out.replace("dips │", "")
 
 
+def test_what_became_of_the_input_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan = make_plan(2_000)
+    print_summary(plan, tmp_path)
+    write_report(plan, tmp_path / "report.html")
+    assert "note:" not in capsys.readouterr().out
+    assert "became of the input" not in own_text(tmp_path / "report.html")
+    told = SimpleNamespace(**{**vars(plan.toolpath), "notes": (f"3 points of {EVIL} left out",)})
+    plan = dataclasses.replace(plan, toolpath=told)
+    print_summary(plan, tmp_path)
+    write_report(plan, tmp_path / "report.html")
+    assert "note: 3 points of </script>" in capsys.readouterr().out
+    page = own_text(tmp_path / "report.html")
+    assert "What became of the input" in page
+    assert "<li>3 points of &lt;/script&gt;" in page
+
+
 def test_no_dip_is_said_too(tmp_path: Path) -> None:
     write_report(make_plan(4_000), tmp_path / "r.html")
     assert "None: all beads are printed at the commanded speed" in visible(tmp_path / "r.html")

@@ -33,6 +33,7 @@ def plan_json(plan: Plan) -> str:
         "verified": plan.verified,
         "checks": checks,
         "metrics": plan.metrics,
+        "notes": plan.toolpath.notes,
         "dips": [_dip(dip) for dip in plan.dips],
         "events": [
             {

@@ -36,6 +36,7 @@ def write_report(plan: Plan, path: Path) -> None:
     body = "".join(
         [
             _summary(plan),
+            _notes(plan.toolpath.notes),
             _scene(scene, places, plan),
             dips_section(plan),
             events_section(plan),
@@ -105,6 +106,14 @@ def _summary(plan: Plan) -> str:
     if others:
         note += f", beside {escape(', '.join(others))} on the same problem. Bold is the better of a row"
     return f"<h2>Summary</h2><p class=note>{note}.</p>{summary_table(plan.strategy, plan.metrics, plan.baseline)}"
+
+
+def _notes(notes: tuple[str, ...]) -> str:
+    """What was left out of the input or changed in it; nothing where there is nothing to tell."""
+    if not notes:
+        return ""
+    items = "".join(f"<li>{escape(note)}</li>" for note in notes)
+    return f"<h2>What became of the input</h2><ul>{items}</ul>"
 
 
 def _scene(scene: dict[str, Any], places: list[Place], plan: Plan) -> str:

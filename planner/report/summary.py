@@ -57,7 +57,8 @@ def print_summary(plan: Plan, folder: Path) -> None:
         cells = [_number(values.get(metric, math.nan) * factor, decimals) for values in columns]
         table.add_row(label, *cells, unit)
     out.print(table)
-    for line in (_dips(plan), events_words(plan.trajectory.events)):
+    notes = (f"note: {note}" for note in plan.toolpath.notes)
+    for line in (*notes, _dips(plan), events_words(plan.trajectory.events)):
         if line:
             out.print(line, markup=False, soft_wrap=True)
     for check in plan.checks:

@@ -67,11 +67,16 @@ class Bead(ReadOnlyArrays):
 
 @dataclass(frozen=True)
 class Toolpath:
-    """All beads in print order, the surface they lie on, and a body's shape to draw beneath them, if there is one."""
+    """All beads in print order, and the surface they lie on.
+
+    shape  of a body to draw beneath them, if there is one
+    notes  sentences for the user: what was left out of the input, or changed in it
+    """
 
     beads: tuple[Bead, ...]
     surface: Surface
     shape: Shape | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def length(self) -> float:
