@@ -72,7 +72,7 @@ class _Line:
         by_ss = (second[:, :-1] - by_s * s2) / s1**2
         by_sss = (third[:, :-1] - 3.0 * by_ss * s1 * s2 - by_s * s3) / s1**3
         rates = np.abs(np.stack([by_s, by_ss, by_sss], axis=-1))
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", over="ignore"):
             return (HEADROOM * self.limits / rates) ** (1.0 / ORDERS), np.asarray(self.spline(u))[:, -1]
 
     def corner(self, low: float, high: float, tolerance: float) -> bool:

@@ -117,7 +117,7 @@ def program_of(stretch: Stretch, v: Array, a: Array, j: Array, known: tuple[Arra
 def _allowed(stretch: Stretch, v: Array, a: Array, j: Array, sigma: Array) -> tuple[Array, Array]:
     """Largest constant x (k) that the joints' limits allow at sigma (k), and the one that the commanded speed allows."""
     first, second, third = stretch.rates(sigma, 3)
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):
         x = np.minimum(_ceilings(stretch, v, sigma, first)[0], (a / np.abs(second[:, :-1])).min(axis=1))
         x = np.minimum(x, (j / np.abs(third[:, :-1])).min(axis=1) ** (2.0 / 3.0))
     return np.maximum(x, LEAST_RATE), np.maximum(_ceilings(stretch, v, sigma, first)[1], LEAST_RATE)
@@ -125,7 +125,7 @@ def _allowed(stretch: Stretch, v: Array, a: Array, j: Array, sigma: Array) -> tu
 
 def _ceilings(stretch: Stretch, v: Array, sigma: Array, first: Array) -> tuple[Array, Array]:
     """Largest x (k) by the joints' and by the commanded speed at sigma (k); first (k, nj + 1) are rates of order 1."""
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):
         joints = (v[:-1] / np.abs(first[:, :-1])).min(axis=1)
         along = v[-1] / np.abs(stretch.along(sigma))
     return np.minimum(joints, _FASTEST) ** 2, np.minimum(along, _FASTEST) ** 2

@@ -39,7 +39,7 @@ def bound_time(cell: Cell, path: JointPath) -> float:
         grid = np.linspace(stretch.first, stretch.last, intervals + 1)
         first = spline(grid, 1)
         second = np.ascontiguousarray(spline(grid, 2)[:, :-1])
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", over="ignore"):
             ceiling = (v / np.abs(first)).min(axis=1) ** 2
         slopes = np.ascontiguousarray(first[:, :-1])
         x = fastest_profile(slopes, second, ceiling, cell.limits.acceleration, float(grid[1] - grid[0]))
