@@ -58,7 +58,7 @@ def problem(positioner: bool = True, free: tuple[str, ...] = ("rotation",), **pr
             limits={},
         ),
         process=SimpleNamespace(speed=SPEED, travel_speed=0.2, run_in=RUN_IN, filament_diameter=FILAMENT, lift=0.005),
-        program=SimpleNamespace(**names),
+        program=SimpleNamespace(**names, chord=0.02e-3, tangent=np.radians(45.0)),
     )
 
 

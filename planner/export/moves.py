@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-PATH_TOLERANCE = 0.018e-3  # [m]; the numbers in the file take the rest of 0.02 mm
+ROUNDING = 2e-6  # [m]; what the numbers in the file take of the tolerance of the path
 ANGLE_TOLERANCE = np.radians(0.045)  # orientation and the part's axes [rad]; likewise of 0.05 deg
 TIME_TOLERANCE = 8e-3  # [s]; keeps dips of the speed in the program
 LONGEST = 9.5e-3  # [m] of path between two targets in a bead: at most 10 mm with the rounding to samples
@@ -34,7 +34,8 @@ class Moves:
     sample  (m,)   index of the sample that is the target
     linear  (m,)   straight line in the part frame; otherwise straight in joint space
     laid    (m,)   material flows; the controller must keep the speed, elsewhere it accelerates as it likes
-    speed   (m,)   of the tip relative to the part: mean of a move that lays material, peak of any other [m/s]
+    speed   (m,)   of the tip relative to the part: mean of a move that lays material, along its line; peak of any other
+                   [m/s]
     turn    (m,)   mean rate of reorientation [rad/s]
     axis    (m,)   fastest mean rate of the part's axes [rad/s]
     fine    (m,)   the motion really comes to rest there
@@ -113,7 +114,7 @@ def plan_moves(plan: Plan) -> Moves:
         sample=b,
         linear=is_linear,
         laid=laid,
-        speed=np.where(laid, (path[b] - path[a]) / took, peaks),
+        speed=np.where(laid, np.linalg.norm(trajectory.tip[b] - trajectory.tip[a], axis=1) / took, peaks),
         turn=angle(quat[a], quat[b]) / took,
         axis=rates.max(axis=1, initial=0.0),
         fine=rests.fine[b],
@@ -133,6 +134,7 @@ class _Misfit:
         self._trajectory, self._cell, self._quat, self._linear = plan.trajectory, plan.cell, quat, linear
         self._clock = rests.clock
         self._external = plan.trajectory.q[:, len(plan.cell.arm) :]
+        self._chord, self._tangent = plan.problem.program.chord - ROUNDING, plan.problem.program.tangent
 
     def __call__(self, first: Indices, last: Indices, k: Indices) -> Array:
         out = np.empty(len(k))
@@ -145,13 +147,25 @@ class _Misfit:
     def _line(self, a: Indices, b: Indices, k: Indices) -> Array:
         tip, t = self._trajectory.tip, self._clock
         u = nearest_fraction(tip[a], tip[b], tip[k], (k - a) / (b - a))
-        off = np.linalg.norm(tip[a] + u[:, None] * (tip[b] - tip[a]) - tip[k], axis=1) / PATH_TOLERANCE
+        off = np.linalg.norm(tip[a] + u[:, None] * (tip[b] - tip[a]) - tip[k], axis=1) / self._chord
         turned = angle(slerp(self._quat[a], self._quat[b], u), self._quat[k]) / ANGLE_TOLERANCE
         late = np.where(self._trajectory.deposit[k], np.abs(t[a] + u * (t[b] - t[a]) - t[k]) / TIME_TOLERANCE, 0.0)
-        worst = np.maximum(np.maximum(off, turned), late)
+        worst = np.maximum(np.maximum(off, turned), np.maximum(late, self._leaning(a, b, k) / self._tangent))
         for e in self._external.T:
             worst = np.maximum(worst, np.abs(e[a] + u * (e[b] - e[a]) - e[k]) / ANGLE_TOLERANCE)
         out: Array = worst
+        return out
+
+    def _leaning(self, a: Indices, b: Indices, k: Indices) -> Array:
+        """Angles between the lines and the path before and after samples k; 0 where no material is laid."""
+        tip, laid = self._trajectory.tip, self._trajectory.deposit
+        line = tip[b] - tip[a]
+        out = np.zeros(len(k))
+        for before, after in ((k - 1, k), (k, k + 1)):
+            step = tip[after] - tip[before]
+            sine = np.linalg.norm(np.cross(line, step), axis=1)
+            lean = np.arctan2(sine, np.einsum("ij,ij->i", line, step))
+            out = np.maximum(out, np.where(laid[before] & laid[after] & (sine > 0.0), lean, 0.0))
         return out
 
     def _joint(self, a: Indices, b: Indices, k: Indices) -> Array:

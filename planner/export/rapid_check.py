@@ -34,6 +34,7 @@ PIECES = 64  # pieces compared at once: bounds the memory
 class Agreement:
     """The worst differences between a program and its plan (m, rad); inf where they cannot be compared.
 
+    chord     how far the program's lines were allowed to leave the path
     path      linear moves: targets off the planned path, and the path off the lines between targets
     travel    joint moves: the planned tip path off the one that straight joint motion makes
     angle     orientation along linear moves, and of every target; also tool and work object
@@ -45,6 +46,7 @@ class Agreement:
     conf      targets whose configuration is not that of the plan's posture
     """
 
+    chord: float
     path: float
     travel: float
     angle: float
@@ -58,7 +60,7 @@ class Agreement:
     def complaints(self) -> list[str]:
         """Every difference beyond what rounding and thinning may cause, in words."""
         limits = {
-            "path": (0.05e-3, "m"),
+            "path": (self.chord + 0.03e-3, "m"),
             "travel": (1e-3, "m"),
             "angle": (np.radians(0.1), "rad"),
             "external": (np.radians(0.1), "rad"),
@@ -83,13 +85,15 @@ def compare(plan: Plan, program: Program) -> Agreement:
     cuts = np.concatenate([[0], np.column_stack([first, last]).ravel(), [len(trajectory) - 1]])
     expected_on = [k % 2 == 1 for k in range(len(cuts) - 1)]
     if [on for on, _ in pieces] != expected_on:
-        return Agreement(np.inf, np.inf, np.inf, np.inf, np.inf, np.inf, np.inf, np.inf, len(program.conf))
+        chord, far = plan.problem.program.chord, np.inf
+        return Agreement(chord, far, far, far, far, far, far, far, far, len(program.conf))
     match = _matched(plan, [piece for _, piece in pieces], cuts)
     starts = match.targets[1:-1]
     event = np.linalg.norm(match.all.position[starts] - trajectory.tip[cuts[1:-1]], axis=1).max(initial=0.0)
     worst = np.maximum(_targets(plan, match), _lines(plan, match))
     frames, turned = _frames(plan, program)
     return Agreement(
+        chord=plan.problem.program.chord,
         path=float(worst[0]),
         travel=float(worst[1]),
         angle=max(float(worst[2]), turned),
@@ -206,10 +210,10 @@ def _joint(plan: Plan, match: _Match, a: Indices, s: Indices) -> float:
 
 
 def _speed(plan: Plan, match: _Match, on: NDArray[np.bool_]) -> float:
-    """Worst difference between programmed and planned speed of the moves that lay material."""
+    """Worst difference between programmed speed and what moves that lay material need to arrive when planned."""
     trajectory, at = plan.trajectory, match.at
-    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(trajectory.tip, axis=0), axis=1))])
-    real = np.diff(path[at]) / np.maximum(np.diff(moving_time(trajectory)[at]), 0.5 * trajectory.dt)
+    lines = np.linalg.norm(np.diff(trajectory.tip[at], axis=0), axis=1)
+    real = lines / np.maximum(np.diff(moving_time(trajectory)[at]), 0.5 * trajectory.dt)
     inside = on[match.piece[:-1]] & (np.diff(match.piece) == 0)
     return float(np.abs(real - match.all.speed[:-1])[inside].max(initial=0.0))
 

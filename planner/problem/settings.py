@@ -1,4 +1,4 @@
-"""Strategy, settings of the search and names in the robot program: the sections `resolve` and `program`."""
+"""Strategy, settings of the search, and of the robot program: the sections `resolve` and `program`."""
 
 from __future__ import annotations
 
@@ -39,17 +39,23 @@ class ResolveSpec(Section):
 
 
 class ProgramSpec(Section):
-    """Names in the robot program: identifiers of RAPID."""
+    """Names in the robot program, identifiers of RAPID; and how finely its straight lines divide a bead."""
 
     tool: Identifier = key("tool", "the tooldata", "tPen")
     work_object: Identifier = key("work_object", "the wobjdata", "wobjPart")
     station: Identifier = key("station", "the positioner's mechanical unit", "STN1")
     extruder_signal: Identifier = key("extruder_signal", "the digital output of the extruder", "doExtrude")
+    chord: Annotated[float, Quantity("mm", 0.005, 1)] = key(
+        "chord_mm", "how far a line of the program may be from the bead that it stands for [mm]", 0.02
+    )
+    tangent: Annotated[float, Quantity("deg", 0.5, 45)] = key(
+        "tangent_deg", "greatest angle between a bead and the line that stands for it [deg]", 45
+    )
 
     @model_validator(mode="after")
     def _distinct(self) -> ProgramSpec:
         seen: dict[str, str] = {}
-        for field in type(self).model_fields:
+        for field in ("tool", "work_object", "station", "extruder_signal"):
             name = getattr(self, field)
             first = seen.setdefault(name.lower(), field)  # RAPID does not tell capitals from small letters
             if first != field:
