@@ -43,7 +43,7 @@ class Problem(Section):
         "strategy", f"how the free motion is decided: {', '.join(STRATEGY_NAMES)}", "sqp"
     )
     resolve: ResolveSpec = key("resolve", "settings of the search; each has a default", {})
-    program: ProgramSpec = key("program", "names in the robot program; each has a default", {})
+    program: ProgramSpec = key("program", "names in the robot program, and how fine it is; each has a default", {})
     _source: Source = PrivateAttr()
 
     @field_validator("part")
@@ -88,8 +88,12 @@ class Problem(Section):
         return self._source.file
 
     def error(self, field: str, reason: str, hint: str | None = None) -> InputError:
-        """Return the error of a field, dotted as in the file (`cell.arm`), with its file and line, or its `--set`."""
-        return self._source.error(tuple(field.split(".")), reason, hint)
+        """Return the error of a field, dotted as in the file (`cell.arm`), with its file and line, or its `--set`.
+
+        A whole number in it counts items of a list from 0.
+        """
+        path = tuple(int(key) if key.isdecimal() else key for key in field.split("."))
+        return self._source.error(path, reason, hint)
 
 
 def load_problem(path: str | Path, overrides: Sequence[str] = ()) -> Problem:

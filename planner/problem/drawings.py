@@ -49,7 +49,7 @@ class LayersSpec(Section):
 class ProjectedLayersSpec(Section):
     """What is printed, and how often: plane curves projected onto the part."""
 
-    bodies: ClassVar[tuple[str, ...]] = ("sphere", "mesh")
+    bodies: ClassVar[tuple[str, ...]] = ("sphere", "ellipsoid", "plane", "corrugation", "mesh")
 
     project: Annotated[Literal["z"], one_of(("z",))] = key("project", "the axis along which curves fall onto the part")
     offset: Annotated[Literal["normal", "z"], one_of(("normal", "z"))] = key(

@@ -8,6 +8,7 @@ from typing import Annotated, Any, cast
 from pydantic import Discriminator, Tag
 
 from planner.errors import nearest_name
+from planner.problem.curves import ProjectedCurvesSpec
 from planner.problem.drawings import LayersSpec, ProjectedDrawingSpec, ProjectedPatternSpec
 from planner.problem.fields import Section, refusal
 from planner.problem.part import PartSpec
@@ -47,6 +48,7 @@ KINDS = (
     _Kind("[svg]", LayersSpec, ("svg",)),
     _Kind("[projected]", ProjectedDrawingSpec, ("svg",)),
     _Kind("[pattern]", ProjectedPatternSpec, ("pattern",)),
+    _Kind("[curves]", ProjectedCurvesSpec, ("curves",)),
     _Kind("[waypoints]", WaypointLayersSpec, ("waypoints",)),
     _Kind("[aerofoil]", AerofoilLayersSpec, ("aerofoil", "naca")),
 )
@@ -73,6 +75,7 @@ AnyLayersSpec = Annotated[
     Annotated[LayersSpec, Tag("[svg]")]
     | Annotated[ProjectedDrawingSpec, Tag("[projected]")]
     | Annotated[ProjectedPatternSpec, Tag("[pattern]")]
+    | Annotated[ProjectedCurvesSpec, Tag("[curves]")]
     | Annotated[WaypointLayersSpec, Tag("[waypoints]")]
     | Annotated[AerofoilLayersSpec, Tag("[aerofoil]")],
     Discriminator(_kind_of_layers),

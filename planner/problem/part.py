@@ -27,6 +27,43 @@ class SphereSpec(Section):
     centre: Position = key("centre_mm", "its centre in the part frame [mm]", (0, 0, 0))
 
 
+Size = Annotated[tuple[float, float], Quantity("mm", 1, 20_000, count=2)]
+
+
+class PlaneSpec(Section):
+    """A level or inclined plane, solid beneath."""
+
+    size: Size = key("size_mm", "what it covers around its centre, in x and y of the part frame [mm]")
+    centre: Position = key("centre_mm", "its centre in the part frame [mm]", (0, 0, 0))
+    slope: Annotated[float, Quantity("deg", 0, 75)] = key(
+        "slope_deg", "its angle to the part frame's xy plane [deg]", 0
+    )
+    rises: Annotated[float, Quantity("deg", -360, 360)] = key(
+        "rises_deg", "the direction in which it rises, counted from x towards y [deg]", 0
+    )
+
+
+class CorrugationSpec(Section):
+    """A sheet of even waves, solid beneath."""
+
+    amplitude: Annotated[float, Quantity("mm", 0.001, 1000)] = key(
+        "amplitude_mm", "height of its crests above the middle, and depth of its troughs [mm]"
+    )
+    wavelength: Annotated[float, Quantity("mm", 0.1, 10_000)] = key("wavelength_mm", "from crest to crest [mm]")
+    size: Size = key("size_mm", "what it covers around its centre, in x and y of the part frame [mm]")
+    direction: Annotated[float, Quantity("deg", -360, 360)] = key(
+        "direction_deg", "the direction from crest to crest, counted from x towards y [deg]", 0
+    )
+    centre: Position = key("centre_mm", "the middle height below a crest, in the part frame [mm]", (0, 0, 0))
+
+
+class EllipsoidSpec(Section):
+    """An upright ellipsoid; where it reaches below the bed, it is a dome, such as a bowl turned upside down."""
+
+    radii: Annotated[Vector, Quantity("mm", 1, 5000, count=3)] = key("radii_mm", "half axes along x, y and z [mm]")
+    centre: Position = key("centre_mm", "its centre in the part frame [mm]", (0, 0, 0))
+
+
 class MeshSpec(Section):
     """A body from a file of facets; what is seen of it from above is printed on."""
 
@@ -44,6 +81,9 @@ class PartSpec(Section):
 
     cylinder: CylinderSpec | None = key("cylinder", "an upright cylinder; default: none", None)
     sphere: SphereSpec | None = key("sphere", "a ball or a dome; default: none", None)
+    ellipsoid: EllipsoidSpec | None = key("ellipsoid", "an ellipsoid, or a dome or bowl of it; default: none", None)
+    plane: PlaneSpec | None = key("plane", "a level or inclined plane; default: none", None)
+    corrugation: CorrugationSpec | None = key("corrugation", "a sheet of even waves; default: none", None)
     mesh: MeshSpec | None = key("mesh", "a file of facets; default: none", None)
 
     @property

@@ -8,7 +8,8 @@ from pydantic import model_validator
 
 from planner.problem.fields import Section, refusal
 
-SOURCE_NAMES = ("svg", "pattern", "waypoints", "aerofoil", "naca")  # each names a source, so only one may be given
+# Each names a source, so only one may be given.
+SOURCE_NAMES = ("svg", "pattern", "curves", "waypoints", "aerofoil", "naca")
 
 
 class SourceSection(Section):

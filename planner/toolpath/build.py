@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from planner.problem import Problem
+from planner.problem.curves import ProjectedCurvesSpec
 from planner.problem.drawings import LayersSpec, ProjectedDrawingSpec, ProjectedPatternSpec
 from planner.problem.waypoints import WaypointLayersSpec
 from planner.problem.wing import AerofoilLayersSpec
@@ -19,6 +20,7 @@ SOURCES: dict[type, Callable[[Problem, Any], Toolpath]] = {
     LayersSpec: wrap_drawing,
     ProjectedDrawingSpec: project_curves,
     ProjectedPatternSpec: project_curves,
+    ProjectedCurvesSpec: project_curves,
     WaypointLayersSpec: through_waypoints,
     AerofoilLayersSpec: wing,
 }

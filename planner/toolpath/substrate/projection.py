@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planner.problem import Problem
+from planner.problem.curves import CurvesSpec, ProjectedCurvesSpec
 from planner.problem.drawings import (
     PatternSpec,
     ProjectedDrawingSpec,
@@ -20,10 +21,12 @@ from planner.problem.drawings import (
 )
 from planner.problem.part import PartSpec
 from planner.toolpath.bead import Toolpath
+from planner.toolpath.nurbs import nurbs_paths
 from planner.toolpath.ordering import reverse, shorten_travel
 from planner.toolpath.paths import check_length, check_size, length, seam_on_smooth_part
 from planner.toolpath.rounding import PlaneCurve, round_corners
-from planner.toolpath.substrate.bodies import Ball, Body, MeshTop, TooRough
+from planner.toolpath.substrate.analytic import exact_body
+from planner.toolpath.substrate.bodies import Body, MeshTop, TooRough
 from planner.toolpath.substrate.facet_tree import FacetTree
 from planner.toolpath.substrate.facets import read_facets
 from planner.toolpath.substrate.layers import Substrate
@@ -40,14 +43,16 @@ _RESERVE = 1.02  # the stretch varies within a tolerance
 _FOLDED = 0.2  # of the way from the body to a layer that folds: nearer to folding it is no layer
 
 
-def project_curves(problem: Problem, spec: ProjectedDrawingSpec | ProjectedPatternSpec) -> Toolpath:
+def project_curves(
+    problem: Problem, spec: ProjectedDrawingSpec | ProjectedPatternSpec | ProjectedCurvesSpec
+) -> Toolpath:
     """Round the corners of plane paths, order them and lay their layers on the part.
 
     Raises InputError for paths that miss the part or leave it, and for a part that nothing can be laid on.
     """
     process, source, part = problem.process, spec.source, problem.part
     if part is None:
-        raise problem.error("part", "is missing", "the body to project onto: sphere or mesh")
+        raise problem.error("part", "is missing", f"the body to project onto: {' or '.join(spec.bodies)}")
     paths = [_placed(path, spec) for path in _paths(problem, source)]
     outline = [densify(path.points) for path in paths]
     body = _body(problem, part, paths, outline)
@@ -75,12 +80,16 @@ def _laid(substrate: Substrate, rows: Sequence[Sequence[PlaneCurve]], width: flo
     return Toolpath(tuple(beads), grown, substrate.body.shape())
 
 
-def _size_key(source: SvgSpec | PatternSpec) -> str:
+def _size_key(source: SvgSpec | PatternSpec | CurvesSpec) -> str:
+    if isinstance(source, CurvesSpec):
+        return "layers.source.curves"
     return "layers.source.width_mm" if isinstance(source, SvgSpec) else "layers.source.size_mm"
 
 
-def _paths(problem: Problem, source: SvgSpec | PatternSpec) -> tuple[PlanePath, ...]:
+def _paths(problem: Problem, source: SvgSpec | PatternSpec | CurvesSpec) -> tuple[PlanePath, ...]:
     process = problem.process
+    if isinstance(source, CurvesSpec):
+        return nurbs_paths(problem, source)
     if isinstance(source, SvgSpec):
         return read_svg(source.svg, source.width, process.chord_tolerance, partial(problem.error, "layers.source.svg"))
     try:
@@ -100,12 +109,12 @@ def _placed(path: PlanePath, spec: ProjectedLayersSpec) -> PlanePath:
 
 def _body(problem: Problem, part: PartSpec, paths: Sequence[PlanePath], outline: Sequence[Array]) -> Body:
     """The body, once it is known that all paths fall onto it."""
-    if part.sphere is not None:
-        ball = Ball(part.sphere.radius, np.asarray(part.sphere.centre))
-        _check_all(problem, ball, paths, outline)
-        return ball
+    exact = exact_body(part)
+    if exact is not None:
+        _check_all(problem, exact, paths, outline)
+        return exact
     if part.mesh is None:
-        raise problem.error("part", "is missing", "the body to project onto: sphere or mesh")
+        raise problem.error("part", f"a {part.body} is nothing to project onto")
     complain = partial(problem.error, "part.mesh.file")
     facets = FacetTree.of(read_facets(part.mesh, complain))
     if facets.normals[:, 2].max() <= 0.0:
@@ -121,7 +130,7 @@ def _body(problem: Problem, part: PartSpec, paths: Sequence[PlanePath], outline:
         ) from None
 
 
-def _check_all(problem: Problem, body: Ball | FacetTree, paths: Sequence[PlanePath], outline: Sequence[Array]) -> None:
+def _check_all(problem: Problem, body: Body | FacetTree, paths: Sequence[PlanePath], outline: Sequence[Array]) -> None:
     if not any(np.isfinite(body.upward(points)).any() for points in outline):
         raise problem.error(
             "layers.centre_mm", "no curve falls onto the part", "the middle of the curves, x and y of the part frame"
@@ -130,7 +139,7 @@ def _check_all(problem: Problem, body: Ball | FacetTree, paths: Sequence[PlanePa
         _check_there(problem, body, path.name, points)
 
 
-def _check_there(problem: Problem, body: Ball | FacetTree | Body, name: str, plane: Array) -> None:
+def _check_there(problem: Problem, body: FacetTree | Body, name: str, plane: Array) -> None:
     """Raise InputError where a curve leaves the part, or where this is too steep."""
     up = body.upward(plane)
     off = ~(up >= np.cos(np.radians(STEEPEST)))
