@@ -1,0 +1,124 @@
+"""Continuous fibre on what a second arm holds: the shipped problems, and how programs divide their curves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from planner.errors import InputError
+from planner.export.moves import plan_moves
+from planner.export.rapid import rapid
+from planner.export.rapid_check import compare
+from planner.export.rapid_reader import read_rapid
+from planner.plan import Plan
+from planner.problem import load_problem
+from planner.solve import solve
+
+Array = NDArray[np.float64]
+
+FIBRES = ("fibre_plane", "fibre_bowl", "fibre_corrugated")
+MOST_LEAN, MOST_OFF = 0.1, 0.05  # deg, mm: what the true surface may be missed by
+PUBLISHED = ("program.chord_mm=1", "program.tangent_deg=45")  # Tawfik et al., section III.A.1
+
+
+@cache
+def solved(name: str) -> Plan:
+    return solve(load_problem(name, ("process.start.heat_wait_s=0",)))
+
+
+@cache
+def divided(name: str, *program: str) -> Plan:
+    """The plan with other settings of the program, which the motion does not know."""
+    return replace(solved(name), problem=load_problem(name, program))
+
+
+def segments(plan: Plan) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First and last samples (m) of the program's lines that lay fibre."""
+    moves = plan_moves(plan)
+    first = np.concatenate([[0], moves.sample[:-1]])
+    return first[moves.laid], moves.sample[moves.laid]
+
+
+def chords(plan: Plan) -> tuple[Array, Array, Array]:
+    """Length [m] of each line that lays fibre, how far the path leaves it [m], and by what angle [rad] at most."""
+    tip = plan.trajectory.tip
+    rows = []
+    for a, b in zip(*segments(plan), strict=True):
+        line = tip[b] - tip[a]
+        size = float(np.linalg.norm(line))
+        off = float(np.linalg.norm(np.cross(tip[a : b + 1] - tip[a], line / size), axis=1).max())
+        steps = np.diff(tip[a : b + 1], axis=0)
+        going = np.linalg.norm(steps, axis=1) > 1e-9
+        cosine = steps[going] @ line / (np.linalg.norm(steps[going], axis=1) * size)
+        rows.append((size, off, float(np.arccos(np.clip(cosine.min(), -1.0, 1.0)))))
+    sizes, offs, leans = np.array(rows).T
+    return sizes, offs, leans
+
+
+@pytest.mark.parametrize("name", FIBRES)
+def test_fibre_is_laid_on_the_true_surface_at_its_speed(name: str) -> None:
+    plan = solved(name)
+    assert plan.verified, [check for check in plan.checks if not check.ok]
+    t, surface = plan.trajectory, plan.toolpath.surface
+    tip, axis = t.tip[t.deposit], t.axis[t.deposit]
+    assert np.abs(surface.signed_distance(tip) * 1e3 - 0.3).max() <= MOST_OFF
+    cosine = -(surface.normals(tip) * axis).sum(axis=1)
+    assert np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).max() <= MOST_LEAN
+    assert plan.metrics["at_speed_fraction"] >= 0.99
+    assert plan.cell.holder.names == ("joint_6",)
+    assert len(plan.cell.joint_names) == 7
+    assert [event.kind for event in t.events].count("cut") == len(plan.toolpath.beads)
+
+
+@pytest.mark.parametrize("name", FIBRES)
+@pytest.mark.parametrize("program", [(), PUBLISHED, ("program.chord_mm=0.1", "program.tangent_deg=3")])
+def test_lines_of_the_program_keep_chord_and_angle(name: str, program: tuple[str, ...]) -> None:
+    plan = divided(name, *program)
+    _, offs, leans = chords(plan)
+    assert offs.max() <= plan.problem.program.chord
+    assert leans.max() <= plan.problem.program.tangent + 1e-9
+    assert compare(plan, read_rapid(rapid(plan))).complaints() == []
+
+
+def test_a_looser_program_has_fewer_lines_and_a_tighter_one_more() -> None:
+    count = {chord: len(segments(divided("fibre_plane", f"program.chord_mm={chord}"))[0]) for chord in (0.01, 0.1, 1)}
+    assert count[0.01] > 2 * count[0.1]
+    assert count[0.1] > 1.5 * count[1]
+    tight = len(segments(divided("fibre_plane", "program.tangent_deg=1"))[0])
+    assert tight > 1.5 * len(segments(divided("fibre_plane"))[0])
+
+
+def test_lines_are_shorter_where_the_curve_is_tighter() -> None:
+    """On an arc of radius r a line that leaves it by e is as long as the root of 8 r e: it grows with the root of r."""
+    plan = divided("fibre_plane", "program.chord_mm=0.02")
+    sizes = chords(plan)[0]
+    tip = plan.trajectory.tip
+    radius = []
+    for a, b in zip(*segments(plan), strict=True):
+        p, q, r = tip[a], tip[(a + b) // 2], tip[b]
+        area = float(np.linalg.norm(np.cross(q - p, r - p)))
+        sides = np.linalg.norm(q - p) * np.linalg.norm(r - q) * np.linalg.norm(r - p)
+        radius.append(sides / max(2.0 * area, 1e-15))
+    order = np.argsort(radius)
+    quarter = len(order) // 4
+    tight, wide = order[:quarter], order[-quarter:]
+    assert sizes[wide].mean() > 1.5 * sizes[tight].mean()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("chord_mm=0", "too small"),
+        ("chord_mm=2", "0.005 to 1"),
+        ("tangent_deg=60", "0.5 to 45"),
+        ("chord=1", "chord_mm"),
+    ],
+)
+def test_settings_of_the_program_are_checked(change: str, words: str) -> None:
+    with pytest.raises(InputError, match="program") as caught:
+        load_problem("fibre_plane", (f"program.{change}",))
+    assert words in str(caught.value)
