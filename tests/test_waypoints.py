@@ -126,8 +126,10 @@ def read_text(path: Path, text: str) -> tuple[Waypoints, ...]:
             return io.BytesIO(text.encode())
 
     return read_waypoints(
-        WaypointsSpec.model_construct(waypoints=File(path), up="z", normals="outward", origin=(0, 0, 0), split=1e9)
-    )
+        WaypointsSpec.model_construct(
+            waypoints=File(path), unit="mm", up="z", normals="outward", origin=(0, 0, 0), split=1e9, smoothing=0.0
+        )
+    ).beads
 
 
 BAD = [
@@ -179,9 +181,9 @@ def test_a_missing_file_is_an_error_of_the_field(tmp_path: Path) -> None:
 def test_jumps_split_and_repetitions_are_dropped(spec: Callable[..., WaypointsSpec]) -> None:
     xs = [0, 1, 1, 1.001, 2, 3, 20, 21, 22, 22.9, 40, 41]
     text = "".join(f"{x} 0 0 {UP}\n" for x in xs)
-    found = [(bead.points[:, 0] * 1e3).round(3).tolist() for bead in read_waypoints(spec(text))]
+    found = [(bead.points[:, 0] * 1e3).round(3).tolist() for bead in read_waypoints(spec(text)).beads]
     assert found == [[0, 1, 2, 3], [20, 21, 22, 22.9], [40, 41]]
-    whole = read_waypoints(spec(text, split_mm=30))
+    whole = read_waypoints(spec(text, split_mm=30)).beads
     assert [len(bead.points) for bead in whole] == [10]
     error = refused(spec(text + f"# alone\n90 0 0 {UP}\n"))
     assert (error.line, "stands alone" in str(error)) == (14, True)
@@ -198,7 +200,8 @@ def test_creeping_points_add_up_to_a_step() -> None:
 
 
 def test_axes_normals_and_origin(spec: Callable[..., WaypointsSpec]) -> None:
-    (bead,) = read_waypoints(spec("1 2 3 0 -2 1\n2 2 3 0 -2 1\n", up="y", normals="inward", origin_mm="[10, 0, 5]"))
+    given = spec("1 2 3 0 -2 1\n2 2 3 0 -2 1\n", up="y", normals="inward", origin_mm="[10, 0, 5]")
+    (bead,) = read_waypoints(given).beads
     assert bead.points * 1e3 == pytest.approx(np.array([[11, -3, 7], [12, -3, 7]]))
     assert bead.normals[0] == pytest.approx(np.array([0, 1, 2]) / 5**0.5)
 
@@ -209,7 +212,7 @@ def test_many_lines_are_read_fast(spec: Callable[..., WaypointsSpec]) -> None:
     text = waypoint_text(sheet(100_000))
     given = spec(text)
     start = time.perf_counter()
-    beads = read_waypoints(given)
+    beads = read_waypoints(given).beads
     assert time.perf_counter() - start < 3.0  # some 0.2 s: no Python at every number
     assert sum(len(bead.points) for bead in beads) == 100_000
 
@@ -408,7 +411,7 @@ def test_whoever_passes_through_the_dome_meets_a_shell(dome: Surfels) -> None:
 
 
 def test_normals_of_the_dome(dome: Surfels) -> None:
-    points = dense(Interpolated(dome.tips, dome.outward, dome.tips), 3)
+    points = dense(Interpolated(dome.tips, dome.outward, dome.tips, dome.along), 3)
     true = points / np.linalg.norm(points, axis=1)[:, None]
     assert np.degrees(np.linalg.norm(dome.normals(points) - true, axis=1)).max() < 0.01
 
@@ -426,7 +429,7 @@ def test_normals_where_passes_cross_are_those_of_each() -> None:
 
 
 def test_normals_on_a_bead_that_turns(dome: Surfels) -> None:
-    points = dense(Interpolated(dome.tips, dome.outward, dome.tips), 3)
+    points = dense(Interpolated(dome.tips, dome.outward, dome.tips, dome.along), 3)
     s = make_interp_spline(np.arange(len(dome.along)), dome.along, k=5)(
         np.linspace(0, len(dome.along) - 1, len(points))
     )

@@ -17,6 +17,7 @@ from planner.errors import InputError
 from planner.problem.cell import CellSpec
 from planner.problem.fields import IDENTIFIER, Section, key, one_of, refusal
 from planner.problem.file import Source, apply_overrides, find_problem, read_problem_file, shipped_problems
+from planner.problem.gcode import GcodeLayersSpec
 from planner.problem.layers import AnyLayersSpec, check_body
 from planner.problem.mistakes import first_mistake
 from planner.problem.part import PartSpec
@@ -61,9 +62,13 @@ class Problem(Section):
     @field_validator("process")
     @classmethod
     def _bead_as_high_as_its_layer(cls, process: ProcessSpec, info: ValidationInfo) -> ProcessSpec:
-        if "height" in process.bead.model_fields_set or "layers" not in info.data:
+        layers, given = info.data.get("layers"), "height" in process.bead.model_fields_set
+        if isinstance(layers, GcodeLayersSpec):
+            if given:
+                raise refusal("height_mm stands in the G-code", "leave it out", item="bead")
             return process
-        layers = info.data["layers"]
+        if given or layers is None:
+            return process
         if isinstance(layers, WaypointLayersSpec):
             raise refusal("height_mm is missing", "height of a bead [mm]; a file of waypoints has none", item="bead")
         bead = process.bead.model_copy(update={"height": layers.height})

@@ -11,6 +11,7 @@ from planner.errors import nearest_name
 from planner.problem.curves import ProjectedCurvesSpec
 from planner.problem.drawings import LayersSpec, ProjectedDrawingSpec, ProjectedPatternSpec
 from planner.problem.fields import Section, refusal
+from planner.problem.gcode import GcodeLayersSpec
 from planner.problem.part import PartSpec
 from planner.problem.waypoints import WaypointLayersSpec
 from planner.problem.wing import AerofoilLayersSpec
@@ -50,6 +51,7 @@ KINDS = (
     _Kind("[pattern]", ProjectedPatternSpec, ("pattern",)),
     _Kind("[curves]", ProjectedCurvesSpec, ("curves",)),
     _Kind("[waypoints]", WaypointLayersSpec, ("waypoints",)),
+    _Kind("[gcode]", GcodeLayersSpec, ("gcode",)),
     _Kind("[aerofoil]", AerofoilLayersSpec, ("aerofoil", "naca")),
 )
 
@@ -77,6 +79,7 @@ AnyLayersSpec = Annotated[
     | Annotated[ProjectedPatternSpec, Tag("[pattern]")]
     | Annotated[ProjectedCurvesSpec, Tag("[curves]")]
     | Annotated[WaypointLayersSpec, Tag("[waypoints]")]
+    | Annotated[GcodeLayersSpec, Tag("[gcode]")]
     | Annotated[AerofoilLayersSpec, Tag("[aerofoil]")],
     Discriminator(_kind_of_layers),
 ]
@@ -87,8 +90,11 @@ def check_body(part: PartSpec, layers: AnyLayersSpec) -> None:
     if part.body in layers.bodies:
         return
     if not layers.bodies:
-        wing = isinstance(layers, AerofoilLayersSpec)
-        what = "a wing is its own body" if wing else "waypoints carry their own surface: there is no body"
+        what = "waypoints carry their own surface: there is no body"
+        if isinstance(layers, AerofoilLayersSpec):
+            what = "a wing is its own body"
+        elif isinstance(layers, GcodeLayersSpec):
+            what = "a slicer's layers are level, on the part frame's xy plane: there is no body"
         raise refusal(what, "leave out part")
     way, other = ("wrap", "project: z") if isinstance(layers, LayersSpec) else ("project", "wrap: cylinder")
     hint = f"layers.{way} goes with {' or '.join(layers.bodies)}; layers.{other} with {part.body}"

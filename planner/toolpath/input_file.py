@@ -29,10 +29,15 @@ def read_bytes(path: Path, largest: int, complain: Complaint, hint: str | None =
 
 def read_lines(path: Path, largest: int, complain: Complaint) -> list[str]:
     """The lines of a text file as `read_bytes` reads it, commas taken as blanks; InputError where it is not UTF-8."""
+    return [line.replace(",", " ") for line in read_text(path, largest, complain)]
+
+
+def read_text(path: Path, largest: int, complain: Complaint) -> list[str]:
+    """The lines of a text file as `read_bytes` reads it, as they are; InputError where it is not UTF-8."""
     data = read_bytes(path, largest, complain)
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1
         raise InputError("is not UTF-8 text", file=path, line=line, hint="save it as plain text") from None
-    return text.replace("\r\n", "\n").replace("\r", "\n").replace(",", " ").split("\n")
+    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")

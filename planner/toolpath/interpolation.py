@@ -62,11 +62,15 @@ class TooRough(ValueError):
 
 @dataclass(frozen=True)
 class Interpolated:
-    """points and unit normals (n, 3) of a curve, and the input path source (m, 3): same frame and unit as the input."""
+    """points and unit normals (n, 3) of a curve, and the input path source (m, 3): same frame and unit as the input.
+
+    chord (n): length of the chords through the waypoints up to each sample
+    """
 
     points: Array
     normals: Array
     source: Array
+    chord: Array
 
 
 @dataclass(frozen=True)
@@ -130,7 +134,7 @@ def interpolate(points: Array, normals: Array, tolerance: float, apart: float, e
         rows[near] += w * (np.asarray(corner.rows(c[near])) - rows[near])
     rows[0, :3], rows[-1, :3] = points[0], points[-1]
 
-    return Interpolated(rows[:, :3].copy(), _unit(rows[:, 3:]), _source(path, chord, turn, corners, apart))
+    return Interpolated(rows[:, :3].copy(), _unit(rows[:, 3:]), _source(path, chord, turn, corners, apart), c)
 
 
 def _roughness(normals: Array, chord: Array) -> Array:

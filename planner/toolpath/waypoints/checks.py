@@ -9,6 +9,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial import cKDTree
 
 from planner.errors import InputError
+from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Bead, Surface
 from planner.toolpath.waypoints.reader import Waypoints
 
@@ -24,6 +25,22 @@ def check_waypoints(path: Waypoints, file: Path, width: float) -> None:
     _check_length(path, file, width)
     _check_normals(path, file)
     _check_slope(path, file)
+
+
+def check_section(path: Waypoints, process: ProcessSpec, file: Path) -> None:
+    """Raise InputError, with file and line, where a rounded bead would be higher than wide."""
+    if process.section != "rounded" or (path.width is None and path.height is None):
+        return
+    width = np.broadcast_to(process.bead.width if path.width is None else path.width, path.lines.shape)
+    height = np.broadcast_to(process.bead.height if path.height is None else path.height, path.lines.shape)
+    if (width < height).any():
+        i = int(np.argmax(width < height))
+        raise InputError(
+            f"a rounded bead cannot be {width[i] * 1e3:g} mm wide and {height[i] * 1e3:g} mm high",
+            file=file,
+            line=int(path.lines[i]),
+            hint="at least as wide as high, or process.bead.section: rectangle",
+        )
 
 
 def _check_length(path: Waypoints, file: Path, width: float) -> None:

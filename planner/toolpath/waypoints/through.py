@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -14,7 +15,7 @@ from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.interpolation import Interpolated, TooRough, interpolate
 from planner.toolpath.paths import check_size, length
 from planner.toolpath.transport import roll_zeros
-from planner.toolpath.waypoints.checks import check_clear, check_waypoints
+from planner.toolpath.waypoints.checks import check_clear, check_section, check_waypoints
 from planner.toolpath.waypoints.reader import Waypoints, read_waypoints
 from planner.toolpath.waypoints.surfels import with_layers
 from planner.toolpath.wrap import arc_length
@@ -28,12 +29,14 @@ _CLOSED = 1e-6  # m between the ends of a closed path
 def through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
     """Lay a bead through each path of a file of waypoints, in the file's order."""
     process = problem.process
-    paths = read_waypoints(spec.source, partial(problem.error, "layers.source.waypoints"))
+    file = spec.source.waypoints
+    read = read_waypoints(spec.source, partial(problem.error, "layers.source.waypoints"))
+    paths, curves = read.beads, []
     for path in paths:
-        check_waypoints(path, spec.source.waypoints, process.bead.width)
-    apart = _APART * process.bead.width
-    ends = process.run_in / _PER_RUN
-    curves = [_curve(problem, spec, path, apart, ends) for path in paths]
+        width = process.bead.width if path.width is None else float(path.width.min())
+        check_waypoints(path, file, width)
+        check_section(path, process, file)
+        curves.append(_curve(problem, spec, path, _APART * width, process.run_in / _PER_RUN))
     zeros = roll_zeros([curve.normals for curve in curves])
     beads = [
         Bead(
@@ -44,16 +47,27 @@ def through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
             normals=curve.normals,
             roll_zero=zero,
             source=curve.source,
-            width=np.full(len(curve.points), process.bead.width),
-            height=np.full(len(curve.points), process.bead.height),
+            width=_sizes(path, path.width, process.bead.width, curve),
+            height=_sizes(path, path.height, process.bead.height, curve),
             closed=bool(np.linalg.norm(curve.points[-1] - curve.points[0]) < _CLOSED),
         )
         for path, curve, zero in zip(paths, curves, zeros, strict=True)
     ]
-    toolpath = Toolpath(*with_layers(beads))
-    for i, (path, bead) in enumerate(zip(paths, toolpath.beads, strict=True)):
-        check_clear(path, bead, toolpath.surface.before(i), spec.source.waypoints)
-    return toolpath
+    beads, surface = with_layers(beads)
+    if paths[0].layer is not None:  # the file knows
+        _, layers = np.unique([path.layer for path in paths], return_inverse=True)
+        beads = [replace(bead, layer=int(layer)) for bead, layer in zip(beads, layers, strict=True)]
+    for i, (path, bead) in enumerate(zip(paths, beads, strict=True)):
+        check_clear(path, bead, surface.before(i), file)
+    return Toolpath(tuple(beads), surface, read.notes)
+
+
+def _sizes(path: Waypoints, given: Array | None, usual: float, curve: Interpolated) -> Array:
+    """Width or height (n) [m] along the curve: linear between waypoints, where the file says it; else the usual one."""
+    if given is None:
+        return np.full(len(curve.points), usual)
+    chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path.points, axis=0), axis=1))])
+    return np.interp(curve.chord, chord, given)
 
 
 def _curve(problem: Problem, spec: WaypointLayersSpec, path: Waypoints, apart: float, ends: float) -> Interpolated:

@@ -1,0 +1,368 @@
+"""Files of waypoints with named columns: CSV, text and NPZ, units, sizes, beads and layers, repetitions, smoothing."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from test_waypoints import case_text
+
+from planner.errors import InputError
+from planner.problem import load_problem
+from planner.problem.waypoints import WaypointsSpec
+from planner.solve import main
+from planner.toolpath.bead import Bead, Toolpath
+from planner.toolpath.build import build_toolpath
+from planner.toolpath.waypoints.columns import NEEDED, OPTIONAL
+from planner.toolpath.waypoints.reader import read_waypoints
+from planner.toolpath.waypoints.smoothing import smooth_normals
+
+Array = NDArray[np.float64]
+HEADER = "x,y,z,nx,ny,nz"
+
+
+@pytest.fixture
+def spec(tmp_path: Path) -> Callable[..., WaypointsSpec]:
+    """Write a file and say how to read it: `spec("points.csv", text, unit='m')`."""
+
+    def make(name: str, data: str | bytes, **options: object) -> WaypointsSpec:
+        path = tmp_path / name
+        path.write_bytes(data.encode() if isinstance(data, str) else data)
+        return load_problem(case_text(tmp_path, name, **options)).layers.source
+
+    return make
+
+
+def packed(**arrays: object) -> bytes:
+    stream = io.BytesIO()
+    np.savez(stream, **{name: np.asarray(array) for name, array in arrays.items()})
+    return stream.getvalue()
+
+
+def line(count: int, **more: object) -> dict[str, Array]:
+    """A straight path of `count` waypoints, 1 mm apart; and more columns."""
+    zero = np.zeros(count)
+    columns = {"x": np.arange(count) * 1.0, "y": zero, "z": zero, "nx": zero, "ny": zero, "nz": zero + 1.0}
+    return columns | {name: np.broadcast_to(np.asarray(values, dtype=float), (count,)) for name, values in more.items()}
+
+
+def csv(columns: dict[str, Array], separator: str = ",", comment: str = "", newline: str = "\n") -> str:
+    head = comment + separator.join(columns)
+    rows = [separator.join(f"{value:.10g}" for value in row) for row in zip(*columns.values(), strict=True)]
+    return newline.join([head, *rows, ""])
+
+
+# Reading
+
+
+@settings(max_examples=40)
+@given(
+    st.permutations([*NEEDED, *OPTIONAL]),
+    st.sampled_from(["npz", ",", " ", "\t", ", "]),
+    st.sampled_from(["", "# ", "// "]),
+    st.sampled_from(["\n", "\r\n"]),
+    st.booleans(),
+    st.sampled_from(["mm", "m"]),
+    st.integers(0, 100),
+)
+def test_columns_in_any_order_say_the_same(
+    tmp_path_factory: pytest.TempPathFactory,
+    order: list[str],
+    kind: str,
+    comment: str,
+    newline: str,
+    mark: bool,
+    unit: str,
+    seed: int,
+) -> None:
+    rng = np.random.default_rng(seed)
+    columns = line(9, layer=[3, 3, 3, 3, 5, 5, 5, 5, 5], bead=[1, 1, 2, 2, 1, 1, 1, 4, 4])
+    columns |= {"width": rng.uniform(0.3, 0.9, 9), "height": rng.uniform(0.1, 0.3, 9)}
+    columns |= {name: rng.normal(size=9) for name in ("nx", "ny", "nz")}
+    scale = 1.0 if unit == "mm" else 1e-3
+    written = {name: columns[name] * (scale if name in ("x", "y", "z", "width", "height") else 1.0) for name in order}
+    folder = tmp_path_factory.mktemp("columns")
+    if kind == "npz":
+        data, name = packed(**written), "points.npz"
+    else:
+        text = ("\ufeff" if mark else "") + csv(written, kind, comment, newline)
+        data, name = text.encode(), "points.csv"
+    (folder / name).write_bytes(data)
+    found = read_waypoints(load_problem(case_text(folder, name, unit=unit)).layers.source)
+    assert [len(bead.points) for bead in found.beads] == [2, 2, 3, 2]
+    assert [bead.layer for bead in found.beads] == [3, 3, 5, 5]
+    assert found.notes == ()
+    points = np.column_stack([columns[name] for name in ("x", "y", "z")]) * 1e-3
+    normals = np.column_stack([columns[name] for name in ("nx", "ny", "nz")])
+    assert np.vstack([bead.points for bead in found.beads]) == pytest.approx(points, abs=1e-10)
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    assert np.vstack([bead.normals for bead in found.beads]) == pytest.approx(normals, abs=1e-7)
+    for size in ("width", "height"):
+        values = np.concatenate([getattr(bead, size) for bead in found.beads])
+        assert values == pytest.approx(columns[size] * 1e-3, rel=1e-8)
+    lines = np.concatenate([bead.lines for bead in found.beads])
+    assert lines.tolist() == list(range(1, 10) if kind == "npz" else range(2, 11))
+
+
+def test_a_comment_that_is_no_header_is_a_remark(spec: Callable[..., WaypointsSpec]) -> None:
+    text = "# nz ny nx, all in mm, z y x\n0 1 2 0 0 1\n1 1 2 0 0 1\n"
+    (bead,) = read_waypoints(spec("a.txt", text)).beads
+    assert bead.points[0] * 1e3 == pytest.approx([0, 1, 2])
+
+
+def test_names_may_state_their_unit(spec: Callable[..., WaypointsSpec]) -> None:
+    for head in (
+        "X_mm,Y_mm,Z_mm,NX,NY,NZ,Width_mm",
+        '"x [mm]",y (mm),z[mm],nx,ny,nz,width',
+        "x [mm] y z nx ny nz width",
+    ):
+        separator = "," if "," in head else " "
+        rows = "\n".join(separator.join(map(str, row)) for row in ([0, 1, 2, 0, 0, 1, 0.5], [1, 1, 2, 0, 0, 1, 0.6]))
+        (bead,) = read_waypoints(spec("a.csv", f"{head}\n{rows}\n")).beads
+        assert bead.points[1] * 1e3 == pytest.approx([1, 1, 2])
+        assert bead.width == pytest.approx([0.5e-3, 0.6e-3])
+
+
+def test_columns_that_mean_nothing_are_told(spec: Callable[..., WaypointsSpec]) -> None:
+    found = read_waypoints(spec("a.csv", csv(line(3, speed=1, qw=2))))
+    assert found.notes == ("a.csv: columns that are not used: speed, qw",)
+
+
+def test_repeated_waypoints_are_counted(spec: Callable[..., WaypointsSpec]) -> None:
+    columns = line(7, bead=[1, 1, 1, 1, 2, 2, 2]) | {"x": np.array([0, 1, 1, 2, 2, 3, 3.0])}
+    found = read_waypoints(spec("a.csv", csv(columns)))
+    assert [bead.points[:, 0].tolist() for bead in found.beads] == [[0, 1e-3, 2e-3], [2e-3, 3e-3]]
+    assert found.notes == ("a.csv: 2 waypoints that repeat the one before left out",)
+
+
+def test_a_column_of_beads_decides_where_they_end(spec: Callable[..., WaypointsSpec]) -> None:
+    columns = line(8, bead=[0, 0, 0, 0, 0, 7, 7, 7]) | {"x": np.array([0, 1, 2, 20, 21, 22, 23, 24.0])}
+    counts = [len(bead.points) for bead in read_waypoints(spec("a.csv", csv(columns))).beads]
+    assert counts == [5, 3]
+    counts = [len(bead.points) for bead in read_waypoints(spec("a.csv", csv(columns), split_mm=5)).beads]
+    assert counts == [3, 2, 3]
+    del columns["bead"]
+    counts = [len(bead.points) for bead in read_waypoints(spec("a.csv", csv(columns))).beads]
+    assert counts == [3, 5]
+    layers = csv(columns | {"layer": np.array([0, 0, 0, 0, 0, 0, 1.0, 1])})
+    counts = [len(bead.points) for bead in read_waypoints(spec("a.csv", layers)).beads]
+    assert counts == [3, 3, 2]
+
+
+# What is wrong
+
+GOOD = "0,0,0,0,0,1"
+WRONG = [
+    # name, file, line, reason, hint
+    ("a.csv", "x,y,z,nx,ny\n0,0,0,0,1\n", 1, "column nz is missing", "x y z nx ny nz"),
+    ("a.csv", "x,y,z\n0,0,0\n1,0,0\n", 1, "columns nx, ny, nz are missing", ""),
+    ("a.csv", f"{HEADER},widht\n{GOOD},1\n", 1, "unknown column 'widht'", "did you mean width?"),
+    ("a.csv", f"{HEADER},x\n{GOOD},1\n", 1, "column x is there twice", ""),
+    ("a.csv", f"x_m,y_m,z_m,nx,ny,nz\n{GOOD}\n", 1, "column x is in m, but layers.source.unit is mm", "unit: m"),
+    ("a.csv", f"{HEADER},width\r\n{GOOD},1\r\n{GOOD},\r\n", 3, "width is missing", ""),
+    ("a.csv", f"{HEADER},width\n{GOOD},1\n{GOOD}\n", 3, "the header names 7 columns; here are 6 values", ""),
+    ("a.csv", f"{HEADER},width\n{GOOD},1\n1,0,0,0,0,1,-2\n", 3, "width is -2 mm", "0.01 to 50 mm"),
+    ("a.csv", f"{HEADER},height\n{GOOD},1\n1,0,0,0,0,1,nan\n", 3, "'nan' is not a number", ""),
+    ("a.csv", f"{HEADER},layer\n{GOOD},1\n1,0,0,0,0,1,1.5\n", 3, "layer is 1.5", "whole number"),
+    ("a.csv", f"{HEADER},bead\n{GOOD},1\n1,0,0,0,0,1,1e9\n", 3, "bead is 1e+09", "whole number"),
+    ("a.csv", f"{HEADER},bead\n{GOOD},1\n1,0,0,0,0,1,2\n2,0,0,0,0,1,2\n", 2, "is all of its bead", "two"),
+    ("a.csv", f"{HEADER}\n{GOOD}\n1,0,0,0,0,0\n", 3, "the normal is zero", "direction"),
+    ("a.csv", f"{HEADER}\n{GOOD}\n", None, "no two different waypoints", ""),
+    ("a.csv", f"{HEADER}\n", None, "holds no waypoints", ""),
+    ("a.npz", packed(**(line(3) | {"z": np.array([0, np.nan, 0])})), 2, "'nan' is not a number", ""),
+    ("a.npz", packed(**(line(3) | {"nz": np.array([1, 1, 0])})), 3, "the normal is zero", ""),
+    ("a.npz", packed(**(line(3) | {"y": np.zeros(4)})), None, "array y has 4 numbers, x has 3", ""),
+    ("a.npz", packed(**(line(3) | {"y": np.zeros((3, 1))})), None, "array y is 3 x 1 of float64", ""),
+    ("a.npz", packed(**(line(3) | {"y": 1j * np.zeros(3)})), None, "of complex128", ""),
+    ("a.npz", packed(**(line(3) | {"y": np.array(["a", "b", "c"])})), None, "array y is 3 of <U1", ""),
+    ("a.npz", packed(**(line(3) | {"y": np.array([None, 1, 2])})), None, "allow_pickle=False", ""),
+    ("a.npz", packed(**(line(3) | {"layr": np.zeros(3)})), None, "unknown column 'layr'", "did you mean layer?"),
+    ("a.npz", packed(**{k: v for k, v in line(3).items() if k != "nz"}), None, "column nz is missing", ""),
+    ("a.npz", packed(**line(0)), None, "holds no waypoints", ""),
+    ("a.npz", packed(**line(1)), None, "no two different waypoints", ""),
+    ("a.npz", b"x,y,z", None, "is no NPZ file", "numpy.savez"),
+    ("a.npz", packed(**line(3))[:-40], None, "is no NPZ file", "numpy.savez"),
+    ("a.npz", b"", None, "is no NPZ file", "numpy.savez"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "data", "line", "reason", "hint"), WRONG)
+def test_mistakes_name_file_line_and_what_would_be_right(
+    spec: Callable[..., WaypointsSpec], name: str, data: str | bytes, line: int | None, reason: str, hint: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        read_waypoints(spec(name, data))
+    error = caught.value
+    assert (error.line, Path(str(error.file)).name) == (line, name)
+    assert reason in error.reason
+    assert hint in (error.hint or "")
+
+
+@pytest.mark.parametrize(("name", "data"), [(row[0], row[1]) for row in WRONG[::4]])
+def test_nothing_is_written_for_a_bad_file(
+    tmp_path: Path, name: str, data: str | bytes, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / name).write_bytes(data.encode() if isinstance(data, str) else data)
+    out = tmp_path / "out"
+    assert main([str(case_text(tmp_path, name)), "--out", str(out), "--quiet"]) == 2
+    assert not out.exists()
+    message = capsys.readouterr().err
+    assert message.startswith("error: ")
+    assert message.count("\n") == 1
+
+
+def test_an_archive_that_unpacks_to_too_much_is_refused(spec: Callable[..., WaypointsSpec]) -> None:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in NEEDED:
+            archive.writestr(f"{name}.npy", bytes(90_000_000))
+    assert len(stream.getvalue()) < 1_000_000
+    with pytest.raises(InputError, match="unpacks to more than 500 MB"):
+        read_waypoints(spec("a.npz", stream.getvalue()))
+
+
+def test_an_array_that_lies_about_its_size_is_refused(spec: Callable[..., WaypointsSpec]) -> None:
+    whole = packed(**line(3))
+    assert whole.count(b"'shape': (3,), ") == 6
+    with zipfile.ZipFile(io.BytesIO(whole)) as archive:
+        parts = {entry: archive.read(entry) for entry in archive.namelist()}
+    parts["x.npy"] = parts["x.npy"].replace(b"(3,), }        ", b"(30000000,), } ")
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        for entry, data in parts.items():
+            archive.writestr(entry, data)
+    with pytest.raises(InputError, match="no NPZ file"):
+        read_waypoints(spec("a.npz", stream.getvalue()))
+
+
+# What becomes of it
+
+
+def built(folder: Path, name: str, data: str | bytes, process: str = "", **options: object) -> Toolpath:
+    (folder / name).write_bytes(data.encode() if isinstance(data, str) else data)
+    path = case_text(folder, name, **options)
+    path.write_text(path.read_text("utf-8").replace("height_mm: 0.5", f"height_mm: 0.5{process}"), "utf-8")
+    return build_toolpath(load_problem(path))
+
+
+def test_widths_and_heights_are_those_of_the_file(tmp_path: Path) -> None:
+    u = np.arange(21.0)
+    columns = line(21, width=0.4 + 0.01 * u, height=0.2 + 0.005 * u)
+    (bead,) = built(tmp_path, "a.csv", csv(columns)).beads
+    assert bead.width == pytest.approx(0.4e-3 + 0.01 * bead.s, abs=1e-9)
+    assert bead.height == pytest.approx(0.2e-3 + 0.005 * bead.s, abs=1e-9)
+    (bead,) = built(tmp_path, "a.csv", csv(line(21, height=0.3))).beads
+    assert (bead.width.min(), bead.width.max()) == (0.6e-3, 0.6e-3)
+    assert bead.height == pytest.approx(0.3e-3)
+
+
+def test_the_surface_lies_a_beads_own_height_beneath(tmp_path: Path) -> None:
+    first = line(31, height=0.3, layer=4)
+    second = line(31, height=0.7, layer=9) | {"z": np.full(31, 0.7)}
+    text = csv({name: np.concatenate([first[name], second[name]]) for name in first})
+    toolpath = built(tmp_path, "a.csv", text)
+    assert [bead.layer for bead in toolpath.beads] == [0, 1]
+    for i, height in enumerate((0.3e-3, 0.7e-3)):
+        tips = toolpath.beads[i].points[10:20]
+        assert toolpath.surface.before(i + 1).signed_distance(tips) == pytest.approx(height, abs=1e-9)
+
+
+def test_layers_of_the_file_stand_even_where_nothing_lies_beneath(tmp_path: Path) -> None:
+    columns = line(20, layer=np.repeat([2, 8], 10), bead=np.repeat([0, 1], 10))
+    columns["x"] = np.concatenate([np.arange(10.0), 40 + np.arange(10.0)])
+    text = csv(columns)
+    assert [bead.layer for bead in built(tmp_path, "a.csv", text).beads] == [0, 1]
+    del columns["layer"]
+    assert [bead.layer for bead in built(tmp_path, "a.csv", csv(columns)).beads] == [0, 0]
+
+
+def test_a_rounded_bead_is_at_least_as_wide_as_high(tmp_path: Path) -> None:
+    text = csv(line(9, width=[0.6] * 5 + [0.4] * 4))
+    with pytest.raises(InputError, match=r"rounded bead cannot be 0\.4 mm wide and 0\.5 mm high") as caught:
+        built(tmp_path, "a.csv", text, process=", section: rounded")
+    assert caught.value.line == 7
+
+
+def test_metres_and_millimetres_make_the_same_bead(tmp_path: Path) -> None:
+    u = np.linspace(0, 3, 40)
+    columns = line(40) | {"x": 20 * np.cos(u), "y": 20 * np.sin(u), "nx": np.cos(u), "ny": np.sin(u), "nz": 0.5 + 0 * u}
+    (a,) = built(tmp_path, "a.npz", packed(**columns)).beads
+    metres = columns | {name: columns[name] * 1e-3 for name in ("x", "y", "z")}
+    (b,) = built(tmp_path, "a.npz", packed(**metres), unit="m").beads
+    for name in ("s", "points", "normals", "width"):
+        assert getattr(a, name) == pytest.approx(getattr(b, name), abs=1e-12)
+    assert replace(a, closed=False) is not None and isinstance(a, Bead)
+
+
+# Smoothing
+
+
+def noisy(seed: int, count: int, noise: float) -> tuple[Array, Array]:
+    """Normals along an arc of a dome, and the same with noise [rad]."""
+    rng = np.random.default_rng(seed)
+    u = np.linspace(0.0, 1.2, count)
+    true = np.column_stack([np.sin(u) * np.cos(u), np.sin(u) ** 2, np.cos(u)])
+    spoilt = true + rng.normal(0.0, noise, (count, 3))
+    return true, spoilt / np.linalg.norm(spoilt, axis=1)[:, None]
+
+
+def between(a: Array, b: Array) -> Array:
+    return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1)))
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 10_000), st.integers(2, 300), st.floats(0.0, 0.5), st.floats(1e-4, 0.5))
+def test_no_normal_turns_by_more_than_the_bound(seed: int, count: int, noise: float, bound: float) -> None:
+    _, given_ = noisy(seed, count, noise)
+    smooth, turned = smooth_normals(given_, bound)
+    assert np.linalg.norm(smooth, axis=1) == pytest.approx(1.0, abs=1e-12)
+    assert between(smooth, given_).max() <= bound * (1 + 1e-9)
+    assert turned == pytest.approx(between(smooth, given_), abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_within_the_bound_goes(seed: int) -> None:
+    noise = np.radians(0.5)
+    true, given_ = noisy(seed, 400, noise)
+    smooth, _ = smooth_normals(given_, np.radians(3.0))
+    assert np.sqrt((between(smooth, true) ** 2).mean()) < 0.45 * np.sqrt((between(given_, true) ** 2).mean())
+    shaken, still = (np.linalg.norm(np.diff(rows, 2, axis=0), axis=1).max() for rows in (given_, smooth))
+    assert still < 0.02 * shaken
+
+
+def test_one_outlier_does_not_keep_its_neighbours_rough() -> None:
+    true, given_ = noisy(1, 400, np.radians(0.3))
+    given_ = given_.copy()
+    given_[200] = [0.3, 0.3, 0.9]
+    given_[200] /= np.linalg.norm(given_[200])
+    smooth, _ = smooth_normals(given_, np.radians(2.0))
+    away = np.abs(np.arange(400) - 200) > 60
+    assert np.degrees(between(smooth, true))[away].max() < 0.5
+
+
+def test_smooth_normals_stay_as_they_are() -> None:
+    true, _ = noisy(0, 300, 0.0)
+    smooth, _ = smooth_normals(true, np.radians(1.0))
+    assert np.degrees(between(smooth, true)).max() < 0.02
+
+
+def test_smoothing_is_off_unless_asked_for_and_is_told(spec: Callable[..., WaypointsSpec]) -> None:
+    _, normals = noisy(3, 50, 0.02)
+    columns = line(50) | dict(zip(("nx", "ny", "nz"), normals.T, strict=True))
+    found = read_waypoints(spec("a.npz", packed(**columns)))
+    assert found.beads[0].normals == pytest.approx(normals, abs=1e-12)
+    assert found.notes == ()
+    found = read_waypoints(spec("a.npz", packed(**columns), smooth_normals_deg=1))
+    turned = np.degrees(between(found.beads[0].normals, normals))
+    assert 0.2 < turned.max() <= 1.0
+    assert found.notes == (
+        f"a.npz: normals smoothed, by {turned.max():.3f} degrees at most and {turned.mean():.3f} on average",
+    )
