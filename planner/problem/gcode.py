@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, ClassVar
 
-from planner.problem.fields import PATH, Position, Section, key
+from planner.problem.fields import PATH, Position, Quantity, Section, key
 from planner.problem.sources import SourceSection
 
 
@@ -13,6 +13,11 @@ class GcodeSpec(SourceSection):
     """A file of planar G-code, whose extruding moves become beads."""
 
     gcode: Annotated[Path, PATH] = key("gcode", "the file, counted from the folder of the problem file")
+    filament_diameter: Annotated[float, Quantity("mm", 0.5, 10)] | None = key(
+        "filament_diameter_mm",
+        "of the filament that the file was sliced for [mm]; default: process.filament_diameter_mm",
+        None,
+    )
     origin: Position = key("origin_mm", "the file's origin in the part frame, whose z = 0 is the bed [mm]", (0, 0, 0))
 
 

@@ -8,9 +8,11 @@ from typing import Any
 from planner.problem import Problem
 from planner.problem.curves import ProjectedCurvesSpec
 from planner.problem.drawings import LayersSpec, ProjectedDrawingSpec, ProjectedPatternSpec
+from planner.problem.gcode import GcodeLayersSpec
 from planner.problem.waypoints import WaypointLayersSpec
 from planner.problem.wing import AerofoilLayersSpec
 from planner.toolpath.bead import Toolpath
+from planner.toolpath.gcode.level import slicer_print
 from planner.toolpath.substrate.projection import project_curves
 from planner.toolpath.waypoints.through import through_waypoints
 from planner.toolpath.wing.layers import wing
@@ -22,6 +24,7 @@ SOURCES: dict[type, Callable[[Problem, Any], Toolpath]] = {
     ProjectedPatternSpec: project_curves,
     ProjectedCurvesSpec: project_curves,
     WaypointLayersSpec: through_waypoints,
+    GcodeLayersSpec: slicer_print,
     AerofoilLayersSpec: wing,
 }
 

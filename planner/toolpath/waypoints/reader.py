@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -28,6 +28,7 @@ SAME_PLACE = 1e-7  # m: so are points nearer than this, whatever the steps; file
 SIZES = (1e-5, 50e-3)  # m: widths and heights of beads, from a fibre to large concrete beads
 MOST_LAYERS = 1e6  # and numbers of beads
 _SHORTEST_NORMAL = 1e-6
+_SIZED, _COUNTED = ("width", "height"), ("layer", "bead")
 _TO_SI = {"mm": 1e-3, "m": 1.0}
 
 
@@ -70,8 +71,15 @@ class _Rows:
     bead: Array | None
 
     def __getitem__(self, rows: slice | NDArray[np.bool_]) -> _Rows:
-        taken = (getattr(self, field.name) for field in fields(self))
-        return _Rows(*(None if column is None else column[rows].copy() for column in taken))
+        def taken(column: Array | None) -> Array | None:
+            return None if column is None else column[rows].copy()
+
+        return _Rows(
+            self.points[rows].copy(),
+            self.normals[rows].copy(),
+            self.lines[rows].copy(),
+            *map(taken, (self.width, self.height, self.layer, self.bead)),
+        )
 
 
 def read_waypoints(spec: WaypointsSpec, where: Complaint | None = None) -> WaypointFile:
@@ -124,10 +132,9 @@ def _rows(columns: Columns, spec: WaypointsSpec) -> _Rows:
     if spec.up == "y":
         points, normals = (np.column_stack([a[:, 0], -a[:, 2], a[:, 1]]) for a in (points, normals))
     normals = normals / np.linalg.norm(normals, axis=1)[:, None] * (1.0 if spec.normals == "outward" else -1.0)
-    sizes = (scale * values[name] if name in values else None for name in ("width", "height"))
-    return _Rows(
-        points + np.asarray(spec.origin), normals, columns.lines, *sizes, values.get("layer"), values.get("bead")
-    )
+    width, height = (scale * values[name] if name in values else None for name in ("width", "height"))
+    moved = points + np.asarray(spec.origin)
+    return _Rows(moved, normals, columns.lines, width, height, values.get("layer"), values.get("bead"))
 
 
 def _check(columns: Columns, path: Path, unit: str) -> None:
@@ -139,11 +146,9 @@ def _check(columns: Columns, path: Path, unit: str) -> None:
     normal = np.column_stack([values[name] for name in ("nx", "ny", "nz")])
     bad |= ~(scale * np.abs(place).max(axis=1) <= 1e-3 * FARTHEST)
     bad |= ~(np.abs(normal).max(axis=1) > _SHORTEST_NORMAL)
-    sizes = [name for name in ("width", "height") if name in values]
-    for name in sizes:
+    for name in [name for name in _SIZED if name in values]:
         bad |= ~((scale * values[name] >= SIZES[0]) & (scale * values[name] <= SIZES[1]))
-    counts = [name for name in ("layer", "bead") if name in values]
-    for name in counts:
+    for name in [name for name in _COUNTED if name in values]:
         bad |= ~((values[name] == np.round(values[name])) & (np.abs(values[name]) <= MOST_LAYERS))
     if not bad.any():
         return
@@ -158,12 +163,13 @@ def _check(columns: Columns, path: Path, unit: str) -> None:
         raise wrong(f"the point is farther than {FARTHEST / 1e3:g} m from the origin", hint=hint)
     if np.abs(normal[i]).max() <= _SHORTEST_NORMAL:
         raise wrong("the normal is zero", hint="nx ny nz is a direction, of any length")
-    for name in sizes:
+    for name in [name for name in _SIZED if name in row]:
         if not SIZES[0] <= scale * row[name] <= SIZES[1]:
             valid = f"valid: {SIZES[0] / scale:g} to {SIZES[1] / scale:g} {unit}"
             raise wrong(f"the bead's {name} is {row[name]:g} {unit}", hint=valid)
-    name = next(name for name in counts if row[name] != round(row[name]) or abs(row[name]) > MOST_LAYERS)
-    raise wrong(f"{name} is {row[name]:g}", hint=f"a whole number, {MOST_LAYERS:g} at most")
+    for name in [name for name in _COUNTED if name in row]:
+        if row[name] != round(row[name]) or abs(row[name]) > MOST_LAYERS:
+            raise wrong(f"{name} is {row[name]:g}", hint=f"a whole number, {MOST_LAYERS:g} at most")
 
 
 def _changes(rows: _Rows) -> Index:

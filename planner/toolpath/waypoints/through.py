@@ -53,13 +53,13 @@ def through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
         )
         for path, curve, zero in zip(paths, curves, zeros, strict=True)
     ]
-    beads, surface = with_layers(beads)
+    laid, surface = with_layers(beads)
     if paths[0].layer is not None:  # the file knows
         _, layers = np.unique([path.layer for path in paths], return_inverse=True)
-        beads = [replace(bead, layer=int(layer)) for bead, layer in zip(beads, layers, strict=True)]
-    for i, (path, bead) in enumerate(zip(paths, beads, strict=True)):
+        laid = tuple(replace(bead, layer=int(layer)) for bead, layer in zip(laid, layers, strict=True))
+    for i, (path, bead) in enumerate(zip(paths, laid, strict=True)):
         check_clear(path, bead, surface.before(i), file)
-    return Toolpath(tuple(beads), surface, read.notes)
+    return Toolpath(laid, surface, notes=read.notes)
 
 
 def _sizes(path: Waypoints, given: Array | None, usual: float, curve: Interpolated) -> Array:
