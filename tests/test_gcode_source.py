@@ -374,6 +374,22 @@ def test_a_bad_line_is_named(read: Read, line: str, reason: str, hint: str) -> N
     assert hint in (caught.value.hint or "")
 
 
+@settings(max_examples=200, deadline=None)
+@given(st.text(st.sampled_from("G0123928 XYZEIJRF.-;\nMT:()*LAYERabc%"), max_size=120), st.binary(max_size=20))
+def test_any_text_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, text: str, more: bytes) -> None:
+    path = tmp_path_factory.mktemp("text") / "part.gcode"
+    path.write_bytes(f"{START}G1 X1 E1\n{text}".encode() + more)
+    try:
+        found = read_gcode(path, CHORD)
+    except InputError as error:
+        assert "\n" not in str(error)
+        assert error.exit_code == 2
+    else:
+        for thread in found.threads:
+            assert np.isfinite(thread.points).all()
+            assert (thread.filament > 0).all()
+
+
 def test_another_tool_is_refused_once_it_prints(read: Read) -> None:
     text = "T1\nT0\n" + START + "G1 X9 E1\n"
     assert len(read(text).threads) == 1

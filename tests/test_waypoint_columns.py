@@ -351,7 +351,33 @@ def test_one_outlier_does_not_keep_its_neighbours_rough() -> None:
 def test_smooth_normals_stay_as_they_are() -> None:
     true, _ = noisy(0, 300, 0.0)
     smooth, _ = smooth_normals(true, np.radians(1.0))
-    assert np.degrees(between(smooth, true)).max() < 0.02
+    assert np.degrees(between(smooth, true)).max() < 0.001
+
+
+def test_slow_waves_stay() -> None:
+    u = 2.0 * np.pi * np.arange(300) / 25.0  # a spiral about the top of a dome, 25 waypoints a turn
+    cone = np.column_stack([np.cos(u), np.sin(u), np.full(300, 25.0)])
+    cone /= np.linalg.norm(cone, axis=1)[:, None]
+    smooth, _ = smooth_normals(cone, np.radians(5.0))
+    assert np.degrees(between(smooth, cone)).max() < 0.3 * np.degrees(np.arctan(1.0 / 25.0))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.binary(max_size=400), st.sampled_from(["a.csv", "a.npz"]), st.booleans())
+def test_any_bytes_are_read_or_refused(
+    tmp_path_factory: pytest.TempPathFactory, data: bytes, name: str, like: bool
+) -> None:
+    if like:  # the middle of a file is spoilt
+        whole = packed(**line(5)) if name == "a.npz" else csv(line(40)).encode()
+        data = whole[:300] + data + whole[300 + len(data) :]
+    folder = tmp_path_factory.mktemp("bytes")
+    (folder / name).write_bytes(data)
+    try:
+        found = read_waypoints(load_problem(case_text(folder, name)).layers.source)
+    except InputError as error:
+        assert "\n" not in str(error)
+    else:
+        assert np.isfinite(np.vstack([bead.points for bead in found.beads])).all()
 
 
 def test_smoothing_is_off_unless_asked_for_and_is_told(spec: Callable[..., WaypointsSpec]) -> None:

@@ -208,7 +208,8 @@ def _arrays(path: Path, data: bytes, unit: str, complain: Complaint) -> Columns:
             places, unused = _named(arrays.files, unit, complain)
             values = {name: _numbers(arrays[arrays.files[i]], name, complain) for name, i in places.items()}
     except _UNREADABLE as error:
-        raise complain(f"{path.name} is no NPZ file of numbers: {error}", hint=hint) from error
+        why = str(error).partition("\n")[0] or type(error).__name__
+        raise complain(f"{path.name} is no NPZ file of numbers: {why}", hint=hint) from error
     sizes = {name: len(column) for name, column in values.items()}
     for name, size in sizes.items():
         if size != sizes["x"]:

@@ -8,7 +8,7 @@ from scipy.linalg import solveh_banded
 
 Array = NDArray[np.float64]
 
-REACH = 10.0  # waypoints to either side over which a normal is averaged, about
+REACH = 3.0  # waypoints, about, to either side over which a normal is averaged; waves of 20 or more stay
 _ROUNDS = 40  # in which normals that were turned too far are held more firmly
 _FIRMER = 1.3  # least factor for those
 _NONE = 1e-12  # rad, and length of a mean of normals: none at all
