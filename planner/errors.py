@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 EXIT_VERIFIED = 0
@@ -37,6 +37,9 @@ class InputError(PlannerError):
         place = "" if file is None else str(file) + ("" if line is None else f":{line}") + ": "
         what = "" if field is None else f"{field}: "
         super().__init__(place + what + reason + ("" if hint is None else f" ({hint})"))
+
+
+Complaint = Callable[..., InputError]  # reason, hint=None → the error with its place
 
 
 class OutputError(PlannerError):

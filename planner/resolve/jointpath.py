@@ -173,7 +173,7 @@ def refuse_at(
     run = ", in the run-in" if i < task.first else ", in the run-out" if i > task.last else ""
     nearest = min(max(i, task.first), task.last)
     raise Refusal(
-        f"{reason} (layer {task.layer}, path {task.name!r}{run}, "
+        f"{reason} (layer {task.layer + 1}, path {task.name!r}{run}, "
         f"point {mm[0]:.1f} {mm[1]:.1f} {mm[2]:.1f} mm on the part)",
         bead=task.bead,
         waypoint=nearest - task.first,

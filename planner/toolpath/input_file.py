@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
-from planner.errors import InputError
-
-Complaint = Callable[..., InputError]
+from planner.errors import Complaint, InputError
 
 
 def read_bytes(path: Path, largest: int, complain: Complaint, hint: str | None = None) -> bytes:

@@ -12,8 +12,9 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from planner.errors import Complaint
 from planner.problem.part import MeshSpec
-from planner.toolpath.input_file import Complaint, read_bytes
+from planner.toolpath.input_file import read_bytes
 from planner.toolpath.waypoints.reader import FARTHEST
 
 Array = NDArray[np.float64]

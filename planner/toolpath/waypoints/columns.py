@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.errors import InputError, nearest_name
-from planner.toolpath.input_file import Complaint, read_bytes, read_text
+from planner.errors import Complaint, InputError, nearest_name
+from planner.toolpath.input_file import read_bytes, read_text
 
 Array = NDArray[np.float64]
 

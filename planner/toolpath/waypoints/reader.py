@@ -11,10 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.errors import InputError
+from planner.errors import Complaint, InputError
 from planner.problem.waypoints import WaypointsSpec
 from planner.readonly import ReadOnlyArrays
-from planner.toolpath.input_file import Complaint
 from planner.toolpath.waypoints.columns import Columns, read_columns
 from planner.toolpath.waypoints.smoothing import smooth_normals
 
