@@ -101,6 +101,34 @@ def feed(
     return fed
 
 
+def feed_of_materials(
+    process: ProcessSpec,
+    materials: Sequence[str],
+    begun: NDArray[np.int32],
+    t: Array,
+    bead: NDArray[np.int32],
+    extruded: Array,
+    flow: Array,
+    events: Sequence[Event],
+) -> Array:
+    """Filament (n) [m] that all motors together have pushed, each its own material, as `feed` has it of one.
+
+    materials: of the beads, by name; begun (n): the last bead that was begun, whose material is laid if any is.
+    """
+    lag, names = process.extruder.lag, list(dict.fromkeys(materials))
+    if len(names) == 1:
+        return feed(t, bead, extruded, flow, events, filament_area(process.of(names[0])), lag)
+    fed, laid = np.zeros(len(t)), np.diff(extruded, prepend=0.0)
+    own = np.array([names.index(material) for material in materials])[begun]
+    for k, name in enumerate(names):
+        mine = own == k
+        volume = np.cumsum(np.where(mine, laid, 0.0))
+        moved = [event for event in events if event.material == name]
+        area = filament_area(process.of(name))
+        fed += feed(t, np.where(mine, bead, -1), volume, np.where(mine, flow, 0.0), moved, area, lag)
+    return fed
+
+
 def _drawn(t: Array, bead: NDArray[np.int32], extruded: Array, events: Sequence[Event]) -> Array:
     """Volume (n) [m^3] laid down behind cuts, which nobody pushes."""
     cuts = [event for event in events if event.kind == "cut"]

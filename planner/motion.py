@@ -12,12 +12,13 @@ from planner.cell import Cell
 from planner.cubics import Cubics, chain, rest
 from planner.errors import Refusal
 from planner.events import Span, events
-from planner.extrusion import extruded_volume, feed, filament_area, flow
+from planner.extrusion import extruded_volume, feed_of_materials, flow
 from planner.plan import TRAVEL, Trajectory
 from planner.problem.process import ProcessSpec
 from planner.process import least_travel_time
 from planner.timing import TimedPath
 from planner.toolpath.bead import Bead, Toolpath
+from planner.travel import Travel, ViaHome
 
 Array = NDArray[np.float64]
 BLOCK = 32768  # samples
@@ -29,16 +30,17 @@ def join(
     toolpath: Toolpath,
     process: ProcessSpec,
     timed: Sequence[TimedPath],
-    travels: Sequence[Cubics],
+    travels: Sequence[Travel],
     dt: float,
 ) -> Trajectory:
     """Rest at home while the extruder gets ready, then travel, bead, travel, …, travel, sampled every dt [s].
 
-    At the end it rests.
+    Travel by way of home rests there as long as a change of material takes. At the end the robot rests.
     """
-    pieces: list[TimedPath | Cubics] = [chain([rest(travels[0].start.q, process.start.time), travels[0]])]
-    for path, travel in zip(timed, travels[1:], strict=True):
-        pieces += [path, travel]
+    moves = [_whole(travel, process) for travel in travels]
+    pieces: list[TimedPath | Cubics] = [chain([rest(moves[0].start.q, process.start.time), moves[0]])]
+    for path, move in zip(timed, moves[1:], strict=True):
+        pieces += [path, move]
     starts = np.concatenate([[0.0], np.cumsum([piece.duration for piece in pieces])])
     first = np.ceil(starts / dt - _ON_TIME).astype(int)  # sample of each piece
     first[-1] += 1
@@ -47,11 +49,13 @@ def join(
     q = np.empty((n, len(cell.joint_names)))
     s, s_dot, rate, volume = np.zeros(n), np.full(n, np.nan), np.zeros(n), np.zeros(n)
     bead, layer = np.full(n, TRAVEL, dtype=np.int32), np.empty(n, dtype=np.int32)
+    begun = np.zeros(n, dtype=np.int32)  # the last bead that was begun, with its run-in
     done = 0.0
     for k, piece in enumerate(pieces):
         rows, i = slice(first[k], first[k + 1]), k // 2
         layer[rows] = toolpath.beads[min(i, len(timed) - 1)].layer
         volume[rows] = done
+        begun[rows] = max(i - (k % 2 == 0), 0)
         if isinstance(piece, Cubics):
             q[rows] = piece.joints(t[rows] - starts[k])
             continue
@@ -69,7 +73,8 @@ def join(
         rate[rows] = _flow(laid[0::2], inside, dt)
         volume[rows] = done + laid[1::2]
         done += float(laid[-1])
-    told = events(process, _spans(process, toolpath, timed, starts[1::2]))
+    told = events(process, _spans(process, toolpath, timed, travels, starts))
+    materials = [line.material for line in toolpath.beads]
     tip, axis, quat = _poses(cell, q)
     moving = np.linalg.norm(np.gradient(tip, dt, axis=0), axis=1)
     turned = np.cumprod(np.where((quat[1:] * quat[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))
@@ -89,19 +94,34 @@ def join(
         speed=np.where(np.isnan(s_dot), moving, s_dot),
         flow=rate,
         extruded=volume,
-        feed=feed(t, bead, volume, rate, told, filament_area(process), process.extruder.lag),
+        feed=feed_of_materials(process, materials, begun, t, bead, volume, rate, told),
         events=told,
     )
 
 
-def _spans(process: ProcessSpec, toolpath: Toolpath, timed: Sequence[TimedPath], starts: Array) -> list[Span]:
-    """When the beads are laid down, if the extruder does anything before, in or after them."""
-    if least_travel_time(process) <= 0.0 and process.fibre is None:
+def _whole(travel: Travel, process: ProcessSpec) -> Cubics:
+    """One motion of a travel, with the rest at home in it, if it goes there."""
+    if not isinstance(travel, ViaHome):
+        return travel
+    return chain([travel.out, rest(travel.out.end.q, process.change.time), travel.back])
+
+
+def _spans(
+    process: ProcessSpec, toolpath: Toolpath, timed: Sequence[TimedPath], travels: Sequence[Travel], starts: Array
+) -> list[Span]:
+    """When the beads are laid down, if the extruder does anything before, in or after them.
+
+    starts: of all pieces, travel and beads in turn [s].
+    """
+    if least_travel_time(process) <= 0.0 and process.fibre is None and not process.materials:
         return []
-    return [
-        Span(i, at + path.when(0.0), at + path.when(bead.length), tuple(at + begin for begin, _ in path.rests))
-        for i, (path, bead, at) in enumerate(zip(timed, toolpath.beads, starts.tolist(), strict=False))
-    ]
+    spans = []
+    for i, (path, bead, way) in enumerate(zip(timed, toolpath.beads, travels, strict=False)):
+        at = float(starts[2 * i + 1])
+        stops = tuple(at + begin for begin, _ in path.rests)
+        change = float(starts[2 * i]) + way.out.duration if isinstance(way, ViaHome) else None
+        spans.append(Span(i, at + path.when(0.0), at + path.when(bead.length), stops, bead.material, change))
+    return spans
 
 
 def _too_short(line: Bead, dt: float) -> str:

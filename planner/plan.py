@@ -28,9 +28,10 @@ CAUSES = {
 
 @dataclass(frozen=True)
 class Event:
-    """Something that the extruder or its heating does: "heat", "purge", "prime", "retract", "cut", …
+    """Something that the extruder or its heating does: "heat", "select", "purge", "prime", "retract", "cut", "change".
 
     bead its index, or -1; start, duration [s]; amount of filament [m], signed, 0 if none
+    material by its name: what is moved, or selected, or changed to; empty where materials have no names
     """
 
     kind: str
@@ -38,6 +39,14 @@ class Event:
     start: float
     duration: float
     amount: float
+    material: str = ""
+
+    @property
+    def words(self) -> str:
+        """What it is, and of which bead."""
+        what = f"{self.kind} {self.material}" if self.kind == "select" else self.kind
+        what = f"change to {self.material}" if self.kind == "change" else what
+        return what if self.bead < 0 else f"{what}, bead {self.bead}"
 
 
 @dataclass(frozen=True)

@@ -3,19 +3,17 @@ how long the extruder needs between beads."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.errors import InputError
+from planner.errors import Complaint, InputError
 from planner.problem.process import FibreSpec, ProcessSpec
 from planner.run_ends import End, end_of
 from planner.toolpath.bead import Bead
 
 Array = NDArray[np.float64]
-Complaint = Callable[..., InputError]
 
 RISE_PER_LENGTH = 0.5  # height of the far end of a run over its length: clears a bead within the run's last half
 _STRAIGHTEN = 0.4  # greatest share of a run in which the bead's curvature fades to a straight line
@@ -165,17 +163,20 @@ def cut_place(bead: Bead, fibre: FibreSpec, where: Complaint | None = None) -> f
     complain = InputError if where is None else where
     cut, laid, least = fibre.cut_length * 1e3, fibre.least_laid * 1e3, fibre.least_length * 1e3
     raise complain(
-        f"path {bead.name!r} in layer {bead.layer} is {bead.length * 1e3:.2f} mm long, too short to be cut fibre",
+        f"path {bead.name!r} in layer {bead.layer + 1} is {bead.length * 1e3:.2f} mm long, too short to be cut fibre",
         hint=f"at least {least:g} mm: {laid:g} laid before the cut (least_laid_mm), {cut:g} after it (cut_length_mm)",
     )
 
 
-def least_travel_time(process: ProcessSpec, leaves: bool = True, reaches: bool = True) -> float:
+def least_travel_time(process: ProcessSpec, leaves: str | None = "", reaches: str | None = "") -> float:
     """Least time [s] between the end of a bead and the start of the next: what retract and prime take.
 
-    The runs count to it. Before the first bead nothing is left, after the last none reached: leaves, reaches.
+    The runs count to it, a change of material does not. leaves, reaches: the materials of the two beads by name; None
+    before the first bead and after the last.
     """
-    return (process.retract.time if leaves else 0.0) + (prime_time(process) if reaches else 0.0)
+    return (0.0 if leaves is None else process.of(leaves).retract.time) + (
+        0.0 if reaches is None else prime_time(process.of(reaches))
+    )
 
 
 def prime_time(process: ProcessSpec) -> float:

@@ -19,7 +19,6 @@ from rich.console import Console
 
 from planner.background import in_background, in_halves, spare_core
 from planner.cell import Cell, build_cell
-from planner.cubics import Cubics
 from planner.dips import find_dips
 from planner.errors import (
     EXIT_INTERRUPTED,
@@ -44,7 +43,7 @@ from planner.task import NozzleTask, tasks_of
 from planner.timing import TimedPath, bound_time, time_path
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.travel import plan_travels
+from planner.travel import Travel, plan_travels
 from planner.verify import Report, verify
 from planner.versions import versions
 
@@ -135,7 +134,7 @@ def _trajectory(
     def part(first: int, last: int) -> list[TimedPath]:
         return [time_path(cell, path, (moving, moving)) for path in paths[first:last]]
 
-    def ways(first: int, last: int) -> list[Cubics]:
+    def ways(first: int, last: int) -> list[Travel]:
         which = range(first, last + (last == n))  # the way home comes after the last bead
         return plan_travels(cell, timed, toolpath, problem.process, which)
 

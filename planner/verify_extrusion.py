@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_banded
 
 from planner.cell import Cell
+from planner.materials import filament_areas
 from planner.plan import Check, Event, Trajectory
 from planner.problem import Problem
 from planner.problem.process import ProcessSpec
 from planner.replay import Motion
 from planner.toolpath.bead import Bead, Toolpath
 from planner.verify_checks import SPEED_TOLERANCE, check_most, samples_of
+from planner.verify_materials import materials
 
 Array = NDArray[np.float64]
 Samples = NDArray[np.intp]
@@ -81,9 +83,8 @@ def extrusion(
     volumes = [volume_of(bead, process) for bead in toolpath.beads]
     samples = samples_of(t, len(volumes))
     sample = max(float(v.area.max()) for v in volumes) * _fastest(process, t, motion) * t.dt
-    filament = float(np.pi * (0.5 * process.filament_diameter) ** 2)
     drawn, pushed = _drawn(t, volumes, samples), _pushed(t.t, t.events)
-    pressed = filament * (t.feed - pushed) + drawn
+    pressed = _pressed(t.feed - pushed, filament_areas(problem, t.events, t.t)) + drawn
     out = _leaving(pressed, t.dt, process.extruder.lag)
     if process.extruder.motor == "on_off":
         _runs_while_laying(process, t, volumes, samples, checks)
@@ -108,6 +109,7 @@ def extrusion(
         _as_long_as_its_bead(t, volumes, samples, checks)
     if process.extruder.lag > 0.0:
         metrics["lag_zone_mm"] = float((t.speed * t.dt)[near & t.deposit].sum()) * 1e3
+    materials(problem, toolpath, t, checks)
     metrics["extruded_volume_mm3"] = float(t.extruded[-1]) * 1e9
     metrics["extruded_mm"] = float(t.feed[-1]) * 1e3
 
@@ -268,6 +270,14 @@ def _between(s: Array, length: float) -> tuple[Array, Array]:
     doubt = np.abs(a[3:] - a[:-3] - 3.0 * (a[2:-1] - a[1:-2])) / 16.0
     edges = np.maximum.accumulate(np.concatenate([[0.0], np.clip(middle, 0.0, length), [length]]))
     return edges, np.concatenate([[0.0], doubt, [0.0]])
+
+
+def _pressed(fed: Array, filament: Array | float) -> Array:
+    """Volume (n) [m^3] pressed into the melt by filament (n) [m] of cross-section [m^2], one or (n)."""
+    if isinstance(filament, float):
+        return filament * fed
+    volume: Array = np.cumsum(filament * np.diff(fed, prepend=0.0))
+    return volume
 
 
 def _leaving(pressed: Array, dt: float, lag: float) -> Array:

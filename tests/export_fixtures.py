@@ -18,7 +18,9 @@ from planner.export.plan_json import plan_json
 from planner.export.rapid import pgf, rapid
 from planner.export.rotations import from_matrix
 from planner.export.table import write_table
-from planner.plan import Check, Plan, Trajectory
+from planner.extrusion import feed_of_materials
+from planner.plan import Check, Event, Plan, Trajectory
+from planner.problem.process import ProcessSpec
 
 Array = NDArray[np.float64]
 
@@ -28,11 +30,22 @@ CENTRE, RADIUS = np.array([0.0314, 0.037]), 0.034
 RUN_IN = 0.003
 BEAD_AREA = 0.6e-3 * 0.5e-3
 FILAMENT = 1.75e-3
+CHANGE = {"wait_s": 2, "purge_mm": 5}
+MATERIALS = {
+    "pla": {"tool": 1, "nozzle_c": 195},
+    "pva": {"tool": 0, "nozzle_c": 190, "extruder_signal": "doSupport", "filament_diameter_mm": 2.85},
+}
 TABLE_TURN = 0.6  # of the bead's turning done by the table; the arm does the rest
 
 
-def problem(positioner: bool = True, free: tuple[str, ...] = ("rotation",), **program: str) -> Any:
+def problem(
+    positioner: bool = True,
+    free: tuple[str, ...] = ("rotation",),
+    materials: dict[str, Any] | None = None,
+    **program: str,
+) -> Any:
     """What the exporters read of a problem, and what a cell is built from."""
+    bead = {"width_mm": 0.6, "height_mm": 0.5}
     names = {"tool": "tPen", "work_object": "wobjPart", "station": "STN1", "extruder_signal": "doExtrude"} | program
     station = SimpleNamespace(
         robot="irbp_a250",
@@ -57,7 +70,7 @@ def problem(positioner: bool = True, free: tuple[str, ...] = ("rotation",), **pr
             bed=None if positioner else (0.45, -0.05, 0.38),
             limits={},
         ),
-        process=SimpleNamespace(speed=SPEED, travel_speed=0.2, run_in=RUN_IN, filament_diameter=FILAMENT, lift=0.005),
+        process=ProcessSpec(speed_mm_s=40, travel_speed_mm_s=200, bead=bead, materials=materials or {}, change=CHANGE),
         program=SimpleNamespace(**names, chord=0.02e-3, tangent=np.radians(45.0)),
     )
 
@@ -125,18 +138,33 @@ def make_plan(
     length: float = 0.020,
     dip: bool = True,
     free: tuple[str, ...] = ("rotation",),
+    materials: tuple[str, ...] = (),
 ) -> Plan:
-    """A plan of `beads` beads: home, at rest before each run-in, run-out to rest, back home."""
-    spec = problem(positioner, free)
+    """A plan of `beads` beads: home, at rest before each run-in, run-out to rest, back home.
+
+    With materials, each bead is of the next one; the robot rests at home for every change.
+    """
+    spec = problem(positioner, free, MATERIALS if materials else None)
     cell = build_cell(spec)
     parts: list[tuple[Array, Array, int]] = []  # joints, arc length along the bead or NaN, bead
     at = cell.home
+    events: list[Event] = []
+    if materials:
+        events = [Event(kind, -1, 0.0, 0.0, 0.0, materials[0]) for kind in ("heat", "select")]
     for k in range(beads):
         way, _ = _way(length, dip)
         tip, normal = _bead_pose(way - RUN_IN, length, 0.03 + 0.0005 * (k // 2 % 20), 0.3 * (k % 2))
         q = _postures(cell, tip, normal, at)
         if not parts:
             parts.append((at[None], np.full(1, np.nan), -1))
+        if materials and k:
+            rest, material = round(spec.process.change.time / DT), materials[k % len(materials)]
+            parts += [_travel(at, cell.home), (np.tile(cell.home, (rest, 1)), np.full(rest, np.nan), -1)]
+            start = (sum(len(part[0]) for part in parts) - 1 - rest) * DT
+            change = spec.process.change
+            events.append(Event("change", k, start, change.wait, 0.0, material))
+            events.append(Event("purge", k, start + change.wait, change.time - change.wait, change.purge, material))
+            at = cell.home
         parts.append(_travel(at, q[0]))
         parts.append((q[1:], way[1:] - RUN_IN, k))
         at = q[-1]
@@ -154,9 +182,15 @@ def make_plan(
     laid = np.clip(np.nan_to_num(s), 0.0, length)
     extruded = np.concatenate([[0.0], np.cumsum(np.maximum(np.diff(laid), 0.0))]) * BEAD_AREA
     bead = np.where(deposit, label, -1).astype(np.int32)
+    t = np.arange(len(q)) * DT
+    own = [materials[k % len(materials)] if materials else "" for k in range(beads)]
+    begun = np.maximum.accumulate(np.maximum(label, 0)).astype(np.int32)
+    fed = extruded / (np.pi * FILAMENT**2 / 4.0)
+    if materials:
+        fed = feed_of_materials(spec.process, own, begun, t, bead, extruded, flow, events)
     trajectory = Trajectory(
         dt=DT,
-        t=np.arange(len(q)) * DT,
+        t=t,
         bead=bead,
         layer=np.maximum(0, label // 2).astype(np.int32),
         deposit=deposit,
@@ -169,13 +203,18 @@ def make_plan(
         speed=speed,
         flow=flow,
         extruded=extruded,
-        feed=extruded / (np.pi * FILAMENT**2 / 4.0),
+        feed=fed,
+        events=tuple(events),
     )
     deposited = 1e3 * beads * length
     return Plan(
         problem=spec,
         cell=cell,
-        toolpath=SimpleNamespace(beads=(None,) * beads, layers=(beads + 1) // 2, notes=()),  # type: ignore[arg-type]
+        toolpath=SimpleNamespace(  # type: ignore[arg-type]
+            beads=tuple(SimpleNamespace(material=material, length=length) for material in own),
+            layers=(beads + 1) // 2,
+            notes=(),
+        ),
         strategy="ladder",
         trajectory=trajectory,
         checks=(Check("position_error", 0.0021, 0.05, "mm", True, "bead 0"), Check("reach", 0.0, 0.0, "mm", True, "")),
@@ -216,12 +255,14 @@ def sliced(plan: Plan, rows: slice) -> Plan:
 
 def golden_texts() -> dict[str, str]:
     """File name in tests/golden → what the exporters write today."""
-    plan = make_plan()
+    plan, mixed = make_plan(), make_plan(materials=("pla", "pva"))
     table = io.StringIO()
     write_table(sliced(plan, slice(180, 220)), table)
     return {
         "TwoBeads.mod": rapid(plan),
         "TwoBeads.pgf": pgf(plan),
+        "TwoMaterials.mod": rapid(mixed),
+        "two_materials.gcode": gcode(mixed),
         "extrusion.gcode": gcode(plan),
         "plan.json": plan_json(plan),
         "trajectory.csv": table.getvalue(),

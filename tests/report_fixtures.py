@@ -29,6 +29,7 @@ def make_problem(name: str = "cylinder_stars") -> SimpleNamespace:
             filament_diameter=1.75e-3,
             section="rectangle",
             extruder=SimpleNamespace(motor="e_axis", lag=0.0),
+            materials={},
         ),
     )
 

@@ -53,8 +53,8 @@ def test_events_of_filament_stand_exactly_at_the_ends_of_the_beads() -> None:
             (right.start, right.duration, right.amount), abs=1e-12
         )
     assert least_travel_time(FILAMENT) == pytest.approx(0.15)
-    assert least_travel_time(FILAMENT, leaves=False) == pytest.approx(0.1)
-    assert least_travel_time(FILAMENT, reaches=False) == pytest.approx(0.05)
+    assert least_travel_time(FILAMENT, leaves=None) == pytest.approx(0.1)
+    assert least_travel_time(FILAMENT, reaches=None) == pytest.approx(0.05)
 
 
 def test_fibre_is_fed_forward_before_every_bead_and_cut_in_every_bead() -> None:
@@ -69,6 +69,27 @@ def test_fibre_is_fed_forward_before_every_bead_and_cut_in_every_bead() -> None:
 def test_heating_without_waiting_is_told_too() -> None:
     (heat,) = events(process(start={"nozzle_c": 210.0}), [Span(0, 1.0, 2.0)])
     assert heat == Event("heat", TRAVEL, 0.0, 0.0, 0.0)
+
+
+def test_a_change_of_material_stands_where_the_robot_rests_and_the_new_one_is_purged() -> None:
+    spec = process(
+        materials={"a": {"retract": {"length_mm": 3.0, "speed_mm_s": 30.0}}, "b": {"prime": {"length_mm": 2.0}}},
+        change={"wait_s": 4.0, "purge_mm": 10.0},
+        start={"heat_wait_s": 60.0, "purge_mm": 5.0},
+    )
+    found = events(spec, [Span(0, 70.0, 80.0, material="a"), Span(1, 95.0, 99.0, material="b", change=85.0)])
+    assert found == (
+        Event("heat", TRAVEL, 0.0, 60.0, 0.0, "a"),
+        Event("select", TRAVEL, 60.0, 0.0, 0.0, "a"),
+        Event("purge", TRAVEL, 60.0, 1.0, 0.005, "a"),
+        Event("retract", 0, 80.0, 0.1, -0.003, "a"),
+        Event("change", 1, 85.0, 4.0, 0.0, "b"),
+        Event("purge", 1, 89.0, 2.0, 0.01, "b"),
+        Event("prime", 1, 95.0 - 0.08, 0.08, 0.002, "b"),
+    )
+    assert [event.words for event in found][1:5:3] == ["select a", "change to b, bead 1"]
+    assert least_travel_time(spec, "a", "b") == pytest.approx(0.18)
+    assert least_travel_time(spec, "b", "a") == 0.0
 
 
 specs = st.builds(
@@ -89,7 +110,7 @@ def test_events_are_in_order_and_never_two_at_once(spec: ProcessSpec, print_: li
     """With no more time than is asked for between the beads, all fits."""
     now, spans = spec.start.time, []
     for i, (spare, length, share) in enumerate(print_):
-        start = now + spare + least_travel_time(spec, leaves=i > 0)
+        start = now + spare + least_travel_time(spec, leaves="" if i > 0 else None)
         stop = start + share * length
         waits = spec.fibre.cut_wait if spec.fibre is not None else 0.0
         now = start + length + waits

@@ -228,7 +228,7 @@ def test_fine_only_at_rest_and_waits_are_kept():
 def test_without_run_in_the_extruder_goes_on_at_the_start_of_the_bead():
     plan = make_plan()
     spec = problem()
-    spec.process.run_in = 0.0
+    spec.process = spec.process.model_copy(update={"run_in": 0.0})
     text = rapid(replace(plan, problem=spec))
     moves = moves_of(text)
     assert [move.trigger for move in moves if move.trigger] == ["trgOnStart", "trgOff"] * 2

@@ -225,7 +225,7 @@ def test_a_bead_too_short_for_fibre_is_refused_with_its_length_and_the_least(dra
         tasks_of(problem, build_toolpath(problem))
     error = caught.value
     assert error.field == "--set process.fibre: process.fibre.cut_length_mm"
-    assert f"path {short.name!r} in layer 0 is {short.length * 1e3:.2f} mm long" in error.reason
+    assert f"path {short.name!r} in layer 1 is {short.length * 1e3:.2f} mm long" in error.reason
     assert "at least 55 mm" in (error.hint or "")
     assert "5 laid before the cut (least_laid_mm), 50 after it (cut_length_mm)" in (error.hint or "")
 

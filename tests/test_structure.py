@@ -49,6 +49,8 @@ SAME_ROOM = {
     "robot_files": "cell",
     "verify_checks": "verify",
     "verify_extrusion": "verify",
+    "verify_materials": "verify",
+    "materials": "plan",
 }
 EVERYWHERE = {"errors"}
 # Rooms that see less than what is to their left, when the program runs.

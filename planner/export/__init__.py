@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from planner.errors import OutputError, Refusal
 from planner.export.gcode import gcode
+from planner.export.gcode_check import gcode_complaints
 from planner.export.part_stl import part_stl
 from planner.export.plan_json import plan_json, refusal_json
 from planner.export.rapid import module_name, pgf, rapid
@@ -56,14 +57,17 @@ def write_refusal(problem: Problem, strategy: str, refusal: Refusal, folder: Pat
 def write_robot_code(plan: Plan, folder: Path) -> tuple[Path, ...]:
     """Write RAPID, where the robots speak it (see `Plan.no_rapid`), and G-code of a verified plan; returns the paths.
 
-    The program is read back and held against the plan before anything is written. ValueError if the plan is not
-    verified, RuntimeError if the program does not say what the plan says (both mistakes of this code or its caller),
+    Both programs are read back and held against the plan before anything is written. ValueError if the plan is not
+    verified, RuntimeError if a program does not say what the plan says (both mistakes of this code or its caller),
     OutputError where the files cannot be written.
     """
     texts = {name: EXPORTERS[name](plan) for name in ROBOT_CODE if name not in RAPID or plan.no_rapid is None}
     complaints = compare(plan, read_rapid(texts["{Module}.mod"])).complaints() if "{Module}.mod" in texts else []
     if complaints:
         raise RuntimeError("the RAPID program does not repeat the plan: " + "; ".join(complaints))
+    complaints = gcode_complaints(plan, texts["extrusion.gcode"])
+    if complaints:
+        raise RuntimeError("the G-code does not repeat the plan: " + "; ".join(complaints))
     module = module_name(plan.problem.name)
     return tuple(_write_text(folder / name.format(Module=module), text) for name, text in texts.items())
 

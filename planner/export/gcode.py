@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.materials import SELECTS, materials_of
+
 if TYPE_CHECKING:
     from planner.plan import Event, Plan, Trajectory
 
@@ -49,7 +51,7 @@ def gcode(plan: Plan) -> str:
     ):
         if f <= 0.0:
             continue
-        said = [f"; {_name(t.events[FIRST_EVENT - who])}"] if who <= FIRST_EVENT else [f"; bead {who}, layer {layer}"]
+        said = [f"; {t.events[FIRST_EVENT - who].words}"] if who <= FIRST_EVENT else [f"; bead {who}, layer {layer}"]
         what.append((end - took, took, [*(said if who not in (last, NOTHING) else []), f"G1 E{e:.5f} F{f:.3f}"]))
         last = last if who == NOTHING else who
 
@@ -70,18 +72,16 @@ def gcode(plan: Plan) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _name(event: Event) -> str:
-    return event.kind if event.bead < 0 else f"{event.kind}, bead {event.bead}"
-
-
 def _standing(plan: Plan, event: Event) -> list[str]:
     """What is said of an event that moves no filament."""
-    lines = [f"; {_name(event)}"]
+    lines = [f"; {event.words}"]
+    materials = materials_of(plan.problem)
     if event.kind == "heat":
         start = plan.problem.process.start
-        for code, celsius in (("M140", start.bed_c), ("M104", start.nozzle_c)):
+        nozzles = [(f"M104 T{each.tool}", each.nozzle_c) for each in materials] or [("M104", start.nozzle_c)]
+        for code, celsius in (("M140", start.bed_c), *nozzles):
             lines += [] if celsius is None else [f"{code} S{celsius:g}"]
-    return lines
+    return lines + [f"T{each.tool}" for each in materials if event.kind in SELECTS and each.name == event.material]
 
 
 def _pause_length(seconds: float) -> float:

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from planner.materials import used
+
 if TYPE_CHECKING:
     from planner.cell import Cell
     from planner.errors import Refusal
@@ -42,9 +44,11 @@ def plan_json(plan: Plan) -> str:
                 "start_s": event.start,
                 "duration_s": event.duration,
                 "amount_mm": event.amount * 1e3,
+                **({"material": event.material} if event.material else {}),
             }
             for event in plan.trajectory.events
         ],
+        **_materials(plan),
         "cell": cell_screws(plan.cell),
         "timing_s": plan.timing_s,
         "versions": plan.versions,
@@ -70,6 +74,22 @@ def _dip(dip: Dip) -> dict[str, Any]:
         "over_extruded_mm3": round(dip.over_extruded * 1e9, PLACES),
         "avoid": {remedy.kind: {"exact": remedy.exact, "change": dict(remedy.changes)} for remedy in dip.remedies},
     }
+
+
+def _materials(plan: Plan) -> dict[str, Any]:
+    """What the print takes of each material; nothing where they have no names."""
+    rows = [
+        {
+            "name": each.material.name,
+            "tool": each.material.tool,
+            "beads": each.beads,
+            "length_mm": each.length * 1e3,
+            "extruded_volume_mm3": each.volume * 1e9,
+            "extruded_mm": each.filament * 1e3,
+        }
+        for each in used(plan)
+    ]
+    return {"materials": rows} if rows else {}
 
 
 def refusal_json(problem: Problem, strategy: str, refusal: Refusal) -> str:

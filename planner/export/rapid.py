@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from planner.export.moves import Moves, deposits, plan_moves
 from planner.export.rests import Wait
 from planner.export.rotations import continuous, from_matrix
+from planner.materials import materials_of
 from planner.plan import RAPID_EXTERNAL_AXES
 
 if TYPE_CHECKING:
@@ -78,9 +79,7 @@ def rapid(plan: Plan) -> str:
         "",
         *speeds,
         "",
-        "    VAR triggdata trgOn;",
-        "    VAR triggdata trgOff;",
-        "    VAR triggdata trgOnStart;",
+        *(f"    VAR triggdata {name}{k};" for k in _extruders(plan) for name in ("trgOn", "trgOff", "trgOnStart")),
         "",
         *_main(plan, calls, speed_names[0]),
         *procedures,
@@ -124,6 +123,8 @@ def _header(plan: Plan) -> list[str]:
         "Verified before it was written:",
         *(f"  {c.name}: {c.worst:.6g} {c.unit} (limit {c.limit:.6g})" for c in plan.checks),
     ]
+    for each in materials_of(plan.problem):
+        texts.append(f"Material {each.name}: tool T{each.tool} of the extruder's board, output {each.signal}")
     return [comment(text) for text in texts]
 
 
@@ -205,7 +206,7 @@ def _main(plan: Plan, calls: list[str], speed: str) -> list[str]:
     joints = ",".join(number(v, 5) for v in np.degrees(start[0, :na]))
     external = _external_text(external_degrees(cell, start[:, na:]))[0]
     station = [] if cell.holder_robot is None else [names.station]
-    signal = names.extruder_signal
+    extruders = _extruders(plan)
     said = f"{module_name(plan.problem.name)}: {len(plan.toolpath.beads)} beads"[:LONGEST_STRING]
     return [
         "    PROC main()",
@@ -214,18 +215,33 @@ def _main(plan: Plan, calls: list[str], speed: str) -> list[str]:
         "        SingArea\\Off;",
         "        ConfJ\\On;",
         "        ConfL\\Off;",
-        f"        SetDO {signal},0;",
-        f"        TriggIO trgOn,0\\DOp:={signal},1;",
-        f"        TriggIO trgOff,0\\DOp:={signal},0;",
-        f"        TriggIO trgOnStart,0\\Start\\DOp:={signal},1;",
+        *(f"        SetDO {signal},0;" for signal in extruders.values()),
+        *(
+            f"        TriggIO {name}{k},0{where}\\DOp:={signal},{value};"
+            for k, signal in extruders.items()
+            for name, where, value in (("trgOn", "", 1), ("trgOff", "", 0), ("trgOnStart", "\\Start", 1))
+        ),
         f"        MoveAbsJ [[{joints}],[{external}]],{speed},fine,{names.tool}\\WObj:={names.work_object};",
         *(f"        {call};" for call in calls),
-        f"        SetDO {signal},0;",
+        *(f"        SetDO {signal},0;" for signal in extruders.values()),
         *(f"        DeactUnit {name};" for name in station),
         '        TPWrite "Finished";',
         "    ENDPROC",
         "",
     ]
+
+
+def _extruders(plan: Plan) -> dict[str, str]:
+    """The digital output of each extruder, by what its triggers end with: nothing for the first, then 2, 3, …"""
+    outputs = [each.signal for each in materials_of(plan.problem)] or [plan.problem.program.extruder_signal]
+    return {str(k) if k > 1 else "": signal for k, signal in enumerate(outputs, 1)}
+
+
+def _endings(plan: Plan) -> list[str]:
+    """What the triggers of each bead end with."""
+    names = [each.name for each in materials_of(plan.problem)]
+    endings = list(_extruders(plan))
+    return [endings[names.index(bead.material)] if names else endings[0] for bead in plan.toolpath.beads]
 
 
 def _external_text(degrees: Array) -> list[str]:
@@ -272,6 +288,8 @@ def _procedures(plan: Plan, moves: Moves, speeds: list[str]) -> tuple[list[str],
     calls = ["Start"]
     linear, fine = moves.linear.tolist(), moves.fine.tolist()
     on_end, on_start, off_end = moves.on_end.tolist(), moves.on_start.tolist(), moves.off_end.tolist()
+    endings, own = _endings(plan), plan.trajectory.bead.tolist()
+    ends = moves.sample.tolist()
     bounds = np.searchsorted(moves.after, np.arange(len(first) + 2))
     for k, (a, b) in enumerate(zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True)):
         if a == b:
@@ -282,8 +300,12 @@ def _procedures(plan: Plan, moves: Moves, speeds: list[str]) -> tuple[list[str],
             lines.append(_about(plan, int(first[k]), int(last[k])))
         for i in range(a, b):
             triggers = [
-                name
-                for name, used in (("trgOnStart", on_start[i]), ("trgOn", on_end[i]), ("trgOff", off_end[i]))
+                name + endings[own[at]]
+                for name, used, at in (
+                    ("trgOnStart", on_start[i], ends[i - 1] if i else 0),
+                    ("trgOn", on_end[i], ends[i]),
+                    ("trgOff", off_end[i], ends[i]),
+                )
                 if used
             ]
             zone = "fine" if fine[i] else "z0" if linear[i] else "z1"
@@ -307,4 +329,7 @@ def _waiting(waits: Sequence[Wait]) -> list[str]:
 def _about(plan: Plan, first: int, last: int) -> str:
     """Comment on what a procedure prints between two samples."""
     t = plan.trajectory
-    return comment(f"Bead {t.bead[first]}, layer {t.layer[first]}: {1e3 * (t.s[last] - t.s[first]):.1f} mm", 8)
+    bead = t.bead[first]
+    of = plan.toolpath.beads[bead].material
+    length = f"{1e3 * (t.s[last] - t.s[first]):.1f} mm" + (f" of {of}" if of else "")
+    return comment(f"Bead {bead}, layer {t.layer[first]}: {length}", 8)

@@ -15,6 +15,7 @@ from planner.export.rapid_pieces import Piece, pieces_of
 from planner.export.rapid_reader import Program
 from planner.export.rapid_waits import moving_time, waits_differ
 from planner.export.rotations import angle, continuous, slerp, to_matrix
+from planner.materials import materials_of
 
 if TYPE_CHECKING:
     from planner.plan import Plan
@@ -44,6 +45,7 @@ class Agreement:
     speed     moves that lay material: programmed speed against the mean of the samples [m/s]
     wait      how long the robot stands still, wherever it does [s]
     conf      targets whose configuration is not that of the plan's posture
+    output    times that another output is switched than that of the bead's material
     """
 
     chord: float
@@ -56,6 +58,7 @@ class Agreement:
     speed: float
     wait: float
     conf: int
+    output: int
 
     def complaints(self) -> list[str]:
         """Every difference beyond what rounding and thinning may cause, in words."""
@@ -69,6 +72,7 @@ class Agreement:
             "speed": (1e-3, "m/s"),
             "wait": (2e-3, "s"),
             "conf": (0, "targets"),
+            "output": (0, "times"),
         }
         return [
             f"{name} differs by {getattr(self, name):.3g} {unit} (limit {limit:.3g})"
@@ -86,7 +90,7 @@ def compare(plan: Plan, program: Program) -> Agreement:
     expected_on = [k % 2 == 1 for k in range(len(cuts) - 1)]
     if [on for on, _ in pieces] != expected_on:
         chord, far = plan.problem.program.chord, np.inf
-        return Agreement(chord, far, far, far, far, far, far, far, far, len(program.conf))
+        return Agreement(chord, far, far, far, far, far, far, far, far, len(program.conf), len(program.triggers))
     match = _matched(plan, [piece for _, piece in pieces], cuts)
     starts = match.targets[1:-1]
     event = np.linalg.norm(match.all.position[starts] - trajectory.tip[cuts[1:-1]], axis=1).max(initial=0.0)
@@ -103,6 +107,7 @@ def compare(plan: Plan, program: Program) -> Agreement:
         speed=_speed(plan, match, np.array(expected_on)),
         wait=waits_differ(plan, program),
         conf=_wrong_configurations(plan, match),
+        output=_wrong_outputs(plan, program, first),
     )
 
 
@@ -228,6 +233,21 @@ def _wrong_configurations(plan: Plan, match: _Match) -> int:
         planned = np.column_stack([quadrants(trajectory.q[near]), trajectory.branch[near]])
         right |= (match.all.conf == planned).all(axis=1)
     return int(np.count_nonzero(match.all.known & ~right))
+
+
+def _wrong_outputs(plan: Plan, program: Program, first: Indices) -> int:
+    """How many times another output is switched than that of the bead that begins at, or ends after, sample first (b)."""
+    outputs = {each.name: each.signal for each in materials_of(plan.problem)}
+    usual = plan.problem.program.extruder_signal
+    beads = plan.toolpath.beads
+    own = [outputs[beads[k].material] if outputs else usual for k in plan.trajectory.bead[first].tolist()]
+    wrong = 0
+    for on in (True, False):
+        switched = [
+            trigger.signal for _, group in sorted(program.triggers.items()) for trigger in group if trigger.value == on
+        ]
+        wrong += abs(len(switched) - len(own)) + sum(a != b for a, b in zip(switched, own, strict=False))
+    return wrong
 
 
 def _share(at: Indices, a: Indices, s: Indices) -> Array:

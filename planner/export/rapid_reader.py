@@ -48,11 +48,12 @@ _MOVE = re.compile(PATTERNS["move"].pattern.replace(f"({NEST})", rf"(\[\[{_TARGE
 
 @dataclass(frozen=True)
 class Trigger:
-    """Switches the extruder `distance` [m] from the end of a move, or from its start."""
+    """Switches the extruder of a digital output `distance` [m] from the end of a move, or from its start."""
 
     distance: float
     from_start: bool
     value: bool
+    signal: str
 
 
 @dataclass(frozen=True)
@@ -200,9 +201,10 @@ class _Reader:
                 self._known(line, parts[1], self.speeds)
                 start = numbers(str(parts[0]), SHAPE_JOINTS, line)
             elif word == "trigger":
-                name, distance, from_start, _, value = parts
+                name, distance, from_start, signal, value = parts
                 self._known(line, name, self.declared)
-                self.trigger[str(name)] = Trigger(float(str(distance)) * 1e-3, bool(from_start), value == "1")
+                far = float(str(distance)) * 1e-3
+                self.trigger[str(name)] = Trigger(far, bool(from_start), value == "1", str(signal))
             elif word == "move":
                 moves.append((line, parts))
             elif word == "wait":

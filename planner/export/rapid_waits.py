@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.export.rapid_reader import Program
-from planner.export.rests import AT_HOME, LEAST_WAIT, ON_TIME, STILL, cuts, samples_of_rest
+from planner.export.rests import LEAST_WAIT, ON_TIME, STILL, cuts, rested_for, samples_of_rest
 
 if TYPE_CHECKING:
     from planner.plan import Plan, Trajectory
@@ -57,12 +57,12 @@ def _before_and_between_beads(t: Trajectory) -> list[tuple[float, float, float]]
     """Start, duration and doubt [s] of each time that the robot stands still while nothing is laid."""
     still = (np.abs(np.diff(t.q, axis=0)).max(axis=1) < STILL) & ~(t.deposit[1:] & t.deposit[:-1])
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
-    known = sum(event.duration for event in t.events if event.kind in AT_HOME)
     found = []
     for a, b in edges.reshape(-1, 2).tolist():
         lasts = (b - a) * t.dt
-        if a == 0 and known > 0.0 and abs(lasts - known) < LEAST_WAIT:
-            found.append((0.0, known, 0.0))
+        known = sum(event.duration for event in rested_for(t, a, b))
+        if known > 0.0 and abs(lasts - known) < LEAST_WAIT:
+            found.append((float(t.t[a] - t.t[0]), known, 0.0))
         elif lasts >= LEAST_WAIT:
             found.append((float(t.t[a]), lasts, DOUBT * t.dt))
     return found

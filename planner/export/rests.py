@@ -20,7 +20,8 @@ STILL = 1e-9  # rad that a joint moves in a sample, at most, where the robot sta
 ON_TIME = 1e-9  # s: by which an event may miss a sample and still fall on it
 SLOW, SHARE = 5e-3, 0.05  # rad/s, and of the speed around: below both a motion comes to rest
 AROUND = 0.1  # s
-AT_HOME = ("heat", "purge")  # events for which the robot rests before its first move
+AT_HOME = ("heat", "purge", "change")  # events for which the robot rests at home
+NEAR = 2.0  # samples by which a rest may seem to begin behind its event
 
 
 class Wait(NamedTuple):
@@ -55,9 +56,8 @@ def rests_of(trajectory: Trajectory, first: Indices, last: Indices) -> Rests:
     waits: dict[int, tuple[Wait, ...]] = {}
     inside = np.zeros(len(trajectory), dtype=bool)
     clock = trajectory.t - trajectory.t[0]
-    at_home = [event for event in trajectory.events if event.kind in AT_HOME and event.duration > 0.0]
     for at, a, b in found:
-        own = [Wait(about(event), event.duration) for event in at_home] if a == 0 else []
+        own = [Wait(event.words, event.duration) for event in rested_for(trajectory, a, b)]
         spare = (b - a) * trajectory.dt - sum(wait.time for wait in own)
         if spare >= LEAST_WAIT:
             own.append(Wait(_meanwhile(trajectory, a, b), spare))
@@ -69,7 +69,7 @@ def rests_of(trajectory: Trajectory, first: Indices, last: Indices) -> Rests:
     for event in cuts(trajectory):
         a, b = samples_of_rest(trajectory, event)
         fine[a] = True
-        waits[a] = (Wait(about(event), event.duration),)
+        waits[a] = (Wait(event.words, event.duration),)
         inside[a + 1 : b + 1] = True
         clock -= np.clip(trajectory.t - event.start, 0.0, event.duration)
     return Rests(fine, waits, inside, clock)
@@ -90,16 +90,21 @@ def samples_of_rest(trajectory: Trajectory, event: Event) -> tuple[int, int]:
     return int(a), int(b) - 1
 
 
-def about(event: Event) -> str:
-    """An event in words."""
-    return event.kind if event.bead < 0 else f"{event.kind}, bead {event.bead}"
+def rested_for(trajectory: Trajectory, a: int, b: int) -> list[Event]:
+    """The events that take time for which the robot rests at home from sample a to b."""
+    since, until = trajectory.t[a] - NEAR * trajectory.dt, trajectory.t[b]
+    return [
+        event
+        for event in trajectory.events
+        if event.kind in AT_HOME and event.duration > 0.0 and since <= event.start < until
+    ]
 
 
 def _meanwhile(trajectory: Trajectory, a: int, b: int) -> str:
     """What the extruder does while the robot stands still from sample a to b, beside what it stands still for."""
     start, end = trajectory.t[a], trajectory.t[b]
     during = [
-        about(event)
+        event.words
         for event in trajectory.events
         if event.kind not in AT_HOME and event.start < end and event.start + event.duration > start
     ]

@@ -19,6 +19,7 @@ from planner.problem.fields import IDENTIFIER, Section, key, one_of, refusal
 from planner.problem.file import Source, apply_overrides, find_problem, read_problem_file, shipped_problems
 from planner.problem.gcode import GcodeLayersSpec
 from planner.problem.layers import AnyLayersSpec, check_body
+from planner.problem.materials import check_materials
 from planner.problem.mistakes import first_mistake
 from planner.problem.part import PartSpec
 from planner.problem.process import ProcessSpec
@@ -110,6 +111,8 @@ def load_problem(path: str | Path, overrides: Sequence[str] = ()) -> Problem:
     data, source = read_problem_file(find_problem(path))
     data, source = apply_overrides(data, source, overrides)
     try:
-        return Problem.model_validate(data, context=source)
+        problem = Problem.model_validate(data, context=source)
     except ValidationError as error:
         raise first_mistake(error.errors(include_url=False), source, Problem) from None
+    check_materials(problem)
+    return problem

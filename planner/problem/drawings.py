@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, ClassVar, Literal, get_args
 
 from planner.problem.fields import PATH, Quantity, Section, Thickness, key, one_of
+from planner.problem.materials import MaterialName, material_key
 from planner.problem.sources import SourceSection
 
 
@@ -44,6 +45,7 @@ class LayersSpec(Section):
     wrap: Annotated[Literal["cylinder"], one_of(("cylinder",))] = key("wrap", "the surface they are laid on")
     count: Annotated[int, Quantity("", 1, 10_000, whole=True)] = key("count", "number of layers")
     height: Thickness = key("height_mm", "height of a layer [mm]")
+    material: MaterialName | None = material_key("all beads")
 
 
 class ProjectedLayersSpec(Section):
@@ -63,6 +65,7 @@ class ProjectedLayersSpec(Section):
     )
     count: Annotated[int, Quantity("", 1, 10_000, whole=True)] = key("count", "number of layers")
     height: Thickness = key("height_mm", "height of a layer [mm]")
+    material: MaterialName | None = material_key("all beads")
 
 
 class ProjectedDrawingSpec(ProjectedLayersSpec):

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, ClassVar
 
 from planner.problem.fields import PATH, Position, Quantity, Section, key
+from planner.problem.materials import MaterialName, material_key
 from planner.problem.sources import SourceSection
 
 
@@ -27,3 +28,4 @@ class GcodeLayersSpec(Section):
     bodies: ClassVar[tuple[str, ...]] = ()
 
     source: GcodeSpec = key("source", "where the G-code comes from")
+    material: MaterialName | None = material_key("all beads")

@@ -60,7 +60,11 @@ def _mistake(detail: ErrorDetails, source: Source, model: Model) -> Mistake:
         case "model_type":
             return path, f"must be a section, not {describe(value)}", f"its keys: {', '.join(_keys(model, loc))}"
         case "dict_type":
-            return path, f"must be a section, not {describe(value)}", "its keys are names of axes or joints"
+            return (
+                path,
+                f"must be a section, not {describe(value)}",
+                "its keys are names of your own choice, or of axes and joints",
+            )
         case "tuple_type":
             return path, f"must be a list, not {describe(value)}", "for example [rotation]"
     return path, detail["msg"], None

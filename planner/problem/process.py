@@ -12,6 +12,7 @@ from pydantic import model_validator
 
 from planner.problem.extrusion import BeadSpec, ExtruderSpec, SectionName
 from planner.problem.fields import Quantity, Section, key, one_of, refusal
+from planner.problem.materials import ChangeSpec, FilamentMoveSpec, MaterialName, MaterialSpec
 
 FIBRE_RAMP_DEG = 30  # Tawfik et al., section III.A.2: laid down at this angle, the end of the fibre sticks
 Wait = Annotated[float, Quantity("s", 0, 3600)]  # an hour heats any bed
@@ -19,18 +20,6 @@ Wait = Annotated[float, Quantity("s", 0, 3600)]  # an hour heats any bed
 
 HandOver = Literal["rest", "motion"]
 HAND_OVERS: tuple[str, ...] = get_args(HandOver)
-
-
-class FilamentMoveSpec(Section):
-    """Filament that the extruder pushes or pulls while nothing is deposited."""
-
-    length: Annotated[float, Quantity("mm", 0, 100)] = key("length_mm", "of filament [mm]; 0 is none", 0)
-    speed: Annotated[float, Quantity("mm/s", 0.1, 200)] = key("speed_mm_s", "of the filament [mm/s]", 25)
-
-    @property
-    def time(self) -> float:
-        """How long it takes [s]."""
-        return self.length / self.speed
 
 
 class StartSpec(Section):
@@ -182,6 +171,45 @@ class ProcessSpec(AroundBeadSpec):
         "filament_diameter_mm", "diameter of the filament that the extruder pushes [mm]", 1.75
     )
     extruder: ExtruderSpec = key("extruder", "what pushes the filament; each has a default", {})
+    materials: dict[MaterialName, MaterialSpec] = key(
+        "materials", "several materials, by names; default: one, without a name", {}
+    )
+    change: ChangeSpec = key("change", "what happens between beads of two materials; each has a default", {})
+
+    def of(self, material: str) -> ProcessSpec:
+        """The process with what is this material's own in it; itself for the material without a name."""
+        spec = self.materials.get(material)
+        if spec is None:
+            return self
+        own = {name: getattr(spec, name) for name in ("filament_diameter", "prime", "retract")}
+        return self.model_copy(update={name: value for name, value in own.items() if value is not None})
+
+    def tool(self, material: str) -> int:
+        """Number of the tool that feeds a material by its name."""
+        given = self.materials[material].tool
+        return list(self.materials).index(material) if given is None else given
+
+    def nozzle_c(self, material: str) -> float | None:
+        """Temperature of a material's nozzle [°C], by its name; None where it is not set."""
+        given = self.materials[material].nozzle_c
+        return self.start.nozzle_c if given is None else given
+
+    @model_validator(mode="after")
+    def _one_tool_each(self) -> ProcessSpec:
+        seen: dict[int, str] = {}
+        for name in self.materials:
+            first = seen.setdefault(self.tool(name), name)
+            if first != name:
+                reason = f"tool {self.tool(name)} feeds both {first} and {name}"
+                raise refusal(reason, "give each material a tool of its own", fields=["materials"])
+        return self
+
+    @model_validator(mode="after")
+    def _fibre_is_alone(self) -> ProcessSpec:
+        if self.materials and self.section == "fibre":
+            reason = "fibre and several materials do not go together"
+            raise refusal(reason, "leave out materials", fields=["fibre", "bead", "materials"])
+        return self
 
     @property
     def section(self) -> SectionName:
@@ -193,6 +221,10 @@ class ProcessSpec(AroundBeadSpec):
         if self.extruder.motor == "on_off" and self.retract.length > 0.0:
             reason = "a motor that is only on or off cannot pull filament back"
             raise refusal(reason, "leave out retract, or take another motor", fields=["extruder", "retract"])
+        for name, material in self.materials.items():
+            if self.extruder.motor == "on_off" and material.retract is not None and material.retract.length > 0.0:
+                reason = f"a motor that is only on or off cannot pull filament of {name} back"
+                raise refusal(reason, "leave out its retract, or take another motor", fields=["extruder", "materials"])
         return self
 
     @model_validator(mode="after")

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 from planner.problem.fields import PATH, Position, Quantity, Section, key, one_of
+from planner.problem.materials import MaterialName, material_key
 from planner.problem.sources import SourceSection
 
 
@@ -45,3 +46,4 @@ class WaypointLayersSpec(Section):
     bodies: ClassVar[tuple[str, ...]] = ()
 
     source: WaypointsSpec = key("source", "where the waypoints come from")
+    material: MaterialName | None = material_key("all beads")

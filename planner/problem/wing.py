@@ -10,6 +10,7 @@ from pydantic import BeforeValidator, model_validator
 
 from planner.problem.fields import PATH, Position, Quantity, Section, Thickness, key, refusal
 from planner.problem.file import describe, shorten
+from planner.problem.materials import MaterialName, material_key
 
 
 def _naca(value: Any) -> str:
@@ -65,6 +66,7 @@ class SupportSpec(Section):
     )
     infill: Annotated[float, Quantity("", 0.1, 1)] = key("infill", "share of the level layers that is filled", 0.5)
     curved: Annotated[int, Quantity("", 0, 20, whole=True)] = key("curved", "number of curved layers", 2)
+    material: MaterialName | None = material_key("the support", "the wing's")
 
 
 class AerofoilLayersSpec(Section):
@@ -78,3 +80,4 @@ class AerofoilLayersSpec(Section):
     )
     height: Thickness = key("height_mm", "height of a layer [mm]")
     support: SupportSpec | None = key("support", "what is printed under the wing; default: none, it is there", None)
+    material: MaterialName | None = material_key("the wing")

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.materials import filament_areas, used
 from planner.report.thinning import stretches
-from planner.report.wording import MISSING, number
+from planner.report.wording import MISSING, counted, number
 
 if TYPE_CHECKING:
     from planner.plan import Event, Plan, Trajectory
@@ -21,6 +22,8 @@ Array = NDArray[np.float64]
 
 WORDS = {
     "heat": "heat up, at home",
+    "select": "select the first tool, at home",
+    "change": "change tools, at home",
     "purge": "purge, at home",
     "prime": "prime, before a bead",
     "retract": "retract, after a bead",
@@ -54,6 +57,32 @@ def kinds_of(events: Sequence[Event]) -> list[Kind]:
         )
         for kind, group in found.items()
     ]
+
+
+def materials_words(plan: Plan) -> list[str]:
+    """A line for each material that has a name: its tool, its beads, and what it takes."""
+    return [
+        f"material {each.material.name}: tool T{each.material.tool}, {counted(each.beads, 'bead')}, "
+        f"{each.volume * 1e9:.4g} mm³ laid down, {each.filament * 1e3:.4g} mm of filament"
+        for each in used(plan)
+    ]
+
+
+def materials_section(plan: Plan) -> str:
+    """HTML of what each material takes; empty where materials have no names."""
+    rows = "".join(
+        f"<tr><th scope=row>{escape(each.material.name)}</th><td class=n>T{each.material.tool}</td>"
+        f"<td class=n>{number(each.beads, 0)}</td><td class=n>{number(each.length, 2)}</td>"
+        f"<td class=n>{number(each.volume * 1e6, 2)}</td><td class=n>{number(each.filament, 2)}</td></tr>"
+        for each in used(plan)
+    )
+    if not rows:
+        return ""
+    return (
+        "<h2>Materials</h2><p class=note>Each is fed by its own tool; filament counts primes, purges and retracts.</p>"
+        "<div class=wide><table><thead><tr><th class=left>material</th><th>tool</th><th>beads</th><th>length, m</th>"
+        f"<th>laid down, cm³</th><th>filament, m</th></tr></thead><tbody>{rows}</tbody></table></div>"
+    )
 
 
 def events_words(events: Sequence[Event]) -> str:
@@ -92,7 +121,10 @@ def flow_note(plan: Plan) -> str:
             "Flow stays the same through a dip in speed, and the bead gets more than it holds there"
         )
         over = plan.metrics.get("over_extruded_mm3")
-        return f"{note}: {over:.3g} mm³ in all." if over is not None else f"{note}."
+        follows = (
+            "A motor that follows the speed (process.extruder.motor: e_axis or speed_demand) would not give it that."
+        )
+        return f"{note}: {over:.3g} mm³ in all. {follows}" if over is not None else f"{note}."
     if process.section == "fibre":
         note = "Fibre is laid exactly as fast as the nozzle really moves."
     elif process.extruder.motor == "speed_demand":
@@ -121,8 +153,8 @@ def pushes_otherwise(plan: Plan) -> bool:
 
 def pushed(plan: Plan) -> Array:
     """What the motor pushes (n) [m^3/s]: the rate of the feed, as volume."""
-    area = 0.25 * math.pi * plan.problem.process.filament_diameter**2
-    return np.asarray(area * np.gradient(plan.trajectory.feed, plan.trajectory.dt))
+    t = plan.trajectory
+    return np.asarray(filament_areas(plan.problem, t.events, t.t) * np.gradient(t.feed, t.dt))
 
 
 def even_flow(trajectory: Trajectory) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 from planner.report import page as frame
 from planner.report.curves import joint_charts, time_charts
 from planner.report.dips import dips_section
-from planner.report.extruder import events_section
+from planner.report.extruder import events_section, materials_section
 from planner.report.places import where_words, worst_places
 from planner.report.scene import Place, plan_scene
 from planner.report.thinning import CURVE_BUDGET
@@ -39,6 +39,7 @@ def write_report(plan: Plan, path: Path) -> None:
             _notes(plan.toolpath.notes),
             _scene(scene, places, plan),
             dips_section(plan),
+            materials_section(plan),
             events_section(plan),
             _checks(plan.checks),
             _curves(curves),

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from planner.report.dips import place_words, without_stops, worst_first
-from planner.report.extruder import events_words
+from planner.report.extruder import events_words, materials_words
 from planner.report.wording import OVER_BOUND, OVER_IDEAL, counted, with_ratios
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def print_summary(plan: Plan, folder: Path) -> None:
         table.add_row(label, *cells, unit)
     out.print(table)
     notes = (f"note: {note}" for note in plan.toolpath.notes)
-    for line in (*notes, _dips(plan), events_words(plan.trajectory.events)):
+    for line in (*notes, _dips(plan), *materials_words(plan), events_words(plan.trajectory.events)):
         if line:
             out.print(line, markup=False, soft_wrap=True)
     for check in plan.checks:

@@ -46,6 +46,7 @@ class Bead(ReadOnlyArrays):
     source    (m, 3) the input path before corners were rounded, same layer, part frame [m]
     width, height (n,) of the bead [m]
     closed         the last point is the first one again (both are kept)
+    material       its name in process.materials; empty where they have no names
     """
 
     name: str
@@ -58,6 +59,7 @@ class Bead(ReadOnlyArrays):
     width: Array
     height: Array
     closed: bool
+    material: str = ""
 
     @property
     def length(self) -> float:

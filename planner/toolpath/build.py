@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from planner.problem import Problem
@@ -32,6 +33,13 @@ SOURCES: dict[type, Callable[[Problem, Any], Toolpath]] = {
 def build_toolpath(problem: Problem) -> Toolpath:
     """Read the source, round its corners and lay its beads in print order.
 
+    Beads to which their source gives no material are of the layers' own.
     Raises InputError for a file that cannot be read, and for a drawing that does not fit on the part.
     """
-    return SOURCES[type(problem.layers)](problem, problem.layers)
+    toolpath = SOURCES[type(problem.layers)](problem, problem.layers)
+    materials = problem.process.materials
+    if not materials:
+        return toolpath
+    own = problem.layers.material or next(iter(materials))
+    beads = tuple(bead if bead.material else replace(bead, material=own) for bead in toolpath.beads)
+    return replace(toolpath, beads=beads)

@@ -49,13 +49,24 @@ class Task:
     speed: float
 
 
+@dataclass(frozen=True)
+class ViaHome:
+    """Travel by way of home: to there and from there, at rest in between."""
+
+    out: Cubics
+    back: Cubics
+
+
+Travel = Cubics | ViaHome
+
+
 def plan_travels(
     cell: Cell, timed: Sequence[TimedPath], toolpath: Toolpath, process: ProcessSpec, which: range | None = None
-) -> list[Cubics]:
+) -> list[Travel]:
     """The way from home to the first bead, between beads, and home: one more than there are beads; or `which` of them.
 
-    With the runs beside it each leaves the extruder the time to retract and prime. Raises Refusal if no way is clear of
-    the part and of what is printed.
+    With the runs beside it each leaves the extruder the time to retract and prime. Between beads of two materials it
+    goes by way of home. Raises Refusal if no way is clear of the part and of what is printed.
     """
     surfaces = [toolpath.surface.before(i) for i in range(len(timed) + 1)]
     heights = [
@@ -63,29 +74,39 @@ def plan_travels(
         for surface, bead in zip(surfaces[1:], toolpath.beads, strict=True)
     ]
     printed = list(itertools.accumulate(heights, max, initial=0.0))  # how far the part has grown before each bead
-    travels, bounds = [], ways.bounds_of(cell)
-    for i in range(len(timed) + 1) if which is None else which:
-        leave = timed[i - 1] if i > 0 else None
-        reach = timed[i] if i < len(timed) else None
-        start = _home_beside(cell, None if reach is None else reach.start) if leave is None else leave.end
-        end = _home_beside(cell, None if leave is None else leave.end) if reach is None else reach.start
+    travels: list[Travel] = []
+    bounds = ways.bounds_of(cell)
+
+    def way(i: int, start: State, end: State, leave: TimedPath | None, reach: TimedPath | None) -> Cubics:
         space = room(cell, surfaces[i], printed[i], process.lift, start, end)
-        ends = Ends(start, end, _least(process, leave, reach), bounds)
-        way = with_time if process.fibre is None else upright
-        motion = way(Task(cell, ends, space, process.travel_speed))
+        ends = Ends(start, end, _least(process, toolpath, leave, reach), bounds)
+        find = with_time if process.fibre is None else upright
+        motion = find(Task(cell, ends, space, process.travel_speed))
         if motion is None:
             beside = leave if reach is None else reach
             raise Refusal(
                 "no way to or from this bead is clear of the part, and within the limits of joints and travel speed",
                 bead=None if beside is None else beside.path.task.bead,
             )
-        travels.append(motion)
+        return motion
+
+    for i in range(len(timed) + 1) if which is None else which:
+        leave = timed[i - 1] if i > 0 else None
+        reach = timed[i] if i < len(timed) else None
+        start = _home_beside(cell, None if reach is None else reach.start) if leave is None else leave.end
+        end = _home_beside(cell, None if leave is None else leave.end) if reach is None else reach.start
+        if leave is None or reach is None or toolpath.beads[i - 1].material == toolpath.beads[i].material:
+            travels.append(way(i, start, end, leave, reach))
+        else:
+            home = _home_beside(cell, start)
+            travels.append(ViaHome(way(i, start, home, leave, None), way(i, home, end, None, reach)))
     return travels
 
 
-def _least(process: ProcessSpec, leave: TimedPath | None, reach: TimedPath | None) -> float:
+def _least(process: ProcessSpec, toolpath: Toolpath, leave: TimedPath | None, reach: TimedPath | None) -> float:
     """How long the travel between two beads lasts at least [s]: what the runs leave of the time that the extruder needs."""
-    least = least_travel_time(process, leaves=leave is not None, reaches=reach is not None)
+    left, reached = (None if end is None else toolpath.beads[end.path.task.bead].material for end in (leave, reach))
+    least = least_travel_time(process, left, reached)
     if least > 0.0 and leave is not None:
         task = leave.path.task
         least -= leave.duration - leave.when(float(task.s[task.last]))

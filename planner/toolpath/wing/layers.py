@@ -32,12 +32,13 @@ _SHORTEST = 3.0  # bead widths: a shorter piece of a layer is left out
 
 @dataclass(frozen=True)
 class Job:
-    """One layer: the strips that it fills, along their curves or along the span."""
+    """One layer: the strips that it fills, along their curves or along the span, and its material, if that has a name."""
 
     name: str
     pieces: Sequence[Strip]
     along: bool
     filling: Filling
+    material: str = ""
 
 
 def wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
@@ -75,7 +76,8 @@ def wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
         for number, piece in enumerate(_nearest_first(job.pieces, start), 1):
             name = f"{job.name} {layer + 1}" + (f" piece {number}" if len(job.pieces) > 1 else "")
             start = beads[-1].points[-1] if beads else None
-            beads.append(fill(piece, job.along, span, job.filling, name, layer, start))
+            bead = fill(piece, job.along, span, job.filling, name, layer, start)
+            beads.append(replace(bead, material=job.material))
             strips.append(piece)
             levels.append(layer)
     laid = tuple(range(len(strips) - len(beads), len(strips)))
@@ -103,6 +105,7 @@ def _support(
             pieces,
             (len(layers) - k) % 2 == 1,
             loose if isinstance(pieces[0], FlatStrip) else solid,
+            support.material or "",
         )
         for k, pieces in enumerate(layers)
     ]
