@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from planner.errors import InputError
@@ -47,9 +49,32 @@ def test_selig_and_lednicer_are_the_same_section(tmp_path: Path) -> None:
         ["TEST", *rows(LOWER[::-1]), *rows(UPPER[1:])],
         ["TEST", "6 6", *rows(LOWER), *rows(UPPER)],
         [*SELIG[:3], SELIG[2], *SELIG[3:]],
+        [
+            "TEST",
+            "by someone",
+            "",
+            *SELIG[1:],
+            "",
+            "20 nov 2005",
+            "http://example.org",
+            "Cm0 -0.05 61",
+            "0.1 -> 0.2",
+            "7",
+        ],
+        ["TEST", "-2.0 3.0 -2.5 3.5", *SELIG[1:]],
         ["TEST", *(f"{15 + 80 * x:.4f} {8.7 + 80 * z:.4f}" for x, z in UPPER[::-1] + LOWER[1:])],
     ],
-    ids=["no header", "comments", "commas", "lower first", "Lednicer lower first", "a point twice", "in mm"],
+    ids=[
+        "no header",
+        "comments",
+        "commas",
+        "lower first",
+        "Lednicer lower first",
+        "a point twice",
+        "words around",
+        "bounds",
+        "in mm",
+    ],
 )
 def test_other_ways_to_write_it(tmp_path: Path, lines: list[str]) -> None:
     assert read_section(write(tmp_path, lines)) == pytest.approx(np.array(UPPER[::-1] + LOWER[1:]), abs=2e-6)
@@ -65,6 +90,12 @@ BAD = [
     ([*SELIG[:4], " 0.5", *SELIG[4:]], 5, "two numbers"),
     ([*SELIG[:4], " 0.1 0.2 0.3", *SELIG[4:]], 5, "here are 3 words"),
     ([*SELIG[:4], " 0.1 up", *SELIG[4:]], 5, "'up' is not a number"),
+    ([*SELIG[:4], "by someone", *SELIG[4:]], 5, "is no point, but points follow"),
+    ([*SELIG[:4], "a b c", "1 2 3", "", *SELIG[4:]], 5, "is no point, but points follow"),
+    ([*SELIG, " 1.O 0.0"], 13, "'1.O' is not a number"),  # a slip in the last point is not taken for words
+    ([*SELIG, " 1.0 (0.0)"], 13, "'(0.0)' is not a number"),
+    ([*SELIG, " 1.0 0.0 0.0"], 13, "here are 3 words"),
+    ([*SELIG[:4], "-2.0 3.0 -2.5 3.5", *SELIG[4:]], 5, "here are 4 words"),
     ([*SELIG[:4], " nan 0.1", *SELIG[4:]], 5, "that a point can have"),
     ([*SELIG[:4], " 1e300 0.1", *SELIG[4:]], 5, "that a point can have"),
     ([*SELIG[:3], SELIG[1], *SELIG[3:]], 4, "x runs back"),
@@ -85,6 +116,39 @@ def test_what_is_no_section_is_refused(tmp_path: Path, lines: list[str], line: i
     assert reason in caught.value.reason
     assert caught.value.line == line
     assert caught.value.exit_code == 2
+
+
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data(), words=st.lists(st.text(alphabet="abz0123456789.-,:/%() \t", max_size=30), max_size=4))
+def test_words_around_the_points_change_nothing_and_between_them_are_refused(
+    tmp_path: Path, data: st.DataObject, words: list[str]
+) -> None:
+    """Whatever is added to a file, it gives the same section or is refused: never another one."""
+    wanted = read_section(write(tmp_path, SELIG))
+    place = data.draw(st.sampled_from([1, len(SELIG)]) if words else st.just(1))
+    lines = [*SELIG[:place], *words, *SELIG[place:]]
+    numbers = [word for line in words for word in line.replace(",", " ").split() if _is_number(word)]
+    try:
+        found = read_section(write(tmp_path, lines))
+    except InputError as refused:
+        assert numbers, "words without any number are no reason"
+        assert refused.exit_code == 2
+        return
+    if any(len(line.replace(",", " ").split()) == 2 for line in words):
+        return  # which may be a point
+    assert found == pytest.approx(wanted, abs=1e-12)
+    between = data.draw(st.integers(2, len(SELIG) - 1))
+    if any(line.strip() and not line.strip().startswith(("%", "//")) for line in words):
+        with pytest.raises(InputError):
+            read_section(write(tmp_path, [*SELIG[:between], *words, *SELIG[between:]]))
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def test_files_that_are_no_text_are_refused(tmp_path: Path) -> None:

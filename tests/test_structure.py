@@ -86,6 +86,7 @@ HEAVY = {
     },
     "ruckig": {"travel"},
     "pinocchio": {"cell", "replay"},
+    "shapely": {"toolpath.svg.cuts"},
     "svgelements": {"toolpath"},
     "trimesh": {"toolpath.substrate.facets", "export.part_stl", "report.finished"},
     "matplotlib": {"report"},

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import InputError
+from planner.toolpath.svg.cuts import cut, extremes
 from planner.toolpath.svg.document import MAX_POINTS, read_document
 from planner.toolpath.svg.drawing import Drawing
 
@@ -39,7 +40,8 @@ def read_svg(
     """Read the outlines of a drawing, scaled so that their bounding box is `width` metres wide, in drawing order.
 
     The outline is what is printed: fill, stroke, dashes, opacity, markers and filters are ignored, and the page's edge
-    cuts nothing off. The origin is the centre of the bounding box and y points up. Curves become chords whose error is
+    cuts nothing off. Clip paths and masks do: of a filled shape the outline of what is left is printed, of a line what
+    is left. The origin is the centre of the bounding box and y points up. Curves become chords whose error is
     at most `flatness` metres; every vertex of the drawing stays a vertex (but for points nearer than 1 % of `flatness`,
     which are one); straight lines are not divided. Each subpath becomes a path of its own.
 
@@ -50,19 +52,20 @@ def read_svg(
     for name, value in (("width", width), ("flatness", flatness)):
         if not (math.isfinite(value) and value > 0):
             raise complain(f"the {name} of the drawing must be positive, not {value:g} m")
-    outlines = Drawing(read_document(path, complain)).outlines()
+    share = (1 - SAME_POINT) * flatness / width
+    outlines = cut(Drawing(read_document(path, complain)).outlines(), share)
     if not outlines:
         raise complain(f"{path.name} draws nothing", hint="no visible path or basic shape is in it")
-    extremes = np.vstack([piece.extremes() for outline in outlines for piece in outline.pieces])
-    low, high = extremes.min(axis=0), extremes.max(axis=0)
-    if high[0] - low[0] <= 1e-9 * max(1.0, float(np.abs(extremes).max())):
+    corners = extremes(outlines)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    if high[0] - low[0] <= 1e-9 * max(1.0, float(np.abs(corners).max())):
         raise complain(f"{path.name} has no width, so it cannot be made {1e3 * width:g} mm wide")
     scale = width / float(high[0] - low[0])
     centre, to_metres, same = (low + high) / 2, np.array([scale, -scale]), SAME_POINT * flatness
 
     paths, room, names = [], MAX_POINTS, Counter[str]()
     for outline in outlines:
-        counts = [piece.count((1 - SAME_POINT) * flatness / scale) for piece in outline.pieces]
+        counts = [piece.count(share * width / scale) for piece in outline.pieces]
         room -= sum(counts) + 1
         if room < 0:
             raise outline.node.error(f"from here on there are more than {MAX_POINTS} points", "use a larger tolerance")

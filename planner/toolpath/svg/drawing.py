@@ -1,8 +1,9 @@
-"""Walks the tree of SVG elements, follows <use>, and collects the outlines that are visible."""
+"""Walks the tree of SVG elements, follows <use>, and collects the outlines that are visible, with what cuts them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import re
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,34 +21,72 @@ from planner.toolpath.svg.document import (
 )
 from planner.toolpath.svg.pieces import Piece, Subpath
 from planner.toolpath.svg.shapes import subpaths_of
-from planner.toolpath.svg.style import SHAPING, Rule, style_properties, style_rules
-from planner.toolpath.svg.transform import Size, transform_matrix, viewport_matrix
+from planner.toolpath.svg.style import (
+    BLACK,
+    CUTS,
+    OPACITY,
+    OPAQUE,
+    PAINT,
+    READ,
+    SHAPING,
+    Rule,
+    style_properties,
+    style_rules,
+)
+from planner.toolpath.svg.transform import Size, mask_box, transform_matrix, viewport_matrix
 
 Array = NDArray[np.float64]
-# Attributes that would move or cut an outline and are not supported; svg_style has the properties.
-CUTTING = ("clip-path", "mask", "transform-origin", "refX", "refY", "systemLanguage", "requiredExtensions")
+# Attributes that would move or hide an outline and are not supported; style.py has the properties.
+REFERENCE = re.compile(r"url\(\s*[\"']?\s*#([^\s\"')]*)\s*[\"']?\s*\)", re.IGNORECASE)
+MOVING = ("transform-origin", "refX", "refY", "systemLanguage", "requiredExtensions")
 
 
 @dataclass(frozen=True)
 class Outline:
-    """One visible subpath, in the root's user units; `part` says which of its element's."""
+    """One visible subpath, in the root's user units; `part` says which of its element's.
+
+    shape, element   number and name that all subpaths of one drawn element share
+    paint            of PAINT and OPACITY what is given to it
+    cuts             what it is seen through: inside of all of them
+    """
 
     node: Node
     name: str
     part: str
     pieces: tuple[Piece, ...]
     closed: bool
+    shape: int
+    element: str
+    paint: dict[str, str]
+    cuts: tuple[Region, ...]
+
+
+@dataclass(frozen=True)
+class Region:
+    """What a <clipPath> or a <mask> lets be seen: the shapes in it, in painting order, within a box (4, 2), if any.
+
+    node    the element
+    alpha   a mask for which black is as good as white
+    """
+
+    node: Node
+    outlines: tuple[Outline, ...]
+    alpha: bool
+    box: Array | None
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where an element is drawn: transform (3, 3) into the root, visibility, viewport, and the <use>s that led here."""
+    """Where an element is drawn: transform (3, 3) into the root, visibility, viewport, the <use>s that led here, and
+    what it inherits of paint and cuts."""
 
     matrix: Array
     visible: bool = True
     viewport: Size = (None, None)
     uses: tuple[Node, ...] = ()
     depth: int = 0
+    paint: dict[str, str] = field(default_factory=dict)
+    cuts: tuple[Region, ...] = ()
 
 
 class Drawing:
@@ -56,14 +95,16 @@ class Drawing:
     def __init__(self, root: Node) -> None:
         self._root = root
         self._drawn: list[Outline] = []
-        self._elements = self._points = 0
+        self._elements = self._points = self._shapes = 0
         self._subpaths: dict[int, list[Subpath]] = {}
         self._ids: dict[str, list[Node]] = {}
         self._rules: list[Rule] = []
+        self._parents: dict[int, Node] = {}
         waiting = [root]
         while waiting:
             node = waiting.pop()
             waiting.extend(reversed(node.children))
+            self._parents |= {id(child): node for child in node.children}
             if node.id is not None:
                 self._ids.setdefault(node.id, []).append(node)
             if node.tag == "style":
@@ -84,41 +125,107 @@ class Drawing:
         style = self._style(node)
         if style.get("display") == "none":
             return
-        for name in CUTTING:
+        for name in MOVING:
             if node.attributes.get(name, "none").strip() not in ("none", ""):
                 raise node.error(f"{name} is not supported", "apply or remove it in the drawing program")
         visible = {"visible": True, "hidden": False, "collapse": False}.get(style.get("visibility", ""), place.visible)
         matrix = place.matrix @ transform_matrix(node) if "transform" in node.attributes else place.matrix
+        paint = place.paint | {name: style[name] for name in PAINT if name in style}
+        cuts = place.cuts + self._cuts(node, style, replace(place, matrix=matrix))
         viewport = place.viewport
         if node.tag in ("svg", "symbol"):
             inner, viewport = viewport_matrix(node, viewport, user, node is self._root)
             matrix = matrix @ inner
         if not np.abs(matrix).max() <= 1e15:
             raise node.error("its transforms together are too large")
-        inside = Place(matrix, visible, viewport, place.uses, place.depth + 1)
+        inside = Place(matrix, visible, viewport, place.uses, place.depth + 1, paint, cuts)
         if node.tag == "use":
             self._follow(node, inside)
         elif node.tag not in SHAPES:
             for child in node.children:
                 self._draw(child, inside, None)
         elif visible:
-            self._add(node, inside)
+            opacity = {name: style[name] for name in (*OPACITY, "unread") if name in style}
+            self._add(node, replace(inside, paint=paint | opacity))
 
     def _follow(self, node: Node, place: Place) -> None:
         """Draw what a <use> names."""
         name = node.attributes.get("href", node.attributes.get(XLINK_HREF, "")).strip().removeprefix("#")
+        found = self._named(node, name)
+        if found.tag in NOT_DRAWN - {"symbol"}:
+            raise node.error(f"<{found.tag}> '{name}' cannot be drawn")
+        if any(node is user for user in place.uses):
+            raise node.error(f"it uses itself, by way of '{name}'")
+        shift = np.array([[1, 0, node.length("x") or 0.0], [0, 1, node.length("y") or 0.0], [0, 0, 1]])
+        self._draw(found, replace(place, matrix=place.matrix @ shift, uses=(*place.uses, node)), node)
+
+    def _named(self, node: Node, name: str) -> Node:
+        """Return the element with an id that `node` refers to."""
         found = self._ids.get(name, [])
         if not found:
             near = nearest_name(name, self._ids)
             raise node.error(f"there is no element '{name}'", near and f"did you mean '{near}'?")
         if len(found) > 1:
             raise node.error(f"the id '{name}' is given {len(found)} times, last in line {found[-1].line}")
-        if found[0].tag in NOT_DRAWN - {"symbol"}:
-            raise node.error(f"<{found[0].tag}> '{name}' cannot be drawn")
-        if any(node is user for user in place.uses):
-            raise node.error(f"it uses itself, by way of '{name}'")
-        shift = np.array([[1, 0, node.length("x") or 0.0], [0, 1, node.length("y") or 0.0], [0, 0, 1]])
-        self._draw(found[0], replace(place, matrix=place.matrix @ shift, uses=(*place.uses, node)), node)
+        return found[0]
+
+    def _cuts(self, node: Node, style: dict[str, str], place: Place) -> tuple[Region, ...]:
+        """Return what the element's own clip path and mask let be seen."""
+        regions = []
+        for name in CUTS:
+            value = style.get(name, "none")
+            if value in ("none", ""):
+                continue
+            match = REFERENCE.fullmatch(value)
+            if match is None:
+                raise node.error(f"{name} is not supported: {value[:40]!r}", "url(#id) of a <clipPath> or <mask>")
+            found = self._named(node, match[1])
+            wanted = "clipPath" if name == "clip-path" else "mask"
+            if found.tag != wanted:
+                raise node.error(f"{name} names <{found.tag}> '{found.id}', not a <{wanted}>")
+            if any(found is user for user in place.uses):
+                raise node.error(f"it is cut by itself, by way of '{found.id}'")
+            regions.append(self._region(found, replace(place, visible=True, cuts=(), uses=(*place.uses, found))))
+        return tuple(regions)
+
+    def _region(self, node: Node, place: Place) -> Region:
+        """Return what a <clipPath> or <mask> lets be seen of an element in whose user units `place` is."""
+        style = self._style(node)
+        units = "clipPathUnits" if node.tag == "clipPath" else "maskContentUnits"
+        if node.attributes.get(units, "userSpaceOnUse") != "userSpaceOnUse":
+            raise node.error(f"{units} other than userSpaceOnUse are not supported", "apply it in the drawing program")
+        paint: dict[str, str] = {}
+        chain = [node]
+        while id(chain[-1]) in self._parents:
+            chain.append(self._parents[id(chain[-1])])
+        for above in reversed(chain):
+            paint |= {name: value for name, value in self._style(above).items() if name in PAINT}
+        if "transform" in node.attributes:
+            place = replace(place, matrix=place.matrix @ transform_matrix(node))
+        box = None if node.tag == "clipPath" else mask_box(node)
+        inside = replace(place, paint=paint, cuts=self._cuts(node, style, place), depth=place.depth + 1)
+        drawn, self._drawn = self._drawn, []
+        for child in node.children:
+            if node.tag == "clipPath" and child.tag not in SHAPES | NOT_DRAWN | {"use"}:
+                raise child.error(f"<{child.tag}> cannot stand in a <clipPath>")
+            self._draw(child, inside, None)
+        outlines = tuple(replace(outline, paint=self._plain(outline)) for outline in self._drawn)
+        self._drawn = drawn
+        if box is not None:
+            box = box @ place.matrix[:2, :2].T + place.matrix[:2, 2]
+        return Region(node, outlines, style.get("mask-type") == "alpha", box)
+
+    def _plain(self, outline: Outline) -> dict[str, str]:
+        """Return the paint of an outline; a gradient that is opaque and nowhere black is as good as white."""
+        match = REFERENCE.fullmatch(outline.paint.get("fill", ""))
+        if match is None:
+            return outline.paint
+        stops = [stop for stop in self._named(outline.node, match[1]).children if stop.tag == "stop"]
+        colours = [stop.attributes.get("stop-color", "black").strip().lower() for stop in stops]
+        given = {name for stop in stops for name in stop.attributes}
+        plain = all(OPAQUE.fullmatch(colour) for colour in colours) and not BLACK.union(["transparent"]) & set(colours)
+        plain = plain and bool(stops) and not {"stop-opacity", "style", "class"} & given
+        return outline.paint | {"fill": "white"} if plain else outline.paint
 
     def _add(self, node: Node, place: Place) -> None:
         """Add the subpaths of a shape."""
@@ -128,6 +235,9 @@ class Drawing:
         self._points += sum(len(piece.points) for pieces, _ in subpaths for piece in pieces)
         if self._points > 4 * MAX_POINTS:  # controls included; the points themselves are counted once the size is known
             raise node.error(f"from here on there are more than {MAX_POINTS} points")
+        if len(subpaths) > 1 and place.paint.get("stroke", "none") == "none":
+            # unstroked, a point beside other subpaths draws nothing
+            subpaths = [s for s in subpaths if any(np.ptp(piece.points, axis=0).any() for piece in s[0])] or subpaths
         name = "/".join([*(use.id for use in place.uses if use.id), node.id or f"{node.tag} {node.number}"])
         for k, (pieces, closed) in enumerate(subpaths, 1):
             linear, shift = place.matrix[:2, :2].T, place.matrix[:2, 2]
@@ -136,7 +246,10 @@ class Drawing:
             if not all((np.abs(points) <= MAX_COORDINATE).all() for points in ends):
                 raise node.error(f"it lies beyond {MAX_COORDINATE:g} user units")
             own_name, part = (name, "it") if len(subpaths) == 1 else (f"{name}.{k}", f"its subpath {k}")
-            self._drawn.append(Outline(node, own_name, part, mapped, closed))
+            self._drawn.append(
+                Outline(node, own_name, part, mapped, closed, self._shapes, name, place.paint, place.cuts)
+            )
+        self._shapes += 1
 
     def _style(self, node: Node) -> dict[str, str]:
         """Return the properties that matter for an outline: attributes, below style sheets, below the own style."""
@@ -148,5 +261,8 @@ class Drawing:
             of_page = node is self._root and name in ("width", "height")  # which says nothing about the print
             if not of_page and style[name] not in ("none", "auto"):
                 raise node.error(f"{name} in a style is not supported", "write it as an attribute")
-        own = {name: node.attributes[name].strip() for name in ("display", "visibility") if name in node.attributes}
-        return own | style
+        own = {name: node.attributes[name].strip() for name in READ if name in node.attributes}
+        style = own | style
+        if any(rule.marks is None for rule in self._rules):
+            style["unread"] = "yes"
+        return {name: value for name, value in style.items() if name not in PAINT or value != "inherit"}

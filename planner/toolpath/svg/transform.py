@@ -17,6 +17,8 @@ TRANSFORMS = {"matrix": (6,), "translate": (1, 2), "scale": (1, 2), "rotate": (1
 VIEW_BOX = re.compile(SPACE + COMMA.join([f"({NUMBER})"] * 4) + SPACE)
 ASPECT = re.compile(r"\s*(?:defer\s+)?(none|x(Min|Mid|Max)Y(Min|Mid|Max))(?:\s+(meet|slice))?\s*")
 ALIGN = {"Min": 0.0, "Mid": 0.5, "Max": 1.0, None: 0.0}
+FRACTION = re.compile(rf"{SPACE}({NUMBER})(%?){SPACE}")
+WHOLE = {"x": "-10%", "y": "-10%", "width": "120%", "height": "120%"}  # of what is masked (SVG 1.1, 14.4)
 Size = tuple[float | None, float | None]
 
 
@@ -104,3 +106,21 @@ def viewport_matrix(node: Node, outer: Size, user: Node | None, is_root: bool) -
     shift_x = x - box[0] * scale_x + ALIGN[aspect[2]] * (width - box[2] * scale_x)
     shift_y = y - box[1] * scale_y + ALIGN[aspect[3]] * (height - box[3] * scale_y)
     return np.array([[scale_x, 0, shift_x], [0, scale_y, shift_y], [0, 0, 1]]), (box[2], box[3])
+
+
+def mask_box(node: Node) -> Array | None:
+    """Return the corners (4, 2) of the box of a <mask> in user units; None if it leaves all of the element."""
+    given = [name for name in ("x", "y", "width", "height") if name in node.attributes]
+    if not given:
+        return None
+    if node.attributes.get("maskUnits") != "userSpaceOnUse":
+        sides = {name: FRACTION.fullmatch(node.attributes.get(name, default)) for name, default in WHOLE.items()}
+        x, y, width, height = (float(m[1]) / (100 if m[2] else 1) if m else np.nan for m in sides.values())
+        if x <= 0 and y <= 0 and x + width >= 1 and y + height >= 1:
+            return None
+        raise node.error("a mask smaller than what it masks is not supported", "maskUnits: userSpaceOnUse")
+    lengths = [node.length(name) for name in WHOLE]
+    if None in lengths:
+        raise node.error("a mask in userSpaceOnUse needs x, y, width and height")
+    x, y, width, height = (length for length in lengths if length is not None)
+    return np.array([[x, y], [x + width, y], [x + width, y + height], [x, y + height]])

@@ -24,6 +24,7 @@ MOST_POINTS = 5000
 FEWEST = 5  # points of a side, the leading edge among them: a curve of degree 5 needs six in all
 FARTHEST = 1e6  # in the file's unit
 _COMMENTS = ("#", "//", "%", ";")
+_BOUNDS = 4  # numbers in a line of bounds
 _NACA_POINTS = 80  # of a side
 _SAME = 1e-9  # chords: points nearer than this to each other are one
 
@@ -49,8 +50,9 @@ def read_section(path: Path, where: Complaint | None = None) -> Array:
     """Points (n, 2) of a section file, in chords: from the trailing edge over the upper side to the leading edge,
     (0, 0), and along the lower side back; the middle of the trailing edge is (1, 0).
 
-    The file's unit and place are its own. A header line of words, comments and blank lines are passed over; either
-    side may come first. `where(reason, hint=...)` makes the InputError for what is wrong with the file as a whole.
+    The file's unit and place are its own. Words before the first point and after the last one are passed over, and so
+    are comments, blank lines and, before the first point, four numbers (bounds of a flow field, as MSES writes them);
+    either side may come first. `where(reason, hint=...)` makes the InputError for what is wrong with the file as a whole.
     Raises InputError with file and line for a line that is no point, or one of no section.
     """
     complain = partial(InputError, file=path) if where is None else where
@@ -75,14 +77,21 @@ def read_section(path: Path, where: Complaint | None = None) -> Array:
 
 
 def _rows(path: Path, lines: list[str]) -> list[Row]:
-    """All lines that hold two numbers; the first line of content may be a header."""
+    """All lines that hold two numbers: one run of them, with nothing but words before and behind."""
     content = [(i, line.split()) for i, line in enumerate(lines, 1) if line.strip()]
     content = [(i, words) for i, words in content if not words[0].startswith(_COMMENTS)]
     rows: list[Row] = []
+    behind: int | None = None  # the first line of words after a point
     for place, (number, words) in enumerate(content):
         values = [_number(word) for word in words]
-        if place == 0 and (len(words) != 2 or None in values):
-            continue  # a header
+        point = len(words) == 2 and None not in values
+        if not point and (place == 0 or behind is not None or (not rows and len(words) == _BOUNDS)):
+            continue
+        if _is_text(words, values):
+            behind = number if rows else None
+            continue
+        if behind is not None:
+            raise InputError("is no point, but points follow", file=path, line=behind, hint="words stand at the ends")
         wrong = partial(InputError, file=path, line=number)
         if len(words) != 2:
             raise wrong(f"a point has two numbers, x z; here are {len(words)} words")
@@ -92,6 +101,11 @@ def _rows(path: Path, lines: list[str]) -> list[Row]:
         x, z = (value for value in values if value is not None)
         rows.append((number, x, z))
     return rows
+
+
+def _is_text(words: list[str], values: list[float | None]) -> bool:
+    """Words that nobody means as a point. Two of which one is a number may be a point with a slip in it."""
+    return None in values and (len(words) != 2 or values == [None, None])
 
 
 def _number(word: str) -> float | None:

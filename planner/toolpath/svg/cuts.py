@@ -1,0 +1,174 @@
+"""What clip paths and masks leave of a drawing: of a filled shape the outline of what is seen, of a line what is seen.
+
+Only what is really cut becomes chords; the rest keeps its curves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from itertools import groupby
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from planner.toolpath.svg.document import MAX_POINTS
+from planner.toolpath.svg.drawing import Outline, Region
+from planner.toolpath.svg.pieces import Piece
+from planner.toolpath.svg.style import BLACK, OPAQUE
+
+Array = NDArray[np.float64]
+
+_LEAST_OF_AREA = 3  # vertices: two points are a line, whatever it is filled with
+_COARSE = 1e-4  # of the drawing's size: tolerance with which the size of what is left is found
+
+
+def cut(outlines: Sequence[Outline], share: float) -> list[Outline]:
+    """Return what is seen of the outlines, in their order; curves that are cut become chords within `share` of the
+    width of all that is left. Raises InputError for a mask that does not simply show or hide.
+    """
+    if not any(outline.cuts for outline in outlines):
+        return list(outlines)
+    coarse = _seen(outlines, _COARSE * float(np.ptp(extremes(outlines), axis=0).max()))
+    width = float(np.ptp(extremes(coarse)[:, 0])) if coarse else 0.0
+    return _seen(outlines, share * width) if width > 0.0 else coarse
+
+
+def extremes(outlines: Iterable[Outline]) -> Array:
+    """Points (m, 2) that have the same bounding box as the outlines."""
+    return np.vstack([piece.extremes() for outline in outlines for piece in outline.pieces])
+
+
+def _seen(outlines: Sequence[Outline], tolerance: float) -> list[Outline]:
+    """What is seen of each shape, with chords within the tolerance (user units) where it is cut."""
+    out: list[Outline] = []
+    areas: dict[int, shapely.Geometry] = {}
+    windows: dict[tuple[int, ...], tuple[shapely.Geometry, shapely.Geometry]] = {}
+    for _, group in groupby(outlines, key=lambda outline: outline.shape):
+        shape = list(group)
+        cuts = shape[0].cuts
+        key = tuple(id(region) for region in cuts)
+        if cuts and key not in windows:
+            seen = shapely.intersection_all([_let_through(region, tolerance, areas) for region in cuts])
+            windows[key] = seen, shapely.buffer(seen, tolerance)
+            shapely.prepare(windows[key][1])
+        out += _left(shape, *windows[key], tolerance) if cuts else shape
+    return out
+
+
+def _left(shape: list[Outline], seen: shapely.Geometry, near: shapely.Geometry, tolerance: float) -> list[Outline]:
+    """What is left of a shape inside of `seen`; `near` is that grown by the tolerance."""
+    chords = [_chords(outline, tolerance) for outline in shape]
+    area = _area(shape[0], chords, "fill-rule") if _filled(shape[0]) else shapely.Polygon()
+    lines = [line for line in chords if shapely.is_empty(area) or len(line) < _LEAST_OF_AREA]
+    if shapely.covers(near, area) and shapely.covers(near, _lines(chords)):
+        return shape
+    parts = [part for part in shapely.get_parts(shapely.intersection(area, seen)) if shapely.get_dimensions(part) == 2]
+    # what is thinner than the tolerance comes of edges that are drawn twice, by different chords
+    parts = [part for part in parts if not shapely.is_empty(shapely.buffer(part, -tolerance))]
+    found = [(shapely.get_coordinates(ring), True) for part in parts for ring in shapely.get_rings(part)]
+    rest = shapely.line_merge(shapely.intersection(_lines(lines), seen)) if lines else area
+    kept = [line for line in shapely.get_parts(rest) if lines and shapely.length(line) > tolerance]
+    found += [(shapely.get_coordinates(line), False) for line in kept]
+    return [
+        replace(
+            shape[0],
+            name=f"{shape[0].element}.{k}" if len(found) > 1 else shape[0].element,
+            part=f"part {k} of what is seen of it" if len(found) > 1 else "what is seen of it",
+            pieces=(Piece("lines", points),),
+            closed=closed,
+            cuts=(),
+        )
+        for k, (points, closed) in enumerate(found, 1)
+    ]
+
+
+def _let_through(region: Region, tolerance: float, known: dict[int, shapely.Geometry]) -> shapely.Geometry:
+    """The area in which a region lets everything be seen."""
+    if id(region) in known:
+        return known[id(region)]
+    clip = region.node.tag == "clipPath"
+    seen: shapely.Geometry = shapely.Polygon()
+    for _, group in groupby(region.outlines, key=lambda outline: outline.shape):
+        shape = list(group)
+        shows = clip or _shows(region, shape[0])
+        if shows is None:
+            continue
+        chords = [_chords(outline, tolerance) for outline in shape]
+        area = _area(shape[0], chords, "clip-rule" if clip else "fill-rule")
+        for outer in shape[0].cuts:
+            area = shapely.intersection(area, _let_through(outer, tolerance, known))
+        seen = shapely.union(seen, area) if shows else shapely.difference(seen, area)
+    if region.box is not None:
+        seen = shapely.intersection(seen, shapely.polygons(region.box))
+    known[id(region)] = seen
+    return seen
+
+
+def _shows(region: Region, outline: Outline) -> bool | None:
+    """Whether a shape in a mask shows (True), hides (False) or does neither (None)."""
+    paint = {name: value.strip().lower() for name, value in _paint(outline).items()}
+    reason, hint = "", "apply the mask in the drawing program"
+    if paint.get("stroke", "none") != "none":
+        reason = "it stands with a stroke in a mask, which is not supported"
+    elif any(paint.get(name, "1") != "1" for name in ("opacity", "fill-opacity")):
+        reason = "it is partly transparent in a mask, which then does not simply show or hide"
+    elif not OPAQUE.fullmatch(paint.get("fill", "black")):
+        reason = "it is filled with what may be transparent in a mask, which then does not simply show or hide"
+    if reason:
+        raise outline.node.error(reason, hint)
+    if not _filled(outline):
+        return None
+    return region.alpha or paint.get("fill", "black").replace(" ", "") not in BLACK
+
+
+def _filled(outline: Outline) -> bool:
+    return _paint(outline).get("fill", "black").strip().lower() not in ("none", "transparent")
+
+
+def _paint(outline: Outline) -> dict[str, str]:
+    """What an outline is painted with. Raises InputError where that is not known."""
+    if "unread" in outline.paint or any("!" in value for value in outline.paint.values()):
+        raise outline.node.error(
+            "how it is filled is not known: a style sheet has selectors or an !important that are not supported",
+            "a tag, .class or #id as selector",
+        )
+    return outline.paint
+
+
+def _area(first: Outline, lines: list[Array], rule: str) -> shapely.Geometry:
+    """The area that a shape of these subpaths fills, open ones closed; `rule` names the property that says how."""
+    rings = [np.vstack([line, line[:1]]) for line in lines if len(line) >= _LEAST_OF_AREA]
+    if not rings:
+        return shapely.Polygon()
+    faces = shapely.get_parts(shapely.polygonize([shapely.union_all(_lines(rings))]))
+    windings = _windings(rings, shapely.get_coordinates(shapely.point_on_surface(faces)))
+    inside = windings % 2 == 1 if _paint(first).get(rule) == "evenodd" else windings != 0
+    return shapely.union_all(faces[inside])
+
+
+def _lines(lines: list[Array]) -> shapely.Geometry:
+    """All polylines as one geometry; single points are no lines."""
+    return shapely.MultiLineString([line for line in lines if len(line) > 1])
+
+
+def _windings(rings: list[Array], points: Array) -> NDArray[np.int64]:
+    """How often the rings together wind about each of the points (n, 2)."""
+    found = np.zeros(len(points), dtype=np.int64)
+    for ring in rings:
+        a, b = ring[:-1], ring[1:]
+        for k, (x, y) in enumerate(points):
+            up, down = (a[:, 1] <= y) & (b[:, 1] > y), (a[:, 1] > y) & (b[:, 1] <= y)
+            side = (b[:, 0] - a[:, 0]) * (y - a[:, 1]) - (x - a[:, 0]) * (b[:, 1] - a[:, 1])
+            found[k] += int((up & (side > 0)).sum()) - int((down & (side < 0)).sum())
+    return found
+
+
+def _chords(outline: Outline, tolerance: float) -> Array:
+    """Vertices (n, 2) of an outline."""
+    counts = [piece.count(tolerance) for piece in outline.pieces]
+    if sum(counts) > MAX_POINTS:
+        raise outline.node.error(f"from here on there are more than {MAX_POINTS} points", "use a larger tolerance")
+    parts = [piece.flat(count) for piece, count in zip(outline.pieces, counts, strict=True)]
+    return np.vstack([parts[0], *(part[1:] for part in parts[1:])])
