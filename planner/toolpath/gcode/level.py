@@ -84,12 +84,18 @@ def _notes(file: Path, read: GcodeFile, long: Sequence[Thread], beads: Sequence[
         for name in ("width", "height")
     )
     yield (
-        f"{file.name}: beads are {width.min():.3f} to {width.max():.3f} mm wide and {height.min():.3f} to "
-        f"{height.max():.3f} mm high, as what it extrudes says"
+        f"{file.name}: beads are {_range(width.min(), width.max(), 3)} mm wide and "
+        f"{_range(height.min(), height.max(), 3)} mm high, as what it extrudes says"
     )
     if read.speeds:
         slow, fast = (1e3 * speed for speed in read.speeds)
-        yield f"{file.name}: its own speeds, {slow:.0f} to {fast:.0f} mm/s, do not count; process.speed_mm_s does"
+        yield f"{file.name}: its own speeds, {_range(slow, fast, 0)} mm/s, do not count; process.speed_mm_s does"
+
+
+def _range(least: float, greatest: float, digits: int) -> str:
+    """Both values, or one where they read alike."""
+    texts = [f"{value:.{digits}f}" for value in (least, greatest)]
+    return " to ".join(dict.fromkeys(texts))
 
 
 def _layers(threads: Sequence[Thread], file: Path) -> Iterator[_Step]:
