@@ -33,11 +33,18 @@ class InsetEdge:
         return InsetEdge(tuple(arcs), tuple(points), rim.around)
 
     def between(self, loop: int, start: float, stop: float) -> Array:
-        """Points (k, 3) strictly between two arcs of a loop [m]; stop may be beyond the loop's end."""
-        around = float(self.around[loop])
-        arcs = np.concatenate([self.arcs[loop], self.arcs[loop] + around])
-        points = np.vstack([self.points[loop], self.points[loop]])
+        """Points (k, 3) strictly between two arcs of a loop [m], either of which may be beyond the loop's ends."""
+        arcs, points = self._thrice(loop)
         return points[(arcs > start) & (arcs < stop)]
+
+    def at(self, loop: int, arc: float) -> Array:
+        """The point (3,) at an arc of a loop [m], at most once round beyond its ends."""
+        arcs, points = self._thrice(loop)
+        return np.array([np.interp(arc, arcs, points[:, i]) for i in range(3)])
+
+    def _thrice(self, loop: int) -> tuple[Array, Array]:
+        around = float(self.around[loop]) * np.arange(-1.0, 2.0)
+        return np.concatenate([self.arcs[loop] + turn for turn in around]), np.tile(self.points[loop], (3, 1))
 
 
 def _inward(sheet: Sheet, rim: Rim) -> Array:

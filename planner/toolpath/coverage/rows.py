@@ -15,23 +15,24 @@ from scipy.spatial import cKDTree
 
 from planner.toolpath.coverage.edge import InsetEdge
 from planner.toolpath.coverage.fields import fields_of
-from planner.toolpath.coverage.joints import End, Joint, chains, chosen, possible
+from planner.toolpath.coverage.joints import chains, chosen, possible
 from planner.toolpath.coverage.levels import Rim, Row, rows_at
-from planner.toolpath.coverage.measures import Line, distances, farthest, seconds
+from planner.toolpath.coverage.measures import Line, crossings, distances, seconds
 from planner.toolpath.coverage.onto import onto_faces
 from planner.toolpath.coverage.patches import Array, Ints, Patch, Stroke
 from planner.toolpath.coverage.sheet import Sheet, sheet_of
 from planner.toolpath.coverage.smooth import evenly, smooth
+from planner.toolpath.coverage.stitch import stitched
 
 REACH = 0.55  # spacings: no point of a face is farther from the strokes
 _MESH = 0.25  # spacings between points of the net
 _INSET = 0.04  # spacings between the edge and where rows end and joints run
-_KERNEL = 0.4  # spacings, half width of what turns a row's end: as wide as REACH allows
+_KERNEL = 0.35  # spacings, half width of what turns a row's end: as wide as REACH allows
 _STEP = 0.1  # spacings between points of a stroke
 _FINE = 0.025  # spacings between points that are averaged
 _SHORTEST = 0.3  # spacings: a shorter row is a dot
-_ALONE = 0.53  # spacings from the rows: what is farther away has a row of its own
-_TRIES = 3  # at rows of its own for what is left
+_TRIES = 4  # with rows added one by one for what is left
+_WIDER = 1.02  # of the spacing: rows may be as much farther apart where that saves one
 _CLOSER = 0.97  # of the spacing, where strokes leave points out of reach
 _CLOSEST = 5  # times closer, at most
 _AIM = 0.543  # spacings: REACH, less what may be between the points that are looked at
@@ -42,11 +43,11 @@ class TooSmallError(ValueError):
 
 
 class NotCoveredError(ValueError):
-    """Strokes would leave points of the faces farther away than REACH; `farthest`: how far [spacings]."""
+    """All strokes tried cross or leave points of the faces farther away than REACH; `farthest`: of the best [spacings]."""
 
     def __init__(self, farthest: float) -> None:
         self.farthest = farthest
-        super().__init__(f"points of the faces are {farthest:.2f} spacings from the nearest row")
+        super().__init__(f"no rows without crossings reach every point of the faces ({farthest:.2f} spacings at best)")
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ class _Candidate:
 
 
 def cover(patches: Sequence[Patch], spacing: float, speed: float) -> list[Stroke]:
-    """Strokes over faces, sewn together where they meet: rows at most `spacing` [m] apart, printed at `speed` [m/s].
+    """Strokes over faces, sewn together where they meet: rows about `spacing` [m] apart, at most 2 % more, printed at `speed` [m/s].
 
     No point of the faces is farther from them than REACH; they neither cross nor touch. Raises TooSmallError or
     NotCoveredError.
@@ -91,7 +92,10 @@ def cover(patches: Sequence[Patch], spacing: float, speed: float) -> list[Stroke
         _, k, closer, best = heapq.heappop(queue)
         nearest = min(nearest, best.farthest)
         if best.farthest <= _AIM:
-            return [onto_faces(sheet, line, closed) for line, closed in best.lines]
+            strokes = [onto_faces(sheet, line, closed) for line, closed in best.lines]
+            # ends that reach into corners of the material could meet there
+            if not len(crossings([Line(stroke.points, stroke.normals, stroke.closed) for stroke in strokes])):
+                return strokes
         if closer < _CLOSEST:
             _tried(queue, net, fields[k], k, closer + 1, spacing, speed)
     if np.isinf(nearest):
@@ -115,48 +119,44 @@ def _tried(
 
 
 def _candidate(net: _Net, field: Array, spacing: float, apart: float, speed: float) -> _Candidate | None:
-    """Rows of one field at most `apart` [m] apart, joined and smoothed; None where there are none."""
+    """Rows of one field about `apart` [m] apart, joined and smoothed; None where there are none."""
     low, high = float(field[net.solid].min()), float(field[net.solid].max())
-    count = max(int(np.ceil((high - low) / apart - 1e-6)), 1)
+    count = max(int(np.ceil((high - low) / (_WIDER * apart))), 1)
     heights: Array = np.linspace(low, high, 2 * count + 1)[1::2]
     rows = [
         row for k, height in enumerate(heights) for row in rows_at(net.sheet, net.rim, field, float(height), float(k))
     ]
-    rows = _with_caps(net, field, rows, heights, spacing)
-    rows = [cut for row in rows if (cut := _shortened(row, spacing)) is not None]
-    if not rows:
-        return None
-    lines = _strokes(net.sheet, net.rim, rows, spacing)
-    measured = [Line(line, net.normals[net.tree.query(line)[1]], closed) for line, closed in lines]
-    time = seconds(measured, speed, _INSET * spacing)
-    return _Candidate(tuple(lines), time, farthest(measured, net.looked_at) / spacing)
+    best: _Candidate | None = None
+    for _ in range(_TRIES):
+        kept = [cut for row in rows if (cut := _shortened(row, spacing)) is not None]
+        if not kept:
+            return best
+        lines = _strokes(net.sheet, net.rim, kept, spacing)
+        measured = [Line(line, net.normals[net.tree.query(line)[1]], closed) for line, closed in lines]
+        away = distances([line.opened()[0] for line in measured], net.looked_at)
+        found = _Candidate(tuple(lines), seconds(measured, speed, _INSET * spacing), float(away.max()) / spacing)
+        if best is None or found.farthest < best.farthest:
+            best = found
+        if found.farthest <= _AIM:
+            return found
+        extra = _cap(net, field, heights, net.looked_at[np.argmax(away)], spacing)
+        if not extra:
+            return best
+        rows += extra
+    return best
 
 
 def _strokes(sheet: Sheet, rim: Rim, rows: Sequence[Row], spacing: float) -> list[tuple[Array, bool]]:
     """Rows joined into as few lines as can be, smoothed, in the order in which they are printed."""
     joints = chosen(possible(rows, rim.around, spacing), spacing)
-    at = {end: joint for joint in joints for end in (joint.first, joint.second)}
     edge = InsetEdge.of(sheet, rim, _INSET * spacing)
     out = []
     for chain in chains(len(rows), joints):
         closed = rows[chain[0][0]].ends is None
-        line = smooth(_line(rows, chain, at, edge), _KERNEL * spacing, _FINE * spacing, closed)
+        line = rows[chain[0][0]].points if closed else stitched(rows, chain, joints, edge, spacing)
+        line = smooth(line, _KERNEL * spacing, _FINE * spacing, closed)
         out.append((evenly(line, _STEP * spacing, closed), closed))
     return _in_turn(out)
-
-
-def _line(rows: Sequence[Row], chain: Sequence[End], at: dict[End, Joint], edge: InsetEdge) -> Array:
-    """Rows of a chain and the joints between them as one polyline."""
-    pieces = []
-    for k, (row, entered) in enumerate(chain):
-        points = rows[row].points
-        pieces.append(points if entered == 0 else points[::-1])
-        if k + 1 < len(chain):
-            left = (row, 1 - entered)
-            joint = at[left]
-            between = edge.between(joint.loop, joint.start, joint.stop)
-            pieces.append(between if joint.first == left else between[::-1])
-    return np.vstack(pieces)
 
 
 def _in_turn(lines: Sequence[tuple[Array, bool]]) -> list[tuple[Array, bool]]:
@@ -187,26 +187,14 @@ def _shortened(row: Row, spacing: float) -> Row | None:
     return replace(row, points=points)
 
 
-def _with_caps(net: _Net, field: Array, rows: Sequence[Row], heights: Array, spacing: float) -> list[Row]:
-    """Rows, and further ones half-way between the last of them and what it leaves out of reach, where the material ends
-    between two levels."""
-    out = list(rows)
-    points = net.sheet.points[net.solid]
-    for _ in range(_TRIES if out else 0):
-        away = distances([row.points for row in out], points)
-        if away.max() <= _ALONE * spacing:
-            break
-        worst = int(net.solid[np.argmax(away)])
-        base = int(np.clip(np.searchsorted(heights, field[worst]) - 1, 0, len(heights) - 1))
-        height = 0.5 * (heights[base] + field[worst])
-        level = base + 0.5 * float(np.sign(field[worst] - heights[base]))
-        near = [
-            row
-            for row in rows_at(net.sheet, net.rim, field, float(height), level)
-            if np.linalg.norm(row.points - net.sheet.points[worst], axis=1).min() < spacing
-            and row.length > _SHORTEST * spacing
-        ]
-        if not near:
-            break
-        out += near
-    return out
+def _cap(net: _Net, field: Array, heights: Array, place: Array, spacing: float) -> list[Row]:
+    """A further row half-way between the last level and a place (3,) that it leaves out of reach, where the material
+    ends between two levels."""
+    far = float(field[net.tree.query(place)[1]])
+    base = int(np.clip(np.searchsorted(heights, far) - 1, 0, len(heights) - 1))
+    level = base + 0.5 * float(np.sign(far - heights[base]))
+    return [
+        row
+        for row in rows_at(net.sheet, net.rim, field, 0.5 * float(heights[base] + far), level)
+        if np.linalg.norm(row.points - place, axis=1).min() < spacing and row.length > _SHORTEST * spacing
+    ]
