@@ -97,13 +97,10 @@ def _calibrated(face: FormulaFace, u: float, v: float, direction: int, spacing: 
 
 
 def _curved(u: Array, v: Array) -> Array:
-    """A sheet 200 mm wide that rises from the horizontal and bends over, within 200 x 400 x 200 mm."""
-    angle = v * 2.2
-    radius = 0.185 + 0.012 * np.cos(np.pi * u)
-    return np.stack(
-        [0.2 * u - 0.1 + 0.01 * np.sin(2.0 * v), radius * np.sin(angle) + 0.18 * v, radius * (1.0 - np.cos(angle))],
-        axis=-1,
-    )
+    """A sheet that rises upright, bends over and hangs over, cambered across, within 200 x 400 x 200 mm."""
+    radius = 0.19 - 0.006 * (2.0 * u - 1.0) ** 2
+    angle = 0.85 * np.pi * v
+    return np.stack([0.098 * (2.0 * u - 1.0), 0.2 - radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
 
 
 def _blade(u: Array, v: Array) -> Array:

@@ -27,7 +27,7 @@ from planner.toolpath.coverage.stitch import stitched
 REACH = 0.55  # spacings: no point of a face is farther from the strokes
 _MESH = 0.25  # spacings between points of the net
 _INSET = 0.04  # spacings between the edge and where rows end and joints run
-_KERNEL = 0.35  # spacings, half width of what turns a row's end: as wide as REACH allows
+_KERNEL = 0.3  # spacings, half width of what turns a row's end: about as wide as REACH allows
 _STEP = 0.1  # spacings between points of a stroke
 _FINE = 0.025  # spacings between points that are averaged
 _SHORTEST = 0.3  # spacings: a shorter row is a dot
@@ -81,10 +81,12 @@ def cover(patches: Sequence[Patch], spacing: float, speed: float) -> list[Stroke
     """
     sheet = sheet_of(patches, _MESH * spacing)
     solid = np.unique(sheet.triangles[sheet.material])
-    net = _Net(sheet, Rim.of(sheet), sheet.normals(), cKDTree(sheet.points), solid, sheet.looked_at())
+    rim = Rim.of(sheet)
+    looked_at = sheet.looked_at(rim.edges.ravel())
+    net = _Net(sheet, rim, sheet.normals(), cKDTree(sheet.points), solid, looked_at)
     # the quickest first; one that leaves points out of reach comes back with its rows closer together
     queue: list[tuple[float, int, int, _Candidate]] = []
-    fields = fields_of(sheet, net.rim, spacing)
+    fields = fields_of(sheet, rim, spacing)
     for k, field in enumerate(fields):
         _tried(queue, net, field, k, 0, spacing, speed)
     nearest = np.inf

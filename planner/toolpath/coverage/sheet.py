@@ -16,6 +16,7 @@ from planner.toolpath.coverage.patches import Array, Ints, Patch
 
 _SEWN = 2e-5  # m: points of two faces' edges that are nearer than this are one
 _CLEAR = 0.6  # mesh sizes: nearer to the edge, no point is put
+_LOOKED = 5  # parts of a side of a triangle at the rim, where coverage is looked at
 _LOOKS = 33  # lines of u and of v along which a face is measured
 
 
@@ -45,11 +46,17 @@ class Sheet:
             np.add.at(out, corner, face.normals(self.corners[on].reshape(-1, 2)))
         return out / np.maximum(np.linalg.norm(out, axis=1), np.finfo(float).tiny)[:, None]
 
-    def looked_at(self) -> Array:
-        """Points (k, 3) all over the material: those of the net, and the middles of its triangles and their edges."""
-        corners = self.points[self.triangles[self.material]]
-        edges = 0.5 * (corners + np.roll(corners, 1, axis=1)).reshape(-1, 3)
-        return np.vstack([corners.reshape(-1, 3), corners.mean(axis=1), edges])
+    def looked_at(self, rim: Ints) -> Array:
+        """Points (k, 3) all over the material: those of the net, and the middles of its triangles; more of them in
+        triangles that touch one of the points `rim`, where rows end."""
+        net = self.triangles[self.material]
+        corners = self.points[net]
+        fine = corners[np.isin(net, rim).any(axis=1)]
+        share = np.array(
+            [(i, j, _LOOKED - i - j) for i in range(_LOOKED + 1) for j in range(_LOOKED + 1 - i)], dtype=np.float64
+        )
+        closely = np.einsum("ki,mij->mkj", share / _LOOKED, fine).reshape(-1, 3)
+        return np.vstack([self.points[np.unique(net)], corners.mean(axis=1), closely])
 
 
 def sheet_of(patches: Sequence[Patch], size: float) -> Sheet:
