@@ -38,8 +38,8 @@ def stitched(
     """One polyline (n, 3) of open rows, each entered at the end given, and of the joints between them."""
     at = {end: joint for joint in joints for end in (joint.first, joint.second)}
     arcs: dict[int, list[float]] = {}
-    for row in rows:
-        for loop, arc in row.ends or ():
+    for any_row in rows:
+        for loop, arc in any_row.ends or ():
             arcs.setdefault(loop, []).append(arc)
     for found in arcs.values():
         found.sort()
