@@ -75,6 +75,8 @@ HEAVY = {
         "toolpath.substrate.facet_tree",
         "toolpath.substrate.height_field",
         "toolpath.ordering",
+        "toolpath.coverage.marching",
+        "toolpath.coverage.two_opt",
         "toolpath.waypoints.surfels",
         "toolpath.transport",
         "resolve",
@@ -98,6 +100,7 @@ HEAVY = {
     "toppra": set(),
     "casadi": {"kinematics.symbolic", "resolve.nlp_program"},
     "osqp": {"resolve.osqp_reference"},
+    "pyvrp": {"toolpath.coverage.tour"},
 }
 NEVER = {"pickle", "cPickle", "dill", "shelve", "marshal", "joblib", "cloudpickle", "importlib.util", "runpy"}
 NEVER_CALLED = {"eval", "exec", "compile", "__import__", "execfile"}

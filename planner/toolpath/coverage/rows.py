@@ -1,0 +1,202 @@
+"""Rows of our own over faces: lines of equal distance from an edge or from a line through the middle.
+
+They never cross, for they are lines of one function; they are joined along the edges (`joints.py`); of several
+sources the one is taken whose strokes are done first.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from planner.toolpath.coverage.edge import InsetEdge
+from planner.toolpath.coverage.fields import fields_of
+from planner.toolpath.coverage.joints import chains, chosen, possible
+from planner.toolpath.coverage.levels import Rim, Row, rows_at
+from planner.toolpath.coverage.measures import Line, crossings, distances, seconds
+from planner.toolpath.coverage.onto import onto_faces
+from planner.toolpath.coverage.patches import Array, Ints, Patch, Stroke
+from planner.toolpath.coverage.sheet import Sheet, sheet_of
+from planner.toolpath.coverage.smooth import evenly, smooth
+from planner.toolpath.coverage.stitch import stitched
+
+REACH = 0.55  # spacings: no point of a face is farther from the strokes
+_MESH = 0.25  # spacings between points of the net
+_INSET = 0.04  # spacings between the edge and where rows end and joints run
+_KERNEL = 0.3  # spacings, half width of what turns a row's end: about as wide as REACH allows
+_STEP = 0.1  # spacings between points of a stroke
+_FINE = 0.025  # spacings between points that are averaged
+_SHORTEST = 0.3  # spacings: a shorter row is a dot
+_TRIES = 4  # with rows added one by one for what is left
+_WIDER = 1.02  # of the spacing: rows may be as much farther apart where that saves one
+_CLOSER = 0.97  # of the spacing, where strokes leave points out of reach
+_CLOSEST = 5  # times closer, at most
+_AIM = 0.543  # spacings: REACH, less what may be between the points that are looked at
+
+
+class TooSmallError(ValueError):
+    """No row fits onto the faces at this spacing."""
+
+
+class NotCoveredError(ValueError):
+    """All strokes tried cross or leave points of the faces farther away than REACH; `farthest`: of the best [spacings]."""
+
+    def __init__(self, farthest: float) -> None:
+        self.farthest = farthest
+        super().__init__(f"no rows without crossings reach every point of the faces ({farthest:.2f} spacings at best)")
+
+
+@dataclass(frozen=True)
+class _Net:
+    """The faces' net and what is asked of it again and again: its rim, normals (n, 3) at its points, a tree of these,
+    and points all over the material (k, 3)."""
+
+    sheet: Sheet
+    rim: Rim
+    normals: Array
+    tree: cKDTree
+    solid: Ints
+    looked_at: Array
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """Strokes before they are brought onto the faces, lines (n, 3) and whether closed; their time, about [s]; how far
+    the farthest point of the material is [spacings]."""
+
+    lines: tuple[tuple[Array, bool], ...]
+    time: float
+    farthest: float
+
+
+def cover(patches: Sequence[Patch], spacing: float, speed: float) -> list[Stroke]:
+    """Strokes over faces, sewn together where they meet: rows about `spacing` [m] apart, at most 2 % more, printed at `speed` [m/s].
+
+    No point of the faces is farther from them than REACH; they neither cross nor touch. Raises TooSmallError or
+    NotCoveredError.
+    """
+    sheet = sheet_of(patches, _MESH * spacing)
+    solid = np.unique(sheet.triangles[sheet.material])
+    rim = Rim.of(sheet)
+    looked_at = sheet.looked_at(rim.edges.ravel())
+    net = _Net(sheet, rim, sheet.normals(), cKDTree(sheet.points), solid, looked_at)
+    # the quickest first; one that leaves points out of reach comes back with its rows closer together
+    queue: list[tuple[float, int, int, _Candidate]] = []
+    fields = fields_of(sheet, rim, spacing)
+    for k, field in enumerate(fields):
+        _tried(queue, net, field, k, 0, spacing, speed)
+    nearest = np.inf
+    while queue:
+        _, k, closer, best = heapq.heappop(queue)
+        nearest = min(nearest, best.farthest)
+        if best.farthest <= _AIM:
+            strokes = [onto_faces(sheet, line, closed) for line, closed in best.lines]
+            # ends that reach into corners of the material could meet there
+            if not len(crossings([Line(stroke.points, stroke.normals, stroke.closed) for stroke in strokes])):
+                return strokes
+        if closer < _CLOSEST:
+            _tried(queue, net, fields[k], k, closer + 1, spacing, speed)
+    if np.isinf(nearest):
+        raise TooSmallError("the faces are too small for a row at this spacing")
+    raise NotCoveredError(nearest)
+
+
+def _tried(
+    queue: list[tuple[float, int, int, _Candidate]],
+    net: _Net,
+    field: Array,
+    k: int,
+    closer: int,
+    spacing: float,
+    speed: float,
+) -> None:
+    """Enter what comes of a field (the k-th) with rows so many times closer, if there are any."""
+    found = _candidate(net, field, spacing, spacing * _CLOSER**closer, speed)
+    if found is not None:
+        heapq.heappush(queue, (found.time, k, closer, found))
+
+
+def _candidate(net: _Net, field: Array, spacing: float, apart: float, speed: float) -> _Candidate | None:
+    """Rows of one field about `apart` [m] apart, joined and smoothed; None where there are none."""
+    low, high = float(field[net.solid].min()), float(field[net.solid].max())
+    count = max(int(np.ceil((high - low) / (_WIDER * apart))), 1)
+    heights: Array = np.linspace(low, high, 2 * count + 1)[1::2]
+    rows = [
+        row for k, height in enumerate(heights) for row in rows_at(net.sheet, net.rim, field, float(height), float(k))
+    ]
+    best: _Candidate | None = None
+    for _ in range(_TRIES):
+        kept = [cut for row in rows if (cut := _shortened(row, spacing)) is not None]
+        if not kept:
+            return best
+        lines = _strokes(net.sheet, net.rim, kept, spacing)
+        measured = [Line(line, net.normals[net.tree.query(line)[1]], closed) for line, closed in lines]
+        away = distances([line.opened()[0] for line in measured], net.looked_at)
+        found = _Candidate(tuple(lines), seconds(measured, speed, _INSET * spacing), float(away.max()) / spacing)
+        if best is None or found.farthest < best.farthest:
+            best = found
+        if found.farthest <= _AIM:
+            return found
+        extra = _cap(net, field, heights, net.looked_at[np.argmax(away)], spacing)
+        if not extra:
+            return best
+        rows += extra
+    return best
+
+
+def _strokes(sheet: Sheet, rim: Rim, rows: Sequence[Row], spacing: float) -> list[tuple[Array, bool]]:
+    """Rows joined into as few lines as can be, smoothed, in the order in which they are printed."""
+    joints = chosen(possible(rows, rim.around, spacing), spacing)
+    edge = InsetEdge.of(sheet, rim, _INSET * spacing)
+    out = []
+    for chain in chains(len(rows), joints):
+        closed = rows[chain[0][0]].ends is None
+        line = rows[chain[0][0]].points if closed else stitched(rows, chain, joints, edge, spacing)
+        line = smooth(line, _KERNEL * spacing, _FINE * spacing, closed)
+        out.append((evenly(line, _STEP * spacing, closed), closed))
+    return _in_turn(out)
+
+
+def _in_turn(lines: Sequence[tuple[Array, bool]]) -> list[tuple[Array, bool]]:
+    """Lines one after the other, the nearest end first; open ones may be turned round."""
+    left = list(lines)
+    out = [left.pop(0)]
+    while left:
+        here = out[-1][0][0 if out[-1][1] else -1]
+        far = [(float(np.linalg.norm(line[0] - here)), k, False) for k, (line, _) in enumerate(left)] + [
+            (float(np.linalg.norm(line[-1] - here)), k, True) for k, (line, closed) in enumerate(left) if not closed
+        ]
+        _, k, back = min(far)
+        line, closed = left.pop(k)
+        out.append((line[::-1].copy() if back else line, closed))
+    return out
+
+
+def _shortened(row: Row, spacing: float) -> Row | None:
+    """The row without what is too near the edge; None where hardly anything is left."""
+    if row.ends is None:
+        return row if row.length > _SHORTEST * spacing else None
+    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(row.points, axis=0), axis=1))])
+    first, last = _INSET * spacing, s[-1] - _INSET * spacing
+    if last - first < _SHORTEST * spacing:
+        return None
+    at = np.concatenate([[first], s[(s > first) & (s < last)], [last]])
+    points = np.stack([np.interp(at, s, row.points[:, i]) for i in range(3)], axis=1)
+    return replace(row, points=points)
+
+
+def _cap(net: _Net, field: Array, heights: Array, place: Array, spacing: float) -> list[Row]:
+    """A further row half-way between the last level and a place (3,) that it leaves out of reach, where the material
+    ends between two levels."""
+    far = float(field[net.tree.query(place)[1]])
+    base = int(np.clip(np.searchsorted(heights, far) - 1, 0, len(heights) - 1))
+    level = base + 0.5 * float(np.sign(far - heights[base]))
+    return [
+        row
+        for row in rows_at(net.sheet, net.rim, field, 0.5 * float(heights[base] + far), level)
+        if np.linalg.norm(row.points - place, axis=1).min() < spacing and row.length > _SHORTEST * spacing
+    ]
