@@ -55,7 +55,7 @@ SHIPPED = {"aerofoils": ("naca0015_wing", WING), "logos": ("cylinder_logo", LOGO
 
 # Of a wing's section layers fill this share at least: steep places are left out. Thin sections may lack more, on average
 # so much of a layer: one that is almost two layers thick gets one.
-LEAST_FILLED, MOST_FILLED, MOST_MISSING = 0.7, 1.02, 1.1
+LEAST_FILLED, MOST_FILLED, MOST_MISSING = 0.65, 1.02, 1.1
 # Rounding shortens the lines of a logo, small ones by up to a half; it makes none longer but by where it swings out.
 SHORTEST_LINES, LONGEST_LINES = 0.5, 1.05
 ON_SURFACE = 1e-6  # m

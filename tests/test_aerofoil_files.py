@@ -100,6 +100,8 @@ BAD = [
     ([*SELIG[:4], " 1e300 0.1", *SELIG[4:]], 5, "that a point can have"),
     ([*SELIG[:3], SELIG[1], *SELIG[3:]], 4, "x runs back"),
     ([*SELIG[:-2], " 0.8 0.05", SELIG[-1]], 11, "above the upper side"),
+    (SELIG[:-1], 11, "the lower side ends here, at 0.80"),
+    ([SELIG[0], *SELIG[2:]], 2, "the upper side ends here, at 0.80"),
     (["TEST", "6 7", *LEDNICER[2:]], 2, "6 and 7 points follow, but there are 12"),
     (SELIG[:7], None, "no leading edge"),
     ([*SELIG[:3], *SELIG[5:]], None, "points on one side"),

@@ -26,6 +26,7 @@ FARTHEST = 1e6  # in the file's unit
 _COMMENTS = ("#", "//", "%", ";")
 _BOUNDS = 4  # numbers in a line of bounds
 _NACA_POINTS = 80  # of a side
+_UNEVEN_ENDS = 0.02  # chords along the chord: the largest of a whole published section is 0.009
 _SAME = 1e-9  # chords: points nearer than this to each other are one
 
 
@@ -73,7 +74,17 @@ def read_section(path: Path, where: Complaint | None = None) -> Array:
     if len(crossed):
         raise InputError("the lower side is above the upper side here", file=path, line=lower[1 + crossed[0]][0])
     points = np.array([row[1:] for row in upper[::-1]] + [row[1:] for row in lower])
-    return _in_chords(points, len(upper) - 1, complain, path)
+    points = _in_chords(points, len(upper) - 1, complain, path)
+    if abs(points[0, 0] - points[-1, 0]) > _UNEVEN_ENDS:
+        ends = points[[0, -1], 0]
+        name, side = ("upper", upper) if ends[0] < ends[1] else ("lower", lower)
+        raise InputError(
+            f"the {name} side ends here, at {ends.min() / ends.max():.2f} of the length of the other one",
+            file=path,
+            line=side[-1][0],
+            hint="points towards the trailing edge are missing",
+        )
+    return points
 
 
 def _rows(path: Path, lines: list[str]) -> list[Row]:
