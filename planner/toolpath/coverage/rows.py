@@ -74,7 +74,8 @@ class _Candidate:
 
 
 def cover(patches: Sequence[Patch], spacing: float, speed: float) -> list[Stroke]:
-    """Strokes over faces, sewn together where they meet: rows about `spacing` [m] apart, at most 2 % more, printed at `speed` [m/s].
+    """Strokes over faces, sewn together where they meet, for printing at `speed` [m/s]: rows `spacing` [m] apart or a
+    little less, at most 2 % more.
 
     No point of the faces is farther from them than REACH; they neither cross nor touch. Raises TooSmallError or
     NotCoveredError.
