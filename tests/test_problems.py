@@ -68,7 +68,15 @@ def promises_kept(plan: Plan) -> None:
 
 
 # Less of the problems that are large.
+THICK = (
+    "layers.height_mm=1.5",
+    "process.bead.width_mm=1.6",
+    "layers.source.size_mm=[17, 80]",
+    "layers.source.cell_mm=9.5",
+)
 SMALL = {
+    "aerofoil_core": THICK,
+    "aerofoil_core_tapered": (*THICK, "layers.least_height_mm=0.3"),
     "cylinder_logo": ("layers.count=1",),
     "naca0015_wing": ("layers.source.span_mm=2", "layers.support.height_mm=2", "layers.support.curved=1"),
 }

@@ -8,8 +8,9 @@ from typing import Annotated, Any, cast
 from pydantic import Discriminator, Tag
 
 from planner.errors import nearest_name
+from planner.problem.cores import CoreLayersSpec
 from planner.problem.curves import ProjectedCurvesSpec
-from planner.problem.drawings import LayersSpec, ProjectedDrawingSpec, ProjectedPatternSpec
+from planner.problem.drawings import LayersSpec, ProjectedDrawingSpec, ProjectedLayersSpec, ProjectedPatternSpec
 from planner.problem.fields import Section, refusal
 from planner.problem.gcode import GcodeLayersSpec
 from planner.problem.part import PartSpec
@@ -50,6 +51,7 @@ KINDS = (
     _Kind("[projected]", ProjectedDrawingSpec, ("svg",)),
     _Kind("[pattern]", ProjectedPatternSpec, ("pattern",)),
     _Kind("[curves]", ProjectedCurvesSpec, ("curves",)),
+    _Kind("[core]", CoreLayersSpec, ("pattern",)),
     _Kind("[waypoints]", WaypointLayersSpec, ("waypoints",)),
     _Kind("[gcode]", GcodeLayersSpec, ("gcode",)),
     _Kind("[aerofoil]", AerofoilLayersSpec, ("aerofoil", "naca")),
@@ -78,6 +80,7 @@ AnyLayersSpec = Annotated[
     | Annotated[ProjectedDrawingSpec, Tag("[projected]")]
     | Annotated[ProjectedPatternSpec, Tag("[pattern]")]
     | Annotated[ProjectedCurvesSpec, Tag("[curves]")]
+    | Annotated[CoreLayersSpec, Tag("[core]")]
     | Annotated[WaypointLayersSpec, Tag("[waypoints]")]
     | Annotated[GcodeLayersSpec, Tag("[gcode]")]
     | Annotated[AerofoilLayersSpec, Tag("[aerofoil]")],
@@ -88,6 +91,8 @@ AnyLayersSpec = Annotated[
 def check_body(part: PartSpec, layers: AnyLayersSpec) -> None:
     """Raise the refusal of a body that layers of this kind are not laid on."""
     if part.body in layers.bodies:
+        if isinstance(layers, ProjectedLayersSpec) and layers.normals == "facets" and part.body != "mesh":
+            raise refusal(f"a {part.body} has no facets", "leave out layers.normals, or give a mesh", item=part.body)
         return
     if not layers.bodies:
         what = "waypoints carry their own surface: there is no body"

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from planner.problem import Problem
+from planner.problem.cores import CoreLayersSpec
 from planner.problem.curves import ProjectedCurvesSpec
 from planner.problem.drawings import LayersSpec, ProjectedDrawingSpec, ProjectedPatternSpec
 from planner.problem.gcode import GcodeLayersSpec
@@ -14,6 +15,7 @@ from planner.problem.waypoints import WaypointLayersSpec
 from planner.problem.wing import AerofoilLayersSpec
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.gcode.level import slicer_print
+from planner.toolpath.substrate.cores import lay_core
 from planner.toolpath.substrate.projection import project_curves
 from planner.toolpath.waypoints.through import through_waypoints
 from planner.toolpath.wing.layers import wing
@@ -24,6 +26,7 @@ SOURCES: dict[type, Callable[[Problem, Any], Toolpath]] = {
     ProjectedDrawingSpec: project_curves,
     ProjectedPatternSpec: project_curves,
     ProjectedCurvesSpec: project_curves,
+    CoreLayersSpec: lay_core,
     WaypointLayersSpec: through_waypoints,
     GcodeLayersSpec: slicer_print,
     AerofoilLayersSpec: wing,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -14,9 +15,12 @@ from planner.toolpath.substrate.facet_tree import FacetTree
 from planner.toolpath.substrate.height_field import HeightField, fit
 
 Array = NDArray[np.float64]
+Part = Callable[[Array], NDArray[np.bool_]]  # which places x, y (n, 2) belong to it
 
 FARTHEST_FROM_FACETS = 5e-5  # m, of the smooth surface, at the curves
-_BETTER = 0.7  # times as far off: else a surface with twice the knots only repeats the facets more closely
+_BETTER = 0.85  # times as far off: else twice the knots are no better
+_SMALL = 0.1  # quantile of facets' heights
+_A_FACET = 1.5  # heights of a facet between knots at least: closer ones repeat the facets' own steps
 _COARSEST, _FINEST = 4, 64  # knots of the smooth surface along the longer side of what is covered
 _SAMPLES = 240  # of the facets along that side
 _FARTHEST_NEAR = 5e-3  # m: facets larger than this are looked at no farther aside
@@ -102,25 +106,26 @@ class MeshTop:
     gap: float
 
     @classmethod
-    def near(cls, facets: FacetTree, curves: Array, reach: float) -> MeshTop:
+    def near(cls, facets: FacetTree, curves: Array, reach: float, part: Part | None = None) -> MeshTop:
         """Lay a smooth surface through facets near curves, given as points x, y (n, 2) that all fall onto facets.
 
-        Near is what is within `reach` [m], or farther where facets are larger. Raises TooRough where the surface
-        leaves them by more than FARTHEST_FROM_FACETS at a curve.
+        Near is what is within `reach` [m] (see reach_beside); where `part` is given, what it says no to counts nowhere,
+        and the surface goes on there as it was. Raises TooRough where the surface leaves them by more than
+        FARTHEST_FROM_FACETS at a curve.
         """
         z, found = facets.top(curves)
-        size = np.linalg.norm(np.diff(facets.corners[found], axis=1), axis=2).max(axis=1)
-        reach = max(reach, min(float(np.median(size)), _FARTHEST_NEAR))
         low, high = curves.min(axis=0) - reach, curves.max(axis=0) + reach
         side = float((high - low).max())
-        samples, weights = _samples(facets, np.column_stack([curves, z]), low, high, reach)
+        samples, weights = _samples(facets, np.column_stack([curves, z]), low, high, reach, part)
+        least = _A_FACET * _narrowness(facets.corners[found])
         best, worst = None, 0
         knots = _COARSEST
         while knots <= _FINEST:
             surface = fit(samples, weights, low, high, side / knots)
             points, normals = surface.at(curves)
             off = np.abs(points[:, 2] - z) * np.minimum(normals[:, 2], facets.normals[found, 2])
-            if best is not None and best.gap <= FARTHEST_FROM_FACETS and off.max() > _BETTER * best.gap:
+            near = best is not None and best.gap <= FARTHEST_FROM_FACETS
+            if best is not None and near and (side / knots < least or off.max() > _BETTER * best.gap):
                 break
             if best is None or off.max() < best.gap:
                 worst = int(np.argmax(off))
@@ -153,7 +158,22 @@ class MeshTop:
         return facets_shape(self.facets.corners) or skin_shape(self.at, *self.surface.span)
 
 
-def _samples(facets: FacetTree, curves: Array, low: Array, high: Array, reach: float) -> tuple[Array, Array]:
+def _narrowness(corners: Array) -> float:
+    """The least height of facets (n, 3, 3) [m], where they are small: where nothing bends they may be of any size."""
+    edges = np.roll(corners, -1, axis=1) - corners
+    across = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    return float(np.quantile(across / np.linalg.norm(edges, axis=2).max(axis=1), _SMALL))
+
+
+def reach_beside(facets: FacetTree, curves: Array, least: float) -> float:
+    """How far beside curves (n, 2) facets are looked at: `least` [m], or farther where they are larger."""
+    size = np.linalg.norm(np.diff(facets.corners[facets.top(curves)[1]], axis=1), axis=2).max(axis=1)
+    return max(least, min(float(np.median(size)), _FARTHEST_NEAR))
+
+
+def _samples(
+    facets: FacetTree, curves: Array, low: Array, high: Array, reach: float, part: Part | None
+) -> tuple[Array, Array]:
     """Points (n, 3) of the facets on a grid, and the weights (n) of their squared heights; curves (m, 3).
 
     A height counts as much as the distance from the surface that it stands for, and nothing beyond a cliff.
@@ -167,4 +187,6 @@ def _samples(facets: FacetTree, curves: Array, low: Array, high: Array, reach: f
     weights = np.where(away <= reach, 1.0, _ASIDE) * up**2
     beyond = np.abs(z - curves[nearest, 2]) * _STEEPEST > away + step  # as no slope would take it
     keep = (up > _STEEPEST) & ~beyond
+    if part is not None:
+        keep &= part(grid)
     return np.column_stack([grid, z])[keep], weights[keep]

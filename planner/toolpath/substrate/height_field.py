@@ -7,6 +7,7 @@ A facet's own normal jumps at its edges, and a nozzle that must follow it would 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import comb
 
 import numpy as np
 from numba import njit
@@ -22,6 +23,7 @@ Array = NDArray[np.float64]
 _DEGREE = 5
 _STIFF = 1e-7  # weight of third differences against a sample's: where nothing is known the surface goes on as it was
 _NEWTON_STEPS = 12
+_HALFWAY = 1.5  # times a step: less is the same step, but for rounding
 _CLOSE = 1e-12  # m: near enough to the nearest point
 
 
@@ -59,6 +61,30 @@ class HeightField(ReadOnlyArrays):
     def nearest(self, points: Array) -> Array:
         """x, y (n, 2) of the places whose normals pass through points (n, 3), found from above or below them."""
         return _nearest(np.ascontiguousarray(points), self.corner, self.step, self.coefficients, _BASIS)
+
+    def level(self, z: float) -> HeightField:
+        """The plane at height z [m], with the same knots."""
+        return HeightField(self.corner, self.step, np.full(self.coefficients.shape, z))
+
+    def refined(self, finer: HeightField) -> HeightField:
+        """The same surface with the knots of a finer one, whose distance is this one's halved some times over.
+
+        Both begin at one corner, and this one reaches as far.
+        """
+        step, heights = self.step, self.coefficients
+        while step > _HALFWAY * finer.step:
+            step, heights = 0.5 * step, _halved(_halved(heights).T).T
+        nx, ny = finer.coefficients.shape
+        return HeightField(finer.corner, finer.step, heights[:nx, :ny].copy())
+
+
+def _halved(heights: Array) -> Array:
+    """Coefficients (n, m) of splines over knots twice as dense along the first axis (2 n - 5, m): Lane and Riesenfeld."""
+    apart = np.zeros((2 * len(heights) - 1, heights.shape[1]))
+    apart[::2] = heights
+    mask = np.array([comb(_DEGREE + 1, k) for k in range(_DEGREE + 2)]) / 2.0**_DEGREE
+    spread = np.stack([np.convolve(column, mask) for column in apart.T], axis=1)
+    return np.asarray(spread[_DEGREE:-_DEGREE])
 
 
 def fit(samples: Array, weights: Array, low: Array, high: Array, step: float) -> HeightField:

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from planner.toolpath.bead import Bead
 from planner.toolpath.rounding import PlaneCurve
 from planner.toolpath.substrate.bodies import Body
+from planner.toolpath.substrate.facet_tree import FacetTree
+from planner.toolpath.substrate.facing import Facing
 from planner.toolpath.transport import roll_zeros
 from planner.toolpath.wrap import arc_length, densify
 
@@ -24,6 +26,7 @@ class Substrate:
 
     layers   of all beads in print order
     solid    how many layers count as there; beneath the layer that is printed the body has grown everywhere
+    facings  what the nozzle is normal to along each bead, where that is not the layer itself
     """
 
     body: Body
@@ -31,6 +34,7 @@ class Substrate:
     along_z: bool
     layers: tuple[int, ...] = ()
     solid: int = 0
+    facings: tuple[Facing, ...] = ()
 
     def before(self, bead: int) -> Substrate:
         """The surface when the first `bead` beads have been printed: the last one's layer lies on it."""
@@ -54,8 +58,8 @@ class Substrate:
         return self.body.normals(points)
 
     def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
-        """The layer's at the tips (n, 3), whatever bead is laid there."""
-        return self.normals(tips)
+        """The layer's at the tips (n, 3), or those that a bead follows instead, at arc lengths s (n)."""
+        return self.facings[bead].at(s) if self.facings else self.normals(tips)
 
     def project(self, plane: Array, layer: int) -> tuple[Array, Array]:
         """Nozzle tip and normals (n, 3) above plane points (n, 2): layer k's runs k + 1 layer heights above the body."""
@@ -76,24 +80,37 @@ class Substrate:
         area = (np.cross(slope[0], slope[1]) * normals).sum(axis=1)
         return greatest, area * normals[:, 2]
 
+    def facing(self, curves: Sequence[Sequence[PlaneCurve]], blend: float, facets: FacetTree) -> Substrate:
+        """The same where the nozzle is normal to facets along plane curves, those of one layer after another."""
+        facings = []
+        for layer, row in enumerate(curves):
+            for curve in row:
+                s = arc_length(self.project(curve.points, layer)[0])
+                normals = facets.normals[facets.top(curve.points)[1]]
+                facings.append(Facing.along(s, normals, blend, curve.closed))
+        return replace(self, facings=tuple(facings))
+
     def lay(self, curves: Sequence[Sequence[PlaneCurve]], width: float, height: float) -> list[Bead]:
         """Beads `width` and `height` [m] along plane curves, those of one layer after another, in print order."""
         placed = [
             (layer, curve, *self.project(curve.points, layer)) for layer, row in enumerate(curves) for curve in row
         ]
-        zeros = roll_zeros([normals for _, _, _, normals in placed])
+        arcs = [arc_length(points) for _, _, points, _ in placed]
+        axes = [normals for _, _, _, normals in placed]
+        if self.facings:
+            axes = [facing.at(s) for facing, s in zip(self.facings, arcs, strict=True)]
         return [
             Bead(
                 name=curve.name,
                 layer=layer,
-                s=arc_length(points),
+                s=s,
                 points=points,
-                normals=normals,
+                normals=axis,
                 roll_zero=zero,
                 source=self.project(densify(curve.source), layer)[0],
                 width=np.full(len(points), width),
                 height=height * (normals[:, 2] if self.along_z else np.ones(len(points))),
                 closed=curve.closed,
             )
-            for (layer, curve, points, normals), zero in zip(placed, zeros, strict=True)
+            for (layer, curve, points, normals), s, axis, zero in zip(placed, arcs, axes, roll_zeros(axes), strict=True)
         ]

@@ -10,23 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from planner.errors import Complaint
 from planner.problem import Problem
 from planner.problem.curves import CurvesSpec, ProjectedCurvesSpec
 from planner.problem.drawings import (
+    OnPartSpec,
     PatternSpec,
     ProjectedDrawingSpec,
-    ProjectedLayersSpec,
     ProjectedPatternSpec,
     SvgSpec,
 )
-from planner.problem.part import PartSpec
+from planner.problem.part import MeshSpec, PartSpec
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.nurbs import nurbs_paths
 from planner.toolpath.ordering import reverse, shorten_travel
 from planner.toolpath.paths import check_length, check_size, length, seam_on_smooth_part
 from planner.toolpath.rounding import PlaneCurve, round_corners
 from planner.toolpath.substrate.analytic import exact_body
-from planner.toolpath.substrate.bodies import Body, MeshTop, TooRough
+from planner.toolpath.substrate.bodies import Body, MeshTop, Part, TooRough, reach_beside
 from planner.toolpath.substrate.facet_tree import FacetTree
 from planner.toolpath.substrate.facets import read_facets
 from planner.toolpath.substrate.layers import Substrate
@@ -37,9 +38,9 @@ from planner.toolpath.wrap import densify
 Array = NDArray[np.float64]
 
 STEEPEST = 75.0  # deg from the horizontal: beyond, a hair's breadth aside is a long way down, and the nozzle lies flat
-_REACH = 2.0  # bead widths beside a curve within which the surface counts
+REACH = 2.0  # bead widths beside a curve within which the surface counts
 _SWING = 0.9  # of the corner tolerance, by which a rounded curve leaves a straight line between corners
-_RESERVE = 1.02  # the stretch varies within a tolerance
+RESERVE = 1.02  # the stretch varies within a tolerance
 _FOLDED = 0.2  # of the way from the body to a layer that folds: nearer to folding it is no layer
 
 
@@ -53,7 +54,7 @@ def project_curves(
     process, source, part = problem.process, spec.source, problem.part
     if part is None:
         raise problem.error("part", "is missing", f"the body to project onto: {' or '.join(spec.bodies)}")
-    paths = [_placed(path, spec) for path in _paths(problem, source)]
+    paths = [placed(path, spec) for path in paths_of(problem, source)]
     outline = [densify(path.points) for path in paths]
     body = _body(problem, part, paths, outline)
     substrate = Substrate(body, spec.height, spec.offset == "z")
@@ -71,6 +72,8 @@ def project_curves(
     rows = [shorten_travel(curves)]
     while len(rows) < spec.count:  # the next layer starts where this one ended
         rows.append([reverse(curve) for curve in reversed(rows[-1])])
+    if spec.facing is not None and isinstance(body, MeshTop):
+        substrate = substrate.facing(rows, spec.facing, body.facets)
     return _laid(substrate, rows, process.bead.width, process.bead.height)
 
 
@@ -86,7 +89,8 @@ def _size_key(source: SvgSpec | PatternSpec | CurvesSpec) -> str:
     return "layers.source.width_mm" if isinstance(source, SvgSpec) else "layers.source.size_mm"
 
 
-def _paths(problem: Problem, source: SvgSpec | PatternSpec | CurvesSpec) -> tuple[PlanePath, ...]:
+def paths_of(problem: Problem, source: SvgSpec | PatternSpec | CurvesSpec) -> tuple[PlanePath, ...]:
+    """The plane paths of a source. Raises InputError for one that gives none."""
     process = problem.process
     if isinstance(source, CurvesSpec):
         return nurbs_paths(problem, source)
@@ -99,7 +103,8 @@ def _paths(problem: Problem, source: SvgSpec | PatternSpec | CurvesSpec) -> tupl
         raise problem.error("layers.source.cell_mm", str(error), "change cell_mm or size_mm") from None
 
 
-def _placed(path: PlanePath, spec: ProjectedLayersSpec) -> PlanePath:
+def placed(path: PlanePath, spec: OnPartSpec) -> PlanePath:
+    """A path turned and moved to its place above the part."""
     c, s = np.cos(spec.turn), np.sin(spec.turn)
     points = path.points @ np.array([[c, s], [-s, c]]) + np.asarray(spec.centre)
     if path.closed:
@@ -115,16 +120,28 @@ def _body(problem: Problem, part: PartSpec, paths: Sequence[PlanePath], outline:
         return exact
     if part.mesh is None:
         raise problem.error("part", f"a {part.body} is nothing to project onto")
-    complain = partial(problem.error, "part.mesh.file")
-    facets = FacetTree.of(read_facets(part.mesh, complain))
-    if facets.normals[:, 2].max() <= 0.0:
-        raise complain(f"no facet of {part.mesh.file.name} faces upwards", "turn it with part.mesh.rpy_deg")
+    facets = top_facets(part.mesh, partial(problem.error, "part.mesh.file"))
     _check_all(problem, facets, paths, outline)
+    near = np.vstack(outline)
+    reach = reach_beside(facets, near, REACH * problem.process.bead.width)
+    return smooth_top(facets, near, reach, partial(problem.error, "part.mesh.file"))
+
+
+def top_facets(spec: MeshSpec, where: Complaint) -> FacetTree:
+    """The facets of a mesh, some of which face upwards, else InputError; for `where` see read_facets."""
+    facets = FacetTree.of(read_facets(spec, where))
+    if facets.normals[:, 2].max() <= 0.0:
+        raise where(f"no facet of {spec.file.name} faces upwards", hint="turn it with rpy_deg")
+    return facets
+
+
+def smooth_top(facets: FacetTree, curves: Array, reach: float, where: Complaint, part: Part | None = None) -> MeshTop:
+    """The mesh with a smooth surface near curves (n, 2), else InputError; for `reach` and `part` see MeshTop.near."""
     try:
-        return MeshTop.near(facets, np.vstack(outline), _REACH * problem.process.bead.width)
+        return MeshTop.near(facets, curves, reach, part)
     except TooRough as error:
         x, y = error.place * 1e3
-        raise complain(
+        raise where(
             f"the smooth surface through the facets is {error.gap * 1e3:.3f} mm off them at x {x:.1f}, y {y:.1f} mm",
             "there is an edge under the curves, or facets are too large: keep off the edge, or export a finer mesh",
         ) from None
@@ -170,4 +187,4 @@ def _share(problem: Problem, substrate: Substrate, count: int, name: str, dense:
             "fewer or thinner layers, or layers.offset: z",
         )
     tree, values = cKDTree(dense), np.maximum(substrate.stretch(dense, 0)[0], substrate.stretch(dense, last)[0])
-    return lambda plane: np.asarray(1.0 / (_RESERVE * values[tree.query(plane)[1]]))
+    return lambda plane: np.asarray(1.0 / (RESERVE * values[tree.query(plane)[1]]))
