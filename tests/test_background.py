@@ -119,7 +119,7 @@ def test_files_of_two_processes_are_the_same(tmp_path: Path, monkeypatch: pytest
     for name, both in (("here", False), ("beside", True)):
         (tmp_path / name).mkdir()
         write(plan, tmp_path / name, second_process=both)
-    assert len(_files(tmp_path / "here")) == 5
+    assert len(_files(tmp_path / "here")) == 6
     assert _files(tmp_path / "here") == _files(tmp_path / "beside")
 
 
@@ -128,7 +128,7 @@ def test_an_unverified_plan_has_no_robot_code_from_any_process(tmp_path: Path, m
     monkeypatch.setattr(command, "WORTH_A_FORK", 0)
     plan = small_plan()
     write(replace(plan, checks=(replace(plan.checks[0], ok=False),)), tmp_path, second_process=True)
-    assert {path.name for path in tmp_path.iterdir()} == {"plan.json", "trajectory.csv", "report.html"}
+    assert {path.name for path in tmp_path.iterdir()} == {"plan.json", "trajectory.csv", "report.html", "report_part.stl"}
 
 
 @needs_two_cores
