@@ -11,6 +11,7 @@ from planner.errors import nearest_name
 from planner.problem.cores import CoreLayersSpec
 from planner.problem.curves import ProjectedCurvesSpec
 from planner.problem.drawings import LayersSpec, ProjectedDrawingSpec, ProjectedLayersSpec, ProjectedPatternSpec
+from planner.problem.faces import FaceLayersSpec
 from planner.problem.fields import Section, refusal
 from planner.problem.gcode import GcodeLayersSpec
 from planner.problem.part import PartSpec
@@ -55,6 +56,7 @@ KINDS = (
     _Kind("[waypoints]", WaypointLayersSpec, ("waypoints",)),
     _Kind("[gcode]", GcodeLayersSpec, ("gcode",)),
     _Kind("[aerofoil]", AerofoilLayersSpec, ("aerofoil", "naca")),
+    _Kind("[faces]", FaceLayersSpec, ("faces",)),
 )
 
 
@@ -83,7 +85,8 @@ AnyLayersSpec = Annotated[
     | Annotated[CoreLayersSpec, Tag("[core]")]
     | Annotated[WaypointLayersSpec, Tag("[waypoints]")]
     | Annotated[GcodeLayersSpec, Tag("[gcode]")]
-    | Annotated[AerofoilLayersSpec, Tag("[aerofoil]")],
+    | Annotated[AerofoilLayersSpec, Tag("[aerofoil]")]
+    | Annotated[FaceLayersSpec, Tag("[faces]")],
     Discriminator(_kind_of_layers),
 ]
 
@@ -101,6 +104,12 @@ def check_body(part: PartSpec, layers: AnyLayersSpec) -> None:
         elif isinstance(layers, GcodeLayersSpec):
             what = "a slicer's layers are level, on the part frame's xy plane: there is no body"
         raise refusal(what, "leave out part")
+    if isinstance(layers, FaceLayersSpec) or part.body == "step":
+        raise refusal(
+            f"layers of this kind and a {part.body} do not go together",
+            f"these layers go with {' or '.join(layers.bodies)}; layers.source.faces with step",
+            item=part.body,
+        )
     way, other = ("wrap", "project: z") if isinstance(layers, LayersSpec) else ("project", "wrap: cylinder")
     hint = f"layers.{way} goes with {' or '.join(layers.bodies)}; layers.{other} with {part.body}"
     raise refusal(f"layers.{way} and a {part.body} do not go together", hint, item=part.body)

@@ -7,6 +7,7 @@ from typing import Annotated
 
 from pydantic import model_validator
 
+from planner.problem.faces import StepSpec
 from planner.problem.fields import PATH, Position, Quantity, Section, Vector, key, refusal
 
 
@@ -85,6 +86,7 @@ class PartSpec(Section):
     plane: PlaneSpec | None = key("plane", "a level or inclined plane; default: none", None)
     corrugation: CorrugationSpec | None = key("corrugation", "a sheet of even waves; default: none", None)
     mesh: MeshSpec | None = key("mesh", "a file of facets; default: none", None)
+    step: StepSpec | None = key("step", "faces of a STEP file; default: none", None)
 
     @property
     def body(self) -> str:

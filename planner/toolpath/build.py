@@ -10,11 +10,13 @@ from planner.problem import Problem
 from planner.problem.cores import CoreLayersSpec
 from planner.problem.curves import ProjectedCurvesSpec
 from planner.problem.drawings import LayersSpec, ProjectedDrawingSpec, ProjectedPatternSpec
+from planner.problem.faces import FaceLayersSpec
 from planner.problem.gcode import GcodeLayersSpec
 from planner.problem.waypoints import WaypointLayersSpec
 from planner.problem.wing import AerofoilLayersSpec
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.gcode.level import slicer_print
+from planner.toolpath.step.cover import cover_faces
 from planner.toolpath.substrate.cores import lay_core
 from planner.toolpath.substrate.projection import project_curves
 from planner.toolpath.waypoints.through import through_waypoints
@@ -30,6 +32,7 @@ SOURCES: dict[type, Callable[[Problem, Any], Toolpath]] = {
     WaypointLayersSpec: through_waypoints,
     GcodeLayersSpec: slicer_print,
     AerofoilLayersSpec: wing,
+    FaceLayersSpec: cover_faces,
 }
 
 

@@ -137,6 +137,17 @@ def interpolate(points: Array, normals: Array, tolerance: float, apart: float, e
     return Interpolated(rows[:, :3].copy(), _unit(rows[:, 3:]), _source(path, chord, turn, corners, apart), c)
 
 
+def calm_path(points: Array) -> tuple[BSpline, Array]:
+    """The curve through waypoints (m, 3) before its corners are rounded, over chord length, and their chord lengths (m).
+
+    No two successive waypoints are equal.
+    """
+    step = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    chord = np.concatenate([[0.0], np.cumsum(step)])
+    sharp = np.flatnonzero(_turns(points, step) > CORNER_TURN)
+    return _calm_spline(chord, np.hstack([points, np.zeros_like(points)]), sharp)[0], chord
+
+
 def _roughness(normals: Array, chord: Array) -> Array:
     """Third differences (m - 3) of normals (m, 3) at chord lengths (m), as if they stood at even distances; 0 if few."""
     if len(normals) <= _ORDER:

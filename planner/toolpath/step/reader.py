@@ -1,0 +1,271 @@
+"""Reads faces from a STEP file with Open CASCADE: each an exact B-spline surface with the curves that trim it.
+
+It runs as a process of its own (`files.py`): a damaged file can end it at any place, without a word.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from OCP.BRep import BRep_Builder, BRep_Tool
+from OCP.BRepAdaptor import BRepAdaptor_Curve, BRepAdaptor_Curve2d
+from OCP.BRepBuilderAPI import BRepBuilderAPI_NurbsConvert, BRepBuilderAPI_Sewing
+from OCP.BRepTools import BRepTools, BRepTools_WireExplorer
+from OCP.collections import Array1_double, IndexedMap_TopoDS_Shape_TopTools_ShapeMapHasher
+from OCP.GeomAbs import GeomAbs_Shape
+from OCP.IFSelect import IFSelect_ReturnStatus
+from OCP.Message import Message
+from OCP.Standard import Standard_Failure
+from OCP.STEPControl import STEPControl_Reader
+from OCP.TopAbs import TopAbs_Orientation, TopAbs_ShapeEnum
+from OCP.TopExp import TopExp, TopExp_Explorer
+from OCP.TopoDS import TopoDS, TopoDS_Compound
+
+from planner.toolpath.step.choice import Damaged, choose_faces
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+MOST_FACES = 5000  # read and converted in some 20 s
+_FEWEST = 3  # points of a loop
+_SEWN = 1e-2  # mm between edges that are one, where the file does not say so
+_CHORD = 2e-3  # mm, by how much the straight lines between an edge's points may leave it
+_MOST_POINTS = 4000  # of an edge
+_LOOKS = 65  # places of an edge at which its bend is measured
+_WHEREVER = -1  # an entity is found by its shape, wherever an assembly puts that
+
+
+def read(request: dict[str, Any]) -> dict[str, Any]:
+    """Arrays of the faces that a request names (see `main`): of face k `k.poles` and the like, and `faces`, how many.
+
+    Raises Damaged.
+    """
+    name = Path(request["file"]).name
+    try:
+        raw, names = _all_faces(request["file"])
+        chosen = choose_faces(request["faces"], [(i + 1, title) for i, title in enumerate(names)], name)
+        faces = _converted([raw[i - 1] for i in chosen])
+        return _arrays(faces, chosen, [names[i - 1] for i in chosen], request["apart_mm"])
+    except Standard_Failure as error:
+        raise Damaged(f"{name} is damaged: {error}", _REPAIR) from error
+
+
+_REPAIR = "repair it in a CAD program, and export it anew"
+
+
+def _all_faces(file: str) -> tuple[list[Any], list[str]]:
+    """All faces of a file, in mm, and their names."""
+    name = Path(file).name
+    messages = Message.DefaultMessenger_s()
+    for printer in list(messages.Printers()):
+        messages.RemovePrinter(printer)
+    reader = STEPControl_Reader()
+    if reader.ReadFile(file) != IFSelect_ReturnStatus.IFSelect_RetDone:
+        raise Damaged(f"{name} is damaged: it cannot be read as STEP", "export it anew")
+    reader.TransferRoots()
+    faces, names = [], []
+    if reader.NbShapes():
+        transfer = reader.WS().TransferReader()
+        known = _subshapes(reader.OneShape(), TopAbs_ShapeEnum.TopAbs_FACE)
+        for i in range(1, known.Size() + 1):
+            face = TopoDS.Face(known.FindKey(i))
+            entity = transfer.EntityFromShapeResult(face, _WHEREVER)
+            faces.append(face)
+            names.append(entity.Name().ToCString() if entity is not None and hasattr(entity, "Name") else "")
+    if not faces:
+        raise Damaged(f"{name} holds no face", "export a body or a sheet, not curves or a drawing")
+    if len(faces) > MOST_FACES:
+        raise Damaged(f"{name} has {len(faces)} faces, more than {MOST_FACES}", "export the part without its details")
+    return faces, names
+
+
+def _subshapes(shape: Any, kind: Any) -> Any:
+    """The subshapes of a kind, each once, numbered from 1."""
+    found = IndexedMap_TopoDS_Shape_TopTools_ShapeMapHasher()
+    TopExp.MapShapes_s(shape, kind, found)
+    return found
+
+
+def _compound(faces: Sequence[Any]) -> Any:
+    builder, compound = BRep_Builder(), TopoDS_Compound()
+    builder.MakeCompound(compound)
+    for face in faces:
+        builder.Add(compound, face)
+    return compound
+
+
+def _converted(faces: list[Any]) -> list[Any]:
+    """The faces with B-spline surfaces; those that only touch share their edges thereafter."""
+    if len(faces) > 1 and _apart(faces):
+        sewing = BRepBuilderAPI_Sewing(_SEWN)
+        for face in faces:
+            sewing.Add(face)
+        sewing.Perform()
+        sewn = _subshapes(sewing.SewedShape(), TopAbs_ShapeEnum.TopAbs_FACE)  # these know which way they look
+        faces = [TopoDS.Face(sewn.FindKey(sewn.FindIndex(sewing.Modified(face)))) for face in faces]
+    converted = _subshapes(BRepBuilderAPI_NurbsConvert(_compound(faces), True).Shape(), TopAbs_ShapeEnum.TopAbs_FACE)
+    return [TopoDS.Face(converted.FindKey(i + 1)) for i in range(len(faces))]
+
+
+def _apart(faces: Sequence[Any]) -> bool:
+    """Whether a face shares no edge with any other."""
+    maps = [_subshapes(face, TopAbs_ShapeEnum.TopAbs_EDGE) for face in faces]
+    count: dict[int, int] = {}
+    shared = _subshapes(_compound(faces), TopAbs_ShapeEnum.TopAbs_EDGE)
+    index = [[shared.FindIndex(edges.FindKey(i)) for i in range(1, edges.Size() + 1)] for edges in maps]
+    for numbers in index:
+        for number in numbers:
+            count[number] = count.get(number, 0) + 1
+    return any(all(count[number] == 1 for number in numbers) for numbers in index)
+
+
+def _arrays(faces: Sequence[Any], numbers: Sequence[int], names: Sequence[str], apart: float) -> dict[str, Any]:
+    known = _subshapes(_compound(faces), TopAbs_ShapeEnum.TopAbs_EDGE)
+    out: dict[str, Any] = {"faces": len(faces), "numbers": list(numbers), "names": list(names)}
+    sides = []
+    senses: dict[int, list[tuple[int, int]]] = {}  # of each edge: faces on it, and in which direction they run along it
+    for k, shape in enumerate(faces):
+        knots_u, knots_v, poles = _surface(shape)
+        out |= {f"{k}.knots_u": knots_u, f"{k}.knots_v": knots_v, f"{k}.poles": poles}
+        reverse = shape.Orientation() == TopAbs_Orientation.TopAbs_REVERSED
+        sides.append(-1 if reverse else 1)
+        wires = _wires(shape)
+        for w, wire in enumerate(wires):
+            places, on = [], []
+            for edge, forward in wire:
+                index = known.FindIndex(edge)
+                senses.setdefault(index, []).append((k, 1 if forward != reverse else -1))
+                at = _edge_points(edge, _with_side(shape), apart)
+                at = at if forward else at[::-1]
+                places.append(at[:-1])
+                on.append(np.full(len(at) - 1, index, dtype=np.int64))
+            if sum(len(place) for place in places) < _FEWEST:
+                raise Damaged(f"face {numbers[k]} has no edge around it", _REPAIR)
+            out |= {f"{k}.loop.{w}": np.vstack(places), f"{k}.edges.{w}": np.concatenate(on)}
+        out[f"{k}.loops"] = len(wires)
+    out["sides"] = [side * flip for side, flip in zip(sides, _flips(len(faces), senses), strict=True)]
+    return out
+
+
+def _with_side(face: Any) -> Any:
+    return TopoDS.Face(face.Oriented(TopAbs_Orientation.TopAbs_FORWARD))
+
+
+def _surface(face: Any) -> tuple[Array, Array, Array]:
+    """Knots along u and v and homogeneous poles (nu, nv, 4) of a converted face [mm]."""
+    given = BRep_Tool.Surface_s(face)
+    surface = given.Copy()
+    for closed, open_up in (
+        (surface.IsUPeriodic(), surface.SetUNotPeriodic),
+        (surface.IsVPeriodic(), surface.SetVNotPeriodic),
+    ):
+        if closed:
+            open_up()
+    u, v = (
+        [k.Value(i) for i in range(k.Lower(), k.Upper() + 1)]
+        for k in (surface.UKnotSequence(), surface.VKnotSequence())
+    )
+    poles = np.empty((surface.NbUPoles(), surface.NbVPoles(), 4))
+    for i in range(poles.shape[0]):
+        for j in range(poles.shape[1]):
+            p, w = surface.Pole(i + 1, j + 1), surface.Weight(i + 1, j + 1)
+            poles[i, j] = p.X() * w, p.Y() * w, p.Z() * w, w
+    return np.array(u), np.array(v), poles
+
+
+def _wires(face: Any) -> list[list[tuple[Any, bool]]]:
+    """The edges around a face, in order, and whether they run forwards; the outer wire first."""
+    face = _with_side(face)
+    outer = BRepTools.OuterWire_s(face)
+    wires = []
+    found = TopExp_Explorer(face, TopAbs_ShapeEnum.TopAbs_WIRE)
+    while found.More():
+        wires.append(TopoDS.Wire(found.Current()))
+        found.Next()
+    wires.sort(key=lambda wire: not wire.IsSame(outer))
+    out = []
+    for wire in wires:
+        edges = []
+        walk = BRepTools_WireExplorer(wire, face)
+        while walk.More():
+            edge = walk.Current()
+            edges.append((edge, edge.Orientation() == TopAbs_Orientation.TopAbs_FORWARD))
+            walk.Next()
+        out.append(edges)
+    return out
+
+
+def _edge_points(edge: Any, face: Any, apart: float) -> Array:
+    """Parameters (n, 2) on a face of places along an edge, in its own direction; the same places on every face."""
+    flat = BRepAdaptor_Curve2d(edge, face)
+    first, last = flat.FirstParameter(), flat.LastParameter()
+    t = np.linspace(first, last, _LOOKS) if BRep_Tool.Degenerated_s(edge) else _places(edge, apart)
+    out = np.empty((len(t), 2))
+    for i, at in enumerate(t):
+        p = flat.Value(float(at))
+        out[i] = p.X(), p.Y()
+    return out
+
+
+def _places(edge: Any, apart: float) -> Array:
+    """Curve parameters of an edge, from one of its corners to the next in even steps."""
+    curve = BRepAdaptor_Curve(edge)
+    pieces = curve.NbIntervals(GeomAbs_Shape.GeomAbs_C1)
+    bounds = Array1_double(1, pieces + 1)
+    curve.Intervals(bounds, GeomAbs_Shape.GeomAbs_C1)
+    corners = [bounds.Value(i) for i in range(1, pieces + 2)]
+    out = []
+    for a, b in zip(corners[:-1], corners[1:], strict=True):
+        inner = np.linspace(a, b, _LOOKS)[1:-1]
+        rates = np.array([[curve.DN(float(t), k).Magnitude() for k in (1, 2)] for t in inner])
+        needed = (b - a) * max(float(rates[:, 0].max()) / (apart), float(np.sqrt(rates[:, 1].max() / (8.0 * _CHORD))))
+        out.append(np.linspace(a, b, min(max(int(np.ceil(needed)), 1), _MOST_POINTS) + 1)[:-1])
+    return np.append(np.concatenate(out), corners[-1])
+
+
+def _flips(count: int, senses: dict[int, list[tuple[int, int]]]) -> list[int]:
+    """For each face 1, or -1 where it looks to the other side than the faces it is joined with."""
+    beside: list[list[tuple[int, int]]] = [[] for _ in range(count)]
+    for on in senses.values():
+        for i, (a, along_a) in enumerate(on):
+            for b, along_b in on[i + 1 :]:
+                if a != b:
+                    beside[a].append((b, -along_a * along_b))
+                    beside[b].append((a, -along_a * along_b))
+    flips = [0] * count
+    for start in range(count):
+        if flips[start]:
+            continue
+        flips[start] = 1
+        stack = [start]
+        while stack:
+            a = stack.pop()
+            for b, same in beside[a]:
+                if not flips[b]:
+                    flips[b] = flips[a] * same
+                    stack.append(b)
+    return flips
+
+
+def main() -> int:
+    """Answer a request, JSON on standard input (file, faces, apart_mm), with arrays as NPZ on standard output."""
+    request = json.load(sys.stdin)
+    try:
+        answer = read(request)
+    except Damaged as error:
+        answer = {"reason": error.reason, "hint": error.hint or ""}
+    out = io.BytesIO()
+    np.savez(out, **answer)
+    sys.stdout.buffer.write(out.getvalue())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
