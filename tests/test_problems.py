@@ -78,6 +78,7 @@ SMALL = {
     "aerofoil_core": THICK,
     "aerofoil_core_tapered": (*THICK, "layers.least_height_mm=0.3"),
     "cylinder_logo": ("layers.count=1",),
+    "saddle_ring": ("layers.infill.density=0.1",),
     "naca0015_wing": ("layers.source.span_mm=2", "layers.support.height_mm=2", "layers.support.curved=1"),
 }
 
