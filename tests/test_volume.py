@@ -211,10 +211,13 @@ def test_a_section_is_what_the_planes_cut() -> None:
     assert solid.section(heights, 5e-3).is_empty
 
 
-def test_halving_edges_keeps_the_body() -> None:
+@pytest.mark.parametrize("longest", [0.4e-3, 0.8e-3, 1.1e-3])  # 1.1: only some edges of a facet
+def test_halving_edges_keeps_the_body(longest: float) -> None:
     solid = Solid.of(block(lambda x, y: 3.0 + 0.1 * x) * 1e-3)
-    fine = solid.finer(0.4e-3)
-    assert len(fine.facets) > 4 * len(solid.facets)
+    fine = solid.finer(longest)
+    corners = fine.vertices[fine.facets][:, :, :2]
+    assert np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max() <= longest
+    assert len(fine.facets) > len(solid.facets)
     assert fine.volume == pytest.approx(solid.volume)
     Solid.of(fine.vertices[fine.facets])  # is closed
 

@@ -25,7 +25,7 @@ from planner.toolpath.transport import roll_zeros
 from planner.toolpath.volume.fill import walls, zigzag
 from planner.toolpath.volume.guides import stack_of
 from planner.toolpath.volume.morph import Morph, MorphedLayers
-from planner.toolpath.volume.solid import MOST_FACETS, NotClosed, Solid, TooFine
+from planner.toolpath.volume.solid import NotClosed, Solid, TooFine
 from planner.toolpath.wrap import arc_length, densify
 
 Array = NDArray[np.float64]
@@ -61,9 +61,7 @@ def fill_mesh(problem: Problem, spec: VolumeLayersSpec) -> Toolpath:
     try:
         fine = solid.finer(longest)
     except TooFine as error:
-        raise complain(
-            f"{name} takes {error} to be cut finely", f"a mesh of fewer facets, {MOST_FACETS} at most"
-        ) from None
+        raise complain(f"{name} takes {error} to be cut finely", "a mesh of fewer facets") from None
     regions = _regions(problem, spec, morph, fine)
     _check_tilt(problem, spec, morph, regions)
     rows, left_out = _rows(problem, spec, morph, regions)

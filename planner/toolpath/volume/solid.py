@@ -14,7 +14,6 @@ from planner.readonly import ReadOnlyArrays
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-_SPLITS = 6  # times at most that facets are halved
 MOST_FACETS = 2_000_000  # once they are
 _DECIMALS = 9  # of a metre: corners that are one corner differ by rounding, once the file is turned
 _AREA = 1e-12  # m^2: an outline around less is none
@@ -60,37 +59,42 @@ class Solid(ReadOnlyArrays):
         return float((a * np.cross(b, c)).sum() / 6.0)
 
     def finer(self, longest: float) -> Solid:
-        """The same body with every edge halved until none is longer than `longest` [m] in the plane.
+        """The same body with edges halved until none is longer than `longest` [m] in the plane.
 
-        Raises TooFine where that would take too many facets, or would not be reached.
+        Raises TooFine where that would take too many facets.
         """
         solid = self
-        for _ in range(_SPLITS):
-            long = solid._longest() > longest
-            if not long:
+        while len(solid.facets) <= MOST_FACETS:
+            finer = solid._halved(longest)
+            if finer is solid:
                 return solid
-            if 4 * len(solid.facets) > MOST_FACETS:
-                break
-            solid = solid._halved()
-        if solid._longest() > longest and 4 * len(solid.facets) > MOST_FACETS:
-            raise TooFine(f"{len(solid.facets)} facets")
-        return solid
+            solid = finer
+        raise TooFine(f"more than {MOST_FACETS} facets")
 
-    def _longest(self) -> float:
-        corners = self.vertices[self.facets][:, :, :2]
-        return float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
-
-    def _halved(self) -> Solid:
-        """Each facet as four, with the middles of its edges."""
+    def _halved(self, longest: float) -> Solid:
+        """Every edge longer than `longest` [m] in the plane cut in its middle, and facets as its halves ask; itself if none."""
         edges = np.sort(np.stack([self.facets, np.roll(self.facets, -1, axis=1)], axis=-1), axis=2)
         once, number = np.unique(edges.reshape(-1, 2), axis=0, return_inverse=True)
-        middle = number.reshape(-1, 3) + len(self.vertices)
-        a, b, c = self.facets.T
-        ab, bc, ca = middle.T
-        facets = np.concatenate(
-            [np.column_stack(each) for each in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
-        )
-        return Solid(np.vstack([self.vertices, self.vertices[once].mean(axis=1)]), facets)
+        ends = self.vertices[once]
+        long = np.linalg.norm((ends[:, 1] - ends[:, 0])[:, :2], axis=1) > longest
+        if not long.any():
+            return self
+        middle = (len(self.vertices) + np.cumsum(long) - 1)[number].reshape(-1, 3)
+        cut = long[number].reshape(-1, 3)
+        count = cut.sum(axis=1)
+        # Turned so that the cut edges come first: ab of one, ab and bc of two.
+        first = np.where(count == 2, (np.argmin(cut, axis=1) + 1) % 3, np.argmax(cut, axis=1))
+        turn = (first[:, None] + np.arange(3)) % 3
+        a, b, c = np.take_along_axis(self.facets, turn, axis=1).T
+        ab, bc, ca = np.take_along_axis(middle, turn, axis=1).T
+        pieces = {
+            0: ((a, b, c),),
+            1: ((a, ab, c), (ab, b, c)),
+            2: ((ab, b, bc), (a, ab, bc), (a, bc, c)),
+            3: ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)),
+        }
+        facets = [np.column_stack(each)[count == k] for k, many in pieces.items() for each in many]
+        return Solid(np.vstack([self.vertices, ends[long].mean(axis=1)]), np.concatenate(facets))
 
     def section(self, heights: Array, level: float) -> shapely.MultiPolygon:
         """The region in the plane that belongs to the body where the vertices' `heights` (n) come to `level`."""
