@@ -128,7 +128,12 @@ def test_an_unverified_plan_has_no_robot_code_from_any_process(tmp_path: Path, m
     monkeypatch.setattr(command, "WORTH_A_FORK", 0)
     plan = small_plan()
     write(replace(plan, checks=(replace(plan.checks[0], ok=False),)), tmp_path, second_process=True)
-    assert {path.name for path in tmp_path.iterdir()} == {"plan.json", "trajectory.csv", "report.html", "report_part.stl"}
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "plan.json",
+        "trajectory.csv",
+        "report.html",
+        "report_part.stl",
+    }
 
 
 @needs_two_cores

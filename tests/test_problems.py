@@ -81,6 +81,7 @@ SMALL = {
     "propeller_blade": ("layers.source.spacing_mm=30",),
     "shoehorn": ("layers.source.spacing_mm=20",),
     "cylinder_logo": ("layers.count=1",),
+    "saddle_ring": ("layers.infill.density=0.1",),
     "naca0015_wing": ("layers.source.span_mm=2", "layers.support.height_mm=2", "layers.support.curved=1"),
 }
 

@@ -15,6 +15,7 @@ from planner.problem.faces import FaceLayersSpec
 from planner.problem.fields import Section, refusal
 from planner.problem.gcode import GcodeLayersSpec
 from planner.problem.part import PartSpec
+from planner.problem.volume import VolumeLayersSpec
 from planner.problem.waypoints import WaypointLayersSpec
 from planner.problem.wing import AerofoilLayersSpec
 
@@ -55,6 +56,7 @@ KINDS = (
     _Kind("[core]", CoreLayersSpec, ("pattern",)),
     _Kind("[waypoints]", WaypointLayersSpec, ("waypoints",)),
     _Kind("[gcode]", GcodeLayersSpec, ("gcode",)),
+    _Kind("[volume]", VolumeLayersSpec, ("mesh",)),
     _Kind("[aerofoil]", AerofoilLayersSpec, ("aerofoil", "naca")),
     _Kind("[faces]", FaceLayersSpec, ("faces",)),
 )
@@ -85,6 +87,7 @@ AnyLayersSpec = Annotated[
     | Annotated[CoreLayersSpec, Tag("[core]")]
     | Annotated[WaypointLayersSpec, Tag("[waypoints]")]
     | Annotated[GcodeLayersSpec, Tag("[gcode]")]
+    | Annotated[VolumeLayersSpec, Tag("[volume]")]
     | Annotated[AerofoilLayersSpec, Tag("[aerofoil]")]
     | Annotated[FaceLayersSpec, Tag("[faces]")],
     Discriminator(_kind_of_layers),
@@ -101,6 +104,8 @@ def check_body(part: PartSpec, layers: AnyLayersSpec) -> None:
         what = "waypoints carry their own surface: there is no body"
         if isinstance(layers, AerofoilLayersSpec):
             what = "a wing is its own body"
+        elif isinstance(layers, VolumeLayersSpec):
+            what = "a mesh that is filled with layers is its own body"
         elif isinstance(layers, GcodeLayersSpec):
             what = "a slicer's layers are level, on the part frame's xy plane: there is no body"
         raise refusal(what, "leave out part")

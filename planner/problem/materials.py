@@ -88,7 +88,8 @@ def signals(problem: Problem) -> dict[str, str]:
 def check_materials(problem: Problem) -> None:
     """Raise the InputError of a name that is no material's, and of a digital output that has two names or two uses."""
     names = list(problem.process.materials)
-    for field, section in (("layers", problem.layers), ("layers.support", getattr(problem.layers, "support", None))):
+    parts = [(f"layers.{part}", getattr(problem.layers, part, None)) for part in ("support", "infill")]
+    for field, section in (("layers", problem.layers), *parts):
         name = getattr(section, "material", None)
         if name is not None and name not in names:
             near = nearest_name(name, names)

@@ -9,7 +9,7 @@ from pydantic import model_validator
 from planner.problem.fields import Section, refusal
 
 # Each names a source, so only one may be given.
-SOURCE_NAMES = ("svg", "pattern", "curves", "waypoints", "gcode", "aerofoil", "naca", "faces")
+SOURCE_NAMES = ("svg", "pattern", "curves", "waypoints", "gcode", "mesh", "aerofoil", "naca", "faces")
 
 
 class SourceSection(Section):

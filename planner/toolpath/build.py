@@ -12,6 +12,7 @@ from planner.problem.curves import ProjectedCurvesSpec
 from planner.problem.drawings import LayersSpec, ProjectedDrawingSpec, ProjectedPatternSpec
 from planner.problem.faces import FaceLayersSpec
 from planner.problem.gcode import GcodeLayersSpec
+from planner.problem.volume import VolumeLayersSpec
 from planner.problem.waypoints import WaypointLayersSpec
 from planner.problem.wing import AerofoilLayersSpec
 from planner.toolpath.bead import Toolpath
@@ -19,6 +20,7 @@ from planner.toolpath.gcode.level import slicer_print
 from planner.toolpath.step.cover import cover_faces
 from planner.toolpath.substrate.cores import lay_core
 from planner.toolpath.substrate.projection import project_curves
+from planner.toolpath.volume.layers import fill_mesh
 from planner.toolpath.waypoints.through import through_waypoints
 from planner.toolpath.wing.layers import wing
 from planner.toolpath.wrapped import wrap_drawing
@@ -31,6 +33,7 @@ SOURCES: dict[type, Callable[[Problem, Any], Toolpath]] = {
     CoreLayersSpec: lay_core,
     WaypointLayersSpec: through_waypoints,
     GcodeLayersSpec: slicer_print,
+    VolumeLayersSpec: fill_mesh,
     AerofoilLayersSpec: wing,
     FaceLayersSpec: cover_faces,
 }
