@@ -337,3 +337,16 @@ def test_models_come_out_the_same(tmp_path: Path) -> None:
     subprocess.run([sys.executable, str(script)], check=True, capture_output=True)
     for name in ("curved_plate", "propeller_blade", "shoehorn"):
         assert (tmp_path / f"{name}.step").read_bytes() == (PROBLEMS / f"{name}.step").read_bytes()
+
+
+def test_faces_are_drawn_where_they_are() -> None:
+    toolpath = build_toolpath(load_problem("shoehorn", ["layers.source.spacing_mm=20"]))
+    assert toolpath.shape is not None
+    corners = toolpath.shape.vertices[toolpath.shape.triangles]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert ((across * toolpath.shape.normals[toolpath.shape.triangles[:, 0]]).sum(axis=1) > 0.0).all()
+    assert np.abs(toolpath.surface.signed_distance(toolpath.shape.vertices)).max() < 1e-6
+    # Every line lies a layer's height above a triangle, as near as triangles come to the faces.
+    tree = cKDTree(corners.mean(axis=1))
+    tips = np.vstack([bead.points for bead in toolpath.beads])
+    assert tree.query(tips)[0].max() < 0.012

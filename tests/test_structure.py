@@ -92,6 +92,7 @@ HEAVY = {
     "ruckig": {"travel"},
     "pinocchio": {"cell", "replay"},
     "shapely": {
+        "toolpath.step.shape",
         "toolpath.svg.cuts",
         "toolpath.volume.fill",
         "toolpath.volume.layers",

@@ -24,6 +24,7 @@ from planner.toolpath.step.files import read_step
 from planner.toolpath.step.layers import FaceLayers, laid
 from planner.toolpath.step.regions import smooth_regions
 from planner.toolpath.step.sampling import TooMany, sample_faces
+from planner.toolpath.step.shape import faces_shape
 
 Array = NDArray[np.float64]
 
@@ -67,7 +68,7 @@ def cover_faces(problem: Problem, spec: FaceLayersSpec) -> Toolpath:
     beads, tracks = laid(_in_turn(curves), spec.count, spec.height, process.bead.width, process.bead.height)
     surface = FaceLayers(FaceBody.of(faces), spec.height, tuple(tracks))
     notes = (f"{dots} samples or lines shorter than the bead is wide are left out",) if dots else ()
-    return Toolpath(tuple(beads), surface, None, notes)
+    return Toolpath(tuple(beads), surface, faces_shape(faces), notes)
 
 
 def _name(region: Sequence[Face], number: int) -> str:
