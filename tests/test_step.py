@@ -23,6 +23,7 @@ from OCP.gp import gp_Ax2, gp_Dir, gp_Pln, gp_Pnt
 from OCP.STEPControl import STEPControl_StepModelType, STEPControl_Writer
 from OCP.TopoDS import TopoDS_Compound, TopoDS_Shape
 from scipy.interpolate import NdBSpline
+from scipy.spatial import cKDTree
 
 from planner.errors import InputError
 from planner.problem import Problem, load_problem

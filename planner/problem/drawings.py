@@ -67,7 +67,7 @@ class OnPartSpec(Section):
 class ProjectedLayersSpec(OnPartSpec):
     """What is printed, and how often: plane curves projected onto the part."""
 
-    bodies: ClassVar[tuple[str, ...]] = ("sphere", "ellipsoid", "plane", "corrugation", "mesh")
+    bodies: ClassVar[tuple[str, ...]] = ("sphere", "ellipsoid", "plane", "corrugation", "mesh", "step")
 
     offset: Annotated[Literal["normal", "z"], one_of(("normal", "z"))] = key(
         "offset", "where the next layer lies: along the surface's normal, or along z", "normal"

@@ -20,12 +20,15 @@ from planner.problem.drawings import (
     ProjectedPatternSpec,
     SvgSpec,
 )
+from planner.problem.faces import StepSpec
 from planner.problem.part import MeshSpec, PartSpec
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.nurbs import nurbs_paths
 from planner.toolpath.ordering import reverse, shorten_travel
 from planner.toolpath.paths import check_length, check_size, length, seam_on_smooth_part
 from planner.toolpath.rounding import PlaneCurve, round_corners
+from planner.toolpath.step.files import read_step
+from planner.toolpath.step.top import FaceTop, NotSmooth, UpperFaces
 from planner.toolpath.substrate.analytic import exact_body
 from planner.toolpath.substrate.bodies import Body, MeshTop, Part, TooRough, reach_beside
 from planner.toolpath.substrate.facet_tree import FacetTree
@@ -41,6 +44,7 @@ STEEPEST = 75.0  # deg from the horizontal: beyond, a hair's breadth aside is a 
 REACH = 2.0  # bead widths beside a curve within which the surface counts
 _SWING = 0.9  # of the corner tolerance, by which a rounded curve leaves a straight line between corners
 RESERVE = 1.02  # the stretch varies within a tolerance
+_EDGES = 1e-3  # m between points of faces' edges
 _FOLDED = 0.2  # of the way from the body to a layer that folds: nearer to folding it is no layer
 
 
@@ -118,6 +122,8 @@ def _body(problem: Problem, part: PartSpec, paths: Sequence[PlanePath], outline:
     if exact is not None:
         _check_all(problem, exact, paths, outline)
         return exact
+    if part.step is not None:
+        return _step_body(problem, part.step, paths, outline)
     if part.mesh is None:
         raise problem.error("part", f"a {part.body} is nothing to project onto")
     facets = top_facets(part.mesh, partial(problem.error, "part.mesh.file"))
@@ -147,7 +153,26 @@ def smooth_top(facets: FacetTree, curves: Array, reach: float, where: Complaint,
         ) from None
 
 
-def _check_all(problem: Problem, body: Body | FacetTree, paths: Sequence[PlanePath], outline: Sequence[Array]) -> None:
+def _step_body(problem: Problem, spec: StepSpec, paths: Sequence[PlanePath], outline: Sequence[Array]) -> Body:
+    """The upper faces of a STEP file with a smooth surface on them, once it is known that all paths fall onto them."""
+    complain = partial(problem.error, "part.step.file")
+    upper = UpperFaces.of(read_step(spec, _EDGES, complain))
+    if upper is None:
+        raise complain(f"no face of {spec.file.name} looks upwards", hint="turn it with part.step.rpy_deg")
+    _check_all(problem, upper, paths, outline)
+    try:
+        return FaceTop.near(upper, np.vstack(outline), REACH * problem.process.bead.width)
+    except NotSmooth as error:
+        x, y = error.place * 1e3
+        raise complain(
+            f"the faces are {error.gap * 1e3:.3f} mm off any smooth surface at x {x:.1f}, y {y:.1f} mm",
+            "there is an edge or a step under the curves: keep off it",
+        ) from None
+
+
+def _check_all(
+    problem: Problem, body: Body | FacetTree | UpperFaces, paths: Sequence[PlanePath], outline: Sequence[Array]
+) -> None:
     if not any(np.isfinite(body.upward(points)).any() for points in outline):
         raise problem.error(
             "layers.centre_mm", "no curve falls onto the part", "the middle of the curves, x and y of the part frame"
@@ -156,7 +181,7 @@ def _check_all(problem: Problem, body: Body | FacetTree, paths: Sequence[PlanePa
         _check_there(problem, body, path.name, points)
 
 
-def _check_there(problem: Problem, body: FacetTree | Body, name: str, plane: Array) -> None:
+def _check_there(problem: Problem, body: FacetTree | UpperFaces | Body, name: str, plane: Array) -> None:
     """Raise InputError where a curve leaves the part, or where this is too steep."""
     up = body.upward(plane)
     off = ~(up >= np.cos(np.radians(STEEPEST)))

@@ -1,0 +1,171 @@
+"""Faces of a STEP file seen from above: what plane curves are projected onto."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from planner.toolpath.shape import Shape, skin_shape
+from planner.toolpath.step.body import FaceBody, Places
+from planner.toolpath.step.face import Face
+from planner.toolpath.step.trim import ON_THE_RIM
+from planner.toolpath.substrate.height_field import HeightField, fit
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+CLOSE = 5e-7  # m: near enough to the faces; normals are then within some hundredths of a degree
+FARTHEST = 2e-5  # m, of the smooth surface from the faces at the curves
+_COARSEST, _FINEST = 8, 64  # knots of the smooth surface along the longer side of what is covered
+_SAMPLES = 240  # of the faces along that side
+_ASIDE = 1e-3  # weight of samples that no curve comes near, against those at a curve
+_STEEPEST = 0.17  # upward component of a normal: steeper faces say nothing of the surface
+_STARTS = 6  # samples beside a place from which a place above or beneath it is looked for
+_STEPS = 30
+_LEAST_UP = 0.05  # upward component with which a tangent plane is followed
+_AS_ONE = np.array([1.0, 1.0j])  # u and v as one number
+_FOUND = 1e-10  # m, between a place and what is found above or beneath it
+
+
+class NotSmooth(ValueError):
+    """The smooth surface leaves the faces by `gap` at `place` (2) [m]: there is an edge or a step."""
+
+    def __init__(self, gap: float, place: Array) -> None:
+        self.gap, self.place = gap, place
+        super().__init__(f"the faces are {gap * 1e3:.3f} mm off any smooth surface")
+
+
+@dataclass(frozen=True)
+class UpperFaces:
+    """Faces that look upwards somewhere: samples of them, and the tree of their x and y."""
+
+    body: FaceBody
+    samples: Places
+    tree: cKDTree
+
+    @classmethod
+    def of(cls, faces: Sequence[Face]) -> UpperFaces | None:
+        """The faces, at least one; None where none looks upwards."""
+        body = FaceBody.of(faces)
+        places = body.at(body.sample_face, body.sample_uv)
+        # those on the rims stand densely along a seam, and near a pole nearer than any other: a bad start for what is beside
+        on_rim = np.isin(places.uv @ _AS_ONE, body.rim_uv @ _AS_ONE)
+        use = ~on_rim | ~np.isin(places.face, places.face[~on_rim])
+        up = (places.normals[:, 2] > _STEEPEST) & use
+        if not up.any():
+            return None
+        samples = Places(places.points[up], places.normals[up], places.face[up], places.uv[up])
+        return cls(body, samples, cKDTree(samples.points[:, :2]))
+
+    def top(self, plane: Array) -> tuple[Array, Array]:
+        """Heights (n,) and upward components (n,) of the normals of the uppermost faces at x, y (n, 2); NaN where there
+        is none.
+
+        From a place in the air the foot of the perpendicular gives a tangent plane, and this the next height: that
+        knows nothing of u and v, which mean little at a pole.
+        """
+        near = self.tree.query(plane, k=min(_STARTS, self.tree.n))[1].reshape(len(plane), -1)
+        known = self.samples
+        highest = near[np.arange(len(plane)), np.argmax(known.points[near, 2], axis=1)]
+        z, up = np.full(len(plane), np.nan), np.full(len(plane), np.nan)
+        for start in (highest, near[:, 0]):
+            left = np.flatnonzero(np.isnan(z))
+            if len(left) == 0:
+                break
+            foot, normal = known.points[start[left]], known.normals[start[left]]
+            face, uv = known.face[near[left]], known.uv[near[left]]
+            for _ in range(_STEPS):
+                aside = ((plane[left] - foot[:, :2]) * normal[:, :2]).sum(axis=1)
+                there = np.column_stack([plane[left], foot[:, 2] - aside / np.maximum(normal[:, 2], _LEAST_UP)])
+                places = self.body.followed(there, face, uv)
+                foot, normal = places.points, places.normals
+                off = np.linalg.norm(foot - there, axis=1)
+                if off.max(initial=0.0) <= _FOUND:
+                    break
+            here = (off <= ON_THE_RIM) & (normal[:, 2] > 0.0)
+            here[here] = self._on_face(places.face[here], places.uv[here])
+            z[left[here]], up[left[here]] = there[here, 2], normal[here, 2]
+        return z, up
+
+    def beneath(self, points: Array) -> Places:
+        """Feet of perpendiculars from points (n, 3) close above the faces."""
+        near = self.tree.query(points[:, :2], k=min(_STARTS, self.tree.n))[1].reshape(len(points), -1)
+        return self.body.followed(points, self.samples.face[near], self.samples.uv[near])
+
+    def _on_face(self, face: Ints, uv: Array) -> NDArray[np.bool_]:
+        """Whether parameters (n, 2) are inside faces (n), or on their rims, which meet within their tolerance."""
+        inside = self.body.inside(face, uv)
+        out = np.flatnonzero(~inside)
+        inside[out] = self.body.rim_distance(face[out], self.body.at(face[out], uv[out]).points) <= ON_THE_RIM
+        return inside
+
+    def upward(self, plane: Array) -> Array:
+        """Upward components (n,) of the uppermost faces' normals at x, y (n, 2); NaN where there is none."""
+        return self.top(plane)[1]
+
+
+@dataclass(frozen=True)
+class FaceTop:
+    """Faces for distances and for the normals that are true; a smooth surface near curves for what is laid on them.
+
+    Curves cross from face to face, where these are bent differently, and from knot to knot within one; the smooth
+    surface's four continuous derivatives are what joints can follow. gap: by how much it leaves the faces at the
+    curves, at most [m].
+    """
+
+    faces: UpperFaces
+    surface: HeightField
+    gap: float
+
+    @classmethod
+    def near(cls, faces: UpperFaces, curves: Array, reach: float) -> FaceTop:
+        """Lay a smooth surface on faces near curves, points x, y (n, 2) that all fall onto faces: within `reach` [m].
+
+        Raises NotSmooth where it leaves them by more than FARTHEST at a curve.
+        """
+        z, up = faces.top(curves)
+        low, high = curves.min(axis=0) - reach, curves.max(axis=0) + reach
+        side = float((high - low).max())
+        axes = [np.arange(a, b + side / _SAMPLES, side / _SAMPLES) for a, b in zip(low, high, strict=True)]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+        away = cKDTree(curves).query(grid)[0]
+        heights, steep = faces.top(grid)
+        there = steep > _STEEPEST
+        samples = np.column_stack([grid, heights])[there]
+        weights = (np.where(away <= reach, 1.0, _ASIDE) * steep**2)[there]
+        best, worst, knots = None, 0, _COARSEST
+        while knots <= _FINEST and (best is None or best.gap > CLOSE):
+            surface = fit(samples, weights, low, high, side / knots)
+            points, normals = surface.at(curves)
+            off = np.abs(points[:, 2] - z) * np.minimum(normals[:, 2], up)
+            if best is None or off.max() < best.gap:
+                worst = int(np.argmax(off))
+                best = cls(faces, surface, float(off[worst]))
+            knots *= 2
+        if best is None or best.gap > FARTHEST:
+            raise NotSmooth(np.inf if best is None else best.gap, curves[worst])
+        return best
+
+    def at(self, plane: Array) -> tuple[Array, Array]:
+        """Points and outward unit normals (n, 3) of the smooth surface at x, y (n, 2), a hair beyond the faces too."""
+        return self.surface.at(plane)
+
+    def upward(self, plane: Array) -> Array:
+        """Upward components (n,) of the uppermost faces' normals at x, y (n, 2); NaN where there is none."""
+        return self.faces.upward(plane)
+
+    def normals(self, points: Array) -> Array:
+        """Outward unit normals (n, 3) of the faces where their perpendiculars meet points (n, 3) close above them."""
+        return self.faces.beneath(points).normals
+
+    def signed_distance(self, points: Array) -> Array:
+        """Distance (n,) of points (n, 3) from the faces; negative inside."""
+        return self.faces.body.signed_distance(points)
+
+    def shape(self) -> Shape:
+        """Triangles of the smooth surface, as far as it reaches."""
+        return skin_shape(self.at, *self.surface.span)
