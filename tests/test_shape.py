@@ -47,7 +47,8 @@ def test_a_dome_ends_on_the_bed_and_a_skin_where_the_surface_does() -> None:
     skin = skin_shape(Ball(0.05, CENTRE).at, np.array([-0.1, -0.1]), np.array([0.1, 0.1]))
     assert np.isfinite(skin.vertices).all() and skin.triangles.max() < len(skin.vertices)
     flat = skin.vertices[skin.triangles][:, :, :2]
-    area = 0.5 * np.cross(flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]).sum()
+    a, b = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+    area = 0.5 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()
     assert 0.8 * np.pi * 0.05**2 < area < np.pi * 0.05**2
 
 

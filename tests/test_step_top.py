@@ -17,7 +17,7 @@ from planner.errors import InputError
 from planner.problem import Problem, load_problem
 from planner.solve import main, solve
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.step.reader import read_step
+from planner.toolpath.step.files import read_step
 from planner.toolpath.step.top import FaceTop, UpperFaces
 from planner.toolpath.substrate.analytic import Ellipsoid
 
