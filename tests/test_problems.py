@@ -83,6 +83,12 @@ SMALL = {
     "cylinder_logo": ("layers.count=1",),
     "saddle_ring": ("layers.infill.density=0.1",),
     "naca0015_wing": ("layers.source.span_mm=2", "layers.support.height_mm=2", "layers.support.curved=1"),
+    "naca0015_wing_tapered": (
+        "layers.source.span_mm=4",
+        "layers.source.tip={chord_mm: 76, sweep_mm: 1.5}",
+        "layers.support.height_mm=2",
+        "layers.support.curved=1",
+    ),
 }
 
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import BeforeValidator, model_validator
 
-from planner.problem.fields import PATH, Position, Quantity, Section, Thickness, key, refusal
+from planner.problem.fields import PATH, Position, Quantity, Section, Thickness, key, one_of, refusal
 from planner.problem.file import describe, shorten
 from planner.problem.materials import MaterialName, material_key
 
@@ -29,14 +29,36 @@ def _naca(value: Any) -> str:
 _NACA = BeforeValidator(_naca)
 
 
-class AerofoilSpec(Section):
-    """A wing: a section, straight along its span. The part frame's x runs along the chord, y along the span."""
+METHODS = ("curved", "planar")
+_POINTS = "file of the section's points, counted from the folder of the problem file"
 
-    aerofoil: Annotated[Path, PATH] | None = key(
-        "aerofoil",
-        "file of the section's points, counted from the folder of the problem file; default: none, but naca",
-        None,
+
+class TipSpec(Section):
+    """A wing's section where its span ends; straight lines lead to it from the section where the span begins."""
+
+    aerofoil: Annotated[Path, PATH] | None = key("aerofoil", f"{_POINTS}; default: none", None)
+    naca: Annotated[str, _NACA] | None = key(
+        "naca", "the section by its four digits, in quotes; default: that where the span begins", None
     )
+    chord: Annotated[float, Quantity("mm", 1, 10_000)] = key("chord_mm", "length of the chord [mm]")
+    sweep: Annotated[float, Quantity("mm", -10_000, 10_000)] = key(
+        "sweep_mm", "how far its leading edge lies behind that where the span begins [mm]", 0
+    )
+    washout: Annotated[float, Quantity("deg", -30, 30)] = key(
+        "washout_deg", "how far it is turned nose down, about a quarter of its chord [deg]", 0
+    )
+
+    @model_validator(mode="after")
+    def _one_section(self) -> TipSpec:
+        if self.aerofoil is not None and self.naca is not None:
+            raise refusal("both aerofoil and naca are given", "give one of them, or none", fields=["aerofoil", "naca"])
+        return self
+
+
+class AerofoilSpec(Section):
+    """A wing: a section along a span. The part frame's x runs along the chord, y along the span."""
+
+    aerofoil: Annotated[Path, PATH] | None = key("aerofoil", f"{_POINTS}; default: none, but naca", None)
     naca: Annotated[str, _NACA] | None = key(
         "naca", "the section by its four digits, in quotes; default: none, but aerofoil", None
     )
@@ -45,6 +67,10 @@ class AerofoilSpec(Section):
     origin: Position = key("origin_mm", "leading edge in the part frame, where the span begins [mm]", (0, 0, 0))
     tilt: Annotated[float, Quantity("deg", 5, 90)] = key(
         "tilt_deg", "greatest tilt of a layer [deg]; where a layer is steeper, it is left out", 45
+    )
+    tip: TipSpec | None = key("tip", "the section where the span ends; default: the same all along the span", None)
+    method: Annotated[str, one_of(METHODS)] = key(
+        "method", "curved: layers parallel to the wing's surfaces; planar: level ones, for comparison", "curved"
     )
 
     @model_validator(mode="after")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,18 +15,22 @@ from numpy.typing import NDArray
 from planner.problem import Problem
 from planner.problem.wing import AerofoilLayersSpec, SupportSpec
 from planner.toolpath.bead import Bead, Toolpath
-from planner.toolpath.wing.aerofoil_files import naca_section, read_section
-from planner.toolpath.wing.section import Section, TooUneven, parallels, section_through
+from planner.toolpath.wing.lofted import lofted_wing
+from planner.toolpath.wing.placing import (
+    CLEAR_LOWER,
+    CLEAR_UPPER,
+    SHORTEST,
+    check_floor,
+    check_span,
+    root_section,
+    too_small,
+)
+from planner.toolpath.wing.section import Section, parallels
 from planner.toolpath.wing.strips import CurvedStrip, FlatStrip, LayeredSolid, Strip
 from planner.toolpath.wing.support import check_support, strips_of
 from planner.toolpath.wing.zigzag import Filling, fill
 
 Array = NDArray[np.float64]
-
-# Layer heights by which the other side is farther away where a layer ends: in the lower half enough to tell the halves
-# apart; in the upper half so that no bead is squeezed into less than half its height above the steps of the lower one.
-_CLEAR_LOWER, _CLEAR_UPPER = 0.1, 0.5
-_SHORTEST = 3.0  # bead widths: a shorter piece of a layer is left out
 
 
 @dataclass(frozen=True)
@@ -43,23 +46,18 @@ class Job:
 
 def wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
     """Lay the beads of a wing. Raises InputError for a section that cannot be read or printed."""
-    section = _section(problem, spec)
+    if spec.source.tip is not None or spec.source.method == "planar":
+        return lofted_wing(problem, spec)
+    section = root_section(problem, spec.source)
     process, origin = problem.process, spec.source.origin
     span = (origin[1], origin[1] + spec.source.span)
     floor = float(section.lower.points(section.lower.grid)[:, 1].min())
-    if floor < 0.0:
-        raise problem.error(
-            "layers.source.origin_mm",
-            f"the lower surface reaches {-floor * 1e3:.2f} mm below the part frame's xy plane, on which the part stands",
-            f"its z at least {(origin[2] - floor) * 1e3 + 0.005:.2f}",
-        )
-    _check_span(problem, spec)
-    shortest = _SHORTEST * process.bead.width
+    check_floor(problem, spec, floor)
+    check_span(problem, spec)
+    shortest = SHORTEST * process.bead.width
     halves = _layers(section, spec, shortest)
     if not halves:
-        raise problem.error(
-            "layers.height_mm", "the section is too small for a single layer", "choose a smaller height, or tilt_deg"
-        )
+        raise too_small(problem)
     solid = Filling(process.bead.width, process.bead.height, process.corner_tolerance, process.run_in)
     # the outer layers run along the curve, and so does every second one from each surface inwards
     jobs = [Job("layer", pieces, depth % 2 == 0, solid) for pieces, depth in halves]
@@ -111,32 +109,14 @@ def _support(
     ]
 
 
-def _section(problem: Problem, spec: AerofoilLayersSpec) -> Section:
-    """The section at its place in the part frame."""
-    source = spec.source
-    if source.aerofoil is not None:
-        field = "layers.source.aerofoil"
-        points = read_section(source.aerofoil, partial(problem.error, field))
-    else:
-        field = "layers.source.naca"
-        points = naca_section(source.naca or "")
-    nose = int(np.argmin(np.linalg.norm(points, axis=1)))
-    try:
-        return section_through(source.chord * points + np.array([source.origin[0], source.origin[2]]), nose)
-    except TooUneven as error:
-        x, z = points[error.point]
-        reason = f"no smooth curve goes through its points: it swings out beside x = {x:.5f}, z = {z:.5f} of the chord"
-        raise problem.error(field, reason, "leave out points, or set more where the section bends") from None
-
-
 def _layers(section: Section, spec: AerofoilLayersSpec, shortest: float) -> list[tuple[list[CurvedStrip], int]]:
     """The pieces of each layer in print order, and how many layers lie between it and its surface."""
     height, tilt = spec.height, spec.source.tilt
     lower: list[tuple[list[CurvedStrip], int]] = []
     upper: list[tuple[list[CurvedStrip], int]] = []
     for found, side, other, rise, clear in (
-        (lower, section.lower, section.upper, 1, _CLEAR_LOWER),
-        (upper, section.upper, section.lower, 0, _CLEAR_UPPER),
+        (lower, section.lower, section.upper, 1, CLEAR_LOWER),
+        (upper, section.upper, section.lower, 0, CLEAR_UPPER),
     ):
         while True:
             depth = len(found)
@@ -154,13 +134,3 @@ def _mould(section: Section, spec: AerofoilLayersSpec, floor: float) -> list[Cur
     """What the first layer lies on where no support is printed: a shell down to the bed under the lower surface."""
     ends = parallels(section.lower, section.upper, 0.0, 0.0, spec.source.tilt)
     return [CurvedStrip(section.lower, 0.0, -floor, first, last) for first, last in ends]
-
-
-def _check_span(problem: Problem, spec: AerofoilLayersSpec) -> None:
-    least = _SHORTEST * problem.process.bead.width
-    if spec.source.span < least:
-        raise problem.error(
-            "layers.source.span_mm",
-            f"a wing of {spec.source.span * 1e3:g} mm is too short to be filled",
-            f"at least three bead widths, {least * 1e3:g}",
-        )

@@ -55,28 +55,48 @@ def level_layers(
 
     Under the wing they stay below the curved layers, beside it they reach the support's height.
     """
-    height, middle = spec.height, spec.source.origin[0] + 0.5 * spec.source.chord
-    low, high = middle - 0.5 * support.length, middle + 0.5 * support.length
+    height, ends = spec.height, level_ends(spec, support)
     under = _underside(section, spec, support)
-    beside = [low, under[0, 0] - _ROUNDING, under[-1, 0] + _ROUNDING, high]
     layers = []
-    for layer in range(int(support.height / height + _ROUNDING)):
+    for layer in range(level_count(spec, support)):
         top = (layer + 1) * height
-        x = np.unique(np.clip(np.concatenate([beside, under[:, 0]]), low, high))
-        room = np.interp(x, under[:, 0], under[:, 1], left=np.inf, right=np.inf) >= top - _ROUNDING
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], room, [False]]).astype(int)))
-        pieces = [FlatStrip(x[a], x[b - 1], top, top - height) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+        pieces = [FlatStrip(a, b, top, top - height) for a, b in below(under, top, ends)]
         layers.append([piece for piece in pieces if piece.length >= shortest])
     return [pieces for pieces in layers if pieces]
 
 
+def level_count(spec: AerofoilLayersSpec, support: SupportSpec) -> int:
+    """Number of level layers."""
+    return int(support.height / spec.height + _ROUNDING)
+
+
+def level_ends(spec: AerofoilLayersSpec, support: SupportSpec) -> tuple[float, float]:
+    """Least and greatest x of the level layers [m]."""
+    middle = spec.source.origin[0] + 0.5 * spec.source.chord
+    return middle - 0.5 * support.length, middle + 0.5 * support.length
+
+
+def below(under: Array, top: float, ends: tuple[float, float]) -> list[tuple[float, float]]:
+    """Intervals of x between `ends` that have room for a level layer up to `top` below points `under` (n, 2), by x [m]."""
+    low, high = ends
+    beside = [low, under[0, 0] - _ROUNDING, under[-1, 0] + _ROUNDING, high]
+    x = np.unique(np.clip(np.concatenate([beside, under[:, 0]]), low, high))
+    room = np.interp(x, under[:, 0], under[:, 1], left=np.inf, right=np.inf) >= top - _ROUNDING
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], room, [False]]).astype(int)))
+    return [(float(x[a]), float(x[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
 def _underside(section: Section, spec: AerofoilLayersSpec, support: SupportSpec) -> Array:
     """Points (n, 2), by x, above which there is wing or curved support."""
-    below = support.curved * spec.height
+    depth = support.curved * spec.height
     side = section.lower
-    ends = parallels(side, section.upper, -below, 0.0, spec.source.tilt)
+    ends = parallels(side, section.upper, -depth, 0.0, spec.source.tilt)
     t = np.linspace(ends[0][0], ends[-1][1], _SAMPLES) if ends else side.grid
-    points = side.points(t) - below * side.inward(t)
+    return widened(side.points(t) - depth * side.inward(t), spec)
+
+
+def widened(points: Array, spec: AerofoilLayersSpec) -> Array:
+    """Points (n, 2) from nose to tail, by x, their ends as far out as level layers keep from them."""
     reach = np.array([_APART * spec.height, 0.0])
     points = np.vstack([points[:1] - reach, points, points[-1:] + reach])
     return points[np.argsort(points[:, 0], kind="stable")]

@@ -16,10 +16,10 @@ from planner.toolpath.wrap import arc_length
 
 Array = NDArray[np.float64]
 
-_STEP = 1e-3  # m between waypoints where a strip is flat
-_TURN = 0.06  # rad that the nozzle turns from one waypoint to the next at most, where a strip bends most
-_APART = 0.5  # of the distance of passes: the source's points lie no farther apart
-_PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
+STEP = 1e-3  # m between waypoints where a strip is flat
+TURN = 0.06  # rad that the nozzle turns from one waypoint to the next at most, where a strip bends most
+APART = 0.5  # of the distance of passes: the source's points lie no farther apart
+PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def fill(
     pitch = sizes[step_axis] / passes
     low, high = np.full(2, 0.5 * filling.width), sizes - 0.5 * filling.width
     low[step_axis], high[step_axis] = 0.5 * pitch, sizes[step_axis] - 0.5 * pitch
-    step = min(_STEP, _TURN / max(strip.bend, 1e-9)) if along else _STEP
+    step = min(STEP, TURN / max(strip.bend, 1e-9)) if along else STEP
     plane = _zigzag(low, high, step_axis, passes, step)
     flips = [np.array(flip) for flip in itertools.product((False, True), repeat=2)]
     corners = [_in_space(strip, span, np.where(flip, sizes - plane[0], plane[0])[None])[0][0] for flip in flips]
@@ -57,7 +57,7 @@ def fill(
 
     flat = np.column_stack([plane, np.zeros(len(plane))])
     upwards = np.tile([0.0, 0.0, 1.0], (len(plane), 1))
-    curve = interpolate(flat, upwards, filling.tolerance, _APART * pitch, filling.run_in / _PER_RUN)
+    curve = interpolate(flat, upwards, filling.tolerance, APART * pitch, filling.run_in / PER_RUN)
     points, normals = _in_space(strip, span, curve.points[:, :2])
     source, _ = _in_space(strip, span, curve.source[:, :2])
     return Bead(

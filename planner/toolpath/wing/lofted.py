@@ -1,0 +1,219 @@
+"""A wing whose section changes along its span, or one in level layers: from the problem to its beads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.problem import Problem
+from planner.problem.wing import AerofoilLayersSpec, SupportSpec
+from planner.toolpath.bead import Bead, Toolpath
+from planner.toolpath.wing.areas import Area, parallel_area, stations_of
+from planner.toolpath.wing.loft import Loft
+from planner.toolpath.wing.placing import (
+    CLEAR_LOWER,
+    CLEAR_UPPER,
+    check_floor,
+    check_span,
+    root_section,
+    tip_section,
+    too_small,
+)
+from planner.toolpath.wing.scanlines import lay, stretch_of
+from planner.toolpath.wing.sheet_solid import SheetSolid
+from planner.toolpath.wing.sheets import CurvedSheet, FlatSheet, Sheet
+from planner.toolpath.wing.support import below, check_support, level_count, level_ends, widened
+from planner.toolpath.wing.zigzag import Filling
+
+Array = NDArray[np.float64]
+
+_GAPE = 1.05  # greatest distance of passes, of their mean: wider, and there are gaps of more than a twentieth of a bead
+_OUTLINE = 1500  # points of a side at one station, where level layers are cut off
+
+
+@dataclass(frozen=True)
+class Job:
+    """A sheet of a layer: what to call it, whether its passes run across the wing or along it, how it is filled."""
+
+    name: str
+    sheet: Sheet
+    across: bool
+    filling: Filling
+
+
+def lofted_wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
+    """Lay the beads of a wing between two sections. Raises InputError for sections that cannot be read or printed."""
+    source, process = spec.source, problem.process
+    check_span(problem, spec)
+    root = root_section(problem, source)
+    tip = root if source.tip is None else tip_section(problem, source, source.tip)
+    loft = Loft(root, tip, source.origin[1], source.span)
+    stations = stations_of(source.origin[1], source.span)
+    lowest = [float(section.lower.points(section.lower.grid)[:, 1].min()) for section in (root, tip)]
+    floor = min(lowest)
+    check_floor(problem, spec, floor)
+    solid = Filling(process.bead.width, process.bead.height, process.corner_tolerance, process.run_in)
+    planar = source.method == "planar"
+    layers = _planar(loft, spec, stations, solid) if planar else _curved(loft, spec, stations, solid)
+    if not any(layers):
+        raise too_small(problem)
+
+    ground: list[Sheet] = []
+    if spec.support is None:
+        area = parallel_area(loft.lower, loft.upper, 0.0, 0.0, source.tilt, stations)
+        ground = [CurvedSheet(loft.lower, 0.0, -floor, area)]
+    else:
+        check_support(problem, spec, spec.support, floor)
+        _check_reach(problem, spec, spec.support, loft)
+        level = _level(loft, spec, spec.support, stations)
+        loose = replace(solid, spacing=1.0 / spec.support.infill)
+        if planar:
+            level += [None] * (len(layers) - len(level))
+            beside = [
+                [] if sheet is None else [Job("support", sheet, k % 2 == 1, loose)] for k, sheet in enumerate(level)
+            ]
+            layers = [one + other for one, other in zip(beside, layers, strict=True)]
+        else:
+            under: list[tuple[Sheet, Filling]] = [(sheet, loose) for sheet in level if sheet is not None]
+            under += [(sheet, solid) for sheet in _curved_support(loft, spec, spec.support, stations)]
+            count = len(under)
+            layers = [[Job("support", s, (count - k) % 2 == 1, way)] for k, (s, way) in enumerate(under)] + layers
+    return _laid(problem, spec, [layer for layer in layers if layer], ground)
+
+
+def _laid(problem: Problem, spec: AerofoilLayersSpec, layers: Sequence[Sequence[Job]], ground: list[Sheet]) -> Toolpath:
+    """All beads in print order, each sheet from the corner on that is nearest to the end of the last."""
+    beads: list[Bead] = []
+    laid: list[int] = []
+    sheets, levels = list(ground), [-1] * len(ground)
+    layer = 0
+    for jobs in layers:
+        found: list[Bead] = []
+        for job in jobs:
+            stretch = stretch_of(job.sheet, job.across)
+            if stretch.greatest > _GAPE * stretch.mean:
+                raise problem.error(
+                    "layers.source.tip",
+                    f"passes of {job.name} {layer + 1} would be up to {100 * (stretch.greatest / stretch.mean - 1):.0f} % "
+                    "farther apart in places than a bead is wide",
+                    "a longer span_mm, or a tip more like the root: less washout_deg, more of its chord_mm",
+                )
+            start = (found or beads)[-1].points[-1] if found or beads else None
+            new = lay(job.sheet, job.across, job.filling, f"{job.name} {layer + 1}", layer, start, stretch)
+            laid += [len(sheets)] * len(new)
+            if new:
+                sheets.append(job.sheet)
+                levels.append(layer)
+            found += new
+        beads += found
+        layer += bool(found)
+        if layer == spec.count:
+            break
+    if not beads:
+        raise too_small(problem)
+    start, span = spec.source.origin[1], spec.source.span
+    return Toolpath(tuple(beads), SheetSolid(tuple(sheets), tuple(levels), tuple(laid), (start, start + span), 0, {}))
+
+
+def _curved(loft: Loft, spec: AerofoilLayersSpec, stations: Array, solid: Filling) -> list[list[Job]]:
+    """Layers parallel to the lower side, then those parallel to the upper; those next to a side run across."""
+    height = spec.height
+    halves: list[list[list[Job]]] = []
+    for side, other, rise, clear in (
+        (loft.lower, loft.upper, 1, CLEAR_LOWER),
+        (loft.upper, loft.lower, 0, CLEAR_UPPER),
+    ):
+        found: list[list[Job]] = []
+        while True:
+            depth = len(found)
+            tip, base = (depth + rise) * height, (depth + 1 - rise) * height
+            area = parallel_area(side, other, tip, tip + clear * height, spec.source.tilt, stations)
+            if area.empty:
+                break
+            found.append([Job("layer", CurvedSheet(side, tip, base, area), depth % 2 == 0, solid)])
+        halves.append(found)
+    return halves[0] + halves[1][::-1]
+
+
+def _planar(loft: Loft, spec: AerofoilLayersSpec, stations: Array, solid: Filling) -> list[list[Job]]:
+    """Level layers from the bed up, each as far as the wing reaches at half its height; empty below the wing."""
+    outlines = [np.vstack([_outline(loft, y, side) for side in (0, 1)]) for y in stations]
+    top = max(float(outline[:, 1].max()) for outline in outlines)
+    layers: list[list[Job]] = []
+    for k in range(int(np.ceil(top / spec.height))):
+        level = (k + 0.5) * spec.height
+        area = Area.of(stations, [_cut(outline, level) for outline in outlines])
+        sheet = FlatSheet((k + 1) * spec.height, k * spec.height, area)
+        layers.append([] if area.empty else [Job("layer", sheet, k % 2 == 0, solid)])
+    return layers
+
+
+def _outline(loft: Loft, y: float, side: int) -> Array:
+    """Points (n, 2) of the section at y [m]: its upper side (0) from tail to nose, or its lower side (1) from there back."""
+    u = np.linspace(0.0, 1.0, _OUTLINE)
+    points = (loft.upper, loft.lower)[side].points(u, np.full(len(u), (y - loft.start) / loft.span))
+    return points[:, ::2]
+
+
+def _cut(outline: Array, level: float) -> list[tuple[float, float]]:
+    """Intervals of x inside an outline (n, 2), closed by a straight line, at the height z = `level` [m]."""
+    ahead = np.roll(outline, -1, axis=0)
+    k = np.flatnonzero((outline[:, 1] > level) != (ahead[:, 1] > level))
+    share = (level - outline[k, 1]) / (ahead[k, 1] - outline[k, 1])
+    x = np.sort(outline[k, 0] + share * (ahead[k, 0] - outline[k, 0]))
+    return list(zip(x[::2].tolist(), x[1::2].tolist(), strict=True))
+
+
+def _curved_support(loft: Loft, spec: AerofoilLayersSpec, support: SupportSpec, stations: Array) -> list[Sheet]:
+    """Curved layers under the wing, in print order; the last one's tip is the wing's lower surface."""
+    sheets: list[Sheet] = []
+    for depth in range(support.curved - 1, -1, -1):
+        tip, base = -depth * spec.height, -(depth + 1) * spec.height
+        area = parallel_area(loft.lower, loft.upper, tip, 0.0, spec.source.tilt, stations)
+        if not area.empty:
+            sheets.append(CurvedSheet(loft.lower, tip, base, area))
+    return sheets
+
+
+def _level(loft: Loft, spec: AerofoilLayersSpec, support: SupportSpec, stations: Array) -> list[Sheet | None]:
+    """Level layers of a support, from the bed up: below what is curved, and beside it; None where there is no room."""
+    ends = level_ends(spec, support)
+    unders = [widened(points, spec) for points in _undersides(loft, spec, support, stations)]
+    sheets: list[Sheet | None] = []
+    for k in range(level_count(spec, support)):
+        top = (k + 1) * spec.height
+        area = Area.of(stations, [below(under, top, ends) for under in unders])
+        sheets.append(None if area.empty else FlatSheet(top, top - spec.height, area))
+    return sheets
+
+
+def _undersides(loft: Loft, spec: AerofoilLayersSpec, support: SupportSpec, stations: Array) -> list[Array]:
+    """At each station points (n, 2) from nose to tail, above which there is wing or curved support."""
+    if spec.source.method == "planar":
+        return [_outline(loft, y, 1) for y in stations]
+    depth = support.curved * spec.height
+    area = parallel_area(loft.lower, loft.upper, -depth, 0.0, spec.source.tilt, stations)
+    found = []
+    for y, edges in zip(stations, area.edges, strict=True):
+        low, high = (0.0, 1.0) if np.isnan(edges).all() else (np.nanmin(edges), np.nanmax(edges))
+        u = np.linspace(low, high, _OUTLINE)
+        found.append(loft.lower.parallel(u, np.full(len(u), y), -depth)[0][:, ::2])
+    return found
+
+
+def _check_reach(problem: Problem, spec: AerofoilLayersSpec, support: SupportSpec, loft: Loft) -> None:
+    """A support must reach as far as all of the wing does, and not higher than its leading edge. Raises InputError."""
+    low, high = level_ends(spec, support)
+    points = [side.points(side.grid) for section in (loft.root, loft.tip) for side in (section.lower, section.upper)]
+    x = np.concatenate([each[:, 0] for each in points])
+    short = max(low - float(x.min()), float(x.max()) - high)
+    if short > 0.0:
+        reason = f"the wing's tip reaches {short * 1e3:.2f} mm beyond the support"
+        raise problem.error("layers.support.length_mm", reason, f"at least {(support.length + 2 * short) * 1e3:.2f}")
+    nose = min(float(section.lower.points(np.array([section.lower.first]))[0, 1]) for section in (loft.root, loft.tip))
+    if support.height > nose:
+        reason = f"{support.height * 1e3:g} mm are above the leading edge of the tip: the nozzle would meet the support"
+        raise problem.error("layers.support.height_mm", reason, f"at most {np.floor(nose * 1e5) / 100:g}")
