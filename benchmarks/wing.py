@@ -16,6 +16,7 @@ from itertools import groupby
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from scipy.spatial import ConvexHull
 
 from planner.errors import EXIT_VERIFIED, PlannerError
 from planner.problem import Problem, load_problem
@@ -33,27 +34,26 @@ PAPER = {
 }
 
 
-def own_figures(problem: Problem, spec: AerofoilLayersSpec, toolpath: Toolpath) -> dict[str, float]:
-    """The figures of PAPER as the toolpath has them; infill is what beads fill of the layers' area, in the middle ones."""
+def own_figures(problem: Problem, toolpath: Toolpath) -> dict[str, float]:
+    """The figures of PAPER as the toolpath has them; infill is that of the first layer of each."""
     wing = [bead for bead in toolpath.beads if bead.name.startswith("layer")]
     level = [b for b in toolpath.beads if not b.name.startswith("layer") and np.ptp(b.points[:, 2]) < 1e-9]
     curved = {b.layer for b in toolpath.beads if not b.name.startswith("layer")} - {b.layer for b in level}
     return {
         "layer height, mm": float(np.mean([bead.height.mean() for bead in wing])) * 1e3,
         "speed, mm/s": problem.process.speed * 1e3,
-        "infill of the wing, %": _filled(wing[len(wing) // 4], spec.source.span),
-        "infill of the support, %": _filled(level[0], spec.source.span) if level else float("nan"),
+        "infill of the wing, %": _filled(wing[0]),
+        "infill of the support, %": _filled(level[0]) if level else float("nan"),
         "curved layers of the support": float(len(curved)),
     }
 
 
-def _filled(bead: Bead, span: float) -> float:
-    """Share of its layer that a bead covers [%]: its area over that between its first and its last place across."""
-    x = bead.points[np.argsort(bead.points[:, 0])]
-    at = np.linspace(x[0, 0], x[-1, 0], 200)
-    rise = np.hypot(np.diff(at), np.diff(np.interp(at, x[:, 0], x[:, 2])))
+def _filled(bead: Bead) -> float:
+    """Share of its layer that a bead covers [%]: its area over that of the hull of its places, half a width wider."""
     width = float(bead.width.mean())
-    return 100.0 * bead.length * width / ((float(rise.sum()) + width) * span)
+    hull = ConvexHull(bead.points[:, :2])
+    area = hull.volume + 0.5 * width * hull.area  # in two dimensions: area and circumference
+    return 100.0 * bead.length * width / (area * float((1.0 / bead.normals[:, 2]).mean()))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -73,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     console = Console()
     table = Table("", "paper", problem.name, title="Arigela et al.")
-    for name, value in own_figures(problem, problem.layers, toolpath).items():
+    for name, value in own_figures(problem, toolpath).items():
         table.add_row(name, f"{PAPER[name]:g}", f"{value:.4g}")
     console.print(table)
     layers = Table("layer", "beads", "length mm", "time s", title=f"{toolpath.layers} layers")

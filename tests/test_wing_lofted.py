@@ -284,6 +284,11 @@ def test_support_and_wing_share_a_level(planar: Toolpath) -> None:
         assert gap.min() > 0.4 * HEIGHT, bead.name
 
 
+def test_a_support_is_of_its_own_material(planar: Toolpath) -> None:
+    """naca0015_wing names them: pva that can be washed off, and pla."""
+    assert {bead.name.split()[0]: bead.material for bead in planar.beads} == {"support": "pva", "layer": "pla"}
+
+
 # Scan lines
 
 

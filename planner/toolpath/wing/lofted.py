@@ -36,12 +36,14 @@ _OUTLINE = 1500  # points of a side at one station, where level layers are cut o
 
 @dataclass(frozen=True)
 class Job:
-    """A sheet of a layer: what to call it, whether its passes run across the wing or along it, how it is filled."""
+    """A sheet of a layer: what to call it, whether its passes run across the wing or along it, how it is filled, and its
+    material, if that has a name."""
 
     name: str
     sheet: Sheet
     across: bool
     filling: Filling
+    material: str = ""
 
 
 def lofted_wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
@@ -69,18 +71,21 @@ def lofted_wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
         check_support(problem, spec, spec.support, floor)
         _check_reach(problem, spec, spec.support, loft)
         level = _level(loft, spec, spec.support, stations)
-        loose = replace(solid, spacing=1.0 / spec.support.infill)
+        loose, material = replace(solid, spacing=1.0 / spec.support.infill), spec.support.material or ""
         if planar:
             level += [None] * (len(layers) - len(level))
             beside = [
-                [] if sheet is None else [Job("support", sheet, k % 2 == 1, loose)] for k, sheet in enumerate(level)
+                [] if sheet is None else [Job("support", sheet, k % 2 == 1, loose, material)]
+                for k, sheet in enumerate(level)
             ]
             layers = [one + other for one, other in zip(beside, layers, strict=True)]
         else:
             under: list[tuple[Sheet, Filling]] = [(sheet, loose) for sheet in level if sheet is not None]
             under += [(sheet, solid) for sheet in _curved_support(loft, spec, spec.support, stations)]
             count = len(under)
-            layers = [[Job("support", s, (count - k) % 2 == 1, way)] for k, (s, way) in enumerate(under)] + layers
+            layers = [
+                [Job("support", s, (count - k) % 2 == 1, way, material)] for k, (s, way) in enumerate(under)
+            ] + layers
     return _laid(problem, spec, [layer for layer in layers if layer], ground)
 
 
@@ -107,7 +112,7 @@ def _laid(problem: Problem, spec: AerofoilLayersSpec, layers: Sequence[Sequence[
             if new:
                 sheets.append(job.sheet)
                 levels.append(layer)
-            found += new
+            found += [replace(bead, material=job.material) for bead in new]
         beads += found
         layer += bool(found)
         if layer == spec.count:
