@@ -1,6 +1,6 @@
-"""How paths over a face compare: the paper's two kinds of face at 10 mm, its three orders of samples, and our rows.
+"""How paths over the shipped problems' faces compare: the orders of samples of Onstein et al., and our rows.
 
-python -m benchmarks.coverage [--spacing MM] [--speed MM_PER_S] [--tolerance MM]
+python -m benchmarks.coverage [curved_plate propeller_blade shoehorn] [--set layers.source.spacing_mm=8] [--plan]
 """
 
 from __future__ import annotations
@@ -9,104 +9,132 @@ import argparse
 import sys
 import time
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.faces import BLADE, CURVED_PLATE, FormulaFace, sampled
+from planner.errors import EXIT_VERIFIED, PlannerError, Refusal
+from planner.problem import Problem, load_problem
+from planner.problem.faces import FaceLayersSpec, StepSpec
+from planner.solve import solve
 from planner.toolpath.coverage import measures
 from planner.toolpath.coverage.measures import Line
 from planner.toolpath.coverage.registry import ORDERS
 from planner.toolpath.coverage.rows import REACH, cover
+from planner.toolpath.coverage.sheet import sheet_of
+from planner.toolpath.step.body import FaceBody
+from planner.toolpath.step.choice import choose_faces
+from planner.toolpath.step.face import Face
+from planner.toolpath.step.files import read_step
+from planner.toolpath.step.regions import smooth_regions
+from planner.toolpath.step.sampling import sample_faces
 
-FACES = {"curved plate": CURVED_PLATE, "propeller blade": BLADE}
+Array = NDArray[np.float64]
+
+PROBLEMS = ("curved_plate", "propeller_blade", "shoehorn")
+ROWS = "rows"
 COLUMNS = (
-    "face",
-    "path",
-    "samples",
-    "once",
-    "crosses",
-    "strokes",
-    "length m",
-    "turns",
-    "turned °",
-    "time s",
-    "far",
-    "CPU s",
-)
-CLOSER = 0.95  # each time, of the spacing of samples, until nothing is farther from the path than REACH
-LOOKS = 400  # points along u and along v to which the distance is measured
+    "problem", "path", "samples", "once", "crosses itself", "strokes", "length m", "turns", "turned °", "time s", "far",
+    "CPU s", "planned s",
+)  # fmt: skip
+EDGES = 0.25  # of the spacing: so far apart are points of the faces' edges
+LOOKS = 0.2  # of the spacing: so far apart are the points to which the distance is measured
 
 
-def looked_at(face: FormulaFace) -> np.ndarray:
-    """Points (n, 3) all over an untrimmed face."""
-    low, high = face.loops[0].min(axis=0), face.loops[0].max(axis=0)
-    u, v = np.meshgrid(*(np.linspace(low[i], high[i], LOOKS) for i in range(2)))
-    return face.points(np.stack([u.ravel(), v.ravel()], axis=1))
+def faces_of(problem: Problem, spec: FaceLayersSpec, step: StepSpec) -> list[Face]:
+    """The faces that a problem covers."""
+    faces = read_step(step, EDGES * spec.source.spacing, partial(problem.error, "part.step.file"))
+    numbers = choose_faces(spec.source.faces, [(face.number, face.name) for face in faces], "part.step")
+    return [face for face in faces if face.number in numbers]
 
 
-def measured(lines: Sequence[Line], points: np.ndarray, spacing: float, speed: float, tolerance: float) -> list[str]:
-    """What is said of every path, from `crosses` on."""
+def paths(region: Sequence[Face], spec: FaceLayersSpec, speed: float) -> list[tuple[str, str, str, list[Line], float]]:
+    """Every path over a region: its name, how many samples, whether each is visited once, its lines, CPU time [s]."""
+    out = []
+    samples = sample_faces(FaceBody.of(region), spec.source.spacing)
+    for name, order_of in ORDERS.items():
+        start = time.process_time()
+        order = order_of(samples)
+        seconds = time.process_time() - start
+        once = "yes" if measures.visits_each_once(order, len(samples.points)) else "NO"
+        out.append((name, str(len(samples.points)), once, [measures.laid(samples, order)], seconds))
+    start = time.process_time()
+    strokes = cover(region, spec.source.spacing, speed)
+    seconds = time.process_time() - start
+    out.append((ROWS, "", "", [Line(s.points, s.normals, s.closed) for s in strokes], seconds))
+    return out
+
+
+def planned(name: str, path: str, overrides: Sequence[str]) -> str:
+    """Deposition time of the whole problem with this path, planned for its own arm [s]."""
+    try:
+        plan = solve(load_problem(name, [*overrides, f"layers.source.path={path}"]))
+    except Refusal as refusal:
+        return f"refused: {refusal}"
+    return f"{plan.metrics['deposition_time_s']:.1f}" + ("" if plan.verified else ", not verified")
+
+
+def rows_of(name: str, overrides: Sequence[str], plan: bool) -> list[list[str]]:
+    """Lines of the table for one problem, one a path."""
+    problem = load_problem(name, overrides)
+    spec, part = problem.layers, problem.part
+    if not isinstance(spec, FaceLayersSpec) or part is None or part.step is None:
+        raise problem.error("layers.source", "covers no faces", f"problems that do: {', '.join(PROBLEMS)}")
+    spacing, process = spec.source.spacing, problem.process
+    out = []
+    for region in smooth_regions(faces_of(problem, spec, part.step)):
+        sheet = sheet_of(region, LOOKS * spacing)
+        triangles = sheet.triangles[sheet.material]
+        looks = np.vstack([sheet.points[np.unique(triangles)], sheet.points[triangles].mean(axis=1)])
+        for path, samples, once, lines, seconds in paths(region, spec, process.speed):
+            figures = measured(lines, looks, spacing, process.speed, process.corner_tolerance)
+            real = planned(name, path, overrides) if plan else ""
+            out.append([name, path, samples, once, *figures, f"{seconds:.2f}", real])
+    return out
+
+
+def measured(lines: Sequence[Line], looks: Array, spacing: float, speed: float, tolerance: float) -> list[str]:
+    """What is said of every path, from whether it crosses itself to how far it stays away."""
     turns, turned = measures.turns(lines, spacing)
+    crossings = len(measures.crossings(lines))
     return [
-        "yes" if len(measures.crossings(lines)) else "no",
+        f"{crossings} times" if crossings else "no",
         str(len(lines)),
         f"{measures.length(lines):.2f}",
         str(turns),
         f"{np.degrees(turned):.0f}",
         f"{measures.seconds(lines, speed, tolerance):.1f}",
-        f"{measures.farthest(lines, points) / spacing:.2f}",
+        f"{measures.farthest(lines, looks) / spacing:.3f}",
     ]
 
 
-def rows_of(name: str, face: FormulaFace, spacing: float, speed: float, tolerance: float) -> list[list[str]]:
-    """Lines of the table for one face."""
-    points = looked_at(face)
-    out = []
-    surface = sampled(face, spacing)
-    for path, order_of in ORDERS.items():
-        start = time.process_time()
-        order = order_of(surface)
-        cpu = f"{time.process_time() - start:.2f}"
-        once = "yes" if measures.visits_each_once(order, len(surface.points)) else "NO"
-        figures = measured([measures.laid(surface, order)], points, spacing, speed, tolerance)
-        out.append([name, path, str(len(surface.points)), once, *figures, cpu])
-    closer, reached = spacing, np.inf
-    while reached > REACH * spacing:
-        closer *= CLOSER
-        surface = sampled(face, closer)
-        line = measures.laid(surface, ORDERS["weighted_greedy"](surface))
-        reached = measures.farthest([line], points)
-    figures = measured([line], points, spacing, speed, tolerance)
-    path = f"weighted_greedy at {1e3 * closer:.1f} mm"
-    out.append([name, path, str(len(surface.points)), "yes", *figures, ""])
-    start = time.process_time()
-    strokes = cover([face], spacing, speed)
-    cpu = f"{time.process_time() - start:.2f}"
-    lines = [Line(stroke.points, stroke.normals, stroke.closed) for stroke in strokes]
-    out.append([name, "rows", "", "", *measured(lines, points, spacing, speed, tolerance), cpu])
-    return out
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the table."""
+    """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.coverage", description=__doc__.split("\n")[0])
-    parser.add_argument("--spacing", type=float, default=10.0, metavar="MM", help="of samples and rows (10)")
-    parser.add_argument("--speed", type=float, default=40.0, metavar="MM_PER_S", help="of the print (40)")
-    parser.add_argument("--tolerance", type=float, default=0.1, metavar="MM", help="of corners (0.1)")
+    parser.add_argument("problems", nargs="*", help=f"default: {', '.join(PROBLEMS)}")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
+    parser.add_argument(
+        "--plan", action="store_true", help="plan every path for the problem's arm, which takes minutes"
+    )
     options = parser.parse_args(arguments)
     table = Table(*COLUMNS)
-    for name, face in FACES.items():
-        for row in rows_of(name, face, options.spacing / 1e3, options.speed / 1e3, options.tolerance / 1e3):
-            table.add_row(*row)
-    console = Console(width=150)
+    try:
+        for name in options.problems or PROBLEMS:
+            for row in rows_of(name, options.set, options.plan):
+                table.add_row(*row)
+    except PlannerError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code
+    console = Console(width=160)
     console.print(table)
     console.print(
-        "far: the greatest distance of a point of the face from the path, in spacings; rows promise "
-        f"{REACH}. time: estimated from length and corners, no arm asked. CPU of a first call holds compilation."
+        f"far: the greatest distance of a place of the faces from the path, in spacings; rows promise {REACH}. "
+        "time: estimated from length and corners. CPU of a first call holds compilation."
     )
-    return 0
+    return EXIT_VERIFIED
 
 
 if __name__ == "__main__":

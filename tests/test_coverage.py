@@ -6,10 +6,10 @@ from itertools import combinations, permutations
 
 import numpy as np
 import pytest
+from formula_faces import CURVED_PLATE, FormulaFace, box, sampled
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.faces import CURVED_PLATE, FormulaFace, box, sampled
 from planner.toolpath.coverage import measures
 from planner.toolpath.coverage.measures import Line
 from planner.toolpath.coverage.orders import greedy, weighted_greedy

@@ -6,10 +6,10 @@ from itertools import product
 
 import numpy as np
 import pytest
+from formula_faces import FormulaFace, box, circle, polygon
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.faces import FormulaFace, box, circle, polygon
 from planner.toolpath.coverage import measures
 from planner.toolpath.coverage.joints import Joint, chains, chosen, possible
 from planner.toolpath.coverage.levels import Rim, Row, rows_at

@@ -1,4 +1,4 @@
-"""Faces given by formulas, for measuring and testing how paths cover them; sampled as Onstein's paper does."""
+"""Faces given by formulas, to test how paths cover them; sampled as Onstein's paper does."""
 
 from __future__ import annotations
 
