@@ -103,18 +103,4 @@ def _curved(u: Array, v: Array) -> Array:
     return np.stack([0.098 * (2.0 * u - 1.0), 0.2 - radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
 
 
-def _blade(u: Array, v: Array) -> Array:
-    """One side of a blade of a propeller about 557 mm across: cambered, twisted, narrower at root and tip."""
-    radius = 0.07 + 0.2085 * v
-    chord = 0.13 * np.sqrt(np.maximum(1.0 - (0.95 * (2.0 * v - 0.9) / 1.1) ** 2, 0.02))
-    pitch = np.arctan2(0.06, radius)
-    across = (u - 0.5) * chord
-    camber = 0.08 * chord * (1.0 - (2.0 * u - 1.0) ** 2)
-    x = across * np.cos(pitch) - camber * np.sin(pitch)
-    z = across * np.sin(pitch) + camber * np.cos(pitch)
-    sweep = x / radius
-    return np.stack([radius * np.sin(sweep), radius * np.cos(sweep), z], axis=-1)
-
-
 CURVED_PLATE = FormulaFace(_curved, (box((0.0, 1.0), (0.0, 1.0), 100, 260),))
-BLADE = FormulaFace(_blade, (box((0.0, 1.0), (0.0, 1.0), 64, 100),))
