@@ -361,6 +361,20 @@ def test_bad_files_are_refused(tmp_path: Path, name: str) -> None:
     assert caught.value.exit_code == 2
 
 
+def test_facets_that_stand_there_twice_or_have_no_area_change_nothing(tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=50.0)
+    faces = ball.faces[[*range(len(ball.faces)), *range(0, len(ball.faces), 3)]]
+    faces = np.vstack([faces, np.repeat(np.arange(7)[:, None], 3, axis=1)])
+    beads = []
+    for name, mesh in (("once", ball), ("twice", trimesh.Trimesh(ball.vertices, faces, process=False))):
+        (tmp_path / f"{name}.stl").write_bytes(mesh.export(file_type="stl"))
+        changes = on_mesh(tmp_path / f"{name}.stl", "origin_mm: [0, 0, -20]")
+        beads.append(build_toolpath(load_problem("hemisphere_honeycomb", [*changes, "layers.count=1"])).beads)
+    assert len(beads[0]) == len(beads[1])
+    for once, twice in zip(*beads, strict=True):
+        assert np.allclose(once.points, twice.points, atol=1e-9)
+
+
 def test_a_mesh_of_too_many_facets_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("planner.toolpath.substrate.facets.MOST_FACETS", 1000)
     with pytest.raises(InputError, match="has 5120 facets"):
