@@ -52,7 +52,7 @@ Array = NDArray[np.float64]
 DEFAULT_DT = 0.004
 MIN_DT, MAX_DT = 0.0005, 0.02  # s; finer drowns in rounding, coarser hides what a joint does
 BASELINE = "as_published"
-WORTH_A_FORK = 10_000  # waypoints above which sharing the work takes less time than copying the process for it
+WORTH_A_FORK = 5_000  # waypoints above which sharing the work takes less time than copying the process for it
 
 
 def solve(
