@@ -21,12 +21,12 @@ from planner.problem import load_problem
 from planner.solve import main, solve
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.laying import densify
 from planner.toolpath.rounding import PlaneCurve
 from planner.toolpath.substrate.core_surface import CoreSurface, even_levels, varying_levels
 from planner.toolpath.substrate.height_field import HeightField
 from planner.toolpath.substrate.trimming import trim_curve, trim_path
 from planner.toolpath.svg import PlanePath
-from planner.toolpath.wrap import densify
 
 Array = NDArray[np.float64]
 

@@ -20,12 +20,12 @@ from planner.problem import Problem, load_problem
 from planner.problem.drawings import PatternSpec
 from planner.solve import main, solve
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.laying import densify
 from planner.toolpath.substrate.bodies import FARTHEST_FROM_FACETS, Ball, MeshTop, TooRough, reach_beside
 from planner.toolpath.substrate.facet_tree import FacetTree
 from planner.toolpath.substrate.height_field import fit
 from planner.toolpath.substrate.layers import Substrate
 from planner.toolpath.substrate.patterns import NoPattern, pattern
-from planner.toolpath.wrap import densify
 
 Array = NDArray[np.float64]
 

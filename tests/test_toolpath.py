@@ -21,11 +21,12 @@ from planner.process import RISE_PER_LENGTH, Run, with_runs
 from planner.task import NozzleTask, make_tasks
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.laying import arc_length
 from planner.toolpath.ordering import reverse, shorten_travel, travel_length
 from planner.toolpath.paths import seam_on_smooth_part
 from planner.toolpath.rounding import PlaneCurve, round_corners
 from planner.toolpath.svg import PlanePath
-from planner.toolpath.wrap import Cylinder, arc_length, wrap_layer
+from planner.toolpath.wrap import Cylinder, wrap_layer
 
 Array = NDArray[np.float64]
 MM = 1e-3

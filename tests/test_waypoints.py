@@ -22,10 +22,10 @@ from planner.problem.waypoints import WaypointsSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.interpolation import CORNER_TURN, Interpolated, interpolate
+from planner.toolpath.laying import arc_length
 from planner.toolpath.transport import roll_zeros
 from planner.toolpath.waypoints.reader import Waypoints, distinct, read_waypoints
 from planner.toolpath.waypoints.surfels import FAR, Surfels, with_layers
-from planner.toolpath.wrap import arc_length
 
 Array = NDArray[np.float64]
 CHEN = Path(__file__).resolve().parents[2] / "shared" / "data" / "chen2025" / "freeform_25.txt"

@@ -14,11 +14,21 @@ from planner.toolpath.rounding import PlaneCurve
 Array = NDArray[np.float64]
 
 
-def shorten_travel(curves: Sequence[PlaneCurve]) -> list[PlaneCurve]:
+def shorten_travel(curves: Sequence[PlaneCurve], start: Array | None = None) -> list[PlaneCurve]:
     """Order curves and turn them round: nearest neighbour first, then improved until no 2-opt move helps.
 
-    A closed curve starts and ends where it did; an open one may be run backwards.
+    A closed curve starts and ends where it did; an open one may be run backwards. Of both directions of the whole
+    order the one that begins nearer to `start` (2), if that is given.
     """
+    order = _in_order(curves)
+    if not order or start is None:
+        return order
+    if np.hypot(*(order[-1].points[-1] - start)) < np.hypot(*(order[0].points[0] - start)):
+        return [reverse(curve) for curve in reversed(order)]
+    return order
+
+
+def _in_order(curves: Sequence[PlaneCurve]) -> list[PlaneCurve]:
     if len(curves) < 2:
         return list(curves)
     ends = np.array([[curve.points[0], curve.points[-1]] for curve in curves])

@@ -17,10 +17,10 @@ from planner.problem.gcode import GcodeLayersSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.gcode.reader import GcodeFile, Thread, read_gcode
 from planner.toolpath.gcode.surface import LevelLayers
+from planner.toolpath.laying import arc_length, densify
 from planner.toolpath.paths import length
 from planner.toolpath.rounding import PlaneCurve, round_corners
 from planner.toolpath.svg import PlanePath
-from planner.toolpath.wrap import arc_length, densify
 
 Array = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.toolpath.bead import Bead
+from planner.toolpath.laying import arc_length
 from planner.toolpath.step.body import FaceBody
 from planner.toolpath.step.curves import FaceCurve
 from planner.toolpath.transport import roll_zeros
-from planner.toolpath.wrap import arc_length
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -13,7 +13,8 @@ from scipy.spatial import cKDTree
 from planner.problem import Problem
 from planner.problem.cores import CoreLayersSpec
 from planner.toolpath.bead import Bead, Toolpath
-from planner.toolpath.ordering import reverse, shorten_travel
+from planner.toolpath.laying import bead_along, densify
+from planner.toolpath.ordering import shorten_travel
 from planner.toolpath.paths import length
 from planner.toolpath.rounding import PlaneCurve, round_corners
 from planner.toolpath.substrate.bodies import FARTHEST_FROM_FACETS, reach_beside
@@ -23,7 +24,6 @@ from planner.toolpath.substrate.projection import REACH, RESERVE, paths_of, plac
 from planner.toolpath.substrate.trimming import trim_curve, trim_path
 from planner.toolpath.svg import PlanePath
 from planner.toolpath.transport import roll_zeros
-from planner.toolpath.wrap import arc_length, densify
 
 Array = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ def lay_core(problem: Problem, spec: CoreLayersSpec) -> Toolpath:
         left_out += short
         if not pieces:
             continue
-        rows.append(_ordered(pieces, rows[-1][-1].points[-1] if rows else None))
+        rows.append(shorten_travel(pieces, rows[-1][-1].points[-1] if rows else None))
         laid.append(level)
         if len(rows) == spec.count:
             break
@@ -210,14 +210,6 @@ def _pieces(
     return kept, short
 
 
-def _ordered(pieces: Sequence[PlaneCurve], start: Array | None) -> list[PlaneCurve]:
-    """The pieces in the order that travels little, begun at the end that is nearer to `start` (2)."""
-    order = shorten_travel(pieces)
-    if start is not None and np.hypot(*(order[-1].points[-1] - start)) < np.hypot(*(order[0].points[0] - start)):
-        return [reverse(curve) for curve in reversed(order)]
-    return order
-
-
 def _lay(surface: CoreSurface, rows: Sequence[Sequence[PlaneCurve]], width: float, share: float) -> list[Bead]:
     """Beads `width` [m] wide and `share` times as high as their layers, those of one layer after another."""
     fields = [surface.field(level) for level in surface.levels]
@@ -227,20 +219,8 @@ def _lay(surface: CoreSurface, rows: Sequence[Sequence[PlaneCurve]], width: floa
     for (layer, curve, points, normals), zero in zip(placed_on, zeros, strict=True):
         level = surface.levels[layer]
         high = level.height + level.share * surface.room(curve.points)
-        beads.append(
-            Bead(
-                name=curve.name,
-                layer=layer,
-                s=arc_length(points),
-                points=points,
-                normals=normals,
-                roll_zero=zero,
-                source=fields[layer].at(densify(curve.source))[0],
-                width=np.full(len(points), width),
-                height=share * high * normals[:, 2],
-                closed=curve.closed,
-            )
-        )
+        source, high = fields[layer].at(densify(curve.source))[0], share * high * normals[:, 2]
+        beads.append(bead_along(curve, layer, points, normals, zero, source, width, high))
     return beads
 
 

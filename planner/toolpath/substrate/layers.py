@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.toolpath.bead import Bead
+from planner.toolpath.laying import arc_length, densify
 from planner.toolpath.rounding import PlaneCurve
 from planner.toolpath.substrate.bodies import Body
 from planner.toolpath.substrate.facet_tree import FacetTree
 from planner.toolpath.substrate.facing import Facing
 from planner.toolpath.transport import roll_zeros
-from planner.toolpath.wrap import arc_length, densify
 
 Array = NDArray[np.float64]
 _ASIDE = 1e-5  # m, to either side, for the slope of what a plane point is mapped to

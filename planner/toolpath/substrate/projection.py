@@ -23,6 +23,7 @@ from planner.problem.drawings import (
 from planner.problem.faces import StepSpec
 from planner.problem.part import MeshSpec, PartSpec
 from planner.toolpath.bead import Toolpath
+from planner.toolpath.laying import densify
 from planner.toolpath.nurbs import nurbs_paths
 from planner.toolpath.ordering import reverse, shorten_travel
 from planner.toolpath.paths import check_length, check_size, length, seam_on_smooth_part
@@ -36,7 +37,6 @@ from planner.toolpath.substrate.facets import read_facets
 from planner.toolpath.substrate.layers import Substrate
 from planner.toolpath.substrate.patterns import NoPattern, pattern
 from planner.toolpath.svg import PlanePath, read_svg
-from planner.toolpath.wrap import densify
 
 Array = NDArray[np.float64]
 

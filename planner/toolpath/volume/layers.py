@@ -14,7 +14,8 @@ from planner.errors import Complaint
 from planner.problem import Problem
 from planner.problem.volume import VolumeLayersSpec
 from planner.toolpath.bead import Bead, Toolpath
-from planner.toolpath.ordering import reverse, shorten_travel
+from planner.toolpath.laying import bead_along, densify
+from planner.toolpath.ordering import shorten_travel
 from planner.toolpath.paths import length, seam_on_smooth_part
 from planner.toolpath.rounding import PlaneCurve, round_corners
 from planner.toolpath.substrate.facet_tree import FacetTree
@@ -26,7 +27,6 @@ from planner.toolpath.volume.fill import walls, zigzag
 from planner.toolpath.volume.guides import stack_of
 from planner.toolpath.volume.morph import Morph, MorphedLayers
 from planner.toolpath.volume.solid import NotClosed, Solid, TooFine
-from planner.toolpath.wrap import arc_length, densify
 
 Array = NDArray[np.float64]
 
@@ -161,7 +161,7 @@ def _rows(
             curves = [_rounded(path, surface, process.corner_tolerance) for path in long]
             before = row or (rows[-1] if rows else [])
             start = before[-1].curve.points[-1] if before else None
-            row += [_Line(curve, material) for curve in _ordered(curves, start)]
+            row += [_Line(curve, material) for curve in shorten_travel(curves, start)]
         if not row:
             break  # what lies above would hang in the air
         rows.append(row)
@@ -173,16 +173,6 @@ def _rounded(path: PlanePath, surface: HeightField, tolerance: float) -> PlaneCu
     stretch = _RESERVE / float(surface.at(densify(path.points))[1][:, 2].min())
     start = seam_on_smooth_part(path) if path.closed else path
     return round_corners(start, tolerance, lambda points: np.full(len(points), 1.0 / stretch))
-
-
-def _ordered(curves: Sequence[PlaneCurve], start: Array | None) -> list[PlaneCurve]:
-    """The curves in the order that travels little, begun at the end that is nearer to `start` (2)."""
-    order = shorten_travel(curves)
-    if not order or start is None:
-        return order
-    if np.hypot(*(order[-1].points[-1] - start)) < np.hypot(*(order[0].points[0] - start)):
-        return [reverse(curve) for curve in reversed(order)]
-    return order
 
 
 def _lay(morph: Morph, rows: Sequence[Sequence[_Line]], width: float, share: float) -> list[Bead]:
@@ -199,21 +189,9 @@ def _lay(morph: Morph, rows: Sequence[Sequence[_Line]], width: float, share: flo
         along = np.gradient(points, axis=0)
         longer = np.linalg.norm(along, axis=1) / np.linalg.norm(along[:, :2], axis=1)
         thickness = morph.thickness.at(curve.points)[0][:, 2]
-        beads.append(
-            Bead(
-                name=curve.name,
-                layer=layer,
-                s=arc_length(points),
-                points=points,
-                normals=normals,
-                roll_zero=zero,
-                source=fields[layer].at(densify(curve.source))[0],
-                width=width / (normals[:, 2] * longer),
-                height=share * thickness * normals[:, 2],
-                closed=curve.closed,
-                material=line.material,
-            )
-        )
+        source, wide = fields[layer].at(densify(curve.source))[0], width / (normals[:, 2] * longer)
+        high = share * thickness * normals[:, 2]
+        beads.append(bead_along(curve, layer, points, normals, zero, source, wide, high, line.material))
     return beads
 
 

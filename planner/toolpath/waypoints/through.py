@@ -13,12 +13,12 @@ from planner.problem import Problem
 from planner.problem.waypoints import WaypointLayersSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.interpolation import Interpolated, TooRough, interpolate
+from planner.toolpath.laying import arc_length
 from planner.toolpath.paths import check_size, length
 from planner.toolpath.transport import roll_zeros
 from planner.toolpath.waypoints.checks import check_clear, check_section, check_waypoints
 from planner.toolpath.waypoints.reader import Waypoints, read_waypoints
 from planner.toolpath.waypoints.surfels import with_layers
-from planner.toolpath.wrap import arc_length
 
 Array = NDArray[np.float64]
 _APART = 0.5  # of the bead's width: passes lie no closer to each other

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from planner.toolpath.bead import Bead
 from planner.toolpath.interpolation import interpolate
+from planner.toolpath.laying import arc_length
 from planner.toolpath.transport import roll_zeros
 from planner.toolpath.wing.placing import SHORTEST
 from planner.toolpath.wing.sheets import Sheet
 from planner.toolpath.wing.zigzag import APART, PER_RUN, STEP, TURN, Filling
-from planner.toolpath.wrap import arc_length
 
 Array = NDArray[np.float64]
 Segment = tuple[int, float, float]  # a row, and where on it a pass begins and ends

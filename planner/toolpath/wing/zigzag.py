@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from planner.toolpath.bead import Bead
 from planner.toolpath.interpolation import interpolate
+from planner.toolpath.laying import arc_length
 from planner.toolpath.transport import roll_zeros
 from planner.toolpath.wing.strips import Strip
-from planner.toolpath.wrap import arc_length
 
 Array = NDArray[np.float64]
 
