@@ -20,6 +20,8 @@ ROOMS = (
     "interrupts",
     "background",
     "problem",
+    "solids",
+    "point_tree",
     "kinematics",
     "cell",
     "toolpath",
@@ -71,6 +73,7 @@ FORBIDDEN = {
 # Modules that may import a heavy package; a room stands for all its modules.
 HEAVY = {
     "numba": {
+        "point_tree",
         "kinematics",
         "toolpath.substrate.facet_tree",
         "toolpath.substrate.height_field",

@@ -1,0 +1,194 @@
+"""Points in a tree of balls, and how near convex solids come to them: obstacles that grow in the order of print.
+
+A point stands for the ball of its own radius about it. It is there from its time on, so that one tree holds a part
+at all stages of its print. Distances to solids are signed (negative inside) and change by no more than a point moves,
+so that a ball of points is passed over as soon as its middle is far enough.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from planner.readonly import ReadOnlyArrays
+from planner.solids import BOX, CAPSULE, FRUSTUM
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_LEAF = 8  # points of a leaf
+_DEEP = 128  # nodes that wait at once: twice the depth of a tree of as many points as an index can count
+FROM_THE_START = -np.inf  # the time of what is there before the print
+
+
+@dataclass(frozen=True)
+class PointTree(ReadOnlyArrays):
+    """A tree over n points; build it with `point_tree`.
+
+    points (n, 3) [m], radius (n) [m], time (n)   in the tree's order; number (n) as they were given
+    centre (m, 3), reach (m), since (m)           of the nodes: a ball around all of a node's balls, and the first time
+    left, right (m)                               children, or in a leaf: -1 - first point, and the number of points
+    """
+
+    points: Array
+    radius: Array
+    time: Array
+    number: Index
+    centre: Array
+    reach: Array
+    since: Array
+    left: Index
+    right: Index
+
+
+def point_tree(points: Array, radius: Array | float = 0.0, time: Array | float = FROM_THE_START) -> PointTree:
+    """A tree of points (n, 3) [m] with radius (n) [m] that are there from time (n) on; n may be 0."""
+    n = len(points)
+    points = np.ascontiguousarray(points, dtype=float)
+    radius = np.ascontiguousarray(np.broadcast_to(np.asarray(radius, dtype=float), (n,)))
+    time = np.ascontiguousarray(np.broadcast_to(np.asarray(time, dtype=float), (n,)))
+    order = np.arange(n)
+    most = max(1, 4 * (n // _LEAF + 1))
+    centre, reach, since = np.zeros((most, 3)), np.zeros(most), np.full(most, np.inf)
+    left, right = np.full(most, -1, dtype=np.int64), np.zeros(most, dtype=np.int64)
+    count = _build(points, radius, time, order, centre, reach, since, left, right)
+    return PointTree(
+        points[order], radius[order], time[order], order,
+        centre[:count].copy(), reach[:count].copy(), since[:count].copy(), left[:count].copy(), right[:count].copy(),
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def _build(points, radius, time, order, centre, reach, since, left, right):
+    """Fill the nodes and sort `order`; returns the number of nodes. Halved across the longest side of the points' box."""
+    n = order.size
+    todo = [(0, 0, n)]
+    count = 1
+    while todo:
+        node, a, b = todo.pop()
+        if a == b:
+            left[node], right[node] = -1 - a, 0
+            continue
+        low, high = points[order[a]].copy(), points[order[a]].copy()
+        for i in range(a, b):
+            p = points[order[i]]
+            for k in range(3):
+                low[k], high[k] = min(low[k], p[k]), max(high[k], p[k])
+            since[node] = min(since[node], time[order[i]])
+        centre[node] = 0.5 * (low + high)
+        for i in range(a, b):
+            p = points[order[i]] - centre[node]
+            far = np.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]) + radius[order[i]]
+            reach[node] = max(reach[node], far)
+        if b - a <= _LEAF:
+            left[node], right[node] = -1 - a, b - a
+            continue
+        axis = np.argmax(high - low)
+        own = order[a:b].copy()
+        order[a:b] = own[np.argsort(points[own, axis], kind="mergesort")]
+        left[node], right[node] = count, count + 1
+        middle = (a + b) // 2
+        todo.append((count, a, middle))
+        todo.append((count + 1, middle, b))
+        count += 2
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="never")
+def solid_distance(kind, size, planes, x, y, z):
+    """Signed distance [m] of a point in a solid's own frame from it (see `Packed`); of a hull it is a lower bound."""
+    if kind == BOX:
+        dx, dy, dz = abs(x) - size[0], abs(y) - size[1], abs(z) - size[2]
+        ox, oy, oz = max(dx, 0.0), max(dy, 0.0), max(dz, 0.0)
+        return np.sqrt(ox * ox + oy * oy + oz * oz) + min(max(dx, max(dy, dz)), 0.0)
+    if kind == CAPSULE:
+        dz = max(abs(z) - size[1], 0.0)
+        return np.sqrt(x * x + y * y + dz * dz) - size[0]
+    if kind == FRUSTUM:
+        r = np.sqrt(x * x + y * y)
+        bottom, top, height = size[0], size[1], size[2]
+        # the side from (bottom, 0) to (top, height), its outward normal
+        along = np.sqrt((top - bottom) ** 2 + height * height)
+        ux, uz = (top - bottom) / along, height / along
+        side = (r - bottom) * uz - z * ux
+        inside = max(side, max(-z, z - height))
+        if inside <= 0.0:
+            return inside
+        t = min(max((r - bottom) * ux + z * uz, 0.0), along)
+        sx, sz = r - bottom - t * ux, z - t * uz
+        best = sx * sx + sz * sz
+        for lid in range(2):
+            lr, lz = max(r - (bottom if lid == 0 else top), 0.0), z - (0.0 if lid == 0 else height)
+            best = min(best, lr * lr + lz * lz)
+        return np.sqrt(best)
+    worst = -np.inf
+    first = int(size[0])
+    for k in range(first, first + int(size[1])):
+        worst = max(worst, planes[k, 0] * x + planes[k, 1] * y + planes[k, 2] * z + planes[k, 3])
+    return worst
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def nearest_point(
+    tree_points, tree_radius, tree_time, centre, reach, since, left, right,
+    kind, size, planes, T_solid_tree, now, enough, clearance, tip, slope, slack, stack,
+):  # fmt: skip
+    """Least value over the points that are there before time `now` of
+
+        distance(solid, ball of the point) - min(clearance, slope * (distance of the point from the tip) - slack)
+
+    if that is less than `enough`; and the point, in the tree's order, or -1. tip (3) in the tree's frame; to ask for
+    the clearance everywhere, let the slope be 0 and the slack -clearance. T_solid_tree (4, 4) takes points of the
+    tree's frame into the solid's. The stack (_DEEP) is room.
+    """
+    best, found = enough, -1
+    T = T_solid_tree
+    waiting = 1
+    stack[0] = 0
+    while waiting:
+        waiting -= 1
+        node = stack[waiting]
+        if since[node] >= now:
+            continue
+        cx, cy, cz = centre[node, 0], centre[node, 1], centre[node, 2]
+        away = np.sqrt((cx - tip[0]) ** 2 + (cy - tip[1]) ** 2 + (cz - tip[2]) ** 2)
+        most = min(clearance, slope * (away + reach[node]) - slack)
+        d = solid_distance(
+            kind, size, planes,
+            T[0, 0] * cx + T[0, 1] * cy + T[0, 2] * cz + T[0, 3],
+            T[1, 0] * cx + T[1, 1] * cy + T[1, 2] * cz + T[1, 3],
+            T[2, 0] * cx + T[2, 1] * cy + T[2, 2] * cz + T[2, 3],
+        )  # fmt: skip
+        if d - reach[node] - most >= best:
+            continue
+        if left[node] < 0:
+            for i in range(-1 - left[node], -1 - left[node] + right[node]):
+                if tree_time[i] >= now:
+                    continue
+                x, y, z = tree_points[i, 0], tree_points[i, 1], tree_points[i, 2]
+                d = solid_distance(
+                    kind, size, planes,
+                    T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3],
+                    T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3],
+                    T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3],
+                )  # fmt: skip
+                away = np.sqrt((x - tip[0]) ** 2 + (y - tip[1]) ** 2 + (z - tip[2]) ** 2)
+                value = d - tree_radius[i] - min(clearance, slope * away - slack)
+                if value < best:
+                    best, found = value, i
+            continue
+        a, b = left[node], right[node]
+        # the nearer child comes first: it is put on top
+        da = (centre[a, 0] - tip[0]) ** 2 + (centre[a, 1] - tip[1]) ** 2 + (centre[a, 2] - tip[2]) ** 2
+        db = (centre[b, 0] - tip[0]) ** 2 + (centre[b, 1] - tip[1]) ** 2 + (centre[b, 2] - tip[2]) ** 2
+        stack[waiting], stack[waiting + 1] = (b, a) if da <= db else (a, b)
+        waiting += 2
+    return best, found
+
+
+def search_room() -> Index:
+    """Room that `nearest_point` needs for its search; one for each thread."""
+    return np.empty(_DEEP, dtype=np.int64)
