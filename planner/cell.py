@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from planner.cell_bodies import fixture_bodies, head_bodies
 from planner.errors import Refusal, nearest_name
 from planner.kinematics.chain import Chain
 from planner.kinematics.inverse import InverseKinematics, with_rest
@@ -15,6 +16,7 @@ from planner.kinematics.spherical_wrist import SphericalWrist
 from planner.problem import Problem
 from planner.problem.cell import CellSpec, PositionerSpec
 from planner.robot_files import Robot, chain_of, load_robot
+from planner.solids import Body
 
 __all__ = ["Cell", "Limits", "Robot", "build_cell", "frame_from_z", "rigid_inverse", "translation"]
 
@@ -44,6 +46,8 @@ class Cell:
     T_world_base, T_flange_nozzle   what stands at the two ends of `inverse`
     T_world_holder                  the part frame with the holder's free axes at 0
     T_world_holder_base, T_plate_part   what stands at the two ends of the holder: its base, the part on its plate
+    head       bodies of nozzle and print head, in the nozzle frame; the robots' own bodies are theirs
+    fixtures   bodies that stand in the world frame; carried: those that turn with the part, in its frame
     home       (n) start posture, arm then holder
     arm_robot, holder_robot, held   the robots' own models, for whoever wants to check independently
     """
@@ -61,6 +65,9 @@ class Cell:
     held: dict[str, float]
     T_world_holder_base: Array
     T_plate_part: Array
+    head: tuple[Body, ...]
+    fixtures: tuple[Body, ...]
+    carried: tuple[Body, ...]
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -158,6 +165,9 @@ def build_cell(problem: Problem) -> Cell:
         held=held,
         T_world_holder_base=T_world_holder_base,
         T_plate_part=T_plate_part,
+        head=head_bodies(problem, T_flange_nozzle),
+        fixtures=fixture_bodies(problem, "world"),
+        carried=fixture_bodies(problem, "part"),
     )
 
 

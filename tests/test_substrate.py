@@ -376,7 +376,7 @@ def test_facets_that_stand_there_twice_or_have_no_area_change_nothing(tmp_path: 
 
 
 def test_a_mesh_of_too_many_facets_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("planner.toolpath.substrate.facets.MOST_FACETS", 1000)
+    monkeypatch.setattr("planner.facets.MOST_FACETS", 1000)
     with pytest.raises(InputError, match="has 5120 facets"):
         build_toolpath(dome(tmp_path))
 

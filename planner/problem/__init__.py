@@ -24,6 +24,7 @@ from planner.problem.mistakes import first_mistake
 from planner.problem.part import PartSpec
 from planner.problem.process import ProcessSpec
 from planner.problem.settings import STRATEGY_NAMES, ProgramSpec, ResolveSpec, StrategyName
+from planner.problem.solids import CollisionSpec
 from planner.problem.waypoints import WaypointLayersSpec
 
 __all__ = ["Problem", "find_problem", "load_problem", "shipped_problems"]
@@ -45,6 +46,7 @@ class Problem(Section):
         "strategy", f"how the free motion is decided: {', '.join(STRATEGY_NAMES)}", "sqp"
     )
     resolve: ResolveSpec = key("resolve", "settings of the search; each has a default", {})
+    collision: CollisionSpec = key("collision", "how far everything keeps apart; each has a default", {})
     program: ProgramSpec = key("program", "names in the robot program, and how fine it is; each has a default", {})
     _source: Source = PrivateAttr()
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Annotated
 
-from pydantic import model_validator
+from pydantic import field_validator, model_validator
 
 from planner.problem.fields import (
     INCREASING,
@@ -18,9 +19,11 @@ from planner.problem.fields import (
     key,
     refusal,
 )
+from planner.problem.solids import FixtureSpec, SolidSpec
 
 Text = Annotated[str, TEXT]
 Angle = Annotated[float, Quantity("deg", -3600, 3600)]  # ten turns: no cable allows more
+Ring = Annotated[tuple[float, float], Quantity("mm", 0, 2000, count=2)]
 MOST_JOINTS = 12  # of an arm; how many it has, its own file says
 
 
@@ -32,6 +35,27 @@ class NozzleSpec(Section):
         "axis", "direction in which the nozzle points, in the flange frame, any length but 0", (0, 0, 1)
     )
     diameter: Annotated[float, Quantity("mm", 0.05, 50)] = key("diameter_mm", "bore of the nozzle [mm]")
+    profile: tuple[Ring, ...] | None = key(
+        "profile_mm",
+        "outline of the nozzle about its axis, from the tip up: pairs of height above the tip and radius [mm]; "
+        "default: a slender one, assumed from the bore",
+        None,
+    )
+    head: dict[Text, SolidSpec] | None = key(
+        "head", "bodies of the print head by name, in the flange frame; default: a tube to the flange, assumed", None
+    )
+
+    @field_validator("profile")
+    @classmethod
+    def _upwards(cls, profile: tuple[tuple[float, float], ...] | None) -> tuple[tuple[float, float], ...] | None:
+        if profile is None:
+            return None
+        if len(profile) < 2 or profile[0][0] != 0.0:
+            raise refusal("must begin at height 0, the tip, and have two pairs or more", "[[0, 0.5], [5, 4], [40, 4]]")
+        for i, (before, after) in enumerate(itertools.pairwise(profile), 1):
+            if after[0] < before[0] or after == before:
+                raise refusal("heights must not fall, and no pair stand twice", "from the tip up", item=i)
+        return profile
 
 
 class PositionerSpec(Section):
@@ -100,6 +124,9 @@ class CellSpec(Section):
     )
     positioner: PositionerSpec | None = key("positioner", "what turns the part; default: none, but a bed", None)
     bed: Position | None = key("bed_mm", "origin of the part frame on a fixed bed [mm]; default: none", None)
+    fixtures: dict[Text, FixtureSpec] = key(
+        "fixtures", "what else stands in the cell, or is carried with the part, by name; default: nothing", {}
+    )
     limits: dict[Text, JointLimitsSpec] = key("limits", "limits of your own by joint; default: the robots'", {})
 
     @model_validator(mode="after")

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import Complaint, InputError
+from planner.input_file import read_text
 from planner.readonly import ReadOnlyArrays
 from planner.toolpath.gcode.arcs import NoArc, arc_by_centre, centre_by_radius
-from planner.toolpath.input_file import read_text
 
 Array = NDArray[np.float64]
 

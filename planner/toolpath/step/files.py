@@ -14,8 +14,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from planner.errors import Complaint
+from planner.input_file import read_bytes
 from planner.problem.faces import StepSpec
-from planner.toolpath.input_file import read_bytes
 from planner.toolpath.step.face import Face
 from planner.toolpath.step.splines import SplineSet, SplineSurface
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planner.errors import Complaint
+from planner.facets import read_facets
 from planner.problem import Problem
 from planner.problem.curves import CurvesSpec, ProjectedCurvesSpec
 from planner.problem.drawings import (
@@ -33,7 +34,6 @@ from planner.toolpath.step.top import FaceTop, NotSmooth, UpperFaces
 from planner.toolpath.substrate.analytic import exact_body
 from planner.toolpath.substrate.bodies import Body, MeshTop, Part, TooRough, reach_beside
 from planner.toolpath.substrate.facet_tree import FacetTree
-from planner.toolpath.substrate.facets import read_facets
 from planner.toolpath.substrate.layers import Substrate
 from planner.toolpath.substrate.patterns import NoPattern, pattern
 from planner.toolpath.svg import PlanePath, read_svg

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import Complaint
+from planner.facets import read_facets
 from planner.problem import Problem
 from planner.problem.volume import GuideSpec, VolumeLayersSpec
 from planner.toolpath.substrate.bodies import MeshTop, TooRough, reach_beside
 from planner.toolpath.substrate.facet_tree import FacetTree
-from planner.toolpath.substrate.facets import read_facets
 from planner.toolpath.volume.morph import Heights, Morph
 from planner.toolpath.volume.solid import Solid
 

@@ -11,6 +11,7 @@ import shapely
 from numpy.typing import NDArray
 
 from planner.errors import Complaint
+from planner.facets import read_facets
 from planner.problem import Problem
 from planner.problem.volume import VolumeLayersSpec
 from planner.toolpath.bead import Bead, Toolpath
@@ -19,7 +20,6 @@ from planner.toolpath.ordering import shorten_travel
 from planner.toolpath.paths import length, seam_on_smooth_part
 from planner.toolpath.rounding import PlaneCurve, round_corners
 from planner.toolpath.substrate.facet_tree import FacetTree
-from planner.toolpath.substrate.facets import read_facets
 from planner.toolpath.substrate.height_field import HeightField
 from planner.toolpath.svg import PlanePath
 from planner.toolpath.transport import roll_zeros

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import Complaint, InputError, nearest_name
-from planner.toolpath.input_file import read_bytes, read_text
+from planner.input_file import read_bytes, read_text
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import Complaint, InputError
-from planner.toolpath.input_file import read_lines
+from planner.input_file import read_lines
 
 Array = NDArray[np.float64]
 Row = tuple[int, float, float]  # line from 1, x, z

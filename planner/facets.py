@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from planner.errors import Complaint
+from planner.input_file import read_bytes
 from planner.problem.part import MeshSpec
-from planner.toolpath.input_file import read_bytes
-from planner.toolpath.waypoints.reader import FARTHEST
 
 Array = NDArray[np.float64]
 
 MOST_FACETS = 2_000_000  # read in 5 s with 1.5 GB as a binary file
+FARTHEST = 100_000.0  # mm from the origin: a hall
 LARGEST_FILE = 600_000_000  # bytes: so many as text
 _HEADER = 84  # bytes of a binary file before its facets, of _FACET bytes each
 _FACET = 50
@@ -27,13 +27,19 @@ _THINNEST = 1e-9  # mm, height of a facet over its longest side: below, it is a 
 
 
 def read_facets(spec: MeshSpec, where: Complaint) -> Array:
-    """Facets (n, 3, 3) of a body [m], part frame, counter-clockwise seen from outside; none without an area.
+    """Facets (n, 3, 3) of a body [m], part frame; as `read_corners` else."""
+    turn = Rotation.from_euler("xyz", spec.rpy).as_matrix()
+    return np.asarray(read_corners(spec.file, where) @ turn.T + np.asarray(spec.origin))
+
+
+def read_corners(path: Path, where: Complaint) -> Array:
+    """Facets (n, 3, 3) of a file in mm [m], counter-clockwise seen from outside; none without an area.
 
     `where(reason, hint=...)` makes the InputError for what is wrong with the file, as for what stands inside out.
     """
-    data = read_bytes(spec.file, LARGEST_FILE, where, _FEWER)
-    mesh = _binary(spec.file, data, where) if _is_binary(data) else _text(spec.file, data, where)
-    name = spec.file.name
+    data = read_bytes(path, LARGEST_FILE, where, _FEWER)
+    mesh = _binary(path, data, where) if _is_binary(data) else _text(path, data, where)
+    name = path.name
     corners = np.asarray(mesh.vertices, dtype=float)[np.asarray(mesh.faces)]
     if not (np.abs(corners) <= FARTHEST).all():  # NaN is not
         raise where(f"{name} has a corner that is no number, or farther than {FARTHEST / 1e3:g} m from the origin")
@@ -46,8 +52,7 @@ def read_facets(spec: MeshSpec, where: Complaint) -> Array:
     mesh.merge_vertices()
     if mesh.is_watertight and mesh.volume < 0.0:
         raise where(f"{name} is inside out: its facets face inwards", hint="flip its normals in a CAD program")
-    turn = Rotation.from_euler("xyz", spec.rpy).as_matrix()
-    return np.asarray((corners[keep] * 1e-3) @ turn.T + np.asarray(spec.origin))
+    return np.asarray(corners[keep] * 1e-3)
 
 
 _FEWER = f"make a mesh of fewer facets, at most {MOST_FACETS}"
