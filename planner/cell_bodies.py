@@ -48,7 +48,7 @@ def head_bodies(problem: Problem, T_flange_nozzle: Array) -> tuple[Body, ...]:
             T = upwards.copy()
             T[2, 3] = -low
             bodies.append(Body("nozzle", Frustum(bottom, top, high - low), T))
-    T_nozzle_flange: Array = np.linalg.inv(T_flange_nozzle)
+    T_nozzle_flange = np.asarray(np.linalg.inv(T_flange_nozzle), dtype=float)
     if spec.head is None:
         bodies += _tube(np.array([0.0, 0.0, -profile[-1][0]]), T_nozzle_flange[:3, 3])
     for name, own in (spec.head or {}).items():
