@@ -122,6 +122,7 @@ def build_cell(problem: Problem) -> Cell:
     if spec.positioner is None:
         holder_robot, held = None, {}
         T_world_holder_base = translation(np.asarray(spec.bed))
+        T_world_holder_base[:3, :3] = pin.rpy.rpyToMatrix(*spec.bed_rpy)
         holder = Chain((), np.empty((0, 4, 4)), np.empty((0, 3)), T_world_holder_base)
     else:
         holder_robot = load_robot(spec.positioner.robot, problem, "cell.positioner.robot")

@@ -56,6 +56,7 @@ def second_arm(free: tuple[str, ...], **hold: float) -> str:
 
 CELLS = {
     "bed": ABB + "  bed_mm: [550, 0, 300]\n",
+    "bed_turned": ABB + "  bed_mm: [540, 20, 300]\n  bed_rpy_deg: [10, -8, 25]\n",
     "one": ABB + A250 % "rotation",
     "two": ABB + A250 % "tilt, rotation",
     "arm_held": second_arm(()),
@@ -220,6 +221,27 @@ def test_external_axes_read_back_from_rapid(folder: Path, name: str) -> None:
     np.testing.assert_allclose(program.oframe[:3], cell.T_plate_part[:3, 3], atol=1e-6)
     assert ("MultiMove" in text) == name.startswith("arm")
     assert f"eax_{'abcdef'[len(axes) - 1]} {axes[-1]}" in text
+
+
+def test_a_turned_bed_stands_in_every_export(folder: Path, tmp_path: Path) -> None:
+    plan = plan_of(folder, "bed_turned")
+    x, y, z = np.radians([10.0, -8.0, 25.0])
+    T_world_part = np.eye(4)
+    T_world_part[:3, :3] = pin.utils.rotate("z", z) @ pin.utils.rotate("y", y) @ pin.utils.rotate("x", x)
+    T_world_part[:3, 3] = [0.54, 0.02, 0.3]
+    np.testing.assert_allclose(plan.cell.T_world_holder, T_world_part, atol=1e-12)
+    np.testing.assert_allclose(plan.cell.T_world_holder_base, T_world_part, atol=1e-12)
+    np.testing.assert_allclose(cell_screws(plan.cell)["T_world_part_zero"], T_world_part, atol=1e-11)
+    program = read_rapid(rapid(plan))
+    np.testing.assert_allclose(program.uframe[:3], T_world_part[:3, 3], atol=1e-6)
+    np.testing.assert_allclose(pin.Quaternion(program.uframe[3:]).matrix(), T_world_part[:3, :3], atol=1e-6)
+    np.testing.assert_allclose(program.oframe, [0, 0, 0, 0, 0, 0, 1], atol=0)
+    # where flange and nozzle really are, part frame by part frame: a bead's first point, by Pinocchio alone
+    q = plan.trajectory.q[np.argmax(plan.trajectory.deposit)]
+    T_world_nozzle = flange(plan.cell.arm_robot.model, "tool0", q).homogeneous @ plan.cell.T_flange_nozzle
+    first = (np.linalg.inv(T_world_part) @ T_world_nozzle)[:3, 3]
+    assert np.linalg.norm(plan.toolpath.beads[0].points - first, axis=1).min() < 1e-3
+    write_robot_code(plan, tmp_path)  # compares before it writes
 
 
 def test_robot_code_of_a_second_arm_repeats_the_plan(folder: Path, tmp_path: Path) -> None:

@@ -155,6 +155,9 @@ def test_fixed_bed(in_tmp: Path) -> None:
     problem = load(TEXT[:start] + "  bed_mm: [560, -93, 290]\n" + TEXT[end:])
     assert problem.cell.positioner is None
     assert problem.cell.bed == pytest.approx((0.56, -0.093, 0.29))
+    assert problem.cell.bed_rpy == (0, 0, 0)
+    turned = load(TEXT[:start] + "  bed_mm: [560, -93, 290]\n  bed_rpy_deg: [90, 0, -180]\n" + TEXT[end:])
+    assert turned.cell.bed_rpy == pytest.approx((math.pi / 2, 0, -math.pi))
 
 
 def test_drawing_counts_from_the_folder_of_the_file(in_tmp: Path) -> None:
@@ -668,6 +671,8 @@ def test_the_last_override_wins_and_mends_the_file(in_tmp: Path) -> None:
         ("strategy=laddr", "--set strategy", "'laddr'", "did you mean ladder?"),
         ("cell.home_deg=[1, 2, 3, 4, 5, .nan]", "--set cell.home_deg", "number 6", "deg"),
         ("cell.bed_mm=[0, 0, 0]", "--set cell.bed_mm", "both positioner and bed_mm", "exactly one"),
+        ("cell.bed_rpy_deg=[0, 0, 5]", "--set cell.bed_rpy_deg", "a part on a bed", "part_rpy_deg"),
+        ("cell.bed_rpy_deg=[0, 0]", "--set cell.bed_rpy_deg", "3 numbers", "-360 to 360"),
         ("part={cylinder: {radius_mm: 1}}", "--set part: part.cylinder.height_mm", "is missing", "height"),
         ("name.x=3", "--set name.x", "would stand below the text 'test_1'", ""),
         ("cell.home_deg.0=3", "--set cell.home_deg.0", "below a list", ""),

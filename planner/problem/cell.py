@@ -124,6 +124,9 @@ class CellSpec(Section):
     )
     positioner: PositionerSpec | None = key("positioner", "what turns the part; default: none, but a bed", None)
     bed: Position | None = key("bed_mm", "origin of the part frame on a fixed bed [mm]; default: none", None)
+    bed_rpy: Annotated[Vector, Quantity("deg", -360, 360, count=3)] = key(
+        "bed_rpy_deg", "the part frame on a fixed bed turned about x, then y, then z of the world [deg]", (0, 0, 0)
+    )
     fixtures: dict[Text, FixtureSpec] = key(
         "fixtures", "what else stands in the cell, or is carried with the part, by name; default: nothing", {}
     )
@@ -135,4 +138,7 @@ class CellSpec(Section):
             found = "neither positioner nor bed_mm is" if self.bed is None else "both positioner and bed_mm are"
             reason = f"{found} given"
             raise refusal(reason, "give exactly one of them", fields=["positioner", "bed_mm"])
+        if self.bed is None and "bed_rpy" in self.model_fields_set:
+            fields = ["positioner", "bed_rpy_deg"]
+            raise refusal("bed_rpy_deg turns a part on a bed", "on a positioner: part_rpy_deg", fields=fields)
         return self
