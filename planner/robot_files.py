@@ -23,11 +23,22 @@ from planner.kinematics.offset_wrist import OffsetWrist, read_offset_wrist
 from planner.kinematics.seven_axes import SevenAxes, read_seven_axes
 from planner.kinematics.spherical_wrist import SphericalWrist
 from planner.problem import Problem
+from planner.robot_bodies import read_bodies
+from planner.robot_urdf import Urdf, model_of, read_urdf, turning_joints
+from planner.solids import Body
 
 Array = NDArray[np.float64]
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"
 REQUIRED = ("name", "urdf", "tip", "acceleration_rad_s2", "jerk_rad_s3")
-OPTIONAL = ("speed_rad_s", "assumed", "spherical_wrist", "inverse_kinematics", "redundant_joint")
+OPTIONAL = (
+    "speed_rad_s",
+    "range_deg",
+    "without",
+    "assumed",
+    "spherical_wrist",
+    "inverse_kinematics",
+    "redundant_joint",
+)
 KINDS = ("offset_wrist", "seven_axes")  # spherical wrists have a section of their own, with their lengths
 _SAME_POSE = 1e-9  # m: closed form and URDF are one arm
 _POSTURES = 20
@@ -36,7 +47,11 @@ _POSTURES = 20
 @dataclass(frozen=True)
 class Robot:
     """One robot as its files describe it: a Pinocchio model of the joints from base to tip, its tip frame, and what
-    a URDF cannot say; no inverse kinematics if it is not an arm."""
+    a URDF cannot say; no inverse kinematics if it is not an arm.
+
+    bodies   one tuple for each joint index of the model (0: what does not move), in the joint's frame; all empty if
+             the URDF has no collision shapes
+    """
 
     key: str
     name: str
@@ -46,6 +61,7 @@ class Robot:
     jerk: Array
     inverse: InverseKinematics | None
     assumed: tuple[str, ...]
+    bodies: tuple[tuple[Body, ...], ...]
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -73,6 +89,25 @@ class RobotFile:
             raise self.error(field, f"must be a list of {count} positive numbers", "one for each joint, base first")
         return np.array([float(v) for v in value])
 
+    def ranges(self, joints: Collection[str]) -> dict[str, tuple[float, float]]:
+        """Ranges [rad] by joint that stand in place of the URDF's."""
+        given = self.data.get("range_deg", {})
+        if not isinstance(given, Mapping):
+            raise self.error("range_deg", "must be ranges by joint", "for example {joint_6: [-400, 400]}")
+        for name, pair in given.items():
+            if name not in joints:
+                near = nearest_name(str(name), joints)
+                hint = f"did you mean {near}?" if near else f"joints: {', '.join(joints)}"
+                raise self.error("range_deg", f"no joint {name!r}", hint)
+            right = isinstance(pair, list) and len(pair) == 2 and all(_is_number(v) and np.isfinite(v) for v in pair)
+            if not right or not pair[0] < pair[1]:
+                raise self.error(
+                    "range_deg", f"{name} must have a least and a greatest angle", "for example [-400, 400]"
+                )
+        return {
+            name: (np.radians(float(pair[0])).item(), np.radians(float(pair[1])).item()) for name, pair in given.items()
+        }
+
 
 def robot_names(folder: Path = ROBOTS) -> list[str]:
     """Keys of the robots that ship."""
@@ -92,10 +127,9 @@ def read_robot(path: Path) -> Robot:
     """Read a robot's YAML file and its URDF. Raises InputError for whatever is wrong with them."""
     file = _read(path)
     data = file.data
-    model = _model(file)
+    urdf = read_urdf(urdf_path(file))
+    model = _model(file, urdf)
     n = model.njoints - 1
-    if "speed_rad_s" in data:
-        model.velocityLimit = file.numbers("speed_rad_s", n)
     return Robot(
         key=path.stem,
         name=str(data["name"]),
@@ -105,6 +139,7 @@ def read_robot(path: Path) -> Robot:
         jerk=file.numbers("jerk_rad_s3", n),
         inverse=_inverse(file, model),
         assumed=tuple(data.get("assumed", ())),
+        bodies=read_bodies(urdf, model, _without(file, urdf)),
     )
 
 
@@ -154,37 +189,33 @@ def urdf_path(file: RobotFile) -> Path:
     return path
 
 
-def _model(file: RobotFile) -> pin.Model:
-    """Pinocchio's model of the joints from base to tip; others, such as a gripper's, are held at zero."""
-    path = urdf_path(file)
-    try:
-        model = pin.buildModelFromUrdf(str(path))
-    except ValueError as error:
-        raise file.error("urdf", f"{path.name} is no URDF that can be read", str(error)) from None
-    tip = file.data["tip"]
-    frames = [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
-    if tip not in frames:
-        near = nearest_name(str(tip), frames)
-        raise file.error("tip", f"no link {tip!r}", f"did you mean {near}?" if near else f"links: {', '.join(frames)}")
-    on_the_way = _joints_to(model, model.frames[model.getFrameId(tip)].parentJoint)
-    aside = [i for i in range(1, model.njoints) if i not in on_the_way]
-    if aside:
-        model = pin.buildReducedModel(model, aside, pin.neutral(model))
-    for i in range(1, model.njoints):
-        name = model.names[i]
-        if model.joints[i].nq != 1 or not np.isfinite(model.lowerPositionLimit[model.joints[i].idx_q]):
-            raise file.error("urdf", f"joint {name} has no range", "a turning joint needs lower and upper")
-        if np.linalg.norm(joint_axis(model, i)) < 0.5:
-            raise file.error("urdf", f"joint {name} does not turn", "only revolute joints are known")
+def _model(file: RobotFile, urdf: Urdf) -> pin.Model:
+    """Pinocchio's model of the joints from base to tip, with the ranges and speeds that the robot's file knows."""
+    tip, links = file.data["tip"], urdf.links()
+    if tip not in links:
+        near = nearest_name(str(tip), links)
+        raise file.error("tip", f"no link {tip!r}", f"did you mean {near}?" if near else f"links: {', '.join(links)}")
+    joints = turning_joints(urdf, tip)
+    if not joints:
+        raise file.error("tip", f"no joint turns between the base and {tip}")
+    model = model_of(urdf, tip, file.ranges(joints), "speed_rad_s" in file.data)
+    if "speed_rad_s" in file.data:
+        model.velocityLimit = file.numbers("speed_rad_s", len(joints))
     return model
 
 
-def _joints_to(model: pin.Model, joint: int) -> Collection[int]:
-    found = set()
-    while joint > 0:
-        found.add(joint)
-        joint = model.parents[joint]
-    return found
+def _without(file: RobotFile, urdf: Urdf) -> tuple[str, ...]:
+    """Links of the URDF that this robot has not."""
+    names = file.data.get("without", [])
+    if not isinstance(names, list):
+        raise file.error("without", "must be a list of links", "for example [hand]")
+    links = urdf.links()
+    for name in names:
+        if name not in links:
+            near = nearest_name(str(name), links)
+            hint = f"did you mean {near}?" if near else f"links: {', '.join(links)}"
+            raise file.error("without", f"no link {name!r}", hint)
+    return tuple(names)
 
 
 def _inverse(file: RobotFile, model: pin.Model) -> InverseKinematics | None:

@@ -467,7 +467,6 @@ IRB140 = (ROBOTS / "irb140.yaml").read_text(encoding="utf-8")
         (UR5, ("robots/ur_description/urdf/ur5_robot", "robots/kinova_description/robots/kinova"), "tip", "no link"),
         (PANDA, ("redundant_joint: panda_joint7", "redundant_joint: panda_joint3"), "inverse_kinematics", "joint 7"),
         (PANDA, ("redundant_joint: panda_joint7", "redundant_joint: panda_joint8"), "redundant_joint", "panda_joint7"),
-        (PANDA, ("tip: panda_link8", "tip: panda_leftfinger"), "urdf", "does not turn"),
         (IRB140, ("urdf: irb140.urdf", f"urdf: {ROBOTS}/iiwa.urdf"), "acceleration_rad_s2", "7 positive numbers"),
         (IRB140, ("c4_mm: 65", "c4_mm: 66"), "spherical_wrist", "disagree"),
         (IRB140, (", c4_mm: 65", ""), "spherical_wrist", "c4_mm"),

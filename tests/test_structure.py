@@ -52,6 +52,8 @@ SAME_ROOM = {
     "run_ends": "process",
     "robot_files": "cell",
     "cell_bodies": "cell",
+    "robot_urdf": "cell",
+    "robot_bodies": "cell",
     "verify_checks": "verify",
     "verify_extrusion": "verify",
     "verify_materials": "verify",
@@ -97,6 +99,7 @@ HEAVY = {
     },
     "ruckig": {"travel"},
     "pinocchio": {"cell", "replay"},
+    "coal": {"robot_bodies"},
     "shapely": {
         "toolpath.step.shape",
         "toolpath.svg.cuts",
