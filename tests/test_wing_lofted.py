@@ -347,6 +347,11 @@ UNPRINTABLE = [
     ("layers.source.tip={chord_mm: 70, sweep_mm: 60}", "layers.support.length_mm", "beyond the support"),
     ("layers.source.tip={chord_mm: 60, washout_deg: 8}", "layers.support.height_mm", "leading edge of the tip"),
     ("layers.source.tip={chord_mm: 20, sweep_mm: 30, washout_deg: -20}", "layers.source.tip", "farther apart"),
+    (
+        "layers.source.tip={chord_mm: 6, sweep_mm: 5, washout_deg: 1.5, naca: '2412'}",
+        "layers.source.tip",
+        "lean so much",
+    ),
     ("layers.source.span_mm=1.2", "layers.source.span_mm", "too short"),
     ("layers.support.length_mm=79", "layers.support.length_mm", "less than the chord"),
 ]

@@ -59,7 +59,7 @@ def lofted_wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
     check_floor(problem, spec, floor)
     solid = Filling(process.bead.width, process.bead.height, process.corner_tolerance, process.run_in)
     planar = source.method == "planar"
-    layers = _planar(loft, spec, stations, solid) if planar else _curved(loft, spec, stations, solid)
+    layers = _planar(loft, spec, stations, solid) if planar else _curved(problem, loft, spec, stations, solid)
     if not any(layers):
         raise too_small(problem)
 
@@ -123,9 +123,13 @@ def _laid(problem: Problem, spec: AerofoilLayersSpec, layers: Sequence[Sequence[
     return Toolpath(tuple(beads), SheetSolid(tuple(sheets), tuple(levels), tuple(laid), (start, start + span), 0, {}))
 
 
-def _curved(loft: Loft, spec: AerofoilLayersSpec, stations: Array, solid: Filling) -> list[list[Job]]:
-    """Layers parallel to the lower side, then those parallel to the upper; those next to a side run across."""
+def _curved(problem: Problem, loft: Loft, spec: AerofoilLayersSpec, stations: Array, solid: Filling) -> list[list[Job]]:
+    """Layers parallel to the lower side, then those parallel to the upper; those next to a side run across.
+
+    Raises InputError where sides lean so much towards each other that surfaces parallel to them never meet inside.
+    """
     height = spec.height
+    thickest = max(float(np.ptp(_outline(loft, y, 0)[:, 1]) + np.ptp(_outline(loft, y, 1)[:, 1])) for y in stations)
     halves: list[list[list[Job]]] = []
     for side, other, rise, clear in (
         (loft.lower, loft.upper, 1, CLEAR_LOWER),
@@ -138,6 +142,12 @@ def _curved(loft: Loft, spec: AerofoilLayersSpec, stations: Array, solid: Fillin
             area = parallel_area(side, other, tip, tip + clear * height, spec.source.tilt, stations)
             if area.empty:
                 break
+            if tip > thickest:
+                raise problem.error(
+                    "layers.source.tip",
+                    "the sides lean so much towards each other that layers parallel to them leave the wing",
+                    "a longer span_mm, or a tip more like the root",
+                )
             found.append([Job("layer", CurvedSheet(side, tip, base, area), depth % 2 == 0, solid)])
         halves.append(found)
     return halves[0] + halves[1][::-1]
