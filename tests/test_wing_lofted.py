@@ -347,11 +347,6 @@ UNPRINTABLE = [
     ("layers.source.tip={chord_mm: 70, sweep_mm: 60}", "layers.support.length_mm", "beyond the support"),
     ("layers.source.tip={chord_mm: 60, washout_deg: 8}", "layers.support.height_mm", "leading edge of the tip"),
     ("layers.source.tip={chord_mm: 20, sweep_mm: 30, washout_deg: -20}", "layers.source.tip", "farther apart"),
-    (
-        "layers.source.tip={chord_mm: 6, sweep_mm: 5, washout_deg: 1.5, naca: '2412'}",
-        "layers.source.tip",
-        "lean so much",
-    ),
     ("layers.source.span_mm=1.2", "layers.source.span_mm", "too short"),
     ("layers.support.length_mm=79", "layers.support.length_mm", "less than the chord"),
 ]
@@ -364,3 +359,9 @@ def test_wings_that_cannot_be_printed_are_refused(change: str, field: str, reaso
     assert field in (caught.value.field or "")
     assert reason in caught.value.reason
     assert caught.value.hint or reason == "no file"
+
+
+def test_sides_that_never_meet_are_refused_at_once() -> None:
+    with pytest.raises(InputError, match="lean so much") as caught:
+        build_toolpath(load_problem("naca0015_wing_tapered", ["layers.source.tip.chord_mm=6"]))
+    assert caught.value.field == "layers.source.tip"
