@@ -27,6 +27,7 @@ ROOMS = (
     "kinematics",
     "cell",
     "toolpath",
+    "print_body",
     "process",
     "task",
     "resolve",

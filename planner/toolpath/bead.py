@@ -72,6 +72,7 @@ class Toolpath:
     """All beads in print order, and the surface they lie on.
 
     shape  of a body to draw beneath them, if there is one
+    solid  (n, 3, 3) facets [m] of the whole body, where they are known exactly; else its shape stands for it
     notes  sentences for the user: what was left out of the input, or changed in it
     """
 
@@ -79,6 +80,7 @@ class Toolpath:
     surface: Surface
     shape: Shape | None = None
     notes: tuple[str, ...] = ()
+    solid: Array | None = None
 
     @property
     def length(self) -> float:

@@ -83,7 +83,8 @@ def lay_core(problem: Problem, spec: CoreLayersSpec) -> Toolpath:
     share = process.bead.height / spec.height
     beads = _lay(surface, rows, process.bead.width, share)
     surface = replace(surface, layers=tuple(bead.layer for bead in beads))
-    return Toolpath(tuple(beads), surface, surface.body.shape(), _notes(left_out, shortest))
+    body = surface.body
+    return Toolpath(tuple(beads), surface, body.shape(), _notes(left_out, shortest), body.facets.corners)
 
 
 def _space(problem: Problem, spec: CoreLayersSpec) -> _Space:

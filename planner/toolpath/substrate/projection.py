@@ -84,7 +84,8 @@ def project_curves(
 def _laid(substrate: Substrate, rows: Sequence[Sequence[PlaneCurve]], width: float, height: float) -> Toolpath:
     beads = substrate.lay(rows, width, height)
     grown = replace(substrate, layers=tuple(bead.layer for bead in beads))
-    return Toolpath(tuple(beads), grown, substrate.body.shape())
+    body = substrate.body
+    return Toolpath(tuple(beads), grown, body.shape(), solid=body.facets.corners if isinstance(body, MeshTop) else None)
 
 
 def _size_key(source: SvgSpec | PatternSpec | CurvesSpec) -> str:

@@ -72,8 +72,8 @@ def fill_mesh(problem: Problem, spec: VolumeLayersSpec) -> Toolpath:
         raise problem.error("process.bead.width_mm", reason, "a narrower bead, or a larger part")
     beads = _lay(morph, rows, problem.process.bead.width, problem.process.bead.height / spec.height)
     surface = MorphedLayers(morph, base, tuple(regions), tuple(bead.layer for bead in beads))
-    shape = None if base is None else base.shape()
-    return Toolpath(tuple(beads), surface, shape, _notes(name, morph, len(rows), regions, beads, left_out))
+    shape, beneath = (None, None) if base is None else (base.shape(), base.facets.corners)
+    return Toolpath(tuple(beads), surface, shape, _notes(name, morph, len(rows), regions, beads, left_out), beneath)
 
 
 def _solid(corners: Array, name: str, complain: Complaint) -> Solid:

@@ -1,0 +1,211 @@
+"""What takes room of part and print, as points in print order: for the nozzle, and whatever else comes near.
+
+The substrate, what it stands on, and the beads as rows of balls. Time counts in beads: what is laid at share x of the
+length of bead i is there from i + x on, and a travel that leads to bead i takes place at i.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from planner.cell import Cell, rigid_inverse
+from planner.point_tree import FROM_THE_START, PointTree, point_tree
+from planner.readonly import ReadOnlyArrays
+from planner.solids import Body, triangles_of
+from planner.toolpath.bead import Bead, Toolpath
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+CLEARANCE = 2e-3  # m: at this distance from the points nothing between them is nearer
+_NEAR = 30e-3  # m from a bead: here surfaces are known finely
+_FINE, _COARSE = 1e-3, 3e-3  # m, longest side of a triangle whose corners stand for it: near beads, and elsewhere
+_MOST = 100_000  # points of either kind, about: more and they stand farther apart
+_CORNER_AREA = 0.3  # of the square of that side, of the surface that falls to one corner
+_MERGED = 0.125  # of that side: corners nearer to each other count as one
+_OVERHANG = 0.25  # of the height by which a bead may be wider than its balls
+_CHORD = 2e-3  # m that a picture's triangles may leave the true surface
+_ON = 1e-5  # m: as near is on the surface
+_PART = "part"
+
+
+@dataclass(frozen=True)
+class PrintBody(ReadOnlyArrays):
+    """Points of part and print, in the part frame.
+
+    tree   of all of them; its `number` counts substrate, bodies, then beads
+    first  (k + 1) number of the first point of each thing; names (k) of the things
+    """
+
+    tree: PointTree
+    first: Index
+    names: tuple[str, ...]
+
+    def name_of(self, point: int) -> str:
+        """What a point belongs to, given in the tree's order."""
+        number = self.tree.number[point]
+        return self.names[int(np.searchsorted(self.first, number, side="right")) - 1]
+
+
+def print_body(toolpath: Toolpath, bodies: Sequence[Body] = ()) -> PrintBody:
+    """Part and print of a toolpath, with bodies that do not move in the part frame: see `standing`."""
+    beads = toolpath.beads
+    corners = _substrate(toolpath)
+    surfaces = [(_PART, corners)] if corners is not None else []
+    surfaces += [(body.name, _corners(body)) for body in bodies]
+    tips = cKDTree(np.concatenate([bead.points[:: max(1, len(bead.s) // 1000)] for bead in beads]))
+    pieces = [_split(triangles, _NEAR) for _, triangles in surfaces]
+    near = [_is_near(each, tips) for each in pieces]
+    sides = _sides(pieces, near)
+    names, points, radius, time = [], [], [], []
+    for (name, _), piece, by in zip(surfaces, pieces, near, strict=True):
+        at, spread = _spread(piece, by, sides)
+        if name == _PART and toolpath.solid is None:
+            at = _onto(toolpath, at)
+        names.append(name)
+        points.append(at)
+        radius.append(np.hypot(CLEARANCE, spread) - CLEARANCE)
+        time.append(np.full(len(at), FROM_THE_START))
+    if corners is None:
+        first = [_rows(bead, 1.0)[0] for bead in beads if bead.layer == 0]
+        names.insert(0, _PART)
+        points.insert(0, np.concatenate(first))
+        radius.insert(0, np.zeros(len(points[0])))
+        time.insert(0, np.full(len(points[0]), FROM_THE_START))
+    for i, bead in enumerate(beads):
+        at, share, thick = _rows(bead, 0.5)
+        names.append(f"bead {i}")
+        points.append(at)
+        radius.append(thick)
+        time.append(i + share)
+    first_of = np.concatenate([[0], np.cumsum([len(each) for each in points])]).astype(np.int64)
+    tree = point_tree(np.concatenate(points), np.concatenate(radius), np.concatenate(time))
+    return PrintBody(tree, first_of, tuple(names))
+
+
+def standing(cell: Cell) -> tuple[Body, ...]:
+    """Bodies that do not move in the part frame, in it: what turns with the part, or all that stands if nothing turns."""
+    if len(cell.holder):
+        return cell.carried
+    T_part_world = rigid_inverse(cell.T_world_holder)
+    return cell.carried + tuple(Body(b.name, b.solid, T_part_world @ b.T_frame_solid) for b in cell.fixtures)
+
+
+def _substrate(toolpath: Toolpath) -> Array | None:
+    """Triangles (n, 3, 3) of the part's surface, if they are known."""
+    if toolpath.solid is not None:
+        return toolpath.solid
+    shape = toolpath.shape
+    return None if shape is None else np.asarray(shape.vertices[shape.triangles])
+
+
+def _corners(body: Body) -> Array:
+    vertices, triangles = triangles_of(body.solid)
+    T = body.T_frame_solid
+    return np.asarray((vertices @ T[:3, :3].T + T[:3, 3])[triangles])
+
+
+def _sides(surfaces: Sequence[Array], near: Sequence[Flags]) -> tuple[float, float]:
+    """Longest sides of triangles near beads and elsewhere [m], for which the points do not become too many."""
+    areas = np.zeros(2)
+    for pieces, by in zip(surfaces, near, strict=True):
+        area = 0.5 * np.linalg.norm(np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1)
+        areas += [float(area[by].sum()), float(area[~by].sum())]
+    fine, coarse = np.sqrt(areas / (_MOST * _CORNER_AREA)).tolist()
+    return max(_FINE, fine), max(_COARSE, fine, coarse)
+
+
+def _spread(pieces: Array, near: Flags, sides: tuple[float, float]) -> tuple[Array, Array]:
+    """Points (n, 3) all over triangles (m, 3, 3), and the distance (n) from which no place of the surface is farther."""
+    points, spread = [np.zeros((0, 3))], [np.zeros(0)]
+    for which, side in ((near, sides[0]), (~near, sides[1])):
+        if which.any():
+            fine = _split(pieces[which], side)
+            at, far = _merged(fine.reshape(-1, 3), np.repeat(_farthest(fine), 3), _MERGED * side)
+            points.append(at)
+            spread.append(far)
+    return np.concatenate(points), np.concatenate(spread)
+
+
+def _is_near(pieces: Array, tips: cKDTree) -> Flags:
+    """Which triangles (n, 3, 3), no longer than _NEAR, have a place that is near a bead."""
+    away, _ = tips.query(pieces.mean(axis=1), distance_upper_bound=2.0 * _NEAR)
+    return np.asarray(np.isfinite(away))
+
+
+def _split(triangles: Array, longest: float) -> Array:
+    """The same surface in triangles (n, 3, 3) without a longer side: each is halved across its longest one."""
+    done = [np.zeros((0, 3, 3))]
+    while len(triangles):
+        sides = np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=2)  # from corner k to the next
+        k = np.argmax(sides, axis=1)
+        row = np.arange(len(k))
+        long = sides[row, k] > longest
+        done.append(triangles[~long])
+        triangles, row, k = triangles[long], np.arange(int(long.sum())), k[long]
+        a, b, c = (triangles[row, (k + j) % 3] for j in range(3))
+        middle = 0.5 * (a + b)
+        triangles = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
+    return np.concatenate(done)
+
+
+def _farthest(triangles: Array) -> Array:
+    """Distance (n) that no place of triangles (n, 3, 3) exceeds from the nearest of its corners."""
+    sides = np.sort(np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=2), axis=1)
+    a, b, c = sides.T
+    twice = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
+    acute = a**2 + b**2 > c**2
+    return np.where(acute, a * b * c / np.maximum(2.0 * twice, 1e-30), 0.5 * c)
+
+
+def _merged(points: Array, spread: Array, size: float) -> tuple[Array, Array]:
+    """One of the points (n, 3) of each cube of a grid with cubes of that size, and what it then has to make up for (n)."""
+    cube = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
+    counts = cube.max(axis=0) + 1
+    _, kept, of = np.unique(
+        (cube[:, 0] * counts[1] + cube[:, 1]) * counts[2] + cube[:, 2], return_index=True, return_inverse=True
+    )
+    far = np.zeros(len(kept))
+    np.maximum.at(far, of, spread + np.linalg.norm(points - points[kept[of]], axis=1))
+    return points[kept], far
+
+
+def _onto(toolpath: Toolpath, points: Array) -> Array:
+    """Points (n, 3) of a picture's triangles, brought onto the surface where they are near it."""
+    surface = toolpath.surface.before(0)
+    off = surface.signed_distance(points)
+    near = np.flatnonzero((np.abs(off) <= _CHORD) & (np.abs(off) > _ON))
+    out = points.copy()
+    out[near] -= off[near, None] * surface.normals(points[near])
+    return out
+
+
+def _rows(bead: Bead, depth: float) -> tuple[Array, Array, Array]:
+    """Centres (n, 3), shares (n) of the bead's length and radii (n) of the balls that stand for a bead.
+
+    depth: of the centres below the nozzle's tip, in heights of the bead.
+    """
+    thick = np.minimum(bead.height, bead.width)
+    count = max(2, int(np.ceil(bead.length / float(thick.min()))) + 1)
+    s = np.linspace(0.0, bead.length, count)
+    point, normal = (_along(bead.s, values, s) for values in (bead.points, bead.normals))
+    width, height = (np.interp(s, bead.s, values) for values in (bead.width, bead.height))
+    radius = 0.5 * np.minimum(width, height)
+    side = np.cross(normal, np.gradient(point, axis=0))
+    side /= np.maximum(np.linalg.norm(side, axis=1), 1e-12)[:, None]
+    beside = int(np.ceil((0.5 * width / radius - 1.0 - _OVERHANG).max(initial=0.0))) + 1
+    room = np.maximum(0.5 * width - radius, 0.0) if beside > 1 else np.zeros(count)
+    across = np.linspace(-1.0, 1.0, beside) if beside > 1 else np.zeros(1)
+    middle = point - depth * height[:, None] * normal
+    balls = middle[:, None] + across[:, None] * (room[:, None] * side)[:, None]
+    return balls.reshape(-1, 3), np.repeat(s / bead.length, beside), np.repeat(radius, beside)
+
+
+def _along(s: Array, values: Array, at: Array) -> Array:
+    return np.column_stack([np.interp(at, s, values[:, k]) for k in range(3)])

@@ -1,0 +1,90 @@
+"""Part and print as points in print order: where they lie, how densely, and from when on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from planner.cell import build_cell
+from planner.point_tree import FROM_THE_START
+from planner.print_body import CLEARANCE, PrintBody, print_body, standing
+from planner.problem import load_problem
+from planner.solids import Body, Box
+from planner.toolpath.bead import Toolpath
+from planner.toolpath.build import build_toolpath
+
+
+@pytest.fixture(scope="module")
+def logo() -> tuple[Toolpath, PrintBody]:
+    toolpath = build_toolpath(load_problem("cylinder_logo", ["layers.count=2"]))
+    return toolpath, print_body(toolpath)
+
+
+def _of(body: PrintBody, name: str) -> np.ndarray:
+    """Positions in the tree of the points of one thing."""
+    return np.flatnonzero([body.name_of(i) == name for i in range(len(body.tree.points))])
+
+
+def test_the_substrate_is_there_from_the_start_and_dense_near_beads(logo: tuple[Toolpath, PrintBody]) -> None:
+    toolpath, body = logo
+    part = _of(body, "part")
+    points = body.tree.points[part]
+    assert (body.tree.time[part] == FROM_THE_START).all()
+    assert np.abs(toolpath.surface.before(0).signed_distance(points)).max() < 1.1e-5
+    # from no place of the wall beneath a bead is the nearest point farther than its radius makes up for
+    wall = np.concatenate([bead.points - bead.height[:, None] * bead.normals for bead in toolpath.beads[:3]])[::7]
+    away = np.linalg.norm(wall[:, None] - points[None], axis=2)
+    nearest = away.argmin(axis=1)
+    reach = np.sqrt((CLEARANCE + body.tree.radius[part][nearest]) ** 2 - CLEARANCE**2)
+    assert (away.min(axis=1) <= reach).all()
+
+
+def test_beads_are_rows_of_balls_that_come_in_print_order(logo: tuple[Toolpath, PrintBody]) -> None:
+    toolpath, body = logo
+    for i in (0, 41):
+        bead = toolpath.beads[i]
+        mine = _of(body, f"bead {i}")
+        time = body.tree.time[mine]
+        assert time.min() == i and time.max() == pytest.approx(i + 1.0)
+        assert body.tree.radius[mine] == pytest.approx(0.25e-3)
+        share = np.sort(time) - i
+        assert np.diff(share).max() * bead.length <= 0.5e-3 + 1e-9
+        # half a height beneath the tip
+        where = np.column_stack([np.interp((time - i) * bead.length, bead.s, bead.points[:, k]) for k in range(3)])
+        assert np.linalg.norm(body.tree.points[mine] - where, axis=1) == pytest.approx(0.25e-3, abs=2e-5)
+
+
+def test_a_wide_bead_has_balls_beside_each_other() -> None:
+    toolpath = build_toolpath(load_problem("hemisphere_honeycomb", ["process.bead.width_mm=1.5", "layers.count=1"]))
+    body = print_body(toolpath)
+    bead = toolpath.beads[0]
+    mine = _of(body, "bead 0")
+    first = mine[body.tree.time[mine] == 0.0]
+    assert len(first) == 3
+    spread = np.linalg.norm(body.tree.points[first] - body.tree.points[first].mean(axis=0), axis=1)
+    assert spread.max() + 0.25e-3 == pytest.approx(0.75e-3)  # the bead's outermost edge
+    assert np.linalg.norm(body.tree.points[first].mean(axis=0) - bead.points[0]) == pytest.approx(0.25e-3, abs=1e-5)
+
+
+def test_known_by_waypoints_only_the_substrate_lies_under_the_first_layer() -> None:
+    toolpath = build_toolpath(load_problem("peer_cap"))
+    body = print_body(toolpath)
+    bead = toolpath.beads[0]
+    part = body.tree.points[_of(body, "part")]
+    beneath = bead.points - bead.height[:, None] * bead.normals
+    away = np.linalg.norm(beneath[:, None] - part[None], axis=2).min(axis=1)
+    assert away.max() < bead.width.max()
+
+
+def test_what_stands_on_a_fixed_bed_is_seen_in_the_part_frame() -> None:
+    bed = "cell.fixtures={bed: {box_mm: [200, 200, 20], centre_mm: [560, -93, 280]}}"
+    problem = load_problem("planar_gcode", [bed])
+    found = standing(build_cell(problem))
+    assert [body.name for body in found] == ["bed"]
+    assert found[0].T_frame_solid[:3, 3] == pytest.approx([0.0, 0.0, -0.01])
+    body = print_body(build_toolpath(problem), found)
+    top = body.tree.points[_of(body, "bed")]
+    assert top[:, 2].max() == pytest.approx(0.0, abs=1e-9)
+    middle = top[(np.abs(top[:, :2]) < 0.02).all(axis=1) & (top[:, 2] > -1e-6)]
+    assert len(middle) > 40 * 40  # near beads a millimetre apart
+    assert isinstance(found[0], Body) and isinstance(found[0].solid, Box)
