@@ -1,4 +1,4 @@
-"""Write the URDF and YAML files of the arms that are drawn from their makers' data: python robots/draw_urdf.py."""
+"""Write the URDF and YAML files of the robots that are drawn from their makers' data: python robots/draw_urdf.py."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ from dataclasses import dataclass
 from math import radians
 from pathlib import Path
 
+from draw_bodies import DOWN, TILT, Links, Shape, a250_shapes, abb_shapes, iiwa_shapes, ur_shapes
+
 HERE = Path(__file__).resolve().parent
 ABB_ACCELERATION = (15, 15, 15, 25, 25, 30)
 JERK_TIME = 50  # 1/s: full acceleration is reached in 20 ms
+WIDTHS = "Shapes: lengths along the arm are the maker's; how thick links are is ASSUMED (robots/draw_bodies.py)."
 
 
 @dataclass(frozen=True)
@@ -107,25 +110,18 @@ def urdf(
     ranges: tuple[tuple[float, float], ...],
     speeds: tuple[float, ...],
     flange: str,
+    shapes: Links,
     names: tuple[str, ...] = (),
 ) -> str:
     """Text of a URDF: joints by their origin in the link before [mm, and rad after a blank] and axis, then the
-    origin of tool0; names of the joints, if not joint_1 and so on."""
+    origin of tool0; shapes of all links; names of the joints, if not joint_1 and so on."""
     n = len(joints)
     names = names or tuple(f"joint_{i}" for i in range(1, n + 1))
-    lines = ['<?xml version="1.0"?>', f"<!-- {comment} -->", f'<robot name="{key}">', '  <link name="base_link"/>']
-    lines += [f'  <link name="link_{i}"/>' for i in range(1, n + 1)] + ['  <link name="tool0"/>']
-    for i, ((origin, axis), (low, high), speed) in enumerate(zip(joints, ranges, speeds, strict=True), 1):
-        parent = f"link_{i - 1}" if i > 1 else "base_link"
-        xyz = " ".join(f"{value / 1000:g}" for value in origin[:3])
-        rpy = f' rpy="{" ".join(map(repr, origin[3:]))}"' if len(origin) > 3 else ""
-        lines += [
-            f'  <joint name="{names[i - 1]}" type="revolute">',
-            f'    <parent link="{parent}"/><child link="link_{i}"/>',
-            f'    <origin xyz="{xyz}"{rpy}/><axis xyz="{axis}"/>',
-            f'    <limit lower="{radians(low)}" upper="{radians(high)}" velocity="{radians(speed)}" effort="0"/>',
-            "  </joint>",
-        ]
+    lines = ['<?xml version="1.0"?>', f"<!-- {comment} -->", f"<!-- {WIDTHS} -->", f'<robot name="{key}">']
+    links = ("base_link", *(f"link_{i}" for i in range(1, n + 1)), "tool0")
+    lines += [line for link, own in zip(links, shapes, strict=True) for line in link_lines(link, own)]
+    for i, ((origin, axis), range_, speed) in enumerate(zip(joints, ranges, speeds, strict=True), 1):
+        lines += joint_lines(names[i - 1], links[i - 1], links[i], origin, axis, range_, speed)
     lines += [
         '  <joint name="flange" type="fixed">',
         f'    <parent link="link_{n}"/><child link="tool0"/>',
@@ -134,6 +130,35 @@ def urdf(
         "</robot>",
     ]
     return "\n".join(lines) + "\n"
+
+
+def joint_lines(
+    name: str,
+    parent: str,
+    child: str,
+    origin: tuple[float, ...],
+    axis: str,
+    range_: tuple[float, float],
+    speed: float,
+) -> list[str]:
+    """Lines of a revolute joint; origin in mm, and rad after a blank, range in deg, speed in deg/s."""
+    xyz = " ".join(f"{value / 1000:g}" for value in origin[:3])
+    rpy = f' rpy="{" ".join(map(repr, origin[3:]))}"' if len(origin) > 3 else ""
+    low, high = map(radians, range_)
+    return [
+        f'  <joint name="{name}" type="revolute">',
+        f'    <parent link="{parent}"/><child link="{child}"/>',
+        f'    <origin xyz="{xyz}"{rpy}/><axis xyz="{axis}"/>',
+        f'    <limit lower="{low}" upper="{high}" velocity="{radians(speed)}" effort="0"/>',
+        "  </joint>",
+    ]
+
+
+def link_lines(name: str, shapes: list[Shape]) -> list[str]:
+    """Lines of a link with its shapes."""
+    if not shapes:
+        return [f'  <link name="{name}"/>']
+    return [f'  <link name="{name}">', *(line for shape in shapes for line in shape.urdf()), "  </link>"]
 
 
 def abb_urdf(key: str) -> str:
@@ -149,8 +174,9 @@ def abb_urdf(key: str) -> str:
         ((c3, 0, 0), y),
         ((c4, 0, 0), x),
     ]
+    shapes = abb_shapes(key, arm.lengths)
     comment = f"{arm.name}. At zero the upper arm is vertical, the forearm horizontal forwards."
-    return urdf(key, comment, joints, arm.ranges, arm.speeds, f'xyz="0 0 0" rpy="0 {radians(90)} 0"')
+    return urdf(key, comment, joints, arm.ranges, arm.speeds, f'xyz="0 0 0" rpy="0 {radians(90)} 0"', shapes)
 
 
 def abb_yaml(key: str) -> str:
@@ -168,7 +194,7 @@ urdf: {key}.urdf
 tip: tool0
 spherical_wrist: {{{lengths}}}
 # ASSUMED: ABB does not publish acceleration and jerk; yours belong into the problem file (cell.limits).
-{unsure}assumed: [{", ".join(("acceleration_rad_s2", "jerk_rad_s3", *arm.assumed))}]
+{unsure}assumed: [{", ".join(("acceleration_rad_s2", "jerk_rad_s3", *arm.assumed, "thickness of links"))}]
 acceleration_rad_s2: {list(ABB_ACCELERATION)}
 jerk_rad_s3: {[JERK_TIME * value for value in ABB_ACCELERATION]}
 """
@@ -188,7 +214,8 @@ def ur_urdf(key: str) -> str:
     )
     joints = [((*place, 0, 0) if len(place) > 3 else place, "0 0 1") for place in before]
     comment = f"{arm.name}. base_link is the controller's base; at zero the arm lies stretched out along its -x."
-    return urdf(key, comment, joints, UR_RANGES, arm.speeds, f'xyz="0 0 {arm.d6 / 1000:g}"', UR_JOINTS)
+    shapes = ur_shapes(key, arm.d1, arm.a2, arm.a3, arm.d4, arm.d5, arm.d6)
+    return urdf(key, comment, joints, UR_RANGES, arm.speeds, f'xyz="0 0 {arm.d6 / 1000:g}"', shapes, UR_JOINTS)
 
 
 def ur_yaml(key: str) -> str:
@@ -202,7 +229,7 @@ urdf: {key}.urdf
 tip: tool0
 inverse_kinematics: offset_wrist
 # ASSUMED: nobody publishes acceleration and jerk; yours belong into the problem file (cell.limits).
-assumed: [acceleration_rad_s2, jerk_rad_s3]
+assumed: [acceleration_rad_s2, jerk_rad_s3, thickness of links]
 acceleration_rad_s2: {acceleration}
 jerk_rad_s3: {[JERK_TIME * value for value in acceleration]}
 """
@@ -215,12 +242,29 @@ def iiwa_urdf() -> str:
     joints: list[tuple[tuple[float, ...], str]] = [((0, 0, z), axis) for z, axis in zip(up, axes, strict=True)]
     ranges = tuple((-value, value) for value in IIWA_RANGES)
     comment = "KUKA LBR iiwa 14 R820. At zero the arm stands straight up."
-    return urdf("iiwa", comment, joints, ranges, IIWA_SPEEDS, 'xyz="0 0 0.126"')
+    return urdf("iiwa", comment, joints, ranges, IIWA_SPEEDS, 'xyz="0 0 0.126"', iiwa_shapes(360, 420, 400, 126))
+
+
+def a250_urdf() -> str:
+    """URDF of ABB's positioner IRBP A250; its base's frame stands on the floor below the plate."""
+    links = ("positioner_base", "cradle", "plate")
+    lines = [
+        '<?xml version="1.0"?>',
+        "<!-- ABB IRBP A250. Tilt axis horizontal, 1,020 mm above the floor; the plate lies 120 mm below it at tilt 0. -->",
+        "<!-- Shapes: those two heights are the maker's; all else is ASSUMED (robots/draw_bodies.py). -->",
+        '<robot name="irbp_a250">',
+        *(line for link, own in zip(links, a250_shapes(), strict=True) for line in link_lines(link, own)),
+        *joint_lines("tilt", links[0], links[1], (0, 0, TILT), "0 1 0", (-181, 181), 150),
+        "  <!-- The rotation is continuous; the range is that of a revolution counter, ASSUMED to hold 100 turns. -->",
+        *joint_lines("rotation", links[1], links[2], (0, 0, -DOWN), "0 0 1", (-36000, 36000), 180),
+        "</robot>",
+    ]
+    return "\n".join(lines) + "\n"
 
 
 def files() -> dict[str, str]:
     """Texts of all files that are written here, by file name."""
-    texts = {"iiwa.urdf": iiwa_urdf()}
+    texts = {"iiwa.urdf": iiwa_urdf(), "irbp_a250.urdf": a250_urdf()}
     for key in UR:
         texts |= {f"{key}.urdf": ur_urdf(key), f"{key}.yaml": ur_yaml(key)}
     for key in ABB:
