@@ -74,16 +74,16 @@ class AbbWidths:
 
 ABB_WIDTHS = {
     "irb140": AbbWidths((200, 200, 450, 95), 140, (100, 250), (100, 120), (65, 130, 180), 45, 38, 40),
-    "irb1600_12": AbbWidths((242, 406, 484, 120), 200, (140, 330), (140, 150), (90, 230, 270), 58, 45, 45),
-    "irb1600_145": AbbWidths((242, 406, 484, 120), 200, (140, 330), (140, 150), (90, 230, 340), 58, 45, 45),
+    "irb1600_12": AbbWidths((242, 406, 484, 120), 200, (140, 330), (140, 150), (90, 230, 270), 58, 42, 42),
+    "irb1600_145": AbbWidths((242, 406, 484, 120), 200, (140, 330), (140, 150), (90, 230, 340), 58, 42, 42),
     "irb1200_09": AbbWidths((105, 105, 210, 80), 95, (88, 190), (110, 130), (62, 110, 200), 42, 38, 32),
     "irb1200_07": AbbWidths((105, 105, 210, 80), 95, (88, 190), (110, 130), (62, 110, 200), 42, 38, 32),
     "irb2600": AbbWidths((220, 456, 511, 100), 195, (165, 380), (170, 180), (105, 260, 330), 65, 52, 50),
 }
-DISC = 15.0  # thickness of a flange
+DISC = 22.0  # thickness of a flange, with room for the round end of a print head on it
 FORK = 12.0  # thickness of the two plates that hold an ABB wrist
 ROOM = 6.0  # between what turns about axis 5 and the forearm behind it
-GAP = 2.0  # between the wrist and those plates
+GAP = 3.0  # between the wrist and those plates
 
 
 def abb_shapes(key: str, lengths: tuple[float, ...]) -> Links:

@@ -169,7 +169,8 @@ def test_the_tip_points_out_of_the_flange() -> None:
         assert joints.T_last_tip[:3, 3] @ joints.T_last_tip[:3, 2] >= 0.0, key
 
 
-def test_drawn_files_are_up_to_date() -> None:
+def test_drawn_files_are_up_to_date(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROBOTS))  # as for a script in that folder
     drawn = runpy.run_path(str(ROBOTS / "draw_urdf.py"))["files"]()
     assert len(drawn) > 8
     for name, text in drawn.items():

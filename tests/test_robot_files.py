@@ -148,7 +148,7 @@ def test_meshes_in_a_package_around_the_file_are_found(tmp_path: Path) -> None:
     assert robot.bodies[2][0].name == "hand"
 
 
-@pytest.mark.parametrize("key", ["panda", "ur5", "ur10"])
+@pytest.mark.parametrize("key", ["panda", "ur5", "ur10", "irb140", "iiwa"])
 def test_bodies_stand_where_pinocchio_has_them(key: str) -> None:
     """Every point of every body, in random postures, against Pinocchio's geometry of the whole URDF."""
     robot = read_robot(ROBOTS / f"{key}.yaml")
