@@ -57,9 +57,12 @@ def cylinder(name: str, radius: float, start: Point, length: float, axis: str = 
 class AbbWidths:
     """How thick an ABB arm is [mm]; all of it assumed.
 
-    foot: how far its base reaches before and behind axis 1, its width and height; turret: radius of what turns above it; shoulder: radius about axis 2 and
-    length along it; upper: upper arm, along x and along y; housing: of the forearm's motors, half its height, its length
-    behind axis 3 and before it; forearm, wrist, flange: radii
+    foot      how far its base reaches before and behind axis 1, its width and height
+    turret    radius of what turns above it
+    shoulder  radius about axis 2, and length along it
+    upper     upper arm, along x and along y
+    housing   of the forearm's motors: half its height, its length behind axis 3 and before it
+    forearm, wrist, flange   radii
     """
 
     foot: tuple[float, float, float, float]
