@@ -218,8 +218,8 @@ def _cheeks(end: float, disc: float) -> list[Shape]:
 
 
 # IRBP A250 [mm], in its base's frame, whose origin is on the floor below the plate; all assumed but the two heights.
-PLATE = (150, 30)  # radius and thickness
-GEAR = (120, 230)  # radius of the housing under the plate, and how far below the tilt axis its lower end is
+PLATE = (125, 25)  # radius and thickness
+GEAR = (105, 230)  # radius of the housing under the plate, and how far below the tilt axis its lower end is
 BESIDE = 520  # from the plate's axis to the cradle's arm, beside the part: parts of 1 m across turn
 TILT, DOWN = 1020, 120  # height of the tilt axis above the floor, and of the plate's top below that axis
 
