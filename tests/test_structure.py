@@ -42,11 +42,13 @@ ROOMS = (
     "dips",
     "replay",
     "verify",
+    "headroom",
     "export",
     "report",
     "versions",
     "progress",
     "output",
+    "command",
     "solve",
 )
 SAME_ROOM = {
@@ -59,6 +61,8 @@ SAME_ROOM = {
     "verify_extrusion": "verify",
     "verify_materials": "verify",
     "materials": "plan",
+    "tolerance": "plan",
+    "headroom_bounds": "headroom",
 }
 EVERYWHERE = {"errors"}
 # Rooms that see less than what is to their left, when the program runs.
@@ -69,6 +73,7 @@ NARROW = {
     "progress": {"errors"},
     "interrupts": {"errors"},
     "output": {"errors", "interrupts"},
+    "command": {"errors", "problem", "plan"},
     "background": {"errors", "interrupts"},
     "export": {"errors", "plan"},
     "report": {"errors", "plan"},
