@@ -60,6 +60,7 @@ SAME_ROOM = {
     "verify_checks": "verify",
     "verify_extrusion": "verify",
     "verify_materials": "verify",
+    "verify_tilt": "verify",
     "materials": "plan",
     "tolerance": "plan",
     "headroom_bounds": "headroom",

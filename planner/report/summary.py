@@ -33,6 +33,8 @@ ROWS = (
     ("jerk_ratio_max", "joint jerk / limit", "", 1.0, 3),
     ("position_error_max_mm", "tip off the path", "mm", 1.0, 4),
     ("axis_error_max_deg", "axis off the normal", "deg", 1.0, 4),
+    ("tilt_max_deg", "nozzle leans from the normal, at most", "deg", 1.0, 2),
+    ("tilt_bead_error_max_mm", "  a bead's edges off its height by that", "mm", 1.0, 4),
     ("path_deviation_max_mm", "rounded corners off the drawing", "mm", 1.0, 3),
     ("flow_error_max", "material in a millimetre, off by", "%", 100.0, 2),
     ("over_extruded_mm3", "too much material, in dips", "mm³", 1.0, 2),
