@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from planner.background import in_halves
 from planner.cell import Cell
-from planner.errors import Refusal
+from planner.errors import PlannerError
 from planner.headroom_bounds import first_order
 from planner.plan import Check
 from planner.resolve.jointpath import JointPath, flange_poses, refuse_at
@@ -134,8 +134,8 @@ def _try(displacement: Displacement, cell: Cell, paths: Sequence[JointPath], mid
     elsewhere = displaced(cell, displacement.matrix(middle))
     try:
         report = again(elsewhere, [followed(elsewhere, path) for path in paths])
-    except Refusal as refusal:
-        return Tried(displacement, refusal=str(refusal))
+    except PlannerError as error:  # whatever the user would be told of a part that stands there
+        return Tried(displacement, refusal=str(error))
     return Tried(displacement, report.checks, report.metrics)
 
 
