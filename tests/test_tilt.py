@@ -88,3 +88,5 @@ def test_it_is_told_where_the_nozzle_may_lean_and_nowhere_else(
         page = (tmp_path / "report.html").read_text(encoding="utf-8")
         assert ("Nozzle leans from the surface normal" in page) is told
         assert ("Nozzle leans most" in page) is told
+        assert ("Lean of the nozzle" in page) is told
+        assert ("Nozzle off the surface normal" in page) is told
