@@ -22,11 +22,12 @@ from rich.console import Console
 from rich.table import Table
 
 from planner.cell import Cell, build_cell
+from planner.command import DEFAULT_DT
 from planner.errors import EXIT_VERIFIED, PlannerError, Refusal
 from planner.problem import Problem, load_problem, shipped_problems
 from planner.resolve import STRATEGIES
 from planner.resolve.jointpath import JointPath
-from planner.solve import DEFAULT_DT, solve
+from planner.solve import solve
 from planner.task import NozzleTask, tasks_of
 from planner.timing import TimedPath, bound_time, time_path
 from planner.toolpath.build import build_toolpath

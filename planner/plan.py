@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,9 @@ from planner.cell import Cell
 from planner.problem import Problem
 from planner.readonly import ReadOnlyArrays
 from planner.toolpath.bead import Toolpath
+
+if TYPE_CHECKING:
+    from planner.tolerance import Headroom
 
 Array = NDArray[np.float64]
 TRAVEL = -1
@@ -94,7 +97,10 @@ class Trajectory(ReadOnlyArrays):
 
 @dataclass(frozen=True)
 class Check:
-    """One named check of the verifier: the worst value found, its limit, and where it stands."""
+    """One named check of the verifier: the worst value found, its limit, and where it stands.
+
+    least  the worst value is the least one, and the limit is one from below
+    """
 
     name: str
     worst: float
@@ -102,6 +108,7 @@ class Check:
     unit: str
     ok: bool
     where: str
+    least: bool = False
 
 
 @dataclass(frozen=True)
@@ -162,14 +169,16 @@ class Dip:
 
 @dataclass(frozen=True)
 class Plan:
-    """A finished plan. `verified` is true only if every check holds.
+    """A finished plan. `verified` is true only if every check holds, within the tolerance too where one was asked for.
 
     metrics:  name → value, in the units that the name says (see the output contract in the docs)
     series:   per-sample arrays (n,) or (n, nj) that the verifier found on the way, for the report:
-              sigma, wrist_deg (not of seven axes), limit_margin_deg, velocity_ratio, acceleration_ratio, jerk_ratio
+              sigma, wrist_deg (not of seven axes), limit_margin_deg, velocity_ratio, acceleration_ratio, jerk_ratio,
+              tilt_deg (where the nozzle may lean from the normal)
     timing_s: seconds by stage
     baseline: strategy name → its metrics, for the summary beside the chosen strategy
     dips:     where the speed falls short of the commanded one, in order of time
+    headroom: whether it holds for parts that stand a little elsewhere; None if nobody asked
     """
 
     problem: Problem
@@ -185,11 +194,17 @@ class Plan:
     baseline: dict[str, dict[str, float]]
     settings: dict[str, Any]
     dips: tuple[Dip, ...] = ()
+    headroom: Headroom | None = None
+
+    @property
+    def holds_as_planned(self) -> bool:
+        """True if every check of the verifier holds where the part was planned to stand."""
+        return all(check.ok for check in self.checks)
 
     @property
     def verified(self) -> bool:
-        """True if every check of the verifier holds."""
-        return all(check.ok for check in self.checks)
+        """True if every check of the verifier holds, within the tolerance too where one was asked for."""
+        return self.holds_as_planned and (self.headroom is None or self.headroom.holds)
 
     @property
     def no_rapid(self) -> str | None:

@@ -6,7 +6,6 @@ python -m planner.solve cylinder_logo.yaml
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -19,6 +18,7 @@ from rich.console import Console
 
 from planner.background import in_background, in_halves, spare_core
 from planner.cell import Cell, build_cell
+from planner.command import DEFAULT_DT, options_of
 from planner.dips import find_dips
 from planner.errors import (
     EXIT_INTERRUPTED,
@@ -28,11 +28,11 @@ from planner.errors import (
     Refusal,
 )
 from planner.export import write_part, write_plan, write_refusal, write_robot_code, write_trajectory
+from planner.headroom import headroom
 from planner.motion import join
 from planner.output import results_folder
 from planner.plan import Plan, Trajectory
 from planner.problem import Problem, load_problem, shipped_problems
-from planner.problem.settings import STRATEGY_NAMES
 from planner.progress import Stages
 from planner.report.failure import write_failure_report
 from planner.report.html import write_report
@@ -41,6 +41,7 @@ from planner.resolve import STRATEGIES
 from planner.resolve.jointpath import JointPath
 from planner.task import NozzleTask, tasks_of
 from planner.timing import TimedPath, bound_time, time_path
+from planner.tolerance import Headroom, Tolerance
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.travel import Travel, plan_travels
@@ -49,8 +50,6 @@ from planner.versions import versions
 
 Array = NDArray[np.float64]
 
-DEFAULT_DT = 0.004
-MIN_DT, MAX_DT = 0.0005, 0.02  # s; finer drowns in rounding, coarser hides what a joint does
 BASELINE = "as_published"
 WORTH_A_FORK = 5_000  # waypoints above which sharing the work takes less time than copying the process for it
 
@@ -61,8 +60,11 @@ def solve(
     dt: float = DEFAULT_DT,
     stages: Stages | None = None,
     second_process: bool = False,
+    tolerance: Tolerance | None = None,
 ) -> Plan:
     """Plan a problem with a strategy (the problem's own, if none is given), sampled every dt [s], and verify it.
+
+    With a tolerance, for parts too that stand elsewhere by as much.
 
     The plan that comes back may have failed checks: see `Plan.verified`. The baseline strategy is planned as
     well; its metrics are in `Plan.baseline`. With a `second_process` the same comes sooner, where the print is large.
@@ -80,6 +82,10 @@ def solve(
             dips = find_dips(problem, cell, toolpath, paths, trajectory)
         with stages.stage("baseline"):
             baseline = baseline_metrics()
+    judged = None
+    if tolerance is not None:
+        with stages.stage("tolerance"):
+            judged = _headroom(tolerance, problem, cell, toolpath, paths, report, dt, second_process)
     return Plan(
         problem=problem,
         cell=cell,
@@ -94,6 +100,7 @@ def solve(
         baseline=baseline,
         settings={"dt": dt},
         dips=dips,
+        headroom=judged,
     )
 
 
@@ -147,6 +154,25 @@ def _trajectory(
 
 def _waypoints(toolpath: Toolpath) -> int:
     return sum(len(bead.s) for bead in toolpath.beads)
+
+
+def _headroom(
+    tolerance: Tolerance,
+    problem: Problem,
+    cell: Cell,
+    toolpath: Toolpath,
+    paths: Sequence[JointPath],
+    planned: Report,
+    dt: float,
+    second_process: bool,
+) -> Headroom:
+    """Judge the plan over a tolerance: the same choices along the beads, all else anew."""
+
+    def again(elsewhere: Cell, followed: Sequence[JointPath]) -> Report:
+        return verify(problem, elsewhere, toolpath, _trajectory(problem, elsewhere, toolpath, followed, dt, False))
+
+    least = problem.resolve.min_sigma
+    return headroom(tolerance, cell, toolpath, paths, least, planned, again, second_process)
 
 
 @contextmanager
@@ -210,7 +236,7 @@ def _write_tables(plan: Plan, folder: Path) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
-    options = _options(arguments)
+    options = options_of(arguments)
     errors = Console(stderr=True, highlight=False)
     if options.list:
         print("\n".join(shipped_problems()))
@@ -233,7 +259,7 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
         folder = options.out or Path("out") / problem.name
         with results_folder(folder) as fresh:  # first of all: a folder that cannot be written is told at once
             try:
-                plan = solve(problem, strategy, options.dt, stages, second_process=True)
+                plan = solve(problem, strategy, options.dt, stages, True, options.tolerance)
             except Refusal as refusal:
                 write_refusal(problem, strategy, refusal, fresh)
                 _report_refusal(problem, strategy, refusal, fresh / "report.html")
@@ -265,41 +291,6 @@ def _report_refusal(problem: Problem, strategy: str, refusal: Refusal, path: Pat
         facts={},
         hints=refusal.hints,
     )
-
-
-def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m planner.solve",
-        description="Plan a curved-layer print: from one YAML file to a verified robot program.",
-        epilog="exit codes: 0 verified plan written, 2 wrong input, 3 no verified plan (report only), 130 interrupted",
-    )
-    parser.add_argument("problem", nargs="?", metavar="PROBLEM.yaml", help="problem file, or the name of a shipped one")
-    parser.add_argument("--strategy", choices=STRATEGY_NAMES, help="instead of the problem's own")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="where the results go (default out/<problem>)")
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="change a field, e.g. layers.count=1; repeatable",
-    )
-    parser.add_argument("--dt", type=_sample_time, default=DEFAULT_DT, help="seconds between samples (default 0.004)")
-    parser.add_argument("--quiet", action="store_true", help="no progress bars")
-    parser.add_argument("--list", action="store_true", help="name the problems that ship, and stop")
-    options = parser.parse_args(arguments)
-    if options.problem is None and not options.list:
-        parser.error(f"which problem? A file, or one of: {', '.join(shipped_problems())}")
-    return options
-
-
-def _sample_time(text: str) -> float:
-    try:
-        dt = float(text)
-    except ValueError:
-        dt = math.nan
-    if not MIN_DT <= dt <= MAX_DT:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a time between {MIN_DT} and {MAX_DT} s")
-    return dt
 
 
 if __name__ == "__main__":

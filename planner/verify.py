@@ -24,6 +24,7 @@ from planner.replay import replay
 from planner.toolpath.bead import Toolpath
 from planner.verify_checks import DIGITS, SPEED_TOLERANCE, check_least, check_most, place, samples_of
 from planner.verify_extrusion import extrusion
+from planner.verify_tilt import bead_errors
 
 Array = NDArray[np.float64]
 
@@ -153,7 +154,12 @@ def _geometry(second_process, problem, cell, toolpath, t, motion, checks, metric
     cosine = -(normals * motion.axis).sum(axis=1)
     sine = np.linalg.norm(np.cross(normals, motion.axis), axis=1)
     cones = problem.process.cones
-    tilt = np.where(t.deposit, np.maximum(np.arctan2(sine, cosine) - cones.tilt, 0.0), 0.0)
+    lean = np.where(t.deposit, np.arctan2(sine, cosine), 0.0)
+    tilt = np.maximum(lean - cones.tilt, 0.0)
+    if cones.tilt > 0.0:
+        series["tilt_deg"] = np.degrees(lean)
+        metrics["tilt_max_deg"] = float(series["tilt_deg"].max())
+        metrics["tilt_bead_error_max_mm"] = float(bead_errors(toolpath, t, lean).max()) * 1e3
     tolerance = problem.process.corner_tolerance * 1e3
     worst = check_most(checks, t, "tip on the path", position * 1e3, POSITION_TOLERANCE * 1e3, "mm")
     metrics["position_error_max_mm"] = worst

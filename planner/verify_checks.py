@@ -39,5 +39,6 @@ def check_least(checks: list[Check], t: Trajectory, name: str, values: Array, li
     """Append the check that no value (n) falls below the limit; returns the worst. NaN fails."""
     i = int(np.argmin(np.where(np.isnan(values), -np.inf, values)))
     worst = float(values[i])
-    checks.append(Check(name, worst, limit, unit, bool(worst >= limit - DIGITS * abs(limit)), place(t, i)))
+    ok = bool(worst >= limit - DIGITS * abs(limit))
+    checks.append(Check(name, worst, limit, unit, ok, place(t, i), least=True))
     return worst

@@ -42,11 +42,13 @@ ROOMS = (
     "dips",
     "replay",
     "verify",
+    "headroom",
     "export",
     "report",
     "versions",
     "progress",
     "output",
+    "command",
     "solve",
 )
 SAME_ROOM = {
@@ -58,7 +60,10 @@ SAME_ROOM = {
     "verify_checks": "verify",
     "verify_extrusion": "verify",
     "verify_materials": "verify",
+    "verify_tilt": "verify",
     "materials": "plan",
+    "tolerance": "plan",
+    "headroom_bounds": "headroom",
 }
 EVERYWHERE = {"errors"}
 # Rooms that see less than what is to their left, when the program runs.
@@ -69,6 +74,7 @@ NARROW = {
     "progress": {"errors"},
     "interrupts": {"errors"},
     "output": {"errors", "interrupts"},
+    "command": {"errors", "problem", "plan"},
     "background": {"errors", "interrupts"},
     "export": {"errors", "plan"},
     "report": {"errors", "plan"},

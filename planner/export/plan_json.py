@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from planner.export.headroom_json import headroom_json
 from planner.materials import used
 
 if TYPE_CHECKING:
@@ -49,6 +50,7 @@ def plan_json(plan: Plan) -> str:
             for event in plan.trajectory.events
         ],
         **_materials(plan),
+        **({} if plan.headroom is None else {"tolerance": headroom_json(plan.headroom)}),
         "cell": cell_screws(plan.cell),
         "timing_s": plan.timing_s,
         "versions": plan.versions,

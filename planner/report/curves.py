@@ -26,7 +26,7 @@ JOINT_HEIGHT = 190
 
 
 def time_charts(plan: Plan) -> list[dict[str, Any]]:
-    """Charts of the whole plan: speed, flow, singularity, margins, shares of the joints' limits."""
+    """Charts of the whole plan: speed, flow, singularity, margins, shares of the joints' limits, lean."""
     charts = [_speed(plan), _flow(plan)]
     if "sigma" in plan.series:
         low = float(plan.metrics.get("sigma_min", np.nan))
@@ -70,6 +70,19 @@ def time_charts(plan: Plan) -> list[dict[str, Any]]:
                 ratios,
                 note=note,
                 lines=[(1.0, "limit")],
+                from_zero=True,
+            )
+        )
+    if "tilt_deg" in plan.series:
+        cone = float(np.degrees(plan.problem.process.cones.tilt))
+        charts.append(
+            _chart(
+                "tilt",
+                "Lean of the nozzle",
+                "degrees",
+                [_curve(plan, plan.series["tilt_deg"], "from the surface normal", BLUE, "%{y:.2f}°")],
+                note="How far the nozzle's axis is from the surface normal while depositing. 0 is upright.",
+                lines=[(cone, f"allowed {cone:g}°")],
                 from_zero=True,
             )
         )

@@ -13,6 +13,7 @@ from planner.report import page as frame
 from planner.report.curves import joint_charts, time_charts
 from planner.report.dips import dips_section
 from planner.report.extruder import events_section, materials_section
+from planner.report.headroom import headroom_section
 from planner.report.places import where_words, worst_places
 from planner.report.scene import Place, plan_scene
 from planner.report.thinning import CURVE_BUDGET
@@ -42,6 +43,7 @@ def write_report(plan: Plan, path: Path) -> None:
             materials_section(plan),
             events_section(plan),
             _checks(plan.checks),
+            headroom_section(plan),
             _curves(curves),
             _joints(plan, joints),
             _making(plan),
@@ -68,7 +70,14 @@ def _header(plan: Plan) -> str:
     )
     failed = [check for check in plan.checks if not check.ok]
     count = len(plan.checks)
-    if not failed:
+    room = plan.headroom
+    if not failed and room is not None and not room.holds:
+        detail = (
+            f"<p>All {count} checks hold where the part was planned to stand, but not wherever it may stand within "
+            f"{escape(room.tolerance.words)}, so no robot code was written.</p>"
+        )
+        banner = frame.verdict(False, "Not verified within the tolerance", detail)
+    elif not failed:
         detail = (
             f"<p>All {count} independent checks of the finished motion hold. Robot code may be written from it.</p>"
         )
@@ -236,6 +245,8 @@ def _command(plan: Plan) -> str:
     words = ["python", "-m", "planner.solve", Path(plan.problem.file).name, "--strategy", plan.strategy]
     if abs(plan.trajectory.dt - DEFAULT_DT) > 1e-12:
         words += ["--dt", f"{plan.trajectory.dt:g}"]
+    if plan.headroom is not None:
+        words += ["--tolerance", plan.headroom.tolerance.words]
     for override in plan.settings.get("overrides", ()):
         words += ["--set", str(override)]
     return shlex.join(words)

@@ -17,7 +17,7 @@ AT_SPEED = 0.98
 
 
 def worst_places(plan: Plan) -> list[Place]:
-    """Places while depositing: slowest, nearest to a singularity and to an end stop, and hardest on the joints."""
+    """Places while depositing: slowest, nearest to a singularity and to an end stop, hardest on the joints, leaning most."""
     traj, series = plan.trajectory, plan.series
     printing = np.flatnonzero(traj.deposit)
     if not len(printing):
@@ -48,6 +48,9 @@ def worst_places(plan: Plan) -> list[Place]:
             i = int(printing[np.nanargmax(each[printing])])
             joint = "" if values.ndim == 1 else f" ({plan.cell.joint_names[int(np.nanargmax(values[i]))]})"
             found.append((what, f"{100 * each[i]:.1f} % of the limit{joint}", i))
+    if "tilt_deg" in series:
+        i = int(printing[series["tilt_deg"][printing].argmax()])
+        found.append(("Nozzle leans most", f"{series['tilt_deg'][i]:.2f}° from the normal", i))
     out = traj.tip * 1e3 - MARK_OUT_MM * traj.axis
     return [Place("ABCDEFGHIJ"[k], what, value, i, out[i]) for k, (what, value, i) in enumerate(found)]
 

@@ -229,6 +229,10 @@ def _channels(plan: Plan, kept: NDArray[np.intp]) -> list[dict[str, Any]]:
             if len(finite):
                 low = finite.min()
                 out.append(_channel(name, label, unit, values, low, max(finite.max(), low + 1e-6)))
+    if "tilt_deg" in plan.series and len(kept):
+        lean = plan.series["tilt_deg"][kept]
+        channel = _channel("tilt_deg", "Nozzle off the surface normal", "°", lean, 0.0, max(lean.max(), 1e-6))
+        out.append(channel | {"reverse": True})
     return out
 
 

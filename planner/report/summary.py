@@ -11,6 +11,7 @@ from rich.table import Table
 
 from planner.report.dips import place_words, without_stops, worst_first
 from planner.report.extruder import events_words, materials_words
+from planner.report.headroom import headroom_words
 from planner.report.wording import OVER_BOUND, OVER_IDEAL, counted, with_ratios
 
 if TYPE_CHECKING:
@@ -32,6 +33,8 @@ ROWS = (
     ("jerk_ratio_max", "joint jerk / limit", "", 1.0, 3),
     ("position_error_max_mm", "tip off the path", "mm", 1.0, 4),
     ("axis_error_max_deg", "axis off the normal", "deg", 1.0, 4),
+    ("tilt_max_deg", "nozzle leans from the normal, at most", "deg", 1.0, 2),
+    ("tilt_bead_error_max_mm", "  a bead's edges off its height by that", "mm", 1.0, 4),
     ("path_deviation_max_mm", "rounded corners off the drawing", "mm", 1.0, 3),
     ("flow_error_max", "material in a millimetre, off by", "%", 100.0, 2),
     ("over_extruded_mm3", "too much material, in dips", "mm³", 1.0, 2),
@@ -58,7 +61,13 @@ def print_summary(plan: Plan, folder: Path) -> None:
         table.add_row(label, *cells, unit)
     out.print(table)
     notes = (f"note: {note}" for note in plan.toolpath.notes)
-    for line in (*notes, _dips(plan), *materials_words(plan), events_words(plan.trajectory.events)):
+    for line in (
+        *notes,
+        _dips(plan),
+        *materials_words(plan),
+        events_words(plan.trajectory.events),
+        *headroom_words(plan),
+    ):
         if line:
             out.print(line, markup=False, soft_wrap=True)
     for check in plan.checks:
@@ -67,8 +76,12 @@ def print_summary(plan: Plan, folder: Path) -> None:
             out.print(text, markup=False, soft_wrap=True)
     if plan.verified:
         verdict = f"verified: {len(plan.checks)} checks hold"
+        if plan.headroom is not None:
+            verdict += f", within {plan.headroom.tolerance.words} too"
         if plan.no_rapid is not None:
             verdict += f"; no RAPID program: {plan.no_rapid}"
+    elif plan.holds_as_planned and plan.headroom is not None:
+        verdict = f"verified as planned, but NOT within {plan.headroom.tolerance.words}: no robot code was written"
     else:
         verdict = "NOT verified: no robot code was written"
     out.print(f"{verdict}; {plan.timing_s['total']:.1f} s; results in {folder}", markup=False, soft_wrap=True)

@@ -42,6 +42,8 @@ METRICS = (
     Metric("jerk_ratio_max", "Joint jerk, worst share of its limit", "%", 1, 100, "down", 100),
     Metric("position_error_max_mm", "Tip off the planned line, worst", "mm", 4, better="down"),
     Metric("axis_error_max_deg", "Nozzle axis off the surface normal, worst", "°", 4, better="down"),
+    Metric("tilt_max_deg", "Nozzle leans from the surface normal, at most", "°", 2, better="down"),
+    Metric("tilt_bead_error_max_mm", "  that leaves a bead's edges off its height by", "mm", 4, better="down"),
     Metric("path_deviation_max_mm", "Rounded corners: off the drawn path, worst", "mm", 3, better="down"),
     Metric("clearance_min_mm", "Nozzle tip above the bare part, least", "mm", 1, better="up"),
     Metric("branch_changes_in_deposition", "Changes of the arm's branch while depositing", "", 0, better="down"),

@@ -1,0 +1,453 @@
+"""Head-room under uncertainty: the part really stands elsewhere, bounds are slopes, and what does not hold is told."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from solved import small_problem, write_small
+
+from planner.cell import Cell, build_cell
+from planner.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, Refusal
+from planner.headroom import AS_PLANNED, _try, displaced, displacements, followed, headroom, middle_of
+from planner.headroom_bounds import displacement_slopes, first_order
+from planner.plan import Check
+from planner.problem import Problem, load_problem
+from planner.replay import replay
+from planner.report.headroom import headroom_section
+from planner.resolve import STRATEGIES
+from planner.resolve.jointpath import JointPath
+from planner.solve import _trajectory, main, solve
+from planner.task import tasks_of
+from planner.tolerance import Displacement, Headroom, Tolerance, Tried, parse_tolerance
+from planner.toolpath.bead import Toolpath
+from planner.toolpath.build import build_toolpath
+from planner.verify import Report, verify
+
+Array = NDArray[np.float64]
+DT = 0.004
+AROUND = Tolerance(2e-3, math.radians(1.0))
+CELLS = {
+    # an axis that turns under the part, which does not stand on it straight
+    "table": "  arm: irb1200_07\n  nozzle: {tip_mm: [0, 0, 100], axis: [1, 0, 1], diameter_mm: 0.6}\n"
+    "  home_deg: [0, 0, 0, 0, 45, 0]\n"
+    "  positioner: {robot: irbp_a250, origin_mm: [550, 0, 300], part_mm: [10, 5, 20], part_rpy_deg: [8, -5, 20], "
+    "free: [rotation]}\n",
+    "seven_axes": "  arm: panda\n  nozzle: {tip_mm: [0, 0, 100], axis: [1, 0, 1], diameter_mm: 0.6}\n"
+    "  home_deg: [0, -30, 0, -120, 0, 100, 45]\n  bed_mm: [450, 0, 200]\n",
+}
+WAVE = """\
+name: wave
+cell:
+{cell}layers:
+  source: {{waypoints: wave.txt}}
+process:
+  speed_mm_s: 20
+  travel_speed_mm_s: 200
+  bead: {{width_mm: 0.6, height_mm: 0.5}}
+  cones: {{nozzle_normal_deg: 4}}
+resolve: {{roll_step_deg: 30, table_step_deg: 30, rung_mm: 5}}
+strategy: {strategy}
+"""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A problem and its joint paths, before they are timed."""
+
+    problem: Problem
+    cell: Cell
+    toolpath: Toolpath
+    paths: tuple[JointPath, ...]
+
+    def again(self, cell: Cell, paths: Sequence[JointPath]) -> Report:
+        """Time, join and verify paths."""
+        return verify(
+            self.problem, cell, self.toolpath, _trajectory(self.problem, cell, self.toolpath, paths, DT, False)
+        )
+
+    def judged(self, tolerance: Tolerance) -> Headroom:
+        """The head-room of the paths."""
+        planned = self.again(self.cell, self.paths)
+        return headroom(tolerance, self.cell, self.toolpath, self.paths, 0.0, planned, self.again)
+
+
+def case_of(problem: Problem) -> Case:
+    cell, toolpath = build_cell(problem), build_toolpath(problem)
+    tasks = tasks_of(problem, toolpath)
+    return Case(problem, cell, toolpath, STRATEGIES[problem.strategy](cell, tasks, problem.resolve))
+
+
+@cache
+def small() -> Case:
+    """Three curves on a turning cylinder."""
+    return case_of(small_problem())
+
+
+@pytest.fixture(scope="module")
+def cases(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Case]:
+    """A wave on a plane by arms and holders of several kinds, the nozzle tilted."""
+    folder = tmp_path_factory.mktemp("waves")
+    t = np.linspace(0.0, 1.0, 61)
+    points = np.column_stack([40 * t - 20, 6 * np.sin(2 * np.pi * t)])
+    (folder / "wave.txt").write_text("".join(f"{x:.4f} {y:.4f} 0 0 0 1\n" for x, y in points))
+    out = {}
+    for name, cell in CELLS.items():
+        (folder / f"{name}.yaml").write_text(WAVE.format(cell=cell, strategy="sqp"))
+        out[name] = case_of(load_problem(folder / f"{name}.yaml"))
+    return out
+
+
+def least_sigma(cell: Cell, q: Array) -> Array:
+    """Smallest singular values of the arm's Jacobian along postures, here by numpy from the whole matrix."""
+    return np.linalg.svd(cell.arm.jacobians(q[:, : len(cell.arm)]), compute_uv=False)[:, -1]
+
+
+# What a displacement is
+
+
+def test_the_part_is_turned_about_its_middle_and_then_shifted() -> None:
+    middle = np.array([0.03, -0.02, 0.5])
+    T = Displacement("", (1e-3, 2e-3, -3e-3), (0.0, 0.0, math.radians(90.0))).matrix(middle)
+    np.testing.assert_allclose(T[:3, :3] @ middle + T[:3, 3], middle + [1e-3, 2e-3, -3e-3], atol=1e-15)
+    beside = T[:3, :3] @ (middle + [0.01, 0.0, 0.0]) + T[:3, 3]
+    np.testing.assert_allclose(beside, middle + [1e-3, 12e-3, -3e-3], atol=1e-15)
+
+
+@pytest.mark.parametrize("name", ["table", "seven_axes"])
+def test_the_displaced_nozzle_stands_where_the_displaced_part_asks_for(cases: dict[str, Case], name: str) -> None:
+    case = cases[name]
+    path, middle = case.paths[0], middle_of(case.toolpath)
+    shift, turn = np.array([1e-3, -2e-3, 1.5e-3]), np.radians([0.5, 0.8, -1.0])
+    T = Displacement("", tuple(shift), tuple(turn)).matrix(middle)
+    elsewhere = displaced(case.cell, T)
+    moved = followed(elsewhere, path)
+    na = len(case.cell.arm)
+    # by hand: the planned pose over the part, carried along by the displacement, seen in the world
+    planned = case.cell.T_part_nozzle(path.q)
+    R = Rotation.from_rotvec(turn).as_matrix()
+    T_world_part = case.cell.holder.poses(path.q[:, na:])
+    tip = planned[:, :3, 3]
+    wanted = (
+        np.einsum("nij,nj->ni", T_world_part[:, :3, :3], (tip - middle) @ R.T + middle + shift) + T_world_part[:, :3, 3]
+    )
+    found = case.cell.arm.poses(moved.q[:, :na])
+    np.testing.assert_allclose(found[:, :3, 3], wanted, atol=1e-9)
+    np.testing.assert_allclose(found[:, :3, :3], T_world_part[:, :3, :3] @ R @ planned[:, :3, :3], atol=1e-9)
+    assert np.abs(found[:, :3, 3] - case.cell.arm.poses(path.q[:, :na])[:, :3, 3]).max() > 1e-3
+    np.testing.assert_array_equal(moved.q[:, case.cell.chosen], path.q[:, case.cell.chosen])
+    assert np.abs(moved.q - path.q).max() < 0.2, "the same branch and the same turns"
+
+
+@pytest.mark.parametrize("name", ["table", "seven_axes"])
+def test_the_verifier_sees_the_part_where_it_was_put(cases: dict[str, Case], name: str) -> None:
+    case = cases[name]
+    T = Displacement("", (2e-3, 0.0, 0.0), (0.0, 0.0, 0.0)).matrix(middle_of(case.toolpath))
+    elsewhere = displaced(case.cell, T)
+    trajectory = _trajectory(case.problem, case.cell, case.toolpath, case.paths, DT, False)
+    here, there = replay(case.cell, trajectory), replay(elsewhere, trajectory)
+    np.testing.assert_allclose(there.tip, here.tip - [2e-3, 0.0, 0.0], atol=1e-12)
+    failed = {check.name for check in verify(case.problem, elsewhere, case.toolpath, trajectory).checks if not check.ok}
+    assert "tip on the path" in failed, "the old joints do not print on the displaced part"
+    assert all(check.ok for check in case.again(elsewhere, [followed(elsewhere, path) for path in case.paths]).checks)
+
+
+def test_out_of_reach_is_refused_with_the_place() -> None:
+    case = small()
+    far = displaced(case.cell, Displacement("", (2.0, 0.0, 0.0)).matrix(middle_of(case.toolpath)))
+    with pytest.raises(Refusal, match=r"bead 0, .*out of the arm's reach by [\d.]+ mm .*layer 1, path 'zigzag'"):
+        followed(far, case.paths[0])
+    tried = _try(Displacement("far", (2.0, 0.0, 0.0)), case.cell, case.paths, middle_of(case.toolpath), case.again)
+    assert not tried.verified
+    assert "out of the arm's reach" in tried.failures[0]
+
+
+# Bounds to first order
+
+
+@pytest.mark.parametrize("name", ["table", "seven_axes"])
+@pytest.mark.parametrize("seed", range(3))
+def test_slopes_are_what_small_displacements_do(cases: dict[str, Case], name: str, seed: int) -> None:
+    case = cases[name]
+    path, middle = case.paths[0], middle_of(case.toolpath)
+    slopes, sigma = displacement_slopes(case.cell, path, slice(0, len(path.task)), middle)
+    np.testing.assert_allclose(sigma, least_sigma(case.cell, path.q), rtol=1e-9)
+    way = np.random.default_rng(seed).normal(size=6)
+    h = 1e-5
+    ends = []
+    for sign in (1.0, -1.0):
+        each = Displacement("", tuple(sign * h * way[:3]), tuple(sign * h * way[3:]))
+        ends.append(followed(displaced(case.cell, each.matrix(middle)), path).q)
+    solved = list(case.cell.solved)
+    by_joint = (ends[0] - ends[1])[:, solved] / (2.0 * h)
+    np.testing.assert_allclose(slopes[:, :-1] @ way, by_joint, rtol=1e-5, atol=1e-5)
+    by_sigma = (least_sigma(case.cell, ends[0]) - least_sigma(case.cell, ends[1])) / (2.0 * h)
+    np.testing.assert_allclose(slopes[:, -1] @ way, by_sigma, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["table", "seven_axes"])
+def test_bounds_are_reached_by_their_own_displacement_and_by_no_other(cases: dict[str, Case], name: str) -> None:
+    case = cases[name]
+    path, middle = case.paths[0], middle_of(case.toolpath)
+    little = AROUND.times(0.05)
+    bounds = first_order(case.cell, case.paths, little, middle, 0.0)
+    assert [bound.joint for bound in bounds[:-1]].count("") == 0
+    assert len(bounds) == 7
+    rng = np.random.default_rng(1)
+    others = [_random_within(little, rng) for _ in range(30)]
+    for bound in bounds:
+        i = int(np.argmin(np.abs(path.task.s - bound.s)))
+        j = case.cell.joint_names.index(bound.joint) if bound.joint else -1
+
+        def change(each: Displacement, i: int = i, j: int = j) -> float:
+            q = followed(displaced(case.cell, each.matrix(middle)), path).q[i : i + 1]
+            if j < 0:
+                return float((least_sigma(case.cell, path.q[i : i + 1]) - least_sigma(case.cell, q))[0])
+            return float(abs(q[0, j] - path.q[i, j]))
+
+        assert change(bound.worst) == pytest.approx(bound.change, rel=0.02)
+        assert max(change(each) for each in others) < 1.02 * bound.change
+        room = least_sigma(case.cell, path.q[i : i + 1])[0]
+        if bound.joint:
+            room = min(path.q[i, j] - case.cell.limits.q_min[j], case.cell.limits.q_max[j] - path.q[i, j])
+        assert bound.room == pytest.approx(room)
+        assert bound.factor == pytest.approx(bound.room / bound.change)
+
+
+def _random_within(tolerance: Tolerance, rng: np.random.Generator) -> Displacement:
+    """A displacement on the edge of a tolerance."""
+    parts = []
+    for size in (tolerance.shift, tolerance.turn):
+        way = rng.normal(size=3)
+        x, y, z = size * way / np.linalg.norm(way)
+        parts.append((float(x), float(y), float(z)))
+    return Displacement("", *parts)
+
+
+def test_factors_scale_with_the_tolerance() -> None:
+    case = small()
+    once, twice = (
+        first_order(case.cell, case.paths, AROUND.times(k), middle_of(case.toolpath), 0.05) for k in (1.0, 2.0)
+    )
+    for a, b in zip(once, twice, strict=True):
+        assert (a.joint, a.bead, a.s) == (b.joint, b.bead, b.s)
+        assert b.factor == pytest.approx(a.factor / 2.0)
+
+
+# Where it is tried
+
+
+def test_twelve_extremes_and_eight_corners_whose_signs_are_balanced() -> None:
+    tried = displacements(AROUND)
+    assert len(tried) == 20
+    assert len({(each.shift, each.turn) for each in tried}) == 20
+    assert len({each.name for each in tried}) == 20
+    sizes = np.array([[np.linalg.norm(each.shift), np.linalg.norm(each.turn)] for each in tried])
+    np.testing.assert_allclose(np.sort(sizes.max(axis=0)), np.sort([AROUND.shift, AROUND.turn]))
+    np.testing.assert_allclose(sizes[12:], [[AROUND.shift, AROUND.turn]] * 8)
+    for k in range(3):
+        extremes = [
+            each for each in tried[:12] if abs(each.shift[k]) == AROUND.shift or abs(each.turn[k]) == AROUND.turn
+        ]
+        assert len(extremes) == 4
+    signs = np.sign([[*each.shift, *each.turn] for each in tried[12:]])
+    for a, b in combinations(range(6), 2):
+        pairs, counts = np.unique(signs[:, [a, b]], axis=0, return_counts=True)
+        assert len(pairs) == 4
+        assert (counts == 2).all()
+
+
+def test_displacements_that_are_alike_are_tried_once() -> None:
+    assert len(displacements(Tolerance(2e-3, 0.0))) == 6 + 8
+    assert len(displacements(Tolerance(0.0, 0.01))) == 6 + 4
+    assert displacements(Tolerance(0.0, 0.0)) == ()
+    assert displacements(AROUND)[0].name == "2 mm along +x"
+    assert displacements(AROUND)[-1].name == "2 mm along -x-y-z, 1 deg about +x+y+z"
+
+
+def test_no_tolerance_is_the_plan_itself() -> None:
+    case = small()
+    room = case.judged(Tolerance(0.0, 0.0))
+    assert [each.displacement for each in room.tried] == [AS_PLANNED]
+    assert room.holds
+    planned = case.again(case.cell, case.paths)
+    assert room.tried[0].metrics == planned.metrics
+    for name, (value, where) in room.worst_metrics.items():
+        assert value == planned.metrics[name]
+        assert where is AS_PLANNED
+    # followed anew without being displaced, everything is the same but for rounding
+    again = _try(AS_PLANNED, case.cell, case.paths, middle_of(case.toolpath), case.again)
+    assert again.verified
+    assert again.metrics is not None
+    assert again.metrics.keys() == planned.metrics.keys()
+    for name, value in planned.metrics.items():
+        assert again.metrics[name] == pytest.approx(value, rel=1e-4, abs=1e-6), name
+
+
+# What is told
+
+
+@pytest.fixture(scope="module")
+def beside_a_stop() -> tuple[Case, str]:
+    """The small print, and a joint whose range ends 0.2 degrees beyond what it uses along the beads."""
+    case = small()
+    bounds = first_order(case.cell, case.paths, AROUND, middle_of(case.toolpath), 0.0)
+    name = max(bounds[:-1], key=lambda bound: bound.change).joint
+    j = case.cell.joint_names.index(name)
+    limits = case.cell.limits
+    q_max = limits.q_max.copy()
+    q_max[j] = max(path.q[:, j].max() for path in case.paths) + math.radians(0.2)
+    cell = replace(case.cell, limits=replace(limits, q_max=q_max))
+    return replace(case, cell=cell), name
+
+
+def test_beside_a_joint_limit_it_does_not_hold_and_names_the_joint(beside_a_stop: tuple[Case, str]) -> None:
+    case, joint = beside_a_stop
+    room = case.judged(AROUND)
+    assert room.tried[0].verified, "as planned it holds"
+    assert not room.holds
+    assert room.bounds[0].joint == joint
+    assert math.degrees(room.bounds[0].room) == pytest.approx(0.2, abs=1e-6)
+    assert room.bounds[0].factor < 1.0
+    failed = [each for each in room.tried if not each.verified]
+    assert all(f"{joint} leaves its range by" in each.failures[0] for each in failed)
+    assert any(each.displacement is room.bounds[0].worst for each in failed)
+    assert case.judged(AROUND.times(0.9 * room.bounds[0].factor)).holds, "within the head-room it does"
+
+
+def test_the_command_refuses_what_does_not_hold_and_says_why(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    # as published, joints follow from the part alone: a range that ends beside them changes nothing of the plan
+    path = write_small(tmp_path, ("strategy: ladder", "strategy: as_published"))
+    plan = solve(load_problem(path))
+    q = np.degrees(plan.trajectory.q[:, 4])
+    low, high = float(q.min()) - 40.0, float(q.max()) + 0.2
+    stop = ["--set", f"cell.limits.joint_5.range_deg=[{low}, {high}]", "--quiet", "--out", str(tmp_path / "out")]
+    assert main([str(path), *stop]) == EXIT_VERIFIED
+    assert (tmp_path / "out" / "Small.mod").exists()
+    capfd.readouterr()
+    assert main([str(path), *stop, "--tolerance", "2mm,1deg"]) == EXIT_NOT_VERIFIED
+    assert not (tmp_path / "out" / "Small.mod").exists()
+    out = capfd.readouterr().out
+    assert "tolerance 2mm,1deg: does not hold at" in out
+    assert "to first order the range of joint_5 holds up to 0." in out
+    assert "joint_5 leaves its range by" in out
+    assert "verified as planned, but NOT within 2mm,1deg: no robot code was written" in out
+    data = json.loads((tmp_path / "out" / "plan.json").read_text())
+    assert data["verified"] is False
+    assert all(check["ok"] for check in data["checks"])
+    assert data["tolerance"]["holds"] is False
+    assert data["tolerance"]["first_order"][0]["joint"] == "joint_5"
+    assert [each["verified"] for each in data["tolerance"]["placements"]].count(False) > 0
+    report = (tmp_path / "out" / "report.html").read_text()
+    assert "Not verified within the tolerance" in report
+    assert "joint_5 leaves its range by" in report
+    assert "--tolerance 2mm,1deg" in report
+
+
+def test_the_command_says_that_it_holds(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = write_small(tmp_path)
+    arguments = [str(path), "--quiet", "--tolerance", "0.5 mm", "--out", str(tmp_path / "out")]
+    assert main(arguments) == EXIT_VERIFIED
+    out = capfd.readouterr().out
+    assert "tolerance 0.5mm,0deg: holds at all 16 placements tried" in out
+    assert "within 0.5mm,0deg too" in out
+    data = json.loads((tmp_path / "out" / "plan.json").read_text())
+    tried = data["tolerance"]["placements"]
+    assert len(tried) == 17
+    for name, told in data["tolerance"]["worst"].items():
+        values = [each["metrics"][name] for each in tried]
+        assert told["value"] in (min(values), max(values))
+        assert (told["value"] == min(values)) or name in (
+            "print_time_s",
+            "deposition_time_s",
+            "branch_changes_in_deposition",
+        )
+    assert data["tolerance"]["worst"]["sigma_min"]["value"] < data["metrics"]["sigma_min"]
+    assert (tmp_path / "out" / "Small.mod").exists()
+
+
+@pytest.mark.parametrize(
+    "text", ["2", "2mm,1mm", "2mm 1deg", "-1mm", "1cm", "nanmm", "", "mm", "200mm", "11deg", "1e9mm"]
+)
+def test_the_command_refuses_what_is_no_tolerance(text: str, capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["cylinder_logo", f"--tolerance={text}"])
+    assert stop.value.code == 2
+    error = capfd.readouterr().err
+    assert "--tolerance" in error
+    assert "Traceback" not in error
+
+
+def test_worst_checks_are_those_that_fail_or_are_nearest_to_their_limits() -> None:
+    def check(name: str, worst: float, limit: float, least: bool = False) -> Check:
+        return Check(name, worst, limit, "", worst >= limit if least else worst <= limit, "", least)
+
+    at = [Displacement(str(k)) for k in range(3)]
+    tried = (
+        Tried(at[0], (check("a", 0.5, 1.0), check("b", 5.0, 1.0, least=True))),
+        Tried(
+            at[1], (check("a", 0.9, 1.0), check("b", 2.0, 1.0, least=True)), {"sigma_min": 0.2, "gap_clearance_mm": 3.0}
+        ),
+        Tried(
+            at[2], (check("a", 0.7, 1.0), check("b", 0.5, 1.0, least=True)), {"sigma_min": 0.3, "gap_clearance_mm": 2.0}
+        ),
+    )
+    room = Headroom(AROUND, (0.0, 0.0, 0.0), (), tried)
+    assert {found.name: where.name for found, where in room.worst_checks} == {"a": "1", "b": "2"}
+    assert not room.holds
+    assert {name: where.name for name, (_, where) in room.worst_metrics.items()} == {
+        "sigma_min": "1",
+        "gap_clearance_mm": "2",
+    }
+
+
+def test_the_report_says_nothing_where_nobody_asked() -> None:
+    assert headroom_section(solve(small_problem(), "as_published")) == ""
+
+
+# How it is written
+
+
+@given(
+    st.floats(0.0, 100.0).map(lambda x: float(f"{x:.6g}")),
+    st.floats(0.0, 10.0).map(lambda x: float(f"{x:.6g}")),
+    st.sampled_from(["", " ", "  "]),
+    st.booleans(),
+)
+def test_a_tolerance_is_read_as_it_is_written(shift: float, turn: float, blank: str, turned: bool) -> None:
+    terms = [f"{shift:.12f}{blank}mm", f"{turn:.12f}{blank}deg"]
+    read = parse_tolerance(f",{blank}".join(reversed(terms) if turned else terms))
+    assert read.shift * 1e3 == pytest.approx(shift, abs=1e-11)
+    assert math.degrees(read.turn) == pytest.approx(turn, abs=1e-11)
+    alone = parse_tolerance(terms[0])
+    assert (alone.shift, alone.turn) == (read.shift, 0.0)
+
+
+@given(st.floats(1e-3, 99.0), st.floats(1e-3, 9.9))
+def test_the_words_of_a_tolerance_can_be_read_again(shift: float, turn: float) -> None:
+    tolerance = Tolerance(shift / 1e3, math.radians(turn))
+    read = parse_tolerance(tolerance.words)
+    assert read.shift == pytest.approx(tolerance.shift, rel=1e-5)
+    assert read.turn == pytest.approx(tolerance.turn, rel=1e-5)
+
+
+@given(st.text(alphabet="0123456789.,-+e mdgcm°\u0661", max_size=12))
+def test_any_text_is_a_tolerance_or_is_refused_with_a_reason(text: str) -> None:
+    try:
+        read = parse_tolerance(text)
+    except ValueError as error:
+        assert "toleran" in str(error) or "twice" in str(error)
+    else:
+        assert 0.0 <= read.shift <= 0.1
+        assert 0.0 <= read.turn <= math.radians(10.0)
