@@ -64,7 +64,10 @@ def problem(
         cell=SimpleNamespace(
             arm="irb140",
             base=(0.0, 0.0, 0.0),
-            nozzle=SimpleNamespace(tip=(-0.04451, 0.0099, 0.11395), axis=(0.0, 0.0, 1.0), diameter=0.6e-3),
+            nozzle=SimpleNamespace(
+                tip=(-0.04451, 0.0099, 0.11395), axis=(0.0, 0.0, 1.0), diameter=0.6e-3, profile=None, head=None
+            ),
+            fixtures={},
             home=tuple(np.radians([30.0, 20.0, 30.0, 90.0, -80.0, 60.0])),
             positioner=station if positioner else None,
             bed=None if positioner else (0.45, -0.05, 0.38),
