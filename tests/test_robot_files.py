@@ -270,7 +270,7 @@ def test_no_urdf_but_another_xml_file(tmp_path: Path) -> None:
         ("range_deg: {wrist: [1, -1]}", "range_deg", "a least and a greatest angle"),
         ("range_deg: {wrist: 5}", "range_deg", "a least and a greatest angle"),
         ("range_deg: [1, 2]", "range_deg", "ranges by joint"),
-        (RANGE + "without: hand", "without", "list of links"),
+        (RANGE + "without: hand", "without", "list of names"),
         (RANGE + "without: [hands]", "without", "did you mean hand?"),
         (RANGE + "speed_rad_s: [1]", "speed_rad_s", "2 positive numbers"),
     ],

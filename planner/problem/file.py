@@ -1,4 +1,4 @@
-"""Problem files as text: a small, safe part of YAML 1.2 → plain values, each with the line it stands on.
+"""Problem files, and robots' files, as text: a small, safe part of YAML 1.2 → plain values, each with the line it stands on.
 
 Read from the parser's events, so that nothing is built before it has been looked at: no tags, no anchors (hence no
 alias bombs), no second document, no key twice, no deep nesting. Scalars follow the core schema (YAML 1.2.2, 10.3.2).
@@ -119,6 +119,11 @@ def find_problem(name_or_path: str | Path) -> Path:
 
 def read_problem_file(file: Path) -> tuple[dict[str, Any], Source]:
     """Read a problem file into plain dicts, tuples, strings, numbers, booleans and None; raises InputError."""
+    return read_yaml_file(file, "a problem starts with `name:`; see problems/cylinder_logo.yaml")
+
+
+def read_yaml_file(file: Path, empty: str) -> tuple[dict[str, Any], Source]:
+    """Read a YAML file of `key: value` lines into plain values; raises InputError, with the hint `empty` if it is."""
 
     def complain(reason: str, line: int | None = None, hint: str | None = None) -> InputError:
         return InputError(reason, file=file, line=line, hint=hint)
@@ -131,7 +136,9 @@ def read_problem_file(file: Path) -> tuple[dict[str, Any], Source]:
     except OSError as error:
         raise complain(f"cannot be read: {error.strerror}") from error
     if len(raw) > LARGEST_FILE:
-        raise complain("is larger than 1 MB, which no problem file is", hint="curves belong into files of their own")
+        raise complain(
+            "is larger than 1 MB, which no file of settings is", hint="curves belong into files of their own"
+        )
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -140,7 +147,7 @@ def read_problem_file(file: Path) -> tuple[dict[str, Any], Source]:
     lines: dict[Keys, int] = {}
     data = parse_yaml(text, complain, lines)
     if data is None:
-        raise complain("is empty", hint="a problem starts with `name:`; see problems/cylinder_logo.yaml")
+        raise complain("is empty", hint=empty)
     if not isinstance(data, dict):
         raise complain(f"must be `key: value` lines at the top, not {describe(data)}", lines[()])
     return data, Source(file, lines)
@@ -196,7 +203,7 @@ def parse_yaml(text: str, complain: Complaint, lines: dict[Keys, int]) -> Any:
         value = _value(first, events, (), lines, complain)
         if (second := next(events, None)) is not None:
             line = second.start_mark.line + 1
-            raise complain("has a second document", line, "one problem per file: remove the `---` line")
+            raise complain("has a second document", line, "one document per file: remove the `---` line")
         return value
     except MarkedYAMLError as error:
         raise _not_yaml(error, complain) from error
@@ -213,7 +220,7 @@ def parse_yaml(text: str, complain: Complaint, lines: dict[Keys, int]) -> Any:
 def _not_yaml(error: MarkedYAMLError, complain: Complaint) -> InputError:
     """Say where the text stops being YAML; of what is never closed, where it starts."""
     mark, reason = error.problem_mark or error.context_mark, str(error.problem or error.context)
-    hint = "indent with spaces, not tabs" if "\\t" in reason else "a YAML problem file is expected"
+    hint = "indent with spaces, not tabs" if "\\t" in reason else "a YAML file is expected"
     if "end of stream" in reason or "<stream end>" in reason:
         start = error.context_mark
         open_here = start is not None and mark is not None and start.index < mark.index

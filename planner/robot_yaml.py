@@ -1,0 +1,133 @@
+"""robots/*.yaml, or the user's own: what a URDF cannot say, each value with its place in the file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import InputError, nearest_name
+from planner.problem.file import Keys, Source, read_yaml_file
+
+Array = NDArray[np.float64]
+REQUIRED = ("name", "urdf", "tip", "acceleration_rad_s2", "jerk_rad_s3")
+OPTIONAL = (
+    "speed_rad_s",
+    "range_deg",
+    "without",
+    "assumed",
+    "spherical_wrist",
+    "inverse_kinematics",
+    "redundant_joint",
+)
+
+
+@dataclass(frozen=True)
+class RobotFile:
+    """A robot's YAML file, read: its values, and where they stand."""
+
+    path: Path
+    data: Mapping[str, Any]
+    source: Source
+
+    def error(self, field: str, reason: str, hint: str | None = None) -> InputError:
+        """Return the error of a field, with file and line."""
+        keys: Keys = (field,)
+        line = self.source.line(keys) if field in self.data else None
+        return InputError(reason, file=self.path, line=line, field=field, hint=hint)
+
+    def text(self, field: str) -> str:
+        """The text of a field."""
+        value = self.data[field]
+        if not isinstance(value, str) or not value.strip():
+            raise self.error(field, "must be a text", "quote it if it looks like a number")
+        return value
+
+    def texts(self, field: str) -> tuple[str, ...]:
+        """The list of texts of a field; none if it is left out."""
+        value = self.data.get(field, ())
+        if not isinstance(value, tuple) or not all(isinstance(item, str) for item in value):
+            raise self.error(field, "must be a list of names", "for example [hand]")
+        return value
+
+    def known(self, field: str, kind: str, name: object, names: Collection[str]) -> None:
+        """Raise InputError if `name` is none of the `names`, which are those of a `kind`."""
+        if name not in names:
+            near = nearest_name(str(name), names)
+            hint = f"did you mean {near}?" if near else f"{kind}s: {', '.join(names)}"
+            raise self.error(field, f"no {kind} {name!r}", hint)
+
+    def of_these(self, field: str, kind: str, names: Collection[str]) -> tuple[str, ...]:
+        """The list of a field, all of them among the `names` of a `kind`; none if it is left out."""
+        given = self.texts(field)
+        for name in given:
+            self.known(field, kind, name, names)
+        return given
+
+    def numbers(self, field: str, count: int) -> Array:
+        """The positive numbers (count) of a field."""
+        value = self.data[field]
+        right = isinstance(value, tuple) and all(is_number(v) and 0.0 < v < math.inf for v in value)
+        if not right or len(value) != count:
+            raise self.error(field, f"must be a list of {count} positive numbers", "one for each joint, base first")
+        return np.array([float(v) for v in value])
+
+    def ranges(self, joints: Collection[str]) -> dict[str, tuple[float, float]]:
+        """Ranges [rad] by joint that stand in place of the URDF's."""
+        given = self.data.get("range_deg", {})
+        if not isinstance(given, dict):
+            raise self.error("range_deg", "must be ranges by joint", "for example {joint_6: [-400, 400]}")
+        for name, pair in given.items():
+            self.known("range_deg", "joint", name, joints)
+            right = isinstance(pair, tuple) and len(pair) == 2 and all(is_number(v) and math.isfinite(v) for v in pair)
+            if not right or not pair[0] < pair[1]:
+                reason = f"{name} must have a least and a greatest angle"
+                raise self.error("range_deg", reason, "for example [-400, 400]")
+        return {name: (math.radians(low), math.radians(high)) for name, (low, high) in given.items()}
+
+    def urdf(self) -> Path:
+        """Where the robot's URDF is: beside its YAML file, or `path` in the shared files of an installed `package`."""
+        urdf = self.data["urdf"]
+        if isinstance(urdf, str):
+            path, hint = self.path.parent / urdf, "counted from the robot's file"
+        elif isinstance(urdf, Mapping) and set(urdf) == {"package", "path"}:
+            package = str(urdf["package"])
+            try:
+                found = metadata.distribution(package)
+            except metadata.PackageNotFoundError:
+                hint = f"pip install -r requirements.txt, or pip install {package}"
+                raise self.error("urdf", f"package {package} is not installed", hint) from None
+            # wheels made by cmeel keep what would be below /usr in a folder of their own, and have no module to import
+            path = Path(str(found.locate_file("cmeel.prefix"))) / "share" / package / str(urdf["path"])
+            hint = f"counted from share/{package} of {package} {found.version}"
+        else:
+            raise self.error("urdf", "must be a file name, or a package and a path", "for example arm.urdf")
+        if not path.is_file():
+            raise self.error("urdf", f"no file {path.name}", hint)
+        return path
+
+
+def read_robot_file(path: Path) -> RobotFile:
+    """Read a robot's YAML file. Raises InputError for unknown and missing keys, and for what is no YAML."""
+    data, source = read_yaml_file(path, "a robot has name, urdf and tip; see robots/irb140.yaml")
+    file = RobotFile(path, data, source)
+    for key in data:
+        if key not in REQUIRED + OPTIONAL:
+            near = nearest_name(key, REQUIRED + OPTIONAL)
+            hint = f"did you mean {near}?" if near else f"known keys: {', '.join(REQUIRED + OPTIONAL)}"
+            raise file.error(key, "unknown key", hint)
+    for key in REQUIRED:
+        if key not in data:
+            raise file.error(key, "is missing")
+    return file
+
+
+def is_number(value: object) -> bool:
+    """Whether a value is a number, and no yes or no."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
