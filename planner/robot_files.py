@@ -61,21 +61,19 @@ def robot_names(folder: Path = ROBOTS) -> list[str]:
     return sorted(path.stem for path in folder.glob("*.yaml"))
 
 
-def load_robot(key: str, problem: Problem, field: str) -> Robot:
-    """Read a robot that ships, by its key, or the user's own, by a path that counts from the problem file's folder.
+def load_robot(robot: str | Path, problem: Problem, field: str) -> Robot:
+    """Read a robot that ships, by its key, or the user's own, by its file.
 
-    Raises InputError where there is none, and for whatever is wrong with its files.
+    Raises InputError, of the problem's field, where there is none, and for whatever is wrong with its files.
     """
-    if key.endswith((".yaml", ".yml")):
-        path = problem.file.parent / key
-        if not path.is_file():
-            raise problem.error(
-                field, f"no file {key}", "counted from the problem file's folder; robots that ship go by name"
-            )
-        return read_robot(path)
-    if key not in robot_names():
-        raise problem.error(field, f"unknown robot {key!r}", names_meant(key))
-    return read_robot(ROBOTS / f"{key}.yaml")
+    if isinstance(robot, Path):
+        if not robot.is_file():
+            hint = "counted from the problem file's folder; robots that ship go by name"
+            raise problem.error(field, f"no file {robot}", hint)
+        return read_robot(robot)
+    if robot not in robot_names():
+        raise problem.error(field, f"unknown robot {robot!r}", names_meant(robot))
+    return read_robot(ROBOTS / f"{robot}.yaml")
 
 
 def names_meant(key: str) -> str:

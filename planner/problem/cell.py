@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
 from typing import Annotated
 
 from pydantic import field_validator, model_validator
 
 from planner.problem.fields import (
     INCREASING,
+    ROBOT,
     TEXT,
     UNIQUE,
     UNIT_VECTOR,
@@ -22,6 +24,7 @@ from planner.problem.fields import (
 from planner.problem.solids import FixtureSpec, SolidSpec
 
 Text = Annotated[str, TEXT]
+RobotName = Annotated[str | Path, ROBOT]
 Angle = Annotated[float, Quantity("deg", -3600, 3600)]  # ten turns: no cable allows more
 Ring = Annotated[tuple[float, float], Quantity("mm", 0, 2000, count=2)]
 MOST_JOINTS = 12  # of an arm; how many it has, its own file says
@@ -61,7 +64,9 @@ class NozzleSpec(Section):
 class PositionerSpec(Section):
     """A positioner, or an arm, that holds the part; its plate or flange carries the part frame."""
 
-    robot: Text = key("robot", "key of the positioner in robots/, or of an arm that holds the part")
+    robot: RobotName = key(
+        "robot", "positioner, or arm that holds the part: its name in robots/, or a file of your own, my_robot.yaml"
+    )
     origin: Position | None = key(
         "origin_mm", "centre of the plate in the world, all its axes at 0 [mm]; default: none, but base_mm", None
     )
@@ -116,7 +121,7 @@ class JointLimitsSpec(Section):
 class CellSpec(Section):
     """Arm, nozzle and what carries the part: a positioner or a fixed bed."""
 
-    arm: Text = key("arm", "key of the arm in robots/")
+    arm: RobotName = key("arm", "its name in robots/, or a file of your own, my_robot.yaml")
     base: Position = key("base_mm", "base of the arm in the world [mm]", (0, 0, 0))
     nozzle: NozzleSpec = key("nozzle", "the nozzle on the arm's flange")
     home: Annotated[tuple[float, ...], Quantity("deg", -3600, 3600, count=(1, MOST_JOINTS))] = key(

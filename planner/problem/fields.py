@@ -149,6 +149,12 @@ def _beside_the_problem(value: Any, info: ValidationInfo) -> Path:
     return source.file.parent / _text(value)
 
 
+def _robot(value: Any, info: ValidationInfo) -> str | Path:
+    """A robot that ships by its name, or the user's own by its file."""
+    text = _text(value)
+    return _beside_the_problem(text, info) if text.endswith((".yaml", ".yml")) else text
+
+
 def one_of(names: Sequence[str]) -> BeforeValidator:
     """Accept one of the names only, and suggest the nearest."""
 
@@ -187,6 +193,7 @@ def _unit_vector(vector: tuple[float, ...]) -> tuple[float, ...]:
 TEXT = BeforeValidator(_text)
 IDENTIFIER = BeforeValidator(_identifier)
 PATH = BeforeValidator(_beside_the_problem)
+ROBOT = BeforeValidator(_robot)
 UNIQUE = AfterValidator(_unique)
 INCREASING = AfterValidator(_increasing)
 UNIT_VECTOR = AfterValidator(_unit_vector)
