@@ -12,12 +12,12 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from planner.robot_urdf import Urdf, hanging_on, origin_of
+from planner.robot_urdf import FARTHEST, Urdf, hanging_on, origin_of
 from planner.solids import Body, Box, Capsule, ConvexSolid, Frustum, Hull
 
 Array = NDArray[np.float64]
 SHAPES = ("box", "cylinder", "sphere", "capsule", "mesh")
-THINNEST = 1e-6  # m: what is thinner is a mistake (a size in the wrong unit, or none)
+THINNEST = 1e-6  # m: what is thinner is a mistake
 
 
 def read_bodies(urdf: Urdf, model: pin.Model, without: tuple[str, ...]) -> tuple[tuple[Body, ...], ...]:
@@ -61,6 +61,8 @@ def _solid(urdf: Urdf, shape: ET.Element, field: str) -> tuple[ConvexSolid, floa
     values = [value for key in keys for value in urdf.numbers(shape, key, field, 3 if key == "size" else 1)]
     if min(values) < THINNEST:
         raise urdf.error(shape, field, f"the {shape.tag} has a size of {min(values):g} m", "sizes are metres, above 0")
+    if max(values) > FARTHEST:
+        raise urdf.error(shape, field, f"the {shape.tag} has a size of {max(values):g} m", "sizes are metres")
     if shape.tag == "box":
         return Box((values[0], values[1], values[2])), 0.0
     if shape.tag == "sphere":
@@ -83,6 +85,9 @@ def _hull(urdf: Urdf, shape: ET.Element, field: str) -> Hull:
         raise urdf.error(shape, field, f"mesh {path.name} cannot be read", hint) from None
     if not np.isfinite(vertices).all():
         raise urdf.error(shape, field, f"mesh {path.name} holds numbers that are not finite")
+    if (size := float(np.ptp(vertices, axis=0).max(initial=0.0))) > FARTHEST:
+        hint = 'sizes are metres; of a file in mm, scale="0.001 0.001 0.001"'
+        raise urdf.error(shape, field, f"mesh {path.name} is {size:g} m large", hint)
     try:
         return Hull(vertices[ConvexHull(vertices).vertices])
     except (QhullError, ValueError):

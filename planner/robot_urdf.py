@@ -14,6 +14,7 @@ import pinocchio as pin
 from planner.errors import InputError, nearest_name
 
 LARGEST = 20_000_000  # bytes of a URDF: meshes stand in files of their own
+FARTHEST = 20.0  # m: what is farther or larger has its length in millimetres
 TYPES = ("fixed", "revolute", "continuous", "prismatic", "planar", "floating")
 Ranges = Mapping[str, tuple[float, float]]
 
@@ -178,6 +179,8 @@ def origin_of(urdf: Urdf, element: ET.Element, field: str) -> tuple[list[float],
     if origin is None:
         return [0.0] * 3, [0.0] * 3
     xyz, rpy = (urdf.numbers(origin, key, field, 3, "0 0 0") for key in ("xyz", "rpy"))
+    if (away := max(map(abs, xyz))) > FARTHEST:
+        raise urdf.error(origin, field, f"its origin is {away:g} m away", "origins are metres")
     return xyz, rpy
 
 

@@ -191,8 +191,12 @@ WRONG = {
     "no mesh in a package": ("hand.stl", "package://own/hand.stl", "link hand", "all folders around own.urdf"),
     "mesh of a kind unknown": ("hand.stl", "own.yaml", "link hand", "own.yaml cannot be read"),
     "mesh without name": ('filename="hand.stl"', "", "link hand", "no filename"),
-    "scale to nothing": ('scale="0.001 0.001 0.002"', 'scale="1 1 0"', "link hand", "in one plane"),
+    "scale to nothing": ('scale="0.001 0.001 0.002"', 'scale="0.001 0.001 0"', "link hand", "in one plane"),
     "scale of two": ('scale="0.001 0.001 0.002"', 'scale="1 1"', "link hand", "must be 3 numbers, not '1 1'"),
+    "mesh in mm": (' scale="0.001 0.001 0.002"', "", "link hand", "is 70 m large (sizes are metres; of a file in mm, scale="),
+    "box in mm": ("0.1 0.2 0.3", "100 200 300", "link arm", "size of 300 m (sizes are metres)"),
+    "joint in mm": ('xyz="0.4 0 0"', 'xyz="400 0 0"', "joint wrist", "origin is 400 m away (origins are metres)"),
+    "shape in mm": ('xyz="0.1 0 0"', 'xyz="100 0 0"', "link arm", "origin is 100 m away"),
     "box of no size": ("0.1 0.2 0.3", "0.1 0 0.3", "link arm", "size of 0 m"),
     "ball inside out": ('radius="0.07"', 'radius="-0.07"', "link arm", "size of -0.07 m"),
     "no number": ('radius="0.07"', 'radius="7 cm"', "link arm", "must be a number"),
@@ -238,8 +242,8 @@ def test_what_is_wrong_with_a_urdf_is_told_with_its_file_and_line(name: str, tmp
     assert field in str(error)
     assert said in str(error)
     if error.field is not None and error.field.startswith("joint "):
-        line = (tmp_path / "own.urdf").read_text().splitlines()[error.line - 1]
-        assert error.field.removeprefix("joint ") in line
+        around = (tmp_path / "own.urdf").read_text().splitlines()[max(0, error.line - 3) : error.line]
+        assert f'<joint name="{error.field.removeprefix("joint ")}"' in " ".join(around)
 
 
 def test_a_joint_without_end_asks_for_its_range(tmp_path: Path) -> None:
