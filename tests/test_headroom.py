@@ -225,6 +225,30 @@ def test_bounds_are_reached_by_their_own_displacement_and_by_no_other(cases: dic
         assert bound.factor == pytest.approx(bound.room / bound.change)
 
 
+def test_what_first_order_calls_worst_is_worse_than_others_over_the_whole_tolerance() -> None:
+    case = small()
+    middle = middle_of(case.toolpath)
+    bounds = first_order(case.cell, case.paths, AROUND, middle, 0.0)
+    limits = case.cell.limits
+    j = case.cell.joint_names.index(bounds[0].joint)
+
+    def margins(each: Displacement) -> tuple[float, float]:
+        """Least room of the tightest joint, and least singular value, along all beads."""
+        elsewhere = displaced(case.cell, each.matrix(middle))
+        paths = [followed(elsewhere, path) for path in case.paths]
+        room = min(np.minimum(p.q - limits.q_min, limits.q_max - p.q)[:, j].min() for p in paths)
+        sigma = min(least_sigma(elsewhere, p.q[p.task.first : p.task.last + 1]).min() for p in paths)
+        return float(room), float(sigma)
+
+    rng = np.random.default_rng(2)
+    others = np.array([margins(_random_within(AROUND, rng)) for _ in range(40)]).min(axis=0)
+    planned = np.array(margins(AS_PLANNED))
+    found = np.array([margins(bounds[0].worst)[0], margins(bounds[-1].worst)[1]])
+    assert (found < planned).all()
+    assert (found <= others + 0.02 * (planned - others)).all(), "a hair may be left to what is not linear"
+    assert found[0] == pytest.approx(bounds[0].room - bounds[0].change, abs=0.02 * bounds[0].change)
+
+
 def _random_within(tolerance: Tolerance, rng: np.random.Generator) -> Displacement:
     """A displacement on the edge of a tolerance."""
     parts = []

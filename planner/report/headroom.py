@@ -164,4 +164,9 @@ def _tried_row(each: Tried) -> str:
     )
     verdict = "<span class=yes>✓ holds</span>" if each.verified else f"✗ {'<br>'.join(map(escape, each.failures))}"
     row = "" if each.verified else " class=bad"
-    return f"<tr{row}><th scope=row>{escape(each.displacement.name)}</th><td class=where>{verdict}</td>{cells}</tr>"
+    shift = ", ".join(f"{1e3 * c:.2f}" for c in each.displacement.shift)
+    turn = ", ".join(f"{math.degrees(angle):.2f}" for angle in each.displacement.turn)
+    about = f" title='shifted by {shift} mm, turned by {turn} deg'".replace("-", "−")
+    return (
+        f"<tr{row}><th scope=row{about}>{escape(each.displacement.name)}</th><td class=where>{verdict}</td>{cells}</tr>"
+    )
