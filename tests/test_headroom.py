@@ -386,6 +386,7 @@ def test_the_command_says_that_it_holds(tmp_path: Path, capfd: pytest.CaptureFix
     out = capfd.readouterr().out
     assert "tolerance 0.5mm,0deg: holds at all 16 placements tried" in out
     assert "within 0.5mm,0deg too" in out
+    assert "least nozzle tip outside the part" in out
     data = json.loads((tmp_path / "out" / "plan.json").read_text())
     tried = data["tolerance"]["placements"]
     assert len(tried) == 17

@@ -35,6 +35,11 @@ def headroom_words(plan: Plan) -> list[str]:
             lines.append(
                 f"  worst {label} {value * factor:.{decimals}f}{unit} ({where.name}); as planned {planned:.{decimals}f}"
             )
+    lines += [
+        f"  least {check.name} {check.worst:.2f} mm, limit {check.limit:g} ({where.name})"
+        for check, where in room.worst_checks
+        if check.least and check.unit == "mm"
+    ]
     failed = [each for each in room.tried if not each.verified]
     lines += [f"  FAILED {each.displacement.name}: {each.failures[0]}" for each in failed[:MOST_FAILURES]]
     if len(failed) > MOST_FAILURES:
