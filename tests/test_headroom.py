@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from itertools import combinations
 from pathlib import Path
 
@@ -22,17 +22,18 @@ from planner.cell import Cell, build_cell
 from planner.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, Refusal
 from planner.headroom import AS_PLANNED, _try, displaced, displacements, followed, headroom, middle_of
 from planner.headroom_bounds import displacement_slopes, first_order
-from planner.plan import Check
+from planner.plan import Check, Trajectory
 from planner.problem import Problem, load_problem
 from planner.replay import replay
 from planner.report.headroom import headroom_section
 from planner.resolve import STRATEGIES
 from planner.resolve.jointpath import JointPath
-from planner.solve import _trajectory, main, solve
+from planner.solve import _elsewhere, _trajectory, main, solve
 from planner.task import tasks_of
 from planner.tolerance import Displacement, Headroom, Tolerance, Tried, parse_tolerance
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
+from planner.travel import Travel
 from planner.verify import Report, verify
 
 Array = NDArray[np.float64]
@@ -71,15 +72,19 @@ class Case:
     toolpath: Toolpath
     paths: tuple[JointPath, ...]
 
+    @cached_property
+    def planned(self) -> tuple[Trajectory, Sequence[Travel]]:
+        """The trajectory as planned, and its travels."""
+        return _trajectory(self.problem, self.cell, self.toolpath, self.paths, DT, False)
+
     def again(self, cell: Cell, paths: Sequence[JointPath]) -> Report:
-        """Time, join and verify paths."""
-        return verify(
-            self.problem, cell, self.toolpath, _trajectory(self.problem, cell, self.toolpath, paths, DT, False)
-        )
+        """Time paths, carry the travel along, join and verify."""
+        trajectory = _elsewhere(self.problem, cell, self.toolpath, paths, self.planned[1], DT)
+        return verify(self.problem, cell, self.toolpath, trajectory)
 
     def judged(self, tolerance: Tolerance) -> Headroom:
         """The head-room of the paths."""
-        planned = self.again(self.cell, self.paths)
+        planned = verify(self.problem, self.cell, self.toolpath, self.planned[0])
         return headroom(tolerance, self.cell, self.toolpath, self.paths, 0.0, planned, self.again)
 
 
@@ -155,7 +160,7 @@ def test_the_verifier_sees_the_part_where_it_was_put(cases: dict[str, Case], nam
     case = cases[name]
     T = Displacement("", (2e-3, 0.0, 0.0), (0.0, 0.0, 0.0)).matrix(middle_of(case.toolpath))
     elsewhere = displaced(case.cell, T)
-    trajectory = _trajectory(case.problem, case.cell, case.toolpath, case.paths, DT, False)
+    trajectory = case.planned[0]
     here, there = replay(case.cell, trajectory), replay(elsewhere, trajectory)
     np.testing.assert_allclose(there.tip, here.tip - [2e-3, 0.0, 0.0], atol=1e-12)
     failed = {check.name for check in verify(case.problem, elsewhere, case.toolpath, trajectory).checks if not check.ok}
@@ -305,7 +310,7 @@ def test_no_tolerance_is_the_plan_itself() -> None:
     room = case.judged(Tolerance(0.0, 0.0))
     assert [each.displacement for each in room.tried] == [AS_PLANNED]
     assert room.holds
-    planned = case.again(case.cell, case.paths)
+    planned = verify(case.problem, case.cell, case.toolpath, case.planned[0])
     assert room.tried[0].metrics == planned.metrics
     for name, (value, where) in room.worst_metrics.items():
         assert value == planned.metrics[name]
