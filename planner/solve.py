@@ -44,7 +44,7 @@ from planner.timing import TimedPath, bound_time, time_path
 from planner.tolerance import Headroom, Tolerance
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.travel import Travel, plan_travels
+from planner.travel import Travel, carried_travels, plan_travels
 from planner.verify import Report, verify
 from planner.versions import versions
 
@@ -77,7 +77,9 @@ def solve(
     with stages.stage("toolpath"):
         toolpath, tasks = _toolpath(problem)
     with _baseline_beside(strategy, problem, cell, toolpath, tasks, dt, second_process) as baseline_metrics:
-        trajectory, report, paths = _plan_with(strategy, problem, cell, toolpath, tasks, dt, stages, second_process)
+        trajectory, report, paths, travels = _plan_with(
+            strategy, problem, cell, toolpath, tasks, dt, stages, second_process
+        )
         with stages.stage("dips"):
             dips = find_dips(problem, cell, toolpath, paths, trajectory)
         with stages.stage("baseline"):
@@ -85,7 +87,7 @@ def solve(
     judged = None
     if tolerance is not None:
         with stages.stage("tolerance"):
-            judged = _headroom(tolerance, problem, cell, toolpath, paths, report, dt, second_process)
+            judged = _headroom(tolerance, problem, cell, toolpath, paths, travels, report, dt, second_process)
     return Plan(
         problem=problem,
         cell=cell,
@@ -118,24 +120,27 @@ def _plan_with(
     dt: float,
     stages: Stages,
     second_process: bool = False,
-) -> tuple[Trajectory, Report, Sequence[JointPath]]:
+) -> tuple[Trajectory, Report, Sequence[JointPath], Sequence[Travel]]:
     """Resolve, time, join and verify with one strategy; the bound on the deposition time joins the metrics."""
     beside = second_process and _waypoints(toolpath) >= WORTH_A_FORK
     with stages.stage("resolve"):
         paths = STRATEGIES[strategy](cell, tasks, problem.resolve)
     with stages.stage("timing"):
-        trajectory = _trajectory(problem, cell, toolpath, paths, dt, beside)
+        trajectory, travels = _trajectory(problem, cell, toolpath, paths, dt, beside)
     with stages.stage("verify"):
         report = verify(problem, cell, toolpath, trajectory, beside)
     with stages.stage("dips"):
         bound = {"bound_deposition_time_s": sum(bound_time(cell, path) for path in paths)}
-    return trajectory, replace(report, metrics=report.metrics | bound), paths
+    return trajectory, replace(report, metrics=report.metrics | bound), paths, travels
 
 
 def _trajectory(
     problem: Problem, cell: Cell, toolpath: Toolpath, paths: Sequence[JointPath], dt: float, second_process: bool
-) -> Trajectory:
-    """Time the beads' paths and plan the travel between them, half of both in a second process if that is wanted."""
+) -> tuple[Trajectory, Sequence[Travel]]:
+    """Time the beads' paths and plan the travel between them, half of both in a second process if that is wanted.
+
+    The travels in the trajectory come back with it.
+    """
     n, moving = len(paths), problem.process.hand_over == "motion"
 
     def part(first: int, last: int) -> list[TimedPath]:
@@ -149,7 +154,20 @@ def _trajectory(
     middle = 1 + int(np.searchsorted(done, 0.5 * done[-1]))
     timed = [each for half in in_halves(part, n, second_process, middle) for each in half]
     travels = [each for half in in_halves(ways, n, second_process) for each in half]
-    return join(cell, toolpath, problem.process, timed, travels, dt)
+    return join(cell, toolpath, problem.process, timed, travels, dt), travels
+
+
+def _elsewhere(
+    problem: Problem, cell: Cell, toolpath: Toolpath, paths: Sequence[JointPath], travels: Sequence[Travel], dt: float
+) -> Trajectory:
+    """The trajectory in a cell whose part stands elsewhere: paths that were followed there, travel carried along."""
+    process, moving = problem.process, problem.process.hand_over == "motion"
+    timed = [time_path(cell, path, (moving, moving)) for path in paths]
+    carried = [
+        plan_travels(cell, timed, toolpath, process, range(i, i + 1))[0] if way is None else way
+        for i, way in enumerate(carried_travels(cell, travels, timed, process.travel_speed))
+    ]
+    return join(cell, toolpath, process, timed, carried, dt)
 
 
 def _waypoints(toolpath: Toolpath) -> int:
@@ -162,14 +180,15 @@ def _headroom(
     cell: Cell,
     toolpath: Toolpath,
     paths: Sequence[JointPath],
+    travels: Sequence[Travel],
     planned: Report,
     dt: float,
     second_process: bool,
 ) -> Headroom:
-    """Judge the plan over a tolerance: the same choices along the beads, all else anew."""
+    """Judge the plan over a tolerance: the same choices along the beads, the same travel between them."""
 
     def again(elsewhere: Cell, followed: Sequence[JointPath]) -> Report:
-        return verify(problem, elsewhere, toolpath, _trajectory(problem, elsewhere, toolpath, followed, dt, False))
+        return verify(problem, elsewhere, toolpath, _elsewhere(problem, elsewhere, toolpath, followed, travels, dt))
 
     least = problem.resolve.min_sigma
     return headroom(tolerance, cell, toolpath, paths, least, planned, again, second_process)
@@ -200,7 +219,7 @@ def _baseline(
 ) -> dict[str, dict[str, float]]:
     """Metrics of the published way of moving; empty ones if it cannot be planned here."""
     try:
-        _, report, _ = _plan_with(BASELINE, problem, cell, toolpath, tasks, dt, Stages())
+        _, report, *_ = _plan_with(BASELINE, problem, cell, toolpath, tasks, dt, Stages())
     except Refusal:
         return {BASELINE: {}}
     return {BASELINE: report.metrics}

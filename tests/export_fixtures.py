@@ -20,6 +20,7 @@ from planner.export.rotations import from_matrix
 from planner.export.table import write_table
 from planner.extrusion import feed_of_materials
 from planner.plan import Check, Event, Plan, Trajectory
+from planner.problem.cell import CellSpec
 from planner.problem.process import ProcessSpec
 
 Array = NDArray[np.float64]
@@ -47,33 +48,13 @@ def problem(
     """What the exporters read of a problem, and what a cell is built from."""
     bead = {"width_mm": 0.6, "height_mm": 0.5}
     names = {"tool": "tPen", "work_object": "wobjPart", "station": "STN1", "extruder_signal": "doExtrude"} | program
-    station = SimpleNamespace(
-        robot="irbp_a250",
-        origin=(0.6335, 0.00987, 0.38),
-        base=None,
-        turn=0.0,
-        free=free,
-        held={},
-        home={},
-        part=(0.0, 0.0, 0.0),
-        part_rpy=(0.0, 0.0, 0.0),
-    )
+    station = {"robot": "irbp_a250", "origin_mm": (633.5, 9.87, 380), "free": free}
+    holder = {"positioner": station} if positioner else {"bed_mm": (450, -50, 380)}
+    nozzle = {"tip_mm": (-44.51, 9.9, 113.95), "diameter_mm": 0.6}
     return SimpleNamespace(
         name="two_beads",
         file=Path("two_beads.yaml"),
-        cell=SimpleNamespace(
-            arm="irb140",
-            base=(0.0, 0.0, 0.0),
-            nozzle=SimpleNamespace(
-                tip=(-0.04451, 0.0099, 0.11395), axis=(0.0, 0.0, 1.0), diameter=0.6e-3, profile=None, head=None
-            ),
-            fixtures={},
-            home=tuple(np.radians([30.0, 20.0, 30.0, 90.0, -80.0, 60.0])),
-            positioner=station if positioner else None,
-            bed=None if positioner else (0.45, -0.05, 0.38),
-            bed_rpy=(0.0, 0.0, 0.0),
-            limits={},
-        ),
+        cell=CellSpec(arm="irb140", nozzle=nozzle, home_deg=(30, 20, 30, 90, -80, 60), **holder),
         process=ProcessSpec(speed_mm_s=40, travel_speed_mm_s=200, bead=bead, materials=materials or {}, change=CHANGE),
         program=SimpleNamespace(**names, chord=0.02e-3, tangent=np.radians(45.0)),
     )

@@ -98,7 +98,7 @@ def test_trajectory_in_two_processes_is_the_same() -> None:
     tasks = make_tasks(plan.toolpath, process.speed, process.run_in)
     paths = STRATEGIES[plan.strategy](plan.cell, tasks, plan.problem.resolve)
     here, beside = (
-        command._trajectory(plan.problem, plan.cell, plan.toolpath, paths, plan.trajectory.dt, both)
+        command._trajectory(plan.problem, plan.cell, plan.toolpath, paths, plan.trajectory.dt, both)[0]
         for both in (False, True)
     )
     for name, values in vars(here).items():

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from itertools import combinations
 from pathlib import Path
 
@@ -22,17 +22,18 @@ from planner.cell import Cell, build_cell
 from planner.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, Refusal
 from planner.headroom import AS_PLANNED, _try, displaced, displacements, followed, headroom, middle_of
 from planner.headroom_bounds import displacement_slopes, first_order
-from planner.plan import Check
+from planner.plan import Check, Trajectory
 from planner.problem import Problem, load_problem
 from planner.replay import replay
 from planner.report.headroom import headroom_section
 from planner.resolve import STRATEGIES
 from planner.resolve.jointpath import JointPath
-from planner.solve import _trajectory, main, solve
+from planner.solve import _elsewhere, _trajectory, main, solve
 from planner.task import tasks_of
 from planner.tolerance import Displacement, Headroom, Tolerance, Tried, parse_tolerance
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
+from planner.travel import Travel
 from planner.verify import Report, verify
 
 Array = NDArray[np.float64]
@@ -71,15 +72,19 @@ class Case:
     toolpath: Toolpath
     paths: tuple[JointPath, ...]
 
+    @cached_property
+    def planned(self) -> tuple[Trajectory, Sequence[Travel]]:
+        """The trajectory as planned, and its travels."""
+        return _trajectory(self.problem, self.cell, self.toolpath, self.paths, DT, False)
+
     def again(self, cell: Cell, paths: Sequence[JointPath]) -> Report:
-        """Time, join and verify paths."""
-        return verify(
-            self.problem, cell, self.toolpath, _trajectory(self.problem, cell, self.toolpath, paths, DT, False)
-        )
+        """Time paths, carry the travel along, join and verify."""
+        trajectory = _elsewhere(self.problem, cell, self.toolpath, paths, self.planned[1], DT)
+        return verify(self.problem, cell, self.toolpath, trajectory)
 
     def judged(self, tolerance: Tolerance) -> Headroom:
         """The head-room of the paths."""
-        planned = self.again(self.cell, self.paths)
+        planned = verify(self.problem, self.cell, self.toolpath, self.planned[0])
         return headroom(tolerance, self.cell, self.toolpath, self.paths, 0.0, planned, self.again)
 
 
@@ -155,7 +160,7 @@ def test_the_verifier_sees_the_part_where_it_was_put(cases: dict[str, Case], nam
     case = cases[name]
     T = Displacement("", (2e-3, 0.0, 0.0), (0.0, 0.0, 0.0)).matrix(middle_of(case.toolpath))
     elsewhere = displaced(case.cell, T)
-    trajectory = _trajectory(case.problem, case.cell, case.toolpath, case.paths, DT, False)
+    trajectory = case.planned[0]
     here, there = replay(case.cell, trajectory), replay(elsewhere, trajectory)
     np.testing.assert_allclose(there.tip, here.tip - [2e-3, 0.0, 0.0], atol=1e-12)
     failed = {check.name for check in verify(case.problem, elsewhere, case.toolpath, trajectory).checks if not check.ok}
@@ -225,6 +230,30 @@ def test_bounds_are_reached_by_their_own_displacement_and_by_no_other(cases: dic
         assert bound.factor == pytest.approx(bound.room / bound.change)
 
 
+def test_what_first_order_calls_worst_is_worse_than_others_over_the_whole_tolerance() -> None:
+    case = small()
+    middle = middle_of(case.toolpath)
+    bounds = first_order(case.cell, case.paths, AROUND, middle, 0.0)
+    limits = case.cell.limits
+    j = case.cell.joint_names.index(bounds[0].joint)
+
+    def margins(each: Displacement) -> tuple[float, float]:
+        """Least room of the tightest joint, and least singular value, along all beads."""
+        elsewhere = displaced(case.cell, each.matrix(middle))
+        paths = [followed(elsewhere, path) for path in case.paths]
+        room = min(np.minimum(p.q - limits.q_min, limits.q_max - p.q)[:, j].min() for p in paths)
+        sigma = min(least_sigma(elsewhere, p.q[p.task.first : p.task.last + 1]).min() for p in paths)
+        return float(room), float(sigma)
+
+    rng = np.random.default_rng(2)
+    others = np.array([margins(_random_within(AROUND, rng)) for _ in range(40)]).min(axis=0)
+    planned = np.array(margins(AS_PLANNED))
+    found = np.array([margins(bounds[0].worst)[0], margins(bounds[-1].worst)[1]])
+    assert (found < planned).all()
+    assert (found <= others + 0.02 * (planned - others)).all(), "a hair may be left to what is not linear"
+    assert found[0] == pytest.approx(bounds[0].room - bounds[0].change, abs=0.02 * bounds[0].change)
+
+
 def _random_within(tolerance: Tolerance, rng: np.random.Generator) -> Displacement:
     """A displacement on the edge of a tolerance."""
     parts = []
@@ -281,7 +310,7 @@ def test_no_tolerance_is_the_plan_itself() -> None:
     room = case.judged(Tolerance(0.0, 0.0))
     assert [each.displacement for each in room.tried] == [AS_PLANNED]
     assert room.holds
-    planned = case.again(case.cell, case.paths)
+    planned = verify(case.problem, case.cell, case.toolpath, case.planned[0])
     assert room.tried[0].metrics == planned.metrics
     for name, (value, where) in room.worst_metrics.items():
         assert value == planned.metrics[name]
@@ -362,6 +391,7 @@ def test_the_command_says_that_it_holds(tmp_path: Path, capfd: pytest.CaptureFix
     out = capfd.readouterr().out
     assert "tolerance 0.5mm,0deg: holds at all 16 placements tried" in out
     assert "within 0.5mm,0deg too" in out
+    assert "least nozzle tip outside the part" in out
     data = json.loads((tmp_path / "out" / "plan.json").read_text())
     tried = data["tolerance"]["placements"]
     assert len(tried) == 17

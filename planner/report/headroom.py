@@ -35,6 +35,11 @@ def headroom_words(plan: Plan) -> list[str]:
             lines.append(
                 f"  worst {label} {value * factor:.{decimals}f}{unit} ({where.name}); as planned {planned:.{decimals}f}"
             )
+    lines += [
+        f"  least {check.name} {check.worst:.2f} mm, limit {check.limit:g} ({where.name})"
+        for check, where in room.worst_checks
+        if check.least and check.unit == "mm"
+    ]
     failed = [each for each in room.tried if not each.verified]
     lines += [f"  FAILED {each.displacement.name}: {each.failures[0]}" for each in failed[:MOST_FAILURES]]
     if len(failed) > MOST_FAILURES:
@@ -164,4 +169,9 @@ def _tried_row(each: Tried) -> str:
     )
     verdict = "<span class=yes>✓ holds</span>" if each.verified else f"✗ {'<br>'.join(map(escape, each.failures))}"
     row = "" if each.verified else " class=bad"
-    return f"<tr{row}><th scope=row>{escape(each.displacement.name)}</th><td class=where>{verdict}</td>{cells}</tr>"
+    shift = ", ".join(f"{1e3 * c:.2f}" for c in each.displacement.shift)
+    turn = ", ".join(f"{math.degrees(angle):.2f}" for angle in each.displacement.turn)
+    about = f" title='shifted by {shift} mm, turned by {turn} deg'".replace("-", "−")
+    return (
+        f"<tr{row}><th scope=row{about}>{escape(each.displacement.name)}</th><td class=where>{verdict}</td>{cells}</tr>"
+    )

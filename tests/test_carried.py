@@ -1,0 +1,120 @@
+"""Travel carried along with a part that stands elsewhere: the same ways, between the ends that the beads have there."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from test_travel import check_joined, check_limits, check_smooth, still, tip_speed
+
+from planner.cell import Cell
+from planner.cubics import Cubics, State, extremes
+from planner.headroom import displaced, followed, middle_of
+from planner.problem import Problem
+from planner.timing import TimedPath, time_path
+from planner.tolerance import Displacement
+from planner.toolpath.bead import Toolpath
+from planner.travel import ViaHome, plan_travels
+from planner.travel.carried import between_ends, carried_travels, slower
+
+Array = NDArray[np.float64]
+AWAY = Displacement("", (1e-3, -1.5e-3, 1e-3), (math.radians(0.6), math.radians(-0.5), math.radians(0.6)))
+
+
+def wave(rng: np.random.Generator, nj: int = 3) -> Cubics:
+    """A motion of some pieces, continuous to the acceleration."""
+    spells = rng.uniform(0.05, 0.3, 5)
+    q, v, a = (rng.normal(size=nj) for _ in range(3))
+    coefficients = np.empty((4, 5, nj))
+    for k, h in enumerate(spells):
+        jerk = 50.0 * rng.normal(size=nj)
+        coefficients[:, k] = jerk / 6.0, a / 2.0, v, q
+        q, v, a = q + h * (v + h * (a / 2.0 + h * jerk / 6.0)), v + h * (a + h * jerk / 2.0), a + h * jerk
+    return Cubics(np.concatenate([[0.0], np.cumsum(spells)]), coefficients)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_a_motion_between_other_ends_meets_them_and_stays_smooth(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    way = wave(rng)
+    start, end = (State(*(rng.normal(size=3) for _ in range(3))) for _ in range(2))
+    moved = between_ends(way, start, end)
+    assert moved.duration == pytest.approx(way.duration)
+    check_joined(moved, start, end)
+    check_smooth(moved)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_between_its_own_ends_a_motion_stays_as_it_is(seed: int) -> None:
+    way = wave(np.random.default_rng(seed))
+    moved = between_ends(way, way.start, way.end)
+    t = np.linspace(0.0, way.duration, 200)
+    np.testing.assert_allclose(moved.joints(t), way.joints(t), atol=1e-9)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(1.0, 4.0))
+def test_a_slower_motion_goes_the_same_way(seed: int, times: float) -> None:
+    way = wave(np.random.default_rng(seed))
+    slow = slower(way, times)
+    t = np.linspace(0.0, way.duration, 200)
+    np.testing.assert_allclose(slow.joints(times * t), way.joints(t), atol=1e-9)
+    np.testing.assert_allclose(extremes(slow).jerk, extremes(way).jerk / times**3, rtol=1e-9)
+
+
+@pytest.fixture(scope="module", params=["at rest", "in motion"])
+def moving(request: pytest.FixtureRequest) -> bool:
+    """Whether beads and travel meet in motion."""
+    return bool(request.param == "in motion")
+
+
+def test_travel_is_carried_between_the_displaced_beads(
+    cell: Cell, timed: tuple[TimedPath, ...], toolpath: Toolpath, drawing_problem: Problem, moving: bool
+) -> None:
+    process = drawing_problem.process
+    here = [time_path(cell, piece.path, (moving, moving)) for piece in timed]
+    elsewhere = displaced(cell, AWAY.matrix(middle_of(toolpath)))
+    there = [time_path(elsewhere, followed(elsewhere, piece.path), (moving, moving)) for piece in timed]
+    planned = plan_travels(cell, here, toolpath, process)
+    carried = carried_travels(elsewhere, planned, there, process.travel_speed)
+    assert len(carried) == len(planned)
+    lost = sum(each is None for each in carried)
+    assert lost <= (2 if moving else 0), "only beads that end in motion may not be met"
+    homes = [planned[0].start.q, planned[-1].end.q]
+    starts = [still(homes[0]), *(piece.end for piece in there)]
+    ends = [*(piece.start for piece in there), still(homes[1])]
+    for i, (motion, was, start, end) in enumerate(zip(carried, planned, starts, ends, strict=True)):
+        if motion is None:
+            continue
+        assert isinstance(motion, Cubics)
+        check_joined(motion, start, end)
+        check_smooth(motion)
+        check_limits(elsewhere, motion, share=1.0 if moving else 0.975)
+        assert tip_speed(elsewhere, motion) <= process.travel_speed
+        assert was.duration * (1.0 - 1e-12) <= motion.duration <= 1.3 * was.duration
+        if 0 < i < len(there):  # over the part it goes where it went, less what is not linear
+            shares = np.linspace(0.0, 1.0, 100)
+            tips = [
+                where.T_part_nozzle(each.joints(shares * each.duration))[:, :3, 3]
+                for where, each in ((cell, was), (elsewhere, motion))
+            ]
+            off = np.linalg.norm(tips[1] - tips[0], axis=1).max()
+            assert off < (6e-4 if moving else 2e-4), "m"
+
+
+def test_home_is_passed_on_the_way_where_it_was(
+    cell: Cell, timed: tuple[TimedPath, ...], toolpath: Toolpath, drawing_problem: Problem
+) -> None:
+    planned = plan_travels(cell, timed, toolpath, drawing_problem.process)
+    elsewhere = displaced(cell, AWAY.matrix(middle_of(toolpath)))
+    there = [time_path(elsewhere, followed(elsewhere, piece.path)) for piece in timed[:2]]
+    home = planned[0].start.q
+    out = Cubics(planned[-1].times, planned[-1].coefficients)
+    via = ViaHome(between_ends(out, timed[0].end, still(home)), planned[0])
+    carried = carried_travels(elsewhere, [planned[0], via, planned[-1]], there, 0.5)[1]
+    assert isinstance(carried, ViaHome)
+    check_joined(carried.out, there[0].end, still(home))
+    check_joined(carried.back, still(home), there[1].start)
