@@ -71,7 +71,6 @@ def problem(
             home=tuple(np.radians([30.0, 20.0, 30.0, 90.0, -80.0, 60.0])),
             positioner=station if positioner else None,
             bed=None if positioner else (0.45, -0.05, 0.38),
-            bed_rpy=(0.0, 0.0, 0.0),
             limits={},
         ),
         process=ProcessSpec(speed_mm_s=40, travel_speed_mm_s=200, bead=bead, materials=materials or {}, change=CHANGE),

@@ -50,6 +50,8 @@ ROOMS = (
     "output",
     "command",
     "solve",
+    "placement",
+    "place",
 )
 SAME_ROOM = {
     "run_ends": "process",
@@ -103,6 +105,7 @@ HEAVY = {
         "travel",
         "nearest",
         "export.digits",
+        "placement.margin_kernel",
     },
     "ruckig": {"travel"},
     "pinocchio": {"cell", "replay"},
@@ -118,9 +121,9 @@ HEAVY = {
     "svgelements": {"toolpath"},
     "OCP": {"toolpath.step.reader"},
     "trimesh": {"facets", "export.part_stl", "report.finished"},
-    "matplotlib": {"report"},
+    "matplotlib": {"report", "placement.chart"},
     "plotly": {"report"},
-    "rich": {"progress", "report.summary", "solve"},
+    "rich": {"progress", "report.summary", "solve", "place"},
     "pydantic": {"problem"},
     "pydantic_core": {"problem"},
     "ruamel": {"problem", "cell"},
