@@ -6,9 +6,7 @@ python -m planner.place hemisphere_honeycomb.yaml
 from __future__ import annotations
 
 import argparse
-import os
 import sys
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +17,7 @@ from rich.table import Table
 
 from planner.cell import build_cell
 from planner.errors import EXIT_INTERRUPTED, EXIT_VERIFIED, OutputError, PlannerError, Refusal
+from planner.output import results_folder
 from planner.placement.chart import draw_map, number, words, write_table
 from planner.placement.freedom import FREEDOMS, Place, changed_fields, place_of
 from planner.placement.ranges import axes_of
@@ -120,13 +119,14 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
             raise OutputError(f"{target} is there already, and stays as it is: remove it, or choose another --out")
         now = place_of(problem)
         axes = axes_of(problem, cell, now, options.free, options.range)
-        with stages.stage("toolpath"):
-            toolpath = build_toolpath(problem)
-        strategy = options.strategy or problem.strategy
-        tasks = tasks_of(problem, toolpath)
-        found = study(problem, cell, tasks, now, axes, strategy, max(options.best, 1), stages.counted)
-        _write_map(problem, found, folder)
-        solved = outcomes(problem, options.set, toolpath, found, strategy, stages) if options.best else []
+        with results_folder(folder, lambda _: ()) as fresh:  # one that cannot be written is told at once
+            with stages.stage("toolpath"):
+                toolpath = build_toolpath(problem)
+            strategy, tasks = options.strategy or problem.strategy, tasks_of(problem, toolpath)
+            found = study(problem, cell, tasks, now, axes, strategy, max(options.best, 1), stages.counted)
+            write_table(found, fresh / TABLE)
+            draw_map(found, f"{problem.name}: where it can be printed, and how well", fresh / PICTURE)
+            solved = outcomes(problem, options.set, toolpath, found, strategy, stages) if options.best else []
     names = [axis.name for axis in found.axes]
     out = Console(highlight=False, width=None if sys.stdout.isatty() else 160)
     out.print(table_of(problem, found, solved, names))
@@ -177,19 +177,6 @@ def table_of(problem: Problem, found: Study, solved: Sequence[Outcome], names: S
             ]
         table.add_row(*cells)
     return table
-
-
-def _write_map(problem: Problem, found: Study, folder: Path) -> None:
-    """Write table and picture into a folder, each whole or not at all."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".writing-", dir=folder) as fresh:
-            write_table(found, Path(fresh) / TABLE)
-            draw_map(found, f"{problem.name}: where it can be printed, and how well", Path(fresh) / PICTURE)
-            for name in (TABLE, PICTURE):
-                os.replace(Path(fresh) / name, folder / name)
-    except OSError as error:
-        raise OutputError(f"cannot write into {folder}: {error.strerror}") from error
 
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:

@@ -424,3 +424,9 @@ def test_present_place_may_be_unreachable(bed: Problem, tmp_path: Path, capsys: 
     assert main([str(problem), "--out", str(tmp_path / "out"), "--best", "1", *SMALL]) == EXIT_VERIFIED
     assert "as it stands: no plan" in capsys.readouterr().out
     assert isinstance(build_cell(load_problem(tmp_path / "out" / "small_placed.yaml")), Cell)
+
+
+def test_a_folder_that_cannot_be_written_is_told_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("mine", encoding="utf-8")
+    assert main([str(write_small(tmp_path)), "--quiet", "--out", str(tmp_path / "file")]) == EXIT_INPUT
+    assert "cannot write into" in capsys.readouterr().err
