@@ -6,7 +6,7 @@ import itertools
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -17,11 +17,24 @@ RESULTS = ("plan.json", "trajectory.csv", "report_part.stl", "extrusion.gcode", 
 MARK = "! beadwise"  # stands in the header of the robot programs that are ours, and of no one else's
 
 
+def earlier_results(target: Path) -> list[Path]:
+    """Files that an earlier run left in a folder; robot programs only if their header says they are ours."""
+    found = [target / name for name in RESULTS if (target / name).is_file()]
+    for program in target.glob("*.mod"):
+        with program.open(encoding="utf-8", errors="replace") as stream:
+            ours = any(MARK in line for line in itertools.islice(stream, 5))
+        if ours:
+            found.append(program)
+            found += [pgf for pgf in [program.with_suffix(".pgf")] if pgf.is_file()]
+    return found
+
+
 @contextmanager
-def results_folder(target: Path) -> Iterator[Path]:
+def results_folder(target: Path, replaced: Callable[[Path], Sequence[Path]] = earlier_results) -> Iterator[Path]:
     """A fresh folder to write into; on success its files take the place of all earlier results in `target`.
 
-    Files in `target` that are not results are left alone. On any exception nothing in `target` changes.
+    replaced: which files in `target` are earlier results, besides those that are written anew; other files there are
+    left alone. On any exception nothing in `target` changes.
     Raises OutputError, before anything is computed, where `target` cannot be written.
     """
     missing = [folder for folder in (target, *target.parents) if not folder.exists()]
@@ -32,7 +45,7 @@ def results_folder(target: Path) -> Iterator[Path]:
         raise OutputError(f"cannot write into {target}: {error.strerror}") from error
     try:
         yield fresh
-        earlier = _earlier_results(target)
+        earlier = replaced(target)
         taken = [target / new.name for new in fresh.iterdir() if (target / new.name).is_dir()]
         if taken:
             raise OutputError(f"cannot write {taken[0]}: a folder of that name is in the way")
@@ -48,15 +61,3 @@ def results_folder(target: Path) -> Iterator[Path]:
         for folder in missing:  # made here: gone again if nothing came of it
             if folder.is_dir() and not any(folder.iterdir()):
                 folder.rmdir()
-
-
-def _earlier_results(target: Path) -> list[Path]:
-    """Files that an earlier run left in a folder; robot programs only if their header says they are ours."""
-    found = [target / name for name in RESULTS if (target / name).is_file()]
-    for program in target.glob("*.mod"):
-        with program.open(encoding="utf-8", errors="replace") as stream:
-            ours = any(MARK in line for line in itertools.islice(stream, 5))
-        if ours:
-            found.append(program)
-            found += [pgf for pgf in [program.with_suffix(".pgf")] if pgf.is_file()]
-    return found

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
 
 class Stages:
@@ -35,11 +35,23 @@ class Stages:
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Measure the block as stage `name`."""
-        bar = None if self._progress is None else self._progress.add_task(name, total=None)
+        with self._measured(name, None):
+            yield
+
+    @contextmanager
+    def counted(self, name: str, steps: int) -> Iterator[Callable[[], None]]:
+        """Measure the block as stage `name`, whose bar grows by a step whenever what it yields is called."""
+        with self._measured(name, steps) as bar:
+            progress = self._progress
+            yield (lambda: None) if progress is None or bar is None else (lambda: progress.advance(bar))
+
+    @contextmanager
+    def _measured(self, name: str, steps: int | None) -> Iterator[TaskID | None]:
+        bar = None if self._progress is None else self._progress.add_task(name, total=steps)
         start = time.perf_counter()
         try:
-            yield
+            yield bar
         finally:
             self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
             if self._progress is not None and bar is not None:
-                self._progress.update(bar, total=1, completed=1)
+                self._progress.update(bar, total=steps or 1, completed=steps or 1)

@@ -106,6 +106,23 @@ def solve(
     )
 
 
+def try_out(
+    problem: Problem,
+    toolpath: Toolpath,
+    strategy: str | None = None,
+    dt: float = DEFAULT_DT,
+    second_process: bool = False,
+) -> Report:
+    """What verification says of the plan that `solve` would make, without dips and baseline.
+
+    toolpath: the problem's own, which does not depend on its cell. Raises Refusal where there is no plan at all.
+    """
+    cell, tasks = build_cell(problem), tasks_of(problem, toolpath)
+    strategy = strategy or problem.strategy
+    _, report, *_ = _plan_with(strategy, problem, cell, toolpath, tasks, dt, Stages(), second_process)
+    return report
+
+
 def _toolpath(problem: Problem) -> tuple[Toolpath, tuple[NozzleTask, ...]]:
     toolpath = build_toolpath(problem)
     return toolpath, tasks_of(problem, toolpath)

@@ -51,6 +51,8 @@ ROOMS = (
     "output",
     "command",
     "solve",
+    "placement",
+    "place",
 )
 SAME_ROOM = {
     "run_ends": "process",
@@ -105,6 +107,7 @@ HEAVY = {
         "travel",
         "nearest",
         "export.digits",
+        "placement.margin_kernel",
     },
     "ruckig": {"travel"},
     "pinocchio": {"cell", "replay"},
@@ -120,9 +123,9 @@ HEAVY = {
     "svgelements": {"toolpath"},
     "OCP": {"toolpath.step.reader"},
     "trimesh": {"facets", "export.part_stl", "report.finished"},
-    "matplotlib": {"report"},
+    "matplotlib": {"report", "placement.chart"},
     "plotly": {"report"},
-    "rich": {"progress", "report.summary", "robots", "solve"},
+    "rich": {"place", "progress", "report.summary", "robots", "solve"},
     "pydantic": {"problem"},
     "pydantic_core": {"problem"},
     "ruamel": {"problem"},

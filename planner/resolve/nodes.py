@@ -85,7 +85,7 @@ def evaluate(cell: Cell, demand: Demand, grid: Grid, min_sigma: float) -> Nodes:
     held = grid.chosen(r, len(cell.chosen))
     swept = grid.swept if cell.chosen else None
     sweeps = 0 if swept is None else (1 if swept < nh else 2)
-    T_before, axis, T_after = _holder_around(cell, nh if swept is None else swept, held[:, :nh])
+    T_before, axis, T_after = holder_around(cell, nh if swept is None else swept, held[:, :nh])
     joint = len(cell.joint_names) if swept is None else cell.chosen[swept]
     low, high = (-np.inf, np.inf) if swept is None else (limits.q_min[joint], limits.q_max[joint])
     redundant = cell.inverse.redundant_joint
@@ -107,7 +107,7 @@ def evaluate(cell: Cell, demand: Demand, grid: Grid, min_sigma: float) -> Nodes:
     return Nodes(grid, q, price, joint)
 
 
-def _holder_around(cell: Cell, swept: int, held: Array) -> tuple[Array, Array, Array]:
+def holder_around(cell: Cell, swept: int, held: Array) -> tuple[Array, Array, Array]:
     """World to part as T_before Rot(axis, angle of the swept joint) T_after, the other axes held (r, nh).
 
     Where no holder joint is swept, T_before is the whole way and the axis any.

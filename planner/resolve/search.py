@@ -17,7 +17,7 @@ from planner.resolve.nodes import Nodes
 from planner.resolve.search_kernel import search_best, search_greedy
 
 Array = NDArray[np.float64]
-_ROUND = np.radians(600.0)  # range of a joint that is as good as unbounded along one bead
+ROUND = np.radians(600.0)  # range of a joint that is as good as unbounded along one bead
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def joint_limits(nodes: Nodes, limits: Limits) -> tuple[Array, Array, NDArray[np
     v[:na], a[:na] = limits.velocity[arm], limits.acceleration[arm]
     if nodes.joint < len(limits.velocity):
         v[na], a[na] = limits.velocity[nodes.joint], limits.acceleration[nodes.joint]
-    return v, a, (limits.q_max - limits.q_min)[arm] >= _ROUND
+    return v, a, (limits.q_max - limits.q_min)[arm] >= ROUND
 
 
 def _route(nodes: Nodes, picked: NDArray[np.int64], price: float) -> Route:

@@ -1,0 +1,94 @@
+"""What another place of the part would gain: shipped problems as they stand, and at the best place that is found.
+
+python -m benchmarks.placement
+python -m benchmarks.placement peer_cap curved_plate --maps docs
+
+Each problem is searched, solved and verified by `python -m planner.place` itself, with its defaults. Of long prints in
+layers that repeat only the first layer is taken, as the table says.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from planner.cell import build_cell
+from planner.errors import EXIT_VERIFIED, PlannerError
+from planner.place import METRICS, Outcome, best_of, outcomes
+from planner.placement.chart import draw_map, words
+from planner.placement.freedom import place_of
+from planner.placement.ranges import axes_of
+from planner.placement.study import study
+from planner.problem import load_problem
+from planner.progress import Stages
+from planner.task import tasks_of
+from planner.toolpath.build import build_toolpath
+
+PROBLEMS = {
+    "hemisphere_honeycomb": ["layers.count=1"],
+    "peer_cap": [],
+    "peer_cylinder": [],
+    "planar_gcode": [],
+    "fibre_plane": [],
+    "cylinder_logo": ["layers.count=1"],
+    "curved_plate": [],
+    "aerofoil_core": ["layers.count=1"],
+}
+SOLVED = 3  # places
+
+
+def rows(name: str, overrides: list[str], maps: Path | None) -> list[list[str]]:
+    """Two lines of the table: as the problem stands, and the best verified place."""
+    start = time.process_time()
+    problem = load_problem(name, overrides)
+    cell, now, toolpath = build_cell(problem), place_of(problem), build_toolpath(problem)
+    axes, tasks = axes_of(problem, cell, now, None, []), tasks_of(problem, toolpath)
+    found = study(problem, cell, tasks, now, axes, problem.strategy, SOLVED, Stages().counted)
+    searched = time.process_time() - start
+    if maps is not None:
+        draw_map(found, f"{name}: where it can be printed, and how well", maps / f"placement_{name}.png")
+    solved = outcomes(problem, overrides, toolpath, found, problem.strategy, Stages())
+    best = best_of(solved) or solved[0]
+    names = [axis.name for axis in axes]
+    gain = best.metrics["sigma_min"] / solved[0].metrics["sigma_min"] - 1.0 if solved[0].metrics else 0.0
+    title = " ".join([name, *overrides])
+    return [
+        [title, *_cells(solved[0], names), "", ""],
+        ["", *_cells(best, names), f"{gain:+.0%}", f"{searched:.0f}"],
+    ]
+
+
+def _cells(outcome: Outcome, names: Sequence[str]) -> list[str]:
+    if outcome.failure is not None:
+        return [words(outcome.place, names), outcome.failure, *[""] * len(METRICS)]
+    figures = [f"{outcome.metrics[key] * scale:.{digits}f}" for key, _, scale, digits in METRICS]
+    return [words(outcome.place, names), f"{outcome.score:.2f}", *figures]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.placement", description=__doc__)
+    parser.add_argument("problems", nargs="*", help=f"default: {', '.join(PROBLEMS)}")
+    parser.add_argument("--maps", type=Path, metavar="DIR", help="draw each map there")
+    options = parser.parse_args(arguments)
+    table = Table("problem", "place", "score", *(heading for _, heading, _, _ in METRICS), "sigma gained", "search s")
+    try:
+        for name in options.problems or PROBLEMS:
+            for cells in rows(name, PROBLEMS.get(name, []), options.maps):
+                table.add_row(*cells)
+            print(f"{name}: done", file=sys.stderr)
+    except PlannerError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code
+    Console(width=190).print(table)
+    return EXIT_VERIFIED
+
+
+if __name__ == "__main__":
+    sys.exit(main())

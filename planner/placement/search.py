@@ -1,0 +1,113 @@
+"""A deterministic search for the best of a score over a few coordinates: a lattice, then ever finer steps from its best.
+
+Scores are piecewise smooth with ridges, on which steps along the coordinates alone get stuck; so each round tries
+points spread all around as well. Whatever has been tried stays in memory and is not tried again.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+Array = NDArray[np.float64]
+Point = tuple[float, ...]
+Score = Callable[[Point, float], float]  # point, floor → its score, 0 where that is not above the floor
+
+_AROUND = 12  # points that each round tries besides steps along the coordinates
+_ROUNDS = 4  # at one step width, at most
+_HALVINGS = 5  # of the lattice's step: down to a thirtieth
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A coordinate that is searched: from low to high, rounded to a multiple of grain; round the circle if it turns.
+
+    count is the number of lattice points.
+    """
+
+    name: str
+    low: float
+    high: float
+    count: int
+    grain: float
+    turns: bool = False
+
+    @property
+    def step(self) -> float:
+        """Distance of lattice points."""
+        return (self.high - self.low) / max(self.count if self.turns else self.count - 1, 1)
+
+    def lattice(self) -> list[float]:
+        """The lattice points; the middle, if it is one."""
+        if self.count == 1:
+            return [self.put(0.5 * (self.low + self.high))]
+        return [self.put(self.low + k * self.step) for k in range(self.count)]
+
+    def put(self, value: float) -> float:
+        """The nearest allowed value."""
+        if self.turns:
+            value = self.low + (value - self.low) % (self.high - self.low)
+        else:
+            value = min(max(value, self.low), self.high)
+        return round(value / self.grain) * self.grain
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A point and its score."""
+
+    point: Point
+    score: float
+
+
+def over_lattice(axes: Sequence[Axis], score: Score, tick: Callable[[], None]) -> list[Tried]:
+    """Every lattice point with its score, the last axis running quickest."""
+    out = []
+    for point in itertools.product(*(axis.lattice() for axis in axes)):
+        out.append(Tried(point, score(point, 0.0)))
+        tick()
+    return out
+
+
+def well_apart(tried: Iterable[Tried], count: int, apart: Callable[[Point, Point], bool]) -> list[Tried]:
+    """The best points that are reachable and pairwise apart, at most so many, best first."""
+    out: list[Tried] = []
+    for each in sorted(tried, key=lambda t: (-t.score, t.point)):
+        if len(out) == count or each.score <= 0.0:
+            break
+        if all(apart(each.point, other.point) for other in out):
+            out.append(each)
+    return out
+
+
+def polish(axes: Sequence[Axis], score: Score, start: Point) -> list[Tried]:
+    """Ever better points from a start on, with steps that halve where none helps any more; the last is the best."""
+    best = Tried(start, score(start, 0.0))
+    trail = [best]
+    width = np.array([0.5 * axis.step for axis in axes])
+    spread = qmc.Halton(len(axes), scramble=False)
+    spread.fast_forward(1)  # the first point is a corner
+    known = {start}
+    for _ in range(_HALVINGS):
+        for _ in range(_ROUNDS):
+            around = np.vstack([np.eye(len(axes)), -np.eye(len(axes)), 2.0 * spread.random(_AROUND) - 1.0])
+            better = best
+            for offset in around * width:
+                point = tuple(axis.put(at + by) for axis, at, by in zip(axes, best.point, offset, strict=True))
+                if point in known:
+                    continue
+                known.add(point)
+                found = score(point, better.score)
+                if found > better.score:
+                    better = Tried(point, found)
+            if better is best:
+                break
+            best = better
+            trail.append(best)
+        width *= 0.5
+    return trail

@@ -1,0 +1,432 @@
+"""Where a part stands: the rating of a place, the search for the best one, and the command."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from solved import BED, write_small
+
+from planner.cell import Cell, build_cell
+from planner.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, OutputError
+from planner.place import PICTURE, TABLE, Outcome, best_of, main
+from planner.placement.freedom import Place, changed_fields, moved_cell, place_of
+from planner.placement.margin_kernel import bottleneck, way_back
+from planner.placement.ranges import axes_of, reach
+from planner.placement.rating import COMFORT, Course, course_of, rate, score, score_of_paths
+from planner.placement.search import Axis, Tried, over_lattice, polish, well_apart
+from planner.problem import Problem, load_problem
+from planner.problem.rewrite import changed_text, write_changed
+from planner.resolve import STRATEGIES
+from planner.solve import try_out
+from planner.task import NozzleTask, tasks_of
+from planner.toolpath.build import build_toolpath
+
+Array = NDArray[np.float64]
+STEP = np.radians(30.0)
+
+
+@pytest.fixture(scope="module")
+def bed(tmp_path_factory: pytest.TempPathFactory) -> Problem:
+    return load_problem(write_small(tmp_path_factory.mktemp("bed"), *BED))
+
+
+@pytest.fixture(scope="module")
+def bed_tasks(bed: Problem) -> tuple[NozzleTask, ...]:
+    return tasks_of(bed, build_toolpath(bed))
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory: pytest.TempPathFactory) -> Problem:
+    return load_problem(write_small(tmp_path_factory.mktemp("table")))
+
+
+def course(problem: Problem, tasks: tuple[NozzleTask, ...], rungs: int = 40) -> Course:
+    return course_of(tasks, rungs, STEP, problem.resolve.rung)
+
+
+# --- the best worst case ---------------------------------------------------------------------------------------------
+
+
+def every_way(margin: Array, q: Array, holder_step: float, time: Array, v: Array) -> float:
+    """The best worst case of one task by trying all ways."""
+    r, A, B, C = margin.shape
+    best = 0.0
+    for c in range(C):
+        for way in itertools.product(itertools.product(range(A), range(B)), repeat=r):
+            least = min(margin[k, a, b, c] for k, (a, b) in enumerate(way))
+            if least <= best:
+                continue
+            possible = True
+            for k in range(1, r):
+                (a0, b0), (a1, b1) = way[k - 1], way[k]
+                da, db = (a1 - a0 + 1) % A - 1, (b1 - b0 + 1) % B - 1
+                possible &= da in (-1, 0, 1) and db in (-1, 0, 1) and abs(db) * holder_step <= v[-1] * time[k]
+                possible &= bool((np.abs(q[k, a1, b1, c] - q[k - 1, a0, b0, c]) <= v[:-1] * time[k]).all())
+            if possible:
+                best = least
+    return float(best)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_best_worst_case_is_that_of_all_ways(seed: int) -> None:
+    drawn = np.random.default_rng(seed)
+    r, A, B, C = 4, 4, int(drawn.choice([1, 3])), 2
+    margin = drawn.uniform(0.0, 1.0, (r, A, B, C)).astype(np.float32)
+    margin[drawn.uniform(size=margin.shape) < 0.3] = 0.0
+    q = drawn.uniform(-1.0, 1.0, (r, A, B, C, 2)).astype(np.float32)
+    time, v = drawn.uniform(0.5, 1.5, r), np.array([1.2, 1.0, 0.9])
+    came = np.zeros(margin.shape, dtype=np.int8)
+    worst, ends = bottleneck(q, margin, 0.5, np.array([0, r]), time, v, np.zeros(2, dtype=bool), 0.0, came)
+    assert worst[0] == np.float32(every_way(margin, q, 0.5, time, v))
+    if worst[0] > 0.0:
+        way = way_back(ends, came, np.array([0, r]))
+        assert min(margin[k, a, b, c] for k, (a, b, c) in enumerate(way)) == worst[0]
+        assert len({c for _, _, c in way}) == 1
+
+
+def test_there_are_ways_and_none_in_those_cases() -> None:
+    """What the brute force above compares is neither always 0 nor always reachable."""
+    found = []
+    for seed in range(12):
+        drawn = np.random.default_rng(seed)
+        r, A, B, C = 4, 4, int(drawn.choice([1, 3])), 2
+        margin = drawn.uniform(0.0, 1.0, (r, A, B, C)).astype(np.float32)
+        margin[drawn.uniform(size=margin.shape) < 0.3] = 0.0
+        q = drawn.uniform(-1.0, 1.0, (r, A, B, C, 2)).astype(np.float32)
+        found.append(every_way(margin, q, 0.5, drawn.uniform(0.5, 1.5, r), np.array([1.2, 1.0, 0.9])))
+    assert len(set(found)) > 4
+
+
+def test_a_joint_that_turns_all_round_goes_the_short_way() -> None:
+    margin = np.ones((2, 1, 1, 1), dtype=np.float32)
+    q = np.array([-3.1, 3.1], dtype=np.float32).reshape(2, 1, 1, 1, 1)
+    args = (1.0, np.array([0, 2]), np.array([0.0, 0.1]), np.array([1.0, 1.0]))
+    for wraps, expected in ((True, 1.0), (False, 0.0)):
+        worst, _ = bottleneck(q, margin, *args, np.array([wraps]), 0.0, np.zeros(margin.shape, dtype=np.int8))
+        assert worst[0] == expected
+
+
+# --- the score of a place --------------------------------------------------------------------------------------------
+
+
+def turned_round(task: NozzleTask) -> NozzleTask:
+    """The same bead laid from its other end."""
+    n = len(task) - 1
+    return replace(
+        task,
+        tip=task.tip[::-1].copy(),
+        frames=task.frames[::-1].copy(),
+        s=task.s[-1] - task.s[::-1],
+        first=n - task.last,
+        last=n - task.first,
+    )
+
+
+def test_score_does_not_depend_on_direction_or_order(bed: Problem, bed_tasks: tuple[NozzleTask, ...]) -> None:
+    cell = build_cell(bed)
+    forwards = score(cell, course(bed, bed_tasks), 0.05)
+    back = tuple(turned_round(task) for task in bed_tasks[::-1])
+    assert forwards > 0.1
+    assert score(cell, course(bed, back), 0.05) == pytest.approx(forwards, rel=0.05)
+
+
+def test_score_is_what_its_way_has(bed: Problem, bed_tasks: tuple[NozzleTask, ...]) -> None:
+    cell, looked_at = build_cell(bed), course(bed, bed_tasks)
+    rating = rate(cell, looked_at, 0.05)
+    assert rating.score == pytest.approx(score(cell, looked_at, 0.05))
+    least = (np.array([rating.sigma, rating.limit, rating.wrist]) / COMFORT).min()
+    assert least * rating.share - 1e-6 <= rating.score <= least + 1e-6
+    assert np.abs(looked_at.demand.tip - rating.place).sum(axis=1).min() == 0.0
+
+
+def test_floor_changes_nothing_above_it(bed: Problem, bed_tasks: tuple[NozzleTask, ...]) -> None:
+    cell, looked_at = build_cell(bed), course(bed, bed_tasks)
+    whole = score(cell, looked_at, 0.05)
+    assert score(cell, looked_at, 0.05, 0.9 * whole) == pytest.approx(whole)
+    assert score(cell, looked_at, 0.05, 1.01 * whole) == 0.0
+
+
+def test_terms_are_those_of_the_arm(bed: Problem, bed_tasks: tuple[NozzleTask, ...]) -> None:
+    """Sigma against singular values by numpy, on the paths of a strategy: the grid's best is no worse by much."""
+    cell = build_cell(bed)
+    paths = STRATEGIES["ladder"](cell, bed_tasks, bed.resolve)
+    whole = score_of_paths(cell, paths)
+    sigma, limit, wrist = np.inf, np.inf, np.inf
+    for path in paths:
+        q = path.q[path.task.first : path.task.last + 1]
+        sigma = min(sigma, *(float(np.linalg.svd(cell.arm.jacobians(row[None])[0])[1][-1]) for row in q[:, :6]))
+        limit = min(limit, float(np.minimum(q - cell.limits.q_min, cell.limits.q_max - q).min()))
+        wrist = min(wrist, float(np.abs(q[:, 4]).min()))
+    least = (np.array([sigma, limit, wrist]) / COMFORT).min()
+    assert 0.3 * least < whole <= least
+    assert score(cell, course(bed, bed_tasks, 200), 0.05) > 0.95 * whole
+
+
+def test_out_of_reach_scores_nothing(bed: Problem, bed_tasks: tuple[NozzleTask, ...]) -> None:
+    cell, now = build_cell(bed), place_of(bed)
+    away = moved_cell(cell, now, replace(now, x=now.x - 2.0 * reach(cell)))
+    assert score(away, course(bed, bed_tasks), 0.05) == 0.0
+    assert rate(away, course(bed, bed_tasks), 0.05).score == 0.0
+
+
+def test_of_many_beads_those_far_apart_are_looked_at(bed: Problem, bed_tasks: tuple[NozzleTask, ...]) -> None:
+    many = [replace(bed_tasks[1], name=f"{i}", tip=bed_tasks[1].tip + [0.0, 0.0, 1e-3 * i]) for i in range(40)]
+    heights = course_of(many, 16, STEP, bed.resolve.rung).demand
+    assert len(heights.task_rungs) - 1 == 4
+    lifted = heights.tip[heights.rung[heights.task_rungs[:-1]], 2] - many[0].tip[0, 2]
+    assert lifted.min() == 0.0 and lifted.max() == pytest.approx(39e-3)
+
+
+# --- places and cells ------------------------------------------------------------------------------------------------
+
+
+CELLS = {
+    "bed": (BED, (0.03, -0.05, 0.02, 0.4, 0.0, 0.0)),
+    "bed_turned": (
+        (*BED, ("bed_mm: [-450, 450, 300]", "bed_mm: [-450, 450, 300]\n  bed_rpy_deg: [10, -8, 25]")),
+        (-0.04, 0.05, 0.02, -0.3, 0.0, 0.0),
+    ),
+    "table": ((), (0.05, 0.02, -0.07, 0.5, 0.01, -0.02)),
+    "base": (
+        (("origin_mm: [633.5, 9.87, 380]", "base_mm: [600, 10, -500]\n    turn_deg: 15\n    part_mm: [5, 6, 7]"),),
+        (0.05, 0.02, -0.07, 0.5, 0.01, -0.02),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CELLS)
+def test_a_moved_cell_is_the_cell_of_the_changed_file(tmp_path: Path, name: str) -> None:
+    changes, by = CELLS[name]
+    problem = load_problem(write_small(tmp_path / "here", *changes))
+    cell, now = build_cell(problem), place_of(problem)
+    there = Place(*(a + b for a, b in zip(vars(now).values(), by, strict=True)))
+    target = tmp_path / "elsewhere" / "moved.yaml"
+    write_changed(problem, changed_fields(problem, there), target)
+    written = load_problem(target)
+    assert np.allclose(list(vars(place_of(written)).values()), list(vars(there).values()), atol=1e-9)
+    expected, moved = build_cell(written), moved_cell(cell, now, there)
+    for field in ("T_world_holder", "T_world_holder_base", "T_plate_part"):
+        np.testing.assert_allclose(getattr(moved, field), getattr(expected, field), atol=1e-9)
+    q = np.full((1, len(cell.holder)), 0.7)
+    np.testing.assert_allclose(moved.holder.poses(q), expected.holder.poses(q), atol=1e-9)
+    assert build_toolpath(written).length == build_toolpath(problem).length  # its drawing is found from there
+
+
+def test_nothing_changes_where_nothing_moves(table: Problem) -> None:
+    assert changed_fields(table, place_of(table)) == {}
+
+
+# --- the written file ------------------------------------------------------------------------------------------------
+
+
+def test_only_the_changed_value_changes(tmp_path: Path) -> None:
+    path = write_small(tmp_path, ("origin_mm: [633.5, 9.87, 380]", "origin_mm: [633.5,9.87,   380] # of its plate"))
+    problem = load_problem(path)
+    text = changed_text(problem, {"cell.positioner.origin_mm": [600.0, -1.5, 0.25]}, tmp_path)
+    old = path.read_text(encoding="utf-8")
+    assert text == old.replace("[633.5,9.87,   380]", "[600, -1.5, 0.25]")
+
+
+@pytest.mark.parametrize(
+    "old, new",
+    [
+        (
+            "    origin_mm: [633.5, 9.87, 380]\n",
+            "    origin_mm:  # of its plate\n    - 633.5\n    - 9.87\n    - 380  # up\n",
+        ),
+        (
+            "  positioner:\n    robot: irbp_a250\n    origin_mm: [633.5, 9.87, 380]\n    free: [rotation]\n",
+            "  positioner: {robot: irbp_a250, origin_mm: [633.5, 9.87, 380], free: [rotation]}\n",
+        ),
+    ],
+)
+def test_other_layouts_are_changed_too(tmp_path: Path, old: str, new: str) -> None:
+    problem = load_problem(write_small(tmp_path, (old, new)))
+    fields = {"cell.positioner.origin_mm": [600.0, 0.0, 380.0], "cell.positioner.turn_deg": 30.0}
+    target = tmp_path / "new.yaml"
+    write_changed(problem, fields, target)
+    positioner = load_problem(target).cell.positioner
+    assert positioner is not None
+    assert positioner.origin == pytest.approx((0.6, 0.0, 0.38)) and positioner.turn == pytest.approx(np.radians(30.0))
+    assert positioner.free == ("rotation",)
+    assert ("# of its plate" in new) == ("[600, 0, 380]  # of its plate" in target.read_text(encoding="utf-8"))
+
+
+def test_a_file_is_never_overwritten(tmp_path: Path, table: Problem) -> None:
+    target = tmp_path / "mine.yaml"
+    target.write_text("mine", encoding="utf-8")
+    with pytest.raises(OutputError, match=r"mine\.yaml is there already"):
+        write_changed(table, {}, target)
+    assert target.read_text(encoding="utf-8") == "mine"
+
+
+# --- the search ------------------------------------------------------------------------------------------------------
+
+AXES = (Axis("x", -1.0, 1.0, 5, 1e-3), Axis("y", 0.0, 2.0, 5, 1e-3), Axis("turn", -np.pi, np.pi, 6, 1e-2, True))
+
+
+def ridge(point: tuple[float, ...], floor: float) -> float:
+    """A score with a ridge aslant, on which steps along the coordinates get stuck; best at (0.31, 0.77, 3.0)."""
+    x, y, turn = point
+    away = (turn - 3.0 + np.pi) % (2.0 * np.pi) - np.pi
+    value = 2.0 - 3.0 * abs((x - 0.31) - (y - 0.77)) - 0.5 * abs(x - 0.31) - 0.3 * abs(away)
+    return value if value > floor else 0.0
+
+
+def test_search_finds_the_top_of_a_ridge() -> None:
+    ticks: list[int] = []
+    tried = over_lattice(AXES, ridge, lambda: ticks.append(1))
+    assert len(tried) == len(ticks) == 150
+    starts = well_apart(tried, 3, lambda a, b: abs(a[0] - b[0]) > 0.3)
+    trails = [polish(AXES, ridge, start.point) for start in starts]
+    best = max((trail[-1] for trail in trails), key=lambda each: each.score)
+    assert best.score > 1.93
+    assert [t.score for trail in trails for t in trail] != sorted(t.score for trail in trails for t in trail)
+    for trail in trails:
+        assert all(b.score > a.score for a, b in itertools.pairwise(trail))
+    again = [polish(AXES, ridge, start.point) for start in starts]
+    assert again == trails
+
+
+def test_places_apart_are_kept_best_first() -> None:
+    tried = [Tried((x,), s) for x, s in ((0.0, 1.0), (0.1, 2.0), (0.5, 0.5), (0.9, 0.0))]
+    found = well_apart(tried, 5, lambda a, b: abs(a[0] - b[0]) > 0.2)
+    assert found == [tried[1], tried[2]]
+
+
+def test_an_axis_that_turns_has_no_ends() -> None:
+    axis = AXES[2]
+    assert len({round(np.cos(v), 1) + 1j * round(np.sin(v), 1) for v in axis.lattice()}) == 6
+    assert axis.put(np.pi + 0.2) == pytest.approx(-np.pi + 0.2, abs=0.01)
+    assert AXES[0].put(3.0) == 1.0
+
+
+# --- options ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "free, ranges, parts",
+    [
+        (None, ["w=1:2"], ("--range w=1:2", "unknown coordinate 'w'", "choices: x, y, z, turn")),
+        ("x,trun", [], ("--free x,trun", "did you mean turn?")),
+        (None, ["x=5"], ("not of the form name=low:high",)),
+        (None, ["x=5:four"], ("'5:four' is not two numbers",)),
+        (None, ["x=5:4"], ("the first number must be less than the second",)),
+        (None, ["x=5:5"], ("the first number must be less",)),
+        (None, ["x=nan:5"], ("out of range", "mm")),
+        (None, ["x=0:1e9"], ("out of range", "-100000 to 100000 mm")),
+        (None, ["turn=-200:200"], ("more than a whole turn",)),
+        ("y", ["x=1:2"], ("x has a range but is not free", "add x")),
+        (None, ["part_x=1:2"], ("part_x is for parts on a table",)),
+    ],
+)
+def test_wrong_options(bed: Problem, free: str | None, ranges: list[str], parts: tuple[str, ...]) -> None:
+    with pytest.raises(InputError) as error:
+        axes_of(bed, build_cell(bed), place_of(bed), free, ranges)
+    for part in parts:
+        assert part in str(error.value)
+
+
+def test_ranges_default_to_the_arms_reach(bed: Problem, table: Problem) -> None:
+    cell = build_cell(bed)
+    axes = axes_of(bed, cell, place_of(bed), None, [])
+    assert [axis.name for axis in axes] == ["x", "y", "z", "turn"]
+    assert [axis.turns for axis in axes] == [False, False, False, True]
+    assert axes[0].high - axes[0].low == pytest.approx(reach(cell), abs=2e-3)
+    q = np.random.default_rng(0).uniform(cell.limits.q_min, cell.limits.q_max, (2000, 6))
+    tips = cell.arm.poses(q)[:, :2, 3] - cell.T_world_base[:2, 3]
+    furthest = float(np.linalg.norm(tips, axis=1).max())
+    assert furthest <= reach(cell) < 1.5 * furthest
+    on_table = axes_of(table, build_cell(table), place_of(table), "part_x,turn", ["turn=-20:20"])
+    assert [(axis.name, axis.turns) for axis in on_table] == [("turn", False), ("part_x", False)]
+
+
+# --- the command -----------------------------------------------------------------------------------------------------
+
+SMALL = ("--quiet", "--range", "x=-480:-330", "--range", "y=300:480")
+
+
+def test_command_finds_a_better_place(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """From a bad start: what it writes loads, is verified, and keeps further away from what is to be avoided."""
+    bad = ("bed_mm: [-450, 450, 300]", "bed_mm: [-540, 540, 300]")
+    problem = write_small(tmp_path, *BED, bad)
+    out = tmp_path / "out"
+    assert main([str(problem), "--out", str(out), "--best", "1", *SMALL]) == EXIT_VERIFIED
+    placed = out / "small_placed.yaml"
+    assert str(placed) in capsys.readouterr().out
+    scores = []
+    for path in (problem, placed):
+        loaded = load_problem(path)
+        report = try_out(loaded, build_toolpath(loaded))
+        assert all(check.ok for check in report.checks)
+        scores.append(Outcome(place_of(loaded), 0.0, report.metrics, None).score)
+    assert scores[1] > 1.1 * scores[0]
+
+    rows = list(csv.DictReader((out / TABLE).read_text(encoding="utf-8").splitlines()))
+    assert {row["kind"] for row in rows} == {"present", "best", "resolved", "lattice", "map"}
+    assert (out / PICTURE).read_bytes().startswith(b"\x89PNG")
+    lattice = [float(row["score"]) for row in rows if row["kind"] == "lattice"]
+    assert float(next(row["score"] for row in rows if row["kind"] == "best")) >= 0.9 * max(lattice) > 0.0
+
+    first = (out / TABLE).read_bytes(), (out / PICTURE).read_bytes(), placed.read_bytes()
+    assert main([str(problem), "--out", str(out), "--best", "1", *SMALL]) == EXIT_INPUT
+    assert "is there already" in capsys.readouterr().err
+    again = tmp_path / "again"
+    assert main([str(problem), "--out", str(again), "--best", "1", *SMALL]) == EXIT_VERIFIED
+    assert first == tuple((again / name).read_bytes() for name in (TABLE, PICTURE, placed.name))
+
+
+def test_command_draws_the_map_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    problem = write_small(tmp_path)
+    options = ["--out", str(tmp_path / "out"), "--best", "0", "--quiet", "--range", "z=300:450"]
+    assert main([str(problem), *options]) == EXIT_VERIFIED
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [TABLE, PICTURE]
+    assert "as it stands" in capsys.readouterr().out
+
+
+def test_command_says_that_nothing_is_in_reach(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    problem = write_small(tmp_path, *BED)
+    options = ["--out", str(tmp_path / "out"), "--quiet", "--range", "x=5000:6000"]
+    assert main([str(problem), *options]) == EXIT_NOT_VERIFIED
+    said = capsys.readouterr().err
+    assert "none of 11 places in the range reaches the whole part" in said
+    assert "try: a range nearer to the arm" in said
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("option", [["--best", "many"], ["--best", "11"], ["--strategy", "none"]])
+def test_command_refuses_options(tmp_path: Path, option: list[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main([str(write_small(tmp_path)), *option])
+    assert stop.value.code == EXIT_INPUT
+
+
+def test_the_best_is_verified_and_better_than_it_was() -> None:
+    metrics = {"sigma_min": 0.2, "joint_limit_margin_deg": 30.0, "wrist_margin_deg": 40.0}
+    metrics |= {"ideal_deposition_time_s": 9.0, "deposition_time_s": 10.0}
+    place = Place(0.0, 0.0, 0.0, 0.0)
+    good = Outcome(place, 1.0, metrics, None)
+    better = replace(good, metrics=metrics | {"sigma_min": 0.21})
+    assert good.score == pytest.approx(0.9)
+    assert best_of([good, replace(better, failure="not verified: jerk")]) is None
+    assert best_of([replace(good, failure="no plan"), good, better]) == better
+
+
+def test_present_place_may_be_unreachable(bed: Problem, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    away = ("bed_mm: [-450, 450, 300]", "bed_mm: [-900, 900, 300]")
+    problem = write_small(tmp_path, *BED, away)
+    assert main([str(problem), "--out", str(tmp_path / "out"), "--best", "1", *SMALL]) == EXIT_VERIFIED
+    assert "as it stands: no plan" in capsys.readouterr().out
+    assert isinstance(build_cell(load_problem(tmp_path / "out" / "small_placed.yaml")), Cell)
+
+
+def test_a_folder_that_cannot_be_written_is_told_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("mine", encoding="utf-8")
+    assert main([str(write_small(tmp_path)), "--quiet", "--out", str(tmp_path / "file")]) == EXIT_INPUT
+    assert "cannot write into" in capsys.readouterr().err
