@@ -83,7 +83,7 @@ def print_body(toolpath: Toolpath, bodies: Sequence[Body] = ()) -> PrintBody:
         names.append(f"bead {i}")
         points.append(at)
         radius.append(thick)
-        time.append(i + share)
+        time.append(np.minimum(i + share, np.nextafter(i + 1.0, 0.0)))  # its last ball is there before bead i + 1
     first_of = np.concatenate([[0], np.cumsum([len(each) for each in points])]).astype(np.int64)
     tree = point_tree(np.concatenate(points), np.concatenate(radius), np.concatenate(time))
     return PrintBody(tree, first_of, tuple(names))
