@@ -100,6 +100,7 @@ def solve(
         baseline=baseline,
         settings={"dt": dt},
         dips=dips,
+        approaches=report.approaches,
         headroom=judged,
     )
 

@@ -169,9 +169,9 @@ class _Sweep:
             times, which = np.unique(instant[rows], return_inverse=True)
             poses = self.bodies.poses(self._at(self.q, times))
             out[rows] = self._apart(pair[rows], which, poses)
-            for i in rows[out[rows] < FAR].tolist():
-                k = int(which[np.searchsorted(instant[rows], instant[i])]) if False else int(np.searchsorted(times, instant[i]))
-                out[i] = self._distance(int(pair[i]), int(instant[i]), poses[k])
+            for i, k in zip(rows.tolist(), which.tolist(), strict=True):
+                if out[i] < FAR:
+                    out[i] = self._distance(int(pair[i]), int(instant[i]), poses[k])
         return out
 
     def _apart(self, pair: Index, which: Index, poses: Array) -> Array:

@@ -8,7 +8,6 @@ could have brought anything too near.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -112,16 +111,12 @@ def check_nozzle(
     rule = nozzle_nearness(body.tree, head, motion, now, slack, need)
     beyond = beyond_the_tip(body.tree, head, motion, now, slack, need)
     worst = rule.least + need
-    where = f"{pair_words(cell.head[rule.body].name, body.name_of(rule.point))}; {place(t, rule.at)}"
+    where = f"{cell.head[rule.body].name} and {body.name_of(rule.point)}, {place(t, rule.at)}"
     if rule.point < 0:
         where = "everywhere"
-    check = Check("nozzle clear of part and print", worst * 1e3, need * 1e3, "mm", worst >= need - DIGITS, where)
+    ok = worst >= need - DIGITS
+    check = Check("nozzle clear of part and print", worst * 1e3, need * 1e3, "mm", ok, where, least=True)
     return check, rule, beyond
-
-
-def pair_words(a: str, b: str) -> str:
-    """Two bodies in words."""
-    return f"{a} and {b}"
 
 
 def _looked_ahead(tip: Array, now: Array, slack: Array) -> Index:
@@ -173,7 +168,10 @@ def _along(
             if k == before + 1 and k > 0:
                 moved = rate * (path[k] - path[before] + arm * (turned[k] - turned[before]))
                 parts = 1
-                while 0.5 * (value + value_before - moved / parts) < min(least, _CLOSE) - TOLERANCE and parts < _MOST_PARTS:
+                while (
+                    0.5 * (value + value_before - moved / parts) < min(least, _CLOSE) - TOLERANCE
+                    and parts < _MOST_PARTS
+                ):
                     parts *= 2
                 for i in range(1, parts):
                     _between(rotation[before], rotation[k], tip[before], tip[k], i / parts, R, p)
