@@ -62,13 +62,18 @@ process:
 """
 BED = """\
   bed_mm: [450, 0, 150]                   # the part frame: centre of the sphere
+  fixtures:                               # a plate under the part; its size is assumed
+    bed: {box_mm: [400, 400, 20], centre_mm: [450, 0, 140]}
   limits: {joint_5: {range_deg: [-120, 120]}}
 """
 TABLE = """\
   positioner:
     robot: irbp_a250
-    origin_mm: [450, 0, 200]              # the cylinder's axis stands 15 mm beside the table's
+    origin_mm: [450, 0, 140]              # the cylinder's axis stands 15 mm beside the table's
+    part_mm: [0, 0, 60]                   # so high above it, on a mandrel, that the nozzle may lie level at its foot
     free: [rotation]
+  fixtures:
+    mandrel: {cylinder: {radius_mm: 30, height_mm: 80}, centre_mm: [15, 0, -20], on: part}
   limits:
     joint_5: {range_deg: [-120, 120]}
     rotation: {range_deg: [-360, 360]}

@@ -112,6 +112,20 @@ class Check:
 
 
 @dataclass(frozen=True)
+class Approach:
+    """Where two bodies come nearest to each other: their names, the distance and what they are to keep [m], and when.
+
+    sample  of the trajectory, the nearest one
+    """
+
+    a: str
+    b: str
+    distance: float
+    need: float
+    sample: int
+
+
+@dataclass(frozen=True)
 class Remedy:
     """What would avoid a dip: fields of the problem file, and the values that they would need, all of them together.
 
@@ -174,11 +188,12 @@ class Plan:
     metrics:  name → value, in the units that the name says (see the output contract in the docs)
     series:   per-sample arrays (n,) or (n, nj) that the verifier found on the way, for the report:
               sigma, wrist_deg (not of seven axes), limit_margin_deg, velocity_ratio, acceleration_ratio, jerk_ratio,
-              tilt_deg (where the nozzle may lean from the normal)
+              tilt_deg (where the nozzle may lean from the normal), clearance_mm (of whatever is nearest; no more than 50)
     timing_s: seconds by stage
     baseline: strategy name → its metrics, for the summary beside the chosen strategy
     dips:     where the speed falls short of the commanded one, in order of time
     headroom: whether it holds for parts that stand a little elsewhere; None if nobody asked
+    approaches: pairs of bodies that come near each other, those that lack most, or are nearest to it, first
     """
 
     problem: Problem
@@ -195,6 +210,7 @@ class Plan:
     settings: dict[str, Any]
     dips: tuple[Dip, ...] = ()
     headroom: Headroom | None = None
+    approaches: tuple[Approach, ...] = ()
 
     @property
     def holds_as_planned(self) -> bool:

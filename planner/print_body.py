@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from planner.cell import Cell, rigid_inverse
 from planner.point_tree import FROM_THE_START, PointTree, point_tree
 from planner.readonly import ReadOnlyArrays
+from planner.robot_files import bodies_with_tip
 from planner.solids import Body, triangles_of
 from planner.toolpath.bead import Bead, Toolpath
 
@@ -83,18 +84,23 @@ def print_body(toolpath: Toolpath, bodies: Sequence[Body] = ()) -> PrintBody:
         names.append(f"bead {i}")
         points.append(at)
         radius.append(thick)
-        time.append(i + share)
+        time.append(np.minimum(i + share, np.nextafter(i + 1.0, 0.0)))  # its last ball is there before bead i + 1
     first_of = np.concatenate([[0], np.cumsum([len(each) for each in points])]).astype(np.int64)
     tree = point_tree(np.concatenate(points), np.concatenate(radius), np.concatenate(time))
     return PrintBody(tree, first_of, tuple(names))
 
 
 def standing(cell: Cell) -> tuple[Body, ...]:
-    """Bodies that do not move in the part frame, in it: what turns with the part, or all that stands if nothing turns."""
-    if len(cell.holder):
-        return cell.carried
-    T_part_world = rigid_inverse(cell.T_world_holder)
-    return cell.carried + tuple(Body(b.name, b.solid, T_part_world @ b.T_frame_solid) for b in cell.fixtures)
+    """Bodies that do not move in the part frame, in it: the plate, what it carries, and all that stands if nothing turns."""
+    found = list(cell.carried)
+    if cell.holder_robot is not None:
+        T_part_plate = rigid_inverse(cell.T_plate_part)
+        plate = bodies_with_tip(cell.holder_robot, cell.holder.names, cell.held)
+        found += [Body(b.name, b.solid, T_part_plate @ b.T_frame_solid) for b in plate]
+    if not len(cell.holder):
+        T_part_world = rigid_inverse(cell.T_world_holder)
+        found += [Body(b.name, b.solid, T_part_world @ b.T_frame_solid) for b in cell.fixtures]
+    return tuple(found)
 
 
 def _substrate(toolpath: Toolpath) -> Array | None:

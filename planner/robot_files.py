@@ -203,6 +203,20 @@ def _fold(
     return Chain(tuple(names), np.array(placements).reshape(n, 4, 4), np.array(axes).reshape(n, 3), T)
 
 
+def bodies_with_tip(robot: Robot, free: Collection[str], held: Mapping[str, float]) -> tuple[Body, ...]:
+    """Bodies that do not move against a robot's tip while its free joints do, in the tip's frame; held ones: as `chain_of`."""
+    model, data = robot.model, robot.model.createData()
+    q = np.array([held.get(name, 0.0) for name in robot.joint_names])
+    pin.forwardKinematics(model, data, q)
+    T_tip_base = pin.updateFramePlacement(model, data, model.getFrameId(robot.tip)).inverse()
+    first = max((1 + robot.joint_names.index(name) for name in free), default=0)
+    return tuple(
+        Body(body.name, body.solid, (T_tip_base * data.oMi[i]).homogeneous @ body.T_frame_solid)
+        for i in range(first, model.njoints)
+        for body in robot.bodies[i]
+    )
+
+
 def joint_axis(model: pin.Model, i: int) -> Array:
     """Unit axis of a revolute joint in its own frame, read off the joint's own motion subspace."""
     q = pin.neutral(model)

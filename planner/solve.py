@@ -102,6 +102,7 @@ def solve(
         baseline=baseline,
         settings={"dt": dt},
         dips=dips,
+        approaches=report.approaches,
         headroom=judged,
     )
 

@@ -18,11 +18,12 @@ from scipy.interpolate import CubicSpline
 from planner.background import in_halves, shared
 from planner.cell import Cell
 from planner.nearest import distance_to_polyline
-from planner.plan import Check, Trajectory
+from planner.plan import Approach, Check, Trajectory
 from planner.problem import Problem
 from planner.replay import replay
 from planner.toolpath.bead import Toolpath
 from planner.verify_checks import DIGITS, SPEED_TOLERANCE, check_least, check_most, place, samples_of
+from planner.verify_clear import keep_apart
 from planner.verify_extrusion import extrusion
 from planner.verify_tilt import bead_errors
 
@@ -37,11 +38,12 @@ BLOCK = 32768  # samples
 
 @dataclass(frozen=True)
 class Report:
-    """checks, metrics by name (units in the names), and per-sample series for the report (see Plan)."""
+    """checks, metrics by name (units in the names), per-sample series for the report, and approaches (see Plan)."""
 
     checks: tuple[Check, ...]
     metrics: dict[str, float]
     series: dict[str, Array]
+    approaches: tuple[Approach, ...]
 
 
 def verify(
@@ -59,7 +61,8 @@ def verify(
     geometry = partial(_geometry, second_process)
     for part in (_records, _limits, geometry, _coverage, _singularity, _speed, extrusion, _clearance):
         part(problem, cell, toolpath, trajectory, motion, checks, metrics, series)
-    return Report(tuple(checks), metrics, series)
+    approaches = keep_apart(problem, cell, toolpath, trajectory, motion, checks, metrics, series)
+    return Report(tuple(checks), metrics, series, approaches)
 
 
 def _blocks(n: int) -> Iterator[slice]:
@@ -268,4 +271,4 @@ def _clearance(problem, cell, toolpath, t, motion, checks, metrics, series) -> N
     for first, last in zip(np.append(0, changes), np.append(changes, len(t)), strict=True):
         surface = toolpath.surface.before(int(begun[first]))
         gap[first:last] = surface.signed_distance(motion.tip[first:last])
-    metrics["clearance_min_mm"] = check_least(checks, t, "nozzle tip outside the part", gap * 1e3, 0.0, "mm")
+    metrics["tip_clearance_min_mm"] = check_least(checks, t, "nozzle tip outside the part", gap * 1e3, 0.0, "mm")

@@ -62,6 +62,10 @@ SAME_ROOM = {
     "robot_yaml": "cell",
     "robot_bodies": "cell",
     "verify_checks": "verify",
+    "verify_clear": "verify",
+    "verify_collision": "verify",
+    "verify_print": "verify",
+    "collision_bodies": "verify",
     "verify_extrusion": "verify",
     "verify_materials": "verify",
     "verify_tilt": "verify",
@@ -90,6 +94,7 @@ FORBIDDEN = {
 HEAVY = {
     "numba": {
         "point_tree",
+        "verify_print",
         "kinematics",
         "toolpath.substrate.facet_tree",
         "toolpath.substrate.height_field",
@@ -110,8 +115,8 @@ HEAVY = {
         "placement.margin_kernel",
     },
     "ruckig": {"travel"},
-    "pinocchio": {"cell", "replay"},
-    "coal": {"robot_bodies"},
+    "pinocchio": {"cell", "replay", "collision_bodies"},
+    "coal": {"robot_bodies", "collision_bodies"},
     "shapely": {
         "toolpath.step.shape",
         "toolpath.svg.cuts",

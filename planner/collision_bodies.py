@@ -1,0 +1,306 @@
+"""The bodies of a cell for coal, where they are at a posture (Pinocchio), and which of them can hit which."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import coal
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from planner.cell import Cell, Robot
+from planner.solids import Body, Box, Capsule, Frustum, Mesh, Solid, triangles_of
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+ARM, HEAD, HOLDER, CARRIED, FIXTURE = "arm", "head", "holder", "carried", "fixture"
+_TRIED = 64  # postures in which two bodies of one robot must all be too near, to count as joined
+_CORNERS = 48  # of the polygon around a circle
+
+
+@dataclass(frozen=True)
+class Thing:
+    """One body of the cell.
+
+    carrier   what carries it: a row of `CellBodies.poses`
+    joints    how many of its robot's joints carry it: 0 stands still
+    solid, T_carrier_solid         it and its pose (4, 4)
+    geometry, T_carrier_geometry   coal's
+    centre, reach                  of a ball around it (3), in the carrier's frame [m]
+    """
+
+    name: str
+    kind: str
+    carrier: int
+    joints: int
+    solid: Solid
+    T_carrier_solid: Array
+    geometry: coal.CollisionGeometry
+    T_carrier_geometry: Array
+    centre: Array
+    reach: float
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two things (indices) that can hit each other, the distance that they are to keep [m], and how they can move.
+
+    swing (nq)  a bound on how far a place of one moves against the other for each radian of a joint [m]
+    """
+
+    a: int
+    b: int
+    need: float
+    swing: Array
+
+
+@dataclass(frozen=True)
+class CellBodies:
+    """Bodies of a cell; carriers are the world, the arm's joints, then the holder's."""
+
+    cell: Cell
+    things: tuple[Thing, ...]
+
+    @classmethod
+    def of(cls, cell: Cell) -> CellBodies:
+        """All bodies of the cell: links, print head, fixtures and what is carried."""
+        things = [_thing(body, FIXTURE, 0, 0, np.eye(4)) for body in cell.fixtures]
+        arm = cell.arm_robot
+        T_last_flange = arm.model.frames[arm.model.getFrameId(arm.tip)].placement.homogeneous
+        na = arm.model.njoints - 1
+        things += [
+            _thing(body, ARM, i, i, np.eye(4) if i else cell.T_world_base)
+            for i, bodies in enumerate(arm.bodies)
+            for body in bodies
+        ]
+        things += [_thing(body, HEAD, na, na, T_last_flange @ cell.T_flange_nozzle) for body in cell.head]
+        holder = cell.holder_robot
+        if holder is None:
+            things += [_thing(body, CARRIED, 0, 0, cell.T_world_holder) for body in cell.carried]
+            return cls(cell, tuple(things))
+        nh = holder.model.njoints - 1
+        things += [
+            _thing(body, HOLDER, na + i if i else 0, i, np.eye(4) if i else cell.T_world_holder_base)
+            for i, bodies in enumerate(holder.bodies)
+            for body in bodies
+        ]
+        T_last_plate = holder.model.frames[holder.model.getFrameId(holder.tip)].placement.homogeneous
+        things += [_thing(body, CARRIED, na + nh, nh, T_last_plate @ cell.T_plate_part) for body in cell.carried]
+        return cls(cell, tuple(things))
+
+    def poses(self, q: Array) -> Array:
+        """T_world_carrier (n, carriers, 4, 4) at postures q (n, nq), by Pinocchio."""
+        cell, na = self.cell, len(self.cell.arm)
+        arm = _joint_poses(cell.arm_robot, q[:, :na], cell.T_world_base)
+        world = np.broadcast_to(np.eye(4), (len(q), 1, 4, 4))
+        if cell.holder_robot is None:
+            return np.concatenate([world, arm], axis=1)
+        return np.concatenate(
+            [world, arm, _joint_poses(cell.holder_robot, self._holder_q(q), cell.T_world_holder_base)], axis=1
+        )
+
+    def _holder_q(self, q: Array) -> Array:
+        """Angles of all of the holder's joints, held ones too."""
+        cell = self.cell
+        names = [] if cell.holder_robot is None else list(cell.holder_robot.joint_names)
+        out = np.empty((len(q), len(names)))
+        for k, name in enumerate(names):
+            free = name in cell.holder.names
+            out[:, k] = q[:, len(cell.arm) + cell.holder.names.index(name)] if free else cell.held.get(name, 0.0)
+        return out
+
+    @cached_property
+    def free(self) -> tuple[int, ...]:
+        """Which of the holder's joints (from 1) move, in the order of the posture."""
+        robot = self.cell.holder_robot
+        return () if robot is None else tuple(1 + robot.joint_names.index(name) for name in self.cell.holder.names)
+
+    def swing(self, thing: Thing, above: int = 0) -> Array:
+        """How far a place of the thing can move for each radian of the cell's joints (nq), those above one of its robot."""
+        na, nq = len(self.cell.arm), len(self.cell.joint_names)
+        out = np.zeros(nq)
+        of_holder = thing.kind in (HOLDER, CARRIED)
+        robot = self.cell.holder_robot if of_holder else self.cell.arm_robot
+        if robot is None or thing.joints == 0:
+            return out
+        far = float(np.linalg.norm(thing.centre)) + thing.reach
+        for i in range(thing.joints, above, -1):
+            if not of_holder:
+                out[i - 1] = far
+            elif i in self.free:
+                out[na + self.free.index(i)] = far
+            far += float(np.linalg.norm(robot.model.jointPlacements[i].translation))
+        return out
+
+    def name(self, thing: Thing) -> str:
+        """Its name, with the robot's where both robots have such a body."""
+        alike = {other.kind for other in self.things if other.name == thing.name}
+        return thing.name if len(alike) == 1 else f"{thing.kind} {thing.name}"
+
+
+def pairs(bodies: CellBodies, nozzle: float, arm: float, ignore: Sequence[Sequence[str]] = ()) -> tuple[Pair, ...]:
+    """Pairs that can hit each other, with the distances that the head keeps, and links and fixtures [m].
+
+    Neighbouring links touch. Bodies of one robot that are too near in whatever posture belong together. What does not
+    move in the part frame, where the nozzle lays its first layer, is looked at with part and print.
+    """
+    found = []
+    joined = {frozenset(names) for names in ignore}
+    for i, j, above in _candidates(bodies):
+        a, b = bodies.things[i], bodies.things[j]
+        if frozenset((a.name, b.name)) in joined:
+            continue
+        need = nozzle if HEAD in (a.kind, b.kind) else arm
+        swing = bodies.swing(b, above) if _same(a, b) else bodies.swing(a) + bodies.swing(b)
+        if swing.any():
+            found.append(Pair(i, j, need, swing))
+    return _without_joined(bodies, tuple(found))
+
+
+def all_of_home(bodies: CellBodies, found: Sequence[Pair], nozzle: float) -> tuple[Pair, ...]:
+    """The pairs, and with them the head and what does not move in the part frame, as for the start posture."""
+    heads = [i for i, thing in enumerate(bodies.things) if thing.kind == HEAD]
+    more = [
+        Pair(i, j, nozzle, bodies.swing(bodies.things[i]))
+        for j, thing in enumerate(bodies.things)
+        if stands_with_part(bodies, thing)
+        for i in heads
+    ]
+    return (*found, *more)
+
+
+def stands_with_part(bodies: CellBodies, thing: Thing) -> bool:
+    """Whether a thing does not move in the part frame."""
+    free = bodies.free
+    if thing.kind == CARRIED:
+        return True
+    if thing.kind == HOLDER:
+        return thing.joints >= max(free, default=0)
+    return thing.kind == FIXTURE and not free
+
+
+def _same(a: Thing, b: Thing) -> bool:
+    """Whether two things belong to one robot."""
+    arms, holders = (ARM, HEAD), (HOLDER, CARRIED)
+    return {a.kind, b.kind} <= set(arms) or {a.kind, b.kind} <= set(holders)
+
+
+def _candidates(bodies: CellBodies) -> Iterator[tuple[int, int, int]]:
+    """Indices of things that may meet, and for those of one robot the joint above which they move against each other."""
+    things = bodies.things
+    for i, a in enumerate(things):
+        for j, b in enumerate(things):
+            if _same(a, b):
+                carried = CARRIED in (a.kind, b.kind)
+                if a.joints < b.joints and (b.joints - a.joints > 1 or carried):
+                    yield i, j, a.joints
+            elif i < j and HEAD in (a.kind, b.kind):
+                other = b if a.kind == HEAD else a
+                if not stands_with_part(bodies, other):
+                    yield i, j, 0
+            elif i < j:
+                yield i, j, 0
+
+
+def _without_joined(bodies: CellBodies, found: tuple[Pair, ...]) -> tuple[Pair, ...]:
+    """Without pairs of one robot that are too near in all of many postures: they are built that way."""
+    limits = bodies.cell.limits
+    q = np.random.default_rng(0).uniform(limits.q_min, limits.q_max, (_TRIED, len(limits.q_min)))
+    poses = bodies.poses(q)
+    distance = Distances(bodies)
+    return tuple(
+        pair
+        for pair in found
+        if not _same(bodies.things[pair.a], bodies.things[pair.b])
+        or any(distance.of(pair, poses[k]) >= pair.need for k in range(_TRIED))
+    )
+
+
+class Distances:
+    """Signed distances of pairs by coal."""
+
+    def __init__(self, bodies: CellBodies) -> None:
+        self._things = bodies.things
+        self._request, self._result = coal.DistanceRequest(), coal.DistanceResult()
+        self._request.enable_signed_distance = True
+
+    def of(self, pair: Pair, poses: Array) -> float:
+        """The distance [m] with carriers at poses (carriers, 4, 4); negative by how deep they are in each other."""
+        a, b = self._things[pair.a], self._things[pair.b]
+        Ta, Tb = poses[a.carrier] @ a.T_carrier_geometry, poses[b.carrier] @ b.T_carrier_geometry
+        return self.between(a.geometry, Ta, b.geometry, Tb)
+
+    def between(self, a: coal.CollisionGeometry, Ta: Array, b: coal.CollisionGeometry, Tb: Array) -> float:
+        """The same of two of coal's bodies at poses in the world."""
+        self._result.clear()
+        placed = (coal.Transform3s(T[:3, :3], T[:3, 3]) for T in (Ta, Tb))
+        Fa, Fb = placed
+        return float(coal.distance(a, Fa, b, Fb, self._request, self._result))
+
+
+def coal_geometry(solid: Solid) -> tuple[coal.CollisionGeometry, Array]:
+    """coal's body and where its own frame lies in the solid's (4, 4). A cone becomes a polygon around its circles."""
+    T = np.eye(4)
+    if isinstance(solid, Box):
+        return coal.Box(*solid.size), T
+    if isinstance(solid, Capsule):
+        return coal.Capsule(solid.radius, solid.length) if solid.length else coal.Sphere(solid.radius), T
+    if isinstance(solid, Frustum) and solid.bottom == solid.top:
+        T[2, 3] = 0.5 * solid.height
+        return coal.Cylinder(solid.bottom, solid.height), T
+    if isinstance(solid, Mesh):
+        return _mesh(solid), T
+    if isinstance(solid, Frustum):
+        angle = np.arange(_CORNERS) * 2.0 * np.pi / _CORNERS
+        circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(_CORNERS)]) / np.cos(np.pi / _CORNERS)
+        rings = [solid.bottom * circle, solid.top * circle + [0.0, 0.0, solid.height]]
+        return _convex(np.vstack(rings)), T
+    return _convex(solid.vertices), T
+
+
+def _convex(points: Array) -> coal.CollisionGeometry:
+    return coal.Convex.convexHull(_points(points), True, "Qt")
+
+
+def _points(points: Array) -> coal.StdVec_Vec3s:
+    out = coal.StdVec_Vec3s()
+    out.extend([np.ascontiguousarray(point) for point in points])
+    return out
+
+
+def _mesh(mesh: Mesh) -> coal.CollisionGeometry:
+    triangles = coal.StdVec_Triangle()
+    triangles.extend([coal.Triangle(*map(int, corner)) for corner in mesh.triangles])
+    out = coal.BVHModelOBBRSS()
+    out.beginModel(len(mesh.triangles), len(mesh.vertices))
+    out.addSubModel(_points(mesh.vertices), triangles)
+    out.endModel()
+    return out
+
+
+def _thing(body: Body, kind: str, carrier: int, joints: int, T_carrier_frame: Array) -> Thing:
+    geometry, shift = coal_geometry(body.solid)
+    T = T_carrier_frame @ body.T_frame_solid
+    vertices = triangles_of(body.solid)[0]
+    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    reach = float(np.linalg.norm(vertices - middle, axis=1).max()) / float(np.cos(np.pi / _CORNERS))
+    centre = T[:3, :3] @ middle + T[:3, 3]
+    return Thing(body.name, kind, carrier, joints, body.solid, T, geometry, T @ shift, centre, reach)
+
+
+def _joint_poses(robot: Robot, q: Array, T_world_base: Array) -> Array:
+    """Poses (n, joints, 4, 4) in the world of a robot's joint frames, after their turns."""
+    model, data = robot.model, robot.model.createData()
+    R, p = np.empty((len(q), model.njoints - 1, 3, 3)), np.empty((len(q), model.njoints - 1, 3))
+    for i, row in enumerate(q):
+        pin.forwardKinematics(model, data, np.ascontiguousarray(row))
+        for k in range(1, model.njoints):
+            placed = data.oMi[k]
+            R[i, k - 1], p[i, k - 1] = placed.rotation, placed.translation
+    T = np.zeros((len(q), model.njoints - 1, 4, 4))
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, p, 1.0
+    return np.asarray(T_world_base @ T)

@@ -1,0 +1,111 @@
+"""The checks that everything in the cell keeps apart, and where it comes nearest."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.cell import Cell
+from planner.collision_bodies import CellBodies, Pair, pairs
+from planner.plan import Approach, Check, Trajectory
+from planner.print_body import PrintBody, print_body, standing
+from planner.problem import Problem
+from planner.replay import Motion
+from planner.toolpath.bead import Toolpath
+from planner.verify_checks import DIGITS, place
+from planner.verify_collision import FAR, PrintPair, Swept, print_pairs, sweep
+from planner.verify_print import check_nozzle, print_times
+
+Array = NDArray[np.float64]
+
+MOST_APPROACHES = 12
+
+
+def keep_apart(
+    problem: Problem,
+    cell: Cell,
+    toolpath: Toolpath,
+    t: Trajectory,
+    motion: Motion,
+    checks: list[Check],
+    metrics: dict[str, float],
+    series: dict[str, Array],
+) -> tuple[Approach, ...]:
+    """Append the checks of nozzle, head, links, fixtures and print; returns the pairs of bodies that come nearest.
+
+    Distances are found up to FAR; `clearance_min_mm` is the least of all beyond the tip's zone (see verify_print).
+    """
+    spec = problem.collision
+    body = print_body(toolpath, standing(cell))
+    check, rule, beyond = check_nozzle(problem, cell, toolpath, t, motion, body)
+    checks.append(check)
+    bodies = CellBodies.of(cell)
+    hits = pairs(bodies, spec.nozzle, spec.arm)
+    near_print = print_pairs(bodies, spec.arm)
+    swept = sweep(bodies, (*hits, *near_print), t.q, body, print_times(toolpath, t))
+    found = _approaches(bodies, (*hits, *near_print), swept, body)
+    robots, prints = found[: len(hits)], found[len(hits) :]
+    checks.append(_check("arm clear of part and print", prints, spec.arm, t, _unknown(cell)))
+    checks.append(_check("robots clear of each other and of fixtures", robots, spec.arm, t, _unknown(cell)))
+    nozzle = []
+    for each in (rule, beyond):
+        if each.point >= 0 and each.least + spec.nozzle < FAR:
+            names = cell.head[each.body].name, body.name_of(each.point)
+            nozzle.append(Approach(*names, each.least + spec.nozzle, spec.nozzle, each.at))
+    distances = {
+        "nozzle_clearance_min_mm": min(FAR, beyond.least + spec.nozzle),
+        "arm_clearance_min_mm": min((each.distance for each in prints), default=FAR),
+        "robot_clearance_min_mm": min((each.distance for each in robots), default=FAR),
+    }
+    metrics |= {name: distance * 1e3 for name, distance in distances.items()}
+    metrics["clearance_min_mm"] = min(distances.values()) * 1e3
+    series["clearance_mm"] = np.clip(np.minimum(beyond.margin + spec.nozzle, swept.nearest), None, FAR) * 1e3
+    near = [each for each in (*nozzle, *robots, *prints) if each.distance < FAR]
+    return tuple(sorted(_once(near), key=_spare)[:MOST_APPROACHES])
+
+
+def _spare(approach: Approach) -> float:
+    return approach.distance - approach.need
+
+
+def _once(approaches: list[Approach]) -> list[Approach]:
+    """The worst of those with the same two names."""
+    worst: dict[frozenset[str], Approach] = {}
+    for each in sorted(approaches, key=_spare):
+        worst.setdefault(frozenset((each.a, each.b)), each)
+    return list(worst.values())
+
+
+def _approaches(
+    bodies: CellBodies, found: tuple[Pair | PrintPair, ...], swept: Swept, body: PrintBody
+) -> tuple[Approach, ...]:
+    """Of each pair."""
+    out = []
+    for k, pair in enumerate(found):
+        point = int(swept.points[k])
+        if isinstance(pair, Pair):
+            other = bodies.name(bodies.things[pair.b])
+        else:
+            other = body.name_of(point) if point >= 0 else ""
+        a = bodies.name(bodies.things[pair.a])
+        out.append(Approach(a, other, float(swept.distance[k]), pair.need, round(float(swept.at[k]))))
+    return tuple(out)
+
+
+def _check(name: str, found: tuple[Approach, ...], need: float, t: Trajectory, unknown: str) -> Check:
+    """The check of the pair that lacks most, or is nearest to it."""
+    worst = min(found, key=_spare, default=None)
+    if worst is None or worst.distance >= FAR:
+        words = [f"nothing within {FAR * 1e3:g} mm"] if found else []
+        where = "; ".join([*words, *([unknown] if unknown else [])]) or "there are no such bodies"
+        return Check(name, FAR * 1e3, need * 1e3, "mm", True, where, least=True)
+    where = f"{worst.a} and {worst.b}, {place(t, worst.sample)}" + (f"; {unknown}" if unknown else "")
+    ok = worst.distance >= worst.need - DIGITS
+    return Check(name, worst.distance * 1e3, worst.need * 1e3, "mm", ok, where, least=True)
+
+
+def _unknown(cell: Cell) -> str:
+    """Which robots have no bodies; empty if all have some."""
+    robots = [robot for robot in (cell.arm_robot, cell.holder_robot) if robot is not None]
+    names = [robot.name for robot in robots if not any(robot.bodies)]
+    return f"not checked: {' and '.join(names)}, without bodies" if names else ""

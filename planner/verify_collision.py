@@ -1,0 +1,206 @@
+"""Independent check that robots, fixtures and print keep apart all along a trajectory: Pinocchio's poses, coal's distances.
+
+Between two instants the distance of a pair changes by no more than its joints turn times how far they swing it. An
+interval that could hide too small a distance by that bound is halved, down to a part of a sample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.collision_bodies import ARM, FIXTURE, CellBodies, Distances, Pair, Thing
+from planner.point_tree import nearest_point, search_room
+from planner.print_body import PrintBody
+from planner.solids import Body, Mesh, Packed, packed
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+FAR = 50e-3  # m: what is farther away is that far away
+TOLERANCE = 1e-4  # m: no distance is missed that is too small by more
+_SHARE = 0.05  # of a distance that is large enough, to which it is found
+_PARTS = 16  # instants of a sample
+_FIRST = 128 * _PARTS  # instants between first looks
+_NOWHERE = -1e30
+
+
+@dataclass(frozen=True)
+class Swept:
+    """Least distances of pairs (p) all along a trajectory: distance [m], and the time [samples] at which it is.
+
+    nearest (n)  of all, FAR at most; between looks it is interpolated
+    points (p)   of the print, in its tree's order, for pairs with it; else -1
+    looks        how many distances were asked for
+    """
+
+    distance: Array
+    at: Array
+    points: Index
+    nearest: Array
+    looks: int
+
+
+@dataclass(frozen=True)
+class PrintPair:
+    """A thing (index) that can come near part and print, how far it keeps [m], and its swing (see Pair)."""
+
+    a: int
+    need: float
+    swing: Array
+
+
+def print_pairs(bodies: CellBodies, need: float) -> tuple[PrintPair, ...]:
+    """Links, and where the part turns what stands, against part and print. Hollow fixtures are left out."""
+    turning = CellBodies.swing(bodies, _part_thing(bodies))
+    found = []
+    for i, thing in enumerate(bodies.things):
+        swing = bodies.swing(thing) + turning
+        if thing.kind in (ARM, FIXTURE) and swing.any() and not isinstance(thing.solid, Mesh):
+            found.append(PrintPair(i, need, swing))
+    return tuple(found)
+
+
+def sweep(bodies: CellBodies, pairs: Sequence[Pair | PrintPair], q: Array, body: PrintBody, now: Array) -> Swept:
+    """Least distances of pairs along postures q (n, nq), and of things to what is printed at times `now` (n)."""
+    return _Sweep(bodies, pairs, q, body, now).done()
+
+
+def _part_thing(bodies: CellBodies) -> Thing:
+    """Where the part frame is carried, as a thing of no size."""
+    cell = bodies.cell
+    robot = cell.holder_robot
+    if robot is None:
+        carrier, joints, T = 0, 0, cell.T_world_holder
+    else:
+        joints = robot.model.njoints - 1
+        carrier = len(cell.arm) + joints
+        T = robot.model.frames[robot.model.getFrameId(robot.tip)].placement.homogeneous @ cell.T_plate_part
+    return Thing("part", "carried", carrier, joints, None, T, None, T, T[:3, 3], 0.0)  # type: ignore[arg-type]
+
+
+class _Sweep:
+    def __init__(
+        self, bodies: CellBodies, pairs: Sequence[Pair | PrintPair], q: Array, body: PrintBody, now: Array
+    ) -> None:
+        self.bodies, self.pairs, self.q, self.tree, self.now = bodies, pairs, q, body.tree, now
+        self.turned = np.concatenate([np.zeros((1, q.shape[1])), np.cumsum(np.abs(np.diff(q, axis=0)), axis=0)])
+        self.coal, self.room = Distances(bodies), search_room()
+        self.part = _part_thing(bodies)
+        p = len(pairs)
+        self.need, self.swing = np.array([pair.need for pair in pairs]), np.array([pair.swing for pair in pairs])
+        self.printed = np.array([isinstance(pair, PrintPair) for pair in pairs])
+        things = bodies.things
+        first = [things[pair.a] for pair in pairs]
+        second = [things[pair.b] if isinstance(pair, Pair) else self.part for pair in pairs]
+        self.balls = [
+            (
+                np.array([thing.carrier for thing in side]),
+                np.array([thing.centre for thing in side]),
+                np.array([thing.reach for thing in side]),
+            )
+            for side in (first, second)
+        ]
+        root, T = self.tree.centre[0], self.part.T_carrier_solid
+        self.balls[1][1][self.printed] = T[:3, :3] @ root + T[:3, 3]
+        self.balls[1][2][self.printed] = self.tree.reach[0]
+        self.solids: dict[int, Packed] = {
+            pair.a: packed([Body(things[pair.a].name, things[pair.a].solid, things[pair.a].T_carrier_solid)])
+            for pair in pairs
+            if isinstance(pair, PrintPair)
+        }
+        self.least, self.at, self.points = np.full(p, FAR), np.zeros(p), np.full(p, -1, dtype=np.int64)
+        self.nearest = np.full(len(q), FAR)
+        self.looks = 0
+
+    def done(self) -> Swept:
+        end = (len(self.q) - 1) * _PARTS
+        knots = np.unique(np.append(np.arange(0, end, _FIRST), end))
+        p, k = len(self.pairs), len(knots)
+        if p == 0:
+            return Swept(self.least, self.at, self.points, self.nearest, 0)
+        pair = np.repeat(np.arange(p), k)
+        value = self._distances(pair, np.tile(knots, p)).reshape(p, k)
+        self.nearest = np.minimum(FAR, np.interp(np.arange(len(self.q)), knots / _PARTS, value.min(axis=0)))
+        pair = np.repeat(np.arange(p), k - 1)
+        a, b = np.tile(knots[:-1], p), np.tile(knots[1:], p)
+        da, db = value[:, :-1].ravel(), value[:, 1:].ravel()
+        while len(pair):
+            open_ = (self._bound(pair, a, b, da, db) < self._target()[pair]) & (b - a > 1)
+            pair, a, b, da, db = pair[open_], a[open_], b[open_], da[open_], db[open_]
+            middle = (a + b) // 2
+            dm = self._distances(pair, middle)
+            np.minimum.at(self.nearest, middle // _PARTS, dm)
+            pair, a, b = np.tile(pair, 2), np.concatenate([a, middle]), np.concatenate([middle, b])
+            da, db = np.concatenate([da, dm]), np.concatenate([dm, db])
+        return Swept(self.least, self.at, self.points, self.nearest, self.looks)
+
+    def _target(self) -> Array:
+        """What is looked for, by pair (p): distances that are less."""
+        found = self.least - np.maximum(TOLERANCE, _SHARE * np.abs(self.least))
+        return np.where(self.least >= self.need, np.maximum(found, self.need - TOLERANCE), found)
+
+    def _bound(self, pair: Index, a: Index, b: Index, da: Array, db: Array) -> Array:
+        """What no distance of a pair falls below between instants a and b, where it is da and db."""
+        turned = self._at(self.turned, b) - self._at(self.turned, a)
+        moved = (turned * self.swing[pair]).sum(axis=1)
+        both = 0.5 * (da + db - moved)
+        grown = self.printed[pair] & (self._printed(b) > self._printed(a))  # at b all is there that is there between
+        return np.where(grown, db - moved, both)
+
+    def _at(self, values: Array, instant: Index) -> Array:
+        """Values (n, ...) of samples at instants."""
+        k, part = np.divmod(instant, _PARTS)
+        share = (part / _PARTS)[:, None]
+        return (1.0 - share) * values[k] + share * values[np.minimum(k + 1, len(values) - 1)]
+
+    def _printed(self, instant: Index) -> Array:
+        """What is printed at instants: as at the next sample."""
+        return self.now[-(-instant // _PARTS)]
+
+    def _distances(self, pair: Index, instant: Index) -> Array:
+        """Distances of pairs at instants, or lower bounds beyond FAR; the least are kept."""
+        out = np.empty(len(pair))
+        order = np.argsort(instant, kind="stable")
+        for rows in np.array_split(order, max(1, len(order) // 100_000)):
+            times, which = np.unique(instant[rows], return_inverse=True)
+            poses = self.bodies.poses(self._at(self.q, times))
+            out[rows] = self._apart(pair[rows], which, poses)
+            for i, k in zip(rows.tolist(), which.tolist(), strict=True):
+                if out[i] < FAR:
+                    out[i] = self._distance(int(pair[i]), int(instant[i]), poses[k])
+        return out
+
+    def _apart(self, pair: Index, which: Index, poses: Array) -> Array:
+        """Distances of balls around the two of each pair, at poses[which]."""
+        middle, reach = [], np.zeros(len(pair))
+        for carrier, centre, size in self.balls:
+            T = poses[which, carrier[pair]]
+            middle.append(np.einsum("nij,nj->ni", T[:, :3, :3], centre[pair]) + T[:, :3, 3])
+            reach += size[pair]
+        return np.asarray(np.linalg.norm(middle[0] - middle[1], axis=1) - reach)
+
+    def _distance(self, k: int, instant: int, poses: Array) -> float:
+        pair, point = self.pairs[k], -1
+        self.looks += 1
+        if isinstance(pair, Pair):
+            distance = self.coal.of(pair, poses)
+        else:
+            distance, point = self._from_print(pair, poses, float(self._printed(np.array([instant]))[0]))
+        if distance < self.least[k]:
+            self.least[k], self.at[k], self.points[k] = distance, instant / _PARTS, point
+        return distance
+
+    def _from_print(self, pair: PrintPair, poses: Array, now: float) -> tuple[float, int]:
+        thing, solid, tree = self.bodies.things[pair.a], self.solids[pair.a], self.tree
+        T_world_part = poses[self.part.carrier] @ self.part.T_carrier_solid
+        T_solid_part = solid.T_solid_frame[0] @ np.linalg.inv(poses[thing.carrier]) @ T_world_part
+        value, point = nearest_point(
+            tree.points, tree.radius, tree.time, tree.centre, tree.reach, tree.since, tree.left, tree.right,
+            solid.kind[0], solid.size[0], solid.planes, T_solid_part,
+            now, FAR, 0.0, np.zeros(3), 0.0, 0.0, self.room,
+        )  # fmt: skip
+        return float(value), int(point)

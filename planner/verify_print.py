@@ -1,0 +1,234 @@
+"""Independent check that nozzle and print head keep clear of part and print, as these are at every instant.
+
+Nobody can keep a distance where the nozzle lays a bead beside another: a point at distance r from the tip is to be
+SLOPE * r away, less what face and bead take, until that is the whole distance; from there on, beyond the tip's zone,
+the whole distance is kept. All samples are looked at, and instants between them, as far as motion since the last look
+could have brought anything too near.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from planner.cell import Cell
+from planner.cell_bodies import nozzle_profile
+from planner.plan import Check, Trajectory
+from planner.point_tree import PointTree, nearest_point, search_room, solid_distance
+from planner.print_body import PrintBody
+from planner.problem import Problem
+from planner.replay import Motion
+from planner.solids import Packed, packed
+from planner.toolpath.bead import Toolpath
+from planner.verify_checks import DIGITS, place
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+SLOPE = 0.25  # distance that is kept, for each distance from the tip
+FAR = 50e-3  # m: what is farther away is that far away
+TOLERANCE = 1e-4  # m: no distance is missed that falls short by more
+_OFTEN = 25  # samples after which every body is looked at again, wherever it is
+_CLOSE = 1e-3  # m above what is needed: distances below are found to the tolerance
+_STEEP = 1e3  # slope that lets nothing within the tip's zone count
+_MOST_PARTS = 64  # of the time between two samples
+
+
+@dataclass(frozen=True)
+class Nearness:
+    """How near to part and print bodies come that move with the nozzle (n samples).
+
+    margin (n)   distance less what is needed, FAR at most; between looks it is interpolated
+    least, at    the least of all, and its sample; body, point: whose it is (index), and the point in the tree's order,
+                 or -1 if nothing is nearer than FAR
+    looks        how many distances were asked for
+    """
+
+    margin: Array
+    least: float
+    at: int
+    body: int
+    point: int
+    looks: int
+
+
+def print_times(toolpath: Toolpath, trajectory: Trajectory) -> Array:
+    """What is printed at each sample (n), in beads: index and share of the length; in travel, of the next bead."""
+    bead = trajectory.bead
+    lengths = np.array([each.length for each in toolpath.beads])
+    share = np.clip(trajectory.s / lengths[np.maximum(bead, 0)], 0.0, 1.0)
+    begun = np.maximum.accumulate(bead) + 1.0
+    now = np.where(bead >= 0, bead + share, begun)
+    return np.asarray(np.maximum.accumulate(now), dtype=float)
+
+
+def tip_slack(problem: Problem, toolpath: Toolpath, trajectory: Trajectory) -> Array:
+    """By how much less than SLOPE times the distance from the tip is kept (n): what face and bead take there."""
+    face = nozzle_profile(problem.cell.nozzle)[0][1]
+    size = np.array([float((bead.height + bead.width).max()) for bead in toolpath.beads])
+    begun = np.maximum.accumulate(trajectory.bead)
+    last, following = np.maximum(begun, 0), np.minimum(begun + 1, len(size) - 1)
+    both = np.maximum(size[last], size[following])
+    return SLOPE * (face + np.where(trajectory.bead >= 0, size[np.maximum(trajectory.bead, 0)], both))
+
+
+def nozzle_nearness(
+    tree: PointTree, bodies: Packed, motion: Motion, now: Array, slack: Array, clearance: float, slope: float = SLOPE
+) -> Nearness:
+    """The least of distance - min(clearance, slope * distance from the tip - slack) along a motion (see `nearest_point`).
+
+    Nothing that lacks more than TOLERANCE is missed, also between samples: that is known for a slope of SLOPE at most.
+    """
+    tip, rotation = np.ascontiguousarray(motion.tip), np.ascontiguousarray(motion.rotation)
+    margin = np.full(len(now), FAR)
+    least, at, body, point, looks = _along(
+        tree.points, tree.radius, tree.time, tree.centre, tree.reach, tree.since, tree.left, tree.right,
+        bodies.kind, bodies.size, bodies.planes, bodies.T_solid_frame, bodies.centre, bodies.reach,
+        tip, rotation, *_path_lengths(tip, rotation), now, slack,
+        clearance, slope, 1.0 + min(slope, SLOPE), _looked_ahead(tip, now, slack), margin, search_room(),
+    )  # fmt: skip
+    return Nearness(margin, least, at, body, point, looks)
+
+
+def beyond_the_tip(
+    tree: PointTree, bodies: Packed, motion: Motion, now: Array, slack: Array, clearance: float
+) -> Nearness:
+    """The same of true distances, less the clearance, from points beyond the tip's zone."""
+    zone = (clearance + slack) / SLOPE
+    return nozzle_nearness(tree, bodies, motion, now, _STEEP * zone, clearance, _STEEP)
+
+
+def check_nozzle(
+    problem: Problem, cell: Cell, toolpath: Toolpath, t: Trajectory, motion: Motion, body: PrintBody,
+) -> tuple[Check, Nearness, Nearness]:  # fmt: skip
+    """The check, and what it rests on: by the rule for the tip, and beyond the tip's zone."""
+    need = problem.collision.nozzle
+    now, slack = print_times(toolpath, t), tip_slack(problem, toolpath, t)
+    head = packed(cell.head)
+    rule = nozzle_nearness(body.tree, head, motion, now, slack, need)
+    beyond = beyond_the_tip(body.tree, head, motion, now, slack, need)
+    worst = rule.least + need
+    where = f"{cell.head[rule.body].name} and {body.name_of(rule.point)}, {place(t, rule.at)}"
+    if rule.point < 0:
+        where = "everywhere"
+    ok = worst >= need - DIGITS
+    check = Check("nozzle clear of part and print", worst * 1e3, need * 1e3, "mm", ok, where, least=True)
+    return check, rule, beyond
+
+
+def _looked_ahead(tip: Array, now: Array, slack: Array) -> Index:
+    """For each sample (n) the one up to which what is laid may count as there: a part of the tip's zone ahead."""
+    far = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))])
+    bead = np.floor(now)
+    last = np.searchsorted(bead, bead, side="right") - 1
+    reach = np.searchsorted(far, far + 0.25 * slack / SLOPE, side="right") - 1
+    return np.asarray(np.maximum(np.minimum(last, reach), np.arange(len(now))), dtype=np.int64)
+
+
+def _path_lengths(tip: Array, rotation: Array) -> tuple[Array, Array]:
+    """How far (n) the tip has moved [m] and the axes have turned [rad] since the first sample."""
+    turned = np.einsum("nij,nij->n", rotation[1:], rotation[:-1])
+    angle = np.arccos(np.clip(0.5 * (turned - 1.0), -1.0, 1.0))
+    steps = np.linalg.norm(np.diff(tip, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)]), np.concatenate([[0.0], np.cumsum(angle)])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _along(
+    points, radius, time, centre, reach, since, left, right,
+    kind, size, planes, T_solid_frame, body_centre, body_reach,
+    tip, rotation, path, turned, now, slack, clearance, slope, rate, ahead, margin, stack,
+):  # fmt: skip
+    """Fill margin; returns the least, its sample, body and point, and how often it was looked. ahead: see _looked_ahead.
+
+    A margin changes by `rate` times the motion at most, so that samples are passed over as long as this cannot matter.
+    """
+    n = len(now)
+    least, where, whose, which, looks = FAR, 0, 0, -1, 0
+    T, R, p = np.empty((4, 4)), np.empty((3, 3)), np.empty(3)
+    for j in range(len(kind)):
+        c = body_centre[j]
+        arm = np.sqrt(c[0] ** 2 + c[1] ** 2 + c[2] ** 2) + body_reach[j]
+        own = T_solid_frame[j]
+        tip_away = solid_distance(kind[j], size[j], planes, own[0, 3], own[1, 3], own[2, 3])
+        k, before, value_before = 0, -1, 0.0
+        while True:
+            seeing = now[ahead[k]]
+            _pose(own, rotation[k], tip[k], T)
+            value, point = nearest_point(
+                points, radius, time, centre, reach, since, left, right, kind[j], size[j], planes, T,
+                seeing, FAR, clearance, tip[k], slope, slack[k], stack,
+            )  # fmt: skip
+            looks += 1
+            if value < least:
+                least, where, whose, which = value, k, j, point
+            if k == before + 1 and k > 0:
+                moved = rate * (path[k] - path[before] + arm * (turned[k] - turned[before]))
+                parts = 1
+                while (
+                    0.5 * (value + value_before - moved / parts) < min(least, _CLOSE) - TOLERANCE
+                    and parts < _MOST_PARTS
+                ):
+                    parts *= 2
+                for i in range(1, parts):
+                    _between(rotation[before], rotation[k], tip[before], tip[k], i / parts, R, p)
+                    _pose(own, R, p, T)
+                    inside, found = nearest_point(
+                        points, radius, time, centre, reach, since, left, right, kind[j], size[j], planes, T,
+                        seeing, FAR, clearance, p, slope, slack[k], stack,
+                    )  # fmt: skip
+                    looks += 1
+                    if inside < least:
+                        least, where, whose, which = inside, k, j, found
+            for i in range(max(before, 0), k + 1):
+                share = (i - before) / max(k - before, 1)
+                margin[i] = min(margin[i], (1.0 - share) * value_before + share * value if before >= 0 else value)
+            if k == n - 1:
+                break
+            target = min(least, _CLOSE) - TOLERANCE
+            m = k + 1
+            while m < min(n - 1, k + _OFTEN):
+                moved = path[m + 1] - path[k] + arm * (turned[m + 1] - turned[k])
+                if value - rate * moved < target:
+                    break
+                # what is laid in the meantime lies where the tip has been
+                if now[m + 1] > seeing and tip_away - (path[m + 1] - path[k]) - slack[k] / SLOPE - clearance < target:
+                    break
+                m += 1
+            before, value_before, k = k, value, m
+    return least, where, whose, which, looks
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _pose(T_solid_nozzle, R, p, T):
+    """T_solid_part (4, 4) of a solid in the nozzle frame, whose axes in the part frame are R and whose origin is p."""
+    for i in range(3):
+        for k in range(3):
+            T[i, k] = T_solid_nozzle[i, 0] * R[k, 0] + T_solid_nozzle[i, 1] * R[k, 1] + T_solid_nozzle[i, 2] * R[k, 2]
+        T[i, 3] = T_solid_nozzle[i, 3] - T[i, 0] * p[0] - T[i, 1] * p[1] - T[i, 2] * p[2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _between(Ra, Rb, pa, pb, share, R, p):
+    """The pose at a share of the way between two that differ little."""
+    for k in range(3):
+        p[k] = (1.0 - share) * pa[k] + share * pb[k]
+    for column in (2, 0):  # z as it lies between, x at right angles to it
+        length, along = 0.0, 0.0
+        for i in range(3):
+            R[i, column] = (1.0 - share) * Ra[i, column] + share * Rb[i, column]
+        if column == 0:
+            for i in range(3):
+                along += R[i, 0] * R[i, 2]
+            for i in range(3):
+                R[i, 0] -= along * R[i, 2]
+        for i in range(3):
+            length += R[i, column] ** 2
+        for i in range(3):
+            R[i, column] /= np.sqrt(length)
+    R[0, 1] = R[1, 2] * R[2, 0] - R[2, 2] * R[1, 0]
+    R[1, 1] = R[2, 2] * R[0, 0] - R[0, 2] * R[2, 0]
+    R[2, 1] = R[0, 2] * R[1, 0] - R[1, 2] * R[0, 0]
