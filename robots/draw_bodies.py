@@ -205,7 +205,10 @@ def iiwa_shapes(shoulder: float, elbow: float, wrist: float, flange: float) -> L
         [Shape("elbow joint", (0, 0, 0), (high + 4,)), cylinder("link 4", high, (0, 0, 0), 0.5 * wrist)],
         [cylinder("link 5", end, (0, 0, -0.5 * wrist), 0.5 * wrist - 2.3 * disc), *_cheeks(end, disc)],
         [Shape("wrist", (0, 0, 0), (end,))],
-        [cylinder("flange", disc, (0, 0, 0.6 * flange), 0.4 * flange)],
+        [
+            cylinder("neck", 0.6 * disc, (0, 0, 0.4 * flange), 0.2 * flange),
+            cylinder("flange", disc, (0, 0, 0.6 * flange), 0.4 * flange),
+        ],
         [],
     ]
 
