@@ -92,6 +92,8 @@ def read_urdf(path: Path) -> Urdf:
             if name in seen:
                 raise urdf.error(element, f"{tag} {name}", "stands in the file twice")
             seen.add(name)
+    if not urdf.links():
+        raise urdf.error(root, "robot", "has no links")
     _check_tree(urdf)
     return urdf
 

@@ -262,6 +262,11 @@ def test_two_bases_are_refused(tmp_path: Path) -> None:
         read_robot(write(tmp_path, URDF.replace('<link name="tool"/>', '<link name="tool"/><link name="spare"/>')))
 
 
+def test_a_urdf_without_links(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"own.urdf:1: robot: has no links"):
+        read_robot(write(tmp_path, "<robot name='own'></robot>"))
+
+
 def test_no_urdf_but_another_xml_file(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"own.urdf:1: the root element is <sdf>, not <robot>"):
         read_robot(write(tmp_path, "<sdf></sdf>"))
