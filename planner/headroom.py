@@ -3,7 +3,7 @@
 The robot program runs in a work object. A part that stands elsewhere is measured and the work object corrected; the
 nozzle then takes the same poses relative to the part, with the same table angles and on the same branch, by other
 joint angles. Bounds to first order tell how far every joint moves within the whole tolerance (see `headroom_bounds`);
-displacements on its edge are followed, timed, joined by travel and verified as the plan itself is.
+displacements on its edge are followed, timed, joined by the same travel and verified as the plan itself is.
 """
 
 from __future__ import annotations
@@ -45,7 +45,9 @@ class Verified(Protocol):
         """All metrics, by name."""
 
 
-Again = Callable[[Cell, Sequence[JointPath]], Verified]  # times joint paths in a cell, plans travel, and verifies
+Again = Callable[
+    [Cell, Sequence[JointPath]], Verified
+]  # times joint paths in a cell, carries travel along, and verifies
 
 
 def headroom(

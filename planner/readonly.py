@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 
@@ -12,3 +14,8 @@ class ReadOnlyArrays:
         for value in vars(self).values():
             if isinstance(value, np.ndarray):
                 value.setflags(write=False)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """A copy, or a value that another process sent, is read-only as well: to compiled code that is another type."""
+        vars(self).update(state)
+        ReadOnlyArrays.__post_init__(self)

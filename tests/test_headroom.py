@@ -407,6 +407,15 @@ def test_the_command_says_that_it_holds(tmp_path: Path, capfd: pytest.CaptureFix
     assert (tmp_path / "out" / "Small.mod").exists()
 
 
+def test_two_processes_say_the_same_as_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = small_problem()
+    one = solve(problem, tolerance=AROUND)
+    monkeypatch.setattr("planner.solve.WORTH_A_FORK", 0)
+    two = solve(problem, tolerance=AROUND, second_process=True)
+    assert one.headroom is not None
+    assert one.headroom == two.headroom
+
+
 @pytest.mark.parametrize(
     "text", ["2", "2mm,1mm", "2mm 1deg", "-1mm", "1cm", "nanmm", "", "mm", "200mm", "11deg", "1e9mm"]
 )

@@ -59,8 +59,8 @@ def headroom_section(plan: Plan) -> str:
         f"{escape(room.tolerance.words)}: {escape(_verdict(room))}.</p>"
         "<p class=note>The part is shifted and turned about the middle of what is printed "
         f"({x:.1f}, {y:.1f}, {z:.1f} mm in the part frame), the work object is corrected, and the nozzle goes the "
-        "same way over the part with the same table angles on the same branch. Joints, times and travel are found "
-        "anew, and all checks are made again.</p>"
+        "same way over the part with the same table angles on the same branch. Joints and times are found anew, travel "
+        "goes through the same targets, and all checks are made again.</p>"
         f"{_bounds(room)}{_worst_metrics(plan, room)}{_worst_checks(room)}{_tried(room)}"
     )
 
