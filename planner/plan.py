@@ -126,6 +126,26 @@ class Approach:
 
 
 @dataclass(frozen=True)
+class CellView(ReadOnlyArrays):
+    """All bodies of the cell, and where they are at each approach (k), for a picture.
+
+    names, kinds (b)       of the bodies; kinds are "arm", "head", "holder", "carried" and "fixture"
+    vertices, triangles    of each body: (n, 3) [m] in the frame of its carrier, (m, 3)
+    carrier (b)            of each body: a row of poses
+    poses (k, c, 4, 4)     T_world_carrier of all carriers at each approach
+    T_world_part (k, 4, 4) the part frame there
+    """
+
+    names: tuple[str, ...]
+    kinds: tuple[str, ...]
+    vertices: tuple[Array, ...]
+    triangles: tuple[NDArray[np.int64], ...]
+    carrier: NDArray[np.int64]
+    poses: Array
+    T_world_part: Array
+
+
+@dataclass(frozen=True)
 class Remedy:
     """What would avoid a dip: fields of the problem file, and the values that they would need, all of them together.
 
@@ -194,6 +214,7 @@ class Plan:
     dips:     where the speed falls short of the commanded one, in order of time
     headroom: whether it holds for parts that stand a little elsewhere; None if nobody asked
     approaches: pairs of bodies that come near each other, those that lack most, or are nearest to it, first
+    view:     the cell as it stands at each of them
     """
 
     problem: Problem
@@ -211,6 +232,7 @@ class Plan:
     dips: tuple[Dip, ...] = ()
     headroom: Headroom | None = None
     approaches: tuple[Approach, ...] = ()
+    view: CellView | None = None
 
     @property
     def holds_as_planned(self) -> bool:

@@ -103,6 +103,7 @@ def solve(
         settings={"dt": dt},
         dips=dips,
         approaches=report.approaches,
+        view=report.view,
         headroom=judged,
     )
 

@@ -18,7 +18,7 @@ from scipy.interpolate import CubicSpline
 from planner.background import in_halves, shared
 from planner.cell import Cell
 from planner.nearest import distance_to_polyline
-from planner.plan import Approach, Check, Trajectory
+from planner.plan import Approach, CellView, Check, Trajectory
 from planner.problem import Problem
 from planner.replay import replay
 from planner.toolpath.bead import Toolpath
@@ -38,12 +38,13 @@ BLOCK = 32768  # samples
 
 @dataclass(frozen=True)
 class Report:
-    """checks, metrics by name (units in the names), per-sample series for the report, and approaches (see Plan)."""
+    """checks, metrics by name (units in the names), per-sample series for the report, approaches and view (see Plan)."""
 
     checks: tuple[Check, ...]
     metrics: dict[str, float]
     series: dict[str, Array]
     approaches: tuple[Approach, ...]
+    view: CellView
 
 
 def verify(
@@ -61,8 +62,8 @@ def verify(
     geometry = partial(_geometry, second_process)
     for part in (_records, _limits, geometry, _coverage, _singularity, _speed, extrusion, _clearance):
         part(problem, cell, toolpath, trajectory, motion, checks, metrics, series)
-    approaches = keep_apart(problem, cell, toolpath, trajectory, motion, checks, metrics, series)
-    return Report(tuple(checks), metrics, series, approaches)
+    approaches, view = keep_apart(problem, cell, toolpath, trajectory, motion, checks, metrics, series)
+    return Report(tuple(checks), metrics, series, approaches, view)
 
 
 def _blocks(n: int) -> Iterator[slice]:

@@ -7,13 +7,14 @@ from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.collision_bodies import CellBodies, Pair, pairs
-from planner.plan import Approach, Check, Trajectory
+from planner.plan import Approach, CellView, Check, Trajectory
 from planner.print_body import PrintBody, print_body, standing
 from planner.problem import Problem
 from planner.replay import Motion
+from planner.solids import triangles_of
 from planner.toolpath.bead import Toolpath
 from planner.verify_checks import DIGITS, place
-from planner.verify_collision import FAR, PrintPair, Swept, print_pairs, sweep
+from planner.verify_collision import FAR, PrintPair, Swept, part_thing, print_pairs, sweep
 from planner.verify_print import check_nozzle, print_times
 
 Array = NDArray[np.float64]
@@ -30,8 +31,9 @@ def keep_apart(
     checks: list[Check],
     metrics: dict[str, float],
     series: dict[str, Array],
-) -> tuple[Approach, ...]:
-    """Append the checks of nozzle, head, links, fixtures and print; returns the pairs of bodies that come nearest.
+) -> tuple[tuple[Approach, ...], CellView]:
+    """Append the checks of nozzle, head, links, fixtures and print; returns the pairs of bodies that come nearest, and
+    the cell as it stands then.
 
     Distances are found up to FAR; `clearance_min_mm` is the least of all beyond the tip's zone (see verify_print).
     """
@@ -48,7 +50,7 @@ def keep_apart(
     checks.append(_check("arm clear of part and print", prints, spec.arm, t, _unknown(cell)))
     checks.append(_check("robots clear of each other and of fixtures", robots, spec.arm, t, _unknown(cell)))
     nozzle = []
-    for each in (rule, beyond):
+    for each in (rule, beyond) if rule.least < 0.0 else (beyond,):  # by the rule it is no plain distance
         if each.point >= 0 and each.least + spec.nozzle < FAR:
             names = cell.head[each.body].name, body.name_of(each.point)
             nozzle.append(Approach(*names, each.least + spec.nozzle, spec.nozzle, each.at))
@@ -61,7 +63,26 @@ def keep_apart(
     metrics["clearance_min_mm"] = min(distances.values()) * 1e3
     series["clearance_mm"] = np.clip(np.minimum(beyond.margin + spec.nozzle, swept.nearest), None, FAR) * 1e3
     near = [each for each in (*nozzle, *robots, *prints) if each.distance < FAR]
-    return tuple(sorted(_once(near), key=_spare)[:MOST_APPROACHES])
+    nearest = tuple(sorted(_once(near), key=_spare)[:MOST_APPROACHES])
+    return nearest, _view(bodies, t.q[[each.sample for each in nearest]])
+
+
+def _view(bodies: CellBodies, q: Array) -> CellView:
+    """All bodies at postures q (k, nq), by the names that approaches have."""
+    poses, part = bodies.poses(q), part_thing(bodies)
+    surfaces = [triangles_of(thing.solid) for thing in bodies.things]
+    return CellView(
+        names=tuple(bodies.name(thing) for thing in bodies.things),
+        kinds=tuple(thing.kind for thing in bodies.things),
+        vertices=tuple(
+            vertices @ thing.T_carrier_solid[:3, :3].T + thing.T_carrier_solid[:3, 3]
+            for thing, (vertices, _) in zip(bodies.things, surfaces, strict=True)
+        ),
+        triangles=tuple(triangles for _, triangles in surfaces),
+        carrier=np.array([thing.carrier for thing in bodies.things], dtype=np.int64),
+        poses=poses,
+        T_world_part=poses[:, part.carrier] @ part.T_carrier_solid,
+    )
 
 
 def _spare(approach: Approach) -> float:

@@ -55,7 +55,7 @@ class PrintPair:
 
 def print_pairs(bodies: CellBodies, need: float) -> tuple[PrintPair, ...]:
     """Links, and where the part turns what stands, against part and print. Hollow fixtures are left out."""
-    turning = CellBodies.swing(bodies, _part_thing(bodies))
+    turning = CellBodies.swing(bodies, part_thing(bodies))
     found = []
     for i, thing in enumerate(bodies.things):
         swing = bodies.swing(thing) + turning
@@ -69,7 +69,7 @@ def sweep(bodies: CellBodies, pairs: Sequence[Pair | PrintPair], q: Array, body:
     return _Sweep(bodies, pairs, q, body, now).done()
 
 
-def _part_thing(bodies: CellBodies) -> Thing:
+def part_thing(bodies: CellBodies) -> Thing:
     """Where the part frame is carried, as a thing of no size."""
     cell = bodies.cell
     robot = cell.holder_robot
@@ -89,7 +89,7 @@ class _Sweep:
         self.bodies, self.pairs, self.q, self.tree, self.now = bodies, pairs, q, body.tree, now
         self.turned = np.concatenate([np.zeros((1, q.shape[1])), np.cumsum(np.abs(np.diff(q, axis=0)), axis=0)])
         self.coal, self.room = Distances(bodies), search_room()
-        self.part = _part_thing(bodies)
+        self.part = part_thing(bodies)
         p = len(pairs)
         self.need, self.swing = np.array([pair.need for pair in pairs]), np.array([pair.swing for pair in pairs])
         self.printed = np.array([isinstance(pair, PrintPair) for pair in pairs])

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from planner.report import page as frame
+from planner.report.approaches import approaches_section, cell_figure
 from planner.report.curves import joint_charts, time_charts
 from planner.report.dips import dips_section
 from planner.report.extruder import events_section, materials_section
@@ -43,6 +44,7 @@ def write_report(plan: Plan, path: Path) -> None:
             materials_section(plan),
             events_section(plan),
             _checks(plan.checks),
+            approaches_section(plan),
             headroom_section(plan),
             _curves(curves),
             _joints(plan, joints),
@@ -51,6 +53,7 @@ def write_report(plan: Plan, path: Path) -> None:
     )
     figures = {
         "scene": scene,
+        "cell": cell_figure(plan),
         "charts": [
             {k: chart[k] for k in ("key", "traces", "layout", "ranges") if k in chart} for chart in curves + joints
         ],

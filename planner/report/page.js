@@ -1,7 +1,7 @@
 "use strict";
 (function () {
   const page = JSON.parse(document.getElementById("data").textContent);
-  const types = { f4: Float32Array, f8: Float64Array, i4: Int32Array, u2: Uint16Array };
+  const types = { f4: Float32Array, f8: Float64Array, i4: Int32Array, u2: Uint16Array, u4: Uint32Array };
   // Nothing of a plan leaves the page: no button that uploads, and no address to upload to.
   const quiet = { responsive: true, displaylogo: false, showSendToCloud: false, plotlyServerURL: "", scrollZoom: false };
   const chartConfig = Object.assign({ displayModeBar: false }, quiet);
@@ -122,6 +122,53 @@
     });
   }
 
+  // The bodies of the cell as they stand where two of them come nearest.
+  function drawCell(cell) {
+    const div = by("cell"), choice = by("approach"), near = by("near");
+    const bodies = cell.bodies.map((b) => Object.assign({}, b, { points: array(b.points) }));
+    const at = (T, v) => {
+      const n = v.length / 3, out = [new Float32Array(n), new Float32Array(n), new Float32Array(n)];
+      for (let i = 0; i < n; i++) for (let k = 0; k < 3; k++)
+        out[k][i] = T[4 * k] * v[3 * i] + T[4 * k + 1] * v[3 * i + 1] + T[4 * k + 2] * v[3 * i + 2] + T[4 * k + 3];
+      return out;
+    };
+    const poses = cell.poses.map(array);
+    const pose = (which, carrier) => poses[which].subarray(16 * carrier, 16 * carrier + 16);
+    function placed(which) {
+      const each = bodies.map((b) => at(pose(which, b.carrier), b.points));
+      return { x: each.map((e) => e[0]), y: each.map((e) => e[1]), z: each.map((e) => e[2]) };
+    }
+    const colours = (which) => bodies.map((b) => {
+      const k = cell.pairs[which].indexOf(b.name);
+      return k < 0 ? b.colour : cell.marked[k];
+    });
+    function axes(which) {
+      const tip = cell.tips[which], out = {};
+      "xyz".split("").forEach((k, i) => {
+        out["scene." + k + "axis.range"] = near.checked ? [tip[i] - cell.close, tip[i] + cell.close] : cell.ranges[i];
+        out["scene.aspectratio." + k] = near.checked ? 1 : cell.aspect[i];
+      });
+      return out;
+    }
+    const first = placed(0), paint = colours(0);
+    const traces = bodies.map((b, i) => Object.assign({ name: b.name, hovertemplate: "%{fullData.name}<extra></extra>",
+      x: first.x[i], y: first.y[i], z: first.z[i] },
+      b.corners ? { type: "mesh3d", i: b.corners[0], j: b.corners[1], k: b.corners[2], color: paint[i], opacity: 1,
+                    flatshading: true, lighting: { ambient: 0.65, diffuse: 0.6, specular: 0.05 } }
+                : { type: "scatter3d", mode: "lines", line: { width: 2, color: b.colour }, showlegend: false }));
+    Plotly.newPlot(div, traces, cell.layout, sceneConfig);
+    div.addEventListener("pointerdown", () => {
+      if (div._context && div._context._scrollZoom) div._context._scrollZoom.gl3d = 1;
+    }, { once: true });
+    choice.addEventListener("change", () => {
+      const which = choice.selectedIndex, moved = placed(which), meshes = bodies.map((_, i) => i);
+      const paint = colours(which);
+      Plotly.update(div, Object.assign(moved, { color: paint }), axes(which), meshes);
+    });
+    near.addEventListener("change", () => Plotly.relayout(div, axes(choice.selectedIndex)));
+  }
+
+  if (page.cell) drawCell(page.cell);
   const scene = page.scene ? drawScene(page.scene) : null;
   drawCharts(page.charts, scene);
   document.documentElement.dataset.ready = "yes";

@@ -18,7 +18,7 @@ from planner.errors import OutputError
 
 # The page forbids itself the network: even a library that wanted to fetch something could not.
 POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
-DTYPES = {"float32": "f4", "float64": "f8", "int32": "i4", "uint16": "u2"}
+DTYPES = {"float32": "f4", "float64": "f8", "int32": "i4", "uint16": "u2", "uint32": "u4"}
 
 
 def page(title: str, header: str, body: str, footer: str, figures: Mapping[str, Any]) -> str:

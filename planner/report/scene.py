@@ -196,7 +196,9 @@ def _kept_samples(plan: Plan) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
     sharp = turning(traj.tip[index], begin, end)
     even = np.zeros(len(index))
     signals = [traj.speed[index], -sharp, even]
-    signals += [plan.series[name][index] for name in ("sigma", "limit_margin_deg") if name in plan.series]
+    signals += [
+        plan.series[name][index] for name in ("sigma", "limit_margin_deg", "clearance_mm") if name in plan.series
+    ]
     kept = keep_minima(signals, SCENE_BUDGET, np.union1d(begin, end))
     starts = np.zeros(len(index), dtype=bool)
     starts[begin] = True
@@ -222,6 +224,7 @@ def _channels(plan: Plan, kept: NDArray[np.intp]) -> list[dict[str, Any]]:
         ("sigma", "Distance from singularity, σ", ""),
         ("wrist_deg", "Wrist: joint 5 from straight", "°"),
         ("limit_margin_deg", "Distance from the nearest end stop", "°"),
+        ("clearance_mm", "Least distance of two bodies beyond the tip", "mm"),
     ):
         if name in plan.series:
             values = plan.series[name][kept]
