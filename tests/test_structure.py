@@ -53,6 +53,8 @@ ROOMS = (
     "solve",
     "placement",
     "place",
+    "registration",
+    "register",
 )
 SAME_ROOM = {
     "run_ends": "process",
@@ -128,12 +130,12 @@ HEAVY = {
     "svgelements": {"toolpath"},
     "OCP": {"toolpath.step.reader"},
     "trimesh": {"facets", "export.part_stl", "report.finished"},
-    "matplotlib": {"report", "placement.chart"},
+    "matplotlib": {"report", "placement.chart", "registration.picture"},
     "plotly": {"report"},
     "rich": {"place", "progress", "report.summary", "robots", "solve"},
     "pydantic": {"problem"},
     "pydantic_core": {"problem"},
-    "ruamel": {"problem"},
+    "ruamel": {"problem", "registration.writing"},
     "toppra": set(),
     "casadi": {"kinematics.symbolic", "resolve.nlp_program"},
     "osqp": {"resolve.osqp_reference"},
