@@ -12,12 +12,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from planner.errors import EXIT_INTERRUPTED, EXIT_NOT_VERIFIED, EXIT_VERIFIED, OutputError, PlannerError
-from planner.problem import Problem, load_problem
+from planner.problem import load_problem
+from planner.problem.rewrite import write_changed
 from planner.registration.finding import Ask, freedoms_of, plan_contacts, register, scene_of, suggest_next
 from planner.registration.picture import KINDS, write_picture
 from planner.registration.telling import lines_of, place_words, verdict
 from planner.registration.unknowns import FREEDOMS
-from planner.registration.writing import changes_of, taken, write_problem
+from planner.registration.writing import changes_of
 
 TOLERANCE_MM = 0.1  # a fifth of the thinnest layers that ship
 MOST_SUGGESTED = 100
@@ -39,14 +40,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(options: argparse.Namespace) -> int:
     problem = load_problem(options.problem)
     target = options.out or Path(f"{problem.file.stem}_registered.yaml")
-    _check_target(problem, target)
+    _check_target(target)
     scene = scene_of(problem)
     ask = _ask(options)
     found = register(scene, options.contacts, ask)
     fit = found.fit
     changes = changes_of(problem, fit.placement, scene.start, freedoms_of(problem, ask))
-    kept = int(fit.kept.sum())
-    write_problem(problem, changes, target, f"Placed by {kept} contacts of {options.contacts.name}.")
+    write_changed(problem, changes, target)
+    load_problem(target)  # which tells what no problem may have, such as a part that is nowhere
     lines = lines_of(found, changes, suggest_next(found))
     good, sentence = verdict(found, options.tolerance)
     print("\n".join([*lines, sentence, f"written to {target}"]))
@@ -63,12 +64,10 @@ def _suggest(options: argparse.Namespace) -> int:
     return EXIT_VERIFIED
 
 
-def _check_target(problem: Problem, target: Path) -> None:
+def _check_target(target: Path) -> None:
     """Before anything is computed: a target that is there is not written over."""
     if target.exists():
-        raise taken(target)
-    if not target.parent.is_dir():
-        raise OutputError(f"cannot write {target}: there is no folder {target.parent}")
+        raise OutputError(f"{target} is there already, and stays as it is: name another with --out")
 
 
 def _ask(options: argparse.Namespace) -> Ask:

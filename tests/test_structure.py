@@ -135,7 +135,7 @@ HEAVY = {
     "rich": {"place", "progress", "report.summary", "robots", "solve"},
     "pydantic": {"problem"},
     "pydantic_core": {"problem"},
-    "ruamel": {"problem", "registration.writing"},
+    "ruamel": {"problem"},
     "toppra": set(),
     "casadi": {"kinematics.symbolic", "resolve.nlp_program"},
     "osqp": {"resolve.osqp_reference"},

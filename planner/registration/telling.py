@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.problem.rewrite import Value
 from planner.registration.finding import MISFIT, Registration, Scene
 from planner.registration.placement import Placement
 from planner.registration.places import Places
@@ -35,7 +35,7 @@ def verdict(found: Registration, tolerance: float) -> tuple[bool, str]:
 
 def lines_of(
     found: Registration,
-    changes: Mapping[tuple[str | int, ...], Any],
+    changes: Mapping[str, Value],
     further: tuple[Places, int, float] | None = None,
 ) -> list[str]:
     """Everything but the verdict; `further` is the place to touch next, as `suggest_next` has it."""
@@ -47,7 +47,7 @@ def lines_of(
     out.append(f"{spread}; root mean square {np.sqrt((kept**2).mean()):.3f} mm, greatest {np.abs(kept).max():.3f} mm")
     if not math.isnan(fit.noise):
         out.append(f"noise of a touch, from the residuals: {fit.noise * 1e3:.3f} mm ({fit.spare} to spare)")
-    out += [f"found {'.'.join(map(str, keys))}: {value}" for keys, value in changes.items()]
+    out += [f"found {field}: {value}" for field, value in changes.items()]
     out += [_moved(found)]
     if not np.isnan(sure.position).any():
         at = _numbers(sure.position * 1e3, 3)
