@@ -53,6 +53,8 @@ ROOMS = (
     "solve",
     "placement",
     "place",
+    "registration",
+    "register",
 )
 SAME_ROOM = {
     "run_ends": "process",
@@ -128,7 +130,7 @@ HEAVY = {
     "svgelements": {"toolpath"},
     "OCP": {"toolpath.step.reader"},
     "trimesh": {"facets", "export.part_stl", "report.finished"},
-    "matplotlib": {"report", "placement.chart"},
+    "matplotlib": {"report", "placement.chart", "registration.picture"},
     "plotly": {"report"},
     "rich": {"place", "progress", "report.summary", "robots", "solve"},
     "pydantic": {"problem"},

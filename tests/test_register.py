@@ -1,0 +1,680 @@
+"""Registration: exact contacts give the exact placement, noise and wrong contacts nearly so, bad files a clear message."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from contextlib import redirect_stdout
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from benchmarks.touching import cartesian, misplaced, tips_of, write_contacts
+from planner.cell import build_cell
+from planner.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError
+from planner.kinematics.inverse import track
+from planner.problem import load_problem, shipped_problems
+from planner.problem.rewrite import write_changed
+from planner.register import main
+from planner.registration.contacts import plate_poses, read_readings
+from planner.registration.finding import Ask, Scene, plan_contacts, register, scene_of, suggest_next
+from planner.registration.fitting import most_wrong
+from planner.registration.placement import UNKNOWNS, Placement, rows, slopes
+from planner.registration.pollard import locate
+from planner.registration.unknowns import looked_for, split, words
+from planner.registration.writing import changes_of, rpy_degrees
+
+Array = NDArray[np.float64]
+
+PART = Ask()
+MOVED, TURNED = (3.0, -2.0, 1.5), (1.5, -1.0, 0.8)
+
+
+@cache
+def scene(name: str, *overrides: str) -> Scene:
+    return scene_of(load_problem(name, overrides))
+
+
+@cache
+def chosen(name: str, count: int, ask: Ask = PART, overrides: tuple[str, ...] = ()) -> tuple[Array, Array]:
+    """Places and angles of the holder that are suggested for a problem."""
+    places, best = plan_contacts(scene(name, *overrides), ask, count)
+    return places.points[best], places.q[best]
+
+
+def contacts(
+    path: Path, name: str, truth: Placement, count: int, off: Sequence[float] = (), ask: Ask = PART, overrides=()
+) -> Path:  # fmt: skip
+    points, q = chosen(name, count, ask, overrides)
+    above = np.zeros(count)
+    above[: len(off)] = off
+    here = scene(name, *overrides)
+    return write_contacts(path / "contacts.csv", cartesian(here, tips_of(here, truth, points, above, q), q))
+
+
+def apart(one: Placement, other: Placement) -> tuple[float, Array]:
+    """How far two placements are apart: the part's origin [m], and the turn in the part frame (3) [rad]."""
+    E = np.linalg.inv(one.T_plate_part) @ other.T_plate_part
+    return float(np.linalg.norm(E[:3, 3])), Rotation.from_matrix(E[:3, :3]).as_rotvec()
+
+
+# Placement
+
+
+def test_rows_are_the_derivatives_of_residuals() -> None:
+    here = scene("fibre_bowl")
+    points, q = chosen("fibre_bowl", 12)
+    T_world_plate = plate_poses(here.cell, q)
+    truth = misplaced(here, MOVED, TURNED, (1.0, 2.0, -1.0))
+    tips = tips_of(here, truth, points, np.zeros(12), q)
+    centre = np.array([0.01, -0.02, 0.03])
+
+    def residuals(step: Array) -> Array:
+        moved = truth.moved(step, centre)
+        return here.surface.signed_distance(moved.seen(tips, T_world_plate)) - moved.growth
+
+    seen = truth.seen(tips, T_world_plate)
+    np.testing.assert_allclose(seen, points, atol=1e-12)
+    J = rows(seen, slopes(here.surface, seen), T_world_plate @ truth.T_plate_part, centre)
+    steps = 1e-6 * np.eye(UNKNOWNS)
+    expected = np.column_stack([(residuals(s) - residuals(-s)) / 2e-6 for s in steps])
+    np.testing.assert_allclose(J, expected, atol=1e-6)
+    assert np.abs(expected).max() > 0.5
+
+
+@pytest.mark.parametrize(
+    ("name", "count", "blind"),
+    [
+        ("fibre_bowl", 8, 1),  # a turn about its axis
+        ("hemisphere_honeycomb", 6, 3),  # any turn about the ball's centre
+        ("fibre_plane", 5, 3),  # two slides and a turn
+        ("fibre_corrugated", 8, 1),  # a slide along the waves
+        ("aerofoil_core", 9, None),  # a mesh
+        ("curved_plate", 9, None),  # faces of a STEP file
+        ("shoehorn", 9, None),
+    ],
+)
+def test_exact_contacts_give_the_exact_placement(tmp_path: Path, name: str, count: int, blind: int | None) -> None:
+    here = scene(name)
+    truth = misplaced(here, MOVED, TURNED)
+    found = register(here, contacts(tmp_path, name, truth, count), Ask())
+    assert np.abs(found.fit.residuals).max() < 1e-8
+    assert found.fit.kept.all()
+    if blind is not None:
+        assert len(split(found.fit.columns)[1].T) == blind
+    # what is seen is right: the surface is where it really is, at every waypoint
+    now, w = found.fit.placement, here.waypoints
+    real = truth.seen(now.T_plate_part[:3, :3].dot(w.points.T).T + now.T_plate_part[:3, 3], np.eye(4)[None])
+    gap = here.surface.signed_distance(real) - here.surface.signed_distance(w.points)
+    assert np.abs(gap).max() < (2e-6 if name != "shoehorn" else 2e-5)
+    if blind == 0:
+        move, turn = apart(truth, now)
+        assert move < 1e-8 and np.abs(turn).max() < 1e-7
+
+
+def test_a_bowl_that_is_not_round_has_no_freedom_left(tmp_path: Path) -> None:
+    wide = ("part.ellipsoid.radii_mm=[95, 80, 60]",)
+    here = scene("fibre_bowl", *wide)
+    truth = misplaced(here, MOVED, TURNED)
+    found = register(here, contacts(tmp_path, "fibre_bowl", truth, 12, overrides=wide), Ask())
+    move, turn = apart(truth, found.fit.placement)
+    assert move < 1e-8 and np.abs(turn).max() < 1e-7
+    assert found.held == ()
+
+
+def test_a_bed_is_moved_and_turned(tmp_path: Path) -> None:
+    here = scene("aerofoil_core")
+    truth = misplaced(here, MOVED, TURNED)
+    np.testing.assert_array_equal(here.start.T_plate_part, here.cell.T_world_holder)
+    found = register(here, contacts(tmp_path, "aerofoil_core", truth, 12), Ask())
+    changes = changes_of(here.problem, found.fit.placement, here.start, Ask().free or ("x", "rx"))
+    assert set(changes) == {"cell.bed_mm", "cell.bed_rpy_deg"}
+
+
+def test_noise_is_told_as_it_is(tmp_path: Path) -> None:
+    """Over many parts the errors are as large as the standard errors that are told with them."""
+    here, points_q = scene("hemisphere_honeycomb"), chosen("hemisphere_honeycomb", 10)
+    squares, noises = [], []
+    for seed in range(24):
+        random = np.random.default_rng(seed)
+        off = random.normal(0.0, 5e-5, 10)
+        truth = misplaced(here, random.normal(0.0, 3.0, 3))
+        found = register(here, contacts(tmp_path, "hemisphere_honeycomb", truth, 10, off), Ask(noise=5e-5))
+        centre = np.asarray(here.problem.part.sphere.centre)
+        E = np.linalg.inv(truth.T_plate_part) @ found.fit.placement.T_plate_part
+        error = E[:3, :3] @ centre + E[:3, 3] - centre
+        J = here_columns(found, points_q)
+        squares.append(float(error @ J.T @ J @ error) / 5e-5**2)
+        noises.append(register(here, tmp_path / "contacts.csv", Ask()).fit.noise)
+    assert np.mean(squares) == pytest.approx(3.0, rel=0.45)  # chi squared of three freedoms
+    assert np.median(noises) == pytest.approx(5e-5, rel=0.2)
+
+
+def here_columns(found, points_q) -> Array:
+    """How a ball's distance depends on where it is: its normals."""
+    return slopes(found.scene.surface, points_q[0])[found.fit.kept]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_wrong_contacts_are_found_and_left_out(tmp_path: Path, seed: int) -> None:
+    here, random = scene("fibre_bowl"), np.random.default_rng(seed)
+    off = random.normal(0.0, 2e-5, 14)
+    wrong = random.choice(14, 3, replace=False)
+    off[wrong] += random.uniform(1e-3, 5e-3, 3) * random.choice([-1.0, 1.0], 3)
+    truth = misplaced(here, MOVED, TURNED)
+    found = register(here, contacts(tmp_path, "fibre_bowl", truth, 14, off), Ask())
+    assert set(wrong) <= set(np.flatnonzero(~found.fit.kept))
+    assert found.fit.kept.sum() >= 9
+    move, turn = apart(truth, found.fit.placement)
+    assert move < 0.2e-3 and np.degrees(np.abs(turn[:2])).max() < 0.2
+
+
+def test_wrong_contacts_are_as_many_as_can_be_told() -> None:
+    assert most_wrong(12, 5) == 3
+    assert most_wrong(9, 2) == 2
+    assert most_wrong(7, 5) == 0  # one to spare tells that something is wrong, but not what
+    assert most_wrong(3, 5) == 0
+
+
+def test_a_known_noise_keeps_what_it_explains(tmp_path: Path) -> None:
+    here, truth = scene("fibre_bowl"), misplaced(scene("fibre_bowl"), MOVED)
+    file = contacts(tmp_path, "fibre_bowl", truth, 12, [0.15e-3])
+    assert not register(here, file, Ask()).fit.kept[0]  # all others are exact
+    assert register(here, file, Ask(noise=1e-4)).fit.kept.all()
+
+
+def test_joint_readings_and_places_say_the_same(tmp_path: Path) -> None:
+    here = scene("cylinder_logo")
+    truth = misplaced(here, (2.0, -1.0))
+    points, q = chosen("cylinder_logo", 6)
+    tips = tips_of(here, truth, points, np.zeros(6), q)
+    one = register(here, write_contacts(tmp_path / "places.csv", cartesian(here, tips, q)), Ask())
+    cell, postures = here.cell, []
+    for tip, start in zip(tips, plate_poses(cell, q) @ truth.T_plate_part, strict=True):
+        T = np.tile(cell.arm.poses(cell.home[None, :6])[0], (1, 1, 1))
+        T[0, :3, 3] = tip
+        away = tip - start[:3, 3]  # the nozzle comes towards the table's axis
+        a = np.arctan2(-away[1], -away[0])
+        T[0, :3, :3] = Rotation.from_euler("z", a).as_matrix() @ [[0, 0, 1], [1, 0, 0], [0, 1, 0]]
+        flange = np.linalg.inv(cell.T_world_base) @ T @ np.linalg.inv(cell.T_flange_nozzle)
+        posture, exists = track(cell.inverse, flange, None, cell.home[:6])
+        assert exists.all()
+        postures.append(posture[0])
+    columns = {f"joint_{k + 1}": np.degrees(np.array(postures)[:, k]) for k in range(6)}
+    other = register(here, write_contacts(tmp_path / "j.csv", columns | {"rotation": np.degrees(q[:, 0])}), Ask())
+    np.testing.assert_allclose(other.fit.touch.contacts.tips, tips, atol=2e-8)
+    np.testing.assert_allclose(other.fit.placement.T_plate_part, one.fit.placement.T_plate_part, atol=1e-7)
+    assert apart(truth, other.fit.placement)[0] < 1e-7
+
+
+def test_a_ball_stands_off_the_surface(tmp_path: Path) -> None:
+    here, truth = scene("fibre_bowl"), misplaced(scene("fibre_bowl"), MOVED)
+    file = contacts(tmp_path, "fibre_bowl", truth, 10, [2e-3] * 10)
+    found = register(here, file, Ask(ball=2e-3))
+    assert np.abs(found.fit.residuals).max() < 1e-8
+    assert apart(truth, found.fit.placement)[0] < 1e-8
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides", "key"),
+    [("hemisphere_honeycomb", (), "sphere"), ("cylinder_logo", (), "cylinder")],
+)
+def test_the_radius_is_found_where_it_is_asked_for(tmp_path: Path, name: str, overrides, key: str) -> None:
+    here, ask = scene(name), Ask(size=True)
+    truth = misplaced(here, (2.0, -1.0))
+    found = register(here, contacts(tmp_path, name, truth, 10, [0.7e-3] * 10, ask), ask)
+    assert found.fit.placement.growth == pytest.approx(0.7e-3, abs=1e-8)
+    changes = changes_of(here.problem, found.fit.placement, here.start, ("x", "y"))
+    assert changes[f"part.{key}.radius_mm"] == pytest.approx({"sphere": 50.7, "cylinder": 34.7}[key])
+
+
+def test_the_height_that_is_told_is_that_of_the_covariance(tmp_path: Path) -> None:
+    """A plane touched at its corners: the height's error in the middle is that of a mean."""
+    here = scene("fibre_plane")
+    side = 80e-3
+    points = np.array([[x, y, 0.0] for x in (-side, side) for y in (-side, side)] * 2)
+    tips = tips_of(here, here.start, points, np.zeros(8), np.zeros((8, 1)))
+    file = write_contacts(tmp_path / "c.csv", cartesian(here, tips, np.zeros((8, 1))))
+    found = register(here, file, Ask(noise=4e-5))
+    w = here.waypoints.points[:, :2] / side
+    expected = 4e-5 / np.sqrt(8.0) * np.sqrt(1.0 + (w**2).sum(axis=1))
+    np.testing.assert_allclose(found.uncertainty.height, expected, rtol=1e-6)
+    np.testing.assert_allclose(found.uncertainty.bound, np.sqrt(7.8147) * expected, rtol=1e-4)  # chi squared, 3, 95 %
+    assert np.abs(here.waypoints.points[found.uncertainty.worst]).max() == pytest.approx(70e-3)
+
+
+def test_the_place_to_touch_next_is_the_best_of_all(tmp_path: Path) -> None:
+    """Touching there leaves as much of the error as was told, and no other place leaves less."""
+    here, truth = scene("fibre_bowl"), misplaced(scene("fibre_bowl"), MOVED)
+    points, q = chosen("fibre_bowl", 8)
+    q = np.zeros_like(q)
+    ask = Ask(noise=5e-5)
+
+    def told(more: Sequence[Array]) -> float:
+        every = np.vstack([points, *more])
+        turned = np.zeros((len(every), 1))
+        tips = tips_of(here, truth, every, np.zeros(len(every)), turned)
+        found = register(here, write_contacts(tmp_path / "c.csv", cartesian(here, tips, turned)), ask)
+        return float(found.uncertainty.height.max())
+
+    before = told([])
+    found = register(here, tmp_path / "c.csv", ask)
+    suggested = suggest_next(found)
+    assert suggested is not None
+    places, k, left = suggested
+    after = told([places.points[[k]]])
+    assert after / before == pytest.approx(left, abs=0.02)
+    assert left < 1.0
+    random = np.random.default_rng(2).choice(len(places), 12, replace=False)
+    assert after <= min(told([places.points[[i]]]) for i in random) * 1.02
+
+
+# Turntable
+
+
+def one_sided(n: int, aim: float = 0.0) -> tuple[Array, Array, Array, Array, Array]:
+    """Contacts from one side of a cylinder on a table: tips, turns, reach, and the true axis and cylinder."""
+    random = np.random.default_rng(3)
+    axis, cylinder, r = np.array([0.6351, 0.0121]), np.array([0.0314, 0.037]), 0.034
+    a = np.radians(np.linspace(-170.0, 150.0, n))
+    turns = np.moveaxis(np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]), 2, 0)
+    beside = random.normal(0.0, aim, n)
+    tips = axis + turns @ cylinder + np.column_stack([-np.sqrt(r * r - beside**2), beside])
+    return tips, turns, np.tile([-r, 0.0], (n, 1)), axis, cylinder
+
+
+def test_pollards_equation_is_exact_and_bears_a_wrong_contact() -> None:
+    tips, turns, reach, axis, cylinder = one_sided(9)
+    tips[4] += [5e-3, -4e-3]
+    found = locate(tips, turns, reach)
+    np.testing.assert_allclose(found.axis, axis, atol=1e-9)
+    np.testing.assert_allclose(found.cylinder, cylinder, atol=1e-9)
+    np.testing.assert_allclose(found.off[4], [5e-3, -4e-3], atol=1e-9)
+    assert found.cost == pytest.approx(1e-3)
+    with pytest.raises(ValueError, match="one angle"):
+        locate(tips, turns[[0] * 9], reach)
+
+
+def test_pollards_cost_is_the_least() -> None:
+    """Against moves to all sides, since a convex cost has one minimum."""
+    tips, turns, reach, *_ = one_sided(9, 1e-3)
+    tips = tips + np.random.default_rng(1).normal(0.0, 1e-4, tips.shape)
+    found = locate(tips, turns, reach)
+    for step in np.vstack([np.eye(4), -np.eye(4), np.random.default_rng(2).normal(size=(40, 4))]) * 1e-5:
+        off = tips - reach - (found.axis + step[:2]) - turns @ (found.cylinder + step[2:])
+        assert np.abs(off).sum(axis=1).mean() >= found.cost - 1e-12
+
+
+def test_table_and_cylinder_from_contacts_at_several_angles(tmp_path: Path) -> None:
+    here, ask = scene("cylinder_logo"), Ask(table=True)
+    truth = misplaced(here, (2.0, -1.0), (), (1.5, -2.0))
+    found = register(here, contacts(tmp_path, "cylinder_logo", truth, 9, ask=ask), ask)
+    np.testing.assert_allclose(found.fit.placement.shift, [1.5e-3, -2e-3, 0.0], atol=1e-8)
+    assert apart(truth, found.fit.placement)[0] < 1e-8
+    changes = changes_of(here.problem, found.fit.placement, here.start, ("x", "y"))
+    spec = here.problem.cell.positioner
+    origin = np.asarray(spec.origin) * 1e3 + [1.5, -2.0, 0.0]
+    np.testing.assert_allclose(changes["cell.positioner.origin_mm"], origin, atol=1e-3)
+    np.testing.assert_allclose(
+        changes["cell.positioner.part_mm"], np.asarray(spec.part) * 1e3 + [2.0, -1.0, 0.0], atol=1e-3
+    )
+
+
+def test_both_ways_to_a_turntable_are_told(tmp_path: Path) -> None:
+    """Contacts with the nozzle's direction: the published estimate is right, and stands beside ours."""
+    here = scene("cylinder_logo")
+    truth = misplaced(here, (2.0, -1.0))
+    a = np.radians(np.linspace(-150.0, 180.0, 9))
+    centre = np.asarray(here.problem.part.cylinder.centre) + [2e-3, -1e-3]
+    T = plate_poses(here.cell, a[:, None])
+    tips = (
+        np.einsum("nij,j->ni", T[:, :3, :3], [*centre, 0.05 + here.start.T_plate_part[2, 3]])
+        + T[:, :3, 3]
+        + [-34e-3, 0.0, 0.0]
+    )
+    q = a[:, None]
+    side = np.tile([1.0, 0.0, 0.0], (9, 1))
+    columns = cartesian(here, tips, q) | {f"a{axis}": side[:, k] for k, axis in enumerate("xyz")}
+    found = register(here, write_contacts(tmp_path / "c.csv", columns), Ask())
+    assert found.turntable is not None
+    np.testing.assert_allclose(found.turntable.axis, [0.6335, 0.00987], atol=1e-9)
+    np.testing.assert_allclose(found.turntable.cylinder, centre, atol=1e-9)
+    assert apart(truth, found.fit.placement)[0] < 1e-8
+    # the same from one side only leaves the table's axis free across the nozzle, which least squares must say
+    with pytest.raises(InputError, match="leave free what changes the nozzle's height"):
+        register(here, tmp_path / "c.csv", Ask(table=True))
+
+
+# Freedoms in words
+
+
+def test_freedoms_are_named() -> None:
+    places = np.random.default_rng(0).uniform(-0.05, 0.05, (50, 3))
+    all_six = looked_for(("x", "y", "z", "rx", "ry", "rz"), np.zeros((3, 0)), False, places)
+
+    def hidden(points: Array, normals: Array) -> list[str]:
+        J = all_six.columns(rows(points, normals, np.tile(np.eye(4), (len(points), 1, 1)), all_six.centre))
+        return words(all_six, split(J)[1])
+
+    up = np.tile([0.0, 0.0, 1.0], (50, 1))
+    plane = places * [1.0, 1.0, 0.0]
+    assert hidden(plane, up)[:2] == ["a slide along x", "a slide along y"]
+    assert hidden(plane, up)[2].startswith("a turn about z")
+    ball = places / np.linalg.norm(places, axis=1)[:, None]
+    assert hidden(0.05 * ball + [0.01, 0.02, 0.03], ball) == ["any turn about (10.0, 20.0, 30.0) mm"]
+    ring = ball * [1.0, 1.0, 0.0]
+    ring /= np.linalg.norm(ring, axis=1)[:, None]
+    wall = 0.03 * ring + places * [0.0, 0.0, 1.0] + [0.01, 0.0, 0.0]
+    assert hidden(wall, ring) == ["a slide along z", "a turn about z through (10.0, 0.0, 0.0) mm"] or hidden(
+        wall, ring
+    )[1].startswith("a turn about z through (10.0, 0.0")
+    line = np.outer(np.linspace(-0.05, 0.05, 50), [1.0, 0.0, 0.0])
+    assert "a turn about x through" in " ".join(hidden(line, up))
+
+
+# Files
+
+
+HEAD = "x_mm,y_mm,z_mm,rotation"
+GOOD = ["667,9,420,0", "600,10,430,10", "633,43,410,20", "640,-20,440,-30"]
+
+
+def read(tmp_path: Path, *lines: str, name: str = "cylinder_logo"):
+    file = tmp_path / "contacts.csv"
+    file.write_text("\n".join(lines), encoding="utf-8")
+    return read_readings(file, scene(name).cell)
+
+
+def test_columns_in_any_order_with_names_and_units(tmp_path: Path) -> None:
+    rows_ = ["# touched on Monday", "", "Contact; rotation [deg]; Z (mm); y; x_mm; AX; ay; az"]
+    readings = read(tmp_path, *rows_, "rim; 90; 3; 2; 1; 0; 0; -2", "", "top;-90;6;5;4;3;0;4")
+    assert readings.names == ("rim", "top")
+    np.testing.assert_array_equal(readings.tips, [[1, 2, 3], [4, 5, 6]])
+    np.testing.assert_array_equal(readings.holder, [[90], [-90]])
+    np.testing.assert_allclose(readings.axes, [[0, 0, -1], [0.6, 0, 0.8]])
+    np.testing.assert_array_equal(readings.lines, [4, 6])
+
+
+@pytest.mark.parametrize(
+    ("lines", "line", "words_"),
+    [
+        ([], None, "holds no contacts"),
+        (["# only a remark"], None, "holds no contacts"),
+        ([HEAD], 1, "no contacts below its header"),
+        (GOOD, 1, "a header that names the columns is missing"),
+        (["x_mm,y_mm,z_mm", "1,2,3"], 1, "column rotation is missing"),
+        (["x_mm,z_mm,rotation", "1,2,3"], 1, "column y is missing"),
+        (["joint_1,joint_2,rotation", "1,2,3"], 1, "columns joint_3, joint_4, joint_5, joint_6 are missing"),
+        (["x_mm,y_mm,z_mm,rotaton", "1,2,3,4"], 1, "did you mean rotation?"),
+        (["x_mm,y_mm,z_mm,rotation,hue", "1,2,3,4,5"], 1, "unknown column 'hue'"),
+        (["x_m,y_m,z_m,rotation", "1,2,3,4"], 1, "'x_m' is in m"),
+        (["x_mm,y_mm,z_mm,rotation_rad", "1,2,3,4"], 1, "is in rad"),
+        (["x_mm,x,y_mm,z_mm,rotation", "1,1,2,3,4"], 1, "column x is there twice"),
+        (["x_mm,y_mm,z_mm,joint_1,rotation", "1,2,3,4,5"], 1, "leave one of them out"),
+        (["x_mm,y_mm,z_mm,rotation,ax", "1,2,3,4,5"], 1, "columns ay, az are missing"),
+        (["x_mm,y_mm,z_mm,rotation,ax,ay,az", "1,2,3,4,0,0,0"], 2, "no direction"),
+        (["name,contact,x_mm,y_mm,z_mm,rotation", "a,b,1,2,3,4"], 1, "both name and contact"),
+        ([HEAD, "1,2,3,4", "1,2,nan,4"], 3, "z: nan is not a finite number"),
+        ([HEAD, "1,2,inf,4"], 2, "z: inf is not a finite number"),
+        ([HEAD, "1,2,,4"], 2, "z: is missing"),
+        ([HEAD, "1,2,high,4"], 2, "z: 'high' is not a number"),
+        ([HEAD, "1,2,1_0,4"], 2, "z: '1_0' is not a number"),
+        ([HEAD, "1,2,3e7,4"], 2, "3e7 is too large"),
+        ([HEAD, "1,2,3,4000"], 2, "4000 is too large"),
+        ([HEAD, "1,2,3"], 2, "the header names 4 columns; here are 3 values"),
+        ([HEAD.replace(",", ";"), "1,5;2;3;4"], 2, "a decimal point, not a comma"),
+    ],
+)
+def test_a_bad_file_is_told_with_its_line(tmp_path: Path, lines: list[str], line: int | None, words_: str) -> None:
+    with pytest.raises(InputError) as caught:
+        read(tmp_path, *lines)
+    assert words_ in str(caught.value)
+    assert (caught.value.line, caught.value.file) == (line, tmp_path / "contacts.csv")
+
+
+@given(st.text(alphabet=st.sampled_from("xyz_mrotain,;\t\n 0123456789.e-+#\"'nf\x00é[]"), max_size=200))
+def test_any_text_is_read_or_refused(text: str) -> None:
+    file = FOLDER() / "any.csv"
+    file.write_text(text, encoding="utf-8")
+    try:
+        readings = read_readings(file, scene("cylinder_logo").cell)
+    except InputError:
+        return
+    assert len(readings.lines) == len(readings.names) >= 1
+
+
+@given(
+    st.lists(st.tuples(*[st.floats(-1e5, 1e5)] * 3, st.floats(-3600, 3600)), min_size=1, max_size=20),
+    st.sampled_from([",", ";", "\t", " "]),
+)
+def test_numbers_are_read_as_written(table: list[tuple[float, ...]], separator: str) -> None:
+    file = FOLDER() / "numbers.csv"
+    lines = [separator.join(HEAD.split(",")), *(separator.join(repr(v) for v in row) for row in table)]
+    file.write_text("\n".join(lines), encoding="utf-8")
+    readings = read_readings(file, scene("cylinder_logo").cell)
+    np.testing.assert_array_equal(np.column_stack([readings.tips, readings.holder]), np.array(table))
+
+
+@cache
+def FOLDER() -> Path:
+    import tempfile
+
+    return Path(tempfile.mkdtemp(prefix="beadwise-contacts-"))
+
+
+# Contacts that say too little, or the wrong thing
+
+
+def scaled(path: Path, factor: float, columns: Sequence[int] = (0, 1, 2)) -> Path:
+    lines = path.read_text().splitlines()
+    table = np.loadtxt(lines[1:], delimiter=",")
+    table[:, list(columns)] *= factor
+    return write_contacts(path, dict(zip(lines[0].split(","), table.T, strict=True)))
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("m", 1e-3), ("inches", 1 / 25.4), ("cm", 0.1)])
+def test_another_unit_is_told_by_the_residual(tmp_path: Path, unit: str, factor: float) -> None:
+    here = scene("fibre_bowl")
+    file = contacts(tmp_path, "fibre_bowl", misplaced(here, MOVED, TURNED), 12, [3e-5, -4e-5, 2e-5])
+    with pytest.raises(InputError, match=f"seem to be in {unit}: as such they fit the part to 0.0"):
+        register(here, scaled(file, factor), Ask())
+
+
+def test_angles_in_radians_are_told(tmp_path: Path) -> None:
+    here = scene("cylinder_logo")
+    file = contacts(tmp_path, "cylinder_logo", misplaced(here, (2.0, 1.0)), 9)
+    with pytest.raises(InputError, match="seem to be in radians"):
+        register(here, scaled(file, np.pi / 180.0, (3,)), Ask())
+
+
+def test_contacts_of_another_part(tmp_path: Path) -> None:
+    here = scene("fibre_bowl")
+    random = np.random.default_rng(0)
+    points, q = chosen("fibre_bowl", 12)
+    tips = tips_of(here, here.start, points, random.uniform(-20e-3, 20e-3, 12), q)
+    file = write_contacts(tmp_path / "c.csv", cartesian(here, tips, q))
+    with pytest.raises(InputError, match="do not lie on this part") as caught:
+        register(here, file, Ask())
+    assert caught.value.line is not None
+
+
+def test_contacts_far_from_the_part(tmp_path: Path) -> None:
+    here = scene("fibre_bowl")
+    file = contacts(tmp_path, "fibre_bowl", misplaced(here, (0.0, 0.0, 700.0)), 12)
+    with pytest.raises(InputError, match=r"6\d\d mm from where the problem has the part"):
+        register(here, file, Ask())
+
+
+def test_too_few_contacts(tmp_path: Path) -> None:
+    here = scene("fibre_bowl")
+    with pytest.raises(InputError, match="4 contacts cannot fix 5 freedoms") as caught:
+        register(here, contacts(tmp_path, "fibre_bowl", here.start, 4), Ask())
+    assert caught.value.hint is not None and "--free" in caught.value.hint
+
+
+def test_contacts_in_one_line_name_the_freedom(tmp_path: Path) -> None:
+    here = scene("fibre_plane")
+    points = np.outer(np.linspace(-60e-3, 60e-3, 8), [1.0, 0.0, 0.0])
+    tips = tips_of(here, here.start, points, np.zeros(8), np.zeros((8, 1)))
+    file = write_contacts(tmp_path / "c.csv", cartesian(here, tips, np.zeros((8, 1))))
+    with pytest.raises(InputError, match="leave free what changes the nozzle's height: a turn about x"):
+        register(here, file, Ask())
+
+
+@pytest.mark.parametrize("ask", [Ask(table=True), Ask(size=True), Ask(free=())])
+def test_what_cannot_be_asked(tmp_path: Path, ask: Ask) -> None:
+    here = scene("saddle_ring")
+    with pytest.raises(InputError):
+        register(here, contacts(tmp_path, "saddle_ring", here.start, 6), ask)
+
+
+def test_a_table_that_stood_still(tmp_path: Path) -> None:
+    here = scene("cylinder_logo")
+    points, q = chosen("cylinder_logo", 9)
+    tips = tips_of(here, here.start, points, np.zeros(9), 0.0 * q)
+    with pytest.raises(InputError, match="one angle in all contacts"):
+        register(here, write_contacts(tmp_path / "c.csv", cartesian(here, tips, 0.0 * q)), Ask(table=True))
+
+
+# What is written
+
+
+@pytest.mark.parametrize("name", shipped_problems())
+def test_a_written_problem_is_the_same_but_for_its_place(tmp_path: Path, name: str) -> None:
+    problem = load_problem(name)
+    start = build_cell(problem)
+    T = start.T_world_holder if start.holder_robot is None else start.T_plate_part
+    placement = Placement(T, np.zeros(3)).moved(np.array([1e-3, 2e-3, 0, 0, 0, 0.01, 0, 0, 0, 0]), np.zeros(3))
+    free = ("x", "y", "z", "rx", "ry", "rz")
+    target = tmp_path / "deeper" / "new.yaml"
+    write_changed(problem, changes_of(problem, placement, Placement(T, np.zeros(3)), free), target)
+    written = load_problem(target)
+    cell = build_cell(written)
+    now = cell.T_world_holder if cell.holder_robot is None else cell.T_plate_part
+    np.testing.assert_allclose(now, placement.T_plate_part, atol=2e-7)
+    for own, other in ((problem.layers, written.layers), (problem.part, written.part)):
+        if own is not None:
+            assert same_but_for_paths(own.model_dump(), other.model_dump())
+
+
+def same_but_for_paths(one, other) -> bool:
+    if isinstance(one, Path):
+        return one.resolve() == other.resolve()
+    if isinstance(one, dict):
+        return set(one) == set(other) and all(same_but_for_paths(one[key], other[key]) for key in one)
+    if isinstance(one, tuple):
+        return len(one) == len(other) and all(map(same_but_for_paths, one, other))
+    return one == other
+
+
+def test_rpy_turns_back_into_the_rotation() -> None:
+    for angles in ([10, -20, 30], [179, 5, -170], [40, 90, 0], [-30, -90, 0]):
+        R = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
+        np.testing.assert_allclose(Rotation.from_euler("xyz", rpy_degrees(R), degrees=True).as_matrix(), R, atol=1e-6)
+
+
+def run(*arguments: str) -> tuple[int, str]:
+    stream = io.StringIO()
+    with redirect_stdout(stream):
+        code = main(arguments)
+    return code, stream.getvalue()
+
+
+def test_the_command_writes_a_problem_whose_surface_goes_through_the_contacts(tmp_path: Path) -> None:
+    here = scene("fibre_bowl")
+    truth = misplaced(here, MOVED, TURNED)
+    random = np.random.default_rng(5)
+    off = random.normal(0.0, 1e-5, 14)
+    off[6] = 2e-3
+    file = contacts(tmp_path, "fibre_bowl", truth, 14, off)
+    target, picture = tmp_path / "new.yaml", tmp_path / "r.html"
+    code, text = run(str(file), "fibre_bowl", "--out", str(target), "--report", str(picture), "--tolerance-mm", "0.2")
+    assert code == EXIT_VERIFIED
+    for expected in (
+        "7                +2.0",
+        "outlier",
+        "part_rpy_deg",
+        "a turn about z",
+        "touch next: part (",
+        "keeps the",
+    ):
+        assert expected in text
+    again = scene_of(load_problem(target))
+    readings = read_readings(file, again.cell)
+    seen = again.start.seen(readings.tips * 1e-3, plate_poses(again.cell, np.radians(readings.holder)))
+    gap = again.surface.signed_distance(seen)
+    assert np.abs(np.delete(gap, 6)).max() < 5e-5
+    assert gap[6] == pytest.approx(2e-3, abs=1e-4)
+    assert "<svg" in picture.read_text() and "outlier" in picture.read_text()
+    before = target.read_bytes()
+    assert main([str(file), "fibre_bowl", "--out", str(target)]) == EXIT_INPUT
+    assert target.read_bytes() == before
+
+
+def test_the_command_tells_when_the_tolerance_may_be_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    here = scene("cylinder_logo")
+    off = np.random.default_rng(1).normal(0.0, 2e-4, 6)
+    file = contacts(tmp_path, "cylinder_logo", misplaced(here, (1.0, 1.0)), 6, off)
+    code, text = run(str(file), "cylinder_logo", "--report", str(tmp_path / "r.png"))
+    assert code == EXIT_NOT_VERIFIED
+    assert "may leave the tolerance of 0.1 mm" in text
+    written = load_problem(tmp_path / "cylinder_logo_registered.yaml")
+    np.testing.assert_allclose(written.cell.positioner.part[:2], [1e-3, 1e-3], atol=0.5e-3)
+    assert written.cell.positioner.part_rpy == here.problem.cell.positioner.part_rpy
+    assert (tmp_path / "r.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_command_says_when_nothing_is_to_spare(tmp_path: Path) -> None:
+    here = scene("cylinder_logo")
+    points, q = chosen("cylinder_logo", 2)
+    tips = tips_of(here, here.start, points, np.zeros(2), q)
+    file = write_contacts(tmp_path / "c.csv", cartesian(here, tips, q))
+    code, text = run(str(file), "cylinder_logo", "--out", str(tmp_path / "a.yaml"))
+    assert code == EXIT_NOT_VERIFIED and "no contact is to spare" in text
+    code, text = run(str(file), "cylinder_logo", "--out", str(tmp_path / "b.yaml"), "--noise-mm", "0.01")
+    assert code == EXIT_VERIFIED and "keeps the tolerance" in text
+
+
+def test_places_are_suggested_before_any_contact() -> None:
+    code, text = run("--suggest", "4", "cylinder_logo", "--table")
+    assert code == EXIT_VERIFIED
+    assert len(text.splitlines()) == 4
+    assert "rotation" in text and "nozzle along (" in text
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("fibre_bowl",),
+        ("a.csv", "fibre_bowl", "--suggest", "3"),
+        ("--suggest", "0", "fibre_bowl"),
+        ("a.csv", "fibre_bowl", "--tolerance-mm", "0"),
+        ("a.csv", "fibre_bowl", "--tolerance-mm", "thin"),
+        ("a.csv", "fibre_bowl", "--free", "x,q"),
+        ("a.csv", "fibre_bowl", "--free", "x,x"),
+        ("a.csv", "fibre_bowl", "--ball-mm", "-1"),
+        ("a.csv", "fibre_bowl", "--report", "r.pdf"),
+    ],
+)
+def test_options_that_mean_nothing(arguments: tuple[str, ...]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(arguments)
+    assert caught.value.code == EXIT_INPUT
+
+
+@pytest.mark.parametrize("target", ["nowhere/new.yaml", "."])
+def test_a_target_that_cannot_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, target: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["missing.csv", "fibre_bowl", "--out", target]) == EXIT_INPUT
+
+
+def test_a_file_that_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(tmp_path / "no.csv"), "fibre_bowl", "--out", str(tmp_path / "n.yaml")]) == EXIT_INPUT
+    assert "no.csv" in capsys.readouterr().err
