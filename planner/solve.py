@@ -123,7 +123,8 @@ def try_out(
     """
     cell, tasks = build_cell(problem), tasks_of(problem, toolpath)
     strategy = strategy or problem.strategy
-    _, report, *_ = _plan_with(strategy, problem, cell, toolpath, tasks, dt, Stages(), second_process)
+    obstacles = obstacles_of(problem, cell, toolpath)
+    _, report, *_ = _plan_with(strategy, problem, cell, toolpath, tasks, obstacles, dt, Stages(), second_process)
     return report
 
 

@@ -187,7 +187,7 @@ def quickest(task: Task) -> Cubics | None:
         if not queue:
             roundabout = False
             for vias in around(cell, task.ends, task.room, task.obstacles, task.now, task.margin):
-                push(0.0, Way(partial(ways.through, cell, task.ends, vias), 0.0), free)
+                push(0.0, Way(partial(ways.resting_at, cell, task.ends, vias), 0.0), free)
             continue
         bound, _, way, caps, built, tries = heapq.heappop(queue)
         if built is None:

@@ -188,10 +188,10 @@ def by_way_of(cell: Cell, ends: Ends, room: Room, raised: float, through: str, c
     na = len(cell.arm)
     both = np.stack([ends.start.q, ends.end.q])
     a, b = np.hstack([lifted(cell, both, room, raised), both[:, na:]])
-    return through(cell, ends, [a, *POSTURES[through](cell, a, b), b], caps)
+    return resting_at(cell, ends, [a, *POSTURES[through](cell, a, b), b], caps)
 
 
-def through(cell: Cell, ends: Ends, vias: Sequence[Array], caps: Caps) -> Built | None:
+def resting_at(cell: Cell, ends: Ends, vias: Sequence[Array], caps: Caps) -> Built | None:
     """By way of postures (nj) at which it rests."""
     bounds = ends.bounds.capped(caps.along)
     states = [ends.start, *(at_rest(via) for via in vias), ends.end]
