@@ -24,6 +24,7 @@ from scipy.interpolate import make_interp_spline
 
 from planner.cell import build_cell
 from planner.errors import EXIT_VERIFIED, PlannerError, Refusal
+from planner.obstacles import NOTHING
 from planner.problem import Problem, load_problem
 from planner.problem.settings import STRATEGY_NAMES
 from planner.resolve import STRATEGIES
@@ -92,9 +93,9 @@ def row(problem: Problem, strategy: str, start: float | None) -> tuple[list[str]
     """One line of the table, and the objective."""
     cell = build_cell(problem)
     tasks = tasks_of(problem, build_toolpath(problem))
-    STRATEGIES[strategy](cell, tasks, problem.resolve)  # the first time compiles
+    STRATEGIES[strategy](cell, tasks, problem.resolve, NOTHING)  # the first time compiles
     began = time.perf_counter()
-    paths = STRATEGIES[strategy](cell, tasks, problem.resolve)
+    paths = STRATEGIES[strategy](cell, tasks, problem.resolve, NOTHING)
     seconds = time.perf_counter() - began
     value, largest = objective(paths)
     plan = solve(problem, strategy)

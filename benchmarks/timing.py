@@ -24,6 +24,7 @@ from rich.table import Table
 from planner.cell import Cell, build_cell
 from planner.command import DEFAULT_DT
 from planner.errors import EXIT_VERIFIED, PlannerError, Refusal
+from planner.obstacles import NOTHING
 from planner.problem import Problem, load_problem, shipped_problems
 from planner.resolve import STRATEGIES
 from planner.resolve.jointpath import JointPath
@@ -71,7 +72,7 @@ def row(problem: Problem) -> list[str]:
     tasks = tasks_of(problem, build_toolpath(problem))
     try:
         plan = solve(problem)
-        paths = STRATEGIES[problem.strategy](cell, tasks, problem.resolve)
+        paths = STRATEGIES[problem.strategy](cell, tasks, problem.resolve, NOTHING)
     except Refusal as refusal:
         return [problem.name, f"no plan: {refusal}", *[""] * (len(COLUMNS) - 2)]
     m = plan.metrics

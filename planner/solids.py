@@ -62,6 +62,16 @@ class Hull(ReadOnlyArrays):
         return np.unique(np.round(self._hull.equations, 12), axis=0)
 
     @property
+    def corners(self) -> Array:
+        """Those of the vertices (k, 3) that are corners of the hull."""
+        return np.asarray(self.vertices[self._hull.vertices])
+
+    @property
+    def volume(self) -> float:
+        """Volume [m^3]."""
+        return float(self._hull.volume)
+
+    @property
     def facets(self) -> tuple[Array, Index]:
         """Vertices (m, 3) and triangles (k, 3), counter-clockwise seen from outside."""
         hull = self._hull

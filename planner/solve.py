@@ -30,6 +30,7 @@ from planner.errors import (
 from planner.export import write_part, write_plan, write_refusal, write_robot_code, write_trajectory
 from planner.headroom import headroom
 from planner.motion import join
+from planner.obstacles import NOTHING, Obstacles, obstacles_of
 from planner.output import results_folder
 from planner.plan import Plan, Trajectory
 from planner.problem import Problem, load_problem, shipped_problems
@@ -37,7 +38,7 @@ from planner.progress import Stages
 from planner.report.failure import write_failure_report
 from planner.report.html import write_report
 from planner.report.summary import print_summary
-from planner.resolve import STRATEGIES
+from planner.resolve import STRATEGIES, UNAWARE
 from planner.resolve.jointpath import JointPath
 from planner.task import NozzleTask, tasks_of
 from planner.timing import TimedPath, bound_time, time_path
@@ -76,9 +77,11 @@ def solve(
         cell = build_cell(problem)
     with stages.stage("toolpath"):
         toolpath, tasks = _toolpath(problem)
+    with stages.stage("obstacles"):
+        obstacles = obstacles_of(problem, cell, toolpath)
     with _baseline_beside(strategy, problem, cell, toolpath, tasks, dt, second_process) as baseline_metrics:
         trajectory, report, paths, travels = _plan_with(
-            strategy, problem, cell, toolpath, tasks, dt, stages, second_process
+            strategy, problem, cell, toolpath, tasks, obstacles, dt, stages, second_process
         )
         with stages.stage("dips"):
             dips = find_dips(problem, cell, toolpath, paths, trajectory)
@@ -121,7 +124,8 @@ def try_out(
     """
     cell, tasks = build_cell(problem), tasks_of(problem, toolpath)
     strategy = strategy or problem.strategy
-    _, report, *_ = _plan_with(strategy, problem, cell, toolpath, tasks, dt, Stages(), second_process)
+    obstacles = obstacles_of(problem, cell, toolpath)
+    _, report, *_ = _plan_with(strategy, problem, cell, toolpath, tasks, obstacles, dt, Stages(), second_process)
     return report
 
 
@@ -136,16 +140,18 @@ def _plan_with(
     cell: Cell,
     toolpath: Toolpath,
     tasks: Sequence[NozzleTask],
+    obstacles: Obstacles,
     dt: float,
     stages: Stages,
     second_process: bool = False,
 ) -> tuple[Trajectory, Report, Sequence[JointPath], Sequence[Travel]]:
     """Resolve, time, join and verify with one strategy; the bound on the deposition time joins the metrics."""
+    obstacles = NOTHING if strategy in UNAWARE else obstacles
     beside = second_process and _waypoints(toolpath) >= WORTH_A_FORK
     with stages.stage("resolve"):
-        paths = STRATEGIES[strategy](cell, tasks, problem.resolve)
+        paths = STRATEGIES[strategy](cell, tasks, problem.resolve, obstacles)
     with stages.stage("timing"):
-        trajectory, travels = _trajectory(problem, cell, toolpath, paths, dt, beside)
+        trajectory, travels = _trajectory(problem, cell, toolpath, paths, obstacles, dt, beside)
     with stages.stage("verify"):
         report = verify(problem, cell, toolpath, trajectory, beside)
     with stages.stage("dips"):
@@ -154,7 +160,13 @@ def _plan_with(
 
 
 def _trajectory(
-    problem: Problem, cell: Cell, toolpath: Toolpath, paths: Sequence[JointPath], dt: float, second_process: bool
+    problem: Problem,
+    cell: Cell,
+    toolpath: Toolpath,
+    paths: Sequence[JointPath],
+    obstacles: Obstacles,
+    dt: float,
+    second_process: bool,
 ) -> tuple[Trajectory, Sequence[Travel]]:
     """Time the beads' paths and plan the travel between them, half of both in a second process if that is wanted.
 
@@ -167,7 +179,7 @@ def _trajectory(
 
     def ways(first: int, last: int) -> list[Travel]:
         which = range(first, last + (last == n))  # the way home comes after the last bead
-        return plan_travels(cell, timed, toolpath, problem.process, which)
+        return plan_travels(cell, timed, toolpath, problem.process, which, obstacles)
 
     done = np.cumsum([len(path.q) for path in paths])
     middle = 1 + int(np.searchsorted(done, 0.5 * done[-1]))
@@ -238,7 +250,7 @@ def _baseline(
 ) -> dict[str, dict[str, float]]:
     """Metrics of the published way of moving; empty ones if it cannot be planned here."""
     try:
-        _, report, *_ = _plan_with(BASELINE, problem, cell, toolpath, tasks, dt, Stages())
+        _, report, *_ = _plan_with(BASELINE, problem, cell, toolpath, tasks, NOTHING, dt, Stages())
     except Refusal:
         return {BASELINE: {}}
     return {BASELINE: report.metrics}

@@ -82,6 +82,12 @@ class NozzleTask(ReadOnlyArrays):
     def __len__(self) -> int:
         return len(self.s)
 
+    @property
+    def moments(self) -> Array:
+        """When (n) the nozzle is at its samples, in beads: the number of this one and the share of it that is laid."""
+        laid = (self.s - self.s[self.first]) / (self.s[self.last] - self.s[self.first])
+        return np.asarray(self.bead + np.clip(laid, 0.0, 1.0))
+
 
 def make_tasks(
     toolpath: Toolpath,

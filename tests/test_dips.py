@@ -13,6 +13,7 @@ from solved import small_plan, small_problem
 
 from planner.cell import Cell, Limits
 from planner.dips import AT_SPEED, MERGE, find_dips
+from planner.obstacles import obstacles_of
 from planner.plan import TRAVEL, Dip, Remedy, Trajectory
 from planner.problem import load_problem
 from planner.resolve import STRATEGIES
@@ -255,7 +256,9 @@ def test_places_where_samples_coincide_are_passed_over(cell: Cell) -> None:
 def small_paths() -> tuple[JointPath, ...]:
     problem, plan = small_problem(), small_plan()
     tasks = make_tasks(plan.toolpath, problem.process.speed, problem.process.run_in)
-    return tuple(STRATEGIES[plan.strategy](plan.cell, tasks, problem.resolve))
+    return tuple(
+        STRATEGIES[plan.strategy](plan.cell, tasks, problem.resolve, obstacles_of(problem, plan.cell, plan.toolpath))
+    )
 
 
 def test_dips_of_a_plan_hold_every_slow_sample_once() -> None:

@@ -20,6 +20,7 @@ from planner.cell import Cell, build_cell
 from planner.errors import InputError, Refusal
 from planner.kinematics.chain import Chain
 from planner.kinematics.symbolic import symbolic_jacobian, symbolic_pose, symbolic_roll, symbolic_tilt
+from planner.obstacles import NOTHING
 from planner.problem import load_problem
 from planner.resolve import STRATEGIES
 from planner.resolve.interior_point import QuadraticProgram, solve_qp
@@ -215,7 +216,7 @@ def test_sqp_is_as_good_as_the_reference(cell: Cell, path: JointPath, cones: Con
 
 def test_strategy_returns_paths_that_hold_the_task(cell: Cell) -> None:
     task = bead()
-    (found,) = STRATEGIES["nlp"](cell, [task], SETTINGS)
+    (found,) = STRATEGIES["nlp"](cell, [task], SETTINGS, NOTHING)
     T = cell.T_part_nozzle(found.q)
     np.testing.assert_allclose(T[:, :3, 3], task.tip, rtol=0, atol=1e-10)
     np.testing.assert_allclose(T[:, :3, 2], task.frames[:, :, 2], rtol=0, atol=1e-10)
@@ -224,7 +225,7 @@ def test_strategy_returns_paths_that_hold_the_task(cell: Cell) -> None:
 def test_large_problems_are_refused(cell: Cell) -> None:
     task = bead(n=MOST_SAMPLES // 2 + 1)
     with pytest.raises(Refusal, match="strategy sqp solves the same problem"):
-        STRATEGIES["nlp"](cell, [task, task], SETTINGS)
+        STRATEGIES["nlp"](cell, [task, task], SETTINGS, NOTHING)
 
 
 def test_other_strategies_do_not_load_the_references() -> None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from planner.cell import Cell, Limits, build_cell
 from planner.errors import Refusal
+from planner.obstacles import NOTHING
 from planner.problem import Problem, load_problem
 from planner.resolve import STRATEGIES
 from planner.resolve.demand import Demand, demand_of
@@ -355,7 +356,7 @@ def tiny_ladder(rng: np.random.Generator, periodic: bool) -> tuple[Nodes, Demand
     time[task_rungs[:-1]] = 0.0
     empty = np.zeros(0)
     index = np.arange(R)
-    demand = Demand(empty, empty, empty, empty, empty, index, empty, index, index + 1, time, task_rungs)
+    demand = Demand(empty, empty, empty, empty, empty, empty, index, empty, index, index + 1, time, task_rungs)
     v, a = rng.uniform(0.5, 1.2, 7), rng.uniform(2.0, 6.0, 7)
     v[6] = 4.0 if periodic else 0.5
     limits = Limits(np.full(7, -9.0), np.full(7, 9.0), v, a, 50 * a)
@@ -401,7 +402,9 @@ def test_search_prefers_a_short_travel() -> None:
     zero = np.zeros(2, dtype=np.int64)
     grid = Grid(0.3, TURN, zero, zero, 3, 1, True, np.zeros((2, 1), dtype=np.int64))
     empty = np.zeros(0)
-    demand = Demand(empty, empty, empty, empty, empty, zero, empty, zero, zero + 1, np.zeros(2), np.array([0, 1, 2]))
+    demand = Demand(
+        empty, empty, empty, empty, empty, empty, zero, empty, zero, zero + 1, np.zeros(2), np.array([0, 1, 2])
+    )
     limits = Limits(*(np.full(7, x) for x in (-9.0, 9.0, 1.0, 5.0, 250.0)))
     route, _ = best_route(Nodes(grid, q, price), demand, limits)
     assert route is not None
@@ -509,7 +512,7 @@ def test_every_task_gets_its_path_in_order(strategy: str, tasks: tuple[NozzleTas
 def test_ladder_is_deterministic(
     cell: Cell, tasks: tuple[NozzleTask, ...], drawing_problem: Problem, joint_paths: Paths
 ) -> None:
-    again = STRATEGIES["ladder"](cell, tasks, drawing_problem.resolve)
+    again = STRATEGIES["ladder"](cell, tasks, drawing_problem.resolve, NOTHING)
     for a, b in zip(again, joint_paths["ladder"], strict=True):
         np.testing.assert_array_equal(a.q, b.q)
 
@@ -678,7 +681,7 @@ def refusal_of(strategy: str, *overrides: str, toolpath: Toolpath) -> Refusal:
     problem = load_problem("cylinder_logo", ["resolve.rung_mm=10", *overrides])
     tasks = make_tasks(toolpath, 0.04, 3e-3)
     with pytest.raises(Refusal) as caught:
-        STRATEGIES[strategy](build_cell(problem), tasks[:3], problem.resolve)
+        STRATEGIES[strategy](build_cell(problem), tasks[:3], problem.resolve, NOTHING)
     return caught.value
 
 
@@ -729,7 +732,7 @@ def test_a_table_too_slow_for_the_path_is_refused(toolpath: Toolpath) -> None:
     slow = load_problem("cylinder_logo", ["resolve.rung_mm=10", "cell.limits={rotation: {speed_deg_s: 0.01}}"])
     cell = build_cell(slow)
     tasks = make_tasks(toolpath, 0.04, 3e-3)[:3]
-    for path in STRATEGIES["ladder"](cell, tasks, slow.resolve):
+    for path in STRATEGIES["ladder"](cell, tasks, slow.resolve, NOTHING):
         assert np.ptp(path.q[:, 6]) < 1e-9
 
 
@@ -742,4 +745,4 @@ def test_ladder_finds_a_way_where_its_own_coarse_grid_has_one() -> None:
     tasks = make_tasks(build_toolpath(problem), problem.process.speed, problem.process.run_in)[:1]
     demand, nodes = coarse_nodes(cell, tasks, problem.resolve)
     assert best_route(nodes, demand, cell.limits)[0] is not None
-    assert len(STRATEGIES["ladder"](cell, tasks, problem.resolve)) == 1
+    assert len(STRATEGIES["ladder"](cell, tasks, problem.resolve, NOTHING)) == 1

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.errors import Refusal
+from planner.obstacles import NOTHING
 from planner.placement.freedom import ANGLES, Place, moved_cell
 from planner.placement.ranges import reach
 from planner.placement.rating import Course, Rating, course_of, rate, score, score_of_paths
@@ -153,7 +154,7 @@ def study(
 def _resolved(cell: Cell, tasks: Sequence[NozzleTask], strategy: str, problem: Problem) -> float:
     """The score of the paths that a strategy finds; 0 where it finds none."""
     try:
-        return score_of_paths(cell, STRATEGIES[strategy](cell, tasks, problem.resolve))
+        return score_of_paths(cell, STRATEGIES[strategy](cell, tasks, problem.resolve, NOTHING))
     except Refusal:
         return 0.0
 

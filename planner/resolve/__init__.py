@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from planner.cell import Cell
+from planner.obstacles import Obstacles
 from planner.problem.settings import ResolveSpec
 from planner.resolve.baselines import as_published, fixed, greedy
 from planner.resolve.jointpath import JointPath
@@ -12,7 +13,8 @@ from planner.resolve.ladder import ladder
 from planner.resolve.sqp import sqp
 from planner.task import NozzleTask
 
-Strategy = Callable[[Cell, Sequence[NozzleTask], ResolveSpec], tuple[JointPath, ...]]
+Unaware = Callable[[Cell, Sequence[NozzleTask], ResolveSpec], tuple[JointPath, ...]]
+Strategy = Callable[[Cell, Sequence[NozzleTask], ResolveSpec, Obstacles], tuple[JointPath, ...]]
 
 
 def _nlp(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[JointPath, ...]:
@@ -22,11 +24,18 @@ def _nlp(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tupl
     return nlp(cell, tasks, settings)
 
 
+def _without(strategy: Unaware) -> Strategy:
+    """A strategy that knows of no obstacles, with the signature of all."""
+    return lambda cell, tasks, settings, obstacles: strategy(cell, tasks, settings)
+
+
+# What strategies to compare with run into, verification tells.
+UNAWARE = ("as_published", "fixed", "greedy", "nlp")
 STRATEGIES: dict[str, Strategy] = {
-    "as_published": as_published,
-    "fixed": fixed,
-    "greedy": greedy,
+    "as_published": _without(as_published),
+    "fixed": _without(fixed),
+    "greedy": _without(greedy),
     "ladder": ladder,
     "sqp": sqp,
-    "nlp": _nlp,
+    "nlp": _without(_nlp),
 }

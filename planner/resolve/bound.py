@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.cell import Cell
+from planner.obstacles import NOTHING, Obstacles
 from planner.resolve.found import Found
 from planner.resolve.nodes import evaluate, full_grid
 from planner.resolve.search import best_route
@@ -12,7 +13,9 @@ from planner.resolve.search import best_route
 PIECE = 24  # rungs that are searched at once: what the whole fine grid of so many takes still fits in memory
 
 
-def lower_bound(cell: Cell, found: Found, min_sigma: float, piece: int = PIECE) -> float:
+def lower_bound(
+    cell: Cell, found: Found, min_sigma: float, piece: int = PIECE, obstacles: Obstacles = NOTHING
+) -> float:
     """A lower bound [s] of the price of any route on the whole grid that has the found route's steps.
 
     Every task is cut into pieces of at most `piece` rungs. Each is searched exactly over all rolls, all angles of
@@ -29,7 +32,7 @@ def lower_bound(cell: Cell, found: Found, min_sigma: float, piece: int = PIECE) 
             few = demand.only(part, [0, len(part)])
             held = None if grid.held is None else grid.held[part]
             whole = full_grid(few, grid.roll_step, grid.holder_step, swept is not None, swept, held)
-            route, _ = best_route(evaluate(cell, few, whole, min_sigma), few, cell.limits)
+            route, _ = best_route(evaluate(cell, few, whole, min_sigma, obstacles), few, cell.limits)
             if route is None:  # rounding alone: the found route lies on this grid
                 return 0.0
             total += route.price

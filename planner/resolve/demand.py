@@ -24,6 +24,7 @@ class Demand:
     tip (n, 3), frames (n, 3, 3)   as in the tasks
     twist, rate (n, 6)             velocity of the nozzle in the part frame with roll and holder at rest, at the
                                    commanded speed, linear rows first [m/s, rad/s], and its time derivative
+    now (n)                        when a sample is reached, in beads: see `NozzleTask.moments`
     weight (n)                     time that a sample stands for at that speed [s]; 0 where nothing is deposited
     rung (r)                       sample of each rung
     place (r)                      where along its task a rung stands, from 0 to 1, in shares of the task's samples
@@ -37,6 +38,7 @@ class Demand:
     frames: Array
     twist: Array
     rate: Array
+    now: Array
     weight: Array
     rung: NDArray[np.int64]
     place: Array
@@ -96,6 +98,7 @@ def demand_of(tasks: Sequence[NozzleTask], spacing: float) -> Demand:
         frames=np.ascontiguousarray(np.concatenate([task.frames for task in tasks])),
         twist=np.concatenate(twists),
         rate=np.concatenate(rates),
+        now=np.concatenate([task.moments for task in tasks]),
         weight=np.concatenate(weights),
         rung=np.concatenate(rungs),
         place=np.concatenate(places),

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from planner.cell import Cell, translation
 from planner.errors import Refusal
+from planner.obstacles import NOTHING, Obstacles
 from planner.resolve.demand import Demand
 from planner.resolve.found import Found, angles_along
 from planner.resolve.jointpath import postures, spread
@@ -41,7 +42,8 @@ _HERE, _ALONG = 1, 2  # what a change gives: a posture at the place, or a path t
 
 @dataclass(frozen=True)
 class Stuck:
-    """Where a search ended: its tasks, demand and grid, the rung, and the least singular value that it asked for."""
+    """Where a search ended: its tasks, demand and grid, the rung, the least singular value that it asked for, and what
+    was in its way."""
 
     cell: Cell
     tasks: tuple[NozzleTask, ...]
@@ -49,6 +51,7 @@ class Stuck:
     grid: Grid
     rung: int
     min_sigma: float
+    obstacles: Obstacles = NOTHING
 
     def serves(self, cell: Cell) -> int:
         """What a changed cell gives with the same search: 0 nothing, _HERE or _ALONG."""
@@ -58,7 +61,9 @@ class Stuck:
         some = np.unique(np.linspace(0, r - 1, min(r, _FEW)).round().astype(np.int64))
         if not np.isfinite(self._prices(cell, self.demand, some)).any(axis=(1, 2, 3)).all():
             return _HERE
-        nodes = evaluate(cell, self.demand, self._grid(self.demand, slice(None)), self.min_sigma)
+        nodes = evaluate(
+            cell, self.demand, self._grid(self.demand, slice(None)), self.min_sigma, self.obstacles.of(cell)
+        )
         route, _ = best_route(nodes, self.demand, cell.limits)
         return _HERE if route is None or not self._holds_between(cell, nodes, route) else _ALONG
 
@@ -90,7 +95,7 @@ class Stuck:
 
     def _prices(self, cell: Cell, demand: Demand, rungs: NDArray[np.int64]) -> Array:
         few = demand.only(rungs, [0, len(rungs)])
-        return evaluate(cell, few, self._grid(few, rungs), self.min_sigma).price
+        return evaluate(cell, few, self._grid(few, rungs), self.min_sigma, self.obstacles.of(cell)).price
 
     def _grid(self, demand: Demand, rungs: NDArray[np.int64] | slice) -> Grid:
         grid = self.grid
@@ -99,7 +104,15 @@ class Stuck:
         return full_grid(demand, grid.roll_step, grid.holder_step, has_holder, grid.swept, held)
 
 
-def stuck_at(cell: Cell, tasks: Sequence[NozzleTask], demand: Demand, grid: Grid, rung: int, min_sigma: float) -> Stuck:
+def stuck_at(
+    cell: Cell,
+    tasks: Sequence[NozzleTask],
+    demand: Demand,
+    grid: Grid,
+    rung: int,
+    min_sigma: float,
+    obstacles: Obstacles = NOTHING,
+) -> Stuck:
     """Where a search over these tasks ended, less the tasks that repeat another one in a higher layer."""
     at = int(np.searchsorted(demand.task_rungs, rung, side="right") - 1)
     named: dict[str, int] = {tasks[at].name: at}
@@ -111,7 +124,7 @@ def stuck_at(cell: Cell, tasks: Sequence[NozzleTask], demand: Demand, grid: Grid
     fewer = demand.only(rungs, [0, *np.cumsum(counts).tolist()])
     here = int(np.searchsorted(rungs, rung))
     held = None if grid.held is None else grid.held[rungs]
-    return Stuck(cell, tuple(tasks[k] for k in kept), fewer, replace(grid, held=held), here, min_sigma)
+    return Stuck(cell, tuple(tasks[k] for k in kept), fewer, replace(grid, held=held), here, min_sigma, obstacles)
 
 
 def speed_hints(cell: Cell, nodes: Nodes, demand: Demand, speed: float) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.errors import Refusal
+from planner.obstacles import NOTHING, Obstacles
 from planner.problem.settings import ResolveSpec
 from planner.resolve.demand import Demand, demand_of
 from planner.resolve.found import Found, angles_along
@@ -19,7 +20,7 @@ from planner.resolve.nodes import Grid, Nodes, evaluate, full_grid
 from planner.resolve.search import best_route
 from planner.resolve.spacing import NARROW
 from planner.resolve.table_first import ARM_SHARES, slowed, upright_table
-from planner.resolve.unreachable import refuse_rung
+from planner.resolve.unreachable import refuse_collision, refuse_rung
 from planner.task import NozzleTask
 
 Array = NDArray[np.float64]
@@ -35,17 +36,21 @@ _DRAWN = 400  # of those postures
 _LATTICE = 9  # angles at which a chosen joint is held there, at most
 
 
-def ladder(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[JointPath, ...]:
-    """The best joint paths on the grid, over all beads together, travel included.
+def ladder(
+    cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles = NOTHING
+) -> tuple[JointPath, ...]:
+    """The best joint paths on the grid, over all beads together, travel included, and clear of obstacles.
 
     A first search over the whole coarse grid guides a second one, three times as fine, in a corridor around
     it. Beads that repeat from layer to layer share the guide of the first of them.
     Raises Refusal where a bead cannot be followed.
     """
     refusal: Refusal | None = None
-    for found in _routes(cell, tasks, settings):
+    for found in _routes(cell, tasks, settings, obstacles):
         try:
-            return paths_of(cell, tasks, found)
+            paths = paths_of(cell, tasks, found)
+            refuse_collision(cell, paths, obstacles)
+            return paths
         except Refusal as between_rungs:  # what the rungs allow, the path between them may not: try the next corridor
             refusal = refusal or between_rungs
     if refusal is None:
@@ -53,21 +58,23 @@ def ladder(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tu
     raise refusal
 
 
-def ladder_route(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> Found:
+def ladder_route(
+    cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles = NOTHING
+) -> Found:
     """The route that `ladder` tries first to make its paths of. Raises Refusal where there is none."""
-    return next(_routes(cell, tasks, settings))
+    return next(_routes(cell, tasks, settings, obstacles))
 
 
-def _routes(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> Iterator[Found]:
+def _routes(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles) -> Iterator[Found]:
     """Dense routes, one for each corridor that has any; Refusal where none has."""
     guides = first_of_each_name(tasks)
-    guide = guide_route(cell, guides, settings)
+    guide = guide_route(cell, guides, settings, obstacles)
     guide_of = {task.name: i for i, task in enumerate(guides)}
     all_demand = demand_of(tasks, settings.rung)
     any_route = False
     for refine, corridor in CORRIDORS:
         grid = _corridor(cell, tasks, all_demand, guides, guide, guide_of, refine, corridor)
-        dense = evaluate(cell, all_demand, grid, settings.min_sigma)
+        dense = evaluate(cell, all_demand, grid, settings.min_sigma, obstacles)
         demands: Iterable[Demand] = [all_demand]
         if grid.held is not None and grid.swept is None:
             demands = map(partial(slowed, cell, all_demand, grid.held), ARM_SHARES)
@@ -78,10 +85,12 @@ def _routes(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> I
                 yield Found(demand, dense, best)
                 break
     if not any_route:
-        refuse_rung(cell, tasks, all_demand, dense, stuck, settings.min_sigma)
+        refuse_rung(cell, tasks, all_demand, dense, stuck, settings.min_sigma, obstacles)
 
 
-def guide_route(cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec) -> Found:
+def guide_route(
+    cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles = NOTHING
+) -> Found:
     """The best route on the coarse grid. Raises Refusal where there is none.
 
     With several chosen joints a full grid would not fit. One of them at a time is searched together with roll and
@@ -91,42 +100,45 @@ def guide_route(cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec)
     """
     k = len(cell.chosen)
     if k < 2:
-        demand, nodes = coarse_nodes(cell, guides, settings, _MOST_NODES)
+        demand, nodes = coarse_nodes(cell, guides, settings, _MOST_NODES, obstacles)
         route, stuck = best_route(nodes, demand, cell.limits)
         if route is None:
-            refuse_rung(cell, guides, demand, nodes, stuck, settings.min_sigma)
+            refuse_rung(cell, guides, demand, nodes, stuck, settings.min_sigma, obstacles)
         return Found(demand, nodes, route)
     demand = demand_of(guides, settings.rung)
     if len(cell.holder) > 1 and demand.cones.layer_gravity < NARROW:
-        return _after_table(cell, guides, demand, settings)
-    found = _first_look(cell, guides, settings)
+        return _after_table(cell, guides, demand, settings, obstacles)
+    found = _first_look(cell, guides, settings, obstacles)
     first = found.nodes.grid.swept
     for swept in [*(j for j in range(k) if j != first), first]:
         held = _between_rungs(found, demand, k)
         grid = full_grid(demand, settings.roll_step, settings.table_step, True, swept, held)
-        nodes = evaluate(cell, demand, grid, settings.min_sigma)
+        nodes = evaluate(cell, demand, grid, settings.min_sigma, obstacles)
         route, stuck = best_route(nodes, demand, cell.limits)
         if route is not None:
             found = Found(demand, nodes, route)
     # a joint that finds no way alone leaves the path as it was; one of them must find one
     if found.demand is not demand:
-        refuse_rung(cell, guides, demand, nodes, stuck, settings.min_sigma)
+        refuse_rung(cell, guides, demand, nodes, stuck, settings.min_sigma, obstacles)
     return found
 
 
-def _after_table(cell: Cell, guides: Sequence[NozzleTask], demand: Demand, settings: ResolveSpec) -> Found:
+def _after_table(
+    cell: Cell, guides: Sequence[NozzleTask], demand: Demand, settings: ResolveSpec, obstacles: Obstacles
+) -> Found:
     """The best route of roll and branch while the table follows a path that holds the layer upright."""
     held = upright_table(cell, guides, demand)
-    nodes = evaluate(cell, demand, full_grid(demand, settings.roll_step, 1.0, False, None, held), settings.min_sigma)
+    grid = full_grid(demand, settings.roll_step, 1.0, False, None, held)
+    nodes = evaluate(cell, demand, grid, settings.min_sigma, obstacles)
     for share in ARM_SHARES:
         slow = slowed(cell, demand, held, share)
         route, stuck = best_route(nodes, slow, cell.limits)
         if route is not None:
             return Found(slow, nodes, route)
-    refuse_rung(cell, guides, slow, nodes, stuck, settings.min_sigma)
+    refuse_rung(cell, guides, slow, nodes, stuck, settings.min_sigma, obstacles)
 
 
-def _first_look(cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec) -> Found:
+def _first_look(cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles) -> Found:
     """The best route on sparse rungs with all chosen joints but one at rest, at any angles of a lattice."""
     k, nh = len(cell.chosen), len(cell.holder)
     demand = demand_of(guides, _SPARSE * settings.rung)
@@ -139,7 +151,7 @@ def _first_look(cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec)
         held = np.tile(home, (len(demand.rung), 1))
         held[:, others] = rest
         grid = full_grid(demand, _ROUGH * settings.roll_step, _ROUGH * settings.table_step, True, swept, held)
-        return evaluate(cell, demand, grid, settings.min_sigma)
+        return evaluate(cell, demand, grid, settings.min_sigma, obstacles)
 
     lattice = [_rest_angles(cell, j, _ROUGH * settings.table_step, len(others)) for j in others]
     for rest in itertools.product(*lattice):
@@ -156,7 +168,7 @@ def _first_look(cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec)
                 if route is not None:
                     return Found(demand, elsewhere, route)
     if best is None:
-        refuse_rung(cell, guides, demand, nodes, stuck, settings.min_sigma)
+        refuse_rung(cell, guides, demand, nodes, stuck, settings.min_sigma, obstacles)
     return best
 
 
@@ -201,7 +213,11 @@ def first_of_each_name(tasks: Sequence[NozzleTask]) -> list[NozzleTask]:
 
 
 def coarse_nodes(
-    cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, most: float = np.inf
+    cell: Cell,
+    tasks: Sequence[NozzleTask],
+    settings: ResolveSpec,
+    most: float = np.inf,
+    obstacles: Obstacles = NOTHING,
 ) -> tuple[Demand, Nodes]:
     """The whole grid of the settings' steps at the settings' rungs, or of twice those steps if it has too many nodes.
 
@@ -215,7 +231,7 @@ def coarse_nodes(
         grid = full_grid(demand, *steps, len(cell.chosen) > 0, swept, held)
         if len(demand.rung) * grid.rolls * grid.holders * grid.branch.shape[1] <= most:
             break
-    return demand, evaluate(cell, demand, grid, settings.min_sigma)
+    return demand, evaluate(cell, demand, grid, settings.min_sigma, obstacles)
 
 
 def _corridor(

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from planner.kinematics.chain import chain_state, jacobian_at, mul4, rotate_about, turn
 from planner.kinematics.inverse import SPHERICAL_WRIST, solve_one
+from planner.obstacles.kernel import first_lacking, head_lacking, room_for
 
 Array = NDArray[np.float64]
 
@@ -16,6 +17,7 @@ SIGMA_PRICE = 0.3  # seconds a second of printing, at half of SIGMA_COMFORT
 LIMIT_COMFORT = 0.35  # rad from a joint's limit, below which closeness is priced
 LIMIT_PRICE = 0.4  # seconds a second of printing, at the limit
 LIMIT_ROOM = 0.07  # rad from a joint's limit that a node must keep: what moves between rungs needs it
+CLEAR_ROOM = 3e-3  # m of clearance that a node must keep besides what is needed: what moves between rungs needs it
 LEAN_PRICE = 10.0  # seconds a second of printing, for each 1 of cosine beyond the cones to gravity
 DIP_PRICE = 0.25  # seconds a second of printing below the commanded speed: one deep dip beats two shallow ones
 AT_SPEED = 0.96  # squared share of the commanded speed above which there is no dip
@@ -143,8 +145,9 @@ def _time_lost(Ji, solved, twist, rate, weight, start: int, stop: int, v_max, a_
 @njit(cache=True, parallel=True, error_model="numpy")
 def evaluate_nodes(
     kind, p, solved, redundant, T_base_world, T_nozzle_flange, arm_placements, arm_axes, arm_tip,
-    T_before, axis, T_after, sweeps, swept_low, swept_high, held_redundant, least_upright,
+    T_before, axis, T_after, sweeps, swept_joint, held_holder, swept_low, swept_high, held_redundant, least_upright,
     q_min, q_max, v_max, a_max,
+    table, now,
     tip, frames, twist, rate, weight,
     rung, start, stop,
     roll_step, holder_step, roll_from, holder_from, branch,
@@ -154,11 +157,15 @@ def evaluate_nodes(
 
     solved (6) arm joints that follow from a pose; redundant: the arm's joint that does not, or -1
     T_before, T_after (r, 4, 4), axis (3)   world to part: T_before Rot(axis, swept angle) T_after
+    table, now (n)   obstacles, and when a sample is reached
     sweeps   what the grid's second index turns: 0 nothing, 1 a holder joint, 2 the redundant joint
+    swept_joint   that joint among all, or -1
+    held_holder (r, nh)   angles of the holder's joints that are not swept
     held_redundant (r)                      its angle where it is not swept
     """
     n_rolls, n_holders, n_branches, na = price.shape[1], price.shape[2], price.shape[3], q_out.shape[4]
     middle = 0.5 * (q_min + q_max)
+    crowded = len(table.pair) + len(table.look) > 0
     for r in prange(rung.size):
         R = np.empty((3, 3))
         eight = np.empty((8, na))
@@ -172,6 +179,10 @@ def evaluate_nodes(
         origins, directions = np.empty((na, 3)), np.empty((na, 3))
         z_axis = np.array((0.0, 0.0, 1.0))
         x, gain = np.empty(stop[r] - start[r]), np.empty(stop[r] - start[r])
+        posture, bodies = np.empty((1, na + held_holder.shape[1])), room_for(table)
+        head = np.full(n_rolls, -1)  # whether the head lacks clearance from the part: only roll decides that
+        for h in range(held_holder.shape[1]):
+            posture[0, na + h] = held_holder[r, h]
         i0 = rung[r]
         T_part_task = np.eye(4)
         T_part_task[:3, :3] = frames[i0]
@@ -186,6 +197,8 @@ def evaluate_nodes(
                 swept -= 2.0 * np.pi * np.round((swept - swept_middle) / (2.0 * np.pi))
                 if min(swept - swept_low, swept_high - swept) < LIMIT_ROOM:
                     continue
+            if sweeps == 1:
+                posture[0, swept_joint] = swept
             rotate_about(axis, swept if sweeps == 1 else 0.0, R)
             turn(T_before[r], R, T_held)
             mul4(T_held, T_after[r], T_world_part)
@@ -241,6 +254,13 @@ def evaluate_nodes(
                     sigma, lost = sigmas[pair], times[pair]
                     if sigma < min_sigma or sigma == 0.0:
                         continue
+                    if crowded:
+                        for j in range(na):
+                            posture[0, j] = eight[k, j]
+                        if head[a] < 0:
+                            head[a] = 1 if head_lacking(table, bodies, posture, 0, now[i0]) >= 0 else 0
+                        if head[a] or first_lacking(table, bodies, posture, 0, now[i0], CLEAR_ROOM, False) >= 0:
+                            continue
                     close = max(0.0, SIGMA_COMFORT / sigma - 1.0)
                     near = max(0.0, 1.0 - room / LIMIT_COMFORT)
                     lost += duration * (SIGMA_PRICE * close * close + LIMIT_PRICE * near * near) + leans

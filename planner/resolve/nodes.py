@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from planner.cell import Cell, rigid_inverse
 from planner.kinematics.chain import Chain
 from planner.kinematics.inverse import kind_of
+from planner.obstacles import NOTHING, Obstacles
 from planner.resolve.demand import Demand
 from planner.resolve.node_kernel import evaluate_nodes
 
@@ -78,8 +79,11 @@ def full_grid(
     return Grid(2 * np.pi / rolls, 2 * np.pi / holders, zero, zero, rolls, holders, True, branch, swept, held)
 
 
-def evaluate(cell: Cell, demand: Demand, grid: Grid, min_sigma: float) -> Nodes:
-    """Postures and prices of every node of a grid."""
+def evaluate(cell: Cell, demand: Demand, grid: Grid, min_sigma: float, obstacles: Obstacles = NOTHING) -> Nodes:
+    """Postures and prices of every node of a grid. Where the nozzle may tilt, that may give the head its clearance from
+    part and print, which is not asked for here then."""
+    if demand.cones.tilt > 0.0:
+        obstacles = obstacles.but_head_on_part
     limits, na, nh = cell.limits, len(cell.arm), len(cell.holder)
     r = len(demand.rung)
     held = grid.chosen(r, len(cell.chosen))
@@ -96,9 +100,11 @@ def evaluate(cell: Cell, demand: Demand, grid: Grid, min_sigma: float) -> Nodes:
         kind_of(cell.inverse), cell.inverse.parameters, np.array(cell.solved), -1 if redundant is None else redundant,
         rigid_inverse(cell.T_world_base), rigid_inverse(cell.T_flange_nozzle),
         cell.arm.placements, cell.arm.axes, cell.arm.T_last_tip,
-        T_before, axis, T_after, sweeps, low, high, np.zeros(r) if redundant is None else held[:, nh].copy(),
+        T_before, axis, T_after, sweeps, -1 if swept is None else joint, held[:, :nh].copy(),
+        low, high, np.zeros(r) if redundant is None else held[:, nh].copy(),
         np.cos(min(demand.cones.layer_gravity, demand.cones.nozzle_gravity)),
         limits.q_min[:na], limits.q_max[:na], limits.velocity[:na], limits.acceleration[:na],
+        obstacles.table, demand.now,
         demand.tip, demand.frames, demand.twist, demand.rate, demand.weight,
         demand.rung, demand.start, demand.stop,
         grid.roll_step, grid.holder_step, grid.roll_from, grid.holder_from, grid.branch,

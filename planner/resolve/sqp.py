@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
 from planner.cell import Cell
+from planner.obstacles import NOTHING, Obstacles
 from planner.problem.settings import ResolveSpec
 from planner.resolve.interior_point import solve_qp
 from planner.resolve.jointpath import MARGIN, JointPath, choose_turns
@@ -61,13 +62,15 @@ class Track:
     price: float
 
 
-def sqp(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[JointPath, ...]:
+def sqp(
+    cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles = NOTHING
+) -> tuple[JointPath, ...]:
     """The ladder's paths, their free variables refined until no step lowers the price (see `refine_kernel`).
 
     No path comes back that costs more than the ladder's. Layers follow each other: a bead starts from the
     refined one below it, where that is cheaper. Raises Refusal as `ladder` does.
     """
-    return refine_paths(cell, ladder(cell, tasks, settings), settings)
+    return refine_paths(cell, ladder(cell, tasks, settings, obstacles), settings)
 
 
 def refine_paths(cell: Cell, paths: Sequence[JointPath], settings: ResolveSpec) -> tuple[JointPath, ...]:

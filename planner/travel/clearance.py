@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 NOZZLE_POINTS = (0.0, 0.01, 0.03, 0.06, 0.1)  # m behind the tip, along the nozzle, that must keep clear
 SLOPE = 0.5  # height gained, for each distance from an end: as steeply as runs rise
 STEP = 1e-3  # m that a point of the nozzle moves at most between two instants at which it is looked at
+SWEPT = 1e-3  # m that anything moves at most between two postures at which bodies are looked at
 _ENOUGH = 20e-3  # m: what is farther than this from the part is clear, however high travels are to be lifted
 _SLACK = 0.25 * STEP  # m of height that may be lacking, since a way is looked at in steps; but never to the part itself
 _FIRST_LOOK = 5e-3  # s between instants, unless the nozzle moves too far in that time
@@ -49,6 +50,17 @@ def track(cell: Cell, motion: Cubics) -> Track:
         if most <= STEP or n >= _MOST_LOOKS:
             return Track(points, motion.duration / n)
         n = min(int(np.ceil(1.05 * n * most / STEP)), _MOST_LOOKS)
+
+
+def fine(motion: Cubics, swing: Array) -> Array:
+    """Postures (n, nj) along a motion, between which nothing moves by more than SWEPT; swing (nj): how far anything
+    moves for each radian of the joints [m]."""
+    n = max(int(np.ceil(motion.duration / _FIRST_LOOK)), 4)
+    q = motion.joints(np.linspace(0.0, motion.duration, n + 1))
+    most = float((np.abs(np.diff(q, axis=0)) @ swing).max())
+    if most <= SWEPT:
+        return q
+    return motion.joints(np.linspace(0.0, motion.duration, min(int(np.ceil(1.05 * n * most / SWEPT)), _MOST_LOOKS) + 1))
 
 
 def nozzle_points(cell: Cell, q: Array) -> Array:

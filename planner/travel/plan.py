@@ -14,13 +14,15 @@ from numpy.typing import NDArray
 from planner.cell import Cell
 from planner.cubics import Cubics, State, extremes
 from planner.errors import Refusal
+from planner.obstacles import NOTHING, Obstacles
 from planner.problem.process import ProcessSpec
 from planner.process import least_travel_time
 from planner.timing import TimedPath
 from planner.toolpath.bead import Toolpath
 from planner.travel import ways
 from planner.travel.arc import FITS, arc
-from planner.travel.clearance import Room, room, track
+from planner.travel.around import around
+from planner.travel.clearance import Room, fine, room, track
 from planner.travel.moves import between
 from planner.travel.upright import above, along_normal
 from planner.travel.ways import Built, Caps, Ends
@@ -30,6 +32,7 @@ Array = NDArray[np.float64]
 LOW_HUMPS = (0.6, 0.35)  # of the least lift, by which the nozzle is raised where little is enough: beads close by
 HIGH_HUMPS = (1.6, 2.5)  # where the lift alone is not enough
 LIFTS = (1.0, 2.0, 4.0, 8.0, 16.0)  # of the least lift, for ways that rest when they are lifted
+_SLIGHT = 1e-4  # m of clearance that a travel may lack, since it is looked at in steps
 _SLOWER_TRIES = 12  # each brings the tip's speed down to the limit or close to it
 _AIM, _FAST = 0.98, 0.995  # of the tip's greatest speed: what is aimed at, and what is slow enough between instants
 _SLOWEST = 1e-3  # rad/s that a joint may always move, so that a cap never stops it
@@ -41,12 +44,25 @@ _LIMIT_ROUNDING = 1e-9  # of a limit
 
 @dataclass(frozen=True)
 class Task:
-    """One travel: its ends, what it keeps clear of, how fast the tip may move over the part [m/s]."""
+    """One travel: its ends, what it keeps clear of, how fast the tip may move over the part [m/s].
+
+    obstacles, now   what bodies keep clear of, when the print has come so far [beads]; margin: how much of their
+                     clearance they must keep [m]: all of it, unless an end of the travel itself lacks some
+    """
 
     cell: Cell
     ends: Ends
     room: Room
     speed: float
+    obstacles: Obstacles = NOTHING
+    now: float = 0.0
+    margin: float = 0.0
+
+    def hit(self, motion: Cubics) -> int:
+        """Which pair of bodies comes too near along a motion, or -1."""
+        if not self.obstacles.any:
+            return -1
+        return self.obstacles.hit(fine(motion, self.obstacles.swing), self.now, self.margin)
 
 
 @dataclass(frozen=True)
@@ -61,12 +77,17 @@ Travel = Cubics | ViaHome
 
 
 def plan_travels(
-    cell: Cell, timed: Sequence[TimedPath], toolpath: Toolpath, process: ProcessSpec, which: range | None = None
+    cell: Cell,
+    timed: Sequence[TimedPath],
+    toolpath: Toolpath,
+    process: ProcessSpec,
+    which: range | None = None,
+    obstacles: Obstacles = NOTHING,
 ) -> list[Travel]:
     """The way from home to the first bead, between beads, and home: one more than there are beads; or `which` of them.
 
     With the runs beside it each leaves the extruder the time to retract and prime. Between beads of two materials it
-    goes by way of home. Raises Refusal if no way is clear of the part and of what is printed.
+    goes by way of home. Raises Refusal if no way is clear of the part, of what is printed, and of obstacles.
     """
     surfaces = [toolpath.surface.before(i) for i in range(len(timed) + 1)]
     heights = [
@@ -81,13 +102,13 @@ def plan_travels(
         space = room(cell, surfaces[i], printed[i], process.lift, start, end)
         ends = Ends(start, end, _least(process, toolpath, leave, reach), bounds)
         find = with_time if process.fibre is None else upright
-        motion = find(Task(cell, ends, space, process.travel_speed))
+        margins, _ = obstacles.margins(np.stack([start.q, end.q]), np.full(2, float(i)), 0.0)
+        margin = float(margins.min(initial=0.0)) - _SLIGHT
+        task = Task(cell, ends, space, process.travel_speed, obstacles, float(i), margin)
+        motion = find(task)
         if motion is None:
             beside = leave if reach is None else reach
-            raise Refusal(
-                "no way to or from this bead is clear of the part, and within the limits of joints and travel speed",
-                bead=None if beside is None else beside.path.task.bead,
-            )
+            raise Refusal(_reason(task, find), bead=None if beside is None else beside.path.task.bead)
         return motion
 
     for i in range(len(timed) + 1) if which is None else which:
@@ -101,6 +122,15 @@ def plan_travels(
             home = _home_beside(cell, start)
             travels.append(ViaHome(way(i, start, home, leave, None), way(i, home, end, None, reach)))
     return travels
+
+
+def _reason(task: Task, find: Callable[[Task], Cubics | None]) -> str:
+    """Why there is no way: what the one would run into that knows of no obstacles, if there is one."""
+    motion = find(replace(task, obstacles=NOTHING)) if task.obstacles.any else None
+    if motion is None:
+        return "no way to or from this bead is clear of the part, and within the limits of joints and travel speed"
+    one, other = task.obstacles.names(task.hit(motion))
+    return f"collision of {one} with {other} on the way to or from this bead, and no way round was found"
 
 
 def _least(process: ProcessSpec, toolpath: Toolpath, leave: TimedPath | None, reach: TimedPath | None) -> float:
@@ -152,7 +182,13 @@ def quickest(task: Task) -> Cubics | None:
 
     for way in _ways(task, free):
         push(way.bound, way, free)
-    while queue:
+    roundabout = task.obstacles.any
+    while queue or roundabout:
+        if not queue:
+            roundabout = False
+            for vias in around(cell, task.ends, task.room, task.obstacles, task.now, task.margin):
+                push(0.0, Way(partial(ways.resting_at, cell, task.ends, vias), 0.0), free)
+            continue
         bound, _, way, caps, built, tries = heapq.heappop(queue)
         if built is None:
             built = way.build(caps)
@@ -162,7 +198,7 @@ def quickest(task: Task) -> Cubics | None:
         clear = built is not None and within_limits(cell, built.motion)
         if built is not None and clear:
             looked = track(cell, built.motion)
-            clear = task.room.lacking(looked.points) <= 0.0
+            clear = task.room.lacking(looked.points) <= 0.0 and task.hit(built.motion) < 0
             if clear and looked.tip_speed <= _FAST * task.speed:
                 return built.motion
             if clear and tries < _SLOWER_TRIES:
@@ -220,7 +256,8 @@ def _is_clear(task: Task, motion: Cubics) -> bool:
     if not within_limits(task.cell, motion):
         return False
     looked = track(task.cell, motion)
-    return looked.tip_speed <= _FAST * task.speed and task.room.lacking(looked.points) <= 0.0
+    slow = looked.tip_speed <= _FAST * task.speed
+    return slow and task.room.lacking(looked.points) <= 0.0 and task.hit(motion) < 0
 
 
 def _ways(task: Task, free: Caps) -> Iterator[Way]:

@@ -188,10 +188,11 @@ def by_way_of(cell: Cell, ends: Ends, room: Room, raised: float, through: str, c
     na = len(cell.arm)
     both = np.stack([ends.start.q, ends.end.q])
     a, b = np.hstack([lifted(cell, both, room, raised), both[:, na:]])
-    return _through(cell, ends, caps, [a, *POSTURES[through](cell, a, b), b])
+    return resting_at(cell, ends, [a, *POSTURES[through](cell, a, b), b], caps)
 
 
-def _through(cell: Cell, ends: Ends, caps: Caps, vias: Sequence[Array]) -> Built | None:
+def resting_at(cell: Cell, ends: Ends, vias: Sequence[Array], caps: Caps) -> Built | None:
+    """By way of postures (nj) at which it rests."""
     bounds = ends.bounds.capped(caps.along)
     states = [ends.start, *(at_rest(via) for via in vias), ends.end]
     motion = waiting([between(bounds, a, b) for a, b in itertools.pairwise(states)], ends.least)
