@@ -142,18 +142,15 @@ class CellBodies:
         return thing.name if len(alike) == 1 else f"{thing.kind} {thing.name}"
 
 
-def pairs(bodies: CellBodies, nozzle: float, arm: float, ignore: Sequence[Sequence[str]] = ()) -> tuple[Pair, ...]:
+def pairs(bodies: CellBodies, nozzle: float, arm: float) -> tuple[Pair, ...]:
     """Pairs that can hit each other, with the distances that the head keeps, and links and fixtures [m].
 
     Neighbouring links touch. Bodies of one robot that are too near in whatever posture belong together. What does not
     move in the part frame, where the nozzle lays its first layer, is looked at with part and print.
     """
     found = []
-    joined = {frozenset(names) for names in ignore}
     for i, j, above in _candidates(bodies):
         a, b = bodies.things[i], bodies.things[j]
-        if frozenset((a.name, b.name)) in joined:
-            continue
         need = nozzle if HEAD in (a.kind, b.kind) else arm
         swing = bodies.swing(b, above) if _same(a, b) else bodies.swing(a) + bodies.swing(b)
         if swing.any():
@@ -161,8 +158,8 @@ def pairs(bodies: CellBodies, nozzle: float, arm: float, ignore: Sequence[Sequen
     return _without_joined(bodies, tuple(found))
 
 
-def all_of_home(bodies: CellBodies, found: Sequence[Pair], nozzle: float) -> tuple[Pair, ...]:
-    """The pairs, and with them the head and what does not move in the part frame, as for the start posture."""
+def all_at_home(bodies: CellBodies, found: Sequence[Pair], nozzle: float) -> tuple[Pair, ...]:
+    """The pairs, and with them the head and what does not move in the part frame: at home nothing is laid."""
     heads = [i for i, thing in enumerate(bodies.things) if thing.kind == HEAD]
     more = [
         Pair(i, j, nozzle, bodies.swing(bodies.things[i]))

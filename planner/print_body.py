@@ -40,13 +40,24 @@ _PART = "part"
 class PrintBody(ReadOnlyArrays):
     """Points of part and print, in the part frame.
 
-    tree   of all of them; its `number` counts substrate, bodies, then beads
-    first  (k + 1) number of the first point of each thing; names (k) of the things
+    tree    of all of them; its `number` counts bodies, substrate, then beads
+    first   (k + 1) number of the first point of each thing; names (k) of the things
+    bodies  how many of them are bodies of the cell
     """
 
     tree: PointTree
     first: Index
     names: tuple[str, ...]
+    bodies: int = 0
+
+    def without_bodies(self) -> PrintBody:
+        """Part and print alone."""
+        if not self.bodies:
+            return self
+        start, tree = int(self.first[self.bodies]), self.tree
+        kept = np.argsort(tree.number)[start:]
+        alone = point_tree(tree.points[kept], tree.radius[kept], tree.time[kept])
+        return PrintBody(alone, self.first[self.bodies :] - start, self.names[self.bodies :])
 
     def name_of(self, point: int) -> str:
         """What a point belongs to, given in the tree's order."""
@@ -58,16 +69,16 @@ def print_body(toolpath: Toolpath, bodies: Sequence[Body] = ()) -> PrintBody:
     """Part and print of a toolpath, with bodies that do not move in the part frame: see `standing`."""
     beads = toolpath.beads
     corners = _substrate(toolpath)
-    surfaces = [(_PART, corners)] if corners is not None else []
-    surfaces += [(body.name, _corners(body)) for body in bodies]
+    surfaces = [(body.name, _corners(body)) for body in bodies]
+    surfaces += [(_PART, corners)] if corners is not None else []
     tips = cKDTree(np.concatenate([bead.points[:: max(1, len(bead.s) // 1000)] for bead in beads]))
     pieces = [_split(triangles, _NEAR) for _, triangles in surfaces]
     near = [_is_near(each, tips) for each in pieces]
     sides = _sides(pieces, near)
     names, points, radius, time = [], [], [], []
-    for (name, _), piece, by in zip(surfaces, pieces, near, strict=True):
+    for k, ((name, _), piece, by) in enumerate(zip(surfaces, pieces, near, strict=True)):
         at, spread = _spread(piece, by, sides)
-        if name == _PART and toolpath.solid is None:
+        if k == len(bodies) and toolpath.solid is None:
             at = _onto(toolpath, at)
         names.append(name)
         points.append(at)
@@ -75,10 +86,10 @@ def print_body(toolpath: Toolpath, bodies: Sequence[Body] = ()) -> PrintBody:
         time.append(np.full(len(at), FROM_THE_START))
     if corners is None:
         first = [_rows(bead, 1.0)[0] for bead in beads if bead.layer == 0]
-        names.insert(0, _PART)
-        points.insert(0, np.concatenate(first))
-        radius.insert(0, np.zeros(len(points[0])))
-        time.insert(0, np.full(len(points[0]), FROM_THE_START))
+        names.append(_PART)
+        points.append(np.concatenate(first))
+        radius.append(np.zeros(len(points[-1])))
+        time.append(np.full(len(points[-1]), FROM_THE_START))
     for i, bead in enumerate(beads):
         at, share, thick = _rows(bead, 0.5)
         names.append(f"bead {i}")
@@ -87,7 +98,7 @@ def print_body(toolpath: Toolpath, bodies: Sequence[Body] = ()) -> PrintBody:
         time.append(np.minimum(i + share, np.nextafter(i + 1.0, 0.0)))  # its last ball is there before bead i + 1
     first_of = np.concatenate([[0], np.cumsum([len(each) for each in points])]).astype(np.int64)
     tree = point_tree(np.concatenate(points), np.concatenate(radius), np.concatenate(time))
-    return PrintBody(tree, first_of, tuple(names))
+    return PrintBody(tree, first_of, tuple(names), len(bodies))
 
 
 def standing(cell: Cell) -> tuple[Body, ...]:

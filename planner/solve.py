@@ -47,6 +47,7 @@ from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.travel import Travel, carried_travels, plan_travels
 from planner.verify import Report, verify
+from planner.verify_clear import check_start
 from planner.versions import versions
 
 Array = NDArray[np.float64]
@@ -75,6 +76,7 @@ def solve(
     strategy = strategy or problem.strategy
     with stages.stage("load"):
         cell = build_cell(problem)
+        check_start(problem, cell)
     with stages.stage("toolpath"):
         toolpath, tasks = _toolpath(problem)
     with stages.stage("obstacles"):

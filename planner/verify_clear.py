@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell import Cell
-from planner.collision_bodies import CellBodies, Pair, pairs
+from planner.collision_bodies import HEAD, CellBodies, Distances, Pair, all_at_home, pairs
 from planner.plan import Approach, CellView, Check, Trajectory
 from planner.print_body import PrintBody, print_body, standing
 from planner.problem import Problem
@@ -44,8 +44,9 @@ def keep_apart(
     bodies = CellBodies.of(cell)
     hits = pairs(bodies, spec.nozzle, spec.arm)
     near_print = print_pairs(bodies, spec.arm)
-    swept = sweep(bodies, (*hits, *near_print), t.q, body, print_times(toolpath, t))
-    found = _approaches(bodies, (*hits, *near_print), swept, body)
+    alone = body.without_bodies()  # whatever else stands there is known exactly
+    swept = sweep(bodies, (*hits, *near_print), t.q, alone, print_times(toolpath, t))
+    found = _approaches(bodies, (*hits, *near_print), swept, alone)
     robots, prints = found[: len(hits)], found[len(hits) :]
     checks.append(_check("arm clear of part and print", prints, spec.arm, t, _unknown(cell)))
     checks.append(_check("robots clear of each other and of fixtures", robots, spec.arm, t, _unknown(cell)))
@@ -83,6 +84,27 @@ def _view(bodies: CellBodies, q: Array) -> CellView:
         poses=poses,
         T_world_part=poses[:, part.carrier] @ part.T_carrier_solid,
     )
+
+
+def check_start(problem: Problem, cell: Cell) -> None:
+    """Raise InputError where the start posture lacks distance: no plan from there could hold."""
+    spec = problem.collision
+    bodies = CellBodies.of(cell)
+    found = all_at_home(bodies, pairs(bodies, spec.nozzle, spec.arm), spec.nozzle)
+    poses, distances = bodies.poses(cell.home[None])[0], Distances(bodies)
+    apart = [distances.of(pair, poses) for pair in found]
+    lacking = [distance - pair.need for distance, pair in zip(apart, found, strict=True)]
+    if not lacking or min(lacking) >= -DIGITS:
+        return
+    k = int(np.argmin(lacking))
+    a, b = (bodies.name(bodies.things[i]) for i in (found[k].a, found[k].b))
+    if apart[k] <= 0.0:
+        reason = f"{a} and {b} are {-apart[k] * 1e3:.1f} mm into each other in the start posture"
+    else:
+        reason = f"{a} and {b} are only {apart[k] * 1e3:.1f} mm apart in the start posture"
+    key = "nozzle_mm" if HEAD in (bodies.things[found[k].a].kind, bodies.things[found[k].b].kind) else "arm_mm"
+    hint = f"{found[k].need * 1e3:g} mm are asked for (collision.{key}): another posture, or check where things stand"
+    raise problem.error("cell.home_deg", reason, hint)
 
 
 def _spare(approach: Approach) -> float:

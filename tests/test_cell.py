@@ -130,7 +130,7 @@ def test_each_limit_can_be_overridden_by_itself(cell: Cell) -> None:
 
 
 def test_plate_centre_stands_at_the_origin_given() -> None:
-    cell = built("cell.positioner.origin_mm=[700, -20, 310]")
+    cell = built("cell.positioner.origin_mm=[700, -20, 310]", "cell.positioner.part_mm=[0, 0, 0]")
     for angle in (0.0, 1.0, -2.5):
         T = cell.holder.poses(np.array([[angle]]))[0]
         np.testing.assert_allclose(T[:3, 3], [0.7, -0.02, 0.31], atol=1e-12)
@@ -142,7 +142,8 @@ def test_plate_centre_stands_at_the_origin_given() -> None:
 @pytest.mark.parametrize("tilt", [30.0, -75.0])
 def test_held_tilt_swings_the_plate_about_its_axis(tilt: float) -> None:
     """FACTS: the tilt axis is horizontal (y), the plate 120 mm below it along the table's own axis."""
-    cell = built(f"cell.positioner.held_deg={{tilt: {tilt}}}", "cell.positioner.origin_mm=[700, -20, 310]")
+    place = ("cell.positioner.origin_mm=[700, -20, 310]", "cell.positioner.part_mm=[0, 0, 0]")
+    cell = built(f"cell.positioner.held_deg={{tilt: {tilt}}}", *place)
     assert cell.held == {"tilt": pytest.approx(np.radians(tilt))}
     R = pin.exp3(np.array([0.0, np.radians(tilt), 0.0]))
     tilt_axis = np.array([0.7, -0.02, 0.31 + 0.12])

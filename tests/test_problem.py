@@ -192,7 +192,8 @@ def test_shipped_problem_has_the_papers_values() -> None:
     assert problem.cell.nozzle.axis == (0, 0, 1)
     assert tuple(math.degrees(q) for q in problem.cell.home) == pytest.approx((30, 20, 30, 90, -80, 60))
     assert problem.cell.positioner is not None
-    assert problem.cell.positioner.origin == pytest.approx((0.6335, 0.00987, 0.38))
+    assert problem.cell.positioner.origin == pytest.approx((0.6335, 0.00987, 0.32))
+    assert problem.cell.positioner.part == pytest.approx((0.0, 0.0, 0.06))  # together the paper's 380 mm
     assert problem.cell.positioner.held == {"tilt": 0}
     assert problem.part.cylinder.radius == pytest.approx(0.034)
     assert problem.part.cylinder.centre == pytest.approx((0.0314, 0.037))

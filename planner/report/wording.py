@@ -49,6 +49,7 @@ METRICS = (
     Metric("nozzle_clearance_min_mm", "  of nozzle and print head from part and print", "mm", 1, better="up"),
     Metric("arm_clearance_min_mm", "  of the robots’ links from part and print", "mm", 1, better="up"),
     Metric("robot_clearance_min_mm", "  of robots and fixtures from each other", "mm", 1, better="up"),
+    Metric("tip_clearance_min_mm", "Nozzle tip above the bare part, least", "mm", 1, better="up"),
     Metric("branch_changes_in_deposition", "Changes of the arm's branch while depositing", "", 0, better="down"),
     Metric("deposited_length_mm", "Length deposited", "m", 2, 1e-3),
     Metric("flow_error_max", "Material in a millimetre of a bead: off by at most", "%", 2, 100, "down"),
