@@ -649,6 +649,27 @@ def test_places_are_suggested_before_any_contact() -> None:
     assert "rotation" in text and "nozzle along (" in text
 
 
+def test_places_that_are_not_clear_are_not_suggested() -> None:
+    """A post beside the dome is in the way of the head where the nozzle would come level from its side."""
+    before, best = plan_contacts(scene("hemisphere_honeycomb"), PART, 8)
+    bed = np.asarray(scene("hemisphere_honeycomb").problem.cell.bed) * 1e3
+    post = f"{{box_mm: [60, 400, 400], centre_mm: [{bed[0] + 65:g}, {bed[1]:g}, {bed[2] + 200:g}]}}"
+    after, other = plan_contacts(scene("hemisphere_honeycomb", f"cell.fixtures={{post: {post}}}"), PART, 8)
+    assert before.points[best][:, 0].max() > 20e-3
+    assert after.points[other][:, 0].max() < before.points[best][:, 0].max() - 5e-3
+
+
+def test_no_place_within_reach() -> None:
+    far = scene("hemisphere_honeycomb", "cell.bed_mm=[5600, 0, 290]")
+    with pytest.raises(InputError, match="can touch no place"):
+        plan_contacts(far, PART, 6)
+    file = FOLDER() / "far.csv"
+    points = far.points[:: len(far.points) // 12]
+    none = np.zeros((len(points), 0))
+    write_contacts(file, cartesian(far, tips_of(far, far.start, points, np.zeros(len(points)), none), none))
+    assert suggest_next(register(far, file, PART)) is None
+
+
 @pytest.mark.parametrize(
     "arguments",
     [

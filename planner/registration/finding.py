@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from planner.cell import Cell, build_cell
 from planner.errors import InputError
 from planner.problem import Problem
+from planner.registration.clear import Clearance
 from planner.registration.contacts import Contacts, Readings, contacts_of, other_units, plate_poses, read_readings
 from planner.registration.fitting import Fit, Touch, fit
 from planner.registration.placement import Placement
@@ -164,24 +165,45 @@ def register(scene: Scene, file: Path, ask: Ask) -> Registration:
 
 def suggest_next(found: Registration) -> tuple[Places, int, float] | None:
     """The place to touch next, as a row of places, and what share of the worst error in height it would leave; None
-    where the arm reaches no place along its normal."""
+    where the arm touches no place along its normal and is clear of everything else."""
     scene, fit = found.scene, found.fit
     places = reachable(scene.cell, fit.placement, scene.points, scene.normals)
-    if len(places) == 0:
-        return None
     contacts, unknowns = fit.touch.contacts, fit.touch.unknowns
     H = scene.waypoints.heights(unknowns, fit.placement, _plates(scene, found.ask, contacts))
     touched = fit.placement.seen(contacts.tips, contacts.T_world_plate)[fit.kept]
-    return places, *next_place(places, touched, unknowns, fit.placement, fit.columns, H)
+    clearance = Clearance.of(scene.problem, scene.cell, scene.surface)
+    while len(places):
+        k, left = next_place(places, touched, unknowns, fit.placement, fit.columns, H)
+        hit = _hit(clearance, fit.placement, places, k)
+        if not hit.any():
+            return places, k, left
+        places = places.only(~hit)
+    return None
+
+
+def _hit(clearance: Clearance, placement: Placement, places: Places, k: int) -> NDArray[np.bool_]:
+    """Which places fall away because something is hit at the k-th: all at its point if the part is, or only itself."""
+    poses = clearance.fits(places.points[k], places.normals[k])
+    if not poses:
+        return np.asarray((places.points == places.points[k]).all(axis=1))
+    return (np.arange(len(places)) == k) & (not clearance.at(placement, poses, places.q[k]))
 
 
 def plan_contacts(scene: Scene, ask: Ask, count: int) -> tuple[Places, list[int]]:
-    """Where to touch before anything was touched: places, and which of them (count)."""
+    """Where to touch before anything was touched: places, and which of them (count).
+
+    Raises InputError where the arm reaches none of them and is clear of everything else.
+    """
     places = reachable(scene.cell, scene.start, scene.points, scene.normals)
-    if len(places) == 0:
-        raise InputError("no place of the surface can be reached along its normal", file=scene.problem.file)
-    unknowns = unknowns_of(scene, ask, places.T_world_plate)
-    return places, most_telling(places, unknowns, scene.start, count)
+    clearance = Clearance.of(scene.problem, scene.cell, scene.surface)
+    while len(places):
+        unknowns = unknowns_of(scene, ask, places.T_world_plate)
+        chosen = most_telling(places, unknowns, scene.start, count)
+        hit = np.any([_hit(clearance, scene.start, places, k) for k in set(chosen)], axis=0)
+        if not hit.any():
+            return places, chosen
+        places = places.only(~hit)
+    raise InputError("the arm can touch no place of the surface along its normal", file=scene.problem.file)
 
 
 def _plates(scene: Scene, ask: Ask, contacts: Contacts) -> Array:

@@ -65,6 +65,9 @@ def _figure(found: Registration, tolerance: float) -> Figure:
     bars.set_title("contacts: off the surface (outliers in red)", fontsize=10)
     bars.spines[["top", "right"]].set_visible(False)
 
+    shape = scene.toolpath.shape
+    if shape is not None:
+        space.plot_trisurf(*(shape.vertices.T * 1e3), triangles=shape.triangles, color="#999", alpha=0.12, shade=False)
     points = scene.waypoints.points * 1e3
     dots = space.scatter(*points.T, c=sure.height * 1e3, s=3, cmap="viridis")
     touched = fit.placement.seen(fit.touch.contacts.tips, fit.touch.contacts.T_world_plate) * 1e3

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from planner.cell import Cell, frame_from_z, rigid_inverse
+from planner.cell import Cell, frame_from_z
 from planner.readonly import ReadOnlyArrays
+from planner.registration.clear import reached, rolls
 from planner.registration.contacts import plate_poses
 from planner.registration.placement import Distance, Placement, rows, slopes
 from planner.registration.unknowns import Unknowns
@@ -23,7 +24,7 @@ _ON = 1e-6  # m: a place no farther off lies on the surface; others are beyond i
 _RIM = 5e-3  # m: no place so close to the lower edge of the body, where what it stands on is in the way
 _CLEAR = (2e-3, 10e-3, 40e-3)  # m above a place where the nozzle is, and the part must not be
 _BESIDE, _BENT = 8e-3, 2e-3  # m to all sides, where the surface is no farther off: a place away from rims and edges
-_ROLLS, _ANGLES = 8, 12  # of the nozzle about its axis and of a free axis, that are tried
+_ANGLES = 12  # of a free axis, that are tried
 _APART = 5e-3  # m between places: closer ones tell nothing new of where a touch went wrong
 # Square of the noise of a touch, 0.1 mm, over how well the placement is known before, 10 mm: makes few contacts comparable.
 _ROUGH = (0.1 / 10.0) ** 2
@@ -45,6 +46,10 @@ class Places(ReadOnlyArrays):
 
     def __len__(self) -> int:
         return len(self.points)
+
+    def only(self, which: NDArray[np.bool_]) -> Places:
+        """Those that are wanted (n)."""
+        return Places(self.points[which], self.normals[which], self.q[which], self.T_world_plate[which])
 
     def columns(self, unknowns: Unknowns, placement: Placement) -> Array:
         """How a contact's residual at each place would change with each unknown (n, p)."""
@@ -109,24 +114,14 @@ def _around(normals: Array) -> list[Array]:
 def reachable(cell: Cell, placement: Placement, points: Array, normals: Array) -> Places:
     """Which places (n, 3) the arm can touch along their normals, at which angles of the holder; one row for each.
 
-    Limits of joints are looked at, collisions are not.
+    Joint limits are looked at; whether arm and head are clear there is for `Clearance` to say.
     """
-    na, n = len(cell.arm), len(points)
-    T_flange = rigid_inverse(cell.T_flange_nozzle)
-    local = np.array([frame_from_z(p, -normal) for p, normal in zip(points, normals, strict=True)])
-    rolls = np.tile(np.eye(4), (_ROLLS, 1, 1))
-    a = 2.0 * np.pi * np.arange(_ROLLS) / _ROLLS
-    rolls[:, 0, 0], rolls[:, 0, 1], rolls[:, 1, 0], rolls[:, 1, 1] = np.cos(a), -np.sin(a), np.sin(a), np.cos(a)
+    local = np.array([frame_from_z(p, -normal) for p, normal in zip(points, normals, strict=True)]).reshape(-1, 4, 4)
+    turned = (local[:, None] @ rolls()).reshape(-1, 4, 4)
     found: list[tuple[NDArray[np.intp], Array]] = []
     for q in _holder_angles(cell):
-        T_world_part = plate_poses(cell, q[None])[0] @ placement.T_plate_part
-        T_world_part[:3, 3] += placement.shift
-        T_world_nozzle = (T_world_part @ local)[:, None] @ rolls
-        T_base_flange = (rigid_inverse(cell.T_world_base) @ T_world_nozzle @ T_flange).reshape(-1, 4, 4)
-        postures, exists = cell.inverse.solve(T_base_flange)
-        inside = (postures >= cell.limits.q_min[:na]) & (postures <= cell.limits.q_max[:na])
-        able = (exists & inside.all(axis=2)).any(axis=1).reshape(n, _ROLLS).any(axis=1)
-        at = np.flatnonzero(able)
+        able = reached(cell, placement, turned, q)[1]
+        at = np.flatnonzero(able.any(axis=1).reshape(len(points), -1).any(axis=1))
         found.append((at, np.tile(q, (len(at), 1))))
     which = np.concatenate([at for at, _ in found])
     q_all = np.vstack([q for _, q in found])
