@@ -63,7 +63,7 @@ def test_a_pair_that_is_too_near_stands_out_and_names_are_escaped(plan: Plan) ->
     assert "<img" not in text
     figure = cell_figure(changed)
     assert figure is not None
-    assert figure["pairs"] [0] == ["<img src=x>", "print"]
+    assert figure["pairs"][0] == ["<img src=x>", "print"]
 
 
 def test_nothing_near_is_no_section(plan: Plan) -> None:
