@@ -21,7 +21,9 @@ from planner.background import in_halves
 from planner.cell import Cell
 from planner.errors import PlannerError
 from planner.headroom_bounds import first_order
+from planner.headroom_cell import beneath, displaced
 from planner.plan import Check
+from planner.problem import Problem
 from planner.resolve.jointpath import JointPath, flange_poses, refuse_at
 from planner.tolerance import NONE, Displacement, Headroom, Tolerance, Tried, Vector
 from planner.toolpath.bead import Toolpath
@@ -52,10 +54,10 @@ Again = Callable[
 
 def headroom(
     tolerance: Tolerance,
+    problem: Problem,
     cell: Cell,
     toolpath: Toolpath,
     paths: Sequence[JointPath],
-    least_sigma: float,
     planned: Verified,
     again: Again,
     second_process: bool = False,
@@ -66,13 +68,15 @@ def headroom(
     process the same comes sooner.
     """
     middle = middle_of(toolpath)
-    bounds = first_order(cell, paths, tolerance, middle, least_sigma)
+    bounds = first_order(cell, paths, tolerance, middle, problem.resolve.min_sigma)
+    along = beneath(cell, toolpath, problem.collision.nozzle)
     elsewhere = displacements(tolerance)
     if elsewhere:
         elsewhere += tuple(bound.worst for bound in (bounds[0], bounds[-1]) if math.isfinite(bound.factor))
 
     def some(first: int, last: int) -> list[Tried]:
-        return [_try(each, cell, paths, middle, again) for each in elsewhere[first:last]]
+        cells = [displaced(cell, each.matrix(middle), along) for each in elsewhere[first:last]]
+        return [_try(each, there, paths, again) for each, there in zip(elsewhere[first:last], cells, strict=True)]
 
     tried = [each for half in in_halves(some, len(elsewhere), second_process) for each in half]
     x, y, z = middle.tolist()
@@ -132,24 +136,12 @@ def _axes(signs: Sequence[float]) -> str:
     return "".join(f"{'+' if sign > 0.0 else '-'}{axis}" for sign, axis in zip(signs, AXES, strict=True) if sign)
 
 
-def _try(displacement: Displacement, cell: Cell, paths: Sequence[JointPath], middle: Array, again: Again) -> Tried:
-    elsewhere = displaced(cell, displacement.matrix(middle))
+def _try(displacement: Displacement, elsewhere: Cell, paths: Sequence[JointPath], again: Again) -> Tried:
     try:
         report = again(elsewhere, [followed(elsewhere, path) for path in paths])
     except PlannerError as error:  # whatever the user would be told of a part that stands there
         return Tried(displacement, refusal=str(error))
     return Tried(displacement, report.checks, report.metrics)
-
-
-def displaced(cell: Cell, T_planned_displaced: Array) -> Cell:
-    """The cell whose part stands elsewhere on what holds it: its frame (4, 4) given in the planned part frame."""
-    holder = replace(cell.holder, T_last_tip=cell.holder.T_last_tip @ T_planned_displaced)
-    return replace(
-        cell,
-        holder=holder,
-        T_world_holder=cell.T_world_holder @ T_planned_displaced,
-        T_plate_part=cell.T_plate_part @ T_planned_displaced,
-    )
 
 
 def followed(cell: Cell, path: JointPath) -> JointPath:

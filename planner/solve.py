@@ -223,8 +223,7 @@ def _headroom(
     def again(elsewhere: Cell, followed: Sequence[JointPath]) -> Report:
         return verify(problem, elsewhere, toolpath, _elsewhere(problem, elsewhere, toolpath, followed, travels, dt))
 
-    least = problem.resolve.min_sigma
-    return headroom(tolerance, cell, toolpath, paths, least, planned, again, second_process)
+    return headroom(tolerance, problem, cell, toolpath, paths, planned, again, second_process)
 
 
 @contextmanager

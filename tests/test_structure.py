@@ -75,6 +75,7 @@ SAME_ROOM = {
     "materials": "plan",
     "tolerance": "plan",
     "headroom_bounds": "headroom",
+    "headroom_cell": "headroom",
 }
 EVERYWHERE = {"errors"}
 # Rooms that see less than what is to their left, when the program runs.
