@@ -13,9 +13,9 @@ from planner.cell import Cell, build_cell
 from planner.errors import Refusal
 from planner.obstacles import Obstacles, obstacles_of
 from planner.obstacles.gjk import solids_distance
-from planner.obstacles.kernel import nearest_margins
 from planner.obstacles.sampling import surface_points
 from planner.obstacles.scene import SLOPE, Around, _assembled
+from planner.obstacles.slopes import nearest_margins
 from planner.point_tree import point_tree
 from planner.problem import Problem, load_problem
 from planner.resolve.jointpath import JointPath
@@ -159,7 +159,7 @@ def test_slopes_are_those_of_differences(scene: tuple[Cell, Obstacles]) -> None:
     def margins(q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         margin, slope = np.empty((n, rows)), np.empty((n, rows, nj))
         which = np.empty((n, rows), dtype=np.int64)
-        nearest_margins(obstacles.table, q, now, wanted, 0.3, margin, slope, which)
+        nearest_margins(obstacles.table, q, now, wanted, 0.3, 0.3, margin, slope, which)
         order = np.argsort(which, axis=1)
         return (
             np.take_along_axis(margin, order, 1), np.take_along_axis(slope, order[..., None], 1),

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from planner.cell import Cell, Robot
 from planner.cell_bodies import nozzle_profile
 from planner.kinematics.chain import Chain, rotate_about
-from planner.obstacles.kernel import Table, hit_along, lacking_at, least_margins
+from planner.obstacles.along import hit_along, lacking_at, least_margins
 from planner.obstacles.sampling import surface_points
+from planner.obstacles.table import Table
 from planner.point_tree import PointTree, point_tree
 from planner.print_body import print_body, standing
 from planner.problem import Problem

@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell import Cell
+from planner.obstacles import NOTHING, Obstacles
+from planner.resolve.clearance import Clearances, clearance_rows, clearances, shortage
 from planner.resolve.cone_kernel import FACETS, watch_leans, watch_missed_leans
 from planner.resolve.follow_kernel import follow
 from planner.resolve.interior_point import QuadraticProgram, solve_qp
@@ -23,6 +25,7 @@ from planner.resolve.refine_kernel import (
     count_rows,
     differentiate,
     price_of,
+    price_tilt,
     quadratic_program,
     watch_missed,
     watch_near,
@@ -41,6 +44,9 @@ _STEPS = 40
 _ROUNDS = 4  # of solving a program and watching what its solution has missed
 _ENOUGH = 5e-4  # share of the price: a step that promises less is not worth taking
 _NEGLIGIBLE = 1e-4  # seconds a second of printing, likewise
+# s/rad^2 a second of printing: tilt is for what it buys, clearance or speed, since a nozzle that leans by t presses one
+# side of a bead by its radius times t; at 10 degrees as much as 3 per cent of the time
+TILT_PRICE = 1.0
 ANCHOR = 0.1  # s per square radian that an end of a bead moves: what the search chose there keeps travel short
 _RANGE_ROOM = 1e-4  # rad kept from the ends of the joints' ranges
 CONE_ROOM = 1e-3  # rad kept from the cones about gravity: between waypoints normals are known no better
@@ -49,7 +55,7 @@ CONE_SIDES = 12  # of the polygon inside the circle that bounds tilt
 
 @dataclass(frozen=True)
 class Model:
-    """What the kernels need of a cell: chains, limits, and which arm joints follow from the task or are given.
+    """What the kernels need of a cell: chains, limits, which arm joints follow from the task or are given, obstacles.
 
     limits (3, nj) of velocity, acceleration, jerk; low, high (nj) ends of the joints' ranges; arm: its joints
     """
@@ -61,6 +67,7 @@ class Model:
     low: Array
     high: Array
     arm: int
+    obstacles: Obstacles = NOTHING
 
     @property
     def columns(self) -> int:
@@ -73,8 +80,8 @@ class Model:
         return np.array([ROLL, *tilt, *range(HOLDER, self.columns)])
 
 
-def model_of(cell: Cell) -> Model:
-    """The kernels' view of a cell."""
+def model_of(cell: Cell, obstacles: Obstacles = NOTHING) -> Model:
+    """The kernels' view of a cell, and what is in its way."""
     na = len(cell.arm)
     arm, holder, limits = cell.arm, cell.holder, cell.limits
     return Model(
@@ -85,6 +92,7 @@ def model_of(cell: Cell) -> Model:
         low=limits.q_min + _RANGE_ROOM,
         high=limits.q_max - _RANGE_ROOM,
         arm=na,
+        obstacles=obstacles,
     )
 
 
@@ -97,6 +105,7 @@ class Stretch:
     deposits (n)              1 where material is laid down, else 0
     centre (n), D (n, 3, 5)   as in Clock; first (n), B (n, 4, degree + 1) as in Basis
     free (k)                  1 for control values that may move, else 0
+    now (n)                   when samples are reached, see `NozzleTask.moments`
     anchor (k, m), hold (k)   where the path's ends were given, and 1 for control values that are ends, else 0
     """
 
@@ -112,6 +121,7 @@ class Stretch:
     free: Array
     anchor: Array
     hold: Array
+    now: Array
 
 
 @dataclass(frozen=True)
@@ -119,6 +129,7 @@ class State:
     """A path over a stretch: control values c (k, m), what follows from them (see the kernels), and its price [s].
 
     lean (n, b, 2), lean_slope (n, b, 2, m), cones (b): of the directions that are bounded, and by what [rad]
+    tilt (n, 2): of the nozzle [rad], if it may; near: the least clearances
     """
 
     c: Array
@@ -131,6 +142,8 @@ class State:
     lean: Array
     lean_slope: Array
     cones: Array
+    tilt: Array
+    near: Clearances
     price: float
 
 
@@ -169,15 +182,18 @@ def evaluate_samples(
     bounded = limits < np.pi
     cones = limits[bounded] - CONE_ROOM
     lean, lean_slope = np.ascontiguousarray(lean[:, bounded]), np.ascontiguousarray(lean_slope[:, bounded])
+    near = clearances(model.obstacles, q, G, stretch.now, stretch.tip)
+    tilt = z[:, list(TILT)] if stretch.cones.tilt > 0.0 else np.zeros((n, 0))
     rates, slack = np.empty((n, 3, nj)), np.empty(n)
     differentiate(q, stretch.centre, stretch.D, rates)
     price = price_of(
         rates, model.limits, stretch.step, stretch.deposits, q, model.low[: model.arm], model.high[: model.arm],
-        sigma, least_sigma, np.hypot(lean[..., 0], lean[..., 1]) - cones, slack,
+        sigma, least_sigma, np.hstack([np.hypot(lean[..., 0], lean[..., 1]) - cones, shortage(near)]), slack,
     )  # fmt: skip
+    price += TILT_PRICE * float(stretch.step @ (tilt**2).sum(axis=1))
     if c.shape[1]:
         price += ANCHOR * float(stretch.hold @ ((c - stretch.anchor) ** 2).sum(axis=1))
-    return State(c, q, G, sigma, sigma_slope, rates, slack, lean, lean_slope, cones, float(price))
+    return State(c, q, G, sigma, sigma_slope, rates, slack, lean, lean_slope, cones, tilt, near, float(price))
 
 
 def watched(model: Model, stretch: Stretch, state: State) -> Watch:
@@ -201,7 +217,7 @@ def program_around(
     rows, groups = count_rows(
         stretch.step, stretch.deposits, watch.rates, state.q, low, high, state.sigma, least_sigma, watch.facets
     )
-    own_A, own_b, own_at = _control_rows(model, stretch, state, w, trust)
+    own_A, own_b, own_at, own_price = _further_rows(model, stretch, state, w, trust)
     extra = len(own_b)
     H, g = np.empty((k * m, w)), np.empty(k * m)
     A, b, at = np.empty((rows + extra, w)), np.empty(rows + extra), np.empty(rows + extra, dtype=np.int64)
@@ -217,9 +233,25 @@ def program_around(
     A[rows:], b[rows:], at[rows:] = own_A, own_b, own_at
     group[groups + 1 :] = rows + 1 + np.arange(extra)
     typical = float(stretch.step.mean())
-    price[groups:] = HARD_PRICE * typical
+    price[groups:] = HARD_PRICE * own_price
+    if state.tilt.shape[1]:
+        columns = np.searchsorted(model.active(stretch.cones), TILT)
+        price_tilt(stretch.step, state.tilt, TILT_PRICE, stretch.first, stretch.B, stretch.free, columns, H, g)
     # in units of a sample's time, so that the solver sees numbers near 1
     return QuadraticProgram(H / typical, g / typical, np.full(k * m, trust), A, b, at, group, price / typical)
+
+
+def _further_rows(
+    model: Model, stretch: Stretch, state: State, width: int, trust: float
+) -> tuple[Array, Array, Index, Array]:
+    """Rows of control values and of clearances, and the time that each stands for [s], as the solver wants them."""
+    A, b, at = _control_rows(model, stretch, state, width, trust)
+    price = np.full(len(b), float(stretch.step.mean()))
+    if len(state.near.sample):
+        own = clearance_rows(state.near, stretch.step, stretch.first, stretch.B, stretch.free, trust)
+        A, b, at, price = (np.concatenate(each) for each in zip((A, b, at, price), own, strict=True))
+    order = np.argsort(at, kind="stable")  # the solver sums rows that begin at the same variable
+    return A[order], b[order], at[order], price[order]
 
 
 def _control_rows(model: Model, stretch: Stretch, state: State, width: int, trust: float) -> tuple[Array, Array, Index]:
@@ -252,8 +284,7 @@ def _control_rows(model: Model, stretch: Stretch, state: State, width: int, trus
         A.append(own.reshape(len(near), width))
         b.append(room[near])
         at.append(first[near] * m)
-    order = np.argsort(np.concatenate(at), kind="stable")  # the solver sums rows that begin at the same variable
-    return np.concatenate(A)[order], np.concatenate(b)[order], np.concatenate(at)[order]
+    return np.concatenate(A), np.concatenate(b), np.concatenate(at)
 
 
 def _foreseen(stretch: Stretch, state: State, x: Array) -> Array:

@@ -319,6 +319,19 @@ def quadratic_program(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def price_tilt(step, tilt, price, first, B, free, columns, H, g) -> None:
+    """Add what tilt (n, 2) costs, in the control values' columns (2), to the program."""
+    m = len(g) // len(free)
+    row = np.zeros(B.shape[2] * m)
+    for i in range(len(step)):
+        for k in range(2):
+            row[:] = 0.0
+            for e in range(B.shape[2]):
+                row[e * m + columns[k]] = B[i, 0, e] * free[first[i] + e]
+            _add(H, g, first[i] * m, row, 2.0 * step[i] * price, tilt[i, k])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _add(H, g, at, row, weight, value) -> None:
     """Add weight / 2 (value + row x)^2 to the program."""
     for c in range(row.size):

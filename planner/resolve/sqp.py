@@ -35,6 +35,7 @@ from planner.resolve.refine import (
 )
 from planner.resolve.spacing import places_along
 from planner.resolve.splines import LEAST_SAMPLES, Basis, Clock, basis_over, clock_of
+from planner.resolve.unreachable import SLIGHT
 from planner.task import NozzleTask
 
 Array = NDArray[np.float64]
@@ -70,12 +71,14 @@ def sqp(
     No path comes back that costs more than the ladder's. Layers follow each other: a bead starts from the
     refined one below it, where that is cheaper. Raises Refusal as `ladder` does.
     """
-    return refine_paths(cell, ladder(cell, tasks, settings, obstacles), settings)
+    return refine_paths(cell, ladder(cell, tasks, settings, obstacles), settings, obstacles)
 
 
-def refine_paths(cell: Cell, paths: Sequence[JointPath], settings: ResolveSpec) -> tuple[JointPath, ...]:
+def refine_paths(
+    cell: Cell, paths: Sequence[JointPath], settings: ResolveSpec, obstacles: Obstacles = NOTHING
+) -> tuple[JointPath, ...]:
     """Refine every path: layers in turn, beads of a layer and windows of a bead at the same time."""
-    model = model_of(cell)
+    model = model_of(cell, obstacles)
     given = given_prices(model, paths, settings)
     floor = sigma_floor(given, settings)
     solver = qp_solver(settings.qp)
@@ -95,7 +98,7 @@ def refine_paths(cell: Cell, paths: Sequence[JointPath], settings: ResolveSpec) 
                     tracks[k] = tracks[k] if piece is None else piece.put_into(tracks[k])
             for i, track in zip(layer, tracks, strict=True):
                 below[track.task.name] = track
-                done[i] = cheaper(cell, paths[i], given[i], track, floor)
+                done[i] = cheaper(cell, paths[i], given[i], track, floor, obstacles)
     return choose_turns(cell, done)
 
 
@@ -121,12 +124,26 @@ def sigma_floor(given: dict[int, tuple[float, float]], settings: ResolveSpec) ->
     return _FLOOR * max(settings.min_sigma, min((sigma for _, sigma in given.values()), default=0.0))
 
 
-def cheaper(cell: Cell, path: JointPath, given: tuple[float, float], track: Track, floor: float) -> JointPath:
+def cheaper(
+    cell: Cell,
+    path: JointPath,
+    given: tuple[float, float],
+    track: Track,
+    floor: float,
+    obstacles: Obstacles = NOTHING,
+) -> JointPath:
     """A refined track as a path if it costs less than the path that was given and keeps what it kept, else that."""
     refined = path_of(cell, track)
-    price, sigma = given_price(model_of(cell), refined, floor)
+    price, sigma = given_price(model_of(cell, obstacles), refined, floor)
     better = price < given[0] and sigma >= min(floor / _FLOOR, given[1]) and _within(cell, refined)
-    return refined if better else path
+    return refined if better and _as_clear(refined, path, obstacles) else path
+
+
+def _as_clear(refined: JointPath, path: JointPath, obstacles: Obstacles) -> bool:
+    """Whether a refined path keeps its clearance, or lacks no more of it than the one that was given."""
+    now = path.task.moments
+    least = float(obstacles.margins(refined.q, now, 0.0)[0].min())
+    return least >= -SLIGHT or least >= float(obstacles.margins(path.q, now, 0.0)[0].min())
 
 
 def _within(cell: Cell, path: JointPath) -> bool:
@@ -167,7 +184,7 @@ def whole(task: NozzleTask, clock: Clock, basis: Basis, anchor: Array) -> Stretc
     hold[[0, -1]] = 1.0
     return Stretch(
         task.tip, task.frames, task.cones, clock.step, deposits, clock.centre, clock.D,
-        basis.first, basis.B, np.ones(basis.controls), anchor, hold,
+        basis.first, basis.B, np.ones(basis.controls), anchor, hold, task.moments,
     )  # fmt: skip
 
 
@@ -259,7 +276,7 @@ def _refine_window(
         all_of_it.tip[samples], all_of_it.frames[samples], all_of_it.cones, step, deposits,
         np.clip(track.clock.centre[samples] - a, 2, b - a - 3), track.clock.D[samples],
         first[samples] - controls.start, track.basis.B[samples], free,
-        track.anchor[controls], all_of_it.hold[controls],
+        track.anchor[controls], all_of_it.hold[controls], all_of_it.now[samples],
     )  # fmt: skip
     state = evaluate(model, stretch, track.c[controls], track.q[samples], floor)
     return None if state is None else _Piece(samples, controls, refine_stretch(model, stretch, state, floor, solver))

@@ -23,7 +23,7 @@ from planner.task import NozzleTask
 Array = NDArray[np.float64]
 
 _UNHURRIED = 1e4  # times as long on the way: if this opens one, joint speed was the reason
-_SLIGHT = 1e-4  # m of clearance that a path between rungs may lack
+SLIGHT = 1e-4  # m of clearance that a path between rungs may lack
 _TRIED = 72  # rolls and holder angles that the diagnosis looks at
 
 
@@ -122,7 +122,7 @@ def refuse_collision(cell: Cell, paths: Sequence[JointPath], obstacles: Obstacle
     worst = int(np.argmin([margin.min() for margin, _ in margins]))
     margin, which = margins[worst]
     i = int(np.argmin(margin))
-    if margin[i] < -_SLIGHT:
+    if margin[i] < -SLIGHT:
         what = _collision(obstacles, int(which[i]), float(margin[i]), "the best way found")
         refuse_at(paths[worst].task, i, what)
 

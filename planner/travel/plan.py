@@ -108,7 +108,7 @@ def plan_travels(
         motion = find(task)
         if motion is None:
             beside = leave if reach is None else reach
-            raise Refusal(_reason(task, find), bead=None if beside is None else beside.path.task.bead)
+            raise Refusal(no_way(task, find), bead=None if beside is None else beside.path.task.bead)
         return motion
 
     for i in range(len(timed) + 1) if which is None else which:
@@ -124,7 +124,7 @@ def plan_travels(
     return travels
 
 
-def _reason(task: Task, find: Callable[[Task], Cubics | None]) -> str:
+def no_way(task: Task, find: Callable[[Task], Cubics | None]) -> str:
     """Why there is no way: what the one would run into that knows of no obstacles, if there is one."""
     motion = find(replace(task, obstacles=NOTHING)) if task.obstacles.any else None
     if motion is None:

@@ -1,0 +1,74 @@
+"""Clearance in the refinement: the least margins of a path, how they change with its free variables, rows of a program.
+
+Only what is near is looked at: where all postures are far from everything there is nothing to hold.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.obstacles import Obstacles
+from planner.obstacles.slopes import nearest_margins
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+COMFORT = 15e-3  # m of margin above which nothing is held: three times what arms keep
+COMFORT_OF_POINTS = 2e-3  # m, the same of part and print: to look farther around the nozzle takes five times as long
+EVERY = 1e-3  # m of the tip's way from one sample that is looked at to the next
+ROOM = 2e-4  # m of margin that is asked for, since paths are looked at in samples
+UNIT = 10.0  # 1/m: a tenth of a millimetre that lacks counts as much as a milliradian beyond a cone
+_ROWS = 4  # pairs of a sample that are held
+_STILL = 1e-6  # m/rad: margins that change by less do not change
+
+
+@dataclass(frozen=True)
+class Clearances:
+    """Margins below COMFORT along n samples: sample (k) and margin (k) [m] of each, slope (k, m) by free variables
+    [m/rad]; time (n): what a sample stands for among those that are looked at, in samples."""
+
+    time: Array
+    sample: Index
+    margin: Array
+    slope: Array
+
+
+def clearances(obstacles: Obstacles, q: Array, G: Array, now: Array, tip: Array) -> Clearances:
+    """The least margins of postures q (n, nj) at times now (n), the nozzle's tip at tip (n, 3); G (n, nj, m) is dq/dz."""
+    n, nj = q.shape
+    if not obstacles.any:
+        return Clearances(np.zeros(n), np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, G.shape[2])))
+    gone = np.concatenate([np.zeros(1), np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))]) // EVERY
+    wanted = np.concatenate([np.ones(1, dtype=np.bool_), np.diff(gone) > 0.0])
+    group = np.cumsum(wanted) - 1
+    time = np.where(wanted, np.bincount(group)[group], 0).astype(float)
+    margin, slope = np.empty((n, _ROWS)), np.empty((n, _ROWS, nj))
+    which = np.empty((n, _ROWS), dtype=np.int64)
+    nearest_margins(obstacles.table, q, now, wanted, COMFORT, COMFORT_OF_POINTS, margin, slope, which)
+    sample, row = np.nonzero(margin < COMFORT)
+    return Clearances(time, sample, margin[sample, row], np.einsum("kj,kjm->km", slope[sample, row], G[sample]))
+
+
+def shortage(near: Clearances) -> Array:
+    """What lacks (n, 1), in the units of a cone's excess."""
+    lacking = np.zeros(len(near.time))
+    np.add.at(lacking, near.sample, UNIT * near.time[near.sample] * np.maximum(ROOM - near.margin, 0.0))
+    return lacking[:, None]
+
+
+def clearance_rows(
+    near: Clearances, step: Array, first: Index, B: Array, free: Array, trust: float
+) -> tuple[Array, Array, Index, Array]:
+    """Rows A (r, w) x <= b (r) that keep margins, from which variable on (r), and the time each stands for (r) [s].
+
+    Only margins that a step within `trust` [rad] could use up have rows.
+    """
+    reach = trust * np.abs(near.slope).sum(axis=1)
+    held = np.flatnonzero((reach > near.margin - ROOM) & (reach > trust * _STILL))
+    i, m, width = near.sample[held], near.slope.shape[1], B.shape[2]
+    moved = B[i, 0] * free[first[i][:, None] + np.arange(width)]
+    A = -UNIT * moved[:, :, None] * near.slope[held][:, None, :]
+    return A.reshape(len(held), width * m), UNIT * (near.margin[held] - ROOM), first[i] * m, near.time[i] * step[i]

@@ -1,0 +1,209 @@
+"""Refinement and travel keep clear of obstacles."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from collision_cells import coal_distance, placed, with_bodies
+
+from planner.cell import Cell, build_cell
+from planner.cubics import Cubics, State
+from planner.errors import Refusal
+from planner.obstacles import NOTHING, Obstacles, obstacles_of
+from planner.obstacles.scene import Around, _assembled
+from planner.point_tree import point_tree
+from planner.problem import Problem, load_problem
+from planner.resolve.jointpath import JointPath
+from planner.resolve.ladder import ladder
+from planner.resolve.sqp import refine_paths, sqp
+from planner.solids import Body, Capsule
+from planner.task import Cones, NozzleTask, tasks_of
+from planner.timing import TimedPath, time_path
+from planner.toolpath.bead import Toolpath
+from planner.toolpath.build import build_toolpath
+from planner.travel.around import around
+from planner.travel.clearance import room
+from planner.travel.plan import Task, no_way, quickest
+from planner.travel.ways import Ends, bounds_of
+
+SLIGHT = 2e-4  # m: what may lack between the instants that are looked at
+
+
+def at(place: np.ndarray) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, 3] = place
+    return T
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return load_problem("cylinder_logo", ["layers.count=1"])
+
+
+@pytest.fixture(scope="module")
+def toolpath(problem: Problem) -> Toolpath:
+    whole = build_toolpath(problem)
+    return replace(whole, beads=whole.beads[:2])
+
+
+@pytest.fixture(scope="module")
+def bare(problem: Problem) -> Cell:
+    return with_bodies(build_cell(problem))
+
+
+@pytest.fixture(scope="module")
+def tasks(problem: Problem, toolpath: Toolpath) -> tuple[NozzleTask, ...]:
+    return tasks_of(problem, toolpath)
+
+
+def least(cell: Cell, fixture: Body, q: np.ndarray) -> float:
+    """Least distance of a fixture from arm and head at postures q (n, nj), by coal."""
+    return min(
+        coal_distance(body.solid, body.T, fixture.solid, fixture.T_frame_solid)
+        for each in q
+        for (name, _), body in placed(cell, each).items()
+        if name != fixture.name
+    )
+
+
+def head_at(cell: Cell, q: np.ndarray) -> np.ndarray:
+    """Where the middle of the print head is (3) at a posture."""
+    return next(body.T[:3, 3] for (name, _), body in placed(cell, q).items() if name == "print head")
+
+
+# --- refinement -------------------------------------------------------------------------------------------------
+
+
+def test_refined_paths_keep_clear_of_a_post(
+    problem: Problem, bare: Cell, toolpath: Toolpath, tasks: tuple[NozzleTask, ...]
+) -> None:
+    unaware = sqp(bare, tasks, problem.resolve)
+    middle = unaware[0].q[len(unaware[0].q) // 2]
+    post = Body("post", Capsule(0.01, 0.1), at(head_at(bare, middle) + [0.0, 0.0, 0.03]))
+    cell = replace(bare, fixtures=(post,))
+    assert least(cell, post, unaware[0].q[::20]) < 0.0
+    obstacles = obstacles_of(problem, cell, toolpath)
+    aware = sqp(cell, tasks, problem.resolve, obstacles)
+    assert min(least(cell, post, path.q[::20]) for path in aware) > problem.collision.nozzle - SLIGHT
+    for path in aware:
+        assert obstacles.margins(path.q, path.task.moments, 1.0)[0].min() > -SLIGHT
+
+
+def test_no_refined_path_gives_up_the_clearance_that_was_found(
+    problem: Problem, bare: Cell, toolpath: Toolpath, tasks: tuple[NozzleTask, ...]
+) -> None:
+    """A ball where the refined head is and the one that was given is not: without rows the refinement runs into it."""
+    given = ladder(bare, tasks, problem.resolve)
+    free = refine_paths(bare, given, problem.resolve)
+    heads = [np.array([head_at(bare, q) for q in path.q[::20]]) for path in (given[0], free[0])]
+    away = np.linalg.norm(heads[1] - heads[0], axis=1)
+    k = int(np.argmax(away))
+    beyond = heads[1][k] + 0.023 * (heads[1][k] - heads[0][k]) / away[k]
+    ball = Body("ball", Capsule(0.005, 0.0), at(beyond))
+    cell = replace(bare, fixtures=(ball,))
+    obstacles = obstacles_of(problem, cell, toolpath)
+
+    def margin(path: JointPath) -> float:
+        return float(obstacles.margins(path.q, path.task.moments, 1.0)[0].min())
+
+    kept = refine_paths(cell, given, problem.resolve, obstacles)
+    assert margin(given[0]) > margin(free[0])
+    assert margin(kept[0]) > min(margin(given[0]), 0.0) - SLIGHT
+    assert kept[0] is not given[0]
+
+
+def wall_beside(bare: Cell) -> Obstacles:
+    """A wall of the part from 5 mm beside a line along y on, 25 mm high."""
+    y, z = np.meshgrid(np.arange(-0.04, 0.0405, 1e-3), np.arange(0.0, 0.0255, 1e-3), indexing="ij")
+    points = np.column_stack([np.full(y.size, 5e-3), y.ravel(), z.ravel()]) + [0.0, 0.0, 0.15]
+    return _assembled(bare, Around(2e-3, 5e-3, np.full(1, 4e-4), point_tree(points, 1e-4)))
+
+
+def line_task(tilt: float) -> NozzleTask:
+    """A line of 40 mm along y at a height of 150 mm over the table, the nozzle upright."""
+    n = 161
+    s = np.linspace(0.0, 0.04, n)
+    tip = np.column_stack([np.zeros(n), s - 0.02, np.full(n, 0.15)])
+    frames = np.tile(np.diag([1.0, -1.0, -1.0]), (n, 1, 1))
+    return NozzleTask(0, "line", 0, tip, frames, s, 0, n - 1, 0.04, Cones(tilt))
+
+
+def test_the_nozzle_leans_away_from_a_wall(problem: Problem, bare: Cell) -> None:
+    obstacles = wall_beside(bare)
+    task = line_task(np.radians(30.0))
+    (given,) = ladder(bare, [task], problem.resolve, obstacles)
+    (out,) = refine_paths(bare, [given], problem.resolve, obstacles)
+    (free,) = refine_paths(bare, [given], problem.resolve)
+    before, after = (obstacles.margins(path.q, task.moments, 1.0)[0].min() for path in (given, out))
+    assert before < -1e-3
+    assert after > -SLIGHT
+    axis = bare.T_part_nozzle(out.q)[:, :3, 2]  # into the part: the nozzle itself is the other way
+    assert (-axis[20:-20, 0] < -np.sin(np.radians(5.0))).all()
+    assert np.hypot(*free.tilt.T).max() < 0.2 * np.hypot(*out.tilt.T).max()  # tilt that buys nothing is not used
+    with pytest.raises(Refusal, match="collision of nozzle with part or print"):
+        ladder(bare, [line_task(0.0)], problem.resolve, obstacles)
+
+
+# --- travel -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def timed(problem: Problem, bare: Cell, tasks: tuple[NozzleTask, ...]) -> list[TimedPath]:
+    return [time_path(bare, path) for path in ladder(bare, tasks, problem.resolve)]
+
+
+def along(motion: Cubics) -> np.ndarray:
+    return motion.joints(np.linspace(0.0, motion.duration, 150))
+
+
+def beside_a_wall(problem: Problem, bare: Cell, toolpath: Toolpath, timed: list[TimedPath]) -> tuple[Body, Task]:
+    """A travel that turns the arm by 70 degrees, and a post in between."""
+    start, end = timed[0].start.q, timed[0].start.q.copy()
+    end[0] += 1.2
+    both = np.stack([start, end])
+    wall = Body("wall", Capsule(0.04, 0.5), at(head_at(bare, both.mean(axis=0))))
+    cell = replace(bare, fixtures=(wall,))
+    states = [State(q, np.zeros_like(q), np.zeros_like(q)) for q in both]
+    space = room(cell, toolpath.surface.before(0), 0.0, problem.process.lift, *states)
+    ends = Ends(states[0], states[1], 0.0, bounds_of(cell))
+    return wall, Task(cell, ends, space, 0.2, obstacles_of(problem, cell, toolpath), 0.0, -1e-4)
+
+
+def test_travel_goes_round_a_post(problem: Problem, bare: Cell, toolpath: Toolpath, timed: list[TimedPath]) -> None:
+    wall, task = beside_a_wall(problem, bare, toolpath, timed)
+    unaware, aware = quickest(replace(task, obstacles=NOTHING)), quickest(task)
+    assert unaware is not None
+    assert aware is not None
+    assert least(task.cell, wall, along(unaware)) < 0.0
+    assert least(task.cell, wall, along(aware)) > problem.collision.nozzle - SLIGHT
+    q = aware.joints(np.linspace(0.0, aware.duration, 3000))
+    assert task.obstacles.margins(q, np.zeros(3000), 1.0)[0].min() > -SLIGHT
+    assert np.allclose(aware.end.q, unaware.end.q)
+
+
+def test_a_refusal_of_travel_names_the_bodies(
+    problem: Problem, bare: Cell, toolpath: Toolpath, timed: list[TimedPath]
+) -> None:
+    _, task = beside_a_wall(problem, bare, toolpath, timed)
+    assert re.match(r"collision of .* with wall on the way to or from this bead", no_way(task, quickest))
+
+
+def test_a_search_finds_a_way_round_a_wall(
+    problem: Problem, bare: Cell, toolpath: Toolpath, timed: list[TimedPath]
+) -> None:
+    wall, task = beside_a_wall(problem, bare, toolpath, timed)
+    cell, ends, space, obstacles = task.cell, task.ends, task.room, task.obstacles
+    start, end = ends.start.q, ends.end.q
+    (vias,) = around(cell, ends, space, obstacles, 0.0, -1e-4)
+    again = next(around(cell, ends, space, obstacles, 0.0, -1e-4))
+    assert all(np.array_equal(a, b) for a, b in zip(vias, again, strict=True))
+    assert len(vias) > 2
+    way = np.concatenate(
+        [a + np.linspace(0.0, 1.0, 60)[:, None] * (b - a) for a, b in zip(vias, vias[1:], strict=False)]
+    )
+    assert least(cell, wall, way[::4]) > problem.collision.nozzle - 5e-3
+    direct = start + np.linspace(0.0, 1.0, 60)[:, None] * (end - start)
+    assert least(cell, wall, direct[::4]) < 0.0
