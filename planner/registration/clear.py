@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell import Cell, frame_from_z, rigid_inverse
-from planner.collision_bodies import CellBodies, Distances, Pair, all_of_home, pairs
+from planner.collision_bodies import CellBodies, Distances, Pair, all_at_home, pairs
 from planner.problem import Problem
 from planner.registration.contacts import plate_poses
 from planner.registration.placement import Distance, Placement
@@ -48,7 +48,7 @@ class Clearance:
             if (points[-1][:, 2] > -_TIP).any():
                 tips.add(body.name)
         # what stands with the part may be what is touched, as a bed is: there the nozzle itself comes near
-        near = all_of_home(bodies, (), spec.nozzle)
+        near = all_at_home(bodies, (), spec.nozzle)
         found += tuple(pair for pair in near if bodies.things[pair.a].name not in tips)
         head = np.vstack(points)
         return cls(cell, surface, bodies, found, _thinned(head[head[:, 2] < -_TIP]))
