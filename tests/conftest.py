@@ -9,6 +9,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from planner.cell import Cell, build_cell
+from planner.obstacles import NOTHING
 from planner.problem import Problem, load_problem
 from planner.resolve import STRATEGIES
 from planner.resolve.jointpath import JointPath
@@ -89,7 +90,7 @@ def joint_paths(
 ) -> dict[str, tuple[JointPath, ...]]:
     """Joint paths of the six beads by every strategy but `nlp`, which is for single beads."""
     quick = {name: resolve for name, resolve in STRATEGIES.items() if name != "nlp"}
-    return {name: resolve(cell, tasks, drawing_problem.resolve) for name, resolve in quick.items()}
+    return {name: resolve(cell, tasks, drawing_problem.resolve, NOTHING) for name, resolve in quick.items()}
 
 
 @pytest.fixture(scope="session")
