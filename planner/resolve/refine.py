@@ -44,9 +44,9 @@ _STEPS = 40
 _ROUNDS = 4  # of solving a program and watching what its solution has missed
 _ENOUGH = 5e-4  # share of the price: a step that promises less is not worth taking
 _NEGLIGIBLE = 1e-4  # seconds a second of printing, likewise
-# s/rad^2 a second of printing: tilt is for what it buys, clearance or speed, since a nozzle that leans by t presses one
-# side of a bead by its radius times t; at 10 degrees as much as 3 per cent of the time
-TILT_PRICE = 1.0
+# s/rad^2 a second of printing: tilt is for what it buys, clearance or speed, since a nozzle that leans by t lifts one side
+# of a bead by half its width times t; at 10 degrees as much as 3 per mille of the time
+TILT_PRICE = 0.1
 ANCHOR = 0.1  # s per square radian that an end of a bead moves: what the search chose there keeps travel short
 _RANGE_ROOM = 1e-4  # rad kept from the ends of the joints' ranges
 CONE_ROOM = 1e-3  # rad kept from the cones about gravity: between waypoints normals are known no better
