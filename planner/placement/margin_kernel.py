@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from planner.kinematics.chain import chain_state, jacobian_at, mul4, rotate_about, turn
 from planner.kinematics.inverse import SPHERICAL_WRIST, solve_one
-from planner.obstacles.kernel import first_lacking, head_lacking, room_for
+from planner.obstacles.kernel import first_lacking, head_lacking
+from planner.obstacles.table import room_for
 from planner.resolve.node_kernel import CLEAR_ROOM, LIMIT_ROOM, invert6, largest_singular_value
 
 Array = NDArray[np.float64]
