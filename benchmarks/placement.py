@@ -20,7 +20,7 @@ from rich.table import Table
 
 from planner.cell import build_cell
 from planner.errors import EXIT_VERIFIED, PlannerError
-from planner.place import METRICS, Outcome, best_of, outcomes
+from planner.place import METRICS, Outcome, best_of, outcomes, surroundings
 from planner.placement.chart import draw_map, words
 from planner.placement.freedom import place_of
 from planner.placement.ranges import axes_of
@@ -49,7 +49,8 @@ def rows(name: str, overrides: list[str], maps: Path | None) -> list[list[str]]:
     problem = load_problem(name, overrides)
     cell, now, toolpath = build_cell(problem), place_of(problem), build_toolpath(problem)
     axes, tasks = axes_of(problem, cell, now, None, []), tasks_of(problem, toolpath)
-    found = study(problem, cell, tasks, now, axes, problem.strategy, SOLVED, Stages().counted)
+    around = surroundings(problem.strategy, problem, cell, toolpath)
+    found = study(problem, cell, tasks, now, around, axes, problem.strategy, SOLVED, Stages().counted)
     searched = time.process_time() - start
     if maps is not None:
         draw_map(found, f"{name}: where it can be printed, and how well", maps / f"placement_{name}.png")

@@ -8,25 +8,27 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from planner.cell import build_cell
+from planner.cell import Cell, build_cell
 from planner.errors import EXIT_INTERRUPTED, EXIT_VERIFIED, OutputError, PlannerError, Refusal
+from planner.obstacles import NOTHING, obstacles_of
 from planner.output import results_folder
 from planner.placement.chart import draw_map, number, words, write_table
 from planner.placement.freedom import FREEDOMS, Place, changed_fields, place_of
 from planner.placement.ranges import axes_of
 from planner.placement.rating import COMFORT
-from planner.placement.study import Study, study
+from planner.placement.study import Study, Surroundings, study
 from planner.problem import Problem, load_problem
 from planner.problem.rewrite import write_changed
 from planner.problem.settings import STRATEGY_NAMES
 from planner.progress import Stages
+from planner.resolve import UNAWARE
 from planner.solve import try_out
 from planner.task import tasks_of
 from planner.toolpath.bead import Toolpath
@@ -63,6 +65,20 @@ class Outcome:
         return least * m["ideal_deposition_time_s"] / m["deposition_time_s"]
 
 
+def surroundings(strategy: str, problem: Problem, cell: Cell, toolpath: Toolpath) -> Surroundings:
+    """What a strategy keeps clear of while it prints a toolpath.
+
+    On a bed, fixtures are points of the part's frame; where the part moves between them, these are found anew.
+    """
+    among = len(cell.holder) == 0 and len(cell.fixtures) > 0
+    if strategy in UNAWARE:
+        return Surroundings(NOTHING, lambda _: NOTHING)
+    nearly = obstacles_of(problem, replace(cell, fixtures=()) if among else cell, toolpath)
+    if among:
+        return Surroundings(nearly, lambda moved: obstacles_of(problem, moved, toolpath))
+    return Surroundings(nearly, nearly.of)
+
+
 def outcomes(
     problem: Problem, overrides: Sequence[str], toolpath: Toolpath, found: Study, strategy: str, stages: Stages
 ) -> list[Outcome]:
@@ -73,7 +89,7 @@ def outcomes(
         with stages.stage("present" if i == 0 else f"best {i}"):
             moved = load_problem(problem.file, [*overrides, *_settings(problem, place)])
             try:
-                report = try_out(moved, toolpath, strategy, second_process=True)
+                report = try_out(moved, toolpath, strategy, True)
             except Refusal as refusal:
                 out.append(Outcome(place, predicted, {}, f"no plan: {refusal}"))
                 continue
@@ -123,7 +139,8 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
             with stages.stage("toolpath"):
                 toolpath = build_toolpath(problem)
             strategy, tasks = options.strategy or problem.strategy, tasks_of(problem, toolpath)
-            found = study(problem, cell, tasks, now, axes, strategy, max(options.best, 1), stages.counted)
+            around = surroundings(strategy, problem, cell, toolpath)
+            found = study(problem, cell, tasks, now, around, axes, strategy, max(options.best, 1), stages.counted)
             write_table(found, fresh / TABLE)
             draw_map(found, f"{problem.name}: where it can be printed, and how well", fresh / PICTURE)
             solved = outcomes(problem, options.set, toolpath, found, strategy, stages) if options.best else []

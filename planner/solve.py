@@ -113,21 +113,15 @@ def solve(
     )
 
 
-def try_out(
-    problem: Problem,
-    toolpath: Toolpath,
-    strategy: str | None = None,
-    dt: float = DEFAULT_DT,
-    second_process: bool = False,
-) -> Report:
+def try_out(problem: Problem, toolpath: Toolpath, strategy: str, second_process: bool = False) -> Report:
     """What verification says of the plan that `solve` would make, without dips and baseline.
 
     toolpath: the problem's own, which does not depend on its cell. Raises Refusal where there is no plan at all.
     """
     cell, tasks = build_cell(problem), tasks_of(problem, toolpath)
-    strategy = strategy or problem.strategy
     obstacles = obstacles_of(problem, cell, toolpath)
-    _, report, *_ = _plan_with(strategy, problem, cell, toolpath, tasks, obstacles, dt, Stages(), second_process)
+    stages = Stages()
+    _, report, *_ = _plan_with(strategy, problem, cell, toolpath, tasks, obstacles, DEFAULT_DT, stages, second_process)
     return report
 
 

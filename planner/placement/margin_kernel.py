@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 
 from planner.kinematics.chain import chain_state, jacobian_at, mul4, rotate_about, turn
 from planner.kinematics.inverse import SPHERICAL_WRIST, solve_one
-from planner.resolve.node_kernel import LIMIT_ROOM, invert6, largest_singular_value
+from planner.obstacles.kernel import first_lacking, head_lacking
+from planner.obstacles.table import room_for
+from planner.resolve.node_kernel import CLEAR_ROOM, LIMIT_ROOM, invert6, largest_singular_value
 
 Array = NDArray[np.float64]
 
@@ -44,19 +46,22 @@ def _speed_share(Ji, solved, twist, rate, weight, samples, v_max, a_max) -> floa
 @njit(cache=True, parallel=True, error_model="numpy")
 def evaluate_margins(
     kind, p, solved, redundant, wrist_kind, T_base_world, T_nozzle_flange, arm_placements, arm_axes, arm_tip,
-    T_before, axis, T_after, sweeps, swept_low, swept_high, held_redundant, least_upright,
-    q_min, q_max, v_max, a_max, tip, frames, twist, rate, weight, rung, samples,
-    roll_step, holder_step, comfort, floor, q_out, terms,
+    T_before, axis, T_after, sweeps, swept_joint, held_holder, swept_low, swept_high, held_redundant, least_upright,
+    q_min, q_max, v_max, a_max, table, now, tip, frames, twist, rate, weight, rung, samples,
+    roll_step, holder_step, comfort, floor, lacking, q_out, terms,
 ):  # fmt: skip
     """Fill q_out (r, rolls, holders, 8, na) and terms (r, rolls, holders, 8, 4) of every posture, rungs in parallel.
 
     terms are sigma, the least angle to a joint's limit, the wrist's angle [rad], and the share of the commanded speed.
-    Where there is no posture, or one whose first three terms over comfort (3) are not above floor, sigma stays 0.
-    Angles are as in the ladder's nodes (`resolve.node_kernel`), so are the arguments; samples (r, m) are those whose
+    Where there is no posture, or one that is not clear of obstacles, or whose first three terms over comfort (3) are
+    not above floor, sigma stays 0.
+    lacking (r, rolls): whether the head lacks clearance from part and print, which only roll decides: -1 where that is
+    not known yet, which is filled. Angles are as in the ladder's nodes (`resolve.node_kernel`), so are the arguments; samples (r, m) are those whose
     rates a rung answers for.
     """
     n_rolls, n_holders, na = q_out.shape[1], q_out.shape[2], q_out.shape[4]
     middle = 0.5 * (q_min + q_max)
+    crowded = len(table.pair) + len(table.look) > 0
     for r in prange(rung.size):
         R = np.empty((3, 3))
         eight = np.empty((8, na))
@@ -69,6 +74,9 @@ def evaluate_margins(
         before, after = np.empty((4, 4)), np.empty((4, 4))
         origins, directions = np.empty((na, 3)), np.empty((na, 3))
         z_axis = np.array((0.0, 0.0, 1.0))
+        posture, bodies = np.empty((1, na + held_holder.shape[1])), room_for(table)
+        for h in range(held_holder.shape[1]):
+            posture[0, na + h] = held_holder[r, h]
         T_part_task = np.eye(4)
         T_part_task[:3, :3] = frames[rung[r]]
         T_part_task[:3, 3] = tip[rung[r]]
@@ -79,6 +87,8 @@ def evaluate_margins(
                 swept -= 2.0 * np.pi * np.round((swept - swept_middle) / (2.0 * np.pi))
                 if min(swept - swept_low, swept_high - swept) < LIMIT_ROOM:
                     continue
+            if sweeps == 1:
+                posture[0, swept_joint] = swept
             rotate_about(axis, swept if sweeps == 1 else 0.0, R)
             turn(T_before[r], R, T_held)
             mul4(T_held, T_after[r], T_world_part)
@@ -131,6 +141,16 @@ def evaluate_margins(
                         known[pair] = True
                     if sigmas[pair] <= floor * comfort[0]:
                         continue
+                    if crowded:
+                        for j in range(na):
+                            posture[0, j] = eight[c, j]
+                        if lacking[r, a] < 0:
+                            lacking[r, a] = 1 if head_lacking(table, bodies, posture, 0, now[rung[r]]) >= 0 else 0
+                        if (
+                            lacking[r, a]
+                            or first_lacking(table, bodies, posture, 0, now[rung[r]], CLEAR_ROOM, False) >= 0
+                        ):
+                            continue
                     terms[r, a, b, c] = (sigmas[pair], room, wrist, shares[pair])
                     for j in range(na):
                         q_out[r, a, b, c, j] = eight[c, j]

@@ -17,7 +17,7 @@ _REACH_SHARE = 0.5  # of the reach, to each side of where the part stands
 _PLATE_SHARE = 0.1  # of the reach, likewise, for a part on its plate
 _FINEST = {False: 10e-3, True: math.radians(5.0)}  # m and rad between lattice points
 _GRAIN = {False: 1e-3, True: math.radians(1.0)}  # m and rad, to which placements are rounded
-_COUNTS = {"x": 11, "y": 11, "z": 7, "turn": 6, "part_x": 5, "part_y": 5}  # of lattice points, at most
+_COUNTS = {"x": 9, "y": 9, "z": 6, "turn": 6, "part_x": 5, "part_y": 5}  # of lattice points, at most
 _MOST_ANYWHERE = 100.0  # m: a hall, as problem files have it
 _TURN = 2.0 * math.pi
 

@@ -9,13 +9,14 @@ is found exactly: a greatest least margin can be found rung by rung.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell import Cell, rigid_inverse
 from planner.kinematics.inverse import kind_of
+from planner.obstacles import NOTHING, Obstacles
 from planner.placement.margin_kernel import (
     NO_WRIST,
     OFFSET,
@@ -26,7 +27,7 @@ from planner.placement.margin_kernel import (
 )
 from planner.resolve.demand import Demand, demand_of
 from planner.resolve.jointpath import JointPath
-from planner.resolve.node_kernel import LIMIT_COMFORT, SIGMA_COMFORT
+from planner.resolve.node_kernel import SIGMA_COMFORT
 from planner.resolve.nodes import BRANCHES, full_grid, holder_around
 from planner.resolve.search import ROUND
 from planner.resolve.search_kernel import SPEED_SHARE
@@ -35,9 +36,10 @@ from planner.timing import bound_time
 
 Array = NDArray[np.float64]
 
-WRIST_COMFORT = 0.35  # rad of joint 5 from where the wrist flips: 20 degrees, as from a joint's limit
-COMFORT = np.array([SIGMA_COMFORT, LIMIT_COMFORT, WRIST_COMFORT])
+ROOM_COMFORT = 0.175  # rad, 10 degrees, from joint limits and the wrist's flip: what a part 2 mm off takes is a tenth
+COMFORT = np.array([SIGMA_COMFORT, ROOM_COMFORT, ROOM_COMFORT])
 _SAMPLES = 16  # whose rates a rung answers for, at most
+_SHARES = 0.9, 0.6, 0.0  # of the score without obstacles, above which the score with them is looked for
 _PROBES = 12  # rungs that are tried first: where one of them is out of reach, so is the part
 _SHARE_OF_BEADS = 4  # a bead has two rungs at least, so no more beads than this part of the rungs
 
@@ -50,6 +52,8 @@ class Course:
     samples (r, m)     whose rates a rung answers for, -1 where there are fewer
     probes (p)         rungs at the ends of the path, in every direction
     roll_step, holder_step   of the grid [rad]
+    lacking (r, rolls)   at which rolls the head lacks clearance from part and print, wherever the part stands: 1 or 0, and
+                         -1 where nobody has asked yet; of one cell's obstacles, which score and rate must be given
     """
 
     demand: Demand
@@ -57,6 +61,15 @@ class Course:
     probes: NDArray[np.int64]
     roll_step: float
     holder_step: float
+    lacking: NDArray[np.int8]
+
+    @property
+    def at_probes(self) -> Course:
+        """The probes alone, as one path."""
+        at = self.probes
+        return replace(
+            self, demand=self.demand.only(at, [0, len(at)]), samples=self.samples[at], lacking=self.lacking[at]
+        )
 
 
 @dataclass(frozen=True)
@@ -89,7 +102,8 @@ def course_of(tasks: Sequence[NozzleTask], rungs: int, step: float, spacing: flo
     samples[:, 1:][np.diff(samples, axis=1) == 0] = -1
     tip, z = demand.tip[demand.rung], demand.frames[demand.rung][:, :, 2]
     ends = np.concatenate([each.argmin(axis=0) for each in (tip, -tip, z, -z)])
-    return Course(demand, samples, np.unique(ends)[:_PROBES], step, step)
+    lacking = np.full((len(demand.rung), int(np.ceil(2.0 * np.pi / step - 1e-9))), -1, dtype=np.int8)
+    return Course(demand, samples, np.unique(ends)[:_PROBES], step, step, lacking)
 
 
 def _far_apart(tasks: Sequence[NozzleTask], count: int) -> list[NozzleTask]:
@@ -107,24 +121,37 @@ def _far_apart(tasks: Sequence[NozzleTask], count: int) -> list[NozzleTask]:
     return [tasks[i] for i in sorted(taken)]
 
 
-def score(cell: Cell, course: Course, min_sigma: float, floor: float = 0.0) -> float:
+def score(cell: Cell, course: Course, min_sigma: float, floor: float = 0.0, obstacles: Obstacles = NOTHING) -> float:
     """The margin that the best way over a course never falls below; 0 where there is no way above a floor.
 
-    The higher the floor, the sooner it is known that a placement is not above it.
+    The higher the floor, the sooner it is known that a placement is not above it. Postures that lack clearance from
+    obstacles do not count; these are given for any place of the part.
     """
-    demand = course.demand
-    probes = demand.only(course.probes, [0, len(course.probes)])
-    _, terms, _, _ = _postures(cell, course, probes, course.samples[course.probes], floor)
+    free = _score(cell, course, min_sigma, floor, NOTHING)
+    if free <= floor or not obstacles.any:
+        return free
+    here = obstacles.of(cell)
+    for share in _SHARES:  # most placements are clear, and few postures have so much margin: only they are looked at
+        above = max(floor, share * free)
+        found = _score(cell, course, min_sigma, above, here)
+        if found > 0.0 or above == floor:
+            return found
+    return 0.0
+
+
+def _score(cell: Cell, course: Course, min_sigma: float, floor: float, obstacles: Obstacles) -> float:
+    _, terms, _, _ = _postures(cell, course.at_probes, floor, obstacles)
     if not (_margins(terms, min_sigma).max(axis=(1, 2, 3)) > floor).all():
         return 0.0
-    worst, _, _ = _best_worst(cell, course, min_sigma, floor)
+    worst, _, _ = best_worst(cell, course, min_sigma, floor, obstacles)
     return float(worst.min()) if worst.min() > floor else 0.0
 
 
-def rate(cell: Cell, course: Course, min_sigma: float) -> Rating:
+def rate(cell: Cell, course: Course, min_sigma: float, obstacles: Obstacles = NOTHING) -> Rating:
     """The score of `score`, and the worst of each term along the way that has it."""
-    worst, terms, picked = _best_worst(cell, course, min_sigma, 0.0)
-    if worst.min() <= 0.0:
+    above = (1.0 - 1e-6) * score(cell, course, min_sigma, 0.0, obstacles)
+    worst, terms, picked = best_worst(cell, course, min_sigma, above, obstacles.of(cell))
+    if worst.min() <= above:
         return Rating(0.0, 0.0, 0.0, 0.0, 0.0, (np.nan, np.nan, np.nan))
     along = terms[np.arange(len(picked)), picked[:, 0], picked[:, 1], picked[:, 2]].astype(float)
     sigma, limit, wrist, share = (float(term) for term in along.min(axis=0))
@@ -151,12 +178,12 @@ def score_of_paths(cell: Cell, paths: Sequence[JointPath]) -> float:
     return least * min(ideal / bound, 1.0)
 
 
-def _best_worst(
-    cell: Cell, course: Course, min_sigma: float, floor: float
+def best_worst(
+    cell: Cell, course: Course, min_sigma: float, floor: float, obstacles: Obstacles
 ) -> tuple[Array, NDArray[np.float32], NDArray[np.int64]]:
     """Best worst margin of each task, every posture's terms, and the nodes (r, 3) of the ways."""
     demand, limits, na = course.demand, cell.limits, len(cell.arm)
-    q, terms, joint, holder_step = _postures(cell, course, demand, course.samples, floor)
+    q, terms, joint, holder_step = _postures(cell, course, floor, obstacles)
     speed = np.ones(na + 1)
     speed[:na] = limits.velocity[:na]
     if joint is not None:
@@ -178,12 +205,15 @@ def _margins(terms: NDArray[np.float32], min_sigma: float) -> NDArray[np.float32
 
 
 def _postures(
-    cell: Cell, course: Course, demand: Demand, samples: NDArray[np.int64], floor: float
+    cell: Cell, course: Course, floor: float, obstacles: Obstacles
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], int | None, float]:
     """Joints and terms of every posture (see `evaluate_margins`), the joint that is swept, and by what step [rad].
 
     Of several chosen joints the one next to the part is swept, the others rest at home.
     """
+    demand = course.demand
+    if demand.cones.tilt > 0.0:  # a lean may give the head its clearance from part and print
+        obstacles = obstacles.but_head_on_part
     limits, na, nh = cell.limits, len(cell.arm), len(cell.holder)
     r = len(demand.rung)
     held = np.tile(cell.home[list(cell.chosen)], (r, 1))
@@ -202,10 +232,11 @@ def _postures(
         kind_of(cell.inverse), cell.inverse.parameters, np.array(cell.solved), -1 if redundant is None else redundant,
         wrist, rigid_inverse(cell.T_world_base), rigid_inverse(cell.T_flange_nozzle),
         cell.arm.placements, cell.arm.axes, cell.arm.T_last_tip,
-        T_before, axis, T_after, sweeps, low, high, np.zeros(r) if redundant is None else held[:, nh].copy(),
+        T_before, axis, T_after, sweeps, -1 if joint is None else joint, held[:, :nh].copy(), low, high,
+        np.zeros(r) if redundant is None else held[:, nh].copy(),
         np.cos(min(cone, np.pi)) - 1e-9,
         limits.q_min[:na], limits.q_max[:na], limits.velocity[:na], limits.acceleration[:na],
-        demand.tip, demand.frames, demand.twist, demand.rate, demand.weight, demand.rung, samples,
-        grid.roll_step, grid.holder_step, COMFORT, floor, q, terms,
+        obstacles.table, demand.now, demand.tip, demand.frames, demand.twist, demand.rate, demand.weight, demand.rung, course.samples,
+        grid.roll_step, grid.holder_step, COMFORT, floor, course.lacking, q, terms,
     )  # fmt: skip
     return q, terms, joint, grid.holder_step

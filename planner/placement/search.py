@@ -85,11 +85,14 @@ def well_apart(tried: Iterable[Tried], count: int, apart: Callable[[Point, Point
     return out
 
 
-def polish(axes: Sequence[Axis], score: Score, start: Point) -> list[Tried]:
-    """Ever better points from a start on, with steps that halve where none helps any more; the last is the best."""
+def polish(axes: Sequence[Axis], score: Score, start: Point, share: float = 0.5, most: int = 10**9) -> list[Tried]:
+    """Ever better points from a start on, with steps that halve where none helps any more; the last is the best.
+
+    share: of the lattice's step, which the first steps are; most: scores that are asked for.
+    """
     best = Tried(start, score(start, 0.0))
     trail = [best]
-    width = np.array([0.5 * axis.step for axis in axes])
+    width = np.array([share * axis.step for axis in axes])
     spread = qmc.Halton(len(axes), scramble=False)
     spread.fast_forward(1)  # the first point is a corner
     known = {start}
@@ -99,13 +102,13 @@ def polish(axes: Sequence[Axis], score: Score, start: Point) -> list[Tried]:
             better = best
             for offset in around * width:
                 point = tuple(axis.put(at + by) for axis, at, by in zip(axes, best.point, offset, strict=True))
-                if point in known:
+                if point in known or len(known) >= most:
                     continue
                 known.add(point)
                 found = score(point, better.score)
                 if found > better.score:
                     better = Tried(point, found)
-            if better is best:
+            if better is best:  # as it stays where no more scores may be asked for
                 break
             best = better
             trail.append(best)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.errors import Refusal
-from planner.obstacles import NOTHING
+from planner.obstacles import Obstacles
 from planner.placement.freedom import ANGLES, Place, moved_cell
 from planner.placement.ranges import reach
 from planner.placement.rating import Course, Rating, course_of, rate, score, score_of_paths
@@ -29,11 +29,24 @@ COARSE = 40, math.radians(30.0)  # rungs and steps of the grid, for lattice and 
 FINE = {False: (120, math.radians(15.0)), True: (60, math.radians(20.0))}  # for what is polished; with a table
 _SAMPLES_RESOLVED = 200_000  # waypoints, over all places that are tried with the strategy: a minute or two
 _RESOLVED = 6, 30  # such places, at least and at most
+_NEAR = 0.1  # of the lattice's step: around the best of them as many more are tried
 _STARTS = {False: 10, True: 6}  # that are polished
-_MAP = {False: 31, True: 21}  # places to a side of a map
+_MAP = {False: 21, True: 17}  # places to a side of a map
 _APART = 0.1  # of the reach: placements that are nearer to each other are one
 _APART_TURNED = math.radians(30.0)  # likewise, where nothing but the turn is free
 FOOT_SHARE = 0.25  # of the reach: so near to the arm's first axis stands its foot
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What may be in the way, wherever the part stands; nothing, if a strategy knows of no obstacles.
+
+    nearly    obstacles for scores, of any place: on a bed without fixtures in the way of the print head
+    exactly   the obstacles of a cell, all of them
+    """
+
+    nearly: Obstacles
+    exactly: Callable[[Cell], Obstacles]
 
 
 @dataclass(frozen=True)
@@ -78,6 +91,7 @@ def study(
     cell: Cell,
     tasks: Sequence[NozzleTask],
     now: Place,
+    around: Surroundings,
     axes: Sequence[Axis],
     strategy: str,
     count: int,
@@ -103,7 +117,7 @@ def study(
         moved = moved_cell(cell, now, place)
         if _nearest_to_axis(moved, course) < foot and place != now:
             return 0.0
-        return score(moved, course, min_sigma, floor)
+        return score(moved, course, min_sigma, floor, around.nearly)
 
     total = math.prod(axis.count for axis in axes)
     with progress("lattice", total) as tick:
@@ -123,17 +137,25 @@ def study(
     steps = sorted((tried for trail in trails for tried in trail[:-1]), key=lambda tried: -tried.score)
     most = int(np.clip(_SAMPLES_RESOLVED // sum(len(task) for task in guides), *_RESOLVED))
     points = list(dict.fromkeys(tried.point for tried in (*ends, *steps) if tried.score > 0.0))[:most]
-    resolved = []
-    with progress("resolve", len(points)) as tick:
+    resolved: list[Tried] = []
+
+    def followed(point: Point, floor: float) -> float:
+        resolved.append(Tried(point, _resolved(moved_cell(cell, now, at(point)), guides, strategy, problem, around)))
+        tick()
+        return resolved[-1].score
+
+    with progress("resolve", 2 * len(points)) as tick:
         for point in points:
-            resolved.append(Tried(point, _resolved(moved_cell(cell, now, at(point)), guides, strategy, problem)))
-            tick()
+            followed(point, 0.0)
+        top = max(resolved, key=lambda tried: tried.score, default=None)
+        if top is not None and top.score > 0.0:
+            polish(axes, followed, top.point, _NEAR, len(points))
     best = well_apart(resolved, count, lambda a, b: _apart(axes, a, b, reach(cell)))
     if not best:
         raise Refusal("no place in the range reaches the whole part without a break", hints=_hints(axes, cell))
-    top = at(best[0].point)
-    planes = [("through the best place", top)]
-    if any(getattr(top, axis.name) != getattr(now, axis.name) for axis in axes[2:]):
+    top_place = at(best[0].point)
+    planes = [("through the best place", top_place)]
+    if any(getattr(top_place, axis.name) != getattr(now, axis.name) for axis in axes[2:]):
         planes.append(("through the present place", now))
     slices = []
     side = [min(_MAP[table], max(2 * axis.count, 2)) for axis in axes[:2]]
@@ -143,18 +165,21 @@ def study(
     return Study(
         tuple(axes),
         now,
-        rate(cell, fine, min_sigma),
+        rate(cell, fine, min_sigma, around.nearly),
         tuple((at(each.point), each.score) for each in lattice),
         tuple((at(each.point), each.score) for each in resolved),
         tuple(slices),
-        tuple((at(each.point), rate(moved_cell(cell, now, at(each.point)), fine, min_sigma)) for each in best),
+        tuple(
+            (at(each.point), rate(moved_cell(cell, now, at(each.point)), fine, min_sigma, around.nearly))
+            for each in best
+        ),
     )
 
 
-def _resolved(cell: Cell, tasks: Sequence[NozzleTask], strategy: str, problem: Problem) -> float:
+def _resolved(cell: Cell, tasks: Sequence[NozzleTask], strategy: str, problem: Problem, around: Surroundings) -> float:
     """The score of the paths that a strategy finds; 0 where it finds none."""
     try:
-        return score_of_paths(cell, STRATEGIES[strategy](cell, tasks, problem.resolve, NOTHING))
+        return score_of_paths(cell, STRATEGIES[strategy](cell, tasks, problem.resolve, around.exactly(cell)))
     except Refusal:
         return 0.0
 
