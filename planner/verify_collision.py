@@ -22,7 +22,7 @@ Index = NDArray[np.int64]
 
 FAR = 50e-3  # m: what is farther away is that far away
 TOLERANCE = 1e-4  # m: no distance is missed that is too small by more
-_SHARE = 0.05  # of a distance that is large enough, to which it is found
+_SHARE = 0.2  # of what a distance is more than is asked for, to which it is found
 _PARTS = 16  # instants of a sample
 _FIRST = 128 * _PARTS  # instants between first looks
 _NOWHERE = -1e30
@@ -140,7 +140,7 @@ class _Sweep:
 
     def _target(self) -> Array:
         """What is looked for, by pair (p): distances that are less."""
-        found = self.least - np.maximum(TOLERANCE, _SHARE * np.abs(self.least))
+        found = self.least - np.maximum(TOLERANCE, _SHARE * np.abs(self.least - self.need))
         return np.where(self.least >= self.need, np.maximum(found, self.need - TOLERANCE), found)
 
     def _bound(self, pair: Index, a: Index, b: Index, da: Array, db: Array) -> Array:

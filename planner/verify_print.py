@@ -32,7 +32,8 @@ SLOPE = 0.25  # distance that is kept, for each distance from the tip
 FAR = 50e-3  # m: what is farther away is that far away
 TOLERANCE = 1e-4  # m: no distance is missed that falls short by more
 _OFTEN = 25  # samples after which every body is looked at again, wherever it is
-_CLOSE = 1e-3  # m above what is needed: distances below are found to the tolerance
+_CLOSE = 1e-3  # m above what is needed: less is looked for
+_SHARE = 0.5  # of what the least has to spare, to which it is found
 _STEEP = 1e3  # slope that lets nothing within the tip's zone count
 _MOST_PARTS = 64  # of the time between two samples
 
@@ -168,10 +169,7 @@ def _along(
             if k == before + 1 and k > 0:
                 moved = rate * (path[k] - path[before] + arm * (turned[k] - turned[before]))
                 parts = 1
-                while (
-                    0.5 * (value + value_before - moved / parts) < min(least, _CLOSE) - TOLERANCE
-                    and parts < _MOST_PARTS
-                ):
+                while 0.5 * (value + value_before - moved / parts) < _target(least) and parts < _MOST_PARTS:
                     parts *= 2
                 for i in range(1, parts):
                     _between(rotation[before], rotation[k], tip[before], tip[k], i / parts, R, p)
@@ -188,7 +186,7 @@ def _along(
                 margin[i] = min(margin[i], (1.0 - share) * value_before + share * value if before >= 0 else value)
             if k == n - 1:
                 break
-            target = min(least, _CLOSE) - TOLERANCE
+            target = _target(least)
             m = k + 1
             while m < min(n - 1, k + _OFTEN):
                 moved = path[m + 1] - path[k] + arm * (turned[m + 1] - turned[k])
@@ -200,6 +198,12 @@ def _along(
                 m += 1
             before, value_before, k = k, value, m
     return least, where, whose, which, looks
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _target(least):
+    """Margins that are looked for are less than this, where `least` is the least that is known."""
+    return max(min(least, _CLOSE) - max(TOLERANCE, _SHARE * least), min(least, 0.0) - TOLERANCE)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

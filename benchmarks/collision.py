@@ -1,0 +1,77 @@
+"""How near things come in shipped problems, and what it takes to know: seconds of CPU of one process.
+
+python -m benchmarks.collision                 all of them
+python -m benchmarks.collision peer_cap        or some
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+
+from rich.console import Console
+from rich.table import Table
+
+from planner.errors import PlannerError
+from planner.plan import Plan
+from planner.print_body import print_body, standing
+from planner.problem import load_problem, shipped_problems
+from planner.replay import replay
+from planner.solve import solve
+from planner.verify_clear import keep_apart
+
+COLUMNS = (
+    "problem",
+    "samples",
+    "least mm",
+    "nozzle mm",
+    "arm mm",
+    "robots mm",
+    "nearest",
+    "plan s",
+    "print s",
+    "check s",
+)
+
+
+def row(plan: Plan, seconds: float) -> tuple[str, ...]:
+    """A plan's least distances and what they take."""
+    motion = replay(plan.cell, plan.trajectory)
+    started = time.process_time()
+    print_body(plan.toolpath, standing(plan.cell))
+    body = time.process_time() - started
+    started = time.process_time()
+    keep_apart(plan.problem, plan.cell, plan.toolpath, plan.trajectory, motion, [], {}, {})
+    check = time.process_time() - started
+    names = ("clearance_min_mm", "nozzle_clearance_min_mm", "arm_clearance_min_mm", "robot_clearance_min_mm")
+    nearest = f"{plan.approaches[0].a}, {plan.approaches[0].b}" if plan.approaches else "-"
+    figures = [f"{plan.metrics[name]:.1f}" for name in names]
+    return (
+        plan.problem.name,
+        str(len(plan.trajectory)),
+        *figures,
+        nearest,
+        *(f"{s:.1f}" for s in (seconds, body, check)),
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Solve the problems named, or all that ship, and print a table."""
+    names = list(sys.argv[1:] if arguments is None else arguments) or list(shipped_problems())
+    table = Table(*COLUMNS)
+    console = Console()
+    for name in names:
+        started = time.process_time()
+        try:
+            plan = solve(load_problem(name))
+        except PlannerError as error:
+            console.print(f"{name}: {error}", markup=False)
+            continue
+        table.add_row(*row(plan, time.process_time() - started))
+    console.print(table)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,102 @@
+"""Least distances against dense sampling and brute force, on motions drawn at random."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from collision_scenes import scene
+from numpy.typing import NDArray
+
+from planner.collision_bodies import CellBodies, Distances, pairs
+from planner.point_tree import point_tree, solid_distance
+from planner.print_body import PrintBody
+from planner.replay import Motion
+from planner.solids import packed
+from planner.verify_collision import FAR, sweep
+from planner.verify_print import FAR as FAR_FROM_PRINT
+from planner.verify_print import SLOPE, nozzle_nearness
+
+Array = NDArray[np.float64]
+FIXTURES = (
+    "  bed_mm: [-500, 600, 100]\n"
+    "  fixtures:\n    post: {cylinder: {radius_mm: 30, height_mm: 500}, centre_mm: [420, 150, 300]}\n"
+    "    block: {box_mm: [120, 80, 60], centre_mm: [450, -200, 420], rpy_deg: [20, 30, 40]}\n"
+)
+
+
+def _wandering(rng: np.random.Generator, low: Array, high: Array, n: int) -> Array:
+    """A smooth way (n, joints) through four postures drawn at random."""
+    knots = rng.uniform(low, high, (4, len(low)))
+    u = np.linspace(0.0, 3.0, n)
+    share = 0.5 - 0.5 * np.cos(np.pi * (u % 1.0))
+    k = np.minimum(u.astype(int), 2)
+    share = np.where(u >= 3.0, 1.0, share)[:, None]
+    return np.asarray((1.0 - share) * knots[k] + share * knots[k + 1])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_least_distances_are_those_of_dense_sampling(tmp_path: Path, seed: int) -> None:
+    problem, cell = scene(tmp_path, FIXTURES)
+    bodies = CellBodies.of(cell)
+    hits = pairs(bodies, problem.collision.nozzle, problem.collision.arm)
+    rng = np.random.default_rng(seed)
+    low, high = np.radians([-60, -10, -40, -90, -90, -90]), np.radians([60, 60, 30, 90, 90, 90])
+    q = _wandering(rng, low, high, 400)
+    body = PrintBody(point_tree(np.array([[9.0, 9.0, 9.0]])), np.array([0, 1]), ("part",))
+    found = sweep(bodies, hits, q, body, np.zeros(len(q)))
+    dense = np.repeat(q[:-1], 2, axis=0)
+    dense[1::2] = 0.5 * (q[:-1] + q[1:])
+    distance = Distances(bodies)
+    poses = bodies.poses(dense)
+    near = 0
+    for k, pair in enumerate(hits):
+        if {bodies.things[pair.a].kind, bodies.things[pair.b].kind} != {"fixture", "arm"} and pair.need > 0.002:
+            continue  # a share of the pairs is enough
+        least = min(distance.of(pair, T) for T in poses[:: 1 + seed])
+        if least >= FAR:
+            assert found.distance[k] >= FAR - 1e-3
+            continue
+        near += 1
+        spare = max(1e-4, 0.2 * abs(found.distance[k] - pair.need))
+        assert found.distance[k] <= least + spare
+        assert (least < pair.need - 1e-4) <= (found.distance[k] < pair.need)
+    assert near > 3
+
+
+def test_the_nozzle_from_print_is_as_near_as_by_brute_force(tmp_path: Path) -> None:
+    """Every sample, every body, every point that is there."""
+    _, cell = scene(tmp_path, FIXTURES)
+    rng = np.random.default_rng(5)
+    points = rng.uniform([-0.05, -0.05, -0.03], [0.05, 0.05, -0.001], (300, 3))
+    time = np.sort(rng.uniform(0.0, 2.0, 300))
+    time[:100] = -np.inf
+    n = 300
+    u = np.linspace(0.0, 1.0, n)
+    tip = np.column_stack([0.04 * np.cos(7 * u), 0.04 * np.sin(5 * u), 0.004 * np.cos(3 * u)])
+    lean = 0.3 * np.sin(4 * u)
+    rotation = np.zeros((n, 3, 3))
+    rotation[:, 0] = np.column_stack([np.cos(lean), np.zeros(n), -np.sin(lean)])
+    rotation[:, 1, 1] = -1.0
+    rotation[:, 2] = np.column_stack([-np.sin(lean), np.zeros(n), -np.cos(lean)])
+    assert np.linalg.det(rotation) == pytest.approx(np.ones(n))
+    still = np.zeros(n)
+    motion = Motion(tip, rotation[:, :, 2], rotation, np.zeros((n, 3)), still, still, still.astype(np.int8))
+    now, slack, clearance = 2.5 * np.floor(4 * u), np.full(n, 4e-4), 2e-3
+    tree = point_tree(points, 2e-4, time)
+    head = packed(cell.head)
+    found = nozzle_nearness(tree, head, motion, now, slack, clearance)
+    least = np.inf
+    for k in range(n):
+        local = (points[time < now[k]] - tip[k]) @ rotation[k]
+        away = np.linalg.norm(local, axis=1)
+        need = np.minimum(clearance, SLOPE * away - slack[k])
+        for j in range(len(head.kind)):
+            T = head.T_solid_frame[j]
+            own = local @ T[:3, :3].T + T[:3, 3]
+            d = np.array([solid_distance(head.kind[j], head.size[j], head.planes, *p) for p in own])
+            if len(d):
+                least = min(least, float((d - 2e-4 - need).min()))
+    assert least < FAR_FROM_PRINT
+    assert least - 2e-4 <= found.least <= least + 1.1e-4  # between samples it may be nearer still
