@@ -72,6 +72,7 @@ CASES = (
     Case("cylinder and table", "cylinder_logo", 18, (0.05, np.inf), ask=Ask(table=True)),
     Case("bowl", "fibre_bowl", 12, (0.1, 0.1)),
     Case("bowl", "fibre_bowl", 12, (0.2, 0.2), wrong=2),
+    Case("bowl, noise known", "fibre_bowl", 12, (0.2, 0.2), wrong=2, ask=Ask(noise=5e-5)),
     Case("bowl, random places", "fibre_bowl", 12, (0.1, 0.1), chosen=False),
     Case("bowl", "fibre_bowl", 24, (0.1, 0.1)),
     Case("bowl", "fibre_bowl", 24, (0.2, 0.2), wrong=5),
@@ -212,7 +213,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             for case in CASES:
                 table.add_row(*row_of(case, options.seeds, noise, Path(folder)))
                 print(f"{len(table.rows)} of {len(CASES)}", file=sys.stderr)
-            for aim, wrong in ((0.0, 0), (1e-3, 0), (1e-3, 2)):
+            for aim, wrong in ((5e-5, 0), (5e-5, 2), (1e-3, 0)):
                 table.add_row(*pollard_row(aim, wrong, options.seeds, noise))
     except PlannerError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -36,7 +36,7 @@ _FARTHEST_STEP = 0.05  # m: the distance of a bent surface is no straight line
 _SETS = 400  # of contacts that are tried, at most
 _AGREEMENTS = 6  # times that contacts are chosen anew at the placement that the last choice gave
 _UNSEEN = 1e-9  # added to squares of columns: a direction that none of the contacts sees, to far below SEEN
-_DOUBT = 0.01  # probability of leaving out a contact that is as good as the others
+_DOUBT = 0.002  # probability of leaving out a contact that is as good as the others: that makes all seem more exact
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def _nearby(touch: Touch, start: Placement) -> Placement:
     best, least = start, math.inf
     rough = replace(touch, surface=touch.rough)
     for k, turned in enumerate(_starts(touch.unknowns, start)):
-        placement = _weighted(touch, _weighted(rough, turned, h) if k else turned, h)
+        placement = _weighted(touch, turned if k == 1 else _weighted(rough, turned, h), h)
         r = np.abs(touch.residuals(placement))
         cost = float((np.sort(r)[:h] ** 2).sum()) + h * LEAST_NOISE**2
         if cost < (_BETTER if k else 1.0) * least:
@@ -149,7 +149,7 @@ def _weighted(touch: Touch, placement: Placement, h: int) -> Placement:
 
 
 def _starts(unknowns: Unknowns, start: Placement) -> list[Placement]:
-    """The start itself twice, for its own sake and for a rough fit, and turned about each axis that may turn."""
+    """The start itself twice, for a rough fit and for its own sake, and turned about each axis that may turn."""
     out = [start, start]
     for axis in range(3):
         if np.linalg.norm(unknowns.basis[TURNS][axis]) > 0.5:
