@@ -13,7 +13,7 @@ from solved import bed_plan, small_plan
 from planner import solve as command
 from planner.background import in_background, in_halves, shared, spare_core
 from planner.errors import InputError, PlannerError, Refusal
-from planner.obstacles import obstacles_of
+from planner.obstacles import NOTHING, obstacles_of
 from planner.plan import Plan
 from planner.resolve import STRATEGIES
 from planner.solve import write
@@ -101,7 +101,7 @@ def test_trajectory_in_two_processes_is_the_same() -> None:
         plan.cell, tasks, plan.problem.resolve, obstacles_of(plan.problem, plan.cell, plan.toolpath)
     )
     here, beside = (
-        command._trajectory(plan.problem, plan.cell, plan.toolpath, paths, plan.trajectory.dt, both)[0]
+        command._trajectory(plan.problem, plan.cell, plan.toolpath, paths, NOTHING, plan.trajectory.dt, both)[0]
         for both in (False, True)
     )
     for name, values in vars(here).items():

@@ -23,6 +23,7 @@ from planner.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, Refusal
 from planner.headroom import AS_PLANNED, _try, displacements, followed, headroom, middle_of
 from planner.headroom_bounds import displacement_slopes, first_order
 from planner.headroom_cell import beneath, displaced
+from planner.obstacles import NOTHING
 from planner.plan import Check, Trajectory
 from planner.problem import Problem, load_problem
 from planner.replay import replay
@@ -76,7 +77,7 @@ class Case:
     @cached_property
     def planned(self) -> tuple[Trajectory, Sequence[Travel]]:
         """The trajectory as planned, and its travels."""
-        return _trajectory(self.problem, self.cell, self.toolpath, self.paths, DT, False)
+        return _trajectory(self.problem, self.cell, self.toolpath, self.paths, NOTHING, DT, False)
 
     def again(self, cell: Cell, paths: Sequence[JointPath]) -> Report:
         """Time paths, carry the travel along, join and verify."""
@@ -92,7 +93,7 @@ class Case:
 def case_of(problem: Problem) -> Case:
     cell, toolpath = build_cell(problem), build_toolpath(problem)
     tasks = tasks_of(problem, toolpath)
-    return Case(problem, cell, toolpath, STRATEGIES[problem.strategy](cell, tasks, problem.resolve))
+    return Case(problem, cell, toolpath, STRATEGIES[problem.strategy](cell, tasks, problem.resolve, NOTHING))
 
 
 @cache
