@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("problems", nargs="*", default=PROBLEMS, metavar="PROBLEM")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     options = parser.parse_args(arguments)
-    table = Table(*COLUMNS, title="CPU time [s]: with obstacles / without", title_justify="left")
+    table = Table(*COLUMNS, title="CPU time in s: with obstacles / without", title_justify="left")
     try:
         for name in options.problems:
             problem = load_problem(name, options.set)
