@@ -42,7 +42,8 @@ def row(plan: Plan, seconds: float) -> tuple[str, ...]:
     print_body(plan.toolpath, standing(plan.cell))
     body = time.process_time() - started
     started = time.process_time()
-    keep_apart(plan.problem, plan.cell, plan.toolpath, plan.trajectory, motion, [], {}, {})
+    body = print_body(plan.toolpath, standing(plan.cell))
+    keep_apart(plan.problem, plan.cell, plan.toolpath, plan.trajectory, motion, body, [], {}, {})
     check = time.process_time() - started
     names = ("clearance_min_mm", "nozzle_clearance_min_mm", "arm_clearance_min_mm", "robot_clearance_min_mm")
     nearest = f"{plan.approaches[0].a}, {plan.approaches[0].b}" if plan.approaches else "-"

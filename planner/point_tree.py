@@ -86,15 +86,37 @@ def _build(points, radius, time, order, centre, reach, since, left, right):
         if b - a <= _LEAF:
             left[node], right[node] = -1 - a, b - a
             continue
-        axis = np.argmax(high - low)
-        own = order[a:b].copy()
-        order[a:b] = own[np.argsort(points[own, axis], kind="mergesort")]
-        left[node], right[node] = count, count + 1
         middle = (a + b) // 2
+        _halve(points, np.argmax(high - low), order, a, b, middle)
+        left[node], right[node] = count, count + 1
         todo.append((count, a, middle))
         todo.append((count + 1, middle, b))
         count += 2
     return count
+
+
+@njit(cache=True)
+def _halve(points, axis, order, a, b, middle):
+    """Sort order[a:b] so far that no point before `middle` lies beyond any from there on, along an axis (quickselect)."""
+    low, high = a, b - 1
+    while low < high:
+        pivot = points[order[(low + high) // 2], axis]
+        i, j = low, high
+        while i <= j:
+            while points[order[i], axis] < pivot:
+                i += 1
+            while points[order[j], axis] > pivot:
+                j -= 1
+            if i <= j:
+                order[i], order[j] = order[j], order[i]
+                i += 1
+                j -= 1
+        if middle <= j:
+            high = j
+        elif middle >= i:
+            low = i
+        else:
+            break
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="never")

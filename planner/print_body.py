@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +26,8 @@ Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 CLEARANCE = 2e-3  # m: at this distance from the points nothing between them is nearer
-_NEAR = 30e-3  # m from a bead: here surfaces are known finely
-_FINE, _COARSE = 1e-3, 3e-3  # m, longest side of a triangle whose corners stand for it: near beads, and elsewhere
+_NEAR = 20e-3  # m from a bead: here surfaces are known finely
+_FINE, _COARSE = 1.4e-3, 4e-3  # m, longest side of a triangle whose corners stand for it: near beads, and elsewhere
 _MOST = 100_000  # points of either kind, about: more and they stand farther apart
 _CORNER_AREA = 0.3  # of the square of that side, of the surface that falls to one corner
 _MERGED = 0.125  # of that side: corners nearer to each other count as one
@@ -50,6 +51,7 @@ class PrintBody(ReadOnlyArrays):
     names: tuple[str, ...]
     bodies: int = 0
 
+    @cached_property
     def without_bodies(self) -> PrintBody:
         """Part and print alone."""
         if not self.bodies:

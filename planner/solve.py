@@ -9,7 +9,7 @@ import argparse
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +33,7 @@ from planner.motion import join
 from planner.obstacles import NOTHING, Obstacles, obstacles_of
 from planner.output import results_folder
 from planner.plan import Plan, Trajectory
+from planner.print_body import PrintBody, print_body, standing
 from planner.problem import Problem, load_problem, shipped_problems
 from planner.progress import Stages
 from planner.report.failure import write_failure_report
@@ -78,13 +79,11 @@ def solve(
         cell = build_cell(problem)
         check_start(problem, cell)
     with stages.stage("toolpath"):
-        toolpath, tasks = _toolpath(problem)
+        toolpath = build_toolpath(problem)
     with stages.stage("obstacles"):
-        obstacles = obstacles_of(problem, cell, toolpath)
-    with _baseline_beside(strategy, problem, cell, toolpath, tasks, dt, second_process) as baseline_metrics:
-        trajectory, report, paths, travels = _plan_with(
-            strategy, problem, cell, toolpath, tasks, obstacles, dt, stages, second_process
-        )
+        given = _given(problem, cell, toolpath)
+    with _baseline_beside(strategy, given, dt, second_process) as baseline_metrics:
+        trajectory, report, paths, travels = _plan_with(strategy, given, dt, stages, second_process)
         with stages.stage("dips"):
             dips = find_dips(problem, cell, toolpath, paths, trajectory)
         with stages.stage("baseline"):
@@ -118,38 +117,44 @@ def try_out(problem: Problem, toolpath: Toolpath, strategy: str, second_process:
 
     toolpath: the problem's own, which does not depend on its cell. Raises Refusal where there is no plan at all.
     """
-    cell, tasks = build_cell(problem), tasks_of(problem, toolpath)
-    obstacles = obstacles_of(problem, cell, toolpath)
-    stages = Stages()
-    _, report, *_ = _plan_with(strategy, problem, cell, toolpath, tasks, obstacles, DEFAULT_DT, stages, second_process)
+    given = _given(problem, build_cell(problem), toolpath)
+    _, report, *_ = _plan_with(strategy, given, DEFAULT_DT, Stages(), second_process)
     return report
 
 
-def _toolpath(problem: Problem) -> tuple[Toolpath, tuple[NozzleTask, ...]]:
-    toolpath = build_toolpath(problem)
-    return toolpath, tasks_of(problem, toolpath)
+@dataclass(frozen=True)
+class _Given:
+    """What every strategy plans with, and is verified with."""
+
+    problem: Problem
+    cell: Cell
+    toolpath: Toolpath
+    tasks: tuple[NozzleTask, ...]
+    body: PrintBody
+    obstacles: Obstacles
+
+
+def _given(problem: Problem, cell: Cell, toolpath: Toolpath) -> _Given:
+    """Raises InputError for a bead that is too short for the problem's fibre."""
+    body = print_body(toolpath, standing(cell))
+    return _Given(
+        problem, cell, toolpath, tasks_of(problem, toolpath), body, obstacles_of(problem, cell, toolpath, body)
+    )
 
 
 def _plan_with(
-    strategy: str,
-    problem: Problem,
-    cell: Cell,
-    toolpath: Toolpath,
-    tasks: Sequence[NozzleTask],
-    obstacles: Obstacles,
-    dt: float,
-    stages: Stages,
-    second_process: bool = False,
+    strategy: str, given: _Given, dt: float, stages: Stages, second_process: bool = False
 ) -> tuple[Trajectory, Report, Sequence[JointPath], Sequence[Travel]]:
     """Resolve, time, join and verify with one strategy; the bound on the deposition time joins the metrics."""
-    obstacles = NOTHING if strategy in UNAWARE else obstacles
+    problem, cell, toolpath = given.problem, given.cell, given.toolpath
+    obstacles = NOTHING if strategy in UNAWARE else given.obstacles
     beside = second_process and _waypoints(toolpath) >= WORTH_A_FORK
     with stages.stage("resolve"):
-        paths = STRATEGIES[strategy](cell, tasks, problem.resolve, obstacles)
+        paths = STRATEGIES[strategy](cell, given.tasks, problem.resolve, obstacles)
     with stages.stage("timing"):
         trajectory, travels = _trajectory(problem, cell, toolpath, paths, obstacles, dt, beside)
     with stages.stage("verify"):
-        report = verify(problem, cell, toolpath, trajectory, beside)
+        report = verify(problem, cell, toolpath, trajectory, beside, given.body)
     with stages.stage("dips"):
         bound = {"bound_deposition_time_s": sum(bound_time(cell, path) for path in paths)}
     return trajectory, replace(report, metrics=report.metrics | bound), paths, travels
@@ -222,30 +227,22 @@ def _headroom(
 
 @contextmanager
 def _baseline_beside(
-    strategy: str,
-    problem: Problem,
-    cell: Cell,
-    toolpath: Toolpath,
-    tasks: Sequence[NozzleTask],
-    dt: float,
-    second_process: bool,
+    strategy: str, given: _Given, dt: float, second_process: bool
 ) -> Iterator[Callable[[], dict[str, dict[str, float]]]]:
     """What gives the baseline's metrics by strategy, planned beside the block where that is worth a process."""
     if strategy == BASELINE:
         yield dict
-    elif second_process and _waypoints(toolpath) >= WORTH_A_FORK and spare_core():
-        with in_background(_baseline, problem, cell, toolpath, tasks, dt) as wait:
+    elif second_process and _waypoints(given.toolpath) >= WORTH_A_FORK and spare_core():
+        with in_background(_baseline, given, dt) as wait:
             yield wait
     else:
-        yield lambda: _baseline(problem, cell, toolpath, tasks, dt)
+        yield lambda: _baseline(given, dt)
 
 
-def _baseline(
-    problem: Problem, cell: Cell, toolpath: Toolpath, tasks: Sequence[NozzleTask], dt: float
-) -> dict[str, dict[str, float]]:
+def _baseline(given: _Given, dt: float) -> dict[str, dict[str, float]]:
     """Metrics of the published way of moving; empty ones if it cannot be planned here."""
     try:
-        _, report, *_ = _plan_with(BASELINE, problem, cell, toolpath, tasks, NOTHING, dt, Stages())
+        _, report, *_ = _plan_with(BASELINE, given, dt, Stages())
     except Refusal:
         return {BASELINE: {}}
     return {BASELINE: report.metrics}

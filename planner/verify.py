@@ -19,6 +19,7 @@ from planner.background import in_halves, shared
 from planner.cell import Cell
 from planner.nearest import distance_to_polyline
 from planner.plan import Approach, CellView, Check, Trajectory
+from planner.print_body import PrintBody, print_body, standing
 from planner.problem import Problem
 from planner.replay import replay
 from planner.toolpath.bead import Toolpath
@@ -48,9 +49,16 @@ class Report:
 
 
 def verify(
-    problem: Problem, cell: Cell, toolpath: Toolpath, trajectory: Trajectory, second_process: bool = False
+    problem: Problem,
+    cell: Cell,
+    toolpath: Toolpath,
+    trajectory: Trajectory,
+    second_process: bool = False,
+    body: PrintBody | None = None,
 ) -> Report:
     """Check a trajectory against the cell's limits and the input geometry; a failed check is reported, not raised.
+
+    body: what takes room of part and print, as `print_body` makes it of this toolpath and cell; made if not given.
 
     With a second process the report is the same, and there sooner.
     """
@@ -62,7 +70,8 @@ def verify(
     geometry = partial(_geometry, second_process)
     for part in (_records, _limits, geometry, _coverage, _singularity, _speed, extrusion, _clearance):
         part(problem, cell, toolpath, trajectory, motion, checks, metrics, series)
-    approaches, view = keep_apart(problem, cell, toolpath, trajectory, motion, checks, metrics, series)
+    body = body or print_body(toolpath, standing(cell))
+    approaches, view = keep_apart(problem, cell, toolpath, trajectory, motion, body, checks, metrics, series)
     return Report(tuple(checks), metrics, series, approaches, view)
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from planner.cell import Cell
 from planner.collision_bodies import HEAD, CellBodies, Distances, Pair, all_at_home, pairs
 from planner.plan import Approach, CellView, Check, Trajectory
-from planner.print_body import PrintBody, print_body, standing
+from planner.print_body import PrintBody
 from planner.problem import Problem
 from planner.replay import Motion
 from planner.solids import triangles_of
@@ -28,6 +28,7 @@ def keep_apart(
     toolpath: Toolpath,
     t: Trajectory,
     motion: Motion,
+    body: PrintBody,
     checks: list[Check],
     metrics: dict[str, float],
     series: dict[str, Array],
@@ -38,13 +39,12 @@ def keep_apart(
     Distances are found up to FAR; `clearance_min_mm` is the least of all beyond the tip's zone (see verify_print).
     """
     spec = problem.collision
-    body = print_body(toolpath, standing(cell))
     check, rule, beyond = check_nozzle(problem, cell, toolpath, t, motion, body)
     checks.append(check)
     bodies = CellBodies.of(cell)
     hits = pairs(bodies, spec.nozzle, spec.arm)
     near_print = print_pairs(bodies, spec.arm)
-    alone = body.without_bodies()  # whatever else stands there is known exactly
+    alone = body.without_bodies  # whatever else stands there is known exactly
     swept = sweep(bodies, (*hits, *near_print), t.q, alone, print_times(toolpath, t))
     found = _approaches(bodies, (*hits, *near_print), swept, alone)
     robots, prints = found[: len(hits)], found[len(hits) :]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from planner.cell import Cell, build_cell
 from planner.plan import TRAVEL, Approach, Check, Trajectory
+from planner.print_body import print_body, standing
 from planner.problem import Problem, load_problem
 from planner.replay import replay
 from planner.toolpath.bead import Bead, Toolpath
@@ -127,9 +128,10 @@ def look(problem: Problem, cell: Cell, toolpath: Toolpath, pieces: list[Piece], 
     motion = replay(cell, whole)
     whole = replace(whole, tip=motion.tip, axis=motion.axis)
     checks: list[Check] = []
+    body = print_body(toolpath, standing(cell))
     metrics: dict[str, float] = {}
     series: dict[str, Array] = {}
-    approaches, _ = keep_apart(problem, cell, toolpath, whole, motion, checks, metrics, series)
+    approaches, _ = keep_apart(problem, cell, toolpath, whole, motion, body, checks, metrics, series)
     return Found({check.name: check for check in checks}, metrics, approaches, series["clearance_mm"])
 
 

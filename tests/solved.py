@@ -9,9 +9,12 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
+from planner.cell import Cell
 from planner.plan import Plan
+from planner.print_body import PrintBody, print_body, standing
 from planner.problem import Problem, load_problem
 from planner.solve import solve
+from planner.toolpath.bead import Toolpath
 
 SVG = """\
 <svg xmlns="http://www.w3.org/2000/svg" width="30mm" height="24mm" viewBox="0 0 30 24">
@@ -91,6 +94,14 @@ def bed_plan() -> Plan:
     return solve(load_problem(write_small(_folder() / "bed", *BED)))
 
 
+def body_of(toolpath: Toolpath, cell: Cell) -> PrintBody:
+    """What takes room of part and print, made once for all that is judged with the same toolpath and cell."""
+    key = id(toolpath), id(cell)
+    if key not in _BODIES:
+        _BODIES[key] = toolpath, cell, print_body(toolpath, standing(cell))  # kept: their ids are not given away again
+    return _BODIES[key][2]
+
+
 def line_of(path: Path, text: str) -> int:
     """Number, from 1, of the first line that holds a text."""
     lines = path.read_text(encoding="utf-8").splitlines()
@@ -105,3 +116,4 @@ def _folder() -> Path:
 
 
 _KEPT: list[tempfile.TemporaryDirectory[str]] = []
+_BODIES: dict[tuple[int, int], tuple[Toolpath, Cell, PrintBody]] = {}

@@ -120,9 +120,13 @@ def test_holder_poses_and_jacobians_are_those_of_pinocchio(free: str, held: str)
     both = np.full((2000, 2), np.radians(-35.0))
     column = ("tilt", "rotation").index(free)
     both[:, column] = q[:, 0]
-    seen = cell.T_world_holder_base @ pinocchio_poses(model, "plate", both)
+    seen = cell.T_world_holder_base @ pinocchio_poses(model, "plate", both) @ cell.T_plate_part
     assert pose_errors(cell.holder.poses(q), seen) < (1e-12, 1e-12)
-    data, frame = model.createData(), model.getFrameId("plate")
+    model = model.copy()
+    plate = model.frames[model.getFrameId("plate")]
+    placement = plate.placement * pin.SE3(cell.T_plate_part)
+    frame = model.addFrame(pin.Frame("part", plate.parentJoint, placement, pin.FrameType.OP_FRAME))
+    data = model.createData()
     J = cell.holder.jacobians(q)
     for k in range(len(q)):
         expected = pin.computeFrameJacobian(model, data, both[k], frame, pin.LOCAL_WORLD_ALIGNED)

@@ -486,7 +486,7 @@ def test_joint_paths_hold_the_task_exactly(strategy: str, cell: Cell, joint_path
             pin.framesForwardKinematics(arm, arm_data, path.q[i, :6])
             pin.framesForwardKinematics(table, table_data, np.array([0.0, path.q[i, 6]]))
             T_world_nozzle = arm_data.oMf[flange].homogeneous @ cell.T_flange_nozzle
-            T_world_part = cell.T_world_holder_base @ table_data.oMf[plate].homogeneous
+            T_world_part = cell.T_world_holder_base @ table_data.oMf[plate].homogeneous @ cell.T_plate_part
             T = np.linalg.inv(T_world_part) @ T_world_nozzle
             assert np.linalg.norm(T[:3, 3] - task.tip[i]) < 1e-9
             assert np.linalg.norm(T[:3, 2] - task.frames[i, :, 2]) < 1e-9

@@ -20,7 +20,7 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
-from solved import bed_plan, small_plan
+from solved import bed_plan, body_of, small_plan
 
 from planner.cell import Cell, build_cell
 from planner.nearest import distance_to_polyline
@@ -79,7 +79,9 @@ def report(
     cell: Cell | None = None,
 ) -> Report:
     """The verifier's report on a plan of which parts are exchanged."""
-    return verify(problem or plan.problem, cell or plan.cell, toolpath or plan.toolpath, trajectory or plan.trajectory)
+    body = body_of(plan.toolpath, plan.cell) if toolpath is None and cell is None else None
+    trajectory = trajectory or plan.trajectory
+    return verify(problem or plan.problem, cell or plan.cell, toolpath or plan.toolpath, trajectory, body=body)
 
 
 def failed(plan: Plan, trajectory: Trajectory | None = None, **parts: Any) -> set[str]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from solved import small_plan, write_small
+from solved import body_of, small_plan, write_small
 
 import planner.solve
 from planner.export.gcode import gcode
@@ -36,7 +36,8 @@ def solved(*changes: str) -> Plan:
 
 
 def report(plan: Plan, trajectory: Trajectory | None = None, toolpath: Toolpath | None = None) -> Report:
-    return verify(plan.problem, plan.cell, toolpath or plan.toolpath, trajectory or plan.trajectory)
+    body = body_of(plan.toolpath, plan.cell) if toolpath is None else None
+    return verify(plan.problem, plan.cell, toolpath or plan.toolpath, trajectory or plan.trajectory, body=body)
 
 
 def failed(plan: Plan, **changes: Any) -> set[str]:

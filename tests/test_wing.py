@@ -145,9 +145,11 @@ def test_layers_lie_their_height_above_each_other(toolpath: Toolpath) -> None:
             inner, outer = (other, bead) if lower else (bead, other)
             way = HEIGHT if lower else -HEIGHT
             inner_up = inner.points[:, ::2] - way * inner.normals[:, ::2]
-            tree = cKDTree(np.vstack([curve_of(outer)]))
-            distance, _ = tree.query(inner_up)
-            assert distance.max() < 0.02 * HEIGHT
+            curve = curve_of(outer)
+            distance, _ = cKDTree(curve).query(inner_up)
+            beside = (inner_up[:, 0] > curve[0, 0]) & (inner_up[:, 0] < curve[-1, 0])  # some end a hair further out
+            assert beside.mean() > 0.99
+            assert distance[beside].max() < 0.02 * HEIGHT
             deepest += 1
     assert deepest == 21
 

@@ -17,7 +17,7 @@ from planner.obstacles.along import hit_along, lacking_at, least_margins
 from planner.obstacles.sampling import surface_points
 from planner.obstacles.table import Table
 from planner.point_tree import PointTree, point_tree
-from planner.print_body import print_body, standing
+from planner.print_body import PrintBody, print_body, standing
 from planner.problem import Problem
 from planner.robot_files import joint_axis
 from planner.solids import Body, Hull, Mesh, packed
@@ -148,12 +148,13 @@ def _empty() -> Table:
 NOTHING = Obstacles(_empty(), (), (), None)
 
 
-def obstacles_of(problem: Problem, cell: Cell, toolpath: Toolpath) -> Obstacles:
-    """What may touch in a problem's cell while a toolpath is printed."""
+def obstacles_of(problem: Problem, cell: Cell, toolpath: Toolpath, body: PrintBody | None = None) -> Obstacles:
+    """What may touch in a problem's cell while a toolpath is printed; body: as for `verify`."""
+    body = body or print_body(toolpath, standing(cell))
     face = nozzle_profile(problem.cell.nozzle)[0][1]
     slack = SLOPE * (face + np.array([float((bead.height + bead.width).max()) for bead in toolpath.beads]))
     keep = problem.collision
-    return _assembled(cell, Around(keep.nozzle, keep.arm, slack, print_body(toolpath, standing(cell)).tree))
+    return _assembled(cell, Around(keep.nozzle, keep.arm, slack, body.tree))
 
 
 def _assembled(cell: Cell, around: Around) -> Obstacles:
