@@ -3,6 +3,9 @@
 python -m benchmarks.parts
 python -m benchmarks.parts naca0015_wing aerofoil_core --pictures docs
 
+The tip rule is the nozzle's least distance from part and print where what counts grows with the distance from the tip
+(2 mm are asked), clearance the least distance of anything from anything beyond the tip.
+
 Spacing is measured on the planned lines alone: from places of a layer to the nearest lines of the layer beneath, along
 the mean of both normals, which on parallel curves is exact up to the square of the angle between them. Where no line
 is nearly beneath, as at trimmed edges and over loose infill, nothing is measured.
@@ -42,7 +45,7 @@ NEARLY = 0.02  # of the nominal spacing
 AWAY = 3.0  # bead widths from the ends of a bead and of the layer beneath: its edges are trimmed
 COLUMNS = (
     "problem", "cell", "beads", "layers", "length mm", "command s", "verified", "at speed", "axis deg", "position mm",
-    "spacing: median", "within 2 %", "print s",
+    "spacing: median", "within 2 %", "print s", "tip rule mm", "clearance mm",
 )  # fmt: skip
 
 
@@ -116,6 +119,7 @@ def _figures(plan: dict[str, Any], seconds: float, layers: Spacing | None) -> li
     m = plan["metrics"]
     if not m:
         return ["", "", "", f"{seconds:.1f}", "no plan"]
+    rule = next(check["worst"] for check in plan["checks"] if check["name"] == "nozzle clear of part and print")
     return [
         f"{m['beads']:.0f}",
         f"{m['layers']:.0f}",
@@ -128,6 +132,8 @@ def _figures(plan: dict[str, Any], seconds: float, layers: Spacing | None) -> li
         "" if layers is None else f"{layers.median:.4f}",
         "" if layers is None else f"{layers.within:.1%} of {layers.places}",
         f"{m['print_time_s']:.0f}",
+        f"{rule:.2f}",
+        f"{m['clearance_min_mm']:.1f}",
     ]
 
 
