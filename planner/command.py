@@ -1,18 +1,33 @@
-"""The options of the command line `python -m planner.solve`."""
+"""What commands share: how they end; and the options of `python -m planner.solve`."""
 
 from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from planner.errors import EXIT_INTERRUPTED, PlannerError, Refusal
 from planner.problem import shipped_problems
 from planner.problem.settings import STRATEGY_NAMES
 from planner.tolerance import Tolerance, parse_tolerance
 
 DEFAULT_DT = 0.004
 MIN_DT, MAX_DT = 0.0005, 0.02  # s; finer drowns in rounding, coarser hides what a joint does
+
+
+def exit_code(run: Callable[[], int], say: Callable[[str], None], interrupted: str = "nothing was written") -> int:
+    """The exit code of a command; whatever ends it before its time is said, an error with what would help."""
+    try:
+        return run()
+    except KeyboardInterrupt:
+        say(f"interrupted: {interrupted}")
+        return EXIT_INTERRUPTED
+    except PlannerError as error:
+        say(f"error: {error}")
+        for hint in error.hints if isinstance(error, Refusal) else ():
+            say(f"try: {hint}")
+        return error.exit_code
 
 
 def options_of(arguments: Sequence[str] | None) -> argparse.Namespace:

@@ -9,6 +9,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,8 @@ from rich.console import Console
 from rich.table import Table
 
 from planner.cell import Cell, build_cell
-from planner.errors import EXIT_INTERRUPTED, EXIT_VERIFIED, OutputError, PlannerError, Refusal
+from planner.command import exit_code
+from planner.errors import EXIT_VERIFIED, OutputError, Refusal
 from planner.obstacles import NOTHING, obstacles_of
 from planner.output import results_folder
 from planner.placement.chart import draw_map, number, words, write_table
@@ -112,16 +114,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     options = _options(arguments)
     errors = Console(stderr=True, highlight=False)
-    try:
-        return _run(options, errors)
-    except KeyboardInterrupt:
-        errors.print("interrupted", markup=False)
-        return EXIT_INTERRUPTED
-    except PlannerError as error:
-        errors.print(f"error: {error}", markup=False, soft_wrap=True)
-        for hint in error.hints if isinstance(error, Refusal) else ():
-            errors.print(f"try: {hint}", markup=False, soft_wrap=True)
-        return error.exit_code
+    return exit_code(lambda: _run(options, errors), partial(errors.print, markup=False, soft_wrap=True))
 
 
 def _run(options: argparse.Namespace, errors: Console) -> int:

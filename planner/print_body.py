@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planner.cell import Cell, rigid_inverse
+from planner.cell_bodies import nozzle_profile
 from planner.point_tree import FROM_THE_START, PointTree, point_tree
+from planner.problem.cell import NozzleSpec
 from planner.readonly import ReadOnlyArrays
 from planner.robot_files import bodies_with_tip
 from planner.solids import Body, triangles_of
@@ -25,6 +27,9 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
+# Nobody can keep a whole clearance where the nozzle lays a bead beside another: a point of part or print needs this share
+# of its distance from the nozzle's tip, less what the share is where nozzle's face and bead end.
+TIP_SLOPE = 0.25
 CLEARANCE = 2e-3  # m: at this distance from the points nothing between them is nearer
 _NEAR = 20e-3  # m from a bead: here surfaces are known finely
 _FINE, _COARSE = 1.4e-3, 4e-3  # m, longest side of a triangle whose corners stand for it: near beads, and elsewhere
@@ -114,6 +119,12 @@ def standing(cell: Cell) -> tuple[Body, ...]:
         T_part_world = rigid_inverse(cell.T_world_holder)
         found += [Body(b.name, b.solid, T_part_world @ b.T_frame_solid) for b in cell.fixtures]
     return tuple(found)
+
+
+def tip_slack(nozzle: NozzleSpec, toolpath: Toolpath) -> Array:
+    """By how much less than TIP_SLOPE times the distance from the tip is kept beside each bead (n beads) [m]."""
+    face = nozzle_profile(nozzle)[0][1]
+    return TIP_SLOPE * (face + np.array([float((bead.height + bead.width).max()) for bead in toolpath.beads]))
 
 
 def _substrate(toolpath: Toolpath) -> Array | None:

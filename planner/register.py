@@ -9,9 +9,11 @@ import argparse
 import math
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
-from planner.errors import EXIT_INTERRUPTED, EXIT_NOT_VERIFIED, EXIT_VERIFIED, OutputError, PlannerError
+from planner.command import exit_code
+from planner.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, OutputError
 from planner.problem import load_problem
 from planner.problem.rewrite import write_changed
 from planner.registration.finding import Ask, freedoms_of, plan_contacts, register, scene_of, suggest_next
@@ -27,14 +29,8 @@ MOST_SUGGESTED = 100
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     options = _options(arguments)
-    try:
-        return _suggest(options) if options.contacts is None else _run(options)
-    except KeyboardInterrupt:
-        print("interrupted: nothing was written", file=sys.stderr)
-        return EXIT_INTERRUPTED
-    except PlannerError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
+    run = partial(_run if options.contacts is not None else _suggest, options)
+    return exit_code(run, partial(print, file=sys.stderr))
 
 
 def _run(options: argparse.Namespace) -> int:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,8 @@ from rich.console import Console
 from rich.table import Table
 from scipy.optimize import minimize
 
-from planner.errors import EXIT_VERIFIED, InputError, PlannerError
+from planner.command import exit_code
+from planner.errors import EXIT_VERIFIED, InputError
 from planner.kinematics.corrected import Corrected
 from planner.kinematics.inverse import InverseKinematics
 from planner.kinematics.offset_wrist import OffsetWrist
@@ -181,17 +183,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     options = parser.parse_args(arguments)
     out, errors = Console(highlight=False), Console(stderr=True, highlight=False)
-    try:
+
+    def show() -> int:
         if options.robot is None:
             out.print(overview([(path, read_robot(path)) for path in map(_path_of, robot_names())]))
-        else:
-            path = _path_of(options.robot)
-            for part in details(path, read_robot(path)):
-                out.print(part, markup=False, soft_wrap=True) if isinstance(part, str) else out.print(part)
-    except PlannerError as error:
-        errors.print(f"error: {error}", markup=False, soft_wrap=True)
-        return error.exit_code
-    return EXIT_VERIFIED
+            return EXIT_VERIFIED
+        path = _path_of(options.robot)
+        for part in details(path, read_robot(path)):
+            out.print(part, markup=False, soft_wrap=True) if isinstance(part, str) else out.print(part)
+        return EXIT_VERIFIED
+
+    return exit_code(show, partial(errors.print, markup=False, soft_wrap=True))
 
 
 if __name__ == "__main__":

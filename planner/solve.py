@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,13 +19,11 @@ from rich.console import Console
 
 from planner.background import in_background, in_halves, spare_core
 from planner.cell import Cell, build_cell
-from planner.command import DEFAULT_DT, options_of
+from planner.command import DEFAULT_DT, exit_code, options_of
 from planner.dips import find_dips
 from planner.errors import (
-    EXIT_INTERRUPTED,
     EXIT_NOT_VERIFIED,
     EXIT_VERIFIED,
-    PlannerError,
     Refusal,
 )
 from planner.export import write_part, write_plan, write_refusal, write_robot_code, write_trajectory
@@ -283,14 +282,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.list:
         print("\n".join(shipped_problems()))
         return EXIT_VERIFIED
-    try:
-        return _run(options, errors)
-    except KeyboardInterrupt:
-        errors.print("interrupted: nothing was written", markup=False)
-        return EXIT_INTERRUPTED
-    except PlannerError as error:
-        errors.print(f"error: {error}", markup=False, soft_wrap=True)
-        return error.exit_code
+    return exit_code(lambda: _run(options, errors), partial(errors.print, markup=False, soft_wrap=True))
 
 
 def _run(options: argparse.Namespace, errors: Console) -> int:

@@ -1,7 +1,7 @@
 """Independent check that nozzle and print head keep clear of part and print, as these are at every instant.
 
 Nobody can keep a distance where the nozzle lays a bead beside another: a point at distance r from the tip is to be
-SLOPE * r away, less what face and bead take, until that is the whole distance; from there on, beyond the tip's zone,
+TIP_SLOPE * r away, less what face and bead take, until that is the whole distance; from there on, beyond the tip's zone,
 the whole distance is kept. All samples are looked at, and instants between them, as far as motion since the last look
 could have brought anything too near.
 """
@@ -15,10 +15,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from planner.cell import Cell
-from planner.cell_bodies import nozzle_profile
 from planner.plan import Check, Trajectory
 from planner.point_tree import PointTree, nearest_point, search_room, solid_distance
-from planner.print_body import PrintBody
+from planner.print_body import TIP_SLOPE, PrintBody, tip_slack
 from planner.problem import Problem
 from planner.replay import Motion
 from planner.solids import Packed, packed
@@ -28,7 +27,6 @@ from planner.verify_checks import DIGITS, place
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-SLOPE = 0.25  # distance that is kept, for each distance from the tip
 FAR = 50e-3  # m: what is farther away is that far away
 TOLERANCE = 1e-4  # m: no distance is missed that falls short by more
 _OFTEN = 25  # samples after which every body is looked at again, wherever it is
@@ -66,22 +64,27 @@ def print_times(toolpath: Toolpath, trajectory: Trajectory) -> Array:
     return np.asarray(np.maximum.accumulate(now), dtype=float)
 
 
-def tip_slack(problem: Problem, toolpath: Toolpath, trajectory: Trajectory) -> Array:
-    """By how much less than SLOPE times the distance from the tip is kept (n): what face and bead take there."""
-    face = nozzle_profile(problem.cell.nozzle)[0][1]
-    size = np.array([float((bead.height + bead.width).max()) for bead in toolpath.beads])
+def slack_along(problem: Problem, toolpath: Toolpath, trajectory: Trajectory) -> Array:
+    """The slack beside the tip (n) at each sample: of its bead, in travel the greater one of the beads at its ends."""
+    own = tip_slack(problem.cell.nozzle, toolpath)
     begun = np.maximum.accumulate(trajectory.bead)
-    last, following = np.maximum(begun, 0), np.minimum(begun + 1, len(size) - 1)
-    both = np.maximum(size[last], size[following])
-    return SLOPE * (face + np.where(trajectory.bead >= 0, size[np.maximum(trajectory.bead, 0)], both))
+    last, following = np.maximum(begun, 0), np.minimum(begun + 1, len(own) - 1)
+    both = np.maximum(own[last], own[following])
+    return np.where(trajectory.bead >= 0, own[np.maximum(trajectory.bead, 0)], both)
 
 
 def nozzle_nearness(
-    tree: PointTree, bodies: Packed, motion: Motion, now: Array, slack: Array, clearance: float, slope: float = SLOPE
+    tree: PointTree,
+    bodies: Packed,
+    motion: Motion,
+    now: Array,
+    slack: Array,
+    clearance: float,
+    slope: float = TIP_SLOPE,
 ) -> Nearness:
     """The least of distance - min(clearance, slope * distance from the tip - slack) along a motion (see `nearest_point`).
 
-    Nothing that lacks more than TOLERANCE is missed, also between samples: that is known for a slope of SLOPE at most.
+    Nothing that lacks more than TOLERANCE is missed, also between samples: that is known for a slope of TIP_SLOPE at most.
     """
     tip, rotation = np.ascontiguousarray(motion.tip), np.ascontiguousarray(motion.rotation)
     margin = np.full(len(now), FAR)
@@ -89,7 +92,7 @@ def nozzle_nearness(
         tree.points, tree.radius, tree.time, tree.centre, tree.reach, tree.since, tree.left, tree.right,
         bodies.kind, bodies.size, bodies.planes, bodies.T_solid_frame, bodies.centre, bodies.reach,
         tip, rotation, *_path_lengths(tip, rotation), now, slack,
-        clearance, slope, 1.0 + min(slope, SLOPE), _looked_ahead(tip, now, slack), margin, search_room(),
+        clearance, slope, 1.0 + min(slope, TIP_SLOPE), _looked_ahead(tip, now, slack), margin, search_room(),
     )  # fmt: skip
     return Nearness(margin, least, at, body, point, looks)
 
@@ -98,7 +101,7 @@ def beyond_the_tip(
     tree: PointTree, bodies: Packed, motion: Motion, now: Array, slack: Array, clearance: float
 ) -> Nearness:
     """The same of true distances, less the clearance, from points beyond the tip's zone."""
-    zone = (clearance + slack) / SLOPE
+    zone = (clearance + slack) / TIP_SLOPE
     return nozzle_nearness(tree, bodies, motion, now, _STEEP * zone, clearance, _STEEP)
 
 
@@ -107,7 +110,7 @@ def check_nozzle(
 ) -> tuple[Check, Nearness, Nearness]:  # fmt: skip
     """The check, and what it rests on: by the rule for the tip, and beyond the tip's zone."""
     need = problem.collision.nozzle
-    now, slack = print_times(toolpath, t), tip_slack(problem, toolpath, t)
+    now, slack = print_times(toolpath, t), slack_along(problem, toolpath, t)
     head = packed(cell.head)
     rule = nozzle_nearness(body.tree, head, motion, now, slack, need)
     beyond = beyond_the_tip(body.tree, head, motion, now, slack, need)
@@ -125,7 +128,7 @@ def _looked_ahead(tip: Array, now: Array, slack: Array) -> Index:
     far = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))])
     bead = np.floor(now)
     last = np.searchsorted(bead, bead, side="right") - 1
-    reach = np.searchsorted(far, far + 0.25 * slack / SLOPE, side="right") - 1
+    reach = np.searchsorted(far, far + 0.25 * slack / TIP_SLOPE, side="right") - 1
     return np.asarray(np.maximum(np.minimum(last, reach), np.arange(len(now))), dtype=np.int64)
 
 
@@ -193,7 +196,10 @@ def _along(
                 if value - rate * moved < target:
                     break
                 # what is laid in the meantime lies where the tip has been
-                if now[m + 1] > seeing and tip_away - (path[m + 1] - path[k]) - slack[k] / SLOPE - clearance < target:
+                if (
+                    now[m + 1] > seeing
+                    and tip_away - (path[m + 1] - path[k]) - slack[k] / TIP_SLOPE - clearance < target
+                ):
                     break
                 m += 1
             before, value_before, k = k, value, m

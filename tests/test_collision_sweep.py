@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from planner.collision_bodies import CellBodies, Distances, pairs
 from planner.point_tree import point_tree, solid_distance
-from planner.print_body import PrintBody
+from planner.print_body import TIP_SLOPE, PrintBody
 from planner.replay import Motion
 from planner.solids import packed
 from planner.verify_collision import FAR, sweep
 from planner.verify_print import FAR as FAR_FROM_PRINT
-from planner.verify_print import SLOPE, nozzle_nearness
+from planner.verify_print import nozzle_nearness
 
 Array = NDArray[np.float64]
 FIXTURES = (
@@ -91,7 +91,7 @@ def test_the_nozzle_from_print_is_as_near_as_by_brute_force(tmp_path: Path) -> N
     for k in range(n):
         local = (points[time < now[k]] - tip[k]) @ rotation[k]
         away = np.linalg.norm(local, axis=1)
-        need = np.minimum(clearance, SLOPE * away - slack[k])
+        need = np.minimum(clearance, TIP_SLOPE * away - slack[k])
         for j in range(len(head.kind)):
             T = head.T_solid_frame[j]
             own = local @ T[:3, :3].T + T[:3, 3]

@@ -14,9 +14,10 @@ from planner.errors import Refusal
 from planner.obstacles import Obstacles, obstacles_of
 from planner.obstacles.gjk import solids_distance
 from planner.obstacles.sampling import surface_points
-from planner.obstacles.scene import SLOPE, Around, _assembled
+from planner.obstacles.scene import Around, _assembled
 from planner.obstacles.slopes import nearest_margins
 from planner.point_tree import point_tree
+from planner.print_body import TIP_SLOPE
 from planner.problem import Problem, load_problem
 from planner.resolve.jointpath import JointPath
 from planner.resolve.ladder import ladder
@@ -106,7 +107,7 @@ def head_point_margin(cell: Cell, body: Placed, point: np.ndarray, tip: np.ndarr
     T = np.eye(4)
     T[:3, 3] = place
     away = np.linalg.norm(place - tip)
-    return coal_distance(body.solid, body.T, Capsule(1e-3, 0.0), T) - min(2e-3, SLOPE * away - 0.5e-3)
+    return coal_distance(body.solid, body.T, Capsule(1e-3, 0.0), T) - min(2e-3, TIP_SLOPE * away - 0.5e-3)
 
 
 def test_margins_are_those_of_brute_force(scene: tuple[Cell, Obstacles]) -> None:

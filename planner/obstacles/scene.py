@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell import Cell, Robot
-from planner.cell_bodies import nozzle_profile
 from planner.kinematics.chain import Chain, rotate_about
 from planner.obstacles.along import hit_along, lacking_at, least_margins
 from planner.obstacles.sampling import surface_points
 from planner.obstacles.table import Table
 from planner.point_tree import PointTree, point_tree
-from planner.print_body import PrintBody, print_body, standing
+from planner.print_body import TIP_SLOPE, PrintBody, print_body, standing, tip_slack
 from planner.problem import Problem
 from planner.robot_files import joint_axis
 from planner.solids import Body, Hull, Mesh, packed
@@ -26,9 +25,6 @@ from planner.toolpath.bead import Toolpath
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# Nobody can keep the whole clearance where the nozzle lays a bead beside another: a point of the part needs this share
-# of its distance from the nozzle's tip, less what the share is at the bead's own edge.
-SLOPE = 0.25
 PART = "part or print"
 _FAR = 0.2  # m: greater margins are not told apart along a motion
 _POSTURES = 64  # a pair of an arm's own bodies that touches at all of so many belongs together
@@ -151,10 +147,8 @@ NOTHING = Obstacles(_empty(), (), (), None)
 def obstacles_of(problem: Problem, cell: Cell, toolpath: Toolpath, body: PrintBody | None = None) -> Obstacles:
     """What may touch in a problem's cell while a toolpath is printed; body: as for `verify`."""
     body = body or print_body(toolpath, standing(cell))
-    face = nozzle_profile(problem.cell.nozzle)[0][1]
-    slack = SLOPE * (face + np.array([float((bead.height + bead.width).max()) for bead in toolpath.beads]))
     keep = problem.collision
-    return _assembled(cell, Around(keep.nozzle, keep.arm, slack, body.tree))
+    return _assembled(cell, Around(keep.nozzle, keep.arm, tip_slack(problem.cell.nozzle, toolpath), body.tree))
 
 
 def _assembled(cell: Cell, around: Around) -> Obstacles:
@@ -193,7 +187,7 @@ def _assembled(cell: Cell, around: Around) -> Obstacles:
         tree_frame=np.array(frames, dtype=np.int64),
         T_frame_tree=np.array(poses),
         look=np.array(look, dtype=np.int64).reshape(-1, 2),
-        keep=np.column_stack([keep, np.where(on_part, SLOPE, 0.0), -keep]),
+        keep=np.column_stack([keep, np.where(on_part, TIP_SLOPE, 0.0), -keep]),
         slack=around.slack,
         head_on_part=on_part,
         **_joined(trees),

@@ -10,7 +10,15 @@ from planner.kinematics.chain import chain_state, jacobian_at, mul4, rotate_abou
 from planner.kinematics.inverse import SPHERICAL_WRIST, solve_one
 from planner.obstacles.kernel import first_lacking, head_lacking
 from planner.obstacles.table import room_for
-from planner.resolve.node_kernel import CLEAR_ROOM, LIMIT_ROOM, invert6, largest_singular_value
+from planner.resolve.node_kernel import (
+    CLEAR_ROOM,
+    LIMIT_ROOM,
+    into_part,
+    invert6,
+    largest_singular_value,
+    nearest_turn,
+    nearest_turns,
+)
 
 Array = NDArray[np.float64]
 
@@ -83,8 +91,7 @@ def evaluate_margins(
         for b in range(n_holders):
             swept = b * holder_step
             if sweeps > 0 and swept_high - swept_low < 2.0 * np.pi:
-                swept_middle = 0.5 * (swept_low + swept_high)
-                swept -= 2.0 * np.pi * np.round((swept - swept_middle) / (2.0 * np.pi))
+                swept = nearest_turn(swept, 0.5 * (swept_low + swept_high))
                 if min(swept - swept_low, swept_high - swept) < LIMIT_ROOM:
                     continue
             if sweeps == 1:
@@ -106,12 +113,7 @@ def evaluate_margins(
                 for c in range(8):
                     if not ok[c]:
                         continue
-                    room = np.inf
-                    for j in range(na):
-                        angle = eight[c, j] - middle[j]
-                        angle = middle[j] + angle - 2.0 * np.pi * np.round(angle / (2.0 * np.pi))
-                        eight[c, j] = angle
-                        room = min(room, min(angle - q_min[j], q_max[j] - angle))
+                    room = nearest_turns(eight[c], middle, q_min, q_max)
                     wrist = np.inf
                     if wrist_kind == SPHERICAL:
                         wrist = abs(eight[c, 4])
@@ -126,13 +128,7 @@ def evaluate_margins(
                             arm_placements, arm_axes, arm_tip, eight[c], origins, directions, T_held, before, after, R
                         )
                         jacobian_at(origins, directions, T_world_task[:3, 3], J)
-                        for j in range(6):  # rows into the part frame, where the rates are given
-                            for i in range(3):
-                                lin, ang = 0.0, 0.0
-                                for m in range(3):
-                                    lin += T_world_part[m, i] * J[m, solved[j]]
-                                    ang += T_world_part[m, i] * J[3 + m, solved[j]]
-                                Jp[i, j], Jp[3 + i, j] = lin, ang
+                        into_part(J, solved, T_world_part, Jp)
                         sigmas[pair], shares[pair] = 0.0, 0.0
                         if invert6(Jp, Ji):
                             sigmas[pair] = 1.0 / largest_singular_value(Ji, J6, Jp)

@@ -143,6 +143,36 @@ def _time_lost(Ji, solved, twist, rate, weight, start: int, stop: int, v_max, a_
     return lost
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def nearest_turn(angle: float, middle: float) -> float:
+    """The angle, in whole turns as near to the middle of a joint's range as can be."""
+    away = angle - middle
+    return middle + away - 2.0 * np.pi * np.round(away / (2.0 * np.pi))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def nearest_turns(q, middle, q_min, q_max) -> float:
+    """Turn all joints of q (na) so; returns the least angle [rad] from the end of a range, negative beyond it."""
+    room = np.inf
+    for j in range(q.size):
+        q[j] = nearest_turn(q[j], middle[j])
+        room = min(room, min(q[j] - q_min[j], q_max[j] - q[j]))
+    return room
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def into_part(J, solved, T_world_part, Jp) -> None:
+    """Fill Jp (6, 6) with the columns `solved` of a Jacobian J (6, na), their rows turned from the world into the part
+    frame, where twists are given."""
+    for j in range(6):
+        for i in range(3):
+            lin, ang = 0.0, 0.0
+            for m in range(3):
+                lin += T_world_part[m, i] * J[m, solved[j]]
+                ang += T_world_part[m, i] * J[3 + m, solved[j]]
+            Jp[i, j], Jp[3 + i, j] = lin, ang
+
+
 @njit(cache=True, parallel=True, error_model="numpy")
 def evaluate_nodes(
     kind, p, solved, redundant, T_base_world, T_nozzle_flange, arm_placements, arm_axes, arm_tip,
@@ -194,8 +224,7 @@ def evaluate_nodes(
         for b in range(n_holders):
             swept = (holder_from[r] + b) * holder_step
             if sweeps > 0 and swept_high - swept_low < 2.0 * np.pi:
-                swept_middle = 0.5 * (swept_low + swept_high)
-                swept -= 2.0 * np.pi * np.round((swept - swept_middle) / (2.0 * np.pi))
+                swept = nearest_turn(swept, 0.5 * (swept_low + swept_high))
                 if min(swept - swept_low, swept_high - swept) < LIMIT_ROOM:
                     continue
             if sweeps == 1:
@@ -217,13 +246,7 @@ def evaluate_nodes(
                     k = branch[r, c]
                     if not ok[k]:
                         continue
-                    room = np.inf
-                    for j in range(na):
-                        # the turn nearest the middle of the joint's range
-                        angle = eight[k, j] - middle[j]
-                        angle = middle[j] + angle - 2.0 * np.pi * np.round(angle / (2.0 * np.pi))
-                        eight[k, j] = angle
-                        room = min(room, min(angle - q_min[j], q_max[j] - angle))
+                    room = nearest_turns(eight[k], middle, q_min, q_max)
                     if room < LIMIT_ROOM:
                         continue
                     # a spherical wrist turned over has the same axes, one of them reversed: the same rates and sigma
@@ -233,16 +256,7 @@ def evaluate_nodes(
                             arm_placements, arm_axes, arm_tip, eight[k], origins, directions, T_held, before, after, R
                         )
                         jacobian_at(origins, directions, T_world_task[:3, 3], J)
-                        # rows into the part frame, where the demand is given
-                        for j in range(6):
-                            for i in range(3):
-                                lin = 0.0
-                                ang = 0.0
-                                for m in range(3):
-                                    lin += T_world_part[m, i] * J[m, solved[j]]
-                                    ang += T_world_part[m, i] * J[3 + m, solved[j]]
-                                Jp[i, j] = lin
-                                Jp[3 + i, j] = ang
+                        into_part(J, solved, T_world_part, Jp)
                         if not invert6(Jp, Ji):
                             sigmas[pair] = 0.0
                         else:
