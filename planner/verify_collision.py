@@ -66,6 +66,8 @@ def print_pairs(bodies: CellBodies, need: float) -> tuple[PrintPair, ...]:
 
 def sweep(bodies: CellBodies, pairs: Sequence[Pair | PrintPair], q: Array, body: PrintBody, now: Array) -> Swept:
     """Least distances of pairs along postures q (n, nq), and of things to what is printed at times `now` (n)."""
+    if not pairs:
+        return Swept(np.empty(0), np.empty(0), np.empty(0, dtype=np.int64), np.full(len(q), FAR), 0)
     return _Sweep(bodies, pairs, q, body, now).done()
 
 
@@ -120,8 +122,6 @@ class _Sweep:
         end = (len(self.q) - 1) * _PARTS
         knots = np.unique(np.append(np.arange(0, end, _FIRST), end))
         p, k = len(self.pairs), len(knots)
-        if p == 0:
-            return Swept(self.least, self.at, self.points, self.nearest, 0)
         pair = np.repeat(np.arange(p), k)
         value = self._distances(pair, np.tile(knots, p)).reshape(p, k)
         self.nearest = np.minimum(FAR, np.interp(np.arange(len(self.q)), knots / _PARTS, value.min(axis=0)))

@@ -285,3 +285,15 @@ def test_a_start_posture_in_a_table_is_refused_before_anything_is_planned(tmp_pa
         check_start(problem, cell)
     problem, cell = scene(tmp_path, ELSEWHERE + WALL % ("30, 30, 30", millimetres(near - [0.0, 0.0, 0.0021])))
     check_start(problem, cell)
+
+
+def test_a_robot_without_bodies_is_said_not_to_be_checked(tmp_path: Path) -> None:
+    """The wall of the first scene is where the forearm would be: without bodies nobody can know."""
+    a, hit, b = [-40.0, 20, 10, 0, 60, 0], [10.0, 20, 10, 0, 60, 0], [40.0, 20, 10, 0, 60, 0]
+    _, cell = scene(tmp_path, ELSEWHERE)
+    centre = placed(cell, "link_4 (forearm)", np.radians(hit))[1].mean(axis=0)
+    problem, cell = scene(tmp_path, ELSEWHERE + WALL % ("20, 20, 20", millimetres(centre)))
+    bare = replace(cell, arm_robot=replace(cell.arm_robot, bodies=tuple(() for _ in cell.arm_robot.bodies)))
+    found = look(problem, bare, one_bead(), swing(bare, a, b))
+    assert f"not checked: {cell.arm_robot.name}, without bodies" in found.checks[ROBOTS].where
+    assert found.checks[ROBOTS].ok

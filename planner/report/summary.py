@@ -36,7 +36,7 @@ ROWS = (
     ("tilt_max_deg", "nozzle leans from the normal, at most", "deg", 1.0, 2),
     ("tilt_bead_error_max_mm", "  a bead's edges off its height by that", "mm", 1.0, 4),
     ("path_deviation_max_mm", "rounded corners off the drawing", "mm", 1.0, 3),
-    ("clearance_min_mm", "least distance from anything, beyond the tip", "mm", 1.0, 1),
+    ("clearance_min_mm", "least clearance beyond the tip", "mm", 1.0, 1),
     ("flow_error_max", "material in a millimetre, off by", "%", 100.0, 2),
     ("over_extruded_mm3", "too much material, in dips", "mm³", 1.0, 2),
     ("extruded_mm", "filament", "mm", 1.0, 0),
