@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell import Cell, build_cell
-from planner.export.gcode import gcode
+from planner.export.extruder.writer import gcode
 from planner.export.plan_json import plan_json
-from planner.export.rapid import pgf, rapid
+from planner.export.rapid.writer import pgf, rapid
 from planner.export.rotations import from_matrix
 from planner.export.table import write_table
 from planner.extrusion import feed_of_materials

@@ -20,12 +20,13 @@ from scipy.spatial.transform import Rotation
 
 from planner.errors import InputError, OutputError
 from planner.export import write_plan, write_robot_code, write_trajectory
-from planner.export.gcode import gcode
+from planner.export.compare import compare
+from planner.export.extruder.writer import gcode
+from planner.export.languages import LANGUAGES
+from planner.export.pieces import replay
 from planner.export.plan_json import plan_json
-from planner.export.rapid import comment, module_name, number, rapid
-from planner.export.rapid_check import compare
-from planner.export.rapid_pieces import replay
-from planner.export.rapid_reader import NUMBER, numbers, read_rapid
+from planner.export.rapid.reader import NUMBER, numbers, read_rapid
+from planner.export.rapid.writer import comment, module_name, number, rapid
 from planner.export.rotations import angle, continuous, from_matrix, slerp, to_matrix
 from planner.export.table import write_table
 from planner.export.thinning import thin
@@ -402,7 +403,8 @@ def test_a_program_that_says_something_else_is_found(pattern, change, which, nam
 
 def test_a_wrong_program_is_not_written(tmp_path, monkeypatch):
     wrong = _tamper(rapid(make_plan()), LINE_TARGET, _shifted(0, 0.2, 3), 12)
-    monkeypatch.setitem(write_robot_code.__globals__["EXPORTERS"], "{Module}.mod", lambda plan: wrong)
+    own = LANGUAGES["rapid"]
+    monkeypatch.setitem(LANGUAGES, "rapid", replace(own, write=lambda plan: {**own.write(plan), "TwoBeads.mod": wrong}))
     with pytest.raises(RuntimeError, match="path differs"):
         write_robot_code(make_plan(), tmp_path)
     assert list(tmp_path.iterdir()) == []

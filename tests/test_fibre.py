@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 from planner.errors import InputError
+from planner.export.compare import compare
 from planner.export.moves import plan_moves
-from planner.export.rapid import rapid
-from planner.export.rapid_check import compare
-from planner.export.rapid_reader import read_rapid
+from planner.export.rapid.reader import read_rapid
+from planner.export.rapid.writer import rapid
 from planner.plan import Plan
 from planner.problem import load_problem
 from planner.solve import solve

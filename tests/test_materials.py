@@ -20,12 +20,13 @@ import planner.export
 import planner.solve
 from planner.errors import InputError
 from planner.export import write_robot_code
-from planner.export.gcode import gcode
-from planner.export.gcode_check import gcode_complaints, read_gcode
+from planner.export.compare import compare
+from planner.export.extruder.check import gcode_complaints, read_gcode
+from planner.export.extruder.writer import gcode
+from planner.export.languages import LANGUAGES
 from planner.export.plan_json import plan_json
-from planner.export.rapid import rapid
-from planner.export.rapid_check import compare
-from planner.export.rapid_reader import read_rapid
+from planner.export.rapid.reader import read_rapid
+from planner.export.rapid.writer import rapid
 from planner.extrusion import feed_of_materials
 from planner.materials import materials_of, selected, used
 from planner.plan import Event, Plan
@@ -380,8 +381,9 @@ def test_gcode_of_one_material_is_held_against_its_plan_too(tmp_path: Path, monk
     assert gcode_complaints(plan, spoilt)[0] == "the extruder gets +0.1 mm of filament"
     with pytest.raises(InputError, match="unknown line"):
         read_gcode(text + "M999\n")
-    monkeypatch.setitem(planner.export.EXPORTERS, "extrusion.gcode", lambda _: spoilt)
-    with pytest.raises(RuntimeError, match="the G-code does not repeat the plan"):
+    own = LANGUAGES["extruder"]
+    monkeypatch.setitem(LANGUAGES, "extruder", replace(own, write=lambda plan: {"extrusion.gcode": spoilt}))
+    with pytest.raises(RuntimeError, match="the extruder's G-code does not repeat the plan"):
         write_robot_code(plan, tmp_path)
     assert list(tmp_path.iterdir()) == []
 

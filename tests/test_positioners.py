@@ -15,8 +15,8 @@ from planner.cell import Cell, build_cell
 from planner.errors import InputError, Refusal
 from planner.export import write_robot_code
 from planner.export.plan_json import cell_screws
-from planner.export.rapid import rapid
-from planner.export.rapid_reader import read_rapid
+from planner.export.rapid.reader import read_rapid
+from planner.export.rapid.writer import rapid
 from planner.plan import Plan
 from planner.problem import Problem, load_problem
 from planner.replay import replay

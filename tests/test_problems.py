@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planner.errors import Refusal
-from planner.export.rapid import rapid
-from planner.export.rapid_check import compare
-from planner.export.rapid_pieces import replay
-from planner.export.rapid_reader import read_rapid
+from planner.export.compare import compare
+from planner.export.pieces import replay
+from planner.export.rapid.reader import read_rapid
+from planner.export.rapid.writer import rapid
 from planner.plan import Plan
 from planner.problem import load_problem, shipped_problems
 from planner.solve import solve

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from solved import body_of, small_plan, write_small
 
 import planner.solve
-from planner.export.gcode import gcode
+from planner.export.extruder.writer import gcode
 from planner.extrusion import feed, filament_area
 from planner.plan import Event, Plan, Trajectory
 from planner.problem import load_problem

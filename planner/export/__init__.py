@@ -8,28 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from planner.errors import OutputError, Refusal
-from planner.export.gcode import gcode
-from planner.export.gcode_check import gcode_complaints
+from planner.export.languages import LANGUAGES
 from planner.export.part_stl import part_stl
 from planner.export.plan_json import plan_json, refusal_json
-from planner.export.rapid import module_name, pgf, rapid
-from planner.export.rapid_check import compare
-from planner.export.rapid_reader import read_rapid
 from planner.export.table import write_table
 
 if TYPE_CHECKING:
     from planner.plan import Plan
     from planner.problem import Problem
-
-# file name (with {Module} for the problem's name in RAPID) → plan → text
-EXPORTERS: dict[str, Callable[[Plan], str]] = {
-    "plan.json": plan_json,
-    "{Module}.mod": rapid,
-    "{Module}.pgf": pgf,
-    "extrusion.gcode": gcode,
-}
-RAPID = ("{Module}.mod", "{Module}.pgf")
-ROBOT_CODE = (*RAPID, "extrusion.gcode")
 
 
 def write_trajectory(plan: Plan, folder: Path) -> Path:
@@ -55,21 +41,22 @@ def write_refusal(problem: Problem, strategy: str, refusal: Refusal, folder: Pat
 
 
 def write_robot_code(plan: Plan, folder: Path) -> tuple[Path, ...]:
-    """Write RAPID, where the robots speak it (see `Plan.no_rapid`), and G-code of a verified plan; returns the paths.
+    """Write a verified plan in all languages that can say it; returns the paths.
 
-    Both programs are read back and held against the plan before anything is written. ValueError if the plan is not
+    All programs are read back and held against the plan before anything is written. ValueError if the plan is not
     verified, RuntimeError if a program does not say what the plan says (both mistakes of this code or its caller),
     OutputError where the files cannot be written.
     """
-    texts = {name: EXPORTERS[name](plan) for name in ROBOT_CODE if name not in RAPID or plan.no_rapid is None}
-    complaints = compare(plan, read_rapid(texts["{Module}.mod"])).complaints() if "{Module}.mod" in texts else []
-    if complaints:
-        raise RuntimeError("the RAPID program does not repeat the plan: " + "; ".join(complaints))
-    complaints = gcode_complaints(plan, texts["extrusion.gcode"])
-    if complaints:
-        raise RuntimeError("the G-code does not repeat the plan: " + "; ".join(complaints))
-    module = module_name(plan.problem.name)
-    return tuple(_write_text(folder / name.format(Module=module), text) for name, text in texts.items())
+    if not plan.verified:
+        raise ValueError("robot code is written for verified plans only")
+    texts: dict[str, str] = {}
+    for language in LANGUAGES.values():
+        if language.unsaid(plan) is None:
+            own = language.write(plan)
+            if complaints := language.complaints(plan, own):
+                raise RuntimeError(f"{language.title} does not repeat the plan: " + "; ".join(complaints))
+            texts |= own
+    return tuple(_write_text(folder / name, text) for name, text in texts.items())
 
 
 def _write_text(path: Path, text: str) -> Path:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.export.rapid_reader import Program
+from planner.export.program import Program
 from planner.export.rotations import continuous, slerp
 
 Array = NDArray[np.float64]

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.export.moves import deposits, nearest_fraction
-from planner.export.rapid import external_degrees, quadrants
-from planner.export.rapid_pieces import Piece, pieces_of
-from planner.export.rapid_reader import Program
-from planner.export.rapid_waits import moving_time, waits_differ
+from planner.export.pieces import Piece, pieces_of
+from planner.export.program import Program
+from planner.export.rapid.writer import external_degrees, quadrants
 from planner.export.rotations import angle, continuous, slerp, to_matrix
+from planner.export.waits import moving_time, waits_differ
 from planner.materials import materials_of
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.export.rapid_reader import Program
+from planner.export.program import Program
 from planner.export.rests import LEAST_WAIT, ON_TIME, STILL, cuts, rested_for, samples_of_rest
 
 if TYPE_CHECKING:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import InputError
+from planner.export.program import Program, Trigger
 
 Array = NDArray[np.float64]
 
@@ -40,53 +40,12 @@ PATTERNS = {
         "call": rf"({NAME});",
     }.items()
 }
+# ABB, RAPID reference, zonedata: radius of the zone of the tool's path [m]
+ZONES = {"fine": 0.0, "z0": 0.3e-3, "z1": 1e-3}
 SHAPE_POSE, SHAPE_TARGET, SHAPE_JOINTS = "[3,4]", "[3,4,4,6]", "[6,6]"
 # A move whose target has the right shape and nothing but numbers: almost every line, and read without a second look.
 _TARGET = "],\\[".join(",".join([NUMBER] * count) for count in (3, 4, 4, 6))
 _MOVE = re.compile(PATTERNS["move"].pattern.replace(f"({NEST})", rf"(\[\[{_TARGET}\]\])", 1))
-
-
-@dataclass(frozen=True)
-class Trigger:
-    """Switches the extruder of a digital output `distance` [m] from the end of a move, or from its start."""
-
-    distance: float
-    from_start: bool
-    value: bool
-    signal: str
-
-
-@dataclass(frozen=True)
-class Program:
-    """What a program does, in the order in which it runs (m moves; SI units, radians).
-
-    tool, uframe, oframe       (7,) x y z [m], quaternion x y z w
-    station                    mechanical unit that moves the part; empty for a fixed bed
-    start                      (12,) joints and station axes of the first move [rad], NaN where unused
-    linear, fine               (m,) bool
-    position, quat             (m, 3) [m], (m, 4) x y z w
-    conf                       (m, 4) cf1, cf4, cf6, cfx
-    external                   (m, 6) station axes [rad], NaN where unused
-    speed                      (m, 4) tip [m/s], reorientation [rad/s], linear axes [m/s], rotating axes [rad/s]
-    wait                       (m,) time at rest after the move [s]
-    triggers                   move → its triggers, in order
-    """
-
-    module: str
-    tool: Array
-    uframe: Array
-    oframe: Array
-    station: str
-    start: Array
-    linear: NDArray[np.bool_]
-    fine: NDArray[np.bool_]
-    position: Array
-    quat: Array
-    conf: NDArray[np.intp]
-    external: Array
-    speed: Array
-    wait: Array
-    triggers: dict[int, tuple[Trigger, ...]]
 
 
 def read_rapid(text: str) -> Program:
@@ -264,7 +223,9 @@ class _Reader:
             quat=table[:, [4, 5, 6, 3]],
             conf=table[:, 7:11].astype(np.intp),
             external=_radians(table[:, 11:]),
+            zone=np.array([ZONES[str(parts[5])] for _, parts in moves]),
             speed=np.array(speeds) * [1e-3, np.pi / 180.0, 1e-3, np.pi / 180.0],
             wait=np.array([waits.get(i, 0.0) for i in range(len(moves))]),
             triggers=triggers,
+            sends={},
         )

@@ -1,0 +1,1 @@
+"""RAPID for ABB controllers: written, and read back."""
