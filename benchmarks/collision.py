@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Solve the problems named, or all that ship, and print a table."""
     names = list(sys.argv[1:] if arguments is None else arguments) or list(shipped_problems())
     table = Table(*COLUMNS)
-    console = Console()
+    console = Console(width=150)
     for name in names:
         started = time.process_time()
         try:

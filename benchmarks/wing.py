@@ -71,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not isinstance(problem.layers, AerofoilLayersSpec):
         print(f"error: {problem.name} is no wing", file=sys.stderr)
         return 2
-    console = Console()
+    console = Console(width=150)
     table = Table("", "paper", problem.name, title="Arigela et al.")
     for name, value in own_figures(problem, toolpath).items():
         table.add_row(name, f"{PAPER[name]:g}", f"{value:.4g}")
