@@ -1,0 +1,95 @@
+"""A player of programs: what a controller would make of one, as far as that can be known without one.
+
+The model. Lines are followed exactly in the part, joint moves exactly in joints. The speed on every stretch is that of
+the slowest of the tip, reorientation and the station's axes, each as programmed, and of the joints with their own
+limits (ABB, RAPID reference: MoveL, speeddata). Speed changes as quickly as the cell's joint acceleration limits allow.
+At `fine` targets and in waits the robot stands still; corners are taken within their zones at the speed at which joints
+can turn from one line to the next (zonedata: a parabola, no longer than half of the neighbouring lines).
+
+What it leaves out: jerk and the lag of servos; loads; how a controller itself shares acceleration between joints, and
+its speed-up in corners; the parabola's place (a corner is passed at its target, where the true one passes inside by at
+most a quarter of the zone's radius times the angle). Logic after a fly-by target happens as the target is passed, where a
+controller runs ahead of the motion by a fraction of a second. Deposition times follow from programmed speeds and
+hold well; travel times are optimistic by the ramps of jerk.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.export.player.pacing import pace
+from planner.export.player.played import Happening, Played
+from planner.export.player.postures import Knots, knots_of
+from planner.export.program import Program
+from planner.export.rotations import continuous, from_matrix
+
+if TYPE_CHECKING:
+    from planner.cell import Cell
+
+Array = NDArray[np.float64]
+ORDER = {"output": 0, "send": 1, "wait": 2}  # of what happens at the same time
+
+
+def play(program: Program, cell: Cell) -> Played:
+    """A program over time, from its start posture at t = 0 to its last target; in time linear in its moves.
+
+    The path is that of the cell's own nozzle, in the cell's own part frame, when the joints go where the program's
+    tool and work object send them. Raises InputError for targets that cannot be reached as the program says, and for
+    axes that the cell has not.
+    """
+    knots = knots_of(program, cell)
+    times = pace(program, cell, knots)
+    T = cell.T_part_nozzle(np.ascontiguousarray(knots.q))
+    played = Played(
+        q=knots.q,
+        position=np.ascontiguousarray(T[:, :3, 3]),
+        quat=continuous(from_matrix(T[:, :3, :3])),
+        move=knots.move,
+        leave=times.leave,
+        length=times.length,
+        phases=times.phases,
+        limit=times.limit,
+        limits=times.limits,
+        target=knots.target,
+        arrive=times.arrive,
+        strays=knots.strays,
+        events=(),
+    )
+    return replace(played, events=_events(program, knots, played))
+
+
+def _events(program: Program, knots: Knots, played: Played) -> tuple[Happening, ...]:
+    """All that the program switches, says and waits for, in order of time."""
+    found: list[tuple[float, int, int, str, float, str]] = []
+    for i, group in program.triggers.items():
+        for trigger in group:
+            t = _passed(knots, played, i, trigger.distance, trigger.from_start)
+            found.append((t, i, ORDER["output"], "output", float(trigger.value), trigger.signal))
+    for i, lines in program.sends.items():
+        t = 0.0 if i < 0 else float(played.arrive[i])
+        found += [(t, i, ORDER["send"], "send", 0.0, line) for line in lines]
+    for i in np.flatnonzero(program.wait > 0.0).tolist():
+        found.append((float(played.arrive[i]), i, ORDER["wait"], "wait", float(program.wait[i]), ""))
+    found.sort(key=lambda event: event[:3])  # stable: lines of one place keep their order
+    places = played.at(np.array([event[0] for event in found])).position.tolist() if found else []
+    return tuple(
+        Happening(t, kind, move, (x, y, z), value, text)
+        for (t, move, _, kind, value, text), (x, y, z) in zip(found, places, strict=True)
+    )
+
+
+def _passed(knots: Knots, played: Played, i: int, distance: float, from_start: bool) -> float:
+    """When the tip has a distance [m] from the start, or from the end, of move i: never outside of it [s]."""
+    last = int(knots.target[i])
+    first = int(knots.target[i - 1]) if i else 0
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(knots.position[first : last + 1], axis=0), axis=1))])
+    at = float(np.clip(distance if from_start else way[-1] - distance, 0.0, way[-1]))
+    if at >= way[-1] and not (from_start and distance <= 0.0):
+        return float(played.arrive[i])
+    part = min(int(np.searchsorted(way, at, side="right")) - 1, last - first - 1)
+    u = (at - way[part]) / max(way[part + 1] - way[part], 1e-12)
+    return float(played.reached(np.array([first + part]), np.array([u]))[0])

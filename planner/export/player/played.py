@@ -1,0 +1,129 @@
+"""What a program has done once it has been played: where everything is at any time, and what happened when."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.export.rotations import slerp
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Happening:
+    """One thing that a program does beside moving.
+
+    t         when it does it [s]
+    kind      "output" (text: the signal, value: 1 or 0), "send" (text: the line), "wait" (value: how long [s])
+    move      index of the move to which it belongs; -1 before the first
+    position  of the nozzle's tip in the part frame [m]
+    """
+
+    t: float
+    kind: str
+    move: int
+    position: tuple[float, float, float]
+    value: float = 0.0
+    text: str = ""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """Where everything is at one or many times: each array has the shape of the times in front.
+
+    q (..., n) joints in the cell's order [rad]; position (..., 3) [m] and quat (..., 4) x y z w of the nozzle in the
+    part frame; move (...) the move that is under way, or whose target the robot rests at
+    """
+
+    q: Array
+    position: Array
+    quat: Array
+    move: Indices
+
+
+@dataclass(frozen=True)
+class Played:
+    """A program over time (m moves; k knots, joints straight between each and the next; SI units, radians).
+
+    q, position, quat  (k, n), (k, 3), (k, 4) x y z w: joints, and the true nozzle in the part frame
+    move      (k - 1)     the move to which the way from each knot to the next belongs
+    leave     (k)         when the robot leaves a knot: later than it came there by what it waits [s]
+    length    (k - 1)     of the way, in metres of path (see `pacing`)
+    phases    (k - 1, 5)  of each way: speed at its beginning [m/s], acceleration [m/s^2], time spent on gaining speed,
+                          on keeping it and on losing it [s]; the loss is as steep as the gain
+    limit     (k - 1)     what the top speed on it follows from: index into `limits`
+    target    (m)         the knot that is the target of each move
+    arrive    (m)         when the robot reaches it [s]
+    strays                moves at whose end the posture is not of the configuration that the target names
+    events                what else happens, in order of time
+    """
+
+    q: Array
+    position: Array
+    quat: Array
+    move: Indices
+    leave: Array
+    length: Array
+    phases: Array
+    limit: Indices
+    limits: tuple[str, ...]
+    target: Indices
+    arrive: Array
+    strays: tuple[int, ...]
+    events: tuple[Happening, ...]
+
+    @property
+    def duration(self) -> float:
+        """When the robot has come to the last target and has waited there [s]."""
+        return float(self.leave[-1])
+
+    def at(self, t: float | Array) -> Moment:
+        """Where everything is at times t [s], of any shape; before the start and after the end it rests there."""
+        times = np.asarray(t, dtype=np.float64)
+        flat = np.atleast_1d(times).ravel()
+        k = np.clip(np.searchsorted(self.leave, flat, side="right") - 1, 0, len(self.move) - 1)
+        u = np.clip(self._gone(k, flat - self.leave[k]) / np.where(self.length[k] > 0.0, self.length[k], 1.0), 0.0, 1.0)
+        quat = slerp(self.quat[k], self.quat[k + 1], u)
+        shape = times.shape
+        return Moment(
+            q=_between(self.q, k, u).reshape(*shape, -1),
+            position=_between(self.position, k, u).reshape(*shape, 3),
+            quat=(quat / np.linalg.norm(quat, axis=1, keepdims=True)).reshape(*shape, 4),
+            move=self.move[k].reshape(shape),
+        )
+
+    def reached(self, k: Indices, u: Array) -> Array:
+        """When (n) the fraction u (n) of the way from knots k (n) to the next ones is behind the robot [s]."""
+        v, a, gain, keep, loss = self.phases[k].T
+        way = u * self.length[k]
+        top = v + a * gain
+        gained, kept = (v + 0.5 * a * gain) * gain, top * keep
+        left = np.maximum(way - gained - kept, 0.0)
+        in_gain = 2.0 * way / np.maximum(v + np.sqrt(np.maximum(v * v + 2.0 * a * way, 0.0)), TINY)
+        in_keep = gain + (way - gained) / np.maximum(top, TINY)
+        in_loss = 2.0 * left / np.maximum(top + np.sqrt(np.maximum(top * top - 2.0 * a * left, 0.0)), TINY)
+        took = np.where(way <= gained, in_gain, np.where(left <= 0.0, in_keep, gain + keep + in_loss))
+        out: Array = self.leave[k] + np.clip(took, 0.0, gain + keep + loss)
+        return out
+
+    def _gone(self, k: Indices, since: Array) -> Array:
+        """Metres of path (n) of the way from knots k (n) that are behind the robot a time (n) [s] after it left them."""
+        v, a, gain, keep, loss = self.phases[k].T
+        top = v + a * gain
+        t1 = np.clip(since, 0.0, gain)
+        t2 = np.clip(since - gain, 0.0, keep)
+        t3 = np.clip(since - gain - keep, 0.0, loss)
+        out: Array = (v + 0.5 * a * t1) * t1 + top * t2 + (top - 0.5 * a * t3) * t3
+        return out
+
+
+TINY = 1e-300  # keeps a division by no speed at all finite, where what is divided is 0 as well
+
+
+def _between(values: Array, k: Indices, u: Array) -> Array:
+    out: Array = values[k] + u[:, None] * (values[k + 1] - values[k])
+    return out

@@ -1,0 +1,251 @@
+"""From targets to joints: the postures through which a controller goes, by the configuration of each target."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import InputError
+from planner.export.program import Program
+from planner.export.rotations import angle, from_matrix, slerp, to_matrix
+
+if TYPE_CHECKING:
+    from planner.cell import Cell
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+Flags = NDArray[np.bool_]
+
+# Between two knots joints are interpolated: on an arm of 0.3 m a line of this length leaves its chord by 4 um,
+# and the tip of a nozzle of 0.15 m, where the nozzle turns by this angle, by 6 um.
+STEP = 3e-3  # m
+TURN = np.radians(1.0)
+JUMP = 0.3  # rad between neighbouring knots of a line: beyond, another configuration may be the nearer one
+QUARTER = 0.5 * np.pi
+BORDER = 1e-4  # rad by which a joint may lie beyond the quarter that a target names: targets are rounded
+HELD = np.radians(0.01)  # by which a held axis of the station may be said to stand elsewhere
+BLOCK = 20_000  # poses whose postures are sought at once: bounds the memory
+SAME = 1e-6  # rad between one posture and itself, computed anew
+REVOLUTION = 2.0 * np.pi
+
+
+@dataclass(frozen=True)
+class Knots:
+    """k postures that the robot goes through, joints straight between each and the next.
+
+    q         (k, n) joints in the cell's order
+    position, quat  (k, 3) [m], (k, 4) x y z w: pose of the program's tool in its work object
+    move      (k - 1) the move to which the way to the next knot belongs
+    target    (m) the knot that is the target of each move
+    strays    moves at whose end the posture is not of the configuration that the target names
+    """
+
+    q: Array
+    position: Array
+    quat: Array
+    move: Indices
+    target: Indices
+    strays: tuple[int, ...]
+
+
+def knots_of(program: Program, cell: Cell) -> Knots:
+    """Postures along a program.
+
+    Lines are followed in the work object by the configuration of their target, continuously, as `ConfL\\Off` has it:
+    where the named configuration is not reached continuously the nearest one is taken. Joint moves go straight
+    to the configuration and the quarter turns of their target, as `ConfJ\\On` has it.
+
+    Raises InputError where a target cannot be reached in its configuration, and for axes that the cell has not.
+    """
+    na, m = len(cell.arm), len(program.linear)
+    if cell.inverse.redundant_joint is not None:
+        raise _error(program, f"targets do not say the posture of {cell.arm_robot.name}, which has {na} joints")
+    outside = np.flatnonzero((program.conf[:, 3] < 0) | (program.conf[:, 3] >= cell.inverse.branch_count))
+    if len(outside):
+        raise _error(program, f"move {outside[0]} names configuration {program.conf[outside[0], 3]}, which is none")
+    frames = _Frames(program, cell)
+    begin = np.concatenate([program.start[:na], frames.free(program.start[None, na:])[0]])
+    if not np.isfinite(begin).all():
+        raise _error(program, "the start does not say where all joints stand")
+    p0, quat0 = frames.pose(begin[None])
+    ends = np.vstack([begin[None, na:], frames.free(program.external)])
+    position, quat = np.vstack([p0, program.position]), np.vstack([quat0, program.quat])
+
+    length = np.linalg.norm(np.diff(position, axis=0), axis=1) / STEP
+    turned = np.maximum(angle(quat[1:], quat[:-1]), np.abs(np.diff(ends, axis=0)).max(axis=1, initial=0.0)) / TURN
+    parts = np.where(program.linear, np.ceil(np.maximum(length, turned) - 1e-9), 1).clip(1).astype(np.intp)
+    move = np.repeat(np.arange(m), parts)
+    target = np.cumsum(parts)
+    u = (np.arange(len(move)) - np.repeat(target - parts, parts) + 1) / parts[move]
+    knots = _Poses(
+        position[move] + u[:, None] * (position[move + 1] - position[move]),
+        slerp(quat[move], quat[move + 1], u),
+        ends[move] + u[:, None] * (ends[move + 1] - ends[move]),
+    )
+    q = _followed(program, cell, frames, knots, move, begin)
+    all_p, all_quat = np.vstack([p0, knots.position]), np.vstack([quat0, knots.quat])
+    strays = _strays(program, cell, q[target])
+    return _with_joint_moves(program, frames, Knots(q, all_p, all_quat, move, target, strays))
+
+
+class _Frames:
+    """Where a program's targets lie for the arm."""
+
+    def __init__(self, program: Program, cell: Cell) -> None:
+        self._program, self._cell = program, cell
+        on_plate = np.linalg.inv(cell.T_plate_part) if program.station else np.linalg.inv(cell.T_world_holder)
+        self._T_part_object = on_plate @ _matrix(program.uframe) @ _matrix(program.oframe)
+        self._T_tool_flange = np.linalg.inv(_matrix(program.tool))
+
+    def free(self, external: Array) -> Array:
+        """The station's free axes (m, f) of all its axes (m, 6); those that are held must stand where they are held."""
+        cell = self._cell
+        if cell.holder_robot is None:
+            return np.empty((len(external), 0))
+        names = list(cell.holder_robot.joint_names)
+        table = external[:, : len(names)]
+        missing = np.flatnonzero(~np.isfinite(table).all(axis=1))
+        if len(missing):
+            raise _error(self._program, f"target {missing[0]} does not say where all axes of the station stand")
+        for name, angle_ in cell.held.items():
+            if (np.abs(table[:, names.index(name)] - angle_) > HELD).any():
+                raise _error(self._program, f"axis {name} of the station is held, and the program moves it")
+        return table[:, [names.index(name) for name in cell.holder.names]]
+
+    def flange(self, poses: _Poses) -> Array:
+        """Flange poses T_base_flange (k, 4, 4)."""
+        T = np.zeros((len(poses.position), 4, 4))
+        T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = to_matrix(poses.quat), poses.position, 1.0
+        T_base_part = np.linalg.inv(self._cell.T_world_base) @ self._cell.holder.poses(poses.external)
+        out: Array = T_base_part @ (self._T_part_object @ T @ self._T_tool_flange)
+        return out
+
+    def pose(self, q: Array) -> tuple[Array, Array]:
+        """Position (k, 3) and orientation (k, 4) of the program's tool in its work object."""
+        T_nozzle_tool = np.linalg.inv(self._T_tool_flange @ self._cell.T_flange_nozzle)
+        T = np.linalg.inv(self._T_part_object) @ self._cell.T_part_nozzle(np.ascontiguousarray(q)) @ T_nozzle_tool
+        return T[:, :3, 3], from_matrix(T[:, :3, :3])
+
+
+@dataclass(frozen=True)
+class _Poses:
+    """k poses of the tool in the work object, and the station's free axes there."""
+
+    position: Array
+    quat: Array
+    external: Array
+
+    def rows(self, rows: slice) -> _Poses:
+        return _Poses(self.position[rows], self.quat[rows], self.external[rows])
+
+
+def _followed(program: Program, cell: Cell, frames: _Frames, knots: _Poses, move: Indices, begin: Array) -> Array:
+    """Joints (k + 1, n) of the start and of all knots on lines and at targets."""
+    na, k = len(cell.arm), len(move)
+    raw = np.empty((k, na))
+    branch = program.conf[move, 3]
+    for first in range(0, k, BLOCK):
+        rows = slice(first, first + BLOCK)
+        solutions, exists = cell.inverse.solve(frames.flange(knots.rows(rows)))
+        raw[rows] = _chosen(program, solutions, exists, branch[rows], move[rows])
+    raw = np.vstack([begin[:na], raw])
+    line = np.concatenate([[False], program.linear[move]])  # the way to this knot is a line
+    _keep_continuous(raw, line, lambda i: cell.inverse.solve(frames.flange(knots.rows(slice(i - 1, i)))))
+    turns = np.zeros_like(raw)
+    turns[1:] = -np.round(np.diff(raw, axis=0) / REVOLUTION)
+    turns[~line] = 0.0
+    since = np.maximum.accumulate(np.where(line, 0, np.arange(k + 1)))  # the knot from which lines go on to this one
+    added = np.cumsum(turns, axis=0)
+    absolute = np.zeros_like(raw)
+    at = np.flatnonzero(~line)
+    absolute[at[1:]] = _named_turns(program, cell, raw[at[1:]], move[at[1:] - 1])
+    q = raw + REVOLUTION * (absolute[since] + added - added[since])
+    return np.column_stack([q, np.vstack([begin[None, na:], knots.external])])
+
+
+def _chosen(program: Program, solutions: Array, exists: Flags, branch: Indices, move: Indices) -> Array:
+    """The solutions (k, n) of the branches that targets name."""
+    row = np.arange(len(branch))
+    missing = np.flatnonzero(~exists[row, branch])
+    if len(missing):
+        i = missing[0]
+        raise _error(program, f"move {move[i]} is out of reach in configuration {branch[i]}")
+    out: Array = solutions[row, branch]
+    return out
+
+
+def _keep_continuous(raw: Array, line: Flags, solve: Callable[[int], tuple[Array, Flags]]) -> None:
+    """Where joints jump on a line, take the nearest posture instead, until that is the named one again."""
+    jumps = np.abs(_wrapped(np.diff(raw, axis=0))).max(axis=1) > JUMP
+    done = 0
+    for first in (np.flatnonzero(line[1:] & jumps) + 1).tolist():
+        i = max(first, done)
+        while i < len(raw) and line[i]:
+            solutions, exists = solve(i)
+            far = np.abs(_wrapped(solutions[0] - raw[i - 1])).max(axis=1)
+            nearest = solutions[0, int(np.argmin(np.where(exists[0], far, np.inf)))]
+            if np.abs(nearest - raw[i]).max() < SAME:
+                break
+            raw[i] = nearest
+            i += 1
+        done = i
+
+
+def _wrapped(angles: Array) -> Array:
+    out: Array = angles - REVOLUTION * np.round(angles / REVOLUTION)
+    return out
+
+
+def _named_turns(program: Program, cell: Cell, raw: Array, move: Indices) -> Array:
+    """Whole turns (k, n) to add to joints in (-pi, pi]: by the quarters that targets name, else by the joints' ranges."""
+    limits, na = cell.limits, raw.shape[1]
+    middle = np.tile(0.5 * (limits.q_min + limits.q_max)[:na], (len(raw), 1))
+    if cell.spherical:
+        middle[:, [0, 3, 5]] = (program.conf[move, :3] + 0.5) * QUARTER
+    out: Array = np.round((middle - raw) / REVOLUTION)
+    return out
+
+
+def _strays(program: Program, cell: Cell, q: Array) -> tuple[int, ...]:
+    """Moves whose target's posture, of all targets' postures q (m, n), is not the one that the target names."""
+    if not cell.spherical:
+        return ()
+    wrong = cell.inverse.branches(q[:, : len(cell.arm)]) != program.conf[:, 3]
+    wrong &= np.abs(q[:, 4]) > BORDER  # where the wrist is straight, either sign of axis 5 is right
+    low = program.conf[:, :3] * QUARTER
+    turned = q[:, [0, 3, 5]]
+    wrong |= ((turned < low - BORDER) | (turned > low + QUARTER + BORDER)).any(axis=1)
+    return tuple(np.flatnonzero(wrong).tolist())
+
+
+def _with_joint_moves(program: Program, frames: _Frames, ends: Knots) -> Knots:
+    """The same knots and, between those that joint moves connect, knots on the straight line of joints."""
+    change = np.abs(np.diff(ends.q, axis=0)).max(axis=1)
+    parts = np.where(program.linear[ends.move], 1, np.ceil(change / TURN).clip(1)).astype(np.intp)
+    owner = np.repeat(np.arange(len(parts)), parts)
+    after = np.cumsum(parts)
+    u = (np.arange(len(owner)) - np.repeat(after - parts, parts) + 1) / parts[owner]
+
+    def spread(values: Array) -> Array:
+        between = values[owner] + u[:, None] * (values[owner + 1] - values[owner])
+        return np.vstack([values[:1], between])
+
+    q, position, quat = spread(ends.q), spread(ends.position), np.vstack([ends.quat[:1], ends.quat[owner + 1]])
+    inner = np.flatnonzero(u < 1.0) + 1
+    position[inner], quat[inner] = frames.pose(q[inner])
+    return Knots(q, position, quat, ends.move[owner], after[ends.target - 1], ends.strays)
+
+
+def _matrix(frame: Array) -> Array:
+    """Pose (4, 4) of x y z [m] and a quaternion x y z w (7)."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = to_matrix(frame[None, 3:])[0], frame[:3]
+    return T
+
+
+def _error(program: Program, reason: str) -> InputError:
+    return InputError(reason, file=program.module)
