@@ -243,13 +243,3 @@ class Plan:
     def verified(self) -> bool:
         """True if every check of the verifier holds, within the tolerance too where one was asked for."""
         return self.holds_as_planned and (self.headroom is None or self.headroom.holds)
-
-    @property
-    def no_rapid(self) -> str | None:
-        """Why no RAPID program can say this plan; None if one can."""
-        arm, holder = self.cell.arm_robot, self.cell.holder_robot
-        if not self.cell.spherical or not arm.name.startswith("ABB "):
-            return f"{arm.name} is not programmed in RAPID"
-        if holder is not None and len(holder.joint_names) > RAPID_EXTERNAL_AXES:
-            return f"{holder.name} has more axes than RAPID's {RAPID_EXTERNAL_AXES} external ones"
-        return None

@@ -19,6 +19,7 @@ from planner.kinematics.offset_wrist import OffsetWrist, read_offset_wrist
 from planner.kinematics.seven_axes import SevenAxes, read_seven_axes
 from planner.kinematics.spherical_wrist import SphericalWrist
 from planner.problem import Problem
+from planner.problem.settings import LANGUAGE_NAMES, USUAL_LANGUAGE
 from planner.robot_bodies import read_bodies
 from planner.robot_urdf import Urdf, model_of, read_urdf, turning_joints
 from planner.robot_yaml import RobotFile, is_number, read_robot_file
@@ -36,6 +37,7 @@ class Robot:
     """One robot as its files describe it: a Pinocchio model of the joints from base to tip, its tip frame, and what
     a URDF cannot say; no inverse kinematics if it is not an arm.
 
+    language what its controller is programmed in: one of LANGUAGE_NAMES
     bodies   one tuple for each joint index of the model (0: what does not move), in the joint's frame; all empty if
              the URDF has no collision shapes
     """
@@ -48,6 +50,7 @@ class Robot:
     jerk: Array
     inverse: InverseKinematics | None
     assumed: tuple[str, ...]
+    language: str
     bodies: tuple[tuple[Body, ...], ...]
 
     @property
@@ -98,8 +101,15 @@ def read_robot(path: Path) -> Robot:
         jerk=file.numbers("jerk_rad_s3", n),
         inverse=_inverse(file, model),
         assumed=file.texts("assumed"),
+        language=_language(file),
         bodies=read_bodies(urdf, model, file.of_these("without", "link", urdf.links())),
     )
+
+
+def _language(file: RobotFile) -> str:
+    name = file.data.get("language", USUAL_LANGUAGE)
+    file.known("language", "language", name, LANGUAGE_NAMES)
+    return str(name)
 
 
 def _model(file: RobotFile, urdf: Urdf) -> pin.Model:

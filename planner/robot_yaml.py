@@ -18,6 +18,7 @@ from planner.problem.file import Keys, Source, read_yaml_file
 Array = NDArray[np.float64]
 REQUIRED = ("name", "urdf", "tip", "acceleration_rad_s2", "jerk_rad_s3")
 OPTIONAL = (
+    "language",
     "speed_rad_s",
     "range_deg",
     "without",

@@ -27,6 +27,7 @@ from planner.errors import (
     Refusal,
 )
 from planner.export import write_part, write_plan, write_refusal, write_robot_code, write_trajectory
+from planner.export.languages import check_languages, chosen
 from planner.headroom import headroom
 from planner.motion import join
 from planner.obstacles import NOTHING, Obstacles, obstacles_of
@@ -76,6 +77,7 @@ def solve(
     strategy = strategy or problem.strategy
     with stages.stage("load"):
         cell = build_cell(problem)
+        check_languages(problem, cell)
         check_start(problem, cell)
     with stages.stage("toolpath"):
         toolpath = build_toolpath(problem)
@@ -308,7 +310,7 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
             errors.print(f"try: {hint}", markup=False, soft_wrap=True)
         errors.print(f"see {folder / 'report.html'}", markup=False, soft_wrap=True)
         return EXIT_NOT_VERIFIED
-    print_summary(plan, folder)
+    print_summary(plan, folder, chosen(plan).words)
     return EXIT_VERIFIED if plan.verified else EXIT_NOT_VERIFIED
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from planner.cell import Cell, build_cell
 from planner.export.extruder.writer import gcode
+from planner.export.joint_trajectory.writer import joint_trajectory, switches
 from planner.export.plan_json import plan_json
 from planner.export.rapid.writer import pgf, rapid
 from planner.export.rotations import from_matrix
@@ -56,7 +57,7 @@ def problem(
         file=Path("two_beads.yaml"),
         cell=CellSpec(arm="irb140", nozzle=nozzle, home_deg=(30, 20, 30, 90, -80, 60), **holder),
         process=ProcessSpec(speed_mm_s=40, travel_speed_mm_s=200, bead=bead, materials=materials or {}, change=CHANGE),
-        program=SimpleNamespace(**names, chord=0.02e-3, tangent=np.radians(45.0)),
+        program=SimpleNamespace(**names, languages=None, chord=0.02e-3, tangent=np.radians(45.0)),
     )
 
 
@@ -243,7 +244,10 @@ def golden_texts() -> dict[str, str]:
     plan, mixed = make_plan(), make_plan(materials=("pla", "pva"))
     table = io.StringIO()
     write_table(sliced(plan, slice(180, 220)), table)
+    short = make_plan(beads=1, length=0.002, positioner=False)
     return {
+        "two_beads_joint_trajectory.json": joint_trajectory(short),
+        "two_beads_extruder.json": switches(plan),
         "TwoBeads.mod": rapid(plan),
         "TwoBeads.pgf": pgf(plan),
         "TwoMaterials.mod": rapid(mixed),

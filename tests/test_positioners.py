@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from planner.cell import Cell, build_cell
 from planner.errors import InputError, Refusal
 from planner.export import write_robot_code
+from planner.export.languages import chosen
 from planner.export.plan_json import cell_screws
 from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.writer import rapid
@@ -293,15 +294,17 @@ def lean_of(plan: Plan) -> float:
 
 
 @pytest.mark.parametrize("arm", OTHERS)
-def test_no_rapid_for_arms_that_do_not_speak_it(
+def test_arms_that_do_not_speak_rapid_get_the_language_that_they_speak(
     folder: Path, tmp_path: Path, arm: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plan = plan_of(folder, arm)
-    assert [path.name for path in write_robot_code(plan, tmp_path)] == ["extrusion.gcode"]
-    assert [path.name for path in tmp_path.iterdir()] == ["extrusion.gcode"]
-    print_summary(replace(plan, timing_s={"total": 1.0}), tmp_path)
-    assert f"no RAPID program: {plan.cell.arm_robot.name}" in " ".join(capsys.readouterr().out.split())
-    with pytest.raises(ValueError, match="RAPID"):
+    name = plan.problem.name
+    own = [f"{name}_joint_trajectory.json", f"{name}_extruder.json"]
+    assert [path.name for path in write_robot_code(plan, tmp_path)] == [*own, "extrusion.gcode"]
+    assert {path.name for path in tmp_path.iterdir()} == {*own, "extrusion.gcode"}
+    print_summary(replace(plan, timing_s={"total": 1.0}), tmp_path, chosen(plan).words)
+    assert "; programs: ROS JointTrajectory, the extruder's G-code;" in " ".join(capsys.readouterr().out.split())
+    with pytest.raises(ValueError, match="spherical wrist"):
         rapid(plan)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from planner.errors import OutputError, Refusal
-from planner.export.languages import LANGUAGES
+from planner.export.languages import LANGUAGES, chosen
 from planner.export.part_stl import part_stl
 from planner.export.plan_json import plan_json, refusal_json
 from planner.export.table import write_table
@@ -41,21 +41,21 @@ def write_refusal(problem: Problem, strategy: str, refusal: Refusal, folder: Pat
 
 
 def write_robot_code(plan: Plan, folder: Path) -> tuple[Path, ...]:
-    """Write a verified plan in all languages that can say it; returns the paths.
+    """Write a verified plan in the languages that were chosen for it; returns the paths.
 
     All programs are read back and held against the plan before anything is written. ValueError if the plan is not
     verified, RuntimeError if a program does not say what the plan says (both mistakes of this code or its caller),
-    OutputError where the files cannot be written.
+    InputError for a language that was asked for and cannot say it, OutputError where the files cannot be written.
     """
     if not plan.verified:
         raise ValueError("robot code is written for verified plans only")
     texts: dict[str, str] = {}
-    for language in LANGUAGES.values():
-        if language.unsaid(plan) is None:
-            own = language.write(plan)
-            if complaints := language.complaints(plan, own):
-                raise RuntimeError(f"{language.title} does not repeat the plan: " + "; ".join(complaints))
-            texts |= own
+    for name in chosen(plan).names:
+        language = LANGUAGES[name]
+        own = language.write(plan)
+        if complaints := language.complaints(plan, own):
+            raise RuntimeError(f"{language.title} does not repeat the plan: " + "; ".join(complaints))
+        texts |= own
     return tuple(_write_text(folder / name, text) for name, text in texts.items())
 
 

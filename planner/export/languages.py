@@ -9,24 +9,30 @@ from typing import TYPE_CHECKING
 from planner.export.compare import compare
 from planner.export.extruder.check import gcode_complaints
 from planner.export.extruder.writer import gcode
+from planner.export.joint_trajectory.check import trajectory_complaints
+from planner.export.joint_trajectory.writer import joint_trajectory, switches, switches_name, trajectory_name
+from planner.export.rapid.able import unsaid_in_rapid
 from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.writer import module_name, pgf, rapid
+from planner.export.setup import Given, Setup
 
 if TYPE_CHECKING:
+    from planner.cell import Cell
     from planner.plan import Plan
+    from planner.problem import Problem
 
 
 @dataclass(frozen=True)
 class Language:
     """How a plan is said to a controller.
 
-    unsaid      why this language cannot say a plan; None if it can
+    unsaid      why this language cannot say what a cell does; None if it can
     write       file name → text
     complaints  what files say otherwise than the plan, beyond rounding, in words
     """
 
     title: str
-    unsaid: Callable[[Plan], str | None]
+    unsaid: Callable[[Setup], str | None]
     write: Callable[[Plan], dict[str, str]]
     complaints: Callable[[Plan, Mapping[str, str]], list[str]]
 
@@ -41,11 +47,56 @@ def _rapid_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
 
 
 LANGUAGES: dict[str, Language] = {
-    "rapid": Language("RAPID", lambda plan: plan.no_rapid, _write_rapid, _rapid_complaints),
+    "rapid": Language("RAPID", unsaid_in_rapid, _write_rapid, _rapid_complaints),
+    "joint_trajectory": Language(
+        "ROS JointTrajectory",
+        lambda setup: None,
+        lambda plan: {trajectory_name(plan): joint_trajectory(plan), switches_name(plan): switches(plan)},
+        trajectory_complaints,
+    ),
     "extruder": Language(
         "the extruder's G-code",
-        lambda plan: None,
+        lambda setup: None,
         lambda plan: {"extrusion.gcode": gcode(plan)},
         lambda plan, files: gcode_complaints(plan, files["extrusion.gcode"]),
     ),
 }
+ALWAYS = ("extruder",)  # written beside whatever moves the arm, so not asked for
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """The languages (keys of LANGUAGES) in which a plan is written, and a note on one that is left out, or none."""
+
+    names: tuple[str, ...]
+    note: str
+
+    @property
+    def words(self) -> str:
+        """Which programs there are, for the summary."""
+        titles = ", ".join(LANGUAGES[name].title for name in self.names)
+        return f"programs: {titles}" + (f"; {self.note}" if self.note else "")
+
+
+def chosen(setup: Setup) -> Chosen:
+    """The languages that the problem asks for; without that, the one that the arm's controller speaks.
+
+    Raises InputError for one that was asked for and cannot say what the cell does.
+    """
+    asked = setup.problem.program.languages
+    if asked is None:
+        own = setup.cell.arm_robot.language
+        reason = LANGUAGES[own].unsaid(setup)
+        if reason is not None:
+            return Chosen(ALWAYS, f"no {LANGUAGES[own].title} program: {reason}")
+        return Chosen((own, *ALWAYS), "")
+    for i, name in enumerate(asked):
+        reason = LANGUAGES[name].unsaid(setup)
+        if reason is not None:
+            raise setup.problem.error(f"program.languages.{i}", f"{name} cannot say this: {reason}", "leave it out")
+    return Chosen((*asked, *ALWAYS), "")
+
+
+def check_languages(problem: Problem, cell: Cell) -> None:
+    """Raise InputError for a language that was asked for and cannot say what the cell does, before all is planned."""
+    chosen(Given(problem, cell))

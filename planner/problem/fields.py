@@ -173,7 +173,7 @@ def one_of(names: Sequence[str]) -> BeforeValidator:
 def _unique(names: tuple[str, ...]) -> tuple[str, ...]:
     for i, name in enumerate(names):
         if name in names[:i]:
-            raise refusal(f"{name!r} stands in the list twice", "name each axis once", item=i)
+            raise refusal(f"{name!r} stands in the list twice", "name each once", item=i)
     return names
 
 

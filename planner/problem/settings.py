@@ -6,12 +6,15 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import model_validator
 
-from planner.problem.fields import IDENTIFIER, Quantity, Section, key, one_of, refusal
+from planner.problem.fields import IDENTIFIER, UNIQUE, Quantity, Section, key, one_of, refusal
 
 StrategyName = Literal["as_published", "fixed", "greedy", "ladder", "sqp", "nlp"]
 STRATEGY_NAMES: tuple[str, ...] = get_args(StrategyName)
 QPName = Literal["interior_point", "osqp"]
 QP_NAMES: tuple[str, ...] = get_args(QPName)
+LanguageName = Literal["rapid", "joint_trajectory"]
+LANGUAGE_NAMES: tuple[str, ...] = get_args(LanguageName)
+USUAL_LANGUAGE: LanguageName = "joint_trajectory"  # of arms whose file names none
 Identifier = Annotated[str, IDENTIFIER]
 
 
@@ -41,6 +44,9 @@ class ResolveSpec(Section):
 class ProgramSpec(Section):
     """Names in the robot program, identifiers of RAPID; and how finely its straight lines divide a bead."""
 
+    languages: Annotated[tuple[Annotated[LanguageName, one_of(LANGUAGE_NAMES)], ...], UNIQUE] | None = key(
+        "languages", f"of {', '.join(LANGUAGE_NAMES)}, those to write; default: what the arm's controller speaks", None
+    )
     tool: Identifier = key("tool", "the tooldata", "tPen")
     work_object: Identifier = key("work_object", "the wobjdata", "wobjPart")
     station: Identifier = key("station", "the positioner's mechanical unit", "STN1")

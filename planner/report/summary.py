@@ -43,8 +43,8 @@ ROWS = (
 )
 
 
-def print_summary(plan: Plan, folder: Path) -> None:
-    """Print verdict, summary table, failed checks and the place of the results."""
+def print_summary(plan: Plan, folder: Path, programs: str = "") -> None:
+    """Print verdict, summary table, failed checks, which programs there are, and the place of the results."""
     out = Console(highlight=False)
     m = plan.metrics
     size = f"{counted(m['beads'], 'bead')}, {counted(m['layers'], 'layer')}, {m['deposited_length_mm'] / 1e3:.2f} m"
@@ -79,8 +79,7 @@ def print_summary(plan: Plan, folder: Path) -> None:
         verdict = f"verified: {len(plan.checks)} checks hold"
         if plan.headroom is not None:
             verdict += f", within {plan.headroom.tolerance.words} too"
-        if plan.no_rapid is not None:
-            verdict += f"; no RAPID program: {plan.no_rapid}"
+        verdict += f"; {programs}" if programs else ""
     elif plan.holds_as_planned and plan.headroom is not None:
         verdict = f"verified as planned, but NOT within {plan.headroom.tolerance.words}: no robot code was written"
     else:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.export.moves import Moves, deposits, plan_moves
+from planner.export.rapid.able import unsaid_in_rapid
 from planner.export.rests import Wait
 from planner.export.rotations import continuous, from_matrix
 from planner.materials import materials_of
@@ -66,8 +67,8 @@ def rapid(plan: Plan) -> str:
     """
     if not plan.verified:
         raise ValueError("robot code is written for verified plans only")
-    if plan.no_rapid is not None:
-        raise ValueError(plan.no_rapid)
+    if (reason := unsaid_in_rapid(plan)) is not None:
+        raise ValueError(reason)
     moves = plan_moves(plan)
     speeds, speed_names = _speeds(plan, moves)
     procedures, calls = _procedures(plan, moves, speed_names)

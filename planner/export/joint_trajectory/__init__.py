@@ -1,0 +1,1 @@
+"""ROS trajectory_msgs/JointTrajectory as JSON: written, and read back."""
