@@ -56,6 +56,7 @@ ROOMS = (
     "place",
     "registration",
     "register",
+    "simulate",
 )
 SAME_ROOM = {
     "run_ends": "process",
@@ -90,6 +91,7 @@ NARROW = {
     "background": {"errors", "interrupts"},
     "export": {"errors", "plan"},
     "report": {"errors", "plan"},
+    "simulate": {"errors", "command", "export"},
 }
 FORBIDDEN = {
     name: {"resolve", "timing", "travel", "extrusion", "motion", "dips", "kinematics"} for name in ("replay", "verify")

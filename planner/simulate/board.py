@@ -1,0 +1,299 @@
+"""An extruder's board as RepRapFirmware is one: bytes in, lines out, all in its own time. No sockets here.
+
+Lines that move, heat or switch wait in a queue and are acknowledged when they enter it; G4, M109, M116 and M190 are
+acknowledged when they are over, and nothing is taken meanwhile.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import deque
+from dataclasses import dataclass
+
+from planner.simulate.faults import Faults
+from planner.simulate.heaters import BED, NOZZLE, Heater
+
+QUEUE = 4  # lines accepted and not yet done
+LONGEST_LINE = 256  # bytes, RepRapFirmware's GCODE_LENGTH
+MOST_WAITING = 64  # lines received and not yet accepted; what a network buffer holds
+TOOLS = 8
+DEFAULT_FEED = 50.0  # mm/s, RepRapFirmware's before any F
+_WORD = re.compile(r"([A-Z])\s*(-?(?:[0-9]+\.?[0-9]*|\.[0-9]+)|\"[^\"]*\")?")
+_NUMBERED = re.compile(r"N([0-9]{1,9})\s+(.*)")
+_QUEUED = {"G0", "G1", "M104", "M140", "M106", "M107"}
+_WAITS = {"G4", "M109", "M116", "M190", "T"}  # a tool change waits for what moves, too
+
+
+@dataclass(frozen=True)
+class Reply:
+    """A line for the other side; `ok` is the number of the line that it acknowledges, if it does."""
+
+    text: str
+    ok: int | None = None
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line that came: its number as sent, or None, and the G-code without it."""
+
+    number: int | None
+    text: str
+
+
+class Record:
+    """What a board has done so far.
+
+    accepted   lines, in order, with their numbers
+    filament   that moved, by tool [mm]
+    fans       what each was set to last
+    warnings   all that it complained of
+    """
+
+    def __init__(self) -> None:
+        self.accepted: list[tuple[int | None, str]] = []
+        self.filament: dict[int, float] = {}
+        self.fans: dict[int, float] = {}
+        self.warnings: list[str] = []
+
+
+@dataclass(frozen=True)
+class _Job:
+    line: Line
+    code: str
+    words: dict[str, float]
+    end: float
+
+
+class Board:
+    """The board's state. Times [s] are its own and never go back."""
+
+    def __init__(self, faults: Faults | None = None) -> None:
+        self.record = Record()
+        self.halted = False
+        self.tool = 0
+        self._faults = faults or Faults()
+        self._time = 0.0
+        self._partial = b""
+        self._overlong = False
+        self._waiting: deque[Line] = deque()
+        self._queue: deque[_Job] = deque()
+        self._blocked: _Job | None = None
+        self._relative, self._position, self._feed = False, 0.0, DEFAULT_FEED
+        self._bed: Heater = BED
+        self._nozzles = [NOZZLE] * TOOLS
+
+    @property
+    def room(self) -> int:
+        """Lines that it would still take in; a reader that stops at none pushes back on the network."""
+        return 0 if self.halted else MOST_WAITING - len(self._waiting)
+
+    @property
+    def idle(self) -> bool:
+        """Nothing is being done or waits to be."""
+        return not (self._queue or self._waiting or self._blocked)
+
+    def disconnect(self) -> None:
+        """The other side is gone: half a line is forgotten, what was accepted is done."""
+        self._partial, self._overlong = b"", False
+
+    def receive(self, data: bytes, now: float) -> list[Reply]:
+        """Take bytes in; the replies up to now."""
+        out = self.advance(now)
+        *whole, self._partial = re.split(rb"[\r\n]", self._partial + data)
+        for raw in whole:
+            if self._overlong or len(raw) > LONGEST_LINE:
+                self._overlong = False
+                out.append(self._warn("Error: G-Code buffer 'telnet' length overflow"))
+            elif raw.strip() and not self.halted:
+                self._take(raw, out)
+                self._accept(out)
+        if len(self._partial) > LONGEST_LINE:
+            self._partial, self._overlong = b"", True
+        return out + self.advance(now)
+
+    def advance(self, now: float) -> list[Reply]:
+        """Let time pass up to now; the replies meanwhile."""
+        out: list[Reply] = []
+        while not self.halted:
+            self._accept(out)
+            end = self._next_end()
+            if end is None or end > now:
+                break
+            self._time = max(self._time, end)
+            self._finish(out)
+        self._time = max(self._time, now)
+        return out
+
+    def next_change(self) -> float:
+        """When something will be over, if nothing comes in: infinity if nothing will."""
+        end = self._next_end()
+        return math.inf if end is None or self.halted else end
+
+    def temperatures(self) -> tuple[float, float]:
+        """Of the selected tool's nozzle and of the bed [°C]."""
+        return self._nozzles[self.tool].at(self._time), self._bed.at(self._time)
+
+    def _next_end(self) -> float | None:
+        if self._queue:
+            return self._queue[0].end
+        return None if self._blocked is None else self._blocked.end
+
+    def _warn(self, text: str) -> Reply:
+        self.record.warnings.append(text)
+        return Reply(text)
+
+    def _take(self, raw: bytes, out: list[Reply]) -> None:
+        """One line off the wire: checksum and number off, the rest to those that wait."""
+        text = raw.decode("ascii", errors="replace").strip()
+        body, star, sum_ = text.rpartition("*")
+        numbered = _NUMBERED.fullmatch(body if star else text)
+        number = int(numbered[1]) if numbered else None
+        if star:
+            right = 0
+            for byte in raw.strip().rpartition(b"*")[0]:
+                right ^= byte
+            wrong = not sum_.strip().isdigit() or int(sum_) != right
+            if wrong or self._faults.take("resend", number):
+                # without a number RepRapFirmware drops the line and says nothing
+                out += [Reply(f"Resend: {number}")] if number is not None else []
+                return
+        code = (numbered[2] if numbered else body if star else text).split(";")[0].strip()
+        if code == "M112":
+            self.halted = True
+            self._queue.clear()
+            self._waiting.clear()
+            return
+        if self._faults.take("fatal", number):
+            self.halted = True
+            out.append(Reply("!!"))
+            return
+        if len(self._waiting) >= MOST_WAITING:
+            out.append(self._warn("Error: input overrun, line lost"))
+            return
+        self._waiting.append(Line(number, code))
+
+    def _accept(self, out: list[Reply]) -> None:
+        """Take waiting lines as far as the queue allows."""
+        while self._waiting and self._blocked is None and not self.halted:
+            line = self._waiting[0]
+            code, words = _parsed(line.text)
+            if (code in _WAITS and self._queue) or (code in _QUEUED and len(self._queue) >= QUEUE):
+                return
+            self._waiting.popleft()
+            if self._faults.take("error", line.number):
+                complaint: str | None = f"Error: {code}: failed on demand"
+            elif code in _WAITS:
+                complaint = self._start_wait(line, code, words)
+            elif code in _QUEUED:
+                complaint = self._enqueue(line, code, words, out)
+            else:
+                complaint = self._at_once(code, words, out)
+            if complaint:
+                out.append(self._warn(complaint))
+            else:
+                self.record.accepted.append((line.number, line.text))
+            if self._blocked is None:
+                out.append(_ok(line))
+
+    def _enqueue(self, line: Line, code: str, words: dict[str, float], out: list[Reply]) -> str | None:
+        """Queue a line, or say why not."""
+        if code in ("G0", "G1"):
+            if {"X", "Y", "Z"} & set(words):
+                return f"Error: {code}: insufficient axes homed"
+            self._feed = words["F"] / 60.0 if words.get("F", 0.0) > 0.0 else self._feed
+            amount = words.get("E", 0.0) - (0.0 if self._relative or "E" not in words else self._position)
+            self._position += amount
+            words = {"E": amount, "T": self.tool}
+            lasts = abs(amount) / self._feed
+        else:
+            lasts = 0.0
+            if code in ("M104", "M140"):
+                words = {"T": self.tool, **words}
+                limit = (NOZZLE if code == "M104" else BED).limit
+                if not 0.0 <= words.get("S", 0.0) < limit or not 0 <= words["T"] < TOOLS:
+                    return f"Error: {code}: no such temperature or tool"
+        start = self._queue[-1].end if self._queue else self._time
+        job = _Job(line, code, words, start + lasts)
+        if self._faults.take("jam", line.number):
+            out.append(self._warn(f"Error: Filament error on extruder {self.tool}: too little movement"))
+            job = _Job(line, code, words, math.inf)
+        self._queue.append(job)
+        return None
+
+    def _finish(self, out: list[Reply]) -> None:
+        """What ends now has its effect."""
+        if not self._queue:
+            job, self._blocked = self._blocked, None
+            out += [] if job is None else [_ok(job.line)]
+            return
+        job = self._queue.popleft()
+        words = job.words
+        if job.code in ("G0", "G1"):
+            tool = int(words["T"])
+            self.record.filament[tool] = self.record.filament.get(tool, 0.0) + words["E"]
+        elif job.code == "M104":
+            self._nozzles[int(words["T"])] = self._nozzles[int(words["T"])].set(words.get("S", 0.0), self._time)
+        elif job.code == "M140":
+            self._bed = self._bed.set(words.get("S", 0.0), self._time)
+        else:
+            self.record.fans[int(words.get("P", 0))] = words.get("S", 0.0) if job.code == "M106" else 0.0
+
+    def _start_wait(self, line: Line, code: str, words: dict[str, float]) -> str | None:
+        """Begin a line that is acknowledged when it is over, or say why not."""
+        if code == "T":
+            if not 0 <= words["T"] < TOOLS:
+                return f"Error: Tool {words['T']:g} does not exist"
+            self.tool = int(words["T"])
+        self._blocked = _Job(line, code, words, self._time + self._wait(code, words))
+        return None
+
+    def _wait(self, code: str, words: dict[str, float]) -> float:
+        """How long a line that waits takes from now on [s]; heaters get their targets."""
+        if code == "T":
+            return 0.0
+        if code == "G4":
+            return words.get("P", 0.0) * 1e-3 + words.get("S", 0.0)
+        cooling = "R" in words
+        target = words.get("R", words.get("S"))
+        tool = int(words.get("T", self.tool)) % TOOLS
+        if code == "M190":
+            self._bed = self._bed if target is None else self._bed.set(min(target, BED.limit - 1.0), self._time)
+            return max(0.0, self._bed.reached(cooling) - self._time)
+        if code == "M109" and target is not None:
+            self._nozzles[tool] = self._nozzles[tool].set(min(target, NOZZLE.limit - 1.0), self._time)
+        every = [self._nozzles[tool]] if code == "M109" else [self._bed, *self._nozzles]
+        return max(0.0, *(heater.reached(cooling) - self._time for heater in every))
+
+    def _at_once(self, code: str, words: dict[str, float], out: list[Reply]) -> str | None:
+        """Do a line that neither moves nor waits, or say why not."""
+        if code in ("M82", "M83"):
+            self._relative = code == "M83"
+        elif code == "G92":
+            self._position = words.get("E", self._position)
+        elif code == "M105":
+            nozzle, bed = self.temperatures()
+            goal = self._nozzles[self.tool].target
+            out.append(Reply(f"T:{nozzle:.1f} /{goal:.1f} B:{bed:.1f} /{self._bed.target:.1f}"))
+        elif code == "M115":
+            out.append(Reply("FIRMWARE_NAME: Beadwise board simulator FIRMWARE_VERSION: 1 ELECTRONICS: none"))
+        elif code not in ("M110", "M117", ""):
+            return f"Warning: {code}: Command is not supported"
+        return None
+
+
+def _ok(line: Line) -> Reply:
+    return Reply("ok" if line.number is None else f"ok N{line.number}", line.number or 0)
+
+
+def _parsed(text: str) -> tuple[str, dict[str, float]]:
+    """Code such as `G1` and the values of the letters after it."""
+    found = _WORD.findall(text.upper())
+    if not found:
+        return text[:20], {}
+    letter, value = found[0]
+    code = "T" if letter == "T" else f"{letter}{value}"
+    rest = {name: float(number) for name, number in found[1:] if number and not number.startswith('"')}
+    if letter == "T":
+        rest["T"] = float(value) if value and not value.startswith('"') else -1.0
+    return code, rest

@@ -1,0 +1,278 @@
+"""The simulated controller: its web services as a client of ABB's meets them, and the program's socket."""
+
+from __future__ import annotations
+
+import subprocess
+import time
+from collections.abc import Callable
+from contextlib import closing
+
+import numpy as np
+import pytest
+import requests
+from abb_robot_client.rws import RWS
+from export_fixtures import make_plan
+from simulate_fixtures import MODULE, Client, program, reader
+
+from planner.export.rapid.reader import read_rapid
+from planner.export.rapid.writer import rapid
+from planner.simulate import Simulated, start
+from planner.simulate.controller import Controller
+from planner.simulate.motion import OUTPUT, SEND, own_clock
+from planner.simulate.program_socket import TIMEOUT, WINDOW
+from planner.simulate.rws import FORM_V2, USER, Access, RwsServer
+
+LINES = tuple(f"G1 E{0.1 + 0.01 * k:.3f} F300" for k in range(40))
+
+
+def client_of(simulated: Simulated, password: str = "robotics") -> RWS:
+    return RWS("http://{}:{}".format(*simulated.rws), password=password)
+
+
+def load(rws: RWS, text: str = MODULE) -> None:
+    rws.upload_file("HOME:/Made.mod", text.encode())
+    rws._do_post("rw/rapid/tasks/T_ROB1?action=loadmod", {"modulepath": "HOME:/Made.mod", "replace": "true"})
+    rws.resetpp()
+
+
+def until(holds: Callable[[], bool], seconds: float = 5.0) -> bool:
+    since = time.monotonic()
+    while not holds() and time.monotonic() - since < seconds:
+        time.sleep(0.01)
+    return holds()
+
+
+def started(**options: object) -> tuple[Simulated, RWS]:
+    lines = options.pop("lines", LINES)
+    simulated = start(pace=20.0, read=reader(program(lines)), **options)  # type: ignore[arg-type]
+    rws = client_of(simulated)
+    load(rws)
+    rws.start(cycle="once")
+    return simulated, rws
+
+
+def test_own_clock_takes_what_the_slowest_part_takes() -> None:
+    made = program(("M83", "G1 E1 F60"), moves=3)
+    motion = own_clock(made)
+    assert motion.duration == pytest.approx(0.2)
+    assert [(h.kind, pytest.approx(h.time), h.text) for h in motion.happenings] == [
+        (SEND, 0.0, "M83"),
+        (OUTPUT, 0.0, "doExtrude=1"),
+        (SEND, 0.1, "G1 E1 F60"),
+        (OUTPUT, 0.2, "doExtrude=0"),
+    ]
+    move, tip = motion.at(0.15)
+    assert move == 2 and tip == pytest.approx([0.015, 0.0, 0.0])
+    turned = np.array([[0, 0, 0, 1], [0, 0, np.sin(0.5), np.cos(0.5)], [0, 0, np.sin(0.5), np.cos(0.5)]])
+    slow = own_clock(type(made)(**{**vars(made), "quat": turned, "wait": np.array([0.0, 0.5, 0.0])}))
+    assert slow.duration == pytest.approx(1.0 + 0.5 + 0.1)
+
+
+def test_a_program_that_we_write_runs_from_upload_to_end() -> None:
+    plan = make_plan()
+    with start(pace=50.0) as simulated:
+        rws = client_of(simulated)
+        assert rws.get_operation_mode() == "AUTO" and rws.get_controller_state() == "motoron"
+        assert rws.get_tasks()["T_ROB1"].motiontask
+        load(rws, rapid(plan))
+        assert rws.get_execution_state().ctrlexecstate == "stopped"
+        rws.start(cycle="once")
+        assert rws.get_execution_state().ctrlexecstate == "running"
+        seen = set()
+        assert until(lambda: seen.add(simulated.state().outputs.get("doExtrude")) or simulated.state().reason != "")
+        state = simulated.state()
+        assert state.reason == "finished" and state.outputs == {"doExtrude": False} and True in seen
+        # the fixture travels five times as fast as its program may, so the plan's own time is no measure
+        assert state.time == pytest.approx(own_clock(read_rapid(rapid(plan))).duration)
+        assert np.allclose(state.tip, plan.trajectory.tip[-1], atol=1e-3)
+        assert rws.get_execution_state().ctrlexecstate == "stopped"
+
+
+def test_files_of_the_controller() -> None:
+    with start() as simulated:
+        rws = client_of(simulated)
+        rws.upload_file("HOME:/a.mod", b"abc")
+        rws.upload_file("$HOME/b.mod", b"abcd")
+        assert rws.list_files("HOME:") == ["a.mod", "b.mod"] and rws.read_file("HOME:/b.mod") == b"abcd"
+        rws.delete_file("HOME:/a.mod")
+        assert rws.list_files("HOME:") == ["b.mod"]
+        for path in ("HOME:/../x", "HOME:/a/b.mod", "/etc/passwd", "HOME:/.."):
+            with pytest.raises(Exception, match="Not Found"):
+                rws.upload_file(path.replace("..", "%2e%2e"), b"")
+
+
+def test_what_is_not_allowed_is_denied() -> None:
+    with start(read=reader(program())) as simulated:
+        wrong = client_of(simulated, "robotic")
+        with pytest.raises(Exception, match="401"):
+            wrong.get_execution_state()
+        rws = client_of(simulated)
+        with pytest.raises(Exception, match="no program pointer"):
+            rws.start()
+        with pytest.raises(Exception, match="no program is loaded"):
+            rws.resetpp()
+        load(rws)
+        with pytest.raises(Exception, match="loaded already"):
+            rws._do_post("rw/rapid/tasks/T_ROB1?action=loadmod", {"modulepath": "HOME:/Made.mod"})
+        simulated.controller.motors = "motoroff"
+        with pytest.raises(Exception, match="motors"):
+            rws.start()
+        simulated.controller.motors = "motoron"
+        rws.start()
+        for deed in (rws.start, rws.resetpp, lambda: load(rws)):
+            with pytest.raises(Exception, match="is running"):
+                deed()
+        rws.stop()
+        assert rws.get_execution_state().ctrlexecstate == "stopped"
+        rws.resetpp()
+    with start() as simulated, pytest.raises(Exception, match="errors"):
+        load(client_of(simulated), MODULE.replace("ENDPROC", "MoveL nowhere;\nENDPROC"))
+
+
+def test_lines_come_numbered_in_time_and_acknowledged() -> None:
+    simulated, _ = started()
+    with simulated, closing(Client(simulated.program)) as pc:
+        assert pc.read() == f"H Made {len(LINES)}"
+        pc.say("G 1")
+        for n, text in enumerate(LINES, 1):
+            assert pc.read() == f"L {n} {text}"
+            pc.say(f"A {n}")
+        assert pc.read() == f"E {len(LINES)}" and pc.read() == ""
+        assert until(lambda: simulated.state().reason == "finished")
+        assert simulated.state().acknowledged == len(LINES)
+
+
+def test_no_more_than_the_window_is_out_and_silence_stops_it() -> None:
+    simulated, _ = started()
+    with simulated, closing(Client(simulated.program)) as pc:
+        pc.read()
+        pc.say("G 1")
+        got = [pc.read() for _ in range(WINDOW)]
+        pc.say("A 1")
+        since = time.monotonic()
+        got += [pc.read(), pc.read()]
+        assert got[-2] == f"L {WINDOW + 1} {LINES[WINDOW]}"
+        assert got[-1] == f"X {WINDOW + 1} no acknowledgement for 2 s"
+        assert 0.9 * TIMEOUT < time.monotonic() - since < 2 * TIMEOUT
+        assert until(lambda: simulated.state().outputs == {"doExtrude": False})
+
+
+def test_heating_may_take_longer() -> None:
+    simulated, _ = started(lines=("M109 S200", *LINES))
+    with simulated, closing(Client(simulated.program)) as pc:
+        pc.read()
+        pc.say("G 1")
+        for _ in range(WINDOW):
+            pc.read()
+        time.sleep(TIMEOUT + 0.3)
+        pc.say("A 1")
+        assert pc.read().startswith(f"L {WINDOW + 1} ")
+
+
+@pytest.mark.parametrize(
+    ("answer", "reason"),
+    [
+        ("G 2", "cannot begin with line 2"),
+        ("A 1", "line 1 acknowledged"),
+        ("G 1\nG 1", "cannot begin"),
+        ("G 1\nA 500", "line 500 acknowledged"),
+        ("G 1\nA 0", "line 0 acknowledged"),
+        ("G 1\nS board lost", "stopped from outside: board lost"),
+        ("G 01", "unknown answer"),
+        ("hello", "unknown answer"),
+        ("G 1\n" + "x" * 200, "garbage"),
+    ],
+)
+def test_wrong_answers_stop_it(answer: str, reason: str) -> None:
+    simulated, _ = started()
+    with simulated, closing(Client(simulated.program)) as pc:
+        pc.read()
+        pc.say(answer)
+        last = ""
+        while line := pc.read():
+            last = line
+        assert last.startswith("X ") and reason in last
+        assert until(lambda: reason in simulated.state().reason)
+
+
+def test_a_lost_connection_stops_it() -> None:
+    simulated, _ = started()
+    with simulated:
+        with closing(Client(simulated.program)) as pc:
+            pc.read()
+            pc.say("G 1")
+            pc.read()
+        assert until(lambda: simulated.state().reason == "connection lost")
+
+
+@pytest.mark.parametrize(
+    ("fault", "end"),
+    [
+        ("drop@5", ["L 5 G1 E0.140 F300", ""]),
+        ("stop@5", ["L 5 G1 E0.140 F300", "X 5 stopped at the controller"]),
+        ("skip@5", ["L 4 G1 E0.130 F300", "L 6 G1 E0.150 F300"]),
+        ("garbage@5", ["L 4 G1 E0.130 F300", "\x80L ?\x07"]),
+    ],
+)
+def test_faults_of_the_controller(fault: str, end: list[str]) -> None:
+    simulated, _ = started(controller_faults=(fault,))
+    with simulated, closing(Client(simulated.program)) as pc:
+        pc.read()
+        pc.say("G 1")
+        lines = [pc.read() for _ in range(6)]
+        assert lines[-2:] == end or lines[-3:-1] == end
+
+
+def test_a_restart_loses_program_and_network() -> None:
+    simulated, rws = started(controller_faults=("restart@3",))
+    with simulated, closing(Client(simulated.program)) as pc:
+        pc.read()
+        pc.say("G 1")
+        assert [pc.read() for _ in range(4)][-2:] == [f"L 3 {LINES[2]}", ""]
+        with pytest.raises(Exception, match="Internal Server Error"):  # so the client calls a 503
+            rws.get_execution_state()
+        assert until(lambda: not simulated.controller.silent)
+        assert rws.get_controller_state() == "motoroff" and simulated.state() is None
+
+
+def test_a_stop_from_the_network_keeps_the_place() -> None:
+    simulated, rws = started()
+    with simulated, closing(Client(simulated.program)) as pc:
+        pc.read()
+        pc.say("G 1")
+        pc.read()
+        rws.stop()
+        time.sleep(0.1)
+        at = simulated.state().time
+        time.sleep(0.2)
+        assert simulated.state().time == at and simulated.state().reason == ""
+        rws.start()
+        assert until(lambda: simulated.state().time > at)
+
+
+def test_version_2_with_a_certificate(tmp_path) -> None:
+    made = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "1", "-subj", "/CN=localhost"]
+    made += ["-addext", "subjectAltName=IP:127.0.0.1"]
+    subprocess.run([*made, "-keyout", tmp_path / "key", "-out", tmp_path / "cert"], check=True, capture_output=True)
+    controller = Controller(("127.0.0.1", 0), read=reader(program()))
+    access = Access(version=2, certificate=tmp_path / "cert", key=tmp_path / "key")
+    with closing(controller), closing(RwsServer("127.0.0.1", 0, controller, access)) as server:
+        base = f"https://127.0.0.1:{server.address[1]}"
+        session = requests.Session()
+        session.trust_env = False  # or certificates named in the environment come before ours
+        session.verify, session.auth = str(tmp_path / "cert"), (USER, "robotics")
+        session.headers["Accept"] = "application/hal+json;v=2.0"
+
+        def post(path: str, **form: str) -> int:
+            return session.post(base + path, data=form, headers={"Content-Type": FORM_V2}).status_code
+
+        assert requests.get(base + "/rw/panel/opmode", verify=str(tmp_path / "cert")).status_code == 401
+        assert session.get(base + "/rw/panel/opmode").json()["state"][0]["opmode"] == "AUTO"
+        assert session.put(base + "/fileservice/$HOME/Made.mod", MODULE.encode()).status_code == 201
+        path = "/rw/rapid/tasks/T_ROB1/loadmod"
+        assert post(path, modulepath="$HOME/Made.mod") == 403
+        assert post("/rw/mastership/edit/request") == 204
+        assert post(path, modulepath="$HOME/Made.mod") == 204
+        assert post("/rw/rapid/execution/resetpp") == 204
+        assert session.get(base + "/rw/rapid/tasks").json()["_embedded"]["resources"][0]["name"] == "T_ROB1"
+        assert post("/rw/rapid/execution/stop") == 204
