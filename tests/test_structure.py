@@ -56,6 +56,7 @@ ROOMS = (
     "place",
     "registration",
     "register",
+    "link",
 )
 SAME_ROOM = {
     "run_ends": "process",
