@@ -57,6 +57,7 @@ ROOMS = (
     "registration",
     "register",
     "simulate",
+    "link",
 )
 SAME_ROOM = {
     "run_ends": "process",

@@ -1,0 +1,142 @@
+"""What is said on the two wires of the relay: read strictly, written in one place.
+
+The program's socket (the controller is the server): lines of ASCII ended by LF, at most 80 characters.
+The board: RepRapFirmware over TCP; plain G-code to it, `ok`, `Error: …`, `Resend: …`, `!!` or information from it.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from planner.link.framing import Garbage
+
+LONGEST_SAID = 80  # characters; RAPID's longest string
+LONGEST_GCODE = 70
+MOST_LINES = 10_000_000
+_NUMBER = r"(0|[1-9][0-9]{0,7})"
+_HELLO = re.compile(rf"H ([A-Za-z][A-Za-z0-9_]{{0,31}}) {_NUMBER}")
+_LINE = re.compile(rf"L {_NUMBER} (.+)")
+_END = re.compile(rf"E {_NUMBER}")
+_STOPPED = re.compile(rf"X {_NUMBER} (.*)")
+_GCODE = re.compile(r"[GMT][0-9]+(\.[0-9]+)?( [A-Z][^*;\t]*)?")
+_OK = re.compile(rf"ok(?: N{_NUMBER})?(?: .*)?")
+_RESEND = re.compile(rf"(?:Resend|rs): ?N?{_NUMBER}")
+
+
+@dataclass(frozen=True)
+class Hello:
+    """The program is there: its module, and how many lines it will send."""
+
+    module: str
+    lines: int
+
+
+@dataclass(frozen=True)
+class Line:
+    """Line `n` (from 1) for the board."""
+
+    n: int
+    gcode: str
+
+
+@dataclass(frozen=True)
+class End:
+    """The program has ended after `n` lines."""
+
+    n: int
+
+
+@dataclass(frozen=True)
+class Stopped:
+    """The controller has stopped by itself after line `n`."""
+
+    n: int
+    reason: str
+
+
+@dataclass(frozen=True)
+class Ok:
+    """The board took a line: line `n` if it says so, else the oldest one."""
+
+    n: int | None
+
+
+@dataclass(frozen=True)
+class Resend:
+    """The board wants line `n` again, for its checksum was wrong."""
+
+    n: int
+
+
+@dataclass(frozen=True)
+class Trouble:
+    """The board reports an error."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Remark:
+    """The board says something that asks for nothing."""
+
+    text: str
+
+
+ControllerMessage = Hello | Line | End | Stopped
+BoardMessage = Ok | Resend | Trouble | Remark
+
+
+def from_controller(text: str) -> ControllerMessage:
+    """What a line of the program's socket says; raises Garbage for all that is not of the protocol."""
+    if len(text) <= LONGEST_SAID:
+        if found := _LINE.fullmatch(text):
+            if len(found[2]) <= LONGEST_GCODE and _GCODE.fullmatch(found[2]):
+                return Line(int(found[1]), found[2])
+        elif found := _HELLO.fullmatch(text):
+            return Hello(found[1], int(found[2]))
+        elif found := _END.fullmatch(text):
+            return End(int(found[1]))
+        elif found := _STOPPED.fullmatch(text):
+            return Stopped(int(found[1]), found[2])
+    raise Garbage(repr(text[:LONGEST_SAID]))
+
+
+def from_board(text: str) -> BoardMessage:
+    """What a line of the board says; what is neither ack nor error is a remark."""
+    if found := _OK.fullmatch(text):
+        return Ok(None if found[1] is None else int(found[1]))
+    if found := _RESEND.fullmatch(text):
+        return Resend(int(found[1]))
+    if text.startswith(("Error", "!!", "Resend", "rs", "halt")):
+        return Trouble(text)
+    return Remark(text)
+
+
+def to_board(n: int, gcode: str) -> bytes:
+    """Line n as the board reads it, with number and checksum (the exclusive or of all bytes before the star)."""
+    said = f"N{n} {gcode}".encode("ascii")
+    checksum = 0
+    for byte in said:
+        checksum ^= byte
+    return said + f"*{checksum}\n".encode("ascii")
+
+
+def to_board_plain(gcode: str) -> bytes:
+    """A line that is not of the program: without a number, so that it is never taken for one that is."""
+    return gcode.encode("ascii") + b"\n"
+
+
+def go(n: int) -> bytes:
+    """Answer to a hello: line n is to be the first."""
+    return f"G {n}\n".encode("ascii")
+
+
+def acknowledged(n: int) -> bytes:
+    """The board took every line up to n."""
+    return f"A {n}\n".encode("ascii")
+
+
+def stop(reason: str) -> bytes:
+    """The controller is to stop now."""
+    return ("S " + re.sub(r"[^\x20-\x7e]", "?", reason))[:LONGEST_SAID].encode("ascii") + b"\n"

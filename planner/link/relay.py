@@ -1,0 +1,257 @@
+"""The relay between a program's socket and the board, without sockets or clocks: bytes and times in, effects out.
+
+A line goes to the board once, in order, one at a time: RepRapFirmware drops a line whose checksum is wrong without a
+word and answers the next with a bare `ok`, so with several under way a lost one could not be told. Whatever is not as
+it should be ends the run: the controller is told to stop, the board gets what makes it safe, and where the print
+stands is part of the outcome.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from enum import Enum
+
+from planner.link import messages as say
+from planner.link.effects import Effect, Note, Outcome, Side, StopRobot, Write
+from planner.link.framing import Framer, Garbage
+from planner.link.patience import Patience
+from planner.link.program_lines import ProgramLines
+
+WINDOW = 16  # lines that a controller may send ahead of what was acknowledged
+HELLO_TIME = 10.0  # s from the connection to the program's first word
+SILENCE_TIME = 60.0  # s beyond three times what the program plans between two lines, so that a slow override is borne
+HOMEWARD_TIME = 300.0  # s from the last line to the end of the program, which the table does not know
+STOP_TIME = 5.0  # s that the board has to answer what makes it safe
+MOST_RESENDS = 3
+MOST_REMARKS = 1000  # of the board between two acks; more is a board that has lost its mind
+SAFE = ("M106 P0 S0",)  # the cutter's output off; moves that the board has taken run dry
+COLD = ("M104 S0", "M140 S0")
+
+
+class _State(Enum):
+    HELLO = "waiting for the program"
+    RUNNING = "running"
+    STOPPING = "stopping"
+    OVER = "over"
+
+
+class Relay:
+    """The state of one run. Each method takes what happened and the time [s] of a steady clock, and returns effects.
+
+    After an Outcome nothing more is done.
+    """
+
+    def __init__(self, program: ProgramLines, now: float, cold: bool = False) -> None:
+        self._program, self._cold = program, cold
+        self._framers = {side: Framer() for side in Side}
+        self._gone: set[Side] = set()
+        self._state = _State.HELLO
+        self._waiting: deque[say.Line] = deque()  # came, and not yet sent to the board
+        self._received = self._sent = self._acknowledged = 0
+        self._under_way = False  # the board has not answered the line that was sent last
+        self._in_doubt = False  # it was wrong since, so that an ack of that line means nothing
+        self._ended = False  # the program said that it is through
+        self._unanswered = 0  # safe lines that the board has not answered
+        self._resends = self._remarks = 0
+        self._reason: str | None = None
+        self._patience = Patience()
+        self.deadline = now + HELLO_TIME
+
+    @property
+    def acknowledged(self) -> int:
+        """The last line that the board took."""
+        return self._acknowledged
+
+    def received(self, side: Side, data: bytes, now: float) -> list[Effect]:
+        """Bytes came from a side."""
+        if self._deaf(side):
+            return []
+        out: list[Effect] = []
+        lines, garbage = self._framers[side].lines(data)
+        for text in lines:
+            try:
+                out += (self._controller_said if side is Side.CONTROLLER else self._board_said)(text, now)
+            except Garbage as error:
+                out += self._not_understood(side, error, now)
+            if self._deaf(side):
+                return out
+        if garbage is not None:
+            out += self._not_understood(side, garbage, now)
+        return out
+
+    def lost(self, side: Side, reason: str, now: float) -> list[Effect]:
+        """A side's connection is no more."""
+        if self._deaf(side):
+            return []
+        self._gone.add(side)
+        if side is Side.CONTROLLER and self._ended and self._state is _State.RUNNING:
+            return [Note("closed", 0, side.value)]  # its part is done; the board's may not be
+        out: list[Effect] = [Note("lost", 0, f"{side.value}: {reason}")]
+        return out + self._stop(f"the {side.value}'s connection was lost ({reason})", now)
+
+    def tick(self, now: float) -> list[Effect]:
+        """Time has passed; to be called when the deadline is over."""
+        if now < self.deadline or self._state is _State.OVER:
+            return []
+        if self._state is _State.HELLO:
+            return self._stop(f"the program said nothing for {HELLO_TIME:g} s", now)
+        if self._state is _State.STOPPING:
+            return [Note("unanswered", 0, "the board did not answer what makes it safe"), *self._over()]
+        if self._under_way:
+            return self._stop(f"the board did not acknowledge line {self._sent} in time", now)
+        return self._stop(f"the controller sent nothing after line {self._received} in time", now)
+
+    def stop(self, reason: str, now: float) -> list[Effect]:
+        """Someone wants the run to end."""
+        return [] if self._state is _State.OVER else self._stop(reason, now)
+
+    def _deaf(self, side: Side) -> bool:
+        """Nothing that a side says counts any more."""
+        return self._state is _State.OVER or side in self._gone
+
+    def _not_understood(self, side: Side, error: Garbage, now: float) -> list[Effect]:
+        """Nothing that follows garbage is listened to."""
+        self._gone.add(side)
+        return [Note("garbage", 0, f"{side.value}: {error}"), *self._stop(f"the {side.value} sent {error}", now)]
+
+    def _controller_said(self, text: str, now: float) -> list[Effect]:
+        if self._state is _State.STOPPING:
+            return [Note("ignored", 0, text)] if text.startswith("X ") else []
+        message = say.from_controller(text)
+        if isinstance(message, say.Stopped):
+            stopped = self._stop(f"the controller stopped: {message.reason}", now)
+            return [Note("stopped", message.n, message.reason), *stopped]
+        if isinstance(message, say.Hello):
+            return self._hello(message, now)
+        if self._state is _State.HELLO or self._ended:
+            when = "before its hello" if self._state is _State.HELLO else "after its end"
+            return self._stop(f"the controller sent {text!r} {when}", now)
+        if isinstance(message, say.End):
+            return self._end(message, now)
+        wrong = self._wrong(message)
+        if wrong is not None:
+            return self._stop(wrong, now)
+        self._received = message.n
+        self._waiting.append(message)
+        return [Note("received", message.n, message.gcode), *self._pump(now)]
+
+    def _wrong(self, line: say.Line) -> str | None:
+        """What is wrong with a line of the program, in words."""
+        due = self._received + 1
+        if line.n != due or line.n > len(self._program):
+            return f"the controller sent line {line.n} where line {due} of {len(self._program)} was due"
+        if line.gcode != self._program[line.n].text:
+            return (
+                f"line {line.n} is {line.gcode!r} from the controller, but {self._program[line.n].text!r} in the table"
+            )
+        if line.n - self._acknowledged > WINDOW:
+            return f"the controller sent line {line.n} when only {self._acknowledged} were acknowledged"
+        return None
+
+    def _hello(self, hello: say.Hello, now: float) -> list[Effect]:
+        if self._state is not _State.HELLO:
+            return self._stop("the program started again in the middle of its run", now)
+        program = self._program
+        if hello.module != program.module or hello.lines != len(program):
+            said = f"{hello.module} with {hello.lines} lines"
+            return self._stop(f"the controller runs {said}, not {program.module} with {len(program)}", now)
+        self._state = _State.RUNNING
+        self._await_line(now)
+        return [Note("hello", 0, hello.module), Write(Side.CONTROLLER, say.go(1))]
+
+    def _end(self, end: say.End, now: float) -> list[Effect]:
+        if not end.n == self._received == len(self._program):
+            sent = f"the controller ended after line {end.n}, and had sent {self._received} of {len(self._program)}"
+            return self._stop(sent, now)
+        self._ended = True
+        return [Note("end", end.n, ""), *(self._over() if self._acknowledged == end.n else [])]
+
+    def _board_said(self, text: str, now: float) -> list[Effect]:
+        message = say.from_board(text)
+        if isinstance(message, say.Remark):
+            self._remarks += 1
+            if self._remarks > MOST_REMARKS:
+                raise Garbage(f"more than {MOST_REMARKS} lines that acknowledge nothing")
+            return [Note("board", 0, text)]
+        if isinstance(message, say.Trouble):
+            self._in_doubt = True
+            return [Note("error", self._sent, text), *self._stop(f"the board reports {text!r}", now)]
+        if isinstance(message, say.Resend):
+            return self._again(message.n, now)
+        self._remarks = 0
+        return self._ok(message.n, now)
+
+    def _ok(self, n: int | None, now: float) -> list[Effect]:
+        if not self._under_way and self._state is _State.STOPPING and n is None and self._unanswered:
+            self._unanswered -= 1
+            return [] if self._unanswered else self._over()
+        if not self._under_way or n not in (None, self._sent):
+            self._in_doubt = True
+            what = "a line" if n is None else f"line {n}"
+            due = f"line {self._sent} was due" if self._under_way else "none was due"
+            return self._stop(f"the board acknowledged {what} where {due}", now)
+        if n is None and self._resends:
+            return self._stop(f"the board's bare ok after it asked for line {self._sent} again may be of either", now)
+        self._under_way, self._resends = False, 0
+        if self._in_doubt:
+            return [Note("answered", self._sent, "")]
+        self._acknowledged = self._sent
+        out: list[Effect] = [Note("acknowledged", self._sent, "")]
+        if self._state is _State.STOPPING:
+            return out
+        if Side.CONTROLLER not in self._gone:
+            out.append(Write(Side.CONTROLLER, say.acknowledged(self._sent)))
+        if self._ended and self._acknowledged == len(self._program):
+            return out + self._over()
+        self._await_line(now)
+        return out + self._pump(now)
+
+    def _again(self, n: int, now: float) -> list[Effect]:
+        """The board did not take a line, for its checksum was wrong: only then may it be sent again."""
+        if self._state is not _State.RUNNING or not self._under_way or n != self._sent:
+            return self._stop(f"the board asked for line {n} again, which it was not sent last", now)
+        self._resends += 1
+        if self._resends > MOST_RESENDS:
+            return self._stop(f"the board asked for line {n} more than {MOST_RESENDS} times", now)
+        return [Note("resent", n, ""), Write(Side.BOARD, say.to_board(n, self._program[n].text))]
+
+    def _pump(self, now: float) -> list[Effect]:
+        """The next line to the board, if it has none under way."""
+        if self._under_way or not self._waiting:
+            return []
+        line = self._waiting.popleft()
+        self._sent, self._under_way = line.n, True
+        self.deadline = now + self._patience.of(line.gcode)
+        return [Note("sent", line.n, ""), Write(Side.BOARD, say.to_board(line.n, line.gcode))]
+
+    def _await_line(self, now: float) -> None:
+        """The controller's next line is due when the program plans it, or much later."""
+        n, total = self._received, len(self._program)
+        if n == total:
+            self.deadline = now + HOMEWARD_TIME
+        else:
+            planned = self._program[n + 1].t - (self._program[n].t if n else 0.0)
+            self.deadline = now + SILENCE_TIME + 3.0 * planned
+
+    def _stop(self, reason: str, now: float) -> list[Effect]:
+        out: list[Effect] = []
+        if self._state is not _State.STOPPING:
+            self._state, self._reason, self.deadline = _State.STOPPING, reason, now + STOP_TIME
+            out += [
+                Note("stop", self._acknowledged, reason),
+                Write(Side.CONTROLLER, say.stop(reason)),
+                StopRobot(reason),
+            ]
+            safe = SAFE + (COLD if self._cold else ())
+            out += [Write(Side.BOARD, say.to_board_plain(gcode)) for gcode in safe]
+            out += [Note("safe", 0, gcode) for gcode in safe]
+            self._unanswered = len(safe)
+        else:
+            out.append(Note("also", 0, reason))
+        return out + (self._over() if Side.BOARD in self._gone else [])
+
+    def _over(self) -> list[Effect]:
+        self._state = _State.OVER
+        asked = self._received + (1 if self._ended else 0)
+        position = self._program.position(self._acknowledged, asked)
+        return [Outcome(self._reason, position, self._sent, not self._unanswered)]

@@ -1,0 +1,153 @@
+"""What the link reads: lines from the wire, and the table beside a program."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from planner.errors import InputError
+from planner.link.framing import LONGEST_LINE, Framer, Garbage
+from planner.link.messages import (
+    End,
+    Hello,
+    Line,
+    Ok,
+    Remark,
+    Resend,
+    Stopped,
+    Trouble,
+    from_board,
+    from_controller,
+    stop,
+)
+from planner.link.program_lines import ProgramLine, read_program_lines
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=90), max_size=8), st.data())
+def test_lines_come_whole_whatever_the_pieces(texts: list[str], data: st.DataObject) -> None:
+    whole = b"".join(text.encode() + data.draw(st.sampled_from([b"\n", b"\r\n"])) for text in texts)
+    framer, found = Framer(), []
+    while whole:
+        size = data.draw(st.integers(1, len(whole)))
+        lines, wrong = framer.lines(whole[:size])
+        assert wrong is None
+        found += lines
+        whole = whole[size:]
+    assert found == texts
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.binary(max_size=600))
+def test_any_bytes_are_lines_or_garbage(data: bytes) -> None:
+    """Never another exception, never an endless buffer."""
+    lines, wrong = Framer().lines(data)
+    clean = all(len(part) <= LONGEST_LINE for part in data.split(b"\n"))
+    assert wrong is not None or (clean and len(lines) == data.count(b"\n"))
+    for text in lines:
+        from_board(text)
+        try:
+            from_controller(text)
+        except Garbage as error:
+            assert len(str(error)) < 400
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("H Cup 12", Hello("Cup", 12)),
+        ("L 12 G1 E0.125 F300", Line(12, "G1 E0.125 F300")),
+        ("L 1 M83", Line(1, "M83")),
+        ("L 7 T1", Line(7, "T1")),
+        ("L 7 G38.2 Z1", Line(7, "G38.2 Z1")),
+        ("E 0", End(0)),
+        ("X 3 no A for 2 s", Stopped(3, "no A for 2 s")),
+    ],
+)
+def test_the_controller(text: str, message: object) -> None:
+    assert from_controller(text) == message
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "L", "L 1", "L 1 ", "L 01 M83", "L 1  M83", "L 1 m83", "L 1 N1 M83", "L 1 M83*12", "L 1 M83;now", "L 123456789 M83",
+        "L 1 M117 " + "x" * 70, "H 1Cup 3", "H Cup", "H Cup -1", "H Cup 1e3", "E", "E 1 ", "l 1 M83", "A 1", "X 1",
+        "H " + "C" * 33 + " 1", "L ١ M83", "M83",
+    ],
+)  # fmt: skip
+def test_what_the_controller_may_not_say(text: str) -> None:
+    with pytest.raises(Garbage):
+        from_controller(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("ok", Ok(None)),
+        ("ok N17", Ok(17)),
+        ("ok N17 P15 B3", Ok(17)),
+        ("ok T:205.0 /205.0", Ok(None)),
+        ("Resend: 17", Resend(17)),
+        ("Resend:17", Resend(17)),
+        ("rs 17", Trouble("rs 17")),
+        ("Resend: all", Trouble("Resend: all")),
+        ("Error: Heater 1 fault", Trouble("Error: Heater 1 fault")),
+        ("!!", Trouble("!!")),
+        ("okay", Remark("okay")),
+        ("FIRMWARE_NAME: RepRapFirmware", Remark("FIRMWARE_NAME: RepRapFirmware")),
+        ("", Remark("")),
+    ],
+)
+def test_the_board(text: str, message: object) -> None:
+    assert from_board(text) == message
+
+
+def test_a_stop_is_one_short_line() -> None:
+    assert stop("é\n" + "x" * 200) == b"S ??" + b"x" * 76 + b"\n"
+
+
+TABLE = "n,bead,layer,t_s,text\n1,-1,-1,0.000,M83\n2,0,0,1.500,G1 E0.1 F300\n3,0,0,1.500,G1 E0.2\n"
+
+
+def written(folder: Path, text: str) -> Path:
+    (folder / "Cup_lines.csv").write_text(text, encoding="utf-8")
+    return folder / "Cup.mod"
+
+
+def test_the_table(tmp_path: Path) -> None:
+    lines = read_program_lines(written(tmp_path, TABLE))
+    assert (lines.module, len(lines), lines[2]) == ("Cup", 3, ProgramLine(2, 0, 0, 1.5, "G1 E0.1 F300"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("2,0,0,1.500", "3,0,0,1.500", ":3: n: 3 where 2 is due"),
+        ("2,0,0,1.500", "2,x,0,1.500", ":3: bead: 'x' is not a whole number"),
+        ("2,0,0,1.500", "2,-2,0,1.500", ":3: bead: less than -1"),
+        ("2,0,0,1.500", "2,--1,0,1.500", ":3: bead: '--1' is not a whole number"),
+        ("2,0,0,1.500", "2,0,0,nan", ":3: t_s: 'nan' is not a time"),
+        ("3,0,0,1.500", "3,0,0,1.4", ":4: t_s: '1.4' is not a time from 1.5 s on"),
+        ("2,0,0,1.500", "2,0,1.500", ":3: 4 columns, not 5"),
+        ("G1 E0.2", "", ":4: text: not a line of 1 to 70"),
+        ("G1 E0.2", "M117 é", ":4: text"),
+        ("G1 E0.2", "M117 " + "x" * 70, ":4: text"),
+        ("n,bead", "n;bead", ":1: the first line is not n,bead,layer,t_s,text"),
+        (TABLE, "n,bead,layer,t_s,text\n", "holds 0 lines"),
+        (TABLE, "", ":1: the first line"),
+        ("G1 E0.2", '"G1 E0.2', "unexpected end of data"),
+    ],
+)
+def test_a_wrong_table_is_refused(tmp_path: Path, old: str, new: str, words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        read_program_lines(written(tmp_path, TABLE.replace(old, new)))
+    assert words in str(caught.value) and "Cup_lines.csv" in str(caught.value)
+
+
+def test_a_program_without_its_table(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"there is no file .*Cup_lines.csv .*socket"):
+        read_program_lines(tmp_path / "Cup.mod")
