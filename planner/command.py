@@ -39,7 +39,12 @@ def options_of(arguments: Sequence[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("problem", nargs="?", metavar="PROBLEM.yaml", help="problem file, or the name of a shipped one")
     parser.add_argument("--strategy", choices=STRATEGY_NAMES, help="instead of the problem's own")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="where the results go (default out/<problem>)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="where the results go (default out/<problem>, resumed out/<problem>_from_<K>)",
+    )
     parser.add_argument(
         "--set",
         action="append",
@@ -52,6 +57,13 @@ def options_of(arguments: Sequence[str] | None) -> argparse.Namespace:
         type=_tolerance,
         metavar="SHIFT,TURN",
         help="the plan must hold where the part stands elsewhere by as much as this, e.g. 2mm,1deg",
+    )
+    parser.add_argument(
+        "--from-bead",
+        type=int,
+        default=0,
+        metavar="K",
+        help="resume an interrupted print: bead K (as the report counts, from 0) and all after it",
     )
     parser.add_argument("--dt", type=_sample_time, default=DEFAULT_DT, help="seconds between samples (default 0.004)")
     parser.add_argument("--quiet", action="store_true", help="no progress bars")

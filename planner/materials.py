@@ -70,7 +70,7 @@ def used(plan: Plan) -> tuple[Used, ...]:
     own = selected([material.name for material in materials], t.events, t.t)
     laid = np.diff(t.extruded, prepend=0.0)
     for k, material in enumerate(materials):
-        beads = [bead for bead in plan.toolpath.beads if bead.material == material.name]
+        beads = [bead for bead in plan.beads if bead.material == material.name]
         volume = float(laid[own == k].sum())
         moved = sum(event.amount for event in t.events if event.material == material.name)
         filament = volume / (0.25 * np.pi * process.of(material.name).filament_diameter ** 2) + moved

@@ -35,8 +35,10 @@ def join(
 ) -> Trajectory:
     """Rest at home while the extruder gets ready, then travel, bead, travel, …, travel, sampled every dt [s].
 
-    Travel by way of home rests there as long as a change of material takes. At the end the robot rests.
+    timed: all beads of the toolpath, or the last ones. Travel by way of home rests there as long as a change of
+    material takes. At the end the robot rests.
     """
+    before = len(toolpath.beads) - len(timed)
     moves = [_whole(travel, process) for travel in travels]
     pieces: list[TimedPath | Cubics] = [chain([rest(moves[0].start.q, process.start.time), moves[0]])]
     for path, move in zip(timed, moves[1:], strict=True):
@@ -52,10 +54,10 @@ def join(
     begun = np.zeros(n, dtype=np.int32)  # the last bead that was begun, with its run-in
     done = 0.0
     for k, piece in enumerate(pieces):
-        rows, i = slice(first[k], first[k + 1]), k // 2
-        layer[rows] = toolpath.beads[min(i, len(timed) - 1)].layer
+        rows, i = slice(first[k], first[k + 1]), before + k // 2
+        layer[rows] = toolpath.beads[min(i, len(toolpath.beads) - 1)].layer
         volume[rows] = done
-        begun[rows] = max(i - (k % 2 == 0), 0)
+        begun[rows] = max(i - (k % 2 == 0), before)
         if isinstance(piece, Cubics):
             q[rows] = piece.joints(t[rows] - starts[k])
             continue
@@ -96,6 +98,7 @@ def join(
         extruded=volume,
         feed=feed_of_materials(process, materials, begun, t, bead, volume, rate, told),
         events=told,
+        first_bead=before,
     )
 
 
@@ -116,11 +119,12 @@ def _spans(
     if least_travel_time(process) <= 0.0 and process.fibre is None and not process.materials:
         return []
     spans = []
-    for i, (path, bead, way) in enumerate(zip(timed, toolpath.beads, travels, strict=False)):
+    before = len(toolpath.beads) - len(timed)
+    for i, (path, bead, way) in enumerate(zip(timed, toolpath.beads[before:], travels, strict=False)):
         at = float(starts[2 * i + 1])
         stops = tuple(at + begin for begin, _ in path.rests)
         change = float(starts[2 * i]) + way.out.duration if isinstance(way, ViaHome) else None
-        spans.append(Span(i, at + path.when(0.0), at + path.when(bead.length), stops, bead.material, change))
+        spans.append(Span(before + i, at + path.when(0.0), at + path.when(bead.length), stops, bead.material, change))
     return spans
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from planner.cell import Cell
 from planner.problem import Problem
 from planner.readonly import ReadOnlyArrays
-from planner.toolpath.bead import Toolpath
+from planner.toolpath.bead import Bead, Toolpath
 
 if TYPE_CHECKING:
     from planner.tolerance import Headroom
@@ -72,6 +72,7 @@ class Trajectory(ReadOnlyArrays):
     feed          (n,)        filament that the motor has pushed since the start [m]: what is deposited, ahead by the
                               extruder's lag, primes and retracts
     events                    what the extruder and its heating do besides, in order of time
+    first_bead                index of the first bead that is laid; those before it are there from the beginning
     """
 
     dt: float
@@ -90,6 +91,12 @@ class Trajectory(ReadOnlyArrays):
     extruded: Array
     feed: Array
     events: tuple[Event, ...] = ()
+    first_bead: int = 0
+
+    @property
+    def begun(self) -> NDArray[np.int64]:
+        """Index (n) of the last bead that was begun; before the first of this motion, the one before that."""
+        return np.maximum.accumulate(np.maximum(self.bead, self.first_bead - 1).astype(np.int64))
 
     def __len__(self) -> int:
         return len(self.t)
@@ -201,6 +208,11 @@ class Dip:
         return CAUSES.get(self.limit) or f"{self.joint} {self.limit}"
 
 
+def resumed_name(name: str, first_bead: int) -> str:
+    """What a problem's print is called that begins with a bead; the problem's own name if that is the first one."""
+    return f"{name}_from_{first_bead}" if first_bead else name
+
+
 @dataclass(frozen=True)
 class Plan:
     """A finished plan. `verified` is true only if every check holds, within the tolerance too where one was asked for.
@@ -233,6 +245,27 @@ class Plan:
     headroom: Headroom | None = None
     approaches: tuple[Approach, ...] = ()
     view: CellView | None = None
+
+    @property
+    def first_bead(self) -> int:
+        """Index of the first bead that is laid; not 0 where an interrupted print is resumed."""
+        return self.trajectory.first_bead
+
+    @property
+    def beads(self) -> tuple[Bead, ...]:
+        """The beads that are laid: all of the toolpath's, or the last ones."""
+        return self.toolpath.beads[self.first_bead :]
+
+    @property
+    def layers(self) -> int:
+        """Number of layers that they belong to."""
+        toolpath = self.toolpath
+        return toolpath.layers_from(self.first_bead) if self.first_bead else toolpath.layers
+
+    @property
+    def name(self) -> str:
+        """The problem's name, and from which bead on it is printed if not from the first."""
+        return resumed_name(self.problem.name, self.first_bead)
 
     @property
     def holds_as_planned(self) -> bool:

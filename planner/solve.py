@@ -24,6 +24,7 @@ from planner.dips import find_dips
 from planner.errors import (
     EXIT_NOT_VERIFIED,
     EXIT_VERIFIED,
+    InputError,
     Refusal,
 )
 from planner.export import write_part, write_plan, write_refusal, write_robot_code, write_trajectory
@@ -32,7 +33,7 @@ from planner.headroom import headroom
 from planner.motion import join
 from planner.obstacles import NOTHING, Obstacles, obstacles_of
 from planner.output import results_folder
-from planner.plan import Plan, Trajectory
+from planner.plan import Plan, Trajectory, resumed_name
 from planner.print_body import PrintBody, print_body, standing
 from planner.problem import Problem, load_problem, shipped_problems
 from planner.progress import Stages
@@ -64,10 +65,12 @@ def solve(
     stages: Stages | None = None,
     second_process: bool = False,
     tolerance: Tolerance | None = None,
+    first_bead: int = 0,
 ) -> Plan:
     """Plan a problem with a strategy (the problem's own, if none is given), sampled every dt [s], and verify it.
 
-    With a tolerance, for parts too that stand elsewhere by as much.
+    With a tolerance, for parts too that stand elsewhere by as much. From a first bead on that is not 0 the rest of an
+    interrupted print is planned: the same joint paths as of the whole one, what lies before is there already.
 
     The plan that comes back may have failed checks: see `Plan.verified`. The baseline strategy is planned as
     well; its metrics are in `Plan.baseline`. With a `second_process` the same comes sooner, where the print is large.
@@ -82,7 +85,7 @@ def solve(
     with stages.stage("toolpath"):
         toolpath = build_toolpath(problem)
     with stages.stage("obstacles"):
-        given = _given(problem, cell, toolpath)
+        given = _given(problem, cell, toolpath, _within(first_bead, toolpath))
     with _baseline_beside(strategy, given, dt, second_process) as baseline_metrics:
         trajectory, report, paths, travels = _plan_with(strategy, given, dt, stages, second_process)
         with stages.stage("dips"):
@@ -92,7 +95,8 @@ def solve(
     judged = None
     if tolerance is not None:
         with stages.stage("tolerance"):
-            judged = _headroom(tolerance, problem, cell, toolpath, paths, travels, report, dt, second_process)
+            rest = paths[first_bead:]
+            judged = _headroom(tolerance, problem, cell, toolpath, rest, travels, report, dt, second_process)
     return Plan(
         problem=problem,
         cell=cell,
@@ -125,7 +129,7 @@ def try_out(problem: Problem, toolpath: Toolpath, strategy: str, second_process:
 
 @dataclass(frozen=True)
 class _Given:
-    """What every strategy plans with, and is verified with."""
+    """What every strategy plans with, and is verified with; of the tasks only those from `first_bead` on are printed."""
 
     problem: Problem
     cell: Cell
@@ -133,31 +137,43 @@ class _Given:
     tasks: tuple[NozzleTask, ...]
     body: PrintBody
     obstacles: Obstacles
+    first_bead: int
 
 
-def _given(problem: Problem, cell: Cell, toolpath: Toolpath) -> _Given:
+def _given(problem: Problem, cell: Cell, toolpath: Toolpath, first_bead: int = 0) -> _Given:
     """Raises InputError for a bead that is too short for the problem's fibre."""
     body = print_body(toolpath, standing(cell))
-    return _Given(
-        problem, cell, toolpath, tasks_of(problem, toolpath), body, obstacles_of(problem, cell, toolpath, body)
-    )
+    tasks, obstacles = tasks_of(problem, toolpath), obstacles_of(problem, cell, toolpath, body)
+    return _Given(problem, cell, toolpath, tasks, body, obstacles, first_bead)
+
+
+def _within(first_bead: int, toolpath: Toolpath) -> int:
+    """The index of the first bead to print. Raises InputError where there is no such bead."""
+    last = len(toolpath.beads) - 1
+    if not 0 <= first_bead <= last:
+        raise InputError(f"there is no bead {first_bead} to begin with", hint=f"a number from 0 to {last}")
+    return first_bead
 
 
 def _plan_with(
     strategy: str, given: _Given, dt: float, stages: Stages, second_process: bool = False
 ) -> tuple[Trajectory, Report, Sequence[JointPath], Sequence[Travel]]:
-    """Resolve, time, join and verify with one strategy; the bound on the deposition time joins the metrics."""
+    """Resolve, time, join and verify with one strategy; the bound on the deposition time joins the metrics.
+
+    Paths are those of all beads, travels only those around what is printed.
+    """
     problem, cell, toolpath = given.problem, given.cell, given.toolpath
     obstacles = NOTHING if strategy in UNAWARE else given.obstacles
     beside = second_process and _waypoints(toolpath) >= WORTH_A_FORK
     with stages.stage("resolve"):
         paths = STRATEGIES[strategy](cell, given.tasks, problem.resolve, obstacles)
     with stages.stage("timing"):
-        trajectory, travels = _trajectory(problem, cell, toolpath, paths, obstacles, dt, beside)
+        rest = paths[given.first_bead :]
+        trajectory, travels = _trajectory(problem, cell, toolpath, rest, obstacles, dt, beside)
     with stages.stage("verify"):
         report = verify(problem, cell, toolpath, trajectory, beside, given.body)
     with stages.stage("dips"):
-        bound = {"bound_deposition_time_s": sum(bound_time(cell, path) for path in paths)}
+        bound = {"bound_deposition_time_s": sum(bound_time(cell, path) for path in rest)}
     return trajectory, replace(report, metrics=report.metrics | bound), paths, travels
 
 
@@ -292,10 +308,10 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
         with stages.stage("load"):
             problem = load_problem(options.problem, options.set)
         strategy = options.strategy or problem.strategy
-        folder = options.out or Path("out") / problem.name
+        folder = options.out or Path("out") / resumed_name(problem.name, options.from_bead)
         with results_folder(folder) as fresh:  # first of all: a folder that cannot be written is told at once
             try:
-                plan = solve(problem, strategy, options.dt, stages, True, options.tolerance)
+                plan = solve(problem, strategy, options.dt, stages, True, options.tolerance, options.from_bead)
             except Refusal as refusal:
                 write_refusal(problem, strategy, refusal, fresh)
                 _report_refusal(problem, strategy, refusal, fresh / "report.html")

@@ -199,13 +199,15 @@ def _denser(s: Array) -> Array:
 
 
 def _coverage(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:  # type: ignore[no-untyped-def]
-    """Every bead is laid down once, in order, from its start to its end, always forwards."""
+    """Every bead from the first one on is laid down once, in order, from its start to its end, always forwards."""
     step = problem.process.speed * t.dt * (1.0 + SPEED_TOLERANCE)
     worst, where = 0.0, "everywhere"
     starts = np.flatnonzero(t.deposit & (np.concatenate([[-1], t.bead[:-1]]) != t.bead))
-    in_order = np.array_equal(t.bead[starts], np.arange(len(toolpath.beads)))
-    for i, (at, bead) in enumerate(zip(samples_of(t, len(toolpath.beads)), toolpath.beads, strict=True)):
-        s = t.s[at]
+    beads, samples = toolpath.beads, samples_of(t, len(toolpath.beads))
+    laid = range(t.first_bead, len(beads))
+    in_order = np.array_equal(t.bead[starts], laid)
+    for i in laid:
+        s, bead = t.s[samples[i]], beads[i]
         gaps = np.diff(np.concatenate([[0.0], s, [bead.length]]))
         gap = float(gaps.max()) if len(s) and gaps.min() >= 0.0 else bead.length
         if gap > worst:
@@ -214,10 +216,10 @@ def _coverage(problem, cell, toolpath, t, motion, checks, metrics, series) -> No
         where = "beads out of order, missing, or laid down twice"
     ok = in_order and worst <= step
     checks.append(Check("every bead complete", worst * 1e3, step * 1e3, "mm between samples", ok, where))
-    metrics["beads"] = len(toolpath.beads)
-    metrics["layers"] = toolpath.layers
-    metrics["waypoints"] = sum(len(bead.s) for bead in toolpath.beads)
-    metrics["deposited_length_mm"] = toolpath.length * 1e3
+    metrics["beads"] = len(laid)
+    metrics["layers"] = toolpath.layers_from(t.first_bead)
+    metrics["waypoints"] = sum(len(bead.s) for bead in beads[t.first_bead :])
+    metrics["deposited_length_mm"] = sum(bead.length for bead in beads[t.first_bead :]) * 1e3
 
 
 def _singularity(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:  # type: ignore[no-untyped-def]
@@ -266,7 +268,7 @@ def _speed(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:
     deposited = mean[t.deposit].sum()
     metrics["at_speed_fraction"] = float(mean[at_speed].sum() / deposited) if deposited else 0.0
     metrics["deposition_time_s"] = float(t.deposit.sum() * t.dt)
-    metrics["ideal_deposition_time_s"] = toolpath.length / commanded
+    metrics["ideal_deposition_time_s"] = sum(bead.length for bead in toolpath.beads[t.first_bead :]) / commanded
     metrics["print_time_s"] = float(t.t[-1])
 
 
@@ -275,7 +277,7 @@ def _clearance(problem, cell, toolpath, t, motion, checks, metrics, series) -> N
 
     Of the bead that is being laid only what lies on nothing else counts: it may be its own next layer.
     """
-    begun = np.where(t.deposit, t.bead, np.maximum.accumulate(t.bead) + 1)
+    begun = np.where(t.deposit, t.bead, t.begun + 1)
     gap = np.zeros(len(t))
     changes = np.flatnonzero(np.diff(begun)) + 1
     for first, last in zip(np.append(0, changes), np.append(changes, len(t)), strict=True):

@@ -82,7 +82,7 @@ def extrusion(
     process = problem.process
     volumes = [volume_of(bead, process) for bead in toolpath.beads]
     samples = samples_of(t, len(volumes))
-    sample = max(float(v.area.max()) for v in volumes) * _fastest(process, t, motion) * t.dt
+    sample = max(float(v.area.max()) for v in volumes[t.first_bead :]) * _fastest(process, t, motion) * t.dt
     drawn, pushed = _drawn(t, volumes, samples), _pushed(t.t, t.events)
     pressed = _pressed(t.feed - pushed, filament_areas(problem, t.events, t.t)) + drawn
     out = _leaving(pressed, t.dt, process.extruder.lag)
@@ -147,7 +147,8 @@ def _as_long_as_its_bead(
     fed = t.feed - _pushed(t.t, [event for event in t.events if event.kind == "purge"])
     primes = {event.bead: event for event in t.events if event.kind == "prime"}
     worst, where, before = 0.0, "everywhere", 0.0
-    for i, (at, volume) in enumerate(zip(samples, volumes, strict=True)):
+    for i in range(t.first_bead, len(volumes)):
+        at, volume = samples[i], volumes[i]
         k = min(int(at[-1]) + 1, len(t) - 1) if len(at) else 0
         after = float(fed[k]) if len(at) else before
         if len(at) and i + 1 in primes:  # which may begin in the very sample in which this bead ends
@@ -168,12 +169,13 @@ def _if_coarse(t: Trajectory, where: str) -> str:
 def _balance(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples], checks: list[Check]) -> None:
     """Material: none outside beads, never backwards, and per bead as much as the bead holds."""
     worst, where = 0.0, "everywhere"
-    for i, (at, volume) in enumerate(zip(samples, volumes, strict=True)):
+    for i in range(t.first_bead, len(volumes)):
+        at, volume = samples[i], volumes[i]
         off = abs(float(t.flow[at].sum()) * t.dt - volume.total) / volume.total
         if off > worst:
             worst, where = off, f"bead {i}"
     stray = bool((t.flow[~t.deposit] != 0.0).any() or (t.flow < 0.0).any())
-    total = sum(volume.total for volume in volumes)
+    total = sum(volume.total for volume in volumes[t.first_bead :])
     balanced = abs(float(t.extruded[-1]) - total) <= EXTRUSION_TOLERANCE * total
     if stray:
         where = "material flows outside a bead"
@@ -184,7 +186,9 @@ def _balance(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples
 def _follows(t: Trajectory, volumes: Sequence[Volume], sample: float, checks: list[Check]) -> None:
     """Material keeps pace with the tip: what has flowed is what the bead holds up to here, at every sample."""
     before = np.cumsum([0.0, *(volume.total for volume in volumes)])
-    expected = before[np.maximum.accumulate(np.where(t.deposit, t.bead, -1)) + 1]  # after the bead, or the last one
+    before -= before[t.first_bead]
+    begun = np.maximum.accumulate(np.where(t.deposit, t.bead, t.first_bead - 1))
+    expected = before[begun + 1]  # after the bead, or the last one
     for i, at in enumerate(samples_of(t, len(volumes))):
         expected[at] = np.where(t.deposit[at], before[i] + volumes[i].to(t.s[at]), expected[at])
     late = np.abs(np.cumsum(t.flow) * t.dt - t.extruded)
@@ -205,7 +209,7 @@ def _runs_while_laying(
     grown, most = np.diff(t.extruded) / t.dt, np.maximum(rate[1:], rate[:-1])
     least = np.where(changes, 0.0, most)
     off[1:] = np.maximum(off[1:], np.maximum(grown - most, least - grown))
-    scale = max(volume.total / volume.s[-1] for volume in volumes) * process.speed
+    scale = max(volume.total / volume.s[-1] for volume in volumes[t.first_bead :]) * process.speed
     check_most(checks, t, "motor runs while a bead is laid", off / scale, EXTRUSION_TOLERANCE, "of its rate")
 
 

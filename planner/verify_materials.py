@@ -34,7 +34,7 @@ def _own_tool(names: list[str], toolpath: Toolpath, t: Trajectory, checks: list[
         if event.amount == 0.0:
             continue
         middle = selected(names, t.events, np.array([event.start + 0.5 * event.duration]))[0]
-        bead = event.bead if 0 <= event.bead < len(own) else 0  # what is pushed before all beads is for the first one
+        bead = event.bead if 0 <= event.bead < len(own) else t.first_bead  # what is pushed before all is for that one
         if middle == NONE or not names[middle] == event.material == toolpath.beads[bead].material:
             count, where = count + 1, f"{event.kind} of bead {event.bead}" if count == 0 else where
     checks.append(Check("material fed by its own tool", float(count), 0.0, "samples and events", count == 0, where))
@@ -44,7 +44,8 @@ def _changes(problem: Problem, toolpath: Toolpath, t: Trajectory, checks: list[C
     """Wherever the material changes, robot and extruder rest for it, and the new material is purged."""
     change, worst, where = problem.process.change, 0.0, "everywhere"
     purges = [event for event in t.events if event.kind == "purge"]
-    for i, (before, after) in enumerate(zip(toolpath.beads[:-1], toolpath.beads[1:], strict=True), 1):
+    for i in range(t.first_bead + 1, len(toolpath.beads)):
+        before, after = toolpath.beads[i - 1 : i + 1]
         if before.material == after.material:
             continue
         found = [event for event in t.events if event.kind == "change" and event.bead == i]

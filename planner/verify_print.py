@@ -59,7 +59,7 @@ def print_times(toolpath: Toolpath, trajectory: Trajectory) -> Array:
     bead = trajectory.bead
     lengths = np.array([each.length for each in toolpath.beads])
     share = np.clip(trajectory.s / lengths[np.maximum(bead, 0)], 0.0, 1.0)
-    begun = np.maximum.accumulate(bead) + 1.0
+    begun = trajectory.begun + 1.0
     now = np.where(bead >= 0, bead + share, begun)
     return np.asarray(np.maximum.accumulate(now), dtype=float)
 
@@ -67,7 +67,7 @@ def print_times(toolpath: Toolpath, trajectory: Trajectory) -> Array:
 def slack_along(problem: Problem, toolpath: Toolpath, trajectory: Trajectory) -> Array:
     """The slack beside the tip (n) at each sample: of its bead, in travel the greater one of the beads at its ends."""
     own = tip_slack(problem.cell.nozzle, toolpath)
-    begun = np.maximum.accumulate(trajectory.bead)
+    begun = trajectory.begun
     last, following = np.maximum(begun, 0), np.minimum(begun + 1, len(own) - 1)
     both = np.maximum(own[last], own[following])
     return np.where(trajectory.bead >= 0, own[np.maximum(trajectory.bead, 0)], both)

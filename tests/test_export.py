@@ -564,7 +564,7 @@ def test_json_is_strict_and_complete():
     data = json.loads(plan_json(make_plan()), parse_constant=refuse)
     assert set(data) == {
         *("problem", "strategy", "verified", "checks", "metrics", "cell", "timing_s", "versions", "baseline"),
-        *("settings", "dips", "events", "notes"),
+        *("settings", "dips", "events", "notes", "first_bead"),
     }
     assert data["dips"] == data["events"] == data["notes"] == []
     assert data["verified"] is True and data["metrics"]["sigma_min"] is None

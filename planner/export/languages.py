@@ -38,12 +38,12 @@ class Language:
 
 
 def _write_rapid(plan: Plan) -> dict[str, str]:
-    name = module_name(plan.problem.name)
+    name = module_name(plan.name)
     return {f"{name}.mod": rapid(plan), f"{name}.pgf": pgf(plan)}
 
 
 def _rapid_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    return compare(plan, read_rapid(files[f"{module_name(plan.problem.name)}.mod"])).complaints()
+    return compare(plan, read_rapid(files[f"{module_name(plan.name)}.mod"])).complaints()
 
 
 LANGUAGES: dict[str, Language] = {

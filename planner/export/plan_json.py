@@ -33,6 +33,7 @@ def plan_json(plan: Plan) -> str:
     data = {
         "problem": plan.problem.name,
         "strategy": plan.strategy,
+        "first_bead": plan.first_bead,
         "verified": plan.verified,
         "checks": checks,
         "metrics": plan.metrics,

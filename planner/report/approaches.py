@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.report.part import earlier_beads
 from planner.report.scene import INK, PAPER
 from planner.report.thinning import keep_minima, stretches, turning
 from planner.report.wording import number
@@ -113,13 +114,15 @@ def _flat(points: Array) -> NDArray[np.float32]:
 def _beads(plan: Plan) -> Array:
     """Points (n, 3) of all beads in the part frame, thinned; NaN between beads."""
     t = plan.trajectory
+    earlier = earlier_beads(plan.toolpath.beads[: plan.first_bead], BEAD_POINTS)
     index, begin, end = stretches(t.deposit, t.bead)
     if not len(index):
-        return np.zeros((0, 3))
+        return earlier
     sharp = turning(t.tip[index], begin, end)
     kept = keep_minima([-sharp, np.zeros(len(index))], BEAD_POINTS, np.union1d(begin, end))
     starts = np.flatnonzero(np.isin(kept, begin))[1:]
-    return np.insert(t.tip[index[kept]], starts, np.nan, axis=0)
+    own = np.insert(t.tip[index[kept]], starts, np.nan, axis=0)
+    return np.concatenate([earlier, np.full((1, 3), np.nan), own]) if len(earlier) else own
 
 
 def _extent(view: CellView, tips: Array) -> tuple[Array, Array]:

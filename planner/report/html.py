@@ -18,7 +18,16 @@ from planner.report.headroom import headroom_section
 from planner.report.places import where_words, worst_places
 from planner.report.scene import Place, plan_scene
 from planner.report.thinning import CURVE_BUDGET
-from planner.report.wording import CHECK_NAMES, MISSING, counted, duration, number, significant, summary_table
+from planner.report.wording import (
+    CHECK_NAMES,
+    MISSING,
+    counted,
+    duration,
+    number,
+    resumed_words,
+    significant,
+    summary_table,
+)
 
 if TYPE_CHECKING:
     from planner.plan import Check, Plan
@@ -59,18 +68,20 @@ def write_report(plan: Plan, path: Path) -> None:
         ],
     }
     words = "verified" if plan.verified else "not verified"
-    title = f"{plan.problem.name}: {words}"
+    title = f"{plan.name}: {words}"
     frame.write_text(Path(path), frame.page(title, _header(plan), body, _footer(plan, scene), figures))
 
 
 def _header(plan: Plan) -> str:
     m, traj = plan.metrics, plan.trajectory
     robots = [plan.cell.arm_robot.name] + ([plan.cell.holder_robot.name] if plan.cell.holder_robot else [])
-    beads, layers = (m.get("beads", len(plan.toolpath.beads)), m.get("layers", plan.toolpath.layers))
+    beads, layers = m.get("beads", len(plan.beads)), m.get("layers", plan.layers)
     about = (
         f"{escape(' with '.join(robots))}, strategy <b>{escape(plan.strategy)}</b>; {counted(beads, 'bead')} in "
         f"{counted(layers, 'layer')}, {number(len(traj), 0)} samples of {traj.dt * 1e3:g} ms"
     )
+    if plan.first_bead:
+        about += f"; {resumed_words(plan)}"
     failed = [check for check in plan.checks if not check.ok]
     count = len(plan.checks)
     room = plan.headroom

@@ -1,18 +1,23 @@
-"""The part under the print as a shaded solid, and the direction from which it is looked at."""
+"""What lies under the print: the part as a shaded solid, beads that were there before; and where it is looked at from."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.report.thinning import keep_minima, turning
+
 if TYPE_CHECKING:
+    from planner.toolpath.bead import Bead
     from planner.toolpath.shape import Shape
 
 Array = NDArray[np.float64]
 
 PART_LIT, PART_DARK = np.array([238.0, 242.0, 246.0]), np.array([176.0, 187.0, 199.0])
+EARLIER = "#b9c4cf"  # beads of which no motion is shown: they were there before
 SUNK_MM = 0.15  # the part is drawn this much smaller, so that the first layer's lines are not half sunk into it
 
 
@@ -35,6 +40,26 @@ def part_traces(shape: Shape | None, facing: Array) -> list[dict[str, Any]]:
             "lighting": {"ambient": 1.0, "diffuse": 0.0, "specular": 0.0, "fresnel": 0.0},
         }
     ]
+
+
+def earlier_beads(beads: Sequence[Bead], budget: int) -> Array:
+    """Points (n, 3) [m] of beads that are there before the motion, thinned; NaN between beads."""
+    if not beads:
+        return np.empty((0, 3))
+    points = np.concatenate([bead.points for bead in beads])
+    counts = np.array([len(bead.points) for bead in beads], dtype=np.intp)
+    last = np.cumsum(counts) - 1
+    first = last + 1 - counts
+    sharp = turning(points, first, last)
+    kept = keep_minima([-sharp, np.zeros(len(points))], budget, np.union1d(first, last))
+    return np.insert(points[kept], np.flatnonzero(np.isin(kept, first))[1:], np.nan, axis=0)
+
+
+def earlier_traces(beads: Sequence[Bead], budget: int) -> list[dict[str, Any]]:
+    """The same as one pale line; nothing without such beads."""
+    x, y, z = (1e3 * earlier_beads(beads, budget)).astype(np.float32).T
+    line = {"type": "scatter3d", "mode": "lines", "x": x, "y": y, "z": z, "line": {"width": 3, "color": EARLIER}}
+    return [line | {"hoverinfo": "skip", "showlegend": False}] if beads else []
 
 
 def eye(facing: Array) -> dict[str, float]:

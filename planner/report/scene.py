@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planner.report.dips import dip_traces
 from planner.report.extruder import surplus
-from planner.report.part import eye, part_traces
+from planner.report.part import earlier_traces, eye, part_traces
 from planner.report.thinning import SCENE_BUDGET, keep_minima, stretches, turning, with_gaps
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 MAX_GROUPS = 40
+EARLIER_BUDGET = 10_000  # points of beads that are there before the motion
 FILL = 2.1
 # Marks stand a little off the surface, or the part would hide half of each.
 MARK_OUT_MM = 3.0
@@ -70,7 +71,8 @@ def plan_scene(plan: Plan, places: Sequence[Place]) -> dict[str, Any]:
         "bead": traj.bead[kept],
     }
     channels = _channels(plan, kept)
-    traces, groups = part_traces(plan.toolpath.shape, facing), []
+    solid, groups = part_traces(plan.toolpath.shape, facing), []
+    traces = solid + earlier_traces(plan.toolpath.beads[: plan.first_bead], EARLIER_BUDGET)
     carried: dict[str, list[Array]] = {key: [] for key in ("t", "bead", *(c["key"] for c in channels))}
     first_bead = len(traces)
     for bundle in bundles:
@@ -95,7 +97,7 @@ def plan_scene(plan: Plan, places: Sequence[Place]) -> dict[str, Any]:
         "beads": list(range(first_bead, first_bead + len(groups))),
         "dips": list(range(first_mark, first_mark + len(marks))),
         "places": list(range(first_mark + len(marks), len(traces))),
-        "part": list(range(first_bead)),
+        "part": list(range(len(solid))),
         "groups": groups,
         "channels": channels,
         "t": carried["t"],

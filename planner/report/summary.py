@@ -12,7 +12,7 @@ from rich.table import Table
 from planner.report.dips import place_words, without_stops, worst_first
 from planner.report.extruder import events_words, materials_words
 from planner.report.headroom import headroom_words
-from planner.report.wording import OVER_BOUND, OVER_IDEAL, counted, with_ratios
+from planner.report.wording import OVER_BOUND, OVER_IDEAL, counted, resumed_words, with_ratios
 
 if TYPE_CHECKING:
     from planner.plan import Plan
@@ -48,6 +48,7 @@ def print_summary(plan: Plan, folder: Path, programs: str = "") -> None:
     out = Console(highlight=False)
     m = plan.metrics
     size = f"{counted(m['beads'], 'bead')}, {counted(m['layers'], 'layer')}, {m['deposited_length_mm'] / 1e3:.2f} m"
+    size += f"; {resumed_words(plan)}" if plan.first_bead else ""
     table = Table(title=f"{plan.problem.name}: {size}", title_justify="left")
     table.add_column("")
     table.add_column(plan.strategy, justify="right")

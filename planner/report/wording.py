@@ -6,6 +6,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from html import escape
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from planner.plan import Plan
 
 MISSING = "–"
 
@@ -85,6 +89,13 @@ def number(value: float | None, digits: int) -> str:
 def counted(count: float, one: str) -> str:
     """A count with its noun, HTML: 1 layer, 10 layers."""
     return f"{number(count, 0)} {one}{'' if count == 1 else 's'}"
+
+
+def resumed_words(plan: Plan) -> str:
+    """What a plan of a resumed print leaves out."""
+    last = plan.first_bead - 1
+    before = "bead 0" if last == 0 else f"beads 0 to {last}"
+    return f"resumed at bead {plan.first_bead} of {len(plan.toolpath.beads)}, {before} taken to be there"
 
 
 def significant(value: float, digits: int = 4) -> str:

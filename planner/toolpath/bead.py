@@ -91,3 +91,7 @@ class Toolpath:
     def layers(self) -> int:
         """Number of layers."""
         return 1 + max(bead.layer for bead in self.beads)
+
+    def layers_from(self, first: int) -> int:
+        """Number of layers that beads from index `first` on belong to."""
+        return len({bead.layer for bead in self.beads[first:]}) if first else self.layers

@@ -84,15 +84,17 @@ def plan_travels(
     which: range | None = None,
     obstacles: Obstacles = NOTHING,
 ) -> list[Travel]:
-    """The way from home to the first bead, between beads, and home: one more than there are beads; or `which` of them.
+    """The way from home to the first bead, between beads, and home: one more than are timed; or `which` of them.
+
+    timed: all beads of the toolpath, or the last ones, where those before are there from the beginning.
 
     With the runs beside it each leaves the extruder the time to retract and prime. Between beads of two materials it
     goes by way of home. Raises Refusal if no way is clear of the part, of what is printed, and of obstacles.
     """
-    surfaces = [toolpath.surface.before(i) for i in range(len(timed) + 1)]
+    beads, before = toolpath.beads, len(toolpath.beads) - len(timed)
+    surfaces = [toolpath.surface.before(i) for i in range(len(beads) + 1)]
     heights = [
-        float(surface.signed_distance(bead.points).max())
-        for surface, bead in zip(surfaces[1:], toolpath.beads, strict=True)
+        float(surface.signed_distance(bead.points).max()) for surface, bead in zip(surfaces[1:], beads, strict=True)
     ]
     printed = list(itertools.accumulate(heights, max, initial=0.0))  # how far the part has grown before each bead
     travels: list[Travel] = []
@@ -111,12 +113,13 @@ def plan_travels(
             raise Refusal(no_way(task, find), bead=None if beside is None else beside.path.task.bead)
         return motion
 
-    for i in range(len(timed) + 1) if which is None else which:
-        leave = timed[i - 1] if i > 0 else None
-        reach = timed[i] if i < len(timed) else None
+    for k in range(len(timed) + 1) if which is None else which:
+        i = before + k
+        leave = timed[k - 1] if k > 0 else None
+        reach = timed[k] if k < len(timed) else None
         start = _home_beside(cell, None if reach is None else reach.start) if leave is None else leave.end
         end = _home_beside(cell, None if leave is None else leave.end) if reach is None else reach.start
-        if leave is None or reach is None or toolpath.beads[i - 1].material == toolpath.beads[i].material:
+        if leave is None or reach is None or beads[i - 1].material == beads[i].material:
             travels.append(way(i, start, end, leave, reach))
         else:
             home = _home_beside(cell, start)

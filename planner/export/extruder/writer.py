@@ -54,8 +54,8 @@ def gcode(plan: Plan) -> str:
         what.append((end - took, took, [*(said if who not in (last, NOTHING) else []), f"G1 E{e:.5f} F{f:.3f}"]))
         last = last if who == NOTHING else who
 
-    name = re.sub(r"[^\x20-\x7e]", "?", plan.problem.name)
-    size = f"{len(plan.toolpath.beads)} beads in {plan.toolpath.layers} layers"
+    name = re.sub(r"[^\x20-\x7e]", "?", plan.name)
+    size = f"{len(plan.beads)} beads in {plan.layers} layers"
     total, seconds = fed[-1] - fed[0], t.t[-1] - t.t[0]
     lines = [
         f"; {name}: extrusion in time with the robot, strategy {plan.strategy}",

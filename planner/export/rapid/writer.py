@@ -34,6 +34,7 @@ RESERVED = """ALIAS AND BACKWARD CASE CONNECT CONST DEFAULT DIV DO ELSE ELSEIF E
     PROC RAISE READONLY RECORD RETRY RETURN STEP SYSMODULE TASK TEST THEN TO TRAP TRUE TRYNEXT UNDO VAR VIEWONLY WHILE
     WITH XOR BASE USER MAIN START FINISH"""
 LONGEST_STRING = 80
+LONGEST_NAME = 32
 LONGEST_COMMENT = 100
 UNUSED = "9E9"
 HEAD_ROOM = 1.5  # of reorientation and axis speeds over what the plan needs, so that the tip's speed alone governs
@@ -51,12 +52,15 @@ def module_name(name: str) -> str:
     joined = "".join(word[0].upper() + word[1:] for word in words)
     # capitals and small letters are one to RAPID: a problem named "test" would open a TEST statement
     taken = joined.upper() in RESERVED.split() or re.fullmatch(r"(?i)(bead|vel|trg)\w*", joined)
-    return ("Print" + joined if taken or not joined[:1].isalpha() else joined)[:32]
+    whole = "Print" + joined if taken or not joined[:1].isalpha() else joined
+    resumed = re.search(r"From\d+$", whole)  # which tells programs of one problem apart
+    tail = resumed[0] if resumed else ""
+    return whole[: LONGEST_NAME - len(tail)] + tail if len(whole) > LONGEST_NAME else whole
 
 
 def pgf(plan: Plan) -> str:
     """Program file that names the module; load this one on the controller."""
-    module = f"\t<Module>{module_name(plan.problem.name)}.mod</Module>\n"
+    module = f"\t<Module>{module_name(plan.name)}.mod</Module>\n"
     return f'<?xml version="1.0" encoding="ISO-8859-1" ?>\n<Program>\n{module}</Program>\n'
 
 
@@ -73,7 +77,7 @@ def rapid(plan: Plan) -> str:
     speeds, speed_names = _speeds(plan, moves)
     procedures, calls = _procedures(plan, moves, speed_names)
     lines = [
-        f"MODULE {module_name(plan.problem.name)}",
+        f"MODULE {module_name(plan.name)}",
         *_header(plan),
         "",
         *_frames(plan),
@@ -116,11 +120,12 @@ def quadrants(q: Array) -> NDArray[np.intp]:
 
 def _header(plan: Plan) -> list[str]:
     m = plan.metrics
-    size = f"{len(plan.toolpath.beads)} beads in {plan.toolpath.layers} layers"
+    size = f"{len(plan.beads)} beads in {plan.layers} layers"
     texts = [
         f"Problem {plan.problem.name}, strategy {plan.strategy}",
         ", ".join(f"{name} {version}" for name, version in sorted(plan.versions.items())),
         f"{size}, {m['deposited_length_mm']:.1f} mm deposited, {m['print_time_s']:.1f} s",
+        *([f"Resumes at bead {plan.first_bead}: those before it must be there"] if plan.first_bead else []),
         "Verified before it was written:",
         *(f"  {c.name}: {c.worst:.6g} {c.unit} (limit {c.limit:.6g})" for c in plan.checks),
     ]
@@ -208,7 +213,7 @@ def _main(plan: Plan, calls: list[str], speed: str) -> list[str]:
     external = _external_text(external_degrees(cell, start[:, na:]))[0]
     station = [] if cell.holder_robot is None else [names.station]
     extruders = _extruders(plan)
-    said = f"{module_name(plan.problem.name)}: {len(plan.toolpath.beads)} beads"[:LONGEST_STRING]
+    said = f"{module_name(plan.name)}: {len(plan.beads)} beads"[:LONGEST_STRING]
     return [
         "    PROC main()",
         f'        TPWrite "{said}";',
@@ -295,7 +300,7 @@ def _procedures(plan: Plan, moves: Moves, speeds: list[str]) -> tuple[list[str],
     for k, (a, b) in enumerate(zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True)):
         if a == b:
             continue
-        calls.append(f"Bead{k + 1:04d}" if k < len(first) else "Finish")
+        calls.append(f"Bead{plan.first_bead + k + 1:04d}" if k < len(first) else "Finish")
         lines.append(f"    PROC {calls[-1]}()")
         if k < len(first):
             lines.append(_about(plan, int(first[k]), int(last[k])))
