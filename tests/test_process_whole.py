@@ -81,7 +81,7 @@ def pushed(text: str) -> tuple[float, float]:
         elif pause := re.fullmatch(r"G4 P(\d+)", code):
             seconds += 1e-3 * int(pause[1])
         else:
-            assert code in ("", "M83") or re.fullmatch(r"M1[04][04] S\d+", code), line
+            assert code in ("", "M83") or re.fullmatch(r"M1[04][04] S\d+|M106 P0 S[01]", code), line
     return total, seconds
 
 

@@ -10,6 +10,7 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import model_validator
 
+from planner.problem.board import CutCode, FanSpec, time_of, usual_cut
 from planner.problem.extrusion import BeadSpec, ExtruderSpec, SectionName
 from planner.problem.fields import Quantity, Section, key, one_of, refusal
 from planner.problem.materials import ChangeSpec, FilamentMoveSpec, MaterialName, MaterialSpec
@@ -20,6 +21,8 @@ Wait = Annotated[float, Quantity("s", 0, 3600)]  # an hour heats any bed
 
 HandOver = Literal["rest", "motion"]
 HAND_OVERS: tuple[str, ...] = get_args(HandOver)
+Heating = Literal["set", "wait"]
+HEATINGS: tuple[str, ...] = get_args(Heating)
 
 
 class StartSpec(Section):
@@ -32,12 +35,24 @@ class StartSpec(Section):
         "bed_c", "temperature of what carries the part [°C]; default: it is not set", None
     )
     heat_wait: Wait = key("heat_wait_s", "time that the robot waits at home while nozzle and bed heat up [s]", 0)
+    heat: Annotated[Heating, one_of(HEATINGS)] = key(
+        "heat",
+        "whether the extruder's board only sets temperatures, or waits for them before its time begins; "
+        f"{' or '.join(HEATINGS)}",
+        "set",
+    )
     purge: Annotated[float, Quantity("mm", 0, 1000)] = key(
         "purge_mm", "filament pushed out at home when all is hot [mm]; 0 is none", 0
     )
     purge_speed: Annotated[float, Quantity("mm/s", 0.1, 200)] = key(
         "purge_speed_mm_s", "speed of the filament in it [mm/s]", 5
     )
+
+    @model_validator(mode="after")
+    def _heat_for_something(self) -> StartSpec:
+        if self.heat == "wait" and self.nozzle_c is None and self.bed_c is None:
+            raise refusal("heat is wait, and there is no temperature", "give nozzle_c or bed_c", fields=["heat"])
+        return self
 
     @property
     def time(self) -> float:
@@ -60,6 +75,30 @@ class FibreSpec(Section):
     least_laid: Annotated[float, Quantity("mm", 1, 500)] = key(
         "least_laid_mm", "least length laid before the cut, whose adhesion holds the fibre [mm]", 5
     )
+    cut_code: CutCode | None = key(
+        "cut_code",
+        "G-code of the cut: outputs and servos, and pauses (G4 P, milliseconds) no longer than cut_wait_s in all; "
+        "default: fan output 0 on and off, as published",
+        None,
+    )
+
+    @model_validator(mode="after")
+    def _cut_in_time(self) -> FibreSpec:
+        takes = self.code_time
+        if takes > self.cut_wait + 1e-9:
+            reason = f"the pauses of cut_code take {takes:g} s, and cut_wait_s is {self.cut_wait:g}"
+            raise refusal(reason, "wait longer, or pause less", fields=["cut_wait_s", "cut_code"])
+        return self
+
+    @property
+    def code(self) -> tuple[str, ...]:
+        """What the extruder's board is told to cut the fibre, which takes no longer than the wait."""
+        return usual_cut(self.cut_wait) if self.cut_code is None else self.cut_code
+
+    @property
+    def code_time(self) -> float:
+        """How long that takes [s]."""
+        return time_of(self.code)
 
     @property
     def least_length(self) -> float:
@@ -91,6 +130,7 @@ class AroundBeadSpec(Section):
     retract: FilamentMoveSpec = key("retract", "filament pulled back from a bead's end on; default: none", {})
     start: StartSpec = key("start", "heating and purge at home before the first move; default: none", {})
     fibre: FibreSpec | None = key("fibre", "continuous fibre and its cut; default: none", None)
+    fan: FanSpec | None = key("fan", "the fan that cools what is printed; default: it is left alone", None)
 
     @model_validator(mode="after")
     def _one_clearance(self) -> AroundBeadSpec:
@@ -108,6 +148,15 @@ class AroundBeadSpec(Section):
                     "leave it out: cut fibre is not pulled back, and is fed forward by fibre.cut_length_mm",
                     fields=["fibre", name],
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _cutter_is_no_fan(self) -> AroundBeadSpec:
+        if self.fibre is not None and self.fan is not None:
+            taken = [line for line in self.fibre.code if line.startswith(f"M106 P{self.fan.number} ")]
+            if taken:
+                reason = f"fan output {self.fan.number} is the cutter's ({taken[0]})"
+                raise refusal(reason, "give fan.number, or fibre.cut_code", fields=["fan", "fibre"])
         return self
 
     @model_validator(mode="after")

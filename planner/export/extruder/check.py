@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from planner.errors import InputError
+from planner.export.extruder.orders import orders
 from planner.materials import SELECTS, materials_of, used
 
 if TYPE_CHECKING:
@@ -15,31 +16,44 @@ if TYPE_CHECKING:
 AMOUNT = 1e-5  # m of filament that a tool may get too much or too little, in all
 LATE = 2e-3  # s, and a sample: by which what is said may stand behind or before its instant
 _LINE = re.compile(
-    r"(?P<comment>;.*)|(?P<mode>M83)|(?P<heat>M1(?:04|40)(?: T\d+)? S[\d.]+)|T(?P<tool>\d+)|G4 P(?P<pause>\d+)"
-    r"|G1 E(?P<amount>-?\d+\.\d+) F(?P<rate>\d+\.\d+)"
+    r"(?P<comment>;.*)|(?P<mode>M83)|(?P<wait>M116|M1(?:09|90) S[\d.]+)|(?P<order>M(?:42|104|106|107|140|280)(?: [A-Z]-?[\d.]+)*)"
+    r"|T(?P<tool>\d+)|G4 P(?P<pause>\d+)|G1 E(?P<amount>-?\d+\.\d+) F(?P<rate>\d+\.\d+)"
 )
 
 
 @dataclass(frozen=True)
 class Extrusion:
     """What the program does: filament in all [m] by tool (None before any is selected), when tools are selected [s],
-    and how long it lasts [s]."""
+    when other lines are said to the board, and how long it lasts [s]."""
 
     filament: dict[int | None, float]
     selections: tuple[tuple[float, int], ...]
+    told: tuple[tuple[float, str], ...]
     duration: float
 
 
 def read_gcode(text: str) -> Extrusion:
-    """Extrusion of a program as `gcode.gcode` writes it. Raises InputError with the line of anything else."""
+    """Extrusion of a program as `writer.gcode` writes it. Raises InputError with the line of anything else.
+
+    Relative filament is asked for before all else, and temperatures are waited for only before time has passed.
+    """
     filament: dict[int | None, float] = {}
     selections: list[tuple[float, int]] = []
-    now, tool = 0.0, None
+    told: list[tuple[float, str]] = []
+    now, tool, relative = 0.0, None, False
     for number, line in enumerate(text.splitlines(), 1):
         match = _LINE.fullmatch(line)
         if match is None:
             raise InputError(f"unknown line {line[:60]!r}", file="G-code", line=number)
-        if match["tool"]:
+        if match["comment"] is None and not relative and not match["mode"]:
+            raise InputError(f"{line[:60]!r} stands before M83", file="G-code", line=number)
+        if match["mode"]:
+            relative = True
+        elif match["wait"] and now > 0.0:
+            raise InputError(f"{line!r} would lose the robot, which waits by time", file="G-code", line=number)
+        elif match["wait"] or match["order"]:
+            told.append((now, line))
+        elif match["tool"]:
             tool = int(match["tool"])
             selections.append((now, tool))
         elif match["pause"]:
@@ -48,7 +62,7 @@ def read_gcode(text: str) -> Extrusion:
             amount = float(match["amount"]) * 1e-3
             filament[tool] = filament.get(tool, 0.0) + amount
             now += abs(amount) / (float(match["rate"]) * 1e-3 / 60.0)
-    return Extrusion(filament, tuple(selections), now)
+    return Extrusion(filament, tuple(selections), tuple(told), now)
 
 
 def gcode_complaints(plan: Plan, text: str) -> list[str]:
@@ -69,6 +83,24 @@ def gcode_complaints(plan: Plan, text: str) -> list[str]:
         late = [abs(at - start) for (at, _), (start, _) in zip(written.selections, planned, strict=True)]
         if not max(late, default=0.0) <= LATE + t.dt:
             found.append(f"a tool is selected {max(late):.3g} s off its time")
+    found += _told_otherwise(plan, written)
     if not abs(written.duration - float(t.t[-1] - t.t[0])) <= LATE + t.dt:
         found.append(f"it lasts {written.duration:.3f} s")
     return found
+
+
+def _told_otherwise(plan: Plan, written: Extrusion) -> list[str]:
+    """What the board is told of heating, fan and cutter otherwise than planned, or at another time."""
+    planned = []
+    for order in orders(plan):
+        now = order.start
+        for line in order.lines:
+            if line.startswith("G4 P"):
+                now += int(line[len("G4 P") :]) * 1e-3
+            elif line.startswith("M"):
+                planned.append((now, line))
+    if [line for _, line in planned] != [line for _, line in written.told]:
+        return ["the board is told other things than the plan's, or in another order"]
+    late = [(abs(at - due), line) for (at, line), (due, _) in zip(written.told, planned, strict=True)]
+    worst, line = max(late, default=(0.0, ""))
+    return [] if worst <= LATE + plan.trajectory.dt else [f"{line} is said {worst:.3g} s off its time"]

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.materials import SELECTS, materials_of
+from planner.export.extruder.orders import orders
 
 if TYPE_CHECKING:
-    from planner.plan import Event, Plan, Trajectory
+    from planner.plan import Plan, Trajectory
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -26,8 +26,7 @@ FIRST_EVENT = -2  # label of the first event; those of later ones count down
 def gcode(plan: Plan) -> str:
     """G-code of the extruder: G1 E F while filament moves, G4 P in between; E is relative, mm of filament.
 
-    Heaters are set and not waited for: only what takes a known time keeps pace with the robot, which waits at home
-    for as long as its problem says.
+    What else the board is told, `orders` says. The robot waits at home for as long as its problem says.
     """
     t = plan.trajectory
     cuts, label = _chunks(t)
@@ -38,7 +37,7 @@ def gcode(plan: Plan) -> str:
     # a G1 lasts E / F, which a rounded E sets only nearly: what is lost or gained goes into the pauses
     rate = np.round(np.abs(amount) / np.diff(clock) * 60.0, 3)
     lasts = np.where(rate > 0.0, np.abs(amount) / np.where(rate > 0.0, rate, 1.0) * 60.0, 0.0)
-    what = [(event.start, 0.0, _standing(plan, event)) for event in t.events if event.amount == 0.0]
+    what = [(order.start, order.time, [f"; {order.words}", *order.lines]) for order in orders(plan)]
     last = NOTHING
     for e, f, took, end, who, layer in zip(
         amount.tolist(),
@@ -70,18 +69,6 @@ def gcode(plan: Plan) -> str:
         lines += said
     lines += _pause(float(clock[-1]) - now)
     return "\n".join(lines) + "\n"
-
-
-def _standing(plan: Plan, event: Event) -> list[str]:
-    """What is said of an event that moves no filament."""
-    lines = [f"; {event.words}"]
-    materials = materials_of(plan.problem)
-    if event.kind == "heat":
-        start = plan.problem.process.start
-        nozzles = [(f"M104 T{each.tool}", each.nozzle_c) for each in materials] or [("M104", start.nozzle_c)]
-        for code, celsius in (("M140", start.bed_c), *nozzles):
-            lines += [] if celsius is None else [f"{code} S{celsius:g}"]
-    return lines + [f"T{each.tool}" for each in materials if event.kind in SELECTS and each.name == event.material]
 
 
 def _pause_length(seconds: float) -> float:

@@ -1,0 +1,166 @@
+"""What the extruder's board is told besides filament: the cut's macro, heating that waits, and the fan."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import pytest
+from gcodeparser import parse_gcode_lines
+
+from planner.errors import InputError
+from planner.export.extruder.check import gcode_complaints, read_gcode
+from planner.export.extruder.writer import gcode
+from planner.plan import Event, Plan
+from planner.problem import load_problem
+from planner.problem.process import ProcessSpec
+from planner.solve import solve
+from tests.export_fixtures import make_plan
+from tests.solved import small_problem
+
+CUT = ["M106 P0 S1", "G4 P500", "M106 P0 S0", "G4 P500"]
+
+
+def with_process(plan: Plan, **changes: object) -> Plan:
+    """A plan whose process is told otherwise, by the keys of the file."""
+    usual = {"speed_mm_s": 40, "travel_speed_mm_s": 200, "bead": {"width_mm": 0.6, "height_mm": 0.5}}
+    own = ProcessSpec(**usual | changes)
+    problem = type(plan.problem)(**vars(plan.problem) | {"process": own})
+    return replace(plan, problem=problem)
+
+
+def heated(**start: object) -> Plan:
+    plan = with_process(make_plan(), start=start)
+    return replace(plan, trajectory=replace(plan.trajectory, events=(Event("heat", -1, 0.0, 0.0, 0.0),)))
+
+
+@cache
+def with_fibre() -> Plan:
+    return solve(load_problem(small_problem().file, ["process.fibre={cut_length_mm: 12, cut_wait_s: 2.5}"]))
+
+
+def times_of(text: str) -> list[tuple[float, str]]:
+    """When each line is said [s]: a reader that shares nothing with the planner's."""
+    now, said = 0.0, []
+    for line in text.splitlines():
+        words = {word[0]: word[1:] for word in line.split(";")[0].split()}
+        said.append((now, line))
+        if words.get("G") == "4":
+            now += float(words["P"]) / 1000.0
+        elif words.get("G") == "1":
+            now += 60.0 * abs(float(words["E"])) / float(words["F"])
+    return said
+
+
+def test_fibre_is_cut_by_the_published_macro_in_the_wait_that_is_planned() -> None:
+    plan = with_fibre()
+    text = gcode(plan)
+    assert gcode_complaints(plan, text) == []
+    lines, said = text.splitlines(), times_of(text)
+    cuts = [event for event in plan.trajectory.events if event.kind == "cut"]
+    assert len(cuts) == 3
+    for event in cuts:
+        i = lines.index(f"; cut, bead {event.bead}")
+        assert lines[i + 1 : i + 5] == CUT
+        assert said[i][0] == pytest.approx(event.start, abs=plan.trajectory.dt + 2e-3)
+        moves = next((at for at, line in said[i:] if line.startswith("G1")), plan.trajectory.t[-1])
+        assert moves - said[i][0] >= event.duration - 2e-3, "no fibre moves while it is cut"
+    # gcodeparser, which is somebody else's, sums up the same filament
+    parsed = [each for each in parse_gcode_lines(text) if each.command == ("G", 1)]
+    assert sum(each.params["E"] for each in parsed) == pytest.approx(plan.trajectory.feed[-1] * 1e3, abs=1e-3)
+
+
+def test_a_short_wait_shortens_the_pauses_and_own_code_is_said_as_it_stands() -> None:
+    fibre = {"cut_length_mm": 12, "cut_wait_s": 0.4}
+    assert with_process(make_plan(), fibre=fibre).problem.process.fibre.code[1::2] == ("G4 P200", "G4 P200")
+    own = ["M280 P0 S90", "G4 P250", "M280 P0 S0"]
+    change = f"process.fibre={{cut_length_mm: 12, cut_wait_s: 2.5, cut_code: [{', '.join(own)}]}}"
+    assert load_problem(small_problem().file, [change]).process.fibre.code == tuple(own)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ("process.fibre={cut_length_mm: 9, cut_wait_s: 1, cut_code: [G4 P1001]}", "take 1.001 s, and cut_wait_s is 1"),
+        ("process.fibre={cut_length_mm: 9, cut_code: [G1 E5]}", "'G1 E5' cannot stand here"),
+        ("process.fibre={cut_length_mm: 9, cut_code: [M112]}", "'M112' cannot stand here"),
+        ("process.fibre={cut_length_mm: 9, cut_code: []}", "must be 1 to 20 lines, not 0"),
+        ("process.start={heat: wait}", "heat is wait, and there is no temperature"),
+        ("process.start={heat: wiat, bed_c: 60}", "did you mean wait?"),
+        ("process.fan={from_layer: 0}", "too small"),
+    ],
+)
+def test_what_a_board_cannot_be_told_is_refused(change: str, says: str) -> None:
+    with pytest.raises(InputError) as refused:
+        load_problem(small_problem().file, [change])
+    assert says in str(refused.value)
+
+
+def test_the_cutter_is_no_fan() -> None:
+    changes = ["process.fibre={cut_length_mm: 9}", "process.fan={}"]
+    with pytest.raises(InputError, match="fan output 0 is the cutter's"):
+        load_problem(small_problem().file, changes)
+    assert load_problem(small_problem().file, [*changes[:1], "process.fan={number: 2}"]).process.fan.number == 2
+
+
+def test_heat_is_waited_for_before_time_begins() -> None:
+    plan = heated(nozzle_c=280, bed_c=60, heat="wait")
+    text = gcode(plan)
+    lines = [line for line in text.splitlines() if not line.startswith(";")]
+    assert lines[:5] == ["M83", "M140 S60", "M104 S280", "M190 S60", "M109 S280"]
+    assert gcode_complaints(plan, text) == []
+    late = text.replace("M109 S280\n", "G4 P1\nM109 S280\n", 1)
+    with pytest.raises(InputError, match="would lose the robot"):
+        read_gcode(late)
+
+
+def test_several_tools_are_waited_for_without_selecting_them() -> None:
+    plan = make_plan(materials=("pla", "pva"))
+    process = plan.problem.process
+    start = process.start.model_copy(update={"heat": "wait"})
+    problem = type(plan.problem)(**vars(plan.problem) | {"process": process.model_copy(update={"start": start})})
+    text = gcode(replace(plan, problem=problem))
+    assert "M104 T1 S195\nM104 T0 S190\nM116\n" in text and "M109" not in text
+
+
+def test_the_fan_follows_the_layers() -> None:
+    plan = with_process(make_plan(beads=5), fan={"speed": 0.6, "number": 1})
+    t, text = plan.trajectory, gcode(plan)
+    assert gcode_complaints(plan, text) == []
+    said = [(at, line) for at, line in times_of(text) if line.startswith("M106")]
+    assert [line for _, line in said] == ["M106 P1 S153", "M106 P1 S0"]
+    # two beads a layer: the third one is the first of the second layer
+    begins, before = t.t[(t.bead == 2).argmax()], t.t[(t.bead == 1).nonzero()[0][-1]]
+    assert before < said[0][0] < begins and begins - said[0][0] < 0.02
+    assert said[1][0] == pytest.approx(t.t[-1], abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        ("M106 P1 S153", "M106 P1 S255", "told other things"),
+        ("M106 P1 S153\n", "", "told other things"),
+        ("; fan on\nM106 P1 S153\n", "M106 P1 S153\nG4 P40\n", "it lasts"),
+        ("M83\n", "M83\nM106 P0 S1\n", "told other things"),
+    ],
+)
+def test_a_board_that_is_told_otherwise_is_found(old: str, new: str, complaint: str) -> None:
+    plan = with_process(make_plan(beads=5), fan={"speed": 0.6, "number": 1})
+    text = gcode(plan)
+    assert text.count(old) == 1
+    assert any(complaint in each for each in gcode_complaints(plan, text.replace(old, new)))
+
+
+def test_an_order_at_another_time_is_found() -> None:
+    plan = with_process(make_plan(beads=5), fan={"speed": 0.6, "number": 1})
+    lines = gcode(plan).splitlines()
+    i = lines.index("M106 P1 S153")
+    pause = next(k for k in range(i, 0, -1) if lines[k].startswith("G4"))
+    moved = [*lines[:pause], lines[i], *lines[pause:i], *lines[i + 1 :]]
+    assert any("off its time" in each for each in gcode_complaints(plan, "\n".join(moved) + "\n"))
+
+
+def test_nothing_comes_before_relative_extrusion() -> None:
+    text = gcode(make_plan())
+    with pytest.raises(InputError, match="stands before M83"):
+        read_gcode(text.replace("M83\n", "", 1))
