@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING
 from planner.export.compare import compare
 from planner.export.extruder.check import gcode_complaints
 from planner.export.extruder.writer import gcode
+from planner.export.rapid.check import line_complaints
 from planner.export.rapid.reader import read_rapid
-from planner.export.rapid.writer import module_name, pgf, rapid
+from planner.export.rapid.text import module_name
+from planner.export.rapid.writer import rapid_files
 
 if TYPE_CHECKING:
     from planner.plan import Plan
@@ -31,17 +33,17 @@ class Language:
     complaints: Callable[[Plan, Mapping[str, str]], list[str]]
 
 
-def _write_rapid(plan: Plan) -> dict[str, str]:
-    name = module_name(plan.problem.name)
-    return {f"{name}.mod": rapid(plan), f"{name}.pgf": pgf(plan)}
-
-
 def _rapid_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    return compare(plan, read_rapid(files[f"{module_name(plan.problem.name)}.mod"])).complaints()
+    name = module_name(plan.problem.name)
+    program = read_rapid(files[f"{name}.mod"])
+    complaints = compare(plan, program).complaints()
+    if plan.problem.program.style == "socket":
+        complaints += line_complaints(plan, program, files[f"{name}_lines.csv"])
+    return complaints
 
 
 LANGUAGES: dict[str, Language] = {
-    "rapid": Language("RAPID", lambda plan: plan.no_rapid, _write_rapid, _rapid_complaints),
+    "rapid": Language("RAPID", lambda plan: plan.no_rapid, rapid_files, _rapid_complaints),
     "extruder": Language(
         "the extruder's G-code",
         lambda plan: None,
