@@ -16,13 +16,14 @@ from planner.cell import Cell, build_cell
 from planner.export.extruder.writer import gcode
 from planner.export.joint_trajectory.writer import joint_trajectory, switches
 from planner.export.plan_json import plan_json
-from planner.export.rapid.writer import pgf, rapid
+from planner.export.rapid.writer import pgf, rapid, rapid_files
 from planner.export.rotations import from_matrix
 from planner.export.table import write_table
 from planner.extrusion import feed_of_materials
 from planner.plan import Check, Event, Plan, Trajectory
 from planner.problem.cell import CellSpec
 from planner.problem.process import ProcessSpec
+from planner.problem.settings import ProgramSpec
 
 Array = NDArray[np.float64]
 
@@ -44,11 +45,11 @@ def problem(
     positioner: bool = True,
     free: tuple[str, ...] = ("rotation",),
     materials: dict[str, Any] | None = None,
-    **program: str,
+    process: dict[str, Any] | None = None,
+    **program: Any,
 ) -> Any:
     """What the exporters read of a problem, and what a cell is built from."""
     bead = {"width_mm": 0.6, "height_mm": 0.5}
-    names = {"tool": "tPen", "work_object": "wobjPart", "station": "STN1", "extruder_signal": "doExtrude"} | program
     station = {"robot": "irbp_a250", "origin_mm": (633.5, 9.87, 380), "free": free}
     holder = {"positioner": station} if positioner else {"bed_mm": (450, -50, 380)}
     nozzle = {"tip_mm": (-44.51, 9.9, 113.95), "diameter_mm": 0.6}
@@ -56,8 +57,12 @@ def problem(
         name="two_beads",
         file=Path("two_beads.yaml"),
         cell=CellSpec(arm="irb140", nozzle=nozzle, home_deg=(30, 20, 30, 90, -80, 60), **holder),
-        process=ProcessSpec(speed_mm_s=40, travel_speed_mm_s=200, bead=bead, materials=materials or {}, change=CHANGE),
-        program=SimpleNamespace(**names, languages=None, chord=0.02e-3, tangent=np.radians(45.0)),
+        process=ProcessSpec(
+            **{"bead": bead, "materials": materials or {}, "change": CHANGE} | (process or {}),
+            speed_mm_s=40,
+            travel_speed_mm_s=200,
+        ),
+        program=ProgramSpec(**program),
     )
 
 
@@ -125,6 +130,7 @@ def make_plan(
     dip: bool = True,
     free: tuple[str, ...] = ("rotation",),
     materials: tuple[str, ...] = (),
+    detour: bool = True,
 ) -> Plan:
     """A plan of `beads` beads: home, at rest before each run-in, run-out to rest, back home.
 
@@ -145,16 +151,16 @@ def make_plan(
             parts.append((at[None], np.full(1, np.nan), -1))
         if materials and k:
             rest, material = round(spec.process.change.time / DT), materials[k % len(materials)]
-            parts += [_travel(at, cell.home), (np.tile(cell.home, (rest, 1)), np.full(rest, np.nan), -1)]
+            parts += [_travel(at, cell.home, detour), (np.tile(cell.home, (rest, 1)), np.full(rest, np.nan), -1)]
             start = (sum(len(part[0]) for part in parts) - 1 - rest) * DT
             change = spec.process.change
             events.append(Event("change", k, start, change.wait, 0.0, material))
             events.append(Event("purge", k, start + change.wait, change.time - change.wait, change.purge, material))
             at = cell.home
-        parts.append(_travel(at, q[0]))
+        parts.append(_travel(at, q[0], detour))
         parts.append((q[1:], way[1:] - RUN_IN, k))
         at = q[-1]
-    parts.append(_travel(at, cell.home))
+    parts.append(_travel(at, cell.home, detour))
 
     # rounded, so that another processor's last digits do not show in the golden files
     q = np.round(np.concatenate([part[0] for part in parts]), 9)
@@ -218,14 +224,38 @@ def make_plan(
     )
 
 
-def _travel(start: Array, end: Array) -> tuple[Array, Array, int]:
+def _travel(start: Array, end: Array, detour: bool) -> tuple[Array, Array, int]:
     """Joints from rest to rest, without the first instant, with a detour that no straight joint motion makes."""
     n = 150
     u = _ramp(n)[1:, None]
-    detour = np.zeros(len(start))
-    detour[1] = -0.12
-    q = start + u * (end - start) + 16.0 * (u * (1.0 - u)) ** 2 * detour
+    aside = np.zeros(len(start))
+    aside[1] = -0.12 if detour else 0.0
+    q = start + u * (end - start) + 16.0 * (u * (1.0 - u)) ** 2 * aside
     return q, np.full(n, np.nan), -1
+
+
+HEAT, CUT = 4.0, 3.0  # s of rest at home, and on the bead
+
+
+@cache
+def socket_plan() -> Plan:
+    """One short bead of fibre in style `socket`: waits until all is hot, and rests on the bead while the fibre is cut."""
+    plan = make_plan(positioner=False, beads=1, length=0.012, dip=False, detour=False)
+    start = {"nozzle_c": 200, "bed_c": 60, "heat_wait_s": HEAT, "heat": "wait"}
+    fibre = {"cut_length_mm": 2, "least_laid_mm": 2, "cut_wait_s": CUT}
+    spec = problem(False, process={"start": start, "fibre": fibre, "bead": {"width_mm": 0.6}}, style="socket")
+    spec.name = "one_bead"
+    t = plan.trajectory
+    cut = int(np.flatnonzero(t.s > 0.008)[0])
+    rows = np.concatenate(
+        [np.zeros(round(HEAT / DT)), np.arange(cut), np.full(round(CUT / DT), cut), np.arange(cut, len(t))]
+    )
+    held = {k: v[rows.astype(int)] for k, v in vars(t).items() if isinstance(v, np.ndarray)}
+    held["t"] = np.arange(len(rows)) * DT
+    held["feed"] = np.minimum(held["feed"], t.feed[cut])
+    held["speed"] = np.append(np.linalg.norm(np.diff(held["tip"], axis=0), axis=1) / DT, 0.0)
+    events = (Event("heat", -1, 0.0, HEAT, 0.0), Event("cut", 0, HEAT + cut * DT, CUT, 0.0))
+    return replace(plan, problem=spec, trajectory=replace(t, **held, events=events))
 
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -253,6 +283,7 @@ def golden_texts() -> dict[str, str]:
         "TwoMaterials.mod": rapid(mixed),
         "two_materials.gcode": gcode(mixed),
         "extrusion.gcode": gcode(plan),
+        **{k: text for k, text in rapid_files(socket_plan()).items() if not k.endswith(".pgf")},
         "plan.json": plan_json(plan),
         "trajectory.csv": table.getvalue(),
     }

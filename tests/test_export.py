@@ -25,8 +25,10 @@ from planner.export.extruder.writer import gcode
 from planner.export.languages import LANGUAGES
 from planner.export.pieces import replay
 from planner.export.plan_json import plan_json
-from planner.export.rapid.reader import NUMBER, numbers, read_rapid
-from planner.export.rapid.writer import comment, module_name, number, rapid
+from planner.export.rapid.reader import read_rapid
+from planner.export.rapid.syntax import NUMBER, numbers
+from planner.export.rapid.text import comment, module_name, number
+from planner.export.rapid.writer import rapid
 from planner.export.rotations import angle, continuous, from_matrix, slerp, to_matrix
 from planner.export.table import write_table
 from planner.export.thinning import thin

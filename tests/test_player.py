@@ -12,7 +12,8 @@ from planner.export.moves import deposits
 from planner.export.player import play
 from planner.export.program import Program, Trigger
 from planner.export.rapid.reader import read_rapid
-from planner.export.rapid.writer import quadrants, rapid
+from planner.export.rapid.targets import quadrants
+from planner.export.rapid.writer import rapid
 from planner.export.rotations import angle, from_matrix
 from tests.export_fixtures import make_plan
 

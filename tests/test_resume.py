@@ -17,7 +17,7 @@ from solved import write_small
 import planner.solve
 from planner.errors import EXIT_INPUT, InputError
 from planner.export.plan_json import plan_json
-from planner.export.rapid.writer import LONGEST_NAME, module_name
+from planner.export.rapid.text import LONGEST_NAME, module_name
 from planner.motion import join
 from planner.obstacles import NOTHING, obstacles_of
 from planner.plan import Plan, Trajectory

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from planner.export.moves import deposits, nearest_fraction
 from planner.export.pieces import Piece, pieces_of
 from planner.export.program import Program
-from planner.export.rapid.writer import external_degrees, quadrants
+from planner.export.rapid.targets import external_degrees, quadrants
 from planner.export.rotations import angle, continuous, slerp, to_matrix
 from planner.export.waits import moving_time, waits_differ
 from planner.materials import materials_of

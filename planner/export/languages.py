@@ -12,8 +12,10 @@ from planner.export.extruder.writer import gcode
 from planner.export.joint_trajectory.check import trajectory_complaints
 from planner.export.joint_trajectory.writer import joint_trajectory, switches, switches_name, trajectory_name
 from planner.export.rapid.able import unsaid_in_rapid
+from planner.export.rapid.check import line_complaints
 from planner.export.rapid.reader import read_rapid
-from planner.export.rapid.writer import module_name, pgf, rapid
+from planner.export.rapid.text import module_name
+from planner.export.rapid.writer import rapid_files
 from planner.export.setup import Given, Setup
 
 if TYPE_CHECKING:
@@ -37,17 +39,17 @@ class Language:
     complaints: Callable[[Plan, Mapping[str, str]], list[str]]
 
 
-def _write_rapid(plan: Plan) -> dict[str, str]:
-    name = module_name(plan.name)
-    return {f"{name}.mod": rapid(plan), f"{name}.pgf": pgf(plan)}
-
-
 def _rapid_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    return compare(plan, read_rapid(files[f"{module_name(plan.name)}.mod"])).complaints()
+    name = module_name(plan.name)
+    program = read_rapid(files[f"{name}.mod"])
+    complaints = compare(plan, program).complaints()
+    if plan.problem.program.style == "socket":
+        complaints += line_complaints(plan, program, files[f"{name}_lines.csv"])
+    return complaints
 
 
 LANGUAGES: dict[str, Language] = {
-    "rapid": Language("RAPID", unsaid_in_rapid, _write_rapid, _rapid_complaints),
+    "rapid": Language("RAPID", unsaid_in_rapid, rapid_files, _rapid_complaints),
     "joint_trajectory": Language(
         "ROS JointTrajectory",
         lambda setup: None,

@@ -32,6 +32,7 @@ class Moves:
     """m moves, each to one sample of the trajectory; the first starts where the trajectory does.
 
     sample  (m,)   index of the sample that is the target
+    start   (m,)   index of the sample from which the move sets out: behind a wait, where there is one
     linear  (m,)   straight line in the part frame; otherwise straight in joint space
     laid    (m,)   material flows; the controller must keep the speed, elsewhere it accelerates as it likes
     speed   (m,)   of the tip relative to the part: mean of a move that lays material, along its line; peak of any other
@@ -47,6 +48,7 @@ class Moves:
     """
 
     sample: Indices
+    start: Indices
     linear: Flags
     laid: Flags
     speed: Array
@@ -74,8 +76,8 @@ def deposits(trajectory: Trajectory) -> tuple[Indices, Indices]:
     return first, last
 
 
-def plan_moves(plan: Plan) -> Moves:
-    """Choose the targets of a plan and say how each is approached."""
+def plan_moves(plan: Plan, also: Indices | None = None) -> Moves:
+    """Choose the targets of a plan and say how each is approached; `also`: samples that are to be targets, too."""
     trajectory = plan.trajectory
     n, na = len(trajectory), len(plan.cell.arm)
     quat = continuous(trajectory.quat)
@@ -92,6 +94,8 @@ def plan_moves(plan: Plan) -> Moves:
     must = np.zeros(n, dtype=bool)
     must[[0, n - 1]] = True
     must[np.concatenate([first, last, approach, leave])] = True
+    if also is not None:
+        must[also] = True
     must |= rests.fine
     must[1:] |= rests.inside[1:] & ~np.append(rests.inside[2:], False)  # where the robot goes on after a wait
     must[1:] |= (np.diff(trajectory.bead) != 0) & trajectory.deposit[1:] & trajectory.deposit[:-1]
@@ -112,6 +116,7 @@ def plan_moves(plan: Plan) -> Moves:
     starts[first], ends[last] = True, True
     return Moves(
         sample=b,
+        start=a,
         linear=is_linear,
         laid=laid,
         speed=np.where(laid, np.linalg.norm(trajectory.tip[b] - trajectory.tip[a], axis=1) / took, peaks),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,7 @@ class Program:
     wait                       (m,) time at rest after the move [s]
     triggers                   move → its triggers, in order
     sends                      move → strings sent to the extruder's board after it, in order; -1: before the first
+    send_rests                 move → for each of them, how long the robot has rested there when it is sent [s]
     """
 
     module: str
@@ -55,3 +56,4 @@ class Program:
     wait: Array
     triggers: dict[int, tuple[Trigger, ...]]
     sends: dict[int, tuple[str, ...]]
+    send_rests: dict[int, tuple[float, ...]] = field(default_factory=dict)

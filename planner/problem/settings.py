@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, get_args
+import re
+from ipaddress import AddressValueError, IPv4Address
+from typing import Annotated, Any, Literal, get_args
 
-from pydantic import model_validator
+from pydantic import BeforeValidator, model_validator
 
-from planner.problem.fields import IDENTIFIER, UNIQUE, Quantity, Section, key, one_of, refusal
+from planner.problem.fields import IDENTIFIER, LONGEST_NAME, UNIQUE, Quantity, Section, key, one_of, refusal
+from planner.problem.file import describe
 
 StrategyName = Literal["as_published", "fixed", "greedy", "ladder", "sqp", "nlp"]
 STRATEGY_NAMES: tuple[str, ...] = get_args(StrategyName)
@@ -16,6 +19,20 @@ LanguageName = Literal["rapid", "joint_trajectory"]
 LANGUAGE_NAMES: tuple[str, ...] = get_args(LanguageName)
 USUAL_LANGUAGE: LanguageName = "joint_trajectory"  # of arms whose file names none
 Identifier = Annotated[str, IDENTIFIER]
+StyleName = Literal["output", "demand", "socket"]
+STYLE_NAMES: tuple[str, ...] = get_args(StyleName)
+FIRST_PORT, LAST_PORT = 1025, 4999  # ABB, RAPID reference, SocketBind: free for programs
+# names that the program gives itself: procedures, speeds, triggers, and what serves the socket
+_OWN_NAMES = re.compile(r"(main|start|finish|bead\d+|vel\d\w*|trg\w*|bw\w*)", re.IGNORECASE)
+
+
+def _address(value: Any) -> str:
+    """A numeric IPv4 address, which is what a controller can bind."""
+    try:
+        return str(IPv4Address(value if isinstance(value, str) else ""))
+    except AddressValueError as error:
+        hint = "four numbers, such as 192.168.125.1"
+        raise refusal(f"{describe(value)} is not an address", hint) from error
 
 
 class ResolveSpec(Section):
@@ -41,8 +58,19 @@ class ResolveSpec(Section):
     )
 
 
+class SocketSpec(Section):
+    """Where the controller waits for the relay of style `socket`."""
+
+    address: Annotated[str, BeforeValidator(_address)] = key(
+        "address",
+        "of the controller itself, in the network of the relay; the default reaches no other computer",
+        "127.0.0.1",
+    )
+    port: Annotated[int, Quantity("", FIRST_PORT, LAST_PORT, whole=True)] = key("port", "of the controller", FIRST_PORT)
+
+
 class ProgramSpec(Section):
-    """Names in the robot program, identifiers of RAPID; and how finely its straight lines divide a bead."""
+    """The robot program: how it drives the extruder, its names, and how finely its straight lines divide a bead."""
 
     languages: Annotated[tuple[Annotated[LanguageName, one_of(LANGUAGE_NAMES)], ...], UNIQUE] | None = key(
         "languages", f"of {', '.join(LANGUAGE_NAMES)}, those to write; default: what the arm's controller speaks", None
@@ -51,6 +79,13 @@ class ProgramSpec(Section):
     work_object: Identifier = key("work_object", "the wobjdata", "wobjPart")
     station: Identifier = key("station", "the positioner's mechanical unit", "STN1")
     extruder_signal: Identifier = key("extruder_signal", "the digital output of the extruder", "doExtrude")
+    style: Annotated[StyleName, one_of(STYLE_NAMES)] = key(
+        "style",
+        "how the extruder is driven: by a digital output; by an analog one besides, with the flow; or by lines of "
+        "G-code through a socket",
+        "output",
+    )
+    socket: SocketSpec = key("socket", "where style socket waits for its relay; each has a default", {})
     chord: Annotated[float, Quantity("mm", 0.005, 1)] = key(
         "chord_mm", "how far a line of the program may be from the bead that it stands for [mm]", 0.02
     )
@@ -68,4 +103,7 @@ class ProgramSpec(Section):
                 raise refusal(
                     f"{name!r} names both {first} and {field}", "give each its own name", fields=[first, field]
                 )
+            if _OWN_NAMES.fullmatch(name):
+                reason = f"{name!r} may be a name of the program's own"
+                raise refusal(reason, f"for example my_{name}"[:LONGEST_NAME], fields=[field])
         return self

@@ -1,93 +1,41 @@
-"""Reads the RAPID that `rapid` writes back into numbers: a strict subset, where anything unknown is an error."""
+"""Reads the RAPID that `writer` writes back into numbers: what the program does, in the order in which it runs."""
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import InputError
 from planner.export.program import Program, Trigger
+from planner.export.rapid.server import FIRST_PORT, LAST_PORT, OPEN, server
+from planner.export.rapid.syntax import (
+    SHAPE_JOINTS,
+    Module,
+    Parts,
+    Step,
+    error,
+    numbers,
+    parse,
+    target_numbers,
+)
 
 Array = NDArray[np.float64]
 
-NUMBER = r"-?[0-9]+(?:\.[0-9]+)?(?:E[0-9]+)?"
-_NUMBER = re.compile(NUMBER)
-NAME = r"[A-Za-z][A-Za-z0-9_]{0,31}"
-NEST = r"\[[-0-9.,E\[\]]*\]"
-POSE = r"\[\[[-0-9.,E]*\],\[[-0-9.,E]*\]\]"
-PATTERNS = {
-    word: re.compile(pattern)
-    for word, pattern in {
-        "module": rf"MODULE ({NAME})",
-        "tool": rf"PERS tooldata ({NAME}):=\[TRUE,({POSE}),{NEST}\];",
-        "wobj": rf'PERS wobjdata ({NAME}):=\[FALSE,(TRUE|FALSE),"({NAME})?",({POSE}),({POSE})\];',
-        "speed": rf"CONST speeddata ({NAME}):=({NEST});",
-        "variable": rf"VAR triggdata ({NAME});",
-        "trigger": rf"TriggIO ({NAME}),({NUMBER})(\\Start)?\\DOp:=({NAME}),([01]);",
-        "proc": rf"PROC ({NAME})\(\)",
-        "absolute": rf"MoveAbsJ ({NEST}),({NAME}),fine,({NAME})\\WObj:=({NAME});",
-        "move": rf"(MoveJ|MoveL|TriggL) ({NEST}),({NAME})(?:,({NAME})(?:\\T2:=({NAME}))?)?,(fine|z0|z1),({NAME})"
-        rf"\\WObj:=({NAME});",
-        "wait": rf"WaitTime ({NUMBER});",
-        "unit": rf"(ActUnit|DeactUnit) ({NAME});",
-        "output": rf"SetDO ({NAME}),([01]);",
-        "write": r'TPWrite "([^"]{0,80})";',
-        "setting": r"(SingArea\\Off|ConfJ\\On|ConfL\\Off);",
-        "end": r"(ENDPROC|ENDMODULE)",
-        "call": rf"({NAME});",
-    }.items()
-}
 # ABB, RAPID reference, zonedata: radius of the zone of the tool's path [m]
 ZONES = {"fine": 0.0, "z0": 0.3e-3, "z1": 1e-3}
-SHAPE_POSE, SHAPE_TARGET, SHAPE_JOINTS = "[3,4]", "[3,4,4,6]", "[6,6]"
-# A move whose target has the right shape and nothing but numbers: almost every line, and read without a second look.
-_TARGET = "],\\[".join(",".join([NUMBER] * count) for count in (3, 4, 4, 6))
-_MOVE = re.compile(PATTERNS["move"].pattern.replace(f"({NEST})", rf"(\[\[{_TARGET}\]\])", 1))
+_BIND = re.compile(r'SocketBind bwServer,"(\d{1,3}(?:\.\d{1,3}){3})",(\d{4});', re.ASCII)
 
 
 def read_rapid(text: str) -> Program:
-    """Program of RAPID text as `rapid.rapid` writes it.
+    """Program of RAPID text as `writer.rapid` writes it.
 
     Raises InputError with the line for a statement, name or shape that is not known.
     """
-    reader = _Reader()
-    for line, raw in enumerate(text.split("\n"), start=1):
-        statement = raw.strip()
-        if statement and not statement.startswith("!"):
-            reader.take(statement, line)
-    return reader.program()
-
-
-def _error(line: int, reason: str) -> InputError:
-    return InputError(reason, line=line, file="RAPID")
-
-
-def numbers(nest: str, shape: str, line: int) -> list[float]:
-    """Flat numbers of a nested list such as [[1,2,3],[1,0,0,0]], whose inner lengths must be `shape`, e.g. [3,4]."""
-    groups = nest[2:-2].split("],[") if nest.startswith("[[") and nest.endswith("]]") else [nest[1:-1]]
-    items = [group.split(",") for group in groups]
-    if f"[{','.join(str(len(item)) for item in items)}]" != shape:
-        raise _error(line, f"expected lists of lengths {shape} in {nest[:60]}")
-    flat = [value for item in items for value in item]
-    for value in flat:
-        if not _NUMBER.fullmatch(value):
-            raise _error(line, f"{value!r} is not a number")
-    return [float(value) for value in flat]
-
-
-def _targets(nests: Sequence[str]) -> Array:
-    """Numbers (m, 17) of targets that are known to have the right shape."""
-    # one conversion for all: the same correctly rounded numbers as float() gives, in a tenth of the time
-    flat = ",".join(nests).translate(str.maketrans("", "", "[]"))
-    return np.fromstring(flat, sep=",").reshape(len(nests), 17)
-
-
-def _pose(nest: str, line: int) -> Array:
-    x, y, z, qw, qx, qy, qz = numbers(nest, SHAPE_POSE, line)
-    return np.array([x * 1e-3, y * 1e-3, z * 1e-3, qx, qy, qz, qw])
+    return _Run(parse(text)).program()
 
 
 def _radians(degrees: Array) -> Array:
@@ -95,137 +43,128 @@ def _radians(degrees: Array) -> Array:
     return np.where(degrees > 1e9, np.nan, np.radians(degrees))
 
 
-class _Reader:
-    def __init__(self) -> None:
-        self.module = ""
-        self.tool: dict[str, Array] = {}
-        self.wobj: dict[str, tuple[str, Array, Array]] = {}
-        self.speeds: dict[str, list[float]] = {}
-        self.declared: set[str] = set()
-        self.trigger: dict[str, Trigger] = {}
-        self.procs: dict[str, list[tuple[str, int, tuple[str | None, ...]]]] = {}
-        self.current = ""
-        self.closed = False
+def _known(line: int, name: str | None, names: Collection[str]) -> str:
+    if name is None or name not in names:
+        raise error(line, f"unknown name {name!r}")
+    return name
 
-    def take(self, statement: str, line: int) -> None:
-        move = _MOVE.fullmatch(statement)
-        if move is not None and self.current and not self.closed:
-            self.procs[self.current].append(("move", line, move.groups()))
-            return
-        known = ((word, pattern.fullmatch(statement)) for word, pattern in PATTERNS.items())
-        word, match = next((pair for pair in known if pair[1]), ("", None))
-        if match is None:
-            raise _error(line, f"unknown statement {statement[:60]!r}")
-        parts = match.groups()
-        if self.closed or (word != "module") == (not self.module):
-            raise _error(line, f"{statement[:60]!r} stands outside the module")
-        inside = word not in ("module", "tool", "wobj", "speed", "variable", "proc") and statement != "ENDMODULE"
-        if inside != bool(self.current):
-            raise _error(line, f"{statement[:60]!r} stands {'outside' if inside else 'inside'} a procedure")
-        if word == "module":
-            self.module = parts[0]
-        elif word == "tool":
-            self.tool[parts[0]] = _pose(parts[1], line)
-        elif word == "wobj":
-            if (parts[1] == "FALSE") != bool(parts[2]):
-                raise _error(line, "a work object moves if, and only if, it names a station")
-            self.wobj[parts[0]] = (parts[2] or "", _pose(parts[3], line), _pose(parts[4], line))
-        elif word == "speed":
-            self.speeds[parts[0]] = numbers(parts[1], "[4]", line)
-        elif word == "variable":
-            self.declared.add(parts[0])
-        elif word == "proc":
-            if parts[0] in self.procs:
-                raise _error(line, f"procedure {parts[0]} stands there twice")
-            self.current = parts[0]
-            self.procs[parts[0]] = []
-        elif word == "end":
-            self.closed = statement == "ENDMODULE"
-            self.current = ""
-        else:
-            if word == "move":
-                numbers(parts[1], SHAPE_TARGET, line)
-            self.procs[self.current].append((word, line, parts))
 
-    def program(self) -> Program:
-        if not self.closed or "main" not in self.procs or len(self.tool) != 1 or len(self.wobj) != 1:
+class _Run:
+    """What the module does, statement by statement."""
+
+    def __init__(self, module: Module) -> None:
+        if "main" not in module.procs or len(module.tool) != 1 or len(module.wobj) != 1:
             raise InputError("no complete module with main, one tool and one work object", file="RAPID")
-        start: list[float] = []
-        moves: list[tuple[int, tuple[str | None, ...]]] = []
-        waits: dict[int, float] = {}
-        for word, line, parts in self._run("main", 0):
-            if word == "absolute":
-                if moves or start:
-                    raise _error(line, "MoveAbsJ is for the start only")
-                self._known(line, parts[1], self.speeds)
-                start = numbers(str(parts[0]), SHAPE_JOINTS, line)
-            elif word == "trigger":
-                name, distance, from_start, signal, value = parts
-                self._known(line, name, self.declared)
-                far = float(str(distance)) * 1e-3
-                self.trigger[str(name)] = Trigger(far, bool(from_start), value == "1", str(signal))
-            elif word == "move":
-                moves.append((line, parts))
-            elif word == "wait":
-                at = len(moves) - 1
-                if at < 0:
-                    raise _error(line, "a wait before the first target")
-                waits[at] = waits.get(at, 0.0) + float(str(parts[0]))
-        if not start or not moves:
-            raise InputError("no moves", file="RAPID")
-        return self._arrays(start, moves, waits)
+        self.module = module
+        self.trigger: dict[str, Trigger] = {}
+        self.outputs: dict[str, None] = {}
+        self.start: list[float] = []
+        self.moves: list[tuple[int, Parts]] = []
+        self.waits: dict[int, float] = {}
+        self.sends: dict[int, list[str]] = {}
+        self.rested: dict[int, list[float]] = {}
+        self.sent = 0
+        self.calls: list[str] = []  # of the socket's procedures
+        for step in self.steps("main", 0):
+            self.take(step)
 
-    def _run(self, name: str, depth: int) -> list[tuple[str, int, tuple[str | None, ...]]]:
-        out = []
-        for word, line, parts in self.procs[name]:
+    def steps(self, name: str, depth: int) -> list[Step]:
+        out: list[Step] = []
+        for step in self.module.procs[name]:
+            word, line, parts = step
             if word == "call":
-                self._known(line, parts[0], self.procs)
+                called = _known(line, parts[0], self.module.procs)
                 if depth:
-                    raise _error(line, "only main calls procedures")
-                out += self._run(str(parts[0]), depth + 1)
+                    raise error(line, "only main calls procedures")
+                out += self.steps(called, depth + 1)
             else:
-                out.append((word, line, parts))
+                out.append(step)
         return out
 
-    @staticmethod
-    def _known(line: int, name: str | None, names: object) -> None:
-        if name not in names:  # type: ignore[operator]
-            raise _error(line, f"unknown name {name!r}")
+    def take(self, step: Step) -> None:
+        word, line, parts = step
+        at = len(self.moves) - 1
+        if word == "absolute":
+            if self.moves or self.start:
+                raise error(line, "MoveAbsJ is for the start only")
+            _known(line, parts[1], self.module.speeds)
+            self.start = numbers(str(parts[0]), SHAPE_JOINTS, line)
+        elif word == "trigger":
+            name, distance, from_start, signal, value = parts
+            far = float(str(distance)) * 1e-3
+            trigger = Trigger(far, bool(from_start), value == "1", str(signal))
+            self.trigger[_known(line, name, self.module.triggers)] = trigger
+            self.outputs[str(signal)] = None
+        elif word == "move":
+            self.moves.append((line, parts))
+        elif word == "wait":
+            if at < 0:
+                raise error(line, "a wait before the first target")
+            self.waits[at] = self.waits.get(at, 0.0) + float(str(parts[0]))
+        elif word == "send":
+            self.sent += 1
+            if self.calls != [OPEN] or at < 0 or int(str(parts[0])) != self.sent:
+                raise error(line, f"line {parts[0]} is sent out of order")
+            self.sends.setdefault(at, []).append(str(parts[1]))
+            self.rested.setdefault(at, []).append(self.waits.get(at, 0.0))
+        elif word == "socket":
+            self.calls.append(str(parts[0]))
 
-    def _arrays(
-        self, start: list[float], moves: list[tuple[int, tuple[str | None, ...]]], waits: dict[int, float]
-    ) -> Program:
-        speeds, triggers = [], {}
-        for i, (line, (word, _, speed, first, second, _, tool, wobj)) in enumerate(moves):
-            if speed not in self.speeds or tool not in self.tool or wobj not in self.wobj:
-                for name, names in ((speed, self.speeds), (tool, self.tool), (wobj, self.wobj)):
-                    self._known(line, name, names)
-            speeds.append(self.speeds[str(speed)])
+    def program(self) -> Program:
+        if not self.start or not self.moves:
+            raise InputError("no moves", file="RAPID")
+        self.check_server()
+        speeds, triggers, module = [], {}, self.module
+        for i, (line, (word, _, speed, first, others, _, tool, wobj)) in enumerate(self.moves):
+            if speed not in module.speeds or tool not in module.tool or wobj not in module.wobj:
+                for name, names in ((speed, module.speeds), (tool, module.tool), (wobj, module.wobj)):
+                    _known(line, name, names)
+            speeds.append(module.speeds[str(speed)])
             if (first is not None) != (word == "TriggL"):
-                raise _error(line, "TriggL, and nothing else, has triggers")
+                raise error(line, "TriggL, and nothing else, has triggers")
             if first is not None:
-                used = [name for name in (first, second) if name]
-                for name in used:
-                    self._known(line, name, self.trigger)
-                triggers[i] = tuple(self.trigger[name] for name in used)
-        table = _targets([str(parts[1]) for _, parts in moves])
-        station, uframe, oframe = next(iter(self.wobj.values()))
+                triggers[i] = tuple(self.trigger[name] for name in self.used(line, first, others or ""))
+        table = target_numbers([str(parts[1]) for _, parts in self.moves])
+        station, uframe, oframe = next(iter(module.wobj.values()))
         return Program(
-            module=self.module,
-            tool=next(iter(self.tool.values())),
+            module=module.name,
+            tool=next(iter(module.tool.values())),
             uframe=uframe,
             oframe=oframe,
             station=station,
-            start=_radians(np.array(start)),
-            linear=np.array([parts[0] != "MoveJ" for _, parts in moves]),
-            fine=np.array([parts[5] == "fine" for _, parts in moves]),
+            start=_radians(np.array(self.start)),
+            linear=np.array([parts[0] != "MoveJ" for _, parts in self.moves]),
+            fine=np.array([parts[5] == "fine" for _, parts in self.moves]),
             position=table[:, :3] * 1e-3,
             quat=table[:, [4, 5, 6, 3]],
             conf=table[:, 7:11].astype(np.intp),
             external=_radians(table[:, 11:]),
-            zone=np.array([ZONES[str(parts[5])] for _, parts in moves]),
+            zone=np.array([ZONES[str(parts[5])] for _, parts in self.moves]),
             speed=np.array(speeds) * [1e-3, np.pi / 180.0, 1e-3, np.pi / 180.0],
-            wait=np.array([waits.get(i, 0.0) for i in range(len(moves))]),
+            wait=np.array([self.waits.get(i, 0.0) for i in range(len(self.moves))]),
             triggers=triggers,
-            sends={},
+            sends={i: tuple(texts) for i, texts in self.sends.items()},
+            send_rests={i: tuple(rests) for i, rests in self.rested.items()},
         )
+
+    def used(self, line: int, first: str, others: str) -> list[str]:
+        """The triggers of a move, T1, T2 and so on."""
+        numbered = [each.split(":=") for each in others.split("\\")[1:]]
+        if [number for number, _ in numbered] != [f"T{k}" for k in range(2, len(numbered) + 2)]:
+            raise error(line, "the triggers are not numbered T2, T3, …")
+        return [_known(line, name, self.trigger) for name in (first, *(name for _, name in numbered))]
+
+    def check_server(self) -> None:
+        """The socket's procedures must stand there as they always do, whatever the address."""
+        module, written = self.module, self.module.server
+        if not written and not self.calls and not self.sent:
+            return
+        if len(self.calls) != 2 or not written:
+            raise error(module.served, "the socket is not opened and closed once each")
+        binds = _BIND.search("\n".join(written))
+        if binds is None or not FIRST_PORT <= int(binds[2]) <= LAST_PORT:
+            raise error(module.served, "the socket is bound to nothing that it may be bound to")
+        expected = server(module.name, self.sent, binds[1], int(binds[2]), self.outputs)
+        for k, (line, right) in enumerate(itertools.zip_longest(written, expected), module.served):
+            if line != right:
+                raise error(k, f"the socket's procedures say {line!r} instead of {right!r}")
