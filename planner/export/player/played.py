@@ -12,6 +12,10 @@ from planner.export.rotations import slerp
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
+# A way has three parts: from its first speed to the one that is then kept, and on to that of the next way.
+PHASES = ("speed", "first acceleration", "its time", "time of even speed", "last acceleration", "its time")
+TIMES = [2, 3, 5]
+
 
 @dataclass(frozen=True)
 class Happening:
@@ -53,8 +57,7 @@ class Played:
     move      (k - 1)     the move to which the way from each knot to the next belongs
     leave     (k)         when the robot leaves a knot: later than it came there by what it waits [s]
     length    (k - 1)     of the way, in metres of path (see `pacing`)
-    phases    (k - 1, 5)  of each way: speed at its beginning [m/s], acceleration [m/s^2], time spent on gaining speed,
-                          on keeping it and on losing it [s]; the loss is as steep as the gain
+    phases    (k - 1, 6)  of each way, as PHASES has them [m/s, m/s^2, s, s, m/s^2, s]
     limit     (k - 1)     what the top speed on it follows from: index into `limits`
     target    (m)         the knot that is the target of each move
     arrive    (m)         when the robot reaches it [s]
@@ -98,26 +101,24 @@ class Played:
 
     def reached(self, k: Indices, u: Array) -> Array:
         """When (n) the fraction u (n) of the way from knots k (n) to the next ones is behind the robot [s]."""
-        v, a, gain, keep, loss = self.phases[k].T
         way = u * self.length[k]
-        top = v + a * gain
-        gained, kept = (v + 0.5 * a * gain) * gain, top * keep
-        left = np.maximum(way - gained - kept, 0.0)
-        in_gain = 2.0 * way / np.maximum(v + np.sqrt(np.maximum(v * v + 2.0 * a * way, 0.0)), TINY)
-        in_keep = gain + (way - gained) / np.maximum(top, TINY)
-        in_loss = 2.0 * left / np.maximum(top + np.sqrt(np.maximum(top * top - 2.0 * a * left, 0.0)), TINY)
-        took = np.where(way <= gained, in_gain, np.where(left <= 0.0, in_keep, gain + keep + in_loss))
-        out: Array = self.leave[k] + np.clip(took, 0.0, gain + keep + loss)
+        v, a, first, even, b, last = self.phases[k].T
+        top = v + a * first
+        begun, kept = (v + 0.5 * a * first) * first, top * even
+        left = np.maximum(way - begun - kept, 0.0)
+        in_first, in_even = _time(v, a, way), first + (way - begun) / np.maximum(top, TINY)
+        took = np.where(left > 0.0, first + even + _time(top, b, left), np.where(way > begun, in_even, in_first))
+        out: Array = self.leave[k] + np.clip(took, 0.0, first + even + last)
         return out
 
     def _gone(self, k: Indices, since: Array) -> Array:
         """Metres of path (n) of the way from knots k (n) that are behind the robot a time (n) [s] after it left them."""
-        v, a, gain, keep, loss = self.phases[k].T
-        top = v + a * gain
-        t1 = np.clip(since, 0.0, gain)
-        t2 = np.clip(since - gain, 0.0, keep)
-        t3 = np.clip(since - gain - keep, 0.0, loss)
-        out: Array = (v + 0.5 * a * t1) * t1 + top * t2 + (top - 0.5 * a * t3) * t3
+        v, a, first, even, b, last = self.phases[k].T
+        top = v + a * first
+        t1 = np.clip(since, 0.0, first)
+        t2 = np.clip(since - first, 0.0, even)
+        t3 = np.clip(since - first - even, 0.0, last)
+        out: Array = (v + 0.5 * a * t1) * t1 + top * t2 + (top + 0.5 * b * t3) * t3
         return out
 
 
@@ -126,4 +127,10 @@ TINY = 1e-300  # keeps a division by no speed at all finite, where what is divid
 
 def _between(values: Array, k: Indices, u: Array) -> Array:
     out: Array = values[k] + u[:, None] * (values[k + 1] - values[k])
+    return out
+
+
+def _time(v: Array, a: Array, way: Array) -> Array:
+    """How long (n) a way (n) [m] takes from the speed v [m/s] on with the acceleration a [m/s^2]."""
+    out: Array = 2.0 * way / np.maximum(v + np.sqrt(np.maximum(v * v + 2.0 * a * way, 0.0)), TINY)
     return out
