@@ -52,11 +52,12 @@ def problem(
     bead = {"width_mm": 0.6, "height_mm": 0.5}
     station = {"robot": "irbp_a250", "origin_mm": (633.5, 9.87, 380), "free": free}
     holder = {"positioner": station} if positioner else {"bed_mm": (450, -50, 380)}
+    limits = _limits(free if positioner else ())
     nozzle = {"tip_mm": (-44.51, 9.9, 113.95), "diameter_mm": 0.6}
     return SimpleNamespace(
         name="two_beads",
         file=Path("two_beads.yaml"),
-        cell=CellSpec(arm="irb140", nozzle=nozzle, home_deg=(30, 20, 30, 90, -80, 60), **holder),
+        cell=CellSpec(arm="irb140", nozzle=nozzle, home_deg=(30, 20, 30, 90, -80, 60), limits=limits, **holder),
         process=ProcessSpec(
             **{"bead": bead, "materials": materials or {}, "change": CHANGE} | (process or {}),
             speed_mm_s=40,
@@ -64,6 +65,11 @@ def problem(
         ),
         program=ProgramSpec(**program),
     )
+
+
+def _limits(axes: tuple[str, ...]) -> dict[str, Any]:
+    """Accelerations that suffice for the sudden dip within the beads."""
+    return {name: {"acceleration_rad_s2": 100} for name in (*(f"joint_{k}" for k in range(1, 7)), *axes)}
 
 
 def _ramp(n: int) -> Array:

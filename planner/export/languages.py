@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from planner.export.compare import compare
 from planner.export.extruder.check import gcode_complaints
 from planner.export.extruder.writer import gcode
 from planner.export.joint_trajectory.check import trajectory_complaints
@@ -16,6 +15,7 @@ from planner.export.rapid.check import line_complaints
 from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.text import module_name
 from planner.export.rapid.writer import rapid_files
+from planner.export.readback import readback
 from planner.export.setup import Given, Setup
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class Language:
 def _rapid_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
     name = module_name(plan.name)
     program = read_rapid(files[f"{name}.mod"])
-    complaints = compare(plan, program).complaints()
+    complaints = readback(plan, program)
     if plan.problem.program.style == "socket":
         complaints += line_complaints(plan, program, files[f"{name}_lines.csv"])
     return complaints

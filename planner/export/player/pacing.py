@@ -128,10 +128,10 @@ def _between(program: Program, cell: Cell, knots: Knots, ways: _Ways) -> Array:
     zone = np.minimum.reduceat(np.append(zone, np.inf), np.column_stack([first, after]).ravel())[::2]
     is_target = np.isfinite(zone)
     half = 0.5 * np.minimum(ways.length[1:], ways.length[:-1])
-    # within the zone of a target the speed goes over from one that is programmed to the next
+    # within the zone of a target the speed goes over from one that is programmed to the next, half of it at the target
     low, high = np.minimum(ways.top[1:], ways.top[:-1]), np.maximum(ways.top[1:], ways.top[:-1])
     gain = 2.0 * np.minimum(ways.steepest[1:], ways.steepest[:-1]) * np.minimum(zone, half)
-    change = np.where(is_target, np.minimum(high, low + gain), low)
+    change = np.where(is_target, np.minimum(0.5 * (low + high), low + gain), low)
     # and joints from one direction to the next: there the zone may take half of the whole line, elsewhere there is none
     move = knots.move[ways.index]
     lines = np.bincount(move, ways.length)[move]

@@ -1,0 +1,139 @@
+"""Whether a program, read back and played, does what its plan does: where it goes, how fast, and what it switches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import InputError
+from planner.export.compare import Agreement, compare
+from planner.export.moves import deposits
+from planner.export.player import Played, play
+from planner.export.program import Program
+
+if TYPE_CHECKING:
+    from planner.plan import Plan
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+LATE = 0.02  # of the time in which material is laid
+AT_TARGET = 1e-5  # m: what is switched nearer to a target than this is switched at it
+# m by which corners may be cut, as far as `Agreement` lets paths differ: in beads beyond the tolerance, and in travel
+ROUNDING, TRAVEL = 0.03e-3, 1e-3
+
+
+@dataclass(frozen=True)
+class Readback:
+    """What a played program does otherwise than its plan.
+
+    agreement  of the played nozzle, as the cell's joints carry it, with the plan
+    laid       time in which the program lays material over that in which the plan does; worst: of the bead that differs
+               most
+    corner     how far the nozzle passes inside of a target at which material is laid, at most [m]
+    swing      how far it passes inside of any other target, at most [m]
+    stops      targets within beads at which the robot comes to rest without waiting
+    strays     targets whose configuration the robot does not have when it comes there
+    """
+
+    agreement: Agreement
+    laid: float
+    worst: float
+    corner: float
+    swing: float
+    stops: int
+    strays: tuple[int, ...]
+
+    def complaints(self) -> list[str]:
+        """Every difference beyond what rounding and thinning may cause, in words."""
+        found = self.agreement.complaints()
+        if not abs(self.laid - 1.0) <= LATE:
+            found.append(f"time of deposition is {self.laid:.4g} of the plan's (limit {LATE:g} from 1)")
+        for where, cut, limit in (
+            ("in a bead", self.corner, self.agreement.chord + ROUNDING),
+            ("in travel", self.swing, TRAVEL),
+        ):
+            if not cut <= limit:
+                found.append(f"a corner {where} is cut by {cut:.3g} m (limit {limit:.3g})")
+        if self.stops:
+            found.append(f"the robot stops at {self.stops} targets within beads")
+        if self.strays:
+            found.append(
+                f"{len(self.strays)} targets are not reached in their configuration, first move {self.strays[0]}"
+            )
+        return found
+
+
+def readback(plan: Plan, program: Program) -> list[str]:
+    """What a program that was read back does otherwise than its plan, in words; none if it does the same."""
+    try:
+        played = play(program, plan.cell)
+    except InputError as error:
+        return [*compare(plan, program).complaints(), f"cannot be played: {error.reason}"]
+    return judge(plan, program, played).complaints()
+
+
+def judge(plan: Plan, program: Program, played: Played) -> Readback:
+    """A program against its plan, as it was played in the plan's cell."""
+    nozzle = replace(program, position=played.position[played.target], quat=played.quat[played.target])
+    spans = laid_spans(played)
+    first, last = deposits(plan.trajectory)
+    planned = plan.trajectory.t[last] - plan.trajectory.t[first]
+    laid, worst = float("inf"), float("inf")
+    if len(spans) == len(planned):
+        took = spans[:, 1] - spans[:, 0]
+        ratio = took / planned
+        laid, worst = float(took.sum() / planned.sum()), float(ratio[np.argmax(np.abs(ratio - 1.0))])
+    inside, edges = _laid(played, len(program.fine))
+    cut = _cut(program, played)
+    return Readback(
+        agreement=compare(plan, nozzle),
+        laid=laid,
+        worst=worst,
+        corner=float(cut[inside | edges].max(initial=0.0)),
+        swing=float(cut[~(inside | edges)].max(initial=0.0)),
+        stops=int(np.count_nonzero(inside & program.fine & (program.wait == 0.0))),
+        strays=played.strays,
+    )
+
+
+def laid_spans(played: Played) -> Array:
+    """When the extruder goes on, and off again (b, 2) [s], whatever its outputs; off again last at the end."""
+    spans, on = [], float("nan")
+    for event in played.events:
+        if event.kind == "output" and event.value and np.isnan(on):
+            on = event.t
+        elif event.kind == "output" and not event.value and not np.isnan(on):
+            spans.append((on, event.t))
+            on = float("nan")
+    return np.array(spans).reshape(-1, 2)
+
+
+def _laid(played: Played, m: int) -> tuple[Flags, Flags]:
+    """Targets (m) within beads, and those at which beads begin or end."""
+    more = np.zeros(m + 1, dtype=np.intp)  # beads that begin between a target and the one before, less those that end
+    edges = np.zeros(m, dtype=bool)
+    for event in played.events:
+        if event.kind == "output":
+            passed = event.move if event.t >= played.arrive[event.move] else event.move - 1
+            more[passed + 1] += 1 if event.value else -1
+            there = played.position[played.target[max(passed, 0)]]
+            edges[max(passed, 0)] |= bool(np.linalg.norm(there - event.position) < AT_TARGET)
+    inside = np.cumsum(more)[:m] > 0
+    return inside & ~edges, edges
+
+
+def _cut(program: Program, played: Played) -> Array:
+    """How far the parabola within a target's zone passes inside of the target (m) [m]; 0 where the robot rests."""
+    steps = np.diff(played.position, axis=0)
+    size = np.linalg.norm(steps, axis=1)
+    unit = steps / np.where(size > 0.0, size, 1.0)[:, None]
+    moves = np.bincount(played.move, size, minlength=len(program.zone))
+    knot = played.target[:-1]  # the last one is an end
+    reach = np.minimum(program.zone[:-1], 0.5 * np.minimum(moves[:-1], moves[1:]))
+    # the middle of a parabola whose tangents reach so far to both sides
+    cut = 0.25 * reach * np.linalg.norm(unit[knot] - unit[knot - 1], axis=1)
+    return np.append(np.where(program.fine[:-1], 0.0, cut), 0.0)

@@ -1,0 +1,126 @@
+"""Read-back by playing: a plan's own program has nothing to complain of, and whatever is tampered with is found."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from planner.export.player import play
+from planner.export.rapid.reader import read_rapid
+from planner.export.rapid.writer import rapid
+from planner.export.readback import judge, laid_spans, readback
+from tests.export_fixtures import make_plan
+
+PLAN = make_plan()
+PROGRAM = read_rapid(rapid(PLAN))
+ON, OFF = (
+    next(i for i in sorted(PROGRAM.triggers) if PROGRAM.triggers[i][0].value == value) for value in (True, False)
+)
+INSIDE = ON + 5  # a target within the first bead
+TRAVEL = 12  # a target of a joint move
+
+
+def put(name, at, value):
+    """The program with one row of an array changed, by a value or by a function of the row."""
+    array = getattr(PROGRAM, name).copy()
+    array[at] = value(array[at]) if callable(value) else value
+    return replace(PROGRAM, **{name: array})
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"positioner": False},
+        {"free": ("tilt", "rotation")},
+        {"materials": ("pla", "pva")},
+        {"dip": False, "beads": 5},
+    ],
+)
+def test_a_plan_s_own_program_is_what_was_planned(options):
+    plan = make_plan(**options)
+    program = read_rapid(rapid(plan))
+    found = judge(plan, program, play(program, plan.cell))
+    assert found.complaints() == []
+    assert abs(found.laid - 1.0) < 0.02
+    assert abs(found.worst - 1.0) < 0.02
+    assert found.agreement.path < 0.05e-3
+    assert found.agreement.angle < np.radians(0.1)
+    assert found.agreement.event < 0.1e-3
+    assert readback(plan, program) == []
+
+
+def moved_trigger(program, at, by):
+    trigger = program.triggers[at][0]
+    return replace(program, triggers=program.triggers | {at: (replace(trigger, distance=by),)})
+
+
+def _turned(q, angle):
+    x, y, z, w = q
+    c, s = np.cos(0.5 * angle), np.sin(0.5 * angle)
+    return np.array([c * x + s * w, c * y + s * z, c * z - s * y, c * w - s * x])
+
+
+TAMPERED = {
+    "a target shifted by 0.2 mm": (put("position", INSIDE, lambda p: p + [0.2e-3, 0, 0]), "path differs"),
+    "another shifted off its bead": (put("position", INSIDE + 3, lambda p: p + [0, 0, 0.1e-3]), "path differs"),
+    "a bead's end 0.2 mm early": (put("position", OFF, lambda p: p + [0, 0, 0.2e-3]), "event differs"),
+    "too slow": (put("speed", INSIDE, lambda v: v * [0.8, 1, 1, 1]), "speed differs"),
+    "too quick": (put("speed", INSIDE, lambda v: v * [1.2, 1, 1, 1]), "speed differs"),
+    "reorientation too slow": (replace(PROGRAM, speed=PROGRAM.speed * [1, 0.01, 1, 1]), "time of deposition"),
+    "axis too slow": (replace(PROGRAM, speed=PROGRAM.speed * [1, 1, 1, 0.05]), "time of deposition"),
+    "a stop within a bead": (put("fine", INSIDE, True), "stops at 1 targets within beads"),
+    "a wide zone in travel": (
+        replace(put("position", TRAVEL, lambda p: p + [0.02, 0, 0]), zone=np.where(PROGRAM.fine, 0.0, 0.02)),
+        "a corner in travel is cut",
+    ),
+    "a trigger moved by 0.2 mm": (moved_trigger(PROGRAM, OFF, 0.2e-3), "event differs"),
+    "a trigger at the wrong end": (moved_trigger(PROGRAM, ON, 10.0), "event differs"),
+    "no trigger": (replace(PROGRAM, triggers={k: v for k, v in PROGRAM.triggers.items() if k != OFF}), "path differs"),
+    "wrist flipped on a line": (put("conf", INSIDE, lambda c: c ^ [0, 0, 0, 1]), "not reached in their configuration"),
+    "wrist flipped in travel": (put("conf", TRAVEL, lambda c: c ^ [0, 0, 0, 1]), "conf differs"),
+    "a turn of axis 6 too many": (put("conf", TRAVEL, lambda c: c + [0, 0, 4, 0]), "conf differs"),
+    "a wrong quarter of axis 4": (
+        put("conf", INSIDE, lambda c: c + [0, 1, 0, 0]),
+        "not reached in their configuration",
+    ),
+    "no configuration": (put("conf", INSIDE, lambda c: c + [0, 0, 0, 8]), "cannot be played"),
+    "a swapped quaternion": (put("quat", INSIDE, lambda q: q[[1, 0, 2, 3]]), "angle differs"),
+    "a turned target": (put("quat", INSIDE, lambda q: _turned(q, np.radians(0.3))), "angle differs"),
+    "the table elsewhere": (put("external", INSIDE, lambda e: e + [0, 0.005, 0, 0, 0, 0]), "external differs"),
+    "a held axis moved": (put("external", INSIDE, lambda e: e + [0.01, 0, 0, 0, 0, 0]), "cannot be played"),
+    "another tool": (replace(PROGRAM, tool=PROGRAM.tool + [1e-4, 0, 0, 0, 0, 0, 0]), "frames differs"),
+    "another work object": (replace(PROGRAM, oframe=PROGRAM.oframe + [0, 0, 1e-4, 0, 0, 0, 0]), "frames differs"),
+    "out of reach": (put("position", INSIDE, lambda p: p + [0, 0, 3.0]), "cannot be played"),
+    "a wait": (put("wait", INSIDE, 0.5), "wait differs"),
+    "another start": (put("start", 2, lambda q: q + 0.01), "frames differs"),
+}
+
+
+@pytest.mark.parametrize("what", TAMPERED)
+def test_whatever_is_tampered_with_is_found(what):
+    program, named = TAMPERED[what]
+    complaints = readback(PLAN, program)
+    assert complaints
+    assert any(named in complaint for complaint in complaints), complaints
+
+
+def test_a_wide_zone_at_a_corner_is_found():
+    zone, fine = PROGRAM.zone.copy(), PROGRAM.fine.copy()
+    position = PROGRAM.position.copy()
+    zone[INSIDE] = 5e-3
+    way = position[INSIDE] - position[INSIDE - 1]
+    position[INSIDE + 1] = position[INSIDE] + np.cross(way, [0, 0, 1.0])
+    spoilt = replace(PROGRAM, zone=zone, fine=fine, position=position)
+    found = judge(PLAN, spoilt, play(spoilt, PLAN.cell))
+    half = 0.5 * np.linalg.norm(np.diff(position, axis=0)[INSIDE - 1 : INSIDE + 1], axis=1).min()
+    assert found.corner == pytest.approx(0.25 * half * np.sqrt(2.0), rel=0.01)
+    assert any("corner in a bead is cut" in complaint for complaint in found.complaints())
+
+
+def test_spans_of_deposition_are_those_of_any_output():
+    played = play(PROGRAM, PLAN.cell)
+    spans = laid_spans(played)
+    assert spans.shape == (2, 2)
+    assert (np.diff(spans.ravel()) > 0.0).all()
+    assert laid_spans(replace(played, events=())).shape == (0, 2)
