@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from planner.export.player import play
+from planner.export.player.laying import laid_moves, laid_spans, laid_targets
+from planner.export.player.limited import ACCELERATION, limited
 from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.writer import rapid
-from planner.export.readback import judge, laid_spans, readback
+from planner.export.readback import judge, readback
 from tests.export_fixtures import make_plan
 
 PLAN = make_plan()
@@ -123,4 +125,30 @@ def test_spans_of_deposition_are_those_of_any_output():
     spans = laid_spans(played)
     assert spans.shape == (2, 2)
     assert (np.diff(spans.ravel()) > 0.0).all()
+    inside, edges = laid_targets(played)
+    assert np.flatnonzero(edges).tolist() == sorted(PROGRAM.triggers)
+    laid = laid_moves(played)
+    assert np.flatnonzero(laid)[[0, -1]].tolist() == [ON + 1, max(PROGRAM.triggers)]
+    assert (laid == (inside | (edges & np.append(False, inside[:-1])))).all()
     assert laid_spans(replace(played, events=())).shape == (0, 2)
+
+
+def test_what_slows_a_program_down_is_named():
+    assert limited(PROGRAM, play(PROGRAM, PLAN.cell)) == ()
+    for column, by in ((1, "reorientation"), (3, "an axis of the station")):
+        speed = PROGRAM.speed.copy()
+        speed[INSIDE : INSIDE + 3, column] *= 0.01
+        program = replace(PROGRAM, speed=speed)
+        found = limited(program, play(program, PLAN.cell))
+        assert found[0].by == by
+        assert found[0].first == INSIDE
+        assert found[0].moves == 3
+        assert found[0].reached < 0.5
+        assert by in found[0].words
+    slow = replace(PLAN.cell, limits=replace(PLAN.cell.limits, velocity=0.02 * PLAN.cell.limits.velocity))
+    names = {f"the speed limit of {name}" for name in slow.joint_names}
+    found = {each.by for each in limited(PROGRAM, play(PROGRAM, slow))}
+    assert found & names
+    assert found <= names | {ACCELERATION}
+    weak = replace(PLAN.cell, limits=replace(PLAN.cell.limits, acceleration=0.02 * PLAN.cell.limits.acceleration))
+    assert [each.by for each in limited(PROGRAM, play(PROGRAM, weak))] == [ACCELERATION]

@@ -12,16 +12,15 @@ from planner.errors import InputError
 from planner.export.compare import Agreement, compare
 from planner.export.moves import deposits
 from planner.export.player import Played, play
+from planner.export.player.laying import laid_spans, laid_targets
 from planner.export.program import Program
 
 if TYPE_CHECKING:
     from planner.plan import Plan
 
 Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 LATE = 0.02  # of the time in which material is laid
-AT_TARGET = 1e-5  # m: what is switched nearer to a target than this is switched at it
 # m by which corners may be cut, as far as `Agreement` lets paths differ: in beads beyond the tolerance, and in travel
 ROUNDING, TRAVEL = 0.03e-3, 1e-3
 
@@ -87,7 +86,7 @@ def judge(plan: Plan, program: Program, played: Played) -> Readback:
         took = spans[:, 1] - spans[:, 0]
         ratio = took / planned
         laid, worst = float(took.sum() / planned.sum()), float(ratio[np.argmax(np.abs(ratio - 1.0))])
-    inside, edges = _laid(played, len(program.fine))
+    inside, edges = laid_targets(played)
     cut = _cut(program, played)
     return Readback(
         agreement=compare(plan, nozzle),
@@ -98,32 +97,6 @@ def judge(plan: Plan, program: Program, played: Played) -> Readback:
         stops=int(np.count_nonzero(inside & program.fine & (program.wait == 0.0))),
         strays=played.strays,
     )
-
-
-def laid_spans(played: Played) -> Array:
-    """When the extruder goes on, and off again (b, 2) [s], whatever its outputs; off again last at the end."""
-    spans, on = [], float("nan")
-    for event in played.events:
-        if event.kind == "output" and event.value and np.isnan(on):
-            on = event.t
-        elif event.kind == "output" and not event.value and not np.isnan(on):
-            spans.append((on, event.t))
-            on = float("nan")
-    return np.array(spans).reshape(-1, 2)
-
-
-def _laid(played: Played, m: int) -> tuple[Flags, Flags]:
-    """Targets (m) within beads, and those at which beads begin or end."""
-    more = np.zeros(m + 1, dtype=np.intp)  # beads that begin between a target and the one before, less those that end
-    edges = np.zeros(m, dtype=bool)
-    for event in played.events:
-        if event.kind == "output":
-            passed = event.move if event.t >= played.arrive[event.move] else event.move - 1
-            more[passed + 1] += 1 if event.value else -1
-            there = played.position[played.target[max(passed, 0)]]
-            edges[max(passed, 0)] |= bool(np.linalg.norm(there - event.position) < AT_TARGET)
-    inside = np.cumsum(more)[:m] > 0
-    return inside & ~edges, edges
 
 
 def _cut(program: Program, played: Played) -> Array:

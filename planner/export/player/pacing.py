@@ -76,7 +76,8 @@ def pace(program: Program, cell: Cell, knots: Knots) -> Pace:
     waits = np.zeros(len(knots.q))
     waits[knots.target] += program.wait  # targets are at different knots, even where they are at the same place
     leave = np.concatenate([[0.0], np.cumsum(took + waits[1:])])
-    names = ("the tip", "reorientation", "an axis of the station", *cell.joint_names)
+    joints = (f"the speed limit of {name}" for name in cell.joint_names)
+    names = ("the tip", "reorientation", "an axis of the station", *joints)
     return Pace(leave, length, phases, limit, names, leave[knots.target] - program.wait)
 
 
