@@ -45,7 +45,7 @@ def row(plan: Plan) -> tuple[list[str], list[str]]:
     found, judging = timed(lambda: judge(plan, program, played))
     agreement = found.agreement
     cells = [
-        f"{len(plan.trajectory):,}",
+        f"{sum(len(bead.s) for bead in plan.toolpath.beads):,}",
         f"{len(program.linear):,}",
         f"{1e3 * agreement.path:.3f} mm",
         f"{1e3 * found.corner:.3f} mm",
@@ -65,9 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("problems", nargs="*", metavar="PROBLEM", help="default: all that ship")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     options = parser.parse_args(arguments)
-    table = Table(
-        *COLUMNS, title="Programs against their plans; waypoints are the plan's samples", title_justify="left"
-    )
+    table = Table(*COLUMNS, title="Programs against their plans", title_justify="left")
     code = EXIT_VERIFIED
     try:
         for name in options.problems or shipped_problems():
