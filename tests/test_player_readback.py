@@ -5,13 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from planner.errors import InputError
+from planner.export.languages import LANGUAGES
 from planner.export.player import play
 from planner.export.player.laying import laid_moves, laid_spans, laid_targets
 from planner.export.player.limited import ACCELERATION, limited
 from planner.export.rapid.reader import read_rapid
-from planner.export.rapid.writer import rapid
+from planner.export.rapid.writer import rapid, rapid_files
 from planner.export.readback import judge, readback
-from tests.export_fixtures import make_plan
+from tests.export_fixtures import make_plan, socket_plan
 
 PLAN = make_plan()
 PROGRAM = read_rapid(rapid(PLAN))
@@ -50,6 +52,28 @@ def test_a_plan_s_own_program_is_what_was_planned(options):
     assert found.agreement.angle < np.radians(0.1)
     assert found.agreement.event < 0.1e-3
     assert readback(plan, program) == []
+
+
+def test_lines_are_sent_when_they_were_planned():
+    plan = socket_plan()
+    files = rapid_files(plan)
+    program = read_rapid(next(text for name, text in files.items() if name.endswith(".mod")))
+    assert readback(plan, program) == []
+    played = play(program, plan.cell)
+    sent = [event for event in played.events if event.kind == "send"]
+    planned = [line.split(",", 4) for line in files["OneBead_lines.csv"].splitlines()[1:]]
+    assert [event.text for event in sent] == [text for *_, text in planned]
+    on = laid_spans(played)[0, 0]
+    begin = plan.trajectory.t[np.flatnonzero(plan.trajectory.deposit)[0]]
+    for event, (_, bead, _, t, _) in zip(sent, planned, strict=True):
+        if bead == "0":  # travel has other times, ramps to the bead too
+            assert event.t - on == pytest.approx(float(t) - begin, abs=0.03)
+    complaints = LANGUAGES["rapid"].complaints
+    assert complaints(plan, files) == []
+    text = files["OneBead.mod"]
+    line = next(line for line in text.splitlines() if "G1 E" in line)
+    with pytest.raises(InputError):
+        complaints(plan, files | {"OneBead.mod": text.replace(line + "\n", "", 1)})
 
 
 def moved_trigger(program, at, by):

@@ -71,7 +71,8 @@ def _events(program: Program, knots: Knots, played: Played) -> tuple[Happening, 
             found.append((t, i, ORDER["output"], "output", float(trigger.value), trigger.signal))
     for i, lines in program.sends.items():
         t = 0.0 if i < 0 else float(played.arrive[i])
-        found += [(t, i, ORDER["send"], "send", 0.0, line) for line in lines]
+        rested = program.send_rests.get(i, (0.0,) * len(lines))
+        found += [(t + rest, i, ORDER["send"], "send", 0.0, line) for rest, line in zip(rested, lines, strict=True)]
     for i in np.flatnonzero(program.wait > 0.0).tolist():
         found.append((float(played.arrive[i]), i, ORDER["wait"], "wait", float(program.wait[i]), ""))
     found.sort(key=lambda event: event[:3])  # stable: lines of one place keep their order
