@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from planner.errors import InputError
+from planner.export.corners import closer_at_turns
 from planner.export.languages import LANGUAGES
 from planner.export.player import play
 from planner.export.player.laying import laid_moves, laid_spans, laid_targets
@@ -176,3 +177,19 @@ def test_what_slows_a_program_down_is_named():
     assert found <= names | {ACCELERATION}
     weak = replace(PLAN.cell, limits=replace(PLAN.cell.limits, acceleration=0.02 * PLAN.cell.limits.acceleration))
     assert [each.by for each in limited(PROGRAM, play(PROGRAM, weak))] == [ACCELERATION]
+
+
+def test_targets_draw_near_a_sharp_turn():
+    way = np.linspace(0.0, 0.8e-3, 9)[:, None]
+
+    def drawn(turn, counts=True):
+        """Samples that are targets of 0.8 mm straight on and 0.8 mm after a turn [rad]."""
+        tip = np.vstack([way[::-1] * [-1.0, 0.0, 0.0], way[1:] * [np.cos(turn), np.sin(turn), 0.0]])
+        return tip, closer_at_turns(np.array([0, 8, 16]), tip, np.full(len(tip), counts), 0.02e-3)
+
+    assert drawn(np.radians(10))[1].tolist() == [0, 8, 16]
+    assert drawn(np.radians(170), False)[1].tolist() == [0, 8, 16]
+    tip, sample = drawn(np.radians(170))
+    near = np.linalg.norm(tip[sample] - tip[8], axis=1)
+    assert sorted(near)[1] == pytest.approx(0.1e-3)  # neighbours, as near as samples stand: half of it is the zone
+    assert {0, 8, 16} < set(sample.tolist())

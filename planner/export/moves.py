@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.export.corners import closer_at_turns
 from planner.export.rests import Rests, Wait, rests_of
 from planner.export.rotations import angle, continuous, slerp
 from planner.export.thinning import Indices, thin
@@ -103,6 +104,8 @@ def plan_moves(plan: Plan, also: Indices | None = None) -> Moves:
     kept = _no_longer_than(np.flatnonzero(must), path, linear)
 
     sample = thin(kept, _Misfit(plan, quat, linear, rests))
+    cornered = trajectory.deposit & ~rests.fine & np.append(linear, False) & np.append(False, linear)
+    sample = closer_at_turns(sample, trajectory.tip, cornered, plan.problem.program.chord)
     a, b = sample[:-1], sample[1:]
     goes = ~rests.inside[b]  # from one sample of a wait to another there is no move
     a, b = a[goes], b[goes]
