@@ -264,6 +264,21 @@ def socket_plan() -> Plan:
     return replace(plan, problem=spec, trajectory=replace(t, **held, events=events))
 
 
+def demand_plan(**program: Any) -> Plan:
+    """One short bead with a dip on a fixed bed, in style `demand`."""
+    plan = make_plan(positioner=False, beads=1, length=0.012, detour=False)
+    spec = problem(False, style="demand", **program)
+    spec.name = "asked_bead"
+    return replace(plan, problem=spec)
+
+
+def in_modules(plan: Plan, moves: int) -> Plan:
+    """The plan with a program in modules of so many moves, fewer than a problem may ask for."""
+    spec = SimpleNamespace(**vars(plan.problem))
+    spec.program = spec.program.model_copy(update={"module_moves": moves})
+    return replace(plan, problem=spec)
+
+
 GOLDEN = Path(__file__).parent / "golden"
 
 
@@ -290,6 +305,7 @@ def golden_texts() -> dict[str, str]:
         "two_materials.gcode": gcode(mixed),
         "extrusion.gcode": gcode(plan),
         **{k: text for k, text in rapid_files(socket_plan()).items() if not k.endswith(".pgf")},
+        "AskedBead.mod": rapid(demand_plan()),
         "plan.json": plan_json(plan),
         "trajectory.csv": table.getvalue(),
     }

@@ -444,7 +444,7 @@ def test_reader_refuses_what_it_does_not_know(old, new, message):
 def test_numbers_survive_writing_and_reading(value, decimals):
     text = number(value, decimals)
     assert re.fullmatch(NUMBER, text)
-    (read,) = numbers(f"[{text}]", "[1]", 1)
+    (read,) = numbers(f"[{text}]", "[1]", ("RAPID", 1))
     assert abs(read - value) <= 0.5000001 * 10.0**-decimals + 1e-11
     assert not text.startswith("-") or read < 0.0
 
@@ -453,7 +453,7 @@ def test_numbers_survive_writing_and_reading(value, decimals):
 def test_only_plain_numbers_are_read(text):
     plain = re.fullmatch(r"-?\d+(\.\d+)?(E\d+)?", text, re.ASCII) is not None
     try:
-        numbers(f"[{text}]", "[1]", 1)
+        numbers(f"[{text}]", "[1]", ("RAPID", 1))
     except InputError:
         assert not plain
     else:

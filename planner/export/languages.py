@@ -11,8 +11,8 @@ from planner.export.extruder.writer import gcode
 from planner.export.joint_trajectory.check import trajectory_complaints
 from planner.export.joint_trajectory.writer import joint_trajectory, switches, switches_name, trajectory_name
 from planner.export.rapid.able import unsaid_in_rapid
-from planner.export.rapid.check import line_complaints
-from planner.export.rapid.reader import read_rapid
+from planner.export.rapid.check import demand_complaints, line_complaints
+from planner.export.rapid.reader import read_rapid_files
 from planner.export.rapid.text import module_name
 from planner.export.rapid.writer import rapid_files
 from planner.export.readback import readback
@@ -41,10 +41,12 @@ class Language:
 
 def _rapid_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
     name = module_name(plan.name)
-    program = read_rapid(files[f"{name}.mod"])
+    program = read_rapid_files(files)
     complaints = readback(plan, program)
     if plan.problem.program.style == "socket":
         complaints += line_complaints(plan, program, files[f"{name}_lines.csv"])
+    if plan.problem.program.style == "demand":
+        complaints += demand_complaints(plan, program)
     return complaints
 
 

@@ -77,8 +77,12 @@ def deposits(trajectory: Trajectory) -> tuple[Indices, Indices]:
     return first, last
 
 
-def plan_moves(plan: Plan, also: Indices | None = None) -> Moves:
-    """Choose the targets of a plan and say how each is approached; `also`: samples that are to be targets, too."""
+def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None) -> Moves:
+    """Choose the targets of a plan and say how each is approached.
+
+    also  samples that are to be targets, too
+    fed   (n) filament that is fed by each sample [m], for which every move that lays material has one rate
+    """
     trajectory = plan.trajectory
     n, na = len(trajectory), len(plan.cell.arm)
     quat = continuous(trajectory.quat)
@@ -103,7 +107,7 @@ def plan_moves(plan: Plan, also: Indices | None = None) -> Moves:
     must[1:] |= np.diff(trajectory.branch) != 0
     kept = _no_longer_than(np.flatnonzero(must), path, linear)
 
-    sample = thin(kept, _Misfit(plan, quat, linear, rests))
+    sample = thin(kept, _Misfit(plan, quat, linear, rests, fed))
     cornered = trajectory.deposit & ~rests.fine & np.append(linear, False) & np.append(False, linear)
     sample = closer_at_turns(sample, trajectory.tip, cornered, plan.problem.program.chord)
     a, b = sample[:-1], sample[1:]
@@ -138,9 +142,11 @@ def plan_moves(plan: Plan, also: Indices | None = None) -> Moves:
 class _Misfit:
     """How far the controller's interpolation between two samples misses a third, in tolerances."""
 
-    def __init__(self, plan: Plan, quat: Array, linear: Flags, rests: Rests) -> None:
+    def __init__(self, plan: Plan, quat: Array, linear: Flags, rests: Rests, fed: Array | None) -> None:
         self._trajectory, self._cell, self._quat, self._linear = plan.trajectory, plan.cell, quat, linear
-        self._clock = rests.clock
+        self._clock, self._fed = rests.clock, fed
+        top = 0.0 if fed is None else float(np.diff(fed).max(initial=0.0)) / plan.trajectory.dt
+        self._amount = max(top * TIME_TOLERANCE, 1e-12)  # of filament, out of place [m]
         self._external = plan.trajectory.q[:, len(plan.cell.arm) :]
         self._chord, self._tangent = plan.problem.program.chord - ROUNDING, plan.problem.program.tangent
 
@@ -159,6 +165,10 @@ class _Misfit:
         turned = angle(slerp(self._quat[a], self._quat[b], u), self._quat[k]) / ANGLE_TOLERANCE
         late = np.where(self._trajectory.deposit[k], np.abs(t[a] + u * (t[b] - t[a]) - t[k]) / TIME_TOLERANCE, 0.0)
         worst = np.maximum(np.maximum(off, turned), np.maximum(late, self._leaning(a, b, k) / self._tangent))
+        if self._fed is not None:
+            even = self._fed[a] + (t[k] - t[a]) / np.maximum(t[b] - t[a], 1e-9) * (self._fed[b] - self._fed[a])
+            unevenly = np.where(self._trajectory.deposit[k], np.abs(even - self._fed[k]) / self._amount, 0.0)
+            worst = np.maximum(worst, unevenly)
         for e in self._external.T:
             worst = np.maximum(worst, np.abs(e[a] + u * (e[b] - e[a]) - e[k]) / ANGLE_TOLERANCE)
         out: Array = worst

@@ -86,6 +86,18 @@ class ProgramSpec(Section):
         "output",
     )
     socket: SocketSpec = key("socket", "where style socket waits for its relay; each has a default", {})
+    demand_signal: Identifier = key("demand_signal", "the analog output of style demand", "aoDemand")
+    demand_scale: Annotated[float, Quantity("", 1e-6, 1e6)] = key(
+        "demand_scale", "value of that output for each mm3/s of filament, such as volts", 0.5
+    )
+    demand_most: Annotated[float, Quantity("", 1e-6, 1e9)] = key(
+        "demand_most", "greatest value that it can have; a plan that asks for more is refused", 10
+    )
+    module_moves: Annotated[int, Quantity("", 100, 1_000_000, whole=True)] = key(
+        "module_moves",
+        "moves of a RAPID module; a program of more is split into modules that are loaded on the way",
+        5000,
+    )
     chord: Annotated[float, Quantity("mm", 0.005, 1)] = key(
         "chord_mm", "how far a line of the program may be from the bead that it stands for [mm]", 0.02
     )
@@ -96,7 +108,7 @@ class ProgramSpec(Section):
     @model_validator(mode="after")
     def _distinct(self) -> ProgramSpec:
         seen: dict[str, str] = {}
-        for field in ("tool", "work_object", "station", "extruder_signal"):
+        for field in ("tool", "work_object", "station", "extruder_signal", "demand_signal"):
             name = getattr(self, field)
             first = seen.setdefault(name.lower(), field)  # RAPID does not tell capitals from small letters
             if first != field:

@@ -1,4 +1,4 @@
-"""Style `socket`, read back: do the lines move the filament that the plan has, by the right tool and where it has it?"""
+"""Styles `socket` and `demand`, read back: is the filament moved that the plan has, by the right tool and in place?"""
 
 from __future__ import annotations
 
@@ -8,17 +8,23 @@ import re
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner.export.extruder.check import AMOUNT
 from planner.export.extruder.orders import orders
 from planner.export.moves import deposits
 from planner.export.program import Program
+from planner.export.rapid.demand import PERCENT, flow
 from planner.export.rapid.lines import COLUMNS, RELATIVE
 from planner.materials import used
 
 if TYPE_CHECKING:
     from planner.plan import Plan
 
+Array = NDArray[np.float64]
+
+SHIFTS = (-1, 0, 1)  # samples by which a target may be mistaken for its neighbour
+ROUNDING = 2e-6  # m; a trigger nearer to a move's end, or start, stands there
 _EXTRUDES = re.compile(r"G1 E(-?\d+\.\d+) F(\d+\.\d+)", re.ASCII)
 _SELECTS = re.compile(r"T(\d+)", re.ASCII)
 
@@ -78,3 +84,45 @@ def _fed_elsewhere(plan: Plan, program: Program) -> list[str]:
                 worst = max(worst, abs(float(sent[move] - (t.feed[sample] - t.feed[0]))))
     words = f"where a bead begins or ends, {worst * 1e3:.3g} mm of filament are fed too early or too late"
     return [] if worst <= near else [words]
+
+
+def demand_complaints(plan: Plan, program: Program) -> list[str]:
+    """Whether each move in a bead asks for a flow that the plan has there, and nothing is asked for elsewhere."""
+    t, scale = plan.trajectory, plan.problem.program.demand_scale * 1e9
+    planned = flow(plan) * scale
+    total = np.concatenate([[0.0], np.cumsum(planned)])
+    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(t.tip, axis=0), axis=1))])
+    lengths = np.linalg.norm(np.diff(program.position, axis=0, prepend=program.position[:1]), axis=1)
+    way = np.cumsum(lengths)
+    asked = _asked(program, lengths)
+    switched = [(move, trigger) for move in sorted(program.triggers) for trigger in program.triggers[move]]
+    edges = [move if not trigger.from_start else move - 1 for move, trigger in switched]
+    first, last = deposits(t)
+    if len(edges) != 2 * len(first):
+        return ["the extruder is not switched on and off once for each bead"]
+    step = PERCENT * float(planned.max(initial=0.0))
+    worst, wrong = 0.0, np.nan_to_num(asked, nan=1.0)
+    for a, b, begin, end in zip(first.tolist(), last.tolist(), edges[::2], edges[1::2], strict=True):
+        along = (way[begin : end + 1] - way[begin]) * ((path[b] - path[a]) / max(way[end] - way[begin], 1e-12))
+        near = np.clip(a + np.searchsorted(path[a : b + 1] - path[a], along), a, b)
+        for i, (since, until) in enumerate(zip(near[:-1].tolist(), near[1:].tolist(), strict=True), begin + 1):
+            ends = [(max(since + d, a), min(max(until + e, since + d + 1), b)) for d in SHIFTS for e in SHIFTS]
+            means = [float(total[k] - total[j]) / max(k - j, 1) for j, k in ends]
+            off = max(min(means) - asked[i], asked[i] - max(means))
+            worst = np.inf if np.isnan(off) else max(worst, off)
+        wrong[begin + 1 : end + 1] = 0.0
+    found = [] if worst <= 1.01 * step else [f"a flow is asked for that is off by {worst / step:.3g} % of the largest"]
+    return found + (["a flow is asked for outside of beads"] if wrong.any() else [])
+
+
+def _asked(program: Program, lengths: Array) -> Array:
+    """Value of the analog output along each move (m); NaN where it changes within one."""
+    out, now = np.empty(len(program.linear)), 0.0
+    for i in range(len(out)):
+        levels = program.demands.get(i, ())
+        at_start = [value for far, value in levels if far >= lengths[i] - ROUNDING]
+        at_end = [value for far, value in levels if far <= ROUNDING and len(at_start) < len(levels)]
+        now = at_start[-1] if at_start else now
+        out[i] = now if len(at_start) + len(at_end) >= len(levels) else np.nan
+        now = at_end[-1] if at_end else now
+    return out

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from planner.errors import InputError
 from planner.export.extruder.orders import orders
 from planner.export.moves import Moves, deposits
+from planner.export.rapid.fed import laid_filament
 
 if TYPE_CHECKING:
-    from planner.plan import Event, Plan, Trajectory
+    from planner.plan import Plan, Trajectory
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -46,12 +47,6 @@ class Line:
     bead: int
     layer: int
     text: str
-
-
-def event_samples(trajectory: Trajectory) -> Indices:
-    """Samples at which the extruder begins or ends to move filament besides depositing: lines begin or end there."""
-    edges = [_samples(trajectory, event) for event in trajectory.events if event.amount != 0.0]
-    return np.unique(np.array(edges, dtype=np.intp))
 
 
 def lines_of(plan: Plan, moves: Moves) -> tuple[Line, ...]:
@@ -86,13 +81,6 @@ def table(lines: tuple[Line, ...]) -> str:
     return out.getvalue()
 
 
-def _samples(t: Trajectory, event: Event) -> tuple[int, int]:
-    """First and last sample between which an event moves its filament."""
-    since = int(np.searchsorted(t.t, event.start, side="right")) - 1
-    until = int(np.searchsorted(t.t, event.start + event.duration))
-    return max(since, 0), min(until, len(t) - 1)
-
-
 def _ordered(plan: Plan) -> list[tuple[float, str, int, int]]:
     """Lines of what the board is told besides moving filament: (time [s], text, bead, layer)."""
     t, fibre = plan.trajectory, plan.problem.process.fibre
@@ -115,14 +103,12 @@ def _layer(t: Trajectory, at: float) -> int:
 def _feeding(t: Trajectory, moves: Moves) -> list[tuple[float, str, int, int]]:
     """`G1 E F` for every segment and event in which filament moves: (time [s], text, bead, layer)."""
     found = []
-    fed = t.feed - t.feed[0]
     for event in t.events:
         if event.amount != 0.0:
-            fed = fed - event.amount * np.clip((t.t - event.start) / event.duration, 0.0, 1.0)
             text = _extrude(event.amount * 1e3, event.duration)
             found.append((event.start - float(t.t[0]), text, event.bead, _layer(t, event.start)))
     cuts, bead = _segments(t, moves)
-    fed = np.round(fed[_whole(t)[cuts]] * 1e3, DECIMALS)
+    fed = np.round(laid_filament(t)[_whole(t)[cuts]] * 1e3, DECIMALS)
     amount = np.diff(fed)  # differences of rounded totals: rounding never adds up
     clock = t.t[cuts] - t.t[0]
     layer = t.layer[(cuts[:-1] + cuts[1:] + 1) // 2]

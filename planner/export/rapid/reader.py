@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import InputError
 from planner.export.program import Program, Trigger
+from planner.export.rapid.modules import LOADED_BEFORE
 from planner.export.rapid.server import FIRST_PORT, LAST_PORT, OPEN, server
 from planner.export.rapid.syntax import (
     SHAPE_JOINTS,
     Module,
     Parts,
+    Place,
     Step,
     error,
     numbers,
@@ -31,11 +33,16 @@ _BIND = re.compile(r'SocketBind bwServer,"(\d{1,3}(?:\.\d{1,3}){3})",(\d{4});', 
 
 
 def read_rapid(text: str) -> Program:
-    """Program of RAPID text as `writer.rapid` writes it.
+    """Program of RAPID text as `writer.rapid` writes it, in one module; else as `read_rapid_files`."""
+    return _Run([parse(text, "RAPID")]).program()
 
-    Raises InputError with the line for a statement, name or shape that is not known.
+
+def read_rapid_files(files: Mapping[str, str]) -> Program:
+    """Program of the modules (*.mod) of `writer.rapid_files`, whatever else there is.
+
+    Raises InputError with file and line for a statement, name or shape that is not known.
     """
-    return _Run(parse(text)).program()
+    return _Run([parse(text, file) for file, text in files.items() if file.endswith(".mod")]).program()
 
 
 def _radians(degrees: Array) -> Array:
@@ -43,68 +50,105 @@ def _radians(degrees: Array) -> Array:
     return np.where(degrees > 1e9, np.nan, np.radians(degrees))
 
 
-def _known(line: int, name: str | None, names: Collection[str]) -> str:
+def _known(place: Place, name: str | None, names: Collection[str]) -> str:
     if name is None or name not in names:
-        raise error(line, f"unknown name {name!r}")
+        raise error(place, f"unknown name {name!r}")
     return name
 
 
 class _Run:
-    """What the module does, statement by statement."""
+    """What the modules do, statement by statement."""
 
-    def __init__(self, module: Module) -> None:
-        if "main" not in module.procs or len(module.tool) != 1 or len(module.wobj) != 1:
-            raise InputError("no complete module with main, one tool and one work object", file="RAPID")
-        self.module = module
+    def __init__(self, modules: Sequence[Module]) -> None:
+        mains = [module for module in modules if "main" in module.procs]
+        if len(mains) != 1 or len(mains[0].tool) != 1 or len(mains[0].wobj) != 1:
+            raise InputError("no complete module with main, one tool and one work object", file=modules[0].file)
+        self.module = mains[0]
+        self.others = {module.name: module for module in modules if module is not self.module}
+        self.loaded: dict[str, Module] = {}
         self.trigger: dict[str, Trigger] = {}
+        self.demand: dict[str, tuple[float, bool, float]] = {}
         self.outputs: dict[str, None] = {}
         self.start: list[float] = []
-        self.moves: list[tuple[int, Parts]] = []
+        self.moves: list[tuple[Place, Parts]] = []
         self.waits: dict[int, float] = {}
         self.sends: dict[int, list[str]] = {}
         self.rested: dict[int, list[float]] = {}
         self.sent = 0
         self.calls: list[str] = []  # of the socket's procedures
-        for step in self.steps("main", 0):
+        for module in self.others.values():
+            if module.tool or module.wobj or module.speeds or module.triggers or module.server:
+                raise InputError("a module that is loaded has procedures and nothing else", file=module.file)
+        known: dict[str, str] = {}
+        for module in modules:
+            for proc in module.procs:
+                first = known.setdefault(proc.lower(), module.file)
+                if first is not module.file:
+                    raise InputError(f"procedure {proc} stands there twice, first in {first}", file=module.file)
+        loads = self.run()
+        if self.module.fallback != ([line.strip() for line in LOADED_BEFORE] if loads else []):
+            raise InputError("main handles other errors than that a module was loaded before", file=self.module.file)
+        if set(self.others) != loads:
+            raise InputError(f"not loaded: {', '.join(sorted(set(self.others) - loads))}", file=self.module.file)
+
+    def run(self) -> set[str]:
+        """Follow main; returns the names of all modules that were loaded."""
+        loads: set[str] = set()
+        for step in self.module.procs["main"]:
+            word, place, parts = step
+            if word == "call":
+                self.call(place, parts[0], self.module.procs)
+            elif word == "late":
+                self.call(place, parts[0], {k: v for each in self.loaded.values() for k, v in each.procs.items()})
+            elif word == "load":
+                way, name = parts
+                at = len(self.moves) - 1
+                if at < 0 or self.moves[at][1][5] != "fine":
+                    raise error(place, "modules are loaded, and taken out, at rest")
+                if way == "UnLoad ":
+                    self.loaded.pop(_known(place, name, self.loaded))
+                else:
+                    other = _known(place, name, set(self.others) - set(self.loaded))
+                    self.loaded[other] = self.others[other]
+                    loads.add(other)
+            else:
+                self.take(step)
+        return loads
+
+    def call(self, place: Place, name: str | None, procs: Mapping[str, list[Step]]) -> None:
+        for step in procs[_known(place, name, procs)]:
+            if step[0] in ("call", "late", "load"):
+                raise error(step[1], "only main calls procedures, and loads modules")
             self.take(step)
 
-    def steps(self, name: str, depth: int) -> list[Step]:
-        out: list[Step] = []
-        for step in self.module.procs[name]:
-            word, line, parts = step
-            if word == "call":
-                called = _known(line, parts[0], self.module.procs)
-                if depth:
-                    raise error(line, "only main calls procedures")
-                out += self.steps(called, depth + 1)
-            else:
-                out.append(step)
-        return out
-
     def take(self, step: Step) -> None:
-        word, line, parts = step
+        word, place, parts = step
         at = len(self.moves) - 1
         if word == "absolute":
             if self.moves or self.start:
-                raise error(line, "MoveAbsJ is for the start only")
-            _known(line, parts[1], self.module.speeds)
-            self.start = numbers(str(parts[0]), SHAPE_JOINTS, line)
+                raise error(place, "MoveAbsJ is for the start only")
+            _known(place, parts[1], self.module.speeds)
+            self.start = numbers(str(parts[0]), SHAPE_JOINTS, place)
         elif word == "trigger":
             name, distance, from_start, signal, value = parts
             far = float(str(distance)) * 1e-3
             trigger = Trigger(far, bool(from_start), value == "1", str(signal))
-            self.trigger[_known(line, name, self.module.triggers)] = trigger
+            self.trigger[_known(place, name, self.module.triggers)] = trigger
             self.outputs[str(signal)] = None
+        elif word == "demand":
+            name, distance, from_start, _, value = parts
+            level = (float(str(distance)) * 1e-3, bool(from_start), float(str(value)))
+            self.demand[_known(place, name, self.module.triggers)] = level
         elif word == "move":
-            self.moves.append((line, parts))
+            self.moves.append((place, parts))
         elif word == "wait":
             if at < 0:
-                raise error(line, "a wait before the first target")
+                raise error(place, "a wait before the first target")
             self.waits[at] = self.waits.get(at, 0.0) + float(str(parts[0]))
         elif word == "send":
             self.sent += 1
             if self.calls != [OPEN] or at < 0 or int(str(parts[0])) != self.sent:
-                raise error(line, f"line {parts[0]} is sent out of order")
+                raise error(place, f"line {parts[0]} is sent out of order")
             self.sends.setdefault(at, []).append(str(parts[1]))
             self.rested.setdefault(at, []).append(self.waits.get(at, 0.0))
         elif word == "socket":
@@ -115,16 +159,21 @@ class _Run:
             raise InputError("no moves", file="RAPID")
         self.check_server()
         speeds, triggers, module = [], {}, self.module
-        for i, (line, (word, _, speed, first, others, _, tool, wobj)) in enumerate(self.moves):
+        asks: dict[int, list[tuple[float, bool, float]]] = {}
+        for i, (place, (word, _, speed, first, others, _, tool, wobj)) in enumerate(self.moves):
             if speed not in module.speeds or tool not in module.tool or wobj not in module.wobj:
                 for name, names in ((speed, module.speeds), (tool, module.tool), (wobj, module.wobj)):
-                    _known(line, name, names)
+                    _known(place, name, names)
             speeds.append(module.speeds[str(speed)])
             if (first is not None) != (word == "TriggL"):
-                raise error(line, "TriggL, and nothing else, has triggers")
+                raise error(place, "TriggL, and nothing else, has triggers")
             if first is not None:
-                triggers[i] = tuple(self.trigger[name] for name in self.used(line, first, others or ""))
+                used = self.used(place, first, others or "")
+                if switches := tuple(self.trigger[name] for name in used if name in self.trigger):
+                    triggers[i] = switches
+                asks[i] = [self.demand[name] for name in used if name in self.demand]
         table = target_numbers([str(parts[1]) for _, parts in self.moves])
+        lengths = np.linalg.norm(np.diff(table[:, :3] * 1e-3, axis=0, prepend=table[:1, :3] * 1e-3), axis=1)
         station, uframe, oframe = next(iter(module.wobj.values()))
         return Program(
             module=module.name,
@@ -144,15 +193,22 @@ class _Run:
             wait=np.array([self.waits.get(i, 0.0) for i in range(len(self.moves))]),
             triggers=triggers,
             sends={i: tuple(texts) for i, texts in self.sends.items()},
+            demands={
+                i: tuple((float(lengths[i]) - far if from_start else far, value) for far, from_start, value in own)
+                for i, own in asks.items()
+                if own
+            },
             send_rests={i: tuple(rests) for i, rests in self.rested.items()},
         )
 
-    def used(self, line: int, first: str, others: str) -> list[str]:
+    def used(self, place: Place, first: str, others: str) -> list[str]:
         """The triggers of a move, T1, T2 and so on."""
         numbered = [each.split(":=") for each in others.split("\\")[1:]]
         if [number for number, _ in numbered] != [f"T{k}" for k in range(2, len(numbered) + 2)]:
-            raise error(line, "the triggers are not numbered T2, T3, …")
-        return [_known(line, name, self.trigger) for name in (first, *(name for _, name in numbered))]
+            raise error(place, "the triggers are not numbered T2, T3, …")
+        return [
+            _known(place, name, {**self.trigger, **self.demand}) for name in (first, *(name for _, name in numbered))
+        ]
 
     def check_server(self) -> None:
         """The socket's procedures must stand there as they always do, whatever the address."""
@@ -160,11 +216,11 @@ class _Run:
         if not written and not self.calls and not self.sent:
             return
         if len(self.calls) != 2 or not written:
-            raise error(module.served, "the socket is not opened and closed once each")
+            raise error((module.file, module.served), "the socket is not opened and closed once each")
         binds = _BIND.search("\n".join(written))
         if binds is None or not FIRST_PORT <= int(binds[2]) <= LAST_PORT:
-            raise error(module.served, "the socket is bound to nothing that it may be bound to")
+            raise error((module.file, module.served), "the socket is bound to nothing that it may be bound to")
         expected = server(module.name, self.sent, binds[1], int(binds[2]), self.outputs)
         for k, (line, right) in enumerate(itertools.zip_longest(written, expected), module.served):
             if line != right:
-                raise error(k, f"the socket's procedures say {line!r} instead of {right!r}")
+                raise error((module.file, k), f"the socket's procedures say {line!r} instead of {right!r}")

@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 
 from planner.errors import InputError
 from planner.export.rapid.lines import LONGEST_LINE
+from planner.export.rapid.modules import HOME
 from planner.export.rapid.server import END, LATEST, LINE, OPEN, SETTLE, server_declarations
 
 Array = NDArray[np.float64]
 Parts = tuple[str | None, ...]
-Step = tuple[str, int, Parts]  # word, line, what stands in it
+Place = tuple[str, int]  # file, line
+Step = tuple[str, Place, Parts]  # word, place, what stands in it
 
 NUMBER = r"-?[0-9]+(?:\.[0-9]+)?(?:E[0-9]+)?"
 _NUMBER = re.compile(NUMBER)
@@ -34,11 +36,16 @@ PATTERNS = {
         "variable": rf"VAR triggdata ({NAME});",
         "trigger": rf"TriggIO ({NAME}),({NUMBER})(\\Start)?\\DOp:=({NAME}),([01]);",
         "proc": rf"PROC ({NAME})\(\)",
+        "demand": rf"TriggIO ({NAME}),({NUMBER})(\\Start)?\\AOp:=({NAME}),({NUMBER});",
         "absolute": rf"MoveAbsJ ({NEST}),({NAME}),fine,({NAME})\\WObj:=({NAME});",
         "move": rf"(MoveJ|MoveL|TriggL) ({NEST}),({NAME})(?:,{_TRIGGERS})?,(fine|z0|z1),({NAME})\\WObj:=({NAME});",
         "wait": rf"WaitTime ({NUMBER});",
         "unit": rf"(ActUnit|DeactUnit) ({NAME});",
         "output": rf"SetDO ({NAME}),([01]);",
+        "demanded": rf"SetAO ({NAME}),({NUMBER});",
+        "load": rf'(Load \\Dynamic,|UnLoad )"{HOME}"\\File:="({NAME}).mod";',
+        "late": rf'%"({NAME})"%;',
+        "error": r"(ERROR)",
         "write": r'TPWrite "([^"]{0,80})";',
         "send": rf'{LINE} ([0-9]{{1,7}}),"([A-Z][-A-Z0-9 .]{{0,{LONGEST_LINE - 1}}})";',
         "settle": rf"{SETTLE} {LATEST};",
@@ -55,21 +62,21 @@ _TARGET = "],\\[".join(",".join([NUMBER] * count) for count in (3, 4, 4, 6))
 _MOVE = re.compile(PATTERNS["move"].pattern.replace(f"({NEST})", rf"(\[\[{_TARGET}\]\])", 1))
 
 
-def error(line: int, reason: str) -> InputError:
+def error(place: Place, reason: str) -> InputError:
     """What is wrong in a line of the program."""
-    return InputError(reason, line=line, file="RAPID")
+    return InputError(reason, file=place[0], line=place[1])
 
 
-def numbers(nest: str, shape: str, line: int) -> list[float]:
+def numbers(nest: str, shape: str, place: Place) -> list[float]:
     """Flat numbers of a nested list such as [[1,2,3],[1,0,0,0]], whose inner lengths must be `shape`, e.g. [3,4]."""
     groups = nest[2:-2].split("],[") if nest.startswith("[[") and nest.endswith("]]") else [nest[1:-1]]
     items = [group.split(",") for group in groups]
     if f"[{','.join(str(len(item)) for item in items)}]" != shape:
-        raise error(line, f"expected lists of lengths {shape} in {nest[:60]}")
+        raise error(place, f"expected lists of lengths {shape} in {nest[:60]}")
     flat = [value for item in items for value in item]
     for value in flat:
         if not _NUMBER.fullmatch(value):
-            raise error(line, f"{value!r} is not a number")
+            raise error(place, f"{value!r} is not a number")
     return [float(value) for value in flat]
 
 
@@ -80,16 +87,17 @@ def target_numbers(nests: Sequence[str]) -> Array:
     return np.fromstring(flat, sep=",").reshape(len(nests), 17)
 
 
-def pose(nest: str, line: int) -> Array:
+def pose(nest: str, place: Place) -> Array:
     """Position [m] and quaternion x y z w of a RAPID pose."""
-    x, y, z, qw, qx, qy, qz = numbers(nest, SHAPE_POSE, line)
+    x, y, z, qw, qx, qy, qz = numbers(nest, SHAPE_POSE, place)
     return np.array([x * 1e-3, y * 1e-3, z * 1e-3, qx, qy, qz, qw])
 
 
 @dataclass(frozen=True)
 class Module:
-    """What stands in a module. `server` holds the lines of the socket's procedures, from line `served` on, unread."""
+    """What stands in a module. `server` holds the lines of the socket's procedures, from `served` on, unread."""
 
+    file: str
     name: str = ""
     tool: dict[str, Array] = field(default_factory=dict)
     wobj: dict[str, tuple[str, Array, Array]] = field(default_factory=dict)
@@ -98,11 +106,12 @@ class Module:
     procs: dict[str, list[Step]] = field(default_factory=dict)
     server: list[str] = field(default_factory=list)
     served: int = 0
+    fallback: list[str] = field(default_factory=list)
 
 
-def parse(text: str) -> Module:
+def parse(text: str, file: str) -> Module:
     """The statements of one module. Raises InputError with the line for what is not known, or stands where it may not."""
-    parser = _Parser()
+    parser = _Parser(file)
     raw = text.split("\n")
     begins = f"    PROC {OPEN}()"
     served = raw.index(begins) if begins in raw else len(raw)
@@ -110,27 +119,31 @@ def parse(text: str) -> Module:
     for line, statement in enumerate(raw, start=1):
         statement = statement.strip()
         if statement and not statement.startswith("!") and not served < line <= closes:
-            parser.take(statement, line)
+            parser.take(statement, (file, line))
     if not parser.closed:
-        raise InputError("no complete module: ENDMODULE is missing", file="RAPID")
+        raise InputError("no complete module: ENDMODULE is missing", file=file)
     if parser.declared != (server_declarations() if served < len(raw) else []):
-        raise error(served, "the variables of the socket are others than its procedures need")
+        raise error((file, served), "the variables of the socket are others than its procedures need")
     return replace(parser.module, name=parser.name, server=raw[served:closes], served=served + 1)
 
 
 class _Parser:
-    def __init__(self) -> None:
-        self.module = Module()
+    def __init__(self, file: str) -> None:
+        self.module = Module(file)
         self.name = ""
         self.names: dict[str, int] = {}
         self.declared: list[str] = []
         self.current = ""
+        self.handling = False  # behind ERROR of main
         self.closed = False
 
-    def take(self, statement: str, line: int) -> None:
+    def take(self, statement: str, place: Place) -> None:
+        if self.handling and statement != "ENDPROC":
+            self.module.fallback.append(statement)
+            return
         move = _MOVE.fullmatch(statement)
         if move is not None and self.current and not self.closed:
-            self.module.procs[self.current].append(("move", line, move.groups()))
+            self.module.procs[self.current].append(("move", place, move.groups()))
             return
         if f"    {statement}" in server_declarations() and self.name and not self.current and not self.closed:
             self.declared.append(f"    {statement}")
@@ -138,39 +151,43 @@ class _Parser:
         known = ((word, pattern.fullmatch(statement)) for word, pattern in PATTERNS.items())
         word, match = next((pair for pair in known if pair[1]), ("", None))
         if match is None:
-            raise error(line, f"unknown statement {statement[:60]!r}")
+            raise error(place, f"unknown statement {statement[:60]!r}")
         parts = match.groups()
         if self.closed or (word != "module") == (not self.name):
-            raise error(line, f"{statement[:60]!r} stands outside the module")
+            raise error(place, f"{statement[:60]!r} stands outside the module")
         inside = word not in DECLARATIONS and statement != "ENDMODULE"
         if inside != bool(self.current):
-            raise error(line, f"{statement[:60]!r} stands {'outside' if inside else 'inside'} a procedure")
-        if word == "end":
+            raise error(place, f"{statement[:60]!r} stands {'outside' if inside else 'inside'} a procedure")
+        if word == "error":
+            self.handling = True
+            self.module.fallback.append(statement)
+        elif word == "end":
+            self.handling = False
             self.closed = statement == "ENDMODULE"
             self.current = ""
         elif word in DECLARATIONS:
-            self.declare(word, parts, line)
+            self.declare(word, parts, place)
         else:
             if word == "move":
-                numbers(str(parts[1]), SHAPE_TARGET, line)
-            self.module.procs[self.current].append((word, line, parts))
+                numbers(str(parts[1]), SHAPE_TARGET, place)
+            self.module.procs[self.current].append((word, place, parts))
 
-    def declare(self, word: str, parts: Parts, line: int) -> None:
+    def declare(self, word: str, parts: Parts, place: Place) -> None:
         name, module = str(parts[0]), self.module
         if name.lower() in self.names:  # RAPID does not tell capitals from small letters
             what = "procedure" if word == "proc" else "name"
-            raise error(line, f"{what} {name} stands there twice, first in line {self.names[name.lower()]}")
-        self.names[name.lower()] = line
+            raise error(place, f"{what} {name} stands there twice, first in line {self.names[name.lower()]}")
+        self.names[name.lower()] = place[1]
         if word == "module":
             self.name = name
         elif word == "tool":
-            module.tool[name] = pose(str(parts[1]), line)
+            module.tool[name] = pose(str(parts[1]), place)
         elif word == "wobj":
             if (parts[1] == "FALSE") != bool(parts[2]):
-                raise error(line, "a work object moves if, and only if, it names a station")
-            module.wobj[name] = (parts[2] or "", pose(str(parts[3]), line), pose(str(parts[4]), line))
+                raise error(place, "a work object moves if, and only if, it names a station")
+            module.wobj[name] = (parts[2] or "", pose(str(parts[3]), place), pose(str(parts[4]), place))
         elif word == "speed":
-            module.speeds[name] = numbers(str(parts[1]), "[4]", line)
+            module.speeds[name] = numbers(str(parts[1]), "[4]", place)
         elif word == "variable":
             module.triggers.add(name)
         else:
