@@ -113,7 +113,7 @@ def _turned(plan: Plan, now: Followed) -> Followed:
         i = int(lost[0])
         why = "no angles of its axes give the nozzle's direction"
         if ways.reached[i]:
-            both = ["/".join(f"{np.degrees(v):.1f}" for v in way) for way in ways.angles[i]]
+            both = ["/".join(f"{np.degrees(v):.2f}" for v in way) for way in ways.angles[i]]
             why = (
                 f"{'/'.join(now.machine.letters)} would have to stand at {' or '.join(both)} degrees, beyond range_deg"
             )
