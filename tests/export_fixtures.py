@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell import Cell, build_cell
+from planner.export.axes.writer import axes_gcode, file_name
 from planner.export.extruder.writer import gcode
 from planner.export.joint_trajectory.writer import joint_trajectory, switches
 from planner.export.plan_json import plan_json
@@ -22,6 +23,7 @@ from planner.export.table import write_table
 from planner.extrusion import feed_of_materials
 from planner.plan import Check, Event, Plan, Trajectory
 from planner.problem.cell import CellSpec
+from planner.problem.machine import MachineSpec
 from planner.problem.process import ProcessSpec
 from planner.problem.settings import ProgramSpec
 
@@ -311,6 +313,22 @@ def golden_texts() -> dict[str, str]:
     }
 
 
+def axes_texts() -> dict[str, str]:
+    """File name in tests/golden → what multi-axis machines are told today."""
+    plan = make_plan(beads=1, length=0.008, dip=False)
+    tilt = {"letter": "A", "direction": (1, 0, 0), "centre_mm": (0, 0, 20), "range_deg": (-120, 120)}
+    turn = {"letter": "C", "direction": (0, 0, 1), "range_deg": (-360, 360)}
+    trunnion = MachineSpec(flavour="reprap", type="table_table", rotary=(tilt, turn), part_mm=(-30, -30, 50))
+    heads = ({"letter": "C", "direction": (0, 0, 1)}, {"letter": "B", "direction": (0, 1, 0), "centre_mm": (0, 0, 150)})
+    fork = MachineSpec(flavour="linuxcnc", type="head_head", rotary=heads, tcp=True)
+    found = {}
+    for machine in (trunnion, fork):
+        program = plan.problem.program.model_copy(update={"machine": machine})
+        its = replace(plan, problem=SimpleNamespace(**vars(plan.problem) | {"program": program}))  # type: ignore[arg-type]
+        found[file_name(its)] = axes_gcode(its)
+    return found
+
+
 if __name__ == "__main__":  # after a change that is meant: write the golden files anew, and read the difference
-    for name, text in golden_texts().items():
+    for name, text in (golden_texts() | axes_texts()).items():
         (GOLDEN / name).write_text(text, encoding="utf-8", newline="\n")

@@ -120,6 +120,7 @@ HEAVY = {
         "nearest",
         "obstacles",
         "export.digits",
+        "export.axes.choice",
         "placement.margin_kernel",
     },
     "ruckig": {"travel"},

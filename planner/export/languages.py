@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from planner.export.axes.check import axes_complaints
+from planner.export.axes.writer import axes_gcode, file_name, unsaid_in_axes
 from planner.export.extruder.check import gcode_complaints
 from planner.export.extruder.writer import gcode
 from planner.export.joint_trajectory.check import trajectory_complaints
@@ -58,6 +60,12 @@ LANGUAGES: dict[str, Language] = {
         lambda plan: {trajectory_name(plan): joint_trajectory(plan), switches_name(plan): switches(plan)},
         trajectory_complaints,
     ),
+    "axes": Language(
+        "multi-axis G-code",
+        unsaid_in_axes,
+        lambda plan: {file_name(plan): axes_gcode(plan)},
+        lambda plan, files: axes_complaints(plan, files[file_name(plan)]),
+    ),
     "extruder": Language(
         "the extruder's G-code",
         lambda setup: None,
@@ -85,20 +93,31 @@ class Chosen:
 def chosen(setup: Setup) -> Chosen:
     """The languages that the problem asks for; without that, the one that the arm's controller speaks.
 
-    Raises InputError for one that was asked for and cannot say what the cell does.
+    A machine that the problem describes has its G-code then, too. Raises InputError for a language that was asked for
+    and cannot say what the cell does.
     """
     asked = setup.problem.program.languages
+    if asked is None and setup.problem.program.machine is not None:
+        if (reason := LANGUAGES["axes"].unsaid(setup)) is not None:
+            raise setup.problem.error("program.machine", reason)
+        usual = _usual(setup)
+        return Chosen(("axes", *usual.names), usual.note)
     if asked is None:
-        own = setup.cell.arm_robot.language
-        reason = LANGUAGES[own].unsaid(setup)
-        if reason is not None:
-            return Chosen(ALWAYS, f"no {LANGUAGES[own].title} program: {reason}")
-        return Chosen((own, *ALWAYS), "")
+        return _usual(setup)
     for i, name in enumerate(asked):
         reason = LANGUAGES[name].unsaid(setup)
         if reason is not None:
             raise setup.problem.error(f"program.languages.{i}", f"{name} cannot say this: {reason}", "leave it out")
     return Chosen((*asked, *ALWAYS), "")
+
+
+def _usual(setup: Setup) -> Chosen:
+    """The language of the arm's controller, or a note where that cannot say what the cell does."""
+    own = setup.cell.arm_robot.language
+    reason = LANGUAGES[own].unsaid(setup)
+    if reason is not None:
+        return Chosen(ALWAYS, f"no {LANGUAGES[own].title} program: {reason}")
+    return Chosen((own, *ALWAYS), "")
 
 
 def check_languages(problem: Problem, cell: Cell) -> None:

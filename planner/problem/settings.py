@@ -10,12 +10,13 @@ from pydantic import BeforeValidator, model_validator
 
 from planner.problem.fields import IDENTIFIER, LONGEST_NAME, UNIQUE, Quantity, Section, key, one_of, refusal
 from planner.problem.file import describe
+from planner.problem.machine import MachineSpec
 
 StrategyName = Literal["as_published", "fixed", "greedy", "ladder", "sqp", "nlp"]
 STRATEGY_NAMES: tuple[str, ...] = get_args(StrategyName)
 QPName = Literal["interior_point", "osqp"]
 QP_NAMES: tuple[str, ...] = get_args(QPName)
-LanguageName = Literal["rapid", "joint_trajectory"]
+LanguageName = Literal["rapid", "joint_trajectory", "axes"]
 LANGUAGE_NAMES: tuple[str, ...] = get_args(LanguageName)
 USUAL_LANGUAGE: LanguageName = "joint_trajectory"  # of arms whose file names none
 Identifier = Annotated[str, IDENTIFIER]
@@ -104,6 +105,7 @@ class ProgramSpec(Section):
     tangent: Annotated[float, Quantity("deg", 0.5, 45)] = key(
         "tangent_deg", "greatest angle between a bead and the line that stands for it [deg]", 45
     )
+    machine: MachineSpec | None = key("machine", "a multi-axis machine to write G-code for; default: none", None)
 
     @model_validator(mode="after")
     def _distinct(self) -> ProgramSpec:

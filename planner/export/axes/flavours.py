@@ -1,0 +1,84 @@
+"""How controllers differ in what is not motion: pauses, feed modes, and what an extruder's board is told.
+
+LinuxCNC knows no heaters and fans. Its M100 to M199 run programs of the user's with two numbers, P and Q, so the
+codes of printers within these keep their number there, and their words become P and Q.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+USERS_OWN = range(100, 200)  # M-codes of LinuxCNC that run a program of the user's
+
+
+@dataclass(frozen=True)
+class Flavour:
+    """A controller's way with G-code.
+
+    suffix     of the file's name
+    relative   filament is told by line, not in all
+    unit       of a pause's P [s]
+    pauses     how they are written
+    begin, end lines of the program
+    order      a line for a RepRapFirmware board, said to this controller; None where that cannot be
+    """
+
+    suffix: str
+    relative: bool
+    unit: float
+    pause: str
+    begin: tuple[str, ...]
+    end: tuple[str, ...]
+    order: Callable[[str], str | None]
+
+
+def _linuxcnc_order(line: str) -> str | None:
+    words = line.split(" ")
+    if re.fullmatch(r"T\d+", words[0]):
+        return f"{words[0]} M6"
+    if not words[0].startswith("M") or int(words[0][1:]) not in USERS_OWN or len(words) > 3:
+        return None
+    said = [words[0]]
+    for letter, word in zip("PQ", words[1:], strict=False):
+        said.append(letter + word[1:])
+    return " ".join(said)
+
+
+FLAVOURS = {
+    "linuxcnc": Flavour(
+        suffix="ngc",
+        relative=False,
+        unit=1.0,
+        pause="G4 P{:.3f}",
+        begin=("G17 G21 G40 G49 G80 G90",),
+        end=("M2",),
+        order=_linuxcnc_order,
+    ),
+    "reprap": Flavour(
+        suffix="gcode",
+        relative=True,
+        unit=1e-3,
+        pause="G4 P{:.0f}",
+        begin=("G21", "G90", "M83"),
+        end=("M400",),
+        order=lambda line: line,
+    ),
+}
+
+
+def feed_length(flavour: str, straight: Array, angles: Array, filament: float) -> float:
+    """What F counts per minute on a line that moves by these [mm, deg, mm]: the controller's own rule.
+
+    Both count X, Y and Z alone where these move. Where they rest, LinuxCNC counts U, V, W before the axes that turn,
+    RepRapFirmware all that turn before filament.
+    """
+    lengths = [float(np.linalg.norm(straight)), float(np.linalg.norm(angles)), abs(filament)]
+    order = (0, 2, 1) if flavour == "linuxcnc" else (0, 1, 2)
+    return next((lengths[i] for i in order if lengths[i] > 0.0), 0.0)
