@@ -17,6 +17,9 @@ from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.text import module_name
 from planner.export.rapid.writer import rapid_files
 from planner.export.setup import Given, Setup
+from planner.export.urscript.able import unsaid_in_urscript
+from planner.export.urscript.check import urscript_complaints
+from planner.export.urscript.writer import script_name, urscript
 
 if TYPE_CHECKING:
     from planner.cell import Cell
@@ -50,6 +53,9 @@ def _rapid_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
 
 LANGUAGES: dict[str, Language] = {
     "rapid": Language("RAPID", unsaid_in_rapid, rapid_files, _rapid_complaints),
+    "urscript": Language(
+        "URScript", unsaid_in_urscript, lambda plan: {script_name(plan): urscript(plan)}, urscript_complaints
+    ),
     "joint_trajectory": Language(
         "ROS JointTrajectory",
         lambda setup: None,
