@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from planner.cell import Cell, build_cell
 from planner.export.extruder.writer import gcode
 from planner.export.joint_trajectory.writer import joint_trajectory, switches
+from planner.export.krl.writer import krl_files
 from planner.export.plan_json import plan_json
 from planner.export.rapid.writer import pgf, rapid, rapid_files
 from planner.export.rotations import from_matrix
@@ -39,7 +40,12 @@ MATERIALS = {
     "pla": {"tool": 1, "nozzle_c": 195},
     "pva": {"tool": 0, "nozzle_c": 190, "extruder_signal": "doSupport", "filament_diameter_mm": 2.85},
 }
-HOMES = {"irb140": (30, 20, 30, 90, -80, 60), "ur5e": (150, -110, 110, 0, 70, 20)}
+HOMES = {
+    "irb140": (30, 20, 30, 90, -80, 60),
+    "ur5e": (150, -110, 110, 0, 70, 20),
+    "kr6_r900": (30, 20, 30, 90, -80, 60),
+}
+KUKA = Path(__file__).parent / "kuka" / "kr6_r900.yaml"  # a file of one's own, as the planner ships no KR
 TABLE_TURN = 0.6  # of the bead's turning done by the table; the arm does the rest
 
 
@@ -59,7 +65,9 @@ def problem(
     return SimpleNamespace(
         name="two_beads",
         file=Path("two_beads.yaml"),
-        cell=CellSpec(arm=arm, nozzle=nozzle, home_deg=HOMES[arm], **holder),
+        cell=CellSpec(arm=arm, nozzle=nozzle, home_deg=HOMES[arm], **holder).model_copy(
+            update={"arm": KUKA} if arm == "kr6_r900" else {}
+        ),
         process=ProcessSpec(
             **{"bead": bead, "materials": materials or {}, "change": CHANGE} | (process or {}),
             speed_mm_s=40,
@@ -280,6 +288,7 @@ def golden_texts() -> dict[str, str]:
     write_table(sliced(plan, slice(180, 220)), table)
     short = make_plan(beads=1, length=0.002, positioner=False)
     return {
+        **krl_files(make_plan(beads=1, length=0.010, arm="kr6_r900")),
         "TwoBeads.script": urscript(make_plan(beads=1, length=0.010, positioner=False, arm="ur5e")),
         "two_beads_joint_trajectory.json": joint_trajectory(short),
         "two_beads_extruder.json": switches(plan),

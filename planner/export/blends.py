@@ -17,6 +17,7 @@ from planner.export.moves import TRAVEL_TOLERANCE, deposits
 from planner.export.rests import rests_of
 
 if TYPE_CHECKING:
+    from planner.export.moves import Moves
     from planner.export.program import Program
     from planner.plan import Plan
 
@@ -36,6 +37,15 @@ def blend_radii(position: Array, stops: Flags, tolerance: Array) -> Array:
     radius = np.minimum(0.5 * reach, tolerance / np.maximum(np.tan(0.25 * bend), 1e-9))
     out: Array = np.where(stops | (reach == 0.0), 0.0, np.floor(radius / STEP * (1.0 + 1e-9)) * STEP)
     return out
+
+
+def move_radii(plan: Plan, moves: Moves) -> Array:
+    """Radii (m) [m] at the ends of moves: 0 at rests, and where joint and linear moves meet."""
+    tip = np.round(plan.trajectory.tip[np.concatenate([[0], moves.sample])], 6)
+    following = np.append(moves.linear[1:], not moves.linear[-1])
+    stops = np.concatenate([[True], moves.fine | (following != moves.linear)])
+    tolerance = np.concatenate([[0.0], np.where(moves.linear, plan.problem.program.chord, TRAVEL_TOLERANCE)])
+    return blend_radii(tip, stops, tolerance)[1:]
 
 
 def blend_complaints(plan: Plan, program: Program) -> list[str]:

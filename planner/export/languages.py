@@ -11,6 +11,9 @@ from planner.export.extruder.check import gcode_complaints
 from planner.export.extruder.writer import gcode
 from planner.export.joint_trajectory.check import trajectory_complaints
 from planner.export.joint_trajectory.writer import joint_trajectory, switches, switches_name, trajectory_name
+from planner.export.krl.able import unsaid_in_krl
+from planner.export.krl.check import krl_complaints
+from planner.export.krl.writer import krl_files
 from planner.export.rapid.able import unsaid_in_rapid
 from planner.export.rapid.check import line_complaints
 from planner.export.rapid.reader import read_rapid
@@ -56,6 +59,7 @@ LANGUAGES: dict[str, Language] = {
     "urscript": Language(
         "URScript", unsaid_in_urscript, lambda plan: {script_name(plan): urscript(plan)}, urscript_complaints
     ),
+    "krl": Language("KRL", unsaid_in_krl, krl_files, krl_complaints),
     "joint_trajectory": Language(
         "ROS JointTrajectory",
         lambda setup: None,

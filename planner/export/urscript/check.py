@@ -59,6 +59,9 @@ def _joints(plan: Plan, script: Script) -> list[str]:
     for words, chosen, planned in (("tip", ~joint, pace.tip), ("joint", joint, pace.joint)):
         if np.abs(script.pace[chosen, 0] - planned).max(initial=0.0) > 0.051:
             found.append(f"acceleration of a {words} differs from {planned:.1f}")
+    lines = np.maximum(np.round(moves.speed[moves.linear], SPEED), 10.0**-SPEED)
+    if len(lines) != np.count_nonzero(~joint) or np.abs(script.pace[~joint, 1] - lines).max() > 0.5 * 10.0**-SPEED:
+        found.append("speeds of linear moves are not the planned ones")
     planned_speed = np.concatenate([pace.speed[:1], pace.speed[~moves.linear]])
     if joint.sum() != len(planned_speed) or np.abs(script.pace[joint, 1] - planned_speed).max() > 10.0**-SPEED:
         found.append("speeds of joint moves are not the planned ones")

@@ -114,6 +114,8 @@ class _Reader:
             if word in MOVES:
                 moves.append((word, line, parts))
             elif word == "output":
+                if at < 0 and parts[1] == "True":
+                    raise _error(line, "an output goes on before the first target")
                 switched.append((at, parts[0], parts[1] == "True"))
             elif at < 0:
                 raise _error(line, "a wait before the first target")

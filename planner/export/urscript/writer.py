@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.export.blends import blend_radii
-from planner.export.moves import TRAVEL_TOLERANCE, Moves, deposits, plan_moves
+from planner.export.blends import move_radii
+from planner.export.moves import Moves, deposits, plan_moves
 from planner.export.outputs import output_numbers
+from planner.export.pace import greatest_until_stop, rounded_up, tip_acceleration
 from planner.export.rapid.text import module_name, number
 from planner.export.rests import Wait
 from planner.export.rotations import from_matrix
@@ -85,28 +86,16 @@ def urscript(plan: Plan) -> str:
 
 def pace_of(plan: Plan, moves: Moves) -> Pace:
     """How fast the controller may go where the plan does not say it move by move."""
-    t, na = plan.trajectory, len(plan.cell.arm)
-    along = np.abs(np.diff(t.speed)).max(initial=0.0) / t.dt
-    rate = np.abs(np.diff(t.q[:, :na], axis=0)).max(axis=1) / t.dt
-    turning = np.abs(np.diff(t.q[:, :na], 2, axis=0)).max(initial=0.0) / t.dt**2
-    first = np.concatenate([[0], moves.sample[:-1]])
-    peaks = np.maximum.reduceat(np.append(rate, 0.0), first)
-    # as one run: a joint blend between moves of different speed leaves its lines
-    run = np.concatenate([[0], np.cumsum(moves.fine[:-1] | (moves.linear[1:] != moves.linear[:-1]))])
-    highest = np.zeros(run[-1] + 1)
-    np.maximum.at(highest, run, peaks)
-    tip, joint = (max(0.1, float(np.ceil(10.0 * value) / 10.0)) for value in (along, turning))
-    return Pace(tip, joint, np.maximum(np.ceil(highest[run] * 10**SPEED), 1.0) / 10**SPEED)
+    t = plan.trajectory
+    rate = np.abs(np.diff(t.q[:, :6], axis=0)).max(axis=1) / t.dt
+    turning = float(np.abs(np.diff(t.q[:, :6], 2, axis=0)).max(initial=0.0)) / t.dt**2
+    speed = np.maximum(np.ceil(greatest_until_stop(moves, rate) * 10**SPEED), 1.0) / 10**SPEED
+    return Pace(tip_acceleration(t), rounded_up(turning), speed)
 
 
 def radii_of(plan: Plan, moves: Moves) -> Array:
     """Blend radius (m) [m] at the end of each move."""
-    t = plan.trajectory
-    position = np.round(t.tip[np.concatenate([[0], moves.sample])], LENGTH)
-    following = np.append(moves.linear[1:], not moves.linear[-1])
-    stops = np.concatenate([[True], moves.fine | (following != moves.linear)])
-    tolerance = np.concatenate([[0.0], np.where(moves.linear, plan.problem.program.chord, TRAVEL_TOLERANCE)])
-    radius = blend_radii(position, stops, tolerance)[1:]
+    radius = move_radii(plan, moves)
     switches = moves.on_end | moves.off_end | np.append(moves.on_start[1:], False)
     out: Array = np.where(switches, np.minimum(radius, SWITCH_BLEND), radius)
     return out
