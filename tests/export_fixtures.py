@@ -16,10 +16,12 @@ from planner.cell import Cell, build_cell
 from planner.export.axes.writer import axes_gcode, file_name
 from planner.export.extruder.writer import gcode
 from planner.export.joint_trajectory.writer import joint_trajectory, switches
+from planner.export.krl.writer import krl_files
 from planner.export.plan_json import plan_json
 from planner.export.rapid.writer import pgf, rapid, rapid_files
 from planner.export.rotations import from_matrix
 from planner.export.table import write_table
+from planner.export.urscript.writer import urscript
 from planner.extrusion import feed_of_materials
 from planner.plan import Check, Event, Plan, Trajectory
 from planner.problem.cell import CellSpec
@@ -40,6 +42,12 @@ MATERIALS = {
     "pla": {"tool": 1, "nozzle_c": 195},
     "pva": {"tool": 0, "nozzle_c": 190, "extruder_signal": "doSupport", "filament_diameter_mm": 2.85},
 }
+HOMES = {
+    "irb140": (30, 20, 30, 90, -80, 60),
+    "ur5e": (150, -110, 110, 0, 70, 20),
+    "kr6_r900": (30, 20, 30, 90, -80, 60),
+}
+KUKA = Path(__file__).parent / "kuka" / "kr6_r900.yaml"  # a file of one's own, as the planner ships no KR
 TABLE_TURN = 0.6  # of the bead's turning done by the table; the arm does the rest
 
 
@@ -48,6 +56,7 @@ def problem(
     free: tuple[str, ...] = ("rotation",),
     materials: dict[str, Any] | None = None,
     process: dict[str, Any] | None = None,
+    arm: str = "irb140",
     **program: Any,
 ) -> Any:
     """What the exporters read of a problem, and what a cell is built from."""
@@ -59,7 +68,9 @@ def problem(
     return SimpleNamespace(
         name="two_beads",
         file=Path("two_beads.yaml"),
-        cell=CellSpec(arm="irb140", nozzle=nozzle, home_deg=(30, 20, 30, 90, -80, 60), limits=limits, **holder),
+        cell=CellSpec(arm=arm, nozzle=nozzle, home_deg=HOMES[arm], limits=limits, **holder).model_copy(
+            update={"arm": KUKA} if arm == "kr6_r900" else {}
+        ),
         process=ProcessSpec(
             **{"bead": bead, "materials": materials or {}, "change": CHANGE} | (process or {}),
             speed_mm_s=40,
@@ -119,7 +130,7 @@ def _postures(cell: Cell, tip: Array, normal: Array, previous: Array | None) -> 
         @ T_part_nozzle
         @ np.linalg.inv(cell.T_flange_nozzle)
     )
-    solutions, ok = cell.wrist.solve(T_base_flange)
+    solutions, ok = cell.inverse.solve(T_base_flange)
     q = np.empty((len(tip), 6))
     last = cell.home[:6] if previous is None else previous[:6]
     for k in range(len(tip)):
@@ -139,12 +150,13 @@ def make_plan(
     free: tuple[str, ...] = ("rotation",),
     materials: tuple[str, ...] = (),
     detour: bool = True,
+    arm: str = "irb140",
 ) -> Plan:
     """A plan of `beads` beads: home, at rest before each run-in, run-out to rest, back home.
 
     With materials, each bead is of the next one; the robot rests at home for every change.
     """
-    spec = problem(positioner, free, MATERIALS if materials else None)
+    spec = problem(positioner, free, MATERIALS if materials else None, arm)
     cell = build_cell(spec)
     parts: list[tuple[Array, Array, int]] = []  # joints, arc length along the bead or NaN, bead
     at = cell.home
@@ -199,7 +211,7 @@ def make_plan(
         tip=tip,
         quat=from_matrix(T[:, :3, :3]),
         axis=np.ascontiguousarray(T[:, :3, 2]),
-        branch=cell.wrist.branches(q[:, :6]),
+        branch=cell.inverse.branches(q[:, :6]),
         speed=speed,
         flow=flow,
         extruded=extruded,
@@ -299,6 +311,8 @@ def golden_texts() -> dict[str, str]:
     write_table(sliced(plan, slice(180, 220)), table)
     short = make_plan(beads=1, length=0.002, positioner=False)
     return {
+        **krl_files(make_plan(beads=1, length=0.010, arm="kr6_r900")),
+        "TwoBeads.script": urscript(make_plan(beads=1, length=0.010, positioner=False, arm="ur5e")),
         "two_beads_joint_trajectory.json": joint_trajectory(short),
         "two_beads_extruder.json": switches(plan),
         "TwoBeads.mod": rapid(plan),

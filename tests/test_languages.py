@@ -21,7 +21,7 @@ from planner.problem.settings import LANGUAGE_NAMES, USUAL_LANGUAGE
 from planner.robot_files import ROBOTS, read_robot, robot_names
 from planner.solve import main
 
-SPOKEN = {"irb": "rapid"}  # by how the robots' names begin; all others go by the usual one
+SPOKEN = {"irb": "rapid", "ur": "urscript"}  # by how the robots' names begin; all others go by the usual one
 
 
 def asked(*languages: str, **plan: object) -> Plan:

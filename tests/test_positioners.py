@@ -298,12 +298,14 @@ def test_arms_that_do_not_speak_rapid_get_the_language_that_they_speak(
     folder: Path, tmp_path: Path, arm: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plan = plan_of(folder, arm)
-    name = plan.problem.name
-    own = [f"{name}_joint_trajectory.json", f"{name}_extruder.json"]
+    if arm == "ur5":
+        own, title = ["Wave.script"], "URScript"
+    else:
+        own, title = ["wave_joint_trajectory.json", "wave_extruder.json"], "ROS JointTrajectory"
     assert [path.name for path in write_robot_code(plan, tmp_path)] == [*own, "extrusion.gcode"]
     assert {path.name for path in tmp_path.iterdir()} == {*own, "extrusion.gcode"}
     print_summary(replace(plan, timing_s={"total": 1.0}), tmp_path, chosen(plan).words)
-    assert "; programs: ROS JointTrajectory, the extruder's G-code;" in " ".join(capsys.readouterr().out.split())
+    assert f"; programs: {title}, the extruder's G-code;" in " ".join(capsys.readouterr().out.split())
     with pytest.raises(ValueError, match="spherical wrist"):
         rapid(plan)
 

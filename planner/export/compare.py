@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planner.export.moves import deposits, nearest_fraction
 from planner.export.pieces import Piece, pieces_of
-from planner.export.program import Program
+from planner.export.program import UNSAID, Program
 from planner.export.rapid.targets import external_degrees, quadrants
 from planner.export.rotations import angle, continuous, slerp, to_matrix
 from planner.export.waits import moving_time, waits_differ
@@ -231,7 +231,7 @@ def _wrong_configurations(plan: Plan, match: _Match) -> int:
     for d in (-1, 0, 1):  # a target rounded across a quarter turn belongs to its neighbour sample
         near = np.clip(match.at + d, least, most)
         planned = np.column_stack([quadrants(trajectory.q[near]), trajectory.branch[near]])
-        right |= (match.all.conf == planned).all(axis=1)
+        right |= ((match.all.conf == planned) | (match.all.conf == UNSAID)).all(axis=1)
     return int(np.count_nonzero(match.all.known & ~right))
 
 
@@ -300,9 +300,9 @@ def _own_samples(
             at[block], cost[block] = nearest(block, near)
     for i in np.flatnonzero(cost > ASTRAY):  # joint moves cut wide turns short, and the guess is then far off
         at[i] = nearest(np.array([i]), np.arange(least[i], most[i] + 1)[None])[0][0]
-    at = np.maximum.accumulate(at)
+    # ends are known: on a closed path the nearest sample to one may be the other
     at[targets[:-1]], at[targets[1:] - 1] = cuts[:-1], cuts[1:]
-    return at
+    return np.maximum.accumulate(at)
 
 
 def _frames(plan: Plan, program: Program) -> tuple[float, float]:

@@ -12,6 +12,9 @@ from planner.export.extruder.check import gcode_complaints
 from planner.export.extruder.writer import gcode
 from planner.export.joint_trajectory.check import trajectory_complaints
 from planner.export.joint_trajectory.writer import joint_trajectory, switches, switches_name, trajectory_name
+from planner.export.krl.able import unsaid_in_krl
+from planner.export.krl.check import krl_complaints
+from planner.export.krl.writer import krl_files
 from planner.export.rapid.able import unsaid_in_rapid
 from planner.export.rapid.check import demand_complaints, line_complaints
 from planner.export.rapid.reader import read_rapid_files
@@ -19,6 +22,9 @@ from planner.export.rapid.text import module_name
 from planner.export.rapid.writer import rapid_files
 from planner.export.readback import readback
 from planner.export.setup import Given, Setup
+from planner.export.urscript.able import unsaid_in_urscript
+from planner.export.urscript.check import urscript_complaints
+from planner.export.urscript.writer import script_name, urscript
 
 if TYPE_CHECKING:
     from planner.cell import Cell
@@ -54,6 +60,10 @@ def _rapid_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
 
 LANGUAGES: dict[str, Language] = {
     "rapid": Language("RAPID", unsaid_in_rapid, rapid_files, _rapid_complaints),
+    "urscript": Language(
+        "URScript", unsaid_in_urscript, lambda plan: {script_name(plan): urscript(plan)}, urscript_complaints
+    ),
+    "krl": Language("KRL", unsaid_in_krl, krl_files, krl_complaints),
     "joint_trajectory": Language(
         "ROS JointTrajectory",
         lambda setup: None,

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+UNSAID = -128  # in place of a part of a configuration
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class Program:
     start                      (12,) joints and station axes of the first move [rad], NaN where unused
     linear, fine               (m,) bool
     position, quat             (m, 3) [m], (m, 4) x y z w
-    conf                       (m, 4) cf1, cf4, cf6, cfx
+    conf                       (m, 4) cf1, cf4, cf6, cfx; UNSAID where the language has none
     external                   (m, 6) station axes [rad], NaN where unused
     zone                       (m,) radius of the corner zone at the target [m]; 0 where the motion comes to rest
     speed                      (m, 4) tip [m/s], reorientation [rad/s], linear axes [m/s], rotating axes [rad/s]

@@ -16,7 +16,7 @@ StrategyName = Literal["as_published", "fixed", "greedy", "ladder", "sqp", "nlp"
 STRATEGY_NAMES: tuple[str, ...] = get_args(StrategyName)
 QPName = Literal["interior_point", "osqp"]
 QP_NAMES: tuple[str, ...] = get_args(QPName)
-LanguageName = Literal["rapid", "joint_trajectory", "axes"]
+LanguageName = Literal["rapid", "urscript", "krl", "joint_trajectory", "axes"]
 LANGUAGE_NAMES: tuple[str, ...] = get_args(LanguageName)
 USUAL_LANGUAGE: LanguageName = "joint_trajectory"  # of arms whose file names none
 Identifier = Annotated[str, IDENTIFIER]
@@ -80,6 +80,9 @@ class ProgramSpec(Section):
     work_object: Identifier = key("work_object", "the wobjdata", "wobjPart")
     station: Identifier = key("station", "the positioner's mechanical unit", "STN1")
     extruder_signal: Identifier = key("extruder_signal", "the digital output of the extruder", "doExtrude")
+    extruder_output: Annotated[int, Quantity("", 0, 4096, whole=True)] = key(
+        "extruder_output", "its number, where outputs have numbers; further materials have those after it", 1
+    )
     style: Annotated[StyleName, one_of(STYLE_NAMES)] = key(
         "style",
         "how the extruder is driven: by a digital output; by an analog one besides, with the flow; or by lines of "

@@ -1,0 +1,1 @@
+"""KUKA Robot Language for KR C controllers: written, and read back."""

@@ -1,0 +1,1 @@
+"""URScript for Universal Robots' controllers: written, and read back."""
