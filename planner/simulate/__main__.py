@@ -1,6 +1,6 @@
 """The command line of the simulators.
 
-python -m planner.simulate controller|board
+python -m planner.simulate controller|board|stream
 """
 
 from __future__ import annotations
@@ -16,11 +16,13 @@ from planner.command import exit_code
 from planner.errors import EXIT_VERIFIED, InputError
 from planner.simulate.board_server import BoardServer
 from planner.simulate.controller import Controller
-from planner.simulate.faults import BOARD_FAULTS, CONTROLLER_FAULTS, faults_of
+from planner.simulate.faults import BOARD_FAULTS, CONTROLLER_FAULTS, STREAM_FAULTS, faults_of
 from planner.simulate.lines import HOST
 from planner.simulate.rws import Access, RwsServer
+from planner.simulate.stream import StreamServer
 
 RWS_PORT, BOARD_PORT, PROGRAM_PORT = 8080, 8023, 1025  # the real ones, 80 and 23, ask for an administrator's rights
+STREAM_PORT = 1026
 RWS_PASSWORD, BOARD_PASSWORD = "BEADWISE_RWS_PASSWORD", "BEADWISE_HEAD_PASSWORD"  # names in the environment
 FASTEST = 1000.0
 
@@ -34,12 +36,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m planner.simulate",
-        description="Simulate a robot's controller (Robot Web Services, program socket) or an extruder's board.",
+        description="Simulate a robot's controller (web services and program socket, or a stream of moves), or an "
+        "extruder's board.",
         epilog=f"passwords come from {RWS_PASSWORD} and {BOARD_PASSWORD}; without, the controller's is ABB's default "
         "and the board has none",
     )
     kinds = parser.add_subparsers(dest="kind", required=True)
-    for kind, port, faults in (("controller", RWS_PORT, CONTROLLER_FAULTS), ("board", BOARD_PORT, BOARD_FAULTS)):
+    ends = (
+        ("controller", RWS_PORT, CONTROLLER_FAULTS),
+        ("board", BOARD_PORT, BOARD_FAULTS),
+        ("stream", STREAM_PORT, STREAM_FAULTS),
+    )
+    for kind, port, faults in ends:
         one = kinds.add_parser(
             kind,
             formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -79,6 +87,10 @@ def _run(options: argparse.Namespace) -> int:
         password = os.environ.get(BOARD_PASSWORD, "")
         board = BoardServer(options.host, options.port, options.pace, faults, password)
         _wait(f"board on {board.address[0]}:{board.address[1]}", board.close)
+        return EXIT_VERIFIED
+    if options.kind == "stream":
+        stream = StreamServer(options.host, options.port, options.pace, faults_of(options.fault, STREAM_FAULTS))
+        _wait(f"controller that takes a stream on {stream.address[0]}:{stream.address[1]}", stream.close)
         return EXIT_VERIFIED
     if (options.certificate is None) != (options.key is None):
         raise InputError("a certificate needs its key, and the other way round", field="--certificate")

@@ -24,6 +24,12 @@ CONTROLLER_FAULTS = {
     "garbage": "sends bytes that mean nothing instead of the line",
     "skip": "leaves the line out and goes on with the next one",
 }
+STREAM_FAULTS = {
+    "drop": "closes the connection after the frame",
+    "mute": "says nothing more after the frame",
+    "stop": "stops by itself after the frame",
+    "garbage": "sends bytes that mean nothing after the frame",
+}
 _FORM = re.compile(r"([a-z]+)@([1-9][0-9]{0,8})(?::([0-9]{1,6}(?:\.[0-9]{1,3})?))?")
 
 
