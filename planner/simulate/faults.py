@@ -30,6 +30,13 @@ STREAM_FAULTS = {
     "stop": "stops by itself after the frame",
     "garbage": "sends bytes that mean nothing after the frame",
 }
+EGM_FAULTS = {
+    "mute": "says nothing more after the message",
+    "stop": "the program stops after the message",
+    "stray": "the first axis strays by so many degrees from the message on",
+    "gap": "says nothing for so many hundredths of a second after the message",
+    "garbage": "sends bytes that mean nothing instead of the message",
+}
 _FORM = re.compile(r"([a-z]+)@([1-9][0-9]{0,8})(?::([0-9]{1,6}(?:\.[0-9]{1,3})?))?")
 
 
