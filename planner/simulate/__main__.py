@@ -12,15 +12,21 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 
+from planner.cell import build_cell
 from planner.command import exit_code
 from planner.errors import EXIT_VERIFIED, InputError
+from planner.export.program import Program
+from planner.problem import load_problem
 from planner.simulate.board_server import BoardServer
 from planner.simulate.controller import Controller
 from planner.simulate.egm import ARM_AXES, EgmRobot
 from planner.simulate.faults import BOARD_FAULTS, CONTROLLER_FAULTS, EGM_FAULTS, STREAM_FAULTS, faults_of
 from planner.simulate.lines import HOST
+from planner.simulate.motion import Motion, own_clock
+from planner.simulate.player import played_motion
 from planner.simulate.rws import Access, RwsServer
 from planner.simulate.stream import StreamServer
 
@@ -65,6 +71,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
         one.add_argument("--fault", action="append", default=[], metavar="KIND@LINE[:VALUE]", help="repeatable")
         if kind == "controller":
             one.add_argument("--program-port", type=_port, default=PROGRAM_PORT, help="of the program's socket")
+            one.add_argument("--problem", metavar="YAML", help="of the cell: its joint limits count, too, then")
             one.add_argument("--rws", type=int, choices=(1, 2), default=1, help="version of Robot Web Services")
             one.add_argument("--certificate", type=Path, metavar="PEM", help="for https, with --key")
             one.add_argument("--key", type=Path, metavar="PEM")
@@ -129,10 +136,13 @@ def _controller(options: argparse.Namespace) -> None:
     if (options.certificate is None) != (options.key is None):
         raise InputError("a certificate needs its key, and the other way round", field="--certificate")
     faults = faults_of(options.fault, CONTROLLER_FAULTS)
+    move: Callable[[Program], Motion] = own_clock
+    if options.problem is not None:
+        move = partial(played_motion, cell=build_cell(load_problem(options.problem)))
     password = os.environ.get(RWS_PASSWORD, Access.password)
     access = Access(password=password, version=options.rws, certificate=options.certificate, key=options.key)
     with (
-        closing(Controller((options.host, options.program_port), options.pace, faults)) as controller,
+        closing(Controller((options.host, options.program_port), options.pace, faults, None, move)) as controller,
         closing(RwsServer(options.host, options.port, controller, access)) as rws,
     ):
         where = f"{rws.address[0]}:{rws.address[1]}"
