@@ -16,6 +16,7 @@ MODULE = "MODULE Made\n    PROC main()\n    ENDPROC\nENDMODULE\n"
 def program(lines: Sequence[str] = (), moves: int = 11, step: float = 0.01, speed: float = 0.1) -> Program:
     """A straight way of moves at a speed [m, m/s]; lines are sent one after each move, the extruder runs throughout."""
     x = step * np.arange(moves)
+    fine = np.arange(moves) % (moves - 1) == 0
     identity = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     unused = np.full((moves, 6), np.nan)
     sends = {k: (text,) for k, text in enumerate(lines[: moves - 1])}
@@ -28,12 +29,12 @@ def program(lines: Sequence[str] = (), moves: int = 11, step: float = 0.01, spee
         station="",
         start=np.zeros(12),
         linear=np.ones(moves, bool),
-        fine=np.arange(moves) % (moves - 1) == 0,
+        fine=fine,
         position=np.column_stack([x, 0 * x, 0 * x]),
         quat=np.tile([0.0, 0.0, 0.0, 1.0], (moves, 1)),
         conf=np.zeros((moves, 4), np.intp),
         external=unused,
-        zone=np.zeros(moves),
+        zone=np.where(fine, 0.0, 0.3e-3),
         speed=np.tile([speed, 1.0, 1.0, 1.0], (moves, 1)),
         wait=np.zeros(moves),
         triggers={1: (Trigger(0.0, True, True, "doExtrude"),), moves - 1: (Trigger(0.0, False, False, "doExtrude"),)},

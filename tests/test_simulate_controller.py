@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 import requests
 from abb_robot_client.rws import RWS
-from export_fixtures import make_plan
+from export_fixtures import make_plan, socket_plan
 from simulate_fixtures import MODULE, Client, program, reader
 
 from planner.export.rapid.reader import read_rapid
-from planner.export.rapid.writer import rapid
+from planner.export.rapid.writer import rapid, rapid_files
 from planner.simulate import Simulated, start
 from planner.simulate.controller import Controller
-from planner.simulate.motion import OUTPUT, SEND, own_clock
+from planner.simulate.motion import OUTPUT, SEND, SETTLE, own_clock
+from planner.simulate.player import played_motion
 from planner.simulate.program_socket import TIMEOUT, WINDOW
 from planner.simulate.rws import FORM_V2, USER, Access, RwsServer
 
@@ -157,16 +158,52 @@ def test_no_more_than_the_window_is_out_and_silence_stops_it() -> None:
         assert until(lambda: simulated.state().outputs == {"doExtrude": False})
 
 
-def test_heating_may_take_longer() -> None:
+def test_it_rests_until_heating_is_over() -> None:
     simulated, _ = started(lines=("M109 S200", *LINES))
     with simulated, closing(Client(simulated.program)) as pc:
         pc.read()
         pc.say("G 1")
-        for _ in range(WINDOW):
-            pc.read()
+        assert pc.read() == "L 1 M109 S200"
         time.sleep(TIMEOUT + 0.3)
+        assert simulated.state().sent == 1 and simulated.state().move == 0
         pc.say("A 1")
-        assert pc.read().startswith(f"L {WINDOW + 1} ")
+        assert pc.read() == f"L 2 {LINES[0]}"
+
+
+def test_a_program_that_we_write_for_the_socket_sends_its_table() -> None:
+    plan = socket_plan()
+    made = rapid_files(plan)
+    table = [row.split(",") for row in made["OneBead_lines.csv"].splitlines()[1:]]
+    with start(pace=20.0, cell=plan.cell) as simulated:
+        rws = client_of(simulated)
+        load(rws, made["OneBead.mod"])
+        rws.start(cycle="once")
+        with closing(Client(simulated.program)) as pc:
+            assert pc.read() == f"H OneBead {len(table)}"
+            pc.say("G 1")
+            for n, *_, text in table:
+                assert pc.read() == f"L {n} {text}"
+                pc.say(f"A {n}")
+            assert pc.read() == f"E {len(table)}"
+        assert until(lambda: simulated.state().reason == "finished")
+        # the player accelerates, so it is later than programmed speeds alone
+        slower = simulated.state().time
+    program = read_rapid(made["OneBead.mod"])
+    assert own_clock(program).duration < slower and abs(slower / plan.trajectory.t[-1] - 1.0) < 0.06
+
+
+def test_both_motions_tell_the_same_in_the_same_order() -> None:
+    plan = socket_plan()
+    program = read_rapid(rapid_files(plan)["OneBead.mod"])
+    own, played = own_clock(program), played_motion(program, plan.cell)
+    assert [(h.kind, h.text) for h in own.happenings] == [(h.kind, h.text) for h in played.happenings]
+    # the robot rests for 4 s while all is heated, and 1 s before and after the cut of 2 s
+    heated, cut = (h.time for h in own.happenings if h.kind == SETTLE)
+    assert heated == pytest.approx(4.0)
+    begun = next(h.time for h in own.happenings if h.text == "M106 P0 S1")
+    assert cut - begun == pytest.approx(2.0)
+    move, tip = played.at(played.duration)
+    assert move == len(program.position) - 1 and np.allclose(tip, program.position[-1], atol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -92,7 +92,7 @@ NARROW = {
     "background": {"errors", "interrupts"},
     "export": {"errors", "plan"},
     "report": {"errors", "plan"},
-    "simulate": {"errors", "command", "export"},
+    "simulate": {"errors", "command", "problem", "cell", "export"},
 }
 FORBIDDEN = {
     name: {"resolve", "timing", "travel", "extrusion", "motion", "dips", "kinematics"} for name in ("replay", "verify")

@@ -118,6 +118,8 @@ def refusal_json(problem: Problem, strategy: str, refusal: Refusal) -> str:
 def cell_screws(cell: Cell) -> dict[str, Any]:
     """Joint screws in the world with all joints at 0 (m, rad), limits, and the two end frames there (4, 4).
 
+    All axes of what holds the part are named in its own order, with the angle of those that are held [rad].
+
     A pose is the product of exponentials of the screws that move it, in the order given, times its frame at 0.
     """
     joints: list[dict[str, Any]] = []
@@ -139,8 +141,10 @@ def cell_screws(cell: Cell) -> dict[str, Any]:
                     "j_max": limits.jerk[i],
                 }
             )
+    holder = [] if cell.holder_robot is None else list(cell.holder_robot.model.names)[1:]
     return {
         "joints": joints,
+        "holder_axes": [{"name": name, "held_at": cell.held.get(name)} for name in holder],
         "T_world_nozzle_zero": np.round(cell.arm.poses(np.zeros((1, len(cell.arm))))[0], DECIMALS),
         "T_world_part_zero": np.round(cell.holder.poses(np.zeros((1, len(cell.holder))))[0], DECIMALS),
     }

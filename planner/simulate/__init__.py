@@ -7,13 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from types import TracebackType
 
+from planner.cell import Cell
 from planner.simulate.board import Record
 from planner.simulate.board_server import BoardServer
 from planner.simulate.controller import Controller, Reader
 from planner.simulate.faults import BOARD_FAULTS, CONTROLLER_FAULTS, faults_of
 from planner.simulate.lines import HOST, bound_socket
+from planner.simulate.motion import own_clock
+from planner.simulate.player import played_motion
 from planner.simulate.run import RunState
 from planner.simulate.rws import Access, RwsServer
 
@@ -67,16 +71,19 @@ def start(
     rws_password: str = "robotics",
     board_password: str = "",
     read: Reader | None = None,
+    cell: Cell | None = None,
 ) -> Simulated:
     """Start both simulators on free ports; faults as words such as `drop@25` (see `faults`).
 
-    read: modules (name → text) → program, in place of our own reader of RAPID. Raises InputError for what is no fault.
+    read: modules (name → text) → program, in place of our own reader of RAPID; cell: whose limits the motion keeps,
+    where programmed speeds alone are not enough. Raises InputError for what is no fault.
     """
     of_controller = faults_of(controller_faults, CONTROLLER_FAULTS)
     of_board = faults_of(board_faults, BOARD_FAULTS)
     with bound_socket(host, 0) as free:
         program: tuple[str, int] = free.getsockname()
-    controller = Controller(program, pace, of_controller, read)
+    move = own_clock if cell is None else partial(played_motion, cell=cell)
+    controller = Controller(program, pace, of_controller, read, move)
     rws = RwsServer(host, 0, controller, Access(password=rws_password))
     board = BoardServer(host, 0, pace, of_board, board_password)
     return Simulated(rws.address, program, board.address, controller, (rws, board))

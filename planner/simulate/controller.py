@@ -7,7 +7,7 @@ import shutil
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from planner.errors import InputError
@@ -41,7 +41,7 @@ class Controller:
 
     address   where programs listen for who takes their lines
     read      modules (name → text) → program; raises InputError
-    move      program → its motion
+    move      program → its motion; raises InputError for what cannot be reached
     """
 
     def __init__(
@@ -153,9 +153,7 @@ class Controller:
             if not self._modules:
                 raise Denied(400, "no program is loaded")
             try:
-                # modules that a program loads while it runs stand in HOME
-                others = {name: text for name, text in self._unloaded().items() if name not in self._modules}
-                program = self._read({**others, **self._modules})
+                program = self._read({**self._loaded_by(self._modules.values()), **self._modules})
                 motion = self._move(program)
             except InputError as error:
                 raise Denied(400, f"the program has errors: {error}") from error
@@ -186,13 +184,15 @@ class Controller:
         if self._run is not None:
             self._run.end()
 
-    def _unloaded(self) -> dict[str, str]:
-        out = {}
+    def _loaded_by(self, texts: Iterable[str]) -> dict[str, str]:
+        """Modules in HOME that texts name, as a program does that loads them while it runs."""
+        said = "\n".join(texts)
+        out: dict[str, str] = {}
         for path in sorted(self._home.glob("*.mod")):
-            text = path.read_text("ascii", errors="replace")
-            match = _MODULE.search(text)
-            if match is not None:
-                out[match[1]] = text
+            if f'/{path.name}"' in said:
+                text = path.read_text("ascii", errors="replace")
+                match = _MODULE.search(text)
+                out |= {} if match is None else {match[1]: text}
         return out
 
     def _place(self, path: str) -> Path:
@@ -205,5 +205,5 @@ class Controller:
 
 
 def read_modules(modules: Mapping[str, str]) -> Program:
-    """The program of the last module that was loaded, which comes last and has the main procedure."""
+    """The program of modules (name → text), one of which has the main procedure."""
     return read_rapid(list(modules.values())[-1])

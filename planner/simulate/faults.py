@@ -24,6 +24,19 @@ CONTROLLER_FAULTS = {
     "garbage": "sends bytes that mean nothing instead of the line",
     "skip": "leaves the line out and goes on with the next one",
 }
+STREAM_FAULTS = {
+    "drop": "closes the connection after the frame",
+    "mute": "says nothing more after the frame",
+    "stop": "stops by itself after the frame",
+    "garbage": "sends bytes that mean nothing after the frame",
+}
+EGM_FAULTS = {
+    "mute": "says nothing more after the message",
+    "stop": "the program stops after the message",
+    "stray": "the first axis strays by so many degrees from the message on",
+    "gap": "says nothing for so many hundredths of a second after the message",
+    "garbage": "sends bytes that mean nothing instead of the message",
+}
 _FORM = re.compile(r"([a-z]+)@([1-9][0-9]{0,8})(?::([0-9]{1,6}(?:\.[0-9]{1,3})?))?")
 
 

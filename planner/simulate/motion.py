@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -12,16 +12,22 @@ from numpy.typing import NDArray
 from planner.export.program import Program
 
 Array = NDArray[np.float64]
-OUTPUT, SEND = "output", "send"
+ORDER = OUTPUT, SEND, SETTLE = "output", "send", "settle"
+# lines that the board acknowledges only when they are over
+SLOW = ("G4", "M109", "M116", "M190")
 
 
 @dataclass(frozen=True)
 class Happening:
-    """Something that a program does at a time [s]: sets an output (`signal=0`, `signal=1`), or sends a line."""
+    """Something that a program does at a time [s], with a move.
+
+    Sets an output (`signal=0`, `signal=1`); sends a line; or waits, at the end of a rest, until all lines are taken.
+    """
 
     time: float
+    move: int
     kind: str
-    text: str
+    text: str = ""
 
 
 class Motion(Protocol):
@@ -73,19 +79,30 @@ def own_clock(program: Program) -> OwnClock:
     starts = np.concatenate([[0.0], after[:-1]])
     ends = starts + lasts
     length = np.concatenate([[0.0], step])
-    return OwnClock(starts, ends, program.position, float(after[-1]), _happenings(program, starts, lasts, length))
+    happenings = (*_outputs(program, starts, lasts, length), *lines(program, ends, after))
+    return OwnClock(starts, ends, program.position, float(after[-1]), in_order(happenings))
 
 
-def _happenings(program: Program, starts: Array, lasts: Array, length: Array) -> tuple[Happening, ...]:
-    out = [Happening(0.0, SEND, text) for text in program.sends.get(-1, ())]
+def in_order(happenings: Iterable[Happening]) -> tuple[Happening, ...]:
+    """By time and move; with the same move outputs come before lines, and these before what waits for them."""
+    return tuple(sorted(happenings, key=lambda each: (each.time, each.move, ORDER.index(each.kind))))
+
+
+def lines(program: Program, ends: Array, after: Array) -> Iterator[Happening]:
+    """The lines that a program sends, and its waits for the board; ends, after (m) of each move, and of its rest [s]."""
+    for move in sorted(program.sends):
+        texts = program.sends[move]
+        arrive, leave = (0.0, 0.0) if move < 0 else (float(ends[move]), float(after[move]))
+        rests = program.send_rests.get(move, (0.0,) * len(texts))
+        for text, rest in zip(texts, rests, strict=True):
+            yield Happening(min(arrive + rest, leave), move, SEND, text)
+        if any(text.split(" ")[0] in SLOW for text in texts):
+            yield Happening(leave, move, SETTLE)
+
+
+def _outputs(program: Program, starts: Array, lasts: Array, length: Array) -> Iterator[Happening]:
     for i in range(len(starts)):
         for trigger in program.triggers.get(i, ()):
             share = min(1.0, trigger.distance / length[i]) if length[i] > 0.0 else 0.0
             when = starts[i] + lasts[i] * (share if trigger.from_start else 1.0 - share)
-            out.append(Happening(float(when), OUTPUT, f"{trigger.signal}={int(trigger.value)}"))
-        out += _sends(program.sends, i, float(starts[i] + lasts[i]))
-    return tuple(sorted(out, key=lambda each: each.time))
-
-
-def _sends(sends: Mapping[int, tuple[str, ...]], move: int, when: float) -> list[Happening]:
-    return [Happening(when, SEND, text) for text in sends.get(move, ())]
+            yield Happening(float(when), i, OUTPUT, f"{trigger.signal}={int(trigger.value)}")

@@ -10,9 +10,8 @@ from planner.simulate.lines import BLOCK, Lines
 
 WINDOW = 16  # lines sent and not acknowledged
 TIMEOUT = 2.0  # s without an acknowledgement while one is needed
-HEAT_TIMEOUT = 900.0  # s, while a line is out that the board acknowledges only when it is over
+LATEST = 900.0  # s in which all lines must be taken, behind heating and at the end
 LONGEST = 80  # characters, as RAPID's strings
-SLOW = ("G4", "M109", "M116", "M190")
 _ANSWER = re.compile(r"([GA]) (0|[1-9][0-9]{0,8})|S (.{0,76})")
 
 
@@ -27,7 +26,6 @@ class ProgramSocket:
         self._socket, self._lines = connection, Lines(LONGEST)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.sent, self.acknowledged, self.begun = 0, 0, False
-        self._slow: list[int] = []
         self._last = time.monotonic()
 
     @property
@@ -43,8 +41,6 @@ class ProgramSocket:
     def line(self, gcode: str) -> None:
         """Send the next line."""
         self.sent += 1
-        if gcode.split(" ")[0] in SLOW:
-            self._slow.append(self.sent)
         if self.sent - self.acknowledged == 1:
             self._last = time.monotonic()
         self.say(f"L {self.sent} {gcode}")
@@ -78,9 +74,8 @@ class ProgramSocket:
         except ValueError as error:
             raise Ended(f"garbage: {error}") from error
 
-    def need(self) -> None:
-        """To be asked while an acknowledgement is needed; raises Ended where it has taken too long."""
-        limit = HEAT_TIMEOUT if self._slow else TIMEOUT
+    def need(self, limit: float = TIMEOUT) -> None:
+        """To be asked while an acknowledgement is needed; raises Ended where it has taken longer than a limit [s]."""
         if time.monotonic() - self._last > limit:
             raise Ended(f"no acknowledgement for {limit:g} s")
 
@@ -100,5 +95,4 @@ class ProgramSocket:
             raise Ended(f"line {n} acknowledged, which is not out")
         else:
             self.acknowledged = n
-            self._slow = [line for line in self._slow if line > n]
         self._last = time.monotonic()

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 from planner.errors import InputError
 from planner.simulate.faults import Fault, Faults
 from planner.simulate.lines import bound_socket
-from planner.simulate.motion import OUTPUT, SEND, Happening, Motion
-from planner.simulate.program_socket import TIMEOUT, Ended, ProgramSocket
+from planner.simulate.motion import OUTPUT, SEND, SETTLE, Happening, Motion
+from planner.simulate.program_socket import LATEST, TIMEOUT, Ended, ProgramSocket
 
 ACCEPT_TIMEOUT = 60.0  # s in which somebody must connect
 LOOK = 0.02  # s between looks at whether to pause or end
@@ -95,9 +95,7 @@ class Run:
                 self._wait(happening.time, lines)
                 self._do(happening, lines)
             self._wait(self._motion.duration, lines)
-            while lines is not None and not lines.quiet:
-                lines.need()
-                self._listen(lines)
+            self._settle(lines)
             if lines is not None:
                 lines.say(f"E {lines.sent}")
             reason = FINISHED
@@ -179,6 +177,8 @@ class Run:
             signal, value = happening.text.split("=")
             with self._lock:
                 self._state = replace(self._state, outputs={**self._state.outputs, signal: value == "1"})
+        elif happening.kind == SETTLE:
+            self._settle(lines)
         elif lines is not None:
             self._listen(lines, 0.0)
             while lines.full:
@@ -187,6 +187,13 @@ class Run:
             self._since = time.monotonic()  # the robot stood meanwhile
             self._send(happening.text, lines)
             self._note(lines)
+
+    def _settle(self, lines: ProgramSocket | None) -> None:
+        """Stand until every line was taken."""
+        while lines is not None and not lines.quiet:
+            lines.need(LATEST)
+            self._listen(lines)
+        self._since = time.monotonic()
 
     def _send(self, text: str, lines: ProgramSocket) -> None:
         n = lines.sent + 1

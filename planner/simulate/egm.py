@@ -1,0 +1,143 @@
+"""The controller's side of externally guided motion: says every 4 ms where the robot is, and follows references late."""
+
+from __future__ import annotations
+
+import math
+import socket
+import threading
+import time
+from collections.abc import Sequence
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import InputError
+from planner.simulate.faults import Fault, Faults
+
+Array = NDArray[np.float64]
+
+PERIOD = 0.004  # s
+TIME_CONSTANT = 0.03  # s of the first-order lag with which the robot follows
+ARM_AXES = 6
+UNANSWERED = 50  # messages in a row without a reference, after which the motion ends
+LONGEST = 4096  # bytes of a datagram
+GARBAGE = b"\xff\xfe\x00 no message"
+
+
+class EgmRobot:
+    """A robot that is guided, in a thread of its own: a client of the UDP address that it is told.
+
+    start [deg]   where it stands: the arm's six axes, then the station's
+    pace          how many times as fast as every 4 ms it speaks; its own clock goes on by 4 ms all the same
+    """
+
+    def __init__(
+        self, address: tuple[str, int], start: Sequence[float], pace: float = 1.0, faults: Sequence[Fault] = ()
+    ) -> None:
+        self._messages = _egm_messages()
+        self._address, self._pace, self._faults = address, pace, Faults(faults)
+        self._joints, self._goal = np.array(start, np.float64), np.array(start, np.float64)
+        self._lock, self._ending = threading.Lock(), threading.Event()
+        self._references: list[Array] = []
+        self._stray, self._running, self.reason = 0.0, True, ""
+        self._late = 0.0  # ms by which its clock has gone on without messages
+        self._thread = threading.Thread(target=self._run, name="egm", daemon=True)
+        self._thread.start()
+
+    def joints(self) -> Array:
+        """Where it stands (m) [deg]."""
+        with self._lock:
+            return self._joints.copy()
+
+    def references(self) -> Array:
+        """All references that came (n, m) [deg]."""
+        with self._lock:
+            return np.array(self._references)
+
+    def close(self) -> None:
+        """End the thread and close the socket."""
+        self._ending.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        began, unanswered, number = time.monotonic(), 0, 0
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as here:
+            here.settimeout(PERIOD)
+            while not self._ending.is_set() and unanswered < UNANSWERED:
+                number += 1
+                if self._fault(number):
+                    return
+                garbage = self._faults.take("garbage", number)
+                here.sendto(GARBAGE if garbage else self._message(number), self._address)
+                due = began + number * PERIOD / self._pace
+                answered = self._hear(here, due)
+                # before the first reference it waits for its partner
+                unanswered = 0 if answered or not self._references else unanswered + 1
+                self._move()
+                time.sleep(max(0.0, due - time.monotonic()))
+        self.reason = self.reason or ("ended" if self._ending.is_set() else "no references")
+
+    def _fault(self, number: int) -> bool:
+        """What is due before a message; whether that ends it all."""
+        if self._faults.take("mute", number):
+            self.reason = "mute"
+            return True
+        if self._faults.take("stop", number):
+            self._running = False
+        stray, gap = self._faults.take("stray", number), self._faults.take("gap", number)
+        self._stray = stray.value if stray else self._stray
+        if gap:
+            time.sleep(0.01 * gap.value)
+            self._late += gap.value * 10
+        return False
+
+    def _message(self, number: int) -> bytes:
+        m = self._messages
+        message = m.EgmRobot()
+        message.header.seqno = number
+        message.header.tm = int(number * PERIOD * 1e3 + self._late)
+        message.header.mtype = m.EgmHeader.MSGTYPE_DATA
+        joints = self._joints.tolist()
+        joints[0] += self._stray
+        message.feedBack.joints.joints.extend(joints[:ARM_AXES])
+        message.feedBack.externalJoints.joints.extend(joints[ARM_AXES:])
+        message.motorState.state = m.EgmMotorState.MOTORS_ON
+        message.mciState.state = m.EgmMCIState.MCI_RUNNING if self._running else m.EgmMCIState.MCI_STOPPED
+        states = m.EgmRapidCtrlExecState
+        message.rapidExecState.state = states.RAPID_RUNNING if self._running else states.RAPID_STOPPED
+        return bytes(message.SerializeToString())
+
+    def _hear(self, here: socket.socket, due: float) -> bool:
+        """Take the newest reference that comes before the next message is due."""
+        answered = False
+        while True:
+            here.settimeout(max(1e-4, due - time.monotonic()))
+            try:
+                data, address = here.recvfrom(LONGEST)
+            except OSError:  # nothing came, or nobody is there
+                return answered
+            if address[1] != self._address[1]:
+                continue
+            message = self._messages.EgmSensor()
+            message.ParseFromString(data)
+            goal = [*message.planned.joints.joints, *message.planned.externalJoints.joints]
+            if len(goal) == len(self._joints) and all(math.isfinite(value) for value in goal):
+                answered = True
+                with self._lock:
+                    self._goal = np.array(goal)
+                    self._references.append(self._goal)
+                return True
+
+    def _move(self) -> None:
+        if self._running:
+            with self._lock:
+                self._joints += (1.0 - math.exp(-PERIOD / TIME_CONSTANT)) * (self._goal - self._joints)
+
+
+def _egm_messages() -> ModuleType:
+    try:
+        from abb_robot_client._egm_protobuf import egm_pb2
+    except ImportError as error:
+        raise InputError("EGM needs the package abb_robot_client", hint="pip install beadwise[link]") from error
+    return egm_pb2

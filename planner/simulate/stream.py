@@ -1,0 +1,285 @@
+"""The controller's side of a stream of moves: takes frames into a buffer of bounded size and lets them run in time.
+
+What goes over the wire is told in planner/link/BeadwiseStream.mod; this is a second telling of it, made without the
+first one's code.
+"""
+
+from __future__ import annotations
+
+import selectors
+import socket
+import struct
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.simulate.faults import Fault, Faults
+from planner.simulate.lines import BLOCK, bound_socket
+
+Array = NDArray[np.float64]
+
+FRAME = 96  # bytes
+CAPACITY = 256  # frames
+SILENCE = 2.0  # s
+STARVING = 0.5  # s that the robot waits for moves within a bead
+AHEAD = 4  # moves handed to the motion beyond the one that runs
+LOOK = 0.005  # s
+_FIELDS = struct.Struct("<I4B3f4f4b6f4f2fH2x")
+
+
+class Stopped(Exception):
+    """The stream cannot go on; says why."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame as it came. numbers: place, orientation, axes, speeds, wait, zone (19), in the frame's own units."""
+
+    number: int
+    kind: int
+    flags: int
+    tool: int
+    numbers: tuple[float, ...]
+    conf: tuple[int, ...]
+    left: int
+
+
+@dataclass(frozen=True)
+class StreamState:
+    """How a stream stands: frames, the most that were ever held, waits within beads, and why it ended."""
+
+    frames: tuple[Frame, ...] = ()
+    done: int = 0
+    fullest: int = 0
+    starved: int = 0
+    moved: float = 0.0
+    reason: str = ""
+
+
+def frame_of(data: bytes) -> Frame:
+    """A frame out of its bytes. Raises Stopped for a wrong checksum."""
+    words = np.frombuffer(data, "<u2").astype(np.int64)
+    body, sums = words[:-2], words[-2:]
+    running = np.cumsum(body)
+    # sums modulo 65535 of running sums that are themselves taken modulo 65535
+    if running[-1] % 65535 != sums[0] or int(np.sum(running % 65535)) % 65535 != sums[1]:
+        raise Stopped("wrong checksum")
+    number, kind, flags, tool, _, *rest = _FIELDS.unpack(data[:-4])
+    numbers, conf, left = (*rest[:7], *rest[11:23]), tuple(rest[7:11]), rest[23]
+    return Frame(number, kind, flags, tool, numbers, conf, left)
+
+
+class Buffer:
+    """The server without its network: frames in, moves out, in the program's time."""
+
+    def __init__(self, capacity: int = CAPACITY, pace: float = 1.0) -> None:
+        self.state = StreamState()
+        self._capacity, self._pace = capacity, pace
+        self._held: deque[Frame] = deque()
+        self._frames: list[Frame] = []
+        self._running: deque[float] = deque()  # ends of moves handed to the motion
+        self._free, self._resting = 0.0, True
+        self._last: Array | None = None
+        self._hungry_since: float | None = None
+        self.finished = False
+
+    def take(self, frame: Frame) -> None:
+        """One frame. Raises Stopped for one that may not come."""
+        if frame.kind == 6:
+            return
+        if frame.kind == 5:
+            raise Stopped("the PC asked for it")
+        if frame.number != len(self._frames) + 1 or not 1 <= frame.kind <= 4 or frame.tool > 7:
+            raise Stopped("a frame out of order")
+        if len(self._held) >= self._capacity:
+            raise Stopped("more frames than fit")
+        self._frames.append(frame)
+        self._held.append(frame)
+        self.state = replace(self.state, fullest=max(self.state.fullest, len(self._held)))
+
+    @property
+    def taken(self) -> int:
+        return len(self._frames)
+
+    def advance(self, now: float) -> bool:
+        """Hand over what may be by now [wall s]; whether anything was. Raises Stopped where it starves."""
+        handed = False
+        while not self.finished and self._may_hand(now):
+            self._hand(self._held.popleft(), now)
+            handed = True
+        return handed
+
+    def record(self) -> StreamState:
+        """How it stands, with all frames."""
+        return replace(self.state, frames=tuple(self._frames))
+
+    def _may_hand(self, now: float) -> bool:
+        while self._running and self._running[0] <= now:
+            self._running.popleft()
+        if not self._held:
+            if not self._resting and not self._running:
+                if self._hungry_since is None:
+                    self._hungry_since = now
+                    self.state = replace(self.state, starved=self.state.starved + 1)
+                elif now - self._hungry_since > STARVING:
+                    raise Stopped("no frames within a bead")
+            return False
+        self._hungry_since = None
+        if len(self._running) > AHEAD or (self._resting and self._running):
+            return False
+        first = self._held[0]
+        return not self._resting or len(self._held) >= min(first.left, self._capacity)
+
+    def _hand(self, frame: Frame, now: float) -> None:
+        if frame.kind == 4:
+            self.finished = True
+            return
+        lasts = self._lasts(frame)
+        self._free = max(self._free, now) + lasts / self._pace
+        self._running.append(self._free)
+        self._resting = frame.numbers[18] == 0.0
+        self.state = replace(self.state, done=self.state.done + 1, moved=self.state.moved + lasts)
+
+    def _lasts(self, frame: Frame) -> float:
+        """Time of a move and its wait [s] at its speeds; the first target after joints is where they lead."""
+        new = None if frame.kind == 3 else np.array(frame.numbers)
+        old, self._last = self._last, new
+        if old is None or new is None:
+            return frame.numbers[17]
+        tip, turning, _, rotating = new[13:17]
+        angle = np.degrees(2.0 * np.arccos(min(1.0, abs(float(old[3:7] @ new[3:7])))))
+        axes = float(np.abs(old[7:13] - new[7:13]).max())
+        step = float(np.linalg.norm(new[:3] - old[:3]))
+        return max(step / tip, angle / turning, axes / rotating) + frame.numbers[17]
+
+
+class StreamServer:
+    """A buffer on TCP, in a thread of its own, for one stream. latency: how late its words are [wall s]."""
+
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        pace: float = 1.0,
+        faults: Sequence[Fault] = (),
+        capacity: int = CAPACITY,
+        latency: float = 0.0,
+    ) -> None:
+        self._buffer, self._capacity, self._faults = Buffer(capacity, pace), capacity, Faults(faults)
+        self._latency = latency
+        self._words: deque[tuple[float, bytes]] = deque()
+        self._lock, self._ending, self._mute = threading.Lock(), threading.Event(), False
+        self._listener = bound_socket(host, port)
+        self._listener.listen(1)
+        self.address: tuple[str, int] = self._listener.getsockname()
+        self._thread = threading.Thread(target=self._serve, name="stream", daemon=True)
+        self._thread.start()
+
+    def state(self) -> StreamState:
+        """How the stream stands."""
+        with self._lock:
+            return self._buffer.record()
+
+    def close(self) -> None:
+        """End the thread and close all sockets."""
+        self._ending.set()
+        self._thread.join()
+
+    def _serve(self) -> None:
+        connection = self._accepted()
+        if connection is None:
+            return
+        with connection:
+            reason = ""
+            try:
+                self._run(connection)
+                self._say(f"E {self._buffer.state.done} {self._buffer.state.starved}")
+                reason = "finished"
+            except Stopped as stopped:
+                reason = str(stopped)
+                self._say(f"X {self._buffer.state.done} {reason}")
+            with self._lock:
+                self._buffer.state = replace(self._buffer.state, reason=reason)
+            time.sleep(self._latency)
+            self._flush(connection)
+
+    def _accepted(self) -> socket.socket | None:
+        with self._listener:
+            self._listener.settimeout(LOOK * 4)
+            while not self._ending.is_set():
+                try:
+                    connection = self._listener.accept()[0]
+                except TimeoutError:
+                    continue
+                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                connection.settimeout(1.0)
+                return connection
+        return None
+
+    def _run(self, connection: socket.socket) -> None:
+        partial, heard = b"", time.monotonic()
+        self._say(f"B 1 {self._capacity}")
+        with selectors.DefaultSelector() as selector:
+            selector.register(connection, selectors.EVENT_READ)
+            while not self._buffer.finished:
+                if self._ending.is_set():
+                    raise Stopped("ended at the controller")
+                if selector.select(LOOK):
+                    try:
+                        data = connection.recv(BLOCK * 4)
+                    except OSError as error:
+                        raise Stopped("connection lost") from error
+                    if not data:
+                        raise Stopped("connection lost")
+                    partial, heard = self._take(partial + data), time.monotonic()
+                if time.monotonic() - heard > SILENCE:
+                    raise Stopped("silence of the PC")
+                with self._lock:
+                    handed = self._buffer.advance(time.monotonic())
+                if handed and not self._buffer.finished:
+                    self._credit()
+                self._flush(connection)
+
+    def _take(self, data: bytes) -> bytes:
+        """Take all whole frames; what is left over."""
+        whole = len(data) // FRAME * FRAME
+        before = self._buffer.taken
+        with self._lock:
+            for k in range(0, whole, FRAME):
+                self._buffer.take(frame_of(data[k : k + FRAME]))
+        for number in range(before + 1, self._buffer.taken + 1):
+            self._fault(number)
+        if self._buffer.taken > before:
+            self._credit()
+        return data[whole:]
+
+    def _fault(self, number: int) -> None:
+        if self._faults.take("stop", number):
+            raise Stopped("stopped at the controller")
+        if self._faults.take("drop", number):
+            self._mute = True
+            raise Stopped("connection lost")
+        if self._faults.take("mute", number):
+            self._mute = True
+        if self._faults.take("garbage", number):
+            self._words.append((time.monotonic() + self._latency, b"C \xff\xfe 12\n"))
+
+    def _credit(self) -> None:
+        self._say(f"C {self._buffer.taken} {self._buffer.state.done}")
+
+    def _say(self, text: str) -> None:
+        if not self._mute:
+            self._words.append((time.monotonic() + self._latency, text.encode() + b"\n"))
+
+    def _flush(self, connection: socket.socket) -> None:
+        """Send the words whose time has come."""
+        try:
+            while self._words and self._words[0][0] <= time.monotonic():
+                connection.sendall(self._words.popleft()[1])
+        except OSError:
+            self._words.clear()

@@ -1,0 +1,45 @@
+"""The command of the simulators."""
+
+from __future__ import annotations
+
+import re
+import signal
+import socket
+import subprocess
+import sys
+
+import pytest
+
+from planner.simulate.__main__ import main
+
+
+def test_a_simulator_runs_until_it_is_interrupted() -> None:
+    command = [sys.executable, "-m", "planner.simulate", "board", "--port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        said = process.stdout.readline()
+        host, port = re.search(r"board on ([0-9.]+):([0-9]+);", said).groups()
+        assert host == "127.0.0.1"
+        socket.create_connection((host, int(port)), timeout=3.0).close()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=10) == 130 and "has ended" in process.stderr.read()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("board --fault dorp@3", "did you mean drop?"),
+        ("stream --fault drop", "is no fault"),
+        ("controller --certificate x", "needs its key"),
+        ("controller --certificate x --key y --port 0", "no certificate"),
+        ("board --host 203.0.113.1", "cannot listen on 203.0.113.1"),
+    ],
+)
+def test_wrong_input_is_told(words: str, said: str, capsys) -> None:
+    assert main(words.split()) == 2 and said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", ["board --port 70000", "board --pace 0", "egm", "egm --start 1,2", "egm --start nan"])
+def test_wrong_options_end_it(words: str) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(words.split())
+    assert end.value.code == 2

@@ -1,0 +1,327 @@
+"""Joints streamed by externally guided motion: never a step beyond the limits, and a stop whenever something is odd."""
+
+from __future__ import annotations
+
+import builtins
+import json
+import threading
+from contextlib import closing
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from export_fixtures import make_plan
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from planner.errors import InputError
+from planner.export.plan_json import plan_json
+from planner.export.table import write_table
+from planner.link import egm
+from planner.link.egm_follow import DEVIATION, GAP, NEAR_START, EgmStopped, Follower, Heard
+from planner.link.egm_limits import Limiter
+from planner.link.egm_plan import PERIOD, JointPlan, read_plan
+from planner.plan import Plan
+from planner.simulate.egm import EgmRobot
+from planner.simulate.faults import EGM_FAULTS, faults_of
+
+DEGREES = np.pi / 180.0
+VELOCITY, ACCELERATION = np.array([2.0, 3.0]), np.array([15.0, 30.0])
+
+
+def folder_of(plan: Plan, folder: Path) -> Path:
+    (folder / "plan.json").write_text(plan_json(plan), "utf-8")
+    with (folder / "trajectory.csv").open("w", encoding="ascii", newline="\n") as table:
+        write_table(plan, table)
+    return folder
+
+
+def bow(seconds: float = 1.2, turn: float = 0.4) -> JointPlan:
+    """Two axes from rest to rest and back, well within their limits."""
+    t = np.arange(0.0, seconds + PERIOD / 2, PERIOD)
+    q = turn * 0.5 * (1.0 - np.cos(2.0 * np.pi * t / seconds))
+    return JointPlan(np.column_stack([q, -0.5 * q]), VELOCITY, ACCELERATION)
+
+
+def within_limits(references: np.ndarray, velocity=VELOCITY, acceleration=ACCELERATION) -> bool:
+    speed = np.diff(references, axis=0) / PERIOD
+    change = np.diff(speed, axis=0, prepend=0.0 * speed[:1]) / PERIOD
+    return bool((np.abs(speed) <= velocity * 1.000001).all() and (np.abs(change) <= acceleration * 1.000001).all())
+
+
+# ---- the limiter --------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=100, deadline=None)
+@given(arrays(np.float64, (60, 2), elements=st.floats(-4.0, 4.0)), st.lists(st.integers(0, 59), max_size=2))
+def test_no_step_goes_beyond_the_limits_whatever_is_asked_for(goals, stops) -> None:
+    limiter = Limiter(goals[0], VELOCITY, ACCELERATION, PERIOD)
+    out = [goals[0]]
+    for goal in goals:
+        out.append(limiter.next(goal))
+    assert within_limits(np.array(out))
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0))
+def test_a_goal_that_jumped_is_reached_and_not_passed(one: float, two: float) -> None:
+    limiter, goal = Limiter(np.zeros(2), VELOCITY, ACCELERATION, PERIOD), np.array([one, two])
+    out = np.array([limiter.next(goal) for _ in range(1500)])
+    np.testing.assert_allclose(out[-1], goal, atol=1e-6)
+    assert (np.abs(out) <= np.abs(goal) * 1.02 + 1e-4).all()
+
+
+def test_what_keeps_the_limits_comes_out_unchanged() -> None:
+    plan = bow()
+    limiter = Limiter(plan.q[0], VELOCITY, ACCELERATION, PERIOD)
+    out = np.array([limiter.next(goal) for goal in plan.q])
+    np.testing.assert_allclose(out, plan.q, atol=1e-9)
+    still = Limiter(np.zeros(2), np.array([2.0, 0.0]), np.array([15.0, 0.0]), PERIOD)
+    assert [still.next(np.ones(2))[1] for _ in range(5)] == [0.0] * 5
+
+
+# ---- following, in time that passes only here ---------------------------------------------------------------------
+
+
+def guided(plan: JointPlan, lag: float = 0.03, spoil=None) -> tuple[Follower, np.ndarray]:
+    """A robot that follows with a first-order lag; spoil(k, heard) may change the words that are heard."""
+    follower, at, out = Follower(plan), plan.q[0].copy(), []
+    for k in range(20_000):
+        heard = Heard(at.copy(), True, k * PERIOD)
+        reference = follower.answer(spoil(k, heard, follower) if spoil else heard)
+        if reference is not None:
+            out.append(reference)
+            at += (1.0 - np.exp(-PERIOD / lag)) * (reference - at)
+        if follower.over:
+            return follower, np.array(out)
+    raise AssertionError("never over")
+
+
+def test_the_whole_plan_is_followed() -> None:
+    plan = bow()
+    follower, out = guided(plan)
+    assert follower.sample == len(plan.q) - 1 and within_limits(out)
+    # the ramp delays the plan by half its length, and moves no reference off the path
+    assert np.abs(out[:, 1] + 0.5 * out[:, 0]).max() < 1e-4
+    assert out[:, 0].max() == pytest.approx(plan.q[:, 0].max(), abs=1e-4)
+    np.testing.assert_allclose(out[-1], plan.q[-1], atol=1e-6)
+
+
+def test_a_start_that_is_a_little_off_is_taken_over_smoothly() -> None:
+    off = bow()
+    moved = replace(off, q=off.q + 0.9 * NEAR_START)
+    follower, at, out = Follower(moved), off.q[0].copy(), []
+    for k in range(2000):
+        reference = follower.answer(Heard(at.copy(), True, k * PERIOD))
+        out.append(reference)
+        at += 0.1 * (reference - at)
+        if follower.over:
+            break
+    assert follower.over and within_limits(np.array(out)) and np.all(out[0] == off.q[0])
+    far = Follower(replace(off, q=off.q + 1.1 * NEAR_START))
+    with pytest.raises(EgmStopped, match=r"1\.10 degrees from the plan's start"):
+        far.answer(Heard(off.q[0], True, 0.0))
+
+
+def test_it_waits_until_the_robot_runs() -> None:
+    plan = bow()
+    follower = Follower(plan)
+    assert follower.answer(Heard(plan.q[0], False, 0.0)) is None and not follower.begun
+    assert follower.answer(Heard(plan.q[0], True, 0.004)) is not None
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (lambda h: replace(h, running=False), "has stopped"),
+        (lambda h: replace(h, joints=h.joints + [0.0, 1.3 * DEVIATION]), "axis 2 is .* away"),
+        (lambda h: replace(h, joints=h.joints[:1]), "1 axes, the plan 2"),
+        (lambda h: replace(h, joints=h.joints * np.nan), "no numbers"),
+    ],
+)
+def test_whatever_is_odd_stops_it(spoil, reason: str) -> None:
+    with pytest.raises(EgmStopped, match=reason):
+        guided(bow(), spoil=lambda k, heard, _: spoil(heard) if k >= 100 else heard)
+
+
+def test_a_robot_that_lags_too_much_is_stopped() -> None:
+    with pytest.raises(EgmStopped, match="away from all references"):
+        guided(bow(turn=0.6), lag=0.6)
+
+
+def test_a_gap_lets_it_start_again_from_rest() -> None:
+    plan, late = bow(), 0.1
+
+    def gap(k: int, heard: Heard, _: Follower) -> Heard:
+        return replace(heard, clock=heard.clock + (late if k >= 120 else 0.0))
+
+    assert late > GAP * PERIOD
+    _, out = guided(plan, spoil=gap)
+    speed = np.diff(out, axis=0) / PERIOD
+    assert np.abs(speed[118]).max() > 0.2 and np.abs(speed[119]).max() <= ACCELERATION[0] * PERIOD
+    # after the gap the first step counts from rest, like the very first one
+    assert within_limits(out[:120]) and within_limits(out[119:])
+
+
+def test_a_stop_comes_to_rest_on_the_path() -> None:
+    def stop(k: int, heard: Heard, follower: Follower) -> Heard:
+        if k == 120:
+            follower.stop()
+        return heard
+
+    follower, out = guided(bow(), spoil=stop)
+    assert within_limits(out) and 110 < follower.sample < 125  # either ramp takes half its length
+    assert np.abs(out[:, 1] + 0.5 * out[:, 0]).max() < 0.01 and np.abs(out[-1] - out[-2]).max() < 1e-6
+
+
+# ---- the plan -----------------------------------------------------------------------------------------------------
+
+
+def test_joints_of_a_plan_and_axes_that_are_held(tmp_path) -> None:
+    plan = make_plan()
+    read = read_plan(folder_of(plan, tmp_path))
+    names = list(plan.cell.holder_robot.model.names)[1:]
+    assert read.q.shape == (len(plan.trajectory), 6 + len(names)) and plan.cell.held
+    for k, name in enumerate(names):
+        if name in plan.cell.held:
+            assert (read.q[:, 6 + k] == plan.cell.held[name]).all() and read.velocity[6 + k] == 0.0
+        else:
+            np.testing.assert_allclose(read.q[:, 6 + k], plan.trajectory.q[:, 6], atol=1e-9)
+    np.testing.assert_allclose(read.q[:, :6], plan.trajectory.q[:, :6], atol=1e-9)
+    np.testing.assert_allclose(read.velocity[:6], plan.cell.limits.velocity[:6])
+
+
+def test_a_table_of_other_steps_is_resampled(tmp_path) -> None:
+    plan = make_plan()
+    every = slice(0, None, 2)
+    t = plan.trajectory
+    coarse = {k: v[every] for k, v in vars(t).items() if isinstance(v, np.ndarray)}
+    read = read_plan(folder_of(replace(plan, trajectory=replace(t, dt=0.008, **coarse)), tmp_path))
+    assert abs(len(read.q) - len(t)) <= 1
+    assert np.abs(read.q[: len(t) - 1, :6] - t.q[: len(read.q), :6][: len(t) - 1]).max() < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (lambda d: d.update(verified=False), "not verified"),
+        (lambda d: d.pop("cell"), "not a plan of this version"),
+        (lambda d: d["cell"]["joints"].pop(0), "6 axes"),
+        (lambda d: d["cell"]["joints"][0].update(v_max=0.0), "no positive number"),
+        (lambda d: d["cell"]["joints"][0].update(name="elbow"), "no column 'elbow'"),
+        (lambda d: d["cell"].update(holder_axes=3), "not a plan of this version"),
+    ],
+)
+def test_what_is_no_plan_is_told(spoil, reason: str, tmp_path) -> None:
+    folder_of(make_plan(), tmp_path)
+    data = json.loads((tmp_path / "plan.json").read_text())
+    spoil(data)
+    (tmp_path / "plan.json").write_text(json.dumps(data))
+    with pytest.raises(InputError, match=reason):
+        read_plan(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [("0.040000,", "0.041000,"), ("0.040000,", "nan,"), ("0.040000,", "x,"), ("0.040000,", "")]
+)
+def test_a_damaged_table_is_told(old: str, new: str, tmp_path) -> None:
+    table = folder_of(make_plan(), tmp_path) / "trajectory.csv"
+    text = table.read_text()
+    assert "\n" + old in text
+    table.write_text(text.replace("\n" + old, "\n" + new, 1))
+    with pytest.raises(InputError, match="trajectory"):
+        read_plan(tmp_path)
+    table.unlink()
+    with pytest.raises(InputError, match="cannot be read"):
+        read_plan(tmp_path)
+
+
+# ---- on the wire --------------------------------------------------------------------------------------------------
+
+
+@cache
+def short() -> JointPlan:
+    """Six axes that swing for 0.8 s."""
+    t = np.arange(0.0, 0.8 + PERIOD / 2, PERIOD)
+    q = 0.1 * (1.0 - np.cos(2.0 * np.pi * t / 0.8))[:, None] * np.array([1.0, -1.0, 0.5, 0.2, -0.3, 1.5])
+    return JointPlan(q, np.full(6, 3.0), np.full(6, 20.0))
+
+
+def wired(faults: tuple[str, ...] = (), say=lambda text: None) -> tuple[np.ndarray, EgmRobot]:
+    messages = egm.egm_messages()
+    with egm.listening("127.0.0.1", 0) as here:
+        start = np.degrees(short().q[0])
+        robot = EgmRobot(here.getsockname(), start, 4.0, faults_of(faults, EGM_FAULTS))
+        with closing(robot):
+            egm.follow(short(), here, messages, say)
+    return robot.references() * DEGREES, robot
+
+
+def test_a_robot_is_guided_through_a_plan() -> None:
+    references, robot = wired()
+    assert within_limits(references, 3.0, 20.0)
+    assert references[:, 5].max() == pytest.approx(short().q[:, 5].max(), abs=2e-3)
+    np.testing.assert_allclose(robot.joints() * DEGREES, short().q[-1], atol=0.2 * DEGREES)
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        ("mute@60", "said nothing for 0.5 s"),
+        ("stop@60", "has stopped"),
+        ("stray@60:3", "axis 1 is .* away"),
+        ("garbage@60", "no EGM message"),
+    ],
+)
+def test_faults_of_the_robot_stop_it(fault: str, reason: str) -> None:
+    with pytest.raises(EgmStopped, match=reason):
+        wired((fault,))
+
+
+def test_a_gap_on_the_wire_is_survived() -> None:
+    references, _ = wired(("gap@80:10",))
+    speed = np.abs(np.diff(references, axis=0)).max(axis=1) / PERIOD
+    assert (speed <= 3.000001).all() and references[:, 5].max() > 0.29
+
+
+def test_an_interrupt_brings_it_to_rest() -> None:
+    robots: list[np.ndarray] = []
+    told = threading.Event()
+
+    def interrupt(text: str) -> None:
+        if not text.startswith("0.0"):
+            told.set()
+            raise KeyboardInterrupt
+
+    messages = egm.egm_messages()
+    with (
+        egm.listening("127.0.0.1", 0) as here,
+        closing(EgmRobot(here.getsockname(), np.degrees(short().q[0]), 4.0)) as robot,
+    ):
+        with pytest.raises(KeyboardInterrupt):
+            egm.follow(short(), here, messages, interrupt)
+        robots.append(robot.references() * DEGREES)
+    assert told.is_set() and within_limits(robots[0], 3.0, 20.0)
+    assert np.abs(robots[0][-1] - robots[0][-2]).max() < 1e-5 and len(robots[0]) < 150
+
+
+def test_without_the_package_it_is_said_which_one(tmp_path, monkeypatch, capsys) -> None:
+    real = builtins.__import__
+
+    def none(name: str, *rest: object) -> object:
+        if name.startswith("abb_robot_client"):
+            raise ImportError(name)
+        return real(name, *rest)
+
+    monkeypatch.setattr(builtins, "__import__", none)
+    assert egm.main([str(tmp_path)]) == 2
+    assert "pip install beadwise[link]" in capsys.readouterr().err
+
+
+def test_the_command_says_what_is_wrong(tmp_path, capsys) -> None:
+    assert egm.main([str(tmp_path)]) == 2 and "no plan here" in capsys.readouterr().err
+    folder_of(make_plan(), tmp_path)
+    assert egm.main([str(tmp_path), "--port", "70000"]) == 2 and "cannot listen" in capsys.readouterr().err
