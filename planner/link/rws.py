@@ -72,8 +72,12 @@ class Rws:
         self._session.trust_env = False
         self._session.verify = verify
         self._session.headers.update(self._dialect.headers)
-        kind = auth.HTTPBasicAuth if self._two else auth.HTTPDigestAuth
-        self._session.auth = kind(user.encode("utf-8"), secret.reveal().encode("utf-8"))
+        word = secret.reveal()
+        self._session.auth = (
+            auth.HTTPBasicAuth(user.encode("utf-8"), word.encode("utf-8"))
+            if self._two
+            else auth.HTTPDigestAuth(user, word)
+        )
 
     def mode(self) -> str:
         """The operating mode: AUTO, MANR, MANF …"""
