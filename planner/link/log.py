@@ -30,8 +30,9 @@ class Log:
     def write(self, notes: Iterable[Note]) -> None:
         """Append records; OSError where the disk does not take them."""
         now, clock = datetime.now(UTC).isoformat(timespec="milliseconds"), round(1e3 * time.monotonic(), 3)
-        records = [{"utc": now, "ms": clock, "what": note.what, "n": note.n, "text": note.text} for note in notes]
-        left = memoryview("".join(json.dumps(record) + "\n" for record in records).encode("ascii"))
+        begin = f'{{"utc": "{now}", "ms": {clock}, '  # by hand, for a line of the program makes three records
+        texts = [f'{begin}"what": "{note.what}", "n": {note.n}, "text": {json.dumps(note.text)}}}\n' for note in notes]
+        left = memoryview("".join(texts).encode("ascii"))
         while left:
             left = left[os.write(self._file, left) :]
 

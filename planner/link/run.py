@@ -104,6 +104,7 @@ class _Runner:
         self._lost: deque[tuple[Side, str]] = deque()  # to be told to the relay
         self._outcome: Outcome | None = None
         self._log_works = True
+        self._changed = False  # a socket is closed, or has or had no room for what is to be sent
 
     def run(self) -> Outcome:
         with selectors.DefaultSelector() as selector:
@@ -120,7 +121,8 @@ class _Runner:
                     side, reason = self._lost.popleft()
                     self._carry_out(self._relay.lost(side, reason, time.monotonic()))
                 self._carry_out(self._relay.tick(time.monotonic()))
-                self._watch(selector)
+                if self._changed:
+                    self._watch(selector)
                 if time.monotonic() >= shown + LOOK_TIME:
                     self._show(self._relay.acknowledged)
                     shown = time.monotonic()
@@ -162,8 +164,9 @@ class _Runner:
                 self._stop_robot(effect.reason)
             elif isinstance(effect, Outcome):
                 self._outcome = effect
-        for side in Side:
-            self._flush(side)
+        for side, unsent in self._unsent.items():
+            if unsent:
+                self._flush(side)
 
     def _write_log(self, notes: list[Note]) -> None:
         if not self._log_works:
@@ -182,7 +185,9 @@ class _Runner:
             return
         try:
             del unsent[: self._sockets[side].send(unsent)]
+            self._changed = self._changed or bool(unsent)
         except BlockingIOError:
+            self._changed = True
             if len(unsent) > MOST_UNREAD:
                 self._lose(side, "it does not read what it is sent")
         except OSError as error:
@@ -191,6 +196,8 @@ class _Runner:
     def _lose(self, side: Side, reason: str) -> None:
         if side in self._sockets:
             self._sockets.pop(side).close()
+            self._unsent[side].clear()
+            self._changed = True
             self._lost.append((side, reason))
 
     def _watch(self, selector: selectors.BaseSelector) -> None:
@@ -204,6 +211,7 @@ class _Runner:
             wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if self._unsent[key.data] else 0)
             if wanted != key.events:
                 selector.modify(key.fileobj, wanted, key.data)
+        self._changed = any(self._unsent.values())
 
     def _part(self, side: Side) -> None:
         """Close a connection so that the last words still arrive: what is unread would take them with it."""
