@@ -107,7 +107,7 @@ def test_the_board(text: str, message: object) -> None:
 
 
 def test_a_stop_is_one_short_line() -> None:
-    assert stop("é\n" + "x" * 200) == b"S ??" + b"x" * 76 + b"\n"
+    assert stop("é\n" + "x" * 200) == b"S ??" + b"x" * 33 + b"\n"
 
 
 TABLE = "n,bead,layer,t_s,text\n1,-1,-1,0.000,M83\n2,0,0,1.500,G1 E0.1 F300\n3,0,0,1.500,G1 E0.2\n"
@@ -116,6 +116,10 @@ TABLE = "n,bead,layer,t_s,text\n1,-1,-1,0.000,M83\n2,0,0,1.500,G1 E0.1 F300\n3,0
 def written(folder: Path, text: str) -> Path:
     (folder / "Cup_lines.csv").write_text(text, encoding="utf-8")
     return folder / "Cup.mod"
+
+
+def test_a_line_may_have_commas(tmp_path: Path) -> None:
+    assert read_program_lines(written(tmp_path, TABLE.replace("M83", 'M117 "a, b"')))[1].text == 'M117 "a, b"'
 
 
 def test_the_table(tmp_path: Path) -> None:
@@ -133,13 +137,15 @@ def test_the_table(tmp_path: Path) -> None:
         ("2,0,0,1.500", "2,0,0,nan", ":3: t_s: 'nan' is not a time"),
         ("3,0,0,1.500", "3,0,0,1.4", ":4: t_s: '1.4' is not a time from 1.5 s on"),
         ("2,0,0,1.500", "2,0,1.500", ":3: 4 columns, not 5"),
-        ("G1 E0.2", "", ":4: text: not a line of 1 to 70"),
+        ("G1 E0.2", "", ":4: text: '' is no line for the board"),
         ("G1 E0.2", "M117 é", ":4: text"),
         ("G1 E0.2", "M117 " + "x" * 70, ":4: text"),
         ("n,bead", "n;bead", ":1: the first line is not n,bead,layer,t_s,text"),
         (TABLE, "n,bead,layer,t_s,text\n", "holds 0 lines"),
         (TABLE, "", ":1: the first line"),
-        ("G1 E0.2", '"G1 E0.2', "unexpected end of data"),
+        ("G1 E0.2", "G1 E0.2 ; slowly", ":4: text"),
+        ("G1 E0.2", "G1 E0.2*31", ":4: text"),
+        ("G1 E0.2", "N3 G1 E0.2", ":4: text"),
     ],
 )
 def test_a_wrong_table_is_refused(tmp_path: Path, old: str, new: str, words: str) -> None:

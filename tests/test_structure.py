@@ -139,7 +139,7 @@ HEAVY = {
     "trimesh": {"facets", "export.part_stl", "report.finished"},
     "matplotlib": {"report", "placement.chart", "registration.picture"},
     "plotly": {"report"},
-    "rich": {"place", "progress", "report.summary", "robots", "solve"},
+    "rich": {"link.command", "link.show", "place", "progress", "report.summary", "robots", "solve"},
     "pydantic": {"problem"},
     "pydantic_core": {"problem"},
     "ruamel": {"problem"},

@@ -11,6 +11,8 @@ from planner.link.program_lines import Position
 class Side(Enum):
     """The two ends of the relay."""
 
+    __hash__ = object.__hash__  # an enumeration's own is slow, and sides are looked up for every line
+
     CONTROLLER = "controller"
     BOARD = "board"
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 LONGEST_LINE = 256  # bytes; three times what either side may say, so anything longer is not of this protocol
 
+_TEXT = bytes((0x09, *range(0x20, 0x7F)))
+
 
 class Garbage(ValueError):
     """What came is not of the protocol; `str()` says what it was."""
@@ -33,6 +35,6 @@ class Framer:
 def _wrong(raw: bytes) -> Garbage | None:
     if len(raw) > LONGEST_LINE:
         return Garbage(f"a line of more than {LONGEST_LINE} bytes")
-    if any(byte != 0x09 and not 0x20 <= byte <= 0x7E for byte in raw):
+    if raw.translate(None, _TEXT):
         return Garbage(f"bytes that are not text: {raw[:24]!r}")
     return None

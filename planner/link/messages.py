@@ -13,13 +13,14 @@ from planner.link.framing import Garbage
 
 LONGEST_SAID = 80  # characters; RAPID's longest string
 LONGEST_GCODE = 70
+LONGEST_STOP = 37  # characters to the controller, which reads pieces of 38 bytes
 MOST_LINES = 10_000_000
 _NUMBER = r"(0|[1-9][0-9]{0,7})"
 _HELLO = re.compile(rf"H ([A-Za-z][A-Za-z0-9_]{{0,31}}) {_NUMBER}")
 _LINE = re.compile(rf"L {_NUMBER} (.+)")
 _END = re.compile(rf"E {_NUMBER}")
 _STOPPED = re.compile(rf"X {_NUMBER} (.*)")
-_GCODE = re.compile(r"[GMT][0-9]+(\.[0-9]+)?( [A-Z][^*;\t]*)?")
+_GCODE = re.compile(r"[GMT][0-9]+(\.[0-9]+)?( [\x21-\x7e][\x20-\x7e]*)?")
 _OK = re.compile(rf"ok(?: N{_NUMBER})?(?: .*)?")
 _RESEND = re.compile(rf"(?:Resend|rs): ?N?{_NUMBER}")
 
@@ -87,11 +88,16 @@ ControllerMessage = Hello | Line | End | Stopped
 BoardMessage = Ok | Resend | Trouble | Remark
 
 
+def is_gcode(text: str) -> bool:
+    """Whether the board can be sent this as a line: one code, no comment, no star, which would begin a checksum."""
+    return len(text) <= LONGEST_GCODE and _GCODE.fullmatch(text) is not None and not set(text) & {"*", ";"}
+
+
 def from_controller(text: str) -> ControllerMessage:
     """What a line of the program's socket says; raises Garbage for all that is not of the protocol."""
     if len(text) <= LONGEST_SAID:
         if found := _LINE.fullmatch(text):
-            if len(found[2]) <= LONGEST_GCODE and _GCODE.fullmatch(found[2]):
+            if is_gcode(found[2]):
                 return Line(int(found[1]), found[2])
         elif found := _HELLO.fullmatch(text):
             return Hello(found[1], int(found[2]))
@@ -139,4 +145,4 @@ def acknowledged(n: int) -> bytes:
 
 def stop(reason: str) -> bytes:
     """The controller is to stop now."""
-    return ("S " + re.sub(r"[^\x20-\x7e]", "?", reason))[:LONGEST_SAID].encode("ascii") + b"\n"
+    return ("S " + re.sub(r"[^\x20-\x7e]", "?", reason))[:LONGEST_STOP].encode("ascii") + b"\n"

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import csv
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
 from planner.errors import InputError
 from planner.input_file import read_text
-from planner.link.messages import LONGEST_GCODE, MOST_LINES
+from planner.link.messages import LONGEST_GCODE, MOST_LINES, is_gcode
 
-COLUMNS = ("n", "bead", "layer", "t_s", "text")
+COLUMNS = "n,bead,layer,t_s,text"
 LARGEST = 100_000_000  # bytes; some two million lines
 NO_BEAD = -1
+_WHOLE = re.compile(r"-?[0-9]{1,8}")
 
 
 @dataclass(frozen=True)
@@ -84,32 +85,30 @@ def read_program_lines(program: Path) -> ProgramLines:
     def complain(reason: str, hint: str | None = None) -> InputError:
         return InputError(reason, hint=hint or "the link runs programs of `program: style: socket`", file=path)
 
-    rows = csv.reader(read_text(path, LARGEST, complain), strict=True)
+    rows = read_text(path, LARGEST, complain)
+    if rows[0] != COLUMNS:
+        raise InputError(f"the first line is not {COLUMNS}", file=path, line=1)
     lines: list[ProgramLine] = []
-    try:
-        if tuple(next(rows, ())) != COLUMNS:
-            raise InputError(f"the first line is not {','.join(COLUMNS)}", file=path, line=1)
-        for row in rows:
-            if row:
-                lines.append(_line(row, len(lines) + 1, lines[-1].t if lines else 0.0, path, rows.line_num))
-    except csv.Error as error:
-        raise InputError(str(error), file=path, line=rows.line_num) from None
+    for at, row in enumerate(rows[1:], 2):
+        if row:
+            lines.append(_line(row, len(lines) + 1, lines[-1].t if lines else 0.0, path, at))
     if not 1 <= len(lines) <= MOST_LINES:
         raise InputError(f"holds {len(lines)} lines for the board, not 1 to {MOST_LINES}", file=path)
     return ProgramLines(program.stem, tuple(lines))
 
 
-def _line(row: list[str], n: int, since: float, path: Path, at: int) -> ProgramLine:
+def _line(text: str, n: int, since: float, path: Path, at: int) -> ProgramLine:
     def wrong(field: str, reason: str) -> InputError:
         return InputError(reason, file=path, line=at, field=field)
 
-    if len(row) != len(COLUMNS):
-        raise InputError(f"{len(row)} columns, not {len(COLUMNS)}", file=path, line=at)
+    row = text.split(",", 4)  # what is for the board may have commas of its own
+    if len(row) != 5:
+        raise InputError(f"{len(row)} columns, not 5", file=path, line=at)
     numbers = []
-    for field, text in zip(COLUMNS[:3], row[:3], strict=True):
-        if not text.removeprefix("-").isascii() or not text.removeprefix("-").isdigit() or len(text) > 9:
-            raise wrong(field, f"{text!r} is not a whole number")
-        numbers.append(int(text))
+    for field, word in zip(("n", "bead", "layer"), row[:3], strict=True):
+        if _WHOLE.fullmatch(word) is None:
+            raise wrong(field, f"{word!r} is not a whole number")
+        numbers.append(int(word))
     if numbers[0] != n:
         raise wrong("n", f"{numbers[0]} where {n} is due")
     if min(numbers[1:]) < NO_BEAD:
@@ -120,7 +119,8 @@ def _line(row: list[str], n: int, since: float, path: Path, at: int) -> ProgramL
         t = math.nan
     if not since <= t < math.inf:
         raise wrong("t_s", f"{row[3]!r} is not a time from {since:g} s on")
-    text = row[4]
-    if not text.isascii() or not text.isprintable() or not 1 <= len(text) <= LONGEST_GCODE:
-        raise wrong("text", f"not a line of 1 to {LONGEST_GCODE} plain characters")
-    return ProgramLine(n, numbers[1], numbers[2], t, text)
+    if not is_gcode(row[4]):
+        raise wrong(
+            "text", f"{row[4]!r} is no line for the board: a G, M or T code of at most {LONGEST_GCODE} characters"
+        )
+    return ProgramLine(n, numbers[1], numbers[2], t, row[4])

@@ -62,6 +62,11 @@ class Relay:
         """The last line that the board took."""
         return self._acknowledged
 
+    @property
+    def ended(self) -> bool:
+        """The program said that it is through, so that the robot's standing still means nothing."""
+        return self._ended
+
     def received(self, side: Side, data: bytes, now: float) -> list[Effect]:
         """Bytes came from a side."""
         if self._deaf(side):

@@ -1,0 +1,95 @@
+"""What the user sees of a run: how far it is, and how it ended."""
+
+from __future__ import annotations
+
+import time
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+
+from planner.link.effects import Outcome
+from planner.link.program_lines import NO_BEAD, ProgramLines
+
+SETTLED = 10.0  # s of the run after which its own pace says how long the rest takes
+
+
+class Show:
+    """A bar with bead, layer, line and time left; nothing where the console is None."""
+
+    def __init__(self, lines: ProgramLines, console: Console | None) -> None:
+        self._lines = lines
+        self._first: float | None = None  # when the first line was acknowledged [s of a steady clock]
+        self._progress = None if console is None else Progress(
+            TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>5.1f} %"),
+            TextColumn("{task.fields[left]}"), console=console, auto_refresh=False,
+        )  # fmt: skip
+        self._bar = None if self._progress is None else self._progress.add_task("waiting", total=1.0, left="")
+
+    def __enter__(self) -> Show:
+        if self._progress is not None:
+            self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._progress is not None:
+            self._progress.stop()
+
+    def __call__(self, acknowledged: int) -> None:
+        """Draw how far the run is after a line."""
+        if self._progress is None or self._bar is None or not acknowledged:
+            return
+        now = time.monotonic()
+        if self._first is None:
+            self._first = now
+        share, left = progress(self._lines, acknowledged, now - self._first)
+        words = f"{place(self._lines, acknowledged)}, line {acknowledged} of {len(self._lines)}"
+        self._progress.update(self._bar, completed=share, description=words, left=f"{duration(left)} left")
+        self._progress.refresh()
+
+
+def progress(lines: ProgramLines, acknowledged: int, since: float) -> tuple[float, float]:
+    """Share of the planned time that is over, and the time that the rest takes [s] at the pace so far.
+
+    since  time from the first ack [s]
+    """
+    first, last, here = lines[1].t, lines[len(lines)].t, lines[acknowledged].t
+    if acknowledged == len(lines) or last <= first:
+        return acknowledged / len(lines), 0.0
+    pace = since / (here - first) if here - first >= SETTLED and since > 0.0 else 1.0
+    return (here - first) / (last - first), (last - here) * pace
+
+
+def place(lines: ProgramLines, n: int) -> str:
+    """Bead and layer of a line in words, numbered as everywhere; of the one before where it belongs to no bead."""
+    line = next((lines[k] for k in range(n, 0, -1) if lines[k].bead != NO_BEAD), None)
+    return "before the first bead" if line is None else f"bead {line.bead}, layer {line.layer}"
+
+
+def duration(seconds: float) -> str:
+    """A time as people say it: 1:02:03 or 2:03."""
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}" if minutes >= 60 else f"{minutes}:{rest:02d}"
+
+
+def ending(lines: ProgramLines, outcome: Outcome, problem: str) -> list[str]:
+    """How a run ended, in lines: why, where it stands, what the user should look at, and how to go on."""
+    total, n = len(lines), outcome.position.n
+    if outcome.reason is None:
+        return [f"done: all {total} lines were acknowledged"]
+    where = f"last acknowledged line {n} of {total} ({place(lines, n)})" if n else "no line was acknowledged"
+    said = [f"stopped: {outcome.reason}; {where}"]
+    if outcome.sent > n:
+        said.append(
+            f"line {outcome.sent} ({lines[outcome.sent].text}) went to the board, which may have carried it out"
+        )
+    if not outcome.safe:
+        said.append(
+            "the board did not confirm that it is safe: look at its heaters, its cutter, and what it still extrudes"
+        )
+    resume = outcome.position.resume
+    if resume is None:
+        return [*said, "all beads were printed"]
+    return [*said, f"to go on: python -m planner.solve {problem} --from-bead {resume}"]

@@ -1,0 +1,308 @@
+"""The command, from its arguments to its exit code, against the simulated controller and board."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from simulate_fixtures import MODULE, program, reader
+
+from planner.link import board, command, robot
+from planner.link.command import main
+from planner.link.rws import Rws
+from planner.link.secret import Secret
+from planner.link.sockets import Address, connect, parse_address
+from planner.simulate import Simulated, start
+from planner.simulate.controller import Controller
+from planner.simulate.rws import Access, RwsServer
+
+LINES = ["M83", *(f"G1 E0.{k} F600" for k in range(100, 118)), "M104 S0"]
+PASSWORD, HEAD_PASSWORD = "r0b0tics-of-ours", "h3ad"
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Path:
+    """A program of a line, 3 beads with 6 lines each, and a line; with its table."""
+    made = tmp_path / "Made.mod"
+    made.write_text(MODULE.replace("MODULE Made\n", "MODULE Made\n    ! Problem cup_7, strategy sqp\n", 1))
+    rows = [f"{n},{-1 if n in (1, 20) else (n - 2) // 6},0,{0.05 * n:.3f},{text}" for n, text in enumerate(LINES, 1)]
+    (tmp_path / "Made_lines.csv").write_text("\n".join(["n,bead,layer,t_s,text", *rows, ""]))
+    return made
+
+
+@pytest.fixture(autouse=True)
+def secrets(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(command.PASSWORD, PASSWORD)
+    monkeypatch.setenv(board.PASSWORD, HEAD_PASSWORD)
+
+
+@pytest.fixture
+def machine(request: pytest.FixtureRequest) -> Iterator[Simulated]:
+    with start(
+        pace=4.0, read=reader(program(LINES, moves=21)), rws_password=PASSWORD, **getattr(request, "param", {})
+    ) as made:
+        yield made
+
+
+def arguments(files: Path, machine: Simulated, *more: str) -> list[str]:
+    rws, head = (f"{host}:{port}" for host, port in (machine.rws, machine.board))
+    ends = ["--controller", rws, "--head", head, "--socket-port", str(machine.program[1])]
+    return [str(files), *ends, "--quiet", "--log", str(files.with_name("log.jsonl")), *more]
+
+
+def records(files: Path) -> list[dict[str, object]]:
+    return [json.loads(line) for line in files.with_name("log.jsonl").read_text().splitlines()]
+
+
+def carried_out(machine: Simulated) -> list[str]:
+    """Lines of the program that the board carried out, in order, each with its number."""
+    lines = [(n, gcode) for n, gcode in machine.board_record().accepted if n is not None]
+    assert [n for n, _ in lines] == list(range(1, len(lines) + 1))
+    return [gcode for _, gcode in lines]
+
+
+@pytest.mark.parametrize("machine", [{"board_password": HEAD_PASSWORD}], indirect=True)
+def test_a_print(files: Path, machine: Simulated, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments(files, machine)) == 0
+    assert carried_out(machine) == LINES
+    said = capsys.readouterr()
+    assert "done: all 20 lines were acknowledged" in said.err
+    text = files.with_name("log.jsonl").read_text()
+    for shown in (said.out + said.err, text):
+        assert PASSWORD not in shown and HEAD_PASSWORD not in shown
+    assert [record["n"] for record in records(files) if record["what"] == "acknowledged"] == list(range(1, 21))
+
+
+def test_a_dry_run_starts_nothing(files: Path, machine: Simulated) -> None:
+    assert main(arguments(files, machine, "--dry-run")) == 0
+    assert machine.state() is None and machine.controller.files() == [] and carried_out(machine) == []
+    assert not files.with_name("log.jsonl").exists()
+
+
+@pytest.mark.parametrize(
+    ("machine", "words", "resume"),
+    [
+        ({"board_faults": ["error@9"]}, "the board reports 'Error", 1),
+        ({"board_faults": ["drop@9"]}, "the board's connection was lost", 1),
+        ({"board_faults": ["garbage@9"]}, "the board sent", 1),
+        ({"controller_faults": ["drop@9"]}, "the controller's connection was lost", 1),
+        ({"controller_faults": ["stop@9"]}, "stopped", 1),
+        ({"controller_faults": ["restart@9"]}, "the controller's connection was lost", 1),
+        ({"controller_faults": ["garbage@9"]}, "the controller sent", 1),
+        ({"controller_faults": ["skip@9"]}, "the controller sent line 10 where line 9 of 20 was due", 1),
+    ],
+    indirect=["machine"],
+)
+def test_a_fault(files: Path, machine: Simulated, capsys: pytest.CaptureFixture[str], words: str, resume: int) -> None:
+    assert main(arguments(files, machine)) == 3
+    said = capsys.readouterr().err
+    assert words in said
+    assert f"to go on: python -m planner.solve cup_7 --from-bead {resume}\n" in said
+    assert "stopped: " in said and f"(bead {resume}, layer 0)" in said
+    done = carried_out(machine)
+    assert done == LINES[: len(done)] and len(done) < len(LINES)
+    assert not machine.controller.running
+
+
+def test_ctrl_c(files: Path, machine: Simulated, capsys: pytest.CaptureFixture[str]) -> None:
+    def strike() -> None:
+        while len(carried_out(machine)) < 5:
+            time.sleep(0.005)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=strike, daemon=True).start()
+    assert main(arguments(files, machine, "--cold")) == 130
+    assert "interrupted from the keyboard; last acknowledged line" in capsys.readouterr().err
+    assert not machine.controller.running
+    assert [gcode for n, gcode in machine.board_record().accepted if n is None][-3:] == [
+        "M106 P0 S0",
+        "M104 S0",
+        "M140 S0",
+    ]
+
+
+def test_ctrl_c_before_the_program_listens(
+    files: Path, machine: Simulated, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(address: Address, what: str, patience: float = 0.0) -> socket.socket:
+        assert machine.controller.running
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "connect", interrupted)
+    assert main(arguments(files, machine)) == 130
+    assert not machine.controller.running
+
+
+@pytest.mark.parametrize(
+    ("attribute", "value", "words"),
+    [("mode", "MANR", "in mode MANR, not in AUTO"), ("motors", "motoroff", "motors are not on (motoroff)")],
+)
+def test_a_robot_that_is_not_ready(
+    files: Path, machine: Simulated, capsys: pytest.CaptureFixture[str], attribute: str, value: str, words: str
+) -> None:
+    setattr(machine.controller, attribute, value)
+    assert main(arguments(files, machine)) == 3
+    assert words in capsys.readouterr().err
+    assert machine.controller.files() == [] and machine.state() is None
+
+
+def test_a_program_that_runs_is_left_alone(files: Path, machine: Simulated, capsys: pytest.CaptureFixture[str]) -> None:
+    rws = Rws(Address(*machine.rws), 1, "Default User", Secret(PASSWORD))
+    robot.bring(rws, robot.program_files(files), lambda text: None)
+    rws.start()
+    assert main(arguments(files, machine)) == 3
+    assert "a program runs on the controller" in capsys.readouterr().err
+    assert machine.controller.running
+    rws.stop()
+    rws.close()
+
+
+@pytest.mark.parametrize(
+    ("machine", "change", "words"),
+    [
+        ({}, {command.PASSWORD: "wrong"}, "does not take user and password"),
+        ({"board_password": "other"}, {}, "does not take the password"),
+        ({}, {command.PASSWORD: None}, "there is no password for Default User"),
+    ],
+    indirect=["machine"],
+)
+def test_wrong_passwords(
+    files: Path, machine: Simulated, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+    change: dict[str, str | None], words: str,
+) -> None:  # fmt: skip
+    for name, value in change.items():
+        monkeypatch.setenv(name, value) if value is not None else monkeypatch.delenv(name)
+    assert main(arguments(files, machine)) == 2
+    assert words in capsys.readouterr().err
+    assert machine.state() is None and carried_out(machine) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "code", "words"),
+    [
+        ("Made_lines.csv", "10,1,", "11,1,", 2, "Made_lines.csv:11: n: 11 where 10 is due"),
+        ("Made.mod", "MODULE Made", "MODULE Mode", 2, "its first line is not MODULE Made"),
+        (
+            "Made_lines.csv",
+            "G1 E0.108 F600",
+            "G1 E0.108 F601",
+            3,
+            "line 10 is 'G1 E0.108 F600' from the controller, but",
+        ),
+        (
+            "Made_lines.csv",
+            "\n20,-1,0,1.000,M104 S0",
+            "",
+            3,
+            "the controller runs Made with 20 lines, not Made with 19",
+        ),
+    ],
+)
+def test_a_program_that_does_not_fit(
+    files: Path, machine: Simulated, capsys: pytest.CaptureFixture[str],
+    name: str, old: str, new: str, code: int, words: str,
+) -> None:  # fmt: skip
+    path = files.with_name(name)
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new, 1))
+    assert main(arguments(files, machine)) == code
+    assert words in capsys.readouterr().err
+    assert not machine.controller.running
+    assert carried_out(machine) == LINES[: len(carried_out(machine))]
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (["--controller", "no.such.host.invalid"], "there is no host no.such.host.invalid"),
+        (["--controller", "127.0.0.1:1"], "web services at 127.0.0.1:1 do not answer"),
+        (["--head", "127.0.0.1:1"], "the board at 127.0.0.1:1 does not answer: Connection refused"),
+        (["--head", "no.such.host.invalid"], "the board: there is no host"),
+    ],
+)
+def test_nobody_there(
+    files: Path, machine: Simulated, capsys: pytest.CaptureFixture[str], more: list[str], words: str
+) -> None:
+    assert main(arguments(files, machine, *more)) == (2 if "host" in words else 3)
+    assert words in capsys.readouterr().err
+    assert machine.state() is None
+
+
+@pytest.mark.parametrize(
+    "text", ["", "a b", "host:", "host:x", "host:0", "host:70000", "http://host", "host:80/x", "-" * 300]
+)
+def test_no_address(text: str) -> None:
+    with pytest.raises(ValueError, match=r"HOST|port"):
+        parse_address(text, 80)
+
+
+def test_web_services_2(tmp_path: Path) -> None:
+    """Version 2.0: basic authentication, actions as paths, mastership asked for with what needs it."""
+    controller = Controller(("127.0.0.1", 0), read=reader(program(LINES)))
+    server = RwsServer("127.0.0.1", 0, controller, Access(password=PASSWORD, version=2))
+    try:
+        rws = Rws(Address(*server.address), 2, "Default User", Secret(PASSWORD), scheme="http")
+        robot.check_ready(rws)
+        robot.bring(rws, {"Made.mod": MODULE.encode()}, lambda text: None)
+        assert controller.files() == ["Made.mod"] and controller.modules() == ["Made"]
+        rws.start()
+        assert rws.running()
+        rws.stop()
+        assert not rws.running()
+        rws.close()
+    finally:
+        server.close()
+        controller.close()
+
+
+def test_an_answer_is_bounded_and_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What answers is no controller: too much, no JSON, JSON of another form, a redirection."""
+    answers = [
+        (b"HTTP/1.1 200 OK\r\nContent-Length: 2000000\r\n\r\n" + b" " * 2_000_000, "refuses"),
+        (b"HTTP/1.1 200 OK\r\nContent-Length: 5\r\n\r\n<xml>", "gives no opmode"),
+        (b"HTTP/1.1 200 OK\r\nContent-Length: 15\r\n\r\n{\"state\": [[1]]}", "gives no opmode"),
+        (b"HTTP/1.1 200 OK\r\nContent-Length: 20000\r\n\r\n" + b"[" * 20_000, "gives no opmode"),
+        (b"HTTP/1.1 302 Found\r\nLocation: http://127.0.0.1:1/\r\nContent-Length: 0\r\n\r\n", "status 302"),
+        (b"nonsense\r\n\r\n", "do not answer"),
+        (b"", "do not answer"),
+    ]  # fmt: skip
+    for answer, words in answers:
+        with socket.create_server(("127.0.0.1", 0)) as server:
+
+            def serve(server: socket.socket = server, answer: bytes = answer) -> None:
+                made, _ = server.accept()
+                with made:
+                    made.recv(4096)
+                    try:
+                        made.sendall(answer)
+                    except OSError:
+                        return  # nobody wants to hear all of it
+
+            threading.Thread(target=serve, daemon=True).start()
+            rws = Rws(Address(*server.getsockname()), 1, "Default User", Secret(PASSWORD))
+            with pytest.raises(command.LinkError, match=words):
+                rws.mode()
+            rws._session.close()
+
+
+def test_a_secret_is_not_shown() -> None:
+    secret = Secret(PASSWORD)
+    assert PASSWORD not in f"{secret} {secret!r} {[secret]}"
+
+
+def test_a_connection_notices_that_the_other_end_is_gone() -> None:
+    """Asked every second: an unplugged cable is found within a few seconds."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        made = connect(Address(*server.getsockname()), "it")
+        with made:
+            assert made.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
+            assert made.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) == 1
+            assert made.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 3000
+            assert made.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)

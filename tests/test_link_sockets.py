@@ -1,0 +1,182 @@
+"""The relay on loopback sockets: the same faults as in its core's test, with what an operating system adds to them."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from link_ends import program
+from link_servers import BoardEnd, ControllerEnd
+
+from planner.errors import OutputError
+from planner.link import patience
+from planner.link import relay as relay_module
+from planner.link.effects import Outcome, Side
+from planner.link.log import Log
+from planner.link.relay import Relay
+from planner.link.run import INTERRUPTED, Requests, run_relay, signals_as
+
+PROGRAM = program()
+TOTAL = len(PROGRAM)
+
+
+class Session:
+    """One run between two ends; what came of it."""
+
+    def __init__(self, log: Path, controller: ControllerEnd, board: BoardEnd) -> None:
+        self.controller, self.board, self.log = controller, board, log
+        self.requests = Requests()
+        self.robot: list[str] = []
+        self.shown: list[int] = []
+
+    def run(self) -> Outcome:
+        sockets = {
+            Side.CONTROLLER: socket.create_connection(self.controller.address),
+            Side.BOARD: socket.create_connection(self.board.address),
+        }
+        log = Log(self.log)
+        relay = Relay(PROGRAM, time.monotonic())
+        try:
+            return run_relay(relay, sockets, self.requests, log, self.robot.append, self.shown.append)
+        finally:
+            log.close()
+            for each in sockets.values():
+                assert each.fileno() == -1
+            self.requests.close()
+            self.controller.close()
+            self.board.close()
+
+
+def records(path: Path) -> list[dict[str, object]]:
+    return [json.loads(line) for line in path.read_text(encoding="ascii").splitlines()]
+
+
+def check(session: Session, outcome: Outcome) -> None:
+    """Nothing lost, nothing doubled, and the log says the same."""
+    done = session.board.core.done
+    assert done == [(n, PROGRAM[n].text) for n in range(1, len(done) + 1)]
+    assert outcome.position.n <= len(done) <= outcome.sent <= outcome.position.n + 1
+    told = records(session.log)
+    for what, last in (("sent", outcome.sent), ("acknowledged", outcome.position.n)):
+        assert [record["n"] for record in told if record["what"] == what] == list(range(1, last + 1))
+    assert all(str(record["utc"]).endswith("+00:00") for record in told)
+    clock = [float(str(record["ms"])) for record in told]
+    assert clock == sorted(clock)
+    assert bool(session.robot) == (outcome.reason is not None)
+    assert [record["text"] for record in told if record["what"] == "stop"] == session.robot
+
+
+def test_a_whole_run(tmp_path: Path) -> None:
+    session = Session(tmp_path / "log.jsonl", ControllerEnd(PROGRAM), BoardEnd())
+    outcome = session.run()
+    check(session, outcome)
+    assert outcome.reason is None and outcome.position.n == TOTAL and session.shown[-1] == TOTAL
+    assert session.controller.core.acknowledged == TOTAL
+
+
+FAULTS = [
+    (end, fault, at, words)
+    for at in (0, 5, 23)
+    for end, fault, words in (
+        ("controller", "close", "controller's connection was lost (closed by the other end)"),
+        ("controller", "reset", "controller's connection was lost"),
+        ("controller", "half", "controller's connection was lost"),
+        ("controller", "garbage", "controller sent bytes that are not text"),
+        ("controller", "long", "controller sent a line of more than 256 bytes"),
+        ("controller", "hello", "started again"),
+        ("controller", "gives up", "controller stopped: axis 5 overload"),
+        ("board", "close", "board's connection was lost (closed by the other end)"),
+        ("board", "reset", "board's connection was lost"),
+        ("board", "half", "board's connection was lost"),
+        ("board", "garbage", "board sent bytes that are not text"),
+        ("board", "error", "Heater 1 fault"),
+        ("board", "wrong ack", "acknowledged line 9999"),
+        ("board", "resend", "again, which it was not sent last"),
+        ("board", "flood", "more than 1000 lines that acknowledge nothing"),
+    )
+    if not (end == "controller" and fault == "hello" and at == 0)
+]
+
+
+@pytest.mark.parametrize(("end", "fault", "at", "words"), FAULTS)
+def test_a_fault_stops_both_sides(tmp_path: Path, end: str, fault: str, at: int, words: str) -> None:
+    controller = ControllerEnd(PROGRAM, fault if end == "controller" else None, at)
+    board = BoardEnd(at % 2 == 0, fault if end == "board" else None, at)
+    session = Session(tmp_path / "log.jsonl", controller, board)
+    outcome = session.run()
+    check(session, outcome)
+    assert outcome.reason is not None and words in outcome.reason
+    assert session.robot == [outcome.reason]
+    if fault not in ("close", "reset", "half") or end == "board":
+        assert controller.core.stopped
+    if fault not in ("close", "reset", "half") or end == "controller":
+        assert board.core.plain == ["M106 P0 S0"]
+
+
+def test_a_board_that_says_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(patience, "ACK_TIME", 0.2)
+    monkeypatch.setattr(relay_module, "STOP_TIME", 0.2)
+    session = Session(tmp_path / "log.jsonl", ControllerEnd(PROGRAM), BoardEnd(fault="dumb", at=5))
+    outcome = session.run()
+    check(session, outcome)
+    assert outcome.reason == "the board did not acknowledge line 6 in time" and not outcome.safe
+    assert session.controller.core.stopped
+
+
+@pytest.mark.parametrize("fault", ["slow", "deaf"])
+def test_who_is_slow_is_waited_for(tmp_path: Path, fault: str) -> None:
+    controller = ControllerEnd(PROGRAM, fault if fault == "deaf" else None, 9)
+    session = Session(tmp_path / "log.jsonl", controller, BoardEnd(fault=fault if fault == "slow" else None, at=9))
+    outcome = session.run()
+    check(session, outcome)
+    assert outcome.reason is None
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_stops_both_sides(tmp_path: Path, number: signal.Signals) -> None:
+    board = BoardEnd(fault="slow", at=3)
+    session = Session(tmp_path / "log.jsonl", ControllerEnd(PROGRAM), board)
+
+    def strike() -> None:
+        while len(board.core.done) < 3:
+            time.sleep(0.001)
+        os.kill(os.getpid(), number)
+
+    threading.Thread(target=strike, daemon=True).start()
+    before = signal.getsignal(number)
+    with signals_as(session.requests):
+        outcome = session.run()
+    assert signal.getsignal(number) is before
+    check(session, outcome)
+    assert outcome.reason == (INTERRUPTED if number is signal.SIGINT else "this program was told to end")
+    assert session.controller.core.stopped and board.core.plain == ["M106 P0 S0"] and outcome.safe
+
+
+def test_a_log_that_cannot_be_written_stops_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = os.write
+
+    def full(file: int, data: bytes) -> int:
+        if b'"n": 7' in bytes(data):
+            raise OSError(28, "No space left on device")
+        return real(file, data)
+
+    monkeypatch.setattr(os, "write", full)
+    session = Session(tmp_path / "log.jsonl", ControllerEnd(PROGRAM), BoardEnd())
+    outcome = session.run()
+    assert outcome.reason == "the log cannot be written: No space left on device"
+    assert session.controller.core.stopped and session.board.core.plain == ["M106 P0 S0"]
+
+
+def test_a_log_is_not_written_over(tmp_path: Path) -> None:
+    (tmp_path / "log.jsonl").write_text("precious")
+    with pytest.raises(OutputError, match="is there already"):
+        Log(tmp_path / "log.jsonl")
+    with pytest.raises(OutputError, match="cannot write"):
+        Log(tmp_path / "nowhere" / "log.jsonl")
+    assert (tmp_path / "log.jsonl").read_text() == "precious"
