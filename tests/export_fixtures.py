@@ -156,7 +156,7 @@ def make_plan(
 
     With materials, each bead is of the next one; the robot rests at home for every change.
     """
-    spec = problem(positioner, free, MATERIALS if materials else None, arm)
+    spec = problem(positioner, free, MATERIALS if materials else None, arm=arm)
     cell = build_cell(spec)
     parts: list[tuple[Array, Array, int]] = []  # joints, arc length along the bead or NaN, bead
     at = cell.home

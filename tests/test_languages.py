@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from export_fixtures import make_plan
 from solved import line_of, write_small
@@ -28,7 +30,7 @@ def asked(*languages: str, **plan: object) -> Plan:
     """A small plan that asks for languages."""
     made = make_plan(**plan)  # type: ignore[arg-type]
     problem = SimpleNamespace(**vars(made.problem))
-    problem.program = SimpleNamespace(**vars(made.problem.program) | {"languages": languages})
+    problem.program = made.problem.program.model_copy(update={"languages": languages})
     problem.error = lambda field, reason, hint: InputError(reason, field=field, hint=hint)
     return replace(made, problem=problem)  # type: ignore[arg-type]
 
@@ -52,6 +54,25 @@ def test_languages_that_are_asked_for_stand_in_their_own_order(tmp_path: Path) -
         *("two_beads_joint_trajectory.json", "two_beads_extruder.json"),
         *("TwoBeads.mod", "TwoBeads.pgf", "extrusion.gcode"),
     ]
+
+
+ARMS = {"urscript": {"arm": "ur5e", "positioner": False}, "krl": {"arm": "kr6_r900"}}
+
+
+@pytest.mark.parametrize("language", LANGUAGE_NAMES)
+def test_a_resumed_print_says_from_which_bead_on(language: str, tmp_path: Path) -> None:
+    plan = asked(language, **ARMS.get(language, {}))
+    t, beads = plan.trajectory, plan.toolpath.beads
+    first = SimpleNamespace(**vars(beads[0]) | {"layer": 0})
+    toolpath = SimpleNamespace(**vars(plan.toolpath) | {"beads": (first, *beads), "layers_from": lambda first: 1})
+    later = replace(t, bead=np.where(t.bead < 0, t.bead, t.bead + 1).astype(t.bead.dtype), first_bead=1)
+    paths = write_robot_code(replace(plan, trajectory=later, toolpath=toolpath), tmp_path)  # type: ignore[arg-type]
+    for path in paths[:-1]:
+        assert re.search(r"(?i)two_?beads_?from_?1", path.name)
+    text = paths[0].read_text(encoding="utf-8")
+    if language != "joint_trajectory":
+        assert "Resumes at bead 1: those before it must be there" in text
+        assert re.findall(r"(?i)bead_?(\d{4})\(\)", text).count("0003") >= 1 and "0001()" not in text
 
 
 def test_none_may_be_asked_for(tmp_path: Path) -> None:

@@ -223,11 +223,10 @@ def test_other_arms_cannot_be_told() -> None:
 
 def test_outputs_that_the_control_box_has_not() -> None:
     plan = arc(materials=("pla", "pva"))
-    plan.problem.program.extruder_output = 7  # type: ignore[misc]
-    try:
-        assert unsaid_in_urscript(plan) == "an extruder has the output 8, and the last one is 7"
-    finally:
-        plan.problem.program.extruder_output = 1  # type: ignore[misc]
+    problem = SimpleNamespace(**vars(plan.problem))
+    problem.program = plan.problem.program.model_copy(update={"extruder_output": 7})
+    setup = SimpleNamespace(problem=problem, cell=plan.cell)
+    assert unsaid_in_urscript(setup) == "an extruder has the output 8, and the last one is 7"
 
 
 # ---- what is read back --------------------------------------------------------------------------------------------

@@ -24,12 +24,12 @@ NANO = 1_000_000_000
 
 def trajectory_name(plan: Plan) -> str:
     """File of the message."""
-    return f"{plan.problem.name}_joint_trajectory.json"
+    return f"{plan.name}_joint_trajectory.json"
 
 
 def switches_name(plan: Plan) -> str:
     """File of the extruders' switching."""
-    return f"{plan.problem.name}_extruder.json"
+    return f"{plan.name}_extruder.json"
 
 
 def joint_trajectory(plan: Plan) -> str:

@@ -28,7 +28,7 @@ ROUNDING = np.radians(1.01e-4)  # of axes
 
 def krl_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """What source and data file say otherwise than the plan, beyond rounding and thinning, in words."""
-    name, cell = krl_name(plan.problem.name), plan.cell
+    name, cell = krl_name(plan.name), plan.cell
     na, station = len(cell.arm), cell.holder_robot
     free = [] if station is None else [station.joint_names.index(joint) for joint in cell.holder.names]
 

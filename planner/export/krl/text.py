@@ -25,8 +25,8 @@ RESERVED = """BRAKE CASE CAST_FROM CAST_TO CHANNEL CIRC CONFIRM CONST CONTINUE D
 
 def krl_name(name: str) -> str:
     """CamelCase name, at most 24 letters and digits, of a problem's name; small letters and capitals are one to KRL."""
-    joined = module_name(name)
-    return ("Print" + joined if joined.upper() in RESERVED.split() else joined)[:LONGEST_NAME]
+    joined = module_name(name, LONGEST_NAME)
+    return "Print" + joined if joined.upper() in RESERVED.split() else joined
 
 
 def comment(text: str, indent: int = 2) -> str:

@@ -45,7 +45,7 @@ def krl_files(plan: Plan) -> dict[str, str]:
         raise ValueError("robot code is written for verified plans only")
     if (reason := unsaid_in_krl(plan)) is not None:
         raise ValueError(reason)
-    name, moves = krl_name(plan.problem.name), plan_moves(plan)
+    name, moves = krl_name(plan.name), plan_moves(plan)
     subprograms, calls = _subprograms(plan, moves)
     off = [f"  $OUT[{k}]=FALSE" for k in output_numbers(plan.problem).values()]
     source = [
@@ -123,10 +123,11 @@ def radii_of(plan: Plan, moves: Moves) -> Array:
 def _header(plan: Plan) -> list[str]:
     m, cell = plan.metrics, plan.cell
     texts = [
-        f"Problem {plan.problem.name}, strategy {plan.strategy}",
+        f"Problem {plan.name}, strategy {plan.strategy}",
         ", ".join(f"{name} {version}" for name, version in sorted(plan.versions.items())),
-        f"{len(plan.toolpath.beads)} beads in {plan.toolpath.layers} layers, "
+        f"{len(plan.beads)} beads in {plan.layers} layers, "
         f"{m['deposited_length_mm']:.1f} mm deposited, {m['print_time_s']:.1f} s",
+        *([f"Resumes at bead {plan.first_bead}: those before it must be there."] if plan.first_bead else []),
         "Verified before it was written:",
         *(f"  {c.name}: {c.worst:.6g} {c.unit} (limit {c.limit:.6g})" for c in plan.checks),
         *(f"Output {k}: {signal}" for signal, k in output_numbers(plan.problem).items()),
@@ -183,7 +184,7 @@ def _subprograms(plan: Plan, moves: Moves) -> tuple[list[str], list[str]]:
     for k, (a, b) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
         if a == b:
             continue
-        calls.append(f"Bead{k + 1:04d}" if k < len(first) else "Finish")
+        calls.append(f"Bead{plan.first_bead + k + 1:04d}" if k < len(first) else "Finish")
         lines += ["", f"DEF {calls[-1]}()"]
         if k < len(first):
             bead = int(t.bead[first[k]])

@@ -14,8 +14,8 @@ LONGEST_NAME = 32
 LONGEST_COMMENT = 100
 
 
-def module_name(name: str) -> str:
-    """CamelCase module name, at most 32 letters and digits, of a problem's name."""
+def module_name(name: str, longest: int = LONGEST_NAME) -> str:
+    """CamelCase module name, at most `longest` letters and digits, of a problem's name."""
     words = re.findall(r"[A-Za-z0-9]+", name)
     joined = "".join(word[0].upper() + word[1:] for word in words)
     # capitals and small letters are one to RAPID: a problem named "test" would open a TEST statement
@@ -23,7 +23,7 @@ def module_name(name: str) -> str:
     whole = "Print" + joined if taken or not joined[:1].isalpha() else joined
     resumed = re.search(r"From\d+$", whole)  # which tells programs of one problem apart
     tail = resumed[0] if resumed else ""
-    return whole[: LONGEST_NAME - len(tail)] + tail if len(whole) > LONGEST_NAME else whole
+    return whole[: longest - len(tail)] + tail if len(whole) > longest else whole
 
 
 def number(value: float, decimals: int) -> str:

@@ -52,7 +52,7 @@ class Pace:
 
 def script_name(plan: Plan) -> str:
     """File of the program."""
-    return f"{module_name(plan.problem.name)}.script"
+    return f"{module_name(plan.name)}.script"
 
 
 def urscript(plan: Plan) -> str:
@@ -69,7 +69,7 @@ def urscript(plan: Plan) -> str:
     pace = pace_of(plan, moves)
     lines = [
         *_header(plan),
-        f"def {module_name(plan.problem.name)}():",
+        f"def {module_name(plan.name)}():",
         f"  set_tcp({_pose(plan.cell.T_flange_nozzle)})",
         f"  global part = {_pose(T_controller_part)}",
         *functions,
@@ -105,10 +105,11 @@ def _header(plan: Plan) -> list[str]:
     m, t = plan.metrics, plan.trajectory
     fastest = float(t.speed[t.deposit].max())
     texts = [
-        f"Problem {plan.problem.name}, strategy {plan.strategy}",
+        f"Problem {plan.name}, strategy {plan.strategy}",
         ", ".join(f"{name} {version}" for name, version in sorted(plan.versions.items())),
-        f"{len(plan.toolpath.beads)} beads in {plan.toolpath.layers} layers, "
+        f"{len(plan.beads)} beads in {plan.layers} layers, "
         f"{m['deposited_length_mm']:.1f} mm deposited, {m['print_time_s']:.1f} s",
+        *([f"Resumes at bead {plan.first_bead}: those before it must be there."] if plan.first_bead else []),
         "Verified before it was written:",
         *(f"  {c.name}: {c.worst:.6g} {c.unit} (limit {c.limit:.6g})" for c in plan.checks),
         "Payload and centre of gravity are those of the installation: set them there.",
@@ -148,7 +149,7 @@ def _functions(plan: Plan, moves: Moves) -> tuple[list[str], list[str]]:
     for k, (a, b) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
         if a == b:
             continue
-        calls.append(f"bead_{k + 1:04d}" if k < len(first) else "finish")
+        calls.append(f"bead_{plan.first_bead + k + 1:04d}" if k < len(first) else "finish")
         lines.append(f"  def {calls[-1]}():")
         if k < len(first):
             bead = int(t.bead[first[k]])
