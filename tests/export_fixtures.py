@@ -48,6 +48,12 @@ HOMES = {
     "kr6_r900": (30, 20, 30, 90, -80, 60),
 }
 KUKA = Path(__file__).parent / "kuka" / "kr6_r900.yaml"  # a file of one's own, as the planner ships no KR
+NUMBERED = tuple(f"joint_{k}" for k in range(1, 7))
+JOINTS = {
+    "ur5e": tuple(
+        f"{name}_joint" for name in ["shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"]
+    )
+}
 TABLE_TURN = 0.6  # of the bead's turning done by the table; the arm does the rest
 
 
@@ -63,7 +69,7 @@ def problem(
     bead = {"width_mm": 0.6, "height_mm": 0.5}
     station = {"robot": "irbp_a250", "origin_mm": (633.5, 9.87, 380), "free": free}
     holder = {"positioner": station} if positioner else {"bed_mm": (450, -50, 380)}
-    limits = _limits(free if positioner else ())
+    limits = _limits((*JOINTS.get(arm, NUMBERED), *(free if positioner else ())))
     nozzle = {"tip_mm": (-44.51, 9.9, 113.95), "diameter_mm": 0.6}
     return SimpleNamespace(
         name="two_beads",
@@ -82,7 +88,7 @@ def problem(
 
 def _limits(axes: tuple[str, ...]) -> dict[str, Any]:
     """Accelerations that suffice for the sudden dip within the beads."""
-    return {name: {"acceleration_rad_s2": 100} for name in (*(f"joint_{k}" for k in range(1, 7)), *axes)}
+    return {name: {"acceleration_rad_s2": 100} for name in axes}
 
 
 def _ramp(n: int) -> Array:

@@ -59,7 +59,7 @@ def test_languages_that_are_asked_for_stand_in_their_own_order(tmp_path: Path) -
 ARMS = {"urscript": {"arm": "ur5e", "positioner": False}, "krl": {"arm": "kr6_r900"}}
 
 
-@pytest.mark.parametrize("language", LANGUAGE_NAMES)
+@pytest.mark.parametrize("language", ["rapid", "joint_trajectory", *ARMS])
 def test_a_resumed_print_says_from_which_bead_on(language: str, tmp_path: Path) -> None:
     plan = asked(language, **ARMS.get(language, {}))
     t, beads = plan.trajectory, plan.toolpath.beads

@@ -32,7 +32,8 @@ class Program:
     position, quat             (m, 3) [m], (m, 4) x y z w
     conf                       (m, 4) cf1, cf4, cf6, cfx; UNSAID where the language has none
     external                   (m, 6) station axes [rad], NaN where unused
-    zone                       (m,) radius of the corner zone at the target [m]; 0 where the motion comes to rest
+    zone                       (m,) radius of the corner zone at the target [m]; 0 where the motion comes to rest,
+                               NaN where no distance says how large it is
     speed                      (m, 4) tip [m/s], reorientation [rad/s], linear axes [m/s], rotating axes [rad/s]
     wait                       (m,) time at rest after the move [s]
     triggers                   move → its triggers, in order
