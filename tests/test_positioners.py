@@ -143,7 +143,7 @@ def test_a_second_arm_carries_the_part_as_pinocchio_says(folder: Path, free: tup
 def replace_trajectory(plan: Plan, q: Array) -> Plan:
     """The plan with other joints in its first samples, and no others; poses are not brought along."""
     values = vars(plan.trajectory).items()
-    rows = {name: value if name == "dt" else value[: len(q)] for name, value in values}
+    rows = {name: value[: len(q)] if isinstance(value, np.ndarray | tuple) else value for name, value in values}
     return replace(plan, trajectory=replace(plan.trajectory, **(rows | {"q": q})))
 
 
