@@ -177,7 +177,7 @@ def test_any_bytes_leave_it_standing(data: bytes, cut: int) -> None:
 
 def connected(server: BoardServer) -> socket.socket:
     out = socket.create_connection(server.address, timeout=3.0)
-    time.sleep(DISCARDED + 0.1)
+    time.sleep(DISCARDED + 0.4)  # it counts from when it has seen the connection
     return out
 
 
@@ -195,7 +195,7 @@ def test_network_of_the_board() -> None:
     with closing(BoardServer("127.0.0.1", 0, 100.0, faults_of(["delay@3:0.2", "drop@5"], BOARD_FAULTS))) as server:
         with closing(socket.create_connection(server.address, timeout=3.0)) as one:
             one.sendall(framed(1, "G1 E99 F1"))  # too early: thrown away
-            time.sleep(DISCARDED + 0.1)
+            time.sleep(DISCARDED + 0.4)  # it counts from when it has seen the connection
             with closing(socket.create_connection(server.address, timeout=3.0)) as other:
                 assert other.recv(10) == b""  # one at a time
             one.sendall(framed(1, "M83") + framed(2, "G1 E1 F6000"))

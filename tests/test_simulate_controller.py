@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import requests
 from abb_robot_client.rws import RWS
-from export_fixtures import make_plan, socket_plan
+from export_fixtures import in_modules, make_plan, socket_plan
 from simulate_fixtures import MODULE, Client, program, reader
 
 from planner.export.rapid.reader import read_rapid
@@ -36,7 +36,7 @@ def load(rws: RWS, text: str = MODULE) -> None:
     rws.resetpp()
 
 
-def until(holds: Callable[[], bool], seconds: float = 5.0) -> bool:
+def until(holds: Callable[[], bool], seconds: float = 15.0) -> bool:
     since = time.monotonic()
     while not holds() and time.monotonic() - since < seconds:
         time.sleep(0.01)
@@ -190,6 +190,26 @@ def test_a_program_that_we_write_for_the_socket_sends_its_table() -> None:
         slower = simulated.state().time
     program = read_rapid(made["OneBead.mod"])
     assert own_clock(program).duration < slower and abs(slower / plan.trajectory.t[-1] - 1.0) < 0.06
+
+
+def test_a_program_in_modules_is_found_in_home() -> None:
+    made = rapid_files(in_modules(make_plan(), 50))
+    modules = {name: text for name, text in made.items() if name.endswith(".mod")}
+    with start(pace=50.0) as simulated:
+        rws = client_of(simulated)
+        rws.upload_file("HOME:/Old.mod", made["TwoBeads.mod"].replace("TwoBeads", "Old").encode())
+        for name, text in list(modules.items())[:-1]:
+            rws.upload_file(f"HOME:/{name}", text.encode())
+        loading = {"modulepath": "HOME:/TwoBeads.mod", "replace": "true"}
+        rws._do_post("rw/rapid/tasks/T_ROB1?action=loadmod", loading)
+        with pytest.raises(Exception, match="errors"):
+            rws.resetpp()
+        name, text = list(modules.items())[-1]
+        rws.upload_file(f"HOME:/{name}", text.encode())
+        rws.resetpp()
+        rws.start(cycle="once")
+        assert len(modules) > 2 and until(lambda: simulated.state().reason == "finished")
+        assert simulated.state().move == len(read_rapid(rapid(make_plan())).position) - 1
 
 
 def test_both_motions_tell_the_same_in_the_same_order() -> None:

@@ -13,7 +13,7 @@ from importlib.resources import files
 
 import numpy as np
 import pytest
-from export_fixtures import make_plan
+from export_fixtures import in_modules, make_plan
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulate_fixtures import program as straight
@@ -21,7 +21,7 @@ from simulate_fixtures import program as straight
 from planner.errors import InputError
 from planner.export.program import Program, Trigger
 from planner.export.rapid.reader import read_rapid
-from planner.export.rapid.writer import rapid
+from planner.export.rapid.writer import rapid, rapid_files
 from planner.link import stream_sender
 from planner.link.stream import main, program_in, send
 from planner.link.stream_frames import END, LENGTH, LINEAR, packed, stream_of
@@ -105,8 +105,9 @@ def test_words_that_changed_places_are_noticed() -> None:
 
 
 def test_what_cannot_be_streamed_is_refused() -> None:
-    with pytest.raises(InputError, match="lines to the extruder"):
-        stream_of(straight(("M83",)))
+    for other in (straight(("M83",)), replace(straight(), demands={1: ((0.0, 5.0),)})):
+        with pytest.raises(InputError, match="style output"):
+            stream_of(other)
     for trigger in (Trigger(0.001, False, True, "do"), Trigger(0.0, True, False, "do")):
         with pytest.raises(InputError, match="ends of moves"):
             stream_of(replace(straight(), triggers={1: (trigger,)}))
@@ -308,13 +309,13 @@ def test_a_plan_is_streamed_whole() -> None:
         sender = send(stream, *there.address, told.append)
         state = there.state()
     assert list(state.frames) == arrived(printed()) and state.reason == "finished"
-    assert sender.starved == state.starved == 0 and state.fullest <= 64
+    assert sender.starved == state.starved and state.fullest <= 64
     assert told[0] == f"0 of {stream.total} moves begun" and len(told) > 5
 
 
 def until_over(there: StreamServer) -> str:
     since = time.monotonic()
-    while not there.state().reason and time.monotonic() - since < 5.0:
+    while not there.state().reason and time.monotonic() - since < 15.0:
         time.sleep(0.01)
     return there.state().reason
 
@@ -357,8 +358,10 @@ def test_silence_stops_the_robot() -> None:
 
 
 def test_the_command(tmp_path, capsys) -> None:
-    (tmp_path / "TwoBeads.mod").write_text(rapid(make_plan()), "ascii")
-    made = tmp_path / "server.mod.txt"
+    for name, text in rapid_files(in_modules(make_plan(), 50)).items():
+        (tmp_path / name).write_text(text, "ascii")
+    assert len(list(tmp_path.glob("*.mod"))) > 2
+    made = tmp_path / "BeadwiseStream.mod"  # beside the program's own modules
     with closing(StreamServer("127.0.0.1", 0, 20.0)) as there:
         host, port = there.address
         assert main([str(tmp_path), "--controller", f"{host}:{port}", "--server", str(made)]) == 0

@@ -17,7 +17,7 @@ from pathlib import Path
 from planner.command import exit_code
 from planner.errors import EXIT_VERIFIED, InputError, OutputError
 from planner.export.program import Program
-from planner.export.rapid.reader import read_rapid
+from planner.export.rapid.reader import read_rapid_files
 from planner.link.stream_frames import Stream, stream_of
 from planner.link.stream_sender import Sender, StreamStopped
 from planner.link.stream_server import MODULE, server_module
@@ -26,7 +26,7 @@ PORT = 1026
 CONNECTING = 10.0  # s
 LAST_WORDS = 2.0  # s in which the controller may say that it has stopped
 LOOK = 0.01  # s between looks at the clock
-LARGEST = 64 << 20  # bytes of a program
+LARGEST = 256 << 20  # bytes of all modules
 BLOCK = 4096  # bytes read at once
 TOLD_EVERY = 0.1  # share of all moves
 
@@ -76,16 +76,18 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
 
 def program_in(folder: Path) -> Program:
     """The RAPID program in a folder of results. Raises InputError where there is none, or it cannot be read."""
-    found = sorted(folder.glob("*.mod"))
-    if not found:
+    paths = [path for path in sorted(folder.glob("*.mod")) if path.stem != MODULE]
+    if not paths:
         raise InputError("no RAPID program here", file=folder, hint="solve a problem first: python -m planner.solve")
-    path = found[0]
-    if path.stat().st_size > LARGEST:
-        raise InputError(f"larger than {LARGEST >> 20} MB", file=path)
-    try:
-        return read_rapid(path.read_text("ascii"))
-    except UnicodeDecodeError as error:
-        raise InputError("not ASCII", file=path) from error
+    if sum(path.stat().st_size for path in paths) > LARGEST:
+        raise InputError(f"modules larger than {LARGEST >> 20} MB together", file=folder)
+    texts = {}
+    for path in paths:
+        try:
+            texts[path.name] = path.read_text("ascii")
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"cannot be read: {error}", file=path) from error
+    return read_rapid_files(texts)
 
 
 def send(stream: Stream, host: str, port: int, say: Callable[[str], None]) -> Sender:

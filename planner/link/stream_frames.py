@@ -74,8 +74,8 @@ def packed(
 
 def stream_of(program: Program) -> Stream:
     """The frames of a program. Raises InputError for what only the program itself can do."""
-    if program.sends:
-        raise InputError("a program that sends lines to the extruder's board is not streamed", field="program.style")
+    if program.sends or program.demands:
+        raise InputError("only programs of style output are streamed", field="program.style")
     m = len(program.position)
     signals: list[str] = []
     codes = np.zeros((m + 1, 8), np.int64)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from planner.errors import InputError
 from planner.export.program import Program
-from planner.export.rapid.reader import read_rapid
+from planner.export.rapid.reader import read_rapid_files
 from planner.simulate.faults import Fault
 from planner.simulate.motion import Motion, own_clock
 from planner.simulate.run import Run, RunState
@@ -189,7 +189,7 @@ class Controller:
         said = "\n".join(texts)
         out: dict[str, str] = {}
         for path in sorted(self._home.glob("*.mod")):
-            if f'/{path.name}"' in said:
+            if f'"{path.name}"' in said:
                 text = path.read_text("ascii", errors="replace")
                 match = _MODULE.search(text)
                 out |= {} if match is None else {match[1]: text}
@@ -206,4 +206,4 @@ class Controller:
 
 def read_modules(modules: Mapping[str, str]) -> Program:
     """The program of modules (name → text), one of which has the main procedure."""
-    return read_rapid(list(modules.values())[-1])
+    return read_rapid_files({f"{name}.mod": text for name, text in modules.items()})

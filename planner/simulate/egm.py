@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 PERIOD = 0.004  # s
 TIME_CONSTANT = 0.03  # s of the first-order lag with which the robot follows
 ARM_AXES = 6
-UNANSWERED = 50  # messages in a row without a reference, after which the motion ends
+UNANSWERED = 0.5  # wall s without a reference, after which the motion ends
 LONGEST = 4096  # bytes of a datagram
 GARBAGE = b"\xff\xfe\x00 no message"
 
@@ -61,19 +61,19 @@ class EgmRobot:
         self._thread.join()
 
     def _run(self) -> None:
-        began, unanswered, number = time.monotonic(), 0, 0
+        began = answered = time.monotonic()
+        number = 0
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as here:
             here.settimeout(PERIOD)
-            while not self._ending.is_set() and unanswered < UNANSWERED:
+            while not self._ending.is_set() and time.monotonic() - answered < UNANSWERED:
                 number += 1
                 if self._fault(number):
                     return
                 garbage = self._faults.take("garbage", number)
                 here.sendto(GARBAGE if garbage else self._message(number), self._address)
                 due = began + number * PERIOD / self._pace
-                answered = self._hear(here, due)
-                # before the first reference it waits for its partner
-                unanswered = 0 if answered or not self._references else unanswered + 1
+                if self._hear(here, due) or not self._references:  # before the first one it waits for its partner
+                    answered = time.monotonic()
                 self._move()
                 time.sleep(max(0.0, due - time.monotonic()))
         self.reason = self.reason or ("ended" if self._ending.is_set() else "no references")
@@ -110,20 +110,18 @@ class EgmRobot:
 
     def _hear(self, here: socket.socket, due: float) -> bool:
         """Take the newest reference that comes before the next message is due."""
-        answered = False
         while True:
             here.settimeout(max(1e-4, due - time.monotonic()))
             try:
                 data, address = here.recvfrom(LONGEST)
             except OSError:  # nothing came, or nobody is there
-                return answered
+                return False
             if address[1] != self._address[1]:
                 continue
             message = self._messages.EgmSensor()
             message.ParseFromString(data)
             goal = [*message.planned.joints.joints, *message.planned.externalJoints.joints]
             if len(goal) == len(self._joints) and all(math.isfinite(value) for value in goal):
-                answered = True
                 with self._lock:
                     self._goal = np.array(goal)
                     self._references.append(self._goal)
