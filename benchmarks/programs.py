@@ -18,8 +18,8 @@ from rich.table import Table
 from planner.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, PlannerError
 from planner.export.player import play
 from planner.export.player.limited import limited
-from planner.export.rapid.reader import read_rapid
-from planner.export.rapid.writer import rapid
+from planner.export.rapid.reader import read_rapid_files
+from planner.export.rapid.writer import rapid_files
 from planner.export.readback import judge
 from planner.plan import Plan
 from planner.problem import load_problem, shipped_problems
@@ -39,8 +39,8 @@ def timed(work: Callable[[], Value]) -> tuple[Value, float]:
 
 def row(plan: Plan) -> tuple[list[str], list[str]]:
     """Cells of one plan's program, and what it does otherwise than the plan."""
-    text, writing = timed(lambda: rapid(plan))
-    program, reading = timed(lambda: read_rapid(text))
+    files, writing = timed(lambda: rapid_files(plan))
+    program, reading = timed(lambda: read_rapid_files(files))
     played, playing = timed(lambda: play(program, plan.cell))
     found, judging = timed(lambda: judge(plan, program, played))
     agreement = found.agreement

@@ -190,12 +190,34 @@ def test_joint_moves_go_to_the_turns_that_they_name():
     assert np.linalg.norm(other.position[-1] - program.position[-1]) < 1e-9
 
 
+@pytest.mark.parametrize("fourth", [0.0, 0.3, -0.4])
+def test_a_straight_wrist_at_home_is_no_riddle(fourth):
+    home = np.array([0.1, 0.2, 0.3, fourth, 0.0, 0.5])
+    away = home + [0.1, 0.1, -0.1, 0.2, 0.6, 0.1]
+    T = CELL.T_part_nozzle(np.vstack([away, home]))
+    program = program_through(np.zeros((2, 3)), linear=[False, False])
+    program = replace(
+        program,
+        start=np.concatenate([home, np.full(6, np.nan)]),
+        position=np.round(T[:, :3, 3], 6),
+        quat=np.round(from_matrix(T[:, :3, :3]), 7),
+        conf=np.column_stack([quadrants(np.vstack([away, home])), [0, 0]]).astype(np.intp),
+    )
+    played = play(program, CELL)
+    assert played.strays == ()
+    assert played.q[-1] == pytest.approx(home, abs=0.02)
+    assert np.linalg.norm(played.position[-1] - T[1, :3, 3]) < 1e-5
+    assert angle(played.quat[-1:], from_matrix(T[1:, :3, :3]))[0] < 5e-5
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         (lambda p: {"position": p.position + [0, 5.0, 0]}, "move 0 is out of reach"),
         (lambda p: {"conf": p.conf + [0, 0, 0, 8]}, "names configuration"),
         (lambda p: {"start": np.full(12, np.nan)}, "where all joints stand"),
+        (lambda p: {"speed": p.speed * [0, 1, 1, 1]}, "move 0 has no speed"),
+        (lambda p: {"speed": p.speed * [1, np.nan, 1, 1]}, "move 0 has no speed"),
     ],
 )
 def test_what_cannot_be_played_is_refused(changes, message):

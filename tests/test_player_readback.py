@@ -11,10 +11,11 @@ from planner.export.languages import LANGUAGES
 from planner.export.player import play
 from planner.export.player.laying import laid_moves, laid_spans, laid_targets
 from planner.export.player.limited import ACCELERATION, limited
-from planner.export.rapid.reader import read_rapid
+from planner.export.rapid.demand import flow
+from planner.export.rapid.reader import read_rapid, read_rapid_files
 from planner.export.rapid.writer import rapid, rapid_files
 from planner.export.readback import judge, readback
-from tests.export_fixtures import make_plan, socket_plan
+from tests.export_fixtures import demand_plan, make_plan, socket_plan
 
 PLAN = make_plan()
 PROGRAM = read_rapid(rapid(PLAN))
@@ -75,6 +76,21 @@ def test_lines_are_sent_when_they_were_planned():
     line = next(line for line in text.splitlines() if "G1 E" in line)
     with pytest.raises(InputError):
         complaints(plan, files | {"OneBead.mod": text.replace(line + "\n", "", 1)})
+
+
+def test_the_flow_that_is_asked_for_lays_what_was_planned():
+    plan = demand_plan()
+    files = rapid_files(plan)
+    program = read_rapid_files(files)
+    assert LANGUAGES["rapid"].complaints(plan, files) == []
+    played = play(program, plan.cell)
+    asked = [event for event in played.events if event.kind == "demand"]
+    assert len(asked) > 2
+    assert asked[-1].value == 0.0
+    t = np.array([event.t for event in asked])
+    assert (np.diff(t) >= 0.0).all()
+    volume = (np.array([event.value for event in asked])[:-1] * np.diff(t)).sum() / plan.problem.program.demand_scale
+    assert volume == pytest.approx(1e9 * flow(plan).sum() * plan.trajectory.dt, rel=0.02)
 
 
 def moved_trigger(program, at, by):

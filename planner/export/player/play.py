@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from planner.cell import Cell
 
 Array = NDArray[np.float64]
-ORDER = {"output": 0, "send": 1, "wait": 2}  # of what happens at the same time
+ORDER = {"output": 0, "demand": 1, "send": 2, "wait": 3}  # of what happens at the same time
 
 
 def play(program: Program, cell: Cell) -> Played:
@@ -69,6 +69,10 @@ def _events(program: Program, knots: Knots, played: Played) -> tuple[Happening, 
         for trigger in group:
             t = _passed(knots, played, i, trigger.distance, trigger.from_start)
             found.append((t, i, ORDER["output"], "output", float(trigger.value), trigger.signal))
+    for i, levels in program.demands.items():
+        for distance, value in levels:
+            t = _passed(knots, played, i, distance, False)
+            found.append((t, i, ORDER["demand"], "demand", value, ""))
     for i, lines in program.sends.items():
         t = 0.0 if i < 0 else float(played.arrive[i])
         rested = program.send_rests.get(i, (0.0,) * len(lines))

@@ -22,7 +22,8 @@ class Happening:
     """One thing that a program does beside moving.
 
     t         when it does it [s]
-    kind      "output" (text: the signal, value: 1 or 0), "send" (text: the line), "wait" (value: how long [s])
+    kind      "output" (text: the signal, value: 1 or 0), "demand" (value of the analog output), "send" (text: the line),
+              "wait" (value: how long [s])
     move      index of the move to which it belongs; -1 before the first
     position  of the nozzle's tip in the part frame [m]
     """

@@ -27,6 +27,8 @@ TURN = np.radians(1.0)
 JUMP = 0.3  # rad between neighbouring knots of a line: beyond, another configuration may be the nearer one
 QUARTER = 0.5 * np.pi
 BORDER = 1e-4  # rad by which a joint may lie beyond the quarter that a target names: targets are rounded
+ROUNDED = 1e-6  # rad by which targets are turned in rounding: over the sine of axis 5, it is what axes 4 and 6 turn by
+STRAIGHT = 1e-5  # rad of axis 5: below, targets do not tell axis 4 from axis 6
 HELD = np.radians(0.01)  # by which a held axis of the station may be said to stand elsewhere
 BLOCK = 20_000  # poses whose postures are sought at once: bounds the memory
 SAME = 1e-6  # rad between one posture and itself, computed anew
@@ -52,6 +54,21 @@ class Knots:
     strays: tuple[int, ...]
 
 
+def _check(program: Program, cell: Cell) -> None:
+    """Raise InputError for configurations that the arm has not, and for moves without a speed."""
+    if cell.inverse.redundant_joint is not None:
+        raise _error(
+            program, f"targets do not say the posture of {cell.arm_robot.name}, which has {len(cell.arm)} joints"
+        )
+    outside = np.flatnonzero((program.conf[:, 3] < 0) | (program.conf[:, 3] >= cell.inverse.branch_count))
+    if len(outside):
+        raise _error(program, f"move {outside[0]} names configuration {program.conf[outside[0], 3]}, which is none")
+    speeds = program.speed[:, [0, 1, 3]]
+    without = np.flatnonzero(~(np.isfinite(speeds) & (speeds > 0.0)).all(axis=1))
+    if len(without):
+        raise _error(program, f"move {without[0]} has no speed")
+
+
 def knots_of(program: Program, cell: Cell) -> Knots:
     """Postures along a program.
 
@@ -59,14 +76,11 @@ def knots_of(program: Program, cell: Cell) -> Knots:
     where the named configuration is not reached continuously the nearest one is taken. Joint moves go straight
     to the configuration and the quarter turns of their target, as `ConfJ\\On` has it.
 
-    Raises InputError where a target cannot be reached in its configuration, and for axes that the cell has not.
+    Raises InputError where a target cannot be reached in its configuration, for axes that the cell has not and for moves
+    without a speed.
     """
     na, m = len(cell.arm), len(program.linear)
-    if cell.inverse.redundant_joint is not None:
-        raise _error(program, f"targets do not say the posture of {cell.arm_robot.name}, which has {na} joints")
-    outside = np.flatnonzero((program.conf[:, 3] < 0) | (program.conf[:, 3] >= cell.inverse.branch_count))
-    if len(outside):
-        raise _error(program, f"move {outside[0]} names configuration {program.conf[outside[0], 3]}, which is none")
+    _check(program, cell)
     frames = _Frames(program, cell)
     begin = np.concatenate([program.start[:na], frames.free(program.start[None, na:])[0]])
     if not np.isfinite(begin).all():
@@ -154,6 +168,8 @@ def _followed(program: Program, cell: Cell, frames: _Frames, knots: _Poses, move
         raw[rows] = _chosen(program, solutions, exists, branch[rows], move[rows])
     raw = np.vstack([begin[:na], raw])
     line = np.concatenate([[False], program.linear[move]])  # the way to this knot is a line
+    if cell.spherical:
+        _share_straight_wrists(program, raw, np.flatnonzero(~line[1:]) + 1, move)
     _keep_continuous(raw, line, lambda i: cell.inverse.solve(frames.flange(knots.rows(slice(i - 1, i)))))
     turns = np.zeros_like(raw)
     turns[1:] = -np.round(np.diff(raw, axis=0) / REVOLUTION)
@@ -176,6 +192,18 @@ def _chosen(program: Program, solutions: Array, exists: Flags, branch: Indices, 
         raise _error(program, f"move {move[i]} is out of reach in configuration {branch[i]}")
     out: Array = solutions[row, branch]
     return out
+
+
+def _share_straight_wrists(program: Program, raw: Array, ends: Indices, move: Indices) -> None:
+    """Where the wrist is straight at the ends of joint moves, axis 4 as at the start, as far as the named quarter goes.
+
+    Only the sum of axes 4 and 6 follows from such a target, of which home is the usual one.
+    """
+    straight = ends[np.abs(raw[ends, 4]) < STRAIGHT]
+    low = program.conf[move[straight - 1], 1] * QUARTER
+    fourth = np.clip(raw[0, 3], low, low + QUARTER)
+    raw[straight, 5] = _wrapped(raw[straight, 3] + raw[straight, 5] - fourth)
+    raw[straight, 3] = fourth
 
 
 def _keep_continuous(raw: Array, line: Flags, solve: Callable[[int], tuple[Array, Flags]]) -> None:
@@ -214,11 +242,12 @@ def _strays(program: Program, cell: Cell, q: Array) -> tuple[int, ...]:
     """Moves whose target's posture, of all targets' postures q (m, n), is not the one that the target names."""
     if not cell.spherical:
         return ()
-    wrong = cell.inverse.branches(q[:, : len(cell.arm)]) != program.conf[:, 3]
-    wrong &= np.abs(q[:, 4]) > BORDER  # where the wrist is straight, either sign of axis 5 is right
+    bent = np.abs(q[:, 4])
+    wrong = (cell.inverse.branches(q[:, : len(cell.arm)]) != program.conf[:, 3]) & (bent > BORDER)
     low = program.conf[:, :3] * QUARTER
-    turned = q[:, [0, 3, 5]]
-    wrong |= ((turned < low - BORDER) | (turned > low + QUARTER + BORDER)).any(axis=1)
+    over = np.maximum(low - q[:, [0, 3, 5]], q[:, [0, 3, 5]] - low - QUARTER)
+    unsure = np.minimum(BORDER + ROUNDED / np.maximum(np.sin(bent), STRAIGHT), QUARTER)
+    wrong |= (over[:, 0] > BORDER) | (over[:, 1:] > unsure[:, None]).any(axis=1)
     return tuple(np.flatnonzero(wrong).tolist())
 
 
