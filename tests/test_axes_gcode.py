@@ -6,6 +6,7 @@ import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,19 +20,21 @@ from scipy.spatial.transform import Rotation
 from tree_sitter import Language as Grammar
 from tree_sitter import Parser
 
+from planner.cell import build_cell
 from planner.errors import InputError
 from planner.export import write_robot_code
 from planner.export.axes.check import axes_complaints
-from planner.export.axes.choice import JUMP, chosen, missing
+from planner.export.axes.choice import FROM_ZERO, JUMP, chosen, missing
 from planner.export.axes.machine import FiveAxes, Machine, Robot, machine_of
 from planner.export.axes.reader import read_axes
-from planner.export.axes.writer import axes_gcode
+from planner.export.axes.writer import axes_gcode, unsaid_in_axes
+from planner.export.languages import check_languages
 from planner.export.rotations import from_matrix
 from planner.plan import Plan
 from planner.problem import load_problem
 from planner.problem.machine import MachineSpec
 from planner.solve import solve
-from tests.export_fixtures import GOLDEN, axes_texts
+from tests.export_fixtures import GOLDEN, axes_texts, make_plan
 from tests.solved import small_problem
 
 Array = NDArray[np.float64]
@@ -276,6 +279,31 @@ def test_smooth_directions_make_smooth_axes(seed: int, name: str) -> None:
     assert machine.leaning(angles, quat).max() < 1e-6
 
 
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10_000), st.booleans())
+def test_no_other_way_turns_less(seed: int, narrow: bool) -> None:
+    """Against all ways that there are over a few far apart directions, for axes with ranges."""
+    rng = np.random.default_rng(seed)
+    rotary = (axis("A", X, range_deg=(-100, 60 if narrow else 100)), axis("C", Z, range_deg=(-300, 300)))
+    machine = machine_of(spec("trunnion", rotary=rotary))
+    n = 5
+    quat = along(machine, tilted(rng.uniform(0.1, 1.0, n), rng.uniform(-3.0, 3.0, n)))
+    ways = machine.ways(quat)
+    angles = chosen(ways, machine, np.arange(n) * 1.0, np.zeros(n, dtype=bool), quat)
+    assert machine.leaning(angles, quat).max() < 1e-6
+    each = []
+    for i in range(n):
+        whole = [way + 2.0 * np.pi * np.array([0, k]) for way in ways.angles[i] for k in (-1, 0, 1)]
+        low, high = (np.array(bound) for bound in zip(*machine.ranges, strict=True))
+        each.append([way for way in whole if (low <= way).all() and (way <= high).all()])
+    least = {0: [FROM_ZERO * np.abs(way).sum() for way in each[0]]}
+    for i in range(1, n):
+        steps = [[np.abs(b - a).sum() for a in each[i - 1]] for b in each[i]]
+        least[i] = [min(c + s for c, s in zip(least[i - 1], row, strict=True)) for row in steps]
+    taken = FROM_ZERO * np.abs(angles[0]).sum() + np.abs(np.diff(angles, axis=0)).sum()
+    assert taken == pytest.approx(min(least[n - 1]), abs=1e-9)
+
+
 def test_ranges_decide_the_way() -> None:
     """An axis that tilts one way only takes the way that the other sign would not."""
     for within in ((-110.0, 5.0), (-5.0, 110.0)):
@@ -392,13 +420,42 @@ def test_fibre_heat_and_fan_are_said_to_both_controllers() -> None:
         text = axes_gcode(plan)
         assert axes_complaints(plan, text) == []
         lines = text.splitlines()
-        heat = "M104 S280" if name == "trunnion" else "M104 P280"
+        heat = "M104 S280" if name == "trunnion" else "M104 Q280"
         assert heat in lines and lines.count(code) == 3
         for k in (i for i, line in enumerate(lines) if line == code):
             assert [lines[k + 1], lines[k + 3]] == [pause, pause]
             rest = float(lines[k + 4].removeprefix("G4 P")) * (1e-3 if name == "trunnion" else 1.0)
             assert rest == pytest.approx(2.5 - 1.0, abs=2 * plan.trajectory.dt), "what the cut leaves of its wait"
         assert any(line.startswith("M106 P1 ") for line in lines)
+
+
+def test_tools_are_changed_at_rest_at_home() -> None:
+    plan = make_plan(materials=("pla", "pva"))
+    program = plan.problem.program.model_copy(update={"machine": spec("trunnion")})
+    plan = replace(plan, problem=SimpleNamespace(**vars(plan.problem) | {"program": program}))  # type: ignore[arg-type]
+    text = axes_gcode(plan)
+    assert axes_complaints(plan, text) == [] and unsaid_in_axes(plan) is None
+    assert [line for line in text.splitlines() if line.startswith("T")] == ["T1", "T0"]
+    spoilt = text.replace("\nT0\n", "\nT1\n")
+    assert any("other things are said" in each for each in axes_complaints(plan, spoilt))
+    program = plan.problem.program.model_copy(update={"machine": spec("fork")})
+    plan = replace(plan, problem=SimpleNamespace(**vars(plan.problem) | {"program": program}))  # type: ignore[arg-type]
+    assert "T0 cannot be said to linuxcnc" in str(unsaid_in_axes(plan))
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ("process.fibre={cut_length_mm: 12, cut_code: [M280 P0 S9]}", "M280 P0 S9 cannot be said to linuxcnc"),
+        ("cell.positioner.free=[tilt, rotation]", "U pushes filament, and moves the part"),
+    ],
+)
+def test_what_cannot_be_said_is_refused_before_all_is_planned(change: str, says: str) -> None:
+    own = "{flavour: linuxcnc, type: robot, extruder: U}" if "free" in change else "{flavour: linuxcnc, type: robot}"
+    problem = load_problem(small_problem().file, [f"program.machine={own}", change])
+    with pytest.raises(InputError) as refused:
+        check_languages(problem, build_cell(problem))
+    assert says in str(refused.value) and "program.machine" in str(refused.value)
 
 
 def swapped(text: str, pattern: str, change: Any) -> str:
@@ -415,6 +472,7 @@ SPOILT = {
     "a place along the path": (r"^(G1 X)(-?\d+\.\d+)", lambda m: f"{m[1]}{float(m[2]) + 0.8:.4f}", "its time"),
     "an angle": (r"(C)(-?\d+\.\d+)", lambda m: f"{m[1]}{float(m[2]) + 3:.4f}", "path"),
     "a turn": (r"(C)(-?\d+\.\d+)", lambda m: f"{m[1]}{float(m[2]) + 360:.4f}", "path"),
+    "where it begins": (r"^(G0 X)(-?\d+\.\d+)", lambda m: f"{m[1]}{float(m[2]) + 0.1:.4f}", "path"),
     "filament": (r"(E)(\d+\.\d+)", lambda m: f"{m[1]}{float(m[2]) + 0.5:.5f}", "filament"),
     "a feed": (r"(F)(\d+\.\d+)", lambda m: f"{m[1]}{float(m[2]) / 2:.4f}", "lasts"),
     "a line lost": (r"^G1 X.*", "", "path"),
@@ -454,10 +512,30 @@ def test_what_is_not_of_the_subset_is_no_program(old: str, new: str, says: str) 
     assert says in str(refused.value)
 
 
+@settings(max_examples=150, deadline=None)
+@given(st.data())
+def test_damage_is_an_input_error_or_read_as_it_stands(data: st.DataObject) -> None:
+    """Whatever a few characters become, the reader says where it stumbled, or gives finite numbers."""
+    text = (GOLDEN / "two_beads.gcode").read_text(encoding="utf-8")
+    for _ in range(data.draw(st.integers(1, 3))):
+        at = data.draw(st.integers(0, len(text) - 1))
+        text = text[:at] + data.draw(st.text("GMXYZACEFP0123456789.-; \n\0é", max_size=3)) + text[at + 1 :]
+    try:
+        program = read_axes(text, spec("trunnion"), ("X", "Y", "Z", "A", "C"))
+    except InputError as error:
+        assert "G-code" in str(error)
+    else:
+        for values in (program.straight, program.turning, program.filament, program.time):
+            assert np.isfinite(values).all() and len(values) == len(program.time)
+        assert (np.diff(program.time) >= 0.0).all()
+
+
 def test_turning_beyond_a_range_is_found() -> None:
     _, text = written("trunnion")
     narrow = on(cap(), spec("trunnion", rotary=(axis("A", X, (1, 2, 30)), axis("C", Z, (-3, 5, 7), range_deg=(-1, 1)))))
     assert "C turns beyond its range" in axes_complaints(narrow, text)
+    low = on(cap(), spec("trunnion", greatest_mm=(500, 500, 100)))
+    assert axes_complaints(low, text) == ["Z goes beyond its limits"]
 
 
 @pytest.mark.parametrize(
@@ -465,6 +543,12 @@ def test_turning_beyond_a_range_is_found() -> None:
     [
         ("trunnion", {"rotary": (axis("A", X, range_deg=(-20, 20)), axis("C", Z))}, r"bead 0, .* mm along it: A/C"),
         ("trunnion", {"rotary": (axis("A", X), axis("C", Z, range_deg=(-180, 180)))}, r"C would have to turn from"),
+        (
+            "trunnion",
+            {"greatest_mm": (500, 28.0, 500)},
+            r"Y would have to stand at 28.* mm, its limits are -inf and 28",
+        ),
+        ("fork", {"least_mm": (-60, -500, 0), "tcp": True}, r"X would have to stand at -60.* mm, its limits are -60"),
         ("nutating", {"rotary": (axis("B", (0, 0.2, 1)), axis("C", Z))}, "no angles of its axes give the nozzle's"),
     ],
 )
@@ -486,6 +570,11 @@ def test_what_a_machine_cannot_do_is_refused_with_bead_and_place(name: str, chan
         ("{flavour: linuxcnc, type: robot, tcp: true}", "a robot has no rotary axes"),
         ("{flavour: linuxcnc, type: robot, extruder: A}", "linuxcnc does not push filament with A"),
         ("{flavour: linuxcnc, type: robot, tcp_on: M428 ; M2 now}", "must be words of G-code"),
+        (
+            "{flavour: reprap, type: head_head, rotary: [{letter: C, direction: [0, 0, 1]}, "
+            "{letter: B, direction: [0, 1, 0]}], least_mm: [0, 0, 0], greatest_mm: [100, 0, 100]}",
+            "Y has no room between least_mm and greatest_mm",
+        ),
         (
             "{flavour: linuxcnc, type: head_head, rotary: [{letter: U, direction: [0, 0, 1]}, "
             "{letter: B, direction: [0, 1, 0]}]}",

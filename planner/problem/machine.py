@@ -70,6 +70,8 @@ class MachineSpec(Section):
         "the two axes that turn, the one that carries the other first; of head_table the head's first; default: none",
         (),
     )
+    least: Position | None = key("least_mm", "least X, Y and Z of the machine [mm]; default: not looked at", None)
+    greatest: Position | None = key("greatest_mm", "greatest X, Y and Z [mm]; default: not looked at", None)
     part: Position = key("part_mm", "origin of the part frame on the machine at zero angles [mm]", (0, 0, 0))
     part_rpy: Annotated[Vector, Quantity("deg", -360, 360, count=3)] = key(
         "part_rpy_deg", "roll, pitch and yaw of the part frame there [deg]", (0, 0, 0)
@@ -113,11 +115,14 @@ class MachineSpec(Section):
             if self.flavour != "linuxcnc":
                 reason = f"{self.flavour} has no kinematics that take the pose of a robot's nozzle"
                 raise refusal(reason, "take linuxcnc, or a machine of five axes", fields=["type", "flavour"])
-            given = {"rotary", "part", "part_rpy", "tcp"} & self.model_fields_set
-            if given:
-                reason = "a robot has no rotary axes, part_mm, part_rpy_deg or tcp of its own"
+            if {"rotary", "least", "greatest", "part", "part_rpy", "tcp"} & self.model_fields_set:
+                reason = "a robot has no rotary axes, limits, part_mm, part_rpy_deg or tcp of its own"
                 raise refusal(reason, "leave them out: the cell says where its part is", fields=["rotary", "type"])
             return self
+        if self.least is not None and self.greatest is not None:
+            for name, low, high in zip("XYZ", self.least, self.greatest, strict=True):
+                if not low < high:
+                    raise refusal(f"{name} has no room between least_mm and greatest_mm", fields=["greatest_mm"])
         if len(self.rotary) != 2:
             raise refusal(f"{self.type} has 2 rotary axes, not {len(self.rotary)}", "give both", fields=["rotary"])
         first, second = (np.array(axis.direction) for axis in self.rotary)

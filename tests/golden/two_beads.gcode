@@ -4,7 +4,9 @@
 ; Verified for the robot before it was written:
 ;   position_error: 0.0021 mm (limit 0.05)
 ;   reach: 0 mm (limit 0)
-; X Y Z are on the machine; it goes over A 90.0 to 91.9 deg, C -101.8 to -76.0 deg, X 4.0 to 7.1, Y -68.8 to -58.6, Z 51.2 to 60.5
+; X Y Z are on the machine. How far it goes:
+;   A 90.0 to 91.9 deg, C -101.8 to -76.0 deg, X 4.0 to 7.1, Y -68.8 to -58.6, Z 51.2 to 60.5
+; To keep the planned times: A up to 43 deg/s, C up to 71 deg/s; where it turns more slowly all of it slows down.
 ; The robot's clearances hold for its own head and ways: look at those of this machine.
 G21
 G90

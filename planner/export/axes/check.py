@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from planner.export.axes.flavours import FLAVOURS
 from planner.export.axes.follow import above, spec_of
-from planner.export.axes.machine import Machine, Robot, machine_of
+from planner.export.axes.machine import FiveAxes, Machine, Robot, machine_of
 from planner.export.axes.reader import AxesProgram, read_axes
 from planner.export.axes.writer import STATION
 from planner.export.extruder.orders import orders
@@ -24,6 +24,7 @@ Indices = NDArray[np.intp]
 
 PATH = 0.05e-3  # m
 LEAN = np.radians(0.1)
+ROUNDED = 1e-6  # m
 STANDS = 1e-6  # m; a shorter line is rounding, and does not tell where on it the tip is
 LATE = 15e-3  # s by which the tip is early or late on a bead
 FILAMENT = 0.02e-3  # m too much or too little where a bead begins or ends
@@ -98,11 +99,16 @@ def _moved(
 
 
 def _beyond(machine: Machine, program: AxesProgram) -> list[str]:
-    """Axes that turn beyond their range."""
+    """Axes that turn beyond their range, or go beyond their limits."""
     found = []
     for letter, within, turning in zip(machine.letters, machine.ranges, program.turning.T, strict=False):
         if within is not None and not (within[0] - 1e-6 <= turning.min() and turning.max() <= within[1] + 1e-6):
             found.append(f"{letter} turns beyond its range")
+    if isinstance(machine, FiveAxes):
+        slides = machine.slides(machine.tip(program.straight, program.turning), program.turning)
+        inside = (slides >= machine.least - ROUNDED) & (slides <= machine.greatest + ROUNDED)
+        for name, ok in zip("XYZ", inside.T, strict=True):
+            found += [] if ok.all() else [f"{name} goes beyond its limits"]
     return found
 
 

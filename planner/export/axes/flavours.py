@@ -1,7 +1,7 @@
 """How controllers differ in what is not motion: pauses, feed modes, and what an extruder's board is told.
 
 LinuxCNC knows no heaters and fans. Its M100 to M199 run programs of the user's with two numbers, P and Q, so the
-codes of printers within these keep their number there, and their words become P and Q.
+codes of printers within these keep their number there: S becomes Q, and what is numbered (P, T) P.
 """
 
 from __future__ import annotations
@@ -40,15 +40,14 @@ class Flavour:
 
 
 def _linuxcnc_order(line: str) -> str | None:
+    """The line for LinuxCNC, where tool 0 is none."""
     words = line.split(" ")
     if re.fullmatch(r"T\d+", words[0]):
-        return f"{words[0]} M6"
-    if not words[0].startswith("M") or int(words[0][1:]) not in USERS_OWN or len(words) > 3:
+        return f"{words[0]} M6" if words[0] != "T0" else None
+    letters = ["Q" if word[0] == "S" else "P" for word in words[1:] if word[0] in "PST"]
+    if int(words[0][1:]) not in USERS_OWN or len(set(letters)) < len(words) - 1:
         return None
-    said = [words[0]]
-    for letter, word in zip("PQ", words[1:], strict=False):
-        said.append(letter + word[1:])
-    return " ".join(said)
+    return " ".join([words[0], *(letter + word[1:] for letter, word in zip(letters, words[1:], strict=True))])
 
 
 FLAVOURS = {

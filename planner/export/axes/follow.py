@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.export.axes.choice import chosen, missing
-from planner.export.axes.machine import Machine, Robot, machine_of
+from planner.export.axes.machine import FiveAxes, Machine, Robot, machine_of
 from planner.export.rotations import continuous, slerp
 
 if TYPE_CHECKING:
@@ -91,6 +91,7 @@ def follow(plan: Plan) -> Followed:
     else:
         now = _turned(plan, now)
     now = replace(now, straight=machine.straight(now.tip, now.angles))
+    _check_slides(plan, now)
     _check_between(plan, now)
     return now
 
@@ -142,6 +143,22 @@ def _finer(now: Followed, parts: Indices) -> Followed:
         station=between(now.station),
         sample=now.sample[a],
     )
+
+
+def _check_slides(plan: Plan, now: Followed) -> None:
+    """Raise the InputError of a place where X, Y or Z would have to go beyond the machine's limits."""
+    machine = now.machine
+    if not isinstance(machine, FiveAxes):
+        return
+    slides = machine.slides(now.tip, now.angles)
+    beyond = (slides < machine.least) | (slides > machine.greatest)
+    wrong = np.flatnonzero(beyond.any(axis=1))
+    if len(wrong):
+        i = int(wrong[0])
+        j = int(np.argmax(beyond[i]))
+        low, high = machine.least[j] * 1e3, machine.greatest[j] * 1e3
+        reason = f"{'XYZ'[j]} would have to stand at {slides[i, j] * 1e3:.2f} mm, its limits are {low:g} and {high:g}"
+        raise plan.problem.error("program.machine", f"{where(plan, int(now.sample[i]))}: {reason}")
 
 
 def _check_between(plan: Plan, now: Followed) -> None:

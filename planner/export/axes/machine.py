@@ -8,7 +8,7 @@ direction in two ways (Paden and Kahan's second subproblem); where it lies along
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -83,6 +83,7 @@ class FiveAxes:
     directions, centres   (2, 3) of the axes at zero angles, on the machine [m]; centres in the head are from the tip
     tables                which of them turn the table
     R, origin             the part frame on the machine at zero angles
+    least, greatest       (3,) X, Y, Z of the machine [m], infinite where it is not known how far they go
     """
 
     letters: tuple[str, ...]
@@ -93,6 +94,8 @@ class FiveAxes:
     R: Array
     origin: Array
     tcp: bool
+    least: Array = field(default_factory=lambda: np.full(3, -np.inf))
+    greatest: Array = field(default_factory=lambda: np.full(3, np.inf))
 
     @property
     def loose(self) -> int:
@@ -134,8 +137,11 @@ class FiveAxes:
 
     def straight(self, tip: Array, angles: Array) -> Array:
         """Where the tip is on the machine, less what the turned head moves it by; with `tcp` as at zero angles."""
-        place = tip @ self.R.T + self.origin
-        return place if self.tcp else self._carried(place, angles) - self._swung(angles)
+        return tip @ self.R.T + self.origin if self.tcp else self.slides(tip, angles)
+
+    def slides(self, tip: Array, angles: Array) -> Array:
+        """Where X, Y and Z of the machine stand (n, 3), whatever the controller is told."""
+        return self._carried(tip @ self.R.T + self.origin, angles) - self._swung(angles)
 
     def tip(self, straight: Array, angles: Array) -> Array:
         """The tip in the part."""
@@ -243,4 +249,6 @@ def machine_of(spec: MachineSpec) -> Machine:
         R=(turned(z, yaw) @ turned(y, pitch) @ turned(x, roll))[0],
         origin=np.array(spec.part),
         tcp=spec.tcp,
+        least=np.array((-np.inf,) * 3 if spec.least is None else spec.least),
+        greatest=np.array((np.inf,) * 3 if spec.greatest is None else spec.greatest),
     )

@@ -14,6 +14,7 @@ from planner.export.axes.machine import FiveAxes
 from planner.export.axes.targets import kept
 from planner.export.extruder.orders import Order, orders
 from planner.export.rests import ON_TIME
+from planner.materials import materials_of
 
 if TYPE_CHECKING:
     from planner.export.setup import Setup
@@ -45,6 +46,14 @@ def unsaid_in_axes(setup: Setup) -> str | None:
         return f"what moves the part has {carrying} axes, and {len(STATION)} letters are left for them"
     if spec.filament in STATION[:carrying]:
         return f"{spec.filament} pushes filament, and moves the part"
+    fibre = setup.problem.process.fibre
+    orders = [f"T{each.tool}" for each in materials_of(setup.problem)]
+    orders += [line for line in fibre.code if line.startswith("M")] if fibre is not None else []
+    for line in orders:
+        if FLAVOURS[spec.flavour].order(line) is None:
+            return (
+                f"{line} cannot be said to {spec.flavour}, which numbers tools from 1 and has M100 to M199 with P and S"
+            )
     return None
 
 
@@ -87,7 +96,7 @@ def _header(plan: Plan, motion: Followed, targets: int) -> list[str]:
         low, high = motion.straight.min(axis=0) * 1e3, motion.straight.max(axis=0) * 1e3
         reach += [f"{letter} {a:.1f} to {b:.1f}" for letter, a, b in zip("XYZ", low, high, strict=True)]
         what = "the tip in the part as it lies at zero angles" if spec.tcp else "on the machine"
-        said += [f"X Y Z are {what}; it goes over {', '.join(reach)}"]
+        said += [f"X Y Z are {what}. How far it goes:", f"  {', '.join(reach)}", _fastest(motion)]
         said += ["The robot's clearances hold for its own head and ways: look at those of this machine."]
     else:
         home = ", ".join(f"{v:.4f}" for v in np.degrees(plan.trajectory.q[0]))
@@ -95,6 +104,14 @@ def _header(plan: Plan, motion: Followed, targets: int) -> list[str]:
         frame = "on the turning part" if cell.holder_robot is not None else "in the part frame"
         said += [f"X Y Z A B C are the nozzle's pose {frame}: A, B, C are roll, pitch and yaw, yaw last"]
     return [f"; {re.sub(r'[^ -~]', '?', text)[:150].rstrip()}" for text in said]
+
+
+def _fastest(motion: Followed) -> str:
+    """How fast the axes would have to turn for the planned times to hold."""
+    lasts = np.maximum(np.diff(motion.t), SHORTEST)
+    rates = np.degrees((np.abs(np.diff(motion.angles, axis=0)) / lasts[:, None]).max(axis=0, initial=0.0))
+    names = (f"{letter} up to {rate:.0f} deg/s" for letter, rate in zip(motion.machine.letters, rates, strict=True))
+    return f"To keep the planned times: {', '.join(names)}; where it turns more slowly all of it slows down."
 
 
 def _begin(plan: Plan, spec: MachineSpec, flavour: Flavour, motion: Followed) -> list[str]:
@@ -132,7 +149,7 @@ def _lines(
     ends = motion.t[at].tolist()
     for i in range(1, len(at)):
         while waiting and waiting[0].start - ON_TIME <= ends[i - 1]:
-            said, took = _order(plan, flavour, waiting.pop(0))
+            said, took = _order(flavour, waiting.pop(0))
             lines += said
             now += took
         a, b = rows[i - 1], rows[i]
@@ -159,12 +176,12 @@ def _lines(
         lines.append(f"G1 {' '.join(words)} F{rate:.4f}")
         now += FAST / rate if spec.feed == "inverse_time" else FAST * length / rate
     for order in waiting:
-        lines += _order(plan, flavour, order)[0]
+        lines += _order(flavour, order)[0]
     return lines
 
 
-def _order(plan: Plan, flavour: Flavour, order: Order) -> tuple[list[str], float]:
-    """What an order is to this controller, and how long its pauses take [s]; InputError where it cannot be said."""
+def _order(flavour: Flavour, order: Order) -> tuple[list[str], float]:
+    """What an order is to this controller, and how long its pauses take [s]; ValueError where it cannot be said."""
     lines = [f"; {order.words}"]
     for line in order.lines:
         if line.startswith(";"):
@@ -174,8 +191,7 @@ def _order(plan: Plan, flavour: Flavour, order: Order) -> tuple[list[str], float
             continue
         said = flavour.order(line)
         if said is None:
-            reason = f"{line} cannot be said to this controller"
-            raise plan.problem.error("program.machine.flavour", reason, "M100 to M199 with at most two words can")
+            raise ValueError(f"{line} cannot be said to this controller")
         lines.append(said)
     return lines, order.time
 
