@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import signal
@@ -12,12 +13,18 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from export_fixtures import socket_plan
+from rich.console import Console
 from simulate_fixtures import MODULE, program, reader
 
+from planner.errors import InputError
+from planner.export.rapid.writer import rapid_files
 from planner.link import board, command, robot
 from planner.link.command import main
+from planner.link.program_lines import ProgramLine, ProgramLines
 from planner.link.rws import Rws
 from planner.link.secret import Secret
+from planner.link.show import Show, duration, place, progress
 from planner.link.sockets import Address, connect, parse_address
 from planner.simulate import Simulated, start
 from planner.simulate.controller import Controller
@@ -306,3 +313,45 @@ def test_a_connection_notices_that_the_other_end_is_gone() -> None:
             assert made.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) == 1
             assert made.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 3000
             assert made.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
+def test_a_program_in_modules(files: Path) -> None:
+    """All that main loads goes to the controller; what is missing is named."""
+    load = '        Load \\Dynamic,"HOME:"\\File:="Made_{}.mod";\n        UnLoad "HOME:"\\File:="Made_{}.mod";\n'
+    calls = "".join(load.format(k, k) for k in (1, 2))
+    files.write_text(files.read_text().replace("PROC main()\n", f"PROC main()\n{calls}"))
+    for name in ("Made_1.mod", "Made_3.mod", "Made.pgf"):
+        files.with_name(name).write_text(name)
+    with pytest.raises(InputError, match=r"there is no file .*Made_2\.mod"):
+        robot.program_files(files)
+    files.with_name("Made_2.mod").write_text("two")
+    assert list(robot.program_files(files)) == ["Made.mod", "Made_1.mod", "Made_2.mod", "Made.pgf"]
+
+
+def test_the_demo_with_a_program_as_it_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Writer, link, simulated controller with our reader, simulated board: each knows only the wire."""
+    texts = rapid_files(socket_plan())
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text)
+    module = next(tmp_path.glob("*_lines.csv")).name.removesuffix("_lines.csv")
+    log = tmp_path / "log.jsonl"
+    assert main(["--demo", str(tmp_path / f"{module}.mod"), "--pace", "100", "--quiet", "--log", str(log)]) == 0
+    count = len(texts[f"{module}_lines.csv"].splitlines()) - 1
+    assert f"done: all {count} lines were acknowledged" in capsys.readouterr().err
+    sent = [json.loads(line)["n"] for line in log.read_text().splitlines() if json.loads(line)["what"] == "sent"]
+    assert sent == list(range(1, count + 1)) and count > 5
+
+
+def test_the_progress() -> None:
+    lines = ProgramLines("Made", tuple(ProgramLine(n, (-1, 0, 0, 1)[n - 1], 0, 20.0 * n, "M83") for n in range(1, 5)))
+    assert progress(lines, 1, 0.0) == (0.0, 60.0)
+    # 20 s of the program took 30 s: the 40 s that are left will take 60 s
+    assert progress(lines, 2, 30.0) == pytest.approx((1 / 3, 60.0))
+    assert progress(lines, 4, 90.0) == (1.0, 0.0)
+    assert [place(lines, n) for n in (1, 3, 4)] == ["before the first bead", "bead 0, layer 0", "bead 1, layer 0"]
+    assert [duration(s) for s in (0.4, 59.6, 3599.9, 7384)] == ["0:00", "1:00", "1:00:00", "2:03:04"]
+    console = Console(file=io.StringIO(), width=120, force_terminal=True)
+    with Show(lines, console) as show:
+        show(0)
+        show(3)
+    assert "bead 0, layer 0, line 3 of 4" in console.file.getvalue()  # type: ignore[attr-defined]

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from planner import link
 from planner.errors import InputError
 from planner.link.framing import LONGEST_LINE, Framer, Garbage
 from planner.link.messages import (
@@ -157,3 +158,9 @@ def test_a_wrong_table_is_refused(tmp_path: Path, old: str, new: str, words: str
 def test_a_program_without_its_table(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"there is no file .*Cup_lines.csv .*socket"):
         read_program_lines(tmp_path / "Cup.mod")
+
+
+def test_only_the_demo_knows_of_the_simulators() -> None:
+    for path in Path(link.__file__).parent.glob("*.py"):
+        known = {word for word in ("planner.simulate", "planner.solve") if f"from {word}" in path.read_text("utf-8")}
+        assert bool(known) == (path.name == "demo.py"), path.name

@@ -31,6 +31,7 @@ from planner.link.sockets import LinkError, connect, parse_address
 PASSWORD = "BEADWISE_RWS_PASSWORD"
 SOCKET_PORT = 1025  # of the program, unless the problem says otherwise
 BOARD_PORT = 23  # telnet
+DEMO_PACE = 20.0  # times as fast as the print
 JOIN_TIME = 30.0  # s from the start of the program until it listens
 _PROBLEM = re.compile(r"! Problem ([A-Za-z0-9_.-]+)")
 
@@ -39,14 +40,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     options = _options(arguments)
     say = partial(print, file=sys.stderr)
-    return exit_code(partial(_run, options, say), say, interrupted="the program was not started, or was stopped")
+    return exit_code(
+        partial(_demo if options.demo else _run, options, say),
+        say,
+        interrupted="the program was not started, or was stopped",
+    )
+
+
+def _demo(options: argparse.Namespace, say: Callable[[str], None]) -> int:
+    from planner.link.demo import PASSWORD, demo_program, simulated  # the planner takes seconds to be imported
+
+    options.program = options.program or demo_program(say)
+    options.secret = Secret(PASSWORD)
+    with simulated(options.pace) as (options.controller, options.socket, options.head):
+        return _run(options, say)
 
 
 def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     files = program_files(options.program)
     lines = read_program_lines(options.program)
     problem = _problem_of(files[options.program.name])
-    secret = password(PASSWORD, f"{options.user} at {options.controller}")
+    secret = options.secret or password(PASSWORD, f"{options.user} at {options.controller}")
     with ExitStack() as stack:
         rws = stack.enter_context(closing(_rws(options, secret)))
         check_ready(rws)
@@ -62,8 +76,7 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
             program = stack.enter_context(connect(options.socket, "the program on the controller", JOIN_TIME))
             requests = stack.enter_context(closing(Requests()))
             relay = Relay(lines, time.monotonic(), options.cold)
-            show = stack.enter_context(Show(lines, None if options.quiet else Console(stderr=True)))
-            with signals_as(requests):
+            with signals_as(requests), Show(lines, None if options.quiet else Console(stderr=True)) as show:
                 robot = Robot(rws, requests.ask, lambda: relay.ended)
                 sockets = {Side.CONTROLLER: program, Side.BOARD: board}
                 outcome = run_relay(relay, sockets, requests, log, robot.stop, show)
@@ -130,13 +143,11 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
             "BEADWISE_RWS_PASSWORD and BEADWISE_HEAD_PASSWORD, or are asked for"
         ),
     )
-    parser.add_argument("program", type=Path, metavar="PROGRAM.mod", help="with its table of lines beside it")
     parser.add_argument(
-        "--controller", required=True, metavar="HOST[:PORT]", help="its web services (80, or 443 for 2)"
+        "program", type=Path, nargs="?", metavar="PROGRAM.mod", help="with its table of lines beside it"
     )
-    parser.add_argument(
-        "--head", required=True, metavar="HOST[:PORT]", help=f"the extruder's board (port {BOARD_PORT})"
-    )
+    parser.add_argument("--controller", metavar="HOST[:PORT]", help="its web services (80, or 443 for 2)")
+    parser.add_argument("--head", metavar="HOST[:PORT]", help=f"the extruder's board (port {BOARD_PORT})")
     parser.add_argument("--socket-port", type=int, default=SOCKET_PORT, metavar="PORT", help="of the program (1025)")
     parser.add_argument("--user", default=USER, help=f"of the web services (default {USER!r})")
     parser.add_argument("--rws", type=int, choices=sorted(DIALECTS), default=1, help="1: IRC5, 2: OmniCore (default 1)")
@@ -144,8 +155,17 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--log", type=Path, metavar="FILE.jsonl", help="default: beside the program, named by the time")
     parser.add_argument("--cold", action="store_true", help="switch the heaters off when a run is stopped")
     parser.add_argument("--dry-run", action="store_true", help="look whether all is ready; nothing is sent or started")
+    parser.add_argument("--demo", action="store_true", help="print on simulators: PROGRAM.mod, or the logo")
+    parser.add_argument("--pace", type=float, default=DEMO_PACE, help=f"of the demo (default {DEMO_PACE:g})")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    parser.set_defaults(secret=None)
     options = parser.parse_args(arguments)
+    if not 0.1 <= options.pace <= 100.0:
+        parser.error("--pace: 0.1 to 100")
+    if options.demo:
+        return options
+    if None in (options.program, options.controller, options.head):
+        parser.error("give PROGRAM.mod, --controller and --head, or --demo")
     try:
         options.controller = parse_address(options.controller, DIALECTS[options.rws].port)
         options.head = parse_address(options.head, BOARD_PORT)

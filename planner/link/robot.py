@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -15,25 +16,25 @@ LARGEST_MODULE = 100_000_000  # bytes
 WATCH_TIME = 1.0  # s between looks at whether the program still runs
 STILL = 2  # looks in a row that find it stopped, for its last words may be under way
 STOP_TIME = 10.0  # s that stopping may take
+_LOADED = re.compile(rb'\\File:="([A-Za-z][A-Za-z0-9_]{0,31}\.mod)"')
 READY = {"mode": "AUTO", "motors": "motoron"}
 
 
 def program_files(program: Path) -> dict[str, bytes]:
-    """The files of a program by name, its module first: with the program file and the modules that it loads."""
+    """Files of a program by name: its own module first, those that it loads while it runs, and its program file."""
 
     def complain(reason: str, hint: str | None = None) -> InputError:
         return InputError(reason, file=program, hint=hint)
 
     if program.suffix.lower() != ".mod":
         raise complain("is no module of RAPID", "name the .mod that was written in style socket")
-    paths = [program, program.with_suffix(".pgf"), *sorted(program.parent.glob(f"{program.stem}_*.mod"))]
-    files = {
-        path.name: read_bytes(path, LARGEST_MODULE, complain) for path in paths if path == program or path.is_file()
-    }
-    first = files[program.name].split(b"\n", 1)[0].split()
-    if first[:2] != [b"MODULE", program.stem.encode()]:
+    main = read_bytes(program, LARGEST_MODULE, complain)
+    if main.split(b"\n", 1)[0].split()[:2] != [b"MODULE", program.stem.encode()]:
         raise complain(f"its first line is not MODULE {program.stem}", "the file's name must be the module's")
-    return files
+    loaded = dict.fromkeys(name.decode("ascii") for name in _LOADED.findall(main))
+    others = [program.with_name(name) for name in loaded]
+    others += [path for path in [program.with_suffix(".pgf")] if path.is_file()]
+    return {program.name: main} | {path.name: read_bytes(path, LARGEST_MODULE, complain) for path in others}
 
 
 def check_ready(rws: Rws) -> None:
