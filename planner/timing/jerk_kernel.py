@@ -28,7 +28,7 @@ OVERRUN = 1e-3  # of a limit: the most by which a solution may miss it; who asks
 _STEPS = 80  # most of the method's steps: 20 to 40 are usual
 _TO_BOUNDARY = 0.99  # share of the way to the nearest limit that a step may go
 _LEAST_SLACK = 1e-1  # of a limit, at the start, where the start does not keep it: less, and steps stay short
-_FIRST_GAP = 0.1  # of the time: the duality gap to begin with
+_FIRST_GAP = 1.0  # of the time: the duality gap to begin with; with less, and with more, steps are short at first
 _FASTEST_FALL = 0.1  # of the gap in one step
 
 
