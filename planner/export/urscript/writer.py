@@ -1,8 +1,8 @@
 """URScript for Universal Robots' controllers (CB3 and e-Series): one program with a function for each bead.
 
-Material is laid by movep, which keeps the tip's speed through circular blends; movel slows down or speeds up in its
-blends. It blends with its like alone, so run-in and run-out are movep too, and where it meets the movej of travel the
-arm stops. Poses are those of the nozzle in the part frame, `part`, which stands in the controller's base frame: a
+Material is laid by movep, which keeps the tip's speed through circular blends, where movel was seen to speed up. The
+maker describes no blend of movep with other moves, so run-in and run-out are movep too, and where it meets the movej of
+travel the arm stops. Poses are those of the nozzle in the part frame, `part`, which stands in the controller's base frame: a
 part that was moved needs that one line changed.
 """
 
