@@ -25,6 +25,7 @@ from planner.errors import InputError
 from planner.export import write_robot_code
 from planner.export.axes.check import axes_complaints
 from planner.export.axes.choice import FROM_ZERO, JUMP, chosen, missing
+from planner.export.axes.flavours import feed_length
 from planner.export.axes.machine import FiveAxes, Machine, Robot, machine_of
 from planner.export.axes.reader import read_axes
 from planner.export.axes.writer import axes_gcode, unsaid_in_axes
@@ -427,6 +428,27 @@ def test_fibre_heat_and_fan_are_said_to_both_controllers() -> None:
             rest = float(lines[k + 4].removeprefix("G4 P")) * (1e-3 if name == "trunnion" else 1.0)
             assert rest == pytest.approx(2.5 - 1.0, abs=2 * plan.trajectory.dt), "what the cut leaves of its wait"
         assert any(line.startswith("M106 P1 ") for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("flavour", "moved", "length"),
+    [
+        ("linuxcnc", {"X": 3.0, "Y": 0.0, "Z": 4.0, "A": 90.0, "W": 7.0}, 5.0),
+        ("linuxcnc", {"X": 0.0, "A": 90.0, "U": 3.0, "W": 4.0}, 5.0),
+        ("linuxcnc", {"A": 3.0, "C": 4.0, "W": 0.0}, 5.0),
+        ("reprap", {"X": 0.3, "Y": 0.4, "A": 90.0, "E": 7.0}, 0.5),
+        ("reprap", {"X": 0.0, "A": 3.0, "U": 4.0, "E": 7.0}, 5.0),
+        ("reprap", {"A": 0.0, "E": -7.0}, 7.0),
+    ],
+)
+def test_feed_counts_what_the_controller_counts(flavour: str, moved: dict[str, float], length: float) -> None:
+    assert feed_length(flavour, moved) == pytest.approx(length)
+
+
+def test_a_robot_on_a_turning_part_keeps_its_feed() -> None:
+    """Its part's axis is U, which LinuxCNC counts with the filament's W where the tip rests."""
+    plan = on(fibre(), spec("robot", feed="per_minute"))
+    assert axes_complaints(plan, axes_gcode(plan)) == []
 
 
 def test_tools_are_changed_at_rest_at_home() -> None:

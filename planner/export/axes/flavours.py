@@ -6,14 +6,10 @@ codes of printers within these keep their number there: S becomes Q, and what is
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 USERS_OWN = range(100, 200)  # M-codes of LinuxCNC that run a program of the user's
 
@@ -72,12 +68,12 @@ FLAVOURS = {
 }
 
 
-def feed_length(flavour: str, straight: Array, angles: Array, filament: float) -> float:
-    """What F counts per minute on a line that moves by these [mm, deg, mm]: the controller's own rule.
+def feed_length(flavour: str, moved: Mapping[str, float]) -> float:
+    """What F counts per minute on a line that moves axes by so much [mm, deg], by letter: the controller's own rule.
 
-    Both count X, Y and Z alone where these move. Where they rest, LinuxCNC counts U, V, W before the axes that turn,
-    RepRapFirmware all that turn before filament.
+    Both count X, Y and Z alone where these move. Where they rest, LinuxCNC counts U, V, W, and only then A, B, C;
+    RepRapFirmware all that turn, and only then filament.
     """
-    lengths = [float(np.linalg.norm(straight)), float(np.linalg.norm(angles)), abs(filament)]
-    order = (0, 2, 1) if flavour == "linuxcnc" else (0, 1, 2)
-    return next((lengths[i] for i in order if lengths[i] > 0.0), 0.0)
+    groups = ("XYZ", "UVW", "ABC") if flavour == "linuxcnc" else ("XYZ", "ABCUVW", "E")
+    lengths = (math.hypot(*(moved.get(letter, 0.0) for letter in group)) for group in groups)
+    return next((length for length in lengths if length > 0.0), 0.0)

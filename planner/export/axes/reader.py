@@ -73,10 +73,9 @@ def read_axes(text: str, spec: MachineSpec, letters: Sequence[str]) -> AxesProgr
             if not rate > 0.0 or not words.keys() <= place.keys() or not (words or own is not None):
                 raise _unknown(line, number)
             moved = 0.0 if own is None else own if flavour.relative else own - pushed
-            before = np.array(list(place.values()))
+            steps = {letter: value - place[letter] for letter, value in words.items()} | {spec.filament: moved}
             place |= words
-            step = np.array(list(place.values())) - before
-            length = 1.0 if mode == "G93" else feed_length(spec.flavour, step[:3], step[3:], moved)
+            length = 1.0 if mode == "G93" else feed_length(spec.flavour, steps)
             now += 60.0 * length / rate
             pushed = pushed + moved
         places.append(list(place.values()))

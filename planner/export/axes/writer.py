@@ -170,7 +170,8 @@ def _lines(
                 now += pause
             continue
         lasts = max(lasts, SHORTEST)
-        length = feed_length(spec.flavour, b[:3] - a[:3], b[3:] - a[3:], filament)
+        moved = dict(zip(names, (b - a).tolist(), strict=True)) | {spec.filament: filament}
+        length = feed_length(spec.flavour, moved)
         rate = round(FAST / lasts if spec.feed == "inverse_time" else FAST * length / lasts, 4)
         rate = max(rate, 1e-4)
         lines.append(f"G1 {' '.join(words)} F{rate:.4f}")
