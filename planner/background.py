@@ -1,4 +1,4 @@
-"""A function in a process of its own, so that the second core works too."""
+"""A function in a process of its own, or in threads, so that the second core works too."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import sys
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import Any
@@ -16,6 +17,8 @@ from numpy.typing import DTypeLike, NDArray
 
 from planner.errors import PlannerError
 from planner.interrupts import ignored_interrupts
+
+_PARTS_A_CORE = 4  # so that a core that was given easy parts has some left to take
 
 
 def spare_core() -> bool:
@@ -69,6 +72,19 @@ def in_halves(
         return [function(0, count)]
     with in_background(function, half, count) as wait:
         return [function(0, half), wait()]
+
+
+def in_threads(function: Callable[[int, int], None], count: int) -> None:
+    """Call a function that leaves Python to others with (first, last) of parts of range(count), in as many threads as
+    there are cores.
+
+    Compiled loops that share their work themselves take several times as long to compile.
+    """
+    cores = os.cpu_count() or 1
+    edges = np.unique(np.linspace(0, count, min(cores * _PARTS_A_CORE, count) + 1).astype(int)).tolist()
+    with ThreadPoolExecutor(cores) as pool:
+        for _ in pool.map(function, edges[:-1], edges[1:]):
+            pass
 
 
 def shared(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from planner.obstacles.kernel import least_margin, over_pairs, put
+from planner.obstacles.kernel import FIRST, YES, least_margin, over_pairs, put
 from planner.obstacles.table import DEEP, room_for
 
 
@@ -24,7 +24,7 @@ def lacking_at(table, q, lacking) -> None:
     for i in range(len(q)):
         put(table, room, q, i)
         for k in range(len(table.pair)):
-            lacking[i, k] = over_pairs(table, room, k, k + 1, 0.0, True)[1] >= 0
+            lacking[i, k] = over_pairs(table, room, k, k + 1, 0.0, YES)[1] >= 0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -36,7 +36,7 @@ def hit_along(table, q, gone, now, allowed, enough):
     """
     room = room_for(table)
     last = len(q) - 1
-    margin, which = least_margin(table, room, q, 0, now, enough, 0.0)
+    margin, which = least_margin(table, room, q, FIRST, now, enough, 0.0)
     if margin < allowed:
         return which
     right, which = least_margin(table, room, q, last, now, enough, 0.0)

@@ -15,6 +15,8 @@ from planner.point_tree import nearest_point
 from planner.solids import BOX, CAPSULE, HULL
 
 _NONE = -np.inf
+# Flags and numbers handed on to other kernels: plain ones are types of their own, for each of which all is compiled anew.
+YES, NO, FIRST = np.bool_(True), np.bool_(False), np.int64(0)
 MIDDLE, TIP, NORMAL, PLACE = 0, 1, 2, 3  # rows of `Room.few`
 
 
@@ -236,13 +238,13 @@ def first_lacking(table, room, q, row, now, more, head_on_part):
     put(table, room, q, row)
     # what hit at the posture before mostly hits again
     before = room.last[0]
-    if before < p and over_pairs(table, room, before, before + 1, more, True)[1] >= 0:
+    if before < p and over_pairs(table, room, before, before + 1, more, YES)[1] >= 0:
         return before
-    _, which = over_pairs(table, room, 0, p, more, True)
+    _, which = over_pairs(table, room, FIRST, p, more, YES)
     if which >= 0:
         room.last[0] = which
         return which
-    _, which, _ = over_looks(table, room, 0, len(table.look), now, 0.0, True, head_on_part, True)
+    _, which, _ = over_looks(table, room, FIRST, len(table.look), now, 0.0, YES, head_on_part, YES)
     return p + which if which >= 0 else -1
 
 
@@ -253,7 +255,7 @@ def head_lacking(table, room, q, row, now):
     Only the nozzle's pose in the part decides that.
     """
     put(table, room, q, row)
-    _, which, _ = over_looks(table, room, 0, len(table.look), now, 0.0, True, True, False)
+    _, which, _ = over_looks(table, room, FIRST, len(table.look), now, 0.0, YES, YES, NO)
     return len(table.pair) + which if which >= 0 else -1
 
 
@@ -265,7 +267,7 @@ def least_margin(table, room, q, row, now, enough, more):
     """
     put(table, room, q, row)
     p = len(table.pair)
-    best, which = over_pairs(table, room, 0, p, enough + more, False)
+    best, which = over_pairs(table, room, FIRST, p, enough + more, NO)
     best -= more
-    nearer, look, _ = over_looks(table, room, 0, len(table.look), now, best, False, True, True)
+    nearer, look, _ = over_looks(table, room, FIRST, len(table.look), now, best, NO, YES, YES)
     return (nearer, p + look) if look >= 0 else (best, which)

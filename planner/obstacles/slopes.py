@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from planner.obstacles.kernel import MIDDLE, NORMAL, PLACE, over_looks, over_pairs, put
+from planner.obstacles.kernel import FIRST, MIDDLE, NO, NORMAL, PLACE, YES, over_looks, over_pairs, put
 from planner.obstacles.table import room_for
 from planner.point_tree import solid_distance
 
@@ -92,20 +92,20 @@ def nearest_margins(table, q, now, wanted, enough, enough_of_points, margin, slo
         if not wanted[i]:
             continue
         put(table, room, q, i)
-        worst, k = 0, 0
+        worst, k = FIRST, FIRST
         while k < p:  # from each pair that is near to the next one
-            _, k = over_pairs(table, room, k, p, margin[i, worst], True)
+            _, k = over_pairs(table, room, k, p, margin[i, worst], YES)
             if k < 0:
                 break
-            found, _ = over_pairs(table, room, k, k + 1, margin[i, worst], False)
+            found, _ = over_pairs(table, room, k, k + 1, margin[i, worst], NO)
             _pair_slope(table, room, k, slope, i, worst)
             margin[i, worst], which[i, worst] = found, k
             worst = _greatest(margin, i)
             k += 1
-        k = 0
+        k = FIRST
         while k < looks:
             most = min(margin[i, worst], enough_of_points)
-            found, k, point = over_looks(table, room, k, looks, now[i], most, True, True, True)
+            found, k, point = over_looks(table, room, k, looks, now[i], most, YES, YES, YES)
             if k < 0:
                 break
             _look_slope(table, room, k, point, slope, i, worst)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from planner.kinematics.chain import chain_state, jacobian_at, mul4, rotate_about, turn
 from planner.kinematics.inverse import SPHERICAL_WRIST, solve_one
-from planner.obstacles.kernel import first_lacking, head_lacking
+from planner.obstacles.kernel import FIRST, NO, first_lacking, head_lacking
 from planner.obstacles.table import room_for
 from planner.resolve.node_kernel import (
     CLEAR_ROOM,
@@ -51,14 +51,14 @@ def _speed_share(Ji, solved, twist, rate, weight, samples, v_max, a_max) -> floa
     return time / needed if time > 0.0 else 1.0
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def evaluate_margins(
-    kind, p, solved, redundant, wrist_kind, T_base_world, T_nozzle_flange, arm_placements, arm_axes, arm_tip,
+    first, last, kind, p, solved, redundant, wrist_kind, T_base_world, T_nozzle_flange, arm_placements, arm_axes, arm_tip,
     T_before, axis, T_after, sweeps, swept_joint, held_holder, swept_low, swept_high, held_redundant, least_upright,
     q_min, q_max, v_max, a_max, table, now, tip, frames, twist, rate, weight, rung, samples,
     roll_step, holder_step, comfort, floor, lacking, q_out, terms,
 ):  # fmt: skip
-    """Fill q_out (r, rolls, holders, 8, na) and terms (r, rolls, holders, 8, 4) of every posture, rungs in parallel.
+    """Fill q_out (r, rolls, holders, 8, na) and terms (r, rolls, holders, 8, 4) of every posture of rungs first .. last.
 
     terms are sigma, the least angle to a joint's limit, the wrist's angle [rad], and the share of the commanded speed.
     Where there is no posture, or one that is not clear of obstacles, or whose first three terms over comfort (3) are
@@ -70,7 +70,7 @@ def evaluate_margins(
     n_rolls, n_holders, na = q_out.shape[1], q_out.shape[2], q_out.shape[4]
     middle = 0.5 * (q_min + q_max)
     crowded = len(table.pair) + len(table.look) > 0
-    for r in prange(rung.size):
+    for r in range(first, last):
         R = np.empty((3, 3))
         eight = np.empty((8, na))
         ok = np.empty(8, dtype=np.bool_)
@@ -141,10 +141,10 @@ def evaluate_margins(
                         for j in range(na):
                             posture[0, j] = eight[c, j]
                         if lacking[r, a] < 0:
-                            lacking[r, a] = 1 if head_lacking(table, bodies, posture, 0, now[rung[r]]) >= 0 else 0
+                            lacking[r, a] = 1 if head_lacking(table, bodies, posture, FIRST, now[rung[r]]) >= 0 else 0
                         if (
                             lacking[r, a]
-                            or first_lacking(table, bodies, posture, 0, now[rung[r]], CLEAR_ROOM, False) >= 0
+                            or first_lacking(table, bodies, posture, FIRST, now[rung[r]], CLEAR_ROOM, NO) >= 0
                         ):
                             continue
                     terms[r, a, b, c] = (sigmas[pair], room, wrist, shares[pair])

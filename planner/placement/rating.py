@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.background import in_threads
 from planner.cell import Cell, rigid_inverse
 from planner.kinematics.inverse import kind_of
 from planner.obstacles import NOTHING, Obstacles
@@ -228,7 +229,7 @@ def _postures(
     cone = min(demand.cones.layer_gravity, demand.cones.tilt + demand.cones.nozzle_gravity)
     q = np.zeros((r, grid.rolls, grid.holders, BRANCHES, na), dtype=np.float32)
     terms = np.zeros((r, grid.rolls, grid.holders, BRANCHES, 4), dtype=np.float32)
-    evaluate_margins(
+    arguments = (
         kind_of(cell.inverse), cell.inverse.parameters, np.array(cell.solved), -1 if redundant is None else redundant,
         wrist, rigid_inverse(cell.T_world_base), rigid_inverse(cell.T_flange_nozzle),
         cell.arm.placements, cell.arm.axes, cell.arm.T_last_tip,
@@ -239,4 +240,5 @@ def _postures(
         obstacles.table, demand.now, demand.tip, demand.frames, demand.twist, demand.rate, demand.weight, demand.rung, course.samples,
         grid.roll_step, grid.holder_step, COMFORT, floor, course.lacking, q, terms,
     )  # fmt: skip
+    in_threads(lambda first, last: evaluate_margins(first, last, *arguments), r)
     return q, terms, joint, grid.holder_step

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from planner.kinematics.chain import chain_state, jacobian_at, mul4, rotate_about, turn
 from planner.kinematics.inverse import SPHERICAL_WRIST, solve_one
-from planner.obstacles.kernel import first_lacking, head_lacking
+from planner.obstacles.kernel import FIRST, NO, first_lacking, head_lacking
 from planner.obstacles.table import room_for
 
 Array = NDArray[np.float64]
@@ -173,9 +173,9 @@ def into_part(J, solved, T_world_part, Jp) -> None:
             Jp[i, j], Jp[3 + i, j] = lin, ang
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def evaluate_nodes(
-    kind, p, solved, redundant, T_base_world, T_nozzle_flange, arm_placements, arm_axes, arm_tip,
+    first, last, kind, p, solved, redundant, T_base_world, T_nozzle_flange, arm_placements, arm_axes, arm_tip,
     T_before, axis, T_after, sweeps, swept_joint, held_holder, swept_low, swept_high, held_redundant, least_upright,
     q_min, q_max, v_max, a_max,
     table, now,
@@ -184,7 +184,7 @@ def evaluate_nodes(
     roll_step, holder_step, roll_from, holder_from, branch,
     min_sigma, q_out, price,
 ):  # fmt: skip
-    """Fill q_out and price (see `Nodes`), rungs in parallel; most arguments are fields of Demand, Grid and Cell.
+    """Fill q_out and price (see `Nodes`) of rungs first .. last; most arguments are fields of Demand, Grid and Cell.
 
     solved (6) arm joints that follow from a pose; redundant: the arm's joint that does not, or -1
     T_before, T_after (r, 4, 4), axis (3)   world to part: T_before Rot(axis, swept angle) T_after
@@ -197,7 +197,7 @@ def evaluate_nodes(
     n_rolls, n_holders, n_branches, na = price.shape[1], price.shape[2], price.shape[3], q_out.shape[4]
     middle = 0.5 * (q_min + q_max)
     crowded = len(table.pair) + len(table.look) > 0
-    for r in prange(rung.size):
+    for r in range(first, last):
         R = np.empty((3, 3))
         eight = np.empty((8, na))
         ok = np.empty(8, dtype=np.bool_)
@@ -273,8 +273,8 @@ def evaluate_nodes(
                         for j in range(na):
                             posture[0, j] = eight[k, j]
                         if head[a] < 0:
-                            head[a] = 1 if head_lacking(table, bodies, posture, 0, now[i0]) >= 0 else 0
-                        if head[a] or first_lacking(table, bodies, posture, 0, now[i0], CLEAR_ROOM, False) >= 0:
+                            head[a] = 1 if head_lacking(table, bodies, posture, FIRST, now[i0]) >= 0 else 0
+                        if head[a] or first_lacking(table, bodies, posture, FIRST, now[i0], CLEAR_ROOM, NO) >= 0:
                             continue
                     close = max(0.0, SIGMA_COMFORT / sigma - 1.0)
                     near = max(0.0, 1.0 - room / LIMIT_COMFORT)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.background import in_threads
 from planner.cell import Cell, rigid_inverse
 from planner.kinematics.chain import Chain
 from planner.kinematics.inverse import kind_of
@@ -96,7 +97,7 @@ def evaluate(cell: Cell, demand: Demand, grid: Grid, min_sigma: float, obstacles
     shape = (r, grid.rolls, grid.holders, grid.branch.shape[1])
     q = np.zeros((*shape, na), dtype=np.float32)
     price = np.full(shape, np.inf)
-    evaluate_nodes(
+    arguments = (
         kind_of(cell.inverse), cell.inverse.parameters, np.array(cell.solved), -1 if redundant is None else redundant,
         rigid_inverse(cell.T_world_base), rigid_inverse(cell.T_flange_nozzle),
         cell.arm.placements, cell.arm.axes, cell.arm.T_last_tip,
@@ -110,6 +111,7 @@ def evaluate(cell: Cell, demand: Demand, grid: Grid, min_sigma: float, obstacles
         grid.roll_step, grid.holder_step, grid.roll_from, grid.holder_from, grid.branch,
         min_sigma, q, price,
     )  # fmt: skip
+    in_threads(lambda first, last: evaluate_nodes(first, last, *arguments), r)
     return Nodes(grid, q, price, joint)
 
 
