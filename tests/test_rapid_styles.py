@@ -134,12 +134,12 @@ def test_modules_end_where_the_robot_rests():
         ("OneBead.mod", "        RAISE;\n", "", "other errors"),
         ("OneBead_1.mod", "PROC Bead0001Part1", "PROC Start", "twice"),
         ("OneBead_1.mod", "MODULE OneBead_1", "MODULE OneBead_1\n    CONST speeddata vel1:=[1,1,1,1];", "nothing else"),
-        ("OneBead_1.mod", "vel40,z0", "vel777,z0", "unknown name"),
+        ("OneBead_1.mod", "vel41,z0", "vel777,z0", "unknown name"),
         ("OneBead_1.mod", "    ENDPROC", "    ENDPROC\n    ENDPROC", "outside a procedure"),
     ],
 )
 def test_reader_refuses_other_modules(file, old, new, message):
-    files = dict(rapid_files(in_modules(socket_plan(), 18)))
+    files = dict(rapid_files(in_modules(socket_plan(), 14)))
     assert old in files[file]
     files[file] = files[file].replace(old, new, 1)
     with pytest.raises(InputError, match=message) as error:

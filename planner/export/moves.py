@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-ROUNDING = 2e-6  # [m]; what the numbers in the file take of the tolerance of the path
+ROUNDING = 1e-6  # [m]; what the numbers in the file take of the tolerance of the path
 ANGLE_TOLERANCE = np.radians(0.045)  # orientation and the part's axes [rad]; likewise of 0.05 deg
 TIME_TOLERANCE = 8e-3  # [s]; keeps dips of the speed in the program
 LONGEST = 9.5e-3  # [m] of path between two targets in a bead: at most 10 mm with the rounding to samples
@@ -105,9 +104,7 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
     must[1:] |= rests.inside[1:] & ~np.append(rests.inside[2:], False)  # where the robot goes on after a wait
     must[1:] |= (np.diff(trajectory.bead) != 0) & trajectory.deposit[1:] & trajectory.deposit[:-1]
     must[1:] |= np.diff(trajectory.branch) != 0
-    kept = _no_longer_than(np.flatnonzero(must), path, linear)
-
-    sample = thin(kept, _Misfit(plan, quat, linear, rests, fed))
+    sample = thin(np.flatnonzero(must), _Misfit(plan, quat, linear, rests, path, fed))
     cornered = trajectory.deposit & ~rests.fine & np.append(linear, False) & np.append(False, linear)
     sample = closer_at_turns(sample, trajectory.tip, cornered, plan.problem.program.chord)
     a, b = sample[:-1], sample[1:]
@@ -142,9 +139,9 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
 class _Misfit:
     """How far the controller's interpolation between two samples misses a third, in tolerances."""
 
-    def __init__(self, plan: Plan, quat: Array, linear: Flags, rests: Rests, fed: Array | None) -> None:
+    def __init__(self, plan: Plan, quat: Array, linear: Flags, rests: Rests, path: Array, fed: Array | None) -> None:
         self._trajectory, self._cell, self._quat, self._linear = plan.trajectory, plan.cell, quat, linear
-        self._clock, self._fed = rests.clock, fed
+        self._clock, self._path, self._fed = rests.clock, path, fed
         top = 0.0 if fed is None else float(np.diff(fed).max(initial=0.0)) / plan.trajectory.dt
         self._amount = max(top * TIME_TOLERANCE, 1e-12)  # of filament, out of place [m]
         self._external = plan.trajectory.q[:, len(plan.cell.arm) :]
@@ -165,6 +162,7 @@ class _Misfit:
         turned = angle(slerp(self._quat[a], self._quat[b], u), self._quat[k]) / ANGLE_TOLERANCE
         late = np.where(self._trajectory.deposit[k], np.abs(t[a] + u * (t[b] - t[a]) - t[k]) / TIME_TOLERANCE, 0.0)
         worst = np.maximum(np.maximum(off, turned), np.maximum(late, self._leaning(a, b, k) / self._tangent))
+        worst = np.maximum(worst, ((self._path[b] - self._path[a]) / LONGEST) ** 2)
         if self._fed is not None:
             even = self._fed[a] + (t[k] - t[a]) / np.maximum(t[b] - t[a], 1e-9) * (self._fed[b] - self._fed[a])
             unevenly = np.where(self._trajectory.deposit[k], np.abs(even - self._fed[k]) / self._amount, 0.0)
@@ -222,13 +220,3 @@ def _flown(path: Array, first: Indices, last: Indices, rests: Indices, run_in: f
         leave[k] = after[0] if len(after) else leave[k]
     leave[:-1] = np.minimum(leave[:-1], first[1:])
     return np.minimum(approach, first), np.maximum(leave, last)
-
-
-def _no_longer_than(kept: Indices, path: Array, linear: Flags) -> Indices:
-    """Cut linear spans into equal lengths, so that none is longer than LONGEST."""
-    extra = [kept]
-    for a, b in itertools.pairwise(kept):
-        parts = int(np.ceil((path[b] - path[a]) / LONGEST))
-        if linear[a] and parts > 1:
-            extra.append(np.searchsorted(path, np.linspace(path[a], path[b], parts + 1)[1:-1]))
-    return np.unique(np.concatenate(extra))

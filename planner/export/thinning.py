@@ -14,25 +14,89 @@ Misfit = Callable[[Indices, Indices, Indices], Array]
 MOST_PARTS = 4
 
 
+LANE = 48  # targets that are chosen one after the other; as many lanes as there are go on at the same time
+ENOUGH = 0.9  # misfit of a span that is as good as the longest one
+SHORTER = 0.98  # of what the misfit says of the longest span
+GUESSES = 4  # at the longest span before its bounds are halved
+
+
 def thin(kept: Indices, misfit: Misfit) -> Indices:
     """Sorted sample indices: `kept` (sorted, unique, never dropped) and what must be added to bring misfit to <= 1.
 
+    Spans are first cut until all of them fit. That leaves many that fit too well, so stretches of some dozens of them
+    are gone through again, from target to target as far as each reaches.
+    """
+    found = _cut(kept, misfit)
+    within = np.arange(len(found)) - np.searchsorted(found, kept)[np.searchsorted(kept, found, side="right") - 1]
+    lanes = found[within % LANE == 0]
+    reached = _reach(lanes, misfit)
+    fewer = np.diff(np.searchsorted(reached, lanes)) < np.diff(np.searchsorted(found, lanes))
+    return np.unique(np.concatenate([lanes, _within(lanes, found, ~fewer), _within(lanes, reached, fewer)]))
+
+
+def _within(lanes: Indices, found: Indices, chosen: NDArray[np.bool_]) -> Indices:
+    """Those of `found` that stand in the chosen lanes."""
+    owner = np.clip(np.searchsorted(lanes, found, side="right") - 1, 0, len(chosen) - 1)
+    return found[chosen[owner]]
+
+
+def _reach(lanes: Indices, misfit: Misfit) -> Indices:
+    """Targets of each lane, each as far from the one before as misfit allows, or nearly."""
+    found = [lanes]
+    at, end = lanes[:-1].copy(), lanes[1:]
+    fits, misses, tried = at + 1, end + 1, np.zeros(len(at), dtype=np.intp)  # bounds of the longest span's end
+    guess = np.minimum(at + np.maximum((end - at) // LANE, 1), end)
+    going = np.flatnonzero(at < end)
+    while len(going):
+        a, g = at[going], guess[going]
+        worst = _worst(a, g, misfit)
+        good = worst <= 1.0
+        fits[going] = np.where(good, g, fits[going])
+        misses[going] = np.where(good, misses[going], g)
+        tried[going] += 1
+        low, high = fits[going], misses[going]
+        done = (high - low <= 1) | (low == end[going]) | (good & (worst >= ENOUGH))
+        step = (g - a) * SHORTER / np.sqrt(np.maximum(worst, 0.05))
+        ahead = np.where(tried[going] < GUESSES, a + step.astype(np.intp), (low + high) // 2)
+        guess[going] = np.clip(ahead, low + 1, np.maximum(high - 1, low + 1))
+        arrived = going[done]
+        length = fits[arrived] - at[arrived]
+        at[arrived] = fits[arrived]
+        found.append(fits[arrived])
+        fits[arrived], misses[arrived], tried[arrived] = at[arrived] + 1, end[arrived] + 1, 0
+        guess[arrived] = np.minimum(at[arrived] + length, end[arrived])
+        going = going[at[going] < end[going]]
+    return np.unique(np.concatenate(found))
+
+
+def _worst(first: Indices, last: Indices, misfit: Misfit) -> Array:
+    """Largest misfit of each span; 0 of one with nothing between."""
+    out = np.zeros(len(first))
+    inner = last - first - 1
+    some = inner > 0
+    if some.any():
+        first, last, inner = first[some], last[some], inner[some]
+        offset = np.concatenate([[0], np.cumsum(inner)[:-1]])
+        k = np.arange(int(inner.sum())) - np.repeat(offset - first - 1, inner)
+        out[some] = np.maximum.reduceat(misfit(np.repeat(first, inner), np.repeat(last, inner), k), offset)
+    return out
+
+
+def _cut(kept: Indices, misfit: Misfit) -> Indices:
+    """`kept`, and cuts between them that bring misfit to <= 1.
+
     All spans are judged at once, level by level. A span that misses by e tolerances is cut into about sqrt(e)
-    equal parts, because on an arc the error falls with the square of the chord: this gives few targets in few passes.
+    equal parts: this gives few targets in few passes.
     """
     found = [kept]
     first, last = kept[:-1], kept[1:]
     while True:
-        inner = last - first - 1
-        first, last, inner = first[inner > 0], last[inner > 0], inner[inner > 0]
-        if not len(first):
-            return np.unique(np.concatenate(found))
-        offset = np.concatenate([[0], np.cumsum(inner)[:-1]])
-        k = np.arange(int(inner.sum())) - np.repeat(offset - first - 1, inner)
-        worst = np.maximum.reduceat(misfit(np.repeat(first, inner), np.repeat(last, inner), k), offset)
+        worst = _worst(first, last, misfit)
         bad = ~(worst <= 1.0)
-        first, last = first[bad], last[bad]
-        parts = np.clip(np.ceil(np.sqrt(worst[bad])), 2, np.minimum(MOST_PARTS, last - first)).astype(np.intp)
+        if not bad.any():
+            return np.unique(np.concatenate(found))
+        first, last, worst = first[bad], last[bad], worst[bad]
+        parts = np.clip(np.ceil(np.sqrt(worst)), 2, np.minimum(MOST_PARTS, last - first)).astype(np.intp)
         owner = np.repeat(np.arange(len(first)), parts)
         part = np.arange(len(owner)) - np.repeat(np.cumsum(parts) - parts, parts)
         length = (last - first)[owner]

@@ -12,12 +12,11 @@ MODULE AskedBead
     !   [[0.000,0.000,0.000],[1.0000000,0.0000000,0.0000000,0.0000000]]
     PERS wobjdata wobjPart:=[FALSE,TRUE,"",[[450.000,-50.000,380.000],[1.0000000,0.0000000,0.0000000,0.0000000]],[[0.000,0.000,0.000],[1.0000000,0.0000000,0.0000000,0.0000000]]];
 
-    CONST speeddata vel20:=[20,180,1000,100];
-    CONST speeddata vel21:=[21,180,1000,100];
-    CONST speeddata vel22:=[22,180,1000,100];
-    CONST speeddata vel34:=[34,180,1000,100];
-    CONST speeddata vel35:=[35,180,1000,100];
-    CONST speeddata vel40:=[40,180,1000,100];
+    CONST speeddata vel17:=[17,180,1000,100];
+    CONST speeddata vel26:=[26,180,1000,100];
+    CONST speeddata vel33:=[33,180,1000,100];
+    CONST speeddata vel36:=[36,180,1000,100];
+    CONST speeddata vel38:=[38,180,1000,100];
     CONST speeddata vel41:=[41,180,1000,100];
     CONST speeddata vel42:=[42,180,1000,100];
     CONST speeddata vel43:=[43,180,1000,100];
@@ -29,9 +28,9 @@ MODULE AskedBead
     VAR triggdata trgOff;
     VAR triggdata trgOnStart;
     VAR triggdata trgFlow000;
-    VAR triggdata trgFlow049;
-    VAR triggdata trgFlow053;
-    VAR triggdata trgFlow098;
+    VAR triggdata trgFlow042;
+    VAR triggdata trgFlow090;
+    VAR triggdata trgFlow093;
     VAR triggdata trgFlow100;
 
     PROC main()
@@ -45,9 +44,9 @@ MODULE AskedBead
         TriggIO trgOff,0\DOp:=doExtrude,0;
         TriggIO trgOnStart,0\Start\DOp:=doExtrude,1;
         TriggIO trgFlow000,0\AOp:=aoDemand,0.0000;
-        TriggIO trgFlow049,0\AOp:=aoDemand,2.9400;
-        TriggIO trgFlow053,0\AOp:=aoDemand,3.1800;
-        TriggIO trgFlow098,0\AOp:=aoDemand,5.8800;
+        TriggIO trgFlow042,0\AOp:=aoDemand,2.5200;
+        TriggIO trgFlow090,0\AOp:=aoDemand,5.4000;
+        TriggIO trgFlow093,0\AOp:=aoDemand,5.5800;
         TriggIO trgFlow100,0\AOp:=aoDemand,6.0000;
         MoveAbsJ [[30.00000,20.00000,30.00000,90.00000,-80.00000,60.00000],[9E9,9E9,9E9,9E9,9E9,9E9]],vel200,fine,tPen\WObj:=wobjPart;
         Start;
@@ -66,25 +65,20 @@ MODULE AskedBead
     PROC Bead0001()
         ! Bead 0, layer 0: 11.9 mm
         MoveJ [[-1.416,45.895,28.637],[0.5616108,0.5616110,0.4296428,0.4296434],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel200,fine,tPen\WObj:=wobjPart;
-        MoveL [[-1.589,45.230,28.907],[0.5572373,0.5572373,0.4353006,0.4353006],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel22,z0,tPen\WObj:=wobjPart;
-        MoveL [[-1.799,44.336,29.317],[0.5513056,0.5513056,0.4427891,0.4427891],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel34,z0,tPen\WObj:=wobjPart;
+        MoveL [[-1.773,44.454,29.261],[0.5520929,0.5520929,0.4418070,0.4418070],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel33,z0,tPen\WObj:=wobjPart;
         TriggL [[-2.083,42.905,30.033],[0.5416803,0.5416803,0.4545134,0.4545134],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel45,trgOn\T2:=trgFlow100,z0,tPen\WObj:=wobjPart;
-        MoveL [[-2.324,41.323,30.809],[0.5308369,0.5308369,0.4671318,0.4671318],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel44,z0,tPen\WObj:=wobjPart;
-        MoveL [[-2.416,40.529,31.156],[0.5253046,0.5253046,0.4733445,0.4733445],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel44,z0,tPen\WObj:=wobjPart;
-        MoveL [[-2.503,39.572,31.511],[0.5185700,0.5185700,0.4807132,0.4807132],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel43,z0,tPen\WObj:=wobjPart;
-        TriggL [[-2.554,38.774,31.741],[0.5128789,0.5128789,0.4867805,0.4867805],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel42,trgFlow098,z0,tPen\WObj:=wobjPart;
-        TriggL [[-2.590,37.834,31.922],[0.5060967,0.5060967,0.4938281,0.4938281],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel40,trgFlow049,z0,tPen\WObj:=wobjPart;
-        TriggL [[-2.600,36.968,31.996],[0.4997678,0.4997678,0.5002321,0.5002321],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel20,trgFlow053,z0,tPen\WObj:=wobjPart;
-        TriggL [[-2.589,36.120,31.978],[0.4934896,0.4934896,0.5064267,0.5064267],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel21,trgFlow098,z0,tPen\WObj:=wobjPart;
-        TriggL [[-2.559,35.336,31.882],[0.4876092,0.4876092,0.5120911,0.5120911],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel40,trgFlow100,z0,tPen\WObj:=wobjPart;
+        MoveL [[-2.363,41.006,30.952],[0.5286328,0.5286328,0.4696247,0.4696247],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel44,z0,tPen\WObj:=wobjPart;
+        MoveL [[-2.490,39.732,31.457],[0.5196997,0.5196997,0.4794917,0.4794917],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel43,z0,tPen\WObj:=wobjPart;
+        TriggL [[-2.562,38.614,31.779],[0.5117324,0.5117324,0.4879856,0.4879856],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel42,trgFlow093,z0,tPen\WObj:=wobjPart;
+        TriggL [[-2.595,37.573,31.954],[0.5041988,0.5041988,0.4957656,0.4957656],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel38,trgFlow042,z0,tPen\WObj:=wobjPart;
+        TriggL [[-2.596,36.502,31.997],[0.4963230,0.4963230,0.5036502,0.5036502],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel17,trgFlow090,z0,tPen\WObj:=wobjPart;
+        TriggL [[-2.567,35.495,31.907],[0.4888119,0.4888119,0.5109431,0.5109431],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel36,trgFlow100,z0,tPen\WObj:=wobjPart;
         MoveL [[-2.499,34.378,31.667],[0.4803316,0.4803316,0.5189235,0.5189235],[0,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel41,z0,tPen\WObj:=wobjPart;
-        MoveL [[-2.428,33.581,31.414],[0.4741935,0.4741935,0.5245384,0.5245384],[0,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel42,z0,tPen\WObj:=wobjPart;
-        MoveL [[-2.338,32.786,31.105],[0.4679898,0.4679898,0.5300807,0.5300807],[0,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel43,z0,tPen\WObj:=wobjPart;
-        MoveL [[-2.229,31.993,30.752],[0.4617213,0.4617213,0.5355497,0.5355497],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel44,z0,tPen\WObj:=wobjPart;
-        TriggL [[-2.075,31.046,30.290],[0.4541148,0.4541148,0.5420145,0.5420145],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel44,trgOff\T2:=trgFlow000,z0,tPen\WObj:=wobjPart;
-        MoveL [[-1.818,29.748,29.631],[0.4434855,0.4434855,0.5507455,0.5507455],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel45,z0,tPen\WObj:=wobjPart;
-        MoveL [[-1.583,28.746,29.143],[0.4350956,0.4350956,0.5573974,0.5573974],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel35,z0,tPen\WObj:=wobjPart;
-        MoveL [[-1.411,28.104,28.861],[0.4296523,0.4296472,0.5615988,0.5616128],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel22,z0,tPen\WObj:=wobjPart;
+        MoveL [[-2.376,33.104,31.235],[0.4704791,0.4704791,0.5278725,0.5278725],[0,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel42,z0,tPen\WObj:=wobjPart;
+        MoveL [[-2.155,31.519,30.525],[0.4579295,0.4579295,0.5387955,0.5387955],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel44,z0,tPen\WObj:=wobjPart;
+        TriggL [[-2.075,31.046,30.290],[0.4541148,0.4541148,0.5420145,0.5420145],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel45,trgOff\T2:=trgFlow000,z0,tPen\WObj:=wobjPart;
+        MoveL [[-1.645,28.998,29.262],[0.4372165,0.4372165,0.5557353,0.5557353],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel45,z0,tPen\WObj:=wobjPart;
+        MoveL [[-1.411,28.104,28.861],[0.4296523,0.4296472,0.5615988,0.5616128],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel26,z0,tPen\WObj:=wobjPart;
     ENDPROC
 
     PROC Finish()

@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner.export.moves import Moves, deposits
 from planner.export.rapid.lines import HEATS, WAITS, Line
 from planner.export.rapid.server import LATEST, LINE, SETTLE
 from planner.export.rapid.targets import targets
-from planner.export.rapid.text import comment
+from planner.export.rapid.text import ZONES, comment
 from planner.export.rests import Wait
 
 if TYPE_CHECKING:
@@ -78,11 +79,11 @@ def procedures_of(
     start = f"        MoveJ {places[0]},{speeds[0]},fine,{frames}"
     there = _resting(moves.waits.get(-1, ()), sent.get(-1, ()))
     found = [Procedure("Start", (comment(about, 8),), ((start, *there),), True)]
-    linear, fine = moves.linear.tolist(), moves.fine.tolist()
+    linear, fine, wide = moves.linear.tolist(), moves.fine.tolist(), (~moves.linear & _roomy(plan, moves)).tolist()
 
     def step(i: int) -> tuple[str, ...]:
         own = triggers.get(i, ())
-        zone = "fine" if fine[i] else "z0" if linear[i] else "z1"
+        zone = "fine" if fine[i] else "z1" if wide[i] else "z0"
         word = "TriggL" if own else "MoveL" if linear[i] else "MoveJ"
         what = "".join(f"\\T{k}:={name}" if k > 1 else f",{name}" for k, name in enumerate(own, 1))
         move = f"        {word} {places[i + 1]},{speeds[i + 1]}{what},{zone},{frames}"
@@ -95,6 +96,14 @@ def procedures_of(
             words = (_about(plan, int(first[k]), int(last[k])),) if k < len(first) else ()
             found.append(Procedure(name, words, tuple(map(step, range(a, b))), fine[b - 1]))
     return found
+
+
+def _roomy(plan: Plan, moves: Moves) -> NDArray[np.bool_]:
+    """Whether the wider zone takes no more than half of a move (m) and of the next."""
+    tip = plan.trajectory.tip
+    roomy = np.linalg.norm(tip[moves.sample] - tip[moves.start], axis=1) >= 2.0 * ZONES["z1"]
+    out: NDArray[np.bool_] = roomy & np.append(roomy[1:], True)
+    return out
 
 
 def _numbered(lines: Sequence[Line]) -> dict[int, list[tuple[int, Line]]]:

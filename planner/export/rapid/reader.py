@@ -24,11 +24,10 @@ from planner.export.rapid.syntax import (
     parse,
     target_numbers,
 )
+from planner.export.rapid.text import ZONES
 
 Array = NDArray[np.float64]
 
-# ABB, RAPID reference, zonedata: radius of the zone of the tool's path [m]
-ZONES = {"fine": 0.0, "z0": 0.3e-3, "z1": 1e-3}
 _BIND = re.compile(r'SocketBind bwServer,"(\d{1,3}(?:\.\d{1,3}){3})",(\d{4});', re.ASCII)
 
 
