@@ -27,7 +27,7 @@ from planner.errors import (
     InputError,
     Refusal,
 )
-from planner.export import write_part, write_plan, write_refusal, write_robot_code, write_trajectory
+from planner.export import program_notes, write_part, write_plan, write_refusal, write_robot_code, write_trajectory
 from planner.export.languages import check_languages, chosen
 from planner.headroom import headroom
 from planner.motion import join
@@ -326,7 +326,7 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
             errors.print(f"try: {hint}", markup=False, soft_wrap=True)
         errors.print(f"see {folder / 'report.html'}", markup=False, soft_wrap=True)
         return EXIT_NOT_VERIFIED
-    print_summary(plan, folder, chosen(plan).words)
+    print_summary(plan, folder, chosen(plan).words, program_notes(plan, folder))
     return EXIT_VERIFIED if plan.verified else EXIT_NOT_VERIFIED
 
 

@@ -229,7 +229,10 @@ def make_plan(
         problem=spec,
         cell=cell,
         toolpath=SimpleNamespace(  # type: ignore[arg-type]
-            beads=tuple(SimpleNamespace(material=material, length=length) for material in own),
+            beads=tuple(
+                SimpleNamespace(material=material, length=length, points=np.zeros((round(length * 1e3), 3)))
+                for material in own
+            ),
             layers=(beads + 1) // 2,
             notes=(),
         ),

@@ -11,11 +11,15 @@ from planner.errors import OutputError, Refusal
 from planner.export.languages import LANGUAGES, chosen
 from planner.export.part_stl import part_stl
 from planner.export.plan_json import plan_json, refusal_json
+from planner.export.rapid.notes import written_notes
+from planner.export.rapid.text import module_name
 from planner.export.table import write_table
 
 if TYPE_CHECKING:
     from planner.plan import Plan
     from planner.problem import Problem
+
+LONGEST_HEADER = 20_000  # characters
 
 
 def write_trajectory(plan: Plan, folder: Path) -> Path:
@@ -57,6 +61,15 @@ def write_robot_code(plan: Plan, folder: Path) -> tuple[Path, ...]:
             raise RuntimeError(f"{language.title} does not repeat the plan: " + "; ".join(complaints))
         texts |= own
     return tuple(_write_text(folder / name, text) for name, text in texts.items())
+
+
+def program_notes(plan: Plan, folder: Path) -> tuple[str, ...]:
+    """What the header of the RAPID program in a folder says that its users should know; nothing without one."""
+    path = folder / f"{module_name(plan.name)}.mod"
+    if not path.exists():
+        return ()
+    with path.open(encoding="utf-8") as stream:
+        return written_notes(stream.read(LONGEST_HEADER))
 
 
 def _write_text(path: Path, text: str) -> Path:

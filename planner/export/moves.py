@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from planner.export.corners import closer_at_turns
 from planner.export.rests import Rests, Wait, rests_of
 from planner.export.rotations import angle, continuous, slerp
-from planner.export.thinning import Indices, thin
+from planner.export.thinning import Indices, fewest
 
 if TYPE_CHECKING:
     from planner.plan import Plan, Trajectory
@@ -104,7 +104,7 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
     must[1:] |= rests.inside[1:] & ~np.append(rests.inside[2:], False)  # where the robot goes on after a wait
     must[1:] |= (np.diff(trajectory.bead) != 0) & trajectory.deposit[1:] & trajectory.deposit[:-1]
     must[1:] |= np.diff(trajectory.branch) != 0
-    sample = thin(np.flatnonzero(must), _Misfit(plan, quat, linear, rests, path, fed))
+    sample = fewest(np.flatnonzero(must), _Misfit(plan, quat, linear, rests, path, fed))
     cornered = trajectory.deposit & ~rests.fine & np.append(linear, False) & np.append(False, linear)
     sample = closer_at_turns(sample, trajectory.tip, cornered, plan.problem.program.chord)
     a, b = sample[:-1], sample[1:]

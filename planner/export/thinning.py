@@ -20,13 +20,13 @@ SHORTER = 0.98  # of what the misfit says of the longest span
 GUESSES = 4  # at the longest span before its bounds are halved
 
 
-def thin(kept: Indices, misfit: Misfit) -> Indices:
-    """Sorted sample indices: `kept` (sorted, unique, never dropped) and what must be added to bring misfit to <= 1.
+def fewest(kept: Indices, misfit: Misfit) -> Indices:
+    """As `thin`, with fewer targets, for more work.
 
-    Spans are first cut until all of them fit. That leaves many that fit too well, so stretches of some dozens of them
-    are gone through again, from target to target as far as each reaches.
+    `thin` leaves many spans that fit too well: stretches of some dozens of them are gone through again, from target to
+    target as far as each reaches.
     """
-    found = _cut(kept, misfit)
+    found = thin(kept, misfit)
     within = np.arange(len(found)) - np.searchsorted(found, kept)[np.searchsorted(kept, found, side="right") - 1]
     lanes = found[within % LANE == 0]
     reached = _reach(lanes, misfit)
@@ -82,8 +82,8 @@ def _worst(first: Indices, last: Indices, misfit: Misfit) -> Array:
     return out
 
 
-def _cut(kept: Indices, misfit: Misfit) -> Indices:
-    """`kept`, and cuts between them that bring misfit to <= 1.
+def thin(kept: Indices, misfit: Misfit) -> Indices:
+    """Sorted sample indices: `kept` (sorted, unique, never dropped) and what must be added to bring misfit to <= 1.
 
     All spans are judged at once, level by level. A span that misses by e tolerances is cut into about sqrt(e)
     equal parts: this gives few targets in few passes.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -43,8 +44,8 @@ ROWS = (
 )
 
 
-def print_summary(plan: Plan, folder: Path, programs: str = "") -> None:
-    """Print verdict, summary table, failed checks, which programs there are, and the place of the results."""
+def print_summary(plan: Plan, folder: Path, programs: str = "", program_notes: Sequence[str] = ()) -> None:
+    """Print verdict, summary table, notes, failed checks, which programs there are, and the place of the results."""
     out = Console(highlight=False)
     m = plan.metrics
     size = f"{counted(m['beads'], 'bead')}, {counted(m['layers'], 'layer')}, {m['deposited_length_mm'] / 1e3:.2f} m"
@@ -62,7 +63,8 @@ def print_summary(plan: Plan, folder: Path, programs: str = "") -> None:
         cells = [_number(values.get(metric, math.nan) * factor, decimals) for values in columns]
         table.add_row(label, *cells, unit)
     out.print(table)
-    notes = (f"note: {note}" for note in plan.toolpath.notes)
+    notes = [f"note: {note}" for note in plan.toolpath.notes]
+    notes += [f"note on the RAPID program: {note}" for note in program_notes]
     for line in (
         *notes,
         _dips(plan),

@@ -5,6 +5,9 @@ MODULE TwoBeads
     ! Verified before it was written:
     !   position_error: 0.0021 mm (limit 0.05)
     !   reach: 0 mm (limit 0)
+    ! 111 moves, 34 of them along beads, whose toolpath has 40 waypoints
+    ! Note: 4 zones of 0.3 mm are cut by the controller to half of a move, the shortest is 0.16 mm
+    !   first bead 0, line 116 of TwoBeads.mod
 
     ! The load below is a placeholder: identify it on the robot before the first run.
     PERS tooldata tPen:=[TRUE,[[-44.510,9.900,113.950],[1.0000000,0.0000000,0.0000000,0.0000000]],[1,[0,0,50],[1,0,0,0],0,0,0]];

@@ -13,17 +13,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planner.export.moves import plan_moves
+from planner.export.moves import Moves, plan_moves
 from planner.export.rapid.able import unsaid_in_rapid
 from planner.export.rapid.declarations import extruders, frames, header, speeds
 from planner.export.rapid.demand import demand_of
 from planner.export.rapid.fed import event_samples, laid_filament
 from planner.export.rapid.lines import lines_of, table
 from planner.export.rapid.modules import LOADED_BEFORE, batches_of, running
+from planner.export.rapid.notes import note_lines, notes_of
 from planner.export.rapid.procedures import procedures_of
+from planner.export.rapid.reader import read_rapid_files
 from planner.export.rapid.server import END, OPEN, server, server_declarations
 from planner.export.rapid.targets import external_degrees, external_text
-from planner.export.rapid.text import LONGEST_STRING, module_name, number
+from planner.export.rapid.text import LONGEST_STRING, comment, module_name, number
 from planner.export.rapid.triggers import triggers_of
 
 if TYPE_CHECKING:
@@ -62,9 +64,8 @@ def rapid_files(plan: Plan) -> dict[str, str]:
     batches = batches_of(name, others, spec.module_moves) if len(moves) > spec.module_moves else ()
     here = [start, *(others if not batches else [])]
     calls = [f"        {procedure.name};" for procedure in here] + [s for batch in batches for s in running(batch)]
-    text = [
-        f"MODULE {name}",
-        *header(plan),
+    top = [f"MODULE {name}", *header(plan), *_sizes(plan, moves)]
+    rest = [
         "",
         *frames(plan),
         "",
@@ -82,9 +83,18 @@ def rapid_files(plan: Plan) -> dict[str, str]:
         "ENDMODULE",
         "",
     ]
-    files = {f"{name}.mod": "\n".join(text), f"{name}.pgf": pgf(plan)}
-    files |= {f"{module.name}.mod": module.text for batch in batches for module in batch}
-    return files | ({f"{name}_lines.csv": table(lines)} if lines else {})
+    modules = {f"{name}.mod": "\n".join(top + rest)}
+    modules |= {f"{module.name}.mod": module.text for batch in batches for module in batch}
+    if notes := notes_of(plan, moves, read_rapid_files(modules)):
+        modules[f"{name}.mod"] = "\n".join(top + note_lines(notes, plan, moves, modules) + rest)
+    return {**modules, f"{name}.pgf": pgf(plan)} | ({f"{name}_lines.csv": table(lines)} if lines else {})
+
+
+def _sizes(plan: Plan, moves: Moves) -> list[str]:
+    """How many moves there are, beside the waypoints that they stand for."""
+    waypoints = sum(len(bead.points) for bead in plan.beads)
+    laid = int(np.count_nonzero(moves.laid))
+    return [comment(f"{len(moves) + 1} moves, {laid} of them along beads, whose toolpath has {waypoints} waypoints")]
 
 
 def _main(plan: Plan, calls: list[str], speed: str, triggers: Sequence[str]) -> list[str]:

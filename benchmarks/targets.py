@@ -1,0 +1,117 @@
+"""How many targets programs need for their waypoints, and how long a long program takes to write and to read.
+
+python -m benchmarks.targets [PROBLEM ...] [--set program.chord_mm=0.02] [--long 180000]
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from planner.errors import EXIT_VERIFIED, PlannerError
+from planner.export.languages import LANGUAGES
+from planner.export.moves import plan_moves
+from planner.export.rapid.reader import read_rapid_files
+from planner.export.rapid.writer import rapid_files
+from planner.plan import Plan
+from planner.problem import load_problem
+from planner.solve import solve
+
+USUAL = ("peer_cap", "fibre_plane", "hemisphere_honeycomb")  # solved in seconds
+COLUMNS = ("problem", "waypoints", "moves", "along beads", "waypoints each", "below 0.6 mm", "time")
+NARROW = 0.6e-3  # m: twice the smallest zone
+
+
+def row(plan: Plan) -> list[str]:
+    """Cells of one plan: its waypoints, and what stands for them."""
+    start = time.perf_counter()
+    moves = plan_moves(plan)
+    took = time.perf_counter() - start
+    tip = plan.trajectory.tip
+    length = np.linalg.norm(tip[moves.sample] - tip[moves.start], axis=1)[moves.laid]
+    waypoints = sum(len(bead.points) for bead in plan.beads)
+    narrow = f"{np.count_nonzero(length < NARROW):,}"
+    each = f"{waypoints / len(length):.2f}"
+    return [f"{waypoints:,}", f"{len(moves):,}", f"{len(length):,}", each, narrow, f"{took:.2f} s"]
+
+
+def repeated(plan: Plan, targets: int) -> Plan:
+    """The plan's motion, from home to home, as often as at least so many targets need; its events are left out."""
+    t, times = plan.trajectory, -(-targets // len(plan_moves(plan)))
+    rows = {
+        name: np.concatenate([values] * times) for name, values in vars(t).items() if isinstance(values, np.ndarray)
+    }
+    n, beads = len(t), len(plan.toolpath.beads)
+    which = np.repeat(np.arange(times), n)
+    rows["t"] = np.arange(n * times) * t.dt
+    rows["bead"] = np.where(rows["bead"] >= 0, rows["bead"] + which * beads, rows["bead"]).astype(np.int32)
+    rows["feed"] = rows["feed"] + which * (t.feed[-1] - t.feed[0])
+    rows["extruded"] = rows["extruded"] + which * (t.extruded[-1] - t.extruded[0])
+    toolpath: Any = SimpleNamespace(beads=plan.toolpath.beads * times, layers=plan.toolpath.layers, notes=())
+    return replace(plan, toolpath=toolpath, trajectory=replace(t, **rows, events=()))
+
+
+def long_program(plan: Plan, targets: int) -> str:
+    """How long it takes to write, to read, and to write with everything held against the plan, and memory at most."""
+    plan = repeated(plan, targets)
+    before, start = _memory(), time.perf_counter()
+    files = rapid_files(plan)
+    writing = time.perf_counter() - start
+    start = time.perf_counter()
+    count = len(read_rapid_files(files).linear)
+    reading = time.perf_counter() - start
+    start = time.perf_counter()
+    complaints = LANGUAGES["rapid"].complaints(plan, files)
+    judging = time.perf_counter() - start
+    size = sum(map(len, files.values())) / 1e6
+    modules = sum(name.endswith(".mod") for name in files)
+    return (
+        f"{count:,} targets of {len(plan.trajectory):,} samples in {modules} modules, {size:.0f} MB: written in "
+        f"{writing:.1f} s, read in {reading:.1f} s, held against the plan in {judging:.1f} s "
+        f"({len(complaints)} complaints); {_memory() - before:.0f} MB more than the plan at most"
+    )
+
+
+def _memory() -> float:
+    """Most memory that was ever used [MB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the table; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.targets", description=__doc__)
+    parser.add_argument(
+        "problems", nargs="*", default=USUAL, help="problems; default: three that are solved in seconds"
+    )
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of all problems")
+    parser.add_argument("--long", type=int, default=0, metavar="TARGETS", help="and a program of so many targets")
+    options = parser.parse_args(arguments)
+    out = Console(width=140, highlight=False)
+    table = Table()
+    for k, column in enumerate(COLUMNS):
+        table.add_column(column, justify="right" if k else "left")
+    try:
+        for name in options.problems:
+            plan = solve(load_problem(name, options.set))
+            table.add_row(name, *row(plan))
+        out.print(table)
+        if options.long:
+            out.print(long_program(plan, options.long))
+    except PlannerError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
+    return EXIT_VERIFIED
+
+
+if __name__ == "__main__":
+    sys.exit(main())
