@@ -74,7 +74,9 @@ class PositionerSpec(Section):
     turn: Annotated[float, Quantity("deg", -360, 360)] = key(
         "turn_deg", "by how much its base is turned about the vertical [deg]", 0
     )
-    free: Annotated[tuple[Text, ...], UNIQUE] = key("free", "axes that the planner may move; the others are held")
+    free: Annotated[tuple[Text, ...], UNIQUE] = key(
+        "free", "axes that the planner may move, such as [rotation]; the others are held"
+    )
     held: dict[Text, Angle] = key("held_deg", "angles of held axes by name [deg]; each default 0", {})
     home: dict[Text, Angle] = key(
         "home_deg", "angles of free axes that the search starts from, by name [deg]; each default 0", {}

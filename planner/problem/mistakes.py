@@ -66,7 +66,7 @@ def _mistake(detail: ErrorDetails, source: Source, model: Model) -> Mistake:
                 "its keys are names of your own choice, or of axes and joints",
             )
         case "tuple_type":
-            return path, f"must be a list, not {describe(value)}", "for example [rotation]"
+            return path, f"must be a list, not {describe(value)}", _description(model, loc)
     return path, detail["msg"], None
 
 
@@ -99,6 +99,8 @@ def _models(annotation: Any) -> dict[Any, Model]:
             tags = [mark.tag for mark in marks if isinstance(mark, Tag)]
         if isinstance(choice, type) and issubclass(choice, BaseModel):
             found.update(dict.fromkeys(tags, choice))
+        elif choice is not annotation and get_origin(choice) is dict:  # sections by names of the user's, or none
+            found.update(_models(choice))
     return found
 
 
