@@ -34,9 +34,9 @@ NARROW = 0.6e-3  # m: twice the smallest zone
 
 def row(plan: Plan) -> list[str]:
     """Cells of one plan: its waypoints, and what stands for them."""
-    start = time.perf_counter()
+    start = time.process_time()
     moves = plan_moves(plan)
-    took = time.perf_counter() - start
+    took = time.process_time() - start
     tip = plan.trajectory.tip
     length = np.linalg.norm(tip[moves.sample] - tip[moves.start], axis=1)[moves.laid]
     waypoints = sum(len(bead.points) for bead in plan.beads)
@@ -62,22 +62,22 @@ def repeated(plan: Plan, targets: int) -> Plan:
 
 
 def long_program(plan: Plan, targets: int) -> str:
-    """How long it takes to write, to read, and to write with everything held against the plan, and memory at most."""
+    """How long a program takes to write, to read and to be held against the plan [s of CPU], and how much memory."""
     plan = repeated(plan, targets)
-    before, start = _memory(), time.perf_counter()
+    before, start = _memory(), time.process_time()
     files = rapid_files(plan)
-    writing = time.perf_counter() - start
-    start = time.perf_counter()
+    writing = time.process_time() - start
+    start = time.process_time()
     count = len(read_rapid_files(files).linear)
-    reading = time.perf_counter() - start
-    start = time.perf_counter()
+    reading = time.process_time() - start
+    start = time.process_time()
     complaints = LANGUAGES["rapid"].complaints(plan, files)
-    judging = time.perf_counter() - start
+    judging = time.process_time() - start
     size = sum(map(len, files.values())) / 1e6
     modules = sum(name.endswith(".mod") for name in files)
     return (
         f"{count:,} targets of {len(plan.trajectory):,} samples in {modules} modules, {size:.0f} MB: written in "
-        f"{writing:.1f} s, read in {reading:.1f} s, held against the plan in {judging:.1f} s "
+        f"{writing:.1f} s, read in {reading:.1f} s, held against the plan in {judging:.1f} s of CPU "
         f"({len(complaints)} complaints); {_memory() - before:.0f} MB more than the plan at most"
     )
 

@@ -23,6 +23,7 @@ ROUNDING = 1e-6  # [m]; what the numbers in the file take of the tolerance of th
 ANGLE_TOLERANCE = np.radians(0.045)  # orientation and the part's axes [rad]; likewise of 0.05 deg
 TIME_TOLERANCE = 8e-3  # [s]; keeps dips of the speed in the program
 LONGEST = 9.5e-3  # [m] of path between two targets in a bead: at most 10 mm with the rounding to samples
+LEAST_STEP = 1e-9  # [m] between samples: a shorter one, at rest, has no direction
 TRAVEL_TOLERANCE = 0.2e-3  # [m]; joint moves against the planned tip path
 TRAVEL_ANGLE_TOLERANCE = np.radians(0.5)
 
@@ -181,7 +182,8 @@ class _Misfit:
             step = tip[after] - tip[before]
             sine = np.linalg.norm(np.cross(line, step), axis=1)
             lean = np.arctan2(sine, np.einsum("ij,ij->i", line, step))
-            out = np.maximum(out, np.where(laid[before] & laid[after] & (sine > 0.0), lean, 0.0))
+            goes = np.einsum("ij,ij->i", step, step) > LEAST_STEP**2
+            out = np.maximum(out, np.where(laid[before] & laid[after] & goes & (sine > 0.0), lean, 0.0))
         return out
 
     def _joint(self, a: Indices, b: Indices, k: Indices) -> Array:
