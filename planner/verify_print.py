@@ -8,6 +8,7 @@ could have brought anything too near.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -112,8 +113,10 @@ def check_nozzle(
     need = problem.collision.nozzle
     now, slack = print_times(toolpath, t), slack_along(problem, toolpath, t)
     head = packed(cell.head)
-    rule = nozzle_nearness(body.tree, head, motion, now, slack, need)
-    beyond = beyond_the_tip(body.tree, head, motion, now, slack, need)
+    with ThreadPoolExecutor(1) as pool:  # beside each other: compiled, they leave Python to others
+        other = pool.submit(beyond_the_tip, body.tree, head, motion, now, slack, need)
+        rule = nozzle_nearness(body.tree, head, motion, now, slack, need)
+        beyond = other.result()
     worst = rule.least + need
     where = f"{cell.head[rule.body].name} and {body.name_of(rule.point)}, {place(t, rule.at)}"
     if rule.point < 0:

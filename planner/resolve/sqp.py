@@ -83,6 +83,7 @@ def refine_paths(
     floor = sigma_floor(given, settings)
     solver = qp_solver(settings.qp)
     below: dict[str, Track] = {}
+    refined: dict[int, Track] = {}
     done = list(paths)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         for layer in _alike(paths, given):
@@ -97,8 +98,10 @@ def refine_paths(
                 for (k, _), piece in zip(jobs, list(moved), strict=True):
                     tracks[k] = tracks[k] if piece is None else piece.put_into(tracks[k])
             for i, track in zip(layer, tracks, strict=True):
-                below[track.task.name] = track
-                done[i] = cheaper(cell, paths[i], given[i], track, floor, obstacles)
+                below[track.task.name] = refined[i] = track
+        kept = pool.map(lambda i: cheaper(cell, paths[i], given[i], refined[i], floor, obstacles), refined)
+        for i, path in zip(refined, kept, strict=True):
+            done[i] = path
     return choose_turns(cell, done)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import NoReturn
 
@@ -118,7 +120,8 @@ def refuse_collision(cell: Cell, paths: Sequence[JointPath], obstacles: Obstacle
         obstacles = obstacles.but_head_on_part
     if not obstacles.any:
         return
-    margins = [obstacles.margins(path.q, path.task.moments, 0.0) for path in paths]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        margins = list(pool.map(lambda path: obstacles.margins(path.q, path.task.moments, 0.0), paths))
     worst = int(np.argmin([margin.min() for margin, _ in margins]))
     margin, which = margins[worst]
     i = int(np.argmin(margin))
