@@ -66,7 +66,18 @@ def _reach(lanes: Indices, misfit: Misfit) -> Indices:
         fits[arrived], misses[arrived], tried[arrived] = at[arrived] + 1, end[arrived] + 1, 0
         guess[arrived] = np.minimum(at[arrived] + length, end[arrived])
         going = going[at[going] < end[going]]
-    return np.unique(np.concatenate(found))
+    return _balanced(lanes, np.unique(np.concatenate(found)), misfit)
+
+
+def _balanced(lanes: Indices, found: Indices, misfit: Misfit) -> Indices:
+    """The same, with what was left over at the end of a lane shared with the span before, where that fits too."""
+    last = np.searchsorted(found, lanes[1:])
+    last = last[last - np.searchsorted(found, lanes[:-1]) >= 2]
+    begin, end = found[last - 2], found[last]
+    middle = (begin + end) // 2
+    fits = np.maximum(_worst(begin, middle, misfit), _worst(middle, end, misfit)) <= 1.0
+    found[last[fits] - 1] = middle[fits]
+    return found
 
 
 def _worst(first: Indices, last: Indices, misfit: Misfit) -> Array:

@@ -6,8 +6,6 @@ MODULE AskedBead
     !   position_error: 0.0021 mm (limit 0.05)
     !   reach: 0 mm (limit 0)
     ! 17 moves, 10 of them along beads, whose toolpath has 12 waypoints
-    ! Note: 2 zones of 0.3 mm are cut by the controller to half of a move, the shortest is 0.53 mm
-    !   first bead 0, line 81 of AskedBead.mod
 
     ! The load below is a placeholder: identify it on the robot before the first run.
     PERS tooldata tPen:=[TRUE,[[-44.510,9.900,113.950],[1.0000000,0.0000000,0.0000000,0.0000000]],[1,[0,0,50],[1,0,0,0],0,0,0]];
@@ -78,8 +76,8 @@ MODULE AskedBead
         TriggL [[-2.567,35.495,31.907],[0.4888119,0.4888119,0.5109431,0.5109431],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel36,trgFlow100,z0,tPen\WObj:=wobjPart;
         MoveL [[-2.499,34.378,31.667],[0.4803316,0.4803316,0.5189235,0.5189235],[0,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel41,z0,tPen\WObj:=wobjPart;
         MoveL [[-2.376,33.104,31.235],[0.4704791,0.4704791,0.5278725,0.5278725],[0,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel42,z0,tPen\WObj:=wobjPart;
-        MoveL [[-2.155,31.519,30.525],[0.4579295,0.4579295,0.5387955,0.5387955],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel44,z0,tPen\WObj:=wobjPart;
-        TriggL [[-2.075,31.046,30.290],[0.4541148,0.4541148,0.5420145,0.5420145],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel45,trgOff\T2:=trgFlow000,z0,tPen\WObj:=wobjPart;
+        MoveL [[-2.253,32.152,30.825],[0.4629801,0.4629801,0.5344618,0.5344618],[0,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel43,z0,tPen\WObj:=wobjPart;
+        TriggL [[-2.075,31.046,30.290],[0.4541148,0.4541148,0.5420145,0.5420145],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel44,trgOff\T2:=trgFlow000,z0,tPen\WObj:=wobjPart;
         MoveL [[-1.645,28.998,29.262],[0.4372165,0.4372165,0.5557353,0.5557353],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel45,z0,tPen\WObj:=wobjPart;
         MoveL [[-1.411,28.104,28.861],[0.4296523,0.4296472,0.5615988,0.5616128],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel26,z0,tPen\WObj:=wobjPart;
     ENDPROC
