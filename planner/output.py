@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -14,19 +14,47 @@ from planner.errors import OutputError
 from planner.interrupts import ignored_interrupts
 
 RESULTS = ("plan.json", "trajectory.csv", "report_part.stl", "extrusion.gcode", "report.html")
-MARK = "! beadwise"  # stands in the header of the robot programs that are ours, and of no one else's
+# Comments that stand in the header of programs that are ours, and of no one else's, by suffix.
+MARKS = {
+    ".mod": "! beadwise",
+    ".script": "# beadwise",
+    ".src": "; beadwise",
+    ".gcode": "; beadwise",
+    ".ngc": "; beadwise",
+}
+HEADER = 8  # lines in which the mark stands
+LONGEST = 1000  # characters of a line that are looked at
+COMPANIONS = {".mod": (".pgf", "_lines.csv"), ".src": (".dat",)}  # files that belong to a program, as its name goes on
+LOADED = re.compile(r'Load \\Dynamic,"HOME:"\\File:="([A-Za-z][A-Za-z0-9_]{0,31}\.mod)";')
+JOINTS, SWITCHES, SWITCHES_BEGIN = "_joint_trajectory.json", "_extruder.json", '{"held":'
 
 
 def earlier_results(target: Path) -> list[Path]:
-    """Files that an earlier run left in a folder; robot programs only if their header says they are ours."""
-    found = [target / name for name in RESULTS if (target / name).is_file()]
-    for program in target.glob("*.mod"):
-        with program.open(encoding="utf-8", errors="replace") as stream:
-            ours = any(MARK in line for line in itertools.islice(stream, 5))
-        if ours:
-            found.append(program)
-            found += [pgf for pgf in [program.with_suffix(".pgf")] if pgf.is_file()]
-    return found
+    """Files that an earlier run left in a folder; programs only if they say that they are ours, with what is theirs."""
+    found = {target / name for name in RESULTS}
+    for suffix, mark in MARKS.items():
+        for program in target.glob(f"*{suffix}"):
+            if any(mark in line for line in _first_lines(program)):
+                found |= {program, *(program.with_name(program.stem + end) for end in COMPANIONS.get(suffix, ()))}
+                found |= {target / name for name in _loaded(program)}
+    for switches in target.glob(f"*{SWITCHES}"):  # JSON has no comments: they are known by each other
+        joints = switches.with_name(switches.name.removesuffix(SWITCHES) + JOINTS)
+        if joints.is_file() and "".join(_first_lines(switches)).startswith(SWITCHES_BEGIN):
+            found |= {joints, switches}
+    return sorted(path for path in found if path.is_file())
+
+
+def _first_lines(path: Path) -> list[str]:
+    if not path.is_file():
+        return []
+    with path.open(encoding="utf-8", errors="replace") as stream:
+        return [stream.readline(LONGEST) for _ in range(HEADER)]
+
+
+def _loaded(program: Path) -> set[str]:
+    """Names of the modules that a long program of ours loads while it runs."""
+    with program.open(encoding="utf-8", errors="replace") as stream:
+        return {found[1] for line in stream if (found := LOADED.search(line))}
 
 
 @contextmanager
