@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from export_fixtures import socket_plan
@@ -23,7 +24,7 @@ from planner.link import board, command, robot
 from planner.link.command import main
 from planner.link.program_lines import ProgramLine, ProgramLines
 from planner.link.rws import Rws
-from planner.link.secret import Secret
+from planner.link.secret import Secret, password
 from planner.link.show import Show, duration, place, progress
 from planner.link.sockets import Address, connect, parse_address
 from planner.simulate import Simulated, start
@@ -38,7 +39,9 @@ PASSWORD, HEAD_PASSWORD = "r0b0tics-of-ours", "h3ad"
 def files(tmp_path: Path) -> Path:
     """A program of a line, 3 beads with 6 lines each, and a line; with its table."""
     made = tmp_path / "Made.mod"
-    made.write_text(MODULE.replace("MODULE Made\n", "MODULE Made\n    ! Problem cup_7, strategy sqp\n", 1))
+    text = MODULE.replace("MODULE Made\n", "MODULE Made\n    ! Problem cup_7, strategy sqp\n", 1)
+    hello = f'        SocketSend bwClient\\Str:="H Made {len(LINES)}\\0A";\n'
+    made.write_text(text.replace("PROC main()\n", f"PROC main()\n{hello}", 1))
     rows = [f"{n},{-1 if n in (1, 20) else (n - 2) // 6},0,{0.05 * n:.3f},{text}" for n, text in enumerate(LINES, 1)]
     (tmp_path / "Made_lines.csv").write_text("\n".join(["n,bead,layer,t_s,text", *rows, ""]))
     return made
@@ -207,9 +210,12 @@ def test_wrong_passwords(
             "Made_lines.csv",
             "\n20,-1,0,1.000,M104 S0",
             "",
-            3,
-            "the controller runs Made with 20 lines, not Made with 19",
+            2,
+            "Made.mod: sends 20 lines, and its table has 19 (both must be as they were written together)",
         ),
+        ("Made.mod", "H Made 20", "H Made 21", 2, "Made.mod: sends 21 lines, and its table has 20"),
+        ("Made.mod", '"H Made 20', '"Hi', 2, "Made.mod: sends no lines (the link runs programs of `program: style: s"),
+        ("Made.mod", "ENDMODULE", "", 2, "Made.mod: does not end with ENDMODULE (it was cut off)"),
     ],
 )
 def test_a_program_that_does_not_fit(
@@ -304,6 +310,17 @@ def test_a_secret_is_not_shown() -> None:
     assert PASSWORD not in f"{secret} {secret!r} {[secret]}"
 
 
+def test_no_password_is_no_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    def end(prompt: str) -> str:
+        raise EOFError
+
+    monkeypatch.delenv(command.PASSWORD)
+    monkeypatch.setattr("getpass.getpass", end)
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: True))
+    with pytest.raises(InputError, match=r"no password was given for us \(type it, or set BEADWISE_RWS_PASSWORD\)"):
+        password(command.PASSWORD, "us")
+
+
 def test_a_connection_notices_that_the_other_end_is_gone() -> None:
     """Asked every second: an unplugged cable is found within a few seconds."""
     with socket.create_server(("127.0.0.1", 0)) as server:
@@ -321,10 +338,13 @@ def test_a_program_in_modules(files: Path) -> None:
     calls = "".join(load.format(k, k) for k in (1, 2))
     files.write_text(files.read_text().replace("PROC main()\n", f"PROC main()\n{calls}"))
     for name in ("Made_1.mod", "Made_3.mod", "Made.pgf"):
-        files.with_name(name).write_text(name)
+        files.with_name(name).write_text(f"{name}\nENDMODULE\n")
     with pytest.raises(InputError, match=r"there is no file .*Made_2\.mod"):
         robot.program_files(files)
     files.with_name("Made_2.mod").write_text("two")
+    with pytest.raises(InputError, match=r"Made_2\.mod: does not end with ENDMODULE"):
+        robot.program_files(files)
+    files.with_name("Made_2.mod").write_text("two\nENDMODULE\n")
     assert list(robot.program_files(files)) == ["Made.mod", "Made_1.mod", "Made_2.mod", "Made.pgf"]
 
 

@@ -21,7 +21,7 @@ from planner.link.effects import Note, Outcome, Side
 from planner.link.log import Log
 from planner.link.program_lines import ProgramLines, read_program_lines
 from planner.link.relay import Relay
-from planner.link.robot import Robot, bring, check_ready, program_files
+from planner.link.robot import Robot, bring, check_ready, check_together, program_files
 from planner.link.run import INTERRUPTED, Requests, run_relay, signals_as
 from planner.link.rws import DIALECTS, USER, Rws
 from planner.link.secret import Secret, password
@@ -59,6 +59,7 @@ def _demo(options: argparse.Namespace, say: Callable[[str], None]) -> int:
 def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     files = program_files(options.program)
     lines = read_program_lines(options.program)
+    check_together(options.program, files, len(lines))
     problem = _problem_of(files[options.program.name])
     secret = options.secret or password(PASSWORD, f"{options.user} at {options.controller}")
     with ExitStack() as stack:

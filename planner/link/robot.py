@@ -17,6 +17,7 @@ WATCH_TIME = 1.0  # s between looks at whether the program still runs
 STILL = 2  # looks in a row that find it stopped, for its last words may be under way
 STOP_TIME = 10.0  # s that stopping may take
 _LOADED = re.compile(rb'\\File:="([A-Za-z][A-Za-z0-9_]{0,31}\.mod)"')
+_HELLO = re.compile(rb'"H ([A-Za-z][A-Za-z0-9_]{0,31}) ([0-9]{1,9})\\0A"')
 READY = {"mode": "AUTO", "motors": "motoron"}
 
 
@@ -34,7 +35,24 @@ def program_files(program: Path) -> dict[str, bytes]:
     loaded = dict.fromkeys(name.decode("ascii") for name in _LOADED.findall(main))
     others = [program.with_name(name) for name in loaded]
     others += [path for path in [program.with_suffix(".pgf")] if path.is_file()]
-    return {program.name: main} | {path.name: read_bytes(path, LARGEST_MODULE, complain) for path in others}
+    files = {program.name: main} | {path.name: read_bytes(path, LARGEST_MODULE, complain) for path in others}
+    for name, data in files.items():
+        if name.endswith(".mod") and not data.rstrip().endswith(b"ENDMODULE"):
+            raise InputError("does not end with ENDMODULE", file=program.with_name(name), hint="it was cut off")
+    return files
+
+
+def check_together(program: Path, files: Mapping[str, bytes], lines: int) -> None:
+    """Raises InputError unless the program says that it will send as many lines as its table has."""
+    hello = _HELLO.search(files[program.name])
+    if hello is None:
+        raise InputError("sends no lines", file=program, hint="the link runs programs of `program: style: socket`")
+    if int(hello[2]) != lines:
+        raise InputError(
+            f"sends {int(hello[2])} lines, and its table has {lines}",
+            file=program,
+            hint="both must be as they were written together",
+        )
 
 
 def check_ready(rws: Rws) -> None:

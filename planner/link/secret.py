@@ -30,4 +30,7 @@ def password(variable: str, whose: str) -> Secret:
         return Secret(found)
     if not sys.stdin.isatty():
         raise InputError(f"there is no password for {whose}", hint=f"set {variable}")
-    return Secret(getpass.getpass(f"password for {whose}: "))
+    try:
+        return Secret(getpass.getpass(f"password for {whose}: "))
+    except EOFError:  # Ctrl-D
+        raise InputError(f"no password was given for {whose}", hint=f"type it, or set {variable}") from None
