@@ -307,6 +307,16 @@ def test_an_interrupt_brings_it_to_rest() -> None:
     assert (steps <= 3.000001 * PERIOD).all() and steps[-1].max() < 1e-5 and len(references) < 150
 
 
+def test_an_interrupt_before_the_first_word_ends_it_at_once(monkeypatch) -> None:
+    def interrupt(here, peer):
+        monkeypatch.setattr(egm, "_newest", lambda here, peer: pytest.fail("waits for a robot that was never guided"))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(egm, "_newest", interrupt)
+    with egm.listening("127.0.0.1", 0) as here, pytest.raises(KeyboardInterrupt):
+        egm.follow(short(), here, egm.egm_messages(), lambda text: None)
+
+
 def test_without_the_package_it_is_said_which_one(tmp_path, monkeypatch, capsys) -> None:
     real = builtins.__import__
 

@@ -63,8 +63,8 @@ class Follower:
         return self._limiter is not None
 
     def stop(self) -> None:
-        """Come to rest on the path; `over` once the references stand."""
-        self._stopping = True
+        """Come to rest on the path; `over` once the references stand, at once where none was sent."""
+        self._stopping, self.over = True, not self.begun
 
     def answer(self, heard: Heard) -> Array | None:
         """The reference (m) [rad] that answers a word; None where there is nothing to say yet.
