@@ -32,10 +32,16 @@ def test_a_simulator_runs_until_it_is_interrupted() -> None:
         ("controller --certificate x", "needs its key"),
         ("controller --certificate x --key y --port 0", "no certificate"),
         ("board --host 203.0.113.1", "cannot listen on 203.0.113.1"),
+        ("egm --start 0,0,0,0,0,0 --host no.such.host.invalid", "there is no host no.such.host.invalid"),
     ],
 )
 def test_wrong_input_is_told(words: str, said: str, capsys) -> None:
     assert main(words.split()) == 2 and said in capsys.readouterr().err
+
+
+def test_a_robot_that_reaches_nobody_ends(capsys) -> None:
+    assert main(["egm", "--start", "0,0,0,0,0,0", "--port", "0"]) == 0
+    assert "nothing can be sent to 127.0.0.1:0" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("words", ["board --port 70000", "board --pace 0", "egm", "egm --start 1,2", "egm --start nan"])

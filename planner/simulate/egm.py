@@ -36,7 +36,7 @@ class EgmRobot:
         self, address: tuple[str, int], start: Sequence[float], pace: float = 1.0, faults: Sequence[Fault] = ()
     ) -> None:
         self._messages = _egm_messages()
-        self._address, self._pace, self._faults = address, pace, Faults(faults)
+        self._address, self._pace, self._faults = _resolved(address), pace, Faults(faults)
         self._joints, self._goal = np.array(start, np.float64), np.array(start, np.float64)
         self._lock, self._ending = threading.Lock(), threading.Event()
         self._references: list[Array] = []
@@ -70,7 +70,11 @@ class EgmRobot:
                 if self._fault(number):
                     return
                 garbage = self._faults.take("garbage", number)
-                here.sendto(GARBAGE if garbage else self._message(number), self._address)
+                try:
+                    here.sendto(GARBAGE if garbage else self._message(number), self._address)
+                except OSError as error:
+                    self.reason = f"nothing can be sent to {self._address[0]}:{self._address[1]}: {error.strerror}"
+                    return
                 due = began + number * PERIOD / self._pace
                 if self._hear(here, due) or not self._references:  # before the first one it waits for its partner
                     answered = time.monotonic()
@@ -131,6 +135,14 @@ class EgmRobot:
         if self._running:
             with self._lock:
                 self._joints += (1.0 - math.exp(-PERIOD / TIME_CONSTANT)) * (self._goal - self._joints)
+
+
+def _resolved(address: tuple[str, int]) -> tuple[str, int]:
+    """The address with its host in numbers. Raises InputError for an unknown host."""
+    try:
+        return socket.gethostbyname(address[0]), address[1]
+    except OSError as error:
+        raise InputError(f"there is no host {address[0]}", field="--host", hint=error.strerror) from error
 
 
 def _egm_messages() -> ModuleType:
