@@ -371,6 +371,13 @@ def test_the_command(tmp_path, capsys) -> None:
     for wrong in ("127.0.0.1:x", ":1", "127.0.0.1:0"):
         assert main([str(tmp_path), "--controller", wrong]) == 2
     assert main([str(tmp_path), "--controller", "robot.local", "--server", str(made)]) == 2
+    other = tmp_path / "notes.txt"
+    other.write_text("mine")
+    for path in (other, next(tmp_path.glob("TwoBeads.mod"))):
+        before = path.read_text()
+        assert main([str(tmp_path), "--server", str(path)]) == 2 and path.read_text() == before
+        assert f"{path.name}: holds something else than BeadwiseStream.mod" in capsys.readouterr().err
+    assert main([str(tmp_path), "--server", str(made)]) == 0
     with pytest.raises(InputError, match="no RAPID program"):
         program_in(tmp_path / "nowhere")
     with pytest.raises(SystemExit):

@@ -28,6 +28,7 @@ LAST_WORDS = 2.0  # s in which the controller may say that it has stopped
 LOOK = 0.01  # s between looks at the clock
 LARGEST = 256 << 20  # bytes of all modules
 BLOCK = 4096  # bytes read at once
+LONGEST_NAME = 80  # bytes of a module's first line
 TOLD_EVERY = 0.1  # share of all moves
 
 
@@ -65,6 +66,7 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
                 f"the server's module needs an address such as 192.168.125.1, not {host}", field="--controller"
             )
         try:
+            _check_own(options.server)
             options.server.write_text(server_module(program, stream.signals, host, port), "ascii", newline="\n")
         except OSError as error:
             raise OutputError(f"cannot write {options.server}: {error.strerror or error}") from error
@@ -72,6 +74,14 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
         sender = send(stream, host, port, say)
         say(f"finished after {sender.total - 1} moves; the robot waited for moves {sender.starved} times within beads")
     return EXIT_VERIFIED
+
+
+def _check_own(path: Path) -> None:
+    """Raises InputError for a file that is there and is something else than the server's module: it is not replaced."""
+    if path.is_file():
+        with path.open("rb") as stream:
+            if stream.readline(LONGEST_NAME).split() != [b"MODULE", MODULE.encode()]:
+                raise InputError(f"holds something else than {MODULE}.mod, and stays as it is", file=path)
 
 
 def program_in(folder: Path) -> Program:
