@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from planner.errors import EXIT_INTERRUPTED, PlannerError, Refusal
+from planner.interrupts import end_in_order
 from planner.problem import shipped_problems
 from planner.problem.settings import STRATEGY_NAMES
 from planner.tolerance import Tolerance, parse_tolerance
@@ -19,6 +20,7 @@ MIN_DT, MAX_DT = 0.0005, 0.02  # s; finer drowns in rounding, coarser hides what
 def exit_code(run: Callable[[], int], say: Callable[[str], None], interrupted: str = "nothing was written") -> int:
     """The exit code of a command; whatever ends it before its time is said, an error with what would help."""
     try:
+        end_in_order()
         return run()
     except KeyboardInterrupt:
         say(f"interrupted: {interrupted}")

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import socket
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from planner.simulate.__main__ import main
+
+ROOT = Path(__file__).resolve().parents[1]
 
 
 def test_a_simulator_runs_until_it_is_interrupted() -> None:
@@ -22,6 +26,22 @@ def test_a_simulator_runs_until_it_is_interrupted() -> None:
         socket.create_connection((host, int(port)), timeout=3.0).close()
         process.send_signal(signal.SIGINT)
         assert process.wait(timeout=10) == 130 and "has ended" in process.stderr.read()
+
+
+@pytest.mark.parametrize("command", ["planner.simulate", "planner.solve", "planner.link", "planner.link.stream"])
+def test_an_interrupt_while_it_is_being_imported_is_quiet(command: str, tmp_path) -> None:
+    """Importing takes seconds; a package that is imported on the way and never ends stands in for them."""
+    (tmp_path / "ruamel").mkdir()
+    (tmp_path / "ruamel" / "__init__.py").write_text("import time\nprint('here', flush=True)\ntime.sleep(60)\n")
+    where = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-m", command], env=where, cwd=tmp_path, text=True, **pipes) as process:
+        try:
+            assert process.stdout.readline() == "here\n"
+            process.send_signal(signal.SIGINT)
+            assert process.wait(timeout=10) == 130 and process.stderr.read() == ""
+        finally:
+            process.kill()
 
 
 @pytest.mark.parametrize(
