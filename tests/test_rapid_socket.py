@@ -93,7 +93,7 @@ def test_a_foreign_parser_accepts_the_program(monkeypatch):
         ("        BwOpen;\n", "", "out of order"),
         ("        BwEnd;\n", "", "opened and closed"),
         ("bwSent-bwTaken>=16", "bwSent-bwTaken>=17", "instead of"),
-        ("StopMove\\Quick;", "! StopMove\\Quick;", "instead of"),
+        ("        StopMove;", "        ! StopMove;", "instead of"),
         ('"127.0.0.1",1025', '"1127.0.0.1",1025', "bound to nothing"),
         ('"127.0.0.1",1025', '"127.0.0.1",8080', "bound to nothing"),
         ("    VAR bool bwGo:=FALSE;\n", "", "variables of the socket"),
