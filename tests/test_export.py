@@ -430,6 +430,14 @@ def test_a_wrong_program_is_not_written(tmp_path, monkeypatch):
         ('FALSE,"STN1"', 'FALSE,""', "names a station"),
         ("ENDMODULE", "", "no complete module"),
         ("ENDMODULE\n", "ENDMODULE\nMODULE B\n", "outside"),
+        ("        ConfL\\Off;\n", "", r"before all moves.*: ConfL\\Off"),
+        ("        ActUnit STN1;\n", "", "before all moves.*: ActUnit STN1"),
+        ("        SetDO doExtrude,0;\n", "", "before all moves.*: doExtrude 0"),
+        ("SetDO doExtrude,0;", "SetDO doExtrude,1;", "before all moves.*: doExtrude 0, doExtrude 1"),
+        ("        SetDO doExtrude,0;\n        DeactUnit", "        DeactUnit", "behind all moves.*: doExtrude 0"),
+        ("        ! Bead 0", "        SetDO doExtrude,1;\n        ! Bead 0", "only main"),
+        ("        Finish;\n", "        SetDO doExtrude,0;\n        Finish;\n", "behind the end"),
+        ("        Start;\n", "        SetDO doExtrude,0;\n        Start;\n", "between the start"),
     ],
 )
 def test_reader_refuses_what_it_does_not_know(old, new, message):
