@@ -266,6 +266,7 @@ def test_module_names():
     assert module_name("cylinder_logo") == "CylinderLogo"
     assert module_name("test") == "PrintTest"  # TEST is a statement of RAPID
     assert module_name("main") == "PrintMain"
+    assert module_name("pose") == "PrintPose"  # a type of RAPID
     assert module_name("3d_part") == "Print3dPart"
     assert len(module_name("a_very_long_name_" * 5)) == 32
 

@@ -144,7 +144,9 @@ def test_only_addresses_are_bound(address):
     assert ProgramSpec(socket={"address": "192.168.125.1"}).socket.address == "192.168.125.1"
 
 
-@pytest.mark.parametrize("name", ["bwLine", "Bead1", "main", "vel40", "trgOn"])
+@pytest.mark.parametrize(
+    "name", ["bwLine", "Bead1", "Bead1Part2", "main", "vel40", "trgOn", "tool0", "wobj0", "fine", "V100", "z0"]
+)
 def test_names_of_the_program_s_own_are_refused(name):
     with pytest.raises(ValueError, match="of the program's own"):
         ProgramSpec(tool=name)
