@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planner.errors import InputError
 from planner.export.program import Program, Trigger
-from planner.export.rapid.modules import LOADED_BEFORE
+from planner.export.rapid.modules import NOT_LOADED
 from planner.export.rapid.server import FIRST_PORT, LAST_PORT, OPEN, server
 from planner.export.rapid.syntax import (
     SHAPE_JOINTS,
@@ -68,6 +68,7 @@ class _Run:
         self.module = mains[0]
         self.others = {module.name: module for module in modules if module is not self.module}
         self.loaded: dict[str, Module] = {}
+        self.cleared: set[str] = set()
         self.trigger: dict[str, Trigger] = {}
         self.demand: dict[str, tuple[float, bool, float]] = {}
         self.outputs: dict[str, None] = {}
@@ -91,8 +92,11 @@ class _Run:
                     raise InputError(f"procedure {proc} stands there twice, first in {first}", file=module.file)
         loads = self.run()
         self.check_around()
-        if self.module.fallback != ([line.strip() for line in LOADED_BEFORE] if loads else []):
-            raise InputError("main handles other errors than that a module was loaded before", file=self.module.file)
+        if self.module.fallback != ([line.strip() for line in NOT_LOADED] if loads else []):
+            raise InputError("main handles other errors than that a module was not loaded", file=self.module.file)
+        if self.cleared != loads:
+            left = ", ".join(sorted(loads - self.cleared))
+            raise InputError(f"what is loaded before it begins is not taken out: {left}", file=self.module.file)
         if set(self.others) != loads:
             raise InputError(f"not loaded: {', '.join(sorted(set(self.others) - loads))}", file=self.module.file)
 
@@ -107,6 +111,9 @@ class _Run:
                 self.call(place, parts[0], {k: v for each in self.loaded.values() for k, v in each.procs.items()})
             elif word == "load":
                 way, name = parts
+                if way == "UnLoad " and not self.start:
+                    self.cleared.add(_known(place, name, self.others))
+                    continue
                 at = len(self.moves) - 1
                 if at < 0 or self.moves[at][1][5] != "fine":
                     raise error(place, "modules are loaded, and taken out, at rest")
