@@ -266,6 +266,7 @@ def test_module_names():
     assert module_name("cylinder_logo") == "CylinderLogo"
     assert module_name("test") == "PrintTest"  # TEST is a statement of RAPID
     assert module_name("main") == "PrintMain"
+    assert module_name("pose") == "PrintPose"  # a type of RAPID
     assert module_name("3d_part") == "Print3dPart"
     assert len(module_name("a_very_long_name_" * 5)) == 32
 
@@ -430,6 +431,14 @@ def test_a_wrong_program_is_not_written(tmp_path, monkeypatch):
         ('FALSE,"STN1"', 'FALSE,""', "names a station"),
         ("ENDMODULE", "", "no complete module"),
         ("ENDMODULE\n", "ENDMODULE\nMODULE B\n", "outside"),
+        ("        ConfL\\Off;\n", "", r"before all moves.*: ConfL\\Off"),
+        ("        ActUnit STN1;\n", "", "before all moves.*: ActUnit STN1"),
+        ("        SetDO doExtrude,0;\n", "", "before all moves.*: doExtrude 0"),
+        ("SetDO doExtrude,0;", "SetDO doExtrude,1;", "before all moves.*: doExtrude 0, doExtrude 1"),
+        ("        SetDO doExtrude,0;\n        DeactUnit", "        DeactUnit", "behind all moves.*: doExtrude 0"),
+        ("        ! Bead 0", "        SetDO doExtrude,1;\n        ! Bead 0", "only main"),
+        ("        Finish;\n", "        SetDO doExtrude,0;\n        Finish;\n", "behind the end"),
+        ("        Start;\n", "        SetDO doExtrude,0;\n        Start;\n", "between the start"),
     ],
 )
 def test_reader_refuses_what_it_does_not_know(old, new, message):

@@ -93,7 +93,7 @@ def test_a_foreign_parser_accepts_the_program(monkeypatch):
         ("        BwOpen;\n", "", "out of order"),
         ("        BwEnd;\n", "", "opened and closed"),
         ("bwSent-bwTaken>=16", "bwSent-bwTaken>=17", "instead of"),
-        ("StopMove\\Quick;", "! StopMove\\Quick;", "instead of"),
+        ("        StopMove;", "        ! StopMove;", "instead of"),
         ('"127.0.0.1",1025', '"1127.0.0.1",1025', "bound to nothing"),
         ('"127.0.0.1",1025', '"127.0.0.1",8080', "bound to nothing"),
         ("    VAR bool bwGo:=FALSE;\n", "", "variables of the socket"),
@@ -144,7 +144,9 @@ def test_only_addresses_are_bound(address):
     assert ProgramSpec(socket={"address": "192.168.125.1"}).socket.address == "192.168.125.1"
 
 
-@pytest.mark.parametrize("name", ["bwLine", "Bead1", "main", "vel40", "trgOn"])
+@pytest.mark.parametrize(
+    "name", ["bwLine", "Bead1", "Bead1Part2", "main", "vel40", "trgOn", "tool0", "wobj0", "fine", "V100", "z0"]
+)
 def test_names_of_the_program_s_own_are_refused(name):
     with pytest.raises(ValueError, match="of the program's own"):
         ProgramSpec(tool=name)

@@ -129,8 +129,14 @@ def test_modules_end_where_the_robot_rests():
     [
         ("OneBead.mod", '%"Bead0001Part1"%', '%"Bead0002"%', "unknown name"),
         ("OneBead.mod", '        Load \\Dynamic,"HOME:"\\File:="OneBead_1.mod";\n', "", "unknown name"),
-        ("OneBead.mod", 'File:="OneBead_1.mod";', 'File:="OneBead_9.mod";', "unknown name"),
-        ("OneBead.mod", "ERRNO=ERR_LOADED", "TRUE", "other errors"),
+        (
+            "OneBead.mod",
+            'UnLoad "HOME:"\\File:="OneBead_1.mod";',
+            'UnLoad "HOME:"\\File:="OneBead_9.mod";',
+            "unknown name",
+        ),
+        ("OneBead.mod", "ERRNO=ERR_UNLOAD", "TRUE", "other errors"),
+        ("OneBead.mod", '        UnLoad "HOME:"\\File:="OneBead_1.mod";\n', "", "not taken out: OneBead_1"),
         ("OneBead.mod", "        RAISE;\n", "", "other errors"),
         ("OneBead_1.mod", "PROC Bead0001Part1", "PROC Start", "twice"),
         ("OneBead_1.mod", "MODULE OneBead_1", "MODULE OneBead_1\n    CONST speeddata vel1:=[1,1,1,1];", "nothing else"),

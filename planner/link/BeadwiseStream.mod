@@ -266,7 +266,7 @@ MODULE BeadwiseStream
         IF ERRNO=ERR_SOCK_CLOSED THEN
             BsStop "connection lost";
         ENDIF
-        RAISE;
+        BsStop "error "+NumToStr(ERRNO,0)+" of a move";
     ENDPROC
 
     FUNC jointtarget BsJoints(bsstep next)
@@ -288,6 +288,7 @@ MODULE BeadwiseStream
         IF seconds=0 THEN
             RETURN;
         ENDIF
+        ClkReset passed;
         ClkStart passed;
         WHILE ClkRead(passed)<seconds AND NOT bsHalted DO
             BsHear;
@@ -296,14 +297,21 @@ MODULE BeadwiseStream
     ENDPROC
 
     PROC BsStop(string reason)
-        ! Robot and extruder come to rest, both sides read why, and the program ends.
-        StopMove\Quick;
+        ! Robot and extruder come to rest, both sides read why, and the program ends; it may start from main again.
+        StopMove;
         BsAllOff;
         TPWrite "Stopped after frame "+NumToStr(bsDone,0)+":";
         TPWrite reason;
-        SocketSend bsClient\Str:="X "+NumToStr(bsDone,0)+" "+reason+"\0A";
+        IF SocketGetStatus(bsClient)=SOCKET_CONNECTED THEN
+            SocketSend bsClient\Str:="X "+NumToStr(bsDone,0)+" "+reason+"\0A";
+        ENDIF
         SocketClose bsClient;
         SocketClose bsServer;
+        WaitRob\ZeroSpeed;
+        ! the robot may have passed a trigger before it stood
+        BsAllOff;
+        ClearPath;
+        StartMove;
         EXIT;
     ERROR
         ! nobody may be there to be told

@@ -23,8 +23,10 @@ Identifier = Annotated[str, IDENTIFIER]
 StyleName = Literal["output", "demand", "socket"]
 STYLE_NAMES: tuple[str, ...] = get_args(StyleName)
 FIRST_PORT, LAST_PORT = 1025, 4999  # ABB, RAPID reference, SocketBind: free for programs
-# names that the program gives itself: procedures, speeds, triggers, and what serves the socket
-_OWN_NAMES = re.compile(r"(main|start|finish|bead\d+|vel\d\w*|trg\w*|bw\w*)", re.IGNORECASE)
+# names that the program gives itself: procedures, speeds, triggers, and what serves the socket; and ABB's own data
+_OWN_NAMES = re.compile(
+    r"(main|start|finish|bead\d+(part\d+)?|vel\d\w*|trg\w*|bw\w*|(tool|wobj|load)0|fine|[vz]\d+)", re.IGNORECASE
+)
 
 
 def _address(value: Any) -> str:
@@ -121,6 +123,6 @@ class ProgramSpec(Section):
                     f"{name!r} names both {first} and {field}", "give each its own name", fields=[first, field]
                 )
             if _OWN_NAMES.fullmatch(name):
-                reason = f"{name!r} may be a name of the program's own"
+                reason = f"{name!r} may be a name of the program's own, or of the controller's"
                 raise refusal(reason, f"for example my_{name}"[:LONGEST_NAME], fields=[field])
         return self

@@ -9,10 +9,10 @@ from planner.export.rapid.procedures import Procedure
 from planner.export.rapid.text import LONGEST_NAME
 
 HOME = "HOME:"  # the folder on the controller from which modules are loaded
-# A program that was stopped and is started again finds the modules that it had loaded.
-LOADED_BEFORE = (
+# What was loaded when a program was stopped may be older than the files: it is taken out before all motion, where it is.
+NOT_LOADED = (
     "    ERROR",
-    "        IF ERRNO=ERR_LOADED THEN",
+    "        IF ERRNO=ERR_UNLOAD THEN",
     "            TRYNEXT;",
     "        ENDIF",
     "        RAISE;",
@@ -70,10 +70,19 @@ def _named(name: str, k: int) -> str:
     return name[: LONGEST_NAME - len(ending)] + ending
 
 
+def unloading(batches: Sequence[Batch]) -> list[str]:
+    """Statements of main that take out what an earlier run has left, in the order of the modules."""
+    return [_unload(module) for batch in batches for module in batch]
+
+
+def _unload(module: Loaded) -> str:
+    return f'        UnLoad "{HOME}"\\File:="{module.name}.mod";'
+
+
 def running(batch: Batch) -> list[str]:
     """Statements of main that load a batch, call its procedures, and take it out again."""
     return [
         *(f'        Load \\Dynamic,"{HOME}"\\File:="{module.name}.mod";' for module in batch),
         *(f'        %"{procedure.name}"%;' for module in batch for procedure in module.procedures),
-        *(f'        UnLoad "{HOME}"\\File:="{module.name}.mod";' for module in batch),
+        *(_unload(module) for module in batch),
     ]

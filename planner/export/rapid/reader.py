@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planner.errors import InputError
 from planner.export.program import Program, Trigger
-from planner.export.rapid.modules import LOADED_BEFORE
+from planner.export.rapid.modules import NOT_LOADED
 from planner.export.rapid.server import FIRST_PORT, LAST_PORT, OPEN, server
 from planner.export.rapid.syntax import (
     SHAPE_JOINTS,
@@ -28,6 +28,9 @@ from planner.export.rapid.text import ZONES
 
 Array = NDArray[np.float64]
 
+# What stands around the motion, in main alone: it must all be there, before the start or behind the last move.
+AROUND = ("setting", "unit", "output", "demanded")
+SETTINGS = {"SingArea\\Off", "ConfJ\\On", "ConfL\\Off"}
 _BIND = re.compile(r'SocketBind bwServer,"(\d{1,3}(?:\.\d{1,3}){3})",(\d{4});', re.ASCII)
 
 
@@ -65,9 +68,12 @@ class _Run:
         self.module = mains[0]
         self.others = {module.name: module for module in modules if module is not self.module}
         self.loaded: dict[str, Module] = {}
+        self.cleared: set[str] = set()
         self.trigger: dict[str, Trigger] = {}
         self.demand: dict[str, tuple[float, bool, float]] = {}
         self.outputs: dict[str, None] = {}
+        self.flows: set[str] = set()
+        self.around: tuple[set[str], set[str]] = (set(), set())
         self.start: list[float] = []
         self.moves: list[tuple[Place, Parts]] = []
         self.waits: dict[int, float] = {}
@@ -85,8 +91,12 @@ class _Run:
                 if first is not module.file:
                     raise InputError(f"procedure {proc} stands there twice, first in {first}", file=module.file)
         loads = self.run()
-        if self.module.fallback != ([line.strip() for line in LOADED_BEFORE] if loads else []):
-            raise InputError("main handles other errors than that a module was loaded before", file=self.module.file)
+        self.check_around()
+        if self.module.fallback != ([line.strip() for line in NOT_LOADED] if loads else []):
+            raise InputError("main handles other errors than that a module was not loaded", file=self.module.file)
+        if self.cleared != loads:
+            left = ", ".join(sorted(loads - self.cleared))
+            raise InputError(f"what is loaded before it begins is not taken out: {left}", file=self.module.file)
         if set(self.others) != loads:
             raise InputError(f"not loaded: {', '.join(sorted(set(self.others) - loads))}", file=self.module.file)
 
@@ -101,6 +111,9 @@ class _Run:
                 self.call(place, parts[0], {k: v for each in self.loaded.values() for k, v in each.procs.items()})
             elif word == "load":
                 way, name = parts
+                if way == "UnLoad " and not self.start:
+                    self.cleared.add(_known(place, name, self.others))
+                    continue
                 at = len(self.moves) - 1
                 if at < 0 or self.moves[at][1][5] != "fine":
                     raise error(place, "modules are loaded, and taken out, at rest")
@@ -116,8 +129,8 @@ class _Run:
 
     def call(self, place: Place, name: str | None, procs: Mapping[str, list[Step]]) -> None:
         for step in procs[_known(place, name, procs)]:
-            if step[0] in ("call", "late", "load"):
-                raise error(step[1], "only main calls procedures, and loads modules")
+            if step[0] in ("call", "late", "load", *AROUND):
+                raise error(step[1], "only main calls procedures, loads modules, and sets what holds for all")
             self.take(step)
 
     def take(self, step: Step) -> None:
@@ -135,11 +148,18 @@ class _Run:
             self.trigger[_known(place, name, self.module.triggers)] = trigger
             self.outputs[str(signal)] = None
         elif word == "demand":
-            name, distance, from_start, _, value = parts
+            name, distance, from_start, signal, value = parts
+            self.flows.add(str(signal))
             level = (float(str(distance)) * 1e-3, bool(from_start), float(str(value)))
             self.demand[_known(place, name, self.module.triggers)] = level
         elif word == "move":
+            if self.around[1]:
+                raise error(place, "a move behind the end")
             self.moves.append((place, parts))
+        elif word in AROUND:
+            if self.start and not self.moves:
+                raise error(place, "it stands between the start and the first move")
+            self.around[bool(self.moves)].add(" ".join(str(part) for part in parts))
         elif word == "wait":
             if at < 0:
                 raise error(place, "a wait before the first target")
@@ -152,6 +172,19 @@ class _Run:
             self.rested.setdefault(at, []).append(self.waits.get(at, 0.0))
         elif word == "socket":
             self.calls.append(str(parts[0]))
+
+    def check_around(self) -> None:
+        """Outputs are off before and after, the station is active, and singularities and configurations are as written."""
+        station = next(iter(self.module.wobj.values()))[0]
+        off = {f"{signal} 0" for signal in (*self.outputs, *self.flows)}
+        before = off | SETTINGS | ({f"ActUnit {station}"} if station else set())
+        after = off | ({f"DeactUnit {station}"} if station else set())
+        for where, said, wanted in zip(("before", "behind"), self.around, (before, after), strict=True):
+            if said != wanted:
+                other = ", ".join(sorted(said ^ wanted))
+                raise InputError(
+                    f"missing in main {where} all moves, or not known there: {other}", file=self.module.file
+                )
 
     def program(self) -> Program:
         if not self.start or not self.moves:

@@ -88,20 +88,22 @@ _PROCEDURES = r"""
             here:={piece};
         ENDIF
         SocketReceive bwClient\Str:=part\ReadNoOfBytes:=here\Time:=patience;
-        bwHeard:=bwHeard+part;
+        ! behind all that was heard there is always one more character: no place in an empty string may be asked for
+        bwHeard:=bwHeard+part+" ";
         at:=StrFind(bwHeard,1,"\0A");
-        WHILE at<=StrLen(bwHeard) DO
+        WHILE at<StrLen(bwHeard) DO
             IF at<4 THEN
                 BwStop "unknown words of the relay";
             ENDIF
             BwTake StrPart(bwHeard,1,at-1);
-            IF at=StrLen(bwHeard) THEN
-                bwHeard:="";
-            ELSE
-                bwHeard:=StrPart(bwHeard,at+1,StrLen(bwHeard)-at);
-            ENDIF
+            bwHeard:=StrPart(bwHeard,at+1,StrLen(bwHeard)-at);
             at:=StrFind(bwHeard,1,"\0A");
         ENDWHILE
+        IF StrLen(bwHeard)=1 THEN
+            bwHeard:="";
+        ELSE
+            bwHeard:=StrPart(bwHeard,1,StrLen(bwHeard)-1);
+        ENDIF
         IF StrLen(bwHeard)>{piece} THEN
             BwStop "unknown words of the relay";
         ENDIF
@@ -140,14 +142,21 @@ _PROCEDURES = r"""
     ENDPROC
 
     PROC BwStop(string reason)
-        ! Robot and extruder come to rest, both sides read why, and the program ends.
-        StopMove\Quick;
+        ! Robot and extruder come to rest, both sides read why, and the program ends; it may start from main again.
+        StopMove;
 {outputs}
         TPWrite "Stopped after line "+NumToStr(bwSent,0)+":";
         TPWrite reason;
-        SocketSend bwClient\Str:="X "+NumToStr(bwSent,0)+" "+reason+"\0A";
+        IF SocketGetStatus(bwClient)=SOCKET_CONNECTED THEN
+            SocketSend bwClient\Str:="X "+NumToStr(bwSent,0)+" "+reason+"\0A";
+        ENDIF
         SocketClose bwClient;
         SocketClose bwServer;
+        WaitRob\ZeroSpeed;
+        ! the robot may have passed a trigger before it stood
+{outputs}
+        ClearPath;
+        StartMove;
         EXIT;
     ERROR
         ! nobody may be there to be told

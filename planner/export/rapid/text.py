@@ -9,6 +9,9 @@ RESERVED = """ALIAS AND BACKWARD CASE CONNECT CONST DEFAULT DIV DO ELSE ELSEIF E
     ENDTEST ENDTRAP ENDWHILE ERROR EXIT FALSE FOR FROM FUNC GOTO IF INOUT LOCAL MOD MODULE NOSTEPIN NOT NOVIEW OR PERS
     PROC RAISE READONLY RECORD RETRY RETURN STEP SYSMODULE TASK TEST THEN TO TRAP TRUE TRYNEXT UNDO VAR VIEWONLY WHILE
     WITH XOR BASE USER MAIN START FINISH"""
+# ABB, RAPID reference: types, instructions and functions that a problem could be named after, and a module must not be
+PREDEFINED = """ABS ACOS ADD ASIN ATAN BOOL BREAK BYTE CLEAR CLOCK CLOSE COS DECR DIM DISTANCE DNUM EXP INCR LOAD NUM OFFS OPEN
+    ORIENT POS POSE POW PRESENT RESET REWIND ROUND SAVE SET SIN SQRT STOP STRING SWITCH TAN TRUNC UNLOAD WRITE"""
 # ABB, RAPID reference, zonedata: radius of the zone of the tool's path [m]
 ZONES = {"fine": 0.0, "z0": 0.3e-3, "z1": 1e-3}
 LONGEST_STRING = 80
@@ -21,7 +24,7 @@ def module_name(name: str, longest: int = LONGEST_NAME) -> str:
     words = re.findall(r"[A-Za-z0-9]+", name)
     joined = "".join(word[0].upper() + word[1:] for word in words)
     # capitals and small letters are one to RAPID: a problem named "test" would open a TEST statement
-    taken = joined.upper() in RESERVED.split() or re.fullmatch(r"(?i)(bead|vel|trg|bw)\w*", joined)
+    taken = joined.upper() in f"{RESERVED} {PREDEFINED}".split() or re.fullmatch(r"(?i)(bead|vel|trg|bw)\w*", joined)
     whole = "Print" + joined if taken or not joined[:1].isalpha() else joined
     resumed = re.search(r"From\d+$", whole)  # which tells programs of one problem apart
     tail = resumed[0] if resumed else ""

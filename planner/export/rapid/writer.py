@@ -19,7 +19,7 @@ from planner.export.rapid.declarations import extruders, frames, header, speeds
 from planner.export.rapid.demand import demand_of
 from planner.export.rapid.fed import event_samples, laid_filament
 from planner.export.rapid.lines import lines_of, table
-from planner.export.rapid.modules import LOADED_BEFORE, batches_of, running
+from planner.export.rapid.modules import NOT_LOADED, batches_of, running, unloading
 from planner.export.rapid.notes import note_lines, notes_of
 from planner.export.rapid.procedures import procedures_of
 from planner.export.rapid.reader import read_rapid_files
@@ -74,8 +74,8 @@ def rapid_files(plan: Plan) -> dict[str, str]:
         *(f"    VAR triggdata {trigger};" for trigger in triggers.names),
         *(server_declarations() if sends else []),
         "",
-        *_main(plan, calls, speed_names[0], triggers.settings),
-        *(LOADED_BEFORE if batches else []),
+        *_main(plan, unloading(batches), calls, speed_names[0], triggers.settings),
+        *(NOT_LOADED if batches else []),
         "    ENDPROC",
         "",
         *(line for procedure in here for line in procedure.text),
@@ -97,7 +97,7 @@ def _sizes(plan: Plan, moves: Moves) -> list[str]:
     return [comment(f"{len(moves) + 1} moves, {laid} of them along beads, whose toolpath has {waypoints} waypoints")]
 
 
-def _main(plan: Plan, calls: list[str], speed: str, triggers: Sequence[str]) -> list[str]:
+def _main(plan: Plan, cleared: list[str], calls: list[str], speed: str, triggers: Sequence[str]) -> list[str]:
     """The procedure main, without its end."""
     names, cell, start = plan.problem.program, plan.cell, plan.trajectory.q[:1]
     na = len(cell.arm)
@@ -111,6 +111,7 @@ def _main(plan: Plan, calls: list[str], speed: str, triggers: Sequence[str]) -> 
     return [
         "    PROC main()",
         f'        TPWrite "{said}";',
+        *cleared,
         *(f"        ActUnit {name};" for name in station),
         "        SingArea\\Off;",
         "        ConfJ\\On;",
