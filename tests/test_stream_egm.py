@@ -239,6 +239,22 @@ def test_a_damaged_table_is_told(old: str, new: str, tmp_path) -> None:
         read_plan(tmp_path)
 
 
+def test_a_table_of_steps_that_no_plan_has_is_not_filled_up(tmp_path) -> None:
+    """A second between rows would be 250 joints for each of them."""
+    table = folder_of(make_plan(), tmp_path) / "trajectory.csv"
+    head, *rows = table.read_text().splitlines()
+    late = [f"{k}.0,{row.split(',', 1)[1]}" for k, row in enumerate(rows)]
+    table.write_text("\n".join([head, *late, ""]))
+    with pytest.raises(InputError, match="steps of 1 s, but no plan has more than 0.02 s"):
+        read_plan(tmp_path)
+
+
+def test_nested_lists_without_end_are_no_plan(tmp_path) -> None:
+    (tmp_path / "plan.json").write_text("[" * 200_000)
+    with pytest.raises(InputError, match="cannot be read"):
+        read_plan(tmp_path)
+
+
 # ---- on the wire --------------------------------------------------------------------------------------------------
 
 

@@ -20,6 +20,7 @@ PERIOD = 0.004  # s, of EGM
 ARM_AXES = 6
 MOST_EXTERNAL = 6
 LARGEST_PLAN, LARGEST_TABLE = 256 << 20, 2 << 30  # bytes
+LONGEST_STEP = 0.02  # s between samples of a plan
 UNEVEN = 1e-6  # s by which steps of a table may differ, which is its rounding
 
 
@@ -68,7 +69,7 @@ def _json(path: Path) -> dict[str, Any]:
         data = json.loads(path.read_text("utf-8"))
     except FileNotFoundError as error:
         raise InputError("no plan here", file=path, hint="solve a problem first: python -m planner.solve") from error
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"cannot be read: {error}", file=path) from error
     if not isinstance(data, dict):
         raise InputError("not a plan", file=path)
@@ -92,6 +93,8 @@ def _table(path: Path, names: list[str]) -> Array:
     steps = np.diff(rows[:, 0])
     if len(rows) < 4 or not np.isfinite(rows).all() or steps.min() <= 0.0 or np.ptp(steps[:-1]) > 2 * UNEVEN:
         raise InputError("not a trajectory with even steps", file=path)
+    if steps.max() > LONGEST_STEP + UNEVEN:
+        raise InputError(f"steps of {steps.max():g} s, but no plan has more than {LONGEST_STEP:g} s", file=path, line=3)
     instants = np.arange(0.0, rows[-1, 0] + PERIOD, PERIOD)
     if abs(steps[0] - PERIOD) < UNEVEN:
         return rows[:, 1:]
