@@ -20,12 +20,15 @@ ROOT = Path(__file__).resolve().parents[1]
 def test_a_simulator_runs_until_it_is_interrupted() -> None:
     command = [sys.executable, "-m", "planner.simulate", "board", "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        said = process.stdout.readline()
-        host, port = re.search(r"board on ([0-9.]+):([0-9]+);", said).groups()
-        assert host == "127.0.0.1"
-        socket.create_connection((host, int(port)), timeout=3.0).close()
-        process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=10) == 130 and "has ended" in process.stderr.read()
+        try:
+            said = process.stdout.readline()
+            host, port = re.search(r"board on ([0-9.]+):([0-9]+);", said).groups()
+            assert host == "127.0.0.1"
+            socket.create_connection((host, int(port)), timeout=3.0).close()
+            process.send_signal(signal.SIGINT)
+            assert process.wait(timeout=10) == 130 and "has ended" in process.stderr.read()
+        finally:
+            process.kill()
 
 
 @pytest.mark.parametrize("command", ["planner.simulate", "planner.solve", "planner.link", "planner.link.stream"])

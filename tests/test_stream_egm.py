@@ -245,7 +245,7 @@ def test_a_table_of_steps_that_no_plan_has_is_not_filled_up(tmp_path) -> None:
     head, *rows = table.read_text().splitlines()
     late = [f"{k}.0,{row.split(',', 1)[1]}" for k, row in enumerate(rows)]
     table.write_text("\n".join([head, *late, ""]))
-    with pytest.raises(InputError, match="steps of 1 s, but no plan has more than 0.02 s"):
+    with pytest.raises(InputError, match=r"steps of 1 s, but no plan has more than 0\.02 s"):
         read_plan(tmp_path)
 
 
