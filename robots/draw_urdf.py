@@ -190,6 +190,7 @@ def abb_yaml(key: str) -> str:
 # {arm.name}. {given}: ABB product specification (as in the URDF beside this file).
 # Ranges and speeds of the joints stand in the URDF; what a URDF cannot say stands here.
 name: {arm.name}
+language: rapid
 urdf: {key}.urdf
 tip: tool0
 spherical_wrist: {{{lengths}}}
@@ -225,6 +226,7 @@ def ur_yaml(key: str) -> str:
 # {UR[key].name}. Lengths, ranges and speeds: the maker's tables (as in the URDF beside this file). Yours was
 # calibrated: its own URDF is more exact by some millimetres.
 name: {UR[key].name}
+language: urscript
 urdf: {key}.urdf
 tip: tool0
 inverse_kinematics: offset_wrist
