@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-LATE = 0.02  # of the time in which material is laid
+# of the time in which material is laid: wide, for it is a model's, which small prints full of corners stretch by 5 per
+# cent; shipped problems stay within half a per cent (`python -m benchmarks.programs`)
+LATE = 0.1
 # m by which corners may be cut, as far as `Agreement` lets paths differ: in beads beyond the tolerance, and in travel
 ROUNDING, TRAVEL = 0.03e-3, 1e-3
 
