@@ -84,14 +84,14 @@ FAULTS = [
     (end, fault, at, words)
     for at in (0, 5, 23)
     for end, fault, words in (
-        ("controller", "close", "controller's connection was lost (closed by the other end)"),
+        ("controller", "close", "controller's connection was lost"),
         ("controller", "reset", "controller's connection was lost"),
         ("controller", "half", "controller's connection was lost"),
         ("controller", "garbage", "controller sent bytes that are not text"),
         ("controller", "long", "controller sent a line of more than 256 bytes"),
         ("controller", "hello", "started again"),
         ("controller", "gives up", "controller stopped: axis 5 overload"),
-        ("board", "close", "board's connection was lost (closed by the other end)"),
+        ("board", "close", "board's connection was lost"),
         ("board", "reset", "board's connection was lost"),
         ("board", "half", "board's connection was lost"),
         ("board", "garbage", "board sent bytes that are not text"),
