@@ -355,3 +355,13 @@ def axes_texts() -> dict[str, str]:
 if __name__ == "__main__":  # after a change that is meant: write the golden files anew, and read the difference
     for name, text in (golden_texts() | axes_texts()).items():
         (GOLDEN / name).write_text(text, encoding="utf-8", newline="\n")
+
+
+def resting_in_a_bead(plan: Plan) -> Plan:
+    """The plan with half a second of rest in its first bead, for a cut."""
+    t = plan.trajectory
+    k = int(np.flatnonzero(t.deposit)[40])
+    rows = np.concatenate([np.arange(k), np.full(126, k), np.arange(k, len(t))])
+    held = {name: value[rows] for name, value in vars(t).items() if isinstance(value, np.ndarray)}
+    cut = (Event("cut", 0, k * t.dt, 0.5, 0.0),)
+    return replace(plan, trajectory=replace(t, **held | {"t": np.arange(len(rows)) * t.dt, "events": cut}))

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from export_fixtures import GOLDEN, golden_texts, make_plan
+from export_fixtures import GOLDEN, golden_texts, make_plan, resting_in_a_bead
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from solved import small_plan
@@ -22,7 +22,7 @@ from planner.export.krl.check import krl_complaints
 from planner.export.krl.reader import read_krl
 from planner.export.krl.text import krl_name
 from planner.export.krl.writer import krl_files
-from planner.plan import Event, Plan
+from planner.plan import Plan
 
 Array = NDArray[np.float64]
 SOURCE, DATA = "TwoBeads.src", "TwoBeads.dat"
@@ -214,13 +214,7 @@ def test_a_solved_print() -> None:
 
 
 def test_rests_in_a_bead_are_kept() -> None:
-    plan = wave(dip=False)
-    t = plan.trajectory
-    k = int(np.flatnonzero(t.deposit)[40])
-    rows = np.concatenate([np.arange(k), np.full(126, k), np.arange(k, len(t))])
-    held = {name: value[rows] for name, value in vars(t).items() if isinstance(value, np.ndarray)}
-    cut = (Event("cut", 0, k * t.dt, 0.5, 0.0),)
-    resting = replace(plan, trajectory=replace(t, **held | {"t": np.arange(len(rows)) * t.dt, "events": cut}))
+    resting = resting_in_a_bead(wave(dip=False))
     files = krl_files(resting)
     assert re.search(r"LIN \{.*\}\n  ; cut, bead 0\n  WAIT SEC 0.500", files[SOURCE])
     assert krl_complaints(resting, files) == []

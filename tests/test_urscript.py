@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from export_fixtures import GOLDEN, golden_texts, make_plan
+from export_fixtures import GOLDEN, golden_texts, make_plan, resting_in_a_bead
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from solved import BED, POSITIONER, write_small
@@ -25,7 +25,7 @@ from planner.export.urscript.check import urscript_complaints
 from planner.export.urscript.frames import quaternions, rotation_vectors, world_controller
 from planner.export.urscript.reader import read_urscript
 from planner.export.urscript.writer import urscript
-from planner.plan import Event, Plan
+from planner.plan import Plan
 from planner.problem import load_problem
 from planner.robot_files import ROBOTS, chain_of, read_robot
 from planner.solve import solve
@@ -167,13 +167,7 @@ def test_the_program_repeats_the_plan(changes: dict[str, object]) -> None:
 
 def test_rests_in_a_bead_are_kept() -> None:
     """A cut fibre: the arm stops in the bead, and waits."""
-    plan = arc(dip=False)
-    t = plan.trajectory
-    k = int(np.flatnonzero(t.deposit)[40])
-    rows = np.concatenate([np.arange(k), np.full(126, k), np.arange(k, len(t))])
-    held = {name: value[rows] for name, value in vars(t).items() if isinstance(value, np.ndarray)}
-    cut = (Event("cut", 0, k * t.dt, 0.5, 0.0),)
-    resting = replace(plan, trajectory=replace(t, **held | {"t": np.arange(len(rows)) * t.dt, "events": cut}))
+    resting = resting_in_a_bead(arc(dip=False))
     text = urscript(resting)
     assert re.search(r"movep.*r=0\)\n    # cut, bead 0\n    sleep\(0.500\)", text)
     assert urscript_complaints(resting, {NAME: text}) == []

@@ -130,14 +130,7 @@ def _fed(plan: Plan, program: AxesProgram) -> list[str]:
 def _told(plan: Plan, program: AxesProgram) -> list[str]:
     """What else is said, and when."""
     flavour = FLAVOURS[spec_of(plan).flavour]
-    planned = []
-    for order in orders(plan):
-        now = order.start
-        for line in order.lines:
-            if line.startswith("G4 P"):
-                now += int(line[len("G4 P") :]) * 1e-3
-            elif not line.startswith(";"):
-                planned.append((now, flavour.order(line)))
+    planned = [(due, flavour.order(line)) for order in orders(plan) for due, line in order.due]
     if [line for _, line in planned] != [line for _, line in program.told]:
         return ["other things are said of heat, tools, fan and cutter than the plan's, or in another order"]
     late = [(abs(at - due), line) for (at, line), (due, _) in zip(program.told, planned, strict=True)]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.export.about import resumed, verified
 from planner.export.axes.flavours import FLAVOURS, Flavour, feed_length
 from planner.export.axes.follow import Followed, follow, spec_of
 from planner.export.axes.machine import FiveAxes
@@ -83,8 +84,9 @@ def _header(plan: Plan, motion: Followed, targets: int) -> list[str]:
         f"{plan.name} for {spec.flavour}, {spec.type}, strategy {plan.strategy}",
         ", ".join(f"{name} {version}" for name, version in sorted(plan.versions.items())),
         f"{size}, {targets} targets, {plan.trajectory.t[-1] - plan.trajectory.t[0]:.3f} s",
+        *resumed(plan),
         "Verified for the robot before it was written:",
-        *(f"  {c.name}: {c.worst:.6g} {c.unit} (limit {c.limit:.6g})" for c in plan.checks),
+        *verified(plan),
     ]
     if isinstance(motion.machine, FiveAxes):
         reach = [

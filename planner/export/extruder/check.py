@@ -91,14 +91,7 @@ def gcode_complaints(plan: Plan, text: str) -> list[str]:
 
 def _told_otherwise(plan: Plan, written: Extrusion) -> list[str]:
     """What the board is told of heating, fan and cutter otherwise than planned, or at another time."""
-    planned = []
-    for order in orders(plan):
-        now = order.start
-        for line in order.lines:
-            if line.startswith("G4 P"):
-                now += int(line[len("G4 P") :]) * 1e-3
-            elif line.startswith("M"):
-                planned.append((now, line))
+    planned = [(due, line) for order in orders(plan) for due, line in order.due if line.startswith("M")]
     if [line for _, line in planned] != [line for _, line in written.told]:
         return ["the board is told other things than the plan's, or in another order"]
     late = [(abs(at - due), line) for (at, line), (due, _) in zip(written.told, planned, strict=True)]

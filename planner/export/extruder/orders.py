@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from planner.plan import Event, Plan, Trajectory
     from planner.problem.board import FanSpec
 
+PAUSE = "G4 P"  # and milliseconds
 FULL = 255  # of S in M106
 AHEAD = 3.0  # samples by which the fan is switched before filament moves: never behind a command that has begun
 
@@ -25,6 +26,17 @@ class Order:
     words: str
     lines: tuple[str, ...]
     time: float = 0.0
+
+    @property
+    def due(self) -> tuple[tuple[float, str], ...]:
+        """Its lines but for pauses and comments, each with its own instant [s]."""
+        found, now = [], self.start
+        for line in self.lines:
+            if line.startswith(PAUSE):
+                now += int(line[len(PAUSE) :]) * 1e-3
+            elif not line.startswith(";"):
+                found.append((now, line))
+        return tuple(found)
 
 
 def orders(plan: Plan) -> tuple[Order, ...]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.export.about import about
 from planner.export.blends import move_radii
 from planner.export.krl.able import unsaid_in_krl
 from planner.export.krl.axes import angles, status, to_kuka, turn
@@ -121,15 +122,9 @@ def radii_of(plan: Plan, moves: Moves) -> Array:
 
 
 def _header(plan: Plan) -> list[str]:
-    m, cell = plan.metrics, plan.cell
+    cell = plan.cell
     texts = [
-        f"Problem {plan.name}, strategy {plan.strategy}",
-        ", ".join(f"{name} {version}" for name, version in sorted(plan.versions.items())),
-        f"{len(plan.beads)} beads in {plan.layers} layers, "
-        f"{m['deposited_length_mm']:.1f} mm deposited, {m['print_time_s']:.1f} s",
-        *([f"Resumes at bead {plan.first_bead}: those before it must be there."] if plan.first_bead else []),
-        "Verified before it was written:",
-        *(f"  {c.name}: {c.worst:.6g} {c.unit} (limit {c.limit:.6g})" for c in plan.checks),
+        *about(plan),
         *(f"Output {k}: {signal}" for signal, k in output_numbers(plan.problem).items()),
         *(f"Material {each.name}: tool T{each.tool}, {each.signal}" for each in materials_of(plan.problem)),
         "The tool's load is that of the controller: set it there before the first run.",

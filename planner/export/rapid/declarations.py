@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.export.about import about
 from planner.export.moves import Moves
 from planner.export.rapid.text import comment, number
 from planner.export.rotations import from_matrix
@@ -27,16 +28,7 @@ TOOL_LOAD = "[1,[0,0,50],[1,0,0,0],0,0,0]"
 
 
 def header(plan: Plan) -> list[str]:
-    m = plan.metrics
-    size = f"{len(plan.beads)} beads in {plan.layers} layers"
-    texts = [
-        f"Problem {plan.problem.name}, strategy {plan.strategy}",
-        ", ".join(f"{name} {version}" for name, version in sorted(plan.versions.items())),
-        f"{size}, {m['deposited_length_mm']:.1f} mm deposited, {m['print_time_s']:.1f} s",
-        *([f"Resumes at bead {plan.first_bead}: those before it must be there"] if plan.first_bead else []),
-        "Verified before it was written:",
-        *(f"  {c.name}: {c.worst:.6g} {c.unit} (limit {c.limit:.6g})" for c in plan.checks),
-    ]
+    texts = about(plan)
     for each in materials_of(plan.problem):
         texts.append(f"Material {each.name}: tool T{each.tool} of the extruder's board, output {each.signal}")
     return [comment(text) for text in texts]

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.export.about import about
 from planner.export.blends import move_radii
 from planner.export.moves import Moves, deposits, plan_moves
 from planner.export.outputs import output_numbers
@@ -102,16 +103,10 @@ def radii_of(plan: Plan, moves: Moves) -> Array:
 
 
 def _header(plan: Plan) -> list[str]:
-    m, t = plan.metrics, plan.trajectory
+    t = plan.trajectory
     fastest = float(t.speed[t.deposit].max())
     texts = [
-        f"Problem {plan.name}, strategy {plan.strategy}",
-        ", ".join(f"{name} {version}" for name, version in sorted(plan.versions.items())),
-        f"{len(plan.beads)} beads in {plan.layers} layers, "
-        f"{m['deposited_length_mm']:.1f} mm deposited, {m['print_time_s']:.1f} s",
-        *([f"Resumes at bead {plan.first_bead}: those before it must be there."] if plan.first_bead else []),
-        "Verified before it was written:",
-        *(f"  {c.name}: {c.worst:.6g} {c.unit} (limit {c.limit:.6g})" for c in plan.checks),
+        *about(plan),
         "Payload and centre of gravity are those of the installation: set them there.",
         f"Outputs are switched where a blend begins, {SWITCH_BLEND * 1e3:.2f} mm early, and within a cycle of the",
         f"controller: {fastest * 8.0:.2f} mm of way in the 8 ms of a CB3, {fastest * 2.0:.2f} mm in an e-Series' 2 ms.",
