@@ -26,12 +26,12 @@ from planner.placement.freedom import FREEDOMS, Place, changed_fields, place_of
 from planner.placement.ranges import axes_of
 from planner.placement.rating import COMFORT
 from planner.placement.study import Study, Surroundings, study
+from planner.planning import try_out
 from planner.problem import Problem, load_problem
 from planner.problem.rewrite import write_changed
 from planner.problem.settings import STRATEGY_NAMES
 from planner.progress import Stages
 from planner.resolve import UNAWARE
-from planner.solve import try_out
 from planner.task import tasks_of
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath

@@ -9,15 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell import Cell
+from planner.columns import table_of
+from planner.plan_words import plan_html, plan_line, plan_words
 from planner.problem import Problem
 from planner.readonly import ReadOnlyArrays
 from planner.toolpath.bead import Bead, Toolpath
+from planner.trajectory import TRAVEL, Event, Trajectory
 
 if TYPE_CHECKING:
     from planner.tolerance import Headroom
 
+__all__ = ["CAUSES", "MOST_SHOWN", "RAPID_EXTERNAL_AXES", "TRAVEL", "Approach", "CellView", "Check", "Dip", "Event",
+           "Plan", "Remedy", "Trajectory", "resumed_name"]  # fmt: skip
+
 Array = NDArray[np.float64]
-TRAVEL = -1
 RAPID_EXTERNAL_AXES = 6
 MOST_SHOWN = 2  # changes of a remedy in words
 # Of dips that no joint limits.
@@ -27,79 +32,6 @@ CAUSES = {
     "stop": "stops here",
     "shape": "samples of the path coincide",
 }
-
-
-@dataclass(frozen=True)
-class Event:
-    """Something that the extruder or its heating does: "heat", "select", "purge", "prime", "retract", "cut", "change".
-
-    bead its index, or -1; start, duration [s]; amount of filament [m], signed, 0 if none
-    material by its name: what is moved, or selected, or changed to; empty where materials have no names
-    """
-
-    kind: str
-    bead: int
-    start: float
-    duration: float
-    amount: float
-    material: str = ""
-
-    @property
-    def words(self) -> str:
-        """What it is, and of which bead."""
-        what = f"{self.kind} {self.material}" if self.kind == "select" else self.kind
-        what = f"change to {self.material}" if self.kind == "change" else what
-        return what if self.bead < 0 else f"{what}, bead {self.bead}"
-
-
-@dataclass(frozen=True)
-class Trajectory(ReadOnlyArrays):
-    """The whole motion, sampled every `dt` seconds (n samples; SI units, radians).
-
-    bead          (n,) int32  index of the bead, or TRAVEL (-1); run-in and run-out count as travel
-    layer         (n,) int32
-    deposit       (n,) bool   material flows
-    s             (n,)        arc length along the bead [m]; 0 in travel
-    q             (n, nj)     joints in the cell's order: arm, then the positioner's free axes
-    tip           (n, 3)      nozzle tip in the part frame [m]
-    quat          (n, 4)      orientation of the nozzle frame in the part frame, x y z w; its z is the axis
-    axis          (n, 3)      unit nozzle axis, from the nozzle into the part, part frame
-    branch        (n,) int8   ABB's cfx: 4 wrist centre behind axis 1, 2 behind the lower arm, 1 axis 5 negative;
-                              without a spherical wrist the number that the inverse kinematics gives the branch
-    speed         (n,)        of the tip relative to the part [m/s]
-    flow          (n,)        of material [m^3/s]
-    extruded      (n,)        volume deposited since the start [m^3]
-    feed          (n,)        filament that the motor has pushed since the start [m]: what is deposited, ahead by the
-                              extruder's lag, primes and retracts
-    events                    what the extruder and its heating do besides, in order of time
-    first_bead                index of the first bead that is laid; those before it are there from the beginning
-    """
-
-    dt: float
-    t: Array
-    bead: NDArray[np.int32]
-    layer: NDArray[np.int32]
-    deposit: NDArray[np.bool_]
-    s: Array
-    q: Array
-    tip: Array
-    quat: Array
-    axis: Array
-    branch: NDArray[np.int8]
-    speed: Array
-    flow: Array
-    extruded: Array
-    feed: Array
-    events: tuple[Event, ...] = ()
-    first_bead: int = 0
-
-    @property
-    def begun(self) -> NDArray[np.int64]:
-        """Index (n) of the last bead that was begun; before the first of this motion, the one before that."""
-        return np.maximum.accumulate(np.maximum(self.bead, self.first_bead - 1).astype(np.int64))
-
-    def __len__(self) -> int:
-        return len(self.t)
 
 
 @dataclass(frozen=True)
@@ -213,9 +145,12 @@ def resumed_name(name: str, first_bead: int) -> str:
     return f"{name}_from_{first_bead}" if first_bead else name
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Plan:
     """A finished plan. `verified` is true only if every check holds, within the tolerance too where one was asked for.
+
+    Its motion is sampled in `trajectory`, all of whose arrays are read-only; those that are wanted most stand here by
+    their own names: t, q, tip, axis, speed, bead, deposit, s. `table` gives all of them as columns.
 
     metrics:  name → value, in the units that the name says (see the output contract in the docs)
     series:   per-sample arrays (n,) or (n, nj) that the verifier found on the way, for the report:
@@ -276,3 +211,67 @@ class Plan:
     def verified(self) -> bool:
         """True if every check of the verifier holds, within the tolerance too where one was asked for."""
         return self.holds_as_planned and (self.headroom is None or self.headroom.holds)
+
+    @property
+    def t(self) -> Array:
+        """Time (n) of the samples, from 0 [s]."""
+        return self.trajectory.t
+
+    @property
+    def q(self) -> Array:
+        """Joints (n, nj) in the order of `joint_names` [rad]."""
+        return self.trajectory.q
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names (nj) of the joints: the arm's, then those of what holds the part."""
+        return self.cell.joint_names
+
+    @property
+    def tip(self) -> Array:
+        """Nozzle tip (n, 3) in the part frame [m]."""
+        return self.trajectory.tip
+
+    @property
+    def axis(self) -> Array:
+        """Unit nozzle axis (n, 3), from the nozzle into the part, part frame."""
+        return self.trajectory.axis
+
+    @property
+    def speed(self) -> Array:
+        """Speed (n) of the tip relative to the part [m/s]."""
+        return self.trajectory.speed
+
+    @property
+    def bead(self) -> NDArray[np.int32]:
+        """Index (n) of the bead; -1 in travel."""
+        return self.trajectory.bead
+
+    @property
+    def deposit(self) -> NDArray[np.bool_]:
+        """Whether (n) material flows."""
+        return self.trajectory.deposit
+
+    @property
+    def s(self) -> Array:
+        """Arc length (n) along the bead [m]; 0 in travel."""
+        return self.trajectory.s
+
+    def table(self) -> NDArray[np.void]:
+        """All samples as a structured array (n), with the columns of trajectory.csv, not rounded.
+
+        `plan.table()["x_mm"]` is a column, and `pandas.DataFrame(plan.table())` a data frame. t_s; bead, -1 in
+        travel; layer; deposit; s_mm; x_mm, y_mm, z_mm of the nozzle tip and its unit axis ax, ay, az, both in the
+        part frame; speed_mm_s; flow_mm3_s; e_mm of filament; then the joints by their names, in rad.
+        """
+        return table_of(self.trajectory, self.joint_names)
+
+    def summary(self) -> str:
+        """A few lines of text: the verdict, and what matters most."""
+        return plan_words(self)
+
+    def __repr__(self) -> str:
+        return f"<Plan {plan_line(self)}>"
+
+    def _repr_html_(self) -> str:
+        return plan_html(self)

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from solved import bed_plan, small_plan
 
-from planner import solve as command
+from planner import planning
 from planner.background import in_background, in_halves, shared, spare_core
 from planner.errors import InputError, PlannerError, Refusal
 from planner.obstacles import NOTHING, obstacles_of
 from planner.plan import Plan
+from planner.planning import write_files
 from planner.resolve import STRATEGIES
-from planner.solve import write
 from planner.task import make_tasks
 from planner.verify import Report, verify
 
@@ -101,7 +101,7 @@ def test_trajectory_in_two_processes_is_the_same() -> None:
         plan.cell, tasks, plan.problem.resolve, obstacles_of(plan.problem, plan.cell, plan.toolpath)
     )
     here, beside = (
-        command._trajectory(plan.problem, plan.cell, plan.toolpath, paths, NOTHING, plan.trajectory.dt, both)[0]
+        planning._trajectory(plan.problem, plan.cell, plan.toolpath, paths, NOTHING, plan.trajectory.dt, both)[0]
         for both in (False, True)
     )
     for name, values in vars(here).items():
@@ -118,19 +118,19 @@ def _files(folder: Path) -> dict[str, bytes]:
 @needs_two_cores
 def test_files_of_two_processes_are_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plan: Plan = small_plan()
-    monkeypatch.setattr(command, "WORTH_A_FORK", 0)
+    monkeypatch.setattr(planning, "WORTH_A_FORK", 0)
     for name, both in (("here", False), ("beside", True)):
         (tmp_path / name).mkdir()
-        write(plan, tmp_path / name, second_process=both)
+        write_files(plan, tmp_path / name, second_process=both)
     assert len(_files(tmp_path / "here")) == 6
     assert _files(tmp_path / "here") == _files(tmp_path / "beside")
 
 
 @needs_two_cores
 def test_an_unverified_plan_has_no_robot_code_from_any_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(command, "WORTH_A_FORK", 0)
+    monkeypatch.setattr(planning, "WORTH_A_FORK", 0)
     plan = small_plan()
-    write(replace(plan, checks=(replace(plan.checks[0], ok=False),)), tmp_path, second_process=True)
+    write_files(replace(plan, checks=(replace(plan.checks[0], ok=False),)), tmp_path, second_process=True)
     assert {path.name for path in tmp_path.iterdir()} == {
         "plan.json",
         "trajectory.csv",
@@ -142,7 +142,7 @@ def test_an_unverified_plan_has_no_robot_code_from_any_process(tmp_path: Path, m
 @needs_two_cores
 def test_the_baseline_beside_is_the_baseline(monkeypatch: pytest.MonkeyPatch) -> None:
     plan = small_plan()
-    monkeypatch.setattr(command, "WORTH_A_FORK", 0)
-    beside = command.solve(plan.problem, second_process=True)
+    monkeypatch.setattr(planning, "WORTH_A_FORK", 0)
+    beside = planning.solve(plan.problem, second_process=True)
     assert beside.baseline == plan.baseline and set(beside.baseline) == {"as_published"}
     assert beside.metrics == plan.metrics and beside.checks == plan.checks

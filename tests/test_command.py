@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 from solved import SVG, line_of, write_small
 
-import planner.solve
+import planner.planning
 from planner.problem import shipped_problems
 from planner.solve import main
 
@@ -554,7 +554,8 @@ def test_exit_code_of_the_process(tmp_path: Path) -> None:
 HELD_UP = """
 import sys, time
 from pathlib import Path
-import planner.output, planner.solve
+import planner.output, planner.planning
+from planner.solve import main
 
 def hold(module, name, before):
     real = getattr(module, name)
@@ -569,7 +570,7 @@ def hold(module, name, before):
     setattr(module, name, held)
 
 hold({module}, {name!r}, {before})
-sys.exit(planner.solve.main({arguments!r}))
+sys.exit(main({arguments!r}))
 """
 
 
@@ -616,10 +617,10 @@ def nothing_runs_in(folder: Path) -> None:
 
 
 PLACES = {
-    "before the resolving": ("planner.solve", "tasks_of", True),
-    "before the verifying": ("planner.solve", "verify", True),
-    "between robot code and report": ("planner.solve", "write_robot_code", False),
-    "when all is written aside": ("planner.solve", "write_plan", False),
+    "before the resolving": ("planner.planning", "tasks_of", True),
+    "before the verifying": ("planner.planning", "verify", True),
+    "between robot code and report": ("planner.planning", "write_robot_code", False),
+    "when all is written aside": ("planner.planning", "write_plan", False),
 }
 
 
@@ -703,7 +704,7 @@ def test_a_bug_is_not_hidden(run: Callable[..., Outcome], tmp_path: Path, monkey
     def broken(*_: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr(planner.solve, "verify", broken)
+    monkeypatch.setattr(planner.planning, "verify", broken)
     with pytest.raises(ZeroDivisionError):
         run("small.yaml", "--quiet")
     assert contents(tmp_path) == before

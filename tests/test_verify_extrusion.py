@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 from solved import body_of, small_plan, write_small
 
-import planner.solve
+import planner.planning
 from planner.export.extruder.writer import gcode
 from planner.extrusion import feed, filament_area
 from planner.plan import Event, Plan, Trajectory
@@ -89,8 +89,8 @@ def varied(toolpath: Toolpath) -> Toolpath:
 
 @pytest.fixture
 def varying(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Plan]:
-    original = planner.solve.build_toolpath
-    monkeypatch.setattr(planner.solve, "build_toolpath", lambda problem: varied(original(problem)))
+    original = planner.planning.build_toolpath
+    monkeypatch.setattr(planner.planning, "build_toolpath", lambda problem: varied(original(problem)))
 
     def solve_it(*changes: str) -> Plan:
         with tempfile.TemporaryDirectory() as folder:

@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 
+from planner.columns import columns_of
 from planner.export.digits import rows_text
 
 if TYPE_CHECKING:
     from planner.plan import Plan
 
 CHUNK = 4096  # rows formatted at once: bounds the memory
-# name → format and decimals to round to; a joint keeps 12 significant digits, so that third differences mean something
+# column → decimals to round to; a joint keeps 12 significant digits, so that third differences mean something
 FIXED = {
     "t_s": 6,
     "bead": 0,
@@ -38,18 +39,6 @@ def write_table(plan: Plan, stream: TextIO) -> None:
     decimals = np.array(list(FIXED.values()), dtype=np.int64)
     for start in range(0, len(t), CHUNK):
         rows = slice(start, start + CHUNK)
-        columns = np.column_stack(
-            [
-                t.t[rows],
-                t.bead[rows],
-                t.layer[rows],
-                t.deposit[rows],
-                t.s[rows] * 1e3,
-                t.tip[rows] * 1e3,
-                t.axis[rows],
-                t.speed[rows] * 1e3,
-                t.flow[rows] * 1e9,
-                t.feed[rows] * 1e3,
-            ]
-        )
-        stream.write(rows_text(columns, decimals, t.q[rows]))
+        columns = columns_of(t, rows)
+        fixed = np.column_stack([columns[name] for name in FIXED])
+        stream.write(rows_text(fixed, decimals, t.q[rows]))

@@ -95,6 +95,11 @@ class Problem(Section):
         """The problem file, as the user gave it."""
         return self._source.file
 
+    @property
+    def overrides(self) -> tuple[str, ...]:
+        """The `dotted.key=value` that were applied to the file."""
+        return self._source.overrides
+
     def error(self, field: str, reason: str, hint: str | None = None) -> InputError:
         """Return the error of a field, dotted as in the file (`cell.arm`), with its file and line, or its `--set`.
 

@@ -57,11 +57,13 @@ class Source:
     file        as the user gave it
     lines       path of keys → line (from 1); the empty path is where the document starts
     overridden  paths that were set from the command line
+    overrides   the same as they were given, `dotted.key=value`
     """
 
     file: Path
     lines: dict[Keys, int]
     overridden: tuple[Keys, ...] = ()
+    overrides: tuple[str, ...] = ()
 
     def error(self, path: Keys, reason: str, hint: str | None = None) -> InputError:
         """Return the InputError for the field at `path`, naming its file and line, or the `--set` it came from."""
@@ -176,7 +178,7 @@ def apply_overrides(data: dict[str, Any], source: Source, overrides: Sequence[st
             raise complain("is larger than 1 MB", None, None)
         data = _put(data, path, parse_yaml(text, complain, {}), complain)
         paths.append(path)
-    return data, Source(source.file, source.lines, tuple(paths))
+    return data, Source(source.file, source.lines, tuple(paths), tuple(overrides))
 
 
 def _put(data: Any, path: tuple[str, ...], value: Any, complain: Complaint) -> dict[str, Any]:

@@ -1,0 +1,86 @@
+"""The whole motion as samples, and what the extruder does besides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.readonly import ReadOnlyArrays
+
+Array = NDArray[np.float64]
+TRAVEL = -1  # index of the bead where there is none
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that the extruder or its heating does: "heat", "select", "purge", "prime", "retract", "cut", "change".
+
+    bead its index, or -1; start, duration [s]; amount of filament [m], signed, 0 if none
+    material by its name: what is moved, or selected, or changed to; empty where materials have no names
+    """
+
+    kind: str
+    bead: int
+    start: float
+    duration: float
+    amount: float
+    material: str = ""
+
+    @property
+    def words(self) -> str:
+        """What it is, and of which bead."""
+        what = f"{self.kind} {self.material}" if self.kind == "select" else self.kind
+        what = f"change to {self.material}" if self.kind == "change" else what
+        return what if self.bead < 0 else f"{what}, bead {self.bead}"
+
+
+@dataclass(frozen=True)
+class Trajectory(ReadOnlyArrays):
+    """The whole motion, sampled every `dt` seconds (n samples; SI units, radians).
+
+    bead          (n,) int32  index of the bead, or TRAVEL (-1); run-in and run-out count as travel
+    layer         (n,) int32
+    deposit       (n,) bool   material flows
+    s             (n,)        arc length along the bead [m]; 0 in travel
+    q             (n, nj)     joints in the cell's order: arm, then the positioner's free axes
+    tip           (n, 3)      nozzle tip in the part frame [m]
+    quat          (n, 4)      orientation of the nozzle frame in the part frame, x y z w; its z is the axis
+    axis          (n, 3)      unit nozzle axis, from the nozzle into the part, part frame
+    branch        (n,) int8   ABB's cfx: 4 wrist centre behind axis 1, 2 behind the lower arm, 1 axis 5 negative;
+                              without a spherical wrist the number that the inverse kinematics gives the branch
+    speed         (n,)        of the tip relative to the part [m/s]
+    flow          (n,)        of material [m^3/s]
+    extruded      (n,)        volume deposited since the start [m^3]
+    feed          (n,)        filament that the motor has pushed since the start [m]: what is deposited, ahead by the
+                              extruder's lag, primes and retracts
+    events                    what the extruder and its heating do besides, in order of time
+    first_bead                index of the first bead that is laid; those before it are there from the beginning
+    """
+
+    dt: float
+    t: Array
+    bead: NDArray[np.int32]
+    layer: NDArray[np.int32]
+    deposit: NDArray[np.bool_]
+    s: Array
+    q: Array
+    tip: Array
+    quat: Array
+    axis: Array
+    branch: NDArray[np.int8]
+    speed: Array
+    flow: Array
+    extruded: Array
+    feed: Array
+    events: tuple[Event, ...] = ()
+    first_bead: int = 0
+
+    @property
+    def begun(self) -> NDArray[np.int64]:
+        """Index (n) of the last bead that was begun; before the first of this motion, the one before that."""
+        return np.maximum.accumulate(np.maximum(self.bead, self.first_bead - 1).astype(np.int64))
+
+    def __len__(self) -> int:
+        return len(self.t)
