@@ -17,6 +17,8 @@ from planner.toolpath.bead import Bead, Toolpath
 from planner.trajectory import TRAVEL, Event, Trajectory
 
 if TYPE_CHECKING:
+    from planner.resolve.jointpath import JointPath
+    from planner.resolve.roll_map import RollMap
     from planner.tolerance import Headroom
 
 __all__ = ["CAUSES", "MOST_SHOWN", "RAPID_EXTERNAL_AXES", "TRAVEL", "Approach", "CellView", "Check", "Dip", "Event",
@@ -162,6 +164,8 @@ class Plan:
     headroom: whether it holds for parts that stand a little elsewhere; None if nobody asked
     approaches: pairs of bodies that come near each other, those that lack most, or are nearest to it, first
     view:     the cell as it stands at each of them
+    paths:    joints along each bead that is laid, by arc length, before they were timed; with roll and tilt
+    roll_maps: what roll could have been chosen: along the whole print, then along the beads where it is tightest
     """
 
     problem: Problem
@@ -180,6 +184,8 @@ class Plan:
     headroom: Headroom | None = None
     approaches: tuple[Approach, ...] = ()
     view: CellView | None = None
+    paths: tuple[JointPath, ...] = ()
+    roll_maps: tuple[RollMap, ...] = ()
 
     @property
     def first_bead(self) -> int:

@@ -28,6 +28,7 @@ from planner.progress import Stages
 from planner.report.html import write_report
 from planner.resolve import STRATEGIES, UNAWARE
 from planner.resolve.jointpath import JointPath
+from planner.resolve.roll_maps import roll_maps
 from planner.task import NozzleTask, tasks_of
 from planner.timing import TimedPath, bound_time, time_path
 from planner.tolerance import Headroom, Tolerance, parse_tolerance
@@ -95,6 +96,8 @@ def solve(
         trajectory, report, paths, travels = _plan_with(strategy, given, dt, stages, second_process)
         with stages.stage("dips"):
             dips = find_dips(problem, cell, toolpath, paths, trajectory)
+        with stages.stage("map"):
+            maps = roll_maps(cell, paths[first_bead:], given.obstacles, problem.resolve.min_sigma)
         with stages.stage("baseline"):
             baseline = baseline_metrics()
     judged = None
@@ -119,6 +122,8 @@ def solve(
         approaches=report.approaches,
         view=report.view,
         headroom=judged,
+        paths=tuple(paths[first_bead:]),
+        roll_maps=maps,
     )
 
 

@@ -1,0 +1,242 @@
+"""The roll × path map: what the nozzle's free turn about its axis allows along a print, and why not more.
+
+With tilt and all chosen joints (a positioner's axes) as planned, one number is left free at each place of the path: the
+roll. At each place and each roll the map holds whether the arm can stand so, how far from trouble it then is, and the
+roll that was chosen. A path is a curve through what is free.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.background import in_threads
+from planner.cell import Cell
+from planner.obstacles import NOTHING, Obstacles
+from planner.readonly import ReadOnlyArrays
+from planner.resolve.jointpath import JointPath, flange_poses
+from planner.task import NozzleTask
+
+Array = NDArray[np.float64]
+
+FREE, REACH, LIMITS, SINGULAR, COLLISION = range(5)
+REASONS = ("free", "out of reach", "joint limits", "singularity", "collision")  # by those numbers
+COLUMNS, ROLLS = 450, 120  # of a map: as many as a picture shows, rolls 3 degrees apart
+EVERY_COLUMN, EVERY_ROLL = 3, 2  # clearance is asked for so often, and drawn straight between: it takes longest
+CLEAR_ENOUGH = 0.02  # m: greater clearances are not told apart
+CLEAR_CLOSE = 1e-4  # m: where less is drawn, it is found
+_TURN = 2.0 * np.pi
+
+
+@dataclass(frozen=True)
+class RollMap(ReadOnlyArrays):
+    """Places (m) along beads, and k rolls at each.
+
+    bead (m), s (m)    which bead, and arc length along it [m]
+    along (m)          length deposited up to there [m]
+    roll (k)           rolls from -pi on, evenly round the circle [rad], 0 as in the tasks' frames
+    chosen (m)         the path's own roll in [-pi, pi); NaN where there is no path yet
+    why (m, k)         FREE, or the first reason why not: REACH, LIMITS, SINGULAR, COLLISION; see REASONS
+    sigma (m, k)       least singular value of the arm's Jacobian (linear rows in metres); NaN out of reach or limits
+    limit (m, k)       least angle from a joint's limit [rad], negative beyond; NaN out of reach
+    clearance (m, k)   what is left beyond the clearance that is needed [m], up to CLEAR_ENOUGH; it includes the nozzle's
+                       from the print near its tip, so it is small even where all is well. NaN where another reason
+                       comes first, or nothing can touch
+    """
+
+    bead: NDArray[np.int32]
+    s: Array
+    along: Array
+    roll: Array
+    chosen: Array
+    why: NDArray[np.uint8]
+    sigma: Array
+    limit: Array
+    clearance: Array
+
+    @property
+    def free(self) -> NDArray[np.bool_]:
+        """Where (m, k) the arm can stand."""
+        return self.why == FREE
+
+
+def unplanned(cell: Cell, task: NozzleTask, chosen: Sequence[float] | None = None) -> JointPath:
+    """A task for `roll_map` without a path: the nozzle upright, the cell's chosen joints at rest at angles [rad].
+
+    chosen: one angle for each of `cell.chosen`; their home angles if not given. Its branch is -1, for any.
+    """
+    q = np.tile(cell.home, (len(task), 1))
+    if chosen is not None:
+        q[:, list(cell.chosen)] = chosen
+    return JointPath(task, np.full(len(task), np.nan), np.zeros((len(task), 2)), q, -1)
+
+
+def roll_map(
+    cell: Cell,
+    paths: Sequence[JointPath],
+    obstacles: Obstacles = NOTHING,
+    min_sigma: float = 0.0,
+    columns: int = COLUMNS,
+    rolls: int = ROLLS,
+    any_branch: bool = False,
+) -> RollMap:
+    """The map along joint paths, at the tilt and the chosen joints that these have; at most so many columns.
+
+    On each path's own branch of the arm, which cannot change along a bead; with `any_branch`, or of a path that has
+    none, on whichever branch does best at each place. Postures with a sigma below `min_sigma` count as singular.
+    """
+    places = _places(paths, columns)
+    m = len(places.s)
+    roll = -np.pi + _TURN * np.arange(rolls) / rolls
+    q, exists = _postures(cell, places, roll)
+    at = np.arange(m)
+    if any_branch or (places.branch < 0).any():
+        branches = [np.full(m, b) for b in range(q.shape[2])]
+    else:
+        branches = [places.branch]
+    best = _judged(cell, places, q[at, :, branches[0]], exists[at, :, branches[0]], obstacles, min_sigma)
+    for b in branches[1:]:
+        best = _better(best, _judged(cell, places, q[at, :, b], exists[at, :, b], obstacles, min_sigma))
+    chosen = np.remainder(places.roll + np.pi, _TURN) - np.pi
+    return RollMap(places.bead, places.s, places.along, roll, chosen, *best)
+
+
+@dataclass(frozen=True)
+class _Places:
+    """What is fixed at each place (m): the fields of `RollMap`, task and path there; now: when it is, in beads."""
+
+    bead: NDArray[np.int32]
+    s: Array
+    along: Array
+    tip: Array
+    frames: Array
+    now: Array
+    roll: Array
+    tilt: Array
+    q: Array
+    branch: NDArray[np.int64]
+
+
+def _places(paths: Sequence[JointPath], columns: int) -> _Places:
+    """Samples evenly along what is deposited of all paths."""
+    laid = [slice(path.task.first, path.task.last + 1) for path in paths]
+    s = [path.task.s[rows] - path.task.s[path.task.first] for path, rows in zip(paths, laid, strict=True)]
+    before = np.cumsum([0.0, *(each[-1] for each in s)])
+    along = np.concatenate([each + start for each, start in zip(s, before[:-1], strict=True)])
+    wanted = np.linspace(0.0, along[-1], min(columns, len(along)))
+    at = np.unique(np.clip(np.searchsorted(along, wanted), 0, len(along) - 1))
+    pairs = list(zip(paths, laid, strict=True))
+    counts = [len(each) for each in s]
+    return _Places(
+        bead=np.repeat([path.task.bead for path in paths], counts)[at].astype(np.int32),
+        s=np.concatenate(s)[at],
+        along=along[at],
+        tip=np.concatenate([path.task.tip[rows] for path, rows in pairs])[at],
+        frames=np.concatenate([path.task.frames[rows] for path, rows in pairs])[at],
+        now=np.concatenate([path.task.moments[rows] for path, rows in pairs])[at],
+        roll=np.concatenate([path.roll[rows] for path, rows in pairs])[at],
+        tilt=np.concatenate([path.tilt[rows] for path, rows in pairs])[at],
+        q=np.concatenate([path.q[rows] for path, rows in pairs])[at],
+        branch=np.repeat([path.branch for path in paths], counts)[at],
+    )
+
+
+def _postures(cell: Cell, places: _Places, roll: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Arm joints (m, k, branches, na), turned as near the middle of their ranges as can be, and which exist."""
+    m, k, na, nh = len(places.s), len(roll), len(cell.arm), len(cell.holder)
+    each = np.repeat(np.arange(m), k)
+    task = NozzleTask(0, "", 0, places.tip[each], places.frames[each], each.astype(float), 0, len(each) - 1, 1.0)
+    T = flange_poses(cell, task, np.tile(roll, m), places.tilt[each], places.q[each, na : na + nh])
+    redundant = cell.inverse.redundant_joint
+    q, exists = cell.inverse.solve(T, None if redundant is None else places.q[each, redundant])
+    middle = 0.5 * (cell.limits.q_min[:na] + cell.limits.q_max[:na])
+    q = middle + np.remainder(q - middle + np.pi, _TURN) - np.pi
+    return q.reshape(m, k, -1, na), exists.reshape(m, k, -1)
+
+
+_Judgement = tuple[NDArray[np.uint8], Array, Array, Array]
+
+
+def _judged(
+    cell: Cell, places: _Places, arm: Array, exists: NDArray[np.bool_], obstacles: Obstacles, min_sigma: float
+) -> _Judgement:
+    """why, sigma, limit and clearance of arm postures (m, k, na)."""
+    na = len(cell.arm)
+    limit = np.minimum(arm - cell.limits.q_min[:na], cell.limits.q_max[:na] - arm).min(axis=2)
+    limit[~exists] = np.nan
+    why = np.where(exists, np.where(limit < 0.0, LIMITS, FREE), REACH).astype(np.uint8)
+    sigma, clearance = np.full(why.shape, np.nan), np.full(why.shape, np.nan)
+    inside = why == FREE
+    jacobians = cell.arm.jacobians(arm[inside])[:, :, list(cell.solved)]
+    sigma[inside] = np.linalg.svd(jacobians, compute_uv=False)[:, -1]
+    why[inside & (sigma < min_sigma)] = SINGULAR
+    if obstacles.any:
+        clearance = _clearances(
+            places, np.concatenate([arm, _holder(cell, places, arm)], axis=2), why == FREE, obstacles
+        )
+        why[clearance < 0.0] = COLLISION
+    return why, sigma, limit, clearance
+
+
+def _holder(cell: Cell, places: _Places, arm: Array) -> Array:
+    """The holder's joints (m, k, nh) at every roll of each place."""
+    held = places.q[:, len(cell.arm) :]
+    return np.broadcast_to(held[:, None], (*arm.shape[:2], held.shape[1]))
+
+
+def _clearances(places: _Places, q: Array, asked: NDArray[np.bool_], obstacles: Obstacles) -> Array:
+    """Clearance (m, k) of postures q (m, k, nj) where it is asked for, NaN elsewhere.
+
+    Found on every few places and rolls and drawn straight between; found itself where that comes near to a touch, and
+    where there is nothing to draw between.
+    """
+    m, k = asked.shape
+    known = np.full((m, k), np.nan)
+    lattice = np.zeros((m, k), dtype=np.bool_)
+    lattice[::EVERY_COLUMN, ::EVERY_ROLL] = True
+    _find(places, q, asked & lattice, obstacles, known)
+    i, j = np.meshgrid(np.arange(m), np.arange(k), indexing="ij")
+    i0, j0 = i - i % EVERY_COLUMN, j - j % EVERY_ROLL
+    i1, j1 = i0 + EVERY_COLUMN, np.where(j0 + EVERY_ROLL < k, j0 + EVERY_ROLL, 0)
+    a, b = (i - i0) / EVERY_COLUMN, (j - j0) / EVERY_ROLL
+    total, weights = np.zeros((m, k)), np.zeros((m, k))
+    for row, column, weight in (
+        (i0, j0, (1 - a) * (1 - b)),
+        (i0, j1, (1 - a) * b),
+        (i1, j0, a * (1 - b)),
+        (i1, j1, a * b),
+    ):
+        inner = np.minimum(row, m - 1)
+        value = known[inner, column]
+        use = np.where((row < m) & (places.bead[inner] == places.bead[i]) & np.isfinite(value), weight, 0.0)
+        total += use * np.nan_to_num(value)
+        weights += use
+    drawn = np.divide(total, weights, out=np.full((m, k), np.nan), where=weights > 0.0)
+    out = np.where(asked, np.where(lattice, known, drawn), np.nan)
+    _find(places, q, asked & ~lattice & ~(np.abs(out) > CLEAR_CLOSE), obstacles, out)
+    return out
+
+
+def _find(places: _Places, q: Array, which: NDArray[np.bool_], obstacles: Obstacles, out: Array) -> None:
+    """Fill in the clearances of some postures."""
+    some, now = q[which], np.broadcast_to(places.now[:, None], which.shape)[which]
+    found = np.empty(len(some))
+
+    def part(first: int, last: int) -> None:
+        found[first:last] = obstacles.margins(some[first:last], now[first:last], CLEAR_ENOUGH)[0]
+
+    in_threads(part, len(some))
+    out[which] = found
+
+
+def _better(one: _Judgement, other: _Judgement) -> _Judgement:
+    """Of two branches at each place and roll the one that gets further, and of equals the less singular one."""
+    further = np.array([4, 0, 1, 2, 3])  # what is free is furthest, what collides gets further than what cannot stand
+    a, b = further[one[0]], further[other[0]]
+    second = (b > a) | ((b == a) & (np.nan_to_num(other[1]) > np.nan_to_num(one[1])))
+    why = np.where(second, other[0], one[0])
+    sigma, limit, clearance = (np.where(second, y, x) for x, y in zip(one[1:], other[1:], strict=True))
+    return why, sigma, limit, clearance
