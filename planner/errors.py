@@ -20,7 +20,10 @@ class PlannerError(Exception):
 
 
 class InputError(PlannerError):
-    """The input is wrong: names the file, the line (from 1), the field, and what would be right."""
+    """The input is wrong: names the file, the line (from 1), the field, and what would be right.
+
+    `all` are the errors of a file of which this is the first, itself among them; none where it is the only one.
+    """
 
     exit_code = EXIT_INPUT
 
@@ -32,8 +35,10 @@ class InputError(PlannerError):
         line: int | None = None,
         field: str | None = None,
         hint: str | None = None,
+        all: tuple[InputError, ...] = (),
     ) -> None:
         self.reason, self.file, self.line, self.field, self.hint = reason, file, line, field, hint
+        self.all = all
         place = "" if file is None else str(file) + ("" if line is None else f":{line}") + ": "
         what = "" if field is None else f"{field}: "
         super().__init__(place + what + reason + ("" if hint is None else f" ({hint})"))

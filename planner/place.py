@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from planner.cell import Cell, build_cell
-from planner.command import exit_code
+from planner.command import Command, add_problem, add_set, add_strategy, exit_code
 from planner.errors import EXIT_VERIFIED, OutputError, Refusal
 from planner.obstacles import NOTHING, obstacles_of
 from planner.output import results_folder
@@ -29,7 +29,6 @@ from planner.placement.study import Study, Surroundings, study
 from planner.planning import try_out
 from planner.problem import Problem, load_problem
 from planner.problem.rewrite import write_changed
-from planner.problem.settings import STRATEGY_NAMES
 from planner.progress import Stages
 from planner.resolve import UNAWARE
 from planner.task import tasks_of
@@ -112,7 +111,7 @@ def best_of(solved: Sequence[Outcome]) -> Outcome | None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
-    options = _options(arguments)
+    options = place_command().parse_args(arguments)
     errors = Console(stderr=True, highlight=False)
     return exit_code(lambda: _run(options, errors), partial(errors.print, markup=False, soft_wrap=True))
 
@@ -189,13 +188,24 @@ def table_of(problem: Problem, found: Study, solved: Sequence[Outcome], names: S
     return table
 
 
-def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m planner.place",
-        description="Search for the place from which the part is printed best; solve and verify the best few.",
-        epilog="exit codes: 0 done, 2 wrong input, 3 no place reaches the whole part, 130 interrupted",
+def place_command() -> Command:
+    """The parser of `python -m planner.place`."""
+    parser = Command(
+        "place",
+        "Search for the place from which the part is printed best; solve and verify the best few.",
+        {
+            "hemisphere_honeycomb": "search x, y, z and turn of its bed; results in out/<problem>_placement",
+            "my_part.yaml --best 0": "only the map: nothing is solved",
+            "my_part.yaml --free x,y --range x=300:700": "only along the floor, x between 300 and 700 mm",
+        },
+        {
+            0: "done; the best place, if it is better than the present one, is written as a problem file",
+            2: "wrong input; nothing written",
+            3: "no place reaches the whole part",
+            130: "interrupted; nothing written",
+        },
     )
-    parser.add_argument("problem", metavar="PROBLEM.yaml", help="problem file, or the name of a shipped one")
+    add_problem(parser)
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="where the results go (default out/<problem>_placement)"
     )
@@ -219,12 +229,10 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
         metavar="NAME=LOW:HIGH",
         help="between what, in mm or deg, e.g. x=300:700; repeatable (default: half the arm's reach to each side)",
     )
-    parser.add_argument("--strategy", choices=STRATEGY_NAMES, help="instead of the problem's own")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="change a field for the search; repeatable"
-    )
+    add_strategy(parser)
+    add_set(parser)
     parser.add_argument("--quiet", action="store_true", help="no progress bars")
-    return parser.parse_args(arguments)
+    return parser
 
 
 def _count(text: str) -> int:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from planner.command import exit_code
+from planner.command import Command, add_problem, exit_code
 from planner.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, OutputError
 from planner.problem import load_problem
 from planner.problem.rewrite import write_changed
@@ -72,36 +72,60 @@ def _ask(options: argparse.Namespace) -> Ask:
     )
 
 
-def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m planner.register",
-        description="Find where the part is from places that the nozzle touched, and write a problem file that says so.",
-        epilog="exit codes: 0 placed, and the nozzle's height keeps the tolerance; 3 placed, but it may not; 2 wrong input",
+def register_command() -> Command:
+    """The parser of `python -m planner.register`."""
+    parser = Command(
+        "register",
+        "Find where the part is from places that the nozzle touched, and write a problem file that says so.",
+        {
+            "my_part.yaml --suggest 8": "where to touch first",
+            "contacts.csv my_part.yaml": "place the part; writes my_part_registered.yaml",
+            "contacts.csv my_part.yaml --free x,y,z --report fit.html": "only shifts, with a figure of the residuals",
+        },
+        {
+            0: "placed, and the nozzle's height keeps the tolerance",
+            2: "wrong input; nothing written",
+            3: "placed and written, but the nozzle's height may not keep the tolerance",
+            130: "interrupted",
+        },
     )
     parser.add_argument("contacts", nargs="?", type=Path, metavar="CONTACTS.csv", help="readings of the touched places")
-    parser.add_argument("problem", metavar="PROBLEM.yaml", help="problem file, or the name of a shipped one")
+    add_problem(parser)
     parser.add_argument("--out", type=Path, metavar="NEW.yaml", help="default: <problem>_registered.yaml, here")
-    parser.add_argument("--report", type=_picture, metavar="FILE.html|png", help="a figure of residuals and certainty")
+    parser.add_argument(
+        "--report", type=_picture, metavar="FILE", help="a figure, .html or .png, of residuals and certainty"
+    )
     parser.add_argument(
         "--tolerance-mm",
+        metavar="MM",
         dest="tolerance",
         type=_millimetres,
         default=TOLERANCE_MM * 1e-3,
         help=f"of the nozzle's height over the part (default {TOLERANCE_MM})",
     )
     parser.add_argument(
-        "--free", type=_freedoms, metavar="x,y,z,rx,ry,rz", help="freedoms of the part (default all; of a cylinder x,y)"
+        "--free",
+        type=_freedoms,
+        metavar="NAMES",
+        help="freedoms of the part, of x,y,z,rx,ry,rz (default all; of a cylinder x,y)",
     )
     parser.add_argument("--table", action="store_true", help="find the table's axis, too: touch at several angles")
     parser.add_argument("--size", action="store_true", help="find the radius of a cylinder or a sphere, too")
-    parser.add_argument("--ball-mm", type=float, default=0.0, help="radius of what touches, at the tip (default 0)")
     parser.add_argument(
-        "--noise-mm", dest="noise", type=_millimetres, help="of one touch, if known (standard deviation)"
+        "--ball-mm", metavar="MM", type=float, default=0.0, help="radius of what touches, at the tip (default 0)"
+    )
+    parser.add_argument(
+        "--noise-mm", metavar="MM", dest="noise", type=_millimetres, help="of one touch, if known (standard deviation)"
     )
     parser.add_argument("--suggest", type=int, metavar="N", help="without contacts: where to touch first, N places")
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = register_command()
+    options: argparse.Namespace = parser.parse_args(arguments)
     if (options.contacts is None) != (options.suggest is not None):
-        parser.error("give CONTACTS.csv and PROBLEM.yaml, or --suggest N and PROBLEM.yaml")
+        parser.error("give CONTACTS.csv and PROBLEM, or --suggest N and PROBLEM")
     if options.suggest is not None and not 1 <= options.suggest <= MOST_SUGGESTED:
         parser.error(f"--suggest: 1 to {MOST_SUGGESTED}")
     if not 0.0 <= options.ball_mm <= 50.0:

@@ -5,7 +5,6 @@ python -m planner.robots [NAME or my_robot.yaml]
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from functools import partial
@@ -17,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.optimize import minimize
 
-from planner.command import exit_code
+from planner.command import Command, exit_code
 from planner.errors import EXIT_VERIFIED, InputError
 from planner.kinematics.corrected import Corrected
 from planner.kinematics.inverse import InverseKinematics
@@ -173,15 +172,27 @@ def _path_of(name: str) -> Path:
     raise InputError(f"unknown robot {name!r}", hint=names_meant(name))
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m planner.robots", description="List the robots that ship, or tell all of one robot."
+def robots_command() -> Command:
+    """The parser of `python -m planner.robots`."""
+    parser = Command(
+        "robots",
+        "List the robots that ship, or tell all of one robot.",
+        {
+            "": "all that ship: joints, reach, limits",
+            "irb1600_145": "one of them: every joint's limits, every body, what is assumed",
+            "my_robot.yaml": "whether a robot's file of your own is read as you mean it",
+        },
+        {0: "told", 2: "wrong input"},
     )
     parser.add_argument(
         "robot", nargs="?", metavar="NAME", help="a robot that ships, or a robot's own file, my_robot.yaml"
     )
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    options = robots_command().parse_args(arguments)
     out, errors = Console(highlight=False), Console(stderr=True, highlight=False)
 
     def show() -> int:

@@ -17,10 +17,11 @@ from planner.command import exit_code, options_of
 from planner.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, Refusal
 from planner.export import program_notes, write_refusal
 from planner.export.languages import chosen
+from planner.listing import print_shipped
 from planner.output import results_folder
 from planner.plan import resumed_name
 from planner.planning import solve, write, write_files
-from planner.problem import Problem, load_problem, shipped_problems
+from planner.problem import Problem, load_problem
 from planner.progress import Stages
 from planner.report.failure import write_failure_report
 from planner.report.summary import print_summary
@@ -34,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = options_of(arguments)
     errors = Console(stderr=True, highlight=False)
     if options.list:
-        print("\n".join(shipped_problems()))
+        print_shipped()
         return EXIT_VERIFIED
     return exit_code(lambda: _run(options, errors), partial(errors.print, markup=False, soft_wrap=True))
 

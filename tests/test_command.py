@@ -498,8 +498,11 @@ def test_strategy_on_the_command_line_wins(run: Callable[..., Outcome], tmp_path
 def test_list_names_what_ships(run: Callable[..., Outcome], tmp_path: Path) -> None:
     outcome = run("--list")
     assert outcome.code == 0
-    assert outcome.out.split() == list(shipped_problems())
-    assert set(outcome.out.split()) == {path.stem for path in (ROOT / "problems").glob("*.yaml")}
+    names = [line.split()[0] for line in outcome.out.splitlines()]
+    assert names == list(shipped_problems())
+    assert set(names) == {path.stem for path in (ROOT / "problems").glob("*.yaml")}
+    assert all(len(line.split()) > 8 for line in outcome.out.splitlines())  # and what each is
+    assert "\x1b" not in outcome.out
     assert outcome.err == ""
     assert contents(tmp_path) == {}
 

@@ -50,6 +50,7 @@ ROOMS = (
     "progress",
     "output",
     "command",
+    "check",
     "robots",
     "planning",
     "solve",
@@ -80,6 +81,8 @@ SAME_ROOM = {
     "trajectory": "plan",
     "materials": "plan",
     "tolerance": "plan",
+    "listing": "command",
+    "problem_words": "check",
     "headroom_bounds": "headroom",
     "headroom_cell": "headroom",
 }

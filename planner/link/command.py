@@ -14,7 +14,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from planner.command import exit_code
+from planner.command import Command, exit_code
 from planner.errors import EXIT_INTERRUPTED, EXIT_NOT_VERIFIED, EXIT_VERIFIED
 from planner.link.board import open_board
 from planner.link.effects import Note, Outcome, Side
@@ -28,7 +28,7 @@ from planner.link.secret import Secret, password
 from planner.link.show import Show, ending
 from planner.link.sockets import LinkError, connect, parse_address
 
-PASSWORD = "BEADWISE_RWS_PASSWORD"
+PASSWORD, HEAD_PASSWORD = "BEADWISE_RWS_PASSWORD", "BEADWISE_HEAD_PASSWORD"
 SOCKET_PORT = 1025  # of the program, unless the problem says otherwise
 BOARD_PORT = 23  # telnet
 DEMO_PACE = 20.0  # times as fast as the print
@@ -135,14 +135,18 @@ def _log_path(program: Path) -> Path:
     return program.with_name(f"{program.stem}_{datetime.now(UTC):%Y%m%dT%H%M%SZ}.jsonl")
 
 
-def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m planner.link",
-        description="Run a program of style `socket`: bring it to the controller, start it, and relay its lines to the board.",
-        epilog=(
-            "exit codes: 0 printed, 2 wrong input, 3 stopped or not ready, 130 interrupted; passwords come from "
-            "BEADWISE_RWS_PASSWORD and BEADWISE_HEAD_PASSWORD, or are asked for"
-        ),
+def link_command() -> Command:
+    """The parser of `python -m planner.link`."""
+    parser = Command(
+        "link",
+        "Run a program of style `socket`: bring it to the controller, start it, and relay its lines to the board.",
+        {
+            "--demo": "print the logo on simulators of controller and board",
+            "out/my_part/MyPart.mod --controller 192.168.125.1 --head 192.168.125.5 --dry-run": "is all ready?",
+            "out/my_part/MyPart.mod --controller 192.168.125.1 --head 192.168.125.5": "print",
+        },
+        {0: "printed, or ready (--dry-run)", 2: "wrong input", 3: "stopped, or not ready", 130: "interrupted"},
+        [f"passwords come from {PASSWORD} and {HEAD_PASSWORD}, or are asked for"],
     )
     parser.add_argument(
         "program", type=Path, nargs="?", metavar="PROGRAM.mod", help="with its table of lines beside it"
@@ -160,7 +164,12 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--pace", type=float, default=DEMO_PACE, help=f"of the demo (default {DEMO_PACE:g})")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     parser.set_defaults(secret=None)
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = link_command()
+    options: argparse.Namespace = parser.parse_args(arguments)
     if not 0.1 <= options.pace <= 100.0:
         parser.error("--pace: 0.1 to 100")
     if options.demo:

@@ -16,7 +16,7 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.command import exit_code
+from planner.command import Command, exit_code
 from planner.errors import EXIT_VERIFIED, InputError
 from planner.link.egm_follow import SILENCE, EgmStopped, Follower, Heard
 from planner.link.egm_plan import ARM_AXES, PERIOD, JointPlan, read_plan
@@ -31,7 +31,7 @@ TOLD_EVERY = 0.1  # share of the plan
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
-    options = _options(arguments)
+    options = egm_command().parse_args(arguments)
 
     def say(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
@@ -39,16 +39,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return exit_code(lambda: _run(options, say), say, "the robot was brought to rest")
 
 
-def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m planner.link.egm",
-        description="Answer a controller's EGM messages with the joints of a plan, 250 times a second.",
-        epilog="exit codes: 0 finished, 2 wrong input, 3 stopped before the end, 130 interrupted",
+def egm_command() -> Command:
+    """The parser of `python -m planner.link.egm`."""
+    parser = Command(
+        "link.egm",
+        "Answer a controller's EGM messages with the joints of a plan, 250 times a second.",
+        {"out/my_part --host 192.168.125.2": "wait there for the controller, then guide it"},
+        {0: "finished", 2: "wrong input", 3: "stopped before the end", 130: "interrupted"},
     )
     parser.add_argument("folder", type=Path, metavar="OUT_DIR", help="results of planner.solve")
     parser.add_argument("--host", default=HOST, help=f"own address that the controller sends to (default {HOST})")
     parser.add_argument("--port", type=int, default=PORT, help=f"own UDP port (default {PORT})")
-    return parser.parse_args(arguments)
+    return parser
 
 
 def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from ipaddress import AddressValueError, IPv4Address
 from pathlib import Path
 
-from planner.command import exit_code
+from planner.command import Command, exit_code
 from planner.errors import EXIT_VERIFIED, InputError, OutputError
 from planner.export.program import Program
 from planner.export.rapid.reader import read_rapid_files
@@ -39,18 +39,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return exit_code(lambda: _run(options, say), say, "the robot was stopped")
 
 
-def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m planner.link.stream",
-        description=f"Send a plan's moves to a controller that runs {MODULE}.mod, as fast as it takes them.",
-        epilog="exit codes: 0 finished, 2 wrong input, 3 stopped before the end, 130 interrupted",
+def stream_command() -> Command:
+    """The parser of `python -m planner.link.stream`."""
+    parser = Command(
+        "link.stream",
+        f"Send a plan's moves to a controller that runs {MODULE}.mod, as fast as it takes them.",
+        {
+            "out/my_part --controller 192.168.125.1 --server player.mod": "write the module for this plan, and send",
+            "out/my_part --controller 192.168.125.1": "send to a controller that runs the module already",
+        },
+        {0: "finished", 2: "wrong input", 3: "stopped before the end", 130: "interrupted"},
     )
     parser.add_argument("folder", type=Path, metavar="OUT_DIR", help="results of planner.solve")
     parser.add_argument("--controller", metavar="HOST[:PORT]", help=f"the controller (port {PORT} unless said)")
     parser.add_argument(
         "--server", type=Path, metavar="FILE", help=f"write {MODULE}.mod for this plan, to be loaded on the controller"
     )
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = stream_command()
+    options: argparse.Namespace = parser.parse_args(arguments)
     if options.controller is None and options.server is None:
         parser.error("a --controller to send to, or a file for the --server's module")
     return options

@@ -107,6 +107,12 @@ class Quantity:
             raise refusal(f"must be a list of {asked} numbers, not of {len(value)}", self.valid)
         return tuple(self._number(v, {"item": i}, f"number {i + 1} ") for i, v in enumerate(value))
 
+    def from_si(self, value: Any) -> Any:
+        """Return a value in SI units, or the tuple of them, as it would stand in the file."""
+        if isinstance(value, tuple):
+            return tuple(self.from_si(each) for each in value)
+        return value if self.whole else value / _TO_SI[self.unit](1.0)
+
     def _number(self, value: Any, where: dict[str, int], name: str) -> float:
         if type(value) not in (int, float):
             hint = f"{self.valid}, without quotes" if isinstance(value, str) else self.valid

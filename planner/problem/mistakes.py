@@ -31,12 +31,14 @@ def first_mistake(details: Sequence[ErrorDetails], source: Source, model: Model)
     def place(mistake: Mistake) -> int:
         return 0 if source.override(mistake[0]) is not None else source.line(mistake[0]) or 0
 
-    path, reason, hint = min(mistakes, key=place)
-    more = len(mistakes) - 1
-    if more:
-        hint = f"{hint}; " if hint else ""
-        hint += f"{more} more mistake{'s' if more > 1 else ''} in this problem"
-    return source.error(path, reason, hint)
+    every = tuple(source.error(*mistake) for mistake in sorted(mistakes, key=place))
+    more = len(every) - 1
+    if not more:
+        return every[0]
+    first = every[0]
+    hint = f"{first.hint}; " if first.hint else ""
+    hint += f"{more} more mistake{'s' if more > 1 else ''} in this problem"
+    return InputError(first.reason, file=first.file, line=first.line, field=first.field, hint=hint, all=every)
 
 
 def _mistake(detail: ErrorDetails, source: Source, model: Model) -> Mistake:

@@ -44,7 +44,7 @@ def changed_text(problem: Problem, changes: Mapping[str, Value], folder: Path) -
         raise InputError("cannot be read any more", file=problem.file) from error
     here, there = problem.file.parent.resolve(), folder.resolve()
     if here != there:
-        for keys, path in _paths(problem, ()):
+        for keys, path in paths_in(problem):
             node = _node(_root(text), keys)
             if node is not None and not isinstance(node, (MappingNode, SequenceNode)):
                 given = Path(str(node.value))
@@ -55,19 +55,19 @@ def changed_text(problem: Problem, changes: Mapping[str, Value], folder: Path) -
     return text
 
 
-def _paths(value: Any, keys: Keys) -> Iterator[tuple[Keys, Path]]:
-    """Every path in a section, with the keys that lead to it in the file."""
+def paths_in(value: Any, keys: Keys = ()) -> Iterator[tuple[Keys, Path]]:
+    """Every path in a problem, or a section of it, with the keys that lead to it in the file."""
     if isinstance(value, Path):
         yield keys, value
     elif isinstance(value, BaseModel):
         for name, field in type(value).model_fields.items():
-            yield from _paths(getattr(value, name), (*keys, field.alias or name))
+            yield from paths_in(getattr(value, name), (*keys, field.alias or name))
     elif isinstance(value, dict):
         for name, inner in value.items():
-            yield from _paths(inner, (*keys, name))
+            yield from paths_in(inner, (*keys, name))
     elif isinstance(value, tuple):
         for i, inner in enumerate(value):
-            yield from _paths(inner, (*keys, i))
+            yield from paths_in(inner, (*keys, i))
 
 
 def _root(text: str) -> Node:

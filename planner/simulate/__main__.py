@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 
 from planner.cell import build_cell
-from planner.command import exit_code
+from planner.command import Command, exit_code
 from planner.errors import EXIT_VERIFIED, InputError
 from planner.export.program import Program
 from planner.problem import load_problem
@@ -39,19 +39,28 @@ FASTEST = 1000.0
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a simulator until Ctrl-C; returns the exit code."""
-    options = _options(arguments)
+    options = simulate_command().parse_args(arguments)
     return exit_code(lambda: _run(options), lambda text: print(text, file=sys.stderr), "the simulator has ended")
 
 
-def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m planner.simulate",
-        description="Simulate a robot's controller (web services and program socket; or one that takes a stream of "
+def simulate_command() -> Command:
+    """The parser of `python -m planner.simulate`."""
+    parser = Command(
+        "simulate",
+        "Simulate a robot's controller (web services and program socket; or one that takes a stream of "
         "moves; or one that is guided by EGM), or an extruder's board.",
-        epilog=f"passwords come from {RWS_PASSWORD} and {BOARD_PASSWORD}; without, the controller's is ABB's default "
-        "and the board has none",
+        {
+            "controller": f"web services on port {RWS_PORT}, programs on port {PROGRAM_PORT} of this computer",
+            "board --pace 20": f"a board on port {BOARD_PORT}, twenty times as fast as a real one",
+            "board --help": "what one of them can be told, and which faults it can be given",
+        },
+        {0: "over", 2: "wrong input", 130: "ended by Ctrl-C"},
+        [
+            f"passwords come from {RWS_PASSWORD} and {BOARD_PASSWORD}; without, the controller's is ABB's default "
+            "and the board has none"
+        ],
     )
-    kinds = parser.add_subparsers(dest="kind", required=True)
+    kinds = parser.add_subparsers(dest="kind", required=True, parser_class=argparse.ArgumentParser)
     ends = (
         ("controller", RWS_PORT, CONTROLLER_FAULTS),
         ("board", BOARD_PORT, BOARD_FAULTS),
@@ -77,7 +86,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
             one.add_argument("--key", type=Path, metavar="PEM")
         if kind == "egm":
             one.add_argument("--start", type=_joints, required=True, metavar="DEG,DEG,…", help="joints it stands at")
-    return parser.parse_args(arguments)
+    return parser
 
 
 def _joints(text: str) -> tuple[float, ...]:

@@ -34,11 +34,7 @@ def read_step(spec: StepSpec, apart: float, where: Complaint) -> tuple[Face, ...
     `where(reason, hint=...)` makes the InputError for what is wrong with the file.
     """
     name = spec.file.name
-    data = read_bytes(spec.file, LARGEST_FILE, where)
-    if _BEGIN not in data[:_ENDS]:
-        raise where(f"{name} is no STEP file: it does not begin with {_BEGIN.decode()}", hint="export it as STEP")
-    if _END not in data[-_ENDS:]:
-        raise where(f"{name} is damaged: its end is missing", hint="export it anew")
+    check_step(spec.file, where)
     request = {"file": str(spec.file.resolve()), "faces": spec.faces, "apart_mm": apart * 1e3}
     answer = _answer(request, name, where)
     if "reason" in answer:
@@ -53,6 +49,15 @@ def read_step(spec: StepSpec, apart: float, where: Complaint) -> tuple[Face, ...
         if not finite or not (np.abs(poles[:, :, :3] / poles[:, :, 3:]) <= FARTHEST).all():
             raise where(f"{face.title} of {name} is no surface, or farther than {FARTHEST:g} m from the origin")
     return tuple(faces)
+
+
+def check_step(path: Path, where: Complaint) -> None:
+    """Raise the InputError, made by `where`, of a file that is missing, no STEP file, or cut off."""
+    data = read_bytes(path, LARGEST_FILE, where)
+    if _BEGIN not in data[:_ENDS]:
+        raise where(f"{path.name} is no STEP file: it does not begin with {_BEGIN.decode()}", hint="export it as STEP")
+    if _END not in data[-_ENDS:]:
+        raise where(f"{path.name} is damaged: its end is missing", hint="export it anew")
 
 
 def _answer(request: dict[str, Any], name: str, where: Complaint) -> dict[str, Any]:
