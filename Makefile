@@ -3,8 +3,9 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 PROBLEM ?= cylinder_logo
 BIN := .venv/bin
 READY := .venv/.ready
+DOCS := .venv-docs
 
-.PHONY: solve test lint format requirements clean
+.PHONY: solve test lint format docs docs-serve requirements clean
 
 solve: $(READY)
 	$(BIN)/python -m planner.solve $(PROBLEM)
@@ -21,15 +22,28 @@ format: $(READY)
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
+# The site, in site/; open site/index.html. Its packages have an environment of their own.
+# On http://127.0.0.1:8000 the search works, too, and pages follow their files: make docs-serve
+docs: $(DOCS)/.ready
+	NO_MKDOCS_2_WARNING=1 $(DOCS)/bin/mkdocs build --quiet
+
+docs-serve: $(DOCS)/.ready
+	NO_MKDOCS_2_WARNING=1 $(DOCS)/bin/mkdocs serve
+
 # Writes requirements.txt anew from what is installed; for whoever changes a version in pyproject.toml.
 requirements: $(READY)
 	$(BIN)/pip freeze --exclude-editable > requirements.txt
 
 clean:
-	rm -rf .venv out
+	rm -rf .venv $(DOCS) out site
 
 $(READY): requirements.txt pyproject.toml
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --disable-pip-version-check --requirement requirements.txt
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --editable .
 	touch $(READY)
+
+$(DOCS)/.ready: requirements-docs.txt
+	$(PYTHON) -m venv $(DOCS)
+	$(DOCS)/bin/pip install --quiet --disable-pip-version-check --requirement requirements-docs.txt
+	touch $@

@@ -1,7 +1,7 @@
 """Every problem that ships, solved by the command itself: time, errors, and the spacing of its layers.
 
 python -m benchmarks.parts
-python -m benchmarks.parts naca0015_wing aerofoil_core --pictures docs
+python -m benchmarks.parts naca0015_wing aerofoil_core --pictures docs/pictures
 
 The tip rule is the nozzle's least distance from part and print where what counts grows with the distance from the tip
 (2 mm are asked), clearance the least distance of anything from anything beyond the tip.

@@ -1,6 +1,6 @@
 """How exactly a part is found from noisy contacts, some of them wrong: many misplaced parts, not one lucky one.
 
-python -m benchmarks.registration [--seeds 200] [--noise-mm 0.05] [--picture docs/registration_bowl.png]
+python -m benchmarks.registration [--seeds 200] [--noise-mm 0.05] [--picture docs/pictures/registration_bowl.png]
 
 Each seed places the part anew (3 mm and 2 degrees, standard deviation in each freedom), touches it with noise along the
 normal, and registers it from the problem's own placement. Wrong contacts are 0.5 to 5 mm off, to either side. `told`

@@ -1,6 +1,6 @@
 """Draw the bodies of all robots that ship, each at the same scale: what collisions are looked for with.
 
-python -m benchmarks.robots docs/robots.png
+python -m benchmarks.robots docs/pictures/robots.png
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """How far the printed outline of a wing is off its surface, in level layers and in curved ones: numbers and a figure.
 
 python -m benchmarks.staircase
-python -m benchmarks.staircase --figure docs/staircase.png
+python -m benchmarks.staircase --figure docs/pictures/staircase.png
 
 The outline is that of the beads at the middle of the span, each as wide and as high as it is laid; the true surface is
 the section's spline. Distances are taken where layers of both kinds lie on the surface: not at the leading edge, which
@@ -145,7 +145,7 @@ def off_surface(outline: Outline, section: Section, x: tuple[float, float], near
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.staircase", description=__doc__)
-    parser.add_argument("--figure", type=Path, default=Path("docs/staircase.png"))
+    parser.add_argument("--figure", type=Path, default=Path("docs/pictures/staircase.png"))
     options = parser.parse_args(arguments)
     try:
         problems = {name: load_problem(PROBLEM, (SPAN, *changes)) for name, changes in METHODS.items()}

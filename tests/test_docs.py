@@ -1,0 +1,132 @@
+"""README and pages: links lead somewhere, the site's menu is whole, commands on the pages exist."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from ruamel.yaml import YAML
+
+from planner.problem import load_problem, shipped_problems
+
+ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs"
+PAGES = [*(ROOT / f"{name}.md" for name in ("README", "ARCHITECTURE", "CONTRIBUTING", "CHANGELOG"))]
+PAGES += sorted(DOCS.rglob("*.md"))
+FROM_ROOT = {"architecture.md", "contributing.md", "changelog.md"}  # pages that the site takes from the root
+MOST_WORDS = 900  # of the README: who wants more finds a page
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+PICTURE = re.compile(r"!\[([^\]]*)\]\(")
+FENCED = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
+COMMAND = re.compile(r"python(?:3\.11)? -m ((?:planner|benchmarks)(?:\.\w+)*)([^`\n]*)")
+
+
+def names(pages: list[Path]) -> list[str]:
+    return [str(page.relative_to(ROOT)) for page in pages]
+
+
+def headings(page: Path) -> set[str]:
+    """Anchors of a page, as Python-Markdown makes them."""
+    found: set[str] = set()
+    for title in re.findall(r"^#+ (.+)$", FENCED.sub("", page.read_text(encoding="utf-8")), re.MULTILINE):
+        plain = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", title)
+        slug = re.sub(r"[^\w\s-]", "", plain.encode("ascii", "ignore").decode()).strip().lower()
+        found.add(re.sub(r"[-\s]+", "-", slug))
+    return found
+
+
+def commands(text: str) -> Iterator[tuple[str, list[str]]]:
+    """Modules and arguments of the commands that a page names."""
+    for module, rest in COMMAND.findall(text):
+        line = re.split(r"\s+#\s|[|;>…]", rest)[0].strip().rstrip(").,:")
+        try:
+            yield module, shlex.split(line)
+        except ValueError:
+            yield module, line.split()
+
+
+def source_of(module: str) -> str:
+    """Source of a command and of what it takes options from; empty where there is no such module."""
+    path = ROOT / Path(*module.split("."))
+    if path.is_dir():
+        return "".join(file.read_text(encoding="utf-8") for file in sorted(path.glob("*.py")))
+    if not path.with_suffix(".py").is_file():
+        return ""
+    shared = [path.with_suffix(".py"), ROOT / "planner" / "command.py"]
+    room = path.parent if path.parent.name not in ("planner", "benchmarks") else ROOT / "planner" / "registration"
+    return "".join(file.read_text(encoding="utf-8") for file in [*shared, *sorted(room.glob("*.py"))])
+
+
+def menu() -> list[str]:
+    """Pages in the order of the site's menu."""
+
+    def leaves(entry: Any) -> Iterator[str]:
+        if isinstance(entry, str):
+            yield entry
+        else:
+            for below in entry.values() if isinstance(entry, dict) else entry:
+                yield from leaves(below)
+
+    return list(leaves(YAML(typ="safe").load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"]))
+
+
+@pytest.mark.parametrize("name", names(PAGES))
+def test_links_lead_somewhere(name: str) -> None:
+    page = ROOT / name
+    for link in LINK.findall(FENCED.sub("", page.read_text(encoding="utf-8"))):
+        if "://" in link:
+            continue
+        target, _, anchor = link.partition("#")
+        file = (page.parent / target).resolve() if target else page
+        assert file.exists(), link
+        if anchor and file.suffix == ".md":
+            assert anchor in headings(file), link
+
+
+@pytest.mark.parametrize("name", names(PAGES))
+def test_pictures_are_described(name: str) -> None:
+    for words in PICTURE.findall((ROOT / name).read_text(encoding="utf-8")):
+        assert len(words.split()) >= 3, words
+
+
+def test_the_menu_lists_every_page_once() -> None:
+    listed = menu()
+    assert len(listed) == len(set(listed))
+    assert set(listed) == {str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md")} | FROM_ROOT
+
+
+def test_every_shipped_problem_has_a_page_and_a_row() -> None:
+    pages = {page.stem for page in (DOCS / "problems").glob("*.md")} - {"index"}
+    assert pages == set(shipped_problems())
+    rows = (DOCS / "problems" / "index.md").read_text(encoding="utf-8")
+    for name in pages:
+        assert f"[{name}]({name}.md)" in rows
+        assert f"<!-- figures: {name} -->" in (DOCS / "problems" / f"{name}.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", names(PAGES))
+def test_commands_on_the_pages_exist(name: str) -> None:
+    for module, arguments in commands((ROOT / name).read_text(encoding="utf-8")):
+        source = source_of(module)
+        assert source, f"python -m {module}"
+        for word in arguments:
+            option = word.split("=")[0]
+            if option.startswith("--") and option != "--help":
+                assert f'"{option}"' in source, f"python -m {module} {option}"
+
+
+@pytest.mark.parametrize("name", names(PAGES))
+def test_changes_on_the_pages_are_valid(name: str) -> None:
+    """What pages say after --set is taken by the problem that they say it of."""
+    for module, arguments in commands((ROOT / name).read_text(encoding="utf-8")):
+        changes = [b for a, b in zip(arguments, arguments[1:], strict=False) if a == "--set"]
+        if module == "planner.solve" and changes and arguments[0] in shipped_problems():
+            load_problem(arguments[0], changes)
+
+
+def test_the_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= MOST_WORDS
