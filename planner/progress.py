@@ -13,11 +13,12 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 class Stages:
     """Times named stages; with a console, draws a bar for each. `seconds` holds what has been measured so far.
 
-    A stage that is entered twice adds up.
+    A stage that is entered twice adds up. `entered` is told the name of each when it begins.
     """
 
-    def __init__(self, console: Console | None = None) -> None:
+    def __init__(self, console: Console | None = None, entered: Callable[[str], None] | None = None) -> None:
         self.seconds: dict[str, float] = {}
+        self._entered = entered
         self._progress = None if console is None else Progress(
             SpinnerColumn(), TextColumn("{task.description:<10}"), BarColumn(), TimeElapsedColumn(),
             console=console, transient=True,
@@ -47,6 +48,8 @@ class Stages:
 
     @contextmanager
     def _measured(self, name: str, steps: int | None) -> Iterator[TaskID | None]:
+        if self._entered is not None:
+            self._entered(name)
         bar = None if self._progress is None else self._progress.add_task(name, total=steps)
         start = time.perf_counter()
         try:

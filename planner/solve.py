@@ -51,7 +51,7 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
                 plan = solve(problem, strategy, options.dt, stages, True, options.tolerance, options.from_bead)
             except Refusal as refusal:
                 write_refusal(problem, strategy, refusal, fresh)
-                _report_refusal(problem, strategy, refusal, fresh / "report.html")
+                report_refusal(problem, strategy, refusal, fresh / "report.html")
                 reason: Refusal | None = refusal
             else:
                 plan = write_files(plan, fresh, stages, second_process=True)
@@ -66,8 +66,8 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
     return EXIT_VERIFIED if plan.verified else EXIT_NOT_VERIFIED
 
 
-def _report_refusal(problem: Problem, strategy: str, refusal: Refusal, path: Path) -> None:
-    """The report of a refusal shows the beads again, and the place among them."""
+def report_refusal(problem: Problem, strategy: str, refusal: Refusal, path: Path) -> None:
+    """Write the report of a refusal: it shows the beads again, and the place among them."""
     write_failure_report(
         path,
         problem=problem,

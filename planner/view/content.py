@@ -1,0 +1,157 @@
+"""What a problem says at one time: its fields, the files that it names, and what changed between two saves."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from planner.errors import InputError, PlannerError
+from planner.problem import Problem, load_problem
+from planner.problem.file import read_problem_file, shorten
+from planner.robot_yaml import read_robot_file
+
+LONGEST_TEXT = 60  # characters of a value that are shown
+MISSING = "missing"
+Signature = tuple[int, int, int]  # time of the last change [ns], size [bytes], inode: editors save by renaming
+
+
+@dataclass(frozen=True)
+class Content:
+    """What decides a plan, at one time.
+
+    fields  (dotted key, value as text), in the order of the file
+    files   (path, digest of the content) of what it names
+    """
+
+    fields: tuple[tuple[str, str], ...]
+    files: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """Why there is nothing to solve, and where; `excerpt` is the line of the file as it stands."""
+
+    text: str
+    file: str = ""
+    line: int | None = None
+    field: str = ""
+    hint: str = ""
+    excerpt: str = ""
+
+
+def mistake_of(error: PlannerError) -> Mistake:
+    """An error as the page shows it, with the line that it names."""
+    if not isinstance(error, InputError):
+        return Mistake(str(error))
+    file = "" if error.file is None else str(error.file)
+    return Mistake(error.reason, file, error.line, error.field or "", error.hint or "", _excerpt(file, error.line))
+
+
+def _excerpt(file: str, line: int | None) -> str:
+    if line is None or not os.path.isfile(file):
+        return ""
+    with open(file, encoding="utf-8", errors="replace") as stream:
+        text = next((text for number, text in enumerate(stream, 1) if number == line), "")
+    return shorten(text.rstrip(), 160)
+
+
+def read_content(path: Path, overrides: Sequence[str]) -> tuple[Content, tuple[Path, ...]]:
+    """What a problem file says, and the files that it names. Raises InputError for whatever is wrong with it."""
+    if not path.is_file():
+        reason = "is gone" if path.parent.is_dir() else "is gone, and its folder with it"
+        raise InputError(reason, file=path, hint="the view goes on as soon as it is there again")
+    data, _ = read_problem_file(path)
+    named = tuple(dict.fromkeys(_with_urdf(load_problem(path, overrides))))
+    return Content(tuple(flattened(data)), tuple((str(file), _digest(file)) for file in named)), named
+
+
+def signatures(paths: Iterable[Path]) -> dict[Path, Signature | None]:
+    """How each file stands; None where there is none, or none that can be looked at."""
+    found: dict[Path, Signature | None] = {}
+    for path in paths:
+        try:
+            status = path.stat()
+        except OSError:
+            found[path] = None
+        else:
+            found[path] = (status.st_mtime_ns, status.st_size, status.st_ino)
+    return found
+
+
+def changes(before: Content, after: Content) -> tuple[str, ...]:
+    """What is different, each in words: `process.speed_mm_s: 5 → 10`."""
+    old, new = dict(before.fields), dict(after.fields)
+    said = [
+        f"{key}: {_short(old[key])} → {_short(new[key])}" if key in old else f"{key}: {_short(new[key])} added"
+        for key in new
+        if old.get(key) != new[key]
+    ]
+    said += [f"{key}: {_short(old[key])} removed" for key in old if key not in new]
+    known = dict(before.files)
+    said += [f"{Path(file).name} changed" for file, digest in after.files if known.get(file, digest) != digest]
+    return tuple(said)
+
+
+def flattened(value: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
+    """(dotted key, text) of everything in nested mappings; a list of plain values is one text."""
+    if isinstance(value, Mapping) and value:
+        for key, inner in value.items():
+            yield from flattened(inner, f"{prefix}.{key}" if prefix else str(key))
+    elif isinstance(value, list | tuple) and any(isinstance(item, Mapping) for item in value):
+        for i, inner in enumerate(value):
+            yield from flattened(inner, f"{prefix}[{i}]")
+    else:
+        yield prefix, _text(value)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_text(item) for item in value)}]"
+    if isinstance(value, Mapping):
+        return "{}"
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    return f"{value:.12g}" if isinstance(value, float) else str(value)
+
+
+def _short(text: str) -> str:
+    return shorten(text, LONGEST_TEXT)
+
+
+def _with_urdf(problem: Problem) -> Iterator[Path]:
+    """Files that a problem names, and those that the user's own robots name in turn."""
+    yield from _paths(problem)
+    holder = problem.cell.positioner
+    for robot in (problem.cell.arm, None if holder is None else holder.robot):
+        if isinstance(robot, Path) and robot.is_file():
+            urdf = read_robot_file(robot).data.get("urdf")
+            if isinstance(urdf, str):
+                yield robot.parent / urdf
+
+
+def _paths(value: Any) -> Iterator[Path]:
+    if isinstance(value, Path):
+        yield value
+    elif isinstance(value, BaseModel):
+        for name in type(value).model_fields:
+            yield from _paths(getattr(value, name))
+    elif isinstance(value, Mapping):
+        for inner in value.values():
+            yield from _paths(inner)
+    elif isinstance(value, list | tuple):
+        for inner in value:
+            yield from _paths(inner)
+
+
+def _digest(path: Path) -> str:
+    try:
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError:
+        return MISSING  # the solver says so, by the field that names it

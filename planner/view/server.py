@@ -1,0 +1,245 @@
+"""The local web server of the view: the page, what it is told, and what the user asks for.
+
+It listens on this computer only. Its address holds a token that other pages cannot know; the Host is checked, so that
+no name of another site that points here helps, and reports are shown in a sandbox without an origin.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import secrets
+import socket
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from tornado.httpserver import HTTPServer
+from tornado.iostream import StreamClosedError
+from tornado.web import Application, HTTPError, RequestHandler
+
+from planner.errors import InputError
+from planner.problem.settings import STRATEGY_NAMES
+from planner.view.events import Again, Beside, Choose, Drafts, Event
+
+HOST = "127.0.0.1"
+LARGEST_ORDER = 1_000  # bytes of what the page may ask for
+LARGEST_REPORT = 100_000_000  # bytes; a report has 15 MB at most
+MOST_LISTENERS = 20  # pages that are told of changes
+SILENCE_TIME = 10.0  # s after which a listener is told that the view is still there
+ASSETS = {
+    "": ("page.html", "text/html"),
+    "page.css": ("page.css", "text/css"),
+    "page.js": ("page.js", "text/javascript"),
+}
+PAGE_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; frame-src 'self'; img-src data:; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+# A report from elsewhere must not steer the view: it has no origin, and reaches no address.
+REPORT_POLICY = (
+    "sandbox allow-scripts allow-downloads; default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval' blob:; "
+    "style-src 'unsafe-inline'; img-src data: blob:; font-src data:; worker-src blob:; frame-ancestors 'self'"
+)
+
+
+class News:
+    """The newest text for all listeners; one that is slow misses what came between, and nobody waits for it."""
+
+    def __init__(self) -> None:
+        self.text = "{}"
+        self.listeners: set[asyncio.Event] = set()
+
+    def tell(self, text: str) -> None:
+        """There is something new."""
+        self.text = text
+        for listener in self.listeners:
+            listener.set()
+
+
+def listen(port: int) -> socket.socket:
+    """A socket on this computer's own address; port 0 takes a free one. Raises InputError where the port is taken."""
+    made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        made.bind((HOST, port))
+        made.listen(64)
+    except OSError as error:
+        made.close()
+        hint = "give another one, or leave --port out to have a free one"
+        raise InputError(f"cannot listen on port {port}: {error.strerror}", field="--port", hint=hint) from error
+    made.setblocking(False)
+    return made
+
+
+class Server:
+    """Serves one view on a socket until it is closed."""
+
+    def __init__(
+        self, where: socket.socket, news: News, report: Callable[[str], Path | None], take: Callable[[Event], None]
+    ) -> None:
+        token = secrets.token_urlsafe(16)
+        port = where.getsockname()[1]
+        self.url = f"http://{HOST}:{port}/{token}/"
+        shared = {"view": _Shared({f"{HOST}:{port}", f"localhost:{port}"}, news, report, take)}
+        root = f"/{token}/"
+        routes: list[Any] = [
+            (root + "events", _Events, shared),
+            (root + r"report/([0-9]{1,9}-(?:draft|whole|folder))", _Report, shared),
+            (root + "do", _Do, shared),
+            (root + r"(|page\.css|page\.js)", _Asset, shared),
+        ]
+        application = Application(
+            routes, default_handler_class=_Nothing, default_handler_args=shared, log_function=_quiet
+        )
+        self._server = HTTPServer(application, max_body_size=LARGEST_ORDER, max_header_size=16_384)
+        self._server.add_socket(where)
+
+    async def close(self) -> None:
+        """Nobody is served any more."""
+        self._server.stop()
+        await self._server.close_all_connections()
+
+
+@dataclass(frozen=True)
+class _Shared:
+    """What all requests need: names of this server, what is new, where reports lie, and who takes orders."""
+
+    hosts: set[str]
+    news: News
+    report: Callable[[str], Path | None]
+    take: Callable[[Event], None]
+
+
+def _quiet(handler: RequestHandler) -> None:
+    """Requests are not logged."""
+
+
+class _Handler(RequestHandler):
+    def initialize(self, view: _Shared) -> None:
+        self._view = view
+
+    def prepare(self) -> None:
+        if self.request.host not in self._view.hosts:
+            raise HTTPError(403)
+        origin = self.request.headers.get("Origin")
+        if origin is not None and origin.removeprefix("http://") not in self._view.hosts:
+            raise HTTPError(403)
+
+    def set_default_headers(self) -> None:
+        self.set_header("Server", "beadwise")
+        self.set_header("Cache-Control", "no-store")
+        self.set_header("Referrer-Policy", "no-referrer")
+        self.set_header("X-Content-Type-Options", "nosniff")
+        self.set_header("Cross-Origin-Resource-Policy", "same-origin")
+        self.set_header("Content-Security-Policy", PAGE_POLICY)
+
+    def write_error(self, status_code: int, **_: Any) -> None:
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        self.finish(f"{status_code}: nothing here; the view's address stands in the terminal\n")
+
+
+class _Nothing(_Handler):
+    def prepare(self) -> None:
+        raise HTTPError(404)
+
+
+class _Asset(_Handler):
+    def get(self, name: str) -> None:
+        file, kind = ASSETS[name]
+        self.set_header("Content-Type", f"{kind}; charset=utf-8")
+        self.finish(files("planner.view").joinpath(file).read_bytes())
+
+
+class _Report(_Handler):
+    async def get(self, key: str) -> None:
+        path = self._view.report(key)
+        data = None if path is None else await asyncio.to_thread(_bytes_of, path)
+        if data is None:
+            raise HTTPError(404)
+        self.set_header("Content-Security-Policy", REPORT_POLICY)
+        self.set_header("Content-Type", "text/html; charset=utf-8")
+        await self.finish(data)
+
+
+def _bytes_of(path: Path) -> bytes | None:
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(LARGEST_REPORT + 1)
+    except OSError:
+        return None  # removed meanwhile, for a newer one
+    return data if len(data) <= LARGEST_REPORT else None
+
+
+class _Events(_Handler):
+    def initialize(self, view: _Shared) -> None:
+        super().initialize(view)
+        self._woken = asyncio.Event()
+
+    async def get(self) -> None:
+        listeners = self._view.news.listeners
+        if len(listeners) >= MOST_LISTENERS:
+            raise HTTPError(503)
+        self.set_header("Content-Type", "text/event-stream")
+        listeners.add(self._woken)
+        try:
+            with suppress(StreamClosedError):
+                while True:
+                    self._woken.clear()
+                    self.write(f"data: {self._view.news.text}\n\n")
+                    await self.flush()
+                    await self._changed()
+        finally:
+            listeners.discard(self._woken)
+
+    async def _changed(self) -> None:
+        while True:
+            try:
+                await asyncio.wait_for(self._woken.wait(), SILENCE_TIME)
+                return
+            except TimeoutError:
+                self.write(": still here\n\n")
+                await self.flush()
+
+    def on_connection_close(self) -> None:
+        self._woken.set()  # the next flush finds nobody there
+
+
+class _Do(_Handler):
+    def post(self) -> None:
+        if self.request.headers.get("Content-Type") != "application/json":  # which no other site may send unasked
+            raise HTTPError(415)
+        event = order_of(self.request.body)
+        if event is None:
+            raise HTTPError(400)
+        self._view.take(event)
+        self.set_status(204)
+        self.finish()
+
+
+def order_of(body: bytes) -> Event | None:
+    """What the page asks for; None where it is nothing that can be asked for."""
+    try:
+        order = json.loads(body)
+    except (ValueError, RecursionError):
+        return None
+    match order:
+        case {"do": "choose", "pane": int(pane), "strategy": str(strategy), **rest} if not rest and _known(strategy):
+            return Choose(pane, strategy)
+        case {"do": "beside", "strategy": str(strategy), **rest} if not rest and _known(strategy):
+            return Beside(strategy)
+        case {"do": "beside", "strategy": None, **rest} if not rest:
+            return Beside(None)
+        case {"do": "drafts", "wanted": bool(wanted), **rest} if not rest:
+            return Drafts(wanted)
+        case {"do": "again", **rest} if not rest:
+            return Again()
+        case _:
+            return None
+
+
+def _known(strategy: str) -> bool:
+    return strategy in STRATEGY_NAMES

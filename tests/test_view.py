@@ -1,0 +1,397 @@
+"""The live view around its state machine: files, the server on this computer, processes that solve, the command."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Awaitable, Callable
+from http.client import HTTPConnection
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+from solved import line_of, write_small
+from tornado.httpclient import AsyncHTTPClient, HTTPRequest, HTTPResponse
+
+from planner.errors import InputError
+from planner.view import solver
+from planner.view.command import main
+from planner.view.content import Content, changes, mistake_of, read_content, signatures
+from planner.view.events import Again, Beside, Choose, Drafts
+from planner.view.folder import read_results
+from planner.view.run import Subject, run_view
+from planner.view.server import LARGEST_ORDER, News, order_of
+from planner.view.state import View
+
+ROOT = Path(__file__).resolve().parents[1]
+PLAN = {
+    "problem": "small",
+    "strategy": "ladder",
+    "verified": True,
+    "checks": [{"name": "reach", "ok": True}],
+    "metrics": {"beads": 3, "layers": 1, "at_speed_fraction": 0.5, "print_time_s": 12.0},
+    "settings": {"dt": 0.004, "overrides": []},
+}
+
+# --- files -------------------------------------------------------------------------------------------------
+
+
+def test_content_follows_every_file_that_decides(tmp_path: Path) -> None:
+    path = write_small(tmp_path)
+    first, named = read_content(path, ())
+    assert named == (tmp_path / "small.svg",)
+    assert read_content(path, ())[0] == first
+    path.write_text(path.read_text() + "# a comment\n")
+    assert read_content(path, ())[0] == first, "comments decide nothing"
+    (tmp_path / "small.svg").write_text("<svg/>")
+    drawn, _ = read_content(path, ())
+    assert changes(first, drawn) == ("small.svg changed",)
+    (tmp_path / "small.svg").unlink()
+    assert changes(drawn, read_content(path, ())[0]) == ("small.svg changed",)
+
+
+def test_own_robot_and_its_urdf_are_watched(tmp_path: Path) -> None:
+    for name in ("irb140.yaml", "irb140.urdf"):
+        (tmp_path / name).write_bytes((ROOT / "robots" / name).read_bytes())
+    path = write_small(tmp_path, ("arm: irb140", "arm: irb140.yaml"))
+    _, named = read_content(path, ())
+    assert {file.name for file in named} == {"irb140.yaml", "irb140.urdf", "small.svg"}
+
+
+def test_changes_are_told_by_field() -> None:
+    before = Content((("a.b", "1"), ("list", "[1, 2]"), ("gone", "x")))
+    after = Content((("a.b", "2"), ("list", "[1, 2]"), ("new", "true")))
+    assert changes(before, after) == ("a.b: 1 → 2", "new: true added", "gone: x removed")
+
+
+def test_mistake_has_the_line_that_it_names(tmp_path: Path) -> None:
+    path = write_small(tmp_path, ("speed_mm_s: 40", "speed_mm_s: fast"))
+    with pytest.raises(InputError) as caught:
+        read_content(path, ())
+    mistake = mistake_of(caught.value)
+    assert (mistake.field, mistake.line) == ("process.speed_mm_s", line_of(path, "fast"))
+    assert mistake.excerpt == "  speed_mm_s: fast"
+
+
+def test_file_that_is_gone_is_waited_for(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"is gone \(the view goes on"):
+        read_content(tmp_path / "a.yaml", ())
+    with pytest.raises(InputError, match="and its folder with it"):
+        read_content(tmp_path / "b" / "a.yaml", ())
+
+
+def test_save_by_renaming_is_seen_even_with_time_and_size_kept(tmp_path: Path) -> None:
+    path, other = tmp_path / "a", tmp_path / "b"
+    for file in (path, other):
+        file.write_text("same")
+        os.utime(file, (0, 0))
+    before = signatures([path])
+    other.rename(path)
+    assert signatures([path]) != before
+    path.unlink()
+    assert signatures([path]) == {path: None}
+
+
+def write_results(folder: Path, **changed: Any) -> Path:
+    """A folder as planner.solve leaves it, as far as the view looks at it."""
+    folder.mkdir(exist_ok=True)
+    (folder / "plan.json").write_text(json.dumps({**PLAN, **changed}))
+    (folder / "report.html").write_text("<!doctype html><title>a report</title>")
+    return folder
+
+
+def test_folder_of_results_says_what_came_of_it(tmp_path: Path) -> None:
+    problem, strategy, outcome, settings = read_results(write_results(tmp_path / "out"))
+    assert (problem, strategy, outcome.kind) == ("small", "ladder", "verified")
+    assert dict(outcome.figures) == {"at_speed_fraction": 0.5, "print_time_s": 12.0}
+    assert ("dt", "0.004") in settings.fields
+    failed = read_results(write_results(tmp_path / "out", verified=False, checks=[{"name": "reach", "ok": False}]))[2]
+    assert (failed.kind, failed.words) == ("failed", "not verified: reach; 3 beads, 1 layer")
+    assert read_results(write_results(tmp_path / "out", verified=False, metrics={}))[2].kind == "refused"
+
+
+@pytest.mark.parametrize("text", ["", "[", "[1, 2]", '{"problem": 3}', "[" * 100_000, "\x00"])
+def test_folder_that_holds_something_else_is_refused(tmp_path: Path, text: str) -> None:
+    folder = write_results(tmp_path / "out")
+    (folder / "plan.json").write_text(text)
+    with pytest.raises(InputError):
+        read_results(folder)
+
+
+# --- what the page may ask for -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("order", "event"),
+    [
+        ({"do": "choose", "pane": 1, "strategy": "sqp"}, Choose(1, "sqp")),
+        ({"do": "beside", "strategy": "ladder"}, Beside("ladder")),
+        ({"do": "beside", "strategy": None}, Beside(None)),
+        ({"do": "drafts", "wanted": False}, Drafts(False)),
+        ({"do": "again"}, Again()),
+        ({"do": "choose", "pane": 1, "strategy": "../sqp"}, None),
+        ({"do": "choose", "pane": "1", "strategy": "sqp"}, None),
+        ({"do": "choose", "pane": 1, "strategy": "sqp", "more": 1}, None),
+        ({"do": "drafts", "wanted": 1}, None),
+        ({"do": "solve"}, None),
+        ([], None),
+    ],
+)
+def test_orders_are_read_strictly(order: Any, event: object) -> None:
+    assert order_of(json.dumps(order).encode()) == event
+
+
+@pytest.mark.parametrize("body", [b"", b"{", b"\xff", b"[" * LARGEST_ORDER])
+def test_orders_that_are_no_json(body: bytes) -> None:
+    assert order_of(body) is None
+
+
+# --- the server, with a solver that only says what it is told to ---------------------------------------------
+
+FAKE = """\
+import json, pathlib, sys, time
+job = json.loads(sys.stdin.readline() or "null")
+if job is None:
+    sys.exit()
+text = pathlib.Path(job["problem"]).read_text()
+if "speed_mm_s: 13" in text:
+    sys.exit("a solver's last words")
+print(json.dumps({"stage": "resolve", "draft": ""}), flush=True)
+if "speed_mm_s: 17" in text:
+    time.sleep(60)
+folder = pathlib.Path(job["folder"]) / "whole"
+folder.mkdir(parents=True)
+(folder / "report.html").write_text("report of " + job["strategy"])
+print(json.dumps({"kind": "verified", "words": "verified: 1 check holds", "figures": [["print_time_s", 9.0]], "draft": ""}))
+"""
+
+
+class Page:
+    """What a browser does with the view."""
+
+    def __init__(self, url: str) -> None:
+        self.url = url
+        self._client = AsyncHTTPClient(force_instance=True)
+
+    async def get(self, path: str, **changed: Any) -> HTTPResponse:
+        """An answer, whatever its code."""
+        request = HTTPRequest(changed.pop("url", self.url) + path, **changed)
+        return await self._client.fetch(request, raise_error=False)
+
+    async def do(self, order: Any, **headers: str) -> int:
+        """What the page's buttons do; the code of the answer."""
+        given = {"Content-Type": "application/json", **headers}
+        return (await self.get("do", method="POST", headers=given, body=json.dumps(order))).code
+
+    async def until(self, wanted: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
+        """Listen until the page is told of a state that is wanted."""
+        return await asyncio.to_thread(_listen, self.url, wanted)
+
+
+def visit(subject: Subject, scenario: Callable[[Page], Awaitable[None]], *panes: str) -> None:
+    """Run a view in this process, and a scenario with its page."""
+
+    async def both() -> None:
+        over = asyncio.Event()
+        address: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        view = View(panes=panes or ("ladder",), solving=not subject.folder)
+        running = asyncio.create_task(run_view(subject, view, 0, address.set_result, over))
+        try:
+            await scenario(Page(await address))
+        finally:
+            over.set()
+            assert await running == 0
+
+    asyncio.run(both())
+
+
+@pytest.fixture
+def fake(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """The small problem, to be solved by a script that plans nothing."""
+    script = tmp_path / "fake.py"
+    script.write_text(FAKE)
+    monkeypatch.setattr(solver, "CHILD", (sys.executable, "-S", str(script)))
+    return write_small(tmp_path / "problem")
+
+
+def save(path: Path, old: str, new: str) -> None:
+    """Save as many editors do: a new file takes the place of the old one."""
+    fresh = path.with_suffix(".new")
+    fresh.write_text(path.read_text().replace(old, new))
+    fresh.rename(path)
+
+
+def shown(key: str) -> Callable[[dict[str, Any]], bool]:
+    """Whether the first pane shows a report."""
+    return lambda state: (state["panes"][0]["result"] or {}).get("key") == key
+
+
+def test_view_from_the_first_solve_to_a_mended_mistake(fake: Path) -> None:
+    async def scenario(page: Page) -> None:
+        await page.until(shown("1-whole"))
+        assert (await page.get("report/1-whole")).body == b"report of ladder"
+        save(fake, "speed_mm_s: 40", "speed_mm_s: 50")
+        state = await page.until(shown("2-whole"))
+        assert state["history"]["rows"][0]["changes"] == ["process.speed_mm_s: 40 → 50"]
+        assert (await page.get("report/1-whole")).code == 404
+        save(fake, "speed_mm_s: 50", "speed_mm_s: fast")
+        state = await page.until(lambda state: state["mistake"])
+        assert state["mistake"]["field"] == "process.speed_mm_s"
+        assert state["panes"][0]["result"] | {"old": True} == state["panes"][0]["result"]
+        fake.unlink()
+        await page.until(lambda state: state["mistake"] and state["mistake"]["text"] == "is gone")
+        write_small(fake.parent, ("speed_mm_s: 40", "speed_mm_s: 60"))
+        await page.until(shown("3-whole"))
+        assert await page.do({"do": "beside", "strategy": "greedy"}) == 204
+        state = await page.until(lambda state: len(state["panes"]) == 2 and state["panes"][1]["result"])
+        assert [row["label"] for row in state["differences"]] == ["Whole print, travel included"]
+
+    visit(Subject(fake, "small"), scenario)
+
+
+def test_solve_that_a_newer_save_overtakes_and_solver_that_dies(fake: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    async def scenario(page: Page) -> None:
+        await page.until(shown("1-whole"))
+        save(fake, "speed_mm_s: 40", "speed_mm_s: 17")  # which takes a minute
+        await page.until(lambda state: (state["panes"][0]["running"] or {}).get("stage") == "resolve")
+        save(fake, "speed_mm_s: 17", "speed_mm_s: 13")
+        state = await page.until(lambda state: state["trouble"])
+        assert state["trouble"]["text"] == "the solver ended before its time"
+        assert state["trouble"]["hint"] == "a solver's last words"
+        save(fake, "speed_mm_s: 13", "speed_mm_s: 40")
+        await page.until(shown("4-whole"))
+
+    visit(Subject(fake, "small"), scenario)
+    assert "a solver's last words" in capfd.readouterr().err
+
+
+def test_others_neither_see_nor_steer_the_view(fake: Path) -> None:
+    async def scenario(page: Page) -> None:
+        parts = urlsplit(page.url)
+        bare = f"{parts.scheme}://{parts.netloc}/"
+        for path in ("", "events", "page.js", "x" * 22 + "/"):
+            assert (await page.get(path, url=bare)).code == 404
+        assert (await page.get("", headers={"Host": "evil.example"})).code == 403
+        assert (await page.get("events", headers={"Origin": "http://evil.example"})).code == 403
+        assert await page.do({"do": "again"}, Origin="http://evil.example") == 403
+        assert await page.do({"do": "again"}, Origin="null") == 403, "a report in its sandbox"
+        assert (await page.get("do", method="POST", body='{"do": "again"}')).code == 415
+        assert await page.do({"do": "anything"}) == 400
+        assert (await page.get("do", method="POST", body="x" * (LARGEST_ORDER + 1))).code in (400, 599)
+        for path in ("report/9-whole", "report/1-whole/../../x", "report/..%2f1-whole", "nothing"):
+            assert (await page.get(path)).code == 404
+        first = await page.get("")
+        assert first.code == 200 and "frame-ancestors 'none'" in first.headers["Content-Security-Policy"]
+        await page.until(shown("1-whole"))
+        policy = (await page.get("report/1-whole")).headers["Content-Security-Policy"]
+        assert "sandbox allow-scripts" in policy and "allow-same-origin" not in policy and "connect-src" not in policy
+
+    visit(Subject(fake, "small"), scenario)
+
+
+def test_folder_is_shown_again_when_it_is_written_again(tmp_path: Path) -> None:
+    folder = write_results(tmp_path / "out")
+
+    async def scenario(page: Page) -> None:
+        await page.until(shown("1-folder"))
+        assert b"a report" in (await page.get("report/1-folder")).body
+        write_results(folder, settings={"dt": 0.002, "overrides": []})
+        state = await page.until(shown("2-folder"))
+        assert state["history"]["rows"][0]["changes"] == ["dt: 0.004 → 0.002"]
+        (folder / "report.html").unlink()
+        await page.until(lambda state: state["mistake"] and state["mistake"]["text"] == "has no report.html")
+
+    visit(Subject(folder, "out", folder=True), scenario)
+
+
+def test_slow_page_is_told_the_newest_only() -> None:
+    async def scenario() -> None:
+        news = News()
+        listener = asyncio.Event()
+        news.listeners.add(listener)
+        for k in range(1000):
+            news.tell(str(k))
+        assert listener.is_set() and news.text == "999"
+
+    asyncio.run(scenario())
+
+
+# --- the command ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fragments"),
+    [
+        (["nowhere.yaml"], ["nowhere.yaml", "no such problem file"]),
+        (["fibre_plan"], ["did you mean fibre_plane?"]),
+        (["."], ["a folder without results"]),
+        (["fibre_plane", "--set", "process.speed"], ["--set process.speed", "dotted.key=value"]),
+        (["fibre_plane", "--port", "70000"], ["is not a port"]),
+        (["fibre_plane", "--beside", "best"], ["invalid choice"]),
+    ],
+)
+def test_wrong_arguments(
+    arguments: list[str],
+    fragments: list[str],
+    capfd: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    try:
+        code = main(arguments)
+    except SystemExit as stop:
+        code = int(stop.code or 0)
+    message = capfd.readouterr().err
+    assert code == 2
+    for fragment in fragments:
+        assert fragment in message
+
+
+def test_life_of_the_command(tmp_path: Path) -> None:
+    """A real problem, solved; its port is taken for others; Ctrl-C leaves no process and no file behind."""
+    path = write_small(tmp_path)
+    keep = tmp_path / "tmp"
+    keep.mkdir()
+    command = [sys.executable, "-m", "planner.view", str(path), "--no-browser", "--strategy", "as_published"]
+    environment = {**os.environ, "TMPDIR": str(keep), "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment) as view:
+        try:
+            assert view.stdout is not None
+            found = re.search(r"http://127\.0\.0\.1:(\d+)/\S+/", view.stdout.readline())
+            assert found is not None
+            state = _listen(found[0], lambda state: state["panes"][0]["result"])
+            assert state["panes"][0]["result"]["kind"] == "verified"
+            children = _children(view.pid)
+            assert children
+            assert main([str(path), "--no-browser", "--port", found[1]]) == 2
+        finally:
+            view.send_signal(signal.SIGINT)
+            code = view.wait(20)
+    assert code == 130
+    assert list(keep.iterdir()) == []
+    assert not [child for child in children if Path(f"/proc/{child}").exists()]
+
+
+def _listen(url: str, wanted: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
+    parts = urlsplit(url)
+    connection = HTTPConnection(parts.hostname or "", parts.port, timeout=60)
+    connection.request("GET", parts.path + "events")
+    answer, end = connection.getresponse(), time.monotonic() + 60
+    while time.monotonic() < end:
+        line = answer.readline()
+        if line.startswith(b"data: ") and wanted(state := json.loads(line[6:])):
+            connection.close()
+            return state
+    raise AssertionError("the view did not come so far")
+
+
+def _children(pid: int) -> list[int]:
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
