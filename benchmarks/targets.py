@@ -19,16 +19,19 @@ from rich.console import Console
 from rich.table import Table
 
 from planner.errors import EXIT_VERIFIED, PlannerError
+from planner.export.fit import TERMS, Poses, misfits
 from planner.export.languages import LANGUAGES
-from planner.export.moves import plan_moves
+from planner.export.moves import Moves, deposits, plan_moves, way_of
 from planner.export.rapid.reader import read_rapid_files
 from planner.export.rapid.writer import rapid_files
+from planner.export.rests import rests_of
 from planner.plan import Plan
 from planner.problem import load_problem
 from planner.solve import solve
 
 USUAL = ("peer_cap", "fibre_plane", "hemisphere_honeycomb")  # solved in seconds
-COLUMNS = ("problem", "waypoints", "moves", "along beads", "waypoints each", "below 0.6 mm", "time")
+COLUMNS = ("problem", "waypoints", "moves", "along beads", "waypoints each", "below 0.6 mm", "limited by", "time")
+USED = 0.7  # of a tolerance: a line that uses less of all of them ends where it must
 NARROW = 0.6e-3  # m: twice the smallest zone
 
 
@@ -37,12 +40,24 @@ def row(plan: Plan) -> list[str]:
     start = time.process_time()
     moves = plan_moves(plan)
     took = time.process_time() - start
-    tip = plan.trajectory.tip
-    length = np.linalg.norm(tip[moves.sample] - tip[moves.start], axis=1)[moves.laid]
+    length = moves.length[moves.laid]
     waypoints = sum(len(bead.points) for bead in plan.beads)
     narrow = f"{np.count_nonzero(length < NARROW):,}"
     each = f"{waypoints / len(length):.2f}"
-    return [f"{waypoints:,}", f"{len(moves):,}", f"{len(length):,}", each, narrow, f"{took:.2f} s"]
+    by = ", ".join(f"{name} {count:,}" for name, count in limits(plan, moves).items() if count)
+    return [f"{waypoints:,}", f"{len(moves):,}", f"{len(length):,}", each, narrow, by, f"{took:.2f} s"]
+
+
+def limits(plan: Plan, moves: Moves) -> dict[str, int]:
+    """How many lines along beads each tolerance keeps from being longer: the one that a line uses up most."""
+    t = plan.trajectory
+    way = way_of(plan, rests_of(t, *deposits(t)))
+    table = way.poses.table.copy()
+    table[moves.start], table[moves.sample] = moves.targets.table[:-1], moves.targets.table[1:]
+    used = misfits(way, Poses(table), moves.start[moves.laid], moves.sample[moves.laid])
+    most = np.where(used.max(axis=1) >= USED, used.argmax(axis=1), len(TERMS))
+    counts = np.bincount(most, minlength=len(TERMS) + 1).tolist()
+    return dict(zip((*TERMS, "ends"), counts, strict=True))
 
 
 def repeated(plan: Plan, targets: int) -> Plan:

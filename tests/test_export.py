@@ -32,7 +32,7 @@ from planner.export.rapid.text import comment, module_name, number
 from planner.export.rapid.writer import rapid
 from planner.export.rotations import angle, continuous, from_matrix, slerp, to_matrix
 from planner.export.table import write_table
-from planner.export.thinning import fewest, thin
+from planner.export.thinning import by_samples, fewest, thin
 from planner.plan import Check, Dip, Event, Remedy, Trajectory
 
 HEADER = "t_s,bead,layer,deposit,s_mm,x_mm,y_mm,z_mm,ax,ay,az,speed_mm_s,flow_mm3_s,e_mm"
@@ -124,7 +124,8 @@ def test_targets_reach_the_planned_postures_on_the_turned_station():
         posture = cell.wrist.solve(flange[None])[0][0, move.conf[3]]
         difference = np.abs(np.angle(np.exp(1j * (q[:, :6] - posture)))).max(axis=1) + np.abs(q[:, 6] - rotation)
         k = int(np.argmin(difference))
-        assert difference[k] < 2e-5
+        beside = move.word == "MoveL"  # by 0.01 mm and 0.02 deg
+        assert difference[k] < (1e-3 if beside else 2e-5)
         for cf, joint in zip(move.conf[:3], (0, 3, 5), strict=True):
             assert cf == np.floor(np.degrees(q[k, joint]) / 90.0 + 1e-9)
 
@@ -485,8 +486,8 @@ def test_thinning_meets_every_sample(thinned, n, seed, tolerance):
     def misfit(a, b, k):
         return np.abs(y[a] + (k - a) / (b - a) * (y[b] - y[a]) - y[k]) / tolerance
 
-    found = thinned(kept, misfit)
-    assert len(found) <= len(thin(kept, misfit))
+    found = thinned(kept, by_samples(misfit))
+    assert len(found) <= len(thin(kept, by_samples(misfit)))
     assert (np.diff(found) > 0).all() and set(kept) <= set(found)
     assert np.abs(np.interp(np.arange(n), found, y[found]) - y).max() <= tolerance * (1 + 1e-9)
 
@@ -501,8 +502,8 @@ def test_thinning_of_an_arc_is_near_the_fewest():
         return np.abs(across) / np.linalg.norm(chord, axis=1) / 0.02
 
     least = np.pi / (2 * np.arccos(1 - 0.02 / 50.0))  # arcs whose sagitta is the tolerance
-    assert len(thin(np.array([0, 3000]), misfit)) - 1 <= 1.7 * least
-    assert len(fewest(np.array([0, 3000]), misfit)) - 1 <= 1.05 * least + 1
+    assert len(thin(np.array([0, 3000]), by_samples(misfit))) - 1 <= 1.7 * least
+    assert len(fewest(np.array([0, 3000]), by_samples(misfit))) - 1 <= 1.05 * least + 1
 
 
 def test_rotations_against_scipy():

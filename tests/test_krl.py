@@ -16,12 +16,14 @@ from scipy.spatial.transform import Rotation
 from solved import small_plan
 
 from planner.errors import InputError
+from planner.export.beside import OFF
 from planner.export.krl.able import unsaid_in_krl
 from planner.export.krl.axes import angles, branch_of, from_kuka, quaternions, status, to_kuka, turn
 from planner.export.krl.check import krl_complaints
 from planner.export.krl.reader import read_krl
 from planner.export.krl.text import krl_name
 from planner.export.krl.writer import krl_files
+from planner.export.moves import ANGLE_TOLERANCE
 from planner.plan import Plan
 
 Array = NDArray[np.float64]
@@ -159,12 +161,12 @@ def test_targets_are_where_the_plan_has_the_nozzle(positioner: bool) -> None:
             continue
         T = frame(move.values)
         k = int(np.argmin(np.linalg.norm(planned[:, :3, 3] - T[:3, 3], axis=1)))
-        assert np.linalg.norm(planned[k, :3, 3] - T[:3, 3]) < 2e-6
-        assert Rotation.from_matrix(planned[k, :3, :3].T @ T[:3, :3]).magnitude() < 5e-6
+        assert np.linalg.norm(planned[k, :3, 3] - T[:3, 3]) < OFF * plan.problem.program.chord + 2e-6
+        assert Rotation.from_matrix(planned[k, :3, :3].T @ T[:3, :3]).magnitude() < OFF * ANGLE_TOLERANCE + 5e-6
         if positioner:
-            assert np.radians(external[1]) == pytest.approx(q[k, 6], abs=1e-6)
+            assert np.radians(external[1]) == pytest.approx(q[k, 6], abs=OFF * ANGLE_TOLERANCE + 1e-6)
         lines += 1
-    assert lines > 40
+    assert lines > 30
 
 
 def test_outputs_are_switched_on_the_path() -> None:

@@ -201,7 +201,7 @@ def test_targets_draw_near_a_sharp_turn():
     def drawn(turn, counts=True):
         """Samples that are targets of 0.8 mm straight on and 0.8 mm after a turn [rad]."""
         tip = np.vstack([way[::-1] * [-1.0, 0.0, 0.0], way[1:] * [np.cos(turn), np.sin(turn), 0.0]])
-        return tip, closer_at_turns(np.array([0, 8, 16]), tip, np.full(len(tip), counts), 0.02e-3)
+        return tip, closer_at_turns(np.array([0, 8, 16]), tip, tip, np.full(len(tip), counts), 0.02e-3)
 
     assert drawn(np.radians(10))[1].tolist() == [0, 8, 16]
     assert drawn(np.radians(170), False)[1].tolist() == [0, 8, 16]

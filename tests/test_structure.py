@@ -130,6 +130,8 @@ HEAVY = {
         "obstacles",
         "export.digits",
         "export.axes.choice",
+        "export.beside",
+        "export.fit",
         "placement.margin_kernel",
     },
     "ruckig": {"travel"},

@@ -19,7 +19,9 @@ from solved import BED, POSITIONER, write_small
 
 from planner.cell import build_cell
 from planner.errors import InputError
+from planner.export.beside import OFF
 from planner.export.languages import chosen
+from planner.export.moves import ANGLE_TOLERANCE
 from planner.export.urscript.able import unsaid_in_urscript
 from planner.export.urscript.check import urscript_complaints
 from planner.export.urscript.frames import quaternions, rotation_vectors, world_controller
@@ -112,10 +114,10 @@ def test_targets_are_where_the_plan_has_the_nozzle() -> None:
         T = frame(move.values)
         off = np.linalg.norm(planned[:, :3, 3] - T[:3, 3], axis=1)
         k = int(np.argmin(off))
-        assert off[k] < 2e-6
-        assert Rotation.from_matrix(planned[k, :3, :3].T @ T[:3, :3]).magnitude() < 5e-6
+        assert off[k] < OFF * plan.problem.program.chord + 2e-6
+        assert Rotation.from_matrix(planned[k, :3, :3].T @ T[:3, :3]).magnitude() < OFF * ANGLE_TOLERANCE + 5e-6
         lines += 1
-    assert lines > 40
+    assert lines > 30
 
 
 def test_blends_share_no_line_and_keep_to_the_tolerance() -> None:
@@ -135,7 +137,7 @@ def test_blends_share_no_line_and_keep_to_the_tolerance() -> None:
         # and they are no smaller than they must be, but where an output is switched
         free = r[1:-1] > 0.041e-3
         assert free.sum() >= len(free) - 2
-        assert np.median((r[1:-1] / np.minimum(length[:-1], length[1:]))[free]) == pytest.approx(0.5, abs=0.01)
+        assert np.median((r[1:-1] / np.minimum(length[:-1], length[1:]))[free]) == pytest.approx(0.5, abs=0.02)
 
 
 def test_outputs_are_switched_in_motion_and_off_at_start_and_end() -> None:

@@ -3,6 +3,7 @@
 A blend leaves the line to a target, and joins the next one, at its radius from the target. Whether it is an arc or a
 parabola, it passes the target at r tan(a / 4), to first order in the angle a by which the lines turn. With half a
 segment of a polygon that was inscribed in a curve, that is as much as the polygon's middles are off on the other side.
+Targets beside the path lie on the outer side of its bends, so that what is cut off there leads back towards it.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ def blend_radii(position: Array, stops: Flags, tolerance: Array) -> Array:
 
 def move_radii(plan: Plan, moves: Moves) -> Array:
     """Radii (m) [m] at the ends of moves: 0 at rests, and where joint and linear moves meet."""
-    tip = np.round(plan.trajectory.tip[np.concatenate([[0], moves.sample])], 6)
+    tip = np.round(moves.targets.position, 6)
     following = np.append(moves.linear[1:], not moves.linear[-1])
     stops = np.concatenate([[True], moves.fine | (following != moves.linear)])
     tolerance = np.concatenate([[0.0], np.where(moves.linear, plan.problem.program.chord, TRAVEL_TOLERANCE)])

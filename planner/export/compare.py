@@ -25,9 +25,9 @@ Indices = NDArray[np.intp]
 
 CLOSE = 3e-5  # [m] between samples, which rounding and played targets do not tell apart
 LEVER = 0.05  # [m/rad]: turning counts as path where the tip stands still
-# samples to either side within which a target's own sample is sought, for those not found this near [m] before
-WINDOWS = ((6, -1.0), (64, 1e-6))
-ASTRAY = 2e-5  # m, between a target and its sample: beyond, the whole piece is searched
+WINDOWS = (6, 64)  # samples to either side within which a target's own sample is sought, the second if need be
+FOUND = 1e-6  # m, between a target and its sample: the right one, be it at the edge of its window
+ASTRAY = 4e-5  # m: beyond, the whole piece is searched; targets beside the path are nearer, with angle and lever
 BLOCK = 200_000  # samples looked at, and
 PIECES = 64  # pieces compared at once: bounds the memory
 
@@ -221,7 +221,7 @@ def _speed(plan: Plan, match: _Match, on: NDArray[np.bool_]) -> float:
     Where samples stand close, a target may come from the one beside its own: what that changes is not counted.
     """
     trajectory, at = plan.trajectory, match.at
-    lines = np.linalg.norm(np.diff(trajectory.tip[at], axis=0), axis=1)
+    lines = np.linalg.norm(np.diff(match.all.position, axis=0), axis=1)
     took = np.maximum(np.diff(moving_time(trajectory)[at]), 0.5 * trajectory.dt)
     real = lines / took
     apart = real * trajectory.dt
@@ -298,13 +298,15 @@ def _own_samples(
         row = np.arange(len(i))
         return near[row, best], cost[row, best]
 
-    at, cost = np.empty(len(position), dtype=np.intp), np.full(len(position), np.inf)
-    for window, found in WINDOWS:
-        wanted = np.flatnonzero(cost > found)
+    at, cost = np.empty(len(position), dtype=np.intp), np.empty(len(position))
+    wanted = np.arange(len(position))
+    for window in WINDOWS:
         reach = np.arange(-window, window + 1)
         for block in np.array_split(wanted, 1 + len(wanted) * len(reach) // BLOCK):
             near = np.clip(centre[block, None] + reach, least[block, None], most[block, None])
             at[block], cost[block] = nearest(block, near)
+        edge = (np.abs(at - centre) >= window) & (at > least) & (at < most)
+        wanted = np.flatnonzero((cost > FOUND) & (edge | (cost > ASTRAY)))
     for i in np.flatnonzero(cost > ASTRAY):  # joint moves cut wide turns short, and the guess is then far off
         at[i] = nearest(np.array([i]), np.arange(least[i], most[i] + 1)[None])[0][0]
     # ends are known: on a closed path the nearest sample to one may be the other

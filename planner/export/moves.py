@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.export.corners import closer_at_turns
+from planner.export.beside import chosen_targets
+from planner.export.fit import Poses, Way
 from planner.export.rests import Rests, Wait, rests_of
-from planner.export.rotations import angle, continuous, slerp
-from planner.export.thinning import Indices, fewest
+from planner.export.rotations import angle, continuous
+from planner.export.thinning import Indices, by_samples
 
 if TYPE_CHECKING:
     from planner.plan import Plan, Trajectory
@@ -23,7 +24,6 @@ ROUNDING = 1e-6  # [m]; what the numbers in the file take of the tolerance of th
 ANGLE_TOLERANCE = np.radians(0.045)  # orientation and the part's axes [rad]; likewise of 0.05 deg
 TIME_TOLERANCE = 8e-3  # [s]; keeps dips of the speed in the program
 LONGEST = 9.5e-3  # [m] of path between two targets in a bead: at most 10 mm with the rounding to samples
-LEAST_STEP = 1e-9  # [m] between samples: a shorter one, at rest, has no direction
 TRAVEL_TOLERANCE = 0.2e-3  # [m]; joint moves against the planned tip path
 TRAVEL_ANGLE_TOLERANCE = np.radians(0.5)
 
@@ -45,7 +45,8 @@ class Moves:
     on_end, on_start   (m,)  the extruder goes on at the end (start) of this move
     off_end            (m,)  it goes off at the end of this move
     after   (m,)   the move belongs to what comes after this many beads: run-outs still count to their bead
-    quat    (n, 4) the trajectory's orientations, sign-continuous
+    targets (m + 1) the start and the target of each move; within lines they may lie a little beside the path
+            (see `beside`), but with postures and configurations of the samples themselves: so near they are the same
     """
 
     sample: Indices
@@ -61,10 +62,16 @@ class Moves:
     on_start: Flags
     off_end: Flags
     after: Indices
-    quat: Array
+    targets: Poses
 
     def __len__(self) -> int:
         return len(self.sample)
+
+    @property
+    def length(self) -> Array:
+        """Distances (m) between the targets at both ends of each move [m]."""
+        out: Array = np.linalg.norm(np.diff(self.targets.position, axis=0), axis=1)
+        return out
 
 
 def deposits(trajectory: Trajectory) -> tuple[Indices, Indices]:
@@ -84,14 +91,11 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
     fed   (n) filament that is fed by each sample [m], for which every move that lays material has one rate
     """
     trajectory = plan.trajectory
-    n, na = len(trajectory), len(plan.cell.arm)
-    quat = continuous(trajectory.quat)
-    external = trajectory.q[:, na:]
-    step = np.linalg.norm(np.diff(trajectory.tip, axis=0), axis=1)
-    path = np.concatenate([[0.0], np.cumsum(step)])
+    n = len(trajectory)
     first, last = deposits(trajectory)
     rests = rests_of(trajectory, first, last)
-    approach, leave = _flown(path, first, last, np.flatnonzero(rests.fine), plan.problem.process.run_in)
+    way = way_of(plan, rests, fed)
+    approach, leave = _flown(way.path, first, last, np.flatnonzero(rests.fine), plan.problem.process.run_in)
 
     linear = np.zeros(n - 1, dtype=bool)  # of the interval from sample i to i + 1
     for a, b in zip(approach, leave, strict=True):
@@ -105,15 +109,15 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
     must[1:] |= rests.inside[1:] & ~np.append(rests.inside[2:], False)  # where the robot goes on after a wait
     must[1:] |= (np.diff(trajectory.bead) != 0) & trajectory.deposit[1:] & trajectory.deposit[:-1]
     must[1:] |= np.diff(trajectory.branch) != 0
-    sample = fewest(np.flatnonzero(must), _Misfit(plan, quat, linear, rests, path, fed))
     cornered = trajectory.deposit & ~rests.fine & np.append(linear, False) & np.append(False, linear)
-    sample = closer_at_turns(sample, trajectory.tip, cornered, plan.problem.program.chord)
+    joint, chord = by_samples(_Joint(plan)), plan.problem.program.chord
+    sample, targets = chosen_targets(way, np.flatnonzero(must), linear, cornered, joint, chord)
     a, b = sample[:-1], sample[1:]
     goes = ~rests.inside[b]  # from one sample of a wait to another there is no move
     a, b = a[goes], b[goes]
     took = rests.clock[b] - rests.clock[a]
-    peaks = np.maximum.reduceat(np.append(step, 0.0), a) / trajectory.dt
-    rates = np.abs(external[b] - external[a]) / took[:, None]
+    peaks = np.maximum.reduceat(np.append(np.diff(way.path), 0.0), a) / trajectory.dt
+    rates = np.abs(targets.station[b] - targets.station[a]) / took[:, None]
     is_linear, laid = linear[a], trajectory.deposit[a] & trajectory.deposit[b]
     arrives_linear = np.zeros(n, dtype=bool)
     arrives_linear[b[is_linear]] = True
@@ -124,8 +128,8 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
         start=a,
         linear=is_linear,
         laid=laid,
-        speed=np.where(laid, np.linalg.norm(trajectory.tip[b] - trajectory.tip[a], axis=1) / took, peaks),
-        turn=angle(quat[a], quat[b]) / took,
+        speed=np.where(laid, np.linalg.norm(targets.position[b] - targets.position[a], axis=1) / took, peaks),
+        turn=angle(targets.quat[a], targets.quat[b]) / took,
         axis=rates.max(axis=1, initial=0.0),
         fine=rests.fine[b],
         waits={int(np.searchsorted(b, at, side="right")) - 1: waits for at, waits in rests.waits.items()},
@@ -133,60 +137,29 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
         on_start=(starts & ~arrives_linear)[a],
         off_end=ends[b],
         after=np.searchsorted(leave, a, side="right"),
-        quat=quat,
+        targets=Poses(targets.table[np.concatenate([[0], b])]),
     )
 
 
-class _Misfit:
-    """How far the controller's interpolation between two samples misses a third, in tolerances."""
+def way_of(plan: Plan, rests: Rests, fed: Array | None = None) -> Way:
+    """What the lines of a program follow, and how nearly; rests and filament are those of `plan_moves`."""
+    t, program = plan.trajectory, plan.problem.program
+    fed = np.zeros(len(t)) if fed is None else fed
+    amount = max(float(np.diff(fed).max(initial=0.0)) / t.dt * TIME_TOLERANCE, 1e-12)  # of filament, out of place [m]
+    chord, turned = program.chord - ROUNDING, ANGLE_TOLERANCE
+    tolerance = np.array([chord, turned, turned, TIME_TOLERANCE, program.tangent, amount, LONGEST])
+    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(t.tip, axis=0), axis=1))])
+    poses = Poses(np.column_stack([t.tip, continuous(t.quat), t.q[:, len(plan.cell.arm) :]]))
+    return Way(poses, rests.clock, path, fed, t.deposit.copy(), tolerance)
 
-    def __init__(self, plan: Plan, quat: Array, linear: Flags, rests: Rests, path: Array, fed: Array | None) -> None:
-        self._trajectory, self._cell, self._quat, self._linear = plan.trajectory, plan.cell, quat, linear
-        self._clock, self._path, self._fed = rests.clock, path, fed
-        top = 0.0 if fed is None else float(np.diff(fed).max(initial=0.0)) / plan.trajectory.dt
-        self._amount = max(top * TIME_TOLERANCE, 1e-12)  # of filament, out of place [m]
-        self._external = plan.trajectory.q[:, len(plan.cell.arm) :]
-        self._chord, self._tangent = plan.problem.program.chord - ROUNDING, plan.problem.program.tangent
 
-    def __call__(self, first: Indices, last: Indices, k: Indices) -> Array:
-        out = np.empty(len(k))
-        straight = self._linear[first]
-        for chosen, judge in ((straight, self._line), (~straight, self._joint)):
-            if chosen.any():
-                out[chosen] = judge(first[chosen], last[chosen], k[chosen])
-        return out
+class _Joint:
+    """How far joint moves between two samples miss a third, in tolerances."""
 
-    def _line(self, a: Indices, b: Indices, k: Indices) -> Array:
-        tip, t = self._trajectory.tip, self._clock
-        u = nearest_fraction(tip[a], tip[b], tip[k], (k - a) / (b - a))
-        off = np.linalg.norm(tip[a] + u[:, None] * (tip[b] - tip[a]) - tip[k], axis=1) / self._chord
-        turned = angle(slerp(self._quat[a], self._quat[b], u), self._quat[k]) / ANGLE_TOLERANCE
-        late = np.where(self._trajectory.deposit[k], np.abs(t[a] + u * (t[b] - t[a]) - t[k]) / TIME_TOLERANCE, 0.0)
-        worst = np.maximum(np.maximum(off, turned), np.maximum(late, self._leaning(a, b, k) / self._tangent))
-        worst = np.maximum(worst, ((self._path[b] - self._path[a]) / LONGEST) ** 2)
-        if self._fed is not None:
-            even = self._fed[a] + (t[k] - t[a]) / np.maximum(t[b] - t[a], 1e-9) * (self._fed[b] - self._fed[a])
-            unevenly = np.where(self._trajectory.deposit[k], np.abs(even - self._fed[k]) / self._amount, 0.0)
-            worst = np.maximum(worst, unevenly)
-        for e in self._external.T:
-            worst = np.maximum(worst, np.abs(e[a] + u * (e[b] - e[a]) - e[k]) / ANGLE_TOLERANCE)
-        out: Array = worst
-        return out
+    def __init__(self, plan: Plan) -> None:
+        self._trajectory, self._cell = plan.trajectory, plan.cell
 
-    def _leaning(self, a: Indices, b: Indices, k: Indices) -> Array:
-        """Angles between the lines and the path before and after samples k; 0 where no material is laid."""
-        tip, laid = self._trajectory.tip, self._trajectory.deposit
-        line = tip[b] - tip[a]
-        out = np.zeros(len(k))
-        for before, after in ((k - 1, k), (k, k + 1)):
-            step = tip[after] - tip[before]
-            sine = np.linalg.norm(np.cross(line, step), axis=1)
-            lean = np.arctan2(sine, np.einsum("ij,ij->i", line, step))
-            goes = np.einsum("ij,ij->i", step, step) > LEAST_STEP**2
-            out = np.maximum(out, np.where(laid[before] & laid[after] & goes & (sine > 0.0), lean, 0.0))
-        return out
-
-    def _joint(self, a: Indices, b: Indices, k: Indices) -> Array:
+    def __call__(self, a: Indices, b: Indices, k: Indices) -> Array:
         q, tip = self._trajectory.q, self._trajectory.tip
         u = nearest_fraction(q[a], q[b], q[k], (k - a) / (b - a))
         T = self._cell.T_part_nozzle(q[a] + u[:, None] * (q[b] - q[a]))

@@ -5,11 +5,11 @@ MODULE OneBead
     ! Verified before it was written:
     !   position_error: 0.0021 mm (limit 0.05)
     !   reach: 0 mm (limit 0)
-    ! 17 moves, 10 of them along beads, whose toolpath has 12 waypoints
-    ! Note: 7 lines are sent at fly-by points, as early as the controller reads ahead
-    !   first bead 0, line 76 of OneBead.mod
-    ! Note: 2 moves on beads are slowed by accelerations of the joints, the worst to 69 %
-    !   first bead 0, line 90 of OneBead.mod
+    ! 16 moves, 9 of them along beads, whose toolpath has 12 waypoints
+    ! Note: 6 lines are sent at fly-by points, as early as the controller reads ahead
+    !   first bead 0, line 75 of OneBead.mod
+    ! Note: 2 moves on beads are slowed by accelerations of the joints, the worst to 64 %
+    !   first bead 0, line 87 of OneBead.mod
 
     ! The load below is a placeholder: identify it on the robot before the first run.
     PERS tooldata tPen:=[TRUE,[[-44.510,9.900,113.950],[1.0000000,0.0000000,0.0000000,0.0000000]],[1,[0,0,50],[1,0,0,0],0,0,0]];
@@ -21,7 +21,6 @@ MODULE OneBead
     CONST speeddata vel33:=[33,180,1000,100];
     CONST speeddata vel40:=[40,180,1000,100];
     CONST speeddata vel41:=[41,180,1000,100];
-    CONST speeddata vel42:=[42,180,1000,100];
     CONST speeddata vel43:=[43,180,1000,100];
     CONST speeddata vel44:=[44,180,1000,100];
     CONST speeddata vel45:=[45,180,1000,100];
@@ -75,25 +74,23 @@ MODULE OneBead
         MoveL [[-1.773,44.454,29.261],[0.5520929,0.5520929,0.4418070,0.4418070],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel33,z0,tPen\WObj:=wobjPart;
         TriggL [[-2.083,42.905,30.033],[0.5416803,0.5416803,0.4545134,0.4545134],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel45,trgOn,z0,tPen\WObj:=wobjPart;
         BwLine 6,"G1 E0.24760 F309.500";
-        MoveL [[-2.363,41.006,30.952],[0.5286328,0.5286328,0.4696247,0.4696247],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel44,z0,tPen\WObj:=wobjPart;
-        BwLine 7,"G1 E0.11973 F299.325";
-        MoveL [[-2.463,40.051,31.343],[0.5219503,0.5219503,0.4770407,0.4770407],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel43,z0,tPen\WObj:=wobjPart;
-        BwLine 8,"G1 E0.13969 F299.336";
-        MoveL [[-2.545,38.934,31.700],[0.5140227,0.5140227,0.4855725,0.4855725],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel42,z0,tPen\WObj:=wobjPart;
-        BwLine 9,"G1 E0.11974 F299.350";
-        MoveL [[-2.586,37.975,31.902],[0.5071166,0.5071166,0.4927806,0.4927806],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel41,z0,tPen\WObj:=wobjPart;
+        MoveL [[-2.366,41.008,30.957],[0.5286482,0.5286482,0.4696073,0.4696073],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel44,z0,tPen\WObj:=wobjPart;
+        BwLine 7,"G1 E0.19956 F299.340";
+        MoveL [[-2.516,39.415,31.569],[0.5174528,0.5174528,0.4819155,0.4819155],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel43,z0,tPen\WObj:=wobjPart;
+        BwLine 8,"G1 E0.15964 F299.325";
+        MoveL [[-2.583,38.136,31.882],[0.5082829,0.5082829,0.4915776,0.4915776],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel41,z0,tPen\WObj:=wobjPart;
+        BwLine 9,"G1 E0.15965 F299.344";
+        MoveL [[-2.601,36.855,32.006],[0.4989327,0.4989327,0.5010650,0.5010650],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel40,z0,tPen\WObj:=wobjPart;
         BwLine 10,"G1 E0.11974 F299.350";
-        MoveL [[-2.600,37.015,31.994],[0.5001094,0.5001094,0.4998906,0.4998906],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel40,z0,tPen\WObj:=wobjPart;
-        BwLine 11,"G1 E0.11973 F299.325";
-        MoveL [[-2.587,36.055,31.973],[0.4930025,0.4930025,0.5069009,0.5069009],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel40,z0,tPen\WObj:=wobjPart;
-        BwLine 12,"G1 E0.13970 F299.357";
-        MoveL [[-2.537,34.936,31.805],[0.4845871,0.4845871,0.5149518,0.5149518],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel40,fine,tPen\WObj:=wobjPart;
+        MoveL [[-2.584,35.894,31.967],[0.4918019,0.4918019,0.5080658,0.5080658],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel40,z0,tPen\WObj:=wobjPart;
+        BwLine 11,"G1 E0.11974 F299.350";
+        MoveL [[-2.537,34.936,31.805],[0.4845871,0.4845871,0.5149518,0.5149518],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel41,fine,tPen\WObj:=wobjPart;
         ! cut, bead 0
         WaitTime 1.000;
-        BwLine 13,"M106 P0 S1";
-        BwLine 14,"G4 P500";
-        BwLine 15,"M106 P0 S0";
-        BwLine 16,"G4 P500";
+        BwLine 12,"M106 P0 S1";
+        BwLine 13,"G4 P500";
+        BwLine 14,"M106 P0 S0";
+        BwLine 15,"G4 P500";
         WaitTime 2.000;
         BwSettle 900;
         MoveL [[-2.451,33.820,31.496],[0.4760402,0.4760402,0.5228630,0.5228630],[0,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel41,z0,tPen\WObj:=wobjPart;
@@ -120,7 +117,7 @@ MODULE OneBead
         SocketListen bwServer;
         TPWrite "Waiting for the relay at port 1025";
         SocketAccept bwServer,bwClient\Time:=600;
-        SocketSend bwClient\Str:="H OneBead 16\0A";
+        SocketSend bwClient\Str:="H OneBead 15\0A";
         WHILE NOT bwGo DO
             BwHear 2;
         ENDWHILE

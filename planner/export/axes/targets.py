@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from planner.export.axes.follow import Followed
 from planner.export.moves import ANGLE_TOLERANCE, ROUNDING, TIME_TOLERANCE, nearest_fraction
 from planner.export.rests import ON_TIME
-from planner.export.thinning import Indices, thin
+from planner.export.thinning import Indices, by_samples, thin
 
 if TYPE_CHECKING:
     from planner.plan import Plan
@@ -42,7 +42,7 @@ def kept(plan: Plan, motion: Followed, due: Array) -> Indices:
         if event.amount:
             ends = np.array([event.start, event.start + event.duration]) - plan.trajectory.t[0]
             must[np.minimum(np.searchsorted(motion.t, ends - ON_TIME), n - 1)] = True
-    return thin(np.flatnonzero(must), _Misfit(plan, motion))
+    return thin(np.flatnonzero(must), by_samples(_Misfit(plan, motion)))
 
 
 class _Misfit:

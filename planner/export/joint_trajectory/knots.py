@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from planner.export.moves import ANGLE_TOLERANCE, ROUNDING, TRAVEL_TOLERANCE
 from planner.export.rotations import to_matrix
-from planner.export.thinning import Indices, thin
+from planner.export.thinning import Indices, by_samples, thin
 
 if TYPE_CHECKING:
     from planner.plan import Plan
@@ -69,7 +69,7 @@ def plan_knots(plan: Plan) -> Knots:
         out: Array = np.maximum.reduce([worst, joints, fast.max(axis=1), steep.max(axis=1)])
         return out
 
-    return dense.chosen(thin(kept, misfit))
+    return dense.chosen(thin(kept, by_samples(misfit)))
 
 
 class Nozzle:

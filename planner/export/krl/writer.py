@@ -145,10 +145,10 @@ def _header(plan: Plan) -> list[str]:
 def _targets(plan: Plan, moves: Moves) -> list[str]:
     """The aggregate of each move's target."""
     t, na, k = plan.trajectory, len(plan.cell.arm), moves.sample
-    external = np.round(external_degrees(plan.cell, t.q[k, na:]), DEGREES) + 0.0
+    external = np.round(external_degrees(plan.cell, moves.targets.station[1:]), DEGREES) + 0.0
     joints = np.round(np.degrees(to_kuka(t.q[k, :na])), DEGREES) + 0.0
-    abc = np.degrees(angles(to_matrix(moves.quat[k])))
-    lines = np.column_stack([np.round(t.tip[k] * 1e3, MM) + 0.0, np.round(abc, DEGREES) + 0.0])
+    abc = np.degrees(angles(to_matrix(moves.targets.quat[1:])))
+    lines = np.column_stack([np.round(moves.targets.position[1:] * 1e3, MM) + 0.0, np.round(abc, DEGREES) + 0.0])
     states, turns = status(t.branch[k].astype(np.intp)).tolist(), turn(t.q[k, :na]).tolist()
     extra = "".join(f",E{i} %.{DEGREES}f" for i in range(1, external.shape[1] + 1))
     axis = "{E6AXIS: " + ",".join(f"A{i} %.{DEGREES}f" for i in range(1, 7)) + extra + "}"

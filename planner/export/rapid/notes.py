@@ -37,8 +37,7 @@ def notes_of(plan: Plan, moves: Moves, program: Program) -> tuple[Note, ...]:
 
 
 def _zones(plan: Plan, moves: Moves) -> Note | None:
-    tip = plan.trajectory.tip
-    length = np.linalg.norm(tip[moves.sample] - tip[moves.start], axis=1)
+    length = moves.length
     flown = moves.linear & ~moves.fine
     narrow = np.flatnonzero(flown & (np.minimum(length, np.append(length[1:], np.inf)) < 2.0 * ZONES["z0"]))
     if not len(narrow):

@@ -100,8 +100,7 @@ def procedures_of(
 
 def _roomy(plan: Plan, moves: Moves) -> NDArray[np.bool_]:
     """Whether the wider zone takes no more than half of a move (m) and of the next."""
-    tip = plan.trajectory.tip
-    roomy = np.linalg.norm(tip[moves.sample] - tip[moves.start], axis=1) >= 2.0 * ZONES["z1"]
+    roomy = moves.length >= 2.0 * ZONES["z1"]
     out: NDArray[np.bool_] = roomy & np.append(roomy[1:], True)
     return out
 

@@ -49,17 +49,17 @@ def external_text(degrees: Array) -> list[str]:
 
 def targets(plan: Plan, moves: Moves) -> list[str]:
     """Robtargets of the first sample and of every move."""
-    trajectory, na = plan.trajectory, len(plan.cell.arm)
+    trajectory = plan.trajectory
     k = np.concatenate([[0], moves.sample])
-    quat = continuous(moves.quat[k])[:, [3, 0, 1, 2]]
+    quat = continuous(moves.targets.quat)[:, [3, 0, 1, 2]]
     numbers = np.column_stack(
         [
-            np.round(trajectory.tip[k] * 1e3, 3) + 0.0,
+            np.round(moves.targets.position * 1e3, 3) + 0.0,
             np.round(quat, 7) + 0.0,
             quadrants(trajectory.q[k]),
             trajectory.branch[k],
         ]
     )
-    external = external_text(external_degrees(plan.cell, trajectory.q[k, na:]))
+    external = external_text(external_degrees(plan.cell, moves.targets.station))
     pattern = "[[%.3f,%.3f,%.3f],[%.7f,%.7f,%.7f,%.7f],[%d,%d,%d,%d],[%s]]"
     return [pattern % (*row, ext) for row, ext in zip(numbers.tolist(), external, strict=True)]

@@ -170,7 +170,7 @@ def _moves(plan: Plan, moves: Moves, pace: Pace) -> list[str]:
     """One statement for each move."""
     t = plan.trajectory
     k = moves.sample
-    targets = np.column_stack([t.tip[k], rotation_vectors(moves.quat[k])])
+    targets = np.column_stack([moves.targets.position[1:], rotation_vectors(moves.targets.quat[1:])])
     rows = np.where(moves.linear[:, None], np.round(targets, LENGTH), np.round(t.q[k, :6], ANGLE)) + 0.0
     six = ", ".join([f"%.{LENGTH}f"] * 6)
     speeds = np.where(moves.linear, np.maximum(np.round(moves.speed, SPEED), 10.0**-SPEED), pace.speed).tolist()
