@@ -8,7 +8,7 @@ MODULE OneBead
     ! 16 moves, 9 of them along beads, whose toolpath has 12 waypoints
     ! Note: 6 lines are sent at fly-by points, as early as the controller reads ahead
     !   first bead 0, line 75 of OneBead.mod
-    ! Note: 2 moves on beads are slowed by accelerations of the joints, the worst to 64 %
+    ! Note: 2 moves on beads are slowed by accelerations of the joints, the worst to 64 % of its speed
     !   first bead 0, line 87 of OneBead.mod
 
     ! The load below is a placeholder: identify it on the robot before the first run.

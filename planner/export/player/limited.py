@@ -34,12 +34,9 @@ class Limited:
 
     @property
     def words(self) -> str:
-        """One line for the notes of a program; moves count from 1, as statements do."""
-        moves = f"{self.moves} moves that lay material are" if self.moves > 1 else "1 move that lays material is"
-        return (
-            f"{moves} slower than programmed because of {self.by}: "
-            f"first move {self.first + 1}, worst move {self.worst + 1} with {100 * self.reached:.0f} % of its speed"
-        )
+        """One line for the notes of a program."""
+        moves = f"{self.moves} moves on beads are" if self.moves > 1 else "1 move on a bead is"
+        return f"{moves} slowed by {self.by}, the worst to {100 * self.reached:.0f} % of its speed"
 
 
 def limited(program: Program, played: Played) -> tuple[Limited, ...]:

@@ -55,12 +55,7 @@ def _sends(program: Program) -> Note | None:
 
 
 def _paces(plan: Plan, program: Program) -> list[Note]:
-    return [
-        Note(
-            f"{each.moves} moves on beads are slowed by {each.by}, the worst to {100 * each.reached:.0f} %", each.first
-        )
-        for each in limited(program, play(program, plan.cell))
-    ]
+    return [Note(each.words, each.first) for each in limited(program, play(program, plan.cell))]
 
 
 def note_lines(notes: tuple[Note, ...], plan: Plan, moves: Moves, files: Mapping[str, str]) -> list[str]:
