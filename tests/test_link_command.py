@@ -114,7 +114,7 @@ def test_a_fault(files: Path, machine: Simulated, capsys: pytest.CaptureFixture[
     assert main(arguments(files, machine)) == 3
     said = capsys.readouterr().err
     assert words in said
-    assert f"to go on: python -m planner.solve cup_7 --from-bead {resume}\n" in said
+    assert f"to go on: python -m planner.solve cup_7 --from-bead {resume}, with the same --set and --strategy\n" in said
     assert "stopped: " in said and f"(bead {resume}, layer 0)" in said
     done = carried_out(machine)
     assert done == LINES[: len(done)] and len(done) < len(LINES)
@@ -249,7 +249,9 @@ def test_nobody_there(
 
 
 @pytest.mark.parametrize(
-    "text", ["", "a b", "host:", "host:x", "host:0", "host:70000", "http://host", "host:80/x", "-" * 300]
+    "text",
+    ["", "a b", "host:", "host:x", "host:0", "host:70000", "http://host", "host:80/x", "-" * 300]
+    + ["a..b", ".a", "..", "-a", "a-", "a" * 64, "a." * 126 + "aa"],
 )
 def test_no_address(text: str) -> None:
     with pytest.raises(ValueError, match=r"HOST|port"):

@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import socket
+import sys
 import threading
 import time
 from pathlib import Path
@@ -17,7 +18,7 @@ from link_servers import BoardEnd, ControllerEnd
 from planner.errors import OutputError
 from planner.link import patience
 from planner.link import relay as relay_module
-from planner.link.effects import Outcome, Side
+from planner.link.effects import Effect, Outcome, Side
 from planner.link.log import Log
 from planner.link.relay import Relay
 from planner.link.run import INTERRUPTED, Requests, run_relay, signals_as
@@ -171,6 +172,33 @@ def test_a_log_that_cannot_be_written_stops_the_run(tmp_path: Path, monkeypatch:
     outcome = session.run()
     assert outcome.reason == "the log cannot be written: No space left on device"
     assert session.controller.core.stopped and session.board.core.plain == ["M106 P0 S0"]
+
+
+@pytest.mark.parametrize("where", ["received", "tick"])
+def test_a_mistake_of_the_relay_s_own_stops_both_sides(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str
+) -> None:
+    """Nobody is left to say `stop` afterwards, so it is said on the way out."""
+
+    class Faulty(Relay):
+        def received(self, side: Side, data: bytes, now: float) -> list[Effect]:
+            return self._slip("received") or super().received(side, data, now)
+
+        def tick(self, now: float) -> list[Effect]:
+            return self._slip("tick") or super().tick(now)
+
+        def _slip(self, here: str) -> list[Effect]:
+            if here == where and self.acknowledged >= 7:
+                raise ZeroDivisionError
+            return []
+
+    monkeypatch.setattr(sys.modules[__name__], "Relay", Faulty)
+    session = Session(tmp_path / "log.jsonl", ControllerEnd(PROGRAM), BoardEnd())
+    with pytest.raises(ZeroDivisionError):
+        session.run()
+    assert session.controller.core.stopped and session.board.core.plain == ["M106 P0 S0"]
+    assert session.robot == ["the relay failed"]
+    assert records(session.log)[-1]["text"] == "the relay failed"
 
 
 def test_a_log_is_not_written_over(tmp_path: Path) -> None:

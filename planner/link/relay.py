@@ -25,6 +25,7 @@ STOP_TIME = 5.0  # s that the board has to answer what makes it safe
 MOST_RESENDS = 3
 MOST_REMARKS = 1000  # of the board between two acks; more is a board that has lost its mind
 SAFE = ("M106 P0 S0",)  # the cutter's output off; moves that the board has taken run dry
+FAILED = "the relay failed"  # by a mistake of its own
 COLD = ("M104 S0", "M140 S0")
 
 
@@ -42,7 +43,7 @@ class Relay:
     """
 
     def __init__(self, program: ProgramLines, now: float, cold: bool = False) -> None:
-        self._program, self._cold = program, cold
+        self._program, self._safe = program, SAFE + (COLD if cold else ())
         self._framers = {side: Framer() for side in Side}
         self._gone: set[Side] = set()
         self._state = _State.HELLO
@@ -61,6 +62,12 @@ class Relay:
     def acknowledged(self) -> int:
         """The last line that the board took."""
         return self._acknowledged
+
+    @property
+    def last_words(self) -> dict[Side, bytes]:
+        """What stops the program and makes the board safe, whatever state the run is in."""
+        board = b"".join(say.to_board_plain(gcode) for gcode in self._safe)
+        return {Side.CONTROLLER: say.stop(FAILED), Side.BOARD: board}
 
     @property
     def ended(self) -> bool:
@@ -247,10 +254,9 @@ class Relay:
                 Write(Side.CONTROLLER, say.stop(reason)),
                 StopRobot(reason),
             ]
-            safe = SAFE + (COLD if self._cold else ())
-            out += [Write(Side.BOARD, say.to_board_plain(gcode)) for gcode in safe]
-            out += [Note("safe", 0, gcode) for gcode in safe]
-            self._unanswered = len(safe)
+            out += [Write(Side.BOARD, say.to_board_plain(gcode)) for gcode in self._safe]
+            out += [Note("safe", 0, gcode) for gcode in self._safe]
+            self._unanswered = len(self._safe)
         else:
             out.append(Note("also", 0, reason))
         return out + (self._over() if Side.BOARD in self._gone else [])

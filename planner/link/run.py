@@ -13,7 +13,7 @@ from contextlib import contextmanager
 
 from planner.link.effects import Effect, Note, Outcome, Side, StopRobot, Write
 from planner.link.log import Log
-from planner.link.relay import Relay
+from planner.link.relay import FAILED, Relay
 from planner.link.sockets import PIECE
 
 MOST_UNREAD = 4096  # bytes that a side may leave unread before it counts as lost
@@ -107,6 +107,23 @@ class _Runner:
         self._changed = False  # a socket is closed, or has or had no room for what is to be sent
 
     def run(self) -> Outcome:
+        try:
+            return self._run()
+        finally:
+            if self._outcome is None:  # by a mistake of this program's own: the machine must not go on without it
+                self._abandon()
+
+    def _abandon(self) -> None:
+        """Stop both sides without the relay."""
+        try:
+            self._write_log([Note("stop", self._relay.acknowledged, FAILED)])
+            self._stop_robot(FAILED)
+        finally:
+            for side in list(self._sockets):
+                self._unsent[side] += self._relay.last_words[side]
+                self._part(side)
+
+    def _run(self) -> Outcome:
         with selectors.DefaultSelector() as selector:
             for side, made in self._sockets.items():
                 made.setblocking(False)

@@ -92,4 +92,7 @@ def ending(lines: ProgramLines, outcome: Outcome, problem: str) -> list[str]:
     resume = outcome.position.resume
     if resume is None:
         return [*said, "all beads were printed"]
-    return [*said, f"to go on: python -m planner.solve {problem} --from-bead {resume}"]
+    return [
+        *said,
+        f"to go on: python -m planner.solve {problem} --from-bead {resume}, with the same --set and --strategy",
+    ]

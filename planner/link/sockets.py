@@ -11,6 +11,8 @@ from planner.errors import EXIT_NOT_VERIFIED, InputError, PlannerError
 
 CONNECT_TIME = 5.0  # s for a connection
 PIECE = 4096  # bytes read at once
+LABEL = "[A-Za-z0-9_](?:[A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?"  # what stands between two dots of a host's name
+LONGEST_HOST = 253  # characters
 # A cable that is pulled says nothing: the other end is asked every second, and is lost after three without an answer.
 ASK_TIME, ASKED = 1, 3  # s, times
 
@@ -34,8 +36,8 @@ class Address:
 
 def parse_address(text: str, port: int) -> Address:
     """HOST or HOST:PORT; raises ValueError with the reason."""
-    found = re.fullmatch(r"([A-Za-z0-9._-]{1,253})(?::([0-9]{1,5}))?", text)
-    if found is None:
+    found = re.fullmatch(rf"({LABEL}(?:\.{LABEL})*\.?)(?::([0-9]{{1,5}}))?", text, re.ASCII)
+    if found is None or len(found[1]) > LONGEST_HOST:
         raise ValueError(f"{text!r} is not HOST or HOST:PORT")
     chosen = port if found[2] is None else int(found[2])
     if not 1 <= chosen <= 65535:
