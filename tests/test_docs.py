@@ -21,7 +21,7 @@ FROM_ROOT = {"architecture.md", "contributing.md", "changelog.md"}  # pages that
 MOST_WORDS = 900  # of the README: who wants more finds a page
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 PICTURE = re.compile(r"!\[([^\]]*)\]\(")
-FENCED = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
+FENCED = re.compile(r"^```.*?^```|<!--.*?-->", re.MULTILINE | re.DOTALL)
 COMMAND = re.compile(r"python(?:3\.11)? -m ((?:planner|benchmarks)(?:\.\w+)*)([^`\n]*)")
 
 
