@@ -38,6 +38,7 @@ CYLINDER_RADIUS, CYLINDER_ANGLE, CYLINDER_FOOT = 50.0, np.radians(353.0), 20.0
 CYLINDER_OFF_AXIS = 15.0
 
 HEAD = """\
+# yaml-language-server: $schema=../docs/problem.schema.json
 # {title}
 # {waypoints} waypoints; written by: python -m benchmarks.peer_cases --write problems
 # Lengths are millimetres, angles degrees, as the names of the keys say.

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import math
+import shutil
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 
 DEFAULT_DT = 0.004
 MIN_DT, MAX_DT = 0.0005, 0.02  # s; finer drowns in rounding, coarser hides what a joint does
-HELP_WIDTH = 78  # columns of a help's examples and exit codes
+HELP_WIDTH = 78  # columns of a help, however wide the terminal is
 CONTINUED = " \\"  # ends a line of a command that goes on in the next one
 HELP_COLUMN = 26  # where the text of an option begins, so that most names stand beside theirs at 80 columns
 
@@ -43,8 +45,9 @@ def exit_code(run: Callable[[], int], say: Callable[[str], None], interrupted: s
 class _Help(argparse.HelpFormatter):
     """Paragraphs are wrapped, lines that are indented stay as they are: examples and exit codes."""
 
-    def __init__(self, prog: str) -> None:
-        super().__init__(prog, max_help_position=HELP_COLUMN)
+    def __init__(self, prog: str, width: int | None = None) -> None:
+        wide = min(HELP_WIDTH, shutil.get_terminal_size().columns - 2) if width is None else width
+        super().__init__(prog, max_help_position=HELP_COLUMN, width=wide)
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         lines = text.splitlines()
@@ -86,6 +89,14 @@ class Command(argparse.ArgumentParser):
             hint = f" (did you mean {near}?)" if near else ""
             self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
         return options
+
+    def page(self) -> str:
+        """The help as it is printed, whatever the terminal's width."""
+        formatter, self.formatter_class = self.formatter_class, partial(_Help, width=HELP_WIDTH)
+        try:
+            return self.format_help()
+        finally:
+            self.formatter_class = formatter
 
     def error(self, message: str) -> NoReturn:
         """As every parser, with the way to the help."""

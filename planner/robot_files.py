@@ -22,12 +22,11 @@ from planner.problem import Problem
 from planner.problem.settings import LANGUAGE_NAMES, USUAL_LANGUAGE
 from planner.robot_bodies import read_bodies
 from planner.robot_urdf import Urdf, model_of, read_urdf, turning_joints
-from planner.robot_yaml import RobotFile, is_number, read_robot_file
+from planner.robot_yaml import KINDS, LENGTHS, RobotFile, is_number, read_robot_file
 from planner.solids import Body
 
 Array = NDArray[np.float64]
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"
-KINDS = ("offset_wrist", "seven_axes")  # spherical wrists have a section of their own, with their lengths
 _SAME_POSE = 1e-9  # m: closed form and URDF are one arm
 _POSTURES = 20
 
@@ -152,14 +151,13 @@ def _inverse(file: RobotFile, model: pin.Model) -> InverseKinematics | None:
 
 def _spherical(file: RobotFile, chain: Chain) -> SphericalWrist:
     lengths = file.data["spherical_wrist"]
-    keys = [f"{name}_mm" for name in ("a1", "a2", "b", "c1", "c2", "c3", "c4")]
-    if not isinstance(lengths, Mapping) or set(lengths) != set(keys):
-        raise file.error("spherical_wrist", "must give the seven OPW lengths", ", ".join(keys))
+    if not isinstance(lengths, Mapping) or set(lengths) != set(LENGTHS):
+        raise file.error("spherical_wrist", "must give the seven OPW lengths", ", ".join(LENGTHS))
     if not all(is_number(value) for value in lengths.values()):
         raise file.error("spherical_wrist", "the lengths must be numbers", "millimetres")
     if len(chain) != 6:
         raise file.error("spherical_wrist", f"an arm with a spherical wrist has 6 joints, not {len(chain)}")
-    return SphericalWrist(*(float(lengths[key]) * 1e-3 for key in keys))
+    return SphericalWrist(*(float(lengths[key]) * 1e-3 for key in LENGTHS))
 
 
 def _read_off(file: RobotFile, chain: Chain) -> OffsetWrist | SevenAxes:

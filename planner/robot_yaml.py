@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -14,19 +14,97 @@ from numpy.typing import NDArray
 
 from planner.errors import InputError, nearest_name
 from planner.problem.file import Keys, Source, read_yaml_file
+from planner.problem.settings import LANGUAGE_NAMES, USUAL_LANGUAGE
 
 Array = NDArray[np.float64]
-REQUIRED = ("name", "urdf", "tip", "acceleration_rad_s2", "jerk_rad_s3")
-OPTIONAL = (
-    "language",
-    "speed_rad_s",
-    "range_deg",
-    "without",
-    "assumed",
-    "spherical_wrist",
-    "inverse_kinematics",
-    "redundant_joint",
-)
+LENGTHS = tuple(f"{name}_mm" for name in ("a1", "a2", "b", "c1", "c2", "c3", "c4"))  # of a spherical wrist's arm
+KINDS = ("offset_wrist", "seven_axes")  # spherical wrists have a section of their own, with their lengths
+
+
+@dataclass(frozen=True)
+class RobotKey:
+    """A key of a robot's file: what it is, its default in words (none where it is required), and an example."""
+
+    text: str
+    example: str
+    default: str = ""
+    schema: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def required(self) -> bool:
+        """Whether every robot has it."""
+        return not self.default
+
+
+_POSITIVE = {"type": "array", "items": {"type": "number", "exclusiveMinimum": 0}, "minItems": 1}
+_NAMES = {"type": "array", "items": {"type": "string"}}
+_TEXT = {"type": "string", "minLength": 1}
+KEYS = {
+    "name": RobotKey("maker and type, as reports call it", "ABB IRB 140-6/0.8", schema=_TEXT),
+    "urdf": RobotKey(
+        "the URDF: a file beside this one, or a package and a path in its shared files",
+        "irb140.urdf",
+        schema={
+            "anyOf": [
+                _TEXT,
+                {
+                    "type": "object",
+                    "properties": {"package": _TEXT, "path": _TEXT},
+                    "required": ["package", "path"],
+                    "additionalProperties": False,
+                },
+            ]
+        },
+    ),
+    "tip": RobotKey("link of the URDF that is the flange: its z points out of it", "tool0", schema=_TEXT),
+    "acceleration_rad_s2": RobotKey(
+        "greatest acceleration of each joint, base first [rad/s²]", "[15, 15, 15, 25, 25, 30]", schema=_POSITIVE
+    ),
+    "jerk_rad_s3": RobotKey(
+        "greatest jerk of each joint, base first [rad/s³]", "[750, 750, 750, 1250, 1250, 1500]", schema=_POSITIVE
+    ),
+    "language": RobotKey(
+        "what its controller is programmed in", "rapid", USUAL_LANGUAGE, {"enum": list(LANGUAGE_NAMES)}
+    ),
+    "speed_rad_s": RobotKey(
+        "greatest speed of each joint, base first [rad/s]", "[3.5, 3.5, 4.5, 6, 6, 7]", "the URDF's", _POSITIVE
+    ),
+    "range_deg": RobotKey(
+        "least and greatest angle of joints by name, in place of the URDF's [deg]",
+        "{joint_6: [-400, 400]}",
+        "the URDF's",
+        {
+            "type": "object",
+            "additionalProperties": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2},
+        },
+    ),
+    "without": RobotKey("links of the URDF whose collision shapes do not count", "[hand]", "none", _NAMES),
+    "assumed": RobotKey(
+        "what of this file nobody has published; listings and the checks say so", "[jerk_rad_s3]", "nothing", _NAMES
+    ),
+    "spherical_wrist": RobotKey(
+        "of an arm whose last three axes meet: its seven lengths [mm], as Brandstötter et al. name them (OPW)",
+        "{a1_mm: 70, a2_mm: 0, b_mm: 0, c1_mm: 352, c2_mm: 360, c3_mm: 380, c4_mm: 65}",
+        "none",
+        {
+            "type": "object",
+            "properties": {name: {"type": "number"} for name in LENGTHS},
+            "required": list(LENGTHS),
+            "additionalProperties": False,
+        },
+    ),
+    "inverse_kinematics": RobotKey(
+        f"of another arm, what it is like: {' or '.join(KINDS)}; a robot without this and spherical_wrist only holds parts",
+        "offset_wrist",
+        "none",
+        {"enum": list(KINDS)},
+    ),
+    "redundant_joint": RobotKey(
+        "of seven_axes: the joint whose angle is chosen, and for which the other six follow", "joint_3", "none", _TEXT
+    ),
+}
+REQUIRED = tuple(name for name, key in KEYS.items() if key.required)
+OPTIONAL = tuple(name for name, key in KEYS.items() if not key.required)
 
 
 @dataclass(frozen=True)

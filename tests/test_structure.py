@@ -61,6 +61,7 @@ ROOMS = (
     "view",
     "simulate",
     "link",
+    "reference",
 )
 SAME_ROOM = {
     "run_ends": "process",
@@ -83,6 +84,8 @@ SAME_ROOM = {
     "materials": "plan",
     "tolerance": "plan",
     "listing": "command",
+    "measures": "plan",
+    "measured_checks": "plan",
     "problem_words": "check",
     "headroom_bounds": "headroom",
     "headroom_cell": "headroom",

@@ -21,6 +21,40 @@ if TYPE_CHECKING:
     from planner.problem import Problem
 
 PLACES = 5  # decimals of what is said of dips
+# What the file holds, in its order.
+KEYS = {
+    "problem": "name of the problem",
+    "strategy": "the strategy that planned it",
+    "first_bead": "index of the first bead that is laid; not 0 where an interrupted print is resumed",
+    "verified": "whether every check holds, within the tolerance too where one was asked for",
+    "checks": "each with name, worst value, limit, unit, ok, and where the worst is",
+    "metrics": "by name",
+    "notes": "what was left out of the input, or changed in it, in sentences",
+    "dips": "stretches where the tip is slower than commanded, each with cause and remedies",
+    "events": "what the extruder and its heating do besides, in order of time",
+    "materials": "what the print takes of each material; only where they have names",
+    "tolerance": "whether the plan holds where the part stands a little elsewhere; only where that was asked for",
+    "cell": "the cell as screws: joints with limits, and the frames with all joints at 0 (m, rad)",
+    "timing_s": "seconds of computing, by stage",
+    "versions": "versions of everything that the result depends on",
+    "baseline": "the metrics of strategy as_published in the same cell; empty where it has no plan",
+    "settings": "seconds between samples, and what --set changed",
+    "refusal": "where there is no plan at all, in place of what follows checks: reason, place and hints",
+}
+DIP_KEYS = {
+    "bead": "its index",
+    "layer": "its index",
+    "from_mm": "where the dip begins, along the bead",
+    "to_mm": "where it ends",
+    "at_mm": "where the tip is slowest",
+    "t_s": "when",
+    "speed_min_mm_s": "how slow",
+    "lost_s": "time lost to it",
+    "joint": "the joint whose limit asks for it; null where none does",
+    "limit": "its velocity, acceleration or jerk; else start, end, stop or shape",
+    "over_extruded_mm3": "material too much here",
+    "avoid": "what would avoid it, by kind: fields of the problem file with the values that they would need",
+}
 DECIMALS = 12  # of the screws: a picometre; what lies below is rounding that differs from machine to machine
 
 

@@ -33,7 +33,10 @@ Identifier = Annotated[str, IDENTIFIER]
 
 
 class Problem(Section):
-    """One print: everything that the planner is told, in SI units. Made by `load_problem`."""
+    """One print: everything that the planner is told.
+
+    In SI units; made by `load_problem`.
+    """
 
     name: Identifier = key("name", "name of the problem: of its results' folder and of the robot program")
     cell: CellSpec = key("cell", "arm, nozzle, and what carries the part")

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
-from planner.problem.fields import Quantity, Section, key, refusal
+from planner.problem.fields import Form, Quantity, Section, key, refusal
 from planner.problem.file import describe
 
 CUT_PAUSE = 0.5  # s; Tawfik et al., section III.B: the cutter, on a fan's output, closes and opens in so long each
@@ -33,7 +33,9 @@ def _few(value: Any) -> Any:
     return value
 
 
-CutCode = Annotated[tuple[Annotated[str, BeforeValidator(_order)], ...], BeforeValidator(_few)]
+CutCode = Annotated[
+    tuple[Annotated[str, Form(_order, schema={"pattern": f"^({_ORDER.pattern})$"})], ...], BeforeValidator(_few)
+]
 
 
 def usual_cut(wait: float) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from planner.problem.fields import (
     Quantity,
     Section,
     Vector,
+    exactly_one,
     key,
     refusal,
 )
@@ -63,6 +64,8 @@ class NozzleSpec(Section):
 
 class PositionerSpec(Section):
     """A positioner, or an arm, that holds the part; its plate or flange carries the part frame."""
+
+    model_config = exactly_one("origin_mm", "base_mm")
 
     robot: RobotName = key(
         "robot", "positioner, or arm that holds the part: its name in robots/, or a file of your own, my_robot.yaml"
@@ -122,6 +125,8 @@ class JointLimitsSpec(Section):
 
 class CellSpec(Section):
     """Arm, nozzle and what carries the part: a positioner or a fixed bed."""
+
+    model_config = exactly_one("positioner", "bed_mm")
 
     arm: RobotName = key("arm", "its name in robots/, or a file of your own, my_robot.yaml")
     base: Position = key("base_mm", "base of the arm in the world [mm]", (0, 0, 0))

@@ -7,13 +7,15 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import model_validator
 
 from planner.problem.drawings import OnPartSpec, PatternSpec
-from planner.problem.fields import Quantity, Section, Thickness, key, one_of, refusal
+from planner.problem.fields import Quantity, Section, Thickness, exactly_one, key, one_of, refusal
 from planner.problem.materials import MaterialName, material_key
 from planner.problem.part import MeshSpec
 
 
 class MiddleSpec(Section):
     """What the lower half of a core reaches up to, and is reflected at: one of these."""
+
+    model_config = exactly_one("z_mm", "mesh")
 
     z: Annotated[float, Quantity("mm", -100_000, 100_000)] | None = key(
         "z_mm", "height of a level plane in the part frame [mm]; default: none, but mesh", None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
@@ -26,6 +25,7 @@ class Described:
     quantity  of a number, or a list of numbers; else None
     choices   of a word; else empty
     sections  the models that may stand there; none for a value
+    types     what else may stand there: str, Path, bool, int
     """
 
     key: str
@@ -36,6 +36,7 @@ class Described:
     quantity: Quantity | None
     choices: tuple[str, ...]
     sections: tuple[Model, ...]
+    types: tuple[type, ...]
 
     @property
     def unit(self) -> str:
@@ -59,6 +60,7 @@ def described(model: Model) -> dict[str, Described]:
 def _field(name: str, field: FieldInfo) -> Described:
     annotation = Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation
     parts = list(_parts(annotation, "value"))
+    found = [part for _, part in parts if isinstance(part, type)]
     return Described(
         key=field.alias or name,
         text=field.description or "",
@@ -66,13 +68,14 @@ def _field(name: str, field: FieldInfo) -> Described:
         default=None if field.is_required() or field.default_factory is not None else field.default,
         shape=next((shape for shape, _ in parts if shape != "value"), "value"),
         quantity=next((part for _, part in parts if isinstance(part, Quantity)), None),
-        choices=tuple(part for _, part in parts if isinstance(part, str)),
-        sections=tuple(part for _, part in parts if isinstance(part, type) and issubclass(part, BaseModel)),
+        choices=tuple(dict.fromkeys(part for _, part in parts if isinstance(part, str))),
+        sections=tuple(part for part in found if issubclass(part, BaseModel)),
+        types=tuple(part for part in found if not issubclass(part, BaseModel)),
     )
 
 
 def _parts(annotation: Any, shape: str) -> Iterator[tuple[str, Any]]:
-    """Quantities, models and choices in an annotation, each with what it stands in."""
+    """Quantities, models, other types and choices in an annotation, each with what it stands in."""
     origin, inner = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         known = [mark for mark in inner[1:] if isinstance(mark, Quantity)]
@@ -92,5 +95,5 @@ def _parts(annotation: Any, shape: str) -> Iterator[tuple[str, Any]]:
     elif origin is dict:
         yield "names", None
         yield from _parts(inner[1], "names")
-    elif annotation not in (NoneType, Ellipsis, str, int, float, bool, Path):
+    elif annotation not in (NoneType, Ellipsis):
         yield shape, annotation

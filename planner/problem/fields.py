@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -29,6 +29,7 @@ from planner.errors import nearest_name
 from planner.problem.file import Source, describe, shorten
 
 LONGEST_NAME = 32  # characters of an identifier in RAPID
+LONGEST_TEXT = 1000  # characters; a path of a file, or a name in words
 _RESERVED = """
 alias and backward case connect const default div do else elseif endfor endfunc endif endmodule endproc
 endrecord endtest endtrap endwhile error exit false for from func goto if inout local mod module nostepin not
@@ -95,6 +96,15 @@ class Quantity:
         each = "" if self.count is None else "each "
         return f"valid: {each}{_figure(self.low)} to {_figure(self.high)} {self.unit}".rstrip()
 
+    @property
+    def words(self) -> str:
+        """What is accepted, without its unit."""
+        span = f"{_figure(self.low)} to {_figure(self.high)}" + (", whole" if self.whole else "")
+        least, most = self._counts
+        if self.count is None:
+            return span
+        return f"{least if least == most else f'{least} to {most}'} numbers, each {span}"
+
     def to_si(self, value: Any) -> Any:
         """Return the value (or the tuple of them) in SI units; raises the refusal for anything else."""
         if self.count is None:
@@ -134,7 +144,7 @@ def _figure(value: float) -> str:
 def _text(value: Any) -> str:
     if not isinstance(value, str):
         raise refusal(f"must be a name, not {describe(value)}", "quote it if it is a text")
-    if not value.strip() or not value.isprintable() or len(value) > 1000:
+    if not value.strip() or not value.isprintable() or len(value) > LONGEST_TEXT:
         raise refusal(f"must be a name, not {describe(value)}")
     return value
 
@@ -161,7 +171,23 @@ def _robot(value: Any, info: ValidationInfo) -> str | Path:
     return _beside_the_problem(text, info) if text.endswith((".yaml", ".yml")) else text
 
 
-def one_of(names: Sequence[str]) -> BeforeValidator:
+@dataclass(frozen=True)
+class Form(BeforeValidator):
+    """A check of a text, and how an editor knows the same: `schema` joins the field's JSON schema."""
+
+    schema: Mapping[str, Any] = field(default_factory=dict, hash=False)
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """The words that may stand there; none where it may be any."""
+        return tuple(self.schema.get("enum", ()))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        """Describe the text as it stands in the file."""
+        return {**handler(schema), **self.schema}
+
+
+def one_of(names: Sequence[str]) -> Form:
     """Accept one of the names only, and suggest the nearest."""
 
     def check(value: Any) -> str:
@@ -173,7 +199,15 @@ def one_of(names: Sequence[str]) -> BeforeValidator:
         near = nearest_name(value, names)
         raise refusal(f"unknown name {shorten(value)!r}", f"did you mean {near}? {choices}" if near else choices)
 
-    return BeforeValidator(check)
+    return Form(check, schema={"enum": list(names)})
+
+
+def exactly_one(*keys: str) -> ConfigDict:
+    """The configuration of a section in which exactly one of some keys stands, for its JSON schema to say so.
+
+    Its validator refuses all else, in words.
+    """
+    return ConfigDict(json_schema_extra={"oneOf": [{"required": [name]} for name in keys]})
 
 
 def _unique(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -196,8 +230,8 @@ def _unit_vector(vector: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(value / length for value in vector)
 
 
-TEXT = BeforeValidator(_text)
-IDENTIFIER = BeforeValidator(_identifier)
+TEXT = Form(_text, schema={"minLength": 1, "maxLength": LONGEST_TEXT})
+IDENTIFIER = Form(_identifier, schema={"pattern": f"^[A-Za-z][A-Za-z0-9_]{{0,{LONGEST_NAME - 1}}}$"})
 PATH = BeforeValidator(_beside_the_problem)
 ROBOT = BeforeValidator(_robot)
 UNIQUE = AfterValidator(_unique)

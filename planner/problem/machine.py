@@ -7,7 +7,18 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 from pydantic import BeforeValidator, model_validator
 
-from planner.problem.fields import INCREASING, UNIT_VECTOR, Position, Quantity, Section, Vector, key, one_of, refusal
+from planner.problem.fields import (
+    INCREASING,
+    UNIT_VECTOR,
+    Form,
+    Position,
+    Quantity,
+    Section,
+    Vector,
+    key,
+    one_of,
+    refusal,
+)
 from planner.problem.file import describe
 
 FlavourName = Literal["linuxcnc", "reprap"]
@@ -39,7 +50,7 @@ def _truth(value: Any) -> bool:
     return value
 
 
-Code = Annotated[str, BeforeValidator(_code)]
+Code = Annotated[str, Form(_code, schema={"pattern": "^[A-Z][0-9.]+( [A-Z][0-9.]+){0,3}$"})]
 Letter = Annotated[str, one_of(("A", "B", "C", "E", "U", "V", "W"))]
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import model_validator
 
 from planner.problem.faces import StepSpec
-from planner.problem.fields import PATH, Position, Quantity, Section, Vector, key, refusal
+from planner.problem.fields import PATH, Position, Quantity, Section, Vector, exactly_one, key, refusal
 
 
 class CylinderSpec(Section):
@@ -79,6 +79,8 @@ class MeshSpec(Section):
 
 class PartSpec(Section):
     """The body to print on: one of these."""
+
+    model_config = exactly_one("cylinder", "sphere", "ellipsoid", "plane", "corrugation", "mesh", "step")
 
     cylinder: CylinderSpec | None = key("cylinder", "an upright cylinder; default: none", None)
     sphere: SphereSpec | None = key("sphere", "a ball or a dome; default: none", None)

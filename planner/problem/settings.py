@@ -6,9 +6,9 @@ import re
 from ipaddress import AddressValueError, IPv4Address
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BeforeValidator, model_validator
+from pydantic import model_validator
 
-from planner.problem.fields import IDENTIFIER, LONGEST_NAME, UNIQUE, Quantity, Section, key, one_of, refusal
+from planner.problem.fields import IDENTIFIER, LONGEST_NAME, UNIQUE, Form, Quantity, Section, key, one_of, refusal
 from planner.problem.file import describe
 from planner.problem.machine import MachineSpec
 
@@ -23,6 +23,7 @@ Identifier = Annotated[str, IDENTIFIER]
 StyleName = Literal["output", "demand", "socket"]
 STYLE_NAMES: tuple[str, ...] = get_args(StyleName)
 FIRST_PORT, LAST_PORT = 1025, 4999  # ABB, RAPID reference, SocketBind: free for programs
+_ADDRESS = r"^[0-9]{1,3}(\.[0-9]{1,3}){3}$"  # roughly, for editors
 # names that the program gives itself: procedures, speeds, triggers, and what serves the socket; and ABB's own data
 _OWN_NAMES = re.compile(
     r"(main|start|finish|bead\d+(part\d+)?|vel\d\w*|trg\w*|bw\w*|(tool|wobj|load)0|fine|[vz]\d+)", re.IGNORECASE
@@ -64,7 +65,7 @@ class ResolveSpec(Section):
 class SocketSpec(Section):
     """Where the controller waits for the relay of style `socket`."""
 
-    address: Annotated[str, BeforeValidator(_address)] = key(
+    address: Annotated[str, Form(_address, schema={"pattern": _ADDRESS})] = key(
         "address",
         "of the controller itself, in the network of the relay; the default reaches no other computer",
         "127.0.0.1",

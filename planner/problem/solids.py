@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import model_validator
 
-from planner.problem.fields import PATH, Position, Quantity, Section, Vector, key, one_of, refusal
+from planner.problem.fields import PATH, Position, Quantity, Section, Vector, exactly_one, key, one_of, refusal
 
 CARRIERS = ("world", "part")
 Side = Annotated[Vector, Quantity("mm", 0.1, 100_000, count=3)]
@@ -23,6 +23,8 @@ class CylinderSolidSpec(Section):
 
 class SolidSpec(Section):
     """One body: a box or a cylinder about its centre, or a file of facets."""
+
+    model_config = exactly_one("box_mm", "cylinder", "mesh")
 
     box: Side | None = key("box_mm", "sides of a box along x, y and z [mm]; default: none", None)
     cylinder: CylinderSolidSpec | None = key("cylinder", "a cylinder along z; default: none", None)

@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from pydantic import BeforeValidator, model_validator
+from pydantic import model_validator
 
-from planner.problem.fields import PATH, Position, Quantity, Section, Thickness, key, one_of, refusal
+from planner.problem.fields import PATH, Form, Position, Quantity, Section, Thickness, exactly_one, key, one_of, refusal
 from planner.problem.file import describe, shorten
 from planner.problem.materials import MaterialName, material_key
 
@@ -26,7 +26,7 @@ def _naca(value: Any) -> str:
     return value
 
 
-_NACA = BeforeValidator(_naca)
+_NACA = Form(_naca, schema={"pattern": "^[0-9]{4}$"})
 
 
 METHODS = ("curved", "planar")
@@ -57,6 +57,8 @@ class TipSpec(Section):
 
 class AerofoilSpec(Section):
     """A wing: a section along a span. The part frame's x runs along the chord, y along the span."""
+
+    model_config = exactly_one("aerofoil", "naca")
 
     aerofoil: Annotated[Path, PATH] | None = key("aerofoil", f"{_POINTS}; default: none, but naca", None)
     naca: Annotated[str, _NACA] | None = key(

@@ -1,0 +1,1 @@
+"""References that are generated: the schema of files for editors, and pages of every field, metric and command."""

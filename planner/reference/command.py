@@ -1,0 +1,33 @@
+"""The parser of `python -m planner.reference`, and the files that it writes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from planner.command import Command, one_of
+
+# What can be asked for → its file below docs/.
+FILES = {
+    "schema": "problem.schema.json",
+    "robot-schema": "robot.schema.json",
+    "problem": "reference/problem_file.md",
+    "robot": "reference/robot_file.md",
+    "metrics": "reference/metrics.md",
+    "commands": "reference/commands.md",
+}
+
+
+def reference_command() -> Command:
+    """The parser of `python -m planner.reference`."""
+    parser = Command(
+        "reference",
+        "Write the references that are made from the code: JSON schemas, and pages of every key, metric and command.",
+        {
+            "schema": "print the JSON schema of the problem file",
+            "all": "write all of them below docs/, as they are committed",
+        },
+        {0: "printed, or written", 2: "wrong input"},
+    )
+    parser.add_argument("what", type=one_of(("all", *FILES)), metavar="WHAT", help=f"all, or one of {', '.join(FILES)}")
+    parser.add_argument("--out", type=Path, default=Path("docs"), metavar="DIR", help="where all goes (default docs)")
+    return parser

@@ -1,0 +1,88 @@
+"""docs/reference/metrics.md and commands.md: what a plan tells, and what can be typed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from planner.check import check_command
+from planner.command import Command, solve_command
+from planner.export.plan_json import DIP_KEYS, KEYS
+from planner.link.command import link_command
+from planner.link.egm import egm_command
+from planner.link.stream import stream_command
+from planner.measured_checks import CHECKS
+from planner.measures import COLUMNS, METRICS, Measure
+from planner.place import place_command
+from planner.reference.command import reference_command
+from planner.reference.markdown import table
+from planner.register import register_command
+from planner.robots import robots_command
+from planner.simulate.__main__ import simulate_command
+
+_METRICS_HEAD = """\
+# Metrics, checks and columns
+
+*Made by `python -m planner.reference` from the tables beside the code; do not edit.*
+
+A plan is written as `plan.json`, and its motion sample by sample as `trajectory.csv`. The verifier finds metrics and checks from the joints of the motion alone, by the robots' URDF files.
+"""
+_COMMANDS_HEAD = """\
+# Commands
+
+*Made by `python -m planner.reference` from the commands themselves; do not edit.*
+
+All commands print their result on stdout, and progress and errors on stderr. A pipe gets no progress bars and no colours; `NO_COLOR` switches colours off on a terminal, too.
+"""
+
+
+def metrics_page() -> str:
+    """The page of what a plan tells."""
+    return "\n".join(
+        [
+            _METRICS_HEAD,
+            "## Metrics\n",
+            "`metrics` of plan.json, by name; `baseline` has the same of strategy `as_published`.\n",
+            measures(METRICS),
+            "## Checks\n",
+            "`checks` of plan.json. A plan is verified if all of them hold; robot programs are written of verified plans only. "
+            "The unit is that of the worst value and of the limit.\n",
+            measures(CHECKS),
+            "## Columns of trajectory.csv\n",
+            "One row a sample, 4 ms apart unless `--dt` says otherwise. After these columns come the joints by name [rad]: "
+            "the arm's, then the free axes of what holds the part.\n",
+            measures(COLUMNS),
+            "## Keys of plan.json\n",
+            names(KEYS),
+            "### A dip\n",
+            "Each item of `dips`:\n",
+            names(DIP_KEYS),
+        ]
+    )
+
+
+def measures(given: Mapping[str, Measure]) -> str:
+    """A table of measures."""
+    rows = [[f"`{name}`", each.text, each.unit, each.how, each.only] for name, each in given.items()]
+    return table(("name", "meaning", "unit", "how it is found", "only where"), rows)
+
+
+def names(given: Mapping[str, str]) -> str:
+    """A table of keys."""
+    return table(("key", "meaning"), [[f"`{name}`", text] for name, text in given.items()])
+
+
+def commands() -> tuple[Command, ...]:
+    """The parsers of all commands."""
+    makers = (
+        solve_command, check_command, place_command, register_command, robots_command, link_command,
+        stream_command, egm_command, simulate_command, reference_command,
+    )  # fmt: skip
+    return tuple(make() for make in makers)
+
+
+def commands_page() -> str:
+    """The page of all commands."""
+    parts = [
+        f"## {each.prog.removeprefix('python -m ')}\n\n```text\n{each.page().rstrip()}\n```\n" for each in commands()
+    ]
+    return "\n".join([_COMMANDS_HEAD, *parts])
