@@ -53,7 +53,8 @@ def source_of(module: str) -> str:
     """Source of a command and of what it takes options from; empty where there is no such module."""
     path = ROOT / Path(*module.split("."))
     if path.is_dir():
-        return "".join(file.read_text(encoding="utf-8") for file in sorted(path.glob("*.py")))
+        files = [*sorted(path.glob("*.py")), ROOT / "planner" / "command.py"]
+        return "".join(file.read_text(encoding="utf-8") for file in files)
     if not path.with_suffix(".py").is_file():
         return ""
     shared = [path.with_suffix(".py"), ROOT / "planner" / "command.py"]

@@ -3,37 +3,21 @@
 from __future__ import annotations
 
 import shlex
+from pathlib import Path
 
 import pytest
 
-from planner.check import check_command
 from planner.command import Command, solve_command
-from planner.link.command import link_command
-from planner.link.egm import egm_command
-from planner.link.stream import stream_command
 from planner.listing import columns, shipped
-from planner.place import place_command
-from planner.register import register_command
-from planner.robots import robots_command
-from planner.simulate.__main__ import simulate_command
+from planner.reference.pages import commands
 
-COMMANDS = (
-    solve_command,
-    check_command,
-    place_command,
-    register_command,
-    robots_command,
-    link_command,
-    egm_command,
-    stream_command,
-    simulate_command,
-)
+ROOT = Path(__file__).resolve().parents[1]
 
 
-@pytest.fixture(params=COMMANDS, ids=lambda make: make.__name__)
+@pytest.fixture(params=commands(), ids=lambda each: each.prog.removeprefix("python -m planner."))
 def command(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Command:
     monkeypatch.setenv("COLUMNS", "80")
-    made: Command = request.param()
+    made: Command = request.param
     return made
 
 
@@ -54,6 +38,17 @@ def test_examples_are_taken(command: Command) -> None:
         words = shlex.split(typed)[3:]
         if "--help" not in words:
             command.parse_args(words)
+
+
+def test_every_command_is_listed() -> None:
+    """Whatever can be started with `python -m planner.` is on the page of commands."""
+    known = {each.prog.removeprefix("python -m planner.") for each in commands()}
+    can = set()
+    for path in sorted((ROOT / "planner").rglob("*.py")):
+        if '__name__ == "__main__"' in path.read_text(encoding="utf-8"):
+            can.add(".".join(path.relative_to(ROOT / "planner").with_suffix("").parts).removesuffix(".__main__"))
+    assert known <= can
+    assert can - known == {"report.picture", "toolpath.step.reader", "view.child"}  # not typed by users
 
 
 def test_the_version_is_told(command: Command, capsys: pytest.CaptureFixture[str]) -> None:

@@ -334,7 +334,7 @@ def test_slow_page_is_told_the_newest_only() -> None:
         (["."], ["a folder without results"]),
         (["fibre_plane", "--set", "process.speed"], ["--set process.speed", "dotted.key=value"]),
         (["fibre_plane", "--port", "70000"], ["is not a port"]),
-        (["fibre_plane", "--beside", "best"], ["invalid choice"]),
+        (["fibre_plane", "--beside", "best"], ["'best' is unknown"]),
     ],
 )
 def test_wrong_arguments(

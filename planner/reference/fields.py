@@ -23,9 +23,12 @@ _HEAD = """\
 
 *Made by `python -m planner.reference` from the models that read the file; do not edit.*
 
-A problem is one YAML file. Lengths are millimetres, angles degrees, times seconds and temperatures degrees Celsius, as the names of the keys say. Files that it names are counted from its own folder. A key that is not known is refused, with the nearest known one. `python -m planner.check my_part.yaml` reads a file without planning it.
+A problem is one YAML file. Lengths are millimetres, angles degrees, times seconds and temperatures degrees Celsius, \
+as the names of the keys say. Files that it names are counted from its own folder. A key that is not known is \
+refused, with the nearest known one. `python -m planner.check my_part.yaml` reads a file without planning it.
 
-An editor that knows JSON schemas completes and checks the file while it is written: the first line of a problem in `problems/` names [problem.schema.json](../problem.schema.json).
+An editor that knows JSON schemas completes and checks the file while it is written: the first line of a problem in \
+`problems/` names [problem.schema.json](../problem.schema.json).
 
 A key without a default must be there. `NAME` stands for a name of your own.
 """
@@ -34,7 +37,10 @@ _ROBOT_HEAD = """\
 
 *Made by `python -m planner.reference`; do not edit.*
 
-What a URDF cannot say of a robot stands in a YAML file: `robots/<name>.yaml` of those that ship, or a file of your own, which the problem names in `cell.arm` or `cell.positioner.robot`. [A robot of your own](../own_robot.md) shows all of it; `python -m planner.robots my_robot.yaml` tells what was read. [robot.schema.json](../robot.schema.json) is its JSON schema.
+What a URDF cannot say of a robot stands in a YAML file: `robots/<name>.yaml` of those that ship, or a file of your \
+own, which the problem names in `cell.arm` or `cell.positioner.robot`. [A robot of your own](../own_robot.md) shows \
+all of it; `python -m planner.robots my_robot.yaml` tells what was read. [robot.schema.json](../robot.schema.json) \
+is its JSON schema.
 """
 
 
@@ -127,8 +133,8 @@ def _about(model: Model, places: list[str]) -> str:
     text = (model.__doc__ or "").strip().partition("\n\n")[0]
     if others := [f"`{place}`" for place in dict.fromkeys(places) if place != places[0]]:
         text += f" Likewise: {', '.join(others)}."
-    one = (model.model_config.get("json_schema_extra") or {}) if isinstance(model.model_config, dict) else {}
-    choices = [each["required"][0] for each in one.get("oneOf", ())] if isinstance(one, dict) else []
+    extra: Any = model.model_config.get("json_schema_extra") or {}
+    choices = [each["required"][0] for each in extra.get("oneOf", ())]
     if choices:
         text += f" Exactly one of {', '.join(f'`{name}`' for name in choices)} is given."
     return text

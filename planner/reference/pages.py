@@ -18,20 +18,23 @@ from planner.reference.markdown import table
 from planner.register import register_command
 from planner.robots import robots_command
 from planner.simulate.__main__ import simulate_command
+from planner.view.command import view_command
 
 _METRICS_HEAD = """\
 # Metrics, checks and columns
 
 *Made by `python -m planner.reference` from the tables beside the code; do not edit.*
 
-A plan is written as `plan.json`, and its motion sample by sample as `trajectory.csv`. The verifier finds metrics and checks from the joints of the motion alone, by the robots' URDF files.
+A plan is written as `plan.json`, and its motion sample by sample as `trajectory.csv`. The verifier finds metrics \
+and checks from the joints of the motion alone, by the robots' URDF files.
 """
 _COMMANDS_HEAD = """\
 # Commands
 
 *Made by `python -m planner.reference` from the commands themselves; do not edit.*
 
-All commands print their result on stdout, and progress and errors on stderr. A pipe gets no progress bars and no colours; `NO_COLOR` switches colours off on a terminal, too.
+All commands print their result on stdout, and progress and errors on stderr. A pipe gets no progress bars and no \
+colours; `NO_COLOR` switches colours off on a terminal, too.
 """
 
 
@@ -74,7 +77,7 @@ def names(given: Mapping[str, str]) -> str:
 def commands() -> tuple[Command, ...]:
     """The parsers of all commands."""
     makers = (
-        solve_command, check_command, place_command, register_command, robots_command, link_command,
+        solve_command, check_command, view_command, place_command, register_command, robots_command, link_command,
         stream_command, egm_command, simulate_command, reference_command,
     )  # fmt: skip
     return tuple(make() for make in makers)

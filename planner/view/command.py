@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from planner.command import exit_code
+from planner.command import Command, add_set, add_strategy, exit_code, one_of
 from planner.errors import EXIT_VERIFIED, InputError
 from planner.problem import find_problem, load_problem, shipped_problems
 from planner.problem.settings import STRATEGY_NAMES
@@ -21,19 +21,18 @@ from planner.view.run import Subject, run_view, subject_of
 from planner.view.state import View
 
 USUAL_STRATEGY = "sqp"  # while the file that would say so cannot be read
-EXAMPLES = """\
-examples:
-  python -m planner.view my_part.yaml                       solve, show, and solve again on every save
-  python -m planner.view my_part.yaml --beside as_published two strategies side by side
-  python -m planner.view my_part.yaml --set layers.count=1  as it would be with another field
-  python -m planner.view out/my_part                        show what planner.solve writes there
-exit codes: 0 ended from elsewhere, 2 wrong input, 130 ended by Ctrl-C
-"""
+EXAMPLES = {
+    "my_part.yaml": "solve, show, and solve again on every save",
+    "my_part.yaml --beside as_published": "two strategies side by side",
+    "my_part.yaml --set layers.count=1": "as it would be with another field",
+    "out/my_part": "show what planner.solve writes there",
+}
+CODES = {0: "ended from elsewhere", 2: "wrong input", 130: "ended by Ctrl-C"}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
-    options = _options(arguments)
+    options = view_command().parse_args(arguments)
     say = partial(print, file=sys.stderr)
     return exit_code(partial(_run, options), say, interrupted="the view has ended; no results were written")
 
@@ -85,31 +84,28 @@ def _ready(subject: Subject, browser: bool, url: str) -> None:
         threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
 
 
-def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m planner.view",
-        description="Show a problem's report in the browser, and solve it anew whenever its files are saved.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+def view_command() -> Command:
+    """The parser of `python -m planner.view`."""
+    parser = Command(
+        "view",
+        "Show a problem's report in the browser, and solve it anew whenever its files are saved.",
+        EXAMPLES,
+        CODES,
     )
     parser.add_argument(
         "subject", metavar="PROBLEM|OUT_DIR", help="problem file, name of a shipped one, or a folder of results"
     )
-    parser.add_argument("--strategy", choices=STRATEGY_NAMES, help="instead of the problem's own")
-    parser.add_argument("--beside", choices=STRATEGY_NAMES, help="another strategy, in a second pane")
+    add_strategy(parser)
     parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="change a field, e.g. layers.count=1; repeatable",
+        "--beside", type=one_of(STRATEGY_NAMES), metavar="NAME", help="another strategy, in a second pane"
     )
+    add_set(parser)
     parser.add_argument("--port", type=_port, default=0, help="of this computer (default: a free one)")
     parser.add_argument(
         "--no-drafts", dest="drafts", action="store_false", help="no draft of one layer first where a print is large"
     )
     parser.add_argument("--no-browser", dest="browser", action="store_false", help="only print the address")
-    return parser.parse_args(arguments)
+    return parser
 
 
 def _port(text: str) -> int:
