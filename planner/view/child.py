@@ -28,13 +28,15 @@ from planner.view.content import mistake_of
 from planner.view.figures import figures_of
 
 DRAFT_FROM = 3_000  # waypoints from which a draft of one layer comes first: below, the whole takes but some seconds
+# Read past sys.stdin: a thread that waits in it holds its lock, and a forked worker, which closes it, would wait for ever.
+STDIN, LONGEST_PIECE = 0, 4096
 Say = Callable[..., None]
 
 
 def main() -> int:
     """Wait for a job, do it, and tell."""
     end_in_order()
-    line = sys.stdin.buffer.readline()
+    line = _first_line()
     if not line.strip():
         return 0
     threading.Thread(target=_end_with_the_view, daemon=True).start()
@@ -94,8 +96,15 @@ def _solve(problem: Problem, strategy: str, overrides: Sequence[str], folder: Pa
     say(kind=kind, words=f"{words}; {size}", figures=figures_of(plan.metrics), draft=draft)
 
 
+def _first_line() -> bytes:
+    line = b""
+    while not line.endswith(b"\n") and (piece := os.read(STDIN, LONGEST_PIECE)):
+        line += piece
+    return line
+
+
 def _end_with_the_view() -> None:
-    while sys.stdin.buffer.read(4096):
+    while os.read(STDIN, LONGEST_PIECE):
         pass
     os.killpg(os.getpgid(0), signal.SIGKILL)  # the session that was made for this process, workers included
 
