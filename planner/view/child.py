@@ -18,11 +18,12 @@ from typing import Any
 
 from planner.errors import PlannerError, Refusal
 from planner.interrupts import end_in_order
+from planner.planning import solve
 from planner.problem import Problem, load_problem
 from planner.progress import Stages
 from planner.report.html import write_report
 from planner.report.wording import counted
-from planner.solve import report_refusal, solve
+from planner.solve import report_refusal
 from planner.toolpath.build import build_toolpath
 from planner.view.content import mistake_of
 from planner.view.figures import figures_of
@@ -59,8 +60,8 @@ def run(job: dict[str, Any], say: Say) -> None:
         draft = _draft_words(problem) if job["drafts"] else ""
         if draft:
             one = load_problem(job["problem"], [*overrides, "layers.count=1"])
-            _solve(one, job["strategy"], overrides, folder / "draft", draft, say)
-        _solve(problem, job["strategy"], overrides, folder / "whole", "", say)
+            _solve(one, job["strategy"], folder / "draft", draft, say)
+        _solve(problem, job["strategy"], folder / "whole", "", say)
     except PlannerError as error:
         say(mistake=asdict(mistake_of(error)))
 
@@ -75,7 +76,7 @@ def _draft_words(problem: Problem) -> str:
     return f"one layer of {count}" if waypoints >= DRAFT_FROM else ""
 
 
-def _solve(problem: Problem, strategy: str, overrides: Sequence[str], folder: Path, draft: str, say: Say) -> None:
+def _solve(problem: Problem, strategy: str, folder: Path, draft: str, say: Say) -> None:
     folder.mkdir(parents=True)
     path = folder / "report.html"
     stages = Stages(entered=lambda name: say(stage=name, draft=draft))
@@ -86,7 +87,6 @@ def _solve(problem: Problem, strategy: str, overrides: Sequence[str], folder: Pa
             report_refusal(problem, strategy, refusal, path)
         say(kind="refused", words=f"no plan: {refusal}", figures=[], draft=draft)
         return
-    plan.settings["overrides"] = [*overrides, "layers.count=1"] if draft else list(overrides)
     with stages.stage("report"):
         write_report(plan, path)
     failed = [check.name for check in plan.checks if not check.ok]

@@ -21,13 +21,6 @@ from planner.view.run import Subject, run_view, subject_of
 from planner.view.state import View
 
 USUAL_STRATEGY = "sqp"  # while the file that would say so cannot be read
-EXAMPLES = {
-    "my_part.yaml": "solve, show, and solve again on every save",
-    "my_part.yaml --beside as_published": "two strategies side by side",
-    "my_part.yaml --set layers.count=1": "as it would be with another field",
-    "out/my_part": "show what planner.solve writes there",
-}
-CODES = {0: "ended from elsewhere", 2: "wrong input", 130: "ended by Ctrl-C"}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -88,19 +81,27 @@ def view_command() -> Command:
     """The parser of `python -m planner.view`."""
     parser = Command(
         "view",
-        "Show a problem's report in the browser, and solve it anew whenever its files are saved.",
-        EXAMPLES,
-        CODES,
+        "Show a problem's report in the browser, and solve it anew whenever its files are saved. Nothing is written: "
+        "planner.solve does that.",
+        {
+            "my_part.yaml": "solve, show, and solve again on every save",
+            "my_part.yaml --strategy ladder --beside as_published": "two strategies side by side",
+            "my_part.yaml --set layers.count=1": "with a field changed",
+            "out/my_part": "show what planner.solve writes there, whenever it does",
+        },
+        {0: "ended otherwise than by Ctrl-C", 2: "wrong input, or a port that is taken", 130: "ended by Ctrl-C"},
     )
     parser.add_argument(
-        "subject", metavar="PROBLEM|OUT_DIR", help="problem file, name of a shipped one, or a folder of results"
+        "subject",
+        metavar="PROBLEM|OUT_DIR",
+        help="problem file (.yaml), or the name of a shipped one (solve --list); or a folder of results",
     )
     add_strategy(parser)
     parser.add_argument(
         "--beside", type=one_of(STRATEGY_NAMES), metavar="NAME", help="another strategy, in a second pane"
     )
     add_set(parser)
-    parser.add_argument("--port", type=_port, default=0, help="of this computer (default: a free one)")
+    parser.add_argument("--port", type=_port, default=0, metavar="N", help="of this computer (default: a free one)")
     parser.add_argument(
         "--no-drafts", dest="drafts", action="store_false", help="no draft of one layer first where a print is large"
     )

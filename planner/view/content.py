@@ -17,6 +17,7 @@ from planner.problem.file import read_problem_file, shorten
 from planner.robot_yaml import read_robot_file
 
 LONGEST_TEXT = 60  # characters of a value that are shown
+MOST_MISTAKES = 20  # that are shown below the first
 MISSING = "missing"
 Signature = tuple[int, int, int]  # time of the last change [ns], size [bytes], inode: editors save by renaming
 
@@ -35,7 +36,8 @@ class Content:
 
 @dataclass(frozen=True)
 class Mistake:
-    """Why there is nothing to solve, and where; `excerpt` is the line of the file as it stands."""
+    """Why there is nothing to solve, and where; `excerpt` is the line of the file as it stands, `more` what is wrong
+    besides."""
 
     text: str
     file: str = ""
@@ -43,6 +45,7 @@ class Mistake:
     field: str = ""
     hint: str = ""
     excerpt: str = ""
+    more: tuple[str, ...] = ()
 
 
 def mistake_of(error: PlannerError) -> Mistake:
@@ -50,7 +53,10 @@ def mistake_of(error: PlannerError) -> Mistake:
     if not isinstance(error, InputError):
         return Mistake(str(error))
     file = "" if error.file is None else str(error.file)
-    return Mistake(error.reason, file, error.line, error.field or "", error.hint or "", _excerpt(file, error.line))
+    more = tuple(str(other) for other in error.all if other is not error)[:MOST_MISTAKES]
+    return Mistake(
+        error.reason, file, error.line, error.field or "", error.hint or "", _excerpt(file, error.line), more
+    )
 
 
 def _excerpt(file: str, line: int | None) -> str:

@@ -38,7 +38,7 @@
     pane.progress = element("span", { className: "progress", hidden: true }, pane.bar, pane.words);
     pane.empty = element("p", { className: "empty" });
     pane.frames = element("div", { className: "frames" }, pane.empty);
-    const head = element("h2", {}, pane.choice, pane.name, pane.verdict, pane.draft, pane.progress);
+    const head = element("h2", {}, pane.choice, pane.name, pane.draft, pane.verdict, pane.progress);
     pane.root = element("section", { className: "pane", "aria-label": "Pane " + (index + 1) }, head, pane.frames);
     return pane;
   }
@@ -56,6 +56,7 @@
     pane.verdict.className = "verdict" + (result && result.kind !== "verified" ? " bad" : "");
     pane.frames.classList.toggle("past", Boolean(result && result.old));
     pane.verdict.replaceChildren(...(result ? verdictOf(result) : []));
+    pane.verdict.title = result ? result.words : "";
     pane.draft.hidden = !(result && result.draft);
     pane.draft.textContent = result && result.draft ? "Draft: " + result.draft : "";
     drawProgress(pane, running, told.waiting);
@@ -148,6 +149,7 @@
     if (mistake.excerpt) {
       parts.push(element("pre", {}, element("span", { className: "line", textContent: mistake.line + "  " }), mistake.excerpt));
     }
+    parts.push(...mistake.more.map((text) => element("p", { textContent: text })));
     if (state.panes.some((pane) => pane.result)) {
       parts.push(element("p", { className: "soft", textContent: "Below is the last good result; it stays until this is mended." }));
     }

@@ -58,12 +58,12 @@ def _result(view: View, result: Result | None) -> dict[str, Any] | None:
 
 
 def differences(view: View) -> list[dict[str, str]]:
-    """Key figures of two panes side by side; none where there are not two whole results of the same files."""
+    """Key figures of two panes side by side; none where there are not two whole plans of the same files."""
     if len(view.panes) < 2:
         return []
     pair = [view.results.get(strategy) for strategy in view.panes]
     sides = [dict(each.outcome.figures) for each in pair if each is not None and not each.outcome.draft]
-    if len(sides) < 2 or len({each.turn for each in pair if each is not None}) > 1:
+    if len(sides) < 2 or not all(sides) or len({each.turn for each in pair if each is not None}) > 1:
         return []
     rows = []
     for row in ROWS:

@@ -1,0 +1,69 @@
+"""The live view as the docs show it: two strategies side by side after an edit, as a headless browser sees it.
+
+python -m benchmarks.view_picture docs/pictures/view.png
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from playwright.sync_api import Page, sync_playwright
+
+from planner.problem.file import PROBLEMS
+
+PROBLEM = "peer_cap"  # solved in seconds
+EDIT = ("speed_mm_s: 40", "speed_mm_s: 60")
+SIZE = {"width": 1366, "height": 1000}
+PATIENCE = 300.0  # s for all solves
+FLAGS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+IDLE = """() => document.querySelectorAll('iframe').length === 2 && !document.querySelector('iframe.coming')
+  && [...document.querySelectorAll('.progress')].every((each) => each.hidden)"""
+SETTLED_TIME = 2.0  # s for the scenes to be painted
+
+
+def view_picture(path: Path) -> None:
+    """Write the picture, a PNG file of any number of colours."""
+    with tempfile.TemporaryDirectory() as folder:
+        for file in PROBLEMS.glob(f"{PROBLEM}.*"):
+            shutil.copy(file, folder)
+        problem = Path(folder) / f"{PROBLEM}.yaml"
+        command = [sys.executable, "-m", "planner.view", str(problem), "--no-browser", "--beside", "as_published"]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as view:
+            try:
+                if view.stdout is None:
+                    raise RuntimeError("the view has no output")
+                _picture(view.stdout.readline().split()[-1], problem, path)
+            finally:
+                view.terminate()
+
+
+def _picture(url: str, problem: Path, path: Path) -> None:
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=list(FLAGS))
+        page = browser.new_page(viewport=SIZE)
+        page.goto(url)
+        _until_idle(page)
+        problem.write_text(problem.read_text(encoding="utf-8").replace(*EDIT), encoding="utf-8")
+        time.sleep(1.0)
+        _until_idle(page)
+        page.click("summary")
+        time.sleep(SETTLED_TIME)
+        page.screenshot(path=path)
+        browser.close()
+
+
+def _until_idle(page: Page) -> None:
+    end = time.monotonic() + PATIENCE
+    while not page.evaluate(IDLE):
+        if time.monotonic() > end:
+            raise TimeoutError("the view does not come to rest")
+        time.sleep(0.1)
+
+
+if __name__ == "__main__":
+    view_picture(Path(sys.argv[1]))

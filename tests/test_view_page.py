@@ -1,0 +1,152 @@
+"""The live view's page in a browser: reports that give way to newer ones, and what is kept and shared between them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from solved import write_small
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this computer")
+
+# A report that does what the page relies on: says when it is drawn, tells what its user does, takes what it is told.
+REPORT = """\
+<!doctype html><title>a report</title><p id=name>NAME</p><p id=told>nothing</p>
+<button onclick="parent.postMessage({beadwise: 'state', t: 1.5, camera: [1, 2, 3], by: 'NAME'}, '*')">turn</button>
+<script>
+addEventListener("message", (event) => {
+  if (event.source === parent) document.getElementById("told").textContent = JSON.stringify(event.data);
+});
+parent.postMessage({beadwise: "ready"}, "*");
+let reach = "reached";
+try { void parent.document.title; } catch (error) { reach = "kept out"; }
+document.title = reach;
+</script>
+"""
+SOLVER = """\
+import json, pathlib, sys
+job = json.loads(sys.stdin.readline() or "null")
+if job is None:
+    sys.exit()
+folder = pathlib.Path(job["folder"]) / "whole"
+folder.mkdir(parents=True)
+text = pathlib.Path(__file__).with_name("report.html").read_text()
+(folder / "report.html").write_text(text.replace("NAME", job["strategy"] + " " + folder.parent.name))
+figures = [["at_speed_fraction", 0.9 if job["strategy"] == "sqp" else 0.4], ["print_time_s", 9.0]]
+print(json.dumps({"kind": "verified", "words": "verified: 1 check holds", "figures": figures, "draft": ""}))
+"""
+VIEW = """\
+import sys
+from planner.view import command, solver
+solver.CHILD = (sys.executable, "-S", sys.argv.pop(1))
+sys.exit(command.main())
+"""
+PATIENCE = 20.0  # s
+
+
+class Opened:
+    """The page of a view, its problem file, and what went wrong in the browser."""
+
+    def __init__(self, page: Any, problem: Path) -> None:
+        self.page, self.problem = page, problem
+        self.wrong: list[str] = []
+        page.on("pageerror", lambda error: self.wrong.append(str(error)))
+        page.on("console", lambda said: self.wrong.append(said.text) if said.type == "error" else None)
+
+    def until(self, done: Callable[[], Any]) -> Any:
+        """Wait until something is so; the page's policy lets no test wait in it."""
+        end = time.monotonic() + PATIENCE
+        while not (found := done()):
+            assert time.monotonic() < end, "the page did not come so far"
+            self.page.wait_for_timeout(30)
+        return found
+
+    def reports(self) -> list[Any]:
+        """The frames of the reports that are shown, left to right; none while one is on its way."""
+        frames = self.page.query_selector_all("iframe")
+        coming = any(frame.get_attribute("class") == "coming" for frame in frames)
+        shown = [] if coming else [frame.content_frame() for frame in frames]
+        return shown if all(frame is not None and frame.query_selector("#told") for frame in shown) else []
+
+    def names(self) -> list[str]:
+        """What the reports that are shown are of."""
+        return [report.inner_text("#name") for report in self.reports()]
+
+    def text(self, selector: str) -> str:
+        """The text of a part of the page."""
+        return str(self.page.inner_text(selector))
+
+
+@pytest.fixture
+def opened(tmp_path: Path) -> Iterator[Opened]:
+    """A view of the small problem, with a solver that hands out the report above."""
+    problem = write_small(tmp_path / "problem")
+    (tmp_path / "report.html").write_text(REPORT)
+    (tmp_path / "solver.py").write_text(SOLVER)
+    command = [
+        sys.executable,
+        "-c",
+        VIEW,
+        str(tmp_path / "solver.py"),
+        str(problem),
+        "--no-browser",
+        "--strategy",
+        "sqp",
+    ]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as view, sync_api.sync_playwright() as playwright:
+        try:
+            assert view.stdout is not None
+            url = view.stdout.readline().split()[-1]
+            browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+            page = browser.new_page(viewport={"width": 1366, "height": 768})
+            found = Opened(page, problem)
+            page.goto(url)
+            yield found
+            assert found.wrong == []
+            browser.close()
+        finally:
+            view.send_signal(signal.SIGINT)
+
+
+def test_page_from_an_edit_to_two_strategies(opened: Opened) -> None:
+    page, problem = opened.page, opened.problem
+    opened.until(lambda: opened.names() == ["sqp 1"])
+    assert opened.reports()[0].title() == "kept out", "a report must not reach into the page"
+    # what the user does in a report is told to the next one
+    opened.reports()[0].click("button")
+    problem.write_text(problem.read_text().replace("speed_mm_s: 40", "speed_mm_s: 50"))
+    opened.until(lambda: opened.names() == ["sqp 2"])
+    kept = json.loads(opened.until(lambda: opened.reports() and opened.reports()[0].inner_text("#told")))
+    assert (kept["camera"], kept["t"], kept["by"]) == ([1, 2, 3], 1.5, "sqp 1")
+    # a mistake leaves the report, and says where
+    problem.write_text(problem.read_text().replace("speed_mm_s: 50", "speed_mm_s: fast"))
+    opened.until(lambda: "process.speed_mm_s" in opened.text("#message"))
+    assert "speed_mm_s: fast" in opened.text("#message pre") and "earlier save" in opened.text(".verdict")
+    assert opened.names() == ["sqp 2"]
+    problem.write_text(problem.read_text().replace("speed_mm_s: fast", "speed_mm_s: 50"))
+    opened.until(lambda: not page.is_visible("#message"))
+    # a second strategy beside it; what happens in one pane is told to the other, and not back
+    page.check("#beside")
+    opened.until(lambda: opened.names() == ["sqp 2", "as_published 3"])
+    left, right = opened.reports()
+    page.wait_for_timeout(300)  # in which an answer would be taken for an echo
+    right.click("button")
+    opened.until(lambda: "as_published" in left.inner_text("#told"))
+    assert "as_published" not in right.inner_text("#told")
+    page.click("summary")
+    assert "✓ 90.00" in opened.text("#differences")
+    assert "process.speed_mm_s: 40 → 50" in opened.text("#history")
+    page.set_viewport_size({"width": 390, "height": 844})
+    assert page.evaluate("document.documentElement.scrollWidth") == 390
+    page.uncheck("#beside")
+    opened.until(lambda: opened.names() == ["sqp 2"])
