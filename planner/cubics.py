@@ -95,10 +95,26 @@ def add(a: Cubics, b: Cubics) -> Cubics:
 
 
 @njit(cache=True)
+def _merged(a: Array, b: Array) -> Array:
+    """The breakpoints of both, each once: at least two."""
+    both = np.zeros(len(a) + len(b))
+    i, j, n = 0, 0, 0
+    while i < len(a) or j < len(b):
+        if j == len(b) or (i < len(a) and a[i] <= b[j]):
+            t = a[i]
+            i += 1
+        else:
+            t = b[j]
+            j += 1
+        if n == 0 or t > both[n - 1]:
+            both[n] = t
+            n += 1
+    return both[: max(n, 2)].copy()
+
+
+@njit(cache=True)
 def _add(times_a: Array, a: Array, times_b: Array, b: Array) -> tuple[Array, Array]:
-    times = np.unique(np.concatenate((times_a, times_b)))
-    if len(times) == 1:
-        times = np.zeros(2)
+    times = _merged(times_a, times_b)
     out = np.zeros((4, len(times) - 1, a.shape[2]))
     for own, c in ((times_a, a), (times_b, b)):
         piece, last = 0, len(own) - 2

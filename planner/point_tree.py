@@ -72,22 +72,24 @@ def _build(points, radius, time, order, centre, reach, since, left, right):
         if a == b:
             left[node], right[node] = -1 - a, 0
             continue
-        low, high = points[order[a]].copy(), points[order[a]].copy()
+        widest, axis = -1.0, 0
+        for k in range(3):
+            low, high = points[order[a], k], points[order[a], k]
+            for i in range(a, b):
+                low, high = min(low, points[order[i], k]), max(high, points[order[i], k])
+            centre[node, k] = 0.5 * (low + high)
+            if high - low > widest:
+                widest, axis = high - low, k
         for i in range(a, b):
-            p = points[order[i]]
-            for k in range(3):
-                low[k], high[k] = min(low[k], p[k]), max(high[k], p[k])
             since[node] = min(since[node], time[order[i]])
-        centre[node] = 0.5 * (low + high)
-        for i in range(a, b):
-            p = points[order[i]] - centre[node]
-            far = np.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]) + radius[order[i]]
-            reach[node] = max(reach[node], far)
+            p = points[order[i]]
+            x, y, z = p[0] - centre[node, 0], p[1] - centre[node, 1], p[2] - centre[node, 2]
+            reach[node] = max(reach[node], np.sqrt(x * x + y * y + z * z) + radius[order[i]])
         if b - a <= _LEAF:
             left[node], right[node] = -1 - a, b - a
             continue
         middle = (a + b) // 2
-        _halve(points, np.argmax(high - low), order, a, b, middle)
+        _halve(points, axis, order, a, b, middle)
         left[node], right[node] = count, count + 1
         todo.append((count, a, middle))
         todo.append((count + 1, middle, b))

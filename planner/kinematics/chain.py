@@ -60,6 +60,16 @@ def mul4(A: Array, B: Array, C: Array) -> None:
 
 
 @njit(cache=True)
+def pose_of(R: Array, t: Array, T: Array) -> None:
+    """Fill T (4, 4) with the rigid transform of a rotation R (3, 3) and an origin t (3)."""
+    for i in range(3):
+        for j in range(3):
+            T[i, j] = R[i, j]
+        T[i, 3] = t[i]
+    T[3, 0], T[3, 1], T[3, 2], T[3, 3] = 0.0, 0.0, 0.0, 1.0
+
+
+@njit(cache=True)
 def turn(T: Array, R: Array, out: Array) -> None:
     """Fill out (4, 4) with the rigid transform T, its frame turned by the rotation R (3, 3)."""
     for i in range(3):
@@ -115,7 +125,7 @@ def chain_jacobians(placements: Array, axes: Array, T_last_tip: Array, q: Array)
             out[k, 0, i] = z[1] * w - z[2] * y
             out[k, 1, i] = z[2] * x - z[0] * w
             out[k, 2, i] = z[0] * y - z[1] * x
-            out[k, 3:, i] = z
+            out[k, 3, i], out[k, 4, i], out[k, 5, i] = z[0], z[1], z[2]
     return out
 
 

@@ -57,7 +57,7 @@ def refine(
                     A[i, j] += J[k, i] * J[k, j]
             if i == held:
                 b[i] = 0.0
-        _solve_symmetric(A, b)
+        solve_symmetric(A, b)
         longest = 0.0
         for i in range(n):
             longest = max(longest, abs(b[i]))
@@ -73,7 +73,7 @@ def _pose_and_jacobian(
     placements: Array, axes: Array, T_last_tip: Array, q: Array, tip: Array, J: Array, room: Array
 ) -> None:
     """Fill tip (4, 4) and its geometric Jacobian J (6, n) of one posture q (n); room (3, 4, 4) is spoilt."""
-    before, after, R = room[0], room[1], room[2, :3, :3]
+    before, after, R = room[0], room[1], room[2]  # R (4, 4) whole: another memory layout would be compiled once more
     after[:] = 0.0
     for i in range(4):
         after[i, i] = 1.0
@@ -94,7 +94,7 @@ def _pose_and_jacobian(
 
 
 @njit(cache=True)
-def _solve_symmetric(A: Array, b: Array) -> None:
+def solve_symmetric(A: Array, b: Array) -> None:
     """b (n) becomes the x of A x = b with a positive definite A (n, n), which is spoilt (Cholesky)."""
     n = b.size
     for j in range(n):

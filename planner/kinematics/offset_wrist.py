@@ -176,16 +176,21 @@ def _poses(p: Array, q: Array) -> Array:
     T_base_shoulder = inverse_of(p[16:32])
     T_k_flange = inverse_of(p[32:48])
     out = np.empty((q.shape[0], 4, 4))
-    K, T = np.eye(4), np.empty((4, 4))
+    K, T = np.zeros((4, 4)), np.empty((4, 4))
+    K[3, 3] = 1.0
     for i in range(q.shape[0]):
         th = p[4:10] * q[i] + p[10:16]
         th23 = th[1] + th[2]
         phi = th23 + th[3]
         s1, c1, s, c = np.sin(th[0]), np.cos(th[0]), np.sin(phi), np.cos(phi)
         s5, c5, s6, c6 = np.sin(th[4]), np.cos(th[4]), np.sin(th[5]), np.cos(th[5])
-        A = np.array(((c1 * c, -s1, c1 * s), (s1 * c, c1, s1 * s), (-s, 0.0, c)))
-        W = np.array(((c5 * c6, -s5, c5 * s6), (s5 * c6, c5, s5 * s6), (-s6, 0.0, c6)))
-        K[:3, :3] = A @ W
+        # Rz(th1) Ry(phi) by Rz(th5) Ry(th6), whose columns are (c5 c6, s5 c6, -s6), (-s5, c5, 0), (c5 s6, s5 s6, c6)
+        for k, (x, y, z) in enumerate(((c1 * c, -s1, c1 * s), (s1 * c, c1, s1 * s), (-s, 0.0, c))):
+            K[k, 0], K[k, 1], K[k, 2] = (
+                x * c5 * c6 + y * s5 * c6 - z * s6,
+                y * c5 - x * s5,
+                x * c5 * s6 + y * s5 * s6 + z * c6,
+            )
         radial = a2 * np.sin(th[1]) + a3 * np.sin(th23) + d5 * s
         K[0, 3], K[1, 3] = c1 * radial - s1 * d4, s1 * radial + c1 * d4
         K[2, 3] = a2 * np.cos(th[1]) + a3 * np.cos(th23) + d5 * c

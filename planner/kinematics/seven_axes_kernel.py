@@ -29,6 +29,13 @@ def _euler(R: Array, first: Array) -> None:
 
 
 @njit(cache=True)
+def _identity(A: Array) -> None:
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            A[i, j] = 1.0 if i == j else 0.0
+
+
+@njit(cache=True)
 def _times_ry(R: Array, angle: float) -> None:
     """R (3, 3) becomes R Ry(angle)."""
     s, c = np.sin(angle), np.cos(angle)
@@ -106,7 +113,9 @@ def _given_seventh(
         x = np.sqrt(max(x2, 0.0)) * (1.0 if wrist == 0 else -1.0)
         th6 = np.arctan2(x, ez) - np.arctan2(vx, vz)
         th5 = np.arctan2(-vy * side, x * side)
-        R[:, :] = G[:3, :3]
+        for i in range(3):
+            for j in range(3):
+                R[i, j] = G[i, j]
         _times_ry(R, -th6)
         _times_rz(R, -th5)
         _times_ry(R, -th4)
@@ -133,12 +142,12 @@ def _given_third(
     x2 = rho2 - uy * uy
     if abs(uy) > np.sqrt(rho2) + _ASIDE:
         return
-    R, T, angles = np.eye(3), np.empty((3, 3)), np.empty(3)
+    R, T, angles = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     for shoulder in range(2):
         x = np.sqrt(max(x2, 0.0)) * (1.0 if shoulder == 0 else -1.0)
         th2 = np.arctan2(x, W[2]) - np.arctan2(ux, wz)
         th1 = np.arctan2(W[1], W[0]) - np.arctan2(uy, x) if rho2 > 0.0 else 0.0
-        R[:, :] = np.eye(3)
+        _identity(R)
         _times_rz(R, th1)
         _times_ry(R, th2)
         _times_rz(R, th3)
@@ -173,9 +182,9 @@ def poses(p: Array, q: Array) -> Array:
     T_base_shoulder = inverse_of(p[13:29])
     T_7_flange = inverse_of(p[29:45])
     out = np.empty((q.shape[0], 4, 4))
-    F, T = np.eye(4), np.empty((4, 4))
+    F, T = np.empty((4, 4)), np.empty((4, 4))
     for k in range(q.shape[0]):
-        F[:, :] = np.eye(4)
+        _identity(F)
         R = F[:3, :3]
         for j in range(7):
             if j % 2 == 0:

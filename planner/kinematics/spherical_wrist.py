@@ -178,21 +178,20 @@ def pose_one(p: Array, q: Array, T: Array) -> None:
     s4, c4_ = np.sin(q[3]), np.cos(q[3])
     s5, c5 = np.sin(q[4]), np.cos(q[4])
     s6, c6 = np.sin(q[5]), np.cos(q[5])
-    W = np.array(
-        (
-            (c4_ * c5 * c6 - s4 * s6, -c4_ * c5 * s6 - s4 * c6, c4_ * s5),
-            (s4 * c5 * c6 + c4_ * s6, -s4 * c5 * s6 + c4_ * c6, s4 * s5),
-            (-s5 * c6, s5 * s6, c5),
-        )
+    # rows of the arm's rotation by columns of the wrist's; written out, for products and slices take long to compile
+    arm = ((co1 * c23, -s1, co1 * s23), (s1 * c23, co1, s1 * s23), (-s23, 0.0, c23))
+    wrist = (
+        (c4_ * c5 * c6 - s4 * s6, s4 * c5 * c6 + c4_ * s6, -s5 * c6),
+        (-c4_ * c5 * s6 - s4 * c6, -s4 * c5 * s6 + c4_ * c6, s5 * s6),
+        (c4_ * s5, s4 * s5, c5),
     )
-    A = np.array(((co1 * c23, -s1, co1 * s23), (s1 * c23, co1, s1 * s23), (-s23, 0.0, c23)))
-    R = A @ W
-    T[:3, :3] = R
-    T[0, 3] = co1 * radial - s1 * b + c4 * R[0, 2]
-    T[1, 3] = s1 * radial + co1 * b + c4 * R[1, 2]
-    T[2, 3] = up + c4 * R[2, 2]
-    T[3, :3] = 0.0
-    T[3, 3] = 1.0
+    for i in range(3):
+        for j in range(3):
+            T[i, j] = arm[i][0] * wrist[j][0] + arm[i][1] * wrist[j][1] + arm[i][2] * wrist[j][2]
+    T[0, 3] = co1 * radial - s1 * b + c4 * T[0, 2]
+    T[1, 3] = s1 * radial + co1 * b + c4 * T[1, 2]
+    T[2, 3] = up + c4 * T[2, 2]
+    T[3, 0], T[3, 1], T[3, 2], T[3, 3] = 0.0, 0.0, 0.0, 1.0
 
 
 @njit(cache=True)

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planner.kinematics.chain import chain_state, jacobian_at, mul4, rotate_about, turn
+from planner.kinematics.chain import chain_state, jacobian_at, mul4, pose_of, rotate_about, turn
 from planner.kinematics.inverse import SPHERICAL_WRIST, solve_one
 from planner.obstacles.kernel import FIRST, NO, first_lacking, head_lacking
 from planner.obstacles.table import room_for
@@ -85,9 +85,8 @@ def evaluate_margins(
         posture, bodies = np.empty((1, na + held_holder.shape[1])), room_for(table)
         for h in range(held_holder.shape[1]):
             posture[0, na + h] = held_holder[r, h]
-        T_part_task = np.eye(4)
-        T_part_task[:3, :3] = frames[rung[r]]
-        T_part_task[:3, 3] = tip[rung[r]]
+        T_part_task = np.empty((4, 4))
+        pose_of(frames[rung[r]], tip[rung[r]], T_part_task)
         for b in range(n_holders):
             swept = b * holder_step
             if sweeps > 0 and swept_high - swept_low < 2.0 * np.pi:

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planner.kinematics.chain import chain_state, jacobian_at, mul4, rotate_about, turn
+from planner.kinematics.chain import chain_state, jacobian_at, mul4, pose_of, rotate_about, turn
 from planner.kinematics.inverse import SPHERICAL_WRIST, solve_one
 from planner.obstacles.kernel import FIRST, NO, first_lacking, head_lacking
 from planner.obstacles.table import room_for
@@ -215,9 +215,8 @@ def evaluate_nodes(
         for h in range(held_holder.shape[1]):
             posture[0, na + h] = held_holder[r, h]
         i0 = rung[r]
-        T_part_task = np.eye(4)
-        T_part_task[:3, :3] = frames[i0]
-        T_part_task[:3, 3] = tip[i0]
+        T_part_task = np.empty((4, 4))
+        pose_of(frames[i0], tip[i0], T_part_task)
         duration = 0.0
         for i in range(start[r], stop[r]):
             duration += weight[i]

@@ -125,7 +125,10 @@ def search_best(q, price, roll_from, holder_from, periodic, holder_step, task_ru
             arrived = cost
             cost = np.full((A, B, C), np.inf)
             if r == 0:
-                cost[:] = price[0]
+                for i in range(A):
+                    for b in range(B):
+                        for c in range(C):
+                            cost[i, b, c] = price[0, i, b, c]
             elif r == task_rungs[task]:
                 _from_travel(q, price, r, arrived, holder_from, holder_step, v, a, wraps, cost, back)
             else:

@@ -55,12 +55,15 @@ def fastest(
     """  # fmt: skip
     m, nj = len(h), a.shape[1]
     c = start.copy()
-    rooms = (np.empty(m + 1), np.empty((m + 1, nj, 2)), np.empty((2 * m, nj, 2)))
-    time = _rooms(c, point, middle, end, a, j, ceiling, h, rooms)
-    slacks = _first_slacks(rooms)
+    # all limits in a row: those of x, of acceleration, and of jerk, of which the latter two are seen as boxes too
     count = (m + 1) * (2 * nj + 1) + 4 * m * nj
+    room, slack, price = np.empty(count), np.empty(count), np.empty(count)
+    rooms, slacks, duals = _split(room, m, nj), _split(slack, m, nj), _split(price, m, nj)
+    time = _rooms(c, point, middle, end, a, j, ceiling, h, rooms)
     mu = _FIRST_GAP * time / count
-    duals = (mu / slacks[0], mu / slacks[1], mu / slacks[2])
+    for i in range(count):
+        slack[i] = max(room[i], _LEAST_SLACK)  # the room there is, where there is some
+        price[i] = mu / slack[i]
     step, band = np.empty(m + 2), np.empty((m + 2, 3))
     for _ in range(_STEPS):
         _assemble(c, point, middle, end, a, j, ceiling, h, mu, rooms, slacks, duals, step, band)
@@ -74,11 +77,9 @@ def fastest(
         primal, dual = _lengths(c, step, point, middle, end, a, j, ceiling, mu, rooms, slacks, duals)
         for i in range(m + 2):
             c[i] += primal * step[i]
-        gap = _move(primal, dual, mu, rooms[0], slacks[0], duals[0])
-        gap += _move(primal, dual, mu, rooms[1].ravel(), slacks[1].ravel(), duals[1].ravel())
-        gap += _move(primal, dual, mu, rooms[2].ravel(), slacks[2].ravel(), duals[2].ravel())
+        gap = _move(primal, dual, mu, room, slack, price)
         time = _rooms(c, point, middle, end, a, j, ceiling, h, rooms)
-        if gap < accuracy * time and _overrun(rooms, slacks) < OVERRUN:
+        if gap < accuracy * time and _overrun(room, slack) < OVERRUN:
             return c, True
         least = min(primal, dual)
         mu = gap / count * (max(_FASTEST_FALL, (1.0 - least) ** 2) if least > 0.1 else 1.0)
@@ -86,19 +87,20 @@ def fastest(
 
 
 @njit(cache=True)
-def _first_slacks(rooms: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-    """Slacks to begin with: the room there is, where there is some."""
-    return (
-        np.maximum(rooms[0], _LEAST_SLACK),
-        np.maximum(rooms[1], _LEAST_SLACK),
-        np.maximum(rooms[2], _LEAST_SLACK),
-    )
+def _split(flat: Array, m: int, nj: int) -> tuple[Array, Array, Array]:
+    """One value for each limit (count), seen as those of x (m + 1), of acceleration (m + 1, nj, 2) and of jerk
+    (2 m, nj, 2)."""
+    first, last = m + 1, (m + 1) * (1 + 2 * nj)
+    return flat[:first], flat[first:last].reshape((m + 1, nj, 2)), flat[last:].reshape((2 * m, nj, 2))
 
 
 @njit(cache=True)
-def _overrun(rooms: tuple[Array, Array, Array], slacks: tuple[Array, Array, Array]) -> float:
+def _overrun(room: Array, slack: Array) -> float:
     """Largest share of a limit by which there is less room than slack."""
-    return float(max((slacks[0] - rooms[0]).max(), (slacks[1] - rooms[1]).max(), (slacks[2] - rooms[2]).max()))
+    worst = -np.inf
+    for i in range(len(room)):
+        worst = max(worst, slack[i] - room[i])
+    return worst
 
 
 @njit(cache=True, error_model="numpy")

@@ -98,7 +98,10 @@ def _improve(
                 if j + 1 < n:
                     after += _gap(ends, order, flipped, i, 0, j + 1, 0)
                 if after < before - 1e-9:
-                    order[i : j + 1] = order[i : j + 1][::-1].copy()
-                    flipped[i : j + 1] = ~flipped[i : j + 1][::-1].copy()
+                    for k in range((j - i + 1) // 2):
+                        order[i + k], order[j - k] = order[j - k], order[i + k]
+                        flipped[i + k], flipped[j - k] = flipped[j - k], flipped[i + k]
+                    for k in range(i, j + 1):
+                        flipped[k] = not flipped[k]
                     better = True
     return order, flipped

@@ -116,33 +116,53 @@ def time_beside(bounds: Array, caps: Array, taken: Array, duration: float, vias:
 
 @njit(cache=True)
 def _needed(bounds: Array, caps: Array, taken: Array, rate: float, vias: Array) -> float:
-    left = np.empty_like(bounds)
+    n = bounds.shape[1]
+    left, way, phases = np.empty((3, n)), np.empty(n), np.empty(7)
     for order in range(3):
-        left[order] = np.maximum(bounds[order] - rate ** (order + 1) * taken[order], LEAST_LEFT * bounds[order])
-    left[0] = np.minimum(left[0], caps)
+        for j in range(n):
+            left[order, j] = max(
+                bounds[order, j] - rate ** (order + 1) * taken[order, j], LEAST_LEFT * bounds[order, j]
+            )
+    for j in range(n):
+        left[0, j] = min(left[0, j], caps[j])
     total = 0.0
     for i in range(len(vias) - 1):
-        total += _phases(left[0], left[1], left[2], vias[i + 1] - vias[i])[0].sum()
+        for j in range(n):
+            way[j] = vias[i + 1, j] - vias[i, j]
+        _phases(left[0], left[1], left[2], way, phases)
+        total += _sum(phases)
     return total
 
 
 @njit(cache=True)
-def _phases(velocity: Array, acceleration: Array, jerk: Array, way: Array) -> tuple[Array, float]:
-    """Durations (7) of the phases from rest to rest over `way` (nj), and the jerk of the share of it; 0 for no way."""
+def _sum(phases: Array) -> float:
+    total = 0.0
+    for k in range(len(phases)):
+        total += phases[k]
+    return total
+
+
+@njit(cache=True)
+def _phases(velocity: Array, acceleration: Array, jerk: Array, way: Array, out: Array) -> float:
+    """Fill out (7) with the durations of the phases from rest to rest over `way` (nj); the jerk of the share of it,
+    0 for no way."""
     v, w, j = np.inf, np.inf, np.inf  # bounds of the share's velocity, acceleration and jerk
     for i in range(len(way)):
         size = abs(way[i])
         if size > 0.0:
             v, w, j = min(v, velocity[i] / size), min(w, acceleration[i] / size), min(j, jerk[i] / size)
     if v == np.inf:
-        return np.zeros(7), 0.0
+        for k in range(7):
+            out[k] = 0.0
+        return 0.0
     rise = min(w / j, np.sqrt(v / j))  # s of growing acceleration; then it is held, and shrinks again
     held = v / (j * rise) - rise
     if v * (2.0 * rise + held) > 1.0:  # too short a way to come to full velocity
         rise = min(w / j, np.cbrt(0.5 / j))
         held = max(-1.5 * rise + np.sqrt(0.25 * rise * rise + 1.0 / (j * rise)), 0.0)
     cruise = max(1.0 / (j * rise * (rise + held)) - 2.0 * rise - held, 0.0)
-    return np.array([rise, held, rise, cruise, rise, held, rise]), j
+    out[0], out[1], out[2], out[3], out[4], out[5], out[6] = rise, held, rise, cruise, rise, held, rise
+    return j
 
 
 @njit(cache=True)
@@ -150,15 +170,21 @@ def _resting(
     velocity: Array, acceleration: Array, jerk: Array, a: Array, b: Array, least: float
 ) -> tuple[Array, Array]:
     """Seven phases of constant jerk in closed form, for a share of the way that grows from 0 to 1."""
-    phases, j = _phases(velocity, acceleration, jerk, b - a)
+    n = len(a)
+    way, phases = np.empty(n), np.empty(7)
+    for i in range(n):
+        way[i] = b[i] - a[i]
+    j = _phases(velocity, acceleration, jerk, way, phases)
     if j == 0.0:
-        out = np.zeros((4, 1, len(a)))
-        out[3, 0] = a
-        return np.array([0.0, least]), out
-    sign = np.array([1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0])
-    slower = max(least / phases.sum(), 1.0)
+        times, out = np.zeros(2), np.zeros((4, 1, n))
+        times[1] = least
+        for i in range(n):
+            out[3, 0, i] = a[i]
+        return times, out
+    sign = (1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0)
+    slower = max(least / _sum(phases), 1.0)
     j /= slower**3
-    times, out = np.zeros(8), np.empty((4, 7, len(a)))
+    times, out = np.zeros(8), np.empty((4, 7, n))
     q, dq, ddq = 0.0, 0.0, 0.0
     shares = np.empty((4, 7))
     for k in range(7):
@@ -168,9 +194,11 @@ def _resting(
         q += h * (dq + h * (ddq / 2.0 + h * sign[k] * j / 6.0))
         dq += h * (ddq + h * sign[k] * j / 2.0)
         ddq += h * sign[k] * j
-    for i in range(len(a)):
-        out[:, :, i] = shares * ((b[i] - a[i]) / q)  # q is 1, but for rounding
-        out[3, :, i] += a[i]
+    for i in range(n):
+        for k in range(7):
+            for power in range(4):
+                out[power, k, i] = shares[power, k] * (way[i] / q)  # q is 1, but for rounding
+            out[3, k, i] += a[i]
     return times, out
 
 
@@ -194,6 +222,24 @@ def _constant_jerk(profile: ruckig.Profile) -> list[list[float]]:
 
 
 @njit(cache=True)
+def _in_order(breaks: list[float]) -> Array:
+    """Breakpoints in order, each once: at least two; by insertion, for there are a few dozen at most."""
+    times = np.zeros(len(breaks))
+    n = 0
+    for t in breaks:
+        k = n
+        while k > 0 and times[k - 1] > t:
+            k -= 1
+        if k > 0 and times[k - 1] == t:
+            continue
+        for i in range(n, k, -1):
+            times[i] = times[i - 1]
+        times[k] = t
+        n += 1
+    return times[: max(n, 2)].copy()
+
+
+@njit(cache=True)
 def _common(profiles: Array, duration: float) -> tuple[Array, Array]:
     """Breakpoints (m + 1) of all joints and coefficients (4, m, nj) from profiles (nj, 5, k), see `_constant_jerk`."""
     nj, _, k = profiles.shape
@@ -204,9 +250,7 @@ def _common(profiles: Array, duration: float) -> tuple[Array, Array]:
             starts[j, i] = starts[j, i - 1] + profiles[j, 0, i - 1]
             if 0.0 < starts[j, i] < duration and profiles[j, 0, i] > 0.0:
                 breaks.append(starts[j, i])
-    times = np.unique(np.array(breaks))
-    if len(times) == 1:
-        times = np.zeros(2)
+    times = _in_order(breaks)
     m = len(times) - 1
     out = np.empty((4, m, nj))
     for j in range(nj):

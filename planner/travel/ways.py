@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from planner.cell import Cell
 from planner.cubics import Cubics, State, add, chain, extremes, rest
 from planner.kinematics.chain import chain_jacobians, chain_poses
+from planner.kinematics.newton import solve_symmetric
 from planner.timing import HEADROOM
 from planner.travel.clearance import Room
 from planner.travel.moves import LEAST_LEFT, Bounds, between, resting, time_beside
@@ -169,17 +170,29 @@ def reaching(cell: Cell, q: Array, tips: Array) -> Array:
 @njit(cache=True)
 def _reaching(placements: Array, axes: Array, T_last_tip: Array, q: Array, goal: Array, weight: Array) -> Array:
     """Postures q (m, na) moved to tip positions goal (m, 3) by Newton's method, joints weighted by weight (na)."""
-    near = np.empty_like(q)
-    near[:] = q
+    near = q.copy()
+    m, na = q.shape
+    off, A = np.empty((m, 3)), np.empty((3, 3))
     for _ in range(_NEWTON_STEPS):
-        off = goal - chain_poses(placements, axes, T_last_tip, near)[:, :3, 3]
-        if np.abs(off).max() < _REACHED:
+        poses = chain_poses(placements, axes, T_last_tip, near)
+        furthest = 0.0
+        for i in range(m):
+            for k in range(3):
+                off[i, k] = goal[i, k] - poses[i, k, 3]
+                furthest = max(furthest, abs(off[i, k]))
+        if furthest < _REACHED:
             break
         jacobians = chain_jacobians(placements, axes, T_last_tip, near)
-        for i in range(len(near)):
-            J = np.ascontiguousarray(jacobians[i, :3])
-            weighted = J * weight
-            near[i] += weighted.T @ np.linalg.solve(weighted @ J.T + _DAMPING * np.eye(3), off[i])
+        for i in range(m):
+            J, b = jacobians[i], off[i]
+            for k in range(3):
+                for n in range(3):
+                    A[k, n] = _DAMPING if k == n else 0.0
+                    for j in range(na):
+                        A[k, n] += J[k, j] * weight[j] * J[n, j]
+            solve_symmetric(A, b)
+            for j in range(na):
+                near[i, j] += weight[j] * (J[0, j] * b[0] + J[1, j] * b[1] + J[2, j] * b[2])
     return near
 
 

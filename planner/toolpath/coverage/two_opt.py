@@ -38,7 +38,8 @@ def improve(order: Ints, distance: Array) -> Ints:
                 if j < n - 1:
                     change += distance[tour[i], tour[j + 1]] - distance[tour[j], tour[j + 1]]
                 if change < -least:
-                    tour[i : j + 1] = tour[i : j + 1][::-1].copy()
+                    for k in range((j - i + 1) // 2):
+                        tour[i + k], tour[j - k] = tour[j - k], tour[i + k]
                     better = True
         for size in range(1, _LONGEST_MOVED + 1):
             for i in range(n - size + 1):
@@ -75,9 +76,11 @@ def _move(tour: Ints, distance: Array, i: int, size: int, least: float) -> bool:
     if place < 0:
         return False
     piece = tour[i : last + 1].copy()
-    if back:
-        piece = piece[::-1].copy()
-    tour[:place] = rest[:place]
-    tour[place : place + size] = piece
-    tour[place + size :] = rest[place:]
+    for k in range(n):
+        if k < place:
+            tour[k] = rest[k]
+        elif k < place + size:
+            tour[k] = piece[place + size - 1 - k] if back else piece[k - place]
+        else:
+            tour[k] = rest[k - size]
     return True
