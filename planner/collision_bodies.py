@@ -119,6 +119,13 @@ class CellBodies:
         robot = self.cell.holder_robot
         return () if robot is None else tuple(1 + robot.joint_names.index(name) for name in self.cell.holder.names)
 
+    def moved_by(self, thing: Thing) -> tuple[int, int]:
+        """Joints of the posture that carry a thing: the first of them, and the one after the last."""
+        if thing.kind not in (HOLDER, CARRIED):
+            return 0, thing.joints
+        na = len(self.cell.arm)
+        return na, na + sum(joint <= thing.joints for joint in self.free)
+
     def swing(self, thing: Thing, above: int = 0) -> Array:
         """How far a place of the thing can move for each radian of the cell's joints (nq), those above one of its robot."""
         na, nq = len(self.cell.arm), len(self.cell.joint_names)

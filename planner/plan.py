@@ -41,6 +41,7 @@ class Check:
     """One named check of the verifier: the worst value found, its limit, and where it stands.
 
     least  the worst value is the least one, and the limit is one from below
+    sample of the trajectory where it is; -1 if it is of no moment
     """
 
     name: str
@@ -50,6 +51,7 @@ class Check:
     ok: bool
     where: str
     least: bool = False
+    sample: int = -1
 
 
 @dataclass(frozen=True)
@@ -68,22 +70,18 @@ class Approach:
 
 @dataclass(frozen=True)
 class CellView(ReadOnlyArrays):
-    """All bodies of the cell, and where they are at each approach (k), for a picture.
+    """All bodies of the cell, and what moves them, for a picture.
 
     names, kinds (b)       of the bodies; kinds are "arm", "head", "holder", "carried" and "fixture"
-    vertices, triangles    of each body: (n, 3) [m] in the frame of its carrier, (m, 3)
-    carrier (b)            of each body: a row of poses
-    poses (k, c, 4, 4)     T_world_carrier of all carriers at each approach
-    T_world_part (k, 4, 4) the part frame there
+    vertices, triangles    of each body: (n, 3) [m] in the world with all joints at 0, (m, 3)
+    joints (b, 2)          of each body: joints first to last - 1 of the posture carry it, in this order
     """
 
     names: tuple[str, ...]
     kinds: tuple[str, ...]
     vertices: tuple[Array, ...]
     triangles: tuple[NDArray[np.int64], ...]
-    carrier: NDArray[np.int64]
-    poses: Array
-    T_world_part: Array
+    joints: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -163,7 +161,7 @@ class Plan:
     dips:     where the speed falls short of the commanded one, in order of time
     headroom: whether it holds for parts that stand a little elsewhere; None if nobody asked
     approaches: pairs of bodies that come near each other, those that lack most, or are nearest to it, first
-    view:     the cell as it stands at each of them
+    view:     the bodies of the cell, for pictures
     paths:    joints along each bead that is laid, by arc length, before they were timed; with roll and tilt
     roll_maps: what roll could have been chosen: along the whole print, then along the beads where it is tightest
     """

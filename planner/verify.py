@@ -239,8 +239,8 @@ def _singularity(problem, cell, toolpath, t, motion, checks, metrics, series) ->
     flips = np.any([side[1:] != side[:-1] for side in sides], axis=0)
     count = int((flips & together).sum())
     i = int(np.argmax(flips & together))
-    where = place(t, i) if count else "everywhere"
-    checks.append(Check("branch changes in deposition", float(count), 0.0, "", count == 0, where))
+    where, at = (place(t, i), i) if count else ("everywhere", -1)
+    checks.append(Check("branch changes in deposition", float(count), 0.0, "", count == 0, where, sample=at))
     metrics["branch_changes_in_deposition"] = count
 
 

@@ -31,7 +31,7 @@ def check_most(checks: list[Check], t: Trajectory, name: str, values: Array, lim
     """Append the check that no value (n) exceeds the limit; returns the worst. NaN fails."""
     i = int(np.argmax(np.where(np.isnan(values), np.inf, values)))
     worst = float(values[i])
-    checks.append(Check(name, worst, limit, unit, bool(worst <= limit * (1.0 + DIGITS)), place(t, i)))
+    checks.append(Check(name, worst, limit, unit, bool(worst <= limit * (1.0 + DIGITS)), place(t, i), sample=i))
     return worst
 
 
@@ -40,5 +40,5 @@ def check_least(checks: list[Check], t: Trajectory, name: str, values: Array, li
     i = int(np.argmin(np.where(np.isnan(values), -np.inf, values)))
     worst = float(values[i])
     ok = bool(worst >= limit - DIGITS * abs(limit))
-    checks.append(Check(name, worst, limit, unit, ok, place(t, i), least=True))
+    checks.append(Check(name, worst, limit, unit, ok, place(t, i), least=True, sample=i))
     return worst

@@ -14,7 +14,7 @@ from planner.replay import Motion
 from planner.solids import triangles_of
 from planner.toolpath.bead import Toolpath
 from planner.verify_checks import DIGITS, place
-from planner.verify_collision import FAR, PrintPair, Swept, part_thing, print_pairs, sweep
+from planner.verify_collision import FAR, PrintPair, Swept, print_pairs, sweep
 from planner.verify_print import check_nozzle, print_times
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ def keep_apart(
     series: dict[str, Array],
 ) -> tuple[tuple[Approach, ...], CellView]:
     """Append the checks of nozzle, head, links, fixtures and print; returns the pairs of bodies that come nearest, and
-    the cell as it stands then.
+    the bodies of the cell.
 
     Distances are found up to FAR; `clearance_min_mm` is the least of all beyond the tip's zone (see verify_print).
     """
@@ -65,24 +65,24 @@ def keep_apart(
     series["clearance_mm"] = np.clip(np.minimum(beyond.margin + spec.nozzle, swept.nearest), None, FAR) * 1e3
     near = [each for each in (*nozzle, *robots, *prints) if each.distance < FAR]
     nearest = tuple(sorted(_once(near), key=_spare)[:MOST_APPROACHES])
-    return nearest, _view(bodies, t.q[[each.sample for each in nearest]])
+    return nearest, _view(bodies)
 
 
-def _view(bodies: CellBodies, q: Array) -> CellView:
-    """All bodies at postures q (k, nq), by the names that approaches have."""
-    poses, part = bodies.poses(q), part_thing(bodies)
+def cell_view(cell: Cell) -> CellView:
+    """All bodies of a cell by the names that approaches have, where they are with all joints at 0."""
+    return _view(CellBodies.of(cell))
+
+
+def _view(bodies: CellBodies) -> CellView:
+    rest = bodies.poses(np.zeros((1, len(bodies.cell.joint_names))))[0]
     surfaces = [triangles_of(thing.solid) for thing in bodies.things]
+    placed = [rest[thing.carrier] @ thing.T_carrier_solid for thing in bodies.things]
     return CellView(
         names=tuple(bodies.name(thing) for thing in bodies.things),
         kinds=tuple(thing.kind for thing in bodies.things),
-        vertices=tuple(
-            vertices @ thing.T_carrier_solid[:3, :3].T + thing.T_carrier_solid[:3, 3]
-            for thing, (vertices, _) in zip(bodies.things, surfaces, strict=True)
-        ),
+        vertices=tuple(vertices @ T[:3, :3].T + T[:3, 3] for T, (vertices, _) in zip(placed, surfaces, strict=True)),
         triangles=tuple(triangles for _, triangles in surfaces),
-        carrier=np.array([thing.carrier for thing in bodies.things], dtype=np.int64),
-        poses=poses,
-        T_world_part=poses[:, part.carrier] @ part.T_carrier_solid,
+        joints=np.array([bodies.moved_by(thing) for thing in bodies.things], dtype=np.int64).reshape(-1, 2),
     )
 
 
@@ -144,7 +144,7 @@ def _check(name: str, found: tuple[Approach, ...], need: float, t: Trajectory, u
         return Check(name, FAR * 1e3, need * 1e3, "mm", True, where, least=True)
     where = f"{worst.a} and {worst.b}, {place(t, worst.sample)}" + (f"; {unknown}" if unknown else "")
     ok = worst.distance >= worst.need - DIGITS
-    return Check(name, worst.distance * 1e3, worst.need * 1e3, "mm", ok, where, least=True)
+    return Check(name, worst.distance * 1e3, worst.need * 1e3, "mm", ok, where, least=True, sample=worst.sample)
 
 
 def _unknown(cell: Cell) -> str:

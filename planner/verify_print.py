@@ -122,7 +122,8 @@ def check_nozzle(
     if rule.point < 0:
         where = "everywhere"
     ok = worst >= need - DIGITS
-    check = Check("nozzle clear of part and print", worst * 1e3, need * 1e3, "mm", ok, where, least=True)
+    at = rule.at if rule.point >= 0 else -1
+    check = Check("nozzle clear of part and print", worst * 1e3, need * 1e3, "mm", ok, where, least=True, sample=at)
     return check, rule, beyond
 
 

@@ -1,4 +1,4 @@
-"""What comes near, in the report: the right pairs, bodies where they are, and names that cannot become markup."""
+"""The cell in the report: bodies where the joints' screws bring them, postures close enough, and what comes near."""
 
 from __future__ import annotations
 
@@ -6,10 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from solved import small_plan
+from solved import bed_plan, small_plan
 
+from planner.cell import Cell
+from planner.collision_bodies import CellBodies
 from planner.plan import Approach, Plan
-from planner.report.approaches import MARKED, approaches_section, cell_figure
+from planner.replay import replay
+from planner.report.approaches import approaches_section
+from planner.report.places import NEAREST, places_data, places_of
+from planner.report.robot import TOLERANCE, cell_data, postures
+from planner.verify_clear import cell_view
+
+Array = np.ndarray
 
 
 @pytest.fixture(scope="module")
@@ -17,55 +25,91 @@ def plan() -> Plan:
     return small_plan()
 
 
-def test_bodies_are_drawn_where_they_come_near(plan: Plan) -> None:
-    """The nozzle's own vertices, taken through its carrier's pose, end at the tip of that moment."""
-    figure, view = cell_figure(plan), plan.view
-    assert figure is not None
-    assert view is not None
-    assert len(figure["poses"]) == len(plan.approaches) == len(figure["pairs"])
-    k = view.names.index("nozzle")
-    body = figure["bodies"][k]
-    local = np.asarray(body["points"], dtype=float).reshape(-1, 3)
-    for which, approach in enumerate(plan.approaches):
-        T = np.asarray(figure["poses"][which], dtype=float).reshape(-1, 4, 4)
-        nozzle = local @ T[body["carrier"], :3, :3].T + T[body["carrier"], :3, 3]
-        tip = T[-1, :3, :3] @ plan.trajectory.tip[approach.sample] * 1e3 + T[-1, :3, 3]
-        assert np.allclose(tip, figure["tips"][which], atol=0.01)
-        assert np.linalg.norm(nozzle - tip, axis=1).min() < 0.61  # the face is as wide as twice the bore
+def exponential(screw: Array, angle: float) -> Array:
+    """A turn about an axis through screw[:3] along screw[3:], by SciPy-free Rodrigues."""
+    p, (x, y, z) = screw[:3], screw[3:]
+    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    T = np.eye(4)
+    T[:3, :3] += np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
+    T[:3, 3] = p - T[:3, :3] @ p
+    return T
 
 
-def test_the_print_and_the_part_move_with_the_part_frame(plan: Plan) -> None:
-    figure = cell_figure(plan)
-    assert figure is not None
-    by_name = {body["name"]: body for body in figure["bodies"]}
-    last = len(np.asarray(figure["poses"][0]).reshape(-1, 4, 4)) - 1
-    assert by_name["part"]["carrier"] == by_name["print"]["carrier"] == last
-    points = np.asarray(by_name["print"]["points"]).reshape(-1, 3)
-    assert np.nanmax(np.abs(points[:, 2] - 1e3 * np.nanmean(plan.trajectory.tip[plan.trajectory.deposit, 2]))) < 30.0
-    assert "corners" not in by_name["print"]
+def carried(data: dict, q: Array, joints: list[int]) -> Array:
+    T = np.eye(4)
+    for j in range(*joints):
+        T = T @ exponential(data["screws"].reshape(-1, 6)[j], q[j])
+    return T
 
 
-def test_the_pair_is_named_marked_and_told_with_its_place(plan: Plan) -> None:
-    figure, text = cell_figure(plan), approaches_section(plan)
-    assert figure is not None
-    names = {body["name"] for body in figure["bodies"]}
-    assert all(name in names for pair in figure["pairs"] for name in pair)
-    assert figure["marked"] == list(MARKED)
-    assert text.count("<option>") == len(plan.approaches)
-    assert f"{plan.approaches[0].distance * 1e3:.1f}" in text
+@pytest.mark.parametrize("solved", [small_plan, bed_plan])
+def test_screws_bring_every_body_where_the_checks_have_it(solved) -> None:
+    """Poses by the product of exponentials are Pinocchio's."""
+    plan = solved()
+    data, bodies, cell = cell_data(plan.cell, plan.view), CellBodies.of(plan.cell), plan.cell
+    assert data is not None and len(data["bodies"]) == len(bodies.things)
+    zero = np.zeros(len(cell.joint_names))
+    for q in plan.trajectory.q[:: len(plan.trajectory) // 3]:
+        now, rest = bodies.poses(np.array([q, zero]))
+        for thing, body in zip(bodies.things, data["bodies"], strict=True):
+            expected = now[thing.carrier] @ np.linalg.inv(rest[thing.carrier])
+            assert carried(data, q, body["joints"]) == pytest.approx(expected, abs=1e-9)
+        nozzle = carried(data, q, [0, data["arm"]]) @ data["nozzle"].reshape(4, 4)
+        part = carried(data, q, [data["arm"], len(q)]) @ data["part"].reshape(4, 4)
+        expected = cell.T_part_nozzle(q[None])[0]
+        assert np.linalg.inv(part) @ nozzle == pytest.approx(expected, abs=1e-9)
+
+
+def test_postures_between_those_of_the_page_are_close_enough(plan: Plan) -> None:
+    kept = postures(plan.cell, plan.trajectory)
+    t, nj = plan.trajectory, len(plan.cell.joint_names)
+    q = kept["q"].reshape(-1, nj)
+    assert kept["sample"][0] == 0 and kept["sample"][-1] == len(t) - 1 and (np.diff(kept["sample"]) > 0).all()
+    assert len(q) < len(t) / 4, "far fewer than samples"
+    between = np.column_stack([np.interp(np.arange(len(t)), kept["sample"], q[:, k]) for k in range(nj)])
+    tip = replay(plan.cell, replace(t, q=between)).tip
+    off = np.linalg.norm(tip - t.tip, axis=1).max()
+    assert off < TOLERANCE + 2e-6
+    assert 1e-3 * kept["off_mm"] == pytest.approx(off, abs=3e-6)
+
+
+def test_too_many_postures_are_thinned_further(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    fine = postures(plan.cell, plan.trajectory)
+    monkeypatch.setattr("planner.report.robot.MOST_POSTURES", len(fine["sample"]) // 2)
+    coarse = postures(plan.cell, plan.trajectory)
+    assert len(coarse["sample"]) <= len(fine["sample"]) // 2 and coarse["off_mm"] > fine["off_mm"]
+
+
+def test_a_cell_can_be_shown_without_a_plan(plan: Plan) -> None:
+    view = cell_view(plan.cell)
+    assert plan.view is not None and view.names == plan.view.names
+    assert (view.joints == plan.view.joints).all() and set(view.kinds) >= {"arm", "head", "holder"}
+    assert cell_data(plan.cell, None) is None and isinstance(plan.cell, Cell)
+
+
+def test_pairs_stand_in_the_table_and_the_nearest_in_the_list(plan: Plan) -> None:
+    places = places_of(plan)
+    near = [place for place in places if place.kind == "near"]
+    assert [place.sample for place in near] == [each.sample for each in plan.approaches]
+    assert [bool(place.letter) for place in near] == [k < NEAREST for k in range(len(near))]
+    text = approaches_section(plan, places)
+    assert text.count("<button") == len(plan.approaches)
+    assert f"data-place={places.index(near[0])} " in text and f"{plan.approaches[0].distance * 1e3:.1f}" in text
+    data = places_data(plan, places)
+    drawn = {*plan.view.names, "part", "print"} if plan.view else set()
+    assert all(name in drawn for each in data for name in each["pair"])
 
 
 def test_a_pair_that_is_too_near_stands_out_and_names_are_escaped(plan: Plan) -> None:
     evil = Approach("<img src=x>", "bead 3", 1e-3, 5e-3, 0)
     changed = replace(plan, approaches=(evil, *plan.approaches[1:]))
-    text = approaches_section(changed)
-    assert "<tr class=bad>" in text
-    assert "<img" not in text
-    figure = cell_figure(changed)
-    assert figure is not None
-    assert figure["pairs"][0] == ["<img src=x>", "print"]
+    places = places_of(changed)
+    text = approaches_section(changed, places)
+    assert "<tr class=bad>" in text and "<img" not in text
+    (first,) = (each for each in places_data(changed, places) if each["pair"][:1] == ["<img src=x>"])
+    assert first["pair"] == ["<img src=x>", "print"]
 
 
 def test_nothing_near_is_no_section(plan: Plan) -> None:
-    assert approaches_section(replace(plan, approaches=())) == ""
-    assert cell_figure(replace(plan, view=None)) is None
+    changed = replace(plan, approaches=())
+    assert approaches_section(changed, places_of(changed)) == ""

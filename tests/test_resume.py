@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from report_page import points
 from scipy.interpolate import CubicSpline
 from solved import write_small
 
@@ -23,7 +24,6 @@ from planner.obstacles import NOTHING, obstacles_of
 from planner.plan import Plan, Trajectory
 from planner.print_body import print_body, standing
 from planner.problem import Problem, load_problem
-from planner.report.approaches import cell_figure
 from planner.report.scene import plan_scene
 from planner.report.summary import print_summary
 from planner.resolve import STRATEGIES
@@ -203,18 +203,11 @@ def test_programs_say_where_they_begin(tmp_path: Path, capsys: pytest.CaptureFix
 
 def test_the_report_draws_beads_that_stand_already() -> None:
     drawn, before = plan_scene(resumed(), []), plan_scene(whole(), [])
-    assert drawn["beads"] == [drawn["part"][-1] + 2] and before["beads"][0] == before["part"][-1] + 1
-    line = drawn["traces"][drawn["beads"][0] - 1]
-    points = np.column_stack([line[axis] for axis in "xyz"])
-    starts = np.array([bead.points[0] for bead in resumed().toolpath.beads[:FIRST]]) * 1e3
-    gaps = np.flatnonzero(np.isnan(points[:, 0]))
-    np.testing.assert_allclose(points[np.append(0, gaps + 1)], starts, atol=1e-4)
-    figure, of_all = cell_figure(resumed()), cell_figure(whole())
-    assert figure is not None and of_all is not None
-    size = [
-        next(len(body["points"]) for body in each["bodies"] if body["name"] == "print") for each in (figure, of_all)
-    ]
-    assert size[0] == pytest.approx(size[1], rel=0.5)
+    assert before["still"] == [] and len(drawn["still"]) == 1
+    lines = drawn["still"][0]
+    starts = np.array([bead.points[0] for bead in resumed().toolpath.beads[:FIRST]])
+    np.testing.assert_allclose(points(lines)[lines["first"]], starts, atol=2e-6)
+    assert drawn["lines"]["bead"].tolist() == list(range(FIRST, BEADS))
 
 
 def test_names_that_are_cut_keep_the_number() -> None:

@@ -16,7 +16,6 @@ from planner.materials import used
 if TYPE_CHECKING:
     from planner.cell import Cell
     from planner.errors import Refusal
-    from planner.kinematics.chain import Chain
     from planner.plan import Dip, Plan
     from planner.problem import Problem
 
@@ -159,15 +158,15 @@ def cell_screws(cell: Cell) -> dict[str, Any]:
     joints: list[dict[str, Any]] = []
     limits = cell.limits
     for moves, chain in (("nozzle", cell.arm), ("part", cell.holder)):
-        for origin, direction in _axes_at_zero(chain):
+        for screw in np.round(chain.screws, DECIMALS):
             i = len(joints)
             joints.append(
                 {
                     "name": cell.joint_names[i],
                     "type": "revolute",
                     "moves": moves,
-                    "origin_m": origin,
-                    "direction": direction,
+                    "origin_m": screw[:3],
+                    "direction": screw[3:],
                     "q_min": limits.q_min[i],
                     "q_max": limits.q_max[i],
                     "v_max": limits.velocity[i],
@@ -182,16 +181,6 @@ def cell_screws(cell: Cell) -> dict[str, Any]:
         "T_world_nozzle_zero": np.round(cell.arm.poses(np.zeros((1, len(cell.arm))))[0], DECIMALS),
         "T_world_part_zero": np.round(cell.holder.poses(np.zeros((1, len(cell.holder))))[0], DECIMALS),
     }
-
-
-def _axes_at_zero(chain: Chain) -> list[tuple[np.ndarray, np.ndarray]]:
-    """A point and the direction of each joint's axis in the world with all joints at 0."""
-    T = np.eye(4)
-    out = []
-    for placement, axis in zip(chain.placements, chain.axes, strict=True):
-        T = T @ placement
-        out.append((np.round(T[:3, 3], DECIMALS), np.round(T[:3, :3] @ axis, DECIMALS)))
-    return out
 
 
 def _plain(value: Any) -> Any:

@@ -29,6 +29,15 @@ class Chain:
     def __len__(self) -> int:
         return len(self.names)
 
+    @property
+    def screws(self) -> Array:
+        """A point of each joint's axis and its direction, in the world with all joints at 0 (n, 6) [m]."""
+        T, out = np.eye(4), np.empty((len(self), 6))
+        for i in range(len(self)):
+            T = T @ self.placements[i]
+            out[i] = *T[:3, 3], *(T[:3, :3] @ self.axes[i])
+        return out
+
     def poses(self, q: Array) -> Array:
         """Tip poses T_world_tip (m, 4, 4) of postures q (m, n) [rad]."""
         return chain_poses(self.placements, self.axes, self.T_last_tip, np.ascontiguousarray(q))

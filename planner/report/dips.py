@@ -19,9 +19,6 @@ Array = NDArray[np.float64]
 
 MOST_ROWS = 30
 MOST_MARKS = 800  # each carries some 300 bytes of words
-MARK_OUT_MM = 1.0  # marks stand a little off the surface, or the part would hide half of each
-# Told apart by shape and brightness, not by hue: white within black.
-MARK = {"size": 5, "symbol": "circle", "color": "#ffffff", "line": {"width": 2, "color": "#000000"}}
 
 
 def worst_first(dips: Sequence[Dip]) -> list[Dip]:
@@ -39,22 +36,20 @@ def samples_of(trajectory: Trajectory, dips: Sequence[Dip]) -> NDArray[np.intp]:
     return np.rint(np.array([dip.t for dip in dips]) / trajectory.dt).astype(np.intp)
 
 
-def dip_traces(plan: Plan, bundles: Sequence[NDArray[np.integer]]) -> list[dict[str, Any]]:
-    """Marks of the dips that cost most, a trace for each bundle of layers; none where there is no dip."""
+def dip_marks(plan: Plan) -> dict[str, Any] | None:
+    """Marks of the dips that cost most: `point` and `normal` (part frame, m), `sample`, `layer`, `words`; None without any."""
     if not plan.dips:
-        return []
-    shown = worst_first(plan.dips)[:MOST_MARKS]
-    traj, layers = plan.trajectory, np.array([dip.layer for dip in shown])
+        return None
+    shown = sorted(worst_first(plan.dips)[:MOST_MARKS], key=lambda dip: dip.t)
+    traj = plan.trajectory
     at = samples_of(traj, shown)
-    points = (traj.tip[at] * 1e3 - MARK_OUT_MM * traj.axis[at]).astype(np.float32)
-    words = np.array([_hover(dip, plan.problem.process.speed) for dip in shown], dtype=object)
-    traces = []
-    for bundle in bundles:
-        mine = np.isin(layers, bundle)
-        x, y, z = points[mine].T
-        trace = {"type": "scatter3d", "mode": "markers", "x": x, "y": y, "z": z, "marker": MARK, "showlegend": False}
-        traces.append(trace | {"name": "dips", "hoverinfo": "text", "hovertext": list(words[mine])})
-    return traces
+    return {
+        "point": traj.tip[at].astype(np.float32).ravel(),
+        "normal": (-traj.axis[at]).astype(np.float32).ravel(),
+        "sample": at.astype(np.int32),
+        "layer": np.array([dip.layer for dip in shown], dtype=np.int32),
+        "words": [_lines(dip, plan.problem.process.speed) for dip in shown],
+    }
 
 
 def dips_section(plan: Plan) -> str:
@@ -121,12 +116,11 @@ def _row(dip: Dip, commanded: float, flows: bool) -> str:
     )
 
 
-def _hover(dip: Dip, commanded: float) -> str:
-    lines = [
+def _lines(dip: Dip, commanded: float) -> list[str]:
+    return [
         place_words(dip),
         f"{dip.speed * 1e3:.1f} of {commanded * 1e3:g} mm/s, {dip.lost:.3f} s lost",
         f"why: {dip.cause}",
         *([f"too much material: {dip.over_extruded * 1e9:.3g} mm³"] if dip.over_extruded else []),
         *(f"{'or' if k else 'would avoid it:'} {remedy.words}" for k, remedy in enumerate(dip.remedies)),
     ]
-    return "<br>".join(map(escape, lines))

@@ -7,11 +7,17 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from planner.report import page as frame
-from planner.report.scene import bead_scene
+from planner.report.first_screen import places_list, stage
+from planner.report.places import Place
+from planner.report.scene import failed_scene
 
 if TYPE_CHECKING:
-    from planner.toolpath.bead import Toolpath
+    from planner.cell import Cell
+    from planner.plan import CellView
+    from planner.toolpath.bead import Bead, Toolpath
 
 # What a user can turn, by field of the problem file, and what it does: true of every refusal.
 LEVERS = (
@@ -43,6 +49,8 @@ def write_failure_report(
     point_mm: tuple[float, float, float] | None,
     facts: Mapping[str, str],
     hints: Sequence[str] = (),
+    cell: Cell | None = None,
+    view: CellView | None = None,
 ) -> None:
     """Write the report of a refused problem.
 
@@ -51,32 +59,36 @@ def write_failure_report(
     point_mm  the place in the part frame, if known
     facts     name -> text, shown as they are; "what to change", if there, is shown first of the advice
     hints     changes that were tried and would help, shown after it
+    cell, view   the robots and their bodies, to stand in the scene at their start
     Raises OutputError where `path` cannot be written.
     """
     facts = dict(facts)
     advice = facts.pop("what to change", None)
     header = (
-        f"<p class=kind>Print plan</p><h1>{escape(problem.name)}</h1>"
-        f"<p class=about>strategy <b>{escape(strategy)}</b></p>"
+        f"<div class=name><h1>{escape(problem.name)}</h1><p class=about>strategy <b>{escape(strategy)}</b></p></div>"
         + frame.verdict(False, "No plan: this cannot be printed as it stands", f"<p>{escape(message)}</p>")
     )
     known = []
     beads = toolpath.beads if toolpath is not None else ()
-    if bead is not None and 0 <= bead < len(beads):
-        line = beads[bead]
-        known.append(("bead", f"{bead} of {len(beads)} ({line.name}), layer {line.layer + 1}"))
+    failed = bead if bead is not None and 0 <= bead < len(beads) else None
+    if failed is not None:
+        line = beads[failed]
+        known.append(("bead", f"{failed} of {len(beads)} ({line.name}), layer {line.layer + 1}"))
     if point_mm is not None:
         x, y, z = point_mm
         known.append(("place in the part frame", f"x {x:.2f}, y {y:.2f}, z {z:.2f} mm"))
-    body = frame.pairs_table("What is known", [*known, *facts.items()])
-    scene = None
+    about = frame.pairs_table("What is known", [*known, *facts.items()])
+    scene, body = None, about
     if toolpath is not None:
-        failed = bead if bead is not None and 0 <= bead < len(beads) else None
-        scene = bead_scene(toolpath.shape, beads, failed, point_mm)
-        body += (
-            "<h2>Where</h2><p class=note>All planned lines in the part’s own frame, in millimetres"
-            f"{'; the one that fails is thick and red' if failed is not None else ''}"
-            f"{'; the place is marked “here”' if point_mm is not None else ''}. Drag to turn.</p><div id=view></div>"
+        places = _places(beads, failed, point_mm, message, [*([advice] if advice else []), *hints])
+        scene = failed_scene(toolpath.shape, beads, failed, places, cell, view)
+        marked = [Place(each["letter"], "fail", each["what"], each["value"], -1) for each in places]
+        shown = stage(name=problem.name, moves=False, layers=0, dips=False, marks=bool(places))
+        body = (
+            f"<div class=first><div class=decides>{about}</div>{shown}<div class=goto>"
+            f"{places_list(marked, [None] * len(marked))}"
+            "<p class=note>All planned lines, on the part as the robots’ start holds it"
+            f"{'; the one that fails is thick and red' if failed is not None else ''}. Drag to turn.</p></div></div>"
         )
     body += "<h2>What to change</h2>"
     if advice:
@@ -90,3 +102,34 @@ def write_failure_report(
     footer = "No robot code was written. This file needs no network."
     text = frame.page(f"{problem.name}: no plan", header, body, footer, {"scene": scene, "charts": []})
     frame.write_text(Path(path), text)
+
+
+def _places(
+    beads: Sequence[Bead], failed: int | None, point_mm: Sequence[float] | None, message: str, advice: Sequence[str]
+) -> list[dict[str, Any]]:
+    """The place of the refusal for the page: the point that is told, or where the bead that fails begins; or none."""
+    if failed is None and point_mm is None:
+        return []
+    near = [beads[failed]] if failed is not None else list(beads)
+    if not near:
+        return []
+    points, normals = (np.concatenate([getattr(bead, name) for bead in near]) for name in ("points", "normals"))
+    point = points[0] if point_mm is None else np.asarray(point_mm, dtype=float) * 1e-3
+    normal = normals[np.linalg.norm(points - point, axis=1).argmin()]
+    x, y, z = point * 1e3
+    where = f"x {x:.1f}, y {y:.1f}, z {z:.1f} mm in the part frame".replace("-", "−")
+    bead = "" if failed is None else f"bead {failed}, layer {beads[failed].layer + 1}; "
+    return [
+        {
+            "letter": "✗",
+            "kind": "fail",
+            "what": "Here it fails",
+            "value": message,
+            "t": 0.0,
+            "point": point.round(6).tolist(),
+            "normal": normal.round(4).tolist(),
+            "where": f"{bead}{where}" if point_mm is not None else f"{bead}it begins at {where}",
+            "help": "; ".join(advice) and "Would help: " + "; ".join(advice),
+            "pair": [],
+        }
+    ]

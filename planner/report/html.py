@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from planner.report import page as frame
-from planner.report.approaches import approaches_section, cell_figure
+from planner.report.approaches import approaches_section
 from planner.report.curves import joint_charts, time_charts
 from planner.report.dips import dips_section
 from planner.report.extruder import events_section, materials_section
+from planner.report.first_screen import deciding_table, places_list, stage
 from planner.report.headroom import headroom_section
-from planner.report.places import where_words, worst_places
-from planner.report.scene import Place, plan_scene
+from planner.report.places import Place, places_of, where_words
+from planner.report.scene import plan_scene
 from planner.report.thinning import CURVE_BUDGET
 from planner.report.wording import (
     CHECK_NAMES,
     MISSING,
     counted,
-    duration,
     number,
     resumed_words,
     significant,
@@ -41,35 +41,34 @@ def write_report(plan: Plan, path: Path) -> None:
     `plan.settings["overrides"]`, if there, holds the `dotted.key=value` arguments of the command line.
     Raises OutputError where `path` cannot be written.
     """
-    places = worst_places(plan)
+    places = places_of(plan)
     scene = plan_scene(plan, places)
     curves, joints = time_charts(plan), joint_charts(plan)
     body = "".join(
         [
+            _first_screen(plan, places),
             _summary(plan),
             _notes(plan.toolpath.notes),
-            _scene(scene, places, plan),
+            _worst(plan, places),
             dips_section(plan),
             materials_section(plan),
             events_section(plan),
             _checks(plan.checks),
-            approaches_section(plan),
+            approaches_section(plan, places),
             headroom_section(plan),
             _curves(curves),
             _joints(plan, joints),
             _making(plan),
         ]
     )
-    figures = {
-        "scene": scene,
-        "cell": cell_figure(plan),
-        "charts": [
-            {k: chart[k] for k in ("key", "traces", "layout", "ranges") if k in chart} for chart in curves + joints
-        ],
-    }
+    charts = [
+        {"time": True} | {k: chart[k] for k in ("key", "traces", "layout", "ranges") if k in chart}
+        for chart in curves + joints
+    ]
     words = "verified" if plan.verified else "not verified"
     title = f"{plan.name}: {words}"
-    frame.write_text(Path(path), frame.page(title, _header(plan), body, _footer(plan, scene), figures))
+    footer = _footer(plan, scene)
+    frame.write_text(Path(path), frame.page(title, _header(plan), body, footer, {"scene": scene, "charts": charts}))
 
 
 def _header(plan: Plan) -> str:
@@ -105,22 +104,22 @@ def _header(plan: Plan) -> str:
         what = "check fails" if len(failed) == 1 else "checks fail"
         detail = f"<p>{len(failed)} of {count} {what}, so no robot code was written:</p><ul>{items}</ul>"
         banner = frame.verdict(False, "Not verified: do not print this", detail)
-    dip = m.get("deposition_time_s", np.nan) - m.get("ideal_deposition_time_s", np.nan)
-    cuts = " and to cuts" if any(event.kind == "cut" for event in traj.events) else ""
-    figures = [
-        (
-            _unit(m.get("at_speed_fraction"), 100, 2, "%"),
-            f"of the length printed at {plan.problem.process.speed * 1e3:g} mm/s",
-        ),
-        (_unit(m.get("speed_min_mm_s"), 1, 1, "mm/s"), "slowest while depositing"),
-        (duration(m.get("print_time_s")), "whole print, travel included"),
-        (_unit(dip, 1, 1, "s"), f"lost to dips in speed{cuts}"),
-        (_unit(m.get("wrist_margin_deg"), 1, 1, "°"), "least wrist angle from the singularity"),
-        (_unit(m.get("joint_limit_margin_deg"), 1, 1, "°"), "least distance from an end stop"),
-    ]
+    return f"<div class=name><h1>{escape(plan.problem.name)}</h1><p class=about>{about}</p></div>{banner}"
+
+
+def _first_screen(plan: Plan, places: list[Place]) -> str:
+    listed = [place for place in places if place.letter]
+    times = [float(plan.trajectory.t[place.sample]) for place in listed]
+    scene = stage(
+        name=plan.problem.name,
+        moves=bool(plan.trajectory.deposit.any()),
+        layers=plan.layers,
+        dips=bool(plan.dips),
+        marks=bool(listed),
+    )
     return (
-        f"<p class=kind>Print plan</p><h1>{escape(plan.problem.name)}</h1><p class=about>{about}</p>"
-        f"{banner}{frame.tiles(figures)}"
+        f"<div class=first><div class=decides>{deciding_table(plan)}</div>{scene}"
+        f"<div class=goto>{places_list(listed, times)}</div></div>"
     )
 
 
@@ -140,38 +139,20 @@ def _notes(notes: tuple[str, ...]) -> str:
     return f"<h2>What became of the input</h2><ul>{items}</ul>"
 
 
-def _scene(scene: dict[str, Any], places: list[Place], plan: Plan) -> str:
-    options = "".join(f"<option>{escape(channel['label'])}</option>" for channel in scene["channels"])
-    last = len(scene["groups"]) - 1
-    controls = ""
-    if last >= 0:
-        controls = (
-            f"<label>Colour by <select id=colour autocomplete=off>{options}</select></label>"
-            f"<label{'' if last else ' hidden'}>Layers <input type=range id=layers autocomplete=off min=0 max={last} value={last} step=1>"
-            f"<output id=layer-words>{'up to ' if last else ''}{scene['groups'][last]}</output></label>"
-            f"<label{'' if last else ' hidden'}><input type=checkbox id=only autocomplete=off> only this layer</label>"
-            "<label><input type=checkbox id=through autocomplete=off> see through the part</label>"
-        )
-        if scene["dips"]:
-            controls += "<label><input type=checkbox id=dips autocomplete=off checked> mark dips in speed</label>"
-        if scene["places"]:
-            controls += "<label><input type=checkbox id=places autocomplete=off checked> mark worst places</label>"
+def _worst(plan: Plan, places: list[Place]) -> str:
     rows = "".join(
         f"<tr><td><span class=letter>{place.letter}</span></td><th scope=row>{escape(place.what)}</th>"
         f"<td class=n>{escape(place.value)}</td><td class=n data-unit=s>{plan.trajectory.t[place.sample]:.2f}</td>"
         f"<td class=where>{escape(where_words(plan, place.sample))}</td></tr>"
         for place in places
+        if place.kind in ("fail", "worst")
     )
-    table = (
-        "<h3>Worst places while depositing</h3><div class=wide><table class=stack><thead><tr><th></th><th class=left>what</th>"
-        f"<th>value</th><th>time, s</th><th class=left>where</th></tr></thead><tbody>{rows}</tbody></table></div>"
-        if rows
-        else ""
-    )
+    if not rows:
+        return ""
     return (
-        "<h2>The print</h2><p class=note>Where the nozzle tip goes while material flows, in the part’s own frame, in "
-        "millimetres. Drag to turn; then the wheel, or a pinch, comes closer. Light is where it gets tight.</p>"
-        f"<div class=controls>{controls}</div><div id=view></div><p id=reading>Point at a line to read it.</p>{table}"
+        "<h2>Worst places while depositing</h2><p class=note>The letters are those of the scene.</p>"
+        "<div class=wide><table class=stack><thead><tr><th></th><th class=left>what</th>"
+        f"<th>value</th><th>time, s</th><th class=left>where</th></tr></thead><tbody>{rows}</tbody></table></div>"
     )
 
 
@@ -200,7 +181,7 @@ def _curves(charts: list[dict[str, Any]]) -> str:
     )
     return (
         "<h2>Along time</h2><p class=note>Drag over a stretch to come closer: all charts follow. Double-click to see "
-        "everything. Click a moment to ring its place in the scene. Dotted uprights: a new layer begins.</p>" + each
+        "everything. Click a moment to bring the scene there. Dotted uprights: a new layer begins.</p>" + each
     )
 
 
@@ -267,18 +248,18 @@ def _command(plan: Plan) -> str:
 
 
 def _footer(plan: Plan, scene: dict[str, Any]) -> str:
+    motion = ""
+    if scene["motion"] is not None:
+        motion = (
+            f"Robots stand in the scene as at {number(len(scene['motion']['sample']), 0)} samples, joints between them "
+            f"taken as moving evenly; so the tip is off by {scene['motion']['off_mm']:.2f} mm at most. "
+        )
     return (
-        f"Drawn from {number(len(plan.trajectory), 0)} samples. The scene shows {number(scene['points'], 0)} of "
+        f"Drawn from {number(len(plan.trajectory), 0)} samples. The scene shows {number(len(scene['lines']['sample']), 0)} of "
         f"{number(int(plan.trajectory.deposit.sum()), 0)} deposited ones, curves at most {number(CURVE_BUDGET, 0)} points each; what was "
-        "left out lies between the extremes of its neighbours, corners and ends of lines are kept. Tables and "
-        "verdict use every sample. This file needs no network."
+        "left out lies between the extremes of its neighbours, corners and ends of lines are kept. "
+        f"{motion}Tables and verdict use every sample. This file needs no network."
     )
-
-
-def _unit(value: float | None, scale: float, digits: int, unit: str) -> str:
-    if value is None or np.isnan(value):
-        return MISSING
-    return number(value * scale, digits) + (unit if unit == "°" else f"\u202f{unit}")
 
 
 def _range(low: float, high: float) -> str:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import base64
-import json
 import os
+import re
 from collections.abc import Iterable, Mapping
+from functools import cache
 from html import escape
+from importlib.metadata import distribution
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -15,17 +16,24 @@ import numpy as np
 from plotly.offline import get_plotlyjs
 
 from planner.errors import OutputError
+from planner.report.packing import packed, squeezed
 
 # The page forbids itself the network: even a library that wanted to fetch something could not.
 POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
-DTYPES = {"float32": "f4", "float64": "f8", "int32": "i4", "uint16": "u2", "uint32": "u4"}
+SCRIPTS = ("unpack", "motion", "beads", "stage", "views", "marks", "player", "colours", "charts", "page")
+K3D_SOURCE = "k3d/static/standalone.js"
+# K3D's fonts are for formulas; the report has none, and a browser would load them all.
+FONTS = (r"@font-face\{(?:\$\{\w+\}|[^{}])*\}", r"data:font/woff2;base64,[A-Za-z0-9+/=]*")
 
 
 def page(title: str, header: str, body: str, footer: str, figures: Mapping[str, Any]) -> str:
-    """Complete HTML of a report. `title` is plain text; `header`, `body`, `footer` are HTML already."""
+    """Complete HTML of a report. `title` is plain text; `header`, `body`, `footer` are HTML already.
+
+    figures: `scene` (see scene.py) or None, and `charts`: each with `key`, `traces`, `layout`; `time` if its x is time.
+    """
     assets = files("planner.report")
     css = assets.joinpath("page.css").read_text(encoding="utf-8")
-    js = assets.joinpath("page.js").read_text(encoding="utf-8")
+    js = "".join(assets.joinpath(f"{name}.js").read_text(encoding="utf-8") for name in SCRIPTS)
     return "\n".join(
         [
             "<!doctype html>",
@@ -37,20 +45,38 @@ def page(title: str, header: str, body: str, footer: str, figures: Mapping[str, 
             '<link rel=icon href="data:,">',
             f"<title>{escape(title)}</title>",
             f"<style>{css}</style>",
-            f"<script>{get_plotlyjs()}</script>",
             "</head>",
             "<body>",
             f"<header><div>{header}</div></header>",
             "<noscript><main><p>The figures need JavaScript; the tables do not.</p></main></noscript>",
+            "<div id=too-old hidden><p>This browser is too old to unpack the figures: it needs DecompressionStream "
+            "(Chrome 80, Firefox 113, Safari 16.4, or later). The tables can be read without.</p></div>",
             f"<main>{body}</main>",
             f"<footer><div>{footer}</div></footer>",
-            f"<script type=application/json id=data>{_json(figures)}</script>",
-            f"<script>{js}</script>",
+            f"<script type=text/plain id=data>{packed(figures)}</script>",
+            *([f"<script type=text/plain id=k3d-source>{_k3d()}</script>"] if figures.get("scene") else []),
+            *([f"<script type=text/plain id=plotly-source>{_plotly()}</script>"] if figures["charts"] else []),
+            f'<script>"use strict";\n(() => {{\n{js}}})();</script>',
             "</body>",
             "</html>",
             "",
         ]
     )
+
+
+@cache
+def _plotly() -> str:
+    """plotly.js, compressed."""
+    return squeezed(get_plotlyjs().encode())
+
+
+@cache
+def _k3d() -> str:
+    """The 3-D viewer, compressed: K3D-jupyter's script alone, without importing the package, and without its fonts."""
+    source = Path(str(distribution("k3d").locate_file(K3D_SOURCE))).read_text(encoding="utf-8")
+    for font in FONTS:
+        source = re.sub(font, "", source)
+    return squeezed(source.encode())
 
 
 def write_text(path: Path, text: str) -> None:
@@ -94,20 +120,3 @@ def flat(value: Any, prefix: str = "") -> list[tuple[str, str]]:
     if isinstance(value, list | tuple | np.ndarray):
         return [(prefix, ", ".join(text for v in value for _, text in flat(v)))]
     return [(prefix, str(value))]
-
-
-def _json(value: Any) -> str:
-    """JSON that can stand inside a script element; arrays become plotly's typed arrays in base64."""
-    text = json.dumps(value, default=_plain, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
-    return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        if value.dtype.name not in DTYPES:
-            value = value.astype(np.float32)
-        little = np.ascontiguousarray(value, dtype=value.dtype.newbyteorder("<"))
-        return {"dtype": DTYPES[value.dtype.name], "bdata": base64.b64encode(little.tobytes()).decode("ascii")}
-    if isinstance(value, np.generic):
-        return value.item()
-    raise TypeError(f"cannot put {type(value).__name__} into the report")

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from planner.errors import InputError, OutputError, PlannerError
 from planner.report.finished import read_folder, read_part
-from planner.report.part import PART_DARK, PART_LIT
 from planner.report.scene import ALARM, COLOURS, INK
 from planner.report.thinning import stretches, thin_curve
 
@@ -36,6 +35,7 @@ LINE = 0.75  # of a bead's size: its line, so that beads side by side stay apart
 LEAST_DOT = 0.03  # of the costliest dip's time: cheaper ones are not marked
 SMALLEST_DOT, LARGEST_DOT = 5.0, 40.0  # of a dip, square points
 SOFT = "#5b6b7b"
+PART_LIT, PART_DARK = np.array([238.0, 242.0, 246.0]), np.array([176.0, 187.0, 199.0])
 _FLAT = 1e-12  # mm^2: a triangle without an area
 COLOUR_MAP = LinearSegmentedColormap.from_list("calm", COLOURS)
 
