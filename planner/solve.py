@@ -13,6 +13,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from planner.cell import build_cell
 from planner.command import exit_code, options_of
 from planner.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, Refusal
 from planner.export import program_notes, write_refusal
@@ -26,6 +27,7 @@ from planner.progress import Stages
 from planner.report.failure import write_failure_report
 from planner.report.summary import print_summary
 from planner.toolpath.build import build_toolpath
+from planner.verify_clear import cell_view
 
 __all__ = ["main", "solve", "write"]
 
@@ -68,6 +70,7 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
 
 def report_refusal(problem: Problem, strategy: str, refusal: Refusal, path: Path) -> None:
     """Write the report of a refusal: it shows the beads again, and the place among them."""
+    cell = build_cell(problem)
     write_failure_report(
         path,
         problem=problem,
@@ -78,6 +81,8 @@ def report_refusal(problem: Problem, strategy: str, refusal: Refusal, path: Path
         point_mm=refusal.point_mm,
         facts={},
         hints=refusal.hints,
+        cell=cell,
+        view=cell_view(cell),
     )
 
 

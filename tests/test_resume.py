@@ -15,7 +15,7 @@ from report_page import points
 from scipy.interpolate import CubicSpline
 from solved import write_small
 
-import planner.solve
+import planner.planning
 from planner.errors import EXIT_INPUT, InputError
 from planner.export.plan_json import plan_json
 from planner.export.rapid.text import LONGEST_NAME, module_name
@@ -66,7 +66,7 @@ def layered() -> tuple[Problem, Toolpath]:
 def _solved(first_bead: int) -> Plan:
     problem, toolpath = layered()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(planner.solve, "build_toolpath", lambda problem: toolpath)
+        patch.setattr(planner.planning, "build_toolpath", lambda problem: toolpath)
         return solve(problem, first_bead=first_bead)
 
 

@@ -89,7 +89,7 @@ def _channels(plan: Plan, kept: NDArray[np.intp]) -> list[dict[str, Any]]:
     commanded = plan.problem.process.speed * 1e3
     speed = traj.speed[kept] * 1e3
     low, high = min(float(speed.min()), 0.9 * commanded), max(float(speed.max()), commanded)
-    out = [_channel("speed", "Tip speed", "mm/s", speed, "low", low, high, 1)]
+    out: list[dict[str, Any]] = [_channel("speed", "Tip speed", "mm/s", speed, "low", low, high, 1)]
     for name, label, unit, digits in TIGHT:
         values = plan.series[name][kept] if name in plan.series else np.empty(0)
         if np.isfinite(values).any():
@@ -99,8 +99,7 @@ def _channels(plan: Plan, kept: NDArray[np.intp]) -> list[dict[str, Any]]:
         out.append(_channel("tilt_deg", "Nozzle off the surface normal", "°", lean, "high", 0.0, digits=2))
     over = surplus(plan)
     if over is not None:
-        share: Array = over[kept]
-        most = max(float(share.max()), 1.0)
+        share, most = over[kept], max(float(over[kept].max()), 1.0)
         out.append(_channel("surplus", "Too much material, share of what flows", "%", share, "high", 0.0, most, 1))
     flow = even_flow(traj)[kept] * 1e9
     if np.ptp(flow) > 0:
@@ -114,7 +113,7 @@ def _channel(
     key: str,
     label: str,
     unit: str,
-    values: Array,
+    values: NDArray[np.floating[Any]],
     bad: str,
     low: float | None = None,
     high: float | None = None,
@@ -127,7 +126,7 @@ def _channel(
         "key": key,
         "label": label,
         "unit": unit,
-        "values": coarse(values),
+        "values": coarse(np.asarray(values, dtype=np.float64)),
         "min": least,
         "max": most,
         "bad": bad,

@@ -26,10 +26,8 @@ ALIGNED = 8  # bytes
 def packed(figures: Any) -> str:
     """Base64 text of figures: dictionaries, lists, texts, numbers and arrays. TypeError for anything else."""
     blobs: list[bytes] = []
-    at = 0
 
     def plain(value: Any) -> Any:
-        nonlocal at
         if isinstance(value, np.generic):
             return value.item()
         if not isinstance(value, np.ndarray):
@@ -37,10 +35,9 @@ def packed(figures: Any) -> str:
         if value.dtype.name not in KINDS:
             value = value.astype(np.float32)
         raw = np.ascontiguousarray(value, dtype=value.dtype.newbyteorder("<")).tobytes()
-        here = at
+        at = sum(map(len, blobs))
         blobs.append(raw + bytes(-len(raw) % ALIGNED))
-        at += len(blobs[-1])
-        return {"array": [KINDS[value.dtype.name], here, value.size]}
+        return {"array": [KINDS[value.dtype.name], at, value.size]}
 
     text = json.dumps(figures, default=plain, allow_nan=False, ensure_ascii=False, separators=(",", ":")).encode()
     text += b" " * (-(4 + len(text)) % ALIGNED)
