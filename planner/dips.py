@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, make_interp_spline
+from scipy.interpolate import BSpline
 from scipy.spatial import cKDTree
 
 from planner.cell import Cell
@@ -22,6 +22,7 @@ from planner.extrusion import bead_area, deposited_volume
 from planner.plan import Dip, Remedy, Trajectory
 from planner.problem import Problem
 from planner.problem.process import ProcessSpec
+from planner.resolve.derivatives import ORDERS, by_arc_length, spline_of
 from planner.resolve.jointpath import JointPath
 from planner.timing import HEADROOM
 from planner.toolpath.bead import Bead, Toolpath
@@ -31,7 +32,6 @@ Array = NDArray[np.float64]
 AT_SPEED = 0.98  # of the commanded speed: a sample below is in a dip
 MERGE = 5  # samples at speed between two dips that still count as one
 LIMITS = ("velocity", "acceleration", "jerk")
-ORDERS = np.array([1, 2, 3])
 # Of a joint in the problem file: its key, its unit in SI, the greatest value that the file may hold.
 KEYS = (("speed_deg_s", np.pi / 180.0, 1e4), ("acceleration_rad_s2", 1.0, 1e4), ("jerk_rad_s3", 1.0, 1e7))
 WIDEST_TOLERANCE, LONGEST_RUN = 5e-3, 0.1  # m, that the problem file may hold
@@ -61,19 +61,10 @@ class _Line:
     def ceilings(self, low: float, high: float) -> tuple[Array, Array]:
         """Greatest constant speed (k, nj, 3) that each limit allows at places between two arc lengths, which are
         (k) too. A place where samples coincide has no direction and is left out."""
-        s = self.path.task.s
-        k = np.interp([low, high], s, np.arange(len(s), dtype=float))
-        u = np.linspace(k[0], k[1], max(int(np.ceil(REFINE * (k[1] - k[0]))), 1) + 1)
-        first, second, third = (np.asarray(self.spline(u, order)) for order in ORDERS)
-        moving = first[:, -1] > 1e-6 * (s[-1] - s[0]) / len(s)
-        u, first, second, third = u[moving], first[moving], second[moving], third[moving]
-        s1, s2, s3 = (each[:, -1:] for each in (first, second, third))
-        by_s = first[:, :-1] / s1
-        by_ss = (second[:, :-1] - by_s * s2) / s1**2
-        by_sss = (third[:, :-1] - 3.0 * by_ss * s1 * s2 - by_s * s3) / s1**3
-        rates = np.abs(np.stack([by_s, by_ss, by_sss], axis=-1))
+        found = by_arc_length(self.path, self.spline, low, high, REFINE)
+        rates = np.abs(found.rates)
         with np.errstate(divide="ignore", over="ignore"):
-            return (HEADROOM * self.limits / rates) ** (1.0 / ORDERS), np.asarray(self.spline(u))[:, -1]
+            return (HEADROOM * self.limits / rates) ** (1.0 / ORDERS), found.s
 
     def corner(self, low: float, high: float, tolerance: float) -> bool:
         """Whether the drawn path has a corner beside the bead between two arc lengths."""
@@ -115,11 +106,9 @@ def find_dips(
 
 
 def _line(cell: Cell, bead: Bead, path: JointPath, tolerance: float) -> _Line:
-    n = len(path.task)
-    spline = make_interp_spline(np.arange(n, dtype=float), np.column_stack([path.q, path.task.s]), k=min(5, n - 1))
     limits = np.column_stack([cell.limits.velocity, cell.limits.acceleration, cell.limits.jerk])
     corners = bead.source[_turns(bead.source, tolerance) > CORNER]
-    return _Line(path, bead, spline, corners, cell.joint_names, limits)
+    return _Line(path, bead, spline_of(path), corners, cell.joint_names, limits)
 
 
 def _turns(path: Array, reach: float) -> Array:

@@ -58,6 +58,11 @@ class RollMap(ReadOnlyArrays):
     clearance: Array
 
     @property
+    def reasons(self) -> tuple[str, ...]:
+        """What the numbers in `why` mean."""
+        return REASONS
+
+    @property
     def free(self) -> NDArray[np.bool_]:
         """Where (m, k) the arm can stand."""
         return self.why == FREE
