@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from planner.export.corners import closer_at_turns
-from planner.export.fit import Poses, Way, between, fraction, misfits
+from planner.export.fit import Poses, Way, between, fraction, great_arc, misfits
 from planner.export.thinning import Indices, Judge, fewest
 
 Array = NDArray[np.float64]
@@ -34,13 +34,14 @@ def chosen_targets(
     reaches as far as it can, but a target has one place beside the path, and not a choice of all.
     """
 
-    def enough(targets: Poses) -> Indices:
-        sample = fewest(kept, _judge(way, targets, linear, joint))
+    def enough(targets: Poses, settled: Indices, joint: Judge) -> Indices:
+        sample = fewest(settled, _judge(way, targets, linear, joint))
         return closer_at_turns(sample, way.poses.position, targets.position, cornered, chord)
 
-    plain = enough(way.poses)
+    plain = enough(way.poses, kept, joint)
     beside = outwards(way, _reach(plain, kept, linear))
-    found = enough(beside)
+    travel = plain[:-1][~linear[plain[:-1]]]  # which stays as it is, so that it need not be judged again
+    found = enough(beside, np.union1d(kept, travel), lambda first, last: np.zeros(len(first)))
     fewer = np.diff(np.searchsorted(found, kept)) < np.diff(np.searchsorted(plain, kept))
     owner = np.clip(np.searchsorted(kept, np.arange(len(way.clock)), side="right") - 1, 0, len(fewer) - 1)
     sample = np.unique(np.concatenate([kept, found[fewer[owner[found]]], plain[~fewer[owner[plain]]]]))
@@ -97,7 +98,8 @@ def _outwards(pose: Array, reach: Array, most: Array) -> Array:
             continue
         _at(pose, k - reach[k], a)
         _at(pose, k + reach[k], b)
-        between(a, b, fraction(a, b, pose[k], 0.5), off)
+        omega, sign = great_arc(a, b)
+        between(a, b, fraction(a, b, pose[k], 0.5), omega, sign, off)
         for j in range(width):
             off[j] = SHARE * (pose[k, j] - off[j])
         moved = np.sqrt(np.sum(off[:3] ** 2))
