@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 PROBLEM = "cylinder_logo"
 CAP, CAP_RADIUS, CAP_PLACE = "peer_cap", 0.1195, 0.9  # a ball, its radius below the beads and a place on its spiral [m]
 ROLLS = (60.0, 160.0, 180.0, 240.0)  # deg
-DPI = 100
+DPI = 130
 TABLE = 60.0  # deg, of the positioner in these drawings
 
 
@@ -73,7 +73,7 @@ def frames(picture: Path) -> None:
     T_world_part = cell.holder.poses(table[None])[0]
     T_world_plate = T_world_part @ rigid_inverse(cell.T_plate_part[None])[0]
 
-    figure = plt.figure(figsize=(11.5, 5.6))
+    figure = plt.figure(figsize=(8.4, 4.1))
     wall = cylinder(T_world_part, (0.0314, 0.037), 0.034, 0.1)
     shapes = [*arm_shapes(cell, q), *holder_shapes(cell, table), wall]
     whole = figure.add_axes((0.0, 0.0, 0.56, 1.0), projection="3d")
@@ -104,7 +104,7 @@ def rolls(picture: Path) -> None:
     problem = load_problem(CAP)
     cell, task = build_cell(problem), tasks_of(problem, build_toolpath(problem))[0]
     sample = int(np.argmin(np.abs(task.s - CAP_PLACE)))
-    figure = plt.figure(figsize=(11.5, 3.6))
+    figure = plt.figure(figsize=(8.6, 2.7))
     nothing = np.zeros(0)
     cap = shape_of(Body("cap", Capsule(CAP_RADIUS, 0.0), np.eye(4)), cell.T_world_holder, PART)
     above = cap.corners[:, :, 2].min(axis=1) > cell.T_world_holder[2, 3] - 0.01  # the plate's top
@@ -121,6 +121,6 @@ def rolls(picture: Path) -> None:
         add_shapes(axes, shapes)
         frame_view(axes, (-0.15, -0.35, 0.0), (0.7, 0.35, 0.85), 1.5)
         axes.view_init(18, 62)
-        axes.set_title(title, fontsize=11, color=INK, y=-0.06)
+        axes.set_title(title, fontsize=10, color=INK, y=-0.09)
     figure.savefig(picture, dpi=DPI)
     plt.close(figure)

@@ -64,7 +64,7 @@ def roll_map(picture: Path) -> None:
     rolls = np.radians(np.linspace(0.0, 360.0, ROLLS, endpoint=False))
     sigma = _sigmas(cell, task, samples, rolls, paths["sqp"].branch)
 
-    figure, axes = plt.subplots(figsize=(8.6, 4.2), layout="constrained")
+    figure, axes = plt.subplots(figsize=(7.6, 3.9), layout="constrained")
     axes.set_facecolor("#d9d9d9")
     length = task.s[samples] * 1e3
     image = axes.pcolormesh(
@@ -98,7 +98,7 @@ def dip(picture: Path) -> None:
     laid = (s > AROUND) & (s < task.s[task.last] - AROUND)
     place = float(s[laid][np.argmin(speed[laid])])
     near = np.abs(s - place) <= AROUND
-    figure, (left, right) = plt.subplots(1, 2, figsize=(10.5, 4.0), layout="constrained", width_ratios=(1, 1.5))
+    figure, (left, right) = plt.subplots(1, 2, figsize=(8.8, 3.7), layout="constrained", width_ratios=(1, 1.5))
     tip = np.column_stack([np.interp(s[near], task.s, task.tip[:, k]) for k in range(3)])
     _corner(left, tip, toolpath.beads[i].source, speed[near])
     _rates(right, cell, path, place, s[near], speed[near])

@@ -102,7 +102,7 @@ def add_frame(axes: Axes3D, T: Array, name: str, size: float, aside: tuple[float
         axes.text(*tip, letter, color=AXES[k], fontsize=8, ha="center", va="center", zorder=7, path_effects=WHITE)
     axes.plot(*origin[:, None], "o", color=INK, markersize=3.5, zorder=8)
     at = origin + aside
-    axes.text(*at, name, color=INK, fontsize=11, weight="bold", ha="center", va="center", zorder=9, path_effects=WHITE)
+    axes.text(*at, name, color=INK, fontsize=10, weight="bold", ha="center", va="center", zorder=9, path_effects=WHITE)
 
 
 def add_arrow(axes: Axes3D, a: Array, b: Array, name: str, bend: tuple[float, float, float]) -> None:
