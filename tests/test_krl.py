@@ -215,6 +215,15 @@ def test_a_solved_print() -> None:
     assert krl_complaints(plan, krl_files(plan)) == []
 
 
+def test_lines_that_the_arm_cannot_keep_up_with_are_found() -> None:
+    """The program is played, not only compared: joints that turn slowly take longer than the plan has it."""
+    plan = wave()
+    limits = replace(plan.cell.limits, velocity=0.03 * plan.cell.limits.velocity)
+    slow = replace(plan, cell=replace(plan.cell, limits=limits))
+    found = krl_complaints(slow, krl_files(plan))
+    assert len(found) == 1 and found[0].startswith("time of deposition is "), found
+
+
 def test_rests_in_a_bead_are_kept() -> None:
     resting = resting_in_a_bead(wave(dip=False))
     files = krl_files(resting)

@@ -190,6 +190,17 @@ def test_joint_moves_go_to_the_turns_that_they_name():
     assert np.linalg.norm(other.position[-1] - program.position[-1]) < 1e-9
 
 
+def test_joint_moves_go_to_the_joints_that_they_name():
+    """As languages say them that name no quarters: a whole turn more is another posture."""
+    program = program_through([[0, 0.02, 0], [0, 0.03, 0]], linear=[False, True])
+    q = play(program, CELL).q
+    turned = q[play(program, CELL).target[0]] + [0, 0, 0, 0, 0, -2 * np.pi]
+    named = replace(program, joints=np.vstack([turned, np.full(6, np.nan)]))
+    other = play(named, CELL)
+    assert other.q[other.target[0]] == pytest.approx(turned)
+    assert other.q[-1] - q[-1] == pytest.approx([0, 0, 0, 0, 0, -2 * np.pi])
+
+
 @pytest.mark.parametrize("fourth", [0.0, 0.3, -0.4])
 def test_a_straight_wrist_at_home_is_no_riddle(fourth):
     home = np.array([0.1, 0.2, 0.3, fourth, 0.0, 0.5])

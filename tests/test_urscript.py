@@ -167,6 +167,15 @@ def test_the_program_repeats_the_plan(changes: dict[str, object]) -> None:
     assert urscript_complaints(plan, {NAME: urscript(plan)}) == []
 
 
+def test_lines_that_the_arm_cannot_keep_up_with_are_found() -> None:
+    """The program is played, not only compared: joints that turn slowly take longer than the plan has it."""
+    plan = arc()
+    limits = replace(plan.cell.limits, velocity=0.03 * plan.cell.limits.velocity)
+    slow = replace(plan, cell=replace(plan.cell, limits=limits))
+    found = urscript_complaints(slow, {NAME: urscript(plan)})
+    assert len(found) == 1 and found[0].startswith("time of deposition is "), found
+
+
 def test_rests_in_a_bead_are_kept() -> None:
     """A cut fibre: the arm stops in the bead, and waits."""
     resting = resting_in_a_bead(arc(dip=False))

@@ -37,6 +37,7 @@ class Program:
     speed                      (m, 4) tip [m/s], reorientation [rad/s], linear axes [m/s], rotating axes [rad/s]
     wait                       (m,) time at rest after the move [s]
     triggers                   move → its triggers, in order
+    joints                     (m, n) of the arm at targets of joint moves, where the language says them [rad]
     demands                    move → (distance [m] from its end, value that an analog output takes there), in order
     sends                      move → strings sent to the extruder's board after it, in order; -1: before the first
     send_rests                 move → for each of them, how long the robot has rested there when it is sent [s]
@@ -61,3 +62,4 @@ class Program:
     sends: dict[int, tuple[str, ...]]
     send_rests: dict[int, tuple[float, ...]] = field(default_factory=dict)
     demands: dict[int, tuple[tuple[float, float], ...]] = field(default_factory=dict)
+    joints: Array | None = None

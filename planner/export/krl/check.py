@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.export.blends import blend_complaints
-from planner.export.compare import compare
 from planner.export.krl.axes import from_kuka, to_kuka, turn
 from planner.export.krl.reader import Source, read_krl
 from planner.export.krl.text import krl_name
 from planner.export.krl.writer import LEAST_SPEED, SPEED, percent, radii_of, settings
-from planner.export.moves import plan_moves
+from planner.export.moves import Moves, plan_moves
 from planner.export.outputs import named, output_numbers
+from planner.export.playable import played_complaints
 
 if TYPE_CHECKING:
     from planner.plan import Plan
@@ -39,13 +39,14 @@ def krl_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
     program = named(source.program, output_numbers(plan.problem))
     start = program.start.copy()
     start[:na] = from_kuka(start[None, :na])[0]
-    program = replace(program, start=start)
-    return [*compare(plan, program).complaints(), *blend_complaints(plan, program), *_moves(plan, source)]
+    moves = plan_moves(plan)
+    program = replace(program, start=start, joints=from_kuka(source.axes))
+    return [*played_complaints(plan, moves, program), *blend_complaints(plan, program), *_moves(plan, moves, source)]
 
 
-def _moves(plan: Plan, source: Source) -> list[str]:
+def _moves(plan: Plan, moves: Moves, source: Source) -> list[str]:
     """Postures, Turn, speeds of axes and settings, one by one against those that the plan's moves have."""
-    moves, na = plan_moves(plan), len(plan.cell.arm)
+    na = len(plan.cell.arm)
     planned = np.concatenate([[0], moves.sample])
     linear = np.concatenate([[False], moves.linear])
     if not np.array_equal(linear, source.program.linear):

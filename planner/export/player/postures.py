@@ -229,8 +229,11 @@ def _wrapped(angles: Array) -> Array:
 
 
 def _named_turns(program: Program, cell: Cell, raw: Array, move: Indices) -> Array:
-    """Whole turns (k, n) to add to joints in (-pi, pi]: by the quarters that targets name, else by the joints' ranges."""
+    """Whole turns (k, n) to add to joints in (-pi, pi]: as targets say, by joints or by quarters, else by the ranges."""
     limits, na = cell.limits, raw.shape[1]
+    if program.joints is not None:
+        said: Array = np.round((program.joints[move] - raw) / REVOLUTION)
+        return said
     middle = np.tile(0.5 * (limits.q_min + limits.q_max)[:na], (len(raw), 1))
     if cell.spherical:
         middle[:, [0, 3, 5]] = (program.conf[move, :3] + 0.5) * QUARTER

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.export.blends import STEP, blend_complaints
-from planner.export.compare import compare
-from planner.export.moves import plan_moves
+from planner.export.moves import Moves, plan_moves
 from planner.export.outputs import named, output_numbers
+from planner.export.playable import played_complaints
 from planner.export.rotations import from_matrix, to_matrix
 from planner.export.urscript.frames import world_controller
 from planner.export.urscript.reader import Script, read_urscript
@@ -31,12 +31,13 @@ def urscript_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
     T_controller_part[:3, :3], T_controller_part[:3, 3] = to_matrix(program.uframe[None, 3:])[0], program.uframe[:3]
     T_world_part = world_controller(plan.cell) @ T_controller_part
     uframe = np.concatenate([T_world_part[:3, 3], from_matrix(T_world_part[None, :3, :3])[0]])
-    program = replace(program, uframe=uframe)
+    program = replace(program, uframe=uframe, joints=script.joints)
+    moves = plan_moves(plan)
     return [
-        *compare(plan, program).complaints(),
+        *played_complaints(plan, moves, program),
         *blend_complaints(plan, program),
         *_early(program),
-        *_joints(plan, script),
+        *_joints(plan, moves, script),
     ]
 
 
@@ -47,14 +48,13 @@ def _early(program: Program) -> list[str]:
     return [f"an output is switched {early:.3g} m early"] if early > SWITCH_BLEND + STEP else []
 
 
-def _joints(plan: Plan, script: Script) -> list[str]:
+def _joints(plan: Plan, moves: Moves, script: Script) -> list[str]:
     """Joint targets that no sample of the plan has; moves that are quicker, or reach their speed later, than planned."""
     found = []
     joint = ~script.program.linear
     off = cKDTree(plan.trajectory.q[:, :6]).query(script.joints[joint])[0].max()
     if off > 3.0 * 10.0**-ANGLE:  # rounding, over six joints
         found.append(f"joints differ by {off:.3g} rad")
-    moves = plan_moves(plan)
     pace = pace_of(plan, moves)
     for words, chosen, planned in (("tip", ~joint, pace.tip), ("joint", joint, pace.joint)):
         if np.abs(script.pace[chosen, 0] - planned).max(initial=0.0) > 0.051:
