@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,7 @@ from planner.solids import Body
 
 Array = NDArray[np.float64]
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"
+_INVERSE = {"spherical_wrist", "inverse_kinematics"}  # keys, one of which an arm has
 _SAME_POSE = 1e-9  # m: closed form and URDF are one arm
 _POSTURES = 20
 
@@ -61,6 +63,19 @@ class Robot:
 def robot_names(folder: Path = ROBOTS) -> list[str]:
     """Keys of the robots that ship."""
     return sorted(path.stem for path in folder.glob("*.yaml"))
+
+
+def shipped_robots(arms: bool) -> dict[str, str]:
+    """Robots that ship, by key: maker and type; those that are arms, or those that are none and only hold parts.
+
+    Only their YAML files are read.
+    """
+    return {file.path.stem: file.text("name") for file in _shipped_files() if bool(_INVERSE & set(file.data)) == arms}
+
+
+@cache
+def _shipped_files() -> tuple[RobotFile, ...]:
+    return tuple(read_robot_file(ROBOTS / f"{key}.yaml") for key in robot_names())
 
 
 def load_robot(robot: str | Path, problem: Problem, field: str) -> Robot:
@@ -127,7 +142,7 @@ def _model(file: RobotFile, urdf: Urdf) -> pin.Model:
 def _inverse(file: RobotFile, model: pin.Model) -> InverseKinematics | None:
     """The closed form that the file names, held to the URDF; corrected where an arm is nearly of its kind."""
     data = file.data
-    given = [key for key in ("spherical_wrist", "inverse_kinematics") if key in data]
+    given = [key for key in data if key in _INVERSE]
     if not given:
         return None
     if len(given) > 1:

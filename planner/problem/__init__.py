@@ -16,7 +16,15 @@ from pydantic_core import PydanticKnownError
 from planner.errors import InputError
 from planner.problem.cell import CellSpec
 from planner.problem.fields import IDENTIFIER, Section, key, one_of, refusal
-from planner.problem.file import Source, apply_overrides, find_problem, read_problem_file, shipped_problems
+from planner.problem.file import (
+    Keys,
+    Source,
+    apply_overrides,
+    find_problem,
+    parse_yaml,
+    read_problem_file,
+    shipped_problems,
+)
 from planner.problem.gcode import GcodeLayersSpec
 from planner.problem.layers import AnyLayersSpec, check_body
 from planner.problem.materials import check_materials
@@ -120,6 +128,21 @@ def load_problem(path: str | Path, overrides: Sequence[str] = ()) -> Problem:
     """
     data, source = read_problem_file(find_problem(path))
     data, source = apply_overrides(data, source, overrides)
+    return _validated(data, source)
+
+
+def parse_problem(text: str, file: Path) -> Problem:
+    """Read a problem from its text, as if it stood in a file that need not be there yet; raises InputError."""
+
+    def complain(reason: str, line: int | None, hint: str | None) -> InputError:
+        return InputError(reason, file=file, line=line, hint=hint)
+
+    lines: dict[Keys, int] = {}
+    data = parse_yaml(text, complain, lines)
+    return _validated(data, Source(file, lines))
+
+
+def _validated(data: dict[str, Any], source: Source) -> Problem:
     try:
         problem = Problem.model_validate(data, context=source)
     except ValidationError as error:

@@ -9,8 +9,11 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
+from pydantic_core import PydanticCustomError
 
+from planner.errors import InputError
 from planner.problem.fields import Quantity
+from planner.problem.file import parse_yaml
 
 Model = type[BaseModel]
 
@@ -97,3 +100,25 @@ def _parts(annotation: Any, shape: str) -> Iterator[tuple[str, Any]]:
         yield from _parts(inner[1], "names")
     elif annotation not in (NoneType, Ellipsis):
         yield shape, annotation
+
+
+def read_value(one: Described, text: str) -> Any:
+    """A value of a field from a text as it would stand in the file; of a list of numbers the brackets may be missing.
+
+    Raises ValueError, in words, for one that the field does not take.
+    """
+    lists = one.quantity is not None and one.quantity.count is not None
+    if lists and not text.startswith("["):
+        text = f"[{', '.join(text.replace(',', ' ').split())}]"
+    try:
+        value = parse_yaml(text, lambda reason, *_: InputError(reason), {})
+        if one.quantity is not None:
+            one.quantity.to_si(value)
+    except InputError as error:
+        raise ValueError(str(error)) from None
+    except PydanticCustomError as error:
+        hint = (error.context or {}).get("hint")
+        raise ValueError(f"{error}" + (f" ({hint})" if hint else "")) from None
+    if one.quantity is None and one.choices and value not in one.choices:
+        raise ValueError(f"choices: {', '.join(one.choices)}")
+    return list(value) if isinstance(value, tuple) else value

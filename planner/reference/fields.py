@@ -12,8 +12,9 @@ from planner.problem.described import Described, Model, described
 from planner.problem.fields import Section
 from planner.problem.file import find_problem, read_problem_file
 from planner.problem.layers import KINDS
+from planner.problem.written import yaml_text
 from planner.reference.examples import EXAMPLES
-from planner.reference.markdown import table, yaml_text
+from planner.reference.markdown import table
 from planner.reference.schema import TOLD_BY
 from planner.robot_yaml import KEYS
 

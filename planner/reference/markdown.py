@@ -1,14 +1,8 @@
-"""Pieces of Markdown and YAML."""
+"""Tables of Markdown."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any
-
-_PLAIN = re.compile(r"[A-Za-z_./-][A-Za-z0-9_./ -]*")
-_WORDS = {"true", "false", "null", "yes", "no", "on", "off"}
+from collections.abc import Sequence
 
 
 def table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -16,20 +10,3 @@ def table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     kept = [i for i in range(len(headings)) if any(row[i] for row in rows)]
     lines = [[headings[i] for i in kept], ["---"] * len(kept), *([row[i] for i in kept] for row in rows)]
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines) + "\n"
-
-
-def yaml_text(value: Any) -> str:
-    """A value in one line of YAML."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{key}: {yaml_text(each)}" for key, each in value.items()) + "}"
-    if isinstance(value, (tuple, list)):
-        return "[" + ", ".join(map(yaml_text, value)) + "]"
-    if isinstance(value, float):
-        return f"{value:.10g}"
-    if isinstance(value, (str, Path)):
-        text = str(value)
-        plain = _PLAIN.fullmatch(text) and text.lower() not in _WORDS and not text.endswith(" ")
-        return text if plain else "'" + text.replace("'", "''") + "'"
-    return str(value)

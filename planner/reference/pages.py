@@ -12,6 +12,7 @@ from planner.link.egm import egm_command
 from planner.link.stream import stream_command
 from planner.measured_checks import CHECKS
 from planner.measures import COLUMNS, METRICS, Measure
+from planner.new.command import new_command
 from planner.place import place_command
 from planner.reference.command import reference_command
 from planner.reference.markdown import table
@@ -77,7 +78,7 @@ def names(given: Mapping[str, str]) -> str:
 def commands() -> tuple[Command, ...]:
     """The parsers of all commands."""
     makers = (
-        solve_command, check_command, view_command, place_command, register_command, robots_command, link_command,
+        solve_command, check_command, new_command, view_command, place_command, register_command, robots_command, link_command,
         stream_command, egm_command, simulate_command, reference_command,
     )  # fmt: skip
     return tuple(make() for make in makers)

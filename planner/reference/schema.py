@@ -11,8 +11,8 @@ from typing import Any
 
 from planner.problem import Problem
 from planner.problem.layers import KINDS
-from planner.robot_files import ROBOTS, robot_names
-from planner.robot_yaml import KEYS, read_robot_file
+from planner.robot_files import robot_names, shipped_robots
+from planner.robot_yaml import KEYS
 
 Schema = dict[str, Any]
 DRAFT = "http://json-schema.org/draft-07/schema#"
@@ -33,10 +33,9 @@ def problem_schema() -> str:
         "type": "object",
         **_told_apart([_ref(name) for name in layers]),
     }
-    robots = _robots()
     for name, key, own in (
-        ("CellSpec", "arm", [name for name, arm in robots.items() if arm]),
-        ("PositionerSpec", "robot", list(robots)),
+        ("CellSpec", "arm", list(shipped_robots(arms=True))),
+        ("PositionerSpec", "robot", robot_names()),
     ):
         field = defs[name]["properties"][key]
         defs[name]["properties"][key] = {
@@ -63,12 +62,6 @@ def robot_schema() -> str:
         "additionalProperties": False,
     }
     return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
-
-
-def _robots() -> dict[str, bool]:
-    """Names of the robots that ship, and whether each is an arm."""
-    files = {name: read_robot_file(ROBOTS / f"{name}.yaml").data for name in robot_names()}
-    return {name: bool({"spherical_wrist", "inverse_kinematics"} & set(data)) for name, data in files.items()}
 
 
 def _ref(name: str) -> Schema:

@@ -1,0 +1,116 @@
+"""The command line of `python -m planner.new`."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+
+from rich.console import Console
+
+from planner.check import examine
+from planner.command import Command, exit_code
+from planner.errors import EXIT_VERIFIED, InputError, OutputError
+from planner.new.ask import Asker, name_of
+from planner.new.copying import copied, name_from
+from planner.new.questions import Answers, answers_to
+from planner.new.text import problem_text
+from planner.problem import load_problem, parse_problem
+
+USUAL_FILE = Path("my_print.yaml")
+
+
+def new_command() -> Command:
+    """The parser of `python -m planner.new`."""
+    parser = Command(
+        "new",
+        "Write a problem file of your own: ask a few questions, each with a default, or begin from a problem that "
+        "ships.",
+        {
+            "": "ask, and write my_print.yaml",
+            "vase.yaml --yes": "take the default answer to every question",
+            "vase.yaml --from cylinder_logo": "a copy of a shipped problem, with the files that it names",
+        },
+        {
+            0: "written; planner.check accepts it",
+            2: "wrong answer in a pipe, or a file that cannot be written; nothing written",
+            130: "interrupted, or the input ended; nothing written",
+        },
+    )
+    parser.add_argument("file", nargs="?", type=_file, default=USUAL_FILE, metavar="FILE", help="default my_print.yaml")
+    parser.add_argument(
+        "--from", dest="start", metavar="NAME", help="begin from a problem that ships, or a file; no questions"
+    )
+    parser.add_argument("--yes", action="store_true", help="no questions: the default answers")
+    return parser
+
+
+def _file(text: str) -> Path:
+    path = Path(text)
+    if path.suffix not in (".yaml", ".yml"):
+        raise argparse.ArgumentTypeError(f"{text!r} does not end in .yaml")
+    return path
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    options = new_command().parse_args(arguments)
+    errors = Console(stderr=True, highlight=False)
+    return exit_code(lambda: _run(options, errors), partial(errors.print, markup=False, soft_wrap=True))
+
+
+def _run(options: argparse.Namespace, errors: Console) -> int:
+    file, ask = options.file, Asker(errors, options.yes or options.start is not None)
+    if not file.parent.is_dir():
+        raise OutputError(f"there is no folder {file.parent}")
+    if file.exists() and (ask.take_defaults or not _over(ask, file)):
+        raise OutputError(f"{file} is there already, and stays as it is: give another name")
+    if options.start is None:
+        contents = {file: _checked(answers_to(ask, file, name_from(file)), file).encode()}
+    else:
+        contents = copied(load_problem(options.start), file)
+    _write(contents)
+    for path in contents:
+        print(path)
+    errors.print(
+        f"next: python -m planner.check {file}, then python -m planner.solve {file}", markup=False, soft_wrap=True
+    )
+    return EXIT_VERIFIED
+
+
+def _over(ask: Asker, file: Path) -> bool:
+    return bool(
+        ask(f"{file} is there already; write over it? yes or no", "no", name_of("answer", ("yes", "no"))) == "yes"
+    )
+
+
+def _checked(answers: Answers, file: Path) -> str:
+    """The text of the problem file, with the first start posture in which nothing is too near anything.
+
+    Raises the InputError of the first mistake that `planner.check` would find in it.
+    """
+    mistakes: tuple[InputError, ...] = ()
+    for home_deg in answers["homes_deg"]:
+        text = problem_text(answers, file, home_deg)
+        mistakes = examine(parse_problem(text, file)).mistakes
+        if not mistakes:
+            return text
+        if mistakes[0].field != "cell.home_deg":
+            break
+    raise mistakes[0]
+
+
+def _write(contents: Mapping[Path, bytes]) -> None:
+    """Write files, each beside its place, and move them there whole when all are written."""
+    folder = next(iter(contents)).parent
+    try:
+        with tempfile.TemporaryDirectory(prefix=".new-", dir=folder) as beside:
+            for path, content in contents.items():
+                (Path(beside) / path.name).write_bytes(content)
+            for path in contents:
+                os.replace(Path(beside) / path.name, path)
+    except OSError as error:
+        raise OutputError(f"cannot write into {folder}: {error.strerror}") from error

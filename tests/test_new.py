@@ -1,0 +1,166 @@
+"""A problem file of one's own: questions to a pipe, answers that are wrong, what is written, copies of what ships."""
+
+from __future__ import annotations
+
+import io
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planner.check import examine
+from planner.new.command import main
+from planner.new.posture import reached
+from planner.new.questions import DOWN, WHAT
+from planner.problem import load_problem
+from planner.problem.file import PROBLEMS
+from planner.robot_files import ROBOTS, read_robot, robot_names, shipped_robots
+from planner.solve import solve
+
+DEFAULTS = 20  # empty answers: more than there are questions
+# Answers of each kind of print, after name, arm, tip, bore, holder, kind.
+KINDS = {
+    "pattern": ("zigzag", "8", "30 20", "dome", "50"),
+    "drawing": ("logo.svg", "60", "cylinder"),
+    "waypoints": ("peer_cap.txt",),
+    "gcode": ("planar_box.gcode",),
+    "mesh": ("saddle_ring.stl",),
+    "wing": ("0012",),
+}
+
+
+def run(monkeypatch: pytest.MonkeyPatch, file: Path, *answers: str, more: int = DEFAULTS) -> int:
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n".join([*answers, *[""] * more]) + "\n" * bool(answers or more)))
+    return main([str(file)])
+
+
+def test_default_answers_are_accepted_and_solved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "my_vase.yaml"
+    assert run(monkeypatch, file) == 0
+    said = capsys.readouterr()
+    assert said.out == f"{file}\n"
+    assert f"python -m planner.solve {file}" in said.err
+    assert list(tmp_path.iterdir()) == [file]
+    text = file.read_text(encoding="utf-8")
+    assert text.startswith("# yaml-language-server: $schema=")
+    assert (tmp_path / text.split("$schema=")[1].split("\n")[0]).resolve().is_file()
+    file.unlink()
+    assert main([str(file), "--yes"]) == 0
+    assert file.read_text(encoding="utf-8") == text
+    problem = load_problem(file, ["layers.count=1", "strategy=ladder", "layers.source.size_mm=[20, 20]"])
+    assert problem.name == "my_vase"
+    assert solve(problem, dt=0.01).verified
+
+
+@pytest.mark.parametrize("what", WHAT)
+def test_every_kind_is_accepted(what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("logo.svg", "peer_cap.txt", "planar_box.gcode", "saddle_ring.stl"):
+        (tmp_path / name).symlink_to(PROBLEMS / name)
+    holder = "irbp_a250" if what == "drawing" else "bed"
+    file = tmp_path / "mine.yaml"
+    assert run(monkeypatch, file, "", "", "", "", holder, what, *KINDS[what]) == 0
+    problem = load_problem(file)
+    assert examine(problem).mistakes == ()
+    assert (problem.cell.positioner is None) == (holder == "bed")
+
+
+@pytest.mark.parametrize("arm", ["ur5", "panda"])
+def test_other_arms_have_a_place_and_a_posture(arm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / f"{arm}.yaml"
+    assert run(monkeypatch, file, "", arm) == 0
+    assert load_problem(file).cell.arm == arm
+
+
+def test_what_can_be_chosen() -> None:
+    assert shipped_robots(arms=False) == {"irbp_a250": "ABB IRBP A250"}
+    assert {*shipped_robots(arms=True), "irbp_a250"} == set(robot_names())
+
+
+@pytest.mark.parametrize(
+    ("answers", "said"),
+    [
+        (["my print"], "cannot be a name in RAPID"),
+        (["", "irb104"], "did you mean irb140?"),
+        (["", "", "0 0"], "must be a list of 3 numbers"),
+        (["", "", "", "0"], "too small"),
+        (["", "", "", "", "table"], "choices: bed, irbp_a250"),
+        (["", "", "", "", "", "patern"], "did you mean pattern?"),
+        (["", "", "", "", "", "drawing", "nowhere.svg"], "there is no file"),
+        (["", "", "", "", "", "drawing", ""], "an answer is needed"),
+        (["", "", "", "", "", "wing", "0000"], "no section of four digits"),
+        (["", "", "", "", "", "", "", "", "", "", "", "", "2.5"], "whole number"),
+        ([*[""] * 14, "2000 0 0"], "does not reach all of the part there"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_wrong_answers_of_a_pipe(
+    answers: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, tmp_path / "mine.yaml", *answers) == 2
+    assert said in " ".join(capsys.readouterr().err.split())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_terminal_is_asked_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stdin = io.StringIO("\nirb104\nirb1600_12\n" + "\n" * DEFAULTS)
+    monkeypatch.setattr(stdin, "isatty", lambda: True, raising=False)
+    monkeypatch.setattr(sys, "stdin", stdin)
+    assert main([str(tmp_path / "mine.yaml")]) == 0
+    assert load_problem(tmp_path / "mine.yaml").cell.arm == "irb1600_12"
+
+
+@pytest.mark.parametrize("answers", [(), ("mine", "irb140")])
+def test_an_end_of_the_input_writes_nothing(
+    answers: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, tmp_path / "mine.yaml", *answers, more=0) == 130
+    assert "nothing was written" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text("mine", encoding="utf-8")
+    assert main([str(file), "--yes"]) == 2
+    assert run(monkeypatch, file, "no") == 2
+    assert run(monkeypatch, file, "") == 2
+    assert file.read_text(encoding="utf-8") == "mine"
+    assert run(monkeypatch, file, "yes") == 0
+    assert load_problem(file).name == "mine"
+
+
+@pytest.mark.parametrize("name", ["cylinder_logo", "aerofoil_core_tapered", "curved_plate"])
+def test_copies_of_what_ships(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "2nd-try.yaml"
+    assert main([str(file), "--from", name]) == 0
+    problem, model = load_problem(file), load_problem(name)
+    assert problem.name == "print_2nd_try"
+    assert examine(problem).mistakes == ()
+    files = {path.name for path in tmp_path.iterdir()}
+    assert files == {line.rsplit("/", 1)[1] for line in capsys.readouterr().out.split()}
+    assert len(files) == {"cylinder_logo": 2, "aerofoil_core_tapered": 3, "curved_plate": 2}[name]
+    assert problem.process == model.process
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+    assert main([str(file), "--from", name]) == 2  # it is there already
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == before
+
+
+def test_a_copy_does_not_write_over_another_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "logo.svg").write_text("mine", encoding="utf-8")
+    assert main([str(tmp_path / "mine.yaml"), "--from", "cylinder_logo"]) == 2
+    assert "logo.svg" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["logo.svg"]
+    assert main([str(tmp_path / "mine.yaml"), "--from", "cylinder_lego"]) == 2
+    assert main([str(tmp_path / "no" / "mine.yaml"), "--yes"]) == 2
+
+
+def test_what_is_reached() -> None:
+    robot = read_robot(ROBOTS / "irb140.yaml")
+    tip = np.array([0.0, 0.0, 0.15])
+    near = reached(robot, tip, np.array([[0.5, 0.0, 0.1]]), DOWN)
+    assert near.worth > 0.5
+    assert len(near.postures) > 1
+    assert reached(robot, tip, np.array([[0.5, 0.0, 0.1], [2.0, 0.0, 0.1]]), DOWN).worth == 0.0
