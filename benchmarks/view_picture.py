@@ -12,27 +12,30 @@ import tempfile
 import time
 from pathlib import Path
 
+from PIL import Image
 from playwright.sync_api import Page, sync_playwright
 
 from planner.problem.file import PROBLEMS
 
-PROBLEM = "peer_cap"  # solved in seconds
-EDIT = ("speed_mm_s: 40", "speed_mm_s: 60")
+PROBLEM, FILES = "cylinder_logo", ("cylinder_logo.yaml", "logo.svg")
+OPTIONS = ("--no-browser", "--set", "layers.count=1", "--strategy", "ladder", "--beside", "as_published")
+EDIT = ("speed_mm_s: 40", "speed_mm_s: 30")
 SIZE = {"width": 1366, "height": 1000}
 PATIENCE = 300.0  # s for all solves
 FLAGS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 IDLE = """() => document.querySelectorAll('iframe').length === 2 && !document.querySelector('iframe.coming')
   && [...document.querySelectorAll('.progress')].every((each) => each.hidden)"""
+COLOURS = 256
 SETTLED_TIME = 2.0  # s for the scenes to be painted
 
 
 def view_picture(path: Path) -> None:
-    """Write the picture, a PNG file of any number of colours."""
+    """Write the picture, a PNG file with a palette."""
     with tempfile.TemporaryDirectory() as folder:
-        for file in PROBLEMS.glob(f"{PROBLEM}.*"):
-            shutil.copy(file, folder)
+        for name in FILES:
+            shutil.copy(PROBLEMS / name, folder)
         problem = Path(folder) / f"{PROBLEM}.yaml"
-        command = [sys.executable, "-m", "planner.view", str(problem), "--no-browser", "--beside", "as_published"]
+        command = [sys.executable, "-m", "planner.view", str(problem), *OPTIONS]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as view:
             try:
                 if view.stdout is None:
@@ -54,6 +57,7 @@ def _picture(url: str, problem: Path, path: Path) -> None:
         page.click("summary")
         time.sleep(SETTLED_TIME)
         page.screenshot(path=path)
+        Image.open(path).convert("RGB").quantize(COLOURS).save(path, optimize=True)
         browser.close()
 
 

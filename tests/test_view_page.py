@@ -51,7 +51,16 @@ from planner.view import command, solver
 solver.CHILD = (sys.executable, "-S", sys.argv.pop(1))
 sys.exit(command.main())
 """
-PATIENCE = 20.0  # s
+PATIENCE = 30.0  # s
+
+
+def until(page: Any, done: Callable[[], Any]) -> Any:
+    """Wait until something is so; the view's policy lets no test wait inside its page."""
+    end = time.monotonic() + PATIENCE
+    while not (found := done()):
+        assert time.monotonic() < end, "the page did not come so far"
+        page.wait_for_timeout(30)
+    return found
 
 
 class Opened:
@@ -64,12 +73,8 @@ class Opened:
         page.on("console", lambda said: self.wrong.append(said.text) if said.type == "error" else None)
 
     def until(self, done: Callable[[], Any]) -> Any:
-        """Wait until something is so; the page's policy lets no test wait in it."""
-        end = time.monotonic() + PATIENCE
-        while not (found := done()):
-            assert time.monotonic() < end, "the page did not come so far"
-            self.page.wait_for_timeout(30)
-        return found
+        """Wait until something is so."""
+        return until(self.page, done)
 
     def reports(self) -> list[Any]:
         """The frames of the reports that are shown, left to right; none while one is on its way."""
@@ -139,7 +144,6 @@ def test_page_from_an_edit_to_two_strategies(opened: Opened) -> None:
     page.check("#beside")
     opened.until(lambda: opened.names() == ["sqp 2", "as_published 3"])
     left, right = opened.reports()
-    page.wait_for_timeout(300)  # in which an answer would be taken for an echo
     right.click("button")
     opened.until(lambda: "as_published" in left.inner_text("#told"))
     assert "as_published" not in right.inner_text("#told")

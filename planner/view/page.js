@@ -2,12 +2,12 @@
 // What the view is stands in one value that the server sends whole, whenever something changed; this draws it.
 (function () {
   const by = (id) => document.getElementById(id);
-  const READY_TIME = 3000; // ms that a loaded report has to say that it is drawn, before it is shown all the same
+  const READY_TIME = 6000; // ms that a loaded report has to say that it is drawn, before it is shown all the same
   const PAINT_TIME = 200; // ms from being drawn to being on the screen
-  const ECHO_TIME = 250; // ms after a report was told a state, in which what it says of its own is taken for an echo
   const SIGNS = { verified: "✓ verified", failed: "✗ not verified", refused: "✗ no plan" };
   const panes = [];
   let state = null;
+  let touched = 0; // when the user last did something in a report
   let kept = null; // camera, time and choices, as the report told them last
 
   function element(name, attributes, ...children) {
@@ -106,7 +106,7 @@
   function arrived(pane, coming) {
     if (pane.coming !== coming) return;
     const past = pane.shown;
-    tell(pane, coming);
+    tell(coming);
     pane.shown = coming;
     pane.coming = null;
     coming.frame.inert = false;
@@ -116,9 +116,8 @@
     }, PAINT_TIME);
   }
 
-  function tell(pane, report) {
+  function tell(report) {
     if (!kept) return;
-    pane.told = Date.now();
     report.frame.contentWindow.postMessage(kept, "*"); // a sandboxed report has no origin that could be named
   }
 
@@ -126,12 +125,16 @@
     const said = event.data;
     if (!said || typeof said !== "object") return;
     for (const pane of panes) {
-      if (pane.coming && event.source === pane.coming.frame.contentWindow && said.beadwise === "ready") {
-        arrived(pane, pane.coming);
-      } else if (pane.shown && event.source === pane.shown.frame.contentWindow && said.beadwise === "state") {
-        if (Date.now() - (pane.told || 0) < ECHO_TIME) return;
+      const from = (report) => Boolean(report) && event.source === report.frame.contentWindow;
+      if (said.beadwise === "ready") {
+        if (from(pane.coming)) arrived(pane, pane.coming);
+        else if (from(pane.shown)) tell(pane.shown); // a slow one, which was shown before it could listen
+      } else if (said.beadwise === "state" && from(pane.shown)) {
+        const touch = Date.now() - (Number(said.age) || 0);
+        if (touch < touched) return; // what still moves in one pane, while the user is in the other by now
+        touched = touch;
         kept = said;
-        panes.filter((other) => other !== pane && other.shown).forEach((other) => tell(other, other.shown));
+        panes.filter((other) => other !== pane && other.shown).forEach((other) => tell(other.shown));
       }
     }
   });
