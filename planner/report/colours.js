@@ -41,7 +41,7 @@ function makeColours(stage, scene, changed) {
     changed();
   }
   colours.filter = filter;
-  channels.forEach((c) => colour.add(new Option(c.label + (c.unit ? ", " + c.unit : ""))));
+  channels.forEach((c) => colour.add(new Option(c.label + (c.unit ? ", " + c.unit : ""), c.key)));
   upTo.max = layers.length - 1;
   upTo.value = layers.length - 1;
   colour.addEventListener("change", paint);

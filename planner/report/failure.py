@@ -80,9 +80,9 @@ def write_failure_report(
     about = frame.pairs_table("What is known", [*known, *facts.items()])
     scene, body = None, about
     if toolpath is not None:
-        places = _places(beads, failed, point_mm, message, [*([advice] if advice else []), *hints])
+        places = _places(beads, failed, point_mm, [*([advice] if advice else []), *hints])
         scene = failed_scene(toolpath.shape, beads, failed, places, cell, view)
-        marked = [Place(each["letter"], "fail", each["what"], each["value"], -1) for each in places]
+        marked = [Place(each["letter"], "fail", each["what"], each["where"], -1) for each in places]
         shown = stage(name=problem.name, moves=False, layers=0, dips=False, marks=bool(places))
         body = (
             f"<div class=first><div class=decides>{about}</div>{shown}<div class=goto>"
@@ -105,7 +105,7 @@ def write_failure_report(
 
 
 def _places(
-    beads: Sequence[Bead], failed: int | None, point_mm: Sequence[float] | None, message: str, advice: Sequence[str]
+    beads: Sequence[Bead], failed: int | None, point_mm: Sequence[float] | None, advice: Sequence[str]
 ) -> list[dict[str, Any]]:
     """The place of the refusal for the page: the point that is told, or where the bead that fails begins; or none."""
     if failed is None and point_mm is None:
@@ -124,7 +124,7 @@ def _places(
             "letter": "✗",
             "kind": "fail",
             "what": "Here it fails",
-            "value": message,
+            "value": "",
             "t": 0.0,
             "point": point.round(6).tolist(),
             "normal": normal.round(4).tolist(),

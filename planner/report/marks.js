@@ -1,5 +1,6 @@
 // Marks in the scene: letters of places as buttons over the canvas, dips as white discs with a black rim on the part.
 const RIM = 20, DISC = 0.011, LIFT = 0.0022;  // corners of a disc; its radius and height, of the size of the print
+const ROOM = 24;  // px between letters
 
 function makeDips(stage, dips) {
   if (!dips) return null;
@@ -65,14 +66,19 @@ function makeLetters(stage, places, chosen) {
     return { button, group, point: places[group[0]].point, normal: places[group[0]].normal };
   });
   const { world } = stage;
+  // A letter gives way to those before it in the list, which matter more, until the camera comes closer.
   function place() {
+    const taken = [];
     const width = stage.div.clientWidth, height = stage.div.clientHeight;
-    for (const { button, point, normal } of buttons) {
+    for (const { button, group, point, normal } of buttons) {
       const at = stage.inView(point), out = stage.along(normal), eye = world.camera.position.clone().sub(at);
       const on = at.project(world.camera), visible = on.z < 1 && Math.abs(on.x) < 1 && Math.abs(on.y) < 1;
-      button.hidden = !visible;
+      const left = (0.5 + 0.5 * on.x) * width, top = (0.5 - 0.5 * on.y) * height, own = group.includes(stage.chosen);
+      button.hidden = !visible || (!own && taken.some(([x, y]) => Math.abs(x - left) < ROOM && Math.abs(y - top) < ROOM));
       button.classList.toggle("behind", eye.dot(out) < 0);
-      if (visible) button.style.transform = `translate(${(0.5 + 0.5 * on.x) * width}px, ${(0.5 - 0.5 * on.y) * height}px)`;
+      if (button.hidden) continue;
+      taken.push([left, top]);
+      button.style.transform = `translate(${left}px, ${top}px)`;
     }
   }
   stage.viewer.on(stage.viewer.events.RENDERED, place);

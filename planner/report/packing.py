@@ -53,6 +53,6 @@ def coarse(values: Array) -> dict[str, Any]:
     """Values (n) in 16 bits: `low`, `step` and numbers of steps; FINEST + 1 for what is not finite."""
     finite = np.isfinite(values)
     low, high = (float(values[finite].min()), float(values[finite].max())) if finite.any() else (0.0, 0.0)
-    step = (high - low) / FINEST if high > low else 1.0
-    steps = np.where(finite, np.round((np.where(finite, values, low) - low) / step), FINEST + 1)
+    step = (high - low) / FINEST
+    steps = np.where(finite, np.round((np.where(finite, values, low) - low) / (step or 1.0)), FINEST + 1)
     return {"low": low, "step": step, "steps": steps.astype(np.uint16)}

@@ -22,6 +22,7 @@ function drawScene(scene, told) {
     by("card-box").hidden = false;
   }
   function mark(k) {
+    stage.chosen = k;
     document.querySelectorAll("[data-place]").forEach((b) => b.setAttribute("aria-pressed", String(Number(b.dataset.place) === k)));
   }
   function go(k, atOnce) {
@@ -79,7 +80,7 @@ function drawScene(scene, told) {
   }
   if (places.length && places[0].kind === "fail") go(0, true);
   else stage.fly(...viewOf(stage, scene, "cell"), true);
-  return { stage, motion, player, go, seek: (t) => { player.play(false); player.seek(t); } };
+  return { stage, motion, player, colours, lines: scene.lines, go, seek: (t) => { player.play(false); player.seek(t); } };
 }
 
 async function start() {
@@ -115,5 +116,6 @@ async function start() {
   }
   window.report = { page, scene, charts };
   root.dataset.ready = "yes";
+  talkToParent(scene);
 }
 start();

@@ -20,7 +20,7 @@ from planner.report.packing import packed, squeezed
 
 # The page forbids itself the network: even a library that wanted to fetch something could not.
 POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
-SCRIPTS = ("unpack", "motion", "beads", "stage", "views", "marks", "player", "colours", "charts", "page")
+SCRIPTS = ("unpack", "motion", "beads", "stage", "views", "marks", "player", "colours", "charts", "embed", "page")
 K3D_SOURCE = "k3d/static/standalone.js"
 # K3D's fonts are for formulas; the report has none, and a browser would load them all.
 FONTS = (r"@font-face\{(?:\$\{\w+\}|[^{}])*\}", r"data:font/woff2;base64,[A-Za-z0-9+/=]*")

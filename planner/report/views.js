@@ -38,7 +38,10 @@ function viewOf(stage, scene, which) {
 function closeUp(stage, point, normal) {
   const { THREE } = stage, target = stage.inView(point), out = stage.along(normal), clear = sight(stage);
   const side = new THREE.Vector3(Math.abs(out.z) < 0.9 ? 0 : 1, 0, Math.abs(out.z) < 0.9 ? 1 : 0).cross(out).normalize();
-  const up = out.clone().cross(side), far = Math.max(1.5 * stage.size, 0.12), spot = target.clone().addScaledVector(out, 5 * STANDS_OFF);
+  const up = out.clone().cross(side), spot = target.clone().addScaledVector(out, 5 * STANDS_OFF);
+  // Without a motion the robots stand far away: as much of the cell as reaches to the nozzle.
+  const nozzle = stage.now && stage.now.nozzle, off = nozzle ? Math.hypot(nozzle[3] - target.x, nozzle[7] - target.y, nozzle[11] - target.z) : 0;
+  const far = Math.max(stage.beads ? 1.2 * stage.size : 1.6 * off + 2 * stage.size, 0.12);
   let best = null, most = -Infinity;
   for (const slant of SLANTS) for (let k = 0; k < AROUND; k++) {
     const angle = 2 * Math.PI * k / AROUND;

@@ -1,0 +1,325 @@
+"""The report in a browser: the scene plays what the plan says, its places and filters work, on a desk and on a phone."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser_pages import NEEDS_CHROMIUM, PHONE, Opened, chromium, opened
+from matplotlib.image import imread
+from playwright.sync_api import Browser
+from report_fixtures import SHAPE, make_beads, make_plan, make_problem, with_dips
+from solved import small_plan, small_problem
+
+from planner.errors import Refusal
+from planner.report.failure import write_failure_report
+from planner.report.html import write_report
+from planner.solve import report_refusal
+
+pytestmark = NEEDS_CHROMIUM
+NO_WEBGL = "HTMLCanvasElement.prototype.getContext = ((old) => function (kind, ...more) {"
+NO_WEBGL += " return kind.startsWith('webgl') ? null : old.call(this, kind, ...more); })(HTMLCanvasElement.prototype.getContext)"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with chromium() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def stars(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Opened]:
+    """A synthetic plan without bodies: beads, dips, places and charts."""
+    path = tmp_path_factory.mktemp("stars") / "report.html"
+    write_report(with_dips(make_plan(8_000)), path)
+    with opened(browser, path) as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def small(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Opened]:
+    """A solved plan with its whole cell."""
+    path = tmp_path_factory.mktemp("small") / "report.html"
+    write_report(small_plan(), path)
+    with opened(browser, path) as found:
+        yield found
+
+
+def seen(found: Opened) -> np.ndarray:
+    """The scene as it is on the screen (height, width, 3), 0 to 1, without what lies over it."""
+    found.settle()
+    style = "#letters, .views, .legend, #card-box { visibility: hidden !important; }"
+    return imread(io.BytesIO(found.page.locator("#view").screenshot(style=style)))[:, :, :3]
+
+
+def put(found: Opened, name: str, value: float | str) -> None:
+    """Set a slider or a choice as a reader does."""
+    found.page.evaluate(
+        "([id, value]) => { const e = document.getElementById(id); e.value = value;"
+        " for (const type of ['input', 'change']) e.dispatchEvent(new Event(type)); }",
+        [name, value],
+    )
+    found.settle()
+
+
+def drawn(found: Opened) -> int:
+    """How many corners of beads are drawn."""
+    return found.page.evaluate(
+        "() => { const g = report.scene.stage.beads.mesh.geometry; return Math.min(g.drawRange.count, g.index.count); }"
+    )
+
+
+def test_a_report_complains_of_nothing_and_asks_the_network_for_nothing(stars: Opened, small: Opened) -> None:
+    for found in (stars, small):
+        assert found.complaints == []
+        assert [url for url in found.requests if not url.startswith(("file:", "data:", "blob:"))] == []
+        assert len([url for url in found.requests if url.startswith("file:")]) == 1
+        assert found.page.locator(".js-plotly-plot").count() >= 12
+
+
+def test_the_first_screen_shows_verdict_figures_and_the_cell(small: Opened) -> None:
+    page = small.page
+    for what in (".verdict", ".deciding", "#view", "#play", ".places button >> nth=0"):
+        box = page.locator(what).bounding_box()
+        assert box is not None and 0 <= box["y"] < 768 - 40, f"{what} stands on the first screen"
+    picture = seen(small)
+    assert (picture.min(axis=2) < 0.9).mean() > 0.05, "robots, not paper"
+    page.locator("#robots").uncheck()
+    without = seen(small)
+    page.locator("#robots").check()
+    assert (without.min(axis=2) < 0.9).mean() < 0.5 * (picture.min(axis=2) < 0.9).mean()
+
+
+def test_the_scenes_tip_is_where_the_trajectory_has_it(small: Opened) -> None:
+    t = small_plan().trajectory
+    rows = np.unique(np.linspace(0, len(t) - 1, 200).astype(int))
+    tips = np.array(small.page.evaluate("(times) => times.map((t) => report.scene.motion.tip(t))", t.t[rows].tolist()))
+    off = np.linalg.norm(tips - t.tip[rows], axis=1)
+    assert off.max() < 0.51e-3, "of what the page says"
+    at = small.page.evaluate("(t) => { report.scene.seek(t); return report.scene.stage.now.nozzle; }", float(t.t[rows[50]]))
+    cell = small_plan().cell
+    expected = cell.arm.poses(t.q[rows[50]][None, : len(cell.arm)])[0]
+    assert np.reshape(at, (4, 4)) == pytest.approx(expected, abs=3e-3)
+
+
+def test_playing_moves_the_robot_and_lays_the_beads(small: Opened) -> None:
+    page = small.page
+    small.page.evaluate("() => report.scene.seek(0)")
+    whole, still = drawn(small), seen(small)
+    put(small, "pace", "2")
+    page.locator("#view").focus()
+    page.keyboard.press("Space")
+    page.wait_for_function("() => report.scene.player.t > 1.5", timeout=60_000) if False else None
+    for _ in range(200):
+        if page.evaluate("() => report.scene.player.t") > 1.5:
+            break
+        page.wait_for_timeout(50)
+    page.keyboard.press("Space")
+    t = page.evaluate("() => report.scene.player.t")
+    assert t > 1.5 and not page.evaluate("() => report.scene.player.playing")
+    assert np.abs(seen(small) - still).max() > 0.2
+    assert 0 <= drawn(small) < whole and page.locator("#grow").is_checked()
+    page.keyboard.press("ArrowLeft")
+    assert page.evaluate("() => report.scene.player.t") == pytest.approx(t - 1, abs=1e-6)
+    page.keyboard.press("End")
+    small.settle()
+    assert drawn(small) == whole and f"{small_plan().trajectory.t[-1]:.2f} s of" in page.locator("#clock").inner_text()
+    page.locator("#grow").uncheck()
+
+
+def test_a_place_brings_time_camera_and_its_words(small: Opened) -> None:
+    page, plan = small.page, small_plan()
+    page.locator("[data-view=cell]").click()
+    far = page.evaluate("() => report.scene.stage.world.camera.position.toArray()")
+    button = page.locator(".places button").first
+    button.click()
+    small.settle()
+    place = page.evaluate("() => report.page.scene.places[0]")
+    assert page.evaluate("() => report.scene.player.t") == pytest.approx(place["t"])
+    near = page.evaluate("() => report.scene.stage.world.camera.position.toArray()")
+    assert np.linalg.norm(np.subtract(near, far)) > 0.1
+    card = page.locator("#card").inner_text()
+    assert place["what"] in card and place["where"] in card and place["help"] in card
+    assert button.get_attribute("aria-pressed") == "true"
+    show = page.locator("td button[data-place]").first
+    show.click()
+    small.settle()
+    assert page.evaluate("() => report.scene.player.t") == pytest.approx(plan.trajectory.t[plan.approaches[0].sample])
+    painted = page.evaluate("() => report.scene.stage.bodies.map((b) => b.mesh.material.color.getHex())")
+    names = page.evaluate("() => report.scene.stage.bodies.map((b) => b.name)")
+    pair = [plan.approaches[0].a, plan.approaches[0].b]
+    marked = {colour for name, colour in zip(names, painted, strict=True) if name in pair}
+    assert len(marked) == len(set(pair) & set(names)) and all(painted.count(colour) == 1 for colour in marked)
+    page.locator("#card-close").click()
+
+
+def test_riding_with_the_part_holds_it_still(small: Opened) -> None:
+    page = small.page
+    pose = "() => { const s = report.scene; s.seek(%s); return s.stage.part.matrixWorld.elements.slice(); }"
+    moves = [page.evaluate(pose % t) for t in ("2", "4")]
+    put(small, "ride", "part")
+    rides = [page.evaluate(pose % t) for t in ("2", "4")]
+    put(small, "ride", "cell")
+    assert np.abs(np.subtract(*moves)).max() > 1e-3
+    assert np.subtract(*rides) == pytest.approx(0.0, abs=1e-9) and rides[0] == pytest.approx(np.eye(4).ravel().tolist(), abs=1e-9)
+
+
+def test_layers_values_and_dips_filter(stars: Opened) -> None:
+    page, whole = stars.page, drawn(stars)
+    put(stars, "layers", "3")
+    four = drawn(stars)
+    assert four == pytest.approx(0.4 * whole, rel=0.02) and page.locator("#layer-words").inner_text() == "up to 4"
+    page.locator("#only").check()
+    stars.settle()
+    assert drawn(stars) == pytest.approx(0.1 * whole, rel=0.02)
+    page.locator("#only").uncheck()
+    put(stars, "layers", "9")
+    put(stars, "to", "500")  # only the slower half of the scale
+    assert 0 < drawn(stars) < 0.5 * whole and "mm/s" in page.locator("#range-words").inner_text()
+    put(stars, "to", "1000")
+    assert drawn(stars) == whole
+    dips = "() => report.page.scene.dips && report.scene.dips.mesh.geometry.index.count"
+    assert page.evaluate(dips) > 0
+    page.locator("#dips").uncheck()
+    stars.settle()
+    assert page.evaluate(dips) == 0
+    page.locator("#dips").check()
+
+
+def test_colours_follow_the_choice_and_say_their_ends(stars: Opened) -> None:
+    page = stars.page
+    page.locator("[data-view=part]").click()
+    before = seen(stars)
+    put(stars, "colour", "sigma")
+    assert page.locator("#scale-min").inner_text() == "0.1300" and page.locator("#scale-max").inner_text() == "0.2900"
+    assert np.abs(seen(stars) - before).max() > 0.2
+    put(stars, "colour", "layer")
+    assert page.locator("#scale-max").inner_text() == "10"
+    put(stars, "colour", "speed")
+
+
+def test_a_click_on_the_print_reads_it(stars: Opened) -> None:
+    page = stars.page
+    page.locator("[data-view=part]").click()
+    stars.settle()
+    at = page.evaluate(
+        "() => { const s = report.scene.stage, i = 40, p = s.inView(s.beads.point(i)).project(s.world.camera);"
+        " const box = s.canvas.getBoundingClientRect();"
+        " return [box.x + (0.5 + 0.5 * p.x) * box.width, box.y + (0.5 - 0.5 * p.y) * box.height]; }"
+    )
+    page.locator("#letters-shown").uncheck()
+    page.mouse.click(*at)
+    stars.settle()
+    words = page.locator("#card").inner_text()
+    assert "Tip speed" in words or "Dip in speed" in words
+    page.locator("#letters-shown").check()
+    page.locator("#card-close").click()
+
+
+def test_charts_and_scene_share_one_time(stars: Opened) -> None:
+    page = stars.page
+    page.evaluate("() => document.getElementById('chart-speed').emit('plotly_click', { points: [{ x: 5 }] })")
+    stars.settle()
+    assert page.evaluate("() => report.scene.player.t") == 5
+    page.evaluate("() => Plotly.relayout('chart-speed', { 'xaxis.range[0]': 3, 'xaxis.range[1]': 9 })")
+    stars.settle()
+    assert page.evaluate("() => document.getElementById('chart-joint-3').layout.xaxis.range.join()") == "3,9"
+    page.locator("#chart-speed").scroll_into_view_if_needed()
+    stars.settle()
+    where = page.evaluate(
+        "() => { const c = document.getElementById('chart-speed'), l = c.querySelector('.cursor').getBoundingClientRect(),"
+        " x = c._fullLayout.xaxis; return (l.x - c.getBoundingClientRect().x - x._offset) / x._length; }"
+    )
+    assert where == pytest.approx(1 / 3, abs=0.01)
+    page.evaluate("() => scrollTo(0, 0)")
+
+
+def test_nothing_overflows_a_phone(browser: Browser, tmp_path: Path) -> None:
+    write_report(with_dips(make_plan(4_000, ok=False)), tmp_path / "r.html")
+    with opened(browser, tmp_path / "r.html", PHONE) as found:
+        assert found.complaints == []
+        assert found.page.evaluate("() => document.documentElement.scrollWidth") <= PHONE[0]
+        box = found.page.locator("#view").bounding_box()
+        assert box is not None and 300 < box["width"] <= PHONE[0] and box["height"] <= PHONE[1]
+
+
+def test_a_refusal_shows_the_place_in_the_cell(browser: Browser, tmp_path: Path) -> None:
+    plan = small_plan()
+    bead = plan.toolpath.beads[1]
+    x, y, z = (1e3 * bead.points[7]).tolist()
+    refusal = Refusal("out of reach by 41 mm", bead=1, waypoint=7, s_mm=2.0, point_mm=(x, y, z), hints=("Move it.",))
+    report_refusal(small_problem(), "ladder", refusal, tmp_path / "f.html")
+    with opened(browser, tmp_path / "f.html") as found:
+        page = found.page
+        assert found.complaints == [] and page.locator("#play").count() == 0
+        assert "bead 1, waypoint 7, 2.0 mm along it: out of reach by 41 mm" in page.locator(".verdict").inner_text()
+        mark, view = page.locator("#letters .letter").bounding_box(), page.locator("#view").bounding_box()
+        assert mark is not None and view is not None
+        assert view["x"] < mark["x"] < view["x"] + view["width"] and view["y"] < mark["y"] < view["y"] + view["height"]
+        assert "Move it." in page.locator("#card").inner_text()
+        red = np.abs(seen(found) - np.array([0xD1, 0x49, 0x5B]) / 255).max(axis=2) < 0.06
+        assert red.sum() > 30, "the bead that fails"
+        assert np.reshape(page.evaluate("() => report.scene.stage.now.q"), -1) == pytest.approx(plan.cell.home)
+
+
+def test_a_failed_check_is_where_the_report_opens(browser: Browser, tmp_path: Path) -> None:
+    plan = make_plan(4_000, ok=False)
+    at = int(plan.series["jerk_ratio"][: len(plan.trajectory) // 2].max(axis=1).argmax())
+    checks = tuple(c if c.ok else dataclasses.replace(c, sample=at) for c in plan.checks)
+    write_report(dataclasses.replace(plan, checks=checks), tmp_path / "r.html")
+    with opened(browser, tmp_path / "r.html") as found:
+        assert "joint jerk" in found.page.locator("#card").inner_text()
+        assert found.page.evaluate("() => report.scene.player.t") == pytest.approx(plan.trajectory.t[at])
+
+
+def test_without_webgl_the_page_says_so_and_its_charts_work(browser: Browser, tmp_path: Path) -> None:
+    write_report(make_plan(4_000), tmp_path / "r.html")
+    with opened(browser, tmp_path / "r.html", before=NO_WEBGL) as found:
+        assert "no WebGL" in found.page.locator("#no-scene").inner_text()
+        assert found.page.locator(".js-plotly-plot").count() >= 12 and not found.page.locator("#view").is_visible()
+        assert found.complaints == []
+
+
+def test_inside_another_page_it_tells_and_follows(browser: Browser, tmp_path: Path) -> None:
+    write_failure_report(
+        tmp_path / "none.html", problem=make_problem(), strategy="ladder", message="no", toolpath=None, bead=None,
+        point_mm=None, facts={},
+    )  # fmt: skip
+    write_report(make_plan(4_000), tmp_path / "r.html")
+    (tmp_path / "outer.html").write_text(
+        "<iframe src=r.html sandbox=allow-scripts width=1300 height=700></iframe><script>window.heard = [];"
+        "addEventListener('message', (e) => { heard.push(e.data);"
+        " if (e.data.beadwise === 'ready') document.documentElement.dataset.ready = 'yes'; })</script>"
+    )
+    with opened(browser, tmp_path / "outer.html") as found:
+        page, inner = found.page, found.page.frames[1]
+        say = "(m) => document.querySelector('iframe').contentWindow.postMessage({ beadwise: 'state', ...m }, '*')"
+        camera = [1, 1, 1, 0, 0, 0, 0, 0, 1]
+        page.evaluate(say, {"bead": 5, "s_mm": 10, "colour": "sigma", "camera": camera, "grow": True, "layers": "nonsense"})
+        found.settle()
+        assert "bead 5, 10" in inner.locator("#clock").inner_text() or "bead 5, 9" in inner.locator("#clock").inner_text()
+        assert inner.locator("#colour").input_value() == "sigma" and inner.locator("#grow").is_checked()
+        page.evaluate(say, {"t": 3.0, "colour": "no such"})
+        found.settle()
+        assert inner.locator("#clock").inner_text().startswith("3.00 s of")
+        assert page.evaluate("() => heard.length") == 1, "no echo"
+        inner.locator("#only").check()
+        page.wait_for_timeout(400)
+        state = page.evaluate("() => heard[1]")
+        assert state["beadwise"] == "state" and state["only"] is True and state["t"] == pytest.approx(3.0)
+        assert state["camera"][:3] == pytest.approx([1, 1, 1], abs=1e-6) and len(str(state)) < 4_000
+
+
+def test_shapes_and_beads_alone_make_a_scene(browser: Browser, tmp_path: Path) -> None:
+    from types import SimpleNamespace
+
+    write_failure_report(
+        tmp_path / "f.html", problem=make_problem(), strategy="ladder", message="no", bead=2, point_mm=None, facts={},
+        toolpath=SimpleNamespace(beads=make_beads(4), shape=SHAPE),
+    )  # fmt: skip
+    with opened(browser, tmp_path / "f.html") as found:
+        assert found.complaints == [] and found.page.evaluate("() => Boolean(report.scene)")
