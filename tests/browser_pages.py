@@ -48,7 +48,9 @@ class Opened:
 
     def settle(self) -> None:
         """Wait until what is due to be drawn is drawn."""
-        self.page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 60))))")
+        self.page.evaluate(
+            "() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 60))))"
+        )
 
 
 @contextmanager

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -100,7 +102,9 @@ def test_the_scenes_tip_is_where_the_trajectory_has_it(small: Opened) -> None:
     tips = np.array(small.page.evaluate("(times) => times.map((t) => report.scene.motion.tip(t))", t.t[rows].tolist()))
     off = np.linalg.norm(tips - t.tip[rows], axis=1)
     assert off.max() < 0.51e-3, "of what the page says"
-    at = small.page.evaluate("(t) => { report.scene.seek(t); return report.scene.stage.now.nozzle; }", float(t.t[rows[50]]))
+    at = small.page.evaluate(
+        "(t) => { report.scene.seek(t); return report.scene.stage.now.nozzle; }", float(t.t[rows[50]])
+    )
     cell = small_plan().cell
     expected = cell.arm.poses(t.q[rows[50]][None, : len(cell.arm)])[0]
     assert np.reshape(at, (4, 4)) == pytest.approx(expected, abs=3e-3)
@@ -113,10 +117,8 @@ def test_playing_moves_the_robot_and_lays_the_beads(small: Opened) -> None:
     put(small, "pace", "2")
     page.locator("#view").focus()
     page.keyboard.press("Space")
-    page.wait_for_function("() => report.scene.player.t > 1.5", timeout=60_000) if False else None
-    for _ in range(200):
-        if page.evaluate("() => report.scene.player.t") > 1.5:
-            break
+    deadline = time.monotonic() + 60.0
+    while page.evaluate("() => report.scene.player.t") < 1.5 and time.monotonic() < deadline:
         page.wait_for_timeout(50)
     page.keyboard.press("Space")
     t = page.evaluate("() => report.scene.player.t")
@@ -152,8 +154,11 @@ def test_a_place_brings_time_camera_and_its_words(small: Opened) -> None:
     painted = page.evaluate("() => report.scene.stage.bodies.map((b) => b.mesh.material.color.getHex())")
     names = page.evaluate("() => report.scene.stage.bodies.map((b) => b.name)")
     pair = [plan.approaches[0].a, plan.approaches[0].b]
-    marked = {colour for name, colour in zip(names, painted, strict=True) if name in pair}
-    assert len(marked) == len(set(pair) & set(names)) and all(painted.count(colour) == 1 for colour in marked)
+    marked, others = (
+        {colour for name, colour in zip(names, painted, strict=True) if (name in pair) is wanted}
+        for wanted in (True, False)
+    )
+    assert len(marked) == len(set(pair) & set(names)) > 0 and not marked & others
     page.locator("#card-close").click()
 
 
@@ -165,7 +170,9 @@ def test_riding_with_the_part_holds_it_still(small: Opened) -> None:
     rides = [page.evaluate(pose % t) for t in ("2", "4")]
     put(small, "ride", "cell")
     assert np.abs(np.subtract(*moves)).max() > 1e-3
-    assert np.subtract(*rides) == pytest.approx(0.0, abs=1e-9) and rides[0] == pytest.approx(np.eye(4).ravel().tolist(), abs=1e-9)
+    assert np.subtract(*rides) == pytest.approx(0.0, abs=1e-9) and rides[0] == pytest.approx(
+        np.eye(4).ravel().tolist(), abs=1e-9
+    )
 
 
 def test_layers_values_and_dips_filter(stars: Opened) -> None:
@@ -204,14 +211,18 @@ def test_colours_follow_the_choice_and_say_their_ends(stars: Opened) -> None:
 
 def test_a_click_on_the_print_reads_it(stars: Opened) -> None:
     page = stars.page
+    page.locator("#letters-shown").uncheck()
     page.locator("[data-view=part]").click()
     stars.settle()
     at = page.evaluate(
-        "() => { const s = report.scene.stage, i = 40, p = s.inView(s.beads.point(i)).project(s.world.camera);"
-        " const box = s.canvas.getBoundingClientRect();"
-        " return [box.x + (0.5 + 0.5 * p.x) * box.width, box.y + (0.5 - 0.5 * p.y) * box.height]; }"
+        "() => { const s = report.scene.stage, n = report.page.scene.lines.normal, box = s.canvas.getBoundingClientRect();"
+        " for (let i = s.beads.n - 1; i > 0; i--) { const p = s.inView(s.beads.point(i));"
+        "  const eye = s.world.camera.position.clone().sub(p).normalize();"
+        "  if (eye.dot(s.along([n[3 * i], n[3 * i + 1], n[3 * i + 2]])) < 0.7) continue;"
+        "  p.project(s.world.camera);"
+        "  const at = [box.x + (0.5 + 0.5 * p.x) * box.width, box.y + (0.5 - 0.5 * p.y) * box.height];"
+        "  if (document.elementFromPoint(...at) === s.canvas) return at; } }"
     )
-    page.locator("#letters-shown").uncheck()
     page.mouse.click(*at)
     stars.settle()
     words = page.locator("#card").inner_text()
@@ -238,15 +249,6 @@ def test_charts_and_scene_share_one_time(stars: Opened) -> None:
     page.evaluate("() => scrollTo(0, 0)")
 
 
-def test_nothing_overflows_a_phone(browser: Browser, tmp_path: Path) -> None:
-    write_report(with_dips(make_plan(4_000, ok=False)), tmp_path / "r.html")
-    with opened(browser, tmp_path / "r.html", PHONE) as found:
-        assert found.complaints == []
-        assert found.page.evaluate("() => document.documentElement.scrollWidth") <= PHONE[0]
-        box = found.page.locator("#view").bounding_box()
-        assert box is not None and 300 < box["width"] <= PHONE[0] and box["height"] <= PHONE[1]
-
-
 def test_a_refusal_shows_the_place_in_the_cell(browser: Browser, tmp_path: Path) -> None:
     plan = small_plan()
     bead = plan.toolpath.beads[1]
@@ -266,12 +268,16 @@ def test_a_refusal_shows_the_place_in_the_cell(browser: Browser, tmp_path: Path)
         assert np.reshape(page.evaluate("() => report.scene.stage.now.q"), -1) == pytest.approx(plan.cell.home)
 
 
-def test_a_failed_check_is_where_the_report_opens(browser: Browser, tmp_path: Path) -> None:
-    plan = make_plan(4_000, ok=False)
+def test_on_a_phone_nothing_overflows_and_a_failed_check_is_where_it_opens(browser: Browser, tmp_path: Path) -> None:
+    plan = with_dips(make_plan(4_000, ok=False))
     at = int(plan.series["jerk_ratio"][: len(plan.trajectory) // 2].max(axis=1).argmax())
     checks = tuple(c if c.ok else dataclasses.replace(c, sample=at) for c in plan.checks)
     write_report(dataclasses.replace(plan, checks=checks), tmp_path / "r.html")
-    with opened(browser, tmp_path / "r.html") as found:
+    with opened(browser, tmp_path / "r.html", PHONE) as found:
+        assert found.complaints == []
+        assert found.page.evaluate("() => document.documentElement.scrollWidth") <= PHONE[0]
+        box = found.page.locator("#view").bounding_box()
+        assert box is not None and 300 < box["width"] <= PHONE[0] and box["height"] <= PHONE[1]
         assert "joint jerk" in found.page.locator("#card").inner_text()
         assert found.page.evaluate("() => report.scene.player.t") == pytest.approx(plan.trajectory.t[at])
 
@@ -285,10 +291,6 @@ def test_without_webgl_the_page_says_so_and_its_charts_work(browser: Browser, tm
 
 
 def test_inside_another_page_it_tells_and_follows(browser: Browser, tmp_path: Path) -> None:
-    write_failure_report(
-        tmp_path / "none.html", problem=make_problem(), strategy="ladder", message="no", toolpath=None, bead=None,
-        point_mm=None, facts={},
-    )  # fmt: skip
     write_report(make_plan(4_000), tmp_path / "r.html")
     (tmp_path / "outer.html").write_text(
         "<iframe src=r.html sandbox=allow-scripts width=1300 height=700></iframe><script>window.heard = [];"
@@ -299,9 +301,13 @@ def test_inside_another_page_it_tells_and_follows(browser: Browser, tmp_path: Pa
         page, inner = found.page, found.page.frames[1]
         say = "(m) => document.querySelector('iframe').contentWindow.postMessage({ beadwise: 'state', ...m }, '*')"
         camera = [1, 1, 1, 0, 0, 0, 0, 0, 1]
-        page.evaluate(say, {"bead": 5, "s_mm": 10, "colour": "sigma", "camera": camera, "grow": True, "layers": "nonsense"})
+        page.evaluate(
+            say, {"bead": 5, "s_mm": 10, "colour": "sigma", "camera": camera, "grow": True, "layers": "nonsense"}
+        )
         found.settle()
-        assert "bead 5, 10" in inner.locator("#clock").inner_text() or "bead 5, 9" in inner.locator("#clock").inner_text()
+        assert (
+            "bead 5, 10" in inner.locator("#clock").inner_text() or "bead 5, 9" in inner.locator("#clock").inner_text()
+        )
         assert inner.locator("#colour").input_value() == "sigma" and inner.locator("#grow").is_checked()
         page.evaluate(say, {"t": 3.0, "colour": "no such"})
         found.settle()
@@ -315,8 +321,6 @@ def test_inside_another_page_it_tells_and_follows(browser: Browser, tmp_path: Pa
 
 
 def test_shapes_and_beads_alone_make_a_scene(browser: Browser, tmp_path: Path) -> None:
-    from types import SimpleNamespace
-
     write_failure_report(
         tmp_path / "f.html", problem=make_problem(), strategy="ladder", message="no", bead=2, point_mm=None, facts={},
         toolpath=SimpleNamespace(beads=make_beads(4), shape=SHAPE),

@@ -60,9 +60,12 @@ function drawScene(scene, told) {
     stage.viewer.on(stage.viewer.events.MOUSE_CLICK, (at) => {
       const ray = stage.world.raycaster;
       ray.setFromCamera(at, stage.world.camera);
-      const meshes = [...(dips ? [dips.mesh] : []), stage.beads.mesh], [hit] = ray.intersectObjects(meshes, false);
+      const bodies = stage.bodies.filter((b) => b.mesh.visible).map((b) => b.mesh);
+      const [hit] = ray.intersectObjects([...(dips ? [dips.mesh] : []), stage.beads.mesh, ...bodies], false);
       if (!hit) return;
-      if (dips && hit.object === dips.mesh) {
+      if (bodies.includes(hit.object)) {
+        card([stage.bodies.find((b) => b.mesh === hit.object).name], "");
+      } else if (dips && hit.object === dips.mesh) {
         const k = dips.dipOf(hit.faceIndex);
         player.seek(scene.dips.sample[k] * scene.dt);
         card(["Dip in speed", ...scene.dips.words[k]], "");
@@ -80,7 +83,7 @@ function drawScene(scene, told) {
   }
   if (places.length && places[0].kind === "fail") go(0, true);
   else stage.fly(...viewOf(stage, scene, "cell"), true);
-  return { stage, motion, player, colours, lines: scene.lines, go, seek: (t) => { player.play(false); player.seek(t); } };
+  return { stage, motion, player, dips, lines: scene.lines, go, seek: (t) => { player.play(false); player.seek(t); } };
 }
 
 async function start() {
