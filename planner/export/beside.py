@@ -26,7 +26,7 @@ SHARE = 0.5  # of what a usual line misses at its middle; it is within its toler
 def chosen_targets(
     way: Way, kept: Indices, linear: Flags, cornered: Flags, joint: Judge, chord: float
 ) -> tuple[Indices, Poses]:
-    """Samples that become targets, `kept` (sorted) among them, and what the target at each of all samples would be.
+    """Samples (m) that become targets, `kept` (sorted) among them, and the targets (m).
 
     linear (n - 1) says which steps between samples belong to lines; `joint` judges spans of the others. At the samples
     `cornered` (n) no zone may cut off more than `chord` [m]. Kept samples have their targets on the path, and so have all
@@ -45,7 +45,8 @@ def chosen_targets(
     fewer = np.diff(np.searchsorted(found, kept)) < np.diff(np.searchsorted(plain, kept))
     owner = np.clip(np.searchsorted(kept, np.arange(len(way.clock)), side="right") - 1, 0, len(fewer) - 1)
     sample = np.unique(np.concatenate([kept, found[fewer[owner[found]]], plain[~fewer[owner[plain]]]]))
-    return sample, Poses(np.where(fewer[owner, None], beside.table, way.poses.table))
+    moved = fewer[owner[sample], None]
+    return sample, Poses(np.where(moved, beside.table[sample], way.poses.table[sample]))
 
 
 def outwards(way: Way, reach: Array) -> Poses:

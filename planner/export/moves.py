@@ -115,9 +115,10 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
     a, b = sample[:-1], sample[1:]
     goes = ~rests.inside[b]  # from one sample of a wait to another there is no move
     a, b = a[goes], b[goes]
+    leaves, comes = Poses(targets.table[:-1][goes]), Poses(targets.table[1:][goes])
     took = rests.clock[b] - rests.clock[a]
     peaks = np.maximum.reduceat(np.append(np.diff(way.path), 0.0), a) / trajectory.dt
-    rates = np.abs(targets.station[b] - targets.station[a]) / took[:, None]
+    rates = np.abs(comes.station - leaves.station) / took[:, None]
     is_linear, laid = linear[a], trajectory.deposit[a] & trajectory.deposit[b]
     arrives_linear = np.zeros(n, dtype=bool)
     arrives_linear[b[is_linear]] = True
@@ -128,8 +129,8 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
         start=a,
         linear=is_linear,
         laid=laid,
-        speed=np.where(laid, np.linalg.norm(targets.position[b] - targets.position[a], axis=1) / took, peaks),
-        turn=angle(targets.quat[a], targets.quat[b]) / took,
+        speed=np.where(laid, np.linalg.norm(comes.position - leaves.position, axis=1) / took, peaks),
+        turn=angle(leaves.quat, comes.quat) / took,
         axis=rates.max(axis=1, initial=0.0),
         fine=rests.fine[b],
         waits={int(np.searchsorted(b, at, side="right")) - 1: waits for at, waits in rests.waits.items()},
@@ -137,7 +138,7 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
         on_start=(starts & ~arrives_linear)[a],
         off_end=ends[b],
         after=np.searchsorted(leave, a, side="right"),
-        targets=Poses(targets.table[np.concatenate([[0], b])]),
+        targets=Poses(np.vstack([targets.table[:1], comes.table])),
     )
 
 
