@@ -87,7 +87,7 @@ def test_orientations_and_axes_too() -> None:
 
 
 def least_lines(tip: Array, steps: int) -> int:
-    """The fewest lines that could do, the target of each sample free in the plane: all of a grid of places are tried."""
+    """The fewest lines that could do, the target of each sample free across the path: a grid of places is tried."""
     n = len(tip)
     tangent = np.gradient(tip[:, :2], axis=0)
     normal = np.column_stack([-tangent[:, 1], tangent[:, 0]]) / np.linalg.norm(tangent, axis=1)[:, None]

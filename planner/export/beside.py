@@ -1,8 +1,8 @@
-"""Poses beside the path, so that fewer are enough: lines between them pass it on both sides.
+"""Targets beside the path, so that fewer are enough: lines between them pass it on both sides.
 
 A line between two points of a bend misses the path between them on one side only. Where both points lie outside of the
-bend by half of what a line may miss, it may be longer by a factor of sqrt(1.5) and still miss the path by no more; what holds
-for positions holds for orientations and the station's axes as well.
+bend by half of what a line may miss, it may be longer by a factor of sqrt(1.5) and still miss the path by no more. What
+holds for positions holds for orientations and the station's axes as well.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 OFF = 0.5  # of the tolerances: how far targets may lie beside the path
-TINY = 1e-15
+TINY = 1e-15  # m, rad: keeps what is not moved from dividing by nothing
 SHARE = 0.5  # of what a usual line misses at its middle; it is within its tolerance, so that this is within OFF of it
 
 
@@ -29,9 +29,9 @@ def chosen_targets(
     """Samples (m) that become targets, `kept` (sorted) among them, and the targets (m).
 
     linear (n - 1) says which steps between samples belong to lines; `joint` judges spans of the others. At the samples
-    `cornered` (n) no zone may cut off more than `chord` [m]. Kept samples have their targets on the path, and so have all
-    between two of them where it takes no fewer to leave it. The count is near the least, by a few per cent: each line
-    reaches as far as it can, but a target has one place beside the path, and not a choice of all.
+    `cornered` (n) no zone may cut off more than `chord` [m]. Kept samples have their targets on the path, and so have
+    all between two of them where it takes no fewer to leave it. The count is near the least, by a few per cent: each
+    line reaches as far as it can, but a target has one place beside the path, and not a choice of all.
     """
 
     def enough(targets: Poses, settled: Indices, joint: Judge) -> Indices:

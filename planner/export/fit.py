@@ -1,4 +1,4 @@
-"""How well a controller's lines between targets fit a trajectory: all tolerances of a line, over each of its samples."""
+"""How well a controller's lines between targets fit a trajectory: all tolerances of a line, over all its samples."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def fraction(a: Array, b: Array, p: Array, otherwise: float) -> float:
 
 @njit(cache=True)
 def great_arc(a: Array, b: Array) -> tuple[float, float]:
-    """Angle [rad] between the quaternions of poses a and b, 0 if it is too small to matter, and the sign that b takes."""
+    """Angle [rad] between the quaternions of poses a and b, 0 if it hardly matters, and the sign that b takes."""
     dot = 0.0
     for j in range(3, 7):
         dot += a[j] * b[j]
@@ -99,7 +99,7 @@ def great_arc(a: Array, b: Array) -> tuple[float, float]:
 
 @njit(cache=True)
 def between(a: Array, b: Array, u: float, omega: float, sign: float, out: Array) -> None:
-    """What a controller makes of the fraction u of the line from the pose a to b: even, the orientation on `great_arc`."""
+    """What a controller makes of the fraction u of a line from pose a to b: even, the orientation on `great_arc`."""
     for j in range(len(a)):
         out[j] = a[j] + u * (b[j] - a[j])
     wa, wb = 1.0 - u, u
@@ -165,7 +165,7 @@ def _misfits(
 
 @njit(cache=True)
 def _lean(a: Array, b: Array, p: Array, q: Array) -> float:
-    """Tangent of the angle between the line from a to b and the step from p to q; 0 where one of them has no direction."""
+    """Tangent of the angle between the line from a to b and the step from p to q; 0 where one has no direction."""
     lx, ly, lz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     sx, sy, sz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     if sx * sx + sy * sy + sz * sz <= LEAST_STEP**2:

@@ -23,8 +23,8 @@ WIDE = 10.0  # m: a zone that is said in other words than a distance takes half 
 def played_complaints(plan: Plan, moves: Moves, program: Program) -> list[str]:
     """What a program that was read back does otherwise than its plan, in words.
 
-    Configurations that its targets do not name are those of the planned postures, which is what the controller must come
-    to by itself: it is told by joints where each line begins, and keeps its configuration along lines.
+    Configurations that its targets do not name are those of the planned postures, which is what the controller must
+    come to by itself: it is told by joints where each line begins, and keeps its configuration along lines.
     """
     at = np.concatenate([[0], moves.sample])
     if len(program.linear) != len(at):
