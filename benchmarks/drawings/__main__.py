@@ -25,7 +25,7 @@ DRAWINGS: dict[str, Callable[[Path], None]] = {
     "around": sketches.around,
 }
 PICTURES = Path("docs/pictures")
-COLOURS = 128  # of a palette: drawings need no more, and stay small
+COLOURS = 256  # of a palette: drawings need no more, and stay small
 
 
 def main() -> int:
@@ -39,7 +39,7 @@ def main() -> int:
             parser.error(f"no drawing {name!r}; there are {', '.join(DRAWINGS)}")
         target = options.pictures / f"concept_{name}.png"
         DRAWINGS[name](target)
-        Image.open(target).convert("RGB").quantize(COLOURS).save(target, optimize=True)
+        Image.open(target).convert("RGB").quantize(COLOURS, kmeans=2).save(target, optimize=True)
         print(target, f"{target.stat().st_size / 1000:.0f} kB")
     return 0
 
