@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -171,3 +172,10 @@ def test_described_values_come_back() -> None:
     held = described(type(problem.cell.positioner))["held"]
     assert held.shown(problem.cell.positioner.held) == {"tilt": 0.0}
     assert held.unit == "deg"
+
+
+def test_the_citation_names_this_version() -> None:
+    data, _ = read_yaml_file(ROOT / "CITATION.cff", "")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert (data["version"], data["license"]) == (project["version"], project["license"])
+    assert data["title"].lower() == project["name"]
