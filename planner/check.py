@@ -115,7 +115,8 @@ def _toolpath(problem: Problem) -> Toolpath:
     from planner.toolpath.build import build_toolpath
 
     toolpath = build_toolpath(problem)
-    tasks_of(problem, toolpath)
+    if problem.process.fibre is not None:  # which asks for beads of some length
+        tasks_of(problem, toolpath)
     return toolpath
 
 

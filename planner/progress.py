@@ -19,7 +19,8 @@ class Stages:
     def __init__(self, console: Console | None = None, entered: Callable[[str], None] | None = None) -> None:
         self.seconds: dict[str, float] = {}
         self._entered = entered
-        self._progress = None if console is None else Progress(
+        # what is no terminal would get an empty line
+        self._progress = None if console is None or not console.is_terminal else Progress(
             SpinnerColumn(), TextColumn("{task.description:<10}"), BarColumn(), TimeElapsedColumn(),
             console=console, transient=True,
         )  # fmt: skip

@@ -64,6 +64,11 @@ def test_all_layers_when_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "4 beads, 0.32 m, 16 s at 20 mm/s, in 4 layers" in capsys.readouterr().out
 
 
+def test_a_bead_too_short_for_its_fibre(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(own(tmp_path)), "--set", "process.fibre={cut_length_mm: 100}"]) == 2
+    assert "process.fibre" in capsys.readouterr().err
+
+
 def test_every_mistake_of_the_file_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = own(tmp_path)
     text = file.read_text(encoding="utf-8").replace("speed_mm_s: 40", "sped_mm_s: 40").replace("count: 4", "count: 0")

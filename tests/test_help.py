@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import shlex
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from planner.command import Command, solve_command
 from planner.listing import columns, shipped
+from planner.progress import Stages
 from planner.reference.pages import commands
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -87,3 +90,12 @@ def test_columns_are_wrapped_to_a_terminal() -> None:
     assert max(map(len, lines)) <= 80
     assert len(lines) > len(shipped())
     assert len(columns(shipped(), None)) == len(shipped())
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_bars_are_for_terminals(terminal: bool) -> None:
+    stream = io.StringIO()
+    with Stages(Console(file=stream, force_terminal=terminal)) as stages, stages.stage("load"):
+        pass
+    assert bool(stream.getvalue()) == terminal
+    assert list(stages.seconds) == ["load"]

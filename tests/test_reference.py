@@ -65,7 +65,9 @@ def test_shipped_problems_are_valid_and_name_their_schema(name: str) -> None:
 
 def test_shipped_robots_are_valid() -> None:
     for name in robot_names():
-        data, _ = read_yaml_file(ROBOTS / f"{name}.yaml", "")
+        file = ROBOTS / f"{name}.yaml"
+        assert file.read_text(encoding="utf-8").splitlines()[0] == MODELINE.replace("problem", "robot")
+        data, _ = read_yaml_file(file, "")
         assert [error.message for error in schema("robot-schema").iter_errors(plain(data))] == [], name
     data["jerk_rad_s3"] = "high"
     assert not schema("robot-schema").is_valid(plain(data))
