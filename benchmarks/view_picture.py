@@ -20,7 +20,7 @@ from planner.problem.file import PROBLEMS
 PROBLEM, FILES = "cylinder_logo", ("cylinder_logo.yaml", "logo.svg")
 OPTIONS = ("--no-browser", "--set", "layers.count=1", "--strategy", "ladder", "--beside", "as_published")
 EDIT = ("speed_mm_s: 40", "speed_mm_s: 30")
-SIZE = {"width": 1366, "height": 1000}
+SIZE = {"width": 1366, "height": 1120}
 PATIENCE = 300.0  # s for all solves
 FLAGS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 IDLE = """() => document.querySelectorAll('iframe').length === 2 && !document.querySelector('iframe.coming')

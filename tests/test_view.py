@@ -251,7 +251,7 @@ def test_view_from_the_first_solve_to_a_mended_mistake(fake: Path) -> None:
         await page.until(shown("3-whole"))
         assert await page.do({"do": "beside", "strategy": "greedy"}) == 204
         state = await page.until(lambda state: len(state["panes"]) == 2 and state["panes"][1]["result"])
-        assert [row["label"] for row in state["differences"]] == ["Whole print, travel included"]
+        assert [row["label"] for row in state["differences"]] == ["Whole print, s"]
 
     visit(Subject(fake, "small"), scenario)
 
@@ -377,7 +377,9 @@ def test_life_of_the_command(tmp_path: Path) -> None:
             assert view.stdout is not None
             found = re.search(r"http://127\.0\.0\.1:(\d+)/\S+/", view.stdout.readline())
             assert found is not None
-            state = _listen(found[0], lambda state: state["panes"][0]["result"])
+            stages: list[dict[str, Any]] = []
+            state = _listen(found[0], lambda state: _note(state, stages) or state["panes"][0]["result"])
+            assert len(stages) > 3 and all(stage["done"] is not None for stage in stages), "the page knows all stages"
             assert state["panes"][0]["result"]["kind"] == "verified"
             children = _children(view.pid)
             assert children
@@ -388,6 +390,12 @@ def test_life_of_the_command(tmp_path: Path) -> None:
     assert code == 130
     assert list(keep.iterdir()) == []
     assert not [child for child in children if Path(f"/proc/{child}").exists()]
+
+
+def _note(state: dict[str, Any], stages: list[dict[str, Any]]) -> None:
+    running = state["panes"][0]["running"]
+    if running is not None:
+        stages.append(running)
 
 
 def _listen(url: str, wanted: Callable[[dict[str, Any]], object]) -> dict[str, Any]:

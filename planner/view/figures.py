@@ -7,29 +7,36 @@ from collections.abc import Mapping
 
 from planner.report.wording import METRICS, Metric
 
-KEYS = (
-    "at_speed_fraction",
-    "speed_min_mm_s",
-    "deposition_time_s",
-    "print_time_s",
-    "sigma_min",
-    "joint_limit_margin_deg",
-    "clearance_min_mm",
-    "velocity_ratio_max",
-    "acceleration_ratio_max",
-    "jerk_ratio_max",
-    "path_deviation_max_mm",
-    "over_extruded_mm3",
-)
-ROWS: tuple[Metric, ...] = tuple(metric for key in KEYS for metric in METRICS if metric.key == key)
+# metric → its name where there is little room; the long one stands in METRICS
+SHORT = {
+    "at_speed_fraction": "At commanded speed",
+    "speed_min_mm_s": "Slowest",
+    "deposition_time_s": "Depositing",
+    "print_time_s": "Whole print",
+    "sigma_min": "Singularity σ",
+    "joint_limit_margin_deg": "To an end stop",
+    "clearance_min_mm": "Clearance",
+    "velocity_ratio_max": "Joint speed / limit",
+    "acceleration_ratio_max": "Acceleration / limit",
+    "jerk_ratio_max": "Jerk / limit",
+    "path_deviation_max_mm": "Corners off the drawing",
+    "over_extruded_mm3": "Too much material",
+}
+ROWS: tuple[Metric, ...] = tuple(metric for key in SHORT for metric in METRICS if metric.key == key)
 NONE = "–"
 
-Figures = tuple[tuple[str, float], ...]  # (name of the metric, value), of those in KEYS that a plan has
+Figures = tuple[tuple[str, float], ...]  # (name of the metric, value), of those in SHORT that a plan has
 
 
 def figures_of(metrics: Mapping[str, float]) -> Figures:
     """Those of a plan's metrics that are shown; no value that is no number."""
     return tuple((row.key, float(metrics[row.key])) for row in ROWS if math.isfinite(metrics.get(row.key, math.nan)))
+
+
+def heading(row: Metric) -> dict[str, str]:
+    """What a figure is called, in short with its unit and in full."""
+    unit = f", {row.unit}" if row.unit else ""
+    return {"label": SHORT[row.key] + unit, "full": row.label.strip()}
 
 
 def written(row: Metric, value: float | None) -> str:

@@ -63,6 +63,7 @@
     pane.empty.hidden = Boolean(result);
     pane.empty.textContent = running || told.waiting ? "The first solve is under way." :
       state.mistake || state.trouble ? "Nothing could be solved yet: see the message above." : "Waiting for the first result.";
+    pane.kind = result ? result.kind : "";
     if (result) show(pane, result.key);
   }
 
@@ -78,7 +79,7 @@
     const what = running ? running.job + running.stage + running.draft : "";
     if (what !== pane.stage) { pane.stage = what; pane.since = Date.now(); }
     pane.running = running;
-    if (running) pane.bar.value = running.done; else pane.bar.removeAttribute("value");
+    if (running && running.done !== null) pane.bar.value = running.done; else pane.bar.removeAttribute("value");
     tick(pane);
   }
 
@@ -106,7 +107,7 @@
   function arrived(pane, coming) {
     if (pane.coming !== coming) return;
     const past = pane.shown;
-    tell(coming);
+    if (pane.kind !== "refused") tell(coming); // a refusal shows its own place
     pane.shown = coming;
     pane.coming = null;
     coming.frame.inert = false;
@@ -127,6 +128,7 @@
     for (const pane of panes) {
       const from = (report) => Boolean(report) && event.source === report.frame.contentWindow;
       if (said.beadwise === "ready") {
+        if (!kept && said.state && pane.kind !== "refused") kept = said.state; // both panes begin with one camera
         if (from(pane.coming)) arrived(pane, pane.coming);
         else if (from(pane.shown)) tell(pane.shown); // a slow one, which was shown before it could listen
       } else if (said.beadwise === "state" && from(pane.shown)) {
@@ -162,8 +164,6 @@
     box.replaceChildren(...parts);
   }
 
-  const labelled = (row) => row.label + (row.unit ? ", " + row.unit : "");
-
   function drawDifferences() {
     const rows = state.differences;
     by("differences").hidden = !rows.length;
@@ -172,7 +172,7 @@
     by("right").textContent = state.panes[1].strategy;
     const cell = (text, better) => element("td", { className: "n" + (better ? " better" : "") }, (better ? "✓ " : "") + text);
     by("figures").replaceChildren(...rows.map((row) => element("tr", {},
-      element("th", { scope: "row", textContent: labelled(row) }),
+      element("th", { scope: "row", textContent: row.label, title: row.full }),
       cell(row.left, row.better === "left"), cell(row.right, row.better === "right"),
       element("td", { className: "n", textContent: row.difference }))));
   }
@@ -181,7 +181,7 @@
     const history = state.history;
     const head = ["#", "what was changed", "strategy", "verdict"].map((text) => element("th", { scope: "col", textContent: text }));
     by("columns").replaceChildren(...head, ...history.columns.map((column) =>
-      element("th", { scope: "col", className: "n", textContent: labelled(column) })));
+      element("th", { scope: "col", className: "n", textContent: column.label, title: column.full })));
     by("rows").replaceChildren(...history.rows.map(historyRow));
     by("history").hidden = !history.rows.length;
     const count = history.rows.length ? history.rows[0].number : 0;
@@ -200,8 +200,8 @@
     return element("tr", {},
       element("td", {}, String(row.number), element("small", { textContent: row.at })),
       element("td", { className: "changes" }, ...changes.map((text) => element("div", { textContent: text }))),
-      element("td", { textContent: row.strategy }),
-      element("td", { title: row.words, textContent: SIGNS[row.kind] || row.kind }), ...cells);
+      element("td", { className: "short", textContent: row.strategy }),
+      element("td", { className: "short", title: row.words, textContent: SIGNS[row.kind] || row.kind }), ...cells);
   }
 
   // --- all of it -----------------------------------------------------------------------------------------

@@ -6,10 +6,10 @@ from dataclasses import asdict
 from typing import Any
 
 from planner.problem.settings import STRATEGY_NAMES
-from planner.view.figures import NONE, ROWS, difference, verdict, written
+from planner.view.figures import NONE, ROWS, difference, heading, verdict, written
 from planner.view.state import Entry, Result, View
 
-STAGES = ("start", "load", "toolpath", "obstacles", "resolve", "timing", "verify", "dips", "baseline", "report")
+STAGES = ("start", "load", "toolpath", "obstacles", "resolve", "timing", "verify", "dips", "map", "baseline", "report")
 
 
 def snapshot(view: View, title: str, file: str) -> dict[str, Any]:
@@ -33,12 +33,11 @@ def _pane(view: View, strategy: str) -> dict[str, Any]:
     job, result = view.running, view.results.get(strategy)
     running = None
     if job is not None and job.strategy == strategy:
-        known = job.stage in STAGES
         running = {
             "job": job.number,
             "stage": job.stage,
             "draft": job.draft,
-            "done": STAGES.index(job.stage) / len(STAGES) if known else 0.0,
+            "done": STAGES.index(job.stage) / len(STAGES) if job.stage in STAGES else None,
         }
     waiting = view.solving and running is None and strategy not in view.tried and view.content is not None
     return {"strategy": strategy, "running": running, "waiting": waiting, "result": _result(view, result)}
@@ -73,8 +72,7 @@ def differences(view: View) -> list[dict[str, str]]:
         better = {"better": "left", "worse": "right"}.get(verdict(row, left, right), "")
         rows.append(
             {
-                "label": row.label.strip(),
-                "unit": row.unit,
+                **heading(row),
                 "left": written(row, left),
                 "right": written(row, right),
                 "difference": difference(row, right, left),
@@ -91,7 +89,7 @@ def _shown_keys(view: View) -> list[str]:
 
 def _columns(view: View) -> list[dict[str, str]]:
     keys = _shown_keys(view)
-    return [{"label": row.label.strip(), "unit": row.unit} for row in ROWS if row.key in keys]
+    return [heading(row) for row in ROWS if row.key in keys]
 
 
 def _row(view: View, entry: Entry) -> dict[str, Any]:
