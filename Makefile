@@ -11,7 +11,7 @@ solve: $(READY)
 	$(BIN)/python -m planner.solve $(PROBLEM)
 
 test: $(READY)
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from compiling import take_turns
 from hypothesis import HealthCheck, settings
 
 from planner.cell import Cell, build_cell
@@ -34,6 +36,17 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN and threading.current_threa
     # as a shell has it for what it runs in the background: processes that tests interrupt would inherit it
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+if "PYTEST_XDIST_WORKER" in os.environ:
+    take_turns()
+
+# Files to begin with. The first two compile different kernels, and what starts processes of its own finds them compiled;
+# those that take long come before those that do not, so that no worker waits for another one at the end.
+FIRST = (
+    "problems", "sqp_kernels", "timing_optimum", "placement", "wing_lofted", "process_whole", "fibre", "bad_cases",
+    "register", "headroom", "step", "command", "verify", "sqp", "resolve", "timing", "materials", "cores", "wing",
+    "report", "resume", "dips", "svg", "volume",
+)  # fmt: skip
+
 COARSE = (
     "layers.count=1",
     "resolve.rung_mm=10",
@@ -49,6 +62,12 @@ DRAWING = """\
   <path id="wave" d="M20,26 C24,10 30,10 32,22 S38,28 39,14"/>
 </svg>
 """
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files in the order of FIRST; all others after them, as they are."""
+    rank = {f"test_{name}.py": i for i, name in enumerate(FIRST)}
+    items.sort(key=lambda item: rank.get(item.path.name, len(rank)))
 
 
 @pytest.fixture(scope="session")
