@@ -11,12 +11,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from browser_pages import NEEDS_CHROMIUM, PHONE, Opened, chromium, opened
+from browser_pages import NEEDS_CHROMIUM, PHONE, Opened, opened
 from matplotlib.image import imread
 from playwright.sync_api import Browser
 from report_fixtures import SHAPE, make_beads, make_plan, make_problem, with_dips
 from solved import small_plan, small_problem
 
+from benchmarks.browser import chromium
 from planner.errors import Refusal
 from planner.report.failure import write_failure_report
 from planner.report.html import write_report

@@ -66,6 +66,5 @@ function makeBeads(THREE, lines, size) {
     until = ends.slice(0, k);
   };
   beads.upTo = (sample) => geometry.setDrawRange(0, 6 * notAbove(until, sample));
-  beads.filter(() => true);
   return beads;
 }

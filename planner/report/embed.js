@@ -1,34 +1,48 @@
 // Inside another page (the live view), the report says where its reader is, and follows when it is told.
 const CONTROLS = ["colour", "layers", "only", "from", "to", "grow", "ride", "robots", "through", "letters-shown", "dips", "pace"];
-const AT_MOST = 100, SETTLED = 800;  // ms between messages, and until a flight of the camera has ended
+const AT_MOST = 100, SETTLED = 800;  // ms between messages, and without a change until no more are told
+const ALL = "max";  // of a slider at its end: the other plan may have more layers
 
 function talkToParent(scene) {
   if (window.parent === window) return;
   const say = (message) => window.parent.postMessage(message, "*");  // a sandboxed page cannot name its parent
   const { stage, player, lines } = scene || {};
-  let timer = 0, later = 0, before = 0;
+  let timer = 0, touched = 0, news = 0, before = "";
 
   function state() {
-    const out = { beadwise: "state", scroll: window.scrollY };
+    const out = { beadwise: "state", scroll: window.scrollY, age: performance.now() - touched };
     if (!scene) return out;
     out.camera = [...stage.world.camera.position.toArray(), ...stage.world.controls.target.toArray(), 0, 0, 1];
-    for (const id of CONTROLS) if (by(id)) out[id] = by(id).type === "checkbox" ? by(id).checked : by(id).value;
+    for (const control of CONTROLS.map(by)) if (control)
+      out[control.id] = control.type === "checkbox" ? control.checked : control.value === control.max ? ALL : control.value;
     if (!player) return out;
-    const i = Math.max(player.pointAt(player.t), 0), at = player.lineOf(i);
-    return Object.assign(out, { t: player.t, bead: lines.bead[at], s_mm: player.along[i], playing: player.playing });
+    const laid = player.laying(player.t);  // nothing in travel
+    return Object.assign(out, { t: player.t, playing: player.playing }, laid && { bead: lines.bead[laid.line], s_mm: player.along[laid.i] });
   }
-  function send() { timer = 0; before = performance.now(); say(state()); }
+  const keyOf = ({ t, bead, s_mm, age, ...rest }) => JSON.stringify(rest.playing ? rest : { t, ...rest });
+  // What the reader does is told while it has effects: a flight of the camera goes on after its click.
+  function tell() {
+    const now = state(), key = keyOf(now);
+    if (key !== before) {
+      before = key;
+      news = performance.now();
+      say(now);
+    } else if (performance.now() - news > SETTLED) {
+      clearInterval(timer);
+      timer = 0;
+    }
+  }
   function changed(event) {
     if (!event.isTrusted || (event.type === "pointermove" && !event.buttons)) return;  // what was told is not told back
-    if (!timer) timer = setTimeout(send, Math.max(AT_MOST - (performance.now() - before), 0));
-    clearTimeout(later);
-    later = setTimeout(send, SETTLED);
+    touched = news = performance.now();
+    if (!timer) timer = setInterval(tell, AT_MOST);
   }
   for (const type of ["input", "change", "click", "keydown", "wheel", "pointermove"]) document.addEventListener(type, changed, { passive: true });
 
-  function set(id, value) {
+  function set(id, told) {
     const control = by(id);
     if (!control || control.disabled) return;
+    const value = told === ALL && control.max ? control.max : told;
     if (control.type === "checkbox") {
       if (typeof value !== "boolean" || control.checked === value) return;
       control.checked = value;
@@ -52,6 +66,7 @@ function talkToParent(scene) {
       stage.draw();
     }
     if (Number.isFinite(told.scroll)) window.scrollTo(0, told.scroll);
+    before = keyOf(state());  // no echo
   }
   window.addEventListener("message", (event) => {
     if (event.source === window.parent && event.data && event.data.beadwise === "state") follow(event.data);

@@ -104,6 +104,8 @@ async function start() {
     delete window.define;
     try {
       scene = drawScene(page.scene, told);
+      const { viewer } = scene.stage;
+      await new Promise((done) => viewer.on(viewer.events.RENDERED, done));
       performance.mark("first picture");
       root.dataset.scene = "yes";
     } catch (error) {
@@ -118,6 +120,7 @@ async function start() {
     if (scene && scene.player) charts.at(scene.player.t);
   }
   window.report = { page, scene, charts };
+  performance.mark("all drawn");
   root.dataset.ready = "yes";
   talkToParent(scene);
 }

@@ -12,19 +12,23 @@ function makePlayer(stage, scene, places, told) {
 
   // The point that is laid at a time, or the last one before; -1 if there is none.
   player.pointAt = (t) => notAbove(lines.sample, t / scene.dt + 0.5) - 1;
-  player.lineOf = (i) => notAbove(lines.first, i) - 1;
   const lastOf = (line) => (line + 1 < lines.first.length ? lines.first[line + 1] : lines.sample.length) - 1;
   // When a place along a line is laid.
   player.timeAlong = (line, mm) => {
     const first = lines.first[line], last = lastOf(line);
     return scene.dt * lines.sample[Math.min(first + notAbove(along.subarray(first, last + 1), mm), last)];
   };
+  // The line and the point that are being laid at a time; null in travel.
+  player.laying = (t) => {
+    const line = notAbove(starts, t / scene.dt + 0.5) - 1;
+    return line < 0 || lines.sample[lastOf(line)] + 0.5 < t / scene.dt ? null : { line, i: player.pointAt(t) };
+  };
   function words(t) {
-    const i = player.pointAt(t), event = scene.events.find(([start, long]) => start <= t && t < start + long);
+    const laid = player.laying(t), event = scene.events.find(([start, long]) => start <= t && t < start + long);
     const clock = t.toFixed(2) + " s of " + end.toFixed(1) + " s";
     if (event) return clock + ", " + event[2];
-    const line = notAbove(starts, t / scene.dt + 0.5) - 1;
-    if (line < 0 || lines.sample[lastOf(line)] + 0.5 < t / scene.dt) return clock + ", travel";
+    if (!laid) return clock + ", travel";
+    const { line, i } = laid;
     return clock + ", layer " + (lines.layer[line] + 1) + ", bead " + lines.bead[line] + ", " + along[i].toFixed(1) +
       " mm along it, " + (pace ? pace[i].toFixed(1) + " mm/s" : "");
   }

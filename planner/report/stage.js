@@ -45,6 +45,7 @@ function makeStage(div, scene, lib, motion) {
   const still = scene.still.map((each) => {
     const beads = makeBeads(THREE, each, size), hex = parseInt(each.colour.slice(1), 16);
     beads.paint(() => [hex >> 16, (hex >> 8) & 255, hex & 255]);
+    beads.filter(() => true);
     part.add(beads.mesh);
     return beads;
   });

@@ -1,7 +1,7 @@
 // From where the scene is looked at: so that the print is seen, and the nozzle, and nothing large stands before them.
-const AROUND = 16, UPS = [0.22, 0.5], SEEN = 14, STANDS_OFF = 1e-3;  // directions tried; points of the print; m
+const AROUND = 14, UPS = [0.22, 0.5], SEEN = 10, STANDS_OFF = 1e-3;  // directions tried; points of the print; m
 const SLANTS = [0.6, 0.9, 1.2];  // rad off the normal, of close views
-const SIDEWAYS = 7, NOZZLE = 8;  // what a view from the arm's side, and the nozzle, are worth in points of the print
+const SIDEWAYS = 5, NOZZLE = 6;  // what a view from the arm's side, and the nozzle, are worth in points of the print
 
 function viewOf(stage, scene, which) {
   const { THREE, bodies } = stage, box = new THREE.Box3();

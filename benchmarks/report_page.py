@@ -1,0 +1,115 @@
+"""How large report.html is, when its first picture is there, and how long a frame takes.
+
+python -m benchmarks.report_page cylinder_logo --times 1 6
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.browser import chromium, page_of
+from planner.errors import EXIT_VERIFIED, PlannerError
+from planner.plan import Plan
+from planner.planning import load, solve
+from planner.report.html import write_report
+
+SIZE = (1366, 768)
+OPENED = 3  # times each page is opened: the best of them counts
+FRAMES = 60
+# One step of the player without drawing it, and with: what the page does, and what the computer's renderer adds.
+STEP = """(frames) => {
+  const { player, stage } = report.scene, end = report.page.scene.end, draw = stage.draw;
+  document.getElementById("grow").checked = true;
+  stage.draw = () => {};
+  const begin = performance.now();
+  for (let k = 0; k < frames; k++) player.seek(end * (k + 0.5) / frames);
+  stage.draw = draw;
+  return (performance.now() - begin) / frames;
+}"""
+DRAW = """async (frames) => {
+  const { player, stage } = report.scene, end = report.page.scene.end, gl = stage.world.renderer.getContext();
+  const begin = performance.now();
+  for (let k = 0; k < frames; k++) {
+    player.seek(end * (k + 0.5) / frames);
+    await stage.world.render(true);
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));  // waits until it is drawn
+  }
+  return (performance.now() - begin) / frames;
+}"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("problem", help="problem file, or the name of a shipped one")
+    parser.add_argument("--times", type=int, nargs="+", default=[1, 6], metavar="K", help="the motion K times in a row")
+    options = parser.parse_args(arguments)
+    out = Console()
+    table = Table("waypoints", "layers", "samples", "written, s", "size, MB", "first picture, s", "all drawn, s",
+                  "step, ms", "frame, ms", title=f"report.html of {options.problem}")  # fmt: skip
+    try:
+        plan = solve(load(options.problem))
+        with tempfile.TemporaryDirectory() as folder, chromium() as browser:
+            for times in options.times:
+                longer, path = repeated(plan, times), Path(folder) / f"{times}.html"
+                begin = time.perf_counter()
+                write_report(longer, path)
+                written = time.perf_counter() - begin
+                first, drawn, step, frame = [], [], [], []
+                for _ in range(OPENED):
+                    with page_of(browser, path, SIZE) as page:
+                        first.append(page.evaluate("() => performance.getEntriesByName('first picture')[0].startTime"))
+                        drawn.append(page.evaluate("() => performance.getEntriesByName('all drawn')[0].startTime"))
+                        step.append(page.evaluate(STEP, FRAMES))
+                        frame.append(page.evaluate(DRAW, FRAMES))
+                table.add_row(
+                    f"{times * plan.metrics['waypoints']:,.0f}",
+                    f"{times * plan.layers}",
+                    f"{len(longer.trajectory):,}",
+                    f"{written:.1f}",
+                    f"{path.stat().st_size / 1e6:.2f}",
+                    f"{min(first) / 1e3:.2f}",
+                    f"{min(drawn) / 1e3:.2f}",
+                    f"{min(step):.2f}",
+                    f"{min(frame):.1f}",
+                )
+    except PlannerError as error:
+        Console(stderr=True).print(f"error: {error}", markup=False)
+        return error.exit_code
+    out.print(table)
+    return EXIT_VERIFIED
+
+
+def repeated(plan: Plan, times: int) -> Plan:
+    """The plan's motion so many times in a row, layers and beads counted on: as long a print as one likes."""
+    t = plan.trajectory
+    n, beads, layers = len(t), len(plan.toolpath.beads), plan.layers
+    each = np.repeat(np.arange(times), n)
+    arrays = {name: np.concatenate([value] * times) for name, value in vars(t).items() if isinstance(value, np.ndarray)}
+    arrays["t"] = np.arange(times * n) * t.dt
+    arrays["bead"] = np.where(arrays["bead"] >= 0, arrays["bead"] + (each * beads).astype(np.int32), arrays["bead"])
+    arrays["layer"] = (arrays["layer"] + each * layers).astype(np.int32)
+    for name in ("extruded", "feed"):
+        arrays[name] = arrays[name] + each * getattr(t, name)[-1]
+    dips = tuple(
+        replace(dip, t=dip.t + k * n * t.dt, bead=dip.bead + k * beads, layer=dip.layer + k * layers)
+        for k in range(times)
+        for dip in plan.dips
+    )
+    series = {name: np.concatenate([value] * times) for name, value in plan.series.items()}
+    toolpath = replace(plan.toolpath, beads=plan.toolpath.beads * times)
+    return replace(plan, trajectory=replace(t, **arrays, events=()), dips=dips, series=series, toolpath=toolpath)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

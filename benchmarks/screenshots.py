@@ -1,0 +1,110 @@
+"""Pictures of the report for the documentation, taken in a browser: docs/pictures/report_*.png and view.png.
+
+python -m benchmarks.screenshots report_failed report_phone
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from PIL import Image
+from playwright.sync_api import Browser, Page
+from rich.console import Console
+
+from benchmarks.browser import chromium, page_of
+from planner.errors import EXIT_VERIFIED, PlannerError, Refusal
+from planner.planning import load, solve
+from planner.report.html import write_report
+from planner.solve import report_refusal
+
+PICTURES = Path(__file__).resolve().parent.parent / "docs" / "pictures"
+DESK, PHONE = (1366, 768), (390, 844)
+LOGO = "cylinder_logo"
+OUT_OF_REACH = ("peer_cap", "cell.bed_mm=[820,-50,380]")
+COLOURS = 200  # of a palette: text stays sharp, and a picture small
+PARTS_VIEW = "[data-view=part]"
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A picture: the report that it shows, the window, what is done first, and the part of the page (all, if none)."""
+
+    report: Callable[[Path], Path]
+    size: tuple[int, int]
+    first: Callable[[Page], None] = lambda page: None
+    part: str = ""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(SHOTS)}; all, if none is given")
+    options = parser.parse_args(arguments)
+    unknown = set(options.names) - set(SHOTS)
+    if unknown:
+        parser.error(f"no picture {sorted(unknown)[0]!r}; there are {', '.join(SHOTS)}")
+    out = Console()
+    try:
+        with tempfile.TemporaryDirectory() as folder, chromium() as browser:
+            for name in options.names or SHOTS:
+                path = take(browser, SHOTS[name], Path(folder), PICTURES / f"{name}.png")
+                out.print(f"{path.name}: {path.stat().st_size / 1e3:.0f} kB")
+    except PlannerError as error:
+        Console(stderr=True).print(f"error: {error}", markup=False)
+        return error.exit_code
+    return EXIT_VERIFIED
+
+
+def take(browser: Browser, shot: Shot, folder: Path, picture: Path) -> Path:
+    """Take a picture and write it with a palette; returns where."""
+    with page_of(browser, shot.report(folder), shot.size) as page:
+        shot.first(page)
+        page.wait_for_timeout(500)
+        raw = page.locator(shot.part).screenshot() if shot.part else page.screenshot()
+    image = Image.open(io.BytesIO(raw)).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+    image.save(picture, optimize=True)
+    return picture
+
+
+@cache
+def planned(folder: Path) -> Path:
+    """The report of the logo of ten layers."""
+    path = folder / "planned.html"
+    write_report(solve(load(LOGO)), path)
+    return path
+
+
+@cache
+def refused(folder: Path) -> Path:
+    """The report of a print that stands out of reach."""
+    path = folder / "refused.html"
+    problem = load(*OUT_OF_REACH)
+    try:
+        solve(problem)
+    except Refusal as refusal:
+        report_refusal(problem, problem.strategy, refusal, path)
+    return path
+
+
+def worst_place(page: Page) -> None:
+    """Ride with the part, and look at the slowest place."""
+    page.select_option("#ride", "part")
+    page.locator(".places button").first.click()
+
+
+SHOTS = {
+    "report_first_screen": Shot(planned, DESK),
+    "report_worst_place": Shot(planned, DESK, worst_place),
+    "report_failed": Shot(refused, DESK),
+    "report_phone": Shot(planned, PHONE, lambda page: page.evaluate("() => scrollTo(0, 330)")),
+}
+
+if __name__ == "__main__":
+    sys.exit(main())
