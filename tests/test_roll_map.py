@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,9 @@ from numpy.typing import NDArray
 from solved import small_plan
 
 from planner.obstacles import Obstacles
+from planner.plan import Plan
+from planner.report.packing import packed
+from planner.report.roll_map import roll_map_figures, roll_map_section
 from planner.resolve import roll_map as module
 from planner.resolve.jointpath import JointPath
 from planner.resolve.roll_map import COLLISION, FREE, LIMITS, REACH, REASONS, SINGULAR, RollMap, roll_map, unplanned
@@ -174,3 +178,68 @@ def test_a_plan_carries_its_maps() -> None:
         whole.why[0, 0] = 3
     cap = roll_maps(plan.cell, plan.paths[:1], Wave(), 0.0)
     assert len(cap) == 2
+
+
+def report_map(plan: Plan) -> dict[str, Any]:
+    figures = roll_map_figures(plan)
+    assert figures is not None
+    return figures
+
+
+def excluded(plan: Plan) -> Plan:
+    """The plan as if some rolls led to collisions, and others, in two areas, to a singularity."""
+    found = plan.roll_maps[0]
+    why = found.why.copy()
+    why[:, 100:], why[5:25, 10:14], why[60:70, 40:60] = COLLISION, SINGULAR, SINGULAR
+    return replace(plan, roll_maps=(replace(found, why=why), *plan.roll_maps[1:]))
+
+
+def test_the_report_carries_the_map() -> None:
+    plan = excluded(small_plan())
+    figures = report_map(plan)
+    for found, drawn in zip(plan.roll_maps, figures["maps"], strict=True):
+        for measure, flat in zip(figures["measures"], drawn["values"], strict=True):
+            values = flat.reshape(len(found.roll), len(found.s)).T.astype(float)
+            assert ((values >= figures["code"]) == ~found.free).all()
+            assert (values[~found.free] - figures["code"] == found.why[~found.free]).all()
+            own = np.degrees(found.limit) if measure["key"] == "limit" else found.sigma
+            np.testing.assert_allclose(
+                values[found.free] * measure["step"], own[found.free], atol=0.51 * measure["step"]
+            )
+        assert (np.diff(drawn["t"]) > 0).all() and (np.diff(drawn["along"]) > 0).all()
+        at = np.interp(drawn["t"], plan.t, np.arange(len(plan.t))).round().astype(int)
+        assert (plan.bead[at] == found.bead).all()
+        np.testing.assert_allclose(plan.s[at], found.s, atol=0.5e-3)
+
+
+def test_each_area_that_cannot_be_used_has_a_letter_in_it() -> None:
+    plan = excluded(small_plan())
+    found, drawn = plan.roll_maps[0], report_map(plan)["maps"][0]["letters"]
+    where: dict[int, set[str]] = {}
+    for x, y, letter in zip(drawn["x"], drawn["y"], drawn["text"], strict=True):
+        i = int(np.argmin(np.abs(found.along * 1e3 - x)))
+        j = int(np.argmin(np.abs(np.degrees(found.roll) - y)))
+        assert letter == ("S" if found.why[i, j] == SINGULAR else "C") and not found.free[i, j]
+        where.setdefault(j // 30, set()).add(letter)
+    assert where[3] == {"C"} and where[0] == where[1] == {"S"}
+    section = roll_map_section(plan)
+    assert "<span class=key>C</span> collision" in section and "joint limits" not in section
+    assert f"{100 * found.free.mean():.0f} % of this is free" in section
+
+
+def test_a_large_map_is_small_in_the_report() -> None:
+    plan = small_plan()
+    rng = np.random.default_rng(1)
+    m, k = 450, 120
+    big = replace(
+        plan.roll_maps[0], bead=np.zeros(m, dtype=np.int32), s=np.linspace(0.0, 0.03, m), along=np.linspace(0.0, 9.0, m),
+        chosen=np.zeros(m), why=np.zeros((m, k), dtype=np.uint8), sigma=rng.random((m, k)), limit=rng.random((m, k)),
+        clearance=rng.random((m, k)),
+    )  # fmt: skip
+    noise = packed(roll_map_figures(replace(plan, roll_maps=(big,))))
+    assert len(noise) < 300_000, "even where nothing can be compressed"
+
+
+def test_no_map_no_section() -> None:
+    plan = replace(small_plan(), roll_maps=())
+    assert roll_map_section(plan) == "" and roll_map_figures(plan) is None

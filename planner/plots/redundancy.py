@@ -30,7 +30,7 @@ AREAS = {
 
 
 def redundancy_map(roll_map: RollMap, ax: Axes | None = None, measure: str = "sigma") -> Axes:
-    """Draw what the roll may be along the path, coloured by a measure, hatched where there is no posture.
+    """Draw what the roll may be along the path, coloured by a measure (light is tight), hatched where it may not be.
 
     measure: "sigma", "limit" or "clearance". The line is the roll that was chosen, if there is one.
     """

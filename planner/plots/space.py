@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from planner.errors import InputError, nearest_name
 from planner.plan import Plan
-from planner.plots.style import FAINT, LINE_MAP
+from planner.plots.style import FAINT, MAP
 
 Array = NDArray[np.float64]
 
@@ -21,6 +21,7 @@ MOST_SEGMENTS = 12_000  # more is slow to draw, and no finer to look at
 MOST_TRIANGLES = 6_000  # of the part: a finer one is not drawn
 _SLOWER = 0.9  # of the commanded speed: the colours reach down to there at least
 _PART_ALPHA = 0.25
+_LARGEST_PART = 4.0  # times the print: a larger part would leave it no room
 _FLATTEST = 0.3  # of its greatest extent, that is left for each side of a print
 
 
@@ -41,14 +42,17 @@ def toolpath(plan: Plan, ax: Any = None, measure: str = "speed") -> Any:
     points = plan.tip[rows] * 1e3
     joined = plan.bead[rows][1:] == plan.bead[rows][:-1]
     segments = np.stack([points[:-1], points[1:]], axis=1)[joined]
-    lines = Line3DCollection(list(segments), cmap=LINE_MAP, linewidths=1.6)
+    lines = Line3DCollection(list(segments), cmap=MAP, linewidths=1.6)
     lines.set_array(np.minimum(values[rows][1:], values[rows][:-1])[joined])
     if measure == "speed":  # else rounding would be stretched over all colours
         commanded = plan.problem.process.speed * 1e3
         lines.set_clim(min(float(values[rows].min()), _SLOWER * commanded), commanded)
-    _draw_part(ax, plan)
+    part = _part(plan, points)
+    if len(part):
+        ax.add_collection3d(Poly3DCollection(list(part), facecolor=FAINT, edgecolor="none", alpha=_PART_ALPHA))
     ax.add_collection3d(lines)
-    low, high = points.min(axis=0), points.max(axis=0)
+    shown = np.concatenate([points, part.reshape(-1, 3)])
+    low, high = shown.min(axis=0), shown.max(axis=0)
     room = np.maximum(high - low, _FLATTEST * float((high - low).max()))
     for k, name in enumerate("xyz"):
         middle = 0.5 * (low[k] + high[k])
@@ -70,13 +74,16 @@ def _values(plan: Plan, measure: str) -> Array:
     return np.asarray(by_name[measure], dtype=float)
 
 
-def _draw_part(ax: Any, plan: Plan) -> None:
-    """The part, see-through, if it has a shape of its own that is not too fine."""
+def _part(plan: Plan, points: Array) -> Array:
+    """The part's triangles (n, 3, 3) [mm], if it has a shape of its own: neither too fine nor far larger than the print."""
     shape = plan.toolpath.shape
     if shape is None or len(shape.triangles) > MOST_TRIANGLES:
-        return
+        return np.empty((0, 3, 3))
     corners = np.asarray(shape.vertices)[np.asarray(shape.triangles)] * 1e3
-    ax.add_collection3d(Poly3DCollection(list(corners), facecolor=FAINT, edgecolor="none", alpha=_PART_ALPHA))
+    large = np.linalg.norm(np.ptp(corners.reshape(-1, 3), axis=0)) > _LARGEST_PART * np.linalg.norm(
+        np.ptp(points, axis=0)
+    )
+    return np.empty((0, 3, 3)) if large else corners
 
 
 def _look_at(ax: Any, normal: Array) -> None:

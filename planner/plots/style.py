@@ -5,17 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 import matplotlib.pyplot as plt
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
+
+from planner.report.scene import COLOURS as COLOURS_OF_SCENES
 
 # Okabe and Ito, without their yellow, which is hard to see on white.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
 STYLES = ("-", "--", "-.", ":")
 INK, SOFT, FAINT, ALARM = "#1b2733", "#5b6b7b", "#d9e0e7", "#b5402f"
-MAP = "cividis"  # the same to all eyes, and in grey
-# Its light end cannot be seen as a line on white.
-LINE_MAP = LinearSegmentedColormap.from_list("lines", plt.get_cmap(MAP)(np.linspace(0.0, 0.8, 64)))
+MAP = LinearSegmentedColormap.from_list("calm", COLOURS_OF_SCENES)  # as in the report: light is where it gets tight
 
 
 def axes_of(ax: Axes | None, **figure: Any) -> Axes:

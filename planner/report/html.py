@@ -17,6 +17,7 @@ from planner.report.extruder import events_section, materials_section
 from planner.report.first_screen import deciding_table, places_list, stage
 from planner.report.headroom import headroom_section
 from planner.report.places import Place, places_of, where_words
+from planner.report.roll_map import roll_map_figures, roll_map_section
 from planner.report.scene import plan_scene
 from planner.report.thinning import CURVE_BUDGET
 from planner.report.wording import (
@@ -57,6 +58,7 @@ def write_report(plan: Plan, path: Path) -> None:
             approaches_section(plan, places),
             headroom_section(plan),
             _curves(curves),
+            roll_map_section(plan),
             _joints(plan, joints),
             _making(plan),
         ]
@@ -68,7 +70,8 @@ def write_report(plan: Plan, path: Path) -> None:
     words = "verified" if plan.verified else "not verified"
     title = f"{plan.name}: {words}"
     footer = _footer(plan, scene)
-    frame.write_text(Path(path), frame.page(title, _header(plan), body, footer, {"scene": scene, "charts": charts}))
+    figures = {"scene": scene, "charts": charts, "roll_map": roll_map_figures(plan)}
+    frame.write_text(Path(path), frame.page(title, _header(plan), body, footer, figures))
 
 
 def _header(plan: Plan) -> str:

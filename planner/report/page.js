@@ -118,6 +118,7 @@ async function start() {
     await library("plotly-source");
     charts = drawCharts(page.charts, (t) => scene && scene.player && scene.seek(t));
     if (scene && scene.player) charts.at(scene.player.t);
+    if (page.roll_map) await drawRollMap(page.roll_map, (t) => scene && scene.player && scene.seek(t));
   }
   window.report = { page, scene, charts };
   performance.mark("all drawn");

@@ -20,7 +20,20 @@ from planner.report.packing import packed, squeezed
 
 # The page forbids itself the network: even a library that wanted to fetch something could not.
 POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
-SCRIPTS = ("unpack", "motion", "beads", "stage", "views", "marks", "player", "colours", "charts", "embed", "page")
+SCRIPTS = (
+    "unpack",
+    "motion",
+    "beads",
+    "stage",
+    "views",
+    "marks",
+    "player",
+    "colours",
+    "charts",
+    "roll_map",
+    "embed",
+    "page",
+)
 K3D_SOURCE = "k3d/static/standalone.js"
 # K3D's fonts are for formulas; the report has none, and a browser would load them all.
 FONTS = (r"@font-face\{(?:\$\{\w+\}|[^{}])*\}", r"data:font/woff2;base64,[A-Za-z0-9+/=]*")
@@ -29,7 +42,8 @@ FONTS = (r"@font-face\{(?:\$\{\w+\}|[^{}])*\}", r"data:font/woff2;base64,[A-Za-z
 def page(title: str, header: str, body: str, footer: str, figures: Mapping[str, Any]) -> str:
     """Complete HTML of a report. `title` is plain text; `header`, `body`, `footer` are HTML already.
 
-    figures: `scene` (see scene.py) or None, and `charts`: each with `key`, `traces`, `layout`; `time` if its x is time.
+    figures: `scene` (see scene.py) or None, `charts`: each with `key`, `traces`, `layout`; `time` if its x is time; and
+    `roll_map` (see roll_map.py) where there is one, beside charts.
     """
     assets = files("planner.report")
     css = assets.joinpath("page.css").read_text(encoding="utf-8")

@@ -1,0 +1,152 @@
+"""The roll × path map of the report: what the nozzle's roll could have been, why not more, and what was chosen."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_cdt, label
+
+from planner.report.scene import COLOURS, INK, PAPER
+from planner.report.wording import counted
+
+if TYPE_CHECKING:
+    from planner.plan import Plan
+    from planner.resolve.roll_map import RollMap
+
+Array = NDArray[np.float64]
+
+LETTERS = ("", "R", "L", "S", "C")  # by the number of the reason
+STEPS = 249  # of a measure from 0 to its greatest; numbers from CODE on stand for reasons
+CODE = 250
+# key, label, unit, factor, decimals
+MEASURES = (
+    ("sigma", "distance from singularity, σ", "", 1.0, 3),
+    ("limit", "nearest end stop", "°", 180.0 / np.pi, 1),
+)
+HEIGHT = 380  # px
+LATTICE = (28, 10)  # letters along the path and round the circle, at most
+ROOM = 3  # places or rolls from its edge, that a letter of an area keeps
+
+
+def roll_map_section(plan: Plan) -> str:
+    """HTML of the section; nothing where the plan has no map."""
+    if not plan.roll_maps:
+        return ""
+    present = np.unique(np.concatenate([np.unique(each.why) for each in plan.roll_maps]))
+    reasons = plan.roll_maps[0].reasons
+    keys = "".join(
+        f"<span><span class=key>{LETTERS[why]}</span> {escape(reasons[why])}</span>" for why in present if LETTERS[why]
+    )
+    keys = keys or "<span>every roll is free here</span>"
+    share = 100.0 * float(plan.roll_maps[0].free.mean())
+    maps = "".join(f"<option>{escape(label)}</option>" for label in _labels(plan))
+    measures = "".join(f"<option>{escape(label)}</option>" for _, label, *_ in MEASURES)
+    hidden = " hidden" if len(plan.roll_maps) == 1 else ""
+    return (
+        "<h2>Roll along the path</h2><p class=note>A nozzle is round: it may be turned about its own axis without any "
+        "change on the part. At each place and each roll: whether the arm can stand so, with tilt and table as planned "
+        f"and on the arm’s branch of the plan. {share:.0f} % of this is free; light is where it gets tight, pale and "
+        "lettered what cannot be used. The line is the roll that was chosen. Click a place to see it in the scene."
+        f"</p><div class=controls><label{hidden}>Show <select id=roll-map-which autocomplete=off>{maps}</select></label>"
+        f"<label>Colour by <select id=roll-map-measure autocomplete=off>{measures}</select></label>"
+        f"<span class=keys>{keys}</span></div><div class=chart><div id=roll-map></div></div>"
+    )
+
+
+def roll_map_figures(plan: Plan) -> dict[str, Any] | None:
+    """What roll_map.js draws: maps with a byte for each place and roll, for each measure; None without a map."""
+    if not plan.roll_maps:
+        return None
+    highest = {
+        key: max(
+            float(np.nanmax(np.where(each.free, getattr(each, key), np.nan), initial=0.0)) for each in plan.roll_maps
+        )
+        for key, *_ in MEASURES
+    }
+    return {
+        "reasons": list(plan.roll_maps[0].reasons),
+        "code": CODE,
+        "colours": COLOURS,
+        "layout": _layout(),
+        "measures": [
+            {"key": key, "label": label, "unit": unit, "digits": digits, "step": highest[key] * factor / STEPS}
+            for key, label, unit, factor, digits in MEASURES
+        ],
+        "maps": [_packed(plan, each, highest) for each in plan.roll_maps],
+    }
+
+
+def _labels(plan: Plan) -> list[str]:
+    """Of the maps: the whole print, then single beads."""
+    beads = [f"bead {int(each.bead[0])}, closely" for each in plan.roll_maps[1:]]
+    return [f"the whole print, {counted(len(plan.beads), 'bead')}", *beads]
+
+
+def _packed(plan: Plan, found: RollMap, highest: dict[str, float]) -> dict[str, Any]:
+    """One map; bytes run along the path, from the least roll to the greatest."""
+    return {
+        "along": (found.along * 1e3).astype(np.float32),
+        "s": (found.s * 1e3).astype(np.float32),
+        "bead": found.bead,
+        "roll": np.degrees(found.roll).astype(np.float32),
+        "chosen": np.degrees(found.chosen).astype(np.float32),
+        "t": _times(plan, found).astype(np.float32),
+        "letters": _letters(found),
+        "values": [_bytes(found, getattr(found, key), highest[key]).T.ravel() for key, *_ in MEASURES],
+    }
+
+
+def _bytes(found: RollMap, values: Array, highest: float) -> NDArray[np.uint8]:
+    """Values (m, k) in steps of their greatest, or the reason why there is none."""
+    steps = np.round(np.nan_to_num(values) * (STEPS / highest if highest > 0.0 else 0.0))
+    return np.where(found.free, np.clip(steps, 0, STEPS), CODE + found.why).astype(np.uint8)
+
+
+def _letters(found: RollMap) -> dict[str, Any]:
+    """Where letters stand: in the middle of each area that cannot be used, and evenly over large ones."""
+    m, k = found.why.shape
+    every = np.zeros((m, k), dtype=np.bool_)
+    every[
+        round(m / LATTICE[0] / 2) :: max(round(m / LATTICE[0]), 1),
+        round(k / LATTICE[1] / 2) :: max(round(k / LATTICE[1]), 1),
+    ] = True
+    rows: list[tuple[int, int, int]] = []
+    for why in np.unique(found.why[~found.free]).tolist():
+        inside = distance_transform_cdt(np.pad(found.why == why, 1))[1:-1, 1:-1]
+        areas, count = label(inside > 0)
+        for area in range(1, count + 1):
+            depth = np.where(areas == area, inside, 0)
+            deep = np.argwhere(every & (depth > ROOM))
+            if not len(deep):
+                deep = np.array([np.unravel_index(int(depth.argmax()), depth.shape)])
+            rows += [(int(i), int(j), why) for i, j in deep]
+    i, j, code = np.array(rows, dtype=np.int64).reshape(-1, 3).T
+    along, roll = (found.along[i] * 1e3).astype(np.float32), np.degrees(found.roll[j]).astype(np.float32)
+    return {"x": along, "y": roll, "text": [LETTERS[c] for c in code.tolist()]}
+
+
+def _times(plan: Plan, found: RollMap) -> Array:
+    """When (m) the nozzle is at each place [s]."""
+    out = np.zeros(len(found.s))
+    for bead in np.unique(found.bead):
+        rows = np.flatnonzero(plan.deposit & (plan.bead == bead))
+        here = found.bead == bead
+        out[here] = np.interp(found.s[here], plan.s[rows], plan.t[rows]) if len(rows) else 0.0
+    return out
+
+
+def _layout() -> dict[str, Any]:
+    axis = {"gridcolor": "#e6ebf0", "zeroline": False, "linecolor": "#c3ccd5", "automargin": True}
+    return {
+        "height": HEIGHT,
+        "margin": {"l": 52, "r": 10, "t": 8, "b": 40},
+        "paper_bgcolor": PAPER,
+        "plot_bgcolor": PAPER,
+        "font": {"family": "system-ui, sans-serif", "color": INK, "size": 12},
+        "xaxis": axis | {"title": {"text": "deposited length, mm", "standoff": 4}, "showgrid": False},
+        "yaxis": axis | {"title": {"text": "roll, °"}, "range": [-180, 180], "dtick": 90, "showgrid": False},
+        "showlegend": False,
+    }
