@@ -28,8 +28,7 @@ PICTURES = Path(__file__).resolve().parent.parent / "docs" / "pictures"
 DESK, PHONE = (1366, 768), (390, 844)
 LOGO = "cylinder_logo"
 OUT_OF_REACH = ("peer_cap", "cell.bed_mm=[820,-50,380]")
-COLOURS = 200  # of a palette: text stays sharp, and a picture small
-PARTS_VIEW = "[data-view=part]"
+MOST = 250_000  # bytes; a larger picture gets a palette
 
 
 @dataclass(frozen=True)
@@ -63,13 +62,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def take(browser: Browser, shot: Shot, folder: Path, picture: Path) -> Path:
-    """Take a picture and write it with a palette; returns where."""
+    """Take a picture and write it small; returns where. A palette spoils the scales of colours: only if it has to be."""
     with page_of(browser, shot.report(folder), shot.size) as page:
         shot.first(page)
         page.wait_for_timeout(500)
         raw = page.locator(shot.part).screenshot() if shot.part else page.screenshot()
-    image = Image.open(io.BytesIO(raw)).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+    image = Image.open(io.BytesIO(raw)).convert("RGB")
     image.save(picture, optimize=True)
+    if picture.stat().st_size > MOST:
+        image.quantize(dither=Image.Dither.FLOYDSTEINBERG).save(picture, optimize=True)
     return picture
 
 

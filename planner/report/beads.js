@@ -21,7 +21,7 @@ function sizeOf(lines) {
 
 function makeBeads(THREE, lines, size) {
   const [x, y, z] = lines.point.map(values), n = x.length, first = lines.first;
-  const half = 0.5 * Math.max(lines.width, LEAST_WIDTH * size);
+  const half = 0.5 * (lines.thick || 1) * Math.max(lines.width, LEAST_WIDTH * size);
   const corners = new Float32Array(6 * n), last = new Uint8Array(n);
   for (let k = 0; k < first.length; k++) last[(k + 1 < first.length ? first[k + 1] : n) - 1] = 1;
   for (let i = 0, start = true; i < n; i++) {

@@ -1,5 +1,5 @@
 // Marks in the scene: letters of places as buttons over the canvas, dips as white discs with a black rim on the part.
-const RIM = 20, DISC = 0.011, LIFT = 0.0022;  // corners of a disc; its radius and height, of the size of the print
+const RIM = 20, DISC = 0.0085, LIFT = 0.0022;  // corners of a disc; its radius and height, of the size of the print
 const ROOM = 24;  // px between letters
 
 function makeDips(stage, dips) {

@@ -82,7 +82,7 @@ function drawScene(scene, told) {
     refresh();
   }
   if (places.length && places[0].kind === "fail") go(0, true);
-  else stage.fly(...viewOf(stage, scene, "cell"), true);
+  if (!stage.beads || !places.length || places[0].kind !== "fail") stage.fly(...viewOf(stage, scene, "cell"), true);
   return { stage, motion, player, dips, lines: scene.lines, go, seek: (t) => { player.play(false); player.seek(t); } };
 }
 

@@ -78,7 +78,7 @@ def failed_scene(
     others = [bead for k, bead in enumerate(beads) if k != failed]
     still = [bead_lines(others, SCENE_BUDGET) | {"width": width, "colour": PLANNED}]
     if failed is not None:
-        still.append(bead_lines([beads[failed]], SCENE_BUDGET) | {"width": 2.0 * width, "colour": ALARM})
+        still.append(bead_lines([beads[failed]], SCENE_BUDGET) | {"width": width, "thick": 2.0, "colour": ALARM})
     shown = beads if failed is None else [beads[failed]]
     facing = np.mean([np.mean(bead.normals, axis=0) for bead in shown], axis=0) if shown else np.zeros(3)
     return {

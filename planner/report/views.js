@@ -1,7 +1,7 @@
 // From where the scene is looked at: so that the print is seen, and the nozzle, and nothing large stands before them.
 const AROUND = 14, UPS = [0.22, 0.5], SEEN = 10, STANDS_OFF = 1e-3;  // directions tried; points of the print; m
-const SLANTS = [0.6, 0.9, 1.2];  // rad off the normal, of close views
-const SIDEWAYS = 5, NOZZLE = 6;  // what a view from the arm's side, and the nozzle, are worth in points of the print
+const SLANTS = [0.7, 0.95, 1.2], AROUND_IT = 8, ABOUT = 0.07;  // rad off the normal, of close views; points looked at around a place, and how far from it, of the size of the print
+const SIDEWAYS = 5, NOZZLE = 14, THICK = 0.02;  // what a view from the arm's side, and the nozzle, are worth in points of the print; a nozzle's thickness, m
 
 function viewOf(stage, scene, which) {
   const { THREE, bodies } = stage, box = new THREE.Box3();
@@ -27,7 +27,7 @@ function viewOf(stage, scene, which) {
     if (reach !== null) score += SIDEWAYS * Math.abs(Math.sin(azimuth - reach));  // an arm shows its posture from its side
     for (const spot of spots) {
       const facing = spot.out ? Math.max(from.dot(spot.out), 0) : 1;
-      if (facing > 0 && clear(eye, spot.at)) score += spot.weight * (0.4 + 0.6 * facing);
+      if (facing > 0 && clear(eye, spot.at, spot.room)) score += spot.weight * (0.4 + 0.6 * facing);
     }
     if (score > most) { most = score; best = eye; }
   }
@@ -38,17 +38,18 @@ function viewOf(stage, scene, which) {
 function closeUp(stage, point, normal) {
   const { THREE } = stage, target = stage.inView(point), out = stage.along(normal), clear = sight(stage);
   const side = new THREE.Vector3(Math.abs(out.z) < 0.9 ? 0 : 1, 0, Math.abs(out.z) < 0.9 ? 1 : 0).cross(out).normalize();
-  const up = out.clone().cross(side), spot = target.clone().addScaledVector(out, 5 * STANDS_OFF);
-  // Without a motion the robots stand far away: as much of the cell as reaches to the nozzle.
-  const nozzle = stage.now && stage.now.nozzle, off = nozzle ? Math.hypot(nozzle[3] - target.x, nozzle[7] - target.y, nozzle[11] - target.z) : 0;
-  const far = Math.max(stage.beads ? 1.2 * stage.size : 1.6 * off + 2 * stage.size, 0.12);
+  const up = out.clone().cross(side), ring = [], far = Math.max(1.2 * stage.size, 0.12);
+  for (let k = 0; k < AROUND_IT; k++) {  // the nozzle stands on the place itself: what is around should be seen
+    const angle = 2 * Math.PI * k / AROUND_IT, r = ABOUT * stage.size;
+    ring.push(target.clone().addScaledVector(out, 5 * STANDS_OFF).addScaledVector(side, r * Math.cos(angle)).addScaledVector(up, r * Math.sin(angle)));
+  }
   let best = null, most = -Infinity;
   for (const slant of SLANTS) for (let k = 0; k < AROUND; k++) {
     const angle = 2 * Math.PI * k / AROUND;
     const from = out.clone().multiplyScalar(Math.cos(slant)).addScaledVector(side, Math.sin(slant) * Math.cos(angle))
       .addScaledVector(up, Math.sin(slant) * Math.sin(angle));
     const eye = target.clone().addScaledVector(from, far);
-    const score = (clear(eye, spot) ? 2 : 0) + from.dot(out) + 0.8 * Math.min(from.z, 0.5);
+    const score = ring.filter((spot) => clear(eye, spot)).length / 2 + from.dot(out) + 0.8 * Math.min(from.z, 0.5);
     if (score > most) { most = score; best = eye; }
   }
   return [best, target];
@@ -57,11 +58,11 @@ function closeUp(stage, point, normal) {
 // Whether a point is seen from another one: no body stands between them.
 function sight(stage) {
   const ray = new stage.THREE.Raycaster(), solid = stage.bodies.filter((b) => b.mesh.visible).map((b) => b.mesh);
-  return (eye, at) => {
+  return (eye, at, room = STANDS_OFF) => {
     const way = at.clone().sub(eye), length = way.length();
     ray.set(eye, way.divideScalar(length));
     const [hit] = ray.intersectObjects(solid, false);
-    return !hit || hit.distance > length - STANDS_OFF;
+    return !hit || hit.distance > length - room;
   };
 }
 
@@ -88,7 +89,7 @@ function spotsOf(stage, scene) {
     const { nozzle } = stage.now, root = stage.part.parent.matrixWorld;
     const tip = new THREE.Vector3(nozzle[3], nozzle[7], nozzle[11]), back = new THREE.Vector3(nozzle[2], nozzle[6], nozzle[10]);
     // A little way up the nozzle, or the print would hide it.
-    out.push({ at: tip.addScaledVector(back, -0.02).applyMatrix4(root), out: null, weight: NOZZLE });
+    out.push({ at: tip.addScaledVector(back, -0.02).applyMatrix4(root), out: null, weight: NOZZLE, room: THICK });
   }
   return out;
 }
