@@ -26,8 +26,8 @@ from planner.solve import report_refusal
 
 PICTURES = Path(__file__).resolve().parent.parent / "docs" / "pictures"
 DESK, PHONE = (1366, 768), (390, 844)
-LOGO = "cylinder_logo"
-OUT_OF_REACH = ("peer_cap", "cell.bed_mm=[820,-50,380]")
+LOGO, CAP = "cylinder_logo", "peer_cap"
+OUT_OF_REACH = (CAP, "cell.bed_mm=[820,-50,380]")
 MOST = 250_000  # bytes; a larger picture gets a palette
 
 
@@ -83,6 +83,14 @@ def planned(folder: Path) -> Path:
 
 
 @cache
+def cap(folder: Path) -> Path:
+    """The report of one spiral on a cap, whose map of roll is easily read."""
+    path = folder / "cap.html"
+    write_report(solve(load(CAP)), path)
+    return path
+
+
+@cache
 def refused(folder: Path) -> Path:
     """The report of a print that stands out of reach."""
     path = folder / "refused.html"
@@ -105,6 +113,7 @@ SHOTS = {
     "report_worst_place": Shot(planned, DESK, worst_place),
     "report_failed": Shot(refused, DESK),
     "report_phone": Shot(planned, PHONE, lambda page: page.evaluate("() => scrollTo(0, 330)")),
+    "report_roll_map": Shot(cap, DESK, part="#roll-map"),
 }
 
 if __name__ == "__main__":

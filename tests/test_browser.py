@@ -264,6 +264,7 @@ def test_a_refusal_shows_the_place_in_the_cell(browser: Browser, tmp_path: Path)
         assert mark is not None and view is not None
         assert view["x"] < mark["x"] < view["x"] + view["width"] and view["y"] < mark["y"] < view["y"] + view["height"]
         assert "Move it." in page.locator("#card").inner_text()
+        page.locator(".places button").click()
         red = np.abs(seen(found) - np.array([0xD1, 0x49, 0x5B]) / 255).max(axis=2) < 0.06
         assert red.sum() > 30, "the bead that fails"
         assert np.reshape(page.evaluate("() => report.scene.stage.now.q"), -1) == pytest.approx(plan.cell.home)

@@ -1,7 +1,7 @@
 // From where the scene is looked at: so that the print is seen, and the nozzle, and nothing large stands before them.
 const AROUND = 14, UPS = [0.22, 0.5], SEEN = 10, STANDS_OFF = 1e-3;  // directions tried; points of the print; m
 const SLANTS = [0.7, 0.95, 1.2], AROUND_IT = 8, ABOUT = 0.07;  // rad off the normal, of close views; points looked at around a place, and how far from it, of the size of the print
-const SIDEWAYS = 5, NOZZLE = 14, THICK = 0.02;  // what a view from the arm's side, and the nozzle, are worth in points of the print; a nozzle's thickness, m
+const SIDEWAYS = 5, NOZZLE = 10;  // what a view from the arm's side, and the nozzle, are worth in points of the print
 
 function viewOf(stage, scene, which) {
   const { THREE, bodies } = stage, box = new THREE.Box3();
@@ -27,7 +27,7 @@ function viewOf(stage, scene, which) {
     if (reach !== null) score += SIDEWAYS * Math.abs(Math.sin(azimuth - reach));  // an arm shows its posture from its side
     for (const spot of spots) {
       const facing = spot.out ? Math.max(from.dot(spot.out), 0) : 1;
-      if (facing > 0 && clear(eye, spot.at, spot.room)) score += spot.weight * (0.4 + 0.6 * facing);
+      if (facing > 0 && clear(eye, spot.at, spot.own)) score += spot.weight * (0.4 + 0.6 * facing);
     }
     if (score > most) { most = score; best = eye; }
   }
@@ -55,14 +55,14 @@ function closeUp(stage, point, normal) {
   return [best, target];
 }
 
-// Whether a point is seen from another one: no body stands between them.
+// Whether a point is seen from another one: no body stands between them but its own.
 function sight(stage) {
   const ray = new stage.THREE.Raycaster(), solid = stage.bodies.filter((b) => b.mesh.visible).map((b) => b.mesh);
-  return (eye, at, room = STANDS_OFF) => {
+  return (eye, at, own = []) => {
     const way = at.clone().sub(eye), length = way.length();
     ray.set(eye, way.divideScalar(length));
     const [hit] = ray.intersectObjects(solid, false);
-    return !hit || hit.distance > length - room;
+    return !hit || hit.distance > length - STANDS_OFF || own.includes(hit.object);
   };
 }
 
@@ -85,11 +85,10 @@ function spotsOf(stage, scene) {
     const normal = stage.along(place.normal);
     out.push({ at: stage.inView(place.point).addScaledVector(normal, 5 * STANDS_OFF), out: normal, weight: SEEN });
   }
-  if (stage.now) {
-    const { nozzle } = stage.now, root = stage.part.parent.matrixWorld;
-    const tip = new THREE.Vector3(nozzle[3], nozzle[7], nozzle[11]), back = new THREE.Vector3(nozzle[2], nozzle[6], nozzle[10]);
-    // A little way up the nozzle, or the print would hide it.
-    out.push({ at: tip.addScaledVector(back, -0.02).applyMatrix4(root), out: null, weight: NOZZLE, room: THICK });
+  const head = stage.bodies.filter((b) => b.kind === "head").map((b) => b.mesh);
+  for (const mesh of head) {
+    const at = new THREE.Box3().setFromObject(mesh).getCenter(new THREE.Vector3());
+    out.push({ at, out: null, weight: NOZZLE / head.length, own: head });
   }
   return out;
 }
