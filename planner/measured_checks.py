@@ -15,7 +15,7 @@ CHECKS: dict[str, Measure] = {
         "",
         "the configuration that programs name is that of the joints",
         "from the joints",
-        "arms with a spherical wrist",
+        "the arm has a spherical wrist",
     ),
     "recorded times and beads": Measure(
         "", "samples are evenly spaced, and deposit where they belong to a bead", "counted"
@@ -109,7 +109,7 @@ CHECKS: dict[str, Measure] = {
         "of a bead's length",
         "as much fibre is fed for a bead as the bead is long",
         "filament from the end of one bead to that of the next",
-        "process.fibre",
+        "process.fibre is given",
     ),
     "motor runs while a bead is laid": Measure(
         "of its rate",
@@ -121,13 +121,13 @@ CHECKS: dict[str, Measure] = {
         "samples and events",
         "each bead is fed by the tool of its material",
         "tool selected at each sample and event",
-        "several process.materials",
+        "process.materials are several",
     ),
     "rest for a change of material": Measure(
         "s missing",
         "robot and extruder rest for each change, and purge",
         "time without motion; the limit is two samples",
-        "several process.materials",
+        "process.materials are several",
     ),
     "nozzle tip outside the part": Measure(
         "mm", "the tip never enters the part as far as it is printed", "see tip_clearance_min_mm"

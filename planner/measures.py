@@ -14,7 +14,7 @@ class Measure:
     """A metric, a check (see measured_checks) or a column: unit, what it is, how it is found, and when it is there.
 
     unit  empty for a number without one
-    only  the prints that have it; empty for all
+    only  when a plan has it; empty for all
     """
 
     unit: str
@@ -67,7 +67,7 @@ METRICS: dict[str, Measure] = {
         "deg",
         "least angle of joint 5 from where joints 4 and 6 are in line",
         "from its angle, while material is laid",
-        "arms of six joints",
+        "the arm has six joints",
     ),
     "joint_limit_margin_deg": Measure(
         "deg", "least distance of any joint from an end of its range", "over all samples, travel included"

@@ -51,7 +51,8 @@ def problem_page() -> str:
     examples = shipped_examples()
     parts = [_HEAD]
     for model, places in found.items():
-        rows = [_row(model, one, examples) for one in described(model).values()]
+        fields = sorted(described(model).values(), key=lambda one: not one.required)  # what must be there comes first
+        rows = [_row(model, one, examples) for one in fields]
         parts.append(f"## {_title(model, places)}\n\n{_about(model, places)}\n\n{table(HEADINGS, rows)}")
     return "\n".join(parts)
 
@@ -64,7 +65,7 @@ def robot_page() -> str:
 
 _EACH_HAS_ONE = re.compile("; each (of its keys )?has a default$")  # which the column of defaults says
 WORDS = {str: "name", Path: "file", bool: "true or false", int: "number"}
-HEADINGS = ("key", "meaning", "unit", "values", "default", "example")
+HEADINGS = ("key", "meaning", "values and unit", "default", "example")
 
 
 def sections() -> list[tuple[Model, list[str]]]:
@@ -144,7 +145,7 @@ def _about(model: Model, places: list[str]) -> str:
 def _row(model: Model, one: Described, examples: Mapping[tuple[Model, str], str]) -> list[str]:
     text, default = meaning(one)
     example = examples.get((model, one.key)) or example_of(model, one.key)
-    return [f"`{one.key}`", text, one.unit, values(one), default, f"`{example}`"]
+    return [f"`{one.key}`", text, values(one), default, f"`{example}`"]
 
 
 def example_of(model: Model, key: str) -> str:
@@ -169,7 +170,8 @@ def meaning(one: Described) -> tuple[str, str]:
 def values(one: Described) -> str:
     """What may stand there, in words."""
     if one.quantity is not None:
-        return {"list": "{}", "names": "by name: {}", "value": "{}"}[one.shape].format(one.quantity.words)
+        span = f"{one.quantity.words} {one.unit}".rstrip()
+        return f"by name: {span}" if one.shape == "names" else span
     if one.choices and int in one.types:
         return f"{', '.join(f'`{word}`' for word in one.choices)}, or a list: name or number"
     if one.choices:

@@ -66,8 +66,11 @@ def metrics_page() -> str:
 
 def measures(given: Mapping[str, Measure]) -> str:
     """A table of measures."""
-    rows = [[f"`{name}`", each.text, each.unit, each.how, each.only] for name, each in given.items()]
-    return table(("name", "meaning", "unit", "how it is found", "only where"), rows)
+    rows = [
+        [f"`{name}`", each.text + (f"; only where {each.only}" if each.only else ""), each.unit, each.how]
+        for name, each in given.items()
+    ]
+    return table(("name", "meaning", "unit", "how it is found"), rows)
 
 
 def names(given: Mapping[str, str]) -> str:
