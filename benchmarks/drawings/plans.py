@@ -61,24 +61,24 @@ def roll_map(picture: Path) -> None:
     paths = {name: STRATEGIES[name](cell, tasks, problem.resolve, obstacles)[0] for name in SHOWN}
     task = tasks[0]
     samples = np.linspace(task.first, task.last, PLACES).astype(np.int64)
-    rolls = np.radians(np.linspace(0.0, 360.0, ROLLS, endpoint=False))
+    rolls = np.radians(np.linspace(-180.0, 180.0, ROLLS, endpoint=False))
     sigma = _sigmas(cell, task, samples, rolls, paths["sqp"].branch)
 
     figure, axes = plt.subplots(figsize=(7.6, 3.9), layout="constrained")
     axes.set_facecolor("#d9d9d9")
     length = task.s[samples] * 1e3
     image = axes.pcolormesh(
-        length, np.degrees(rolls), sigma, cmap="cividis", vmin=0.0, shading="nearest", rasterized=True
+        length, np.degrees(rolls), sigma, cmap="cividis_r", vmin=0.0, shading="nearest", rasterized=True
     )
     figure.colorbar(image, ax=axes, label="σ: distance from a singularity", pad=0.01)
     for name, (colour, style, width) in SHOWN.items():
         path = paths[name]
-        angle = np.degrees(path.roll[samples]) % 360.0
+        angle = (np.degrees(path.roll[samples]) + 180.0) % 360.0 - 180.0
         angle[1:][np.abs(np.diff(angle)) > 180.0] = np.nan  # the map's edge
         label = name if path.branch == paths["sqp"].branch else f"{name} (on another branch)"
         axes.plot(length, angle, color=INK, linewidth=width + 1.6)
         axes.plot(length, angle, color=colour, linestyle=style, linewidth=width, label=label)
-    axes.set(xlabel="place along the spiral, mm", ylabel="roll, °", ylim=(0, 360), yticks=range(0, 361, 60))
+    axes.set(xlabel="place along the spiral, mm", ylabel="roll, °", ylim=(-180, 180), yticks=range(-180, 181, 60))
     axes.legend(loc="upper left", facecolor="#5b6b7b", labelcolor="white", framealpha=0.9)
     figure.savefig(picture, dpi=DPI)
     plt.close(figure)
