@@ -272,6 +272,16 @@ def test_solve_that_a_newer_save_overtakes_and_solver_that_dies(fake: Path, capf
     assert "a solver's last words" in capfd.readouterr().err
 
 
+def test_solver_that_cannot_be_started_is_said(fake: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(solver, "CHILD", (str(fake.parent / "no_python"),))
+
+    async def scenario(page: Page) -> None:
+        state = await page.until(lambda state: state["trouble"])
+        assert state["trouble"]["text"] == "no solver can be started: No such file or directory"
+
+    visit(Subject(fake, "small"), scenario)
+
+
 def test_others_neither_see_nor_steer_the_view(fake: Path) -> None:
     async def scenario(page: Page) -> None:
         parts = urlsplit(page.url)

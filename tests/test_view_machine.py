@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.view.content import Content, Mistake
@@ -239,6 +239,7 @@ EVENTS = st.one_of(
 )
 
 
+@settings(max_examples=60)
 @given(st.lists(EVENTS, max_size=40))
 def test_one_solve_at_a_time_whatever_happens(events: list[Event]) -> None:
     """Starts and ends of solves alternate, shown reports are never removed, and the page can always be told."""

@@ -57,10 +57,14 @@ PATIENCE = 30.0  # s
 def until(page: Any, done: Callable[[], Any]) -> Any:
     """Wait until something is so; the view's policy lets no test wait inside its page."""
     end = time.monotonic() + PATIENCE
-    while not (found := done()):
+    while True:
+        try:
+            if found := done():
+                return found
+        except sync_api.Error as error:  # a report gave way to the next one meanwhile
+            assert "detached" in str(error)
         assert time.monotonic() < end, "the page did not come so far"
         page.wait_for_timeout(30)
-    return found
 
 
 class Opened:

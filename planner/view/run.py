@@ -111,6 +111,7 @@ class _Runner:
             await asyncio.sleep(LOOK_TIME)
             if self._reading is not None and self._reading.done():
                 self._reading.result()  # raises what went wrong in it
+            self._solver.check()
             now = await asyncio.to_thread(signatures, self._watched())
             if any(path in seen and seen[path] != how for path, how in now.items()):
                 self.take(Touched(time.monotonic()))

@@ -18,6 +18,7 @@ from planner.view.content import Mistake
 from planner.view.events import Broke, Event, Solved, Staged
 from planner.view.state import Job, Outcome
 
+SPARE_TIME = 3.0  # s into a solve after which the next process gets ready, so that it does not hold up a short one
 LONGEST_LINE = 1_000_000  # bytes of a message
 LAST_WORDS = 4_000  # characters of what a process says on stderr that are kept
 CHILD = (sys.executable, "-m", "planner.view.child")
@@ -32,10 +33,14 @@ class Solver:
         self._spare: asyncio.Task[Process] | None = None
         self._listening: asyncio.Task[None] | None = None
         self._process: Process | None = None
+        self._later: asyncio.TimerHandle | None = None
         self._ending: list[asyncio.Task[None]] = []
 
     def warm_up(self) -> None:
         """Have a process ready, for the next job."""
+        if self._later is not None:
+            self._later.cancel()
+            self._later = None
         if self._spare is None:
             self._spare = asyncio.create_task(_new_process())
 
@@ -45,18 +50,30 @@ class Solver:
 
     def cancel(self) -> None:
         """End the job that runs, if any, with all its processes; nothing that it said since is told."""
+        self._stop()
+        self.warm_up()
+
+    def _stop(self) -> None:
+        if self._later is not None:
+            self._later.cancel()
         if self._listening is not None:
             self._listening.cancel()
         if self._process is not None:
             self._ending.append(asyncio.create_task(_end(self._process)))
-        self._listening = self._process = None
+        self._listening = self._process = self._later = None
         self._ending = [task for task in self._ending if not task.done()]
+
+    def check(self) -> None:
+        """Raise what went wrong while a process was listened to: a defect, not a user's mistake."""
+        if self._listening is not None and self._listening.done() and not self._listening.cancelled():
+            self._listening.result()
 
     async def close(self) -> None:
         """End everything, and wait for the end."""
-        self.cancel()
+        self._stop()
         if self._spare is not None:
-            await _end(await self._spare)
+            with suppress(OSError):  # it could not be started
+                await _end(await self._spare)
             self._spare = None
         await asyncio.gather(*self._ending)
 
@@ -65,9 +82,14 @@ class Solver:
         spare = self._spare
         if spare is None:
             return
-        process = await asyncio.shield(spare)
+        try:
+            process = await asyncio.shield(spare)
+        except OSError as error:
+            self._spare = None
+            self._take(Broke(job.number, Mistake(f"no solver can be started: {error.strerror}")))
+            return
         self._spare, self._process = None, process
-        self.warm_up()
+        self._later = asyncio.get_running_loop().call_later(SPARE_TIME, self.warm_up)
         order = {
             "problem": str(self._problem),
             "overrides": self._overrides,
@@ -87,6 +109,7 @@ class Solver:
             told = told or isinstance(event, Broke) or (isinstance(event, Solved) and not event.outcome.draft)
             self._take(event)
         code, words = await process.wait(), await last_words
+        self.warm_up()
         if not told:
             hint = words.strip().splitlines()[-1] if words.strip() else f"exit code {code}"
             sys.stderr.write(words)
@@ -119,6 +142,7 @@ async def _tail(stream: asyncio.StreamReader) -> str:
 
 
 async def _end(process: Process) -> None:
-    with suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
+    if process.returncode is None:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
     await process.wait()
