@@ -9,7 +9,11 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
+import pytest
+
+import planner.planning
 from planner.cell import Cell
+from planner.command import DEFAULT_DT
 from planner.plan import Plan
 from planner.print_body import PrintBody, print_body, standing
 from planner.problem import Problem, load_problem
@@ -92,6 +96,31 @@ def small_plan() -> Plan:
 def bed_plan() -> Plan:
     """The small print on a fixed bed, solved once for all tests of a process."""
     return solve(load_problem(write_small(_folder() / "bed", *BED)))
+
+
+def solve_alone(problem: Problem, dt: float = DEFAULT_DT) -> Plan:
+    """As `solve`, but without the baseline beside it, which takes as long again; for tests that do not look at it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(planner.planning, "_baseline", lambda given, dt: {planner.planning.BASELINE: {}})
+        return solve(problem, dt=dt)
+
+
+# Figures of the output contract, in the units of their names.
+PROMISES = {
+    "position_error_max_mm": 0.02,
+    "axis_error_max_deg": 0.05,
+    "velocity_ratio_max": 1.0,
+    "acceleration_ratio_max": 1.0,
+    "branch_changes_in_deposition": 0.0,
+}
+
+
+def promises_kept(plan: Plan) -> None:
+    """Raises AssertionError for a plan that is not verified, or misses a figure that is promised."""
+    assert plan.verified, [check for check in plan.checks if not check.ok]
+    tolerance = plan.problem.process.corner_tolerance * 1e3
+    for name, limit in {**PROMISES, "path_deviation_max_mm": tolerance}.items():
+        assert plan.metrics[name] <= limit, name
 
 
 def body_of(toolpath: Toolpath, cell: Cell) -> PrintBody:

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from solved import promises_kept
 
 from planner.errors import InputError
 from planner.export.compare import compare
@@ -62,7 +63,7 @@ def chords(plan: Plan) -> tuple[Array, Array, Array]:
 @pytest.mark.parametrize("name", FIBRES)
 def test_fibre_is_laid_on_the_true_surface_at_its_speed(name: str) -> None:
     plan = solved(name)
-    assert plan.verified, [check for check in plan.checks if not check.ok]
+    promises_kept(plan)
     t, surface = plan.trajectory, plan.toolpath.surface
     tip, axis = t.tip[t.deposit], t.axis[t.deposit]
     assert np.abs(surface.signed_distance(tip) * 1e3 - 0.3).max() <= MOST_OFF

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from export_fixtures import make_plan
-from solved import small_problem, write_small
+from solved import small_problem, solve_alone, write_small
 
 import planner.export
 import planner.planning
@@ -33,7 +33,7 @@ from planner.plan import Event, Plan
 from planner.problem import Problem, load_problem
 from planner.problem.layers import KINDS
 from planner.report.summary import print_summary
-from planner.solve import main, solve, write
+from planner.solve import main, write
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.verify import verify
@@ -71,7 +71,7 @@ def two_materials() -> Plan:
 
     with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
         patch.setattr(planner.planning, "build_toolpath", mixed)
-        return solve(load_problem(write_small(Path(folder), TWO)))
+        return solve_alone(load_problem(write_small(Path(folder), TWO)))
 
 
 def failed(plan: Plan) -> set[str]:
@@ -260,7 +260,7 @@ def test_motion_handed_over_without_rests_stops_for_a_change_too() -> None:
     toolpath = plan.toolpath
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(planner.planning, "build_toolpath", lambda _: toolpath)
-        other = solve(problem)
+        other = solve_alone(problem)
     assert other.verified, [check for check in other.checks if not check.ok]
     assert sum(event.kind == "change" for event in other.trajectory.events) == 1
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from solved import promises_kept
 
 from planner.errors import Refusal
 from planner.export.compare import compare
@@ -24,14 +25,7 @@ Array = NDArray[np.float64]
 UNIVERSITY = Path(__file__).resolve().parents[2] / "shared" / "data" / "bristol" / "uob_logo.svg"
 COARSE = ("resolve.rung_mm=10", "resolve.roll_step_deg=30", "resolve.table_step_deg=30")
 OTHERS = ("as_published", "fixed", "greedy")
-# Same tolerances as the promise: figures of the output contract, in the units of their names.
-PROMISES = {
-    "position_error_max_mm": 0.02,
-    "axis_error_max_deg": 0.05,
-    "velocity_ratio_max": 1.0,
-    "acceleration_ratio_max": 1.0,
-    "branch_changes_in_deposition": 0.0,
-}
+WHOLE = ("fibre_bowl", "fibre_corrugated", "fibre_plane")  # test_fibre solves these as they are, and asks for the same
 
 LOGOS = {
     "ours": (),
@@ -60,19 +54,19 @@ def solved(logo: str, strategy: str) -> Plan:
     return solve(load_problem("cylinder_logo", ("layers.count=1", *LOGOS[logo])), strategy)
 
 
-def promises_kept(plan: Plan) -> None:
-    assert plan.verified, [check for check in plan.checks if not check.ok]
-    tolerance = plan.problem.process.corner_tolerance * 1e3
-    for name, limit in {**PROMISES, "path_deviation_max_mm": tolerance}.items():
-        assert plan.metrics[name] <= limit, name
-
-
 # Less of the problems that are large.
 THICK = (
     "layers.height_mm=1.5",
     "process.bead.width_mm=1.6",
     "layers.source.size_mm=[17, 80]",
     "layers.source.cell_mm=9.5",
+)
+WING = (
+    "layers.source.span_mm=4",
+    "layers.height_mm=1",
+    "process.bead.width_mm=1",
+    "layers.support.height_mm=2",
+    "layers.support.curved=1",
 )
 SMALL = {
     "aerofoil_core": THICK,
@@ -82,17 +76,12 @@ SMALL = {
     "shoehorn": ("layers.source.spacing_mm=20",),
     "cylinder_logo": ("layers.count=1",),
     "saddle_ring": ("layers.infill.density=0.1",),
-    "naca0015_wing": ("layers.source.span_mm=2", "layers.support.height_mm=2", "layers.support.curved=1"),
-    "naca0015_wing_tapered": (
-        "layers.source.span_mm=4",
-        "layers.source.tip={chord_mm: 76, sweep_mm: 1.5}",
-        "layers.support.height_mm=2",
-        "layers.support.curved=1",
-    ),
+    "naca0015_wing": WING,
+    "naca0015_wing_tapered": (*WING, "layers.source.tip={chord_mm: 76, sweep_mm: 1.5}"),
 }
 
 
-@pytest.mark.parametrize("name", shipped_problems())
+@pytest.mark.parametrize("name", sorted(set(shipped_problems()) - set(WHOLE)))
 def test_shipped_problem_is_solved_and_verified(name: str) -> None:
     plan = solve(load_problem(name, (*COARSE, *SMALL.get(name, ()))), "ladder")
     promises_kept(plan)

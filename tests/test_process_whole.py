@@ -10,6 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from solved import small_problem, solve_alone
 
 from planner.errors import InputError
 from planner.export.compare import compare
@@ -21,7 +22,6 @@ from planner.plan import Plan
 from planner.problem import load_problem
 from planner.solve import solve
 from planner.verify import verify
-from tests.solved import small_problem
 
 Array = NDArray[np.float64]
 MM = 1e-3
@@ -62,12 +62,16 @@ FIBRES = [name for name in PROCESSES if name.startswith("fibre")]
 MAY_FAIL = {key: {"flow per millimetre", "fibre as long as its bead"} for key in FIBRES} | {
     "filament, all": {"flow per millimetre"}
 }
+# All of them at the two usual rates; very fine and very coarse only those that ask for everything, and fibres.
+TOGETHER = ["plain", "start and slow", *(name for name in PROCESSES if name.endswith("all"))]
+SAMPLED = [(name, dt) for name in PROCESSES for dt in (0.001, 0.004)]
+SAMPLED += [(name, 0.0005) for name in TOGETHER] + [(name, COARSE) for name in dict.fromkeys([*TOGETHER, *FIBRES])]
 REASON = "samples 20 ms apart may be too coarse"
 
 
 @cache
 def solved(name: str, dt: float = 0.004) -> Plan:
-    return solve(load_problem(small_problem().file, PROCESSES[name]), dt=dt)
+    return solve_alone(load_problem(small_problem().file, PROCESSES[name]), dt)
 
 
 def pushed(text: str) -> tuple[float, float]:
@@ -91,8 +95,7 @@ def waits_of(text: str) -> list[tuple[str, float]]:
     return [(why, float(time)) for why, time in found]
 
 
-@pytest.mark.parametrize("name", PROCESSES)
-@pytest.mark.parametrize("dt", [0.0005, 0.001, 0.004, COARSE])
+@pytest.mark.parametrize(("name", "dt"), SAMPLED)
 def test_a_whole_solve_holds_and_is_written_as_it_is(name: str, dt: float) -> None:
     plan = solved(name, dt)
     wrong = [check for check in plan.checks if not check.ok]
@@ -165,7 +168,7 @@ def test_heating_and_purge_are_waited_for_at_home() -> None:
 
 
 def test_heating_lasts_as_long_as_it_may() -> None:
-    plan = solve(load_problem(small_problem().file, ["process.start.heat_wait_s=3600"]), dt=COARSE)
+    plan = solve_alone(load_problem(small_problem().file, ["process.start.heat_wait_s=3600"]), COARSE)
     assert plan.verified
     assert waits_of(rapid(plan)) == [("heat", 3600.0)]
     assert compare(plan, read_rapid(rapid(plan))).complaints() == []
