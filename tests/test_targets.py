@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from planner.export.beside import OFF, chosen_targets
 from planner.export.fit import Poses, Way, misfits
 from planner.export.moves import ANGLE_TOLERANCE, plan_moves
-from planner.export.rotations import angle, continuous, slerp
+from planner.export.rotations import angle, continuous, from_matrix, slerp
 from planner.export.thinning import fewest
 from planner.plan import Plan
 
@@ -186,6 +186,11 @@ def test_a_plan_is_left_only_within_its_lines(positioner: bool) -> None:
     exact[:-1] |= moves.on_start | ~moves.linear
     assert exact.sum() > 20 and not exact.all()
     assert off[exact].max() == 0.0 and turned[exact].max() == 0.0 and moved[exact].max(initial=0.0) == 0.0
+    # and the joints that are written, or whose quarters are named, hold the nozzle there
+    T = plan.cell.T_part_nozzle(moves.q)
+    np.testing.assert_allclose(T[:, :3, 3], moves.targets.position, rtol=0, atol=1e-9)
+    assert angle(from_matrix(T[:, :3, :3]), moves.targets.quat).max() < 1e-7
+    assert 0.0 < np.abs(moves.q - t.q[at]).max() < 1e-3
     # every sample between, against what a controller makes of the lines
     for i in np.flatnonzero(moves.linear):
         a, b = moves.start[i], moves.sample[i]

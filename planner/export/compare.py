@@ -28,6 +28,7 @@ LEVER = 0.05  # [m/rad]: turning counts as path where the tip stands still
 WINDOWS = (6, 64)  # samples to either side within which a target's own sample is sought, the second if need be
 FOUND = 1e-6  # m, between a target and its sample: the right one, be it at the edge of its window
 ASTRAY = 4e-5  # m: beyond, the whole piece is searched; targets beside the path are nearer, with angle and lever
+BORDER = 0.01  # rad of a joint from the end of a quarter turn, within which a target beside the path may be beyond it
 BLOCK = 200_000  # samples looked at, and
 PIECES = 64  # pieces compared at once: bounds the memory
 
@@ -231,14 +232,18 @@ def _speed(plan: Plan, match: _Match, on: NDArray[np.bool_]) -> float:
 
 
 def _wrong_configurations(plan: Plan, match: _Match) -> int:
-    """How many targets have another configuration than the plan's postures have around them."""
+    """How many targets have another configuration than the plan's postures have around them, or hardly miss.
+
+    Targets beside the path may lie beyond the border of a quarter turn: whether they do, the player knows.
+    """
     trajectory = plan.trajectory
     least, most = match.cuts[match.piece], match.cuts[match.piece + 1]
-    right = np.zeros(len(match.at), dtype=bool)
+    conf, right = match.all.conf, np.zeros(len(match.at), dtype=bool)
     for d in (-1, 0, 1):  # a target rounded across a quarter turn belongs to its neighbour sample
         near = np.clip(match.at + d, least, most)
-        planned = np.column_stack([quadrants(trajectory.q[near]), trajectory.branch[near]])
-        right |= ((match.all.conf == planned) | (match.all.conf == UNSAID)).all(axis=1)
+        q, branch = trajectory.q[near], trajectory.branch[near]
+        within = (quadrants(q - BORDER) <= conf[:, :3]) & (conf[:, :3] <= quadrants(q + BORDER))
+        right |= (within | (conf[:, :3] == UNSAID)).all(axis=1) & ((conf[:, 3] == branch) | (conf[:, 3] == UNSAID))
     return int(np.count_nonzero(match.all.known & ~right))
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from planner.export.beside import chosen_targets
 from planner.export.fit import Poses, Way
+from planner.export.reached import reached
 from planner.export.rests import Rests, Wait, rests_of
 from planner.export.rotations import angle, continuous
 from planner.export.thinning import Indices, by_samples
@@ -45,8 +46,8 @@ class Moves:
     on_end, on_start   (m,)  the extruder goes on at the end (start) of this move
     off_end            (m,)  it goes off at the end of this move
     after   (m,)   the move belongs to what comes after this many beads: run-outs still count to their bead
-    targets (m + 1) the start and the target of each move; within lines they may lie a little beside the path
-            (see `beside`), but with postures and configurations of the samples themselves: so near they are the same
+    targets (m + 1) the start and the target of each move; within lines they may lie a little beside the path (`beside`)
+    q       (m + 1, n) joints there [rad], in the branches of the samples
     """
 
     sample: Indices
@@ -63,6 +64,7 @@ class Moves:
     off_end: Flags
     after: Indices
     targets: Poses
+    q: Array
 
     def __len__(self) -> int:
         return len(self.sample)
@@ -124,6 +126,8 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
     arrives_linear[b[is_linear]] = True
     starts, ends = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
     starts[first], ends[last] = True, True
+    k, table = np.concatenate([[0], b]), np.vstack([targets.table[:1], comes.table])
+    moved = (table != way.poses.table[k]).any(axis=1)
     return Moves(
         sample=b,
         start=a,
@@ -138,7 +142,8 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
         on_start=(starts & ~arrives_linear)[a],
         off_end=ends[b],
         after=np.searchsorted(leave, a, side="right"),
-        targets=Poses(np.vstack([targets.table[:1], comes.table])),
+        targets=Poses(table),
+        q=reached(plan, k, Poses(table), moved),
     )
 
 

@@ -29,8 +29,7 @@ def played_complaints(plan: Plan, moves: Moves, program: Program) -> list[str]:
     at = np.concatenate([[0], moves.sample])
     if len(program.linear) != len(at):
         return [*compare(plan, program).complaints(), f"it has {len(program.linear)} moves, not {len(at)}"]
-    q = plan.trajectory.q[at]
-    planned = np.column_stack([quadrants(q), plan.trajectory.branch[at]])
+    planned = np.column_stack([quadrants(moves.q), plan.trajectory.branch[at]])
     filled = replace(
         program,
         conf=np.where(program.conf == UNSAID, planned, program.conf),

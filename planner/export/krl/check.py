@@ -47,11 +47,10 @@ def krl_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
 def _moves(plan: Plan, moves: Moves, source: Source) -> list[str]:
     """Postures, Turn, speeds of axes and settings, one by one against those that the plan's moves have."""
     na = len(plan.cell.arm)
-    planned = np.concatenate([[0], moves.sample])
     linear = np.concatenate([[False], moves.linear])
     if not np.array_equal(linear, source.program.linear):
         return ["moves are not of the planned kinds"]
-    q, found = plan.trajectory.q[planned, :na], []
+    q, found = moves.q[:, :na], []
     off = np.abs(source.axes - to_kuka(q))[~linear].max()
     if off > ROUNDING:
         found.append(f"axes differ by {off:.3g} rad")

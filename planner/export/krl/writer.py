@@ -149,7 +149,7 @@ def _targets(plan: Plan, moves: Moves) -> list[str]:
     joints = np.round(np.degrees(to_kuka(t.q[k, :na])), DEGREES) + 0.0
     abc = np.degrees(angles(to_matrix(moves.targets.quat[1:])))
     lines = np.column_stack([np.round(moves.targets.position[1:] * 1e3, MM) + 0.0, np.round(abc, DEGREES) + 0.0])
-    states, turns = status(t.branch[k].astype(np.intp)).tolist(), turn(t.q[k, :na]).tolist()
+    states, turns = status(t.branch[k].astype(np.intp)).tolist(), turn(moves.q[1:, :na]).tolist()
     extra = "".join(f",E{i} %.{DEGREES}f" for i in range(1, external.shape[1] + 1))
     axis = "{E6AXIS: " + ",".join(f"A{i} %.{DEGREES}f" for i in range(1, 7)) + extra + "}"
     line = (

@@ -56,7 +56,7 @@ def targets(plan: Plan, moves: Moves) -> list[str]:
         [
             np.round(moves.targets.position * 1e3, 3) + 0.0,
             np.round(quat, 7) + 0.0,
-            quadrants(trajectory.q[k]),
+            quadrants(moves.q),
             trajectory.branch[k],
         ]
     )
