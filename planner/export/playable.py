@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from planner.plan import Plan
 
 FAST = 100.0  # m/s, rad/s: what is not said does not slow the robot down; its joints do
-WIDE = 10.0  # m: a zone that is said in other words than a distance takes half of the lines beside it, as any may
 
 
 def played_complaints(plan: Plan, moves: Moves, program: Program) -> list[str]:
@@ -34,6 +33,6 @@ def played_complaints(plan: Plan, moves: Moves, program: Program) -> list[str]:
         program,
         conf=np.where(program.conf == UNSAID, planned, program.conf),
         speed=np.where(np.isnan(program.speed), FAST, program.speed),
-        zone=np.where(np.isnan(program.zone), WIDE, program.zone),
+        zone=np.nan_to_num(program.zone),  # of travel: by how much it is rounded is the controller's to choose
     )
     return readback(plan, filled)
