@@ -86,10 +86,15 @@ def test_the_list_of_problems_says_what_each_is() -> None:
 
 
 def test_columns_are_wrapped_to_a_terminal() -> None:
-    lines = columns(shipped(), 80)
-    assert max(map(len, lines)) <= 80
-    assert len(lines) > len(shipped())
-    assert len(columns(shipped(), None)) == len(shipped())
+    rows = [
+        ("name", "arm", "bed", "sphere", "a honeycomb on a dome, printed by an arm that stands beside its bed " * 2)
+    ]
+    rows.append(("longer_name", "irb140", "irbp_a250", "corrugation", "short"))
+    for width in (60, 80, 120):
+        lines = columns(rows, width)
+        assert max(map(len, lines)) <= width
+        assert len(lines) > len(rows)
+    assert [line.split()[0] for line in columns(rows, None)] == ["name", "longer_name"]
 
 
 @pytest.mark.parametrize("terminal", [True, False])
