@@ -27,7 +27,7 @@ REPORT = """\
 addEventListener("message", (event) => {
   if (event.source === parent) document.getElementById("told").textContent = JSON.stringify(event.data);
 });
-parent.postMessage({beadwise: "ready"}, "*");
+parent.postMessage({beadwise: "ready", state: {beadwise: "state", by: "NAME at first"}}, "*");
 let reach = "reached";
 try { void parent.document.title; } catch (error) { reach = "kept out"; }
 document.title = reach;
@@ -131,30 +131,33 @@ def test_page_from_an_edit_to_two_strategies(opened: Opened) -> None:
     page, problem = opened.page, opened.problem
     opened.until(lambda: opened.names() == ["sqp 1"])
     assert opened.reports()[0].title() == "kept out", "a report must not reach into the page"
-    # what the user does in a report is told to the next one
+    assert opened.reports()[0].inner_text("#told") == "nothing"
+    # a report begins as the first one did, or as the user last had it
+    problem.write_text(problem.read_text().replace("speed_mm_s: 40", "speed_mm_s: 45"))
+    opened.until(lambda: opened.names() == ["sqp 2"] and "sqp 1 at first" in opened.reports()[0].inner_text("#told"))
     opened.reports()[0].click("button")
-    problem.write_text(problem.read_text().replace("speed_mm_s: 40", "speed_mm_s: 50"))
-    opened.until(lambda: opened.names() == ["sqp 2"])
-    kept = json.loads(opened.until(lambda: opened.reports() and opened.reports()[0].inner_text("#told")))
-    assert (kept["camera"], kept["t"], kept["by"]) == ([1, 2, 3], 1.5, "sqp 1")
+    problem.write_text(problem.read_text().replace("speed_mm_s: 45", "speed_mm_s: 50"))
+    opened.until(lambda: opened.names() == ["sqp 3"] and "camera" in opened.reports()[0].inner_text("#told"))
+    kept = json.loads(opened.reports()[0].inner_text("#told"))
+    assert (kept["camera"], kept["t"], kept["by"]) == ([1, 2, 3], 1.5, "sqp 2")
     # a mistake leaves the report, and says where
     problem.write_text(problem.read_text().replace("speed_mm_s: 50", "speed_mm_s: fast"))
     opened.until(lambda: "process.speed_mm_s" in opened.text("#message"))
     assert "speed_mm_s: fast" in opened.text("#message pre") and "earlier save" in opened.text(".verdict")
-    assert opened.names() == ["sqp 2"]
+    assert opened.names() == ["sqp 3"]
     problem.write_text(problem.read_text().replace("speed_mm_s: fast", "speed_mm_s: 50"))
     opened.until(lambda: not page.is_visible("#message"))
     # a second strategy beside it; what happens in one pane is told to the other, and not back
     page.check("#beside")
-    opened.until(lambda: opened.names() == ["sqp 2", "as_published 3"])
+    opened.until(lambda: opened.names() == ["sqp 3", "as_published 4"])
     left, right = opened.reports()
     right.click("button")
     opened.until(lambda: "as_published" in left.inner_text("#told"))
     assert "as_published" not in right.inner_text("#told")
     page.click("summary")
     assert "✓ 90.00" in opened.text("#differences")
-    assert "process.speed_mm_s: 40 → 50" in opened.text("#history")
+    assert "process.speed_mm_s: 45 → 50" in opened.text("#history")
     page.set_viewport_size({"width": 390, "height": 844})
     assert page.evaluate("document.documentElement.scrollWidth") == 390
     page.uncheck("#beside")
-    opened.until(lambda: opened.names() == ["sqp 2"])
+    opened.until(lambda: opened.names() == ["sqp 3"])

@@ -5,6 +5,7 @@ const ALL = "max";  // of a slider at its end: the other plan may have more laye
 
 function talkToParent(scene) {
   if (window.parent === window) return;
+  document.documentElement.classList.add("embedded");
   const say = (message) => window.parent.postMessage(message, "*");  // a sandboxed page cannot name its parent
   const { stage, player, lines } = scene || {};
   let timer = 0, touched = 0, news = 0, before = "";
@@ -71,5 +72,5 @@ function talkToParent(scene) {
   window.addEventListener("message", (event) => {
     if (event.source === window.parent && event.data && event.data.beadwise === "state") follow(event.data);
   });
-  say({ beadwise: "ready" });
+  say({ beadwise: "ready", state: state() });
 }

@@ -128,9 +128,10 @@
     for (const pane of panes) {
       const from = (report) => Boolean(report) && event.source === report.frame.contentWindow;
       if (said.beadwise === "ready") {
-        if (!kept && said.state && pane.kind !== "refused") kept = said.state; // both panes begin with one camera
         if (from(pane.coming)) arrived(pane, pane.coming);
         else if (from(pane.shown)) tell(pane.shown); // a slow one, which was shown before it could listen
+        else continue;
+        if (!kept && said.state && pane.kind !== "refused") kept = said.state; // the other pane begins as this one
       } else if (said.beadwise === "state" && from(pane.shown)) {
         const touch = Date.now() - (Number(said.age) || 0);
         if (touch < touched) return; // what still moves in one pane, while the user is in the other by now
