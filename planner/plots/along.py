@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
@@ -16,6 +18,7 @@ Array = NDArray[np.float64]
 NAMES = ("velocity", "acceleration", "jerk")
 RATES = ("|q′| v", "|q″| v²", "|q‴| v³")
 MOST_NAMED = 3  # dips whose cause is written beside them
+_APART, _LATE = 0.2, 0.75  # of the width: between two names; where names stand to the left of their places
 _HIGHEST = 20.0  # times the commanded speed: higher ceilings are not drawn
 _LEAST_SHARE = 1e-2  # of a limit: less is not drawn
 _ENDLESS = 720.0  # deg: a range beyond it has no end, for a picture
@@ -35,15 +38,29 @@ def speed(plan: Plan, ax: Axes | None = None, bead: int | None = None) -> Axes:
     dips = sorted((dip for dip in plan.dips if bead is None or dip.bead == bead), key=lambda dip: -dip.lost)
     at = np.array([(dip.t if bead is None else dip.at_s * 1e3, dip.speed * 1e3) for dip in dips]).reshape(-1, 2)
     ax.scatter(at[:, 0], at[:, 1], s=22, color="white", edgecolor=ALARM, zorder=3, label=f"dips: {len(dips)}")
-    for dip, (where, low) in list(zip(dips, at.tolist(), strict=True))[:MOST_NAMED]:
-        ax.annotate(
-            dip.cause, (where, low), xytext=(5, -3), textcoords="offset points", color=ALARM, fontsize=8, va="top"
-        )
+    _name_worst(ax, [(where, low, dip.cause) for dip, (where, low) in zip(dips, at.tolist(), strict=True)], x[window])
     ax.set_ylim(0.0, 1.15 * float(np.nanmax(y)))
     ax.set_xlabel("time, s" if bead is None else f"arc length along bead {bead}, mm")
     ax.set_ylabel("speed, mm/s")
     legend_above(ax)
     return ax
+
+
+def _name_worst(ax: Axes, dips: Sequence[tuple[float, float, str]], x: Array) -> None:
+    """Write the cause beside the first few dips (x, y, cause), none beside a neighbour of one that is named."""
+    first, last = float(x[0]), float(x[-1])
+    named: list[float] = []
+    for where, low, cause in dips:
+        if len(named) == MOST_NAMED:
+            return
+        if any(abs(where - other) < _APART * (last - first) for other in named):
+            continue
+        named.append(where)
+        right = where > first + _LATE * (last - first)
+        ax.annotate(
+            cause, (where, low), xytext=(-5 if right else 5, -3), textcoords="offset points", ha="right" if right else "left",
+            color=ALARM, fontsize=8, va="top",
+        )  # fmt: skip
 
 
 def path_derivatives(plan: Plan, bead: int, order: int, ax: Axes | None = None) -> Axes:
