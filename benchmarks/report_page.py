@@ -25,7 +25,7 @@ from planner.report.html import write_report
 
 SIZE = (1366, 768)
 OPENED = 3  # times each page is opened: the best of them counts
-FRAMES = 60
+FRAMES = 40
 # One step of the player without drawing it, and with: what the page does, and what the computer's renderer adds.
 STEP = """(frames) => {
   const { player, stage } = report.scene, end = report.page.scene.end, draw = stage.draw;
@@ -55,8 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--times", type=int, nargs="+", default=[1, 6], metavar="K", help="the motion K times in a row")
     options = parser.parse_args(arguments)
     out = Console()
-    table = Table("waypoints", "layers", "samples", "written, s", "size, MB", "first picture, s", "all drawn, s",
-                  "step, ms", "frame, ms", title=f"report.html of {options.problem}")  # fmt: skip
+    table = Table("waypoints", "layers", "samples", "written s", "MB", "picture s", "drawn s",
+                  "step ms", "frame ms", title=f"report.html of {options.problem}")  # fmt: skip
     try:
         plan = solve(load(options.problem))
         with tempfile.TemporaryDirectory() as folder, chromium() as browser:

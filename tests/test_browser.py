@@ -155,6 +155,8 @@ def test_a_place_brings_time_camera_and_its_words(small: Opened) -> None:
     painted = page.evaluate("() => report.scene.stage.bodies.map((b) => b.mesh.material.color.getHex())")
     names = page.evaluate("() => report.scene.stage.bodies.map((b) => b.name)")
     pair = [plan.approaches[0].a, plan.approaches[0].b]
+    view = page.locator("#view").bounding_box()
+    assert view is not None and 0 <= view["y"] < 768 / 2, "the scene is brought into sight"
     marked, others = (
         {colour for name, colour in zip(names, painted, strict=True) if (name in pair) is wanted}
         for wanted in (True, False)

@@ -72,7 +72,7 @@ def dips_section(plan: Plan) -> str:
     extra = "<th>too much material, mm³</th>" if flows else ""
     return (
         f"{head}<p class=note>{number(count, 0)} {'dips cost' if count > 1 else 'dip costs'} {number(lost, 2)} s. In the "
-        f"print above {marked}, to be pointed at.{stops}</p>"
+        f"print above {marked}, to be clicked.{stops}</p>"
         f"{_causes(dips)}<h3>{many}</h3>"
         "<p class=note>What would avoid a dip, each by itself: the speed and the limits follow exactly from this motion "
         "held at constant speed; what is “about” is an estimate. The search sees a change too, so that a new plan may "

@@ -34,7 +34,10 @@ function drawScene(scene, told) {
     stage.fly(...closeUp(stage, place.point, place.normal), atOnce);
   }
   letters = makeLetters(stage, places, (k) => go(k));
-  document.querySelectorAll("[data-place]").forEach((b) => b.addEventListener("click", () => go(Number(b.dataset.place))));
+  document.querySelectorAll("[data-place]").forEach((b) => b.addEventListener("click", () => {
+    go(Number(b.dataset.place));
+    if (b.closest("td")) by("view").scrollIntoView({ behavior: calm() ? "auto" : "smooth", block: "center" });
+  }));
   by("card-close").addEventListener("click", () => { by("card-box").hidden = true; mark(-1); stage.paintPair([]); stage.draw(); });
   document.querySelectorAll("[data-view]").forEach((b) => b.addEventListener("click", () => stage.fly(...viewOf(stage, scene, b.dataset.view))));
 
