@@ -80,6 +80,16 @@ def test_mistake_has_the_line_that_it_names(tmp_path: Path) -> None:
     assert mistake.excerpt == "  speed_mm_s: fast"
 
 
+def test_all_mistakes_of_a_file_are_told_once(tmp_path: Path) -> None:
+    path = write_small(tmp_path, ("speed_mm_s: 40", "speed_mm_s: fast"), ("radius_mm: 34", "radius: 34"))
+    with pytest.raises(InputError) as caught:
+        read_content(path, ())
+    mistake = mistake_of(caught.value)
+    assert (mistake.field, mistake.line, mistake.hint) == ("part.cylinder.radius", 11, "did you mean radius_mm?")
+    (other,) = mistake.more
+    assert other.startswith(f"line {line_of(path, 'fast')}: process.speed_mm_s: must be a number")
+
+
 def test_file_that_is_gone_is_waited_for(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"is gone \(the view goes on"):
         read_content(tmp_path / "a.yaml", ())

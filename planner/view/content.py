@@ -52,11 +52,24 @@ def mistake_of(error: PlannerError) -> Mistake:
     """An error as the page shows it, with the line that it names."""
     if not isinstance(error, InputError):
         return Mistake(str(error))
-    file = "" if error.file is None else str(error.file)
-    more = tuple(str(other) for other in error.all if other is not error)[:MOST_MISTAKES]
+    first, *others = error.all or (error,)
+    file = "" if first.file is None else str(first.file)
     return Mistake(
-        error.reason, file, error.line, error.field or "", error.hint or "", _excerpt(file, error.line), more
+        first.reason,
+        file,
+        first.line,
+        first.field or "",
+        first.hint or "",
+        _excerpt(file, first.line),
+        tuple(_in_short(other) for other in others[:MOST_MISTAKES]),
     )
+
+
+def _in_short(error: InputError) -> str:
+    """An error without its file, which is that of the first one."""
+    place = "" if error.line is None else f"line {error.line}: "
+    field = "" if error.field is None else f"{error.field}: "
+    return place + field + error.reason + ("" if error.hint is None else f" ({error.hint})")
 
 
 def _excerpt(file: str, line: int | None) -> str:
