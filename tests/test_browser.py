@@ -331,3 +331,27 @@ def test_shapes_and_beads_alone_make_a_scene(browser: Browser, tmp_path: Path) -
     )  # fmt: skip
     with opened(browser, tmp_path / "f.html") as found:
         assert found.complaints == [] and found.page.evaluate("() => Boolean(report.scene)")
+
+
+def test_the_roll_map_says_what_is_under_the_pointer_and_leads_to_the_scene(small: Opened) -> None:
+    page, plan = small.page, small_plan()
+    page.locator("#roll-map").scroll_into_view_if_needed()
+    for which, found in enumerate(plan.roll_maps[:2]):
+        page.select_option("#roll-map-which", index=which)
+        page.select_option("#roll-map-measure", label="nearest end stop")
+        small.settle()
+        box = page.locator("#roll-map .nsewdrag").first.bounding_box()
+        assert box is not None
+        x, y = box["x"] + 0.7 * box["width"], box["y"] + 0.4 * box["height"]
+        page.mouse.move(x, y)
+        page.locator("#roll-map .hovertext").wait_for(state="attached")
+        i = int(np.argmin(np.abs(found.along - 0.7 * found.along[-1])))
+        said = page.locator("#roll-map .hoverlayer").text_content() or ""
+        assert said.startswith(f"bead {found.bead[i]}, ") and "nearest end stop" in said
+        assert float(said.split("mm")[0].split(", ")[1]) == pytest.approx(found.s[i] * 1e3, abs=1.5)
+        page.mouse.click(x, y)
+        small.settle()
+        clock = page.locator("#clock").inner_text()
+        assert f"bead {found.bead[i]}, " in clock
+        assert float(clock.split(" mm along")[0].split(", ")[-1]) == pytest.approx(found.s[i] * 1e3, abs=1.5)
+    assert small.complaints == []
