@@ -7,7 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from export_fixtures import BEAD_AREA, GOLDEN, SPEED, demand_plan, in_modules, make_plan, problem, socket_plan
+from export_fixtures import (
+    BEAD_AREA,
+    GOLDEN,
+    SPEED,
+    demand_plan,
+    in_modules,
+    make_plan,
+    problem,
+    resting_in_a_bead,
+    socket_plan,
+)
 
 from planner.errors import InputError
 from planner.export.languages import LANGUAGES
@@ -62,6 +72,11 @@ def test_another_flow_is_found(pattern, new, complaint):
     assert text != files["AskedBead.mod"]
     found = RAPID.complaints(plan, files | {"AskedBead.mod": text})
     assert any(complaint in each for each in found), found
+
+
+def test_a_rest_in_a_bead_is_no_part_of_the_flow_around_it():
+    plan = resting_in_a_bead(demand_plan())
+    assert RAPID.complaints(plan, RAPID.write(plan)) == []
 
 
 def test_a_flow_beyond_the_output_is_refused():

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 SHIFTS = (-1, 0, 1)  # samples by which a target may be mistaken for its neighbour
+LONGER = (
+    20e-6  # m by which lines may be longer than their path from a bead's beginning, beside what both are as a whole
+)
 ROUNDING = 2e-6  # m; a trigger nearer to a move's end, or start, stands there
 _EXTRUDES = re.compile(r"G1 E(-?\d+\.\d+) F(\d+\.\d+)", re.ASCII)
 _SELECTS = re.compile(r"T(\d+)", re.ASCII)
@@ -104,9 +107,12 @@ def demand_complaints(plan: Plan, program: Program) -> list[str]:
     worst, wrong = 0.0, np.nan_to_num(asked, nan=1.0)
     for a, b, begin, end in zip(first.tolist(), last.tolist(), edges[::2], edges[1::2], strict=True):
         along = (way[begin : end + 1] - way[begin]) * ((path[b] - path[a]) / max(way[end] - way[begin], 1e-12))
-        near = np.clip(a + np.searchsorted(path[a : b + 1] - path[a], along), a, b)
-        for i, (since, until) in enumerate(zip(near[:-1].tolist(), near[1:].tolist(), strict=True), begin + 1):
-            ends = [(max(since + d, a), min(max(until + e, since + d + 1), b)) for d in SHIFTS for e in SHIFTS]
+        gone = path[a : b + 1] - path[a]
+        near = [np.searchsorted(gone, along - LONGER), np.searchsorted(gone, along + LONGER)]  # before or after a rest
+        places = [np.clip(a + at + d, a, b) for at in near for d in SHIFTS]
+        own = np.unique(np.array(places), axis=0).T.tolist()
+        for i, (since, until) in enumerate(zip(own[:-1], own[1:], strict=True), begin + 1):
+            ends = [(j, min(max(k, j + 1), b)) for j in set(since) for k in set(until)]
             means = [float(total[k] - total[j]) / max(k - j, 1) for j, k in ends]
             off = max(min(means) - asked[i], asked[i] - max(means))
             worst = np.inf if np.isnan(off) else max(worst, off)
