@@ -493,11 +493,11 @@ REFUSALS = [
 
 @pytest.mark.parametrize(("content", "reason"), REFUSALS, ids=[f"{k}-{c[:24]}" for k, (c, _) in enumerate(REFUSALS)])
 def test_refusals_name_the_line(read: Read, content: str, reason: str) -> None:
-    started = time.perf_counter()
+    started = time.process_time()
     with pytest.raises(InputError, match=f"(?s){reason}") as caught:
         read(f"{GOOD}\n\n{content}")
     assert str(caught.value).startswith(str(caught.value.file))
-    assert time.perf_counter() - started < 20
+    assert time.process_time() - started < 20
     if "well-formed" not in reason:  # which the XML parser notices where the next tag does not fit
         assert caught.value.line == 4
     assert caught.value.exit_code == 2
