@@ -50,12 +50,12 @@ METRICS: dict[str, Measure] = {
     "speed_min_mm_s": Measure(
         "mm/s",
         "slowest speed of the tip along the part while material is laid",
-        "from the tip's places half a sample before and after",
+        "from the tip's places a sample before and after, or the recorded speed where that is less",
     ),
     "speed_max_mm_s": Measure(
         "mm/s",
         "fastest speed of the tip along the part while material is laid",
-        "likewise, or the recorded speed where that is greater",
+        "likewise, the recorded speed where that is greater",
     ),
     "sigma_min": Measure(
         "",

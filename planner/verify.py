@@ -263,7 +263,8 @@ def _speed(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:
     check_most(checks, t, "recorded speed", claim * 1e3, SPEED_RECORD * 1e3, "mm/s")
     travel = np.where(t.deposit, 0.0, mean)
     check_most(checks, t, "speed in travel", travel * 1e3, problem.process.travel_speed * 1e3, "mm/s")
-    metrics["speed_min_mm_s"] = float(mean[t.deposit].min()) * 1e3 if t.deposit.any() else 0.0
+    slow = np.minimum(mean, t.speed)[t.deposit]  # the mean alone would smooth the bottom of a short dip away
+    metrics["speed_min_mm_s"] = float(slow.min()) * 1e3 if len(slow) else 0.0
     at_speed = t.deposit & (mean >= commanded * (1.0 - SPEED_TOLERANCE)) & (mean <= limit)
     deposited = mean[t.deposit].sum()
     metrics["at_speed_fraction"] = float(mean[at_speed].sum() / deposited) if deposited else 0.0

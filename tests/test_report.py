@@ -25,18 +25,21 @@ from report_page import figures, library, own_text, points, values, visible
 from planner.errors import InputError, OutputError
 from planner.export import write_part
 from planner.plan import Event
-from planner.report import picture
+from planner.problem import Problem
+from planner.problem.described import described
+from planner.report import picture, places
 from planner.report.curves import joint_charts, time_charts
 from planner.report.dips import MOST_MARKS, MOST_ROWS
 from planner.report.extruder import even_flow, flow_note
 from planner.report.failure import write_failure_report
 from planner.report.finished import read_part
-from planner.report.html import _header, write_report
+from planner.report.html import _command, _header, write_report
 from planner.report.places import worst_places
 from planner.report.scene import plan_scene
 from planner.report.summary import print_summary
 from planner.report.thinning import CURVE_BUDGET, SCENE_BUDGET, keep_minima, runs, stretches, thin_curve
-from planner.report.wording import duration, number, summary_table, with_ratios
+from planner.report.wording import FARTHEST, distance, duration, number, summary_table, with_ratios
+from planner.verify_collision import FAR
 
 MB = 1_000_000
 EVIL = "</script><script>alert(1)</script><img src=x onerror=alert(2)>&\"'"
@@ -502,6 +505,37 @@ def test_how_to_make_it_again(tmp_path: Path) -> None:
     assert "planner.solve cylinder_stars.yaml --strategy ladder --set process.speed_mm_s=25" in visible(
         tmp_path / "r.html"
     )
+
+
+def test_how_to_make_a_resumed_print_again() -> None:
+    plan = make_plan(4_000)
+    plan = dataclasses.replace(plan, trajectory=dataclasses.replace(plan.trajectory, first_bead=3))
+    assert _command(plan).endswith("planner.solve cylinder_stars.yaml --strategy ladder --from-bead 3")
+
+
+def test_advice_names_keys_that_exist() -> None:
+    def known(model: type, keys: list[str]) -> bool:
+        field = next((each for each in described(model).values() if each.key == keys[0]), None)
+        return field is not None and (len(keys) == 1 or any(known(each, keys[1:]) for each in field.sections))
+
+    words = " ".join(str(value) for name, value in vars(places).items() if name.isupper())
+    keys = re.findall(r"\b(?:cell|part|layers|process|resolve|collision)\.[a-z_.]+[a-z]", words)
+    assert len(keys) >= 6
+    assert [key for key in keys if not known(Problem, key.split("."))] == []
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "shown"),
+    [
+        ("arm_clearance_min_mm", 50.0, "≥\u200950.0"),
+        ("clearance_min_mm", 49.9, "49.9"),
+        ("tip_clearance_min_mm", 60.0, "60.0"),
+        ("extruded_mm", 82.0, "82.0"),
+    ],
+)
+def test_a_distance_that_was_not_looked_beyond_is_a_bound(key: str, value: float, shown: str) -> None:
+    assert distance(key, value, 1) == shown
+    assert FARTHEST == FAR * 1e3
 
 
 def test_names_from_files_cannot_become_markup(tmp_path: Path) -> None:

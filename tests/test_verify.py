@@ -968,7 +968,9 @@ def test_written_speeds(files: Files) -> None:
     assert off.max() < 2.0  # at a corner, where speed changes within a sample
     near = on & (np.abs(speed - 40.0) <= 0.8)
     assert files.metrics["at_speed_fraction"] == pytest.approx(speed[near].sum() / speed[on].sum(), abs=0.005)
-    assert files.metrics["speed_min_mm_s"] == pytest.approx(speed[on].min(), rel=0.03)
+    least = np.minimum(speed, files["speed_mm_s"])[on].min()
+    assert files.metrics["speed_min_mm_s"] == pytest.approx(least, rel=0.01)  # chords cut corners
+    assert files.metrics["speed_min_mm_s"] <= files["speed_mm_s"][on].min() + 1e-3
     assert files.metrics["speed_max_mm_s"] == pytest.approx(speed[on].max(), rel=0.001)
     assert files.metrics["deposition_time_s"] == pytest.approx(on.sum() * files.dt)
     assert files.metrics["print_time_s"] == pytest.approx(files["t_s"][-1])

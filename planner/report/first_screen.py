@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
-from planner.report.wording import MISSING, duration, number
+from planner.report.wording import MISSING, distance, duration
 
 if TYPE_CHECKING:
     from planner.plan import Plan
@@ -133,7 +133,7 @@ def _better(value: float | None, other: float | None, more: bool, factor: float,
 
 
 def _cell(value: float | None, key: str, factor: float, digits: int, better: bool) -> str:
-    text = MISSING if value is None else number(value * factor, digits)
+    text = MISSING if value is None else distance(key, value * factor, digits)
     if value is not None and key == "print_time_s":
         text = duration(value)
     if value is not None and key == "joints" and value > 1.0 + 1e-9:

@@ -243,6 +243,8 @@ def _command(plan: Plan) -> str:
     words = ["python", "-m", "planner.solve", Path(plan.problem.file).name, "--strategy", plan.strategy]
     if abs(plan.trajectory.dt - DEFAULT_DT) > 1e-12:
         words += ["--dt", f"{plan.trajectory.dt:g}"]
+    if plan.first_bead:
+        words += ["--from-bead", str(plan.first_bead)]
     if plan.headroom is not None:
         words += ["--tolerance", plan.headroom.tolerance.words]
     for override in plan.settings.get("overrides", ()):

@@ -22,7 +22,7 @@ PLACEMENT = "another place or turn of the part (python -m planner.place searches
 SINGULAR = f"A nozzle at an angle to the flange (cell.nozzle.axis), or {PLACEMENT}, keeps away from it."
 STOPS = f"Another posture to start from (cell.home_deg), or {PLACEMENT}, gives the joint more room."
 BUSY = "A wider process.corner_tolerance_mm asks less of it in corners, a lower process.speed_mm_s everywhere."
-LEANS = "process.tilt_deg bounds the lean; 0 holds the nozzle upright on the surface."
+LEANS = "process.cones.nozzle_normal_deg bounds the lean; 0 holds the nozzle upright on the surface."
 NEAR = f"More room: {PLACEMENT}; collision.nozzle_mm and collision.arm_mm say what has to be kept."
 
 

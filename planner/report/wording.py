@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from planner.plan import Plan
 
 MISSING = "–"
+FARTHEST = 50.0  # mm: the verifier looks no farther for what comes near, so that a distance of as much is a bound
 
 
 @dataclass(frozen=True)
@@ -86,6 +87,12 @@ def number(value: float | None, digits: int) -> str:
     return f"{value:,.{digits}f}".replace(",", "\u202f").replace("-", "−")
 
 
+def distance(key: str, value: float, digits: int) -> str:
+    """A metric's value as HTML; a distance [mm] of bodies as far as the verifier looks is told as the bound that it is."""
+    bound = key.endswith("clearance_min_mm") and key != "tip_clearance_min_mm" and value >= FARTHEST
+    return f"≥\u2009{number(value, digits)}" if bound else number(value, digits)
+
+
 def counted(count: float, one: str) -> str:
     """A count with its noun, HTML: 1 layer, 10 layers."""
     return f"{number(count, 0)} {one}{'' if count == 1 else 's'}"
@@ -157,7 +164,7 @@ def _best(values: list[float | None], metric: Metric) -> set[int]:
 
 
 def _cell(value: float | None, metric: Metric, best: bool) -> str:
-    text = number(value, metric.digits)
+    text = MISSING if value is None else distance(metric.key, value, metric.digits)
     if value is not None and round(value, 6) > metric.limit:
         text = f"<span class=bad>✗ over {text}</span>"
     return f"<b>{text}</b>" if best else text
