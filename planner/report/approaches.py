@@ -34,8 +34,8 @@ def approaches_section(plan: Plan, places: Sequence[Place]) -> str:
     return (
         "<h2>What comes near</h2><p class=note>Pairs of bodies that come nearest to each other anywhere in the motion, "
         "those with the least to spare first. “Show” brings the scene to that moment, the pair in orange and blue. "
-        "Bodies are the simple ones that the checks use. Near its tip the nozzle has to touch the print: that zone is left "
-        "out here, and judged by the check “nozzle clear of part and print”.</p>"
+        "Bodies are the simple ones that the checks use. Near its tip the nozzle has to touch the print: that zone is "
+        "judged by the check “nozzle clear of part and print”, and left out here where it holds.</p>"
         "<div class=wide><table><thead><tr><th class=left>pair</th><th>distance, mm</th><th>to be kept, mm</th>"
         "<th>time, s</th><th class=left>where</th><th class=left>in the scene</th></tr></thead>"
         f"<tbody>{''.join(rows)}</tbody></table></div>"
