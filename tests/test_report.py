@@ -499,6 +499,17 @@ def test_worst_places_are_the_worst() -> None:
     assert plan.trajectory.bead[slowest.sample] == 6
 
 
+def test_joints_are_told_for_the_whole_motion_as_the_metrics_are() -> None:
+    plan = make_plan(20_000)
+    travel = int(np.flatnonzero(~plan.trajectory.deposit)[40])
+    margin, jerk = plan.series["limit_margin_deg"].copy(), plan.series["jerk_ratio"].copy()
+    margin[travel], jerk[travel] = 0.5, 1.5
+    plan = dataclasses.replace(plan, series={**plan.series, "limit_margin_deg": margin, "jerk_ratio": jerk})
+    places = {place.what: place for place in worst_places(plan)}
+    for what, value in (("Nearest to an end stop", "0.5°"), ("Most of a joint's jerk", "150.0 % of the limit")):
+        assert places[what].sample == travel and places[what].value.startswith(value)
+
+
 def test_how_to_make_it_again(tmp_path: Path) -> None:
     plan = dataclasses.replace(make_plan(4_000), settings={"overrides": ["process.speed_mm_s=25"]})
     write_report(plan, tmp_path / "r.html")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from planner.measured_checks import CHECKS
 from planner.report import page as frame
 from planner.report.approaches import approaches_section
 from planner.report.curves import joint_charts, time_charts
@@ -161,8 +162,8 @@ def _worst(plan: Plan, places: list[Place]) -> str:
 
 def _checks(checks: tuple[Check, ...]) -> str:
     rows = "".join(
-        f"<tr{'' if check.ok else ' class=bad'}><th scope=row>{escape(check.name.translate(CHECK_NAMES))}</th>"
-        f"<td class=n>{significant(check.worst)}</td><td class=n>{significant(check.limit)}</td>"
+        f"<tr{'' if check.ok else ' class=bad'}><th scope=row>{escape(check.name.translate(CHECK_NAMES))}"
+        f"{_asked(check)}</th><td class=n>{significant(check.worst)}</td><td class=n>{significant(check.limit)}</td>"
         f"<td>{escape(check.unit)}</td>"
         f"<td>{'<span class=yes>✓ holds</span>' if check.ok else '<span class=bad>✗ fails</span>'}</td>"
         f"<td class=where>{escape(check.where) or MISSING}</td></tr>"
@@ -174,6 +175,12 @@ def _checks(checks: tuple[Check, ...]) -> str:
         "<th>limit</th><th class=left>unit</th><th class=left>verdict</th><th class=left>where</th></tr></thead>"
         f"<tbody>{rows}</tbody></table></div>"
     )
+
+
+def _asked(check: Check) -> str:
+    """What a check asks, in small print below its name."""
+    known = CHECKS.get(check.name)
+    return f"<small>{escape(known.text)}</small>" if known else ""
 
 
 def _curves(charts: list[dict[str, Any]]) -> str:

@@ -51,9 +51,13 @@ def places_of(plan: Plan) -> list[Place]:
 
 
 def worst_places(plan: Plan) -> list[Place]:
-    """Places while depositing: slowest, nearest to a singularity and to an end stop, hardest on the joints, leaning most."""
+    """The worst places, with the values that the metrics tell.
+
+    While depositing: slowest, nearest to a singularity, leaning most. In the whole motion: nearest to an end stop, hardest
+    on the joints.
+    """
     traj, series = plan.trajectory, plan.series
-    printing = np.flatnonzero(traj.deposit)
+    printing, anywhere = np.flatnonzero(traj.deposit), np.arange(len(traj))
     if not len(printing):
         return []
     found: list[tuple[str, str, int, str]] = []
@@ -62,13 +66,13 @@ def worst_places(plan: Plan) -> list[Place]:
     i = int(printing[speed[printing].argmin()])
     if speed[i] < AT_SPEED * commanded:
         found.append(("Slowest", f"{speed[i]:.2f} mm/s of {commanded:g} mm/s", i, _of_dip(plan, i)))
-    for name, what, words, advice in (
-        ("sigma", "Nearest to a singularity", "σ {:.4f}", SINGULAR),
-        ("wrist_deg", "Wrist nearest to straight", "{:.1f}°", SINGULAR),
-        ("limit_margin_deg", "Nearest to an end stop", "{:.1f}°", STOPS),
+    for name, what, words, advice, among in (
+        ("sigma", "Nearest to a singularity", "σ {:.4f}", SINGULAR, printing),
+        ("wrist_deg", "Wrist nearest to straight", "{:.1f}°", SINGULAR, printing),
+        ("limit_margin_deg", "Nearest to an end stop", "{:.1f}°", STOPS, anywhere),
     ):
-        if name in series and np.isfinite(series[name][printing]).any():
-            i = int(printing[np.nanargmin(series[name][printing])])
+        if name in series and np.isfinite(series[name][among]).any():
+            i = int(among[np.nanargmin(series[name][among])])
             value = words.format(series[name][i])
             found.append((what, value + (_stop(plan, i) if name == "limit_margin_deg" else ""), i, advice))
     for name, what in (
@@ -76,10 +80,10 @@ def worst_places(plan: Plan) -> list[Place]:
         ("acceleration_ratio", "Most of a joint's acceleration"),
         ("jerk_ratio", "Most of a joint's jerk"),
     ):
-        if name in series and np.isfinite(series[name][printing]).any():
+        if name in series and np.isfinite(series[name]).any():
             values = np.abs(series[name])
             each = values if values.ndim == 1 else np.where(np.isnan(values), -np.inf, values).max(axis=1)
-            i = int(printing[np.nanargmax(each[printing])])
+            i = int(np.nanargmax(each))
             joint = "" if values.ndim == 1 else f" ({plan.cell.joint_names[int(np.nanargmax(values[i]))]})"
             found.append((what, f"{100 * each[i]:.1f} % of the limit{joint}", i, BUSY))
     if "tilt_deg" in series:
