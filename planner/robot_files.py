@@ -28,7 +28,7 @@ from planner.solids import Body
 
 Array = NDArray[np.float64]
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"
-_INVERSE = {"spherical_wrist", "inverse_kinematics"}  # keys, one of which an arm has
+_INVERSE = ("spherical_wrist", "inverse_kinematics")  # keys, one of which an arm has
 _SAME_POSE = 1e-9  # m: closed form and URDF are one arm
 _POSTURES = 20
 
@@ -70,7 +70,11 @@ def shipped_robots(arms: bool) -> dict[str, str]:
 
     Only their YAML files are read.
     """
-    return {file.path.stem: file.text("name") for file in _shipped_files() if bool(_INVERSE & set(file.data)) == arms}
+    return {
+        file.path.stem: file.text("name")
+        for file in _shipped_files()
+        if any(key in file.data for key in _INVERSE) == arms
+    }
 
 
 @cache
@@ -142,7 +146,7 @@ def _model(file: RobotFile, urdf: Urdf) -> pin.Model:
 def _inverse(file: RobotFile, model: pin.Model) -> InverseKinematics | None:
     """The closed form that the file names, held to the URDF; corrected where an arm is nearly of its kind."""
     data = file.data
-    given = [key for key in data if key in _INVERSE]
+    given = [key for key in _INVERSE if key in data]
     if not given:
         return None
     if len(given) > 1:

@@ -179,6 +179,10 @@ def abb_urdf(key: str) -> str:
     return urdf(key, comment, joints, arm.ranges, arm.speeds, f'xyz="0 0 0" rpy="0 {radians(90)} 0"', shapes)
 
 
+# Editors complete and check the file by it.
+SCHEMA_LINE = "# yaml-language-server: $schema=../docs/robot.schema.json"
+
+
 def abb_yaml(key: str) -> str:
     """The YAML file beside that URDF."""
     arm = ABB[key]
@@ -187,6 +191,7 @@ def abb_yaml(key: str) -> str:
     given = "Lengths" if arm.assumed else "Lengths and ranges"
     unsure = f"# ASSUMED as well: {' and '.join(arm.assumed)} are commonly cited ones.\n" if arm.assumed else ""
     return f"""\
+{SCHEMA_LINE}
 # {arm.name}. {given}: ABB product specification (as in the URDF beside this file).
 # Ranges and speeds of the joints stand in the URDF; what a URDF cannot say stands here.
 name: {arm.name}
@@ -223,6 +228,7 @@ def ur_yaml(key: str) -> str:
     """The YAML file beside that URDF."""
     acceleration = [10, 10, 10, 15, 15, 15]
     return f"""\
+{SCHEMA_LINE}
 # {UR[key].name}. Lengths, ranges and speeds: the maker's tables (as in the URDF beside this file). Yours was
 # calibrated: its own URDF is more exact by some millimetres.
 name: {UR[key].name}

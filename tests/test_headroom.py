@@ -25,12 +25,13 @@ from planner.headroom_bounds import displacement_slopes, first_order
 from planner.headroom_cell import beneath, displaced
 from planner.obstacles import NOTHING
 from planner.plan import Check, Trajectory
+from planner.planning import _elsewhere, _trajectory, solve
 from planner.problem import Problem, load_problem
 from planner.replay import replay
 from planner.report.headroom import headroom_section
 from planner.resolve import STRATEGIES
 from planner.resolve.jointpath import JointPath
-from planner.solve import _elsewhere, _trajectory, main, solve
+from planner.solve import main
 from planner.task import tasks_of
 from planner.tolerance import Displacement, Headroom, Tolerance, Tried, parse_tolerance
 from planner.toolpath.bead import Toolpath
@@ -443,7 +444,7 @@ def test_the_command_says_that_it_holds(tmp_path: Path, capfd: pytest.CaptureFix
 def test_two_processes_say_the_same_as_one(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = small_problem()
     one = solve(problem, tolerance=AROUND)
-    monkeypatch.setattr("planner.solve.WORTH_A_FORK", 0)
+    monkeypatch.setattr("planner.planning.WORTH_A_FORK", 0)
     two = solve(problem, tolerance=AROUND, second_process=True)
     assert one.headroom is not None
     assert one.headroom == two.headroom

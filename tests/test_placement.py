@@ -21,10 +21,10 @@ from planner.placement.margin_kernel import bottleneck, way_back
 from planner.placement.ranges import axes_of, reach
 from planner.placement.rating import COMFORT, Course, best_worst, course_of, rate, score, score_of_paths
 from planner.placement.search import Axis, Tried, over_lattice, polish, well_apart
+from planner.planning import try_out
 from planner.problem import Problem, load_problem
 from planner.problem.rewrite import changed_text, write_changed
 from planner.resolve import STRATEGIES
-from planner.solve import try_out
 from planner.task import NozzleTask, tasks_of
 from planner.toolpath.build import build_toolpath
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from report_page import figures
 from solved import small_plan, write_small
 
 from planner.plan import Plan
@@ -89,4 +90,5 @@ def test_it_is_told_where_the_nozzle_may_lean_and_nowhere_else(
         assert ("Nozzle leans from the surface normal" in page) is told
         assert ("Nozzle leans most" in page) is told
         assert ("Lean of the nozzle" in page) is told
-        assert ("Nozzle off the surface normal" in page) is told
+        labels = {channel["label"] for channel in figures(tmp_path / "report.html")["scene"]["lines"]["channels"]}
+        assert ("Nozzle off the surface normal" in labels) is told
