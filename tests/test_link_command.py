@@ -20,7 +20,7 @@ from simulate_fixtures import MODULE, program, reader
 
 from planner.errors import InputError
 from planner.export.rapid.writer import rapid_files
-from planner.link import board, command, robot
+from planner.link import board, command, demo, robot
 from planner.link.command import main
 from planner.link.program_lines import ProgramLine, ProgramLines
 from planner.link.rws import Rws
@@ -362,6 +362,24 @@ def test_the_demo_with_a_program_as_it_is_written(tmp_path: Path, capsys: pytest
     assert f"done: all {count} lines were acknowledged" in capsys.readouterr().err
     sent = [json.loads(line)["n"] for line in log.read_text().splitlines() if json.loads(line)["what"] == "sent"]
     assert sent == list(range(1, count + 1)) and count > 5
+
+
+def test_the_demo_solves_anew_what_another_version_wrote(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its program is kept from run to run; what the simulator would not read is solved again rather than refused."""
+    solved: list[list[str]] = []
+
+    def stands_in(arguments: list[str]) -> int:
+        solved.append(arguments)
+        for name, text in rapid_files(socket_plan()).items():
+            (tmp_path / name).write_text(text)
+        return 0
+
+    monkeypatch.setattr(demo, "FOLDER", tmp_path)
+    monkeypatch.setattr(demo, "solve", stands_in)
+    program = demo.demo_program(lambda text: None)
+    assert demo.demo_program(lambda text: None) == program and len(solved) == 1
+    program.write_text(program.read_text().replace("PROC main()", "PROC main()\n        MoveSideways;"))
+    assert demo.demo_program(lambda text: None) == program and len(solved) == 2
 
 
 def test_the_progress() -> None:

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from planner.errors import EXIT_VERIFIED, InputError
+from planner.export.rapid.reader import read_rapid_files
 from planner.link.sockets import Address
 from planner.simulate import start
 from planner.solve import main as solve
@@ -41,5 +42,12 @@ def simulated(pace: float) -> Iterator[tuple[Address, Address, Address]]:
 
 
 def _found() -> Path | None:
+    """The program that is there; none where another version wrote it otherwise than the simulator reads it."""
     tables = sorted(FOLDER.glob("*_lines.csv"))
-    return tables[0].with_name(tables[0].name.removesuffix("_lines.csv") + ".mod") if tables else None
+    if not tables:
+        return None
+    try:
+        read_rapid_files({path.name: path.read_text(encoding="utf-8") for path in FOLDER.glob("*.mod")})
+    except (InputError, OSError, UnicodeDecodeError):
+        return None
+    return tables[0].with_name(tables[0].name.removesuffix("_lines.csv") + ".mod")
