@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import re
 import shutil
 import sys
 import textwrap
@@ -11,7 +13,8 @@ from typing import NamedTuple
 from planner.problem import Problem, load_problem, shipped_problems
 from planner.problem.file import PROBLEMS
 
-_ALSO_SAID = ("yaml-language-server:", "Lengths are", "Try another", "The file is", "1000 waypoints")  # of comments
+MODELINE = "# yaml-language-server:"  # for editors
+_SENTENCE_END = re.compile(r"\.(?= [A-Z0-9]|$)")  # not the one of "et al." within a sentence
 _GAP, _BELOW = "  ", "    "
 NARROWEST = 40  # characters: where less is left beside the other columns, the text stands below them
 
@@ -47,17 +50,12 @@ def part_words(problem: Problem) -> str:
 
 
 def title_of(name: str) -> str:
-    """What the first comment of a shipped problem says that it is, with the paper that it is from."""
-    said: list[str] = []
-    for line in (PROBLEMS / f"{name}.yaml").read_text(encoding="utf-8").splitlines():
-        text = line.removeprefix("#").strip()
-        if not line.startswith("#") or not text:
-            break
-        if text.startswith(_ALSO_SAID):
-            continue
-        said.append(next((text[: text.index(also)] for also in _ALSO_SAID if also in text), text).strip())
-    text = " ".join(said)
-    return text if text.endswith("al.") else text.removesuffix(".")
+    """The first sentence of a shipped problem's first comment: what it is, with the paper that it is from."""
+    lines = (PROBLEMS / f"{name}.yaml").read_text(encoding="utf-8").splitlines()
+    comment = itertools.takewhile(lambda line: line.startswith("# "), lines)
+    said = " ".join(line.removeprefix("# ") for line in comment if not line.startswith(MODELINE))
+    first, *_ = _SENTENCE_END.split(said, maxsplit=1)
+    return f"{first}." if first.endswith(" al") else first
 
 
 def print_shipped() -> None:

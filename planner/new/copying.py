@@ -6,12 +6,13 @@ import re
 from pathlib import Path
 
 from planner.errors import OutputError
+from planner.listing import MODELINE
 from planner.new.text import modeline
 from planner.problem import Problem
 from planner.problem.fields import LONGEST_NAME
 from planner.problem.rewrite import changed_text, paths_in
 
-_MODELINE = re.compile(r"# yaml-language-server:[^\n]*\n")
+_MODELINE = re.compile(rf"{re.escape(MODELINE)}[^\n]*\n")
 ROBOTS = {("cell", "arm"), ("cell", "positioner", "robot")}  # files that name others again: they stay where they are
 
 

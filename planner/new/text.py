@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from planner.listing import MODELINE
 from planner.new.questions import STAND_MM, WING_ABOVE_MM, Answers, extent_mm
 from planner.problem.file import PROBLEMS
 from planner.problem.written import yaml_text
@@ -22,7 +23,7 @@ def modeline(folder: Path) -> str:
     if not SCHEMA.is_file():
         return ""
     path = Path(os.path.relpath(SCHEMA.resolve(), folder.resolve())).as_posix()
-    return f"# yaml-language-server: $schema={path}\n"
+    return f"{MODELINE} $schema={path}\n"
 
 
 def problem_text(answers: Answers, file: Path, home_deg: Sequence[float]) -> str:
