@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
-from planner.report.wording import MISSING, distance, duration
+from planner.report.wording import MISSING, SHORT, distance, duration
 
 if TYPE_CHECKING:
     from planner.plan import Plan
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 
 # metric, label, unit, factor, decimals, whether more is better
 DECIDING = (
-    ("at_speed_fraction", "At commanded speed", "%", 100.0, 1, True),
-    ("speed_min_mm_s", "Slowest", "mm/s", 1.0, 1, True),
-    ("print_time_s", "Whole print", "", 1.0, 0, False),
-    ("joints", "Joint limits used", "%", 100.0, 0, False),
-    ("sigma_min", "Singularity σ", "", 1.0, 3, True),
-    ("joint_limit_margin_deg", "To an end stop", "°", 1.0, 1, True),
-    ("clearance_min_mm", "Clearance", "mm", 1.0, 1, True),
+    ("at_speed_fraction", SHORT["at_speed_fraction"], "%", 100.0, 1, True),
+    ("speed_min_mm_s", SHORT["speed_min_mm_s"], "mm/s", 1.0, 1, True),
+    ("print_time_s", SHORT["print_time_s"], "", 1.0, 0, False),
+    ("joints", "Joint limits used", "%", 100.0, 0, False),  # the worst of JOINTS
+    ("sigma_min", SHORT["sigma_min"], "", 1.0, 3, True),
+    ("joint_limit_margin_deg", SHORT["joint_limit_margin_deg"], "°", 1.0, 1, True),
+    ("clearance_min_mm", SHORT["clearance_min_mm"], "mm", 1.0, 1, True),
 )
 JOINTS = ("velocity_ratio_max", "acceleration_ratio_max", "jerk_ratio_max")
 PACES = (1, 2, 5, 10, 20, 50)

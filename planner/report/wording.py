@@ -63,6 +63,21 @@ METRICS = (
     Metric("extruded_mm", "Filament used", "m", 2, 1e-3),
     Metric("extruded_volume_mm3", "Material deposited", "cm³", 2, 1e-3),
 )
+# metric → its name where there is little room; the long one stands in METRICS
+SHORT = {
+    "at_speed_fraction": "At commanded speed",
+    "speed_min_mm_s": "Slowest",
+    "deposition_time_s": "Depositing",
+    "print_time_s": "Whole print",
+    "sigma_min": "Singularity σ",
+    "joint_limit_margin_deg": "To an end stop",
+    "clearance_min_mm": "Clearance",
+    "velocity_ratio_max": "Joint speed / limit",
+    "acceleration_ratio_max": "Acceleration / limit",
+    "jerk_ratio_max": "Jerk / limit",
+    "path_deviation_max_mm": "Corners off the drawing",
+    "over_extruded_mm3": "Too much material",
+}
 
 CHECK_NAMES = str.maketrans("_", " ")
 

@@ -5,23 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from planner.report.wording import METRICS, Metric
+from planner.report.wording import METRICS, SHORT, Metric
 
-# metric → its name where there is little room; the long one stands in METRICS
-SHORT = {
-    "at_speed_fraction": "At commanded speed",
-    "speed_min_mm_s": "Slowest",
-    "deposition_time_s": "Depositing",
-    "print_time_s": "Whole print",
-    "sigma_min": "Singularity σ",
-    "joint_limit_margin_deg": "To an end stop",
-    "clearance_min_mm": "Clearance",
-    "velocity_ratio_max": "Joint speed / limit",
-    "acceleration_ratio_max": "Acceleration / limit",
-    "jerk_ratio_max": "Jerk / limit",
-    "path_deviation_max_mm": "Corners off the drawing",
-    "over_extruded_mm3": "Too much material",
-}
 ROWS: tuple[Metric, ...] = tuple(metric for key in SHORT for metric in METRICS if metric.key == key)
 NONE = "–"
 
