@@ -154,7 +154,7 @@ def _worst(plan: Plan, places: list[Place]) -> str:
     if not rows:
         return ""
     return (
-        "<h2>Worst places while depositing</h2><p class=note>The letters are those of the scene.</p>"
+        "<h2>Worst places</h2><p class=note>The letters are those of the scene.</p>"
         "<div class=wide><table class=stack><thead><tr><th></th><th class=left>what</th>"
         f"<th>value</th><th>time, s</th><th class=left>where</th></tr></thead><tbody>{rows}</tbody></table></div>"
     )

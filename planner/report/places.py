@@ -22,6 +22,7 @@ PLACEMENT = "another place or turn of the part (python -m planner.place searches
 SINGULAR = f"A nozzle at an angle to the flange (cell.nozzle.axis), or {PLACEMENT}, keeps away from it."
 STOPS = f"Another posture to start from (cell.home_deg), or {PLACEMENT}, gives the joint more room."
 BUSY = "A wider process.corner_tolerance_mm asks less of it in corners, a lower process.speed_mm_s everywhere."
+IN_TRAVEL = "It travels there, as quickly as its limits allow: nothing is printed."
 LEANS = "process.cones.nozzle_normal_deg bounds the lean; 0 holds the nozzle upright on the surface."
 NEAR = f"More room: {PLACEMENT}; collision.nozzle_mm and collision.arm_mm say what has to be kept."
 
@@ -85,7 +86,9 @@ def worst_places(plan: Plan) -> list[Place]:
             each = values if values.ndim == 1 else np.where(np.isnan(values), -np.inf, values).max(axis=1)
             i = int(np.nanargmax(each))
             joint = "" if values.ndim == 1 else f" ({plan.cell.joint_names[int(np.nanargmax(values[i]))]})"
-            found.append((what, f"{100 * each[i]:.1f} % of the limit{joint}", i, BUSY))
+            found.append(
+                (what, f"{100 * each[i]:.1f} % of the limit{joint}", i, BUSY if traj.bead[i] >= 0 else IN_TRAVEL)
+            )
     if "tilt_deg" in series:
         i = int(printing[series["tilt_deg"][printing].argmax()])
         found.append(("Nozzle leans most", f"{series['tilt_deg'][i]:.2f}° from the normal", i, LEANS))
