@@ -22,8 +22,14 @@ _PARTS_A_CORE = 4  # so that a core that was given easy parts has some left to t
 
 
 def spare_core() -> bool:
-    """True where a second process helps: on Linux, where one may be forked safely, if more than one core is ours."""
-    return sys.platform == "linux" and len(os.sched_getaffinity(0)) > 1
+    """True where a second process helps: on Linux, where one may be forked safely, if more than one core is ours, and
+    this is no process of `spread` or of a cluster, which has others beside it."""
+    return sys.platform == "linux" and cores() > 1 and not multiprocessing.current_process().daemon
+
+
+def cores() -> int:
+    """How many cores this process may use: those it was confined to, such as by `taskset`."""
+    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
 
 
 @contextmanager
@@ -80,9 +86,8 @@ def in_threads(function: Callable[[int, int], None], count: int) -> None:
 
     Compiled loops that share their work themselves take several times as long to compile.
     """
-    cores = os.cpu_count() or 1
-    edges = np.unique(np.linspace(0, count, min(cores * _PARTS_A_CORE, count) + 1).astype(int)).tolist()
-    with ThreadPoolExecutor(cores) as pool:
+    edges = np.unique(np.linspace(0, count, min(cores() * _PARTS_A_CORE, count) + 1).astype(int)).tolist()
+    with ThreadPoolExecutor(cores()) as pool:
         for _ in pool.map(function, edges[:-1], edges[1:]):
             pass
 

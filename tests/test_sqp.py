@@ -402,7 +402,7 @@ def test_threads_do_not_matter(setup_of: Callable[[str], Setup], monkeypatch: py
     monkeypatch.setattr(MODULE, "OVERLAP", 4)
     results = []
     for threads in (1, 2, 5):
-        monkeypatch.setattr(MODULE.os, "cpu_count", lambda threads=threads: threads)
+        monkeypatch.setattr(MODULE, "cores", lambda threads=threads: threads)
         results.append(refine_paths(cell, paths, problem.resolve))
     for other in results[1:]:
         for a, b in zip(results[0], other, strict=True):

@@ -48,6 +48,7 @@ ROOMS = (
     "report",
     "plots",
     "versions",
+    "spread",
     "progress",
     "output",
     "command",
@@ -99,6 +100,7 @@ NARROW = {
     "readonly": {"errors"},
     "nearest": {"errors"},
     "versions": {"errors"},
+    "spread": {"errors", "interrupts", "versions"},
     "progress": {"errors"},
     "interrupts": {"errors"},
     "output": {"errors", "interrupts"},
@@ -163,6 +165,7 @@ HEAVY = {
     "toppra": set(),
     "casadi": {"kinematics.symbolic", "resolve.nlp_program"},
     "osqp": {"resolve.osqp_reference"},
+    "distributed": {"spread.cluster"},
     "pyvrp": {"toolpath.coverage.tour"},
 }
 NEVER = {"pickle", "cPickle", "dill", "shelve", "marshal", "joblib", "cloudpickle", "importlib.util", "runpy"}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
+from planner.background import cores
 from planner.cell import Cell
 from planner.obstacles import NOTHING, Obstacles
 from planner.problem.settings import ResolveSpec
@@ -85,7 +85,7 @@ def refine_paths(
     below: dict[str, Track] = {}
     refined: dict[int, Track] = {}
     done = list(paths)
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         for layer in _alike(paths, given):
             starts = [below.get(paths[i].task.name) for i in layer]
             tracks = list(
@@ -117,7 +117,7 @@ def qp_solver(name: str) -> QPSolver:
 def given_prices(model: Model, paths: Sequence[JointPath], settings: ResolveSpec) -> dict[int, tuple[float, float]]:
     """Price [s] and least singular value of the paths that are long enough to be refined, by their index."""
     long_enough = [i for i, path in enumerate(paths) if len(path.task) >= LEAST_SAMPLES]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         prices = pool.map(lambda i: given_price(model, paths[i], settings.min_sigma), long_enough)
         return dict(zip(long_enough, prices, strict=True))
 

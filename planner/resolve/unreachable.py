@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -11,6 +10,7 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.background import cores
 from planner.cell import Cell
 from planner.obstacles import NOTHING, Obstacles
 from planner.resolve.demand import Demand
@@ -120,7 +120,7 @@ def refuse_collision(cell: Cell, paths: Sequence[JointPath], obstacles: Obstacle
         obstacles = obstacles.but_head_on_part
     if not obstacles.any:
         return
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         margins = list(pool.map(lambda path: obstacles.margins(path.q, path.task.moments, 0.0), paths))
     worst = int(np.argmin([margin.min() for margin, _ in margins]))
     margin, which = margins[worst]
