@@ -98,11 +98,11 @@ def bed_plan() -> Plan:
     return solve(load_problem(write_small(_folder() / "bed", *BED)))
 
 
-def solve_alone(problem: Problem, dt: float = DEFAULT_DT) -> Plan:
+def solve_alone(problem: Problem, strategy: str | None = None, dt: float = DEFAULT_DT) -> Plan:
     """As `solve`, but without the baseline beside it, which takes as long again; for tests that do not look at it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(planner.planning, "_baseline", lambda given, dt: {planner.planning.BASELINE: {}})
-        return solve(problem, dt=dt)
+        return solve(problem, strategy, dt=dt)
 
 
 # Figures of the output contract, in the units of their names.

@@ -17,6 +17,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from solved import solve_alone
 from tree_sitter import Language as Grammar
 from tree_sitter import Parser
 
@@ -34,7 +35,6 @@ from planner.export.rotations import from_matrix
 from planner.plan import Plan
 from planner.problem import load_problem
 from planner.problem.machine import MachineSpec
-from planner.solve import solve
 from tests.export_fixtures import GOLDEN, axes_texts, make_plan
 from tests.solved import small_problem
 
@@ -88,7 +88,7 @@ def spec(name: str, **changes: Any) -> MachineSpec:
 @cache
 def cap() -> Plan:
     """The cap of the peers: a spiral that ends at a pole, with no step between its turns."""
-    return solve(load_problem("peer_cap"))
+    return solve_alone(load_problem("peer_cap"))
 
 
 @cache
@@ -99,7 +99,7 @@ def fibre() -> Plan:
         "process.start={nozzle_c: 280, heat_wait_s: 2}",
         "process.fan={number: 1, from_layer: 1, speed: 0.5}",
     ]
-    return solve(load_problem(small_problem().file, changes))
+    return solve_alone(load_problem(small_problem().file, changes))
 
 
 def on(plan: Plan, machine: MachineSpec) -> Plan:

@@ -14,11 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from solved import solve_alone
 
 from benchmarks.parts import spacing
 from planner.errors import InputError
 from planner.problem import load_problem
-from planner.solve import main, solve
+from planner.solve import main
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.laying import densify
@@ -340,5 +341,5 @@ def test_the_published_meshes_are_solved(name: str) -> None:
     assert toolpath.layers == {"aerofoil_core": 39, "aerofoil_core_tapered": 24}[name]
     assert surface(toolpath).body.gap <= 0.011e-3
     few = ("layers.count=2", "layers.source.size_mm=[30, 70]")
-    plan = solve(load_problem(name, (*COARSE, *PUBLISHED[name], *few)), "ladder")
+    plan = solve_alone(load_problem(name, (*COARSE, *PUBLISHED[name], *few)), "ladder")
     assert plan.verified, [check for check in plan.checks if not check.ok]

@@ -7,6 +7,7 @@ from functools import cache
 
 import pytest
 from gcodeparser import parse_gcode_lines
+from solved import solve_alone
 
 from planner.errors import InputError
 from planner.export.extruder.check import gcode_complaints, read_gcode
@@ -14,7 +15,6 @@ from planner.export.extruder.writer import gcode
 from planner.plan import Event, Plan
 from planner.problem import load_problem
 from planner.problem.process import ProcessSpec
-from planner.solve import solve
 from tests.export_fixtures import make_plan
 from tests.solved import small_problem
 
@@ -36,7 +36,7 @@ def heated(**start: object) -> Plan:
 
 @cache
 def with_fibre() -> Plan:
-    return solve(load_problem(small_problem().file, ["process.fibre={cut_length_mm: 12, cut_wait_s: 2.5}"]))
+    return solve_alone(load_problem(small_problem().file, ["process.fibre={cut_length_mm: 12, cut_wait_s: 2.5}"]))
 
 
 def times_of(text: str) -> list[tuple[float, str]]:

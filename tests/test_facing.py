@@ -10,11 +10,11 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from solved import solve_alone
 
 from benchmarks.orientation import main as orientation
 from planner.errors import InputError
 from planner.problem import Problem, load_problem
-from planner.solve import solve
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.substrate.bodies import Ball
 from planner.toolpath.substrate.facing import Facing
@@ -82,7 +82,9 @@ def test_a_closed_bead_turns_across_its_seam() -> None:
 def test_facets_are_followed_and_the_plan_verifies(tmp_path: Path) -> None:
     """The axis is off the true ball's normals by up to half a facet, ten times what the smooth surface is."""
     few = ("layers.source.size_mm=[24, 24]", *COARSE)
-    plans = {name: solve(dome(tmp_path, *few, f"layers.normals={name}"), "ladder") for name in ("facets", "smooth")}
+    plans = {
+        name: solve_alone(dome(tmp_path, *few, f"layers.normals={name}"), "ladder") for name in ("facets", "smooth")
+    }
     off = {}
     for name, plan in plans.items():
         assert plan.verified, [check for check in plan.checks if not check.ok]

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from solved import promises_kept
+from solved import promises_kept, solve_alone
 
 from planner.errors import InputError
 from planner.export.compare import compare
@@ -17,7 +17,6 @@ from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.writer import rapid
 from planner.plan import Plan
 from planner.problem import load_problem
-from planner.solve import solve
 
 Array = NDArray[np.float64]
 
@@ -28,7 +27,7 @@ PUBLISHED = ("program.chord_mm=1", "program.tangent_deg=45")  # Tawfik et al., s
 
 @cache
 def solved(name: str) -> Plan:
-    return solve(load_problem(name, ("process.start.heat_wait_s=0",)))
+    return solve_alone(load_problem(name, ("process.start.heat_wait_s=0",)))
 
 
 @cache

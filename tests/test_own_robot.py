@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from coal_bodies import nearest_links
+from solved import solve_alone
 
 from planner.cell import build_cell
 from planner.errors import InputError
 from planner.problem import load_problem
 from planner.solids import Hull
-from planner.solve import main, solve
+from planner.solve import main
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 EXAMPLE = DOCS / "own_robot"
@@ -34,7 +35,7 @@ def test_the_page_shows_the_files_that_are_solved_here() -> None:
 
 
 def test_the_example_is_solved_and_verified(folder: Path) -> None:
-    plan = solve(load_problem(folder / "print.yaml", COARSE))
+    plan = solve_alone(load_problem(folder / "print.yaml", COARSE))
     assert [check.name for check in plan.checks if not check.ok] == []
     cell = plan.cell
     assert cell.arm_robot.name == "My arm"

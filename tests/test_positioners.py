@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
+from solved import solve_alone
 
 from planner.cell import Cell, build_cell
 from planner.errors import InputError, Refusal
@@ -24,7 +25,6 @@ from planner.replay import replay
 from planner.report.summary import print_summary
 from planner.resolve.ladder import ladder
 from planner.resolve.table_first import _lattice
-from planner.solve import solve
 from planner.task import make_tasks
 from planner.toolpath.build import build_toolpath
 from planner.verify import verify
@@ -101,7 +101,7 @@ strategy: sqp
 
 @cache
 def plan_of(folder: Path, name: str) -> Plan:
-    return solve(problem_of(folder, CELLS[name]))
+    return solve_alone(problem_of(folder, CELLS[name]))
 
 
 def random_postures(cell: Cell, m: int) -> Array:
@@ -278,7 +278,7 @@ def test_the_lattice_of_a_held_layer_keeps_off_the_ends_of_an_axis(folder: Path,
 def test_a_second_arm_holds_the_layer_upright(folder: Path) -> None:
     free = plan_of(folder, "arm_all")
     assert lean_of(free) > 10.0
-    plan = solve(problem_of(folder, CELLS["arm_all"], "process.cones={layer_gravity_deg: 10}"))
+    plan = solve_alone(problem_of(folder, CELLS["arm_all"], "process.cones={layer_gravity_deg: 10}"))
     assert plan.verified
     assert lean_of(plan) < 10.05
 

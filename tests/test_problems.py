@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from solved import promises_kept
+from solved import promises_kept, solve_alone
 
 from planner.errors import Refusal
 from planner.export.compare import compare
@@ -51,7 +51,8 @@ def logo(request: pytest.FixtureRequest) -> str:
 @cache
 def solved(logo: str, strategy: str) -> Plan:
     """A logo's first layer with a strategy, default settings. Refusal where it has no plan."""
-    return solve(load_problem("cylinder_logo", ("layers.count=1", *LOGOS[logo])), strategy)
+    problem = load_problem("cylinder_logo", ("layers.count=1", *LOGOS[logo]))
+    return solve(problem, strategy) if strategy == "ladder" else solve_alone(problem, strategy)
 
 
 # Less of the problems that are large.
@@ -83,7 +84,7 @@ SMALL = {
 
 @pytest.mark.parametrize("name", sorted(set(shipped_problems()) - set(WHOLE)))
 def test_shipped_problem_is_solved_and_verified(name: str) -> None:
-    plan = solve(load_problem(name, (*COARSE, *SMALL.get(name, ()))), "ladder")
+    plan = solve_alone(load_problem(name, (*COARSE, *SMALL.get(name, ()))), "ladder")
     promises_kept(plan)
     assert plan.problem.name == name
     assert plan.metrics["deposited_length_mm"] > 100.0

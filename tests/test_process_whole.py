@@ -71,7 +71,7 @@ REASON = "samples 20 ms apart may be too coarse"
 
 @cache
 def solved(name: str, dt: float = 0.004) -> Plan:
-    return solve_alone(load_problem(small_problem().file, PROCESSES[name]), dt)
+    return solve_alone(load_problem(small_problem().file, PROCESSES[name]), dt=dt)
 
 
 def pushed(text: str) -> tuple[float, float]:
@@ -168,7 +168,7 @@ def test_heating_and_purge_are_waited_for_at_home() -> None:
 
 
 def test_heating_lasts_as_long_as_it_may() -> None:
-    plan = solve_alone(load_problem(small_problem().file, ["process.start.heat_wait_s=3600"]), COARSE)
+    plan = solve_alone(load_problem(small_problem().file, ["process.start.heat_wait_s=3600"]), dt=COARSE)
     assert plan.verified
     assert waits_of(rapid(plan)) == [("heat", 3600.0)]
     assert compare(plan, read_rapid(rapid(plan))).complaints() == []

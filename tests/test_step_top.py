@@ -12,10 +12,11 @@ from OCP.BRepBuilderAPI import BRepBuilderAPI_GTransform, BRepBuilderAPI_MakeFac
 from OCP.BRepPrimAPI import BRepPrimAPI_MakePrism, BRepPrimAPI_MakeSphere
 from OCP.gp import gp_GTrsf, gp_Mat, gp_Pnt, gp_Vec, gp_XYZ
 from OCP.STEPControl import STEPControl_StepModelType, STEPControl_Writer
+from solved import solve_alone
 
 from planner.errors import InputError
 from planner.problem import Problem, load_problem
-from planner.solve import main, solve
+from planner.solve import main
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.step.files import read_step
 from planner.toolpath.step.top import FaceTop, UpperFaces
@@ -101,7 +102,7 @@ def test_beads_lie_on_the_true_bowl(folder: Path) -> None:
 
 def test_a_bowl_from_a_step_file_is_printed(folder: Path) -> None:
     one = "layers.source.curves=[{degree: 2, points_mm: [[-70, 0], [-25, -35], [25, 35], [70, 0]]}]"
-    plan = solve(on(folder, "bowl.step", "", one, "process.start.heat_wait_s=0", *COARSE))
+    plan = solve_alone(on(folder, "bowl.step", "", one, "process.start.heat_wait_s=0", *COARSE))
     assert plan.verified, [check for check in plan.checks if not check.ok]
     t = plan.trajectory
     assert np.abs(BOWL.signed_distance(t.tip[t.deposit]) - 0.3e-3).max() <= 0.05e-3

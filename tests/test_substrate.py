@@ -12,13 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from solved import solve_alone
 
 from benchmarks.orientation import angles, published_axes
 from benchmarks.orientation import main as orientation
 from planner.errors import InputError
 from planner.problem import Problem, load_problem
 from planner.problem.drawings import PatternSpec
-from planner.solve import main, solve
+from planner.solve import main
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.laying import densify
 from planner.toolpath.substrate.bodies import FARTHEST_FROM_FACETS, Ball, MeshTop, TooRough, reach_beside
@@ -440,14 +441,14 @@ def test_the_command_ends_with_two(tmp_path: Path, capsys: pytest.CaptureFixture
 @pytest.mark.parametrize("name", SHAPES[1:])
 def test_patterns_are_solved(name: str) -> None:
     small = ("layers.source.size_mm=[24, 24]", f"layers.source.pattern={name}")
-    plan = solve(load_problem("hemisphere_honeycomb", (*COARSE, *small)), "ladder")
+    plan = solve_alone(load_problem("hemisphere_honeycomb", (*COARSE, *small)), "ladder")
     assert plan.verified, [check for check in plan.checks if not check.ok]
 
 
 @pytest.mark.parametrize("offset", ["normal", "z"])
 def test_a_mesh_is_solved(tmp_path: Path, offset: str) -> None:
     changes = (*COARSE, "layers.count=2", "layers.source.size_mm=[30, 30]", f"layers.offset={offset}")
-    plan = solve(dome(tmp_path, *changes), "ladder")
+    plan = solve_alone(dome(tmp_path, *changes), "ladder")
     assert plan.verified, [check for check in plan.checks if not check.ok]
     assert plan.metrics["at_speed_fraction"] > 0.9
 
@@ -464,7 +465,7 @@ def test_a_drawing_is_projected(drawing: Callable[..., Problem]) -> None:
 def test_the_published_mesh_is_solved() -> None:
     """The dome as its authors published it, y up: the ball of the shipped problem, to the facets' accuracy."""
     mesh = on_mesh(PUBLISHED, "rpy_deg: [90, 0, 0], origin_mm: [45, -45, 0]")
-    plan = solve(load_problem("hemisphere_honeycomb", (*COARSE, *mesh)), "ladder")
+    plan = solve_alone(load_problem("hemisphere_honeycomb", (*COARSE, *mesh)), "ladder")
     assert plan.verified, [check for check in plan.checks if not check.ok]
     points = np.vstack([bead.points for bead in plan.toolpath.beads])
     normals = np.vstack([bead.normals for bead in plan.toolpath.beads])

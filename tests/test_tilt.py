@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from report_page import figures
-from solved import small_plan, write_small
+from solved import small_plan, solve_alone, write_small
 
 from planner.plan import Plan
 from planner.problem import load_problem
 from planner.replay import replay
 from planner.report.html import write_report
 from planner.report.summary import print_summary
-from planner.solve import solve
 from planner.verify import verify
 from planner.verify_tilt import bead_errors
 
@@ -29,7 +28,7 @@ CENTRE, WIDTH = np.array([31.4e-3, 37e-3]), 0.6e-3  # of the small problem's cyl
 def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
     """The small print, its nozzle allowed to lean."""
     path = write_small(tmp_path_factory.mktemp("tilt"), ("strategy: ladder", "strategy: sqp"))
-    return solve(load_problem(path, [f"process.cones.nozzle_normal_deg={CONE_DEG}"]))
+    return solve_alone(load_problem(path, [f"process.cones.nozzle_normal_deg={CONE_DEG}"]))
 
 
 def normals_of_the_cylinder(tips: Array) -> Array:

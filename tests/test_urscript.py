@@ -15,7 +15,7 @@ import pytest
 from export_fixtures import GOLDEN, golden_texts, make_plan, resting_in_a_bead
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from solved import BED, POSITIONER, write_small
+from solved import BED, POSITIONER, solve_alone, write_small
 
 from planner.cell import build_cell
 from planner.errors import InputError
@@ -30,7 +30,6 @@ from planner.export.urscript.writer import urscript
 from planner.plan import Plan
 from planner.problem import load_problem
 from planner.robot_files import ROBOTS, chain_of, read_robot
-from planner.solve import solve
 
 Array = NDArray[np.float64]
 NAME = "TwoBeads.script"
@@ -193,7 +192,7 @@ def test_a_solved_print_on_a_turned_base(tmp_path: Path) -> None:
         (POSITIONER, "  bed_mm: [-450, -50, 300]\n"),
         BED[1],
     )
-    plan = solve(load_problem(write_small(tmp_path, *ur), ("layers.source.width_mm=12",)))
+    plan = solve_alone(load_problem(write_small(tmp_path, *ur), ("layers.source.width_mm=12",)))
     assert [check.name for check in plan.checks if not check.ok] == []
     assert urscript_complaints(plan, {"Small.script": urscript(plan)}) == []
 

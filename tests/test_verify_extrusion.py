@@ -12,14 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from solved import body_of, small_plan, write_small
+from solved import body_of, small_plan, solve_alone, write_small
 
 import planner.planning
 from planner.export.extruder.writer import gcode
 from planner.extrusion import feed, filament_area
 from planner.plan import Event, Plan, Trajectory
 from planner.problem import load_problem
-from planner.solve import solve
 from planner.toolpath.bead import Toolpath
 from planner.verify import Report, verify
 
@@ -32,7 +31,7 @@ PACE = {"material keeps pace", "flow per millimetre"}
 def solved(*changes: str) -> Plan:
     """The small print, solved with changes to its problem."""
     with tempfile.TemporaryDirectory() as folder:
-        return solve(load_problem(write_small(Path(folder)), changes))
+        return solve_alone(load_problem(write_small(Path(folder)), changes))
 
 
 def report(plan: Plan, trajectory: Trajectory | None = None, toolpath: Toolpath | None = None) -> Report:
@@ -94,7 +93,7 @@ def varying(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Plan]:
 
     def solve_it(*changes: str) -> Plan:
         with tempfile.TemporaryDirectory() as folder:
-            return solve(load_problem(write_small(Path(folder)), changes))
+            return solve_alone(load_problem(write_small(Path(folder)), changes))
 
     return solve_it
 
