@@ -63,6 +63,7 @@ def solve(
     second_process: bool = False,
     tolerance: Tolerance | str | None = None,
     first_bead: int = 0,
+    baseline: bool = True,
 ) -> Plan:
     """Plan a problem, or what `load` takes, and verify the plan.
 
@@ -73,9 +74,9 @@ def solve(
                     what lies before is there already
     second_process  the same comes sooner, where the print is large
     stages          shows and times the stages
+    baseline        whether the baseline strategy is planned as well; its metrics are in `Plan.baseline`
 
-    The plan that comes back may have failed checks: see `Plan.verified`. The baseline strategy is planned as well;
-    its metrics are in `Plan.baseline`. Nothing is written: see `write`.
+    The plan that comes back may have failed checks: see `Plan.verified`. Nothing is written: see `write`.
     Raises InputError for wrong input, Refusal where there is no plan at all.
     """
     problem = problem if isinstance(problem, Problem) else load(problem)
@@ -92,14 +93,14 @@ def solve(
         toolpath = build_toolpath(problem)
     with stages.stage("obstacles"):
         given = _given(problem, cell, toolpath, _within(first_bead, toolpath))
-    with _baseline_beside(strategy, given, dt, second_process) as baseline_metrics:
+    with _baseline_beside(baseline and strategy != BASELINE, given, dt, second_process) as baseline_metrics:
         trajectory, report, paths, travels = _plan_with(strategy, given, dt, stages, second_process)
         with stages.stage("dips"):
             dips = find_dips(problem, cell, toolpath, paths, trajectory)
         with stages.stage("map"):
             maps = roll_maps(cell, paths[first_bead:], given.obstacles, problem.resolve.min_sigma)
         with stages.stage("baseline"):
-            baseline = baseline_metrics()
+            compared = baseline_metrics()
     judged = None
     if tolerance is not None:
         with stages.stage("tolerance"):
@@ -116,7 +117,7 @@ def solve(
         series=report.series,
         timing_s=dict(stages.seconds),
         versions=versions(),
-        baseline=baseline,
+        baseline=compared,
         settings={"dt": dt, "overrides": list(problem.overrides)},
         dips=dips,
         approaches=report.approaches,
@@ -271,10 +272,10 @@ def _headroom(
 
 @contextmanager
 def _baseline_beside(
-    strategy: str, given: _Given, dt: float, second_process: bool
+    wanted: bool, given: _Given, dt: float, second_process: bool
 ) -> Iterator[Callable[[], dict[str, dict[str, float]]]]:
     """What gives the baseline's metrics by strategy, planned beside the block where that is worth a process."""
-    if strategy == BASELINE:
+    if not wanted:
         yield dict
     elif second_process and _waypoints(given.toolpath) >= WORTH_A_FORK and spare_core():
         with in_background(_baseline, given, dt) as wait:
