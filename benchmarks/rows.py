@@ -64,6 +64,11 @@ class Run:
     planner: str = "beadwise"
 
     @property
+    def key(self) -> tuple[str, ...]:
+        """What tells it from other runs of one commit on one machine; see `key_of`."""
+        return (self.problem, BETWEEN.join(self.settings), self.strategy, str(self.repeat), self.planner)
+
+    @property
     def words(self) -> str:
         """For messages: `peer_cap sqp process.speed_mm_s=30 #1`."""
         return " ".join([self.problem, self.strategy, *self.settings, f"#{self.repeat}"])
@@ -114,7 +119,8 @@ def judged(checks: Sequence[Check], metrics: Mapping[str, float]) -> Row:
 def times(seconds: Mapping[str, float], waypoints: int | None) -> Row:
     """Seconds by stage and together, and the waypoints per second of what plans (PLANNING), where there is a plan."""
     row: Row = {f"seconds_{stage}": float(value) for stage, value in seconds.items()}
-    row["seconds_total"] = float(sum(seconds.values()))
+    if seconds:
+        row["seconds_total"] = float(sum(seconds.values()))
     planning = sum(value for stage, value in seconds.items() if stage in PLANNING)
     return row if waypoints is None else row | {"waypoints_per_s": waypoints / planning}
 
@@ -146,7 +152,7 @@ def words_of(versions: Mapping[str, str]) -> str:
 
 
 def key_of(row: Mapping[str, Value]) -> tuple[str, ...]:
-    """What tells a run from all others."""
+    """What tells a run from all others: the key of its `Run`, commit and machine."""
     return tuple(str(row[name]) for name in KEY)
 
 

@@ -1,0 +1,149 @@
+"""Problems and strategies: each planned and verified, a row of one table for each run.
+
+python -m benchmarks.run
+python -m benchmarks.run --problems peer_cap cylinder_logo --strategies ladder sqp --coarse --out quick.csv
+python -m benchmarks.run --problems peer_cap@10000 --set process.speed_mm_s=30 --repeat 3 --limit 600
+
+Each run has a process of its own, and is warmed up for: nothing is compiled while it is measured. A refusal, a crash,
+and a run that takes too long or is killed are rows with their reason. What is interrupted goes on where it ended when
+the command is given again. python -m benchmarks.report FILE.csv makes tables and figures of the rows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from benchmarks.named import all_problems, coarse, load_named
+from benchmarks.rows import Row, Run, append_row, key_of, read_rows
+from benchmarks.single import beadwise, run_apart
+from benchmarks.usage import commit, machine
+from planner.command import exit_code, one_of
+from planner.errors import EXIT_VERIFIED
+from planner.problem.settings import STRATEGY_NAMES
+
+OUT = Path("out/benchmarks/runs.csv")
+FOR_SMALL_ONES = ("nlp",)  # minutes for a thousand waypoints: run where it is asked for
+
+
+def grid(
+    problems: Sequence[str], strategies: Sequence[str], settings: Sequence[str], repeats: int, quick: bool
+) -> list[Run]:
+    """All runs, one round of repeats after the other. Raises InputError for whatever is wrong with a problem."""
+    chosen: dict[str, tuple[str, ...]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for name in problems:
+            problem = load_named(name, (), Path(folder))
+            chosen[name] = (*(coarse(problem) if quick else ()), *settings)
+            load_named(name, chosen[name], Path(folder))
+    planner, each = beadwise(), dict.fromkeys(strategies)
+    return [
+        Run(name, strategy, own, repeat, planner)
+        for repeat in range(repeats)
+        for name, own in chosen.items()
+        for strategy in each
+    ]
+
+
+def left(runs: Sequence[Run], rows: Sequence[Row]) -> list[Run]:
+    """The runs that have no row of this commit on this machine yet."""
+    done, here = {key_of(row) for row in rows}, (commit(), machine())
+    return [run for run in runs if (*run.key, *here) not in done]
+
+
+def told(runs: Sequence[Run], todo: Sequence[Run], rows: Sequence[Row], file: Path) -> list[str]:
+    """What to know before it begins."""
+    lines = [
+        f"{len(todo)} runs" + (f", {len(runs) - len(todo)} are in {file} already" if len(todo) < len(runs) else "")
+    ]
+    here = (commit(), machine())
+    others = [row for row in rows if (row["commit"], row["machine"]) != here]
+    if others:
+        of = ", ".join(dict.fromkeys(str(row["commit"]) for row in others))
+        lines.append(f"{len(others)} rows there are of another commit or machine ({of}): they stay, and are kept apart")
+    return lines
+
+
+def line(row: Row) -> str:
+    """A row in a line."""
+    words = Run(str(row["problem"]), str(row["strategy"]), (), int(row["repeat"])).words
+    if not row["found"]:
+        return f"{words}: {row['reason']}"
+    verdict = "verified" if row["verified"] else f"not verified: {row['reason']}"
+    rate, seconds, memory = (float(row[name]) for name in ("waypoints_per_s", "seconds_total", "peak_mb"))
+    return f"{words}: {rate:.0f} waypoints/s, {seconds:.1f} s, {memory:.0f} MB, {verdict}"
+
+
+def whole_number(text: str) -> int:
+    """A whole number from 1."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from 1")
+    return int(text)
+
+
+def some_seconds(text: str) -> float:
+    """A time above 0 [s]."""
+    try:
+        seconds = float(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of seconds") from error
+    if not 0.0 < seconds < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is no time above 0")
+    return seconds
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of the command."""
+    command = argparse.ArgumentParser(
+        prog="python -m benchmarks.run", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    usual = [name for name in STRATEGY_NAMES if name not in FOR_SMALL_ONES]
+    command.add_argument(
+        "--problems", nargs="+", default=all_problems(), metavar="NAME",
+        help="shipped problems, files, or peer_cap@10000: that case in so many waypoints; default: all that ship, and the "
+        "peers' cases in full",
+    )  # fmt: skip
+    command.add_argument(
+        "--strategies", nargs="+", default=usual, type=one_of(STRATEGY_NAMES), metavar="NAME",
+        help=f"of {', '.join(STRATEGY_NAMES)}; default: all but {', '.join(FOR_SMALL_ONES)}, which is for small problems",
+    )  # fmt: skip
+    command.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="change a field of all problems; repeatable"
+    )
+    command.add_argument("--repeat", type=whole_number, default=1, metavar="N", help="run each so many times")
+    command.add_argument("--coarse", action="store_true", help="a quick look: a coarse search, one layer")
+    command.add_argument(
+        "--limit", type=some_seconds, metavar="SECONDS", help="end a run that takes longer, its warm-up included"
+    )
+    command.add_argument("--out", type=Path, default=OUT, metavar="FILE.csv", help=f"default: {OUT}")
+    command.add_argument("--anew", action="store_true", help="run what has a row already, too: the last row counts")
+    return command
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run what is left; returns the exit code."""
+    runs = grid(options.problems, options.strategies, options.set, options.repeat, options.coarse)
+    rows = read_rows(options.out) if options.out.exists() else []
+    todo = runs if options.anew else left(runs, rows)
+    for text in told(runs, todo, rows, options.out):
+        print(text, file=sys.stderr)
+    for number, each in enumerate(todo, 1):
+        row = run_apart(each, options.limit)
+        append_row(options.out, row)
+        print(f"[{number}/{len(todo)}] {line(row)}", flush=True)
+    print(f"python -m benchmarks.report {options.out}", file=sys.stderr)
+    return EXIT_VERIFIED
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code: 0 even where runs gave no plan, for that is what the rows are for."""
+    options = parser().parse_args(arguments)
+    stays = f"what is done stands in {options.out}; the same command goes on"
+    return exit_code(lambda: run(options), lambda text: print(text, file=sys.stderr), stays)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
