@@ -1,0 +1,270 @@
+"""Tables and figures of a table of runs: what was claimed and what was verified, how fast, and ours beside the peers.
+
+python -m benchmarks.report out/benchmarks/runs.csv
+python -m benchmarks.report runs.csv peers.csv --out benchmarks/results/2026-11-22
+
+Writes report.md and its figures. The same rows give the same report. Of several commits the newest row's counts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from benchmarks.figures import draw_figures
+from benchmarks.rows import Row, read_rows
+from benchmarks.summary import (
+    AT_SPEED,
+    BOUND,
+    JERK,
+    MARGIN,
+    MEMORY,
+    OFF,
+    OVER_BOUND,
+    OVER_IDEAL,
+    RATE,
+    SECONDS,
+    SIGMA,
+    STEP,
+    Measure,
+    Result,
+    Versus,
+    against_peers,
+    of_one_commit,
+    results_of,
+)
+from planner.command import exit_code
+from planner.errors import EXIT_VERIFIED, InputError
+from planner.output import results_folder
+from planner.verify import AXIS_TOLERANCE, POSITION_TOLERANCE
+from planner.verify_checks import SPEED_TOLERANCE
+
+REPORT = "report.md"
+AIM = 10.0  # times the waypoints per second of the fastest peer that verifies
+NONE = "–"
+LIMITATIONS = (
+    "Nothing here was printed: plans are verified in simulation, against the robots' data sheets.",
+    "Seconds are wall-clock on the one machine named above, and grow with whatever else runs there.",
+    "Each problem and strategy has its default settings: none is tuned, none gets a second try.",
+    "`as_published`, `fixed` and `greedy` are this project's own versions of common ways to decide the free motion, not "
+    "the programs of those who published them.",
+    "Waypoints per second depend on how close waypoints stand; compare within a problem. They count what plans and "
+    "verifies (load, toolpath, obstacles, resolve, timing, travel, verify), not the writing of files.",
+    "Repeats tell how far times scatter. Plans do not: the same input gives the same plan.",
+    "The bound is that of the joint paths that were found, without jerk limits; other paths may have a lower one.",
+    "Memory is the most that was held at once; what processes share is counted once, looked at four times a second.",
+    "Robots, parts and speeds are few, and chosen by this project, but for those from papers and peers.",
+)
+MATRICES: tuple[tuple[Measure, str], ...] = (
+    (AT_SPEED, "Share of the length printed at the commanded speed, within 2 %."),
+    (OVER_IDEAL, "Deposition time over the time at constant speed. 1 is the best there can be."),
+    (
+        OVER_BOUND,
+        "Deposition time over its bound: what joint speed and acceleration alone allow on the same joint paths.",
+    ),
+    (BOUND, "That bound over the time at constant speed."),
+    (SIGMA, "Distance from singularities: least singular value of the arm's Jacobian while printing. More is better."),
+    (MARGIN, "Least distance of any joint from an end of its range, at waypoints. More is better."),
+    (STEP, "Largest change of any joint from one waypoint to the next. Less is better."),
+    (JERK, "Greatest jerk over its limit; verified plans stay below 1."),
+    (RATE, "Waypoints planned and verified per second."),
+    (SECONDS, "Seconds of the whole run, dips and maps included, without the writing of files."),
+    (MEMORY, "Memory, MB."),
+)
+OF_PEERS = (RATE, MEMORY, SIGMA, STEP, MARGIN, OFF, AT_SPEED)
+
+
+def report(rows: Sequence[Row], figures: Sequence[tuple[str, str]]) -> list[str]:
+    """The report's lines; figures: file and description of each."""
+    chosen, others = of_one_commit(rows)
+    results = results_of(chosen)
+    ours = [result for result in results if result.ours]
+    sets = _sets(results)
+    lines = [
+        "# Benchmarks",
+        "",
+        *_heading(chosen, others),
+        *(f"- settings {mark}: `{own}`" for own, mark in sets.items() if own),
+    ]
+    lines += ["", "## What these figures do not tell", "", *(f"- {text}" for text in LIMITATIONS)]
+    lines += ["", "## Claimed and verified", "", *_success(results)]
+    if ours:
+        lines += ["", *_verdicts(ours, sets)]
+    lines += _peers(against_peers(results), sets)
+    lines += [line for name, words in figures for line in ("", f"![{words}]({name})")]
+    lines += ["", "## By problem and strategy", "", _KEY]
+    lines += [line for measure, words in MATRICES if ours for line in ("", words, "", *_matrix(ours, measure, sets))]
+    return lines
+
+
+_KEY = (
+    "Medians, least and greatest of repeats in brackets where they differ. *Slanted*: there is a plan, but not all its checks "
+    f"hold. {NONE}: no plan."
+)
+
+
+def _heading(chosen: Sequence[Row], others: Sequence[Row]) -> list[str]:
+    """On what, when, of what."""
+    days = sorted({str(row["date"])[:10] for row in chosen})
+    repeats = 1 + max(int(row["repeat"]) for row in chosen)
+    versions = dict.fromkeys(str(row["versions"]) for row in chosen if row["versions"])
+    lines = [
+        f"- {len(chosen)} runs, {' to '.join(dict.fromkeys([days[0], days[-1]]))}; repeats: {repeats}",
+        f"- machine: {chosen[0]['machine']}",
+        f"- commit: {chosen[0]['commit']}",
+        *(f"- {text}" for text in versions),
+        f"- verified: all checks hold; tip within {POSITION_TOLERANCE * 1e3:g} mm of its bead, nozzle within "
+        f"{57.29577951308232 * AXIS_TOLERANCE:g}° of the normal or its cone, never more than {100 * SPEED_TOLERANCE:g} % faster than "
+        "commanded, all joint limits held, clearances kept",
+    ]
+    if others:
+        of = ", ".join(dict.fromkeys(str(row["commit"]) for row in others))
+        lines.append(f"- rows left out, of another commit or machine: {len(others)} ({of})")
+    return lines
+
+
+def _sets(results: Sequence[Result]) -> dict[str, str]:
+    """What marks settings other than none in the tables: letters, in order."""
+    own = [text for text in dict.fromkeys(result.set for result in results) if text]
+    return {"": "", **{text: f"[{chr(ord('a') + i % 26) * (1 + i // 26)}]" for i, text in enumerate(own)}}
+
+
+def _named(result: Result, sets: dict[str, str]) -> str:
+    return f"{result.problem} {sets[result.set]}".strip()
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """A table in Markdown: the first column to the left, the others to the right."""
+    ruled = ["---", *["---:"] * (len(header) - 1)]
+    return [f"| {' | '.join(cell.replace('|', '/') for cell in row)} |" for row in (header, ruled, *rows)]
+
+
+def _success(results: Sequence[Result]) -> list[str]:
+    """How many runs of each strategy gave a plan, and how many of these hold."""
+    groups: dict[str, list[Result]] = {}
+    for result in results:
+        groups.setdefault(result.label, []).append(result)
+    rows = []
+    for label, own in groups.items():
+        claimed, held = sum(r.found for r in own), sum(r.verified for r in own)
+        share = f"{100 * held / claimed:.0f} %" if claimed else NONE
+        rows.append([label, f"{len(own)}", f"{claimed}", f"{held}", share])
+    return table(("planner", "problems", "claimed", "verified", "of claimed"), rows)
+
+
+def _verdicts(ours: Sequence[Result], sets: dict[str, str]) -> list[str]:
+    """What became of each problem by each strategy, and why where it did not hold."""
+    strategies = list(dict.fromkeys(result.strategy for result in ours))
+    by = {(_named(r, sets), r.strategy): r for r in ours}
+    problems = list(dict.fromkeys(name for name, _ in by))
+    lines = table(("problem", *strategies), [[p, *(_verdict(by.get((p, s))) for s in strategies)] for p in problems])
+    why = [f"- {p}, {s}: {r.reason}" for (p, s), r in by.items() if r.reason]
+    return [*lines, "", *why] if why else lines
+
+
+def _verdict(result: Result | None) -> str:
+    if result is None:
+        return ""
+    return (
+        "verified"
+        if result.verified
+        else "claimed"
+        if result.found
+        else result.reason.partition(":")[0].partition(" (")[0]
+    )
+
+
+def _matrix(ours: Sequence[Result], measure: Measure, sets: dict[str, str]) -> list[str]:
+    """One measure of all problems by all strategies."""
+    strategies = list(dict.fromkeys(result.strategy for result in ours))
+    by = {(_named(r, sets), r.strategy): r for r in ours}
+    problems = list(dict.fromkeys(name for name, _ in by))
+    rows = [[p, *(cell(by[p, s], measure) if (p, s) in by else "" for s in strategies)] for p in problems]
+    return table((measure.name, *strategies), rows)
+
+
+def cell(result: Result, measure: Measure) -> str:
+    """Median and spread of a measure, slanted where the plan does not hold."""
+    spread = result.spread(measure)
+    if spread is None:
+        return NONE
+    median, low, high = (measure.form(x) for x in (spread.median, spread.low, spread.high))
+    text = median if low == high else f"{median} ({low} to {high})"
+    return text if result.verified else f"*{text}*"
+
+
+def _peers(against: Sequence[Versus], sets: dict[str, str]) -> list[str]:
+    """Ours beside the peers; nothing where no peer ran."""
+    if not against:
+        return []
+    lines = [
+        "", "## Beside other planners", "",
+        "Same waypoints, arm and limits. Seconds of peers are those of their planning alone, without collision; ours those of the "
+        "whole plan, timed, clear of collision and verified. The ratio counts the poses that the peer was given. Margins and "
+        "share at speed are set beside the best of all peers that verify.", "",
+    ]  # fmt: skip
+    header = (
+        "problem",
+        "fastest that verifies",
+        "its waypoints/s",
+        "ratio",
+        f"{AIM:g} times",
+        *(f"{m.name} no worse" for m in (SIGMA, MARGIN, AT_SPEED)),
+    )
+    lines += table(header, [_against(each, sets) for each in against])
+    for each in against:
+        rows = [
+            [r.label, "yes" if r.verified else "no", *(cell(r, m) for m in OF_PEERS)] for r in (each.ours, *each.peers)
+        ]
+        lines += ["", f"### {_named(each.ours, sets)}", ""]
+        lines += table(("planner", "verified", *(m.name for m in OF_PEERS)), rows)
+        why = [f"- {r.label}: {r.reason}" for r in (each.ours, *each.peers) if r.reason]
+        lines += ["", *why] if why else []
+    return lines
+
+
+def _against(each: Versus, sets: dict[str, str]) -> list[str]:
+    named = _named(each.ours, sets)
+    if each.fastest is None:
+        return [named, "none verifies", NONE, NONE, NONE, *[NONE] * 3]
+    ratio = "ours is not verified" if each.ratio is None else f"{each.ratio:.1f}"
+    judged = [_yes(each.no_worse[m.name]) if m.name in each.no_worse else NONE for m in (SIGMA, MARGIN, AT_SPEED)]
+    return [named, each.fastest.label, cell(each.fastest, RATE), ratio, _yes((each.ratio or 0.0) >= AIM), *judged]
+
+
+def _yes(value: bool) -> str:
+    return "yes" if value else "**no**"
+
+
+def write_report(rows: Sequence[Row], folder: Path) -> None:
+    """Write the report and its figures, all or none. Raises OutputError where the folder cannot be written."""
+    with results_folder(folder, lambda target: ()) as fresh:
+        figures = draw_figures(results_of(of_one_commit(rows)[0]), fresh)
+        (fresh / REPORT).write_text("\n".join(report(rows, figures)) + "\n", encoding="utf-8")
+
+
+def _run(files: Sequence[Path], folder: Path | None) -> int:
+    rows = [row for file in files for row in read_rows(file)]
+    if not rows:
+        raise InputError("has no rows", file=files[0], hint="python -m benchmarks.run --out writes some")
+    target = folder or files[0].parent / f"{files[0].stem}_report"
+    write_report(rows, target)
+    print(target / REPORT)
+    return EXIT_VERIFIED
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    command = argparse.ArgumentParser(
+        prog="python -m benchmarks.report", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    command.add_argument("files", nargs="+", type=Path, metavar="FILE.csv", help="tables of runs, peers' too")
+    command.add_argument("--out", type=Path, metavar="FOLDER", help="default: beside the file, named after it")
+    options = command.parse_args(arguments)
+    return exit_code(lambda: _run(options.files, options.out), lambda text: print(text, file=sys.stderr))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

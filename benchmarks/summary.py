@@ -1,0 +1,183 @@
+"""Rows of runs → results: what repeats of one run have in common, which rows belong together, ours beside the peers'."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from benchmarks.rows import Row, key_of
+
+OURS = "beadwise"
+CHOSEN = "sqp"  # the strategy of ours that is set beside the peers: the default one
+DEGREES = 57.29577951308232
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A figure of a row: its name, how it is found (None where the row has none), and how it is written."""
+
+    name: str
+    of: Callable[[Row], float | None]
+    form: Callable[[float], str]
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Median of repeats, and their least and greatest."""
+
+    median: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Result:
+    """Repeats of one run, and what they share; the reason is the first one's."""
+
+    problem: str
+    set: str
+    strategy: str
+    planner: str
+    reason: str
+    rows: tuple[Row, ...]
+
+    @property
+    def ours(self) -> bool:
+        """Whether it is this planner's."""
+        return self.planner.startswith(OURS)
+
+    @property
+    def found(self) -> bool:
+        """Whether every repeat gave a plan."""
+        return all(bool(row["found"]) for row in self.rows)
+
+    @property
+    def verified(self) -> bool:
+        """Whether every repeat gave one that holds all checks."""
+        return all(bool(row["verified"]) for row in self.rows)
+
+    @property
+    def label(self) -> str:
+        """Strategy of ours; of a peer its name too."""
+        return self.strategy if self.ours else f"{self.planner} {self.strategy}".strip()
+
+    def spread(self, measure: Measure) -> Spread | None:
+        """A measure over the repeats; None where any repeat has none."""
+        values = [measure.of(row) for row in self.rows]
+        known = [value for value in values if value is not None]
+        if len(known) < len(values):
+            return None
+        return Spread(statistics.median(known), min(known), max(known))
+
+
+def number(row: Row, name: str) -> float | None:
+    """A column's number, None where the cell is empty."""
+    value = row[name]
+    return None if value == "" else float(value)
+
+
+def _column(name: str, factor: float = 1.0) -> Callable[[Row], float | None]:
+    def value(row: Row) -> float | None:
+        found = number(row, name)
+        return None if found is None else factor * found
+
+    return value
+
+
+def _ratio(above: str, below: str) -> Callable[[Row], float | None]:
+    def value(row: Row) -> float | None:
+        a, b = number(row, above), number(row, below)
+        return None if a is None or not b else a / b
+
+    return value
+
+
+AT_SPEED = Measure("at speed", _column("at_speed_fraction"), lambda x: f"{100 * x:.1f} %")
+OVER_IDEAL = Measure("deposition / ideal", _ratio("deposition_time_s", "ideal_deposition_time_s"), lambda x: f"{x:.3f}")
+OVER_BOUND = Measure("deposition / bound", _ratio("deposition_time_s", "bound_deposition_time_s"), lambda x: f"{x:.3f}")
+BOUND = Measure("bound / ideal", _ratio("bound_deposition_time_s", "ideal_deposition_time_s"), lambda x: f"{x:.3f}")
+SIGMA = Measure("σ min", _column("sigma_min"), lambda x: f"{x:.3f}")
+JERK = Measure("jerk / limit", _column("jerk_ratio_max"), lambda x: f"{x:.3f}")
+MARGIN = Measure("limit margin °", _column("limit_margin_rad", DEGREES), lambda x: f"{x:.1f}")
+STEP = Measure("joint step °", _column("joint_step_max_rad", DEGREES), lambda x: f"{x:.2f}")
+OFF = Measure("off the path mm", _column("position_error_max_mm"), lambda x: f"{x:.4f}")
+RATE = Measure("waypoints/s", _column("waypoints_per_s"), lambda x: f"{x:,.0f}")
+SECONDS = Measure("whole run s", _column("seconds_total"), lambda x: f"{x:,.1f}")
+CPU = Measure("processor s", _column("cpu_s"), lambda x: f"{x:,.1f}")
+MEMORY = Measure("MB", _column("peak_mb"), lambda x: f"{x:,.0f}")
+
+
+def of_one_commit(rows: Sequence[Row]) -> tuple[list[Row], list[Row]]:
+    """The last row of every run of that commit and machine whose row is the newest, and all rows of others."""
+    if not rows:
+        return [], []
+    newest = max(rows, key=lambda row: str(row["date"]))
+    here = (newest["commit"], newest["machine"])
+    ours = {key_of(row): row for row in rows if (row["commit"], row["machine"]) == here}
+    return list(ours.values()), [row for row in rows if (row["commit"], row["machine"]) != here]
+
+
+def results_of(rows: Sequence[Row]) -> list[Result]:
+    """Rows by run, repeats together; ours first, in order of problems, then of what the rows begin with."""
+    groups: dict[tuple[str, str, str, str], list[Row]] = {}
+    for row in rows:
+        shared = (str(row["problem"]), str(row["set"]), str(row["strategy"]), str(row["planner"]))
+        groups.setdefault(shared, []).append(row)
+    results = [Result(*shared, str(group[0]["reason"]), tuple(group)) for shared, group in groups.items()]
+    return sorted(results, key=lambda result: (not result.ours, result.problem, result.set))
+
+
+@dataclass(frozen=True)
+class Versus:
+    """Ours on a problem beside the peers that were given it; the fastest of those that verify, if any does.
+
+    ratio      of waypoints per second, both for the poses that the peer was given; None without such a peer
+    no_worse   measure → whether ours is at least as good as the best of the peers that verify
+    """
+
+    ours: Result
+    peers: tuple[Result, ...]
+    fastest: Result | None
+    ratio: float | None
+    no_worse: dict[str, bool]
+
+
+NOT_WORSE = (SIGMA, MARGIN, AT_SPEED)  # more is better
+_AS_GOOD = 1e-3  # relative: less is below what the figures show
+
+
+def against_peers(results: Sequence[Result]) -> list[Versus]:
+    """Every problem that peers were given too, with the same settings."""
+    found = []
+    for ours in results:
+        if not ours.ours or ours.strategy != CHOSEN:
+            continue
+        peers = [p for p in results if not p.ours and (p.problem, p.set) == (ours.problem, ours.set)]
+        if peers:
+            found.append(_versus(ours, peers))
+    return found
+
+
+def _versus(ours: Result, peers: Sequence[Result]) -> Versus:
+    good = [peer for peer in peers if peer.verified and peer.spread(RATE) is not None]
+    fastest = max(good, key=lambda peer: _median(peer, RATE), default=None)
+    ratio = None
+    if fastest is not None and ours.verified:
+        ratio = _seconds_of(fastest) / _seconds_of(ours)
+    no_worse = {}
+    for measure in NOT_WORSE:
+        best = max((_median(peer, measure) for peer in good if peer.spread(measure) is not None), default=None)
+        if best is not None:
+            no_worse[measure.name] = ours.verified and _median(ours, measure) >= best * (1.0 - _AS_GOOD)
+    return Versus(ours, tuple(peers), fastest, ratio, no_worse)
+
+
+def _median(result: Result, measure: Measure) -> float:
+    spread = result.spread(measure)
+    return float("nan") if spread is None else spread.median
+
+
+def _seconds_of(result: Result) -> float:
+    """Planning seconds: waypoints over their rate; those of a bead may be more than the poses that a peer is given."""
+    return float(result.rows[0]["waypoints"]) / _median(result, RATE)

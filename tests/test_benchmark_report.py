@@ -1,0 +1,88 @@
+"""The report of a table of runs: the same rows give the same text, and what does not hold is said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks import report
+from benchmarks.rows import Row, Run, append_row, make_row, read_rows
+from benchmarks.summary import against_peers, of_one_commit, results_of
+from planner.errors import EXIT_INPUT, EXIT_VERIFIED
+
+GOLDEN = Path(__file__).parent / "golden" / "benchmark_report.md"
+LARGEST_PICTURE = 150_000  # bytes
+FIXED = {
+    "commit": "0123456789ab", "machine": "Some Processor, 2 cores, 16 GB, Linux x86_64", "date": "2026-11-22T10:00:00",
+    "versions": "python 3.11.7, beadwise 0.1.0",
+}  # fmt: skip
+
+
+def plan(
+    run: Run, rate: float, sigma: float, at_speed: float = 1.0, waypoints: int = 1000, **values: float | str
+) -> Row:
+    given: dict[str, float | str] = {
+        "seconds_total": 1.1 * waypoints / rate, "peak_mb": 500.0, "cpu_s": 3.0, "deposition_time_s": 26.0 / at_speed,
+        "ideal_deposition_time_s": 25.0, "bound_deposition_time_s": 25.5, "jerk_ratio_max": 0.975,
+        "limit_margin_rad": 0.1, "joint_step_max_rad": 0.02, "position_error_max_mm": 0.0001, **FIXED, **values,
+    }  # fmt: skip
+    return make_row(
+        run, found=True, verified="reason" not in values, waypoints=waypoints, waypoints_per_s=rate, sigma_min=sigma,
+        at_speed_fraction=at_speed, **given,
+    )  # fmt: skip
+
+
+def table() -> list[Row]:
+    """Two problems, repeats, a plan that does not hold, a refusal, three peers, and a row of another commit."""
+    settings = ("process.speed_mm_s=30",)
+    cap = [Run("peer_cap", "sqp", (), repeat, "beadwise 0.1.0") for repeat in range(3)]
+    return [
+        plan(cap[0], 1000.0, 0.2, commit="ba9876543210", date="2026-11-21T10:00:00"),
+        *(plan(each, rate, 0.2) for each, rate in zip(cap, (1200.0, 1400.0, 1300.0), strict=True)),
+        plan(Run("peer_cap", "greedy", planner="beadwise 0.1.0"), 2000.0, 0.1, 0.5, reason="joint jerk 1.2 of limit"),
+        plan(Run("logo", "sqp", settings, planner="beadwise 0.1.0"), 800.0, 0.3, 0.91),
+        make_row(Run("logo", "greedy", settings, planner="beadwise 0.1.0"), reason="no plan: bead 0: stuck", **FIXED),
+        plan(Run("peer_cap", "10°", planner="ladders 1.2"), 90.0, 0.19, 0.999, waypoints=800),
+        plan(Run("peer_cap", "", planner="steps 0.3"), 9000.0, 0.01, reason="tip on the path 38 mm"),
+        plan(Run("logo", "10°", settings, planner="ladders 1.2"), 100.0, 0.2, 0.95),
+    ]
+
+
+def test_the_same_rows_give_the_same_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, folder = tmp_path / "runs.csv", tmp_path / "report"
+    for row in table():
+        append_row(file, row)
+    assert report.main([str(file), "--out", str(folder)]) == EXIT_VERIFIED
+    assert capsys.readouterr().out.strip() == str(folder / report.REPORT)
+    assert (folder / report.REPORT).read_text(encoding="utf-8") == GOLDEN.read_text(encoding="utf-8")
+    pictures = sorted(folder.glob("*.png"))
+    assert [picture.name for picture in pictures] == ["margins.png", "rate.png", "speed.png", "success.png"]
+    assert all(1000 < picture.stat().st_size <= LARGEST_PICTURE for picture in pictures)
+
+
+def test_ours_is_set_beside_the_fastest_peer_that_verifies() -> None:
+    logo, cap = against_peers(results_of(of_one_commit(table())[0]))
+    assert (logo.ours.problem, cap.ours.problem) == ("logo", "peer_cap")
+    assert cap.fastest is not None and cap.fastest.label == "ladders 1.2 10°"
+    # 800 poses at 90 a second take 8.9 s; ours 1000 waypoints at a median of 1300 a second 0.77 s
+    assert cap.ratio == pytest.approx((800 / 90) / (1000 / 1300))
+    assert cap.no_worse == {"σ min": True, "limit margin °": True, "at speed": True}
+    assert logo.ratio == pytest.approx(8.0)
+    assert logo.no_worse["at speed"] is False
+
+
+def test_a_file_without_rows_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert report.main([str(tmp_path / "none.csv")]) == EXIT_INPUT
+    assert "there is no such file" in capsys.readouterr().err
+    (tmp_path / "none.csv").write_text("", encoding="utf-8")
+    assert report.main([str(tmp_path / "none.csv")]) == EXIT_INPUT
+    assert "has no rows" in capsys.readouterr().err
+
+
+def test_rows_come_back_as_they_were_written(tmp_path: Path) -> None:
+    for row in table():
+        append_row(tmp_path / "runs.csv", row)
+    read = read_rows(tmp_path / "runs.csv")
+    assert [row["waypoints"] for row in read] == [row["waypoints"] for row in table()]
+    assert read[1]["waypoints_per_s"] == 1200.0 and read[1]["verified"] is True
