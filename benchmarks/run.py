@@ -18,12 +18,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.named import all_problems, coarse, load_named
-from benchmarks.rows import Row, Run, append_row, key_of, read_rows
-from benchmarks.single import beadwise, run_apart
+from benchmarks.rows import KEY, Row, Run, append_row, key_of, read_rows, row_without_plan
+from benchmarks.single import Job, beadwise, run_apart
 from benchmarks.usage import commit, machine
 from planner.command import exit_code, one_of
-from planner.errors import EXIT_VERIFIED
+from planner.errors import EXIT_VERIFIED, PlannerError
 from planner.problem.settings import STRATEGY_NAMES
+from planner.spread import spread
 
 OUT = Path("out/benchmarks/runs.csv")
 FOR_SMALL_ONES = ("nlp",)  # minutes for a thousand waypoints: run where it is asked for
@@ -48,9 +49,9 @@ def grid(
     ]
 
 
-def left(runs: Sequence[Run], rows: Sequence[Row]) -> list[Run]:
-    """The runs that have no row of this commit on this machine yet."""
-    done, here = {key_of(row) for row in rows}, (commit(), machine())
+def left(runs: Sequence[Run], rows: Sequence[Row], here: Sequence[str]) -> list[Run]:
+    """The runs that have no row yet; here: this commit, and this machine where it is the one that runs them."""
+    done = {key_of(row)[: KEY.index("commit") + len(here)] for row in rows}
     return [run for run in runs if (*run.key, *here) not in done]
 
 
@@ -63,7 +64,7 @@ def told(runs: Sequence[Run], todo: Sequence[Run], rows: Sequence[Row], file: Pa
     others = [row for row in rows if (row["commit"], row["machine"]) != here]
     if others:
         of = ", ".join(dict.fromkeys(str(row["commit"]) for row in others))
-        lines.append(f"{len(others)} rows there are of another commit or machine ({of}): they stay, and are kept apart")
+        lines.append(f"{len(others)} rows there are of another commit ({of}): they stay, and are kept apart")
     return lines
 
 
@@ -118,6 +119,13 @@ def parser() -> argparse.ArgumentParser:
     command.add_argument(
         "--limit", type=some_seconds, metavar="SECONDS", help="end a run that takes longer, its warm-up included"
     )
+    command.add_argument(
+        "--jobs", type=whole_number, default=1, metavar="N",
+        help="processes that run side by side; default: 1, for they slow each other down",
+    )  # fmt: skip
+    command.add_argument(
+        "--scheduler", metavar="ADDRESS", help="of a dask cluster that runs them instead, such as tcp://host:8786"
+    )
     command.add_argument("--out", type=Path, default=OUT, metavar="FILE.csv", help=f"default: {OUT}")
     command.add_argument("--anew", action="store_true", help="run what has a row already, too: the last row counts")
     return command
@@ -127,11 +135,13 @@ def run(options: argparse.Namespace) -> int:
     """Run what is left; returns the exit code."""
     runs = grid(options.problems, options.strategies, options.set, options.repeat, options.coarse)
     rows = read_rows(options.out) if options.out.exists() else []
-    todo = runs if options.anew else left(runs, rows)
+    here = (commit(), machine()) if options.scheduler is None else (commit(),)
+    todo = runs if options.anew else left(runs, rows, here)
     for text in told(runs, todo, rows, options.out):
         print(text, file=sys.stderr)
-    for number, each in enumerate(todo, 1):
-        row = run_apart(each, options.limit)
+    jobs: list[Job] = [(each, options.limit) for each in todo]
+    for number, (i, done) in enumerate(spread(run_apart, jobs, options.jobs, options.scheduler), 1):
+        row = row_without_plan(todo[i], f"lost: {done}", {}) if isinstance(done, PlannerError) else done
         append_row(options.out, row)
         print(f"[{number}/{len(todo)}] {line(row)}", flush=True)
     print(f"python -m benchmarks.report {options.out}", file=sys.stderr)

@@ -30,6 +30,7 @@ from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
 
 WARM_BEADS, WARM_POINTS = 2, 60  # of the print to warm up with: travel between beads belongs to it
+Job = tuple[Run, float | None]  # and after how many seconds it is ended, if ever
 NOT_OURS = "baseline"  # a stage of `solve` that is not entered here, and would be another strategy's
 
 
@@ -86,8 +87,9 @@ def _own(stages: Stages) -> dict[str, float]:
     return {name: seconds for name, seconds in stages.seconds.items() if name != NOT_OURS}
 
 
-def run_apart(run: Run, limit: float | None = None) -> Row:
-    """The row of a run in a process of its own; one that is ended after `limit` seconds, or killed, is a row too."""
+def run_apart(job: Job) -> Row:
+    """The row of a run in a process of its own; one that is ended at its limit, or killed, is a row too."""
+    run, limit = job
     ended = in_own_process("benchmarks.single", [json.dumps(asdict(run))], limit)
     if ended.reason:
         return row_without_plan(run, ended.reason, {})

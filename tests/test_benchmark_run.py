@@ -24,9 +24,9 @@ GRID = ["--problems", *PROBLEMS, "--strategies", *CHOSEN, "--coarse"]
 OF_TIME = {"waypoints_per_s", "cpu_s", "peak_mb", "date", *(name for name in COLUMNS if name.startswith("seconds_"))}
 
 
-def cold(each: Run, limit: float | None) -> Row:
+def cold(job: single.Job) -> Row:
     """A run in this process, which need not be warm."""
-    return single.measured(each, warm=False)
+    return single.measured(job[0], warm=False)
 
 
 def plans(table: list[Row]) -> list[Row]:
@@ -80,11 +80,11 @@ def test_an_interrupted_run_goes_on_where_it_ended(
     file, asked = tmp_path / "runs.csv", []
     by_run = {(row["problem"], row["strategy"]): row for row in whole}
 
-    def remembered(each: Run, limit: float | None) -> Row:
-        asked.append(each)
+    def remembered(job: single.Job) -> Row:
+        asked.append(job[0])
         if len(asked) == 3:
             raise KeyboardInterrupt
-        return by_run[each.problem, each.strategy]
+        return by_run[job[0].problem, job[0].strategy]
 
     monkeypatch.setattr(run, "run_apart", remembered)
     assert ran("--out", str(file)) == EXIT_INTERRUPTED
@@ -113,7 +113,7 @@ def test_a_crash_and_a_refusal_are_rows(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_a_run_has_a_process_of_its_own() -> None:
-    row = single.run_apart(Run("per_cap", "ladder"))
+    row = single.run_apart((Run("per_cap", "ladder"), None))
     assert row["reason"] == "refused: per_cap: there is no such problem file (did you mean peer_cap?)"
     assert float(row["peak_mb"]) > 50.0
 
