@@ -20,15 +20,16 @@ from rich.table import Table
 
 from planner.cell import build_cell
 from planner.errors import EXIT_VERIFIED, PlannerError
-from planner.place import METRICS, Outcome, best_of, outcomes, surroundings
+from planner.place import METRICS, best_of, outcomes
 from planner.placement.chart import draw_map, words
+from planner.placement.crew import Outcome, crew_of
 from planner.placement.freedom import place_of
 from planner.placement.ranges import axes_of
+from planner.placement.site import Asked, site_of
 from planner.placement.study import study
 from planner.problem import load_problem
 from planner.progress import Stages
-from planner.task import tasks_of
-from planner.toolpath.build import build_toolpath
+from planner.spread import crew
 
 PROBLEMS = {
     "hemisphere_honeycomb": ["layers.count=1"],
@@ -47,16 +48,17 @@ def rows(name: str, overrides: list[str], maps: Path | None) -> list[list[str]]:
     """Two lines of the table: as the problem stands, and the best verified place."""
     start = time.process_time()
     problem = load_problem(name, overrides)
-    cell, now, toolpath = build_cell(problem), place_of(problem), build_toolpath(problem)
-    axes, tasks = axes_of(problem, cell, now, None, []), tasks_of(problem, toolpath)
-    around = surroundings(problem.strategy, problem, cell, toolpath)
-    found = study(problem, cell, tasks, now, around, axes, problem.strategy, SOLVED, Stages().counted)
-    searched = time.process_time() - start
-    if maps is not None:
-        draw_map(found, f"{name}: where it can be printed, and how well", maps / f"placement_{name}.png")
-    solved = outcomes(problem, overrides, toolpath, found, problem.strategy, Stages())
+    cell, asked = build_cell(problem), Asked(name, tuple(overrides))
+    site = site_of(asked, problem, cell, axes_of(problem, cell, place_of(problem), None, []))
+    with crew() as over:
+        alone = crew_of(asked, site, over, beside=False)
+        found = study(site, alone, SOLVED, Stages().counted)
+        searched = time.process_time() - start
+        if maps is not None:
+            draw_map(found, f"{name}: where it can be printed, and how well", maps / f"placement_{name}.png")
+        solved = outcomes(found, alone, lambda: None)
     best = best_of(solved) or solved[0]
-    names = [axis.name for axis in axes]
+    names = [axis.name for axis in site.axes]
     gain = best.metrics["sigma_min"] / solved[0].metrics["sigma_min"] - 1.0 if solved[0].metrics else 0.0
     title = " ".join([name, *overrides])
     return [

@@ -16,6 +16,7 @@ from planner.errors import EXIT_INTERRUPTED, PlannerError, Refusal, nearest_name
 from planner.interrupts import end_in_order
 from planner.problem import shipped_problems
 from planner.problem.settings import STRATEGY_NAMES
+from planner.spread import MOST_JOBS
 
 if TYPE_CHECKING:
     from planner.tolerance import Tolerance
@@ -155,6 +156,18 @@ def add_strategy(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_spread(parser: argparse.ArgumentParser) -> None:
+    """Add `--jobs` and `--scheduler`."""
+    parser.add_argument(
+        "--jobs", type=_jobs, default=1, metavar="N", help="processes that share the work (default 1: this one alone)"
+    )
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="dask scheduler whose workers do the work instead, e.g. tcp://192.168.0.10:8786",
+    )
+
+
 def solve_command() -> Command:
     """The parser of `python -m planner.solve`."""
     parser = Command(
@@ -212,6 +225,12 @@ def options_of(arguments: Sequence[str] | None) -> argparse.Namespace:
     if options.problem is None and not options.list:
         parser.error(f"which problem? A file, or one of: {', '.join(shipped_problems())}")
     return options
+
+
+def _jobs(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= MOST_JOBS:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 1 to {MOST_JOBS}")
+    return int(text)
 
 
 def _sample_time(text: str) -> float:

@@ -7,33 +7,27 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from planner.cell import Cell, build_cell
-from planner.command import Command, add_problem, add_set, add_strategy, exit_code
-from planner.errors import EXIT_VERIFIED, OutputError, Refusal
-from planner.obstacles import NOTHING, obstacles_of
+from planner.cell import build_cell
+from planner.command import Command, add_problem, add_set, add_spread, add_strategy, exit_code
+from planner.errors import EXIT_VERIFIED, OutputError
 from planner.output import results_folder
 from planner.placement.chart import draw_map, number, words, write_table
-from planner.placement.freedom import FREEDOMS, Place, changed_fields, place_of
+from planner.placement.crew import Crew, Outcome, crew_of
+from planner.placement.freedom import FREEDOMS, changed_fields, place_of
 from planner.placement.ranges import axes_of
-from planner.placement.rating import COMFORT
-from planner.placement.study import Study, Surroundings, study
-from planner.planning import try_out
+from planner.placement.site import Asked, found_anywhere, site_of
+from planner.placement.study import Study, study
 from planner.problem import Problem, load_problem
 from planner.problem.rewrite import write_changed
 from planner.progress import Stages
-from planner.resolve import UNAWARE
-from planner.task import tasks_of
-from planner.toolpath.bead import Toolpath
-from planner.toolpath.build import build_toolpath
+from planner.spread import crew as spread_crew
 
 MOST_SOLVED = 10
 TABLE, PICTURE = "placement.csv", "placement.png"
@@ -46,61 +40,11 @@ METRICS = (  # of a verified plan, with their headings, factors and decimals
 )
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What solving at a place came to: the plan's metrics, and why it is no plan to print, if it is none."""
-
-    place: Place
-    predicted: float
-    metrics: dict[str, float]
-    failure: str | None
-
-    @property
-    def score(self) -> float:
-        """The placement's score as `rating` counts it, from the verified plan; 0 without one."""
-        if self.failure is not None:
-            return 0.0
-        m = self.metrics
-        limits, wrist = np.radians(m["joint_limit_margin_deg"]), np.radians(m.get("wrist_margin_deg", 180.0))
-        least = float((np.array([m["sigma_min"], limits, wrist]) / COMFORT).min())
-        return least * m["ideal_deposition_time_s"] / m["deposition_time_s"]
-
-
-def surroundings(strategy: str, problem: Problem, cell: Cell, toolpath: Toolpath) -> Surroundings:
-    """What a strategy keeps clear of while it prints a toolpath.
-
-    On a bed, fixtures are points of the part's frame; where the part moves between them, these are found anew.
-    """
-    among = len(cell.holder) == 0 and len(cell.fixtures) > 0
-    if strategy in UNAWARE:
-        return Surroundings(NOTHING, lambda _: NOTHING)
-    nearly = obstacles_of(problem, replace(cell, fixtures=()) if among else cell, toolpath)
-    if among:
-        return Surroundings(nearly, lambda moved: obstacles_of(problem, moved, toolpath))
-    return Surroundings(nearly, nearly.of)
-
-
-def outcomes(
-    problem: Problem, overrides: Sequence[str], toolpath: Toolpath, found: Study, strategy: str, stages: Stages
-) -> list[Outcome]:
+def outcomes(found: Study, crew: Crew, tick: Callable[[], None]) -> list[Outcome]:
     """Solve and verify the problem where its part stands, and at the best places of a study, in that order."""
-    out = []
-    places = [(found.now, found.now_rating.score), *((place, rating.score) for place, rating in found.best)]
-    for i, (place, predicted) in enumerate(places):
-        with stages.stage("present" if i == 0 else f"best {i}"):
-            moved = load_problem(problem.file, [*overrides, *_settings(problem, place)])
-            try:
-                report = try_out(moved, toolpath, strategy, True)
-            except Refusal as refusal:
-                out.append(Outcome(place, predicted, {}, f"no plan: {refusal}"))
-                continue
-            failed = [check.name for check in report.checks if not check.ok]
-            out.append(Outcome(place, predicted, report.metrics, f"not verified: {failed[0]}" if failed else None))
-    return out
-
-
-def _settings(problem: Problem, place: Place) -> list[str]:
-    return [f"{field}={value}" for field, value in changed_fields(problem, place).items()]
+    rated = [(found.now, found.now_rating), *found.best]
+    solved: list[Outcome] = crew("solve", [(place, rating.score) for place, rating in rated], tick)
+    return solved
 
 
 def best_of(solved: Sequence[Outcome]) -> Outcome | None:
@@ -125,17 +69,21 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
         target = folder / f"{problem.file.stem}_placed.yaml"
         if target.exists():  # before anything is computed
             raise OutputError(f"{target} is there already, and stays as it is: remove it, or choose another --out")
-        now = place_of(problem)
-        axes = axes_of(problem, cell, now, options.free, options.range)
-        with results_folder(folder, lambda _: ()) as fresh:  # one that cannot be written is told at once
+        asked = Asked(found_anywhere(problem), tuple(options.set), options.strategy, options.free, tuple(options.range))
+        axes = axes_of(problem, cell, place_of(problem), options.free, options.range)
+        beside = options.jobs > 1 or options.scheduler is not None
+        # a folder that cannot be written, and a scheduler that does not answer, are told at once
+        with results_folder(folder, lambda _: ()) as fresh, spread_crew(options.jobs, options.scheduler) as over:
             with stages.stage("toolpath"):
-                toolpath = build_toolpath(problem)
-            strategy, tasks = options.strategy or problem.strategy, tasks_of(problem, toolpath)
-            around = surroundings(strategy, problem, cell, toolpath)
-            found = study(problem, cell, tasks, now, around, axes, strategy, max(options.best, 1), stages.counted)
+                site = site_of(asked, problem, cell, axes)
+            crew = crew_of(asked, site, over, beside)
+            found = study(site, crew, max(options.best, 1), stages.counted)
             write_table(found, fresh / TABLE)
             draw_map(found, f"{problem.name}: where it can be printed, and how well", fresh / PICTURE)
-            solved = outcomes(problem, options.set, toolpath, found, strategy, stages) if options.best else []
+            solved: list[Outcome] = []
+            if options.best:
+                with stages.counted("solve", 1 + len(found.best)) as tick:
+                    solved = outcomes(found, crew, tick)
     names = [axis.name for axis in found.axes]
     out = Console(highlight=False, width=None if sys.stdout.isatty() else 160)
     out.print(table_of(problem, found, solved, names))
@@ -197,6 +145,7 @@ def place_command() -> Command:
             "hemisphere_honeycomb": "search x, y, z and turn of its bed; results in out/<problem>_placement",
             "my_part.yaml --best 0": "only the map: nothing is solved",
             "my_part.yaml --free x,y --range x=300:700": "only along the floor, x between 300 and 700 mm",
+            "my_part.yaml --jobs 4": "in four processes; the same result, sooner",
         },
         {
             0: "done; the best place, if it is better than the present one, is written as a problem file",
@@ -231,6 +180,7 @@ def place_command() -> Command:
     )
     add_strategy(parser)
     add_set(parser)
+    add_spread(parser)
     parser.add_argument("--quiet", action="store_true", help="no progress bars")
     return parser
 

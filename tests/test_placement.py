@@ -15,16 +15,19 @@ from solved import BED, write_small
 from planner.cell import Cell, build_cell
 from planner.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, OutputError
 from planner.obstacles import obstacles_of
-from planner.place import PICTURE, TABLE, Outcome, best_of, main, surroundings
+from planner.place import PICTURE, TABLE, Outcome, best_of, main
+from planner.placement.crew import crew_of
 from planner.placement.freedom import Place, changed_fields, moved_cell, place_of
 from planner.placement.margin_kernel import bottleneck, way_back
 from planner.placement.ranges import axes_of, reach
 from planner.placement.rating import COMFORT, Course, best_worst, course_of, rate, score, score_of_paths
-from planner.placement.search import Axis, Tried, over_lattice, polish, well_apart
+from planner.placement.search import Axis, Tried, lattice, one_by_one, polish, well_apart
+from planner.placement.site import Asked, own_site, site_of, surroundings
 from planner.planning import try_out
 from planner.problem import Problem, load_problem
 from planner.problem.rewrite import changed_text, write_changed
 from planner.resolve import STRATEGIES
+from planner.spread import crew
 from planner.task import NozzleTask, tasks_of
 from planner.toolpath.build import build_toolpath
 
@@ -323,17 +326,16 @@ def ridge(point: tuple[float, ...], floor: float) -> float:
 
 
 def test_search_finds_the_top_of_a_ridge() -> None:
-    ticks: list[int] = []
-    tried = over_lattice(AXES, ridge, lambda: ticks.append(1))
-    assert len(tried) == len(ticks) == 150
+    tried = [Tried(point, ridge(point, 0.0)) for point in lattice(AXES)]
+    assert len(tried) == 150
     starts = well_apart(tried, 3, lambda a, b: abs(a[0] - b[0]) > 0.3)
-    trails = [polish(AXES, ridge, start.point) for start in starts]
+    trails = [polish(AXES, one_by_one(ridge), start.point) for start in starts]
     best = max((trail[-1] for trail in trails), key=lambda each: each.score)
     assert best.score > 1.93
     assert [t.score for trail in trails for t in trail] != sorted(t.score for trail in trails for t in trail)
     for trail in trails:
         assert all(b.score > a.score for a, b in itertools.pairwise(trail))
-    again = [polish(AXES, ridge, start.point) for start in starts]
+    again = [polish(AXES, one_by_one(ridge), start.point) for start in starts]
     assert again == trails
 
 
@@ -423,6 +425,26 @@ def test_command_finds_a_better_place(tmp_path: Path, capsys: pytest.CaptureFixt
     again = tmp_path / "again"
     assert main([str(problem), "--out", str(again), "--best", "0", *SMALL]) == EXIT_VERIFIED
     assert first == tuple((again / name).read_bytes() for name in (TABLE, PICTURE))
+
+
+def test_pieces_done_elsewhere_are_the_pieces_done_here(tmp_path: Path) -> None:
+    """Another process has but the words of the command; it reads the files itself, and says so if they differ."""
+    file = write_small(tmp_path, *BED)
+    asked = Asked(str(file), ranges=("x=-400:-380", "y=370:390"))
+    problem = load_problem(file)
+    cell, now = build_cell(problem), place_of(problem)
+    site = site_of(asked, problem, cell, axes_of(problem, cell, now, None, asked.ranges))
+    ticks: list[int] = []
+    with crew() as over:
+        here, there = (crew_of(asked, site, over, beside) for beside in (False, True))
+        for kind, pieces in {"score": [(now, site.at((-0.4, 0.38)))], "follow": [(-0.4, 0.38), (-9.0, 9.0)]}.items():
+            found = here(kind, pieces, lambda: None)
+            assert found == there(kind, pieces, lambda: ticks.append(1)) and found[0]
+        assert len(ticks) == 4
+        write_small(tmp_path, *BED, ("speed_mm_s: 40", "speed_mm_s: 30"), ("radius_mm: 34", "radius_mm: 33"))
+        own_site.cache_clear()
+        with pytest.raises(InputError, match=r"small\.yaml.* is not the same for a worker"):
+            there("score", [(now,)], lambda: None)
 
 
 def test_command_draws_the_map_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -109,25 +109,25 @@ def test_what_cannot_be_spread_is_told() -> None:
         results(lambda item: item, [1, 2], jobs=2)
     for jobs in (0, 1000):
         with pytest.raises(InputError, match="is not a number of processes"):
-            spread(square, [1], jobs=jobs)
+            results(square, [1], jobs=jobs)
 
 
 @pytest.mark.parametrize("address", ["localhost:8786", "tcp://localhost", "http://a:1", "tcp://:1", "tcp://a b:1", ""])
 def test_what_is_no_address(address: str) -> None:
     with pytest.raises(InputError, match=r"--scheduler: .* is no address"):
-        spread(square, [1], scheduler=address)
+        results(square, [1], scheduler=address)
 
 
 def test_nobody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster_module, "PATIENCE", 0.3)
     with pytest.raises(InputError, match=r"no scheduler answers at tcp://127.0.0.1:9"):
-        spread(square, [1], scheduler="tcp://127.0.0.1:9")
+        results(square, [1], scheduler="tcp://127.0.0.1:9")
 
 
 def test_without_dask(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(InputError, match="dask is not installed"):
-        spread(square, [1], scheduler="tcp://127.0.0.1:9")
+        results(square, [1], scheduler="tcp://127.0.0.1:9")
 
 
 @pytest.fixture(scope="module")

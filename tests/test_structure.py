@@ -104,7 +104,7 @@ NARROW = {
     "progress": {"errors"},
     "interrupts": {"errors"},
     "output": {"errors", "interrupts"},
-    "command": {"errors", "interrupts", "problem", "plan"},
+    "command": {"errors", "interrupts", "problem", "plan", "spread"},
     "background": {"errors", "interrupts"},
     "export": {"errors", "plan"},
     "report": {"errors", "plan"},

@@ -17,6 +17,7 @@ from scipy.stats import qmc
 Array = NDArray[np.float64]
 Point = tuple[float, ...]
 Score = Callable[[Point, float], float]  # point, floor → its score, 0 where that is not above the floor
+Scores = Callable[[Sequence[Point], float], list[float]]  # the same of several points, in whatever order
 
 _AROUND = 12  # points that each round tries besides steps along the coordinates
 _ROUNDS = 4  # at one step width, at most
@@ -65,13 +66,22 @@ class Tried:
     score: float
 
 
-def over_lattice(axes: Sequence[Axis], score: Score, tick: Callable[[], None]) -> list[Tried]:
-    """Every lattice point with its score, the last axis running quickest."""
-    out = []
-    for point in itertools.product(*(axis.lattice() for axis in axes)):
-        out.append(Tried(point, score(point, 0.0)))
-        tick()
-    return out
+def lattice(axes: Sequence[Axis]) -> list[Point]:
+    """Every lattice point, the last axis running quickest."""
+    return list(itertools.product(*(axis.lattice() for axis in axes)))
+
+
+def one_by_one(score: Score) -> Scores:
+    """Scores of points in turn, each above that of the best so far, or 0."""
+
+    def scores(points: Sequence[Point], floor: float) -> list[float]:
+        out = []
+        for point in points:
+            out.append(score(point, floor))
+            floor = max(floor, out[-1])
+        return out
+
+    return scores
 
 
 def well_apart(tried: Iterable[Tried], count: int, apart: Callable[[Point, Point], bool]) -> list[Tried]:
@@ -85,12 +95,12 @@ def well_apart(tried: Iterable[Tried], count: int, apart: Callable[[Point, Point
     return out
 
 
-def polish(axes: Sequence[Axis], score: Score, start: Point, share: float = 0.5, most: int = 10**9) -> list[Tried]:
+def polish(axes: Sequence[Axis], scores: Scores, start: Point, share: float = 0.5, most: int = 10**9) -> list[Tried]:
     """Ever better points from a start on, with steps that halve where none helps any more; the last is the best.
 
     share: of the lattice's step, which the first steps are; most: scores that are asked for.
     """
-    best = Tried(start, score(start, 0.0))
+    best = Tried(start, scores([start], 0.0)[0])
     trail = [best]
     width = np.array([share * axis.step for axis in axes])
     spread = qmc.Halton(len(axes), scramble=False)
@@ -99,15 +109,14 @@ def polish(axes: Sequence[Axis], score: Score, start: Point, share: float = 0.5,
     for _ in range(_HALVINGS):
         for _ in range(_ROUNDS):
             around = np.vstack([np.eye(len(axes)), -np.eye(len(axes)), 2.0 * spread.random(_AROUND) - 1.0])
-            better = best
-            for offset in around * width:
-                point = tuple(axis.put(at + by) for axis, at, by in zip(axes, best.point, offset, strict=True))
-                if point in known or len(known) >= most:
-                    continue
-                known.add(point)
-                found = score(point, better.score)
-                if found > better.score:
-                    better = Tried(point, found)
+            near = [
+                tuple(axis.put(at + by) for axis, at, by in zip(axes, best.point, offset, strict=True))
+                for offset in around * width
+            ]
+            new = [point for point in dict.fromkeys(near) if point not in known][: max(most - len(known), 0)]
+            known.update(new)
+            found = [Tried(point, value) for point, value in zip(new, scores(new, best.score), strict=True)]
+            better = max([best, *found], key=lambda tried: tried.score)  # the first of equals
             if better is best:  # as it stays where no more scores may be asked for
                 break
             best = better

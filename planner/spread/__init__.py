@@ -7,14 +7,15 @@ its item another try, not the rest of the work.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import TypeVar
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any, TypeVar
 
 from planner.errors import InputError, PlannerError
-from planner.spread.cluster import on_cluster
-from planner.spread.named import Lost, outcome
-from planner.spread.processes import in_processes
+from planner.spread.cluster import cluster_crew
+from planner.spread.named import Lost, Spread, outcome
+from planner.spread.processes import local_crew
 
-__all__ = ["MOST_JOBS", "Lost", "spread"]
+__all__ = ["MOST_JOBS", "Lost", "Spread", "crew", "spread"]
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -35,13 +36,22 @@ def spread(
     RuntimeError if it came from another process. The processes end with the iteration.
     Raises InputError where there is no such scheduler, or its workers do not have the program that this one is.
     """
+    with crew(jobs, scheduler) as over:
+        yield from over(function, items)
+
+
+def crew(jobs: int = 1, scheduler: str | None = None) -> AbstractContextManager[Spread]:
+    """What spreads as `spread` does, called with function and items, with processes that stay until the block ends.
+
+    So what a function keeps in its process (a cache) is still there for later items.
+    """
     if not 1 <= jobs <= MOST_JOBS:
         raise InputError(f"{jobs} is not a number of processes", field="--jobs", hint=f"1 to {MOST_JOBS}")
     if scheduler is not None:
-        return on_cluster(function, items, scheduler)
-    return in_processes(function, items, jobs) if jobs > 1 else _here(function, items)
+        return cluster_crew(scheduler)
+    return local_crew(jobs) if jobs > 1 else nullcontext(_here)
 
 
-def _here(function: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[tuple[int, Result | PlannerError]]:
+def _here(function: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[tuple[int, Any]]:
     for i, item in enumerate(items):
         yield i, outcome(function, item)

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from functools import partial
+from typing import Any
 
-from planner.errors import InputError, PlannerError
-from planner.spread.named import by_name, lost, name_of, outcome, program_of
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
+from planner.errors import InputError
+from planner.spread.named import Spread, by_name, lost, name_of, outcome, program_of
 
 PATIENCE = 10.0  # s for the scheduler to answer, and then for a first worker to be there
 _ADDRESS = re.compile(r"(tcp|tls)://([^/\s:\[\]]+|\[[0-9a-fA-F:]+\]):\d{1,5}")
@@ -29,10 +28,9 @@ class Stranger:
     program: str
 
 
-def on_cluster(
-    function: Callable[[Item], Result], items: Sequence[Item], scheduler: str
-) -> Iterator[tuple[int, Result | PlannerError]]:
-    """As `planner.spread.spread`; what a dead worker had, dask itself gives to others."""
+@contextmanager
+def cluster_crew(scheduler: str) -> Iterator[Spread]:
+    """What spreads items over the workers of a scheduler; what a dead one had, dask itself gives to others."""
     if not _ADDRESS.fullmatch(scheduler):
         raise InputError(f"{scheduler!r} is no address", field=_FIELD, hint="such as tcp://192.168.0.10:8786")
     try:
@@ -44,30 +42,30 @@ def on_cluster(
     except (OSError, ValueError):
         hint = "start one: dask scheduler --port 8786"
         raise InputError(f"no scheduler answers at {scheduler}", field=_FIELD, hint=hint) from None
-    return _all_done(client, function, items, scheduler)
-
-
-def _all_done(
-    client: Any, function: Callable[[Item], Result], items: Sequence[Item], scheduler: str
-) -> Iterator[tuple[int, Result | PlannerError]]:
-    import distributed
-
-    name = name_of(function)
-    program = program_of(name[0])
     with client:
         try:
             client.wait_for_workers(1, timeout=PATIENCE)
         except TimeoutError:
             hint = f"start one: dask worker {scheduler} --nthreads 1"
             raise InputError(f"the scheduler at {scheduler} has no worker", field=_FIELD, hint=hint) from None
-        # not pure: a result of an earlier run with the same items is not this run's
-        futures = [client.submit(_work, program, *name, item, pure=False) for item in items]
-        index = {future.key: i for i, future in enumerate(futures)}
-        finished = distributed.as_completed(futures, loop=client.loop)
-        futures.clear()  # so that results that were taken do not stay on the workers
-        for future in finished:
-            i = index[future.key]
-            yield i, _result(future, i, name, program, scheduler)
+        yield partial(_on_workers, client, scheduler)
+
+
+def _on_workers(
+    client: Any, scheduler: str, function: Callable[[Any], Any], items: Sequence[Any]
+) -> Iterator[tuple[int, Any]]:
+    import distributed
+
+    name = name_of(function)
+    program = program_of(name[0])
+    # not pure: a result of an earlier run with the same items is not this run's
+    futures = [client.submit(_work, program, *name, item, pure=False) for item in items]
+    index = {future.key: i for i, future in enumerate(futures)}
+    finished = distributed.as_completed(futures, loop=client.loop)
+    futures.clear()  # so that results that were taken do not stay on the workers
+    for future in finished:
+        i = index[future.key]
+        yield i, _result(future, i, name, program, scheduler)
 
 
 def _result(future: Any, i: int, name: tuple[str, str], program: str, scheduler: str) -> Any:

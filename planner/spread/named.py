@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,6 +15,9 @@ from planner.versions import versions
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+# function, items → (index, result or error that is the user's to mend) of each item, as they are done
+Spread = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[tuple[int, Any]]]
 
 _DIGITS = 12  # of the digest of sources: enough that two programs never share them
 
