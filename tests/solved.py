@@ -9,9 +9,6 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
-import pytest
-
-import planner.planning
 from planner.cell import Cell
 from planner.command import DEFAULT_DT
 from planner.plan import Plan
@@ -100,9 +97,7 @@ def bed_plan() -> Plan:
 
 def solve_alone(problem: Problem, strategy: str | None = None, dt: float = DEFAULT_DT) -> Plan:
     """As `solve`, but without the baseline beside it, which takes as long again; for tests that do not look at it."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(planner.planning, "_baseline", lambda given, dt: {planner.planning.BASELINE: {}})
-        return solve(problem, strategy, dt=dt)
+    return solve(problem, strategy, dt=dt, baseline=False)
 
 
 # Figures of the output contract, in the units of their names.
