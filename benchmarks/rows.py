@@ -55,23 +55,32 @@ _LONGEST_REASON = 500  # characters
 
 @dataclass(frozen=True)
 class Run:
-    """What is to be run: a problem with settings by one strategy of one planner, for the how-manieth time (from 0)."""
+    """What is to be run: a problem with settings by one strategy of one planner, for the how-manieth time (from 0).
+
+    change: what is switched off in the strategy, see `benchmarks.ideas`
+    """
 
     problem: str
     strategy: str
     settings: tuple[str, ...] = ()
     repeat: int = 0
     planner: str = "beadwise"
+    change: str = ""
+
+    @property
+    def label(self) -> str:
+        """What stands in the column `strategy`."""
+        return f"{self.strategy}: {self.change}" if self.change else self.strategy
 
     @property
     def key(self) -> tuple[str, ...]:
         """What tells it from other runs of one commit on one machine; see `key_of`."""
-        return (self.problem, BETWEEN.join(self.settings), self.strategy, str(self.repeat), self.planner)
+        return (self.problem, BETWEEN.join(self.settings), self.label, str(self.repeat), self.planner)
 
     @property
     def words(self) -> str:
         """For messages: `peer_cap sqp process.speed_mm_s=30 #1`."""
-        return " ".join([self.problem, self.strategy, *self.settings, f"#{self.repeat}"])
+        return " ".join([self.problem, self.label, *self.settings, f"#{self.repeat}"])
 
 
 def make_row(run: Run, used: Usage | None = None, **values: Value) -> Row:
@@ -80,7 +89,7 @@ def make_row(run: Run, used: Usage | None = None, **values: Value) -> Row:
     Raises ValueError for a value that no column has.
     """
     given: Row = {
-        "problem": run.problem, "set": BETWEEN.join(run.settings), "strategy": run.strategy, "repeat": run.repeat,
+        "problem": run.problem, "set": BETWEEN.join(run.settings), "strategy": run.label, "repeat": run.repeat,
         "planner": run.planner, "found": False, "verified": False, "commit": usage.commit(),
         "date": time.strftime("%Y-%m-%dT%H:%M:%S"), "machine": usage.machine(),
     }  # fmt: skip

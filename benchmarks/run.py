@@ -14,14 +14,14 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from benchmarks.named import all_problems, coarse, load_named
 from benchmarks.rows import KEY, Row, Run, append_row, key_of, read_rows, row_without_plan
 from benchmarks.single import Job, beadwise, run_apart
 from benchmarks.usage import commit, machine
-from planner.command import exit_code, one_of
+from planner.command import add_spread, exit_code, one_of
 from planner.errors import EXIT_VERIFIED, PlannerError
 from planner.problem.settings import STRATEGY_NAMES
 from planner.spread import spread
@@ -96,6 +96,21 @@ def some_seconds(text: str) -> float:
     return seconds
 
 
+def add_options(command: argparse.ArgumentParser, out: Path) -> None:
+    """Add what every table of runs can be told: see `carry_out`."""
+    command.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="change a field of all problems; repeatable"
+    )
+    command.add_argument("--repeat", type=whole_number, default=1, metavar="N", help="run each so many times")
+    command.add_argument("--coarse", action="store_true", help="a quick look: a coarse search, one layer")
+    command.add_argument(
+        "--limit", type=some_seconds, metavar="SECONDS", help="end a run that takes longer, its warm-up included"
+    )
+    add_spread(command)
+    command.add_argument("--out", type=Path, default=out, metavar="FILE.csv", help=f"default: {out}")
+    command.add_argument("--anew", action="store_true", help="run what has a row already, too: the last row counts")
+
+
 def parser() -> argparse.ArgumentParser:
     """The parser of the command."""
     command = argparse.ArgumentParser(
@@ -111,29 +126,12 @@ def parser() -> argparse.ArgumentParser:
         "--strategies", nargs="+", default=usual, type=one_of(STRATEGY_NAMES), metavar="NAME",
         help=f"of {', '.join(STRATEGY_NAMES)}; default: all but {', '.join(FOR_SMALL_ONES)}, which is for small problems",
     )  # fmt: skip
-    command.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="change a field of all problems; repeatable"
-    )
-    command.add_argument("--repeat", type=whole_number, default=1, metavar="N", help="run each so many times")
-    command.add_argument("--coarse", action="store_true", help="a quick look: a coarse search, one layer")
-    command.add_argument(
-        "--limit", type=some_seconds, metavar="SECONDS", help="end a run that takes longer, its warm-up included"
-    )
-    command.add_argument(
-        "--jobs", type=whole_number, default=1, metavar="N",
-        help="processes that run side by side; default: 1, for they slow each other down",
-    )  # fmt: skip
-    command.add_argument(
-        "--scheduler", metavar="ADDRESS", help="of a dask cluster that runs them instead, such as tcp://host:8786"
-    )
-    command.add_argument("--out", type=Path, default=OUT, metavar="FILE.csv", help=f"default: {OUT}")
-    command.add_argument("--anew", action="store_true", help="run what has a row already, too: the last row counts")
+    add_options(command, OUT)
     return command
 
 
-def run(options: argparse.Namespace) -> int:
-    """Run what is left; returns the exit code."""
-    runs = grid(options.problems, options.strategies, options.set, options.repeat, options.coarse)
+def carry_out(runs: Sequence[Run], options: argparse.Namespace) -> None:
+    """Run what has no row yet, and append its row to the file."""
     rows = read_rows(options.out) if options.out.exists() else []
     here = (commit(), machine()) if options.scheduler is None else (commit(),)
     todo = runs if options.anew else left(runs, rows, here)
@@ -143,16 +141,25 @@ def run(options: argparse.Namespace) -> int:
     for number, (i, done) in enumerate(spread(run_apart, jobs, options.jobs, options.scheduler), 1):
         row = row_without_plan(todo[i], f"lost: {done}", {}) if isinstance(done, PlannerError) else done
         append_row(options.out, row)
-        print(f"[{number}/{len(todo)}] {line(row)}", flush=True)
-    print(f"python -m benchmarks.report {options.out}", file=sys.stderr)
+        print(f"[{number}/{len(todo)}] {line(row)}", file=sys.stderr, flush=True)
+
+
+def ended(what: Callable[[], int], out: Path) -> int:
+    """The exit code of a command that fills a table."""
+    stays = f"what is done stands in {out}; the same command goes on"
+    return exit_code(what, lambda text: print(text, file=sys.stderr), stays)
+
+
+def _run(options: argparse.Namespace) -> int:
+    carry_out(grid(options.problems, options.strategies, options.set, options.repeat, options.coarse), options)
+    print(f"python -m benchmarks.report {options.out}")
     return EXIT_VERIFIED
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code: 0 even where runs gave no plan, for that is what the rows are for."""
     options = parser().parse_args(arguments)
-    stays = f"what is done stands in {options.out}; the same command goes on"
-    return exit_code(lambda: run(options), lambda text: print(text, file=sys.stderr), stays)
+    return ended(lambda: _run(options), options.out)
 
 
 if __name__ == "__main__":

@@ -13,11 +13,12 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 
+from benchmarks.ideas import changed
 from benchmarks.named import load_named
 from benchmarks.own_process import end_with_parent, in_own_process
 from benchmarks.rows import Row, Run, row_of_plan, row_without_plan
@@ -65,9 +66,11 @@ def measured(run: Run, warm: bool = True) -> Row:
         return Usage(cpu_seconds() - before, peak_mb())
 
     try:
-        with tempfile.TemporaryDirectory() as folder:
-            if warm:
-                warm_up(load_named(run.problem, run.settings, Path(folder)), run.strategy)
+        with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+            if warm or run.change:
+                problem = load_named(run.problem, run.settings, Path(folder))
+                stack.enter_context(changed(run.change, problem))
+                warm_up(problem, run.strategy)
             before = cpu_seconds()
             with stages.stage("load"):
                 problem = load_named(run.problem, run.settings, Path(folder))

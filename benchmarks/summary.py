@@ -104,6 +104,8 @@ STEP = Measure("joint step °", _column("joint_step_max_rad", DEGREES), lambda x
 OFF = Measure("off the path mm", _column("position_error_max_mm"), lambda x: f"{x:.4f}")
 RATE = Measure("waypoints/s", _column("waypoints_per_s"), lambda x: f"{x:,.0f}")
 SECONDS = Measure("whole run s", _column("seconds_total"), lambda x: f"{x:,.1f}")
+WHOLE = Measure("print s", _column("print_time_s"), lambda x: f"{x:,.1f}")
+RESOLVE = Measure("resolve s", _column("seconds_resolve"), lambda x: f"{x:,.2f}")
 CPU = Measure("processor s", _column("cpu_s"), lambda x: f"{x:,.1f}")
 MEMORY = Measure("MB", _column("peak_mb"), lambda x: f"{x:,.0f}")
 

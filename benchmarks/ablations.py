@@ -1,0 +1,99 @@
+"""What each idea of the optimiser buys: problems planned with it switched off, beside everything on.
+
+python -m benchmarks.ablations
+python -m benchmarks.ablations --problems peer_cap --only "one window" "squared penalty" --coarse
+
+Prints a table for each problem in Markdown, with how each idea was switched off; the rows go into a table of runs as those
+of benchmarks.run do, and what has a row of this commit is not run again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from benchmarks.ideas import IDEAS, NAMES, NOT_SWITCHED, Idea
+from benchmarks.named import coarse, load_named
+from benchmarks.report import cell, table
+from benchmarks.rows import BETWEEN, Run, read_rows
+from benchmarks.run import add_options, carry_out, ended
+from benchmarks.single import beadwise
+from benchmarks.summary import AT_SPEED, MARGIN, OVER_IDEAL, RESOLVE, SIGMA, WHOLE, Result, of_one_commit, results_of
+from planner.command import one_of
+from planner.errors import EXIT_VERIFIED
+
+OUT = Path("out/benchmarks/ablations.csv")
+# Layers that could start from each other, a cap on a bed, a table that is free, a robot that holds the part.
+PROBLEMS = ("cylinder_logo", "peer_cap", "peer_cylinder", "fibre_bowl")
+SETTINGS = {"cylinder_logo": ("layers.count=2",)}
+MEASURES = (AT_SPEED, OVER_IDEAL, WHOLE, SIGMA, MARGIN, RESOLVE)
+
+
+def grid(
+    problems: Sequence[str], names: Sequence[str], settings: Sequence[str], repeats: int, quick: bool
+) -> dict[str, list[tuple[Idea, list[Run]]]]:
+    """The runs of each problem, by idea. Raises InputError for whatever is wrong with a problem or its settings."""
+    planner = beadwise()
+    found = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for name in problems:
+            own = (*SETTINGS.get(name, ()), *settings)
+            own = (*(coarse(load_named(name, own, Path(folder))) if quick else ()), *own)
+            problem = load_named(name, own, Path(folder))
+            ideas = [idea for idea in IDEAS if idea.name in names and idea.where(problem)]
+            found[name] = [
+                (
+                    idea,
+                    [Run(name, idea.strategy, (*own, *idea.settings), k, planner, idea.name) for k in range(repeats)],
+                )
+                for idea in ideas
+            ]
+    return found
+
+
+def tables(runs: dict[str, list[tuple[Idea, list[Run]]]], results: Sequence[Result]) -> list[str]:
+    """A table for each problem, and what could not be switched off."""
+    lines = ["Medians, least and greatest of repeats in brackets; *slanted*: not all checks of the plan hold."]
+    by = {(r.problem, r.set, r.strategy): r for r in results}
+    for name, ideas in runs.items():
+        rows = []
+        for idea, own in ideas:
+            result = by[own[0].problem, BETWEEN.join(own[0].settings), own[0].label]
+            verdict = "yes" if result.verified else "no" if result.found else result.reason.partition(":")[0]
+            rows.append([idea.name, idea.how, verdict, *(cell(result, measure) for measure in MEASURES)])
+        own_settings = " ".join(ideas[0][1][0].settings[: -len(ideas[0][0].settings) or None])
+        lines += ["", f"**{name}** {own_settings}".rstrip(), ""]
+        lines += table(("switched off", "how", "verified", *(measure.name for measure in MEASURES)), rows)
+    return [*lines, "", "Not switched off:", "", *(f"- {text}" for text in NOT_SWITCHED)]
+
+
+def _run(options: argparse.Namespace) -> int:
+    names = [NAMES[0], *options.only]
+    runs = grid(options.problems, names, options.set, options.repeat, options.coarse)
+    # a problem's first runs come first, so that an interrupted table is whole for some of them
+    carry_out([run for ideas in runs.values() for _, own in ideas for run in own], options)
+    print("\n".join(tables(runs, results_of(of_one_commit(read_rows(options.out))[0]))))
+    return EXIT_VERIFIED
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    command = argparse.ArgumentParser(
+        prog="python -m benchmarks.ablations", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    command.add_argument(
+        "--problems", nargs="+", default=PROBLEMS, metavar="NAME", help=f"default: {', '.join(PROBLEMS)}"
+    )
+    command.add_argument(
+        "--only", nargs="+", default=NAMES[1:], type=one_of(NAMES), metavar="IDEA", help=f"of {', '.join(NAMES[1:])}"
+    )
+    add_options(command, OUT)
+    options = command.parse_args(arguments)
+    return ended(lambda: _run(options), options.out)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
