@@ -21,10 +21,10 @@ from rich.table import Table
 
 from benchmarks.peer_cases import waypoint_text
 from planner.errors import EXIT_VERIFIED, PlannerError
+from planner.planning import solve, write_files
 from planner.problem import load_problem
 from planner.problem.settings import STRATEGY_NAMES
 from planner.progress import Stages
-from planner.solve import solve, write
 
 Array = NDArray[np.float64]
 
@@ -78,9 +78,8 @@ def measure(waypoints: int, strategy: str) -> tuple[dict[str, float], float, boo
         for n in (600, waypoints):  # the first compiles
             stages = Stages()
             (Path(folder) / "sheet.txt").write_text(waypoint_text(sheet(n)), encoding="utf-8")
-            plan = write(
-                solve(load_problem(problem), strategy, stages=stages, second_process=True), Path(folder), stages
-            )
+            plan = solve(load_problem(problem), strategy, stages=stages, second_process=True)
+            plan = write_files(plan, Path(folder), stages, True)
     peak = sum(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)) / 1024
     return dict(stages.seconds), peak, plan.verified
 

@@ -19,8 +19,11 @@ from planner.obstacles.slopes import nearest_margins
 from planner.point_tree import point_tree
 from planner.print_body import TIP_SLOPE
 from planner.problem import Problem, load_problem
+from planner.resolve.clear_search import ClearSearch
 from planner.resolve.jointpath import JointPath
-from planner.resolve.ladder import ladder
+from planner.resolve.ladder import coarse_nodes, ladder
+from planner.resolve.nodes import evaluate
+from planner.resolve.search import best_route
 from planner.solids import Body, Box, Capsule, Frustum, Hull, Mesh, Solid, packed, triangles_of
 from planner.task import NozzleTask, tasks_of
 from planner.toolpath.build import build_toolpath
@@ -232,13 +235,38 @@ def least(cell: Cell, fixture: Body, paths: tuple[JointPath, ...]) -> float:
     return out
 
 
-def test_the_ladder_keeps_clear_of_a_post(problem: Problem, tasks: tuple[NozzleTask, ...]) -> None:
-    bare = with_bodies(build_cell(problem))
-    unaware = ladder(bare, tasks, problem.resolve)
+def with_a_post_in_the_way(bare: Cell, unaware: tuple[JointPath, ...]) -> tuple[Cell, Body]:
+    """The cell with a post where the print head passes half-way along the first path."""
     q = unaware[0].q[len(unaware[0].q) // 2]
     head = next(body for (name, _), body in placed(bare, q).items() if name == "print head")
     post = Body("post", Capsule(0.01, 0.1), at(*(head.T[:3, 3] + [0.0, 0.0, 0.03])))
-    cell = replace(bare, fixtures=(post,))
+    return replace(bare, fixtures=(post,)), post
+
+
+def test_looking_where_routes_lead_finds_the_route_among_clear_nodes(
+    problem: Problem, tasks: tuple[NozzleTask, ...]
+) -> None:
+    bare = with_bodies(build_cell(problem))
+    cell, _ = with_a_post_in_the_way(bare, ladder(bare, tasks, problem.resolve))
+    obstacles = obstacles_of(problem, cell, build_toolpath(problem))
+    demand, nodes = coarse_nodes(cell, tasks, problem.resolve, obstacles=obstacles)
+    search = ClearSearch(cell, demand, nodes.grid, problem.resolve.min_sigma, obstacles)
+    (found, _), (expected, _) = search.best(demand), best_route(nodes, demand, cell.limits)
+    assert found is not None and expected is not None
+    assert found.price == expected.price
+    for name in ("roll", "holder", "branch"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    free, _ = best_route(evaluate(cell, demand, nodes.grid, problem.resolve.min_sigma), demand, cell.limits)
+    assert free is not None and free.price < expected.price, "the post is in nobody's way"
+    seen = np.isfinite(search.nodes.price)
+    assert not (np.isfinite(nodes.price) & ~seen).any()
+    assert (seen & ~np.isfinite(nodes.price)).any(), "everything was looked at"
+
+
+def test_the_ladder_keeps_clear_of_a_post(problem: Problem, tasks: tuple[NozzleTask, ...]) -> None:
+    bare = with_bodies(build_cell(problem))
+    unaware = ladder(bare, tasks, problem.resolve)
+    cell, post = with_a_post_in_the_way(bare, unaware)
     assert least(cell, post, unaware) < 0.0
     aware = ladder(cell, tasks, problem.resolve, obstacles_of(problem, cell, build_toolpath(problem)))
     assert least(cell, post, aware) > problem.collision.nozzle - 2e-4

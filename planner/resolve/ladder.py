@@ -13,11 +13,11 @@ from planner.cell import Cell
 from planner.errors import Refusal
 from planner.obstacles import NOTHING, Obstacles
 from planner.problem.settings import ResolveSpec
+from planner.resolve.clear_search import ClearSearch
 from planner.resolve.demand import Demand, demand_of
 from planner.resolve.found import Found, angles_along
 from planner.resolve.jointpath import JointPath, choose_turns, postures, spread, upright
 from planner.resolve.nodes import Grid, Nodes, evaluate, full_grid
-from planner.resolve.search import best_route
 from planner.resolve.spacing import NARROW
 from planner.resolve.table_first import ARM_SHARES, slowed, upright_table
 from planner.resolve.unreachable import refuse_collision, refuse_rung
@@ -74,18 +74,18 @@ def _routes(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, obst
     any_route = False
     for refine, corridor in CORRIDORS:
         grid = _corridor(cell, tasks, all_demand, guides, guide, guide_of, refine, corridor)
-        dense = evaluate(cell, all_demand, grid, settings.min_sigma, obstacles)
+        dense = ClearSearch(cell, all_demand, grid, settings.min_sigma, obstacles)
         demands: Iterable[Demand] = [all_demand]
         if grid.held is not None and grid.swept is None:
             demands = map(partial(slowed, cell, all_demand, grid.held), ARM_SHARES)
         for demand in demands:
-            best, stuck = best_route(dense, demand, cell.limits)
+            best, stuck = dense.best(demand)
             if best is not None:
                 any_route = True
-                yield Found(demand, dense, best)
+                yield Found(demand, dense.nodes, best)
                 break
     if not any_route:
-        refuse_rung(cell, tasks, all_demand, dense, stuck, settings.min_sigma, obstacles)
+        refuse_rung(cell, tasks, all_demand, dense.nodes, stuck, settings.min_sigma, obstacles)
 
 
 def guide_route(
@@ -100,11 +100,12 @@ def guide_route(
     """
     k = len(cell.chosen)
     if k < 2:
-        demand, nodes = coarse_nodes(cell, guides, settings, _MOST_NODES, obstacles)
-        route, stuck = best_route(nodes, demand, cell.limits)
+        demand, grid = _coarse_grid(cell, guides, settings, _MOST_NODES)
+        search = ClearSearch(cell, demand, grid, settings.min_sigma, obstacles)
+        route, stuck = search.best(demand)
         if route is None:
-            refuse_rung(cell, guides, demand, nodes, stuck, settings.min_sigma, obstacles)
-        return Found(demand, nodes, route)
+            refuse_rung(cell, guides, demand, search.nodes, stuck, settings.min_sigma, obstacles)
+        return Found(demand, search.nodes, route)
     demand = demand_of(guides, settings.rung)
     if len(cell.holder) > 1 and demand.cones.layer_gravity < NARROW:
         return _after_table(cell, guides, demand, settings, obstacles)
@@ -113,13 +114,13 @@ def guide_route(
     for swept in [*(j for j in range(k) if j != first), first]:
         held = _between_rungs(found, demand, k)
         grid = full_grid(demand, settings.roll_step, settings.table_step, True, swept, held)
-        nodes = evaluate(cell, demand, grid, settings.min_sigma, obstacles)
-        route, stuck = best_route(nodes, demand, cell.limits)
+        search = ClearSearch(cell, demand, grid, settings.min_sigma, obstacles)
+        route, stuck = search.best(demand)
         if route is not None:
-            found = Found(demand, nodes, route)
+            found = Found(demand, search.nodes, route)
     # a joint that finds no way alone leaves the path as it was; one of them must find one
     if found.demand is not demand:
-        refuse_rung(cell, guides, demand, nodes, stuck, settings.min_sigma, obstacles)
+        refuse_rung(cell, guides, demand, search.nodes, stuck, settings.min_sigma, obstacles)
     return found
 
 
@@ -129,13 +130,13 @@ def _after_table(
     """The best route of roll and branch while the table follows a path that holds the layer upright."""
     held = upright_table(cell, guides, demand)
     grid = full_grid(demand, settings.roll_step, 1.0, False, None, held)
-    nodes = evaluate(cell, demand, grid, settings.min_sigma, obstacles)
+    search = ClearSearch(cell, demand, grid, settings.min_sigma, obstacles)
     for share in ARM_SHARES:
         slow = slowed(cell, demand, held, share)
-        route, stuck = best_route(nodes, slow, cell.limits)
+        route, stuck = search.best(slow)
         if route is not None:
-            return Found(slow, nodes, route)
-    refuse_rung(cell, guides, slow, nodes, stuck, settings.min_sigma, obstacles)
+            return Found(slow, search.nodes, route)
+    refuse_rung(cell, guides, slow, search.nodes, stuck, settings.min_sigma, obstacles)
 
 
 def _first_look(cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles) -> Found:
@@ -147,28 +148,29 @@ def _first_look(cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec,
     home = cell.home[list(cell.chosen)]
     best: Found | None = None
 
-    def nodes_at(rest: Array, demand: Demand) -> Nodes:
+    def search_at(rest: Array, demand: Demand) -> ClearSearch:
         held = np.tile(home, (len(demand.rung), 1))
         held[:, others] = rest
         grid = full_grid(demand, _ROUGH * settings.roll_step, _ROUGH * settings.table_step, True, swept, held)
-        return evaluate(cell, demand, grid, settings.min_sigma, obstacles)
+        return ClearSearch(cell, demand, grid, settings.min_sigma, obstacles)
 
     lattice = [_rest_angles(cell, j, _ROUGH * settings.table_step, len(others)) for j in others]
     for rest in itertools.product(*lattice):
-        nodes = nodes_at(np.array(rest), demand)
-        route, stuck = best_route(nodes, demand, cell.limits)
+        search = search_at(np.array(rest), demand)
+        route, stuck = search.best(demand)
         if route is not None and (best is None or route.price < best.route.price):
-            best = Found(demand, nodes, route)
+            best = Found(demand, search.nodes, route)
     if best is None and len(others) > 1:  # home does not do: look around it, at few rungs first
         few = demand_of(guides, _FEW * settings.rung)
         for rest in _around_home(cell, others):
-            if np.isfinite(nodes_at(rest, few).price).any(axis=(1, 2, 3)).all():
-                elsewhere = nodes_at(rest, demand)
-                route, _ = best_route(elsewhere, demand, cell.limits)
+            reached = search_at(rest, few).look(np.arange(len(few.rung)))
+            if np.isfinite(reached.price).any(axis=(1, 2, 3)).all():
+                elsewhere = search_at(rest, demand)
+                route, _ = elsewhere.best(demand)
                 if route is not None:
-                    return Found(demand, elsewhere, route)
+                    return Found(demand, elsewhere.nodes, route)
     if best is None:
-        refuse_rung(cell, guides, demand, nodes, stuck, settings.min_sigma, obstacles)
+        refuse_rung(cell, guides, demand, search.nodes, stuck, settings.min_sigma, obstacles)
     return best
 
 
@@ -223,6 +225,13 @@ def coarse_nodes(
 
     Of several chosen joints the one next to the part is tried, the others rest at home.
     """
+    demand, grid = _coarse_grid(cell, tasks, settings, most)
+    return demand, evaluate(cell, demand, grid, settings.min_sigma, obstacles)
+
+
+def _coarse_grid(
+    cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, most: float = np.inf
+) -> tuple[Demand, Grid]:
     demand = demand_of(tasks, settings.rung)
     held = np.tile(cell.home[list(cell.chosen)], (len(demand.rung), 1))
     swept = max(len(cell.holder) - 1, 0)
@@ -231,7 +240,7 @@ def coarse_nodes(
         grid = full_grid(demand, *steps, len(cell.chosen) > 0, swept, held)
         if len(demand.rung) * grid.rolls * grid.holders * grid.branch.shape[1] <= most:
             break
-    return demand, evaluate(cell, demand, grid, settings.min_sigma, obstacles)
+    return demand, grid
 
 
 def _corridor(

@@ -6,6 +6,7 @@ take away from a print at the commanded speed if roll and holder rested there, p
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,7 @@ from planner.resolve.demand import Demand
 from planner.resolve.node_kernel import evaluate_nodes
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 BRANCHES = 8  # of every kind of arm
 
 
@@ -83,8 +85,15 @@ def full_grid(
 def evaluate(cell: Cell, demand: Demand, grid: Grid, min_sigma: float, obstacles: Obstacles = NOTHING) -> Nodes:
     """Postures and prices of every node of a grid. Where the nozzle may tilt, that may give the head its clearance from
     part and print, which is not asked for here then."""
-    if demand.cones.tilt > 0.0:
-        obstacles = obstacles.but_head_on_part
+    nodes, fill = nodes_to_fill(cell, demand, grid, min_sigma)
+    fill(np.arange(len(demand.rung)), obstacles)
+    return nodes
+
+
+def nodes_to_fill(
+    cell: Cell, demand: Demand, grid: Grid, min_sigma: float
+) -> tuple[Nodes, Callable[[Index, Obstacles], None]]:
+    """Nodes without a posture yet, and what evaluates those of some rungs, as `evaluate` does; also once more."""
     limits, na, nh = cell.limits, len(cell.arm), len(cell.holder)
     r = len(demand.rung)
     held = grid.chosen(r, len(cell.chosen))
@@ -97,7 +106,7 @@ def evaluate(cell: Cell, demand: Demand, grid: Grid, min_sigma: float, obstacles
     shape = (r, grid.rolls, grid.holders, grid.branch.shape[1])
     q = np.zeros((*shape, na), dtype=np.float32)
     price = np.full(shape, np.inf)
-    arguments = (
+    before = (
         kind_of(cell.inverse), cell.inverse.parameters, np.array(cell.solved), -1 if redundant is None else redundant,
         rigid_inverse(cell.T_world_base), rigid_inverse(cell.T_flange_nozzle),
         cell.arm.placements, cell.arm.axes, cell.arm.T_last_tip,
@@ -105,14 +114,28 @@ def evaluate(cell: Cell, demand: Demand, grid: Grid, min_sigma: float, obstacles
         low, high, np.zeros(r) if redundant is None else held[:, nh].copy(),
         np.cos(min(demand.cones.layer_gravity, demand.cones.nozzle_gravity)),
         limits.q_min[:na], limits.q_max[:na], limits.velocity[:na], limits.acceleration[:na],
-        obstacles.table, demand.now,
+    )  # fmt: skip
+    after = (
+        demand.now,
         demand.tip, demand.frames, demand.twist, demand.rate, demand.weight,
         demand.rung, demand.start, demand.stop,
         grid.roll_step, grid.holder_step, grid.roll_from, grid.holder_from, grid.branch,
         min_sigma, q, price,
     )  # fmt: skip
-    in_threads(lambda first, last: evaluate_nodes(first, last, *arguments), r)
-    return Nodes(grid, q, price, joint)
+
+    def fill(rungs: Index, obstacles: Obstacles) -> None:
+        table = (obstacles.but_head_on_part if demand.cones.tilt > 0.0 else obstacles).table
+        price[rungs] = np.inf
+
+        def part(first: int, last: int) -> None:
+            some = rungs[first:last]
+            for run in np.split(some, np.flatnonzero(np.diff(some) != 1) + 1):
+                evaluate_nodes(run[0], run[-1] + 1, *before, table, *after)
+
+        if len(rungs):
+            in_threads(part, len(rungs))
+
+    return Nodes(grid, q, price, joint), fill
 
 
 def holder_around(cell: Cell, swept: int, held: Array) -> tuple[Array, Array, Array]:
