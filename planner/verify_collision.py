@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from planner.collision_bodies import ARM, FIXTURE, CellBodies, Distances, Pair, Thing
@@ -21,10 +22,11 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 FAR = 50e-3  # m: what is farther away is that far away
+_SEEN = 0.1  # m: so far distances from the print are told apart, since what is farther away may be left out longer
 TOLERANCE = 1e-4  # m: no distance is missed that is too small by more
 _SHARE = 0.2  # of what a distance is more than is asked for, to which it is found
 _PARTS = 16  # instants of a sample
-_FIRST = 128 * _PARTS  # instants between first looks
+_FIRST = 512 * _PARTS  # instants between first looks
 _NOWHERE = -1e30
 
 
@@ -169,9 +171,11 @@ class _Sweep:
             times, which = np.unique(instant[rows], return_inverse=True)
             poses = self.bodies.poses(self._at(self.q, times))
             out[rows] = self._apart(pair[rows], which, poses)
-            for i, k in zip(rows.tolist(), which.tolist(), strict=True):
-                if out[i] < FAR:
-                    out[i] = self._distance(int(pair[i]), int(instant[i]), poses[k])
+            near = rows[out[rows] < FAR]
+            of = which[out[rows] < FAR]
+            for k in np.unique(pair[near]).tolist():
+                own = pair[near] == k
+                out[near[own]] = self._of_pair(k, instant[near[own]], poses, of[own])
         return out
 
     def _apart(self, pair: Index, which: Index, poses: Array) -> Array:
@@ -183,24 +187,43 @@ class _Sweep:
             reach += size[pair]
         return np.asarray(np.linalg.norm(middle[0] - middle[1], axis=1) - reach)
 
-    def _distance(self, k: int, instant: int, poses: Array) -> float:
-        pair, point = self.pairs[k], -1
-        self.looks += 1
+    def _of_pair(self, k: int, instant: Index, poses: Array, which: Index) -> Array:
+        """Distances of one pair at instants (n), which increase, where carriers are at poses[which]."""
+        pair = self.pairs[k]
+        self.looks += len(instant)
         if isinstance(pair, Pair):
-            distance = self.coal.of(pair, poses)
+            distance = np.array([self.coal.of(pair, poses[i]) for i in which.tolist()])
+            point = np.full(len(distance), -1)
         else:
-            distance, point = self._from_print(pair, poses, float(self._printed(np.array([instant]))[0]))
-        if distance < self.least[k]:
-            self.least[k], self.at[k], self.points[k] = distance, instant / _PARTS, point
+            distance, point = self._from_print(pair, poses, which, self._printed(instant))
+        best = int(np.argmin(distance))
+        if distance[best] < self.least[k]:
+            self.least[k], self.at[k], self.points[k] = distance[best], instant[best] / _PARTS, point[best]
         return distance
 
-    def _from_print(self, pair: PrintPair, poses: Array, now: float) -> tuple[float, int]:
+    def _from_print(self, pair: PrintPair, poses: Array, which: Index, now: Array) -> tuple[Array, Index]:
+        """Distances (n) of a thing from what is printed at times now (n), _SEEN at most, and the nearest points or -1."""
         thing, solid, tree = self.bodies.things[pair.a], self.solids[pair.a], self.tree
-        T_world_part = poses[self.part.carrier] @ self.part.T_carrier_solid
-        T_solid_part = solid.T_solid_frame[0] @ np.linalg.inv(poses[thing.carrier]) @ T_world_part
-        value, point = nearest_point(
+        T_world_part = poses[which, self.part.carrier] @ self.part.T_carrier_solid
+        T_carrier_part = np.linalg.inv(poses[which, thing.carrier]) @ T_world_part
+        T_solid_part = solid.T_solid_frame[0] @ T_carrier_part
+        middle = np.einsum("nji,nj->ni", T_carrier_part[:, :3, :3], thing.centre - T_carrier_part[:, :3, 3])
+        distance, point = np.empty(len(now)), np.empty(len(now), dtype=np.int64)
+        _nearest_points(
             tree.points, tree.radius, tree.time, tree.centre, tree.reach, tree.since, tree.left, tree.right,
-            solid.kind[0], solid.size[0], solid.planes, T_solid_part,
-            now, FAR, 0.0, np.zeros(3), 0.0, 0.0, self.room,
+            solid.kind[0], solid.size[0], solid.planes, T_solid_part, middle, now, _SEEN, self.room, distance, point,
         )  # fmt: skip
-        return float(value), int(point)
+        return distance, point
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _nearest_points(
+    points, radius, time, centre, reach, since, left, right,
+    kind, size, planes, T_solid_part, middle, now, enough, room, distance, point,
+):  # fmt: skip
+    """`nearest_point` of a solid at poses (n, 4, 4), its middle (n, 3) and times now (n), into distance and point (n)."""
+    for i in range(len(now)):
+        distance[i], point[i] = nearest_point(
+            points, radius, time, centre, reach, since, left, right,
+            kind, size, planes, T_solid_part[i], now[i], enough, 0.0, middle[i], 0.0, 0.0, room,
+        )  # fmt: skip
