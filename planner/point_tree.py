@@ -213,6 +213,19 @@ def nearest_point(
     return best, found
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def nearest_points(
+    points, radius, time, centre, reach, since, left, right,
+    kind, size, planes, T_solid_part, middle, now, enough, room, distance, point,
+):  # fmt: skip
+    """`nearest_point` of a solid at poses (n, 4, 4), its middle (n, 3) and times now (n), into distance and point (n)."""
+    for i in range(len(now)):
+        distance[i], point[i] = nearest_point(
+            points, radius, time, centre, reach, since, left, right,
+            kind, size, planes, T_solid_part[i], now[i], enough, 0.0, middle[i], 0.0, 0.0, room,
+        )  # fmt: skip
+
+
 def search_room() -> Index:
     """Room that `nearest_point` needs for its search; one for each thread."""
     return np.empty(_DEEP, dtype=np.int64)

@@ -10,11 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.collision_bodies import ARM, FIXTURE, CellBodies, Distances, Pair, Thing
-from planner.point_tree import nearest_point, search_room
+from planner.point_tree import nearest_points, search_room
 from planner.print_body import PrintBody
 from planner.solids import Body, Mesh, Packed, packed
 
@@ -209,21 +208,8 @@ class _Sweep:
         T_solid_part = solid.T_solid_frame[0] @ T_carrier_part
         middle = np.einsum("nji,nj->ni", T_carrier_part[:, :3, :3], thing.centre - T_carrier_part[:, :3, 3])
         distance, point = np.empty(len(now)), np.empty(len(now), dtype=np.int64)
-        _nearest_points(
+        nearest_points(
             tree.points, tree.radius, tree.time, tree.centre, tree.reach, tree.since, tree.left, tree.right,
             solid.kind[0], solid.size[0], solid.planes, T_solid_part, middle, now, _SEEN, self.room, distance, point,
         )  # fmt: skip
         return distance, point
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _nearest_points(
-    points, radius, time, centre, reach, since, left, right,
-    kind, size, planes, T_solid_part, middle, now, enough, room, distance, point,
-):  # fmt: skip
-    """`nearest_point` of a solid at poses (n, 4, 4), its middle (n, 3) and times now (n), into distance and point (n)."""
-    for i in range(len(now)):
-        distance[i], point[i] = nearest_point(
-            points, radius, time, centre, reach, since, left, right,
-            kind, size, planes, T_solid_part[i], now[i], enough, 0.0, middle[i], 0.0, 0.0, room,
-        )  # fmt: skip
