@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from planner.timing.jerk_kernel import OVERRUN, fastest
+from planner.timing.lengths import APART, even_out
 from planner.timing.profile import ACCURACY
 from planner.timing.program import Program, program_of
 from planner.timing.stretch import Stretch
@@ -133,3 +134,14 @@ def test_rates_of_a_stretch_by_finite_differences(ramps: tuple[float, float]) ->
     after = [path(stretch.u(sigma + h)), *stretch.rates(sigma + h, 2)]
     for a, b, rate in zip(before, after, stretch.rates(sigma, 3), strict=True):
         np.testing.assert_allclose((b - a) / (2 * h), rate, rtol=1e-4, atol=1e-5 * np.abs(rate).max())
+
+
+def test_a_hard_place_shortens_steps_around_it_only() -> None:
+    given = np.ones(9 * APART + 7)
+    given[[4 * APART, -1]] = 0.01, 0.2
+    lengths = given.copy()
+    even_out(lengths, np.empty(len(lengths) + 1), np.empty(len(lengths)))
+    assert (lengths <= given * (1.0 + 1e-12)).all()
+    assert np.abs(np.diff(lengths)).max() <= 2.0 / APART
+    assert (lengths[: 2 * APART] > 1.0 - 1e-9).all()
+    assert lengths[4 * APART] == pytest.approx(0.01) and lengths[-1] == pytest.approx(0.2)

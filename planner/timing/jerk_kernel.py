@@ -12,6 +12,9 @@ there a linear function is bounded by a convex one, and in every step the tangen
 takes its place. A step within the tangents is within the limits; the curvature that is left out is that of the
 limits alone, and the systems of equations, banded with half-bandwidth 2, stay positive definite.
 
+Places that are far apart do not touch each other: each has a length of step and a gap of its own (`lengths.py`), so
+that one hard place does not hold up all others.
+
 Debrouwere et al., "Time-optimal path following for robots with convex-concave constraints using sequential convex
 programming", IEEE T-RO 2013, solve the same program by a general solver, one convex program after the other.
 """
@@ -22,14 +25,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from planner.timing.lengths import APART, average, even_out, go, lengths_of, move
+
 Array = NDArray[np.float64]
 
 OVERRUN = 1e-3  # of a limit: the most by which a solution may miss it; who asks for one keeps more in reserve
 _STEPS = 80  # most of the method's steps: 20 to 40 are usual
-_TO_BOUNDARY = 0.99  # share of the way to the nearest limit that a step may go
 _LEAST_SLACK = 1e-1  # of a limit, at the start, where the start does not keep it: less, and steps stay short
 _FIRST_GAP = 1.0  # of the time: the duality gap to begin with; with less, and with more, steps are short at first
 _FASTEST_FALL = 0.1  # of the gap in one step
+_LEAST_GAP = 0.05  # of what the accuracy leaves to a limit: where less is left there is nothing to gain
 
 
 @njit(cache=True, error_model="numpy")
@@ -56,15 +61,17 @@ def fastest(
     m, nj = len(h), a.shape[1]
     c = start.copy()
     # all limits in a row: those of x, of acceleration, and of jerk, of which the latter two are seen as boxes too
-    count = (m + 1) * (2 * nj + 1) + 4 * m * nj
+    jerks = (m + 1) * (2 * nj + 1)
+    count = jerks + 4 * m * nj
     room, slack, price = np.empty(count), np.empty(count), np.empty(count)
     rooms, slacks, duals = _split(room, m, nj), _split(slack, m, nj), _split(price, m, nj)
     time = _rooms(c, point, middle, end, a, j, ceiling, h, rooms)
-    mu = _FIRST_GAP * time / count
+    mu = np.full(m, _FIRST_GAP * time / count)
     for i in range(count):
         slack[i] = max(room[i], _LEAST_SLACK)  # the room there is, where there is some
-        price[i] = mu / slack[i]
+        price[i] = mu[0] / slack[i]
     step, band = np.empty(m + 2), np.empty((m + 2, 3))
+    primal, dual, gaps, sums, mins = np.empty(m), np.empty(m), np.empty(m), np.empty(m + 1), np.empty(m)
     for _ in range(_STEPS):
         _assemble(c, point, middle, end, a, j, ceiling, h, mu, rooms, slacks, duals, step, band)
         _keep_level(level, step, band)
@@ -74,15 +81,23 @@ def fastest(
             step[0] = step[1]
         if level[1]:
             step[m + 1] = step[m]
-        primal, dual = _lengths(c, step, point, middle, end, a, j, ceiling, mu, rooms, slacks, duals)
-        for i in range(m + 2):
-            c[i] += primal * step[i]
-        gap = _move(primal, dual, mu, room, slack, price)
+        lengths_of(c, step, point, middle, end, a, j, ceiling, mu, rooms, slacks, duals, primal, dual)
+        even_out(primal, sums, mins)
+        even_out(dual, sums, mins)
+        go(c, step, middle, end, primal)
+        gaps[:] = 0.0
+        for first, last, places in ((0, m + 1, m + 1), (m + 1, jerks, m + 1), (jerks, count, 2 * m)):
+            which = slice(first, last)
+            move(primal, dual, mu, room[which], slack[which], price[which], places, gaps)
+        gap = gaps.sum()
         time = _rooms(c, point, middle, end, a, j, ceiling, h, rooms)
         if gap < accuracy * time and _overrun(room, slack) < OVERRUN:
             return c, True
-        least = min(primal, dual)
-        mu = gap / count * (max(_FASTEST_FALL, (1.0 - least) ** 2) if least > 0.1 else 1.0)
+        average(gaps, APART, sums, mu)
+        for i in range(m):
+            least = min(primal[i], dual[i])
+            fall = max(_FASTEST_FALL, (1.0 - least) ** 2) if least > 0.1 else 1.0
+            mu[i] = max(mu[i] * m / count * fall, _LEAST_GAP * accuracy * time / count)
     return c, False
 
 
@@ -136,7 +151,7 @@ def _weights(mu: float, room: float, slack: float, dual: float) -> tuple[float, 
 
 @njit(cache=True, error_model="numpy")
 def _assemble(
-    c: Array, point: Array, middle: Array, end: Array, a: Array, j: Array, ceiling: Array, h: Array, mu: float,
+    c: Array, point: Array, middle: Array, end: Array, a: Array, j: Array, ceiling: Array, h: Array, mu: Array,
     rooms: tuple[Array, Array, Array], slacks: tuple[Array, Array, Array], duals: tuple[Array, Array, Array],
     rhs: Array, band: Array,
 ) -> None:  # fmt: skip
@@ -158,8 +173,8 @@ def _assemble(
             both, push, x0, x1, x2 = 0.0, 0.0, 0.0, 0.0, 0.0
             for k in range(nj):
                 d0, d1, d2 = j[e, k]
-                low, p_low = _weights(mu, rooms[2][e, k, 0], slacks[2][e, k, 0], duals[2][e, k, 0])
-                high, p_high = _weights(mu, rooms[2][e, k, 1], slacks[2][e, k, 1], duals[2][e, k, 1])
+                low, p_low = _weights(mu[i], rooms[2][e, k, 0], slacks[2][e, k, 0], duals[2][e, k, 0])
+                high, p_high = _weights(mu[i], rooms[2][e, k, 1], slacks[2][e, k, 1], duals[2][e, k, 1])
                 w, skew, p = low + high, high - low, p_high - p_low
                 both += w
                 push += p_low + p_high
@@ -199,13 +214,13 @@ def _assemble(
         band[i + 2, 2] += b02
     for i in range(m + 1):
         g0, g1 = point[i, 0] / ceiling[i], point[i, 1] / ceiling[i]
-        w, p = _weights(mu, rooms[0][i], slacks[0][i], duals[0][i])
+        w, p = _weights(mu[min(i, m - 1)], rooms[0][i], slacks[0][i], duals[0][i])
         b00, b11, b01 = w * g0 * g0, w * g1 * g1, w * g0 * g1
         t0, t1 = -p * g0, -p * g1
         for k in range(nj):
             d0, d1 = a[i, k]
-            low, p_low = _weights(mu, rooms[1][i, k, 0], slacks[1][i, k, 0], duals[1][i, k, 0])
-            high, p_high = _weights(mu, rooms[1][i, k, 1], slacks[1][i, k, 1], duals[1][i, k, 1])
+            low, p_low = _weights(mu[min(i, m - 1)], rooms[1][i, k, 0], slacks[1][i, k, 0], duals[1][i, k, 0])
+            high, p_high = _weights(mu[min(i, m - 1)], rooms[1][i, k, 1], slacks[1][i, k, 1], duals[1][i, k, 1])
             w, p = low + high, p_high - p_low
             b00 += w * d0 * d0
             b11 += w * d1 * d1
@@ -268,64 +283,3 @@ def _solve(band: Array, rhs: Array) -> bool:
             value -= band[i + 2, 2] * rhs[i + 2]
         rhs[i] = value / band[i, 0]
     return True
-
-
-@njit(cache=True, inline="always")
-def _falls(mu: float, ds: float, slack: float, dual: float) -> tuple[float, float]:
-    """By which share of itself a slack falls in a full step that changes it by ds, and its dual."""
-    fall = -ds / slack
-    return fall, 1.0 - fall - mu / (slack * dual)
-
-
-@njit(cache=True, error_model="numpy")
-def _lengths(
-    c: Array, step: Array, point: Array, middle: Array, end: Array, a: Array, j: Array, ceiling: Array, mu: float,
-    rooms: tuple[Array, Array, Array], slacks: tuple[Array, Array, Array], duals: tuple[Array, Array, Array],
-) -> tuple[float, float]:  # fmt: skip
-    """How far along the step c and the slacks, and how far the duals may go; rooms become the steps of the slacks."""
-    m, nj = len(middle), a.shape[1]
-    primal, dual = _TO_BOUNDARY, _TO_BOUNDARY  # largest falls
-    for i in range(m):
-        x = middle[i, 0] * c[i] + middle[i, 1] * c[i + 1] + middle[i, 2] * c[i + 2]
-        primal = max(primal, -(middle[i, 0] * step[i] + middle[i, 1] * step[i + 1] + middle[i, 2] * step[i + 2]) / x)
-        for e in range(2 * i, 2 * i + 2):
-            x = end[e, 0] * c[i] + end[e, 1] * c[i + 1] + end[e, 2] * c[i + 2]
-            dx = end[e, 0] * step[i] + end[e, 1] * step[i + 1] + end[e, 2] * step[i + 2]
-            primal = max(primal, -dx / x)
-            dr = -0.5 * dx / (x * np.sqrt(x))
-            for k in range(nj):
-                change = j[e, k, 0] * step[i] + j[e, k, 1] * step[i + 1] + j[e, k, 2] * step[i + 2]
-                for side in range(2):
-                    s = slacks[2][e, k, side]
-                    ds = rooms[2][e, k, side] - s + (dr - change if side == 0 else dr + change)
-                    rooms[2][e, k, side] = ds
-                    fall, dual_fall = _falls(mu, ds, s, duals[2][e, k, side])
-                    primal, dual = max(primal, fall), max(dual, dual_fall)
-    for i in range(m + 1):
-        s = slacks[0][i]
-        ds = rooms[0][i] - s - (point[i, 0] * step[i] + point[i, 1] * step[i + 1]) / ceiling[i]
-        rooms[0][i] = ds
-        fall, dual_fall = _falls(mu, ds, s, duals[0][i])
-        primal, dual = max(primal, fall), max(dual, dual_fall)
-        for k in range(nj):
-            change = a[i, k, 0] * step[i] + a[i, k, 1] * step[i + 1]
-            for side in range(2):
-                s = slacks[1][i, k, side]
-                ds = rooms[1][i, k, side] - s + (-change if side == 0 else change)
-                rooms[1][i, k, side] = ds
-                fall, dual_fall = _falls(mu, ds, s, duals[1][i, k, side])
-                primal, dual = max(primal, fall), max(dual, dual_fall)
-    return _TO_BOUNDARY / primal, _TO_BOUNDARY / dual
-
-
-@njit(cache=True, error_model="numpy")
-def _move(primal: float, dual: float, mu: float, steps: Array, slacks: Array, duals: Array) -> float:
-    """Go these lengths along the steps of slacks and duals, in place; returns their products' sum."""
-    gap = 0.0
-    for k in range(len(slacks)):
-        s, y = slacks[k], duals[k]
-        y += dual * ((mu - y * steps[k]) / s - y)
-        s += primal * steps[k]
-        slacks[k], duals[k] = s, y
-        gap += s * y
-    return gap

@@ -15,7 +15,8 @@ from planner.timing.stretch import Stretch
 Array = NDArray[np.float64]
 Allowed = Callable[[Array], tuple[Array, Array]]
 
-GRID = 2.5e-3  # s between grid points, about: an eighth of the time in which an arm builds up its acceleration
+_GRID = 0.125  # of the time in which joints build up their acceleration: the time between grid points, about
+_GRID_BETWEEN = (2.5e-3, 5e-3)  # s, the same at least and at most: slow joints follow quick bends too
 LEAST_RATE = 1e-12  # squared: keeps what rounding leaves of rest above 0
 _DIP = 20e-3  # s: the width over which a slow place slows its neighbourhood, where the method starts
 _START = 0.9  # of what limits allow at constant rates: where the method starts
@@ -65,7 +66,8 @@ def program_of(stretch: Stretch, v: Array, a: Array, j: Array, known: tuple[Arra
     leads = (_LEAD * stretch.lasts[0], _LEAD * stretch.lasts[1])
     level = (leads[0] > 0.0, leads[1] > 0.0)
     allowed = partial(_allowed, stretch, v, a, j)
-    sigma, envelope = _grid(stretch, leads, allowed, known)
+    apart = float(np.clip(_GRID * (a / j).min(), *_GRID_BETWEEN))
+    sigma, envelope = _grid(stretch, leads, allowed, apart, known)
     h = np.diff(sigma)
     around = np.concatenate([h[:1], h, h[-1:]])
     left, right = h / (around[:-2] + h), h / (h + around[2:])
@@ -132,11 +134,11 @@ def _ceilings(stretch: Stretch, v: Array, sigma: Array, first: Array) -> tuple[A
 
 
 def _grid(
-    stretch: Stretch, leads: tuple[float, float], allowed: Allowed, known: tuple[Array, Array] | None
+    stretch: Stretch, leads: tuple[float, float], allowed: Allowed, apart: float, known: tuple[Array, Array] | None
 ) -> tuple[Array, Array]:
-    """Grid points (m + 1) between the leads, denser where the path is slow, and a guess of x there."""
+    """Grid points (m + 1) between the leads, about `apart` [s], denser where the path is slow, and a guess of x there."""
     a, b = leads[0], stretch.end - leads[1]
-    step = min(GRID, stretch.spacing)
+    step = min(apart, stretch.spacing)
     even = np.linspace(a, b, max(int(np.ceil((b - a) / step)), _LEAST_INTERVALS) + 1)
     step = float(even[1] - even[0])
     width = min(int(_DIP / step), len(even)) | 1
@@ -144,11 +146,11 @@ def _grid(
     guess = np.minimum(joints, commanded) if known is None else np.interp(even, *known)
     around = minimum_filter1d(guess, width, mode="nearest")
     envelope = uniform_filter1d(around, width, mode="nearest")
-    # as fine as the path's own samples, and as GRID in the time that it will take
-    density = np.maximum(1.0 / step, 1.0 / (GRID * np.clip(np.sqrt(envelope), _SLOWEST, 1.0)))
-    apart = np.where(_calm(stretch, even, joints, commanded), np.maximum(_COARSE, 1.0 / density), 1.0 / density)
+    # as fine as the path's own samples, and as asked for in the time that it will take
+    density = np.maximum(1.0 / step, 1.0 / (apart * np.clip(np.sqrt(envelope), _SLOWEST, 1.0)))
+    gaps = np.where(_calm(stretch, even, joints, commanded), np.maximum(_COARSE, 1.0 / density), 1.0 / density)
     width = min(int(_FAR / step), len(even)) | 1  # neighbours differ by less than a half
-    density = 1.0 / uniform_filter1d(minimum_filter1d(apart, width, mode="nearest"), width, mode="nearest")
+    density = 1.0 / uniform_filter1d(minimum_filter1d(gaps, width, mode="nearest"), width, mode="nearest")
     count = np.concatenate([[0.0], np.cumsum(0.5 * step * (density[1:] + density[:-1]))])
     m = max(int(np.ceil(count[-1])), _LEAST_INTERVALS)
     grid = np.interp(np.linspace(0.0, count[-1], m + 1), count, even)
