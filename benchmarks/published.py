@@ -1,0 +1,207 @@
+"""Waypoint files that others published, all planned on a cell of one's choice: a row of the table for each file.
+
+python -m benchmarks.published FOLDER --cell peer_cap
+python -m benchmarks.published FOLDER --cell my_cell.yaml --pattern 'TOOL_PATH/*.txt' --layers --limit 600
+
+The cell, the process and the settings are those of a problem; what it prints is replaced. Files hold x y z nx ny nz a
+line, and may hold more: fibre curves with further columns, CSV with a header. Units, which axis is up and where normals
+point are told from the numbers unless they are given. Each part is put onto the middle of the bed or table; one that is
+too big for the arm stays as big as it is, unless --scale is given. The column `set` says all that. A file that cannot
+be read, refused or stopped is a row with its reason. The same command goes on where it ended.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmarks.rows import BETWEEN, EMPTY, Row, Run, append_row, read_rows, row_without_plan
+from benchmarks.run import line, some_seconds
+from benchmarks.single import beadwise, run_apart
+from benchmarks.usage import commit, machine
+from benchmarks.waypoint_files import Look, Meaning, files_in, look_at, place, shrunk, together
+from planner.cell import build_cell
+from planner.command import add_spread, add_strategy, exit_code
+from planner.errors import EXIT_VERIFIED, InputError, PlannerError
+from planner.placement.ranges import reach
+from planner.placement.site import found_anywhere
+from planner.problem import load_problem
+from planner.spread import spread
+
+OUT = Path("out/benchmarks/published.csv")
+_LONGEST = 90  # characters of a reason in the summary
+
+
+@dataclass(frozen=True)
+class On:
+    """What all files are planned on: a problem's name or path, and of it what a part is placed by [m]."""
+
+    cell: str
+    strategy: str
+    height: float
+    reach: float
+    settings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Job:
+    """A file to plan: its name in the table, and how it is meant; `look` where it is one of several layers."""
+
+    file: str
+    name: str
+    asked: str
+    on: On
+    meaning: Meaning
+    look: Look | None
+    shrink: bool
+    limit: float | None
+
+
+def planned(job: Job) -> Row:
+    """The row of a file, whatever becomes of it."""
+    on, file = job.on, Path(job.file)
+    run = Run(job.name, on.strategy, (job.asked,), 0, beadwise())
+    try:
+        placed = place(job.look or look_at(file), job.meaning, on.height, on.reach, job.shrink)
+        with tempfile.TemporaryDirectory() as folder:
+            source = json.dumps({"source": placed.source(shrunk(file, placed, Path(folder)))})
+            # JSON is YAML; what is printed is the file alone, on whatever carries the part
+            settings = (f"layers={source}", "part=null", f"process.bead.height_mm={on.height * 1e3:g}", *on.settings)
+            row = run_apart((Run(on.cell, on.strategy, settings, 0, run.planner), job.limit))
+    except PlannerError as error:
+        return row_without_plan(run, f"refused: {_short(str(error), job)}", {})
+    said = BETWEEN.join([job.asked, *placed.words])
+    return {**row, "problem": job.name, "set": said, "reason": _short(str(row["reason"]), job)}
+
+
+def _short(reason: str, job: Job) -> str:
+    """A reason with the file's name in the table for its path."""
+    return reason.replace(job.file, job.name)
+
+
+def jobs_of(options: argparse.Namespace) -> list[Job]:
+    """A job for each file. Raises InputError for whatever is wrong with folder or cell."""
+    files = files_in(options.folder, options.pattern)
+    problem = load_problem(options.cell, options.set)
+    cell = build_cell(problem)
+    strategy = options.strategy or problem.strategy
+    settings, height = tuple(options.set), problem.process.bead.height
+    on = On(found_anywhere(problem), strategy, height, reach(cell), settings)
+    meaning = Meaning(options.unit, options.up, options.normals)
+    looks = looks_of(files) if options.layers else {}
+    words = {"unit": meaning.unit, "up": meaning.up, "normals": meaning.normals}
+    asked = " ".join([
+        f"cell={problem.name}", *(f"{key}={value}" for key, value in words.items() if value), *settings,
+        *(["layers"] if options.layers else []), *(["to fit"] if options.scale else []),
+    ])  # fmt: skip
+    return [
+        Job(
+            str(file.resolve()), file.relative_to(options.folder).as_posix(), asked, on, meaning,
+            looks.get(file.parent), options.scale, options.limit,
+        )
+        for file in files
+    ]  # fmt: skip
+
+
+def looks_of(files: Sequence[Path]) -> dict[Path, Look]:
+    """For each folder what all its files are together; those that cannot be read do not count."""
+    found: dict[Path, list[Look]] = {}
+    for file in files:
+        with suppress(InputError):
+            found.setdefault(file.parent, []).append(look_at(file))
+    return {folder: together(looks) for folder, looks in found.items()}
+
+
+def left(jobs: Sequence[Job], rows: Sequence[Row], anywhere: bool) -> list[Job]:
+    """The files that have no row yet of this commit, and of this machine unless it is others that plan."""
+
+    def key(name: str, asked: str, strategy: str, planner: str) -> tuple[str, ...]:
+        return name, asked, strategy, planner
+
+    done = {
+        key(str(row["problem"]), str(row["set"]).partition(BETWEEN)[0], str(row["strategy"]), str(row["planner"]))
+        for row in rows
+        if row["commit"] == commit() and (anywhere or row["machine"] == machine())
+    }
+    return [job for job in jobs if key(job.name, job.asked, job.on.strategy, beadwise()) not in done]
+
+
+def summary(rows: Sequence[Row]) -> list[str]:
+    """How many came to what, and the reasons of those without a verified plan, the most frequent first."""
+    verified = sum(row["verified"] is True for row in rows)
+    found = sum(row["found"] is True for row in rows)
+    waypoints = sum(int(row["waypoints"]) for row in rows if row["waypoints"] != EMPTY)
+    reasons = Counter(str(row["reason"])[:_LONGEST] for row in rows if row["verified"] is not True)
+    head = (
+        f"{len(rows)} files: {verified} verified, {found - verified} planned but not verified, {len(rows) - found} not"
+    )
+    return [f"{head}; {waypoints} waypoints", *(f"  {count} x {reason}" for reason, count in reasons.most_common(10))]
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of the command."""
+    command = argparse.ArgumentParser(
+        prog="python -m benchmarks.published", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    command.add_argument("folder", type=Path, metavar="FOLDER", help="where the files are, at any depth")
+    command.add_argument(
+        "--cell", required=True, metavar="PROBLEM", help="whose cell and process are used: file or name"
+    )
+    command.add_argument(
+        "--pattern",
+        action="append",
+        default=[],
+        metavar="GLOB",
+        help="only these files, counted from FOLDER; repeatable",
+    )
+    command.add_argument(
+        "--layers", action="store_true", help="files of a folder are layers of one part: placed together, planned each"
+    )
+    command.add_argument("--scale", action="store_true", help="shrink what is too big for the arm")
+    command.add_argument("--unit", choices=("mm", "m"))
+    command.add_argument("--up", choices=("y", "z"), help="the files' axis that points up")
+    command.add_argument("--normals", choices=("outward", "inward"), help="against the nozzle, or along it")
+    command.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="change a field of the problem"
+    )
+    add_strategy(command)
+    add_spread(command)
+    command.add_argument("--limit", type=some_seconds, metavar="SECONDS", help="end a plan that takes longer")
+    command.add_argument("--out", type=Path, default=OUT, metavar="FILE.csv", help=f"default: {OUT}")
+    return command
+
+
+def run(options: argparse.Namespace) -> int:
+    """Plan what is left; returns the exit code."""
+    jobs = jobs_of(options)
+    rows = read_rows(options.out) if options.out.exists() else []
+    todo = left(jobs, rows, options.scheduler is not None)
+    print(f"{len(todo)} files, {len(jobs) - len(todo)} are in {options.out} already", file=sys.stderr)
+    for number, (i, done) in enumerate(spread(planned, todo, options.jobs, options.scheduler), 1):
+        job = todo[i]
+        lost = Run(job.name, job.on.strategy, (job.asked,), 0, beadwise())
+        row = row_without_plan(lost, f"lost: {done}", {}) if isinstance(done, PlannerError) else done
+        append_row(options.out, row)
+        print(f"[{number}/{len(todo)}] {line(row)}", flush=True)
+    names = {(job.name, job.asked) for job in jobs}
+    told = [row for row in read_rows(options.out) if (row["problem"], str(row["set"]).partition(BETWEEN)[0]) in names]
+    print("\n".join(summary(told)))
+    return EXIT_VERIFIED
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code: 0 even where files gave no plan, for that is what the rows are for."""
+    options = parser().parse_args(arguments)
+    stays = f"what is done stands in {options.out}; the same command goes on"
+    return exit_code(lambda: run(options), lambda text: print(text, file=sys.stderr), stays)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

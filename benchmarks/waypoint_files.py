@@ -1,0 +1,162 @@
+"""Files of waypoints that others published, as they come: what they seem to mean, and where a part of theirs is put.
+
+Nobody states units, axes or the normals' sense in such a file; they are told from the numbers, and said in words so
+that a wrong guess can be seen and put right.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import InputError
+from planner.toolpath.waypoints.columns import LENGTHS, read_columns
+
+Array = NDArray[np.float64]
+
+SUFFIXES = (".txt", ".csv", ".xyz", ".dat", ".npz")
+SMALLEST_MM = 5.0  # a part whose box has a diagonal of fewer units than this is in metres
+LEANING = 0.2  # a mean of unit normals, along an axis, that is less than this says nothing of up and down
+FIT = 0.4  # of the nozzle's reach: the largest side of a part that may be expected to be printable all round
+_TO_MM = {"mm": 1.0, "m": 1e3}
+
+
+@dataclass(frozen=True)
+class Look:
+    """What the numbers of a file, or of several, are: low, high (3) of the points, the sum (3) of unit normals, count."""
+
+    low: Array
+    high: Array
+    normals: Array
+    count: int
+    unit: str | None  # where a header says it
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """What a file is taken for; None: told from its numbers."""
+
+    unit: str | None = None
+    up: str | None = None
+    normals: str | None = None
+
+
+@dataclass(frozen=True)
+class Placed:
+    """How a file becomes a part in the cell: settings of its waypoints, and by how much it is shrunk (1: not at all)."""
+
+    unit: str
+    up: str
+    normals: str
+    origin_mm: tuple[float, float, float]
+    scale: float
+    side_mm: float  # the largest, before
+
+    @property
+    def words(self) -> list[str]:
+        """For the table."""
+        at = " ".join(f"{value:g}" for value in self.origin_mm)
+        out = [f"unit={self.unit}", f"up={self.up}", f"normals={self.normals}", f"origin_mm={at}"]
+        return [*out, f"side_mm={self.side_mm:.0f}"] + ([f"scale={self.scale:g}"] if self.scale != 1.0 else [])
+
+    def source(self, file: Path) -> dict[str, str | list[float]]:
+        """The section `layers.source` of the problem."""
+        return {
+            "waypoints": str(file), "unit": self.unit, "up": self.up, "normals": self.normals,
+            "origin_mm": list(self.origin_mm),
+        }  # fmt: skip
+
+
+def files_in(folder: Path, patterns: Sequence[str]) -> list[Path]:
+    """The files of waypoints in a folder and all below it, 2.txt before 10.txt; patterns (`TOOL_PATH/*.txt`) choose some.
+
+    Raises InputError where there is no folder, or nothing in it.
+    """
+    if not folder.is_dir():
+        raise InputError("there is no such folder", file=folder)
+    found = [path for pattern in patterns or ["**/*"] for path in folder.glob(pattern)]
+    known = {path for path in found if path.suffix.lower() in SUFFIXES and path.is_file()}
+    if not known:
+        raise InputError("holds no files of waypoints", file=folder, hint=f"they end in {', '.join(SUFFIXES)}")
+    return sorted(known, key=lambda path: _natural(path.relative_to(folder).as_posix()))
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)]
+
+
+def look_at(file: Path) -> Look:
+    """Read a file's numbers. Raises InputError for what the planner would not read either."""
+    complain = partial(InputError, file=file)
+    unit = None
+    try:
+        values = read_columns(file, "mm", complain).values
+    except InputError as error:
+        if error.hint != "unit: m":
+            raise
+        unit = "m"
+        values = read_columns(file, unit, complain).values
+    points = np.column_stack([values[name] for name in ("x", "y", "z")])
+    normals = np.column_stack([values[name] for name in ("nx", "ny", "nz")])
+    good = np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1)
+    if not good.any():
+        raise complain("holds no waypoint whose numbers are all finite")
+    points, normals = points[good], normals[good]
+    lengths = np.linalg.norm(normals, axis=1)
+    normals = normals / np.where(lengths > 0.0, lengths, 1.0)[:, None]
+    return Look(points.min(axis=0), points.max(axis=0), normals.sum(axis=0), len(points), unit)
+
+
+def together(looks: Iterable[Look]) -> Look:
+    """Several files as one; there is one at least."""
+    every = list(looks)
+    return Look(
+        np.min([each.low for each in every], axis=0),
+        np.max([each.high for each in every], axis=0),
+        np.sum([each.normals for each in every], axis=0),
+        sum(each.count for each in every),
+        next((each.unit for each in every if each.unit is not None), None),
+    )
+
+
+def place(look: Look, given: Meaning, height: float, reach: float, shrink: bool) -> Placed:
+    """Put a part onto the middle of bed or table, its lowest waypoint a bead's height [m] above it.
+
+    reach: of the nozzle [m]; shrink: a part whose largest side is more than FIT of that is made so large.
+    """
+    unit = given.unit or look.unit or ("mm" if np.linalg.norm(look.high - look.low) >= SMALLEST_MM else "m")
+    mean = look.normals / look.count
+    up = given.up or ("y" if abs(mean[1]) > max(abs(mean[2]), LEANING) else "z")
+    along = float(mean[1] if up == "y" else mean[2])
+    normals = given.normals or ("inward" if along < -LEANING else "outward")
+    low, high = (_TO_MM[unit] * _turned(corner, up) for corner in (look.low, look.high))
+    low, high = np.minimum(low, high), np.maximum(low, high)
+    side = float((high - low).max())
+    largest = FIT * reach * 1e3
+    scale = float(f"{largest / side:.3g}") if shrink and side > largest else 1.0
+    middle = 0.5 * scale * (low + high)
+    origin = (-middle[0], -middle[1], height * 1e3 - scale * low[2])
+    x, y, z = (round(float(value), 3) + 0.0 for value in origin)
+    return Placed(unit, up, normals, (x, y, z), scale, side)
+
+
+def _turned(point: Array, up: str) -> Array:
+    """A point of the file in the part's axes."""
+    return np.array([point[0], -point[2], point[1]]) if up == "y" else point
+
+
+def shrunk(file: Path, placed: Placed, folder: Path) -> Path:
+    """The file, or where it is to be shrunk a copy in a folder."""
+    if placed.scale == 1.0:
+        return file
+    values = read_columns(file, placed.unit, partial(InputError, file=file)).values
+    copy = folder / f"{file.stem}.npz"
+    with copy.open("wb") as stream:
+        np.savez(stream, **{name: (placed.scale if name in LENGTHS else 1.0) * row for name, row in values.items()})  # type: ignore[arg-type]
+    return copy

@@ -1,0 +1,166 @@
+"""Published files of waypoints: what they are taken for, where their part is put, and a row for each whatever happens."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import published
+from benchmarks.published import jobs_of, left, main, parser, planned, summary
+from benchmarks.rows import Row, Run, make_row, read_rows
+from benchmarks.single import Job as SingleJob
+from benchmarks.waypoint_files import FIT, Meaning, files_in, look_at, place, together
+from planner.errors import InputError
+from planner.problem import load_problem
+from planner.toolpath.build import build_toolpath
+
+HEIGHT, REACH = 0.8e-3, 0.9  # m
+OVER = np.linspace(0.0, 2.0 * np.pi, 60)
+RING = np.column_stack([100 + 20 * np.cos(OVER), -40 + 20 * np.sin(OVER), 7 + 0 * OVER])  # mm, z up
+UPWARDS = np.tile([0.0, 0.1, 1.0], (len(OVER), 1))
+
+
+def y_up(points: np.ndarray) -> np.ndarray:
+    """As a file has it whose y points up."""
+    return np.column_stack([points[:, 0], points[:, 2], -points[:, 1]])
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Files as they are found: plain, with further columns, CSV in metres, y up with normals inward, and worse."""
+    folder = tmp_path / "set"
+    (folder / "layers").mkdir(parents=True)
+    plain = np.hstack([RING, UPWARDS])
+    np.savetxt(folder / "10.txt", plain, fmt="%.4f")
+    np.savetxt(folder / "2.txt", np.hstack([y_up(RING), -y_up(UPWARDS)]), fmt="%.4f")
+    np.savetxt(folder / "fibre.txt", np.hstack([plain, np.tile([0, 0, 2], (len(OVER), 1))]), fmt="%.5g")
+    np.savetxt(
+        folder / "metres.csv", np.hstack([1e-3 * RING, UPWARDS]), fmt="%.6f", delimiter=",",
+        header="x [m],y [m],z [m],nx,ny,nz", comments="",
+    )  # fmt: skip
+    (folder / "broken.txt").write_text("1 2 3 0 0 1\n1 2 3 0 zero 1\n", encoding="utf-8")
+    (folder / "notes.md").write_text("no waypoints", encoding="utf-8")
+    for k in (0, 1):
+        np.savetxt(folder / "layers" / f"{k}.xyz", np.hstack([RING + [0, 0, k], UPWARDS]), fmt="%.4f")
+    (folder / "huge.dat").write_text("\n".join(f"{1000 * k} 0 0 0 0 1" for k in range(9)), encoding="utf-8")
+    return folder
+
+
+def test_files_are_found_in_their_order(folder: Path) -> None:
+    names = [path.name for path in files_in(folder, [])]
+    assert names == ["2.txt", "10.txt", "broken.txt", "fibre.txt", "huge.dat", "0.xyz", "1.xyz", "metres.csv"]
+    assert [path.name for path in files_in(folder, ["layers/*.xyz"])] == ["0.xyz", "1.xyz"]
+    with pytest.raises(InputError, match="holds no files of waypoints"):
+        files_in(folder, ["*.md"])
+    with pytest.raises(InputError, match="no such folder"):
+        files_in(folder / "none", [])
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "up", "normals"),
+    [
+        ("10.txt", "mm", "z", "outward"),
+        ("2.txt", "mm", "y", "inward"),
+        ("fibre.txt", "mm", "z", "outward"),
+        ("metres.csv", "m", "z", "outward"),
+    ],
+)
+def test_every_format_is_the_same_ring(folder: Path, name: str, unit: str, up: str, normals: str) -> None:
+    """However it is written, it stands in the middle, a bead's height above the bed, its normals upwards."""
+    placed = place(look_at(folder / name), Meaning(), HEIGHT, REACH, shrink=True)
+    assert (placed.unit, placed.up, placed.normals, placed.scale) == (unit, up, normals, 1.0)
+    source = json.dumps({"source": placed.source(folder / name)})
+    problem = load_problem("curved_plate", [f"layers={source}", "part=null", "process.bead.height_mm=0.8"])
+    (bead,) = build_toolpath(problem).beads
+    np.testing.assert_allclose(bead.points.min(axis=0), [-0.02, -0.02, HEIGHT], atol=2e-4)
+    np.testing.assert_allclose(bead.points.max(axis=0), [0.02, 0.02, HEIGHT], atol=2e-4)
+    assert bead.normals[:, 2].min() > 0.99
+
+
+def test_what_is_given_is_not_guessed(folder: Path) -> None:
+    placed = place(look_at(folder / "10.txt"), Meaning("m", "y", "inward"), HEIGHT, REACH, shrink=False)
+    assert (placed.unit, placed.up, placed.normals, placed.scale) == ("m", "y", "inward", 1.0)
+    round_about = np.hstack([RING, np.column_stack([np.cos(OVER), np.sin(OVER), 0 * OVER])])  # a cylinder's
+    np.savetxt(folder / "10.txt", round_about)
+    placed = place(look_at(folder / "10.txt"), Meaning(), HEIGHT, REACH, shrink=False)
+    assert (placed.up, placed.normals) == ("z", "outward")
+
+
+def test_what_is_too_big_is_shrunk_where_that_is_asked_for(folder: Path) -> None:
+    look = look_at(folder / "huge.dat")
+    assert place(look, Meaning(), HEIGHT, REACH, shrink=False).scale == 1.0
+    placed = place(look, Meaning(), HEIGHT, REACH, shrink=True)
+    assert placed.side_mm == 8000.0 and placed.scale == pytest.approx(FIT * REACH / 8.0, rel=1e-2)
+    assert f"scale={placed.scale:g}" in placed.words and "side_mm=8000" in placed.words
+    assert np.array(placed.origin_mm) == pytest.approx([-4000 * placed.scale, 0.0, 0.8])
+
+
+def test_layers_stay_on_each_other(folder: Path) -> None:
+    both = together([look_at(folder / "layers" / f"{k}.xyz") for k in (0, 1)])
+    assert both.count == 2 * len(OVER)
+    assert place(both, Meaning(), HEIGHT, REACH, shrink=False).origin_mm == pytest.approx((-100, 40, -6.2), abs=0.1)
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[SingleJob]:
+    """Nothing is planned: what was asked for is kept, and its problem loaded."""
+    out: list[SingleJob] = []
+
+    def run_apart(job: SingleJob) -> Row:
+        out.append(job)
+        load_problem(job[0].problem, job[0].settings)
+        return make_row(job[0], found=True, verified=True, waypoints=60)
+
+    monkeypatch.setattr(published, "run_apart", run_apart)
+    monkeypatch.setattr(published, "line", lambda row: str(row["problem"]))
+    return out
+
+
+def test_a_row_for_each_file(
+    folder: Path, tmp_path: Path, asked: list[SingleJob], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Failures with their reasons; the same command goes on where it ended, another one begins."""
+    out = tmp_path / "rows.csv"
+    command = [str(folder), "--cell", "curved_plate", "--out", str(out), "--limit", "9"]
+    assert main([*command, "--pattern", "*.*"]) == 0
+    rows = read_rows(out)
+    assert [row["problem"] for row in rows] == [
+        "2.txt", "10.txt", "broken.txt", "fibre.txt", "huge.dat", "metres.csv",
+    ]  # fmt: skip
+    bad = rows[2]
+    assert not bad["found"] and bad["reason"] == "refused: broken.txt:2: 'zero' is not a number"
+    assert rows[0]["set"].split("; ")[:3] == ["cell=curved_plate", "unit=mm", "up=y"]  # type: ignore[union-attr]
+    assert {limit for _, limit in asked} == {9.0}
+    assert "6 files: 5 verified" in (said := capsys.readouterr()).out and "1 x refused: broken.txt:2" in said.out
+    asked.clear()
+    assert main(command) == 0
+    assert [row["problem"] for row in read_rows(out)[6:]] == ["layers/0.xyz", "layers/1.xyz"]
+    assert len(asked) == 2 and "2 files, 6 are in" in capsys.readouterr().err
+    assert main([*command, "--strategy", "ladder", "--pattern", "2.txt"]) == 0
+    assert len(read_rows(out)) == 9 and asked[-1][0].strategy == "ladder"
+
+
+def test_a_shrunk_copy_is_planned(folder: Path, asked: list[SingleJob]) -> None:
+    options = parser().parse_args(
+        [str(folder), "--cell", "curved_plate", "--scale", "--pattern", "huge.dat", "--up", "z"]
+    )
+    (job,) = jobs_of(options)
+    row = planned(job)
+    assert job.asked == "cell=curved_plate up=z to fit" and "scale=" in str(row["set"])
+    assert "huge.npz" in asked[0][0].settings[0] and row["problem"] == "huge.dat"
+    assert not left([job], [row], anywhere=True) and left([job], [], anywhere=True) == [job]
+
+
+def test_wrong_input_ends_at_once(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for cell, where, said in (("curved_plat", folder, "curved_plate"), ("curved_plate", tmp_path / "no", "no such")):
+        assert main([str(where), "--cell", cell, "--out", str(tmp_path / "rows.csv")]) == 2
+        assert said in capsys.readouterr().err
+    assert not (tmp_path / "rows.csv").exists()
+
+
+def test_the_summary_counts_reasons() -> None:
+    rows = [make_row(Run(name, "sqp"), reason="no plan: out of reach") for name in "abc"]
+    assert summary(rows)[1] == "  3 x no plan: out of reach"
