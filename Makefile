@@ -4,8 +4,9 @@ PROBLEM ?= cylinder_logo
 BIN := .venv/bin
 READY := .venv/.ready
 DOCS := .venv-docs
+PEERS := .venv-peers
 
-.PHONY: solve test lint format docs docs-serve requirements clean
+.PHONY: solve test lint format docs docs-serve peers requirements clean
 
 solve: $(READY)
 	$(BIN)/python -m planner.solve $(PROBLEM)
@@ -30,12 +31,16 @@ docs: $(DOCS)/.ready
 docs-serve: $(DOCS)/.ready
 	NO_MKDOCS_2_WARNING=1 $(DOCS)/bin/mkdocs serve
 
+# The same waypoints through other planners, which have an environment of their own; a table, and out/peers.
+peers: $(READY) $(PEERS)/.ready
+	$(BIN)/python -m benchmarks.peers --python $(PEERS)/bin/python
+
 # Writes requirements.txt anew from what is installed; for whoever changes a version in pyproject.toml.
 requirements: $(READY)
 	$(BIN)/pip freeze --exclude-editable > requirements.txt
 
 clean:
-	rm -rf .venv $(DOCS) out site
+	rm -rf .venv $(DOCS) $(PEERS) out site
 
 $(READY): requirements.txt pyproject.toml
 	$(PYTHON) -m venv .venv
@@ -46,4 +51,9 @@ $(READY): requirements.txt pyproject.toml
 $(DOCS)/.ready: requirements-docs.txt
 	$(PYTHON) -m venv $(DOCS)
 	$(DOCS)/bin/pip install --quiet --disable-pip-version-check --requirement requirements-docs.txt
+	touch $@
+
+$(PEERS)/.ready: requirements-peers.txt
+	$(PYTHON) -m venv $(PEERS)
+	$(PEERS)/bin/pip install --quiet --disable-pip-version-check --requirement requirements-peers.txt
 	touch $@

@@ -1,0 +1,161 @@
+"""The judge of all planners, ours among them: joints at the waypoints -> what they do, timed and verified alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.peers.case import Given
+from benchmarks.rows import Row, at_waypoints, judged
+from planner.background import in_halves
+from planner.command import DEFAULT_DT
+from planner.errors import Refusal
+from planner.motion import join
+from planner.obstacles import NOTHING, Obstacles
+from planner.plan import Trajectory
+from planner.print_body import PrintBody, print_body, standing
+from planner.progress import Stages
+from planner.resolve.jointpath import JointPath
+from planner.timing import TimedPath, time_path
+from planner.travel import Travel, plan_travels
+from planner.verify import AXIS_TOLERANCE, POSITION_TOLERANCE, Report, verify
+
+Array = NDArray[np.float64]
+
+BETWEEN = 5.0  # times what is allowed at waypoints: how far tip and axis may stray between two of them
+FRACTIONS = (0.25, 0.5, 0.75)  # of the way between two waypoints
+PATH_COLUMNS = (
+    "holds", "holds_reason", "off_waypoints_mm", "off_waypoints_deg", "off_between_mm", "off_between_deg",
+    "path_joint_step_max_rad", "path_limit_margin_rad", "path_sigma_min",
+)  # fmt: skip
+# In the names of checks on distances from cell and print, of which no peer was told anything.
+UNTOLD = "clear of"
+
+
+@dataclass(frozen=True)
+class Timed:
+    """What the joints of all beads become: the trajectory and what the verifier says of it."""
+
+    trajectory: Trajectory
+    report: Report
+
+
+def paths_of(given: Given, beads: Sequence[Array]) -> tuple[JointPath, ...]:
+    """Joint paths of joints (n, nj) at the waypoints of each bead. Raises ValueError for other numbers of them."""
+    if len(beads) != len(given.tasks):
+        raise ValueError(f"joints of {len(beads)} beads, not {len(given.tasks)}")
+    paths = []
+    for task, q in zip(given.tasks, beads, strict=True):
+        if q.shape != (len(task), len(given.cell.joint_names)):
+            raise ValueError(f"bead {task.bead}: joints {q.shape}, not {(len(task), len(given.cell.joint_names))}")
+        if not np.isfinite(q).all():
+            raise ValueError(f"bead {task.bead}: joints that are no finite numbers")
+        branch = int(given.cell.inverse.branches(q[:1, : len(given.cell.arm)])[0])
+        paths.append(JointPath(task, np.zeros(len(q)), np.zeros((len(q), 2)), q, branch))
+    return tuple(paths)
+
+
+def path_facts(given: Given, beads: Sequence[Array]) -> Row:
+    """What joints are at the waypoints, and between them by linear interpolation, as a controller moves them.
+
+    A path holds if tip and axis are within the verifier's tolerances at every waypoint and within BETWEEN times these
+    between them, of the straight line there, and all joints are within their ranges: nothing of time, jerk or dips.
+    """
+    cell, na = given.cell, len(given.cell.arm)
+    off, turned, off_between, turned_between, step = 0.0, 0.0, 0.0, 0.0, 0.0
+    margin, sigma = np.inf, np.inf
+    for task, q in zip(given.tasks, beads, strict=True):
+        T = cell.T_part_nozzle(q)
+        off = max(off, float(np.linalg.norm(T[:, :3, 3] - task.tip, axis=1).max()))
+        turned = max(turned, _angle(T[:, :3, 2], task.frames[:, :, 2]))
+        for f in FRACTIONS:
+            T_between = cell.T_part_nozzle((1.0 - f) * q[:-1] + f * q[1:])
+            line = (1.0 - f) * T[:-1, :3, 2:] + f * T[1:, :3, 2:]  # axis and tip
+            off_between = max(off_between, float(np.linalg.norm(T_between[:, :3, 3] - line[:, :, 1], axis=1).max()))
+            turned_between = max(turned_between, _angle(T_between[:, :3, 2], line[:, :, 0]))
+        step = max(step, float(np.abs(np.diff(q, axis=0)).max()))
+        margin = min(margin, float(np.minimum(q - cell.limits.q_min, cell.limits.q_max - q).min()))
+        jacobians = cell.arm.jacobians(q[:, :na])
+        sigma = min(sigma, float(np.linalg.svd(jacobians, compute_uv=False)[:, -1].min()))
+    broken = [
+        f"{name} {value:.4g} {unit}"
+        for name, value, limit, unit in (
+            ("off at waypoints", off * 1e3, POSITION_TOLERANCE * 1e3, "mm"),
+            ("axis at waypoints", np.degrees(turned), np.degrees(AXIS_TOLERANCE), "deg"),
+            ("off between", off_between * 1e3, BETWEEN * POSITION_TOLERANCE * 1e3, "mm"),
+            ("axis between", np.degrees(turned_between), BETWEEN * np.degrees(AXIS_TOLERANCE), "deg"),
+            ("beyond a joint's range by", -margin, 0.0, "rad"),
+        )
+        if value > limit
+    ]
+    values = (off * 1e3, np.degrees(turned), off_between * 1e3, np.degrees(turned_between), step, margin, sigma)
+    return dict(zip(PATH_COLUMNS, (not broken, ", ".join(broken), *map(float, values)), strict=True))
+
+
+def _angle(a: Array, b: Array) -> float:
+    """Largest angle between rows of a and b (n, 3), which need not be unit vectors [rad]."""
+    return float(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1)).max())
+
+
+def finish(
+    given: Given,
+    paths: Sequence[JointPath],
+    body: PrintBody,
+    stages: Stages,
+    obstacles: Obstacles = NOTHING,
+    second_process: bool = True,
+) -> Timed:
+    """Time joint paths, plan the travel between them and verify all of it, as planning does.
+
+    Raises Refusal where no travel is found, or a path turns back on itself.
+    """
+    problem, cell, toolpath = given.problem, given.cell, given.toolpath
+    moving, n = problem.process.hand_over == "motion", len(paths)
+    done = np.cumsum([len(path.q) for path in paths])
+    middle = 1 + int(np.searchsorted(done, 0.5 * done[-1]))
+
+    def part(first: int, last: int) -> list[TimedPath]:
+        return [time_path(cell, path, (moving, moving)) for path in paths[first:last]]
+
+    def ways(first: int, last: int) -> list[Travel]:
+        which = range(first, last + (last == n))
+        return plan_travels(cell, timed, toolpath, problem.process, which, obstacles)
+
+    with stages.stage("timing"):
+        timed = [each for half in in_halves(part, n, second_process, middle) for each in half]
+    with stages.stage("travel"):
+        travels = [each for half in in_halves(ways, n, second_process) for each in half]
+        trajectory = join(cell, toolpath, problem.process, timed, travels, DEFAULT_DT)
+    with stages.stage("verify"):
+        report = verify(problem, cell, toolpath, trajectory, second_process, body)
+    return Timed(trajectory, report)
+
+
+def judge(given: Given, beads: Sequence[Array], told: bool = False) -> Row:
+    """Of joints (n, nj) at the waypoints of each bead: all that a row says of them, in columns of both tables.
+
+    Among it the seconds that timing, travel and verification took, which whoever planned the joints has yet to do.
+
+    told: whoever planned them knew of the bodies around, so that distances from them count, too.
+    """
+    try:
+        paths = paths_of(given, beads)
+    except ValueError as error:
+        return {"found": False, "verified": False, "reason": str(error)}
+    facts, stages = path_facts(given, beads), Stages()
+    try:
+        timed = finish(given, paths, print_body(given.toolpath, standing(given.cell)), stages)
+    except Refusal as refusal:
+        return {"found": True, "verified": False, "reason": f"cannot be timed or left: {refusal}", **facts}
+    seconds: Row = {f"seconds_{stage}": value for stage, value in stages.seconds.items()}
+    return {"found": True, **facts, **seconds, **verdict(given, timed, told)}
+
+
+def verdict(given: Given, timed: Timed, told: bool) -> Row:
+    """What the verifier says of a trajectory; of distances from bodies only where they were told."""
+    checks = [each for each in timed.report.checks if told or UNTOLD not in each.name]
+    row = judged(checks, timed.report.metrics)
+    return row | at_waypoints(given.toolpath.beads, timed.trajectory, given.cell.limits)
