@@ -103,6 +103,7 @@ MARGIN = Measure("limit margin °", _column("limit_margin_rad", DEGREES), lambda
 STEP = Measure("joint step °", _column("joint_step_max_rad", DEGREES), lambda x: f"{x:.2f}")
 OFF = Measure("off the path mm", _column("position_error_max_mm"), lambda x: f"{x:.4f}")
 RATE = Measure("waypoints/s", _column("waypoints_per_s"), lambda x: f"{x:,.0f}")
+PATHS = Measure("joint paths/s", _ratio("waypoints", "seconds_resolve"), lambda x: f"{x:,.0f}")
 SECONDS = Measure("whole run s", _column("seconds_total"), lambda x: f"{x:,.1f}")
 WHOLE = Measure("print s", _column("print_time_s"), lambda x: f"{x:,.1f}")
 RESOLVE = Measure("resolve s", _column("seconds_resolve"), lambda x: f"{x:,.2f}")
@@ -131,17 +132,35 @@ def results_of(rows: Sequence[Row]) -> list[Result]:
 
 
 @dataclass(frozen=True)
-class Versus:
-    """Ours on a problem beside the peers that were given it; the fastest of those that verify, if any does.
+class Race:
+    """Ours beside the peer that is fastest at something, of those that verify: who that is, and by waypoints per second.
 
-    ratio      of waypoints per second, both for the poses that the peer was given; None without such a peer
+    ours, theirs  both for the poses that the peer was given; a bead of ours may have more points
+    """
+
+    peer: Result
+    ours: float
+    theirs: float
+
+    @property
+    def ratio(self) -> float:
+        """How many times as fast ours is."""
+        return self.ours / self.theirs
+
+
+@dataclass(frozen=True)
+class Versus:
+    """Ours on a problem, by the strategy that counts and by others, beside the peers that were given it.
+
+    plans      timed and verified, which is our work for peers; None where no peer verifies, or ours does not
+    joints     joint paths alone
     no_worse   measure → whether ours is at least as good as the best of the peers that verify
     """
 
     ours: Result
-    peers: tuple[Result, ...]
-    fastest: Result | None
-    ratio: float | None
+    beside: tuple[Result, ...]
+    plans: Race | None
+    joints: Race | None
     no_worse: dict[str, bool]
 
 
@@ -153,33 +172,27 @@ def against_peers(results: Sequence[Result]) -> list[Versus]:
     """Every problem that peers were given too, with the same settings."""
     found = []
     for ours in results:
-        if not ours.ours or ours.strategy != CHOSEN:
-            continue
-        peers = [p for p in results if not p.ours and (p.problem, p.set) == (ours.problem, ours.set)]
-        if peers:
-            found.append(_versus(ours, peers))
+        same = [r for r in results if r is not ours and (r.problem, r.set) == (ours.problem, ours.set)]
+        if ours.ours and ours.strategy == CHOSEN and any(not r.ours for r in same):
+            found.append(_versus(ours, same))
     return found
 
 
-def _versus(ours: Result, peers: Sequence[Result]) -> Versus:
-    good = [peer for peer in peers if peer.verified and peer.spread(RATE) is not None]
-    fastest = max(good, key=lambda peer: _median(peer, RATE), default=None)
-    ratio = None
-    if fastest is not None and ours.verified:
-        ratio = _seconds_of(fastest) / _seconds_of(ours)
+def _versus(ours: Result, beside: Sequence[Result]) -> Versus:
+    good = [peer for peer in beside if not peer.ours and peer.verified]
     no_worse = {}
     for measure in NOT_WORSE:
-        best = max((_median(peer, measure) for peer in good if peer.spread(measure) is not None), default=None)
-        if best is not None:
-            no_worse[measure.name] = ours.verified and _median(ours, measure) >= best * (1.0 - _AS_GOOD)
-    return Versus(ours, tuple(peers), fastest, ratio, no_worse)
+        known = [spread.median for peer in good if (spread := peer.spread(measure)) is not None]
+        own = ours.spread(measure)
+        if known:
+            no_worse[measure.name] = own is not None and ours.verified and own.median >= max(known) * (1.0 - _AS_GOOD)
+    return Versus(ours, tuple(beside), _race(ours, good, RATE), _race(ours, good, PATHS), no_worse)
 
 
-def _median(result: Result, measure: Measure) -> float:
-    spread = result.spread(measure)
-    return float("nan") if spread is None else spread.median
-
-
-def _seconds_of(result: Result) -> float:
-    """Planning seconds: waypoints over their rate; those of a bead may be more than the poses that a peer is given."""
-    return float(result.rows[0]["waypoints"]) / _median(result, RATE)
+def _race(ours: Result, peers: Sequence[Result], measure: Measure) -> Race | None:
+    own = ours.spread(measure)
+    known = [(spread.median, peer) for peer in peers if (spread := peer.spread(measure)) is not None]
+    if not known or own is None or not ours.verified:
+        return None
+    theirs, peer = max(known, key=lambda each: each[0])
+    return Race(peer, own.median * float(peer.rows[0]["waypoints"]) / float(ours.rows[0]["waypoints"]), theirs)

@@ -23,7 +23,7 @@ def plan(
     run: Run, rate: float, sigma: float, at_speed: float = 1.0, waypoints: int = 1000, **values: float | str
 ) -> Row:
     given: dict[str, float | str] = {
-        "seconds_total": 1.1 * waypoints / rate, "peak_mb": 500.0, "cpu_s": 3.0, "deposition_time_s": 26.0 / at_speed,
+        "seconds_total": 1.1 * waypoints / rate, "seconds_resolve": 0.5, "peak_mb": 500.0, "cpu_s": 3.0, "deposition_time_s": 26.0 / at_speed,
         "ideal_deposition_time_s": 25.0, "bound_deposition_time_s": 25.5, "jerk_ratio_max": 0.975,
         "limit_margin_rad": 0.1, "joint_step_max_rad": 0.02, "position_error_max_mm": 0.0001, **FIXED, **values,
     }  # fmt: skip
@@ -43,7 +43,7 @@ def table() -> list[Row]:
         plan(Run("peer_cap", "greedy", planner="beadwise 0.1.0"), 2000.0, 0.1, 0.5, reason="joint jerk 1.2 of limit"),
         plan(Run("logo", "sqp", settings, planner="beadwise 0.1.0"), 800.0, 0.3, 0.91),
         make_row(Run("logo", "greedy", settings, planner="beadwise 0.1.0"), reason="no plan: bead 0: stuck", **FIXED),
-        plan(Run("peer_cap", "10°", planner="ladders 1.2"), 90.0, 0.19, 0.999, waypoints=800),
+        plan(Run("peer_cap", "10°", planner="ladders 1.2"), 90.0, 0.19, 0.999, waypoints=800, seconds_resolve=2.0),
         plan(Run("peer_cap", "", planner="steps 0.3"), 9000.0, 0.01, reason="tip on the path 38 mm"),
         plan(Run("logo", "10°", settings, planner="ladders 1.2"), 100.0, 0.2, 0.95),
     ]
@@ -64,12 +64,19 @@ def test_the_same_rows_give_the_same_report(tmp_path: Path, capsys: pytest.Captu
 def test_ours_is_set_beside_the_fastest_peer_that_verifies() -> None:
     logo, cap = against_peers(results_of(of_one_commit(table())[0]))
     assert (logo.ours.problem, cap.ours.problem) == ("logo", "peer_cap")
-    assert cap.fastest is not None and cap.fastest.label == "ladders 1.2 10°"
+    assert cap.plans is not None and cap.plans.peer.label == "ladders 1.2 10°"
     # 800 poses at 90 a second take 8.9 s; ours 1000 waypoints at a median of 1300 a second 0.77 s
-    assert cap.ratio == pytest.approx((800 / 90) / (1000 / 1300))
+    assert cap.plans.ratio == pytest.approx((800 / 90) / (1000 / 1300))
+    assert cap.joints is not None and cap.joints.ratio == pytest.approx(2.0 / 0.5)
     assert cap.no_worse == {"σ min": True, "limit margin °": True, "at speed": True}
-    assert logo.ratio == pytest.approx(8.0)
+    assert logo.plans is not None and logo.plans.ratio == pytest.approx(8.0)
     assert logo.no_worse["at speed"] is False
+
+
+def test_no_peer_that_verifies_is_no_race() -> None:
+    rows = [row for row in table() if row["planner"] != "ladders 1.2"]
+    (cap,) = against_peers(results_of(of_one_commit(rows)[0]))
+    assert cap.plans is None and cap.joints is None and cap.no_worse == {}
 
 
 def test_a_file_without_rows_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
