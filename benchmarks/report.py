@@ -23,6 +23,7 @@ from benchmarks.summary import (
     MEMORY,
     NOT_WORSE,
     OFF,
+    OURS,
     OVER_BOUND,
     OVER_IDEAL,
     PATHS,
@@ -216,6 +217,8 @@ def _peers(against: Sequence[Versus], sets: dict[str, str]) -> list[str]:
     )
     judged = [f"{measure.name} no worse" for measure in NOT_WORSE]
     lines += table(("problem", *plans, *joints, *judged), [_against(each, sets) for each in against])
+    words = dict.fromkeys((r.label, r.planner) for each in against for r in each.beside if r.label != r.planner)
+    lines += ["", *(f"- {label}: {planner}" for label, planner in words if not planner.startswith(OURS))]
     for each in against:
         all_of_it = sorted((each.ours, *each.beside), key=lambda result: not result.ours)
         rows = [[r.label, "yes" if r.verified else "no", *(cell(r, m) for m in OF_PEERS)] for r in all_of_it]

@@ -59,8 +59,8 @@ class Result:
 
     @property
     def label(self) -> str:
-        """Strategy of ours; of a peer its name too."""
-        return self.strategy if self.ours else f"{self.planner} {self.strategy}".strip()
+        """The strategy; of a peer that has but one way its own name."""
+        return self.strategy or self.planner
 
     def spread(self, measure: Measure) -> Spread | None:
         """A measure over the repeats; None where any repeat has none."""

@@ -43,9 +43,16 @@ def table() -> list[Row]:
         plan(Run("peer_cap", "greedy", planner="beadwise 0.1.0"), 2000.0, 0.1, 0.5, reason="joint jerk 1.2 of limit"),
         plan(Run("logo", "sqp", settings, planner="beadwise 0.1.0"), 800.0, 0.3, 0.91),
         make_row(Run("logo", "greedy", settings, planner="beadwise 0.1.0"), reason="no plan: bead 0: stuck", **FIXED),
-        plan(Run("peer_cap", "10°", planner="ladders 1.2"), 90.0, 0.19, 0.999, waypoints=800, seconds_resolve=2.0),
+        plan(
+            Run("peer_cap", "ladder_10", planner="ladders 1.2, 10°"),
+            90.0,
+            0.19,
+            0.999,
+            waypoints=800,
+            seconds_resolve=2.0,
+        ),
         plan(Run("peer_cap", "", planner="steps 0.3"), 9000.0, 0.01, reason="tip on the path 38 mm"),
-        plan(Run("logo", "10°", settings, planner="ladders 1.2"), 100.0, 0.2, 0.95),
+        plan(Run("logo", "ladder_10", settings, planner="ladders 1.2, 10°"), 100.0, 0.2, 0.95),
     ]
 
 
@@ -64,7 +71,7 @@ def test_the_same_rows_give_the_same_report(tmp_path: Path, capsys: pytest.Captu
 def test_ours_is_set_beside_the_fastest_peer_that_verifies() -> None:
     logo, cap = against_peers(results_of(of_one_commit(table())[0]))
     assert (logo.ours.problem, cap.ours.problem) == ("logo", "peer_cap")
-    assert cap.plans is not None and cap.plans.peer.label == "ladders 1.2 10°"
+    assert cap.plans is not None and cap.plans.peer.label == "ladder_10"
     # 800 poses at 90 a second take 8.9 s; ours 1000 waypoints at a median of 1300 a second 0.77 s
     assert cap.plans.ratio == pytest.approx((800 / 90) / (1000 / 1300))
     assert cap.joints is not None and cap.joints.ratio == pytest.approx(2.0 / 0.5)
@@ -74,7 +81,7 @@ def test_ours_is_set_beside_the_fastest_peer_that_verifies() -> None:
 
 
 def test_no_peer_that_verifies_is_no_race() -> None:
-    rows = [row for row in table() if row["planner"] != "ladders 1.2"]
+    rows = [row for row in table() if row["planner"] != "ladders 1.2, 10°"]
     (cap,) = against_peers(results_of(of_one_commit(rows)[0]))
     assert cap.plans is None and cap.joints is None and cap.no_worse == {}
 
