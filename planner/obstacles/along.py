@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from planner.obstacles.kernel import FIRST, YES, least_margin, over_pairs, put
+from planner.obstacles.far import let_go, room_to_spare, spared_looks, spared_pairs
+from planner.obstacles.kernel import FIRST, NO, YES, least_margin, over_pairs, put
 from planner.obstacles.table import DEEP, room_for
 
 
@@ -13,8 +14,20 @@ from planner.obstacles.table import DEEP, room_for
 def least_margins(table, q, now, enough, more, margin, which) -> None:
     """`least_margin` of postures q (n, nj) at times now (n) into margin and which (n)."""
     room = room_for(table)
+    spare, old, moved, shifted = room_to_spare(table)
+    p, looks = len(table.pair), len(table.look)
+    late = now.max() if len(now) else 0.0
     for i in range(len(q)):
-        margin[i], which[i] = least_margin(table, room, q, i, now[i], enough, more)
+        put(table, room, q, i)
+        let_go(table, room, spare, old, moved, shifted)
+        best, found = spared_pairs(table, room, FIRST, p, enough + more, NO, spare, moved)
+        best, k = best - more, FIRST
+        while k < looks:
+            near, k, _ = spared_looks(table, room, k, looks, now[i], late, best, NO, spare, moved, shifted)
+            if k < 0:
+                break
+            best, found, k = near, p + k, k + 1
+        margin[i], which[i] = best, found
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

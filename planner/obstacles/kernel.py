@@ -14,7 +14,7 @@ from planner.obstacles.gjk import solids_distance
 from planner.point_tree import nearest_point
 from planner.solids import BOX, CAPSULE, HULL
 
-_NONE = -np.inf
+NONE = -np.inf
 # Flags and numbers handed on to other kernels: plain ones are types of their own, for each of which all is compiled anew.
 YES, NO, FIRST = np.bool_(True), np.bool_(False), np.int64(0)
 MIDDLE, TIP, NORMAL, PLACE = 0, 1, 2, 3  # rows of `Room.few`
@@ -60,7 +60,7 @@ def put(table, room, q, row) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="never")
-def _solid(frames, frame, T_frame_solid, pose, known, b) -> None:
+def place_solid(frames, frame, T_frame_solid, pose, known, b) -> None:
     """The pose of a body's solid in the world, if it is not known."""
     if known[b]:
         return
@@ -75,10 +75,10 @@ def _solid(frames, frame, T_frame_solid, pose, known, b) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="never")
-def _outside(kind, size, pose, middle, b, other):
+def outside(kind, size, pose, middle, b, other):
     """A bound of how far outside of body b the middle of another one lies [m]."""
     if kind[b] == HULL:
-        return _NONE
+        return NONE
     x, y, z = middle[other, 0] - pose[b, 0, 3], middle[other, 1] - pose[b, 1, 3], middle[other, 2] - pose[b, 2, 3]
     u = pose[b, 0, 0] * x + pose[b, 1, 0] * y + pose[b, 2, 0] * z
     v = pose[b, 0, 1] * x + pose[b, 1, 1] * y + pose[b, 2, 1] * z
@@ -92,6 +92,17 @@ def _outside(kind, size, pose, middle, b, other):
     r = max(np.sqrt(u * u + v * v) - max(size[b, 0], size[b, 1]), 0.0)
     w = max(-w, w - size[b, 2], 0.0)
     return np.sqrt(r * r + w * w)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def pair_distance(kind, size, span, vertices, pose, middle, a, b, enough, little, way, k, S):
+    """`solids_distance` of a pair; solids that overlap are apart by their middles."""
+    distance = solids_distance(kind, size, span, vertices, pose, a, b, enough, little, way, k, S)
+    if way[k, 0] == 0.0 and way[k, 1] == 0.0 and way[k, 2] == 0.0:
+        for m in range(3):
+            way[k, m] = middle[a, m] - middle[b, m]
+            S[0, 3 + m], S[0, 6 + m] = middle[a, m], middle[b, m]
+    return distance
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="never")
@@ -110,18 +121,14 @@ def _each_pair(
             continue
         large, small = (a, b) if ball[a, 3] > ball[b, 3] else (b, a)
         if not known[large]:
-            _solid(frames, frame, T_frame_solid, pose, known, large)
-        if _outside(kind, size, pose, middle, large, small) - ball[small, 3] - needed[k] >= best:
+            place_solid(frames, frame, T_frame_solid, pose, known, large)
+        if outside(kind, size, pose, middle, large, small) - ball[small, 3] - needed[k] >= best:
             continue
         if not known[small]:
-            _solid(frames, frame, T_frame_solid, pose, known, small)
-        little = best + needed[k] if stop else _NONE
-        margin = solids_distance(kind, size, span, vertices, pose, a, b, best + needed[k], little, way, k, S)
+            place_solid(frames, frame, T_frame_solid, pose, known, small)
+        little = best + needed[k] if stop else NONE
+        margin = pair_distance(kind, size, span, vertices, pose, middle, a, b, best + needed[k], little, way, k, S)
         margin -= needed[k]
-        if way[k, 0] == 0.0 and way[k, 1] == 0.0 and way[k, 2] == 0.0:  # they overlap: apart by their middles
-            for m in range(3):
-                way[k, m] = middle[a, m] - middle[b, m]
-                S[0, 3 + m], S[0, 6 + m] = middle[a, m], middle[b, m]
         if margin < best:
             best, which = margin, k
             if stop:
@@ -202,7 +209,7 @@ def _each_look(
         if far < 0.0 or square > far * far:
             continue
         if not known[b]:
-            _solid(frames, frame, T_frame_solid, pose, known, b)
+            place_solid(frames, frame, T_frame_solid, pose, known, b)
         _solid_from_tree(frames, tree_frame, T_frame_tree, pose, b, t, into)
         p1, n1 = p0 + first[t, 1], n0 + first[t, 3]
         margin, found = nearest_point(

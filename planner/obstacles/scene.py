@@ -5,12 +5,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.cell import Cell, Robot
+from planner.cell import Cell, Robot, rigid_inverse
 from planner.kinematics.chain import Chain, rotate_about
 from planner.obstacles.along import hit_along, lacking_at, least_margins
 from planner.obstacles.sampling import surface_points
@@ -19,7 +20,7 @@ from planner.point_tree import PointTree, point_tree
 from planner.print_body import TIP_SLOPE, PrintBody, print_body, standing, tip_slack
 from planner.problem import Problem
 from planner.robot_files import joint_axis
-from planner.solids import Body, Hull, Mesh, packed
+from planner.solids import Body, Capsule, Frustum, Hull, Mesh, packed
 from planner.toolpath.bead import Toolpath
 
 Array = NDArray[np.float64]
@@ -29,6 +30,7 @@ PART = "part or print"
 _FAR = 0.2  # m: greater margins are not told apart along a motion
 _POSTURES = 64  # a pair of an arm's own bodies that touches at all of so many belongs together
 _FILLED = 1e-6  # of its hull's volume that a mesh may lack to be that hull
+_ON_AXIS = 1e-9  # m, and of a direction's length: so near to an axis is on it
 _ARM, _HEAD, _HOLDER, _FIXTURE, _CARRIED = range(5)
 
 
@@ -70,9 +72,16 @@ class Obstacles:
     @property
     def but_head_on_part(self) -> Obstacles:
         """Less the head's clearance from part and print, which tilt may give where the search cannot."""
-        kept, table = ~self.table.head_on_part, self.table
-        fewer = table._replace(look=table.look[kept], keep=table.keep[kept], head_on_part=table.head_on_part[kept])
-        return replace(self, table=fewer)
+        return self._looking(~self.table.head_on_part)
+
+    @cached_property
+    def but_round_on_part(self) -> Obstacles:
+        """Less what is round about the nozzle's axis against part and print, which only tilt can change."""
+        return self._looking(~self.table.round_on_part)
+
+    def _looking(self, kept: NDArray[np.bool_]) -> Obstacles:
+        fields = ("look", "keep", "head_on_part", "round_on_part")
+        return replace(self, table=self.table._replace(**{name: getattr(self.table, name)[kept] for name in fields}))
 
     def of(self, cell: Cell) -> Obstacles:
         """The same obstacles where the cell's holder or part stand elsewhere."""
@@ -137,7 +146,8 @@ def _empty() -> Table:
         T_frame_solid=no_poses, ball=np.zeros((0, 4)), pair=no_pairs, needed=none,
         points=no_points, radius=none, time=none, node_centre=no_points, node_reach=none, since=none,
         left=no_index, right=no_index, first=np.zeros((0, 4), dtype=np.int64), tree_frame=no_index,
-        T_frame_tree=no_poses, look=no_pairs, keep=no_points, slack=none, head_on_part=np.zeros(0, dtype=np.bool_),
+        T_frame_tree=no_poses, look=no_pairs, keep=no_points, slack=none,
+        head_on_part=np.zeros(0, dtype=np.bool_), round_on_part=np.zeros(0, dtype=np.bool_),
     )  # fmt: skip
 
 
@@ -180,6 +190,7 @@ def _assembled(cell: Cell, around: Around) -> Obstacles:
         frames.append(mesh.frame)
         poses.append(np.eye(4))
     on_part = np.array([tree == 0 and solid[k].whose == _HEAD for k, tree in look], dtype=np.bool_)
+    round_ = np.array([_is_round(solid[k].body, cell.arm.T_last_tip) for k, _ in look], dtype=np.bool_)
     keep = np.array(clearance, dtype=float)
     table = _table(cell, [thing.body for thing in solid], [thing.frame for thing in solid])._replace(
         pair=np.array(pairs, dtype=np.int64).reshape(-1, 2),
@@ -190,6 +201,7 @@ def _assembled(cell: Cell, around: Around) -> Obstacles:
         keep=np.column_stack([keep, np.where(on_part, TIP_SLOPE, 0.0), -keep]),
         slack=around.slack,
         head_on_part=on_part,
+        round_on_part=on_part & round_,
         **_joined(trees),
     )
     names = tuple(thing.body.name for thing in solid)
@@ -271,6 +283,13 @@ def _may_touch(a: _Thing, b: _Thing, last: int) -> bool:
     if whose & {_ARM, _HEAD}:
         return True
     return _FIXTURE in whose
+
+
+def _is_round(body: Body, T_frame_nozzle: Array) -> bool:
+    """Whether a body looks the same however it is turned about the nozzle's axis."""
+    T = rigid_inverse(T_frame_nozzle) @ body.T_frame_solid
+    on_axis = np.allclose(T[:2, 2:], 0.0, rtol=0.0, atol=_ON_AXIS)
+    return isinstance(body.solid, Capsule | Frustum) and bool(on_axis)
 
 
 def _looked_at(a: _Thing, b: _Thing, part_frame: int) -> bool:

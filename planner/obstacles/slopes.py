@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from planner.obstacles.kernel import FIRST, MIDDLE, NO, NORMAL, PLACE, YES, over_looks, over_pairs, put
+from planner.obstacles.far import let_go, room_to_spare, spared_looks, spared_pairs
+from planner.obstacles.kernel import FIRST, MIDDLE, NORMAL, PLACE, YES, put
 from planner.obstacles.table import room_for
 from planner.point_tree import solid_distance
 
@@ -81,23 +82,25 @@ def nearest_margins(table, q, now, wanted, enough, enough_of_points, margin, slo
     enough_of_points [m] is the same for pairs with trees, and no more than `enough`.
 
     margin (n, m), slope (n, m, nj) by the joints, which (n, m): pairs as in `first_lacking`. What is left over has the
-    margin `enough`, no slope, and -1.
+    margin `enough`, no slope, and -1; rows that are not wanted stay as they are.
     """
     room = room_for(table)
     p, looks = len(table.pair), len(table.look)
-    margin[:] = enough
-    slope[:] = 0.0
-    which[:] = -1
+    spare, old, moved, shifted = room_to_spare(table)
+    late = now.max() if len(now) else 0.0
     for i in range(len(q)):
         if not wanted[i]:
             continue
+        margin[i] = enough
+        slope[i] = 0.0
+        which[i] = -1
         put(table, room, q, i)
+        let_go(table, room, spare, old, moved, shifted)
         worst, k = FIRST, FIRST
         while k < p:  # from each pair that is near to the next one
-            _, k = over_pairs(table, room, k, p, margin[i, worst], YES)
+            found, k = spared_pairs(table, room, k, p, margin[i, worst], YES, spare, moved)
             if k < 0:
                 break
-            found, _ = over_pairs(table, room, k, k + 1, margin[i, worst], NO)
             _pair_slope(table, room, k, slope, i, worst)
             margin[i, worst], which[i, worst] = found, k
             worst = _greatest(margin, i)
@@ -105,7 +108,7 @@ def nearest_margins(table, q, now, wanted, enough, enough_of_points, margin, slo
         k = FIRST
         while k < looks:
             most = min(margin[i, worst], enough_of_points)
-            found, k, point = over_looks(table, room, k, looks, now[i], most, YES, YES, YES)
+            found, k, point = spared_looks(table, room, k, looks, now[i], late, most, YES, spare, moved, shifted)
             if k < 0:
                 break
             _look_slope(table, room, k, point, slope, i, worst)

@@ -30,6 +30,7 @@ class Table(NamedTuple):
     keep (k, 3)                           clearance, slope and slack, see `nearest_point`
     slack (n beads)                       in the place of the third where head and part are, by the bead that is printed
     head_on_part (k)                      head and part: a nozzle's pose in the part alone says how they are
+    round_on_part (k)                     of these, where the head's body is round about the nozzle's axis: roll changes nothing
     """
 
     placements: Array
@@ -61,6 +62,7 @@ class Table(NamedTuple):
     keep: Array
     slack: Array
     head_on_part: Flags
+    round_on_part: Flags
 
 
 class Room(NamedTuple):

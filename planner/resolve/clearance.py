@@ -18,7 +18,9 @@ Index = NDArray[np.int64]
 
 COMFORT = 15e-3  # m of margin above which nothing is held: three times what arms keep
 COMFORT_OF_POINTS = 2e-3  # m, the same of part and print: to look farther around the nozzle takes five times as long
-EVERY = 1e-3  # m of the tip's way from one sample that is looked at to the next
+EVERY = 1e-3  # m of the tip's way from one sample that is looked at to the next, where margins are small
+SPARSE = 4  # times as far elsewhere
+_SMALL = 6e-3  # m
 ROOM = 2e-4  # m of margin that is asked for, since paths are looked at in samples
 UNIT = 10.0  # 1/m: a tenth of a millimetre that lacks counts as much as a milliradian beyond a cone
 _ROWS = 4  # pairs of a sample that are held
@@ -36,20 +38,44 @@ class Clearances:
     slope: Array
 
 
-def clearances(obstacles: Obstacles, q: Array, G: Array, now: Array, tip: Array) -> Clearances:
-    """The least margins of postures q (n, nj) at times now (n), the nozzle's tip at tip (n, 3); G (n, nj, m) is dq/dz."""
+def clearances(obstacles: Obstacles, q: Array, G: Array, now: Array, tip: Array, *, held: bool = True) -> Clearances:
+    """The least margins of postures q (n, nj) at times now (n), the nozzle's tip at tip (n, 3); G (n, nj, m) is dq/dz.
+
+    held: whether margins are to be held; if not, only those that lack something come back.
+    """
     n, nj = q.shape
     if not obstacles.any:
         return Clearances(np.zeros(n), np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, G.shape[2])))
     gone = np.concatenate([np.zeros(1), np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))]) // EVERY
-    wanted = np.concatenate([np.ones(1, dtype=np.bool_), np.diff(gone) > 0.0])
-    group = np.cumsum(wanted) - 1
-    time = np.where(wanted, np.bincount(group)[group], 0).astype(float)
+    fine = np.flatnonzero(np.concatenate([np.ones(1, dtype=np.bool_), np.diff(gone) > 0.0]))
     margin, slope = np.empty((n, _ROWS)), np.empty((n, _ROWS, nj))
     which = np.empty((n, _ROWS), dtype=np.int64)
-    nearest_margins(obstacles.table, q, now, wanted, COMFORT, COMFORT_OF_POINTS, margin, slope, which)
-    sample, row = np.nonzero(margin < COMFORT)
+    wanted, comfort = np.zeros(n, dtype=np.bool_), (COMFORT, COMFORT_OF_POINTS) if held else (ROOM, ROOM)
+
+    def look(at: Index) -> None:
+        mask = np.zeros(n, dtype=np.bool_)
+        mask[at] = wanted[at] = True
+        nearest_margins(obstacles.table, q, now, mask, *comfort, margin, slope, which)
+
+    if held:
+        look(fine[::SPARSE])
+        look(fine[_beside_small(margin[fine[::SPARSE]], slope[fine[::SPARSE]], len(fine))])
+    else:
+        look(fine)
+    group = np.cumsum(wanted) - 1
+    time = np.where(wanted, np.bincount(group)[group], 0).astype(float)
+    margin[~wanted] = np.inf
+    sample, row = np.nonzero(margin < comfort[0])
     return Clearances(time, sample, margin[sample, row], np.einsum("kj,kjm->km", slope[sample, row], G[sample]))
+
+
+def _beside_small(margin: Array, slope: Array, count: int) -> Index:
+    """Which of `count` samples, each SPARSE-th of which has margins (k, rows) with slopes (k, rows, nj), lie between
+    two of them one of which has a small margin that can change."""
+    small = ((margin < _SMALL) & (np.abs(slope).sum(axis=2) > _STILL)).any(axis=1)
+    between = np.repeat(small | np.append(small[1:], False), SPARSE)[:count]
+    between[::SPARSE] = False
+    return np.flatnonzero(between)
 
 
 def shortage(near: Clearances) -> Array:

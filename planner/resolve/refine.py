@@ -182,7 +182,9 @@ def evaluate_samples(
     bounded = limits < np.pi
     cones = limits[bounded] - CONE_ROOM
     lean, lean_slope = np.ascontiguousarray(lean[:, bounded]), np.ascontiguousarray(lean_slope[:, bounded])
-    near = clearances(model.obstacles, q, G, stretch.now, stretch.tip)
+    # upright, what is round about the nozzle's axis keeps the clearance from the part that it has
+    obstacles = model.obstacles if stretch.cones.tilt > 0.0 else model.obstacles.but_round_on_part
+    near = clearances(obstacles, q, G, stretch.now, stretch.tip, held=c.shape[1] > 0)
     tilt = z[:, list(TILT)] if stretch.cones.tilt > 0.0 else np.zeros((n, 0))
     rates, slack = np.empty((n, 3, nj)), np.empty(n)
     differentiate(q, stretch.centre, stretch.D, rates)

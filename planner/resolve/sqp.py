@@ -145,6 +145,8 @@ def cheaper(
 def _as_clear(refined: JointPath, path: JointPath, obstacles: Obstacles) -> bool:
     """Whether a refined path keeps its clearance, or lacks no more of it than the one that was given."""
     now = path.task.moments
+    if path.task.cones.tilt == 0.0:  # what is round about the nozzle's axis is as near to the part in both
+        obstacles = obstacles.but_round_on_part
     least = float(obstacles.margins(refined.q, now, 0.0)[0].min())
     return least >= -SLIGHT or least >= float(obstacles.margins(path.q, now, 0.0)[0].min())
 
