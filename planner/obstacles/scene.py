@@ -11,16 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.cell import Cell, Robot, rigid_inverse
-from planner.kinematics.chain import Chain, rotate_about
+from planner.cell import Cell
 from planner.obstacles.along import hit_along, lacking_at, least_margins
 from planner.obstacles.sampling import surface_points
 from planner.obstacles.table import Table
+from planner.obstacles.things import ARM, HEAD, Thing, corners, is_round, looked_at, may_touch, things_of
 from planner.point_tree import PointTree, point_tree
 from planner.print_body import TIP_SLOPE, PrintBody, print_body, standing, tip_slack
 from planner.problem import Problem
-from planner.robot_files import joint_axis
-from planner.solids import Body, Capsule, Frustum, Hull, Mesh, packed
+from planner.solids import Body, Hull, Mesh, packed
 from planner.toolpath.bead import Toolpath
 
 Array = NDArray[np.float64]
@@ -29,9 +28,6 @@ Index = NDArray[np.int64]
 PART = "part or print"
 _FAR = 0.2  # m: greater margins are not told apart along a motion
 _POSTURES = 64  # a pair of an arm's own bodies that touches at all of so many belongs together
-_FILLED = 1e-6  # of its hull's volume that a mesh may lack to be that hull
-_ON_AXIS = 1e-9  # m, and of a direction's length: so near to an axis is on it
-_ARM, _HEAD, _HOLDER, _FIXTURE, _CARRIED = range(5)
 
 
 @dataclass(frozen=True)
@@ -43,16 +39,6 @@ class Around:
     arm: float
     slack: Array
     part: PointTree
-
-
-@dataclass(frozen=True)
-class _Thing:
-    """A body, its pose in its frame's coordinates, and whose it is; link: of the arm, 0 for its base."""
-
-    body: Body
-    frame: int
-    whose: int
-    link: int = 0
 
 
 @dataclass(frozen=True)
@@ -162,7 +148,7 @@ def obstacles_of(problem: Problem, cell: Cell, toolpath: Toolpath, body: PrintBo
 
 
 def _assembled(cell: Cell, around: Around) -> Obstacles:
-    things = _things(cell)
+    things = things_of(cell)
     meshes = [thing for thing in things if isinstance(thing.body.solid, Mesh)]
     solid = [thing for thing in things if not isinstance(thing.body.solid, Mesh)]
     nh = len(cell.holder)
@@ -170,27 +156,26 @@ def _assembled(cell: Cell, around: Around) -> Obstacles:
     pairs = [
         (a, b)
         for a, b in itertools.combinations(range(len(solid)), 2)
-        if _may_touch(solid[a], solid[b], len(cell.arm)) and not _looked_at(solid[a], solid[b], part_frame)
+        if may_touch(solid[a], solid[b], len(cell.arm)) and not looked_at(solid[a], solid[b], part_frame)
     ]
-    needed = [around.nozzle if _HEAD in (solid[a].whose, solid[b].whose) else around.arm for a, b in pairs]
+    needed = [around.nozzle if HEAD in (solid[a].whose, solid[b].whose) else around.arm for a, b in pairs]
     trees, frames, poses = [around.part], [part_frame], [cell.holder.T_last_tip]
-    look = [(k, 0) for k, thing in enumerate(solid) if thing.whose == _HEAD or (thing.whose == _ARM and thing.link)]
-    clearance = [around.nozzle if solid[k].whose == _HEAD else around.arm for k, _ in look]
+    look = [(k, 0) for k, thing in enumerate(solid) if thing.whose == HEAD or (thing.whose == ARM and thing.link)]
+    clearance = [around.nozzle if solid[k].whose == HEAD else around.arm for k, _ in look]
     for mesh in meshes:
-        corners = _corners(mesh.body)
-        points, radius = surface_points(corners, min(around.nozzle, around.arm))
+        points, radius = surface_points(corners(mesh.body), min(around.nozzle, around.arm))
         look_at = [
             k
             for k, thing in enumerate(solid)
-            if _may_touch(thing, mesh, len(cell.arm)) and not _looked_at(thing, mesh, part_frame)
+            if may_touch(thing, mesh, len(cell.arm)) and not looked_at(thing, mesh, part_frame)
         ]
         look += [(k, len(trees)) for k in look_at]
-        clearance += [around.nozzle if solid[k].whose == _HEAD else around.arm for k in look_at]
+        clearance += [around.nozzle if solid[k].whose == HEAD else around.arm for k in look_at]
         trees.append(point_tree(points, radius))
         frames.append(mesh.frame)
         poses.append(np.eye(4))
-    on_part = np.array([tree == 0 and solid[k].whose == _HEAD for k, tree in look], dtype=np.bool_)
-    round_ = np.array([_is_round(solid[k].body, cell.arm.T_last_tip) for k, _ in look], dtype=np.bool_)
+    on_part = np.array([tree == 0 and solid[k].whose == HEAD for k, tree in look], dtype=np.bool_)
+    round_ = np.array([is_round(solid[k].body, cell.arm.T_last_tip) for k, _ in look], dtype=np.bool_)
     keep = np.array(clearance, dtype=float)
     table = _table(cell, [thing.body for thing in solid], [thing.frame for thing in solid])._replace(
         pair=np.array(pairs, dtype=np.int64).reshape(-1, 2),
@@ -207,95 +192,6 @@ def _assembled(cell: Cell, around: Around) -> Obstacles:
     names = tuple(thing.body.name for thing in solid)
     made = Obstacles(table, names, (PART, *(mesh.body.name for mesh in meshes)), around)
     return replace(made, table=_without_joined(cell, made.table, solid))
-
-
-def _things(cell: Cell) -> list[_Thing]:
-    """All bodies of a cell; meshes that are convex as hulls."""
-    na, nh = len(cell.arm), len(cell.holder)
-    out = []
-    for i, (frame, body) in enumerate(_carried_by(cell.arm_robot, cell.arm, cell.T_world_base, {}, 0)):
-        out += [_Thing(each, frame, _ARM, i) for each in body]
-    out += [_Thing(_moved(body, cell.arm.T_last_tip), na, _HEAD, na) for body in cell.head]
-    if cell.holder_robot is not None:
-        for frame, body in _carried_by(cell.holder_robot, cell.holder, cell.T_world_holder_base, cell.held, na):
-            out += [_Thing(each, frame, _HOLDER) for each in body]
-    out += [_Thing(body, 0, _FIXTURE) for body in cell.fixtures]
-    out += [_Thing(_moved(body, cell.holder.T_last_tip), na + nh if nh else 0, _CARRIED) for body in cell.carried]
-    return [replace(thing, body=_filled(thing.body)) for thing in out]
-
-
-def _carried_by(
-    robot: Robot, chain: Chain, T_world_base: Array, held: dict[str, float], before: int
-) -> list[tuple[int, list[Body]]]:
-    """For each joint of a robot's model, its base first, the frame that carries its bodies, and these in that frame."""
-    model, bodies = robot.model, robot.bodies
-    frame, T = 0, T_world_base
-    out = [(0, [_moved(body, T) for body in bodies[0]])]
-    found = 0
-    for i in range(1, model.njoints):
-        name = model.names[i]
-        if name in chain.names:
-            found += 1
-            frame, T = before + found, np.eye(4)
-        else:
-            turn = np.eye(4)
-            rotate_about(joint_axis(model, i), held[name], turn)
-            T = T @ model.jointPlacements[i].homogeneous @ turn
-        out.append((frame, [_moved(body, T) for body in bodies[i]]))
-    return out
-
-
-def _moved(body: Body, T: Array) -> Body:
-    return replace(body, T_frame_solid=T @ body.T_frame_solid)
-
-
-def _corners(body: Body) -> Array:
-    """Triangles (m, 3, 3) of a mesh in its frame."""
-    mesh, T = body.solid, body.T_frame_solid
-    if not isinstance(mesh, Mesh):
-        raise TypeError(f"{body.name} is no mesh")
-    return np.asarray((mesh.vertices @ T[:3, :3].T + T[:3, 3])[mesh.triangles])
-
-
-def _filled(body: Body) -> Body:
-    """The body, as a hull if it is a mesh that fills its hull."""
-    if not isinstance(body.solid, Mesh):
-        return body
-    corners = body.solid.vertices[body.solid.triangles]
-    volume = float(np.einsum("ni,ni->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) / 6.0
-    hull = Hull(body.solid.vertices)
-    try:
-        whole = hull.volume
-    except ValueError:  # it is flat
-        return body
-    return replace(body, solid=hull) if volume >= (1.0 - _FILLED) * whole else body
-
-
-def _may_touch(a: _Thing, b: _Thing, last: int) -> bool:
-    """Whether two things may touch that ought not to: what moves together, and links beside each other, do not count."""
-    if a.frame == b.frame:
-        return False
-    whose = {a.whose, b.whose}
-    if whose == {_ARM}:
-        return abs(a.link - b.link) > 1
-    if whose == {_ARM, _HEAD}:
-        return min(a.link, b.link) < last
-    if whose & {_ARM, _HEAD}:
-        return True
-    return _FIXTURE in whose
-
-
-def _is_round(body: Body, T_frame_nozzle: Array) -> bool:
-    """Whether a body looks the same however it is turned about the nozzle's axis."""
-    T = rigid_inverse(T_frame_nozzle) @ body.T_frame_solid
-    on_axis = np.allclose(T[:2, 2:], 0.0, rtol=0.0, atol=_ON_AXIS)
-    return isinstance(body.solid, Capsule | Frustum) and bool(on_axis)
-
-
-def _looked_at(a: _Thing, b: _Thing, part_frame: int) -> bool:
-    """Whether a pair is that of the head with what does not move in the part frame: it is among the part's points."""
-    other = b if a.whose == _HEAD else a
-    return _HEAD in (a.whose, b.whose) and other.frame == part_frame and other.whose != _ARM
 
 
 def _table(cell: Cell, bodies: Sequence[Body], frames: Sequence[int]) -> Table:
@@ -342,13 +238,13 @@ def _joined(trees: Sequence[PointTree]) -> dict[str, Any]:
     }
 
 
-def _without_joined(cell: Cell, table: Table, things: Sequence[_Thing]) -> Table:
+def _without_joined(cell: Cell, table: Table, things: Sequence[Thing]) -> Table:
     """The table without pairs of the arm's own bodies that touch whatever the posture: they are built that way."""
     limits = cell.limits
     low, high = np.maximum(limits.q_min, -np.pi), np.minimum(limits.q_max, np.pi)
     q = np.random.default_rng(0).uniform(low, high, (_POSTURES, len(low)))
     lacking = np.zeros((_POSTURES, len(table.pair)), dtype=np.bool_)
     lacking_at(table, q, lacking)
-    own = np.array([things[a].whose in (_ARM, _HEAD) and things[b].whose in (_ARM, _HEAD) for a, b in table.pair])
+    own = np.array([things[a].whose in (ARM, HEAD) and things[b].whose in (ARM, HEAD) for a, b in table.pair])
     kept = ~(lacking.all(axis=0) & own.astype(np.bool_).reshape(-1))
     return table._replace(pair=table.pair[kept], needed=table.needed[kept])
