@@ -27,12 +27,13 @@ from distributed import Client
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.named import load_named
 from planner.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, PlannerError, Refusal
-from planner.planning import load, try_out
+from planner.planning import try_out
 from planner.spread import spread
 from planner.toolpath.build import build_toolpath
 
-PROBLEM = "peer_cap"
+PROBLEM = "peer_cap@3000"  # waypoints: some seconds a plan, so that what a worker imports first does not count
 STRATEGIES = ("sqp", "ladder")
 SPEEDS = range(22, 42, 2)  # mm/s; ten, so that the grid has 20 cells
 WAIT = 60.0  # s for workers to be there
@@ -44,9 +45,10 @@ Cell = tuple[int, str]  # speed, strategy
 def digest_of(cell: Cell) -> str:
     """Digest of all that verification says of a plan, or the reason why there is none."""
     speed, strategy = cell
-    problem = load(PROBLEM, f"process.speed_mm_s={speed}")
     try:
-        report = try_out(problem, build_toolpath(problem), strategy)
+        with tempfile.TemporaryDirectory() as folder:
+            problem = load_named(PROBLEM, [f"process.speed_mm_s={speed}"], Path(folder))
+            report = try_out(problem, build_toolpath(problem), strategy)
     except Refusal as refusal:
         return str(refusal)
     digest = hashlib.sha256(repr((report.checks, sorted(report.metrics.items()))).encode())
