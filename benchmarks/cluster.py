@@ -2,9 +2,11 @@
 
 python -m benchmarks.cluster
 python -m benchmarks.cluster --cells 6
+python -m benchmarks.cluster --print cylinder_logo
 
 Scheduler and workers are started here, each worker with a core of its own. Everything that a plan's verification
-measured is compared, bit for bit, between the three runs. Exit code 0 if all is the same, 3 if it is not.
+measured is compared, bit for bit, between the three runs. With --print it is one print that the workers share: what is
+timed is all that `planner.solve` does before it writes, most of which one process does alone. Exit code 0 if all is the same, 3 if it is not.
 """
 
 from __future__ import annotations
@@ -19,18 +21,21 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from distributed import Client
 from rich.console import Console
 from rich.table import Table
 
 from benchmarks.named import load_named
+from planner.command import add_set
 from planner.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, PlannerError, Refusal
-from planner.planning import try_out
-from planner.spread import spread
+from planner.planning import load, solve, try_out
+from planner.spread import Spread, crew
 from planner.toolpath.build import build_toolpath
 
 PROBLEM = "peer_cap@3000"  # waypoints: some seconds a plan, so that what a worker imports first does not count
@@ -89,18 +94,41 @@ def _start(kind: str, options: Sequence[str], folder: Path, core: int | None = N
     return process
 
 
-def run(cells: Sequence[Cell], workers: int, folder: Path, kill: bool = False) -> tuple[float, list[str]]:
-    """Seconds that a grid takes, and its results in order; `kill`: one worker's process, once half of them are there."""
-    results = [""] * len(cells)
+def run(work: Callable[[Spread], list[str]], workers: int, folder: Path, kill: bool = False) -> tuple[float, list[str]]:
+    """Seconds that some work takes, and its results; `kill`: one worker's process, once half of the items are done."""
     with cluster(workers, folder) as address:
         start = time.perf_counter()
-        for done, (i, result) in enumerate(spread(digest_of, cells, scheduler=address), 1):
-            if isinstance(result, PlannerError):
-                raise result
-            results[i] = result
-            if kill and done == len(cells) // 2:
-                _kill_one(address)
+        with crew(scheduler=address) as over:
+            results = work(_killing(over, address) if kill else over)
         return time.perf_counter() - start, results
+
+
+def of_grid(cells: Sequence[Cell], over: Spread) -> list[str]:
+    """Digests of a grid's plans, in order."""
+    results = [""] * len(cells)
+    for i, result in over(digest_of, cells):
+        if isinstance(result, PlannerError):
+            raise result
+        results[i] = result
+    return results
+
+
+def of_print(name: str, settings: Sequence[str], over: Spread) -> list[str]:
+    """The digest of one plan, refined by the workers."""
+    plan = solve(load(name, *settings), over=over, baseline=False)
+    digest = hashlib.sha256(repr((plan.checks, sorted(plan.metrics.items()))).encode())
+    digest.update(plan.trajectory.q.tobytes())
+    return [digest.hexdigest()]
+
+
+def _killing(over: Spread, address: str) -> Spread:
+    def spread(function: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        for done, pair in enumerate(over(function, items), 1):
+            yield pair
+            if done == len(items) // 2:
+                _kill_one(address)
+
+    return spread
 
 
 def _kill_one(address: str) -> None:
@@ -114,14 +142,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.cluster", description=__doc__)
     most = len(STRATEGIES) * len(SPEEDS)
     parser.add_argument("--cells", type=int, default=most, choices=range(2, most + 1), metavar="N", help=f"2 to {most}")
+    parser.add_argument("--print", metavar="PROBLEM", help="share one print instead: file, or name of one that ships")
+    add_set(parser)
     options = parser.parse_args(arguments)
     cells = list(itertools.product(SPEEDS, STRATEGIES))[: options.cells]
-    table = Table("workers", "killed", "s", "times as fast", "results", title=f"{PROBLEM}, {len(cells)} plans")
+    work = partial(of_print, options.print, options.set) if options.print else partial(of_grid, cells)
+    title = f"{PROBLEM}, {len(cells)} plans" if options.print is None else " ".join([options.print, *options.set])
+    table = Table("workers", "killed", "s", "times as fast", "results", title=title)
     seconds, first = 0.0, [""]
     same = True
     with tempfile.TemporaryDirectory(prefix="cluster_") as folder:
         for workers, kill in ((1, False), (2, False), (2, True)):
-            took, results = run(cells, workers, Path(folder), kill)
+            took, results = run(work, workers, Path(folder), kill)
             if not seconds:
                 seconds, first = took, results
             same = same and results == first

@@ -30,8 +30,8 @@ from benchmarks.waypoint_files import Look, Meaning, files_in, look_at, place, s
 from planner.cell import build_cell
 from planner.command import add_spread, add_strategy, exit_code
 from planner.errors import EXIT_VERIFIED, InputError, PlannerError
+from planner.given import found_anywhere
 from planner.placement.ranges import reach
-from planner.placement.site import found_anywhere
 from planner.problem import load_problem
 from planner.spread import spread
 

@@ -210,6 +210,7 @@ def solve_command() -> Command:
         metavar="K",
         help="resume an interrupted print: bead K (as the report counts, from 0) and all after it",
     )
+    add_spread(parser)
     parser.add_argument(
         "--dt", type=_sample_time, default=DEFAULT_DT, metavar="S", help="seconds between samples (default 0.004)"
     )

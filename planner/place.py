@@ -17,12 +17,13 @@ from rich.table import Table
 from planner.cell import build_cell
 from planner.command import Command, add_problem, add_set, add_spread, add_strategy, exit_code
 from planner.errors import EXIT_VERIFIED, OutputError
+from planner.given import found_anywhere
 from planner.output import results_folder
 from planner.placement.chart import draw_map, number, words, write_table
 from planner.placement.crew import Crew, Outcome, crew_of
 from planner.placement.freedom import FREEDOMS, changed_fields, place_of
 from planner.placement.ranges import axes_of
-from planner.placement.site import Asked, found_anywhere, site_of
+from planner.placement.site import Asked, site_of
 from planner.placement.study import Study, study
 from planner.problem import Problem, load_problem
 from planner.problem.rewrite import write_changed

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,24 +12,25 @@ from numpy.typing import NDArray
 
 from planner.background import in_background, in_halves, spare_core
 from planner.cell import Cell, build_cell
+from planner.chains import sqp_over
 from planner.command import DEFAULT_DT, MAX_DT, MIN_DT
 from planner.dips import find_dips
 from planner.errors import InputError, Refusal, nearest_name
 from planner.export import write_part, write_plan, write_robot_code, write_trajectory
 from planner.export.languages import check_languages
+from planner.given import Given, given_of
 from planner.headroom import headroom
 from planner.motion import join
-from planner.obstacles import NOTHING, Obstacles, obstacles_of
+from planner.obstacles import NOTHING, Obstacles
 from planner.output import results_folder
 from planner.plan import Plan, Trajectory
-from planner.print_body import PrintBody, print_body, standing
 from planner.problem import Problem, load_problem
 from planner.progress import Stages
 from planner.report.html import write_report
 from planner.resolve import STRATEGIES, UNAWARE
 from planner.resolve.jointpath import JointPath
 from planner.resolve.roll_maps import roll_maps
-from planner.task import NozzleTask, tasks_of
+from planner.spread import Spread
 from planner.timing import TimedPath, bound_time, time_path
 from planner.tolerance import Headroom, Tolerance, parse_tolerance
 from planner.toolpath.bead import Toolpath
@@ -42,6 +43,7 @@ from planner.versions import versions
 Array = NDArray[np.float64]
 
 BASELINE = "as_published"
+SPREADS = "sqp"  # the strategy whose work other processes can share
 WORTH_A_FORK = 5_000  # waypoints above which sharing the work takes less time than copying the process for it
 
 
@@ -64,6 +66,7 @@ def solve(
     tolerance: Tolerance | str | None = None,
     first_bead: int = 0,
     baseline: bool = True,
+    over: Spread | None = None,
 ) -> Plan:
     """Plan a problem, or what `load` takes, and verify the plan.
 
@@ -75,6 +78,7 @@ def solve(
     second_process  the same comes sooner, where the print is large
     stages          shows and times the stages
     baseline        whether the baseline strategy is planned as well; its metrics are in `Plan.baseline`
+    over            what spreads the beads that strategy sqp refines over processes or machines (`planner.spread.crew`)
 
     The plan that comes back may have failed checks: see `Plan.verified`. Nothing is written: see `write`.
     Raises InputError for wrong input, Refusal where there is no plan at all.
@@ -92,9 +96,9 @@ def solve(
     with stages.stage("toolpath"):
         toolpath = build_toolpath(problem)
     with stages.stage("obstacles"):
-        given = _given(problem, cell, toolpath, _within(first_bead, toolpath))
+        given = given_of(problem, cell, toolpath, _within(first_bead, toolpath))
     with _baseline_beside(baseline and strategy != BASELINE, given, dt, second_process) as baseline_metrics:
-        trajectory, report, paths, travels = _plan_with(strategy, given, dt, stages, second_process)
+        trajectory, report, paths, travels = _plan_with(strategy, given, dt, stages, second_process, over)
         with stages.stage("dips"):
             dips = find_dips(problem, cell, toolpath, paths, trajectory)
         with stages.stage("map"):
@@ -133,29 +137,9 @@ def try_out(problem: Problem, toolpath: Toolpath, strategy: str, second_process:
 
     toolpath: the problem's own, which does not depend on its cell. Raises Refusal where there is no plan at all.
     """
-    given = _given(problem, build_cell(problem), toolpath)
+    given = given_of(problem, build_cell(problem), toolpath)
     _, report, *_ = _plan_with(strategy, given, DEFAULT_DT, Stages(), second_process)
     return report
-
-
-@dataclass(frozen=True)
-class _Given:
-    """What every strategy plans with, and is verified with; of the tasks only those from `first_bead` on are printed."""
-
-    problem: Problem
-    cell: Cell
-    toolpath: Toolpath
-    tasks: tuple[NozzleTask, ...]
-    body: PrintBody
-    obstacles: Obstacles
-    first_bead: int
-
-
-def _given(problem: Problem, cell: Cell, toolpath: Toolpath, first_bead: int = 0) -> _Given:
-    """Raises InputError for a bead that is too short for the problem's fibre."""
-    body = print_body(toolpath, standing(cell))
-    tasks, obstacles = tasks_of(problem, toolpath), obstacles_of(problem, cell, toolpath, body)
-    return _Given(problem, cell, toolpath, tasks, body, obstacles, first_bead)
 
 
 def _known(strategy: str) -> str:
@@ -184,7 +168,12 @@ def _within(first_bead: int, toolpath: Toolpath) -> int:
 
 
 def _plan_with(
-    strategy: str, given: _Given, dt: float, stages: Stages, second_process: bool = False
+    strategy: str,
+    given: Given,
+    dt: float,
+    stages: Stages,
+    second_process: bool = False,
+    over: Spread | None = None,
 ) -> tuple[Trajectory, Report, Sequence[JointPath], Sequence[Travel]]:
     """Resolve, time, join and verify with one strategy; the bound on the deposition time joins the metrics.
 
@@ -194,7 +183,10 @@ def _plan_with(
     obstacles = NOTHING if strategy in UNAWARE else given.obstacles
     beside = second_process and _waypoints(toolpath) >= WORTH_A_FORK
     with stages.stage("resolve"):
-        paths = STRATEGIES[strategy](cell, given.tasks, problem.resolve, obstacles)
+        if over is not None and strategy == SPREADS:
+            paths = sqp_over(over, given)
+        else:
+            paths = STRATEGIES[strategy](cell, given.tasks, problem.resolve, obstacles)
     with stages.stage("timing"):
         rest = paths[given.first_bead :]
         trajectory, travels = _trajectory(problem, cell, toolpath, rest, obstacles, dt, beside)
@@ -272,7 +264,7 @@ def _headroom(
 
 @contextmanager
 def _baseline_beside(
-    wanted: bool, given: _Given, dt: float, second_process: bool
+    wanted: bool, given: Given, dt: float, second_process: bool
 ) -> Iterator[Callable[[], dict[str, dict[str, float]]]]:
     """What gives the baseline's metrics by strategy, planned beside the block where that is worth a process."""
     if not wanted:
@@ -284,7 +276,7 @@ def _baseline_beside(
         yield lambda: _baseline(given, dt)
 
 
-def _baseline(given: _Given, dt: float) -> dict[str, dict[str, float]]:
+def _baseline(given: Given, dt: float) -> dict[str, dict[str, float]]:
     """Metrics of the published way of moving; empty ones if it cannot be planned here."""
     try:
         _, report, *_ = _plan_with(BASELINE, given, dt, Stages())

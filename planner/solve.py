@@ -26,6 +26,7 @@ from planner.problem import Problem, load_problem
 from planner.progress import Stages
 from planner.report.failure import write_failure_report
 from planner.report.summary import print_summary
+from planner.spread import crew
 from planner.toolpath.build import build_toolpath
 from planner.verify_clear import cell_view
 
@@ -48,9 +49,13 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
             problem = load_problem(options.problem, options.set)
         strategy = options.strategy or problem.strategy
         folder = options.out or Path("out") / resumed_name(problem.name, options.from_bead)
-        with results_folder(folder) as fresh:  # first of all: a folder that cannot be written is told at once
+        # first of all: a folder that cannot be written, and a scheduler that does not answer, are told at once
+        with results_folder(folder) as fresh, crew(options.jobs, options.scheduler) as over:
+            shared = over if options.jobs > 1 or options.scheduler is not None else None
             try:
-                plan = solve(problem, strategy, options.dt, stages, True, options.tolerance, options.from_bead)
+                plan = solve(
+                    problem, strategy, options.dt, stages, True, options.tolerance, options.from_bead, over=shared
+                )
             except Refusal as refusal:
                 write_refusal(problem, strategy, refusal, fresh)
                 report_refusal(problem, strategy, refusal, fresh / "report.html")

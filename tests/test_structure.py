@@ -92,6 +92,8 @@ SAME_ROOM = {
     "problem_words": "check",
     "headroom_bounds": "headroom",
     "headroom_cell": "headroom",
+    "given": "planning",
+    "chains": "planning",
 }
 EVERYWHERE = {"errors"}
 # Rooms that see less than what is to their left, when the program runs.

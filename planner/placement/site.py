@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -11,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell import Cell, build_cell
-from planner.errors import InputError
+from planner.given import check_same, digest_of
 from planner.obstacles import NOTHING, Obstacles, obstacles_of
 from planner.placement.freedom import Place, moved_cell, place_of
 from planner.placement.ranges import axes_of, reach
 from planner.placement.rating import Course, course_of, score
 from planner.placement.search import Axis, Point
 from planner.problem import Problem, load_problem
-from planner.problem.file import PROBLEMS
 from planner.resolve import UNAWARE
 from planner.resolve.ladder import first_of_each_name
 from planner.task import NozzleTask, tasks_of
@@ -83,11 +81,8 @@ class Site:
 
     @cached_property
     def digest(self) -> str:
-        """Of what the files say: where two differ, so do the problems."""
-        arrays = [each for task in self.guides for each in (task.tip, task.frames, task.s)]
-        limits = self.cell.limits
-        arrays += [self.cell.arm.placements, self.cell.T_world_holder, limits.q_min, limits.q_max, limits.velocity]
-        return hashlib.sha256(b"".join(np.ascontiguousarray(each).tobytes() for each in arrays)).hexdigest()
+        """Of what the files say; see `digest_of`."""
+        return digest_of(self.cell, self.guides)
 
     def at(self, point: Point) -> Place:
         """The place of a point of the search."""
@@ -120,16 +115,8 @@ def own_site(asked: Asked, digest: str) -> Site:
     problem = load_problem(asked.problem, asked.overrides)
     cell = build_cell(problem)
     site = site_of(asked, problem, cell, axes_of(problem, cell, place_of(problem), asked.free, asked.ranges))
-    if site.digest != digest:
-        hint = "put them in a folder that all machines share"
-        raise InputError("is not the same for a worker, or a file that it names", file=problem.file, hint=hint)
+    check_same(problem, site.digest, digest)
     return site
-
-
-def found_anywhere(problem: Problem) -> str:
-    """How another process names a problem: as it ships, or by its file's path from the root."""
-    file = problem.file.resolve()
-    return file.stem if file.parent == PROBLEMS else str(file)
 
 
 def surroundings(strategy: str, problem: Problem, cell: Cell, toolpath: Toolpath) -> Surroundings:

@@ -78,10 +78,23 @@ def refine_paths(
     cell: Cell, paths: Sequence[JointPath], settings: ResolveSpec, obstacles: Obstacles = NOTHING
 ) -> tuple[JointPath, ...]:
     """Refine every path: layers in turn, beads of a layer and windows of a bead at the same time."""
-    model = model_of(cell, obstacles)
-    given = given_prices(model, paths, settings)
-    floor = sigma_floor(given, settings)
-    solver = qp_solver(settings.qp)
+    given = given_prices(model_of(cell, obstacles), paths, settings)
+    return choose_turns(cell, refine_beads(cell, paths, settings, obstacles, given, sigma_floor(given, settings)))
+
+
+def refine_beads(
+    cell: Cell,
+    paths: Sequence[JointPath],
+    settings: ResolveSpec,
+    obstacles: Obstacles,
+    given: dict[int, tuple[float, float]],
+    floor: float,
+) -> list[JointPath]:
+    """Refine paths with the prices of `given_prices` down to a floor of `sigma_floor`; turns are still to be chosen.
+
+    A bead does not depend on beads of other names.
+    """
+    model, solver = model_of(cell, obstacles), qp_solver(settings.qp)
     below: dict[str, Track] = {}
     refined: dict[int, Track] = {}
     done = list(paths)
@@ -102,7 +115,7 @@ def refine_paths(
         kept = pool.map(lambda i: cheaper(cell, paths[i], given[i], refined[i], floor, obstacles), refined)
         for i, path in zip(refined, kept, strict=True):
             done[i] = path
-    return choose_turns(cell, done)
+    return done
 
 
 def qp_solver(name: str) -> QPSolver:

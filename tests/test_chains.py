@@ -1,0 +1,64 @@
+"""One print shared by processes: chains of beads are refined apart, and the plan is the same bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from solved import small_problem, write_small
+
+from planner import chains
+from planner.cell import build_cell
+from planner.chains import pieces_of
+from planner.errors import InputError
+from planner.given import digest_of, given_elsewhere
+from planner.planning import load, solve
+from planner.resolve.jointpath import JointPath
+from planner.spread import crew
+from planner.task import NozzleTask, tasks_of
+from planner.toolpath.build import build_toolpath
+
+
+def test_pieces_are_whole_chains(tasks: Sequence[NozzleTask], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Six beads, three names in two layers: chains stay whole and in order; short ones go together."""
+    paths = [JointPath(task, *3 * (np.zeros(0),), 0) for task in tasks]
+    for least, count in ((1, 3), (10**9, 1)):
+        monkeypatch.setattr(chains, "LEAST", least)
+        pieces = pieces_of(paths)
+        assert len(pieces) == count and sorted(i for piece in pieces for i in piece) == list(range(6))
+        assert all(piece == sorted(piece) for piece in pieces)
+        for piece in pieces:
+            names = {tasks[i].name for i in piece}
+            assert piece == [i for i, task in enumerate(tasks) if task.name in names]
+
+
+def test_a_shared_print_is_the_print(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pieces know the problem by its file alone; whatever order they come back in."""
+    monkeypatch.setattr(chains, "LEAST", 1)
+    problem, pieces = load(write_small(tmp_path)), []
+
+    def backwards(function: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        pieces.extend(items)
+        with crew() as over:
+            yield from sorted(over(function, items), key=lambda pair: -pair[0])
+
+    plan = solve(problem, "sqp", over=backwards, baseline=False)
+    alone = solve(problem, "sqp", baseline=False)
+    assert pieces and not any(isinstance(each, JointPath) for piece in pieces for each in piece[-1])
+    assert plan.metrics == alone.metrics and plan.checks == alone.checks
+    for name, values in vars(plan.trajectory).items():
+        np.testing.assert_array_equal(values, getattr(alone.trajectory, name), err_msg=name)
+
+
+def test_a_file_that_is_another_one_elsewhere_is_told(tmp_path: Path) -> None:
+    problem = small_problem()
+    cell, tasks = build_cell(problem), tasks_of(problem, build_toolpath(problem))
+    digest = digest_of(cell, tasks)
+    file = write_small(tmp_path, ("radius_mm: 34", "radius_mm: 33"))
+    with pytest.raises(InputError, match=r"small\.yaml.* is not the same for a worker"):
+        given_elsewhere(str(file), (), digest)
+    assert digest != digest_of(cell, [replace(tasks[0], tip=tasks[0].tip + 1e-9), *tasks[1:]])
