@@ -15,7 +15,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.ideas import IDEAS, NAMES, NOT_SWITCHED, Idea
+from benchmarks.ideas import FROZEN, HELD, IDEAS, NAMES, NOT_SWITCHED, Idea
 from benchmarks.named import coarse, load_named
 from benchmarks.report import cell, table
 from benchmarks.rows import BETWEEN, Run, read_rows
@@ -26,8 +26,8 @@ from planner.command import one_of
 from planner.errors import EXIT_VERIFIED
 
 OUT = Path("out/benchmarks/ablations.csv")
-# Layers that could start from each other, a cap on a bed, a table that is free, a robot that holds the part.
-PROBLEMS = ("cylinder_logo", "peer_cap", "peer_cylinder", "fibre_bowl")
+# Layers that could start from each other, one long bead on a bed, a table that is free, a robot that holds the part.
+PROBLEMS = ("cylinder_logo", "peer_cap@10000", "peer_cylinder", "fibre_bowl")
 SETTINGS = {"cylinder_logo": ("layers.count=2",)}
 MEASURES = (AT_SPEED, OVER_IDEAL, WHOLE, SIGMA, MARGIN, RESOLVE)
 
@@ -43,15 +43,23 @@ def grid(
             own = (*SETTINGS.get(name, ()), *settings)
             own = (*(coarse(load_named(name, own, Path(folder))) if quick else ()), *own)
             problem = load_named(name, own, Path(folder))
-            ideas = [idea for idea in IDEAS if idea.name in names and idea.where(problem)]
             found[name] = [
                 (
                     idea,
-                    [Run(name, idea.strategy, (*own, *idea.settings), k, planner, idea.name) for k in range(repeats)],
+                    [
+                        Run(name, idea.strategy, _settings(name, own, idea), k, planner, idea.name)
+                        for k in range(repeats)
+                    ],
                 )
-                for idea in ideas
+                for idea in IDEAS
+                if idea.name in names and idea.where(problem)
             ]
     return found
+
+
+def _settings(name: str, own: Sequence[str], idea: Idea) -> tuple[str, ...]:
+    """A problem's own settings and those of an idea there."""
+    return (*own, *idea.settings, *(HELD.get(name, ()) if idea.name == FROZEN else ()))
 
 
 def tables(runs: dict[str, list[tuple[Idea, list[Run]]]], results: Sequence[Result]) -> list[str]:
@@ -61,11 +69,12 @@ def tables(runs: dict[str, list[tuple[Idea, list[Run]]]], results: Sequence[Resu
     for name, ideas in runs.items():
         rows = []
         for idea, own in ideas:
-            result = by[own[0].problem, BETWEEN.join(own[0].settings), own[0].label]
+            result = by.get((own[0].problem, BETWEEN.join(own[0].settings), own[0].label))
+            if result is None:  # of another commit: the program was changed meanwhile
+                continue
             verdict = "yes" if result.verified else "no" if result.found else result.reason.partition(":")[0]
             rows.append([idea.name, idea.how, verdict, *(cell(result, measure) for measure in MEASURES)])
-        own_settings = " ".join(ideas[0][1][0].settings[: -len(ideas[0][0].settings) or None])
-        lines += ["", f"**{name}** {own_settings}".rstrip(), ""]
+        lines += ["", " ".join([f"**{name}**", *ideas[0][1][0].settings]), ""]  # the first is everything on
         lines += table(("switched off", "how", "verified", *(measure.name for measure in MEASURES)), rows)
     return [*lines, "", "Not switched off:", "", *(f"- {text}" for text in NOT_SWITCHED)]
 
@@ -73,7 +82,6 @@ def tables(runs: dict[str, list[tuple[Idea, list[Run]]]], results: Sequence[Resu
 def _run(options: argparse.Namespace) -> int:
     names = [NAMES[0], *options.only]
     runs = grid(options.problems, names, options.set, options.repeat, options.coarse)
-    # a problem's first runs come first, so that an interrupted table is whole for some of them
     carry_out([run for ideas in runs.values() for _, own in ideas for run in own], options)
     print("\n".join(tables(runs, results_of(of_one_commit(read_rows(options.out))[0]))))
     return EXIT_VERIFIED

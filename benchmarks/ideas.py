@@ -190,14 +190,16 @@ def _tilt(degrees: int) -> Idea:
     return Idea(f"tilt up to {degrees}°", f"`--set {setting}`", (setting,))
 
 
-NO_TABLE = "cell.positioner.free=[]"
+FROZEN, NO_TABLE = "table frozen", "cell.positioner.free=[]"
+# Where a table is held that would else stand at 0: of every 30 degrees only 150 and 180 let the whole logo be reached.
+HELD = {"cylinder_logo": ("cell.positioner.held_deg.rotation=165",)}
 IDEAS = (
     Idea("everything on", "as it comes"),
     Idea("no refinement", "`--strategy ladder`", strategy="ladder"),
     Idea("nothing looked ahead", "`--strategy greedy`", strategy="greedy"),
     Idea("one roll, one table angle", "`--strategy fixed`", strategy="fixed"),
     Idea("all to the table", "`--strategy as_published`", strategy="as_published"),
-    Idea("table frozen", f"`--set {NO_TABLE}`", (NO_TABLE,), where=_has_table),
+    Idea(FROZEN, f"`--set {NO_TABLE}`, the logo facing the arm", (NO_TABLE,), where=_has_table),
     Idea("home's branch only", "`ladder.full_grid` gives no other branch", change=_home_branch),
     Idea("travel free", "`search_kernel.TRAVEL_PRICE` 0", change=_free_travel),
     Idea("ends not held", "`refine.ANCHOR` 0", change=_loose_ends),

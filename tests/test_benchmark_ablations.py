@@ -69,6 +69,8 @@ def test_ideas_are_asked_of_problems_that_have_them(capsys: pytest.CaptureFixtur
     runs = ablations.grid(["peer_cap", "cylinder_logo"], NAMES, (), 2, False)
     cap, logo = ({idea.name for idea, _ in runs[name]} for name in runs)
     assert logo - cap == {"table frozen", "layers start cold"} and logo == set(NAMES)
+    frozen = next(own[0] for idea, own in runs["cylinder_logo"] if idea.name == "table frozen")
+    assert frozen.settings[-1] == "cell.positioner.held_deg.rotation=165"
     assert [run.repeat for _, own in runs["peer_cap"] for run in own[:2]] == [0, 1] * len(cap)
     with pytest.raises(SystemExit, match="2"):
         ablations.main(["--only", "one windw"])
