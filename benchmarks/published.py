@@ -89,7 +89,8 @@ def _short(reason: str, job: Job) -> str:
 def jobs_of(options: argparse.Namespace) -> list[Job]:
     """A job for each file. Raises InputError for whatever is wrong with folder or cell."""
     files = files_in(options.folder, options.pattern)
-    problem = load_problem(options.cell, options.set)
+    # what is set of the layers is meant for those that come from the files
+    problem = load_problem(options.cell, [each for each in options.set if not each.startswith("layers.")])
     cell = build_cell(problem)
     strategy = options.strategy or problem.strategy
     settings, height = tuple(options.set), problem.process.bead.height

@@ -145,11 +145,23 @@ def test_a_row_for_each_file(
 
 def test_a_shrunk_copy_is_planned(folder: Path, asked: list[SingleJob]) -> None:
     options = parser().parse_args(
-        [str(folder), "--cell", "curved_plate", "--scale", "--pattern", "huge.dat", "--up", "z"]
+        [
+            str(folder),
+            "--cell",
+            "curved_plate",
+            "--scale",
+            "--pattern",
+            "huge.dat",
+            "--up",
+            "z",
+            "--set",
+            "layers.source.split_mm=500",
+        ]
     )
     (job,) = jobs_of(options)
     row = planned(job)
-    assert job.asked == "cell=curved_plate up=z to fit" and "scale=" in str(row["set"])
+    assert job.asked == "cell=curved_plate up=z layers.source.split_mm=500 to fit" and "scale=" in str(row["set"])
+    assert asked[0][0].settings[-1] == "layers.source.split_mm=500"
     assert "huge.npz" in asked[0][0].settings[0] and row["problem"] == "huge.dat"
     assert not left([job], [row], anywhere=True) and left([job], [], anywhere=True) == [job]
 
