@@ -5,8 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+# Sums may be taken in any order, and products join them without rounding: vectors of the processor ask for both.
+SUMS = {"reassoc", "contract"}
+_ROWS = 64  # that are multiplied at once: few enough for one thread
 
-@njit(cache=True, nogil=True, error_model="numpy")
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
 def times_band(H, x, out) -> None:
     n, w = H.shape
     for i in range(n):
@@ -17,7 +21,7 @@ def times_band(H, x, out) -> None:
             out[i - d] += H[i, d] * x[i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
 def factorise(L) -> bool:
     """Banded Cholesky in place: L (n, w) holds the lower band of a symmetric matrix, then that of its factor."""
     n, w = L.shape
@@ -38,7 +42,7 @@ def factorise(L) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
 def substitute(L, x) -> None:
     """Solve with a factor of `factorise`, in place."""
     n, w = L.shape
@@ -53,55 +57,53 @@ def substitute(L, x) -> None:
             x[i - d] -= L[i, d] * x[i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
 def add_rows(A, at, group, lam, s, mu, slack, D, S, L) -> None:
     """Add all groups' rows to the Newton matrix L (n, w), their slacks eliminated; fills D (rows) and S (groups).
 
-    A group adds the outer products of its rows, less one for its slack. They are summed four at a time in a square
-    block, whose rows lie in one piece, and go into the band once for all groups that begin at the same variable.
+    A group adds the outer products of its rows, less one for its slack. Those of groups that begin at the same variable
+    are products of two matrices, which go into the band once.
     """
     w = L.shape[1]
-    block, band = np.zeros((w, w)), np.empty(w)
-    left, right = np.zeros((4, w)), np.zeros((4, w))
-    products = 0
+    block, product = np.zeros((w, w)), np.empty((w, w))
+    own, scaled = np.empty((_ROWS, w)), np.empty((_ROWS, w))  # rows, as they are and times their weights
+    bands, shares = np.empty((_ROWS, w)), np.empty((_ROWS, w))
+    rows, slacks = 0, 0
     for k in range(S.size):
         first, end = group[k], group[k + 1]
         S[k] = mu[k] / slack[k]
         for r in range(first, end):
             D[r] = lam[r] / s[r]
             S[k] += D[r]
-        if first == end:
-            continue
         alone = end == first + 1
-        band[:] = 0.0
-        for r in range(first, end if alone else end + 1):
-            if r == end:
-                for c in range(w):
-                    left[products, c], right[products, c] = -band[c] / S[k], band[c]
-            else:
-                own = D[r] * mu[k] / (slack[k] * S[k]) if alone else D[r]  # alone: D - D^2 / S
-                for c in range(w):
-                    left[products, c], right[products, c] = own * A[r, c], A[r, c]
-                    band[c] += left[products, c]
-            products += 1
-            if products == 4:
-                _add_four(left, right, block)
-                products = 0
-        if end == at.size or at[end] != at[first]:
-            left[products:] = 0.0
-            _add_four(left, right, block)
-            products = 0
+        bands[slacks] = 0.0
+        for r in range(first, end):
+            weight = D[r] * mu[k] / (slack[k] * S[k]) if alone else D[r]  # alone: D - D^2 / S
+            for c in range(w):
+                value = np.float64(A[r, c])
+                own[rows, c] = value
+                scaled[rows, c] = weight * value
+                bands[slacks, c] += weight * value
+            rows += 1
+            if rows == _ROWS:
+                np.dot(scaled.T, own, product)
+                block += product
+                rows = 0
+        if end > first + 1:
+            for c in range(w):
+                shares[slacks, c] = bands[slacks, c] / -S[k]
+            slacks += 1
+        last = end == at.size or at[end] != at[first]
+        if slacks and (slacks == _ROWS or last):
+            np.dot(shares[:slacks].T, bands[:slacks], product)
+            block += product
+            slacks = 0
+        if last and first < end:
+            if rows:
+                np.dot(scaled[:rows].T, own[:rows], product)
+                block += product
             for c in range(w):
                 for d in range(c + 1):
                     L[at[first] + c, c - d] += block[c, d]
             block[:] = 0.0
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _add_four(left, right, block) -> None:
-    """Add the outer products of the four rows of left and right (4, w) to block (w, w)."""
-    w = block.shape[0]
-    for c in range(w):
-        l0, l1, l2, l3 = left[0, c], left[1, c], left[2, c], left[3, c]
-        for d in range(min(w, (c // 8 + 1) * 8)):  # the lower triangle, in whole vectors
-            block[c, d] += l0 * right[0, d] + l1 * right[1, d] + l2 * right[2, d] + l3 * right[3, d]
+            rows = 0

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planner.resolve.banded import add_rows, factorise, substitute, times_band
+from planner.resolve.banded import SUMS, add_rows, factorise, substitute, times_band
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -54,7 +54,7 @@ def solve_qp(qp: QuadraticProgram) -> tuple[Array, int]:
     return minimise(qp.H, qp.g, qp.box, qp.A, qp.b, qp.at, qp.group, qp.price)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
 def _value(H, g, A, b, at, group, price, x):
     n = x.size
     Hx = np.empty(n)
@@ -73,7 +73,7 @@ def _value(H, g, A, b, at, group, price, x):
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
 def _direction(
     H, A, at, group, L, D, S, mu, x, box, g, Hx, price, s, lam, slack, low, high, lam_low, lam_high, Aty,
     target, second_s, second_slack, second_low, second_high, dx, dslack, ds, dlam, dmu,
@@ -110,7 +110,7 @@ def _direction(
         dmu[k] = (target - second_slack[k]) / slack[k] - mu[k] - mu[k] / slack[k] * dslack[k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
 def minimise(H, g, box, A, b, at, group, price) -> tuple[Array, int]:
     """Compiled body of `solve_qp`."""
     n, w = H.shape
@@ -236,7 +236,7 @@ def minimise(H, g, box, A, b, at, group, price) -> tuple[Array, int]:
     return x, taken
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
 def _step_length(s, ds, lam, dlam, slack, dslack, mu, dmu, low, high, lam_low, lam_high, dx, target, sec_low, sec_high):
     """Longest step, up to 1 / _TO_THE_WALL, that keeps everything positive.
 

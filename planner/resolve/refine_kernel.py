@@ -24,8 +24,8 @@ EFFORT = np.array([3.0, 0.1, 0.1])  # seconds a second of printing, for joints a
 DIP_PRICE = 0.25  # seconds a second of printing below the commanded speed: one deep dip beats two shallow ones
 DIP = 0.05  # slack at which half of that is counted
 HARD_PRICE = 1e3  # seconds a second and unit (rad, or the share of a bound) beyond what must not be exceeded
-NEAR_RATE = 0.4  # share of a rate's limit above which the program watches it from the start
-MISSED = 1e-3  # slack that a rate must ask for beyond the watched ones before the program watches it too
+NEAR_RATE = 0.7  # share of a rate's limit above which the program watches it from the start
+MISSED = 1e-2  # slack that a rate must ask for beyond the watched ones before the program watches it too
 NEAR_RANGE = 0.3  # rad from the end of a joint's range below which the program watches it
 NEAR_SIGMA = 1.3  # times the least singular value allowed, likewise
 
