@@ -62,6 +62,7 @@ class NozzleTask(ReadOnlyArrays):
 
     cones                what the nozzle's axis may do
     stops                where it comes to rest while material is deposited, in order of s
+    travel_speed         the tip's at most between beads and from and to home [m/s]
 
     Fixed is the tip, and the axis up to its cones; free are roll about the axis (periodic), tilt within the cone,
     and the holder's joints.
@@ -78,6 +79,7 @@ class NozzleTask(ReadOnlyArrays):
     speed: float
     cones: Cones = FREE
     stops: tuple[Stop, ...] = ()
+    travel_speed: float = math.inf
 
     def __len__(self) -> int:
         return len(self.s)
@@ -97,8 +99,9 @@ def make_tasks(
     ramp: float | None = None,
     fibre: FibreSpec | None = None,
     where: Complaint | None = None,
+    travel_speed: float = math.inf,
 ) -> tuple[NozzleTask, ...]:
-    """One task a bead, in print order; speed [m/s], length of run-in and run-out [m], their ramp as in `with_runs`.
+    """One task a bead, in print order; speeds [m/s], length of run-in and run-out [m], their ramp as in `with_runs`.
 
     Raises InputError, made by `where`, for the shortest bead if that is too short to be laid with this fibre.
     """
@@ -110,9 +113,8 @@ def make_tasks(
         run = with_runs(bead, run_length, ramp)
         z = -run.normals
         frames = np.stack([run.roll_zero, np.cross(z, run.roll_zero), z], axis=-1)
-        tasks.append(
-            NozzleTask(i, bead.name, bead.layer, run.points, frames, run.s, run.first, run.last, speed, cones, stops)
-        )
+        samples = (run.points, frames, run.s, run.first, run.last)
+        tasks.append(NozzleTask(i, bead.name, bead.layer, *samples, speed, cones, stops, travel_speed))
     return tuple(tasks)
 
 
@@ -124,4 +126,6 @@ def tasks_of(problem: Problem, toolpath: Toolpath) -> tuple[NozzleTask, ...]:
     process = problem.process
     where = partial(problem.error, "process.fibre.cut_length_mm")
     cones = cones_of(process.cones)
-    return make_tasks(toolpath, process.speed, process.run_in, cones, process.ramp, process.fibre, where)
+    return make_tasks(
+        toolpath, process.speed, process.run_in, cones, process.ramp, process.fibre, where, process.travel_speed
+    )

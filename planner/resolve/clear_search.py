@@ -38,11 +38,11 @@ class ClearSearch:
         self._fill(np.arange(r), NOTHING)
         self._looked: Flags = np.full(r, not obstacles.any)
 
-    def best(self, demand: Demand) -> tuple[Route | None, int]:
+    def best(self, demand: Demand, home: tuple[Array, Array] | None = None) -> tuple[Route | None, int]:
         """As `best_route` for this demand, or one that differs from the search's in time only, on clear nodes."""
         reach = _REACH
         while True:
-            route, stuck = best_route(self.nodes, demand, self._cell.limits)
+            route, stuck = best_route(self.nodes, demand, self._cell.limits, home)
             if route is None and self._looked.all():
                 return None, stuck
             if route is None:

@@ -21,6 +21,7 @@ from planner.resolve.nodes import Grid, Nodes, evaluate, full_grid
 from planner.resolve.spacing import NARROW
 from planner.resolve.table_first import ARM_SHARES, slowed, upright_table
 from planner.resolve.unreachable import refuse_collision, refuse_rung
+from planner.resolve.way_home import ways_home
 from planner.task import NozzleTask
 
 Array = NDArray[np.float64]
@@ -68,18 +69,19 @@ def ladder_route(
 def _routes(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles) -> Iterator[Found]:
     """Dense routes, one for each corridor that has any; Refusal where none has."""
     guides = first_of_each_name(tasks)
-    guide = guide_route(cell, guides, settings, obstacles)
+    guide = guide_route(cell, guides, settings, obstacles, len(guides) / len(tasks))
     guide_of = {task.name: i for i, task in enumerate(guides)}
     all_demand = demand_of(tasks, settings.rung)
     any_route = False
     for refine, corridor in CORRIDORS:
         grid = _corridor(cell, tasks, all_demand, guides, guide, guide_of, refine, corridor)
         dense = ClearSearch(cell, all_demand, grid, settings.min_sigma, obstacles)
+        home = ways_home(cell, tasks, dense.nodes)
         demands: Iterable[Demand] = [all_demand]
         if grid.held is not None and grid.swept is None:
             demands = map(partial(slowed, cell, all_demand, grid.held), ARM_SHARES)
         for demand in demands:
-            best, stuck = dense.best(demand)
+            best, stuck = dense.best(demand, home)
             if best is not None:
                 any_route = True
                 yield Found(demand, dense.nodes, best)
@@ -89,9 +91,9 @@ def _routes(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, obst
 
 
 def guide_route(
-    cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles = NOTHING
+    cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles = NOTHING, share: float = 1.0
 ) -> Found:
-    """The best route on the coarse grid. Raises Refusal where there is none.
+    """The best route on the coarse grid; share: of the print's beads that are guides. Raises Refusal where there is none.
 
     With several chosen joints a full grid would not fit. One of them at a time is searched together with roll and
     branch: first the one next to the part, on sparse rungs, for a lattice of angles at which the others rest; then
@@ -102,7 +104,7 @@ def guide_route(
     if k < 2:
         demand, grid = _coarse_grid(cell, guides, settings, _MOST_NODES)
         search = ClearSearch(cell, demand, grid, settings.min_sigma, obstacles)
-        route, stuck = search.best(demand)
+        route, stuck = search.best(demand, ways_home(cell, guides, search.nodes, share))
         if route is None:
             refuse_rung(cell, guides, demand, search.nodes, stuck, settings.min_sigma, obstacles)
         return Found(demand, search.nodes, route)

@@ -31,12 +31,18 @@ class Route:
     price: float
 
 
-def best_route(nodes: Nodes, demand: Demand, limits: Limits) -> tuple[Route | None, int]:
-    """The cheapest route over all beads, and -1; or None and the rung at which the last way ended."""
+def best_route(
+    nodes: Nodes, demand: Demand, limits: Limits, home: tuple[Array, Array] | None = None
+) -> tuple[Route | None, int]:
+    """The cheapest route over all beads, and -1; or None and the rung at which the last way ended.
+
+    home: prices [s] (rolls, holders, c) of the ways to the first rung's nodes and from the last one's, if they count
+    """
     grid = nodes.grid
+    free = np.zeros(nodes.price.shape[1:])
     picked, price, stuck = search_best(
         nodes.q, nodes.price, grid.roll_from, grid.holder_from, grid.periodic, grid.holder_step,
-        demand.task_rungs, demand.time, *joint_limits(nodes, limits),
+        demand.task_rungs, demand.time, *joint_limits(nodes, limits), *(home or (free, free)),
     )  # fmt: skip
     return _route(nodes, picked, price) if stuck < 0 else None, int(stuck)
 

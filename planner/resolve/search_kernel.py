@@ -114,8 +114,11 @@ def _from_travel(q, price, r: int, arrived, holder_from, holder_step: float, v, 
 
 
 @njit(cache=True)
-def search_best(q, price, roll_from, holder_from, periodic, holder_step, task_rungs, time, v, a, wraps):
-    """Cheapest route: picked (R, 3) window indices and branch column, its price, and -1; or where it got stuck."""
+def search_best(q, price, roll_from, holder_from, periodic, holder_step, task_rungs, time, v, a, wraps, out, back_home):
+    """Cheapest route: picked (R, 3) window indices and branch column, its price, and -1; or where it got stuck.
+
+    out, back_home (A, B, C): prices of the ways to the first rung's nodes and from the last one's.
+    """
     R, A, B, C = price.shape
     back = np.full((R, A, B, C), -1, dtype=np.int32)
     picked = np.full((R, 3), -1, dtype=np.int64)
@@ -125,10 +128,7 @@ def search_best(q, price, roll_from, holder_from, periodic, holder_step, task_ru
             arrived = cost
             cost = np.full((A, B, C), np.inf)
             if r == 0:
-                for i in range(A):
-                    for b in range(B):
-                        for c in range(C):
-                            cost[i, b, c] = price[0, i, b, c]
+                cost = price[0] + out
             elif r == task_rungs[task]:
                 _from_travel(q, price, r, arrived, holder_from, holder_step, v, a, wraps, cost, back)
             else:
@@ -161,6 +161,7 @@ def search_best(q, price, roll_from, holder_from, periodic, holder_step, task_ru
                                         back[r, i, b, c] = (i0 * B + b0) * C + c
             if not np.isfinite(cost.min()):
                 return picked, np.inf, r
+    cost += back_home
     k = cost.argmin()
     total = cost.min()
     for r in range(R - 1, -1, -1):

@@ -1,0 +1,81 @@
+"""What the ways from and to home cost, and that the search heeds them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from planner.cell import Cell, build_cell
+from planner.problem import Problem, load_problem
+from planner.resolve.demand import Demand
+from planner.resolve.ladder import coarse_nodes
+from planner.resolve.nodes import Nodes
+from planner.resolve.search import Route, best_route, joint_limits
+from planner.resolve.search_kernel import TRAVEL_PRICE
+from planner.resolve.way_home import ways_home
+from planner.task import NozzleTask, tasks_of
+from planner.toolpath.build import build_toolpath
+
+Array = NDArray[np.float64]
+SETTINGS = ["layers.count=1", "resolve.rung_mm=20", "resolve.roll_step_deg=45", "resolve.table_step_deg=90"]
+Searched = tuple[Problem, Cell, tuple[NozzleTask, ...], Demand, Nodes]
+
+
+@pytest.fixture(scope="module")
+def searched() -> Searched:
+    problem = load_problem("cylinder_logo", SETTINGS)
+    cell = build_cell(problem)
+    tasks = tasks_of(problem, build_toolpath(problem))[:2]
+    return problem, cell, tasks, *coarse_nodes(cell, tasks, problem.resolve)
+
+
+def test_a_way_takes_as_long_as_its_slowest_joint_or_its_tip(searched: Searched) -> None:
+    problem, cell, tasks, _, nodes = searched
+    assert tasks[0].travel_speed == problem.process.travel_speed
+    slow = [replace(task, travel_speed=1e-3) for task in tasks]
+    quick = [replace(task, travel_speed=np.inf) for task in tasks]
+    for rung, by_joints, by_tip in zip(
+        (0, -1), ways_home(cell, quick, nodes), ways_home(cell, slow, nodes), strict=True
+    ):
+        k = tuple(np.argwhere(np.isfinite(nodes.price[rung]))[0])
+        v, a, wraps = joint_limits(nodes, cell.limits)
+        way = nodes.q[rung][k].astype(float) - cell.home[:6]
+        way[wraps] = np.remainder(way[wraps] + np.pi, 2.0 * np.pi) - np.pi
+        times = [
+            2.0 * np.sqrt(d / p) if d * p < s * s else d / s + s / p
+            for d, s, p in zip(np.abs(way), v[:-1], a[:-1], strict=True)
+        ]
+        assert by_joints[k] == pytest.approx(TRAVEL_PRICE * max(times))
+        fine = cell.home[:6] + np.linspace(0.0, 1.0, 500)[:, None] * way
+        tips = (cell.arm.poses(fine) @ cell.T_flange_nozzle)[:, :3, 3]
+        length = float(np.linalg.norm(np.diff(tips, axis=0), axis=1).sum())
+        assert by_tip[k] == pytest.approx(TRAVEL_PRICE * length / 1e-3, rel=0.02)
+
+
+def test_a_part_of_the_print_pays_its_share(searched: Searched) -> None:
+    _, cell, tasks, _, nodes = searched
+    for whole, part in zip(ways_home(cell, tasks, nodes), ways_home(cell, tasks, nodes, 0.25), strict=True):
+        np.testing.assert_allclose(part, 0.25 * whole)
+
+
+def test_the_search_ends_where_the_way_home_is_short(searched: Searched) -> None:
+    _, cell, tasks, demand, nodes = searched
+    free, _ = best_route(nodes, demand, cell.limits)
+    out, back = ways_home(cell, tasks, nodes)
+    priced, _ = best_route(nodes, demand, cell.limits, (out, back))
+    assert free is not None and priced is not None
+    assert free.price <= priced.price - _at_ends(priced, nodes, out, back) + 1e-9
+    assert priced.price <= free.price + _at_ends(free, nodes, out, back) + 1e-9
+    dear = 50.0
+    dearer, _ = best_route(nodes, demand, cell.limits, (dear * out, dear * back))
+    assert dearer is not None
+    assert _at_ends(dearer, nodes, out, back) < _at_ends(free, nodes, out, back)
+
+
+def _at_ends(route: Route, nodes: Nodes, out: Array, back: Array) -> float:
+    """Price [s] of a route's ways from and to home, on a grid whose windows are the whole circle."""
+    first, last = ((route.roll[k], route.holder[k], list(nodes.grid.branch[k]).index(route.branch[k])) for k in (0, -1))
+    return float(out[first] + back[last])
