@@ -58,7 +58,10 @@ def test_a_written_cell_is_the_planners_own(name: str, tmp_path: Path) -> None:
 
 
 def test_what_a_peer_runs_imports_nothing_of_the_planner() -> None:
-    scripts = [ROOT / "benchmarks" / "peers" / name for name in ("side.py", *(peer.script for peer in PEERS.values()))]
+    scripts = [
+        ROOT / "benchmarks" / "peers" / name
+        for name in ("side.py", "follow.py", *(peer.script for peer in PEERS.values()))
+    ]
     for script in scripts:
         imports = [line for line in script.read_text().splitlines() if line.startswith(("import ", "from "))]
         assert not [line for line in imports if line.split()[1].split(".")[0] in ("planner", "benchmarks")]
@@ -129,7 +132,7 @@ def test_what_becomes_of_a_run_is_said(code: str, reason: str, tmp_path: Path) -
 def test_results_are_read_again_and_compared(tmp_path: Path) -> None:
     def put(planner: str, strategy: str, seconds: float, verified: bool) -> None:
         values: Row = {"found": True, "verified": verified, "waypoints": 1000, "seconds_resolve": seconds}
-        values |= {"waypoints_per_s": 500 / seconds, "at_speed_fraction": 1.0}
+        values |= {"seconds_verify": seconds, "waypoints_per_s": 500 / seconds, "at_speed_fraction": 1.0}
         row = make_row(Run("peer_cap@1000", strategy, planner=planner), **values)
         extra: Row = dict.fromkeys(results.EXTRA, 0.25) | {"holds": True, "holds_reason": "", "said": ""}
         append_row(tmp_path / results.ROWS, row)
@@ -140,7 +143,7 @@ def test_results_are_read_again_and_compared(tmp_path: Path) -> None:
     put("fast 1.0", "fast", 0.1, False)
     assert results.done(tmp_path) == {("peer_cap@1000", name) for name in ("beadwise_alone", "slow", "fast")}
     text = results.table(results.read(tmp_path))
-    assert "verifies is slow 1.0: Beadwise has 10.0 × its joint paths/s" in text
+    assert "verifies is slow 1.0: Beadwise has 10.0 × its joint paths/s, and 10.00 × its verified plans/s" in text
     assert "holds its path is fast 1.0: Beadwise has 0.2 ×" in text
 
 

@@ -31,7 +31,7 @@ HERE = Path(__file__).resolve().parent
 OURS = {"beadwise": "sqp", "beadwise_alone": "sqp, no bodies"}
 PYTHON = Path(".venv-peers/bin/python")
 OUT = Path("out/peers")
-SECONDS, MEGABYTES = 90.0, 8e3
+SECONDS, MEGABYTES = 60.0, 8e3
 
 
 def one_peer(name: str, key: str, ready: Given, python: Path, folder: Path, limits: tuple[float, float]) -> Row:

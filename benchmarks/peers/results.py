@@ -14,6 +14,8 @@ ROWS, PATHS, TABLE = "rows.csv", "paths.csv", "table.md"
 KEY = ("problem", "strategy", "planner", "commit", "machine")
 EXTRA = (*PATH_COLUMNS, "said")
 OURS = "beadwise"
+PATHS_ALONE = ("resolve",)
+VERIFIED = ("resolve", "timing", "travel", "verify")  # what is common to all: peers are given cell and toolpath
 BESIDE, ALONE = "sqp", "sqp, no bodies"
 
 
@@ -69,9 +71,9 @@ def table(rows: Sequence[Row]) -> str:
     return "\n".join([*lines, "", *_ratios(rows), ""])
 
 
-def paths_per_s(row: Row) -> float:
-    """Waypoints per second of planning joint paths alone, without timing, travel and verification."""
-    return float(row["waypoints"]) / float(row["seconds_resolve"])
+def per_s(row: Row, stages: Sequence[str]) -> float:
+    """Waypoints per second of some stages; those that a row lacks count nothing."""
+    return float(row["waypoints"]) / sum(float(row[f"seconds_{stage}"] or 0.0) for stage in stages)
 
 
 def _cells(row: Row) -> list[str]:
@@ -84,8 +86,8 @@ def _cells(row: Row) -> list[str]:
     return [
         str(row["problem"]),
         who,
-        format(paths_per_s(row), ".0f") if row["seconds_resolve"] != "" and row["waypoints"] != "" else "",
-        number("waypoints_per_s", ".0f"),
+        format(per_s(row, PATHS_ALONE), ".0f") if row["waypoints"] != "" else "",
+        format(per_s(row, VERIFIED), ".0f") if row["waypoints"] != "" and row["seconds_verify"] != "" else "",
         number("peak_mb", ".0f"),
         str(row["holds"]) if row["holds"] != "" else "",
         "yes" if row["verified"] else "no",
@@ -104,7 +106,7 @@ def _ratios(rows: Sequence[Row]) -> list[str]:
     """For each case the fastest peer that verifies, and that holds its path, and how much faster we are."""
     out = []
     for case in dict.fromkeys(row["problem"] for row in rows):
-        here = [row for row in rows if row["problem"] == case and row["waypoints_per_s"] != "" and row["found"]]
+        here = [row for row in rows if row["problem"] == case and row["found"] and row["seconds_verify"] != ""]
         mine = next((row for row in here if row["strategy"] == ALONE), None)
         words = []
         for which, ones in (
@@ -114,9 +116,9 @@ def _ratios(rows: Sequence[Row]) -> list[str]:
             if mine is None or not ones:
                 words.append(f"no peer {which}")
                 continue
-            best = max(ones, key=paths_per_s)
-            paths = paths_per_s(mine) / paths_per_s(best)
-            whole = float(mine["waypoints_per_s"]) / float(best["waypoints_per_s"])
+            best = max(ones, key=lambda row: per_s(row, VERIFIED))
+            paths = per_s(mine, PATHS_ALONE) / per_s(best, PATHS_ALONE)
+            whole = per_s(mine, VERIFIED) / per_s(best, VERIFIED)
             words.append(
                 f"the fastest peer that {which} is {best['planner']}: Beadwise has {paths:.1f} × its joint paths/s, and"
                 f" {whole:.2f} × its verified plans/s; σ min {_both(mine, best, 'path_sigma_min', '.3f')}, at speed"

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 
+import follow
 import numpy as np
 from numpy.typing import NDArray
 from roboplan.core import CartesianConfiguration, Scene, loadUrdfSceneDescription
@@ -17,18 +17,15 @@ from roboplan.optimal_ik import (
     PositionLimit,
     VelocityLimit,
 )
-from side import Case, main
+from side import Case, Plan, main
 
 Array = NDArray[np.float64]
 
-CLOSE = 1e-6  # m and rad off a waypoint at which the next one is taken
-TRIES = 20  # steps at a waypoint
-APPROACH = 300  # steps from the home posture to the first waypoint
 PULL = 1e-3  # weight of staying near home, at the second priority
 DAMPING = 1e-9
 
 
-def prepare(case: Case, options: list[str]) -> Callable[[list[Array]], tuple[list[Array], str]]:
+def prepare(case: Case, options: list[str]) -> Plan:
     """The scene and the tasks."""
     scene = Scene("case", loadUrdfSceneDescription(str(case.folder / "robot.urdf")))
     names = scene.getJointNames()
@@ -54,38 +51,28 @@ def prepare(case: Case, options: list[str]) -> Callable[[list[Array]], tuple[lis
         out[:3, 0], out[:3, 1] = x, np.cross(z, x)
         return out
 
-    def reach(q: Array, pose: Array, dt: float, tries: int) -> tuple[Array, float]:
+    def step(q: Array, pose: Array, dt: float) -> tuple[Array, float] | None:
+        full = np.empty(len(names))
+        full[order] = q
         limits[1].dt = dt
-        step = np.zeros(len(names))
-        off = np.inf
-        for _ in range(tries):
-            now = scene.forwardKinematics(q, "nozzle", "part")
-            off = max(np.abs(now[:3, 3] - pose[:3, 3]).max(), np.linalg.norm(np.cross(now[:3, 2], pose[:3, 2])))
-            if off < CLOSE:
-                break
-            task.setTargetFrameTransform(nearest(pose, now))
-            try:
-                oink.solveIk(q, [task, rest], limits, step, DAMPING)
-            except RuntimeError:
-                break
-            q = scene.integrate(q, step)
-        return q, float(off)
+        task.setTargetFrameTransform(nearest(pose, scene.forwardKinematics(full, "nozzle", "part")))
+        change = np.zeros(len(names))
+        try:
+            oink.solveIk(full, [task, rest], limits, change, DAMPING)
+        except RuntimeError:
+            return None
+        full = scene.integrate(full, change)
+        now = scene.forwardKinematics(full, "nozzle", "part")
+        off = max(np.abs(now[:3, 3] - pose[:3, 3]).max(), np.linalg.norm(np.cross(now[:3, 2], pose[:3, 2])))
+        return full[order], float(off)
 
-    def plan(beads: list[Array]) -> tuple[list[Array], str]:
-        q, out, missed, worst = home, [], 0, 0.0
-        for poses in beads:
-            joints = np.empty((len(poses), len(names)))
-            q, _ = reach(q, poses[0], 0.1, APPROACH)
-            apart = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
-            steps = np.maximum(np.concatenate([[apart[0]], apart]) / case.speed, 1e-4)
-            for i, pose in enumerate(poses):
-                q, off = reach(q, pose, float(steps[i]), TRIES)
-                missed, worst = missed + (off >= CLOSE), max(worst, off)
-                joints[i] = q
-            out.append(joints[:, order])
-        return out, f"{missed} waypoints missed, by up to {worst:.2g}" if missed else ""
+    def sigma(q: Array) -> float:
+        full = np.empty(len(names))
+        full[order] = q
+        jacobian = scene.computeFrameJacobian(full, "nozzle")[:, order[: case.arm_joints]]
+        return float(np.linalg.svd(jacobian, compute_uv=False)[-1])
 
-    return plan
+    return follow.planner(case, step, sigma)
 
 
 if __name__ == "__main__":

@@ -6,14 +6,13 @@ Options: the roll's and the table's step in degrees, then `trajopt` if that is t
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 
 import tesseract_robotics  # noqa: F401  before numpy, for it brings the libstdc++ that both can use
 
 # isort: split
 import numpy as np
 from numpy.typing import NDArray
-from side import Case, main
+from side import Case, Plan, main
 from tesseract_robotics.tesseract_command_language import (
     CartesianWaypoint,
     CartesianWaypointPoly_wrap_CartesianWaypoint,
@@ -46,7 +45,7 @@ TRAJOPT = "TrajOptMotionPlannerTask"
 THREADS = 2
 HOLD = 10.0  # weight of the pose's constraint, position and two angles; the third, roll, is free
 ITERATIONS = 100
-TURN = 2.0 * np.pi  # the table is sampled within so much either way, whatever its range
+TABLE = np.pi  # rad: the table is sampled within so much either way, whatever its range
 REACH = 5.0  # m: no arm here reaches farther
 
 
@@ -78,8 +77,8 @@ def semantics(case: Case, table: float) -> str:
         group = '<group name="manipulator"><chain base_link="base" tip_link="flange"/></group>'
     else:
         joints = case.joints[case.arm_joints :]
-        low_ends = np.maximum(case.q_min[case.arm_joints :], -TURN).tolist()
-        high_ends = np.minimum(case.q_max[case.arm_joints :], TURN).tolist()
+        low_ends = np.maximum(case.q_min[case.arm_joints :], -TABLE).tolist()
+        high_ends = np.minimum(case.q_max[case.arm_joints :], TABLE).tolist()
         samples = "".join(
             f"\n              - {{name: {name}, value: {table!r}, min: {low!r}, max: {high!r}}}"
             for name, low, high in zip(joints, low_ends, high_ends, strict=True)
@@ -106,7 +105,7 @@ def semantics(case: Case, table: float) -> str:
     return f'<robot name="case" version="1.0.0">{group}{config}</robot>'
 
 
-def prepare(case: Case, options: list[str]) -> Callable[[list[Array]], tuple[list[Array], str]]:
+def prepare(case: Case, options: list[str]) -> Plan:
     """The environment and the profiles."""
     roll, table = (float(np.radians(float(option))) for option in options[:2])
     follow = "trajopt" in options

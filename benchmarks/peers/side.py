@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Plan = Callable[[list[Array]], tuple[list[Array], str]]
 WARM = 40  # waypoints that are planned before the clock starts
 
 
@@ -53,7 +54,7 @@ def read_case(folder: Path) -> Case:
     return Case(folder=folder, bead=rows[:, 0].astype(int), poses=poses, **arrays, **plain)
 
 
-def main(package: str, prepare: Callable[[Case, list[str]], Callable[[list[Array]], tuple[list[Array], str]]]) -> int:
+def main(package: str, prepare: Callable[[Case, list[str]], Plan]) -> int:
     """Run one peer: SCRIPT CASE_FOLDER OUT_FOLDER [OPTION ...].
 
     prepare(case, options) sets up robot and solver, and is not timed; what it returns plans the beads' poses, and gives
