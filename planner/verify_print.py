@@ -32,7 +32,7 @@ FAR = 50e-3  # m: what is farther away is that far away
 TOLERANCE = 1e-4  # m: no distance is missed that falls short by more
 _OFTEN = 25  # samples after which every body is looked at again, wherever it is
 _CLOSE = 1e-3  # m above what is needed: less is looked for
-_SHARE = 0.5  # of what the least has to spare, to which it is found
+_SHARE = 1.0  # of what the least has to spare, to which it is found
 _STEEP = 1e3  # slope that lets nothing within the tip's zone count
 _MOST_PARTS = 64  # of the time between two samples
 
