@@ -1,12 +1,15 @@
 """How time and memory grow with the print: a sheet, gently curved, in as many layers as it takes.
 
-python -m benchmarks.scaling --waypoints 18000 180000
+python -m benchmarks.scaling --waypoints 1000 10000 100000 1000000 --out scaling.csv
+
+Each size is planned, verified and written to files in a process of its own, as the command does it: with a second
+process where that helps, and with the baseline. The exponent is that of the power law nearest to the times, in
+logarithms; memory is that of all processes together.
 """
 
 from __future__ import annotations
 
 import argparse
-import resource
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -19,7 +22,11 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.memory import Peak
 from benchmarks.peer_cases import waypoint_text
+from benchmarks.rows import STAGES, Row, Run, append_row, row_of_plan
+from benchmarks.single import beadwise
+from benchmarks.usage import Usage, cpu_seconds
 from planner.errors import EXIT_VERIFIED, PlannerError
 from planner.planning import solve, write_files
 from planner.problem import load_problem
@@ -32,7 +39,9 @@ PASS, PASSES, PITCH, SPACING = 150.0, 15, 1.0, 1.0  # mm: a strip of passes to a
 STRIPS, GAP = 4, 4.0  # strips of a layer, and the way from one to the next
 LAYER = 0.5  # mm
 BOW = 300.0  # mm, radius along the passes; across them, twice as much
-STAGES = ("load", "toolpath", "resolve", "timing", "verify", "baseline", "export")
+SHOWN = (*STAGES, "baseline", "export")
+FIGURES = (("seconds_total", 1), ("cpu_s", 1), ("peak_mb", 0))  # and their digits
+SIZES = (1000, 10_000, 100_000, 1_000_000)
 
 PROBLEM = """\
 name: sheet
@@ -69,51 +78,71 @@ def sheet(waypoints: int) -> Array:
     return np.hstack([np.column_stack([x, y, z]) + height[:, None] * normals, normals])
 
 
-def measure(waypoints: int, strategy: str) -> tuple[dict[str, float], float, bool]:
-    """Seconds by stage, peak memory [MB] of this process and the largest it forked, and whether the plan is verified."""
+def measure(waypoints: int, strategy: str) -> tuple[Row, dict[str, float]]:
+    """The row of a sheet, and its seconds by stage, export too."""
     with tempfile.TemporaryDirectory() as folder:
         problem = Path(folder) / "sheet.yaml"
         problem.write_text(PROBLEM, encoding="utf-8")
-        stages = Stages()
         for n in (600, waypoints):  # the first compiles
-            stages = Stages()
             (Path(folder) / "sheet.txt").write_text(waypoint_text(sheet(n)), encoding="utf-8")
-            plan = solve(load_problem(problem), strategy, stages=stages, second_process=True)
-            plan = write_files(plan, Path(folder), stages, True)
-    peak = sum(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)) / 1024
-    return dict(stages.seconds), peak, plan.verified
+            stages, before = Stages(), cpu_seconds()
+            with Peak() as peak:
+                plan = solve(load_problem(problem), strategy, stages=stages, second_process=True)
+                plan = write_files(plan, Path(folder), stages, second_process=True)
+    run = Run(f"sheet@{waypoints}", strategy, planner=beadwise())
+    used = Usage(cpu_seconds() - before, peak.mb)
+    seconds = dict(stages.seconds)
+    row = row_of_plan(run, plan, {name: seconds[name] for name in STAGES if name in seconds}, used)
+    return row | {"seconds_total": sum(seconds.values())}, seconds
+
+
+def exponent(sizes: Sequence[float], values: Sequence[float]) -> float:
+    """The power of the size with which values grow: the slope of the straight line nearest to them, in logarithms.
+
+    Raises ValueError for fewer than two different sizes.
+    """
+    if len(set(sizes)) < 2:
+        raise ValueError("an exponent needs two different sizes")
+    return float(np.polyfit(np.log(sizes), np.log(values), 1)[0])
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.scaling", description=__doc__)
-    parser.add_argument("--waypoints", nargs="+", type=int, default=[18_000, 180_000])
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.scaling",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--waypoints", nargs="+", type=int, default=list(SIZES))
     parser.add_argument("--strategy", choices=STRATEGY_NAMES, default="sqp")
+    parser.add_argument("--out", type=Path, metavar="CSV", help="append a row of each to this file")
     options = parser.parse_args(arguments)
-    table = Table("waypoints", *STAGES, "all", "of the first", "MB", "verified", title=options.strategy)
-    first: tuple[int, float] | None = None
+    table = Table("waypoints", *SHOWN, "all [s]", "CPU s", "MB", "verified", title=options.strategy)
+    done: list[Row] = []
     try:
         with ProcessPoolExecutor(
             1, get_context("spawn"), max_tasks_per_child=1
         ) as pool:  # each has a peak memory of its own
-            jobs = [(n, options.strategy) for n in options.waypoints]
-            for n, (seconds, peak, verified) in zip(
-                options.waypoints, pool.map(measure, *zip(*jobs, strict=True)), strict=True
-            ):
-                total = sum(seconds.values())
-                first = first or (n, total)
+            strategies = [options.strategy] * len(options.waypoints)
+            for row, seconds in pool.map(measure, options.waypoints, strategies):
+                done.append(row)
+                if options.out is not None:
+                    append_row(options.out, row)
                 table.add_row(
-                    f"{n}",
-                    *(f"{seconds.get(stage, 0.0):.1f}" for stage in STAGES),
-                    f"{total:.1f}",
-                    f"{total / first[1]:.1f} times for {n / first[0]:.0f}",
-                    f"{peak:.0f}",
-                    "yes" if verified else "no",
+                    f"{row['waypoints']}",
+                    *(f"{seconds.get(stage, 0.0):.1f}" for stage in SHOWN),
+                    *(f"{float(row[name]):.{digits}f}" for name, digits in FIGURES),
+                    "yes" if row["verified"] else "no",
                 )
     except PlannerError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
-    Console(width=140).print(table)
+    console = Console(width=170)
+    console.print(table)
+    sizes = [float(row["waypoints"]) for row in done]
+    if len(set(sizes)) > 1:
+        powers = (f"{name} {exponent(sizes, [float(row[name]) for row in done]):.3f}" for name, _ in FIGURES)
+        console.print(f"exponents from {min(sizes):.0f} to {max(sizes):.0f} waypoints: {', '.join(powers)}")
     return EXIT_VERIFIED
 
 
