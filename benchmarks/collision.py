@@ -19,7 +19,7 @@ from planner.print_body import print_body, standing
 from planner.problem import load_problem, shipped_problems
 from planner.replay import replay
 from planner.solve import solve
-from planner.verify_clear import keep_apart
+from planner.verify_clear import keep_apart, sweep_cell
 
 COLUMNS = (
     "problem",
@@ -42,7 +42,8 @@ def row(plan: Plan, seconds: float) -> tuple[str, ...]:
     body = print_body(plan.toolpath, standing(plan.cell))
     building = time.process_time() - started
     started = time.process_time()
-    keep_apart(plan.problem, plan.cell, plan.toolpath, plan.trajectory, motion, body, [], {}, {})
+    given = (plan.problem, plan.cell, plan.toolpath, plan.trajectory)
+    keep_apart(*given, motion, body, lambda: sweep_cell(*given, body), [], {}, {})
     check = time.process_time() - started
     names = ("clearance_min_mm", "nozzle_clearance_min_mm", "arm_clearance_min_mm", "robot_clearance_min_mm")
     nearest = f"{plan.approaches[0].a}, {plan.approaches[0].b}" if plan.approaches else "-"

@@ -66,6 +66,16 @@ def in_background(function: Callable[..., Any], *arguments: Any) -> Iterator[Cal
         receiver.close()
 
 
+@contextmanager
+def beside(second_process: bool, function: Callable[..., Any], *arguments: Any) -> Iterator[Callable[[], Any]]:
+    """`in_background` where a second process is wanted and there is a core for it, else what calls the function here."""
+    if second_process and spare_core():
+        with in_background(function, *arguments) as wait:
+            yield wait
+    else:
+        yield lambda: function(*arguments)
+
+
 def in_halves(
     function: Callable[[int, int], Any], count: int, second_process: bool, middle: int | None = None
 ) -> list[Any]:
@@ -90,6 +100,21 @@ def in_threads(function: Callable[[int, int], None], count: int) -> None:
     with ThreadPoolExecutor(cores()) as pool:
         for _ in pool.map(function, edges[:-1], edges[1:]):
             pass
+
+
+def in_blocks(function: Callable[[slice], None], count: int, block: int) -> None:
+    """Call a function that leaves Python to others with slices of range(count), `block` long, in as many threads as there
+    are cores: what it does may depend on the block, which is the same for any number of cores."""
+    blocks = -(-count // block)
+
+    def part(first: int, last: int) -> None:
+        for k in range(first, last):
+            function(slice(k * block, min((k + 1) * block, count)))
+
+    if blocks > 1:
+        in_threads(part, blocks)
+    else:
+        part(0, blocks)
 
 
 def shared(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:

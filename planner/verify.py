@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from planner.background import in_halves, shared
+from planner.background import beside, in_halves, shared
 from planner.cell import Cell
 from planner.nearest import distance_to_polyline
 from planner.plan import Approach, CellView, Check, Trajectory
@@ -24,7 +24,7 @@ from planner.problem import Problem
 from planner.replay import replay
 from planner.toolpath.bead import Toolpath
 from planner.verify_checks import DIGITS, SPEED_TOLERANCE, check_least, check_most, place, samples_of
-from planner.verify_clear import keep_apart
+from planner.verify_clear import keep_apart, sweep_cell
 from planner.verify_extrusion import extrusion
 from planner.verify_tilt import bead_errors
 
@@ -64,14 +64,15 @@ def verify(
     """
     checks: list[Check] = []
     trajectory = _finite(trajectory, checks)
-    motion = replay(cell, trajectory, second_process)
-    metrics: dict[str, float] = {}
-    series: dict[str, Array] = {}
-    geometry = partial(_geometry, second_process)
-    for part in (_records, _limits, geometry, _coverage, _singularity, _speed, extrusion, _clearance):
-        part(problem, cell, toolpath, trajectory, motion, checks, metrics, series)
     body = body or print_body(toolpath, standing(cell))
-    approaches, view = keep_apart(problem, cell, toolpath, trajectory, motion, body, checks, metrics, series)
+    with beside(second_process, sweep_cell, problem, cell, toolpath, trajectory, body) as apart:
+        motion = replay(cell, trajectory, second_process)
+        metrics: dict[str, float] = {}
+        series: dict[str, Array] = {}
+        geometry = partial(_geometry, second_process)
+        for part in (_records, _limits, geometry, _coverage, _singularity, _speed, extrusion, _clearance):
+            part(problem, cell, toolpath, trajectory, motion, checks, metrics, series)
+        approaches, view = keep_apart(problem, cell, toolpath, trajectory, motion, body, apart, checks, metrics, series)
     return Report(tuple(checks), metrics, series, approaches, view)
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,6 +25,24 @@ Array = NDArray[np.float64]
 MOST_APPROACHES = 12
 
 
+@dataclass(frozen=True)
+class Apart:
+    """How near all in the cell and the print come: pairs of bodies, then those with the print, and what was found."""
+
+    hits: tuple[Pair, ...]
+    near_print: tuple[PrintPair, ...]
+    swept: Swept
+
+
+def sweep_cell(problem: Problem, cell: Cell, toolpath: Toolpath, t: Trajectory, body: PrintBody) -> Apart:
+    """The least distances of robots, fixtures and print from each other; body: as for `verify`."""
+    spec = problem.collision
+    bodies = CellBodies.of(cell)
+    hits, near_print = pairs(bodies, spec.nozzle, spec.arm), print_pairs(bodies, spec.arm)
+    alone = body.without_bodies  # whatever else stands there is known exactly
+    return Apart(hits, near_print, sweep(bodies, (*hits, *near_print), t.q, alone, print_times(toolpath, t)))
+
+
 def keep_apart(
     problem: Problem,
     cell: Cell,
@@ -29,6 +50,7 @@ def keep_apart(
     t: Trajectory,
     motion: Motion,
     body: PrintBody,
+    apart: Callable[[], Apart],
     checks: list[Check],
     metrics: dict[str, float],
     series: dict[str, Array],
@@ -36,17 +58,15 @@ def keep_apart(
     """Append the checks of nozzle, head, links, fixtures and print; returns the pairs of bodies that come nearest, and
     the bodies of the cell.
 
-    Distances are found up to FAR; `clearance_min_mm` is the least of all beyond the tip's zone (see verify_print).
+    apart: what gives the result of `sweep_cell`. Distances are found up to FAR; `clearance_min_mm` is the least of all
+    beyond the tip's zone (see verify_print).
     """
     spec = problem.collision
     check, rule, beyond = check_nozzle(problem, cell, toolpath, t, motion, body)
     checks.append(check)
-    bodies = CellBodies.of(cell)
-    hits = pairs(bodies, spec.nozzle, spec.arm)
-    near_print = print_pairs(bodies, spec.arm)
-    alone = body.without_bodies  # whatever else stands there is known exactly
-    swept = sweep(bodies, (*hits, *near_print), t.q, alone, print_times(toolpath, t))
-    found = _approaches(bodies, (*hits, *near_print), swept, alone)
+    bodies, found_apart = CellBodies.of(cell), apart()
+    hits, near_print, swept = found_apart.hits, found_apart.near_print, found_apart.swept
+    found = _approaches(bodies, (*hits, *near_print), swept, body.without_bodies)
     robots, prints = found[: len(hits)], found[len(hits) :]
     checks.append(_check("arm clear of part and print", prints, spec.arm, t, _unknown(cell)))
     checks.append(_check("robots clear of each other and of fixtures", robots, spec.arm, t, _unknown(cell)))

@@ -14,7 +14,7 @@ from planner.print_body import print_body, standing
 from planner.problem import Problem, load_problem
 from planner.replay import replay
 from planner.toolpath.bead import Bead, Toolpath
-from planner.verify_clear import keep_apart
+from planner.verify_clear import keep_apart, sweep_cell
 
 Array = NDArray[np.float64]
 DT = 0.004
@@ -131,7 +131,8 @@ def look(problem: Problem, cell: Cell, toolpath: Toolpath, pieces: list[Piece], 
     body = print_body(toolpath, standing(cell))
     metrics: dict[str, float] = {}
     series: dict[str, Array] = {}
-    approaches, _ = keep_apart(problem, cell, toolpath, whole, motion, body, checks, metrics, series)
+    apart = sweep_cell(problem, cell, toolpath, whole, body)
+    approaches, _ = keep_apart(problem, cell, toolpath, whole, motion, body, lambda: apart, checks, metrics, series)
     return Found({check.name: check for check in checks}, metrics, approaches, series["clearance_mm"])
 
 

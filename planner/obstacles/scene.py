@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.background import in_blocks
 from planner.cell import Cell
 from planner.obstacles.along import hit_along, lacking_at, least_margins
 from planner.obstacles.sampling import surface_points
@@ -26,6 +27,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 PART = "part or print"
+BLOCK = 1024  # postures along which what was far enough is remembered
 _FAR = 0.2  # m: greater margins are not told apart along a motion
 _POSTURES = 64  # a pair of an arm's own bodies that touches at all of so many belongs together
 
@@ -78,7 +80,10 @@ class Obstacles:
         `enough` [m]; and which pair (n) has it, or -1. `more` [m] is asked for between bodies besides."""
         margin, which = np.full(len(q), enough), np.full(len(q), -1, dtype=np.int64)
         if self.any:
-            least_margins(self.table, np.ascontiguousarray(q), np.ascontiguousarray(now), enough, more, margin, which)
+            q, now = np.ascontiguousarray(q), np.ascontiguousarray(now)
+            in_blocks(
+                lambda at: least_margins(self.table, q[at], now[at], enough, more, margin[at], which[at]), len(q), BLOCK
+            )
         return margin, which
 
     def hit(self, q: Array, now: float, allowed: float) -> int:

@@ -10,7 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.background import in_blocks
 from planner.obstacles import Obstacles
+from planner.obstacles.scene import BLOCK
 from planner.obstacles.slopes import nearest_margins
 
 Array = NDArray[np.float64]
@@ -55,7 +57,11 @@ def clearances(obstacles: Obstacles, q: Array, G: Array, now: Array, tip: Array,
     def look(at: Index) -> None:
         mask = np.zeros(n, dtype=np.bool_)
         mask[at] = wanted[at] = True
-        nearest_margins(obstacles.table, q, now, mask, *comfort, margin, slope, which)
+        in_blocks(
+            lambda b: nearest_margins(obstacles.table, q[b], now[b], mask[b], *comfort, margin[b], slope[b], which[b]),
+            n,
+            BLOCK,
+        )
 
     if held:
         look(fine[::SPARSE])
