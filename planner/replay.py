@@ -40,10 +40,11 @@ def replay(cell: Cell, trajectory: Trajectory, second_process: bool = False) -> 
     """Forward kinematics and Jacobians of every sample, half of them in a second process if that is wanted."""
     n = len(trajectory)
     vector = (n, 3)
+    rotation = shared((n, 3, 3))
     whole = Motion(
         tip=shared(vector),
-        axis=shared(vector),
-        rotation=shared((n, 3, 3)),
+        axis=rotation[:, :, 2],
+        rotation=rotation,
         up=shared(vector),
         sigma=shared((n,)),
         det=shared((n,)),

@@ -90,7 +90,10 @@ class _Sweep:
         self, bodies: CellBodies, pairs: Sequence[Pair | PrintPair], q: Array, body: PrintBody, now: Array
     ) -> None:
         self.bodies, self.pairs, self.q, self.tree, self.now = bodies, pairs, q, body.tree, now
-        self.turned = np.concatenate([np.zeros((1, q.shape[1])), np.cumsum(np.abs(np.diff(q, axis=0)), axis=0)])
+        self.turned = np.zeros(q.shape)  # made in place: of a large print it is a large part of all memory
+        np.subtract(q[1:], q[:-1], out=self.turned[1:])
+        np.abs(self.turned, out=self.turned)
+        np.cumsum(self.turned, axis=0, out=self.turned)
         self.coal, self.room = Distances(bodies), search_room()
         self.part = part_thing(bodies)
         p = len(pairs)
