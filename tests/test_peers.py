@@ -75,6 +75,12 @@ def test_joints_of_our_own_hold_and_verify(cap: Given, beads: list[np.ndarray]) 
     assert set(row) <= {*COLUMNS, *judge.PATH_COLUMNS}
 
 
+def test_speeds_without_travel_are_those_of_the_verifier(cap: Given, beads: list[np.ndarray]) -> None:
+    row, whole = judge.speeds(cap, judge.paths_of(cap, beads)), judge.judge(cap, beads)
+    assert float(row["deposition_time_s"]) == pytest.approx(float(whole["deposition_time_s"]), rel=0.01)
+    assert float(row["at_speed_fraction"]) == pytest.approx(float(whole["at_speed_fraction"]), abs=0.01)
+
+
 def shifted(q: np.ndarray) -> np.ndarray:
     q[100, 1] += 1e-3
     return q

@@ -22,6 +22,7 @@ from planner.resolve.jointpath import JointPath
 from planner.timing import TimedPath, time_path
 from planner.travel import Travel, plan_travels
 from planner.verify import AXIS_TOLERANCE, POSITION_TOLERANCE, Report, verify
+from planner.verify_checks import SPEED_TOLERANCE
 
 Array = NDArray[np.float64]
 
@@ -149,9 +150,26 @@ def judge(given: Given, beads: Sequence[Array], told: bool = False) -> Row:
     try:
         timed = finish(given, paths, print_body(given.toolpath, standing(given.cell)), stages)
     except Refusal as refusal:
-        return {"found": True, "verified": False, "reason": f"cannot be timed or left: {refusal}", **facts}
+        row: Row = {"found": True, "verified": False, "reason": f"cannot be timed or left: {refusal}", **facts}
+        return row | speeds(given, paths)
     seconds: Row = {f"seconds_{stage}": value for stage, value in stages.seconds.items()}
     return {"found": True, **facts, **seconds, **verdict(given, timed, told)}
+
+
+def speeds(given: Given, paths: Sequence[JointPath]) -> Row:
+    """How fast joint paths can be followed, of paths between which there is no travel; empty if they cannot."""
+    commanded, laid, at_speed, seconds = given.problem.process.speed, 0.0, 0.0, 0.0
+    try:
+        timed = [time_path(given.cell, path) for path in paths]
+    except Refusal:
+        return {}
+    for path, bead in zip(timed, given.toolpath.beads, strict=True):
+        s = path.at(np.arange(0.0, path.duration, DEFAULT_DT))[1]
+        step = np.diff(s[(s >= 0.0) & (s <= bead.length)])
+        laid, seconds = laid + float(step.sum()), seconds + len(step) * DEFAULT_DT
+        kept = np.abs(step / DEFAULT_DT / commanded - 1.0) <= SPEED_TOLERANCE
+        at_speed += float(step[kept].sum())
+    return {"deposition_time_s": seconds, "at_speed_fraction": at_speed / laid if laid else 0.0}
 
 
 def verdict(given: Given, timed: Timed, told: bool) -> Row:
