@@ -17,7 +17,7 @@ from planner.obstacles import NOTHING, obstacles_of
 from planner.plan import Plan
 from planner.planning import write_files
 from planner.resolve import STRATEGIES
-from planner.task import make_tasks
+from planner.task import tasks_of
 from planner.verify import Report, verify
 
 needs_two_cores = pytest.mark.skipif(not spare_core(), reason="nothing is forked here")
@@ -95,8 +95,7 @@ def test_verification_in_two_processes_is_the_same(plan: Any) -> None:
 @needs_two_cores
 def test_trajectory_in_two_processes_is_the_same() -> None:
     plan = small_plan()
-    process = plan.problem.process
-    tasks = make_tasks(plan.toolpath, process.speed, process.run_in)
+    tasks = tasks_of(plan.problem, plan.toolpath)
     paths = STRATEGIES[plan.strategy](
         plan.cell, tasks, plan.problem.resolve, obstacles_of(plan.problem, plan.cell, plan.toolpath)
     )

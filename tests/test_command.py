@@ -617,7 +617,7 @@ def nothing_runs_in(folder: Path) -> None:
 
 
 PLACES = {
-    "before the resolving": ("planner.planning", "tasks_of", True),
+    "before the resolving": ("planner.given", "tasks_of", True),
     "before the verifying": ("planner.planning", "verify", True),
     "between robot code and report": ("planner.planning", "write_robot_code", False),
     "when all is written aside": ("planner.planning", "write_plan", False),

@@ -219,14 +219,17 @@ def _joint(plan: Plan, match: _Match, a: Indices, s: Indices) -> float:
 def _speed(plan: Plan, match: _Match, on: NDArray[np.bool_]) -> float:
     """Worst difference between programmed speed and what moves that lay material need to arrive when planned.
 
-    Where samples stand close, a target may come from the one beside its own: what that changes is not counted.
+    Where samples stand close at an end, as before a rest, its target may come from the one beside its own: what that
+    changes is not counted.
     """
     trajectory, at = plan.trajectory, match.at
     lines = np.linalg.norm(np.diff(match.all.position, axis=0), axis=1)
     took = np.maximum(np.diff(moving_time(trajectory)[at]), 0.5 * trajectory.dt)
     real = lines / took
-    apart = real * trajectory.dt
-    off = np.abs(real - match.all.speed[:-1]) - np.where(apart < CLOSE, apart / took, 0.0)
+    steps = np.linalg.norm(np.diff(trajectory.tip, axis=0), axis=1)
+    beside = np.minimum(np.append(steps, np.inf), np.append(np.inf, steps))[at]
+    close = np.minimum(beside[:-1], beside[1:]) < CLOSE
+    off = np.abs(real - match.all.speed[:-1]) - np.where(close, real * trajectory.dt / took, 0.0)
     inside = on[match.piece[:-1]] & (np.diff(match.piece) == 0)
     return float(np.maximum(off, 0.0)[inside].max(initial=0.0))
 
