@@ -100,8 +100,7 @@ def measure(axes: Axes, waypoints: int, strategy: str) -> Row:
                     plan = solve(load_problem(file), strategy, stages=stages, second_process=True, baseline=False)
             except Refusal as refusal:
                 return row_without_plan(run, f"no plan: {refusal}", {})
-    seconds = {name: value for name, value in stages.seconds.items() if name != "baseline"}
-    return row_of_plan(run, plan, seconds, Usage(cpu_seconds() - before, peak.mb))
+    return row_of_plan(run, plan, stages.seconds, Usage(cpu_seconds() - before, peak.mb))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -6,7 +6,8 @@ python -m benchmarks.cluster --print cylinder_logo
 
 Scheduler and workers are started here, each worker with a core of its own. Everything that a plan's verification
 measured is compared, bit for bit, between the three runs. With --print it is one print that the workers share: what is
-timed is all that `planner.solve` does before it writes, most of which one process does alone. Exit code 0 if all is the same, 3 if it is not.
+timed is all that `planner.solve` does before it writes, most of which one process does alone. Exit code 0 if all is the
+same, 3 if it is not.
 """
 
 from __future__ import annotations

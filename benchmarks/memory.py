@@ -22,11 +22,16 @@ def held_mb(pid: int) -> float:
         text = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii")
         total = sum(int(line.split()[1]) for line in text.splitlines() if line.startswith("Pss:")) * _KILOBYTE
     total /= MEGABYTE
+    return total + sum(held_mb(child) for child in children_of(pid))
+
+
+def children_of(pid: int) -> list[int]:
+    """The processes that a process started; none where it has ended, or Linux does not tell it."""
+    found: list[int] = []
     with suppress(OSError):
         for task in Path(f"/proc/{pid}/task").iterdir():
-            children = (task / "children").read_text(encoding="ascii")
-            total += sum(held_mb(int(child)) for child in children.split())
-    return total
+            found += map(int, (task / "children").read_text(encoding="ascii").split())
+    return found
 
 
 class Peak:

@@ -18,7 +18,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.usage import MEGABYTE, ROOT
+from benchmarks.memory import children_of, held_mb
+from benchmarks.usage import ROOT
 
 _WATCHED = 0.25  # s between looks at the memory
 _LAST = 300  # characters of what it said at last
@@ -62,7 +63,7 @@ def _watch(process: subprocess.Popen[bytes], limit: float | None) -> tuple[bool,
     while process.poll() is None:
         if time.monotonic() > until:
             return False, peak
-        peak = max(peak, _family_mb(process.pid))
+        peak = max(peak, held_mb(process.pid) if children_of(process.pid) else 0.0)
         try:
             process.wait(min(_WATCHED, max(until - time.monotonic(), 0.0)))
         except subprocess.TimeoutExpired:
@@ -86,29 +87,6 @@ def _words(code: int, said: str) -> str:
     last = " ".join(said.split())[-_LAST:]
     how = f"killed (signal {-code})" if code < 0 else f"ended with exit code {code}"
     return f"crashed: {how}" + (f": {last}" if last else "")
-
-
-def _family_mb(pid: int) -> float:
-    """Memory of a process and its children, what they share counted once [MB]; 0 without children, or off Linux."""
-    children = _children(pid)
-    return sum(_share_mb(each) for each in [pid, *children]) if children else 0.0
-
-
-def _children(pid: int) -> list[int]:
-    try:
-        texts = [task.read_text() for task in Path(f"/proc/{pid}/task").glob("*/children")]
-    except OSError:  # it has just ended
-        return []
-    return [int(child) for text in texts for child in text.split()]
-
-
-def _share_mb(pid: int) -> float:
-    """Memory of a process, of what it shares its share alone [MB]."""
-    try:
-        lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
-    except OSError:
-        return 0.0
-    return sum(float(line.split()[1]) for line in lines if line.startswith("Pss:")) * 1024 / MEGABYTE
 
 
 def end_with_parent() -> None:

@@ -22,8 +22,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.rows import BETWEEN, EMPTY, Row, Run, append_row, read_rows, row_without_plan
-from benchmarks.run import line, some_seconds
+from benchmarks.rows import BETWEEN, EMPTY, Row, Run, read_rows, row_without_plan
+from benchmarks.run import fill, some_seconds
 from benchmarks.single import beadwise, run_apart
 from benchmarks.usage import commit, machine
 from benchmarks.waypoint_files import Look, Meaning, files_in, look_at, place, shrunk, together
@@ -33,7 +33,6 @@ from planner.errors import EXIT_VERIFIED, InputError, PlannerError
 from planner.given import found_anywhere
 from planner.placement.ranges import reach
 from planner.problem import load_problem
-from planner.spread import spread
 
 OUT = Path("out/benchmarks/published.csv")
 _LONGEST = 90  # characters of a reason in the summary
@@ -64,10 +63,15 @@ class Job:
     limit: float | None
 
 
+def run_of(job: Job) -> Run:
+    """What stands for a job in the table."""
+    return Run(job.name, job.on.strategy, (job.asked,), 0, beadwise())
+
+
 def planned(job: Job) -> Row:
     """The row of a file, whatever becomes of it."""
     on, file = job.on, Path(job.file)
-    run = Run(job.name, on.strategy, (job.asked,), 0, beadwise())
+    run = run_of(job)
     try:
         placed = place(job.look or look_at(file), job.meaning, on.height, on.reach, job.shrink)
         with tempfile.TemporaryDirectory() as folder:
@@ -185,12 +189,7 @@ def run(options: argparse.Namespace) -> int:
     rows = read_rows(options.out) if options.out.exists() else []
     todo = left(jobs, rows, options.scheduler is not None)
     print(f"{len(todo)} files, {len(jobs) - len(todo)} are in {options.out} already", file=sys.stderr)
-    for number, (i, done) in enumerate(spread(planned, todo, options.jobs, options.scheduler), 1):
-        job = todo[i]
-        lost = Run(job.name, job.on.strategy, (job.asked,), 0, beadwise())
-        row = row_without_plan(lost, f"lost: {done}", {}) if isinstance(done, PlannerError) else done
-        append_row(options.out, row)
-        print(f"[{number}/{len(todo)}] {line(row)}", flush=True)
+    fill(planned, todo, [run_of(job) for job in todo], options)
     names = {(job.name, job.asked) for job in jobs}
     told = [row for row in read_rows(options.out) if (row["problem"], str(row["set"]).partition(BETWEEN)[0]) in names]
     print("\n".join(summary(told)))

@@ -9,6 +9,7 @@ Writes report.md and its figures. The same rows give the same report. Of several
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -121,7 +122,7 @@ def _heading(chosen: Sequence[Row], others: Sequence[Row]) -> list[str]:
         f"- commit: {chosen[0]['commit']}",
         *(f"- {text}" for text in versions),
         f"- verified: all checks hold; tip within {POSITION_TOLERANCE * 1e3:g} mm of its bead, nozzle within "
-        f"{57.29577951308232 * AXIS_TOLERANCE:g}° of the normal or its cone, never more than {100 * SPEED_TOLERANCE:g} % faster than "
+        f"{math.degrees(AXIS_TOLERANCE):g}° of the normal or its cone, never more than {100 * SPEED_TOLERANCE:g} % faster than "
         "commanded, all joint limits held, clearances kept",
     ]
     if others:

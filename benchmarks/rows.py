@@ -126,11 +126,15 @@ def judged(checks: Sequence[Check], metrics: Mapping[str, float]) -> Row:
 
 
 def times(seconds: Mapping[str, float], waypoints: int | None) -> Row:
-    """Seconds by stage and together, and the waypoints per second of what plans (PLANNING), where there is a plan."""
-    row: Row = {f"seconds_{stage}": float(value) for stage, value in seconds.items()}
-    if seconds:
-        row["seconds_total"] = float(sum(seconds.values()))
-    planning = sum(value for stage, value in seconds.items() if stage in PLANNING)
+    """Seconds by stage and together, and the waypoints per second of what plans (PLANNING), where there is a plan.
+
+    Other stages than STAGES do not count: they write files, or plan another strategy.
+    """
+    own = {stage: float(seconds[stage]) for stage in STAGES if stage in seconds}
+    row: Row = {f"seconds_{stage}": value for stage, value in own.items()}
+    if own:
+        row["seconds_total"] = sum(own.values())
+    planning = sum(value for stage, value in own.items() if stage in PLANNING)
     return row if waypoints is None else row | {"waypoints_per_s": waypoints / planning}
 
 

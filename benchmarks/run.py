@@ -16,6 +16,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 from benchmarks.named import all_problems, coarse, load_named
 from benchmarks.rows import KEY, Row, Run, append_row, key_of, read_rows, row_without_plan
@@ -25,6 +26,8 @@ from planner.command import add_spread, exit_code, one_of
 from planner.errors import EXIT_VERIFIED, PlannerError
 from planner.problem.settings import STRATEGY_NAMES
 from planner.spread import spread
+
+Item = TypeVar("Item")
 
 OUT = Path("out/benchmarks/runs.csv")
 FOR_SMALL_ONES = ("nlp",)  # minutes for a thousand waypoints: run where it is asked for
@@ -138,10 +141,15 @@ def carry_out(runs: Sequence[Run], options: argparse.Namespace) -> None:
     for text in told(runs, todo, rows, options.out):
         print(text, file=sys.stderr)
     jobs: list[Job] = [(each, options.limit) for each in todo]
-    for number, (i, done) in enumerate(spread(run_apart, jobs, options.jobs, options.scheduler), 1):
-        row = row_without_plan(todo[i], f"lost: {done}", {}) if isinstance(done, PlannerError) else done
+    fill(run_apart, jobs, todo, options)
+
+
+def fill(work: Callable[[Item], Row], items: Sequence[Item], runs: Sequence[Run], options: argparse.Namespace) -> None:
+    """Append to the table what work makes of each item, as it is done; runs: what stands for an item that is lost."""
+    for number, (i, done) in enumerate(spread(work, items, options.jobs, options.scheduler), 1):
+        row = row_without_plan(runs[i], f"lost: {done}", {}) if isinstance(done, PlannerError) else done
         append_row(options.out, row)
-        print(f"[{number}/{len(todo)}] {line(row)}", file=sys.stderr, flush=True)
+        print(f"[{number}/{len(items)}] {line(row)}", file=sys.stderr, flush=True)
 
 
 def ended(what: Callable[[], int], out: Path) -> int:

@@ -92,7 +92,7 @@ def measure(waypoints: int, strategy: str) -> tuple[Row, dict[str, float]]:
     run = Run(f"sheet@{waypoints}", strategy, planner=beadwise())
     used = Usage(cpu_seconds() - before, peak.mb)
     seconds = dict(stages.seconds)
-    row = row_of_plan(run, plan, {name: seconds[name] for name in STAGES if name in seconds}, used)
+    row = row_of_plan(run, plan, seconds, used)
     return row | {"seconds_total": sum(seconds.values())}, seconds
 
 

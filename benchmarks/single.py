@@ -32,7 +32,6 @@ from planner.toolpath.build import build_toolpath
 
 WARM_BEADS, WARM_POINTS = 2, 60  # of the print to warm up with: travel between beads belongs to it
 Job = tuple[Run, float | None]  # and after how many seconds it is ended, if ever
-NOT_OURS = "baseline"  # a stage of `solve` that is not entered here, and would be another strategy's
 
 
 def beadwise() -> str:
@@ -75,19 +74,15 @@ def measured(run: Run, warm: bool = True) -> Row:
             with stages.stage("load"):
                 problem = load_named(run.problem, run.settings, Path(folder))
             plan = solve(problem, run.strategy, stages=stages, second_process=True, baseline=False)
-        return row_of_plan(run, plan, _own(stages), used())
+        return row_of_plan(run, plan, stages.seconds, used())
     except Refusal as refusal:
-        return row_without_plan(run, f"no plan: {refusal}", _own(stages), used())
+        return row_without_plan(run, f"no plan: {refusal}", stages.seconds, used())
     except PlannerError as error:
-        return row_without_plan(run, f"refused: {error}", _own(stages), used())
+        return row_without_plan(run, f"refused: {error}", stages.seconds, used())
     except Exception as error:  # whatever it is, it is a row, and the other runs go on
         place = traceback.extract_tb(error.__traceback__)[-1]
         reason = f"crashed: {error!r} in {Path(place.filename).name}, line {place.lineno}"
-        return row_without_plan(run, reason, _own(stages), used())
-
-
-def _own(stages: Stages) -> dict[str, float]:
-    return {name: seconds for name, seconds in stages.seconds.items() if name != NOT_OURS}
+        return row_without_plan(run, reason, stages.seconds, used())
 
 
 def run_apart(job: Job) -> Row:

@@ -11,6 +11,8 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from planner.background import cores
+
 ROOT = Path(__file__).resolve().parents[1]
 MEGABYTE = 1e6  # bytes
 # ru_maxrss counts kilobytes on Linux and bytes on macOS
@@ -42,9 +44,8 @@ def peak_mb() -> float:
 
 def machine() -> str:
     """Processor, cores that may be used, memory, system: what figures depend on, and no name of a computer."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
-    return f"{_processor()}, {cores} cores, {memory:.0f} GB, {platform.system()} {platform.machine()}"
+    return f"{_processor()}, {cores()} cores, {memory:.0f} GB, {platform.system()} {platform.machine()}"
 
 
 def _processor() -> str:

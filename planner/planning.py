@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.background import in_background, in_halves, spare_core
+from planner.background import beside, in_background, in_halves, spare_core
 from planner.cell import Cell, build_cell
 from planner.chains import sqp_over
 from planner.command import DEFAULT_DT, MAX_DT, MIN_DT
@@ -181,7 +181,7 @@ def _plan_with(
     """
     problem, cell, toolpath = given.problem, given.cell, given.toolpath
     obstacles = NOTHING if strategy in UNAWARE else given.obstacles
-    beside = second_process and _waypoints(toolpath) >= WORTH_A_FORK
+    shared = second_process and _waypoints(toolpath) >= WORTH_A_FORK
     with stages.stage("resolve"):
         if over is not None and strategy == SPREADS:
             paths = sqp_over(over, given)
@@ -189,15 +189,15 @@ def _plan_with(
             paths = STRATEGIES[strategy](cell, given.tasks, problem.resolve, obstacles)
     with stages.stage("timing"):
         rest = paths[given.first_bead :]
-        trajectory, travels = _trajectory(problem, cell, toolpath, rest, obstacles, dt, beside)
+        trajectory, travels = trajectory_of(problem, cell, toolpath, rest, obstacles, dt, shared)
     with stages.stage("verify"):
-        report = verify(problem, cell, toolpath, trajectory, beside, given.body)
+        report = verify(problem, cell, toolpath, trajectory, shared, given.body)
     with stages.stage("dips"):
         bound = {"bound_deposition_time_s": sum(bound_time(cell, path) for path in rest)}
     return trajectory, replace(report, metrics=report.metrics | bound), paths, travels
 
 
-def _trajectory(
+def trajectory_of(
     problem: Problem,
     cell: Cell,
     toolpath: Toolpath,
@@ -269,11 +269,9 @@ def _baseline_beside(
     """What gives the baseline's metrics by strategy, planned beside the block where that is worth a process."""
     if not wanted:
         yield dict
-    elif second_process and _waypoints(given.toolpath) >= WORTH_A_FORK and spare_core():
-        with in_background(_baseline, given, dt) as wait:
-            yield wait
-    else:
-        yield lambda: _baseline(given, dt)
+        return
+    with beside(second_process and _waypoints(given.toolpath) >= WORTH_A_FORK, _baseline, given, dt) as wait:
+        yield wait
 
 
 def _baseline(given: Given, dt: float) -> dict[str, dict[str, float]]:

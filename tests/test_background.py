@@ -100,7 +100,7 @@ def test_trajectory_in_two_processes_is_the_same() -> None:
         plan.cell, tasks, plan.problem.resolve, obstacles_of(plan.problem, plan.cell, plan.toolpath)
     )
     here, beside = (
-        planning._trajectory(plan.problem, plan.cell, plan.toolpath, paths, NOTHING, plan.trajectory.dt, both)[0]
+        planning.trajectory_of(plan.problem, plan.cell, plan.toolpath, paths, NOTHING, plan.trajectory.dt, both)[0]
         for both in (False, True)
     )
     for name, values in vars(here).items():

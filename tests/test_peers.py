@@ -14,11 +14,12 @@ import pytest
 
 from benchmarks.peers import __main__ as command
 from benchmarks.peers import judge, results
-from benchmarks.peers.case import CASES, LIMITS, ROBOT, ROOM, WAYPOINTS, Case, Given, given, write_case
+from benchmarks.peers.case import CASES, LIMITS, ROBOT, ROOM, WAYPOINTS, Case, given, write_case
 from benchmarks.peers.one import judged_file
 from benchmarks.peers.peer_list import PEERS
 from benchmarks.peers.watch import watched
 from benchmarks.rows import COLUMNS, Row, Run, append_row, make_row
+from planner.given import Given
 from planner.obstacles import NOTHING
 from planner.resolve import STRATEGIES
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import published
+from benchmarks import published, run
 from benchmarks.published import jobs_of, left, main, parser, planned, summary
 from benchmarks.rows import Row, Run, make_row, read_rows
 from benchmarks.single import Job as SingleJob
@@ -115,7 +115,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[SingleJob]:
         return make_row(job[0], found=True, verified=True, waypoints=60)
 
     monkeypatch.setattr(published, "run_apart", run_apart)
-    monkeypatch.setattr(published, "line", lambda row: str(row["problem"]))
+    monkeypatch.setattr(run, "line", lambda row: str(row["problem"]))
     return out
 
 

@@ -19,13 +19,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.peers import results
-from benchmarks.peers.case import CASES, Given, given, write_case
+from benchmarks.peers.case import CASES, given, write_case
 from benchmarks.peers.judge import PATH_COLUMNS
 from benchmarks.peers.one import JOINTS, ROW
 from benchmarks.peers.peer_list import PEERS, Peer
 from benchmarks.peers.watch import watched
 from benchmarks.rows import COLUMNS, STAGES, Row, Run, append_row, make_row, times
 from planner.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, PlannerError
+from planner.given import Given
 
 HERE = Path(__file__).resolve().parent
 OURS = {"beadwise": "sqp", "beadwise_alone": "sqp, no bodies"}

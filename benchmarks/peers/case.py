@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from benchmarks.peer_cases import CASES as MEASURED
 from benchmarks.peer_cases import write_case as write_problem
 from planner.cell import Cell, build_cell
+from planner.given import Given, given_of
 from planner.kinematics.chain import Chain
 from planner.problem import Problem, load_problem
-from planner.task import NozzleTask, tasks_of
-from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 
 Array = NDArray[np.float64]
@@ -59,16 +58,6 @@ CASES = {
 }
 
 
-@dataclass(frozen=True)
-class Given:
-    """A case as it is planned: what all planners share."""
-
-    problem: Problem
-    cell: Cell
-    toolpath: Toolpath
-    tasks: tuple[NozzleTask, ...]
-
-
 def problem_of(case: Case, folder: Path) -> Problem:
     """The case's problem; one at a number of waypoints is written into the folder first."""
     if case.waypoints is None:
@@ -82,7 +71,7 @@ def given(case: Case, folder: Path) -> Given:
     cell, toolpath = build_cell(problem), build_toolpath(problem)
     if case.layers is not None:
         toolpath = replace(toolpath, beads=tuple(bead for bead in toolpath.beads if bead.layer < case.layers))
-    return Given(problem, cell, toolpath, tasks_of(problem, toolpath))
+    return given_of(problem, cell, toolpath)
 
 
 def write_case(given: Given, folder: Path) -> None:

@@ -8,19 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.peers.case import Given
 from benchmarks.rows import Row, at_waypoints, judged
-from planner.background import in_halves
 from planner.command import DEFAULT_DT
 from planner.errors import Refusal
-from planner.motion import join
+from planner.given import Given
 from planner.obstacles import NOTHING, Obstacles
 from planner.plan import Trajectory
-from planner.print_body import PrintBody, print_body, standing
+from planner.planning import trajectory_of
 from planner.progress import Stages
 from planner.resolve.jointpath import JointPath
-from planner.timing import TimedPath, time_path
-from planner.travel import Travel, plan_travels
+from planner.timing import time_path
 from planner.verify import AXIS_TOLERANCE, POSITION_TOLERANCE, Report, verify
 from planner.verify_checks import SPEED_TOLERANCE
 
@@ -101,37 +98,16 @@ def _angle(a: Array, b: Array) -> float:
     return float(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1)).max())
 
 
-def finish(
-    given: Given,
-    paths: Sequence[JointPath],
-    body: PrintBody,
-    stages: Stages,
-    obstacles: Obstacles = NOTHING,
-    second_process: bool = True,
-) -> Timed:
+def finish(given: Given, paths: Sequence[JointPath], stages: Stages, obstacles: Obstacles = NOTHING) -> Timed:
     """Time joint paths, plan the travel between them and verify all of it, as planning does.
 
     Raises Refusal where no travel is found, or a path turns back on itself.
     """
     problem, cell, toolpath = given.problem, given.cell, given.toolpath
-    moving, n = problem.process.hand_over == "motion", len(paths)
-    done = np.cumsum([len(path.q) for path in paths])
-    middle = 1 + int(np.searchsorted(done, 0.5 * done[-1]))
-
-    def part(first: int, last: int) -> list[TimedPath]:
-        return [time_path(cell, path, (moving, moving)) for path in paths[first:last]]
-
-    def ways(first: int, last: int) -> list[Travel]:
-        which = range(first, last + (last == n))
-        return plan_travels(cell, timed, toolpath, problem.process, which, obstacles)
-
     with stages.stage("timing"):
-        timed = [each for half in in_halves(part, n, second_process, middle) for each in half]
-    with stages.stage("travel"):
-        travels = [each for half in in_halves(ways, n, second_process) for each in half]
-        trajectory = join(cell, toolpath, problem.process, timed, travels, DEFAULT_DT)
+        trajectory, _ = trajectory_of(problem, cell, toolpath, paths, obstacles, DEFAULT_DT, second_process=True)
     with stages.stage("verify"):
-        report = verify(problem, cell, toolpath, trajectory, second_process, body)
+        report = verify(problem, cell, toolpath, trajectory, True, given.body)
     return Timed(trajectory, report)
 
 
@@ -148,7 +124,7 @@ def judge(given: Given, beads: Sequence[Array], told: bool = False) -> Row:
         return {"found": False, "verified": False, "reason": str(error)}
     facts, stages = path_facts(given, beads), Stages()
     try:
-        timed = finish(given, paths, print_body(given.toolpath, standing(given.cell)), stages)
+        timed = finish(given, paths, stages)
     except Refusal as refusal:
         row: Row = {"found": True, "verified": False, "reason": f"cannot be timed or left: {refusal}", **facts}
         return row | speeds(given, paths)

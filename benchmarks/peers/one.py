@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.peers import ours
-from benchmarks.peers.case import CASES, Given, given
+from benchmarks.peers.case import CASES, given
 from benchmarks.peers.judge import judge
 from benchmarks.rows import Row
 from benchmarks.usage import cpu_seconds, peak_mb
+from planner.given import Given
 
 JOINTS, ROW = "q.csv", "row.json"
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from benchmarks.peers.case import Case, Given, given
+from benchmarks.peers.case import Case, given
 from benchmarks.peers.judge import finish, path_facts, verdict
 from benchmarks.rows import Row, times
 from planner.cell import build_cell
 from planner.errors import Refusal
+from planner.given import Given
 from planner.obstacles import NOTHING, obstacles_of
 from planner.print_body import print_body, standing
 from planner.progress import Stages
@@ -44,7 +45,7 @@ def planned(ready: Given, collision: bool, cut: bool = False) -> Row:
     try:
         with stages.stage("resolve"):
             paths = STRATEGIES[STRATEGY](cell, ready.tasks, problem.resolve, obstacles)
-        timed = finish(ready, paths, body, stages, obstacles)
+        timed = finish(ready, paths, stages, obstacles)
     except Refusal as refusal:
         return {"reason": str(refusal), **times(stages.seconds, None)}
     facts = path_facts(ready, [path.q for path in paths])
