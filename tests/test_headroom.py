@@ -25,7 +25,7 @@ from planner.headroom_bounds import displacement_slopes, first_order
 from planner.headroom_cell import beneath, displaced
 from planner.obstacles import NOTHING
 from planner.plan import Check, Trajectory
-from planner.planning import _elsewhere, _trajectory, solve
+from planner.planning import _elsewhere, solve, trajectory_of
 from planner.problem import Problem, load_problem
 from planner.replay import replay
 from planner.report.headroom import headroom_section
@@ -78,7 +78,7 @@ class Case:
     @cached_property
     def planned(self) -> tuple[Trajectory, Sequence[Travel]]:
         """The trajectory as planned, and its travels."""
-        return _trajectory(self.problem, self.cell, self.toolpath, self.paths, NOTHING, DT, False)
+        return trajectory_of(self.problem, self.cell, self.toolpath, self.paths, NOTHING, DT, False)
 
     def again(self, cell: Cell, paths: Sequence[JointPath]) -> Report:
         """Time paths, carry the travel along, join and verify."""
