@@ -28,6 +28,7 @@ from benchmarks.summary import (
     OVER_BOUND,
     OVER_IDEAL,
     PATHS,
+    PLANS,
     RATE,
     SECONDS,
     SIGMA,
@@ -79,7 +80,7 @@ MATRICES: tuple[tuple[Measure, str], ...] = (
     (SECONDS, "Seconds of the whole run, dips and maps included, without the writing of files."),
     (MEMORY, "Memory, MB."),
 )
-OF_PEERS = (RATE, PATHS, MEMORY, SIGMA, STEP, MARGIN, OFF, AT_SPEED)
+OF_PEERS = (PLANS, PATHS, MEMORY, SIGMA, STEP, MARGIN, OFF, AT_SPEED)
 
 
 def report(rows: Sequence[Row], figures: Sequence[tuple[str, str]]) -> list[str]:
@@ -208,9 +209,10 @@ def _peers(against: Sequence[Versus], sets: dict[str, str]) -> list[str]:
     lines = [
         "", "## Beside other planners", "",
         "Same waypoints, arm and limits. Peers plan joint paths, without collision, and know neither jerk limits nor the "
-        "print; timing and verifying their paths is our work, checks on distances left out. *Plans* per second count all of it on both "
-        "sides, and on ours collision; *joint paths* per second what resolves the free motion alone. Both for the poses that the peer was given, "
-        "beside the fastest peer that verifies. Margins and the share at speed are set beside the best of all these peers.",
+        "print; timing and verifying their paths is our work, checks on distances left out. *Plans* per second count resolve, "
+        "timing, travel and verification on both sides, *joint paths* per second what resolves the free motion alone: of ours without "
+        "collision too, where that was run. Both for the poses that the peer was given, "
+        "beside the fastest peer that verifies. Margins and the share at speed are of ours with collision, beside the best of all these peers.",
         "",
     ]  # fmt: skip
     plans, joints = (

@@ -10,6 +10,9 @@ from benchmarks.rows import Row, key_of
 
 OURS = "beadwise"
 CHOSEN = "sqp"  # the strategy of ours that is set beside the peers: the default one
+ALONE = "sqp, no bodies"  # the same without collision, as peers plan: it races them where there is such a row
+PATHS_ALONE = ("resolve",)
+COMMON = ("resolve", "timing", "travel", "verify")  # stages of both sides: peers are given cell and toolpath
 DEGREES = 57.29577951308232
 
 
@@ -93,6 +96,17 @@ def _ratio(above: str, below: str) -> Callable[[Row], float | None]:
     return value
 
 
+def _per_second(stages: Sequence[str]) -> Callable[[Row], float | None]:
+    """Waypoints per second of some stages; those that a row lacks count nothing."""
+
+    def value(row: Row) -> float | None:
+        waypoints = number(row, "waypoints")
+        seconds = sum(number(row, f"seconds_{stage}") or 0.0 for stage in stages)
+        return None if waypoints is None or not seconds else waypoints / seconds
+
+    return value
+
+
 AT_SPEED = Measure("at speed", _column("at_speed_fraction"), lambda x: f"{100 * x:.1f} %")
 OVER_IDEAL = Measure("deposition / ideal", _ratio("deposition_time_s", "ideal_deposition_time_s"), lambda x: f"{x:.3f}")
 OVER_BOUND = Measure("deposition / bound", _ratio("deposition_time_s", "bound_deposition_time_s"), lambda x: f"{x:.3f}")
@@ -103,7 +117,8 @@ MARGIN = Measure("limit margin °", _column("limit_margin_rad", DEGREES), lambda
 STEP = Measure("joint step °", _column("joint_step_max_rad", DEGREES), lambda x: f"{x:.2f}")
 OFF = Measure("off the path mm", _column("position_error_max_mm"), lambda x: f"{x:.4f}")
 RATE = Measure("waypoints/s", _column("waypoints_per_s"), lambda x: f"{x:,.0f}")
-PATHS = Measure("joint paths/s", _ratio("waypoints", "seconds_resolve"), lambda x: f"{x:,.0f}")
+PATHS = Measure("joint paths/s", _per_second(PATHS_ALONE), lambda x: f"{x:,.0f}")
+PLANS = Measure("plans/s", _per_second(COMMON), lambda x: f"{x:,.0f}")
 SECONDS = Measure("whole run s", _column("seconds_total"), lambda x: f"{x:,.1f}")
 WHOLE = Measure("print s", _column("print_time_s"), lambda x: f"{x:,.1f}")
 RESOLVE = Measure("resolve s", _column("seconds_resolve"), lambda x: f"{x:,.2f}")
@@ -133,7 +148,7 @@ def results_of(rows: Sequence[Row]) -> list[Result]:
 
 @dataclass(frozen=True)
 class Race:
-    """Ours beside the peer that is fastest at something, of those that verify: who that is, and by waypoints per second.
+    """Ours beside the peer that is fastest at something: who that is, and both by waypoints per second.
 
     ours, theirs  both for the poses that the peer was given; a bead of ours may have more points
     """
@@ -153,7 +168,7 @@ class Versus:
     """Ours on a problem, by the strategy that counts and by others, beside the peers that were given it.
 
     plans      timed and verified, which is our work for peers; None where no peer verifies, or ours does not
-    joints     joint paths alone
+    joints     joint paths alone; both without collision on our side too, where that was run
     no_worse   measure → whether ours is at least as good as the best of the peers that verify
     """
 
@@ -180,16 +195,18 @@ def against_peers(results: Sequence[Result]) -> list[Versus]:
 
 def _versus(ours: Result, beside: Sequence[Result]) -> Versus:
     good = [peer for peer in beside if not peer.ours and peer.verified]
+    racing = next((r for r in beside if r.ours and r.strategy == ALONE), ours)
     no_worse = {}
     for measure in NOT_WORSE:
         known = [spread.median for peer in good if (spread := peer.spread(measure)) is not None]
         own = ours.spread(measure)
         if known:
             no_worse[measure.name] = own is not None and ours.verified and own.median >= max(known) * (1.0 - _AS_GOOD)
-    return Versus(ours, tuple(beside), _race(ours, good, RATE), _race(ours, good, PATHS), no_worse)
+    return Versus(ours, tuple(beside), race(racing, good, PLANS), race(racing, good, PATHS), no_worse)
 
 
-def _race(ours: Result, peers: Sequence[Result], measure: Measure) -> Race | None:
+def race(ours: Result, peers: Sequence[Result], measure: Measure) -> Race | None:
+    """Ours beside the one of some peers that is fastest; None where there is none, or ours is not verified."""
     own = ours.spread(measure)
     known = [(spread.median, peer) for peer in peers if (spread := peer.spread(measure)) is not None]
     if not known or own is None or not ours.verified:

@@ -142,15 +142,18 @@ def test_results_are_read_again_and_compared(tmp_path: Path) -> None:
         values |= {"seconds_verify": seconds, "waypoints_per_s": 500 / seconds, "at_speed_fraction": 1.0}
         row = make_row(Run("peer_cap@1000", strategy, planner=planner), **values)
         extra: Row = dict.fromkeys(results.EXTRA, 0.25) | {"holds": True, "holds_reason": "", "said": ""}
-        append_row(tmp_path / results.ROWS, row)
-        results.append_path(tmp_path / results.PATHS, row, extra)
+        append_row(tmp_path / results.ROWS_FILE, row)
+        results.append_path(tmp_path / results.PATHS_FILE, row, extra)
 
     put("beadwise", results.ALONE, 0.5, True)
     put("slow 1.0", "slow", 5.0, True)
     put("fast 1.0", "fast", 0.1, False)
     assert results.done(tmp_path) == {("peer_cap@1000", name) for name in ("beadwise_alone", "slow", "fast")}
     text = results.table(results.read(tmp_path))
-    assert "verifies is slow 1.0: Beadwise has 10.0 × its joint paths/s, and 10.00 × its verified plans/s" in text
+    assert (
+        "verifies is slow 1.0: Beadwise has 10.0 × the joint paths/s of the fastest at these (slow), and 10.00 × the"
+        in text
+    )
     assert "holds its path is fast 1.0: Beadwise has 0.2 ×" in text
 
 

@@ -25,11 +25,13 @@ from benchmarks.peers.one import JOINTS, ROW
 from benchmarks.peers.peer_list import PEERS, Peer
 from benchmarks.peers.watch import watched
 from benchmarks.rows import COLUMNS, STAGES, Row, Run, append_row, make_row, times
+from benchmarks.single import beadwise
+from benchmarks.summary import ALONE, CHOSEN, OURS
 from planner.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, PlannerError
 from planner.given import Given
 
 HERE = Path(__file__).resolve().parent
-OURS = {"beadwise": "sqp", "beadwise_alone": "sqp, no bodies"}
+STRATEGIES = {"beadwise": CHOSEN, "beadwise_alone": ALONE}  # of ours, by the names of their processes
 PYTHON = Path(".venv-peers/bin/python")
 OUT = Path("out/peers")
 SECONDS, MEGABYTES = 60.0, 8e3
@@ -99,9 +101,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except PlannerError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
-    (options.out / results.TABLE).write_text(text, encoding="utf-8")
+    (options.out / results.TABLE_FILE).write_text(text, encoding="utf-8")
     print(text)
-    ours = [row for row in rows if str(row["planner"]).startswith("beadwise")]
+    ours = [row for row in rows if str(row["planner"]).startswith(OURS)]
     return EXIT_VERIFIED if all(row["verified"] for row in ours) else EXIT_NOT_VERIFIED
 
 
@@ -110,7 +112,7 @@ def _case(
 ) -> None:
     """Run one case with all planners that have no row yet."""
     ready: Given | None = None
-    for name in (*OURS, *options.peer):
+    for name in (*STRATEGIES, *options.peer):
         if (key, name) in done:
             continue
         if ready is None:
@@ -119,17 +121,17 @@ def _case(
             continue
         own = folder / name
         own.mkdir()
-        if name in OURS:
-            row = {"planner": "beadwise"} | _in_process(name, key, own, limits)
+        if name in STRATEGIES:
+            row = {"planner": beadwise()} | _in_process(name, key, own, limits)
         else:
             write_case(ready, own)
             row = one_peer(name, key, ready, options.python, own, limits)
-        strategy = OURS.get(name, name)
+        strategy = STRATEGIES.get(name, name)
         run = Run(key, strategy, CASES[key].settings, planner=str(row.pop("planner")))
         extra = {column: row.pop(column, "") for column in (*PATH_COLUMNS, "said")}
         whole = make_row(run, **{column: value for column, value in row.items() if column in COLUMNS})
-        append_row(options.out / results.ROWS, whole)
-        results.append_path(options.out / results.PATHS, whole, extra)
+        append_row(options.out / results.ROWS_FILE, whole)
+        results.append_path(options.out / results.PATHS_FILE, whole, extra)
         print(results.line(whole, extra), flush=True)
 
 

@@ -9,23 +9,20 @@ from pathlib import Path
 from benchmarks import usage
 from benchmarks.peers.judge import PATH_COLUMNS
 from benchmarks.rows import Row, Value, key_of, line_of, read_rows
+from benchmarks.summary import ALONE, CHOSEN, OURS, PATHS, PLANS, Measure, race, results_of
 
-ROWS, PATHS, TABLE = "rows.csv", "paths.csv", "table.md"
+ROWS_FILE, PATHS_FILE, TABLE_FILE = "rows.csv", "paths.csv", "table.md"
 KEY = ("problem", "strategy", "planner", "commit", "machine")
 EXTRA = (*PATH_COLUMNS, "said")
-OURS = "beadwise"
-PATHS_ALONE = ("resolve",)
-VERIFIED = ("resolve", "timing", "travel", "verify")  # what is common to all: peers are given cell and toolpath
-BESIDE, ALONE = "sqp", "sqp, no bodies"
 
 
 def done(folder: Path) -> set[tuple[str, str]]:
     """Cases and planners, by the names they are asked for, that have a row of this commit and machine already."""
-    if not (folder / ROWS).exists():
+    if not (folder / ROWS_FILE).exists():
         return set()
     commit, machine = usage.commit(), usage.machine()
-    asked = {BESIDE: OURS, ALONE: f"{OURS}_alone"}
-    rows = [row for row in read_rows(folder / ROWS) if (row["commit"], row["machine"]) == (commit, machine)]
+    asked = {CHOSEN: OURS, ALONE: f"{OURS}_alone"}
+    rows = [row for row in read_rows(folder / ROWS_FILE) if (row["commit"], row["machine"]) == (commit, machine)]
     return {(str(row["problem"]), asked.get(str(row["strategy"]), str(row["strategy"]))) for row in rows}
 
 
@@ -38,10 +35,10 @@ def append_path(file: Path, row: Row, extra: Row) -> None:
 
 def read(folder: Path) -> list[Row]:
     """The rows of this commit and machine, each with its columns of the second table (as texts)."""
-    with (folder / PATHS).open(encoding="utf-8", newline="") as stream:
+    with (folder / PATHS_FILE).open(encoding="utf-8", newline="") as stream:
         extra = {tuple(each[name] for name in KEY): each for each in csv.DictReader(stream)}
     commit, machine = usage.commit(), usage.machine()
-    rows = [row for row in read_rows(folder / ROWS) if (row["commit"], row["machine"]) == (commit, machine)]
+    rows = [row for row in read_rows(folder / ROWS_FILE) if (row["commit"], row["machine"]) == (commit, machine)]
     last = {key_of(row): row for row in rows}
     return [row | _of(extra.get(tuple(str(row[name]) for name in KEY))) for row in last.values()]
 
@@ -71,23 +68,26 @@ def table(rows: Sequence[Row]) -> str:
     return "\n".join([*lines, "", *_ratios(rows), ""])
 
 
-def per_s(row: Row, stages: Sequence[str]) -> float:
-    """Waypoints per second of some stages; those that a row lacks count nothing."""
-    return float(row["waypoints"]) / sum(float(row[f"seconds_{stage}"] or 0.0) for stage in stages)
+def _is_ours(row: Row) -> bool:
+    return str(row["planner"]).startswith(OURS)
 
 
 def _cells(row: Row) -> list[str]:
     def number(name: str, digits: str) -> str:
         return format(float(row[name]), digits) if row[name] != "" else ""
 
-    who = f"{row['planner']}, {row['strategy']}" if row["planner"] == OURS else str(row["planner"])
+    def rate(measure: Measure) -> str:
+        value = measure.of(row)
+        return "" if value is None else measure.form(value)
+
+    who = f"{row['planner']}, {row['strategy']}" if _is_ours(row) else str(row["planner"])
     share = f"{100.0 * float(row['at_speed_fraction']):.1f} %" if row["at_speed_fraction"] != "" else ""
     why = str(row["reason"] if not row["verified"] else "")
     return [
         str(row["problem"]),
         who,
-        format(per_s(row, PATHS_ALONE), ".0f") if row["waypoints"] != "" else "",
-        format(per_s(row, VERIFIED), ".0f") if row["waypoints"] != "" and row["seconds_verify"] != "" else "",
+        rate(PATHS),
+        rate(PLANS) if row["seconds_verify"] != "" else "",
         number("peak_mb", ".0f"),
         str(row["holds"]) if row["holds"] != "" else "",
         "yes" if row["verified"] else "no",
@@ -110,23 +110,28 @@ def _ratios(rows: Sequence[Row]) -> list[str]:
         mine = next((row for row in here if row["strategy"] == ALONE), None)
         words = []
         for which, ones in (
-            ("verifies", [row for row in here if row["planner"] != OURS and row["verified"]]),
-            ("holds its path", [row for row in here if row["planner"] != OURS and row["holds"] == "yes"]),
+            ("verifies", [row for row in here if not _is_ours(row) and row["verified"]]),
+            ("holds its path", [row for row in here if not _is_ours(row) and row["holds"] == "yes"]),
         ):
-            if mine is None or not ones:
-                words.append(f"no peer {which}")
-                continue
-            best = max(ones, key=lambda row: per_s(row, VERIFIED))
-            paths = per_s(mine, PATHS_ALONE) / per_s(best, PATHS_ALONE)
-            whole = per_s(mine, VERIFIED) / per_s(best, VERIFIED)
-            words.append(
-                f"the fastest peer that {which} is {best['planner']}: Beadwise has {paths:.1f} × its joint paths/s, and"
-                f" {whole:.2f} × its verified plans/s; σ min {_both(mine, best, 'path_sigma_min', '.3f')}, at speed"
-                f" {_both(mine, best, 'at_speed_fraction', '.3f')}"
-            )
+            words.append(_ratio(mine, ones, which))
         out.append(f"- {case}: {'; '.join(words)}.")
     return out
 
 
-def _both(mine: Row, best: Row, name: str, digits: str) -> str:
-    return f"{float(mine[name]):{digits}} against {float(best[name]):{digits}}"
+def _ratio(mine: Row | None, ones: Sequence[Row], which: str) -> str:
+    if mine is None or not ones:
+        return f"no peer {which}"
+    ours, *peers = results_of([mine, *ones])
+    plans, joints = (race(ours, peers, measure) for measure in (PLANS, PATHS))
+    if plans is None or joints is None:
+        return "ours is not verified"
+    best = plans.peer.rows[0]
+    return (
+        f"the fastest peer that {which} is {plans.peer.planner}: Beadwise has {joints.ratio:.1f} × the joint paths/s of "
+        f"the fastest at these ({joints.peer.strategy}), and {plans.ratio:.2f} × the verified plans/s; "
+        f"σ min {_both(mine, best, 'path_sigma_min')}, at speed {_both(mine, best, 'at_speed_fraction')}"
+    )
+
+
+def _both(mine: Row, best: Row, name: str) -> str:
+    return f"{float(mine[name]):.3f} against {float(best[name]):.3f}"
