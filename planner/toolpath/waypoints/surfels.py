@@ -23,6 +23,7 @@ FAR = 50e-3  # m: what is farther away than this is that far away
 SHELL = 10e-3  # m of solid beneath a disc
 _NEIGHBOURS = 8  # that are looked at to see what lies beneath a waypoint
 _STENCIL = 6  # samples through which normals are interpolated
+_MANY = 2_000  # points, fewer than which threads take longer to start than to search
 _STEPS = 3  # of Newton's method for the nearest place on a bead
 
 
@@ -58,12 +59,13 @@ class Surfels:
 
     def signed_distance(self, points: Array) -> Array:
         """Distance (n,) of points (n, 3) from what is there, FAR at most; negative inside a shell."""
-        best, nearest = self.bare_tree.query(points, distance_upper_bound=FAR, workers=-1)
+        workers = _workers(points)
+        best, nearest = self.bare_tree.query(points, distance_upper_bound=FAR, workers=workers)
         nearest = np.append(np.flatnonzero(self.bare), -1)[nearest]
         start, left = 0, self.printed
         for size in sorted({size for size, _ in self.trees}, reverse=True):
             if left >= size:  # the printed beads are one block for each binary digit of their number
-                distance, index = self.trees[size, start // size].query(points, distance_upper_bound=FAR, workers=-1)
+                distance, index = self.trees[size, start // size].query(points, distance_upper_bound=FAR, workers=workers)
                 closer = distance < best
                 best = np.where(closer, distance, best)
                 nearest = np.where(closer, index + self.first[start], nearest)  # none closer: none found
@@ -78,7 +80,7 @@ class Surfels:
 
     def normals(self, points: Array) -> Array:
         """Outward unit normals (n, 3) at the places of the beads nearest to points (n, 3)."""
-        _, k = self.tip_tree.query(points, workers=-1)
+        _, k = self.tip_tree.query(points, workers=_workers(points))
         bead = np.searchsorted(self.first, k, side="right") - 1
         start = np.clip(k - _STENCIL // 2 + 1, self.first[bead], self.first[bead + 1] - _STENCIL)
         return _normals(np.ascontiguousarray(points), self.tips, self.outward, start, (k - start).astype(float))
@@ -164,6 +166,11 @@ def with_layers(beads: Sequence[Bead]) -> tuple[tuple[Bead, ...], Surfels]:
     bare_tree = _tree(centres[bare])
     surfels = Surfels(tips, normals, along, centres, radius, first, bare, len(beads), trees, bare_tree, tip_tree)
     return tuple(replace(bead, layer=layer) for bead, layer in zip(beads, layers, strict=True)), surfels
+
+
+def _workers(points: Array) -> int:
+    """How many threads search trees for points (n, 3)."""
+    return 1 if len(points) < _MANY else -1
 
 
 def _tree(points: Array) -> cKDTree:
