@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from planner.kinematics.chain import chain_state, jacobian_at, rotate_about
 from planner.resolve.cone_kernel import lean_of, lean_slope_of
-from planner.resolve.node_kernel import invert6
+from planner.resolve.node_kernel import SINGULAR, invert6
 
 Array = NDArray[np.float64]
 
@@ -20,6 +20,7 @@ CONVERGED = 1e-12  # m and rad: error of the nozzle's pose that is none
 _STEPS = 12  # of Newton's method; from a neighbouring sample's posture three or four do
 _LONGEST = 0.5  # rad that a joint may move in a step
 _POWER_STEPS = 16  # of the iteration for the smallest singular value, which starts from the sample before
+_SETTLED = 1e-10  # by which a unit vector still changes in a step of it: nothing more to be had
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -27,6 +28,33 @@ def _cross(a, b, out) -> None:
     out[0] = a[1] * b[2] - a[2] * b[1]
     out[1] = a[2] * b[0] - a[0] * b[2]
     out[2] = a[0] * b[1] - a[1] * b[0]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def solve6(A, x) -> bool:
+    """Put the solution of A (6, 6) y = x in x (6); A is spoilt. False if A is singular to rounding."""
+    for k in range(6):
+        best = k
+        for i in range(k + 1, 6):
+            if abs(A[i, k]) > abs(A[best, k]):
+                best = i
+        if abs(A[best, k]) < SINGULAR:
+            return False
+        if best != k:
+            for j in range(k, 6):
+                A[k, j], A[best, j] = A[best, j], A[k, j]
+            x[k], x[best] = x[best], x[k]
+        scale = 1.0 / A[k, k]
+        for i in range(k + 1, 6):
+            f = scale * A[i, k]
+            for j in range(k + 1, 6):
+                A[i, j] -= f * A[k, j]
+            x[i] -= f * x[k]
+    for k in range(5, -1, -1):
+        for j in range(k + 1, 6):
+            x[k] -= A[k, j] * x[j]
+        x[k] /= A[k, k]
+    return True
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -139,12 +167,6 @@ def follow(
         found = False
         for _ in range(_STEPS):
             chain_state(arm_placements, arm_axes, arm_tip, q[i, :na], o_arm, d_arm, T_world_nozzle, before, after, R)
-            jacobian_at(o_arm, d_arm, T_world_nozzle[:3, 3], J)
-            for k in range(6):
-                for a in range(6):
-                    J6[a, k] = J[a, solved[k]]
-            if not invert6(J6, Ji):
-                return i
             rotation_error(R_target, T_world_nozzle, a3)
             size = 0.0
             for a in range(3):
@@ -153,24 +175,32 @@ def follow(
                 size += abs(e[a]) + abs(e[3 + a])  # a sum, because max loses a NaN
             if not size < np.inf:
                 return i
+            jacobian_at(o_arm, d_arm, T_world_nozzle[:3, 3], J)
             if size < CONVERGED:
                 found = True
                 break
+            for k in range(6):
+                for a in range(6):
+                    J6[a, k] = J[a, solved[k]]
+            if not solve6(J6, e):
+                return i
             longest = 0.0
             for k in range(6):
-                twist[k] = 0.0
-                for a in range(6):
-                    twist[k] += Ji[k, a] * e[a]
-                longest = max(longest, abs(twist[k]))
+                longest = max(longest, abs(e[k]))
             if not longest < 1e6:
                 return i
             scale = min(1.0, _LONGEST / longest) if longest > 0.0 else 1.0
             for k in range(6):
-                q[i, solved[k]] += scale * twist[k]
+                q[i, solved[k]] += scale * e[k]
             if longest < 1e-14:
                 found = True  # no further digits to be had
                 break
         if not found:
+            return i
+        for k in range(6):
+            for a in range(6):
+                J6[a, k] = J[a, solved[k]]
+        if not invert6(J6, Ji):
             return i
         for a in range(3):
             back[a] = -R_target[a, 2]
@@ -223,25 +253,36 @@ def follow(
                     g += Ji[k, a] * twist[a]
                 G[i, solved[k], c] = g
         # smallest singular value: the dominant eigenvector u of (J J^T)^-1, by the power method
-        for a in range(6):
-            for b in range(6):
-                W[a, b] = 0.0
-                for k in range(na):
-                    W[a, b] += J[a, k] * J[b, k]
-        if not invert6(W, Wi):
-            return i
+        if na == 6:
+            for a in range(6):
+                for b in range(6):
+                    Wi[a, b] = 0.0
+                    for k in range(6):
+                        Wi[a, b] += Ji[k, a] * Ji[k, b]
+        else:
+            for a in range(6):
+                for b in range(6):
+                    W[a, b] = 0.0
+                    for k in range(na):
+                        W[a, b] += J[a, k] * J[b, k]
+            if not invert6(W, Wi):
+                return i
         eigen = 1.0
         for _ in range(_POWER_STEPS if i else 10 * _POWER_STEPS):
+            eigen = 0.0
             for a in range(6):
                 w[a] = 0.0
                 for b in range(6):
                     w[a] += Wi[a, b] * u[b]
-            eigen = 0.0
-            for a in range(6):
                 eigen += w[a] * w[a]
             eigen = np.sqrt(eigen)
+            scale = 1.0 / eigen
+            changed = 0.0
             for a in range(6):
-                u[a] = w[a] / eigen
+                changed += abs(scale * w[a] - u[a])
+                u[a] = scale * w[a]
+            if changed < _SETTLED:
+                break
         s = 1.0 / np.sqrt(eigen)
         sigma[i] = s
         for k in range(na):

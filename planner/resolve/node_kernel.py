@@ -22,6 +22,7 @@ CLEAR_ROOM = 3e-3  # m of clearance that a node must keep besides what is needed
 LEAN_PRICE = 10.0  # seconds a second of printing, for each 1 of cosine beyond the cones to gravity
 DIP_PRICE = 0.25  # seconds a second of printing below the commanded speed: one deep dip beats two shallow ones
 AT_SPEED = 0.96  # squared share of the commanded speed above which there is no dip
+SINGULAR = 1e-12  # pivot below which a matrix has no inverse
 _SQUARINGS = 3
 RAMP_SHARE = 0.7  # of the joints' acceleration, for gaining and losing speed: bends need the rest
 
@@ -38,7 +39,7 @@ def invert6(A: Array, B: Array) -> bool:
         for i in range(k + 1, n):
             if abs(A[i, k]) > abs(A[best, k]):
                 best = i
-        if abs(A[best, k]) < 1e-12:
+        if abs(A[best, k]) < SINGULAR:
             return False
         if best != k:
             for j in range(n):

@@ -65,7 +65,9 @@ class Surfels:
         start, left = 0, self.printed
         for size in sorted({size for size, _ in self.trees}, reverse=True):
             if left >= size:  # the printed beads are one block for each binary digit of their number
-                distance, index = self.trees[size, start // size].query(points, distance_upper_bound=FAR, workers=workers)
+                distance, index = self.trees[size, start // size].query(
+                    points, distance_upper_bound=FAR, workers=workers
+                )
                 closer = distance < best
                 best = np.where(closer, distance, best)
                 nearest = np.where(closer, index + self.first[start], nearest)  # none closer: none found
