@@ -33,7 +33,7 @@ from planner.resolve.refine import (
     model_of,
     refine_stretch,
 )
-from planner.resolve.spacing import places_along
+from planner.resolve.spacing import knots_along
 from planner.resolve.splines import LEAST_SAMPLES, Basis, Clock, basis_over, clock_of
 from planner.resolve.unreachable import SLIGHT
 from planner.task import NozzleTask
@@ -219,7 +219,7 @@ def start_track(model: Model, knot: float, floor: float, path: JointPath, below:
     task = path.task
     n = len(task)
     clock = clock_of(task.s / task.speed)
-    basis = basis_over(clock, places_along(task, knot, SAMPLES_PER_CONTROL))
+    basis = basis_over(clock, knots_along(task, knot, SAMPLES_PER_CONTROL))
     c = fit(basis, free_variables(model, path)[:, model.active(task.cones)])
     stretch = whole(task, clock, basis, c)
     best = evaluate(model, stretch, c, path.q, floor)
