@@ -5,7 +5,8 @@
 
 A row touches `width` neighbouring variables from a place of its own, so the Newton matrix is banded: the slacks are
 eliminated group by group (a rank-one term each), and the rest is one banded Cholesky factorisation a step. Cost is
-linear in rows and variables. Predictor and corrector after Mehrotra (1992). It starts, and stays, feasible.
+linear in rows and variables. Predictor and corrector after Mehrotra (1992). It starts, and stays, feasible, and starts
+with every group central.
 """
 
 from __future__ import annotations
@@ -16,7 +17,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planner.resolve.banded import SUMS, add_rows, factorise, substitute, times_band
+from planner.resolve.banded import (
+    SUMS,
+    add_rows,
+    add_times_rows,
+    chunks_of,
+    factorise,
+    rows_times,
+    substitute,
+    times_band,
+    upper_band,
+)
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -24,6 +35,8 @@ Index = NDArray[np.int64]
 _STEPS = 60
 _FREE = 1e-9  # of what there is to gain: price of a slack that has none
 _GAP = 1e-4  # of what there is to gain at all: complementarity and residual at which the solution is taken
+_START = 5.0  # complementarity to begin with, as a share of what there is to gain
+_HALVINGS = 12  # of the interval in which a group's slack is sought
 _TO_THE_WALL = 0.99  # share of the way to the nearest wall that a step may go
 
 
@@ -75,39 +88,69 @@ def _value(H, g, A, b, at, group, price, x):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
 def _direction(
-    H, A, at, group, L, D, S, mu, x, box, g, Hx, price, s, lam, slack, low, high, lam_low, lam_high, Aty,
+    A, at, group, chunks, U, D, S, mu, residual, price, s, lam, slack, low, high, lam_low, lam_high,
     target, second_s, second_slack, second_low, second_high, dx, dslack, ds, dlam, dmu,
 ):  # fmt: skip
-    """Newton's direction towards complementarity `target`, with the factor L; second_* are the corrector's products."""
-    n, w = H.shape
-    for i in range(n):
+    """Newton's direction towards complementarity `target`, with the factor U; second_* are the corrector's products."""
+    for i in range(dx.size):
         r_low, r_high = target - second_low[i], target - second_high[i]
-        dx[i] = -(Hx[i] + g[i] + Aty[i]) + r_low / low[i] - r_high / high[i]
-    # Hx + g + A^T lam - lam_low + lam_high is the gradient; r / low - lam_low cancels lam_low
+        dx[i] = -residual[i] + r_low / low[i] - lam_low[i] - r_high / high[i] + lam_high[i]
     for k in range(price.size):
+        first, end = group[k], group[k + 1]
         own = (target - second_slack[k]) / slack[k] - price[k]
-        for r in range(group[k], group[k + 1]):
-            y = (target - second_s[r]) / s[r] - lam[r]
-            own += y + lam[r]
-        for r in range(group[k], group[k + 1]):
-            y = (target - second_s[r]) / s[r] - lam[r] - D[r] * own / S[k]
-            for c in range(w):
-                dx[at[r] + c] -= A[r, c] * y
+        for r in range(first, end):
+            dlam[r] = (target - second_s[r]) / s[r]
+            own += dlam[r]
+        for r in range(first, end):
+            ds[r] = lam[r] - dlam[r] + D[r] * (own / S[k])
         dslack[k] = own
-    substitute(L, dx)
+    add_times_rows(A, at, group, chunks, ds, dx)
+    substitute(U, dx)
+    rows_times(A, at, group, chunks, dx, ds)
     for k in range(price.size):
+        first, end = group[k], group[k + 1]
         sum_ = dslack[k]
-        for r in range(group[k], group[k + 1]):
-            move = 0.0
-            for c in range(w):
-                move += A[r, c] * dx[at[r] + c]
-            ds[r] = -move
-            sum_ += D[r] * move
+        for r in range(first, end):
+            sum_ += D[r] * ds[r]
         dslack[k] = sum_ / S[k]
-        for r in range(group[k], group[k + 1]):
-            ds[r] += dslack[k]
-            dlam[r] = (target - second_s[r]) / s[r] - lam[r] - D[r] * ds[r]
+        for r in range(first, end):
+            ds[r] = dslack[k] - ds[r]
+            dlam[r] += -lam[r] - D[r] * ds[r]
         dmu[k] = (target - second_slack[k]) / slack[k] - mu[k] - mu[k] / slack[k] * dslack[k]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
+def _residual(H, g, A, at, group, chunks, x, lam, lam_low, lam_high, box, residual) -> float:
+    """Fill residual (n) with the gradient of the Lagrangian; returns what it may gain within the box."""
+    times_band(H, x, residual)
+    for i in range(x.size):
+        residual[i] += g[i] - lam_low[i] + lam_high[i]
+    add_times_rows(A, at, group, chunks, lam, residual)
+    return np.abs(residual * box).sum()
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
+def _centre(room, first, end, price, target, k, s, lam, slack, mu) -> None:
+    """Put the slack of group k, whose rows have `room`, and all duals where the products are `target` and the duals' sum
+    is the price: halving, since the sum falls as the slack grows."""
+    most = 0.0
+    for r in range(first, end):
+        most = max(most, -room[r])
+    low, high = target / price, (1 + end - first) * target / price
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        dual = 1.0 / (most + middle)
+        for r in range(first, end):
+            dual += 1.0 / (most + middle + room[r])
+        if target * dual > price:
+            low = middle
+        else:
+            high = middle
+    slack[k] = most + high
+    mu[k] = target / slack[k]
+    for r in range(first, end):
+        s[r] = slack[k] + room[r]
+        lam[r] = target / s[r]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
@@ -123,35 +166,20 @@ def minimise(H, g, box, A, b, at, group, price) -> tuple[Array, int]:
         return x, 0
     price = np.maximum(price, _FREE * scale)  # without a price a group would have no interior
     low, high = box.copy(), box.copy()  # distances to the two walls of the box
-    slack = np.empty(groups)
+    slack, mu = np.empty(groups), np.empty(groups)
     s, lam = np.empty(rows), np.empty(rows)
-    mu = np.empty(groups)
-    for k in range(groups):
-        most = 0.0
-        reach = 0.0
-        for r in range(group[k], group[k + 1]):
-            most = max(most, -b[r])
-            move = 0.0
-            for c in range(w):
-                move += abs(A[r, c]) * box[at[r] + c]
-            reach = max(reach, move)
-        slack[k] = most + max(0.1 * min(reach, 1.0), 1e-3)
-        m = group[k + 1] - group[k]
-        for r in range(group[k], group[k + 1]):
-            s[r] = slack[k] + b[r]
-            lam[r] = 0.5 * price[k] / m
-        mu[k] = 0.5 * price[k]
     total = rows + groups + 2 * n
-    gap = 0.0
-    for r in range(rows):
-        gap += s[r] * lam[r]
+    start = _START * scale / total
     for k in range(groups):
-        gap += slack[k] * mu[k]
-    start = max(gap / max(rows + groups, 1), 1e-3 * scale / total)
+        _centre(b, group[k], group[k + 1], price[k], start, k, s, lam, slack, mu)
     lam_low, lam_high = start / low, start / high
-    Hx, Aty = np.zeros(n), np.empty(n)
-    L = np.empty((n, w))
-    D, S = np.empty(rows), np.empty(groups)
+    chunks = chunks_of(at, group)
+    residual = np.empty(n)
+    dual = _residual(H, g, A, at, group, chunks, x, lam, lam_low, lam_high, box, residual)
+    exact = True  # whether the residual was summed up, and not taken to shrink as it does but for rounding
+    H_upper, U = np.empty((n, w)), np.empty((n, w))
+    upper_band(H, H_upper)
+    D, own, S = np.empty(rows), np.empty(groups), np.empty(groups)
     dx, ds, dlam = np.empty(n), np.empty(rows), np.empty(rows)
     dslack, dmu = np.empty(groups), np.empty(groups)
     second_s, second_slack = np.zeros(rows), np.zeros(groups)
@@ -165,30 +193,31 @@ def minimise(H, g, box, A, b, at, group, price) -> tuple[Array, int]:
             gap += slack[k] * mu[k]
         for i in range(n):
             gap += low[i] * lam_low[i] + high[i] * lam_high[i]
-        times_band(H, x, Hx)
-        Aty[:] = 0.0
-        for k in range(groups):
-            for r in range(group[k], group[k + 1]):
-                for c in range(w):
-                    Aty[at[r] + c] += A[r, c] * lam[r]
-        dual = 0.0
-        for i in range(n):
-            dual += abs(Hx[i] + g[i] + Aty[i] - lam_low[i] + lam_high[i]) * box[i]
         if gap <= _GAP * scale and dual <= _GAP * scale:
-            break
+            if exact:
+                break
+            dual = _residual(H, g, A, at, group, chunks, x, lam, lam_low, lam_high, box, residual)
+            exact = True
+            if dual <= _GAP * scale:
+                break
+        U[:] = H_upper
         for i in range(n):
-            for d in range(w):
-                L[i, d] = H[i, d]
-            L[i, 0] += lam_low[i] / low[i] + lam_high[i] / high[i]
-        add_rows(A, at, group, lam, s, mu, slack, D, S, L)
-        if not factorise(L):
+            U[i, 0] += lam_low[i] / low[i] + lam_high[i] / high[i]
+        for k in range(groups):
+            own[k] = mu[k] / slack[k]
+            S[k] = own[k]
+            for r in range(group[k], group[k + 1]):
+                D[r] = lam[r] / s[r]
+                S[k] += D[r]
+        add_rows(A, at, group, chunks, D, own, S, U)
+        if not factorise(U):
             break
         second_s[:] = 0.0
         second_slack[:] = 0.0
         second_low[:] = 0.0
         second_high[:] = 0.0
         _direction(
-            H, A, at, group, L, D, S, mu, x, box, g, Hx, price, s, lam, slack, low, high, lam_low, lam_high, Aty,
+            A, at, group, chunks, U, D, S, mu, residual, price, s, lam, slack, low, high, lam_low, lam_high,
             0.0, second_s, second_slack, second_low, second_high, dx, dslack, ds, dlam, dmu,
         )  # fmt: skip
         length = _step_length(
@@ -210,7 +239,7 @@ def minimise(H, g, box, A, b, at, group, price) -> tuple[Array, int]:
             second_high[i] = -dx[i] * d_high
         target = (after / gap) ** 3 * gap / total
         _direction(
-            H, A, at, group, L, D, S, mu, x, box, g, Hx, price, s, lam, slack, low, high, lam_low, lam_high, Aty,
+            A, at, group, chunks, U, D, S, mu, residual, price, s, lam, slack, low, high, lam_low, lam_high,
             target, second_s, second_slack, second_low, second_high, dx, dslack, ds, dlam, dmu,
         )  # fmt: skip
         length = _step_length(
@@ -230,6 +259,9 @@ def minimise(H, g, box, A, b, at, group, price) -> tuple[Array, int]:
             low[i], high[i] = box[i] + x[i], box[i] - x[i]
             lam_low[i] += length * d_low
             lam_high[i] += length * d_high
+        residual *= 1.0 - length
+        dual *= 1.0 - length
+        exact = False
         taken += 1
     if not _value(H, g, A, b, at, group, price, x) < now:
         x[:] = 0.0
