@@ -10,6 +10,7 @@ Array = NDArray[np.float64]
 
 SPEED_SHARE = 0.9  # of a joint's speed that an edge may use: the rest is for what happens between rungs
 TRAVEL_PRICE = 0.02  # seconds a second of travel: a dip spoils the bead, travel only takes time
+_ORDER = (4, 0, 1, 2, 3, 5, 6, 7, 8)  # of the nine neighbours, that of the same roll and holder first
 TURN_PRICE = 50.0  # seconds a second, for a change of roll or holder that needs a joint's whole acceleration
 
 
@@ -114,6 +115,72 @@ def _from_travel(q, price, r: int, arrived, holder_from, holder_step: float, v, 
 
 
 @njit(cache=True)
+def _neighbours(window: int, shift: int, periodic: bool):
+    """Indices (window, 3) in the window before, which stands `shift` further back, and in this one, of what is one step
+    less, the same, and one step more; -1 outside."""
+    before, here = np.empty((window, 3), dtype=np.int64), np.empty((window, 3), dtype=np.int64)
+    for i in range(window):
+        for m in range(3):
+            before[i, m], here[i, m] = _shift(i + shift + m - 1, window, periodic), _shift(i + m - 1, window, periodic)
+    return before, here
+
+
+@njit(cache=True)
+def _from_rung(
+    q,
+    price,
+    r: int,
+    arrived,
+    roll_from,
+    holder_from,
+    periodic,
+    holder_step: float,
+    time: float,
+    v,
+    a,
+    wraps,
+    cost,
+    back,
+) -> None:
+    """Each node's cheapest predecessor among its nine neighbours at rung r - 1; of equal ones the first in their order.
+
+    Who keeps to roll and holder pays no edge, so it is asked first: what costs more without its edge is left out.
+    """
+    _, A, B, C = price.shape
+    from_a, straight_a = _neighbours(A, roll_from[r] - roll_from[r - 1], periodic)
+    from_b, straight_b = _neighbours(B, holder_from[r] - holder_from[r - 1], periodic)
+    for i in range(A):
+        for b in range(B):
+            for c in range(C):
+                own = price[r, i, b, c]
+                if own == np.inf:
+                    continue
+                best, best_k, straight_k = np.inf, -1, -1
+                for which in range(9):
+                    turn = _ORDER[which]
+                    m, n = turn // 3, turn % 3
+                    i0, b0 = from_a[i, m], from_b[b, n]
+                    if i0 < 0 or b0 < 0 or straight_a[i, m] < 0 or straight_b[b, n] < 0 or (n != 1 and B == 1):
+                        continue
+                    before = arrived[i0, b0, c]
+                    if before == np.inf or before + own > best:
+                        continue
+                    if price[r, straight_a[i, m], straight_b[b, n], c] == np.inf:
+                        continue
+                    t = before + edge_price(
+                        q[r - 1, i0, b0, c], q[r, i, b, c], q[r, straight_a[i, m], straight_b[b, n], c],
+                        (n - 1) * holder_step, time, v, a, wraps,
+                    ) + own  # fmt: skip
+                    if t < best or (t == best and turn < 4 and best_k == straight_k and t < np.inf):
+                        best, best_k = t, (i0 * B + b0) * C + c
+                    if turn == 4:
+                        straight_k = best_k
+                if best_k >= 0:
+                    cost[i, b, c] = best
+                    back[r, i, b, c] = best_k
+
+
+@njit(cache=True)
 def search_best(q, price, roll_from, holder_from, periodic, holder_step, task_rungs, time, v, a, wraps, out, back_home):
     """Cheapest route: picked (R, 3) window indices and branch column, its price, and -1; or where it got stuck.
 
@@ -132,33 +199,22 @@ def search_best(q, price, roll_from, holder_from, periodic, holder_step, task_ru
             elif r == task_rungs[task]:
                 _from_travel(q, price, r, arrived, holder_from, holder_step, v, a, wraps, cost, back)
             else:
-                shift_a, shift_b = roll_from[r] - roll_from[r - 1], holder_from[r] - holder_from[r - 1]
-                for i in range(A):
-                    for b in range(B):
-                        for da in range(-1, 2):
-                            i0 = _shift(i + shift_a + da, A, periodic)
-                            straight_a = _shift(i + da, A, periodic)
-                            if i0 < 0 or straight_a < 0:
-                                continue
-                            for db in range(-1, 2):
-                                if db != 0 and B == 1:
-                                    continue
-                                b0 = _shift(b + shift_b + db, B, periodic)
-                                straight_b = _shift(b + db, B, periodic)
-                                if b0 < 0 or straight_b < 0:
-                                    continue
-                                for c in range(C):
-                                    if price[r, i, b, c] == np.inf or arrived[i0, b0, c] == np.inf:
-                                        continue
-                                    if price[r, straight_a, straight_b, c] == np.inf:
-                                        continue
-                                    t = arrived[i0, b0, c] + edge_price(
-                                        q[r - 1, i0, b0, c], q[r, i, b, c], q[r, straight_a, straight_b, c],
-                                        db * holder_step, time[r], v, a, wraps,
-                                    )  # fmt: skip
-                                    if t + price[r, i, b, c] < cost[i, b, c]:
-                                        cost[i, b, c] = t + price[r, i, b, c]
-                                        back[r, i, b, c] = (i0 * B + b0) * C + c
+                _from_rung(
+                    q,
+                    price,
+                    r,
+                    arrived,
+                    roll_from,
+                    holder_from,
+                    periodic,
+                    holder_step,
+                    time[r],
+                    v,
+                    a,
+                    wraps,
+                    cost,
+                    back,
+                )
             if not np.isfinite(cost.min()):
                 return picked, np.inf, r
     cost += back_home
