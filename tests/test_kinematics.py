@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from planner.cell import Cell, build_cell
 from planner.kinematics.chain import chain_state, jacobian_at
-from planner.kinematics.spherical_wrist import SphericalWrist, all_turns
+from planner.kinematics.six import invert6, largest_singular_value
+from planner.kinematics.spherical_wrist import SphericalWrist, all_turns, solve_within
+from planner.kinematics.wrist_rates import inverse_jacobian
 from planner.problem import load_problem
-from planner.resolve.node_kernel import invert6, largest_singular_value
 
 Array = NDArray[np.float64]
 
@@ -370,6 +371,49 @@ def test_jacobian_at_is_that_of_the_chain(tilted_cell: Cell) -> None:
         np.testing.assert_allclose(T, arm.poses(q[k : k + 1])[0], rtol=0, atol=1e-13)
         jacobian_at(origins, directions, np.ascontiguousarray(T[:3, 3]), J)
         np.testing.assert_allclose(J, expected[k], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", OPW)
+def test_solutions_within_ranges_are_those_of_solve(name: str) -> None:
+    wrist = wrist_of(name)
+    rng = np.random.default_rng(24)
+    low, high = np.full(6, -9.0), np.full(6, 9.0)
+    low[:3], high[:3] = [-1.2, -0.8, -2.2], [1.9, 1.7, 0.4]
+    T = wrist.poses(rng.uniform(-np.pi, np.pi, (2000, 6)))
+    found, ok = wrist.solve(T)
+    q, seen = np.empty((8, 6)), np.empty(8, dtype=np.bool_)
+    inside = np.zeros_like(ok)
+    for turned in (found[..., :3], found[..., :3] + 2 * np.pi, found[..., :3] - 2 * np.pi):
+        inside |= ((turned >= low[:3]) & (turned <= high[:3])).all(axis=2)
+    for k in range(len(T)):
+        wanted = rng.random(8) < 0.6
+        solve_within(wrist.parameters, T[k, :3, :3], T[k, :3, 3], low, high, wanted, q, seen)
+        np.testing.assert_array_equal(seen, ok[k] & wanted & inside[k])
+        assert angle_apart(q[seen], found[k, seen]).max(initial=0.0) < 1e-8
+
+
+@pytest.mark.parametrize("name", OPW)
+def test_inverse_jacobian_of_a_spherical_wrist(name: str) -> None:
+    """Of a point that stands off the flange, against Pinocchio's Jacobian."""
+    model = pinocchio_arm(name)
+    tool = pin.SE3(np.eye(3), np.array([0.1, -0.05, 0.2]))
+    frame = model.addFrame(
+        pin.Frame("tip", model.njoints - 1, model.frames[-1].placement * tool, pin.FrameType.OP_FRAME)
+    )
+    data, parameters, out = model.createData(), wrist_of(name).parameters, np.empty((6, 6))
+    for q in np.random.default_rng(25).uniform(-np.pi, np.pi, (1000, 6)):
+        J = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
+        pin.updateFramePlacements(model, data)
+        assert inverse_jacobian(parameters, q, data.oMf[frame].translation, out)
+        np.testing.assert_allclose(out @ J, np.eye(6), rtol=0, atol=1e-12 * np.linalg.cond(J))
+
+
+def test_inverse_jacobian_refuses_a_straight_wrist_and_a_stretched_arm(cell: Cell) -> None:
+    out = np.empty((6, 6))
+    q = np.array([0.3, 0.4, -0.2, 0.5, 0.0, 0.1])
+    assert not inverse_jacobian(cell.wrist.parameters, q, np.zeros(3), out)
+    q[2], q[4] = -0.5 * np.pi - np.arctan2(cell.wrist.a2, cell.wrist.c3), 0.6
+    assert not inverse_jacobian(cell.wrist.parameters, q, np.zeros(3), out)
 
 
 def test_invert6_against_numpy() -> None:

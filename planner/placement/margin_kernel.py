@@ -8,14 +8,13 @@ from numpy.typing import NDArray
 
 from planner.kinematics.chain import chain_state, jacobian_at, mul4, pose_of, rotate_about, turn
 from planner.kinematics.inverse import SPHERICAL_WRIST, solve_one
+from planner.kinematics.six import invert6, largest_singular_value
 from planner.obstacles.kernel import FIRST, NO, first_lacking, head_lacking
 from planner.obstacles.table import room_for
 from planner.resolve.node_kernel import (
     CLEAR_ROOM,
     LIMIT_ROOM,
     into_part,
-    invert6,
-    largest_singular_value,
     nearest_turn,
     nearest_turns,
 )

@@ -11,8 +11,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from planner.kinematics.chain import chain_state, jacobian_at, rotate_about
+from planner.kinematics.six import invert6, solve6
 from planner.resolve.cone_kernel import lean_of, lean_slope_of
-from planner.resolve.node_kernel import SINGULAR, invert6
 
 Array = NDArray[np.float64]
 
@@ -28,33 +28,6 @@ def _cross(a, b, out) -> None:
     out[0] = a[1] * b[2] - a[2] * b[1]
     out[1] = a[2] * b[0] - a[0] * b[2]
     out[2] = a[0] * b[1] - a[1] * b[0]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def solve6(A, x) -> bool:
-    """Put the solution of A (6, 6) y = x in x (6); A is spoilt. False if A is singular to rounding."""
-    for k in range(6):
-        best = k
-        for i in range(k + 1, 6):
-            if abs(A[i, k]) > abs(A[best, k]):
-                best = i
-        if abs(A[best, k]) < SINGULAR:
-            return False
-        if best != k:
-            for j in range(k, 6):
-                A[k, j], A[best, j] = A[best, j], A[k, j]
-            x[k], x[best] = x[best], x[k]
-        scale = 1.0 / A[k, k]
-        for i in range(k + 1, 6):
-            f = scale * A[i, k]
-            for j in range(k + 1, 6):
-                A[i, j] -= f * A[k, j]
-            x[i] -= f * x[k]
-    for k in range(5, -1, -1):
-        for j in range(k + 1, 6):
-            x[k] -= A[k, j] * x[j]
-        x[k] /= A[k, k]
-    return True
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

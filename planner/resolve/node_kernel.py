@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 
 from planner.kinematics.chain import chain_state, jacobian_at, mul4, pose_of, rotate_about, turn
 from planner.kinematics.inverse import SPHERICAL_WRIST, solve_one
+from planner.kinematics.six import invert6, largest_singular_value
+from planner.kinematics.spherical_wrist import solve_within
+from planner.kinematics.wrist_rates import inverse_jacobian
 from planner.obstacles.kernel import FIRST, NO, first_lacking, head_lacking
 from planner.obstacles.table import room_for
 
@@ -22,96 +25,38 @@ CLEAR_ROOM = 3e-3  # m of clearance that a node must keep besides what is needed
 LEAN_PRICE = 10.0  # seconds a second of printing, for each 1 of cosine beyond the cones to gravity
 DIP_PRICE = 0.25  # seconds a second of printing below the commanded speed: one deep dip beats two shallow ones
 AT_SPEED = 0.96  # squared share of the commanded speed above which there is no dip
-SINGULAR = 1e-12  # pivot below which a matrix has no inverse
-_SQUARINGS = 3
 RAMP_SHARE = 0.7  # of the joints' acceleration, for gaining and losing speed: bends need the rest
+_ROUNDING = 1e-9  # rad: what is as near to a limit as may be is judged once, of all joints together
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def invert6(A: Array, B: Array) -> bool:
-    """Fill B with the inverse of A (6, 6), which is spoilt; False if A is singular to rounding."""
-    n = 6
-    for i in range(n):
-        for j in range(n):
-            B[i, j] = 1.0 if i == j else 0.0
-    for k in range(n):
-        best = k
-        for i in range(k + 1, n):
-            if abs(A[i, k]) > abs(A[best, k]):
-                best = i
-        if abs(A[best, k]) < SINGULAR:
-            return False
-        if best != k:
-            for j in range(n):
-                A[k, j], A[best, j] = A[best, j], A[k, j]
-                B[k, j], B[best, j] = B[best, j], B[k, j]
-        scale = 1.0 / A[k, k]
-        for j in range(n):
-            A[k, j] *= scale
-            B[k, j] *= scale
-        for i in range(n):
-            if i != k:
-                f = A[i, k]
-                for j in range(n):
-                    A[i, j] -= f * A[k, j]
-                    B[i, j] -= f * B[k, j]
-    return True
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def largest_singular_value(B: Array, M: Array, S: Array) -> float:
-    """Of B (6, 6), within 2 % from below, for prices only; M, S (6, 6) are room.
-
-    The column of (B B^T)^8 with the greatest diagonal entry is close to the dominant singular vector; a Rayleigh
-    quotient with it gives the value.
-    """
+def _sigma(Ji, enough, M, S) -> float:
+    """Smallest singular value of a Jacobian from its inverse Ji (6, 6), as `largest_singular_value` has it; or `enough`
+    if it is no less than that. M, S (6, 6) are room."""
+    square = 0.0
     for i in range(6):
         for j in range(6):
-            M[i, j] = 0.0
-            for k in range(6):
-                M[i, j] += B[i, k] * B[j, k]
-    for _ in range(_SQUARINGS):
-        trace = 0.0
-        for i in range(6):
-            trace += M[i, i]
-        for i in range(6):
-            for j in range(6):
-                S[i, j] = 0.0
-                for k in range(6):
-                    S[i, j] += M[i, k] * M[k, j]
-        scale = 1.0 / (trace * trace)
-        for i in range(6):
-            for j in range(6):
-                M[i, j] = S[i, j] * scale
-    best = 0
-    for i in range(6):
-        if M[i, i] > M[best, best]:
-            best = i
-    above, below = 0.0, 0.0
-    for i in range(6):
-        below += M[i, best] * M[i, best]
-        w = 0.0
-        for k in range(6):
-            w += B[k, i] * M[k, best]
-        above += w * w
-    return np.sqrt(above / below)
+            square += Ji[i, j] * Ji[i, j]
+    if square * enough * enough <= 1.0:  # the sum of all singular values' squares
+        return enough
+    return 1.0 / largest_singular_value(Ji, M, S)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _time_lost(Ji, solved, twist, rate, weight, start: int, stop: int, v_max, a_max, x, gain) -> float:
-    """Time [s] that the joints' limits take from samples start..stop, with the Jacobian's inverse Ji of their middle.
+def _time_lost(Ji, solved, twist, rate, weight, v_max, a_max, speeds, x, gain) -> float:
+    """Time [s] that the joints' limits take from n samples, with the Jacobian's inverse Ji of their middle.
 
-    x, gain (stop - start) are room for the squared speed over the commanded one and for how fast it may change:
-    first what the path's bends allow, then, forwards and backwards, what can be gained or lost along the path.
+    twist, rate (n, 6) in the frame of Ji; weight (n). speeds (n, 6) and x, gain (n) are room for the joints' speeds, for
+    the squared speed over the commanded one and for how fast it may change: first what the path's bends allow, then,
+    forwards and backwards, what can be gained or lost along the path.
     """
+    n = len(weight)
     slowest = 1.0
-    for i in range(start, stop):
-        k = i - start
+    for i in range(n):
+        x[i] = 1.0
         if weight[i] == 0.0:
-            x[k], gain[k] = 1.0, np.inf
             continue
         least = 1.0
-        most = np.inf
         for k6 in range(6):
             j = solved[k6]
             qd = 0.0
@@ -120,28 +65,42 @@ def _time_lost(Ji, solved, twist, rate, weight, start: int, stop: int, v_max, a_
                 qd += Ji[k6, m] * twist[i, m]
                 qdd += Ji[k6, m] * rate[i, m]
             qd, qdd = abs(qd), abs(qdd)
+            speeds[i, k6] = qd
             if qd * qd * least > v_max[j] * v_max[j]:
                 least = (v_max[j] / qd) ** 2
             if qdd * least > a_max[j]:
                 least = a_max[j] / qdd
-            if qd * most > a_max[j]:
-                most = a_max[j] / qd
-        x[k] = least
-        gain[k] = 2.0 * RAMP_SHARE * weight[i] * most
+        x[i] = least
         slowest = min(slowest, least)
     if slowest == 1.0:
         return 0.0
-    for k in range(1, stop - start):
-        x[k] = min(x[k], x[k - 1] + gain[k])
+    for i in range(n):
+        most = np.inf
+        if weight[i] > 0.0:
+            for k6 in range(6):
+                if speeds[i, k6] * most > a_max[solved[k6]]:
+                    most = a_max[solved[k6]] / speeds[i, k6]
+        gain[i] = 2.0 * RAMP_SHARE * weight[i] * most if weight[i] > 0.0 else np.inf
+    for i in range(1, n):
+        x[i] = min(x[i], x[i - 1] + gain[i])
     lost = 0.0
-    for k in range(stop - start - 1, -1, -1):
-        if k + 1 < stop - start:
-            x[k] = min(x[k], x[k + 1] + gain[k])
-        if x[k] < 1.0:
-            lost += weight[start + k] * (1.0 / np.sqrt(x[k]) - 1.0)
-            if x[k] < AT_SPEED:
-                lost += weight[start + k] * DIP_PRICE
+    for i in range(n - 1, -1, -1):
+        if i + 1 < n:
+            x[i] = min(x[i], x[i + 1] + gain[i])
+        if x[i] < 1.0:
+            lost += weight[i] * (1.0 / np.sqrt(x[i]) - 1.0)
+            if x[i] < AT_SPEED:
+                lost += weight[i] * DIP_PRICE
     return lost
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _turned(R, twist, out) -> None:
+    """Fill out (n, 6) with twists (n, 6), or their rates, whose frame is turned by R (at least 3, 3)."""
+    for i in range(len(twist)):
+        for a in range(3):
+            out[i, a] = R[a, 0] * twist[i, 0] + R[a, 1] * twist[i, 1] + R[a, 2] * twist[i, 2]
+            out[i, 3 + a] = R[a, 0] * twist[i, 3] + R[a, 1] * twist[i, 4] + R[a, 2] * twist[i, 5]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -197,11 +156,16 @@ def evaluate_nodes(
     """
     n_rolls, n_holders, n_branches, na = price.shape[1], price.shape[2], price.shape[3], q_out.shape[4]
     middle = 0.5 * (q_min + q_max)
+    q_least, q_most = q_min + LIMIT_ROOM - _ROUNDING, q_max - LIMIT_ROOM + _ROUNDING
+    comfort = max(SIGMA_COMFORT, min_sigma)
     crowded = len(table.pair) + len(table.look) > 0
     for r in range(first, last):
         R = np.empty((3, 3))
         eight = np.empty((8, na))
         ok = np.empty(8, dtype=np.bool_)
+        wanted = np.zeros(8, dtype=np.bool_)
+        for c in range(n_branches):
+            wanted[branch[r, c]] = True
         known = np.empty(8, dtype=np.int64)
         sigmas, times = np.empty(8), np.empty(8)
         J, J6, Jp, Ji = np.empty((6, na)), np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
@@ -210,7 +174,10 @@ def evaluate_nodes(
         before, after = np.empty((4, 4)), np.empty((4, 4))
         origins, directions = np.empty((na, 3)), np.empty((na, 3))
         z_axis = np.array((0.0, 0.0, 1.0))
-        x, gain = np.empty(stop[r] - start[r]), np.empty(stop[r] - start[r])
+        here = slice(start[r], stop[r])
+        n_here = stop[r] - start[r]
+        own_twist, own_rate = twist[here].copy(), rate[here].copy()
+        speeds, x, gain = np.empty((n_here, 6)), np.empty(n_here), np.empty(n_here)
         posture, bodies = np.empty((1, na + held_holder.shape[1])), room_for(table)
         head = np.full(n_rolls, -1)  # whether the head lacks clearance from the part: only roll decides that
         for h in range(held_holder.shape[1]):
@@ -233,6 +200,10 @@ def evaluate_nodes(
             turn(T_before[r], R, T_held)
             mul4(T_held, T_after[r], T_world_part)
             mul4(T_world_part, T_part_task, T_world_task)
+            if kind == SPHERICAL_WRIST:  # whose rates are known in its base's frame, not in that of the part
+                mul4(T_base_world, T_world_part, T_rolled)
+                _turned(T_rolled, twist[here], own_twist)
+                _turned(T_rolled, rate[here], own_rate)
             leans = duration * LEAN_PRICE * max(0.0, least_upright + T_world_task[2, 2])
             for a in range(n_rolls):
                 rotate_about(z_axis, (roll_from[r] + a) * roll_step, R)
@@ -240,7 +211,10 @@ def evaluate_nodes(
                 mul4(T_base_world, T_rolled, T_base_nozzle)
                 mul4(T_base_nozzle, T_nozzle_flange, T_base_flange)
                 given = swept if sweeps == 2 else held_redundant[r]
-                solve_one(kind, p, given, T_base_flange[:3, :3], T_base_flange[:3, 3], eight, ok)
+                if kind == SPHERICAL_WRIST:
+                    solve_within(p, T_base_flange[:3, :3], T_base_flange[:3, 3], q_least, q_most, wanted, eight, ok)
+                else:
+                    solve_one(kind, p, given, T_base_flange[:3, :3], T_base_flange[:3, 3], eight, ok)
                 known[:] = -1
                 for c in range(n_branches):
                     k = branch[r, c]
@@ -252,19 +226,29 @@ def evaluate_nodes(
                     # a spherical wrist turned over has the same axes, one of them reversed: the same rates and sigma
                     pair = k // 2 if kind == SPHERICAL_WRIST else k
                     if known[pair] < 0:
-                        chain_state(
-                            arm_placements, arm_axes, arm_tip, eight[k], origins, directions, T_held, before, after, R
-                        )
-                        jacobian_at(origins, directions, T_world_task[:3, 3], J)
-                        into_part(J, solved, T_world_part, Jp)
-                        if not invert6(Jp, Ji):
-                            sigmas[pair] = 0.0
+                        if kind == SPHERICAL_WRIST:
+                            regular = inverse_jacobian(p, eight[k], T_base_nozzle[:3, 3], Ji)
                         else:
-                            sigmas[pair] = 1.0 / largest_singular_value(Ji, J6, Jp)
-                            if sigmas[pair] >= min_sigma:
-                                times[pair] = _time_lost(
-                                    Ji, solved, twist, rate, weight, start[r], stop[r], v_max, a_max, x, gain
-                                )
+                            chain_state(
+                                arm_placements,
+                                arm_axes,
+                                arm_tip,
+                                eight[k],
+                                origins,
+                                directions,
+                                T_held,
+                                before,
+                                after,
+                                R,
+                            )
+                            jacobian_at(origins, directions, T_world_task[:3, 3], J)
+                            into_part(J, solved, T_world_part, Jp)
+                            regular = invert6(Jp, Ji)
+                        sigmas[pair] = _sigma(Ji, comfort, J6, Jp) if regular else 0.0
+                        if regular and sigmas[pair] >= min_sigma:
+                            times[pair] = _time_lost(
+                                Ji, solved, own_twist, own_rate, weight[here], v_max, a_max, speeds, x, gain
+                            )
                         known[pair] = 1
                     sigma, lost = sigmas[pair], times[pair]
                     if sigma < min_sigma or sigma == 0.0:

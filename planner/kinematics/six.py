@@ -1,0 +1,113 @@
+"""Six by six matrices, compiled: the inverse, a solution, and the largest singular value nearly."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+_SINGULAR = 1e-12  # pivot below which a matrix has no inverse
+_SQUARINGS = 3
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def invert6(A: Array, B: Array) -> bool:
+    """Fill B with the inverse of A (6, 6), which is spoilt; False if A is singular to rounding."""
+    n = 6
+    for i in range(n):
+        for j in range(n):
+            B[i, j] = 1.0 if i == j else 0.0
+    for k in range(n):
+        best = k
+        for i in range(k + 1, n):
+            if abs(A[i, k]) > abs(A[best, k]):
+                best = i
+        if abs(A[best, k]) < _SINGULAR:
+            return False
+        if best != k:
+            for j in range(n):
+                A[k, j], A[best, j] = A[best, j], A[k, j]
+                B[k, j], B[best, j] = B[best, j], B[k, j]
+        scale = 1.0 / A[k, k]
+        for j in range(n):
+            A[k, j] *= scale
+            B[k, j] *= scale
+        for i in range(n):
+            if i != k:
+                f = A[i, k]
+                for j in range(n):
+                    A[i, j] -= f * A[k, j]
+                    B[i, j] -= f * B[k, j]
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def solve6(A: Array, x: Array) -> bool:
+    """Put the solution of A (6, 6) y = x in x (6); A is spoilt. False if A is singular to rounding."""
+    for k in range(6):
+        best = k
+        for i in range(k + 1, 6):
+            if abs(A[i, k]) > abs(A[best, k]):
+                best = i
+        if abs(A[best, k]) < _SINGULAR:
+            return False
+        if best != k:
+            for j in range(k, 6):
+                A[k, j], A[best, j] = A[best, j], A[k, j]
+            x[k], x[best] = x[best], x[k]
+        scale = 1.0 / A[k, k]
+        for i in range(k + 1, 6):
+            f = scale * A[i, k]
+            for j in range(k + 1, 6):
+                A[i, j] -= f * A[k, j]
+            x[i] -= f * x[k]
+    for k in range(5, -1, -1):
+        for j in range(k + 1, 6):
+            x[k] -= A[k, j] * x[j]
+        x[k] /= A[k, k]
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def largest_singular_value(B: Array, M: Array, S: Array) -> float:
+    """Of B (6, 6), within 2 % from below, for prices only; M, S (6, 6) are room.
+
+    The column of (B B^T)^8 with the greatest diagonal entry is close to the dominant singular vector; a Rayleigh
+    quotient with it gives the value.
+    """
+    for i in range(6):
+        for j in range(6):
+            S[i, j], M[i, j] = B[j, i], 0.0
+    for i in range(6):  # rows as a whole, for a processor adds several numbers at once, but not to each other
+        for k in range(6):
+            b = B[i, k]
+            for j in range(6):
+                M[i, j] += b * S[k, j]
+    for _ in range(_SQUARINGS):
+        trace = 0.0
+        for i in range(6):
+            trace += M[i, i]
+        for i in range(6):
+            for j in range(6):
+                S[i, j] = 0.0
+            for k in range(6):
+                m = M[i, k]
+                for j in range(6):
+                    S[i, j] += m * M[k, j]
+        scale = 1.0 / (trace * trace)
+        for i in range(6):
+            for j in range(6):
+                M[i, j] = S[i, j] * scale
+    best = 0
+    for i in range(6):
+        if M[i, i] > M[best, best]:
+            best = i
+    above, below = 0.0, 0.0
+    for i in range(6):
+        below += M[i, best] * M[i, best]
+        w = 0.0
+        for k in range(6):
+            w += B[k, i] * M[k, best]
+        above += w * w
+    return np.sqrt(above / below)
