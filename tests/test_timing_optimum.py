@@ -85,7 +85,7 @@ def by_ipopt(p: Program) -> float:
         opti.subject_to(c[m] == c[m + 1])
     opti.minimize(total)
     opti.set_initial(c, p.start)
-    opti.solver("ipopt", {"print_time": False}, {"print_level": 0, "max_iter": 500})
+    opti.solver("ipopt", {"print_time": False, "expand": True}, {"print_level": 0, "max_iter": 500})
     return float(opti.solve().value(total))
 
 
