@@ -21,6 +21,7 @@ from planner.problem.cell import NozzleSpec
 from planner.readonly import ReadOnlyArrays
 from planner.robot_files import bodies_with_tip
 from planner.solids import Body, triangles_of
+from planner.surface_points import merged, split
 from planner.toolpath.bead import Bead, Toolpath
 
 Array = NDArray[np.float64]
@@ -79,7 +80,7 @@ def print_body(toolpath: Toolpath, bodies: Sequence[Body] = ()) -> PrintBody:
     surfaces = [(body.name, _corners(body)) for body in bodies]
     surfaces += [(_PART, corners)] if corners is not None else []
     tips = cKDTree(np.concatenate([bead.points[:: max(1, len(bead.s) // 1000)] for bead in beads]))
-    pieces = [_split(triangles, _NEAR) for _, triangles in surfaces]
+    pieces = [split(np.ascontiguousarray(triangles, dtype=float), _NEAR) for _, triangles in surfaces]
     near = [_is_near(each, tips) for each in pieces]
     sides = _sides(pieces, near)
     names, points, radius, time = [], [], [], []
@@ -156,8 +157,7 @@ def _spread(pieces: Array, near: Flags, sides: tuple[float, float]) -> tuple[Arr
     points, spread = [np.zeros((0, 3))], [np.zeros(0)]
     for which, side in ((near, sides[0]), (~near, sides[1])):
         if which.any():
-            fine = _split(pieces[which], side)
-            at, far = _merged(fine.reshape(-1, 3), np.repeat(_farthest(fine), 3), _MERGED * side)
+            at, far = merged(split(pieces[which], side), _MERGED * side)
             points.append(at)
             spread.append(far)
     return np.concatenate(points), np.concatenate(spread)
@@ -167,43 +167,6 @@ def _is_near(pieces: Array, tips: cKDTree) -> Flags:
     """Which triangles (n, 3, 3), no longer than _NEAR, have a place that is near a bead."""
     away, _ = tips.query(pieces.mean(axis=1), distance_upper_bound=2.0 * _NEAR)
     return np.asarray(np.isfinite(away))
-
-
-def _split(triangles: Array, longest: float) -> Array:
-    """The same surface in triangles (n, 3, 3) without a longer side: each is halved across its longest one."""
-    done = [np.zeros((0, 3, 3))]
-    while len(triangles):
-        sides = np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=2)  # from corner k to the next
-        k = np.argmax(sides, axis=1)
-        row = np.arange(len(k))
-        long = sides[row, k] > longest
-        done.append(triangles[~long])
-        triangles, row, k = triangles[long], np.arange(int(long.sum())), k[long]
-        a, b, c = (triangles[row, (k + j) % 3] for j in range(3))
-        middle = 0.5 * (a + b)
-        triangles = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
-    return np.concatenate(done)
-
-
-def _farthest(triangles: Array) -> Array:
-    """Distance (n) that no place of triangles (n, 3, 3) exceeds from the nearest of its corners."""
-    sides = np.sort(np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=2), axis=1)
-    a, b, c = sides.T
-    twice = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
-    acute = a**2 + b**2 > c**2
-    return np.where(acute, a * b * c / np.maximum(2.0 * twice, 1e-30), 0.5 * c)
-
-
-def _merged(points: Array, spread: Array, size: float) -> tuple[Array, Array]:
-    """One of the points (n, 3) of each cube of a grid with cubes of that size, and what it then has to make up for (n)."""
-    cube = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
-    counts = cube.max(axis=0) + 1
-    _, kept, of = np.unique(
-        (cube[:, 0] * counts[1] + cube[:, 1]) * counts[2] + cube[:, 2], return_index=True, return_inverse=True
-    )
-    far = np.zeros(len(kept))
-    np.maximum.at(far, of, spread + np.linalg.norm(points - points[kept[of]], axis=1))
-    return points[kept], far
 
 
 def _onto(toolpath: Toolpath, points: Array) -> Array:

@@ -10,6 +10,7 @@ from planner.point_tree import FROM_THE_START
 from planner.print_body import CLEARANCE, PrintBody, print_body, standing
 from planner.problem import load_problem
 from planner.solids import Body, Box
+from planner.surface_points import merged, split
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 
@@ -88,3 +89,25 @@ def test_what_stands_on_a_fixed_bed_is_seen_in_the_part_frame() -> None:
     middle = top[(np.abs(top[:, :2]) < 0.02).all(axis=1) & (top[:, 2] > -1e-6)]
     assert len(middle) > 40 * 40  # near beads a millimetre apart
     assert isinstance(found[0], Body) and isinstance(found[0].solid, Box)
+
+
+def _area(triangles: np.ndarray) -> float:
+    sides = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    return 0.5 * float(np.linalg.norm(np.cross(*sides), axis=1).sum())
+
+
+def test_no_place_of_a_surface_is_farther_from_a_point_than_is_said() -> None:
+    rng = np.random.default_rng(3)
+    given = rng.uniform(-20e-3, 20e-3, (12, 3, 3))
+    fine = split(given, 1.5e-3)
+    assert np.linalg.norm(np.roll(fine, -1, axis=1) - fine, axis=2).max() <= 1.5e-3
+    assert _area(fine) == pytest.approx(_area(given))
+    points, far = merged(fine, 0.2e-3)
+    assert len(points) < 0.7 * len(fine)
+    cubes = np.floor((points - fine.min(axis=(0, 1))) / 0.2e-3).astype(int)
+    assert len(np.unique(cubes, axis=0)) == len(points)
+    share = rng.dirichlet(np.ones(3), len(fine))
+    places = np.einsum("nk,nkj->nj", share, fine)[::11]
+    away = np.linalg.norm(places[:, None] - points[None], axis=2)
+    assert (away - far).min(axis=1).max() <= 1e-12
+    assert away.min(axis=1).max() > 0.5 * far.max()  # and it is not said of much more

@@ -67,6 +67,7 @@ ROOMS = (
     "reference",
 )
 SAME_ROOM = {
+    "surface_points": "print_body",
     "run_ends": "process",
     "robot_files": "cell",
     "cell_bodies": "cell",
@@ -119,6 +120,7 @@ FORBIDDEN = {
 HEAVY = {
     "numba": {
         "point_tree",
+        "surface_points",
         "verify_print",
         "kinematics",
         "toolpath.substrate.facet_tree",
