@@ -6,16 +6,20 @@ Three short paths on Pollard's cylinder: a zig-zag with sharp corners, a closed 
 from __future__ import annotations
 
 import tempfile
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 from planner.cell import Cell
 from planner.command import DEFAULT_DT
+from planner.obstacles import obstacles_of
 from planner.plan import Plan
+from planner.planning import trajectory_of
 from planner.print_body import PrintBody, print_body, standing
 from planner.problem import Problem, load_problem
 from planner.solve import solve
 from planner.toolpath.bead import Toolpath
+from planner.verify import verify
 
 SVG = """\
 <svg xmlns="http://www.w3.org/2000/svg" width="30mm" height="24mm" viewBox="0 0 30 24">
@@ -98,6 +102,16 @@ def bed_plan() -> Plan:
 def solve_alone(problem: Problem, strategy: str | None = None, dt: float = DEFAULT_DT) -> Plan:
     """As `solve`, but without the baseline beside it, which takes as long again; for tests that do not look at it."""
     return solve(problem, strategy, dt=dt, baseline=False)
+
+
+def sampled(plan: Plan, dt: float) -> Plan:
+    """What `solve` makes of a plan's problem with another time between samples, of which joint paths know nothing."""
+    problem, cell, toolpath = plan.problem, plan.cell, plan.toolpath
+    body = body_of(toolpath, cell)
+    obstacles = obstacles_of(problem, cell, toolpath, body)
+    trajectory, _ = trajectory_of(problem, cell, toolpath, plan.paths, obstacles, dt, second_process=False)
+    report = verify(problem, cell, toolpath, trajectory, body=body)
+    return replace(plan, trajectory=trajectory, **{**vars(report), "metrics": plan.metrics | report.metrics})
 
 
 # Figures of the output contract, in the units of their names.

@@ -10,8 +10,9 @@ from functools import cache
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from solved import small_problem, solve_alone
+from solved import sampled, small_problem, solve_alone
 
+from planner.command import DEFAULT_DT
 from planner.errors import InputError
 from planner.export.compare import compare
 from planner.export.extruder.writer import gcode
@@ -70,8 +71,10 @@ REASON = "samples 20 ms apart may be too coarse"
 
 
 @cache
-def solved(name: str, dt: float = 0.004) -> Plan:
-    return solve_alone(load_problem(small_problem().file, PROCESSES[name]), dt=dt)
+def solved(name: str, dt: float = DEFAULT_DT) -> Plan:
+    if dt != DEFAULT_DT:
+        return sampled(solved(name), dt)
+    return solve_alone(load_problem(small_problem().file, PROCESSES[name]))
 
 
 def pushed(text: str) -> tuple[float, float]:
@@ -93,6 +96,14 @@ def waits_of(text: str) -> list[tuple[str, float]]:
     """What the comment over each wait of a RAPID module says, and how long it is [s]."""
     found = re.findall(r"(?:! ([^\n]*)\n\s*)?WaitTime ([\d.]+);", text)
     return [(why, float(time)) for why, time in found]
+
+
+@pytest.mark.parametrize("name", ["plain", "fibre, all"])
+def test_other_samples_are_those_of_another_solve(name: str) -> None:
+    again, plan = solve_alone(load_problem(small_problem().file, PROCESSES[name]), dt=0.001), solved(name, 0.001)
+    assert (plan.checks, plan.metrics) == (again.checks, again.metrics)
+    for field, values in vars(again.trajectory).items():
+        np.testing.assert_array_equal(getattr(plan.trajectory, field), values, err_msg=field)
 
 
 @pytest.mark.parametrize(("name", "dt"), SAMPLED)
