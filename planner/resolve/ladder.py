@@ -26,9 +26,10 @@ from planner.task import NozzleTask
 
 Array = NDArray[np.float64]
 
-# Of the second search: coarse steps are divided by the first number, and the guide may be left by the second one
-# of those to each side. A guide that turns by a coarse step a rung is too quick for dense steps: wider, then coarse.
-CORRIDORS = ((3, 4), (3, 12), (1, 1))
+# Of the second search: coarse steps are divided by the first number, and the guide may be left by the second one of
+# those to each side in roll, by the third one in the chosen joint. A guide that turns by a coarse step a rung is too
+# quick for dense steps: wider in roll, which is what turns quickly, then in both, then coarse.
+CORRIDORS = ((3, 4, 4), (3, 12, 4), (3, 12, 12), (1, 1, 1))
 _SPARSE = 5  # times as far as the settings' rungs stand those of the first look at several chosen joints
 _ROUGH = 2.0  # times the settings' steps in that first look, and where the grid would be too large
 _MOST_NODES = 3e6  # of the guide's grid: 100 MB, and a second; the second search is finer anyway
@@ -73,8 +74,9 @@ def _routes(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, obst
     guide_of = {task.name: i for i, task in enumerate(guides)}
     all_demand = demand_of(tasks, settings.rung)
     any_route = False
-    for refine, corridor in CORRIDORS:
-        grid = _corridor(cell, tasks, all_demand, guides, guide, guide_of, refine, corridor)
+    one_angle = guide.nodes.grid.holders == 1
+    for corridor in dict.fromkeys((refine, roll, 0 if one_angle else holder) for refine, roll, holder in CORRIDORS):
+        grid = _corridor(cell, tasks, all_demand, guides, guide, guide_of, *corridor)
         dense = ClearSearch(cell, all_demand, grid, settings.min_sigma, obstacles)
         home = ways_home(cell, tasks, dense.nodes)
         demands: Iterable[Demand] = [all_demand]
@@ -253,7 +255,8 @@ def _corridor(
     guide: Found,
     guide_of: dict[str, int],
     refine: int,
-    corridor: int,
+    roll_room: int,
+    holder_room: int,
 ) -> Grid:
     """A fine grid whose windows follow the guide route of the bead of the same name, either way round."""
     coarse, route = guide.nodes.grid, guide.route
@@ -270,12 +273,12 @@ def _corridor(
         flip = slice(None, None, -1 if backwards else 1)
         at, there = demand.place[own], guide.demand.place[theirs]
         there = 1.0 - there[::-1] if backwards else there
-        for target, index, period in (
-            (roll_from, route.roll, coarse.rolls),
-            (holder_from, route.holder, coarse.holders),
+        for target, index, period, room in (
+            (roll_from, route.roll, coarse.rolls, roll_room),
+            (holder_from, route.holder, coarse.holders, holder_room),
         ):
             along = angles_along(coarse, index[theirs], period, 1.0)[flip]
-            target[own] = np.round(refine * np.interp(at, there, along)).astype(np.int64) - corridor
+            target[own] = np.round(refine * np.interp(at, there, along)).astype(np.int64) - room
         for j in range(k):
             held[own, j] = np.interp(at, there, chosen[theirs][flip, j])
         branch[own] = route.branch[theirs][0]
@@ -286,8 +289,8 @@ def _corridor(
         coarse.holder_step / refine,
         roll_from,
         holder_from,
-        2 * corridor + 1,
-        1 if coarse.holders == 1 else 2 * corridor + 1,
+        2 * roll_room + 1,
+        2 * holder_room + 1,
         False,
         branch,
         coarse.swept,
