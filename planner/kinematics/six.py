@@ -1,4 +1,4 @@
-"""Six by six matrices, compiled: the inverse, a solution, and the largest singular value nearly."""
+"""Six by six matrices, compiled: the inverse, and the largest singular value nearly."""
 
 from __future__ import annotations
 
@@ -39,33 +39,6 @@ def invert6(A: Array, B: Array) -> bool:
                 for j in range(n):
                     A[i, j] -= f * A[k, j]
                     B[i, j] -= f * B[k, j]
-    return True
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def solve6(A: Array, x: Array) -> bool:
-    """Put the solution of A (6, 6) y = x in x (6); A is spoilt. False if A is singular to rounding."""
-    for k in range(6):
-        best = k
-        for i in range(k + 1, 6):
-            if abs(A[i, k]) > abs(A[best, k]):
-                best = i
-        if abs(A[best, k]) < _SINGULAR:
-            return False
-        if best != k:
-            for j in range(k, 6):
-                A[k, j], A[best, j] = A[best, j], A[k, j]
-            x[k], x[best] = x[best], x[k]
-        scale = 1.0 / A[k, k]
-        for i in range(k + 1, 6):
-            f = scale * A[i, k]
-            for j in range(k + 1, 6):
-                A[i, j] -= f * A[k, j]
-            x[i] -= f * x[k]
-    for k in range(5, -1, -1):
-        for j in range(k + 1, 6):
-            x[k] -= A[k, j] * x[j]
-        x[k] /= A[k, k]
     return True
 
 

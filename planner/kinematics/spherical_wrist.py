@@ -278,19 +278,25 @@ def _poses(p: Array, q: Array) -> Array:
 
 
 @njit(cache=True)
-def _branches(p: Array, q: Array) -> NDArray[np.int8]:
+def branch_of(p: Array, q: Array) -> int:
+    """Branch number of one posture q (6)."""
     a1, a2, c2, c3 = p[0], p[1], p[4], p[5]
+    theta2, theta3 = q[1], q[2] + 0.5 * np.pi
+    phi3 = _wrap(theta3 + np.arctan2(a2, c3))
+    radial = a1 + c2 * np.sin(theta2) + c3 * np.sin(theta2 + theta3) + a2 * np.cos(theta2 + theta3)
+    behind = 0
+    if radial < 0.0:
+        behind += BEHIND_AXIS_1
+    if phi3 < 0.0:
+        behind += BEHIND_LOWER_ARM
+    if _wrap(q[4]) < 0.0:
+        behind += AXIS_5_NEGATIVE
+    return behind
+
+
+@njit(cache=True)
+def _branches(p: Array, q: Array) -> NDArray[np.int8]:
     out = np.empty(q.shape[0], dtype=np.int8)
     for i in range(q.shape[0]):
-        theta2, theta3 = q[i, 1], q[i, 2] + 0.5 * np.pi
-        phi3 = _wrap(theta3 + np.arctan2(a2, c3))
-        radial = a1 + c2 * np.sin(theta2) + c3 * np.sin(theta2 + theta3) + a2 * np.cos(theta2 + theta3)
-        behind = 0
-        if radial < 0.0:
-            behind += BEHIND_AXIS_1
-        if phi3 < 0.0:
-            behind += BEHIND_LOWER_ARM
-        if _wrap(q[i, 4]) < 0.0:
-            behind += AXIS_5_NEGATIVE
-        out[i] = behind
+        out[i] = branch_of(p, q[i])
     return out

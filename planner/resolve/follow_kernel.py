@@ -1,7 +1,8 @@
 """Compiled: postures that hold a task for given free variables, and how they change with them.
 
 Works on any arm whose Jacobian, less the columns of joints that are themselves free, is 6 x 6: Newton's method on
-the kinematic chain, from a posture nearby, so that the branch stays what it was.
+the kinematic chain, from a posture nearby, so that the branch stays what it was. With a spherical wrist the closed form
+gives that posture, and a step is seldom needed.
 """
 
 from __future__ import annotations
@@ -10,17 +11,19 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planner.kinematics.chain import chain_state, jacobian_at, rotate_about
-from planner.kinematics.six import invert6, solve6
+from planner.kinematics.chain import chain_state, jacobian_at, mul4, rotate_about
+from planner.kinematics.inverse import SPHERICAL_WRIST
+from planner.kinematics.six import invert6
+from planner.kinematics.spherical_wrist import branch_of, solve_within
 from planner.resolve.cone_kernel import lean_of, lean_slope_of
+from planner.resolve.sigma_kernel import gram, power, sigma_slope_by_joints, square
 
 Array = NDArray[np.float64]
 
 CONVERGED = 1e-12  # m and rad: error of the nozzle's pose that is none
 _STEPS = 12  # of Newton's method; from a neighbouring sample's posture three or four do
 _LONGEST = 0.5  # rad that a joint may move in a step
-_POWER_STEPS = 16  # of the iteration for the smallest singular value, which starts from the sample before
-_SETTLED = 1e-10  # by which a unit vector still changes in a step of it: nothing more to be had
+_POWER_STEPS = 4  # of the iteration for the smallest singular value, four at once, which starts from the sample before
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -88,12 +91,49 @@ def _tilted(frame, roll, tilt_x, tilt_y, R_tilt, axis, R_part_nozzle, slopes) ->
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _inverse_at(origins, directions, T_world_nozzle, solved, J, J6, Ji) -> bool:
+    """Fill J (6, na) with the Jacobian at the nozzle, and Ji with the inverse of its columns `solved`; False if there is
+    none. J6 is room."""
+    jacobian_at(origins, directions, T_world_nozzle[:3, 3], J)
+    for k in range(6):
+        for a in range(6):
+            J6[a, k] = J[a, solved[k]]
+    return invert6(J6, Ji)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _near_in_closed_form(
+    p, T_base_world, T_world_nozzle, T_nozzle_flange, q, eight, ok, wanted, all_round, A, B
+) -> None:
+    """Replace the posture q (6) by the one of its branch that a nozzle pose asks for, to rounding, where there is one
+    nearby. The last ones are room: eight (8, 6), ok, wanted (8), A, B (4, 4); all_round (6) bounds nothing."""
+    mul4(T_base_world, T_world_nozzle, A)
+    mul4(A, T_nozzle_flange, B)
+    k = branch_of(p, q)
+    wanted[:] = False
+    wanted[k] = True
+    solve_within(p, B[:3, :3], B[:3, 3], -all_round, all_round, wanted, eight, ok)
+    if not ok[k]:
+        return
+    furthest = 0.0
+    for j in range(6):
+        away = q[j] - eight[k, j]
+        eight[k, j] += 2.0 * np.pi * np.round(away / (2.0 * np.pi))
+        furthest = max(furthest, abs(q[j] - eight[k, j]))
+    if furthest < _LONGEST:
+        for j in range(6):
+            q[j] = eight[k, j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def follow(
-    arm_placements, arm_axes, arm_tip, holder_placements, holder_axes, holder_tip, solved, given,
+    arm_placements, arm_axes, arm_tip, holder_placements, holder_axes, holder_tip,
+    kind, parameters, T_base_world, T_nozzle_flange, solved, given,
     tip, frames, z, active, q, G, sigma, sigma_slope, lean, lean_slope,
 ):  # fmt: skip
     """Postures along samples, and their slopes; returns the first sample where there is none, or -1.
 
+    kind, parameters   of the arm's inverse kinematics
     solved (6)      arm joints that follow from the task
     given (k)       arm joints that are free themselves
     z (n, 3+nh+k)   roll, two tilts, holder joints, given arm joints [rad]
@@ -110,13 +150,15 @@ def follow(
     before, after, R = np.eye(4), np.eye(4), np.empty((3, 3))
     T_world_part, T_world_nozzle, R_tilt = np.eye(4), np.eye(4), np.empty((3, 3))
     R_part_nozzle, R_target, slopes = np.empty((3, 3)), np.empty((3, 3)), np.empty((2, 3))
+    T_target, eight, ok, wanted = np.eye(4), np.empty((8, na)), np.empty(8, dtype=np.bool_), np.zeros(8, dtype=np.bool_)
+    all_round = np.full(6, 1e3)
     axis, p, e = np.empty(3), np.empty(3), np.empty(6)
     J, J6, Ji = np.empty((6, na)), np.empty((6, 6)), np.empty((6, 6))
     W, Wi = np.empty((6, 6)), np.empty((6, 6))
     u, w = np.full(6, 1.0), np.empty(6)
     v = np.empty(na)
     twist = np.empty(6)
-    dJ = np.empty(6)
+    sum_before, sum_after = np.empty(6), np.empty(6)
     slope_q = np.empty(na)
     a3, b3 = np.empty(3), np.empty(3)
     back, normal, slope = np.empty(3), np.empty(3), np.empty(2)
@@ -137,9 +179,29 @@ def follow(
                 R_target[a, b] = 0.0
                 for k in range(3):
                     R_target[a, b] += T_world_part[a, k] * R_part_nozzle[k, b]
+        if kind == SPHERICAL_WRIST:
+            for a in range(3):
+                for b in range(3):
+                    T_target[a, b] = R_target[a, b]
+                T_target[a, 3] = p[a]
+            _near_in_closed_form(
+                parameters,
+                T_base_world,
+                T_target,
+                T_nozzle_flange,
+                q[i, :na],
+                eight,
+                ok,
+                wanted,
+                all_round,
+                before,
+                after,
+            )
         found = False
         for _ in range(_STEPS):
             chain_state(arm_placements, arm_axes, arm_tip, q[i, :na], o_arm, d_arm, T_world_nozzle, before, after, R)
+            if not _inverse_at(o_arm, d_arm, T_world_nozzle, solved, J, J6, Ji):
+                return i
             rotation_error(R_target, T_world_nozzle, a3)
             size = 0.0
             for a in range(3):
@@ -148,32 +210,24 @@ def follow(
                 size += abs(e[a]) + abs(e[3 + a])  # a sum, because max loses a NaN
             if not size < np.inf:
                 return i
-            jacobian_at(o_arm, d_arm, T_world_nozzle[:3, 3], J)
             if size < CONVERGED:
                 found = True
                 break
-            for k in range(6):
-                for a in range(6):
-                    J6[a, k] = J[a, solved[k]]
-            if not solve6(J6, e):
-                return i
             longest = 0.0
             for k in range(6):
-                longest = max(longest, abs(e[k]))
+                twist[k] = 0.0
+                for a in range(6):
+                    twist[k] += Ji[k, a] * e[a]
+                longest = max(longest, abs(twist[k]))
             if not longest < 1e6:
                 return i
             scale = min(1.0, _LONGEST / longest) if longest > 0.0 else 1.0
             for k in range(6):
-                q[i, solved[k]] += scale * e[k]
+                q[i, solved[k]] += scale * twist[k]
             if longest < 1e-14:
                 found = True  # no further digits to be had
                 break
         if not found:
-            return i
-        for k in range(6):
-            for a in range(6):
-                J6[a, k] = J[a, solved[k]]
-        if not invert6(J6, Ji):
             return i
         for a in range(3):
             back[a] = -R_target[a, 2]
@@ -227,11 +281,7 @@ def follow(
                 G[i, solved[k], c] = g
         # smallest singular value: the dominant eigenvector u of (J J^T)^-1, by the power method
         if na == 6:
-            for a in range(6):
-                for b in range(6):
-                    Wi[a, b] = 0.0
-                    for k in range(6):
-                        Wi[a, b] += Ji[k, a] * Ji[k, b]
+            gram(Ji, W, Wi)
         else:
             for a in range(6):
                 for b in range(6):
@@ -240,46 +290,18 @@ def follow(
                         W[a, b] += J[a, k] * J[b, k]
             if not invert6(W, Wi):
                 return i
-        eigen = 1.0
+        square(Wi, W)
+        square(W, J6)
         for _ in range(_POWER_STEPS if i else 10 * _POWER_STEPS):
-            eigen = 0.0
-            for a in range(6):
-                w[a] = 0.0
-                for b in range(6):
-                    w[a] += Wi[a, b] * u[b]
-                eigen += w[a] * w[a]
-            eigen = np.sqrt(eigen)
-            scale = 1.0 / eigen
-            changed = 0.0
-            for a in range(6):
-                changed += abs(scale * w[a] - u[a])
-                u[a] = scale * w[a]
-            if changed < _SETTLED:
-                break
+            power(J6, u, w)
+        eigen = power(Wi, u, w)
         s = 1.0 / np.sqrt(eigen)
         sigma[i] = s
         for k in range(na):
             v[k] = 0.0
             for a in range(6):
                 v[k] += J[a, k] * u[a] / s
-        # d sigma / dq_k = u^T (dJ/dq_k) v; turning joint k moves what comes after it
-        for k in range(na):
-            for a in range(6):
-                dJ[a] = 0.0
-            for o in range(na):
-                if k <= o:
-                    _cross(d_arm[k], J[:3, o], a3)
-                    _cross(d_arm[k], J[3:, o], b3)
-                    for a in range(3):
-                        dJ[a] += a3[a] * v[o]
-                        dJ[3 + a] += b3[a] * v[o]
-                else:
-                    _cross(d_arm[o], J[:3, k], a3)
-                    for a in range(3):
-                        dJ[a] += a3[a] * v[o]
-            slope_q[k] = 0.0
-            for a in range(6):
-                slope_q[k] += u[a] * dJ[a]
+        sigma_slope_by_joints(J, u, v, sum_before, sum_after, slope_q)
         for c in range(active.size):
             sigma_slope[i, c] = 0.0
             for k in range(na):

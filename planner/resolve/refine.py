@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.cell import Cell
+from planner.cell import Cell, rigid_inverse
+from planner.kinematics.inverse import kind_of
 from planner.obstacles import NOTHING, Obstacles
 from planner.resolve.clearance import Clearances, clearance_rows, clearances, shortage
 from planner.resolve.cone_kernel import FACETS, watch_leans, watch_missed_leans
@@ -57,10 +58,11 @@ CONE_SIDES = 12  # of the polygon inside the circle that bounds tilt
 class Model:
     """What the kernels need of a cell: chains, limits, which arm joints follow from the task or are given, obstacles.
 
+    chains: the first ten arguments of `follow_kernel.follow`, of the arm, its closed form, and the holder
     limits (3, nj) of velocity, acceleration, jerk; low, high (nj) ends of the joints' ranges; arm: its joints
     """
 
-    chains: tuple[Array, Array, Array, Array, Array, Array]
+    chains: tuple[Array, Array, Array, Array, Array, Array, int, Array, Array, Array]
     solved: Index
     given: Index
     limits: Array
@@ -84,8 +86,10 @@ def model_of(cell: Cell, obstacles: Obstacles = NOTHING) -> Model:
     """The kernels' view of a cell, and what is in its way."""
     na = len(cell.arm)
     arm, holder, limits = cell.arm, cell.holder, cell.limits
+    forward = (arm.placements, arm.axes, arm.T_last_tip, holder.placements, holder.axes, holder.T_last_tip)
+    ends = (rigid_inverse(cell.T_world_base), rigid_inverse(cell.T_flange_nozzle))
     return Model(
-        chains=(arm.placements, arm.axes, arm.T_last_tip, holder.placements, holder.axes, holder.T_last_tip),
+        chains=(*forward, kind_of(cell.inverse), cell.inverse.parameters, *ends),
         solved=np.array(cell.solved),
         given=np.array([j for j in cell.chosen if j < na], dtype=np.int64),
         limits=np.stack([limits.velocity, limits.acceleration, limits.jerk]),
