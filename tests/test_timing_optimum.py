@@ -36,8 +36,8 @@ def program(seed: int, ramps: tuple[float, float] = (0.05, 0.05)) -> Program:
     return program_of(Stretch(path, 0.0, LENGTH, ramps), v, a, j)
 
 
-def solve(p: Program) -> tuple[Array, bool]:
-    arguments = (p.point, p.middle, p.ends, p.acceleration, p.jerk, p.ceiling, p.h, p.start, p.level, ACCURACY)
+def solve(p: Program, accuracy: float = ACCURACY) -> tuple[Array, bool]:
+    arguments = (p.point, p.middle, p.ends, p.acceleration, p.jerk, p.ceiling, p.h, p.start, p.level, accuracy)
     c, found = fastest(*arguments)
     return np.asarray(c), bool(found)
 
@@ -145,3 +145,21 @@ def test_a_hard_place_shortens_steps_around_it_only() -> None:
     assert np.abs(np.diff(lengths)).max() <= 2.0 / APART
     assert (lengths[: 2 * APART] > 1.0 - 1e-9).all()
     assert lengths[4 * APART] == pytest.approx(0.01) and lengths[-1] == pytest.approx(0.2)
+
+
+def test_what_is_settled_early_is_as_good_in_the_end() -> None:
+    """A long path with one hard place, which goes on for long after all else is settled."""
+    u = np.linspace(0.0, 6.0, 1200)
+    bend = np.outer(0.5 * np.exp(-(((u - 2.0) / 0.01) ** 2)), [1.0, -0.7, 0.4])
+    path = make_interp_spline(
+        u, np.column_stack([0.02 * np.sin(np.outer(u, [20.0, 25.0, 30.0])) + bend, 0.04 * u]), k=5
+    )
+    v, a, j = np.array([3.0, 3.0, 3.0, 0.04]), np.full(JOINTS, 20.0), np.full(JOINTS, 1000.0)
+    p = program_of(Stretch(path, 0.0, 6.0, (0.05, 0.05)), v, a, j)
+    assert len(p.h) > 6 * APART
+    (c, found), (better, found_too) = solve(p), solve(p, 1e-2 * ACCURACY)
+    assert found and found_too
+    assert max(overrun(p, c), overrun(p, better)) <= OVERRUN
+    assert time_of(p, c) == pytest.approx(time_of(p, better), rel=ACCURACY)
+    far = int(np.searchsorted(p.sigma, 4.0))
+    np.testing.assert_allclose(c[far:], better[far:], rtol=1e-2)

@@ -13,7 +13,7 @@ takes its place. A step within the tangents is within the limits; the curvature 
 limits alone, and the systems of equations, banded with half-bandwidth 2, stay positive definite.
 
 Places that are far apart do not touch each other: each has a length of step and a gap of its own (`lengths.py`), so
-that one hard place does not hold up all others.
+that one hard place does not hold up all others. Those that are settled are left alone while others go on.
 
 Debrouwere et al., "Time-optimal path following for robots with convex-concave constraints using sequential convex
 programming", IEEE T-RO 2013, solve the same program by a general solver, one convex program after the other.
@@ -25,6 +25,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from planner.timing.blocks import limits_of, overrun, runs_of, split
 from planner.timing.lengths import APART, average, even_out, go, lengths_of, move
 
 Array = NDArray[np.float64]
@@ -34,6 +35,10 @@ _STEPS = 80  # most of the method's steps: 20 to 40 are usual
 _LEAST_SLACK = 1e-1  # of a limit, at the start, where the start does not keep it: less, and steps stay short
 _FIRST_GAP = 1.0  # of the time: the duality gap to begin with; with less, and with more, steps are short at first
 _FASTEST_FALL = 0.1  # of the gap in one step
+# A block of intervals whose steps are not shortened, whose gap is at its least and which keeps its limits is settled.
+_FULL = 0.99  # of a step
+_AT_REST = 1.5  # times the least gap
+_KEPT = 0.1  # of the overrun that a solution may have
 _LEAST_GAP = 0.05  # of what the accuracy leaves to a limit: where less is left there is nothing to gain
 
 
@@ -64,81 +69,110 @@ def fastest(
     jerks = (m + 1) * (2 * nj + 1)
     count = jerks + 4 * m * nj
     room, slack, price = np.empty(count), np.empty(count), np.empty(count)
-    rooms, slacks, duals = _split(room, m, nj), _split(slack, m, nj), _split(price, m, nj)
-    time = _rooms(c, point, middle, end, a, j, ceiling, h, rooms)
+    rooms, slacks, duals = split(room, m, nj), split(slack, m, nj), split(price, m, nj)
+    _rooms(c, point, middle, end, a, j, ceiling, rooms)
+    time = _time(c, middle, h)
     mu = np.full(m, _FIRST_GAP * time / count)
     for i in range(count):
         slack[i] = max(room[i], _LEAST_SLACK)  # the room there is, where there is some
         price[i] = mu[0] / slack[i]
     step, band = np.empty(m + 2), np.empty((m + 2, 3))
     primal, dual, gaps, sums, mins = np.empty(m), np.empty(m), np.empty(m), np.empty(m + 1), np.empty(m)
+    unsettled = np.ones(-(-m // APART), dtype=np.bool_)
+    over = np.full(len(unsettled), np.inf)  # largest overrun of each block, if it is known
     for _ in range(_STEPS):
-        _assemble(c, point, middle, end, a, j, ceiling, h, mu, rooms, slacks, duals, step, band)
-        _keep_level(level, step, band)
-        if not _solve(band, step):
-            return c, False
-        if level[0]:
-            step[0] = step[1]
-        if level[1]:
-            step[m + 1] = step[m]
-        lengths_of(c, step, point, middle, end, a, j, ceiling, mu, rooms, slacks, duals, primal, dual)
+        runs = runs_of(unsettled, m)
+        primal[:] = dual[:] = 1.0
+        for lo, hi in runs:
+            at, on, ends, all_c = slice(lo, hi + 1), slice(lo, hi), slice(2 * lo, 2 * hi), slice(lo, hi + 2)
+            own = (rooms[0][at], rooms[1][at], rooms[2][ends])
+            own_slacks = (slacks[0][at], slacks[1][at], slacks[2][ends])
+            own_duals = (duals[0][at], duals[1][at], duals[2][ends])
+            _assemble(
+                c[all_c], point[at], middle[on], end[ends], a[at], j[ends], ceiling[at], h[on], mu[on], own, own_slacks,
+                own_duals, step[all_c], band[all_c],
+            )  # fmt: skip
+            first, last = level[0] and lo == 0, level[1] and hi == m
+            _keep_level((first, last), step[all_c], band[all_c])
+            _hold((lo > 0, hi < m), step[all_c], band[all_c])
+            if not _solve(band[all_c], step[all_c]):
+                return c, False
+            if first:
+                step[0] = step[1]
+            if last:
+                step[m + 1] = step[m]
+            lengths_of(
+                c[all_c], step[all_c], point[at], middle[on], end[ends], a[at], j[ends], ceiling[at], mu[on], own,
+                own_slacks, own_duals, primal[on], dual[on],
+            )  # fmt: skip
         even_out(primal, sums, mins)
         even_out(dual, sums, mins)
-        go(c, step, middle, end, primal)
-        gaps[:] = 0.0
-        for first, last, places in ((0, m + 1, m + 1), (m + 1, jerks, m + 1), (jerks, count, 2 * m)):
-            which = slice(first, last)
-            move(primal, dual, mu, room[which], slack[which], price[which], places, gaps)
-        gap = gaps.sum()
-        time = _rooms(c, point, middle, end, a, j, ceiling, h, rooms)
-        if gap < accuracy * time and _overrun(room, slack) < OVERRUN:
+        for lo, hi in runs:
+            go(c[lo : hi + 2], step[lo : hi + 2], middle[lo:hi], end[2 * lo : 2 * hi], primal[lo:hi])
+            for b in range(lo, hi, APART):  # block by block, so that all that is done to one stays near the processor
+                e = min(b + APART, hi)
+                at, on, ends, all_c = (
+                    slice(b, e + 1 if e == hi else e),
+                    slice(b, e),
+                    slice(2 * b, 2 * e),
+                    slice(b, e + 2),
+                )
+                gaps[on] = 0.0
+                for which, places in limits_of(at, ends, m, nj):
+                    move(primal[on], dual[on], mu[on], room[which], slack[which], price[which], places, gaps[on])
+                own = (rooms[0][at], rooms[1][at], rooms[2][ends])
+                _rooms(c[all_c], point[at], middle[on], end[ends], a[at], j[ends], ceiling[at], own)
+        gap, time = gaps.sum(), _time(c, middle, h)
+        least_mu = _LEAST_GAP * accuracy * time / count
+        for b in range(len(unsettled)):
+            if not unsettled[b]:
+                continue
+            lo, hi = b * APART, min((b + 1) * APART, m)
+            full = min(primal[lo:hi].min(), dual[lo:hi].min()) > _FULL
+            at_rest = full and gaps[lo:hi].sum() < _AT_REST * (hi - lo) * least_mu * count / m
+            over[b] = np.inf
+            if at_rest or gap < accuracy * time:
+                over[b] = -np.inf
+                for which, _ in limits_of(slice(lo, hi + 1), slice(2 * lo, 2 * hi), m, nj):
+                    over[b] = max(over[b], overrun(room[which], slack[which]))
+            unsettled[b] = not (at_rest and over[b] < _KEPT * OVERRUN)
+        if gap < accuracy * time and over.max() < OVERRUN:
             return c, True
         average(gaps, APART, sums, mu)
         for i in range(m):
             least = min(primal[i], dual[i])
             fall = max(_FASTEST_FALL, (1.0 - least) ** 2) if least > 0.1 else 1.0
-            mu[i] = max(mu[i] * m / count * fall, _LEAST_GAP * accuracy * time / count)
+            mu[i] = max(mu[i] * m / count * fall, least_mu)
     return c, False
 
 
-@njit(cache=True)
-def _split(flat: Array, m: int, nj: int) -> tuple[Array, Array, Array]:
-    """One value for each limit (count), seen as those of x (m + 1), of acceleration (m + 1, nj, 2) and of jerk
-    (2 m, nj, 2)."""
-    first, last = m + 1, (m + 1) * (1 + 2 * nj)
-    return flat[:first], flat[first:last].reshape((m + 1, nj, 2)), flat[last:].reshape((2 * m, nj, 2))
-
-
-@njit(cache=True)
-def _overrun(room: Array, slack: Array) -> float:
-    """Largest share of a limit by which there is less room than slack."""
-    worst = -np.inf
-    for i in range(len(room)):
-        worst = max(worst, slack[i] - room[i])
-    return worst
+@njit(cache=True, error_model="numpy")
+def _time(c: Array, middle: Array, h: Array) -> float:
+    """The time that all intervals take."""
+    time = 0.0
+    for i in range(len(h)):
+        time += h[i] / np.sqrt(middle[i, 0] * c[i] + middle[i, 1] * c[i + 1] + middle[i, 2] * c[i + 2])
+    return time
 
 
 @njit(cache=True, error_model="numpy")
 def _rooms(
-    c: Array, point: Array, middle: Array, end: Array, a: Array, j: Array, ceiling: Array, h: Array,
+    c: Array, point: Array, middle: Array, end: Array, a: Array, j: Array, ceiling: Array,
     rooms: tuple[Array, Array, Array],
-) -> float:  # fmt: skip
-    """Room below every limit, on either side, into `rooms`; returns the time."""
-    m, nj = len(h), a.shape[1]
-    time = 0.0
+) -> None:  # fmt: skip
+    """Room below every limit, on either side, into `rooms`."""
+    m, nj = len(middle), a.shape[1]
     for i in range(m):
-        time += h[i] / np.sqrt(middle[i, 0] * c[i] + middle[i, 1] * c[i + 1] + middle[i, 2] * c[i + 2])
         for e in range(2 * i, 2 * i + 2):
             r = 1.0 / np.sqrt(end[e, 0] * c[i] + end[e, 1] * c[i + 1] + end[e, 2] * c[i + 2])
             for k in range(nj):
                 value = j[e, k, 0] * c[i] + j[e, k, 1] * c[i + 1] + j[e, k, 2] * c[i + 2]
                 rooms[2][e, k, 0], rooms[2][e, k, 1] = r - value, r + value
-    for i in range(m + 1):
+    for i in range(len(ceiling)):
         rooms[0][i] = 1.0 - (point[i, 0] * c[i] + point[i, 1] * c[i + 1]) / ceiling[i]
         for k in range(nj):
             value = a[i, k, 0] * c[i] + a[i, k, 1] * c[i + 1]
             rooms[1][i, k, 0], rooms[1][i, k, 1] = 1.0 - value, 1.0 + value
-    return time
 
 
 @njit(cache=True, inline="always")
@@ -248,6 +282,20 @@ def _keep_level(level: tuple[bool, bool], rhs: Array, band: Array) -> None:
         band[m, 0] += band[m + 1, 0] + 2.0 * band[m + 1, 1]
         band[m, 1] += band[m + 1, 2]
         rhs[m + 1], band[m + 1, 0], band[m + 1, 1], band[m + 1, 2] = 0.0, 1.0, 0.0, 0.0
+
+
+@njit(cache=True)
+def _hold(ends: tuple[bool, bool], rhs: Array, band: Array) -> None:
+    """Leave the outermost two coefficients where they are, at the ends where the grid goes on: settled intervals see
+    them too."""
+    m = len(rhs) - 2
+    if ends[0]:
+        band[2, 1] = band[2, 2] = band[3, 2] = 0.0
+        for i in range(2):
+            rhs[i], band[i, 0], band[i, 1], band[i, 2] = 0.0, 1.0, 0.0, 0.0
+    if ends[1]:
+        for i in range(m, m + 2):
+            rhs[i], band[i, 0], band[i, 1], band[i, 2] = 0.0, 1.0, 0.0, 0.0
 
 
 @njit(cache=True)
