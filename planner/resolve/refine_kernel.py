@@ -116,14 +116,15 @@ def _slopes(i: int, limits, G, centre, D, first, B, free, Gd, Bf, a) -> None:
                     total += D[i, o, s] * G[centre[i] + s - 2, j, c]
                 Gd[o, j, c] = total
     for j in range(nj):
+        v, y, z = 1.0 / limits[0, j], 1.0 / limits[1, j], 1.0 / limits[2, j]
         for e in range(nb):
             b0, b1, b2, b3 = Bf[0, e], Bf[1, e], Bf[2, e], Bf[3, e]
             for c in range(m):
                 g0, g1, g2, g3 = G[i, j, c], Gd[0, j, c], Gd[1, j, c], Gd[2, j, c]
                 p = e * m + c
-                a[0, j, p] = (g0 * b1 + g1 * b0) / limits[0, j]
-                a[1, j, p] = (g0 * b2 + 2.0 * g1 * b1 + g2 * b0) / limits[1, j]
-                a[2, j, p] = (g0 * b3 + 3.0 * g1 * b2 + 3.0 * g2 * b1 + g3 * b0) / limits[2, j]
+                a[0, j, p] = v * (g0 * b1 + g1 * b0)
+                a[1, j, p] = y * (g0 * b2 + 2.0 * g1 * b1 + g2 * b0)
+                a[2, j, p] = z * (g0 * b3 + 3.0 * g1 * b2 + 3.0 * g2 * b1 + g3 * b0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -214,6 +215,7 @@ def quadratic_program(
     w = nb * m
     Gd = np.empty((3, nj, m))
     a = np.empty((3, nj, w))
+    scaled, product = np.empty((3, nj, w)), np.empty((w, w))
     a0 = np.empty(w)
     r, k = 0, 0
     group[0] = 0
@@ -230,12 +232,18 @@ def quadratic_program(
             continue
         at_i = first[i] * m
         _slopes(i, limits, G, centre, D, first, B, free, Gd, Bf, a)
-        # effort
+        # effort: what single rates add is one product of matrices
         for o in range(3):
             for j in range(nj):
                 share = rates[i, o, j] / limits[o, j]
                 weight = 2.0 * step[i] * EFFORT[o] / nj / (1.0 + share * share) ** 2
-                _add(H, g, at_i, a[o, j], weight, share)
+                for p in range(w):
+                    scaled[o, j, p] = weight * a[o, j, p]
+                    g[at_i + p] += share * scaled[o, j, p]
+        np.dot(scaled.reshape(3 * nj, w).T, a.reshape(3 * nj, w), product)
+        for p in range(w):
+            for d in range(p + 1):
+                H[at_i + p, d] += product[p, p - d]
         # lost time: all rates of a sample share its slack
         if deposits[i] > 0.0:
             own = 0
