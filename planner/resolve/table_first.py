@@ -100,34 +100,42 @@ def _lattice(cell: Cell, axis: int, step: float) -> tuple[Array, bool]:
     return np.asarray(low + (high - low) / n * np.arange(n + 1)), False
 
 
-@njit(cache=True)
-def _after_moves(cost: Array, weight: float, turns: bool, least: Array, came: NDArray[np.int64]) -> None:
+@njit(cache=True, error_model="numpy")
+def _after_moves(
+    cost: Array, weight: float, turns: bool, least: Array, came: NDArray[np.int64], room: tuple[NDArray[np.int64], Array, Array]
+) -> None:  # fmt: skip
     """Fill least (n) with the least of cost (n) plus weight times the move's square, and came with where that is from.
 
     The lower envelope of parabolas (Felzenszwalb and Huttenlocher 2012), in time linear in n. Where the axis turns all
-    round, half of it is repeated at both ends.
+    round, half of it is repeated at both ends. Parabolas from u and v, with heights h = cost / (2 weight) + v^2 / 2, cross
+    at (h_u - h_v) / (u - v). `room` is for 2 n values each.
     """
     n = cost.size
     beside = n // 2 if turns else 0
-    at, edge = np.empty(n + 2 * beside, dtype=np.int64), np.empty(n + 2 * beside)
-    top = -1
-    for i in range(-beside, n + beside):
-        start = -np.inf
-        while top >= 0:
-            v = at[top]
-            start = (cost[i % n] - cost[v % n]) / (2.0 * weight * (i - v)) + 0.5 * (i + v)
-            if start > edge[top]:
-                break
+    at, edge, height = room
+    inverse = 0.5 / weight
+    for i in range(n):
+        height[beside + i] = cost[i] * inverse + 0.5 * i * i
+    for i in range(-beside, 0):
+        height[beside + i] = cost[i + n] * inverse + 0.5 * i * i
+    for i in range(n, n + beside):
+        height[beside + i] = cost[i - n] * inverse + 0.5 * i * i
+    top = 0
+    at[0], edge[0] = -beside, -np.inf
+    for i in range(1 - beside, n + beside):
+        own = height[beside + i]
+        while top >= 0 and own - height[beside + at[top]] <= edge[top] * (i - at[top]):
             top -= 1
-            start = -np.inf
+        start = (own - height[beside + at[top]]) / (i - at[top]) if top >= 0 else -np.inf
         top += 1
         at[top], edge[top] = i, start
     k = 0
     for i in range(n):
         while k < top and edge[k + 1] < i:
             k += 1
-        came[i] = at[k] % n
-        least[i] = cost[came[i]] + weight * (i - at[k]) ** 2
+        v = at[k]
+        came[i] = v + n if v < 0 else (v - n if v >= n else v)
+        least[i] = cost[came[i]] + weight * (i - v) ** 2
 
 
 @njit(cache=True)
@@ -146,15 +154,20 @@ def _cheapest(
             cost[i, j] = RETURN * step * (di + dj)
     back = np.empty((r, na, nb, 2), dtype=np.int16)
     moved, came = np.empty((na, nb)), np.empty(max(na, nb), dtype=np.int64)
+    most_places = 2 * max(na, nb)
+    room = (np.empty(most_places, dtype=np.int64), np.empty(most_places), np.empty(most_places))
+    upright = np.cos(aim)
     for k in range(r):
         if k:
             # moves of the two axes cost independently of each other: one axis after the other is the least of both
             for j in range(nb):
-                _after_moves(cost[:, j], MOVE * step * step / (time[k] * speed[0] ** 2), turns[0], moved[:, j], came)
+                _after_moves(
+                    cost[:, j], MOVE * step * step / (time[k] * speed[0] ** 2), turns[0], moved[:, j], came, room
+                )
                 for i in range(na):
                     back[k, i, j, 0] = came[i]
             for i in range(na):
-                _after_moves(moved[i], MOVE * step * step / (time[k] * speed[1] ** 2), turns[1], cost[i], came)
+                _after_moves(moved[i], MOVE * step * step / (time[k] * speed[1] ** 2), turns[1], cost[i], came, room)
                 for j in range(nb):
                     back[k, i, j, 1] = came[j]
         spell = time[k] if k else time[min(1, r - 1)]  # no time leads to the first rung, but it is printed
@@ -163,7 +176,9 @@ def _cheapest(
                 cosine = 0.0
                 for c in range(3):
                     cosine += normals[k, c] * up[i, j, c]
-                lean = np.arccos(min(max(cosine, -1.0), 1.0))
+                if cosine > upright:  # as upright as is aimed at: free, and `most` is beyond
+                    continue
+                lean = np.arccos(max(cosine, -1.0))
                 over = max(0.0, lean / aim - 1.0)
                 cost[i, j] += spell * (LEAN * over * over + BEYOND * max(0.0, lean - most))
     picked = np.empty((r, 2), dtype=np.int64)
