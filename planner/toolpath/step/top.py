@@ -29,6 +29,7 @@ _STEPS = 30
 _LEAST_UP = 0.05  # upward component with which a tangent plane is followed
 _AS_ONE = np.array([1.0, 1.0j])  # u and v as one number
 _FOUND = 1e-10  # m, between a place and what is found above or beneath it
+_STILL = 1e-13  # m: heights that change by no more do not change
 
 
 class NotSmooth(ValueError):
@@ -76,20 +77,35 @@ class UpperFaces:
             left = np.flatnonzero(np.isnan(z))
             if len(left) == 0:
                 break
-            foot, normal = known.points[start[left]], known.normals[start[left]]
-            face, uv = known.face[near[left]], known.uv[near[left]]
-            for _ in range(_STEPS):
-                aside = ((plane[left] - foot[:, :2]) * normal[:, :2]).sum(axis=1)
-                there = np.column_stack([plane[left], foot[:, 2] - aside / np.maximum(normal[:, 2], _LEAST_UP)])
-                places = self.body.followed(there, face, uv)
-                foot, normal = places.points, places.normals
-                off = np.linalg.norm(foot - there, axis=1)
-                if off.max(initial=0.0) <= _FOUND:
-                    break
-            here = (off <= ON_THE_RIM) & (normal[:, 2] > 0.0)
+            height, places = self._risen(plane[left], start[left], near[left])
+            off = np.linalg.norm(places.points - np.column_stack([plane[left], height]), axis=1)
+            here = (off <= ON_THE_RIM) & (places.normals[:, 2] > 0.0)
             here[here] = self._on_face(places.face[here], places.uv[here])
-            z[left[here]], up[left[here]] = there[here, 2], normal[here, 2]
+            z[left[here]], up[left[here]] = height[here], places.normals[here, 2]
         return z, up
+
+    def _risen(self, plane: Array, start: Ints, near: Ints) -> tuple[Array, Places]:
+        """Heights (n,) above x, y (n, 2) at which the foot is the place itself, or beyond a rim changes no more; and feet.
+
+        start (n,) and near (n, c): samples to begin with, and to look for feet from.
+        """
+        known = self.samples
+        foot, normal = known.points[start], known.normals[start]
+        face, uv = known.face[start], known.uv[start]
+        height, busy = np.full(len(plane), np.nan), np.arange(len(plane))
+        for _ in range(_STEPS):
+            aside = ((plane[busy] - foot[busy, :2]) * normal[busy, :2]).sum(axis=1)
+            risen = foot[busy, 2] - aside / np.maximum(normal[busy, 2], _LEAST_UP)
+            moved = ~(np.abs(risen - height[busy]) <= _STILL)
+            height[busy] = risen
+            busy = busy[moved]
+            if len(busy) == 0:
+                break
+            there = np.column_stack([plane[busy], height[busy]])
+            places = self.body.followed(there, known.face[near[busy]], known.uv[near[busy]])
+            foot[busy], normal[busy], face[busy], uv[busy] = places.points, places.normals, places.face, places.uv
+            busy = busy[np.linalg.norm(places.points - there, axis=1) > _FOUND]
+        return height, Places(foot, normal, face, uv)
 
     def beneath(self, points: Array) -> Places:
         """Feet of perpendiculars from points (n, 3) close above the faces."""
