@@ -29,10 +29,9 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 FAR = 50e-3  # m: what is farther away is that far away
-TOLERANCE = 1e-4  # m: no distance is missed that falls short by more
+TOLERANCE = 1e-4  # m: no distance is missed that is less than the least that is found by more
+_SHARE = 1.0  # of what points beyond the tip's zone have to spare, to which the least is found: enough to miss none that lacks
 _OFTEN = 25  # samples after which every body is looked at again, wherever it is
-_CLOSE = 1e-3  # m above what is needed: less is looked for
-_SHARE = 1.0  # of what the least has to spare, to which it is found
 _STEEP = 1e3  # slope that lets nothing within the tip's zone count
 _MOST_PARTS = 64  # of the time between two samples
 
@@ -82,18 +81,22 @@ def nozzle_nearness(
     slack: Array,
     clearance: float,
     slope: float = TIP_SLOPE,
+    ahead: Index | None = None,
+    share: float = 0.0,
 ) -> Nearness:
     """The least of distance - min(clearance, slope * distance from the tip - slack) along a motion (see `nearest_point`).
 
-    Nothing that lacks more than TOLERANCE is missed, also between samples: that is known for a slope of TIP_SLOPE at most.
+    It is found to TOLERANCE, or a share of itself, also between samples: that is known for a slope of TIP_SLOPE at most.
+    ahead (n): the samples up to which what is laid counts as there; as for that slope, if not given.
     """
+    ahead = _looked_ahead(motion.tip, now, slack) if ahead is None else ahead
     tip, rotation = np.ascontiguousarray(motion.tip), np.ascontiguousarray(motion.rotation)
     margin = np.full(len(now), FAR)
     least, at, body, point, looks = _along(
         tree.points, tree.radius, tree.time, tree.centre, tree.reach, tree.since, tree.left, tree.right,
         bodies.kind, bodies.size, bodies.planes, bodies.T_solid_frame, bodies.centre, bodies.reach,
         tip, rotation, *_path_lengths(tip, rotation), now, slack,
-        clearance, slope, 1.0 + min(slope, TIP_SLOPE), _looked_ahead(tip, now, slack), margin, search_room(),
+        clearance, slope, 1.0 + min(slope, TIP_SLOPE), share, ahead, margin, search_room(),
     )  # fmt: skip
     return Nearness(margin, least, at, body, point, looks)
 
@@ -103,7 +106,8 @@ def beyond_the_tip(
 ) -> Nearness:
     """The same of true distances, less the clearance, from points beyond the tip's zone."""
     zone = (clearance + slack) / TIP_SLOPE
-    return nozzle_nearness(tree, bodies, motion, now, _STEEP * zone, clearance, _STEEP)
+    ahead = _looked_ahead(motion.tip, now, slack)
+    return nozzle_nearness(tree, bodies, motion, now, _STEEP * zone, clearance, _STEEP, ahead, _SHARE)
 
 
 def check_nozzle(
@@ -148,7 +152,7 @@ def _path_lengths(tip: Array, rotation: Array) -> tuple[Array, Array]:
 def _along(
     points, radius, time, centre, reach, since, left, right,
     kind, size, planes, T_solid_frame, body_centre, body_reach,
-    tip, rotation, path, turned, now, slack, clearance, slope, rate, ahead, margin, stack,
+    tip, rotation, path, turned, now, slack, clearance, slope, rate, share, ahead, margin, stack,
 ):  # fmt: skip
     """Fill margin; returns the least, its sample, body and point, and how often it was looked. ahead: see _looked_ahead.
 
@@ -157,6 +161,16 @@ def _along(
     n = len(now)
     least, where, whose, which, looks = FAR, 0, 0, -1, 0
     T, R, p = np.empty((4, 4)), np.empty((3, 3)), np.empty(3)
+    for j in range(len(kind)):  # a look here and there, which spares many of those that follow
+        for k in range(0, n, _OFTEN):
+            _pose(T_solid_frame[j], rotation[k], tip[k], T)
+            value, point = nearest_point(
+                points, radius, time, centre, reach, since, left, right, kind[j], size[j], planes, T,
+                now[ahead[k]], least, clearance, tip[k], slope, slack[k], stack,
+            )  # fmt: skip
+            looks += 1
+            if value < least:
+                least, where, whose, which = value, k, j, point
     for j in range(len(kind)):
         c = body_centre[j]
         arm = np.sqrt(c[0] ** 2 + c[1] ** 2 + c[2] ** 2) + body_reach[j]
@@ -176,44 +190,40 @@ def _along(
             if k == before + 1 and k > 0:
                 moved = rate * (path[k] - path[before] + arm * (turned[k] - turned[before]))
                 parts = 1
-                while 0.5 * (value + value_before - moved / parts) < _target(least) and parts < _MOST_PARTS:
+                while (
+                    0.5 * (value + value_before - moved / parts) < least - max(TOLERANCE, share * least)
+                    and parts < _MOST_PARTS
+                ):
                     parts *= 2
                 for i in range(1, parts):
                     _between(rotation[before], rotation[k], tip[before], tip[k], i / parts, R, p)
                     _pose(own, R, p, T)
                     inside, found = nearest_point(
                         points, radius, time, centre, reach, since, left, right, kind[j], size[j], planes, T,
-                        seeing, FAR, clearance, p, slope, slack[k], stack,
+                        seeing, least, clearance, p, slope, slack[k], stack,
                     )  # fmt: skip
                     looks += 1
                     if inside < least:
                         least, where, whose, which = inside, k, j, found
             for i in range(max(before, 0), k + 1):
-                share = (i - before) / max(k - before, 1)
-                margin[i] = min(margin[i], (1.0 - share) * value_before + share * value if before >= 0 else value)
+                done = (i - before) / max(k - before, 1)
+                margin[i] = min(margin[i], (1.0 - done) * value_before + done * value if before >= 0 else value)
             if k == n - 1:
                 break
-            target = _target(least)
+            target = least - max(TOLERANCE, share * least)
             m = k + 1
             while m < min(n - 1, k + _OFTEN):
                 moved = path[m + 1] - path[k] + arm * (turned[m + 1] - turned[k])
                 if value - rate * moved < target:
                     break
-                # what is laid in the meantime lies where the tip has been
-                if (
-                    now[m + 1] > seeing
-                    and tip_away - (path[m + 1] - path[k]) - slack[k] / TIP_SLOPE - clearance < target
-                ):
+                # what is laid in the meantime lies where the tip has been: far within its zone, if only what is beyond counts
+                far = path[m + 1] - path[k]
+                counts = slope <= TIP_SLOPE or 2.0 * far > slack[k] / slope
+                if now[m + 1] > seeing and counts and tip_away - far - slack[k] / TIP_SLOPE - clearance < target:
                     break
                 m += 1
             before, value_before, k = k, value, m
     return least, where, whose, which, looks
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _target(least):
-    """Margins that are looked for are less than this, where `least` is the least that is known."""
-    return max(min(least, _CLOSE) - max(TOLERANCE, _SHARE * least), min(least, 0.0) - TOLERANCE)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

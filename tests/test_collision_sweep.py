@@ -65,8 +65,9 @@ def test_least_distances_are_those_of_dense_sampling(tmp_path: Path, seed: int) 
     assert near > 3
 
 
-def test_the_nozzle_from_print_is_as_near_as_by_brute_force(tmp_path: Path) -> None:
-    """Every sample, every body, every point that is there."""
+@pytest.mark.parametrize("lift", [0.0, 2e-3, 8e-3])
+def test_the_nozzle_from_print_is_as_near_as_by_brute_force(tmp_path: Path, lift: float) -> None:
+    """Every sample, every body, every point that is there; where it touches, and where it has much to spare."""
     _, cell = scene(tmp_path, FIXTURES)
     rng = np.random.default_rng(5)
     points = rng.uniform([-0.05, -0.05, -0.03], [0.05, 0.05, -0.001], (300, 3))
@@ -74,7 +75,7 @@ def test_the_nozzle_from_print_is_as_near_as_by_brute_force(tmp_path: Path) -> N
     time[:100] = -np.inf
     n = 300
     u = np.linspace(0.0, 1.0, n)
-    tip = np.column_stack([0.04 * np.cos(7 * u), 0.04 * np.sin(5 * u), 0.004 * np.cos(3 * u)])
+    tip = np.column_stack([0.04 * np.cos(7 * u), 0.04 * np.sin(5 * u), lift + 0.004 * np.cos(3 * u)])
     lean = 0.3 * np.sin(4 * u)
     rotation = np.zeros((n, 3, 3))
     rotation[:, 0] = np.column_stack([np.cos(lean), np.zeros(n), -np.sin(lean)])
