@@ -6,6 +6,7 @@ python -m benchmarks.collision peer_cap        or some
 
 from __future__ import annotations
 
+import argparse
 import sys
 import time
 from collections.abc import Sequence
@@ -59,7 +60,9 @@ def row(plan: Plan, seconds: float) -> tuple[str, ...]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Solve the problems named, or all that ship, and print a table."""
-    names = list(sys.argv[1:] if arguments is None else arguments) or list(shipped_problems())
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.collision", description=__doc__)
+    parser.add_argument("problem", nargs="*", default=shipped_problems(), help="default: all that ship")
+    names = parser.parse_args(arguments).problem
     table = Table(*COLUMNS)
     console = Console(width=150)
     for name in names:

@@ -5,11 +5,13 @@ python -m benchmarks.nlp
 
 from __future__ import annotations
 
+import argparse
 import os
 import platform
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -96,8 +98,9 @@ def compare(case: Case, folder: Path) -> tuple[float, float, float, float, float
     return given[0][0], sqp, float(np.median(seconds)), solution.track.price, slow, solution, len(path.task)
 
 
-def main() -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Print the table."""
+    argparse.ArgumentParser(prog="python -m benchmarks.nlp", description=__doc__).parse_args(arguments)
     table = Table(*COLUMNS, title="one bead, from the ladder's path; prices in ms", title_justify="left")
     for case in CASES:
         with tempfile.TemporaryDirectory() as folder:

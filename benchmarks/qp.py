@@ -5,11 +5,12 @@ python -m benchmarks.qp
 
 from __future__ import annotations
 
+import argparse
 import os
 import platform
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 
 import clarabel
@@ -89,8 +90,9 @@ def _recording(seen: list[QuadraticProgram]) -> Callable[[QuadraticProgram], tup
     return solve
 
 
-def main() -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Print the table."""
+    argparse.ArgumentParser(prog="python -m benchmarks.qp", description=__doc__).parse_args(arguments)
     table = Table(*COLUMNS, title="programs on the way of the refinement; medians", title_justify="left")
     for name, qps in programs():
         values = {}

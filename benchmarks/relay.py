@@ -14,9 +14,10 @@ import multiprocessing.connection
 import os
 import selectors
 import socket
+import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -141,12 +142,12 @@ def measure(
     return times, spent / len(lines)
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Print a table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.relay")
     parser.add_argument("--rate", type=float, default=1000.0, help="lines a second (default 1000)")
     parser.add_argument("--seconds", type=float, default=5.0, help="of each of three runs (default 5)")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     table = Table(title=f"Lines on loopback, {options.rate:g} a second asked, {os.cpu_count()} cores")
     columns = (
         "",
@@ -169,7 +170,8 @@ def main() -> None:
         figures = (p50, p99, there.max(), np.percentile(back, 99), 1e3 * spent)
         table.add_row(name, f"{rate:.0f}", *(f"{figure:.3f}" for figure in figures), kept)
     Console(width=120).print(table)
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib
@@ -78,11 +79,11 @@ def draw(axes: Axes3D, key: str) -> None:
     axes.set_title(robot.name, fontsize=9, y=-0.07)
 
 
-def main() -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """The command line."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.robots", description="Draw all robots that ship.")
     parser.add_argument("picture", type=Path, help="a PNG file to write")
-    target = parser.parse_args().picture
+    target = parser.parse_args(arguments).picture
     keys = robot_names()
     rows = -(-len(keys) // COLUMNS)
     figure = plt.figure(figsize=(2.1 * COLUMNS, 2.2 * rows))

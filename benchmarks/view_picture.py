@@ -5,11 +5,13 @@ python -m benchmarks.view_picture docs/pictures/view.png
 
 from __future__ import annotations
 
+import argparse
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from PIL import Image
@@ -69,5 +71,13 @@ def _until_idle(page: Page) -> None:
         time.sleep(0.1)
 
 
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Draw the picture into the file that is named."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.view_picture", description=__doc__)
+    parser.add_argument("picture", type=Path)
+    view_picture(parser.parse_args(arguments).picture)
+    return 0
+
+
 if __name__ == "__main__":
-    view_picture(Path(sys.argv[1]))
+    sys.exit(main())

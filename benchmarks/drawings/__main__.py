@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from PIL import Image
@@ -28,12 +28,12 @@ PICTURES = Path("docs/pictures")
 COLOURS = 256  # of a palette: drawings need no more, and stay small
 
 
-def main() -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """The command line."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.drawings", description="Draw the concept pages.")
     parser.add_argument("names", nargs="*", help=f"of {', '.join(DRAWINGS)}; default: all")
     parser.add_argument("--pictures", type=Path, default=PICTURES, metavar="DIR", help="draw there")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     for name in options.names or DRAWINGS:
         if name not in DRAWINGS:
             parser.error(f"no drawing {name!r}; there are {', '.join(DRAWINGS)}")

@@ -1,0 +1,60 @@
+"""Every command of the benchmarks starts, says how it is used, and those that plan do so at their smallest."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+STARTED_BY_OTHERS = {"single", "peers.one", "peers.run_pink", "peers.run_roboplan", "peers.run_tesseract"}
+COARSE = ["--set", "resolve.rung_mm=10", "--set", "resolve.roll_step_deg=30", "--set", "resolve.knot_mm=5"]
+SMALLEST = {
+    "bound": ["planar_gcode", *COARSE],
+    "collision": ["peer_cap"],
+    "collision_cost": ["peer_cap", *COARSE],
+    "programs": ["peer_cap", *COARSE],
+    "relay": ["--seconds", "0.2", "--rate", "100"],
+    "strategies": ["peer_cap", *COARSE],
+    "timing": ["peer_cap", *COARSE],
+}
+
+
+def commands() -> list[str]:
+    """Modules that can be started with `python -m benchmarks.`, but for those that others start."""
+    found = []
+    for path in sorted((ROOT / "benchmarks").rglob("*.py")):
+        if '__name__ == "__main__"' in path.read_text(encoding="utf-8"):
+            found.append(
+                ".".join(path.relative_to(ROOT / "benchmarks").with_suffix("").parts).removesuffix(".__main__")
+            )
+    return [name for name in found if name not in STARTED_BY_OTHERS]
+
+
+def main_of(name: str) -> Callable[[Sequence[str]], int]:
+    folder = ROOT / "benchmarks" / name.replace(".", "/")
+    module = importlib.import_module(f"benchmarks.{name}{'.__main__' if folder.is_dir() else ''}")
+    main: Callable[[Sequence[str]], int] = module.main
+    return main
+
+
+def test_there_are_commands() -> None:
+    assert len(commands()) > 30
+    assert set(SMALLEST) <= set(commands())
+
+
+@pytest.mark.parametrize("name", commands())
+def test_a_command_says_how_it_is_used(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main_of(name)(["--help"])
+    assert ended.value.code == 0
+    said = capsys.readouterr()
+    assert said.out.startswith("usage: ") and said.err == ""
+
+
+@pytest.mark.parametrize("name", SMALLEST)
+def test_a_command_runs(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main_of(name)(SMALLEST[name]) == 0
+    assert capsys.readouterr().out.strip()
