@@ -43,7 +43,8 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 # those that take long come before those that do not, so that no worker waits for another one at the end.
 FIRST = (
     "problems", "sqp_kernels", "timing_optimum", "placement", "wing_lofted", "process_whole", "fibre", "bad_cases",
-    "register", "headroom", "step", "notebooks", "browser", "command", "view_page", "verify", "sqp", "resolve", "timing",
+    "register", "headroom", "step", "notebooks", "browser", "command", "view_page", "step_top", "substrate", "corpora",
+    "obstacles_refine", "link_command", "verify", "verify_extrusion", "positioners", "sqp", "resolve", "timing",
     "materials", "cores", "wing", "report", "resume", "dips", "svg", "volume",
 )  # fmt: skip
 

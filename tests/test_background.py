@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from solved import bed_plan, small_plan
+from solved import bed_plan, small_plan, solve_alone
 
 from planner import planning
 from planner.background import in_background, in_halves, shared, spare_core
@@ -145,3 +145,8 @@ def test_the_baseline_beside_is_the_baseline(monkeypatch: pytest.MonkeyPatch) ->
     beside = planning.solve(plan.problem, second_process=True)
     assert beside.baseline == plan.baseline and set(beside.baseline) == {"as_published"}
     assert beside.metrics == plan.metrics and beside.checks == plan.checks
+
+
+def test_a_plan_says_of_the_baseline_what_its_own_plan_says() -> None:
+    plan = small_plan()
+    assert plan.baseline == {"as_published": solve_alone(plan.problem, "as_published").metrics}

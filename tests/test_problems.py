@@ -18,7 +18,6 @@ from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.writer import rapid
 from planner.plan import Plan
 from planner.problem import load_problem, shipped_problems
-from planner.solve import solve
 
 Array = NDArray[np.float64]
 
@@ -52,7 +51,7 @@ def logo(request: pytest.FixtureRequest) -> str:
 def solved(logo: str, strategy: str) -> Plan:
     """A logo's first layer with a strategy, default settings. Refusal where it has no plan."""
     problem = load_problem("cylinder_logo", ("layers.count=1", *LOGOS[logo]))
-    return solve(problem, strategy) if strategy == "ladder" else solve_alone(problem, strategy)
+    return solve_alone(problem, strategy)
 
 
 # Less of the problems that are large.
@@ -118,13 +117,6 @@ def test_no_strategy_is_refused_on_a_logo(logo: str, other: str) -> None:
 
 def test_ladder_keeps_at_least_the_singularity_margin_of_fixed(logo: str) -> None:
     assert solved(logo, "ladder").metrics["sigma_min"] >= solved(logo, "fixed").metrics["sigma_min"]
-
-
-def test_baseline_stands_beside(logo: str) -> None:
-    """What a plan says of the baseline is what the baseline's own plan says."""
-    beside = solved(logo, "ladder").baseline
-    assert set(beside) == {"as_published"}
-    assert beside["as_published"] == solved(logo, "as_published").metrics
 
 
 def test_rapid_program_replays_the_plan(logo: str) -> None:

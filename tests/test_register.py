@@ -36,9 +36,12 @@ PART = Ask()
 MOVED, TURNED = (3.0, -2.0, 1.5), (1.5, -1.0, 0.8)
 
 
+SPARSE = {"curved_plate": "layers.source.spacing_mm=50", "shoehorn": "layers.source.spacing_mm=20"}  # rows of the print
+
+
 @cache
 def scene(name: str, *overrides: str) -> Scene:
-    return scene_of(load_problem(name, overrides))
+    return scene_of(load_problem(name, (*overrides, *([SPARSE[name]] if name in SPARSE else []))))
 
 
 @cache
