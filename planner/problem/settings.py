@@ -52,7 +52,9 @@ class ResolveSpec(Section):
         "rung_mm", "distance along a bead at which postures are searched [mm]; interpolated between", 5
     )
     knot: Annotated[float, Quantity("mm", 0.5, 100)] = key(
-        "knot_mm", "distance along a bead between control values of the refined free angles; round bends half of it [mm]", 2.5
+        "knot_mm",
+        "distance along a bead between control values of the refined free angles; round bends half of it [mm]",
+        2.5,
     )
     min_sigma: Annotated[float, Quantity("", 0, 1)] = key(
         "min_sigma", "least singular value of the arm's Jacobian (metres); below it joints race", 0.05
