@@ -28,7 +28,13 @@ def places_along(task: NozzleTask, spacing: float, fewest: int) -> Array:
 
 
 def knots_along(task: NozzleTask, spacing: float, fewest: int) -> Array:
-    """The same, up to twice as dense where the path bends: there joints have to hurry, and need to be free to do so."""
+    """The same, up to twice as dense where the path bends: there joints have to hurry, and need to be free to do so.
+
+    Not where the table has to follow the normal: round bends the table has no freedom left, and more knots only get in
+    each other's way (the part of Chen et al. is printed at speed on less of its length with them).
+    """
+    if task.cones.layer_gravity < NARROW:
+        return places_along(task, spacing, fewest)
     steps = np.linalg.norm(np.diff(task.tip, axis=0), axis=1)
     ahead = np.diff(task.tip, axis=0) / np.maximum(steps, 1e-12)[:, None]
     bend = np.append(0.0, _angles(ahead)) / np.maximum(steps, 1e-6)
