@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import sys
 import tempfile
@@ -21,9 +22,9 @@ from pathlib import Path
 from benchmarks.peers import results
 from benchmarks.peers.case import CASES, given, write_case
 from benchmarks.peers.judge import PATH_COLUMNS
-from benchmarks.peers.one import JOINTS, ROW
+from benchmarks.peers.one import JOINTS, ROW, WARM
 from benchmarks.peers.peer_list import PEERS, Peer
-from benchmarks.peers.watch import watched
+from benchmarks.peers.watch import Ended, watched
 from benchmarks.rows import COLUMNS, STAGES, Row, Run, append_row, make_row, times
 from benchmarks.single import beadwise
 from benchmarks.summary import ALONE, CHOSEN, OURS
@@ -61,12 +62,16 @@ def one_peer(name: str, key: str, ready: Given, python: Path, folder: Path, limi
 
 def _in_process(what: str, key: str, folder: Path, limits: tuple[float, float]) -> Row:
     """The row that `benchmarks.peers.one` writes, or its reason for writing none."""
-    command = [sys.executable, "-m", "benchmarks.peers.one", what, key, str(folder)]
-    ended = watched(command, folder / f"{what}.txt", *limits, env=os.environ)
+    ended = _one(what, key, folder, limits)
     if ended.reason:
         return {"found": what == "judge", "reason": f"{'judging it: ' if what == 'judge' else ''}{ended.reason}"}
     row: Row = json.loads((folder / ROW).read_text(encoding="utf-8"))
     return row
+
+
+def _one(what: str, key: str, folder: Path, limits: tuple[float, float]) -> Ended:
+    command = [sys.executable, "-m", "benchmarks.peers.one", what, key, str(folder)]
+    return watched(command, folder / f"{what}.txt", *limits, env=os.environ)
 
 
 def _label(peer: Peer, version: str) -> str:
@@ -117,6 +122,7 @@ def _case(
             continue
         if ready is None:
             ready = given(CASES[key], folder)
+            _one(WARM, key, folder, (math.inf, limits[1]))  # a fresh checkout compiles for longer than a run may take
         if name in PEERS and PEERS[name].table_only and not _table(ready):
             continue
         own = folder / name

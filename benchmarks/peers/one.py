@@ -1,4 +1,4 @@
-"""One run in a process of its own: `python -m benchmarks.peers.one judge|beadwise|beadwise_alone CASE FOLDER`.
+"""One run in a process of its own: `python -m benchmarks.peers.one judge|beadwise|beadwise_alone|warm CASE FOLDER`.
 
 Writes row.json into the folder: for `judge` of the joints in q.csv there, else of the planner itself.
 """
@@ -19,6 +19,7 @@ from benchmarks.usage import cpu_seconds, peak_mb
 from planner.given import Given
 
 JOINTS, ROW = "q.csv", "row.json"
+WARM = "warm"  # has everything compiled, and does nothing else
 
 
 def judged_file(given: Given, folder: Path) -> Row:
@@ -33,9 +34,11 @@ def judged_file(given: Given, folder: Path) -> Row:
 def main() -> int:
     """The command line; returns the exit code."""
     what, key, folder = sys.argv[1], sys.argv[2], Path(sys.argv[3])
-    case, collision = CASES[key], what == "beadwise"
+    case, collision = CASES[key], what in ("beadwise", WARM)
     ready = given(case, folder)
     ours.warm(ready, collision)
+    if what == WARM:
+        return 0
     if what == "judge":
         row = judged_file(ready, folder)
     else:
