@@ -40,6 +40,11 @@ class Case:
     layers: int | None = None
 
     @property
+    def told(self) -> tuple[str, ...]:
+        """What a table of runs says of it beside its name: a part of a problem is not the problem."""
+        return self.settings if self.layers is None else (*self.settings, f"layers 1 to {self.layers}")
+
+    @property
     def key(self) -> str:
         """Its name in tables and on the command line."""
         return self.name if self.waypoints is None else f"{self.name}@{self.waypoints}"
