@@ -57,10 +57,8 @@ def merged(triangles, size):
     bits = 4
     while 1 << bits < 4 * len(triangles):
         bits += 1
-    place, last = (
-        np.full(1 << bits, -1, dtype=np.int32),
-        (1 << bits) - 1,
-    )  # a table of cubes by their keys: open addressing
+    place = np.full(1 << bits, -1, dtype=np.int32)  # a table of cubes by their keys: open addressing
+    last = (1 << bits) - 1
     keys, kept = np.empty(3 * len(triangles), np.int64), np.empty((3 * len(triangles), 3))
     far, count = np.zeros(3 * len(triangles)), 0
     for i in range(len(triangles)):

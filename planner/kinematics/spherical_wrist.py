@@ -18,6 +18,8 @@ BRANCHES = 8
 BEHIND_AXIS_1, BEHIND_LOWER_ARM, AXIS_5_NEGATIVE = 4, 2, 1  # the bits of a branch number are those of ABB's cfx
 _TURN = 2.0 * np.pi
 _REACH_ROUNDING = 1e-10  # cosine beyond 1 by this much is a stretched arm, not one out of reach
+ALL_ROUND = np.full(6, 1e3)  # rad: a range that bounds nothing
+_ALL = np.ones(8, dtype=np.bool_)  # branches
 _STRAIGHT_WRIST = 1e-9  # rad; below it only q4 + q6 is defined, and q4 is set to 0
 
 
@@ -102,76 +104,29 @@ def _wrap(angle: float) -> float:
 
 @njit(cache=True)
 def solve_one(p: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> None:
-    """Fill q (8, 6) and ok (8) with the postures for one flange pose, rotation R (3, 3) and origin t (3)."""
-    a1, a2, b, c1, c2, c3, c4 = p[0], p[1], p[2], p[3], p[4], p[5], p[6]
-    ok[:] = False
-    cx, cy, cz = t[0] - c4 * R[0, 2], t[1] - c4 * R[1, 2], t[2] - c4 * R[2, 2]
-    rho2 = cx * cx + cy * cy - b * b
-    if rho2 < -_REACH_ROUNDING * (cx * cx + cy * cy):
-        return
-    rho = np.sqrt(max(rho2, 0.0))
-    k = np.sqrt(a2 * a2 + c3 * c3)
-    lead = np.arctan2(cy, cx)
-    skew = np.arctan2(b, rho)
-    bend = np.arctan2(a2, c3)
-    h = cz - c1
-    for shoulder in range(2):
-        if shoulder == 0:
-            theta1, radial = lead - skew, rho - a1
-        else:
-            theta1, radial = lead + skew - np.pi, -rho - a1
-        s2 = radial * radial + h * h
-        cos3 = (s2 - c2 * c2 - k * k) / (2.0 * c2 * k)
-        if abs(cos3) > 1.0 + _REACH_ROUNDING:
-            continue
-        sin3 = np.sqrt(max(1.0 - cos3 * cos3, 0.0))
-        s1, co1 = np.sin(theta1), np.cos(theta1)
-        for elbow in range(2):
-            phi3 = np.arctan2(sin3 if elbow == 0 else -sin3, cos3)
-            theta2 = np.arctan2(radial, h) - np.arctan2(k * np.sin(phi3), c2 + k * np.cos(phi3))
-            theta3 = phi3 - bend
-            s23, c23 = np.sin(theta2 + theta3), np.cos(theta2 + theta3)
-            # wrist rotation W = (Rz(theta1) Ry(theta2 + theta3))^T R = Rz(q4) Ry(q5) Rz(q6)
-            w02 = c23 * (co1 * R[0, 2] + s1 * R[1, 2]) - s23 * R[2, 2]
-            w12 = -s1 * R[0, 2] + co1 * R[1, 2]
-            w22 = s23 * (co1 * R[0, 2] + s1 * R[1, 2]) + c23 * R[2, 2]
-            w00 = c23 * (co1 * R[0, 0] + s1 * R[1, 0]) - s23 * R[2, 0]
-            w01 = c23 * (co1 * R[0, 1] + s1 * R[1, 1]) - s23 * R[2, 1]
-            w10 = -s1 * R[0, 0] + co1 * R[1, 0]
-            w11 = -s1 * R[0, 1] + co1 * R[1, 1]
-            theta5 = np.arctan2(np.sqrt(w02 * w02 + w12 * w12), w22)
-            theta4 = np.arctan2(w12, w02) if abs(np.sin(theta5)) > _STRAIGHT_WRIST else 0.0
-            # from q4, not from W's last row: exact however straight the wrist is
-            s4, c4_ = np.sin(theta4), np.cos(theta4)
-            theta6 = np.arctan2(c4_ * w10 - s4 * w00, c4_ * w11 - s4 * w01)
-            for wrist in range(2):
-                i = BEHIND_AXIS_1 * shoulder + BEHIND_LOWER_ARM * elbow + AXIS_5_NEGATIVE * wrist
-                q[i, 0] = _wrap(theta1)
-                q[i, 1] = _wrap(theta2)
-                q[i, 2] = _wrap(theta3 - 0.5 * np.pi)
-                q[i, 3] = _wrap(theta4 if wrist == 0 else theta4 + np.pi)
-                q[i, 4] = theta5 if wrist == 0 else -theta5
-                q[i, 5] = _wrap(theta6 if wrist == 0 else theta6 + np.pi)
-                ok[i] = True
+    """Fill q (8, 6), each angle in (-pi, pi], and ok (8) with all postures for one flange pose: see `solve_within`."""
+    solve_within(p, R, t, -ALL_ROUND, ALL_ROUND, _ALL, q, ok)
+    for i in range(8):
+        if ok[i]:
+            for j in range(6):
+                q[i, j] = _wrap(q[i, j])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def solve_within(
     p: Array, R: Array, t: Array, low: Array, high: Array, wanted: NDArray[np.bool_], q: Array, ok: NDArray[np.bool_]
 ) -> None:
-    """As `solve_one`, to rounding, but only the branches that are wanted (8), and whose first three joints may stand
-    within low and high (6) [rad]; in half the time and less. Angles are not wrapped.
-
-    A posture with the wrist's centre on axis 1, or beyond the arm's reach by rounding, is left out.
+    """Fill q (8, 6) and ok (8) with the postures for one flange pose, rotation R (3, 3) and origin t (3): of the branches
+    that are wanted (8), those whose first three joints may stand within low and high (6) [rad]. Angles are not wrapped.
     """
     a1, a2, b, c1, c2, c3, c4 = p[0], p[1], p[2], p[3], p[4], p[5], p[6]
     ok[:] = False
     cx, cy, h = t[0] - c4 * R[0, 2], t[1] - c4 * R[1, 2], t[2] - c4 * R[2, 2] - c1
     across2 = cx * cx + cy * cy
     rho2 = across2 - b * b
-    if not rho2 > 0.0:
+    if not rho2 >= -_REACH_ROUNDING * across2:
         return
-    rho = np.sqrt(rho2)
+    rho = np.sqrt(max(rho2, 0.0))
     k = np.sqrt(a2 * a2 + c3 * c3)
     bend = np.arctan2(a2, c3) + 0.5 * np.pi  # of the joint, not of theta_3
     for shoulder in range(2):
@@ -182,13 +137,15 @@ def solve_within(
         radial = side - a1
         s2 = radial * radial + h * h
         cos3 = (s2 - c2 * c2 - k * k) / (2.0 * c2 * k)
-        if not abs(cos3) < 1.0:
+        if not abs(cos3) <= 1.0 + _REACH_ROUNDING:
             continue
-        s1, co1 = (cy * side - cx * b) / across2, (cx * side + cy * b) / across2
+        s1, co1 = 0.0, 1.0 if shoulder == 0 else -1.0  # the wrist's centre on axis 1: any angle will do
+        if across2 > 0.0:
+            s1, co1 = (cy * side - cx * b) / across2, (cx * side + cy * b) / across2
         theta1 = np.arctan2(s1, co1)
         if not _may_stand(theta1, low[0], high[0]):
             continue
-        sin3 = np.sqrt(1.0 - cos3 * cos3)
+        sin3 = np.sqrt(max(1.0 - cos3 * cos3, 0.0))
         phi3, ahead, above = np.arctan2(sin3, cos3), np.arctan2(radial, h), np.arctan2(k * sin3, c2 + k * cos3)
         for elbow in range(2):
             i = first + BEHIND_LOWER_ARM * elbow
@@ -198,11 +155,9 @@ def solve_within(
             if not (_may_stand(q2, low[1], high[1]) and _may_stand(q3, low[2], high[2])):
                 continue
             s23, c23 = np.cos(q2 + q3), -np.sin(q2 + q3)  # theta_3 is a quarter turn more
-            ahead0, ahead1, ahead2 = (
-                co1 * R[0, 0] + s1 * R[1, 0],
-                co1 * R[0, 1] + s1 * R[1, 1],
-                co1 * R[0, 2] + s1 * R[1, 2],
-            )
+            # wrist rotation W = (Rz(theta1) Ry(theta2 + theta3))^T R = Rz(q4) Ry(q5) Rz(q6)
+            ahead0, ahead1 = co1 * R[0, 0] + s1 * R[1, 0], co1 * R[0, 1] + s1 * R[1, 1]
+            ahead2 = co1 * R[0, 2] + s1 * R[1, 2]
             w02, w12 = c23 * ahead2 - s23 * R[2, 2], co1 * R[1, 2] - s1 * R[0, 2]
             w22 = s23 * ahead2 + c23 * R[2, 2]
             w00, w01 = c23 * ahead0 - s23 * R[2, 0], c23 * ahead1 - s23 * R[2, 1]
@@ -212,6 +167,7 @@ def solve_within(
             if s5 > _STRAIGHT_WRIST:
                 theta4, s4, c4_ = np.arctan2(w12, w02), w12 / s5, w02 / s5
             theta5 = np.arctan2(s5, w22)
+            # from q4, not from W's last row: exact however straight the wrist is
             theta6 = np.arctan2(c4_ * w10 - s4 * w00, c4_ * w11 - s4 * w01)
             for wrist in range(2):
                 j = i + AXIS_5_NEGATIVE * wrist

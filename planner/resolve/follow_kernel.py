@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from planner.kinematics.chain import chain_state, jacobian_at, mul4, rotate_about
 from planner.kinematics.inverse import SPHERICAL_WRIST
 from planner.kinematics.six import invert6
-from planner.kinematics.spherical_wrist import branch_of, solve_within
+from planner.kinematics.spherical_wrist import ALL_ROUND, branch_of, solve_within
 from planner.resolve.cone_kernel import lean_of, lean_slope_of
 from planner.resolve.sigma_kernel import gram, power, sigma_slope_by_joints, square
 
@@ -102,17 +102,15 @@ def _inverse_at(origins, directions, T_world_nozzle, solved, J, J6, Ji) -> bool:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _near_in_closed_form(
-    p, T_base_world, T_world_nozzle, T_nozzle_flange, q, eight, ok, wanted, all_round, A, B
-) -> None:
+def _near_in_closed_form(p, T_base_world, T_world_nozzle, T_nozzle_flange, q, eight, ok, wanted, A, B) -> None:
     """Replace the posture q (6) by the one of its branch that a nozzle pose asks for, to rounding, where there is one
-    nearby. The last ones are room: eight (8, 6), ok, wanted (8), A, B (4, 4); all_round (6) bounds nothing."""
+    nearby. The last ones are room: eight (8, 6), ok, wanted (8), A, B (4, 4)."""
     mul4(T_base_world, T_world_nozzle, A)
     mul4(A, T_nozzle_flange, B)
     k = branch_of(p, q)
     wanted[:] = False
     wanted[k] = True
-    solve_within(p, B[:3, :3], B[:3, 3], -all_round, all_round, wanted, eight, ok)
+    solve_within(p, B[:3, :3], B[:3, 3], -ALL_ROUND, ALL_ROUND, wanted, eight, ok)
     if not ok[k]:
         return
     furthest = 0.0
@@ -151,7 +149,6 @@ def follow(
     T_world_part, T_world_nozzle, R_tilt = np.eye(4), np.eye(4), np.empty((3, 3))
     R_part_nozzle, R_target, slopes = np.empty((3, 3)), np.empty((3, 3)), np.empty((2, 3))
     T_target, eight, ok, wanted = np.eye(4), np.empty((8, na)), np.empty(8, dtype=np.bool_), np.zeros(8, dtype=np.bool_)
-    all_round = np.full(6, 1e3)
     axis, p, e = np.empty(3), np.empty(3), np.empty(6)
     J, J6, Ji = np.empty((6, na)), np.empty((6, 6)), np.empty((6, 6))
     W, Wi = np.empty((6, 6)), np.empty((6, 6))
@@ -185,18 +182,8 @@ def follow(
                     T_target[a, b] = R_target[a, b]
                 T_target[a, 3] = p[a]
             _near_in_closed_form(
-                parameters,
-                T_base_world,
-                T_target,
-                T_nozzle_flange,
-                q[i, :na],
-                eight,
-                ok,
-                wanted,
-                all_round,
-                before,
-                after,
-            )
+                parameters, T_base_world, T_target, T_nozzle_flange, q[i, :na], eight, ok, wanted, before, after
+            )  # fmt: skip
         found = False
         for _ in range(_STEPS):
             chain_state(arm_placements, arm_axes, arm_tip, q[i, :na], o_arm, d_arm, T_world_nozzle, before, after, R)

@@ -127,21 +127,8 @@ def _neighbours(window: int, shift: int, periodic: bool):
 
 @njit(cache=True)
 def _from_rung(
-    q,
-    price,
-    r: int,
-    arrived,
-    roll_from,
-    holder_from,
-    periodic,
-    holder_step: float,
-    time: float,
-    v,
-    a,
-    wraps,
-    cost,
-    back,
-) -> None:
+    q, price, r: int, arrived, roll_from, holder_from, periodic, holder_step: float, time: float, v, a, wraps, cost, back
+) -> None:  # fmt: skip
     """Each node's cheapest predecessor among its nine neighbours at rung r - 1; of equal ones the first in their order.
 
     Who keeps to roll and holder pays no edge, so it is asked first: what costs more without its edge is left out.

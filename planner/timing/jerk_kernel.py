@@ -111,12 +111,8 @@ def fastest(
             go(c[lo : hi + 2], step[lo : hi + 2], middle[lo:hi], end[2 * lo : 2 * hi], primal[lo:hi])
             for b in range(lo, hi, APART):  # block by block, so that all that is done to one stays near the processor
                 e = min(b + APART, hi)
-                at, on, ends, all_c = (
-                    slice(b, e + 1 if e == hi else e),
-                    slice(b, e),
-                    slice(2 * b, 2 * e),
-                    slice(b, e + 2),
-                )
+                at, on = slice(b, e + 1 if e == hi else e), slice(b, e)
+                ends, all_c = slice(2 * b, 2 * e), slice(b, e + 2)
                 gaps[on] = 0.0
                 for which, places in limits_of(at, ends, m, nj):
                     move(primal[on], dual[on], mu[on], room[which], slack[which], price[which], places, gaps[on])
