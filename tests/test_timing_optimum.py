@@ -10,11 +10,14 @@ from scipy.interpolate import make_interp_spline
 
 from planner.timing.jerk_kernel import OVERRUN, fastest
 from planner.timing.lengths import APART, even_out
+from planner.timing.nearby import least_nearby, mean_nearby
 from planner.timing.profile import ACCURACY
 from planner.timing.program import Program, program_of
 from planner.timing.stretch import Stretch
 
 Array = NDArray[np.float64]
+Blocks = NDArray[np.bool_]
+Solution = tuple[Array, bool]
 JOINTS = 3
 LENGTH = 0.25  # s at the commanded speed: some hundred intervals
 
@@ -36,8 +39,10 @@ def program(seed: int, ramps: tuple[float, float] = (0.05, 0.05)) -> Program:
     return program_of(Stretch(path, 0.0, LENGTH, ramps), v, a, j)
 
 
-def solve(p: Program, accuracy: float = ACCURACY) -> tuple[Array, bool]:
-    arguments = (p.point, p.middle, p.ends, p.acceleration, p.jerk, p.ceiling, p.h, p.start, p.level, accuracy)
+def solve(p: Program, accuracy: float = ACCURACY, start: Array | None = None, wanted: Blocks | None = None) -> Solution:
+    begin = p.start if start is None else start
+    blocks = np.ones(-(-len(p.h) // APART), dtype=np.bool_) if wanted is None else wanted
+    arguments = (p.point, p.middle, p.ends, p.acceleration, p.jerk, p.ceiling, p.h, begin, p.level, accuracy, blocks)
     c, found = fastest(*arguments)
     return np.asarray(c), bool(found)
 
@@ -147,15 +152,20 @@ def test_a_hard_place_shortens_steps_around_it_only() -> None:
     assert lengths[4 * APART] == pytest.approx(0.01) and lengths[-1] == pytest.approx(0.2)
 
 
-def test_what_is_settled_early_is_as_good_in_the_end() -> None:
-    """A long path with one hard place, which goes on for long after all else is settled."""
+def long_program() -> Program:
+    """A path of many blocks with one hard place."""
     u = np.linspace(0.0, 6.0, 1200)
     bend = np.outer(0.5 * np.exp(-(((u - 2.0) / 0.01) ** 2)), [1.0, -0.7, 0.4])
     path = make_interp_spline(
         u, np.column_stack([0.02 * np.sin(np.outer(u, [20.0, 25.0, 30.0])) + bend, 0.04 * u]), k=5
     )
     v, a, j = np.array([3.0, 3.0, 3.0, 0.04]), np.full(JOINTS, 20.0), np.full(JOINTS, 1000.0)
-    p = program_of(Stretch(path, 0.0, 6.0, (0.05, 0.05)), v, a, j)
+    return program_of(Stretch(path, 0.0, 6.0, (0.05, 0.05)), v, a, j)
+
+
+def test_what_is_settled_early_is_as_good_in_the_end() -> None:
+    """The hard place goes on for long after all else is settled."""
+    p = long_program()
     assert len(p.h) > 6 * APART
     (c, found), (better, found_too) = solve(p), solve(p, 1e-2 * ACCURACY)
     assert found and found_too
@@ -163,3 +173,28 @@ def test_what_is_settled_early_is_as_good_in_the_end() -> None:
     assert time_of(p, c) == pytest.approx(time_of(p, better), rel=ACCURACY)
     far = int(np.searchsorted(p.sigma, 4.0))
     np.testing.assert_allclose(c[far:], better[far:], rtol=1e-2)
+
+
+def test_blocks_that_are_not_wanted_stay_and_the_others_are_as_good() -> None:
+    """Limits that become tighter in one place are met by a change nearby, as quick as if all had been sought anew."""
+    p = long_program()
+    before, _ = solve(p)
+    jerk, at = p.jerk.copy(), int(np.searchsorted(p.sigma, 2.0))
+    jerk[2 * at : 2 * at + 2] *= 1.05
+    tighter = Program(**{**vars(p), "jerk": jerk})
+    wanted = np.abs(np.arange(-(-len(p.h) // APART)) - at // APART) <= 1
+    c, found = solve(tighter, start=before, wanted=wanted)
+    assert found
+    assert overrun(tighter, c) <= OVERRUN < overrun(tighter, before)
+    first, last = np.flatnonzero(wanted)[[0, -1]] * APART + (0, APART + 2)
+    np.testing.assert_array_equal(c[:first], before[:first])
+    np.testing.assert_array_equal(c[last:], before[last:])
+    assert time_of(tighter, c) == pytest.approx(time_of(tighter, solve(tighter)[0]), rel=ACCURACY)
+
+
+def test_least_and_mean_nearby_by_definition() -> None:
+    rng = np.random.default_rng(3)
+    at, values, reach = np.sort(np.append(rng.uniform(0.0, 1.0, 300), [0.4, 0.4])), rng.uniform(size=302), 0.03
+    near = np.abs(at - at[:, None]) <= reach
+    np.testing.assert_array_equal(least_nearby(values, at, reach), np.where(near, values, np.inf).min(axis=1))
+    np.testing.assert_allclose(mean_nearby(values, at, reach), near @ values / near.sum(axis=1), rtol=1e-9)

@@ -54,6 +54,7 @@ def fastest(
     start: Array,
     level: tuple[bool, bool],
     accuracy: float,
+    wanted: NDArray[np.bool_],
 ) -> tuple[Array, bool]:
     """Coefficients c (m + 2) of the fastest profile, and whether it was found to the accuracy asked for.
 
@@ -61,7 +62,8 @@ def fastest(
     c[i : i + 3]; end (2 m, 3): at its two ends, 2 i and 2 i + 1, from the same; a (m + 1, nj, 2) and j (2 m, nj, 3):
     shares of the acceleration limit at points, and of the jerk limit over sqrt(x) at ends; ceiling (m + 1): largest x;
     h (m); start (m + 2): positive, need not hold the limits; level: x is constant in front of, and behind the grid;
-    accuracy: share of the time by which it may be missed.
+    accuracy: share of the time by which it may be missed; wanted (blocks of APART intervals): where start is not to be
+    kept as it is.
     """  # fmt: skip
     m, nj = len(h), a.shape[1]
     c = start.copy()
@@ -77,9 +79,9 @@ def fastest(
         slack[i] = max(room[i], _LEAST_SLACK)  # the room there is, where there is some
         price[i] = mu[0] / slack[i]
     step, band = np.empty(m + 2), np.empty((m + 2, 3))
-    primal, dual, gaps, sums, mins = np.empty(m), np.empty(m), np.empty(m), np.empty(m + 1), np.empty(m)
-    unsettled = np.ones(-(-m // APART), dtype=np.bool_)
-    over = np.full(len(unsettled), np.inf)  # largest overrun of each block, if it is known
+    primal, dual, gaps, sums, mins = np.empty(m), np.empty(m), np.zeros(m), np.empty(m + 1), np.empty(m)
+    unsettled = wanted.copy()
+    over = np.where(wanted, np.inf, -np.inf)  # largest overrun of each block, if it is known
     for _ in range(_STEPS):
         runs = runs_of(unsettled, m)
         primal[:] = dual[:] = 1.0

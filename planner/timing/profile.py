@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from planner.cell import Limits
 from planner.timing.jerk_kernel import fastest
+from planner.timing.lengths import APART
 from planner.timing.program import LEAST_RATE, Program, overruns, program_of
 from planner.timing.stretch import Stretch
 
 Array = NDArray[np.float64]
 
 HEADROOM = 0.975  # share of the joint limits that is used: the rest covers the path between grid points
-ACCURACY = 1e-4  # share of the time by which the optimum may be missed
+ACCURACY = 1e-5  # share of the time by which the optimum may be missed
 _NEWTON_STEPS = 8
 _ON_TIME = 1e-13  # s: a thousandth of what the third difference of samples would show
 _LONGEST = 30e-3  # s that an interval of the grid may take
@@ -76,7 +77,7 @@ def _within_limits(stretch: Stretch, program: Program) -> Profile:
     """The fastest profile on a program's grid, its limits tightened as told above."""
     m = len(program.h)
     at_speed, acceleration, jerk = np.ones(m + 1), np.ones(m + 1), np.ones(m)  # shares of the limits that are used
-    c = program.start
+    c, wanted = program.start, np.ones(-(-m // APART), dtype=np.bool_)
     for _ in range(_ROUNDS):
         c, _ = fastest(
             program.point,
@@ -89,18 +90,30 @@ def _within_limits(stretch: Stretch, program: Program) -> Profile:
             np.maximum(c, LEAST_RATE),
             program.level,
             ACCURACY,
+            wanted,
         )
         c = np.maximum(c, LEAST_RATE)
         over = overruns(program, c)
         if all(float(values.max()) <= enough for values, enough in zip(over, _ENOUGH, strict=True)):
             break
-        for share, overrun in ((at_speed, over[0]), (acceleration, over[1])):
-            share[:-1] /= np.maximum(overrun, 1.0)
-            share[1:] /= np.maximum(overrun, 1.0)
-        jerk /= np.maximum(over[2], 1.0)
+        tighter = [np.where(values > enough, values, 1.0) for values, enough in zip(over, _ENOUGH, strict=True)]
+        for share, overrun in ((at_speed, tighter[0]), (acceleration, tighter[1])):
+            share[:-1] /= overrun
+            share[1:] /= overrun
+        jerk /= tighter[2]
+        wanted = _blocks_beside(np.any([values > 1.0 for values in tighter], axis=0))
     left = [float(values.max()) / enough for values, enough in zip(over, _ENOUGH, strict=True)]
     worst = max(1.0, left[0], left[1], left[2] ** (2.0 / 3.0))
     return _profile(stretch, program, c / worst)
+
+
+def _blocks_beside(tightened: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The blocks with intervals (m) whose limits were tightened, and their neighbours: what else there is, stays."""
+    blocks = np.zeros(-(-len(tightened) // APART) + 2, dtype=np.bool_)
+    at = np.flatnonzero(tightened) // APART + 1
+    for beside in (-1, 0, 1):
+        blocks[at + beside] = True
+    return blocks[1:-1]
 
 
 def _profile(stretch: Stretch, program: Program, c: Array) -> Profile:

@@ -8,8 +8,8 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
+from planner.timing.nearby import least_nearby, mean_nearby
 from planner.timing.stretch import Stretch
 
 Array = NDArray[np.float64]
@@ -27,8 +27,8 @@ _LEAD_LOOKS = 65  # places of a lead at which limits are looked at
 _COARSE = 20e-3  # s between grid points where nothing but the commanded speed limits the speed, for _FAR around:
 _FAR = 80e-3  # s: more than an arm takes to gather speed
 _EASY = 4.0  # times the commanded speed's squared rate that the joints allow there
-_STEADY = 1.002  # by which that squared rate varies at most there
 _LEAST_INTERVALS = 60
+_LOOKS_A_SAMPLE = 3  # of the path, at which the grid's fineness is chosen
 _BETWEEN = (0.25, 0.5, 0.75)  # fractions of intervals at which limits are looked at again
 
 
@@ -136,36 +136,45 @@ def _ceilings(stretch: Stretch, v: Array, sigma: Array, first: Array) -> tuple[A
 def _grid(
     stretch: Stretch, leads: tuple[float, float], allowed: Allowed, apart: float, known: tuple[Array, Array] | None
 ) -> tuple[Array, Array]:
-    """Grid points (m + 1) between the leads, about `apart` [s], denser where the path is slow, and a guess of x there."""
+    """Grid points (m + 1) between the leads, about `apart` [s], and a guess of x there.
+
+    As fine as is asked for in the time that the path will take, and as the path's own samples: where these draw
+    together, it is not finer than they are.
+    """
     a, b = leads[0], stretch.end - leads[1]
-    step = min(apart, stretch.spacing)
+    step = min(max(apart, stretch.spacing / _LOOKS_A_SAMPLE), stretch.spacing)
     even = np.linspace(a, b, max(int(np.ceil((b - a) / step)), _LEAST_INTERVALS) + 1)
-    step = float(even[1] - even[0])
-    width = min(int(_DIP / step), len(even)) | 1
     joints, commanded = allowed(even)
+    # the time at the commanded speed, in which what is near is near, however close the samples are
+    time = _cumulated(1.0 / np.sqrt(commanded), even)
     guess = np.minimum(joints, commanded) if known is None else np.interp(even, *known)
-    around = minimum_filter1d(guess, width, mode="nearest")
-    envelope = uniform_filter1d(around, width, mode="nearest")
-    # as fine as the path's own samples, and as asked for in the time that it will take
-    density = np.maximum(1.0 / step, 1.0 / (apart * np.clip(np.sqrt(envelope), _SLOWEST, 1.0)))
-    gaps = np.where(_calm(stretch, even, joints, commanded), np.maximum(_COARSE, 1.0 / density), 1.0 / density)
-    width = min(int(_FAR / step), len(even)) | 1  # neighbours differ by less than a half
-    density = 1.0 / uniform_filter1d(minimum_filter1d(gaps, width, mode="nearest"), width, mode="nearest")
-    count = np.concatenate([[0.0], np.cumsum(0.5 * step * (density[1:] + density[:-1]))])
+    envelope = _smoothed(guess, time, 0.5 * _DIP)
+    calm = _smoothed(np.where(_calm(stretch, even, time, joints, commanded), 1.0, 0.0), time, 0.5 * _FAR)
+    lasting = (apart + calm * (_COARSE - apart)) * np.clip(np.sqrt(envelope), _SLOWEST, None)
+    count = _cumulated(1.0 / np.minimum(lasting, stretch.spacing), even)
     m = max(int(np.ceil(count[-1])), _LEAST_INTERVALS)
     grid = np.interp(np.linspace(0.0, count[-1], m + 1), count, even)
     grid[[0, -1]] = a, b
     return grid, np.interp(grid, even, envelope)
 
 
-def _calm(stretch: Stretch, even: Array, joints: Array, commanded: Array) -> NDArray[np.bool_]:
-    """Places (k) of an even grid far around which the commanded speed alone sets the speed, and is constant."""
-    width = min(2 * int(_FAR / float(even[1] - even[0])), len(even)) | 1
-    calm = minimum_filter1d(joints / commanded, width, mode="nearest") > _EASY
-    varies = maximum_filter1d(commanded, width, mode="nearest") / minimum_filter1d(commanded, width, mode="nearest")
+def _smoothed(values: Array, time: Array, reach: float) -> Array:
+    """Values (k) that change slowly over times (k), and are as small as the least nearby."""
+    least = least_nearby(values, time, reach)
+    return np.maximum(mean_nearby(least, time, reach), least.min())
+
+
+def _cumulated(density: Array, even: Array) -> Array:
+    """Integral (k) of a density over an even grid (k) up to each place."""
+    step = float(even[1] - even[0])
+    return np.concatenate([[0.0], np.cumsum(0.5 * step * (density[1:] + density[:-1]))])
+
+
+def _calm(stretch: Stretch, even: Array, time: Array, joints: Array, commanded: Array) -> NDArray[np.bool_]:
+    """Places (k) of an even grid far around which the commanded speed alone sets the speed."""
     start, end = stretch.lasts
     inside = (even > start + _FAR) & (even < stretch.end - end - _FAR)
-    return np.asarray(calm & inside & (varies < _STEADY))
+    return np.asarray((least_nearby(joints / commanded, time, _FAR) > _EASY) & inside)
 
 
 def _start(envelope: Array, ceiling: Array, level: tuple[bool, bool]) -> Array:
