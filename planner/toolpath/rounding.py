@@ -31,7 +31,7 @@ _NEWTON_STEPS = 20
 _KEPT_ROOM = 0.01  # of the squared distance to a disc's rim that a step must leave: numbers stay finite
 _FINEST = 0.5  # of the tolerance: where less of it is used, samples draw no closer together
 _LEAST = 0.1  # of the tolerance, radius of any disc: where the tolerance is shared out, few samples see a corner
-_SHRINK = 0.96  # of the tolerance: leaves room for the corners of the input that fall between samples
+_SHRINK = 0.98  # of the tolerance: leaves room for what the curve does between samples
 
 
 @dataclass(frozen=True)
