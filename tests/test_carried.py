@@ -15,7 +15,7 @@ from planner.cell import Cell
 from planner.cubics import Cubics, State, extremes
 from planner.headroom import displaced, followed, middle_of
 from planner.problem import Problem
-from planner.timing import TimedPath, time_path
+from planner.timing import HEADROOM, TimedPath, time_path
 from planner.tolerance import Displacement
 from planner.toolpath.bead import Toolpath
 from planner.travel import ViaHome, plan_travels
@@ -92,7 +92,7 @@ def test_travel_is_carried_between_the_displaced_beads(
         assert isinstance(motion, Cubics)
         check_joined(motion, start, end)
         check_smooth(motion)
-        check_limits(elsewhere, motion, share=1.0 if moving else 0.975)
+        check_limits(elsewhere, motion, share=1.0 if moving else HEADROOM)
         assert tip_speed(elsewhere, motion) <= process.travel_speed
         assert was.duration * (1.0 - 1e-12) <= motion.duration <= 1.3 * was.duration
         if 0 < i < len(there):  # over the part it goes where it went, less what is not linear

@@ -310,7 +310,7 @@ def raised(cell: Cell, changes: tuple[tuple[str, float], ...]) -> Cell:
 
 
 # Limits many times the robot's let accelerations change by most of their limit within a step of the timing's grid.
-REACHED = {"speed": AT_SPEED, "limits": 0.9}
+REACHED = {"speed": AT_SPEED, "limits": 0.88}
 
 
 @pytest.mark.parametrize("kind", ["speed", "limits"])

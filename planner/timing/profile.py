@@ -17,14 +17,14 @@ from planner.timing.stretch import Stretch
 
 Array = NDArray[np.float64]
 
-HEADROOM = 0.975  # share of the joint limits that is used: the rest covers the path between grid points
+HEADROOM = 0.99  # share of the joint limits that is used: the rest covers the path between grid points
 ACCURACY = 1e-5  # share of the time by which the optimum may be missed
 _NEWTON_STEPS = 8
 _ON_TIME = 1e-13  # s: a thousandth of what the third difference of samples would show
 _LONGEST = 30e-3  # s that an interval of the grid may take
 _ROUNDS = 4  # of tightening limits where the path between grid points overruns them
 # Of limits less their headroom, between grid points, of squared speed, acceleration and jerk: no need to tighten them.
-_ENOUGH = (1.005, 1.015, 1.015)
+_ENOUGH = (1.003, 1.005, 1.005)
 
 _NODES, _WEIGHTS = (np.ascontiguousarray(each) for each in np.polynomial.legendre.leggauss(6))
 
