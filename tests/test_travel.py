@@ -23,7 +23,7 @@ from planner.timing import HEADROOM, TimedPath, time_path
 from planner.toolpath.bead import Surface, Toolpath
 from planner.toolpath.wrap import Cylinder
 from planner.travel import plan_travels
-from planner.travel.clearance import NOZZLE_POINTS, SLOPE, room
+from planner.travel.clearance import NOZZLE_POINTS, SLOPE, Room, room
 from planner.travel.moves import Bounds, between, resting, time_beside
 from planner.travel.plan import Task, quickest
 from planner.travel.ways import Ends, bounds_of, reaching
@@ -217,6 +217,27 @@ def test_tip_speed_counts_relative_to_the_part(cell: Cell) -> None:
     _, v, _ = motion.state(np.linspace(0.0, motion.duration, 500))
     r = np.hypot(*(cell.arm.poses(cell.home[None, :6])[0, :2, 3] - [0.6335, 0.00987]))
     assert 0.04 < np.abs(v[:, 6]).max() * r <= 0.05 * 1.001
+
+
+@given(seed=st.integers(0, 2**32 - 1), k=st.integers(1, 700))
+@settings(max_examples=60)
+def test_lacking_height_as_if_every_point_were_looked_at(seed: int, k: int) -> None:
+    """Points that wander about a cylinder, no farther than a millimetre from one instant to the next."""
+    random = np.random.default_rng(seed)
+    steps = np.cumsum(random.uniform(-1, 1, 3) + 0.2 * random.normal(size=(k, 3)), axis=0)
+    tip = (
+        np.append(PART.centre, PART.height)
+        + random.uniform(-0.06, 0.06, 3)
+        + 1e-3 * steps / np.abs(steps).max() * k / 3.0**0.5
+    )
+    points = tip + np.array([0.0, 0.0, 1.0]) * np.array(NOZZLE_POINTS)[:, None, None]
+    gaps = np.stack([PART.signed_distance(points[:, i]) for i in (0, -1)])
+    space = Room(PART, 0.0, 5e-3, tip[[0, -1]], gaps)
+    away = np.linalg.norm(tip[:, None] - space.tips, axis=2)
+    cones = (gaps[:, :, None] + SLOPE * away.T[:, None]).min(axis=0)
+    needed = np.maximum(np.minimum(space.full, cones) - 0.25e-3, min(0.0, float(gaps.min())))
+    lacking = needed - PART.signed_distance(points.reshape(-1, 3)).reshape(needed.shape)
+    assert (space.lacking(points) > 0.0) == (lacking.max() > 0.0)
 
 
 def test_a_travel_lasts_as_long_as_the_process_needs(cell: Cell) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from planner.cell import Cell
@@ -13,6 +14,7 @@ from planner.readonly import ReadOnlyArrays
 from planner.toolpath.bead import Surface
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 NOZZLE_POINTS = (0.0, 0.01, 0.03, 0.06, 0.1)  # m behind the tip, along the nozzle, that must keep clear
 SLOPE = 0.5  # height gained, for each distance from an end: as steeply as runs rise
@@ -41,17 +43,28 @@ class Track:
         return farthest / self.every if self.every > 0.0 else 0.0
 
 
-def track(cell: Cell, motion: Cubics) -> Track:
-    """Nozzle points all along a motion, none of which moves by more than STEP between two instants."""
-    n = max(int(np.ceil(motion.duration / _FIRST_LOOK)), 4)
+def glance(cell: Cell, motion: Cubics) -> Track:
+    """Nozzle points along a motion at a few instants."""
+    return _track(cell, motion, max(int(np.ceil(motion.duration / _FIRST_LOOK)), 4))
+
+
+def track(cell: Cell, motion: Cubics, rough: Track | None = None) -> Track:
+    """Nozzle points all along a motion, none of which moves by more than STEP between two instants.
+
+    rough: what a glance at it has shown, if there was one.
+    """
+    looked = glance(cell, motion) if rough is None else rough
     while True:
-        t = np.linspace(0.0, motion.duration, n + 1)
-        points = nozzle_points(cell, motion.joints(t))
-        steps = np.diff(points, axis=1)
+        n = looked.points.shape[1] - 1
+        steps = np.diff(looked.points, axis=1)
         most = float(np.sqrt(np.einsum("kni,kni->kn", steps, steps).max()))
         if most <= STEP or n >= _MOST_LOOKS:
-            return Track(points, motion.duration / n)
-        n = min(int(np.ceil(1.05 * n * most / STEP)), _MOST_LOOKS)
+            return looked
+        looked = _track(cell, motion, min(int(np.ceil(1.05 * n * most / STEP)), _MOST_LOOKS))
+
+
+def _track(cell: Cell, motion: Cubics, n: int) -> Track:
+    return Track(nozzle_points(cell, motion.joints(np.linspace(0.0, motion.duration, n + 1))), motion.duration / n)
 
 
 def fine(motion: Cubics, swing: Array) -> Array:
@@ -101,26 +114,61 @@ class Room(ReadOnlyArrays):
         Most of a way is far from the part, and a distance changes by no more than a point moves: every 64th instant is
         looked at first, then those between that this leaves open.
         """
-        away = np.linalg.norm(points[0][:, None] - self.tips, axis=2)  # (n, 2)
-        cones = self.gaps[:, :, None] + SLOPE * away.T[:, None]  # (2, k, n)
-        needed = np.minimum(self.full, cones.min(axis=0))
-        needed = np.maximum(needed - _SLACK, min(0.0, float(self.gaps.min())))
-        n, most = points.shape[1], -np.inf
+        points = np.ascontiguousarray(points)
+        floor = min(0.0, float(self.gaps.min()))
+        needed = _needed(points, self.tips, self.gaps, self.full, floor)
+        most, before = -np.inf, 0
         least = np.full(needed.shape, -np.inf)  # what distances are at least
         for stride in _STRIDES:
-            at = np.minimum(np.arange(0, n - 1 + stride, stride), n - 1)
-            row, column = np.nonzero(least[:, at] < needed[:, at])
-            column = at[column]
+            row, column = _left_open(points, needed, least, before, stride)
             if len(row):
                 least[row, column] = self.surface.signed_distance(points[row, column])
                 most = max(most, float((needed[row, column] - least[row, column]).max()))
             if most > 0.0:
                 break
-            before = np.arange(n) // stride * stride
-            for beside in (before, np.minimum(before + stride, n - 1)):
-                moved = np.linalg.norm(points - points[:, beside], axis=2)
-                least = np.maximum(least, least[:, beside] - moved - _ROUGH)
+            before = stride
         return most
+
+
+@njit(cache=True)
+def _needed(points: Array, tips: Array, gaps: Array, full: float, floor: float) -> Array:
+    """Distances (k, n) from the surface that nozzle points (k, n, 3) must keep, never less than `floor` [m]."""
+    k, n, _ = points.shape
+    out = np.empty((k, n))
+    for i in range(n):
+        start, end = _apart(points[0, i], tips[0]), _apart(points[0, i], tips[1])
+        for row in range(k):
+            cone = min(gaps[0, row] + SLOPE * start, gaps[1, row] + SLOPE * end)
+            out[row, i] = max(min(full, cone) - _SLACK, floor)
+    return out
+
+
+@njit(cache=True)
+def _left_open(points: Array, needed: Array, least: Array, before: int, stride: int) -> tuple[Index, Index]:
+    """Which of every `stride`-th instant's points lack distance for all that is known: their rows and columns.
+
+    What is known of every `before`-th instant, if any, is brought into least (k, n) at these instants.
+    """
+    k, n, _ = points.shape
+    rows, columns = np.empty(k * (n // stride + 2), dtype=np.int64), np.empty(k * (n // stride + 2), dtype=np.int64)
+    found = 0
+    for row in range(k):
+        for step in range((n - 2) // stride + 2):
+            i = min(step * stride, n - 1)
+            if before > 0:
+                left = i // before * before
+                for near in (left, min(left + before, n - 1)):
+                    moved = _apart(points[row, i], points[row, near])
+                    least[row, i] = max(least[row, i], least[row, near] - moved - _ROUGH)
+            if least[row, i] < needed[row, i]:
+                rows[found], columns[found] = row, i
+                found += 1
+    return rows[:found], columns[:found]
+
+
+@njit(cache=True, inline="always")
+def _apart(a: Array, b: Array) -> float:
+    return np.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
 
 
 def room(cell: Cell, surface: Surface, height: float, lift: float, start: State, end: State) -> Room:
