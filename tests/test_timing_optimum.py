@@ -8,6 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
+from planner.timing.curve import curve_of
 from planner.timing.jerk_kernel import OVERRUN, fastest
 from planner.timing.lengths import APART, even_out
 from planner.timing.nearby import least_nearby, mean_nearby
@@ -36,7 +37,7 @@ def program(seed: int, ramps: tuple[float, float] = (0.05, 0.05)) -> Program:
     bend = np.outer(np.exp(-(((u - 0.12) / 0.02) ** 2)), rng.normal(size=JOINTS) * 0.02)
     path = make_interp_spline(u, np.column_stack([waves + bend, 0.04 * u]), k=5)
     v, a, j = np.array([3.0, 3.0, 3.0, 0.04]), rng.uniform(10.0, 30.0, JOINTS), rng.uniform(500.0, 1500.0, JOINTS)
-    return program_of(Stretch(path, 0.0, LENGTH, ramps), v, a, j)
+    return program_of(Stretch(curve_of(path), 0.0, LENGTH, ramps), v, a, j)
 
 
 def solve(p: Program, accuracy: float = ACCURACY, start: Array | None = None, wanted: Blocks | None = None) -> Solution:
@@ -129,7 +130,7 @@ def test_a_limit_that_is_raised_makes_nothing_slower() -> None:
 def test_rates_of_a_stretch_by_finite_differences(ramps: tuple[float, float]) -> None:
     rng = np.random.default_rng(5)
     path = make_interp_spline(np.linspace(0.0, LENGTH, 9), rng.normal(size=(9, JOINTS + 1)), k=5)
-    stretch = Stretch(path, 0.02, LENGTH - 0.01, ramps)
+    stretch = Stretch(curve_of(path), 0.02, LENGTH - 0.01, ramps)
     joints = [0.0, *stretch.lasts, stretch.end - stretch.lasts[1], stretch.end]
     sigma = np.linspace(0.0, stretch.end, 203)[1:-1]
     sigma = sigma[np.abs(sigma[:, None] - joints).min(axis=1) > 1e-4]  # the nominal third derivative jumps there
@@ -160,7 +161,7 @@ def long_program() -> Program:
         u, np.column_stack([0.02 * np.sin(np.outer(u, [20.0, 25.0, 30.0])) + bend, 0.04 * u]), k=5
     )
     v, a, j = np.array([3.0, 3.0, 3.0, 0.04]), np.full(JOINTS, 20.0), np.full(JOINTS, 1000.0)
-    return program_of(Stretch(path, 0.0, 6.0, (0.05, 0.05)), v, a, j)
+    return program_of(Stretch(curve_of(path), 0.0, 6.0, (0.05, 0.05)), v, a, j)
 
 
 def test_what_is_settled_early_is_as_good_in_the_end() -> None:
@@ -198,3 +199,16 @@ def test_least_and_mean_nearby_by_definition() -> None:
     near = np.abs(at - at[:, None]) <= reach
     np.testing.assert_array_equal(least_nearby(values, at, reach), np.where(near, values, np.inf).min(axis=1))
     np.testing.assert_allclose(mean_nearby(values, at, reach), near @ values / near.sum(axis=1), rtol=1e-9)
+
+
+@pytest.mark.parametrize("samples", [2, 3, 6, 7, 40])
+def test_a_curve_is_its_spline(samples: int) -> None:
+    rng = np.random.default_rng(samples)
+    u = np.cumsum(rng.uniform(0.2, 1.0, samples))
+    spline = make_interp_spline(u, rng.normal(size=(samples, JOINTS)), k=min(5, samples - 1))
+    at = np.concatenate([np.linspace(u[0], u[-1], 500), rng.uniform(u[0], u[-1], 100)])
+    curve = curve_of(spline)
+    np.testing.assert_allclose(curve(at), spline(at), rtol=1e-9, atol=1e-9)
+    for order, rates in enumerate(curve.derivatives(at, 3), start=1):
+        wanted = spline(at, order) if order <= spline.k else np.zeros((len(at), JOINTS))
+        np.testing.assert_allclose(rates, wanted, rtol=1e-7, atol=1e-7 * max(float(np.abs(wanted).max()), 1.0))

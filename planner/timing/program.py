@@ -49,7 +49,7 @@ class Program:
     ends: Array
     acceleration: Array
     jerk: Array
-    looks: tuple[tuple[float, list[Array]], ...]
+    looks: tuple[tuple[float, Array | list[Array]], ...]
     v: Array
     a: Array
     j: Array

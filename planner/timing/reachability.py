@@ -32,20 +32,21 @@ def bound_time(cell: Cell, path: JointPath) -> float:
     No headroom is kept below the limits. Rests at stops are not counted.
     """
     task, total = path.task, 0.0
-    spline, stretches = stretches_of(path, (False, False))
+    curve, stretches = stretches_of(path, (False, False))
     v = np.append(cell.limits.velocity, task.speed)
     for stretch in stretches:
         intervals = max(int(np.ceil(REFINE * (stretch.last - stretch.first) / stretch.spacing)), REFINE)
         grid = np.linspace(stretch.first, stretch.last, intervals + 1)
-        first = spline(grid, 1)
-        second = np.ascontiguousarray(spline(grid, 2)[:, :-1])
+        first, second = curve.derivatives(grid, 2)
         with np.errstate(divide="ignore", over="ignore"):
             ceiling = (v / np.abs(first)).min(axis=1) ** 2
         slopes = np.ascontiguousarray(first[:, :-1])
-        x = fastest_profile(slopes, second, ceiling, cell.limits.acceleration, float(grid[1] - grid[0]))
+        x = fastest_profile(
+            slopes, np.ascontiguousarray(second[:, :-1]), ceiling, cell.limits.acceleration, float(grid[1] - grid[0])
+        )
         rate = np.sqrt(x)
         times = np.concatenate([[0.0], np.cumsum(2.0 * np.diff(grid) / (rate[1:] + rate[:-1]))])
-        s = spline(grid)[:, -1]
+        s = curve(grid)[:, -1]
         start, end = np.interp([0.0, task.s[task.last]], s, times)
         total += float(end - start)
     return total

@@ -10,8 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
+
+from planner.timing.curve import Curve
 
 Array = NDArray[np.float64]
 _LEAST_NOMINAL = 0.2  # of the nominal motion's full rate: below it counts as nearly at rest
@@ -26,7 +28,7 @@ class Stretch:
     gathers speed at the start and loses it at the end, 0 at an end that is passed in motion
     """
 
-    path: BSpline
+    path: Curve
     first: float
     last: float
     ramps: tuple[float, float]
@@ -45,8 +47,8 @@ class Stretch:
     @property
     def spacing(self) -> float:
         """Of the path's knots, of which there is at least one interval."""
-        knots = np.unique(self.path.t)
-        return float((knots[-1] - knots[0]) / (len(knots) - 1))
+        breaks = self.path.breaks
+        return float((breaks[-1] - breaks[0]) / (len(breaks) - 1))
 
     def along(self, sigma: Array) -> Array:
         """Rate of arc length by sigma (k), where the nominal motion is nearly at rest as if it were not [m].
@@ -54,37 +56,57 @@ class Stretch:
         So a commanded speed bounds profiles there too, which the vanishing rate itself would leave free.
         """
         u, u1, _, _ = self._nominal(sigma)
-        return np.asarray(self.path(u, 1))[:, -1] * np.maximum(u1, _LEAST_NOMINAL)
+        return np.asarray(self.path.derivatives(u, 1)[0, :, -1] * np.maximum(u1, _LEAST_NOMINAL))
 
     def u(self, sigma: Array) -> Array:
         """Path parameter (k) at sigma (k)."""
-        return self._nominal(sigma)[0]
+        return np.asarray(self._nominal(sigma)[0])
 
-    def rates(self, sigma: Array, orders: int) -> list[Array]:
-        """Derivatives by sigma of joints and arc length, (k, nj + 1) each, of order 1 to `orders` (at most 3)."""
-        u, u1, u2, u3 = (each[:, None] for each in self._nominal(sigma))
-        by_u = [np.asarray(self.path(u[:, 0], order)) for order in range(1, orders + 1)]
-        out = [by_u[0] * u1]
-        if orders > 1:
-            out.append(by_u[1] * u1**2 + by_u[0] * u2)
-        if orders > 2:
-            out.append(by_u[2] * u1**3 + 3.0 * by_u[1] * (u1 * u2) + by_u[0] * u3)
-        return out
+    def rates(self, sigma: Array, orders: int) -> Array:
+        """Derivatives by sigma of joints and arc length, (orders, k, nj + 1), of order 1 to `orders` (at most 3)."""
+        u, *by_sigma = self._nominal(sigma)
+        rates = self.path.derivatives(u, orders)
+        _chain(rates, *by_sigma)
+        return rates
 
-    def _nominal(self, sigma: Array) -> tuple[Array, Array, Array, Array]:
-        """u(sigma) and its first three derivatives (k)."""
-        start, end = self.lasts
-        u = self.first + self.ramps[0] + sigma - start
-        u1, u2, u3 = np.ones_like(sigma), np.zeros_like(sigma), np.zeros_like(sigma)
-        for lasts, way, forwards in ((start, self.ramps[0], True), (end, self.ramps[1], False)):
-            if way == 0.0:
-                continue
-            since = sigma if forwards else self.end - sigma
-            inside = since < lasts
-            t = np.clip(since[inside] / lasts, 0.0, 1.0)
-            w = (2.0 * t**3 - 2.0 * t**4 + 0.6 * t**5) / _MEAN  # speed's slope and bend vanish where the ramp ends
-            u[inside] = self.first + way * w if forwards else self.last - way * w
-            u1[inside] = t**2 * (6.0 - 8.0 * t + 3.0 * t**2)
-            u2[inside] = (12.0 * t - 24.0 * t**2 + 12.0 * t**3) / lasts * (1.0 if forwards else -1.0)
-            u3[inside] = (12.0 - 48.0 * t + 36.0 * t**2) / lasts**2
-        return np.clip(u, self.first, self.last), u1, u2, u3
+    def _nominal(self, sigma: Array) -> Array:
+        """u(sigma) and its first three derivatives (4, k)."""
+        return _nominal(sigma, self.end, self.first, self.last, self.ramps, self.lasts)
+
+
+@njit(cache=True, nogil=True)
+def _nominal(
+    sigma: Array, length: float, first: float, last: float, ramps: tuple[float, float], lasts: tuple[float, float]
+) -> Array:
+    """u(sigma) and its first three derivatives (4, k), between ramps whose speed's slope and bend vanish at their ends."""
+    out = np.empty((4, len(sigma)))
+    for i in range(len(sigma)):
+        u, u1, u2, u3 = first + ramps[0] + sigma[i] - lasts[0], 1.0, 0.0, 0.0
+        for end in range(2):
+            way, long = ramps[end], lasts[end]
+            since = sigma[i] if end == 0 else length - sigma[i]
+            if way > 0.0 and since < long:
+                t = max(since / long, 0.0)
+                w = way * (2.0 * t**3 - 2.0 * t**4 + 0.6 * t**5) / _MEAN
+                u = first + w if end == 0 else last - w
+                u1 = t**2 * (6.0 - 8.0 * t + 3.0 * t**2)
+                u2 = (12.0 * t - 24.0 * t**2 + 12.0 * t**3) / long * (1.0 if end == 0 else -1.0)
+                u3 = (12.0 - 48.0 * t + 36.0 * t**2) / long**2
+        out[0, i], out[1, i], out[2, i], out[3, i] = min(max(u, first), last), u1, u2, u3
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _chain(rates: Array, u1: Array, u2: Array, u3: Array) -> None:
+    """Derivatives by u (orders, k, columns) become those by sigma, in place, with those of u by sigma (k)."""
+    orders, k, columns = rates.shape
+    for i in range(k):
+        for column in range(columns):
+            first = rates[0, i, column]
+            rates[0, i, column] = first * u1[i]
+            if orders > 1:
+                second = rates[1, i, column]
+                rates[1, i, column] = second * u1[i] ** 2 + first * u2[i]
+                if orders > 2:
+                    third = rates[2, i, column] * u1[i] ** 3
+                    rates[2, i, column] = third + 3.0 * second * (u1[i] * u2[i]) + first * u3[i]

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, make_interp_spline
+from scipy.interpolate import make_interp_spline
 from scipy.optimize import brentq
 
 from planner.cell import Cell
 from planner.cubics import State
 from planner.resolve.jointpath import JointPath, refuse_at
+from planner.timing.curve import Curve, curve_of
 from planner.timing.profile import Profile, fastest_profile
 from planner.timing.stretch import Stretch
 
@@ -27,11 +28,11 @@ RAMP = 60e-3  # s at the commanded speed: what an arm takes, about, from rest to
 class TimedPath:
     """One bead with its runs in time, from t = 0: stretches of path, and rests between them.
 
-    spline: joints and arc length over the path parameter; starts (k) of each stretch, and how long it rests before it
+    curve: joints and arc length over the path parameter; starts (k) of each stretch, and how long it rests before it
     """
 
     path: JointPath
-    spline: BSpline
+    curve: Curve
     stretches: tuple[Profile, ...]
     starts: tuple[float, ...]
 
@@ -56,7 +57,7 @@ class TimedPath:
 
     def at(self, t: Array) -> tuple[Array, Array]:
         """Joints (k, nj) and arc length (k) [m] at times t (k), which are held within [0, duration]."""
-        values = np.asarray(self.spline(self._u(t)))
+        values = self.curve(self._u(t))
         return values[:, :-1], values[:, -1]
 
     def when(self, s: float) -> float:
@@ -86,7 +87,7 @@ class TimedPath:
         profile = self.stretches[-1 if last else 0]
         u = profile.stretch.last if last else profile.stretch.first
         first, second = profile.rates_at_end(last)
-        return State(np.asarray(self.spline(u))[:-1], first[:-1], second[:-1])
+        return State(self.curve(np.array([u]))[0, :-1], first[:-1], second[:-1])
 
 
 def time_path(cell: Cell, path: JointPath, moving: tuple[bool, bool] = (False, False)) -> TimedPath:
@@ -95,39 +96,40 @@ def time_path(cell: Cell, path: JointPath, moving: tuple[bool, bool] = (False, F
     It starts and ends at rest, but where it is `moving`, and comes to rest at the task's stops. Raises Refusal for a
     task whose arc length does not grow from sample to sample.
     """
-    spline, stretches = stretches_of(path, moving)
+    curve, stretches = stretches_of(path, moving)
     profiles = tuple(fastest_profile(stretch, cell.limits, path.task.speed) for stretch in stretches)
     waits = [0.0, *(stop.wait for stop in path.task.stops)]
     starts, now = [], 0.0
     for wait, profile in zip(waits, profiles, strict=True):
         starts.append(now + wait)
         now = starts[-1] + profile.duration
-    return TimedPath(path, spline, profiles, tuple(starts))
+    return TimedPath(path, curve, profiles, tuple(starts))
 
 
-def stretches_of(path: JointPath, moving: tuple[bool, bool]) -> tuple[BSpline, tuple[Stretch, ...]]:
-    """Joints and arc length over time at the commanded speed, and the stretches from rest to rest of that spline."""
+def stretches_of(path: JointPath, moving: tuple[bool, bool]) -> tuple[Curve, tuple[Stretch, ...]]:
+    """Joints and arc length over time at the commanded speed, and the stretches from rest to rest of that curve."""
     task = path.task
     n = len(task)
     # The path parameter is time at the commanded speed, so that its rate is 1 where that speed is held.
     u = np.linspace(0.0, (task.s[-1] - task.s[0]) / task.speed, n)
-    spline = make_interp_spline(u, np.column_stack([path.q, task.s]), k=min(5, n - 1))
-    way = BSpline(spline.t, spline.c[:, -1], spline.k)(np.linspace(0.0, u[-1], LOOKS * (n - 1) + 1))
+    curve = curve_of(make_interp_spline(u, np.column_stack([path.q, task.s]), k=min(5, n - 1)))
+    way = curve.columns(slice(-1, None))(np.linspace(0.0, u[-1], LOOKS * (n - 1) + 1))[:, 0]
     falls = np.flatnonzero(np.diff(way) < -ROUNDING * (task.s[-1] - task.s[0]))
     if len(falls):
         refuse_at(task, int(falls[0]) // LOOKS, "the path turns back on itself between samples")
-    ends = [0.0, *(at_arc_length(spline, stop.s) for stop in task.stops), float(u[-1])]
+    ends = [0.0, *(at_arc_length(curve, stop.s) for stop in task.stops), float(u[-1])]
     stretches = []
     for i, (a, b) in enumerate(zip(ends[:-1], ends[1:], strict=True)):
         at_start, at_end = i > 0 or not moving[0], i + 2 < len(ends) or not moving[1]
         ramp = min(RAMP, (b - a) / 3.0)
-        stretches.append(Stretch(spline, a, b, (ramp if at_start else 0.0, ramp if at_end else 0.0)))
-    return spline, tuple(stretches)
+        stretches.append(Stretch(curve, a, b, (ramp if at_start else 0.0, ramp if at_end else 0.0)))
+    return curve, tuple(stretches)
 
 
-def at_arc_length(spline: BSpline, wanted: float) -> float:
-    """Path parameter where the spline's last column, which never falls, has the value wanted; or the nearer end."""
-    ends = spline.t[spline.k], spline.t[-spline.k - 1]
-    if wanted <= spline(ends[0])[-1] or wanted >= spline(ends[1])[-1]:
-        return float(ends[0] if wanted <= spline(ends[0])[-1] else ends[1])
-    return float(brentq(lambda u: float(spline(u)[-1]) - wanted, *ends, xtol=1e-14))
+def at_arc_length(curve: Curve, wanted: float) -> float:
+    """Parameter where the curve's last column, which never falls, has the value wanted; or the nearer end."""
+    ends = curve.breaks[0], curve.breaks[-1]
+    low, high = curve(np.array(ends))[:, -1]
+    if wanted <= low or wanted >= high:
+        return float(ends[0] if wanted <= low else ends[1])
+    return float(brentq(lambda u: float(curve(np.array([u]))[0, -1]) - wanted, *ends, xtol=1e-14))
