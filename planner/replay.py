@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from planner.background import in_halves, shared
 from planner.cell import Cell, Robot
+from planner.least_singular import least_singular_values
 from planner.plan import Trajectory
 
 Array = NDArray[np.float64]
@@ -72,7 +73,7 @@ def _replay(cell: Cell, q: Array, deposit: NDArray[np.bool_]) -> Motion:
     tip = np.einsum("nij,nj->ni", R_part_world, T_world_nozzle[:, :3, 3] - T_world_part[:, :3, 3])
     rotation = R_part_world @ T_world_nozzle[:, :3, :3]
     sigma = np.full(len(q), np.nan)
-    sigma[deposit] = np.linalg.svd(J[deposit], compute_uv=False)[:, -1]
+    sigma[deposit] = least_singular_values(J[deposit])
     det = np.linalg.det(J[:, :, list(cell.solved)])
     branch = np.full(len(q), UNKNOWN, dtype=np.int8)
     if cell.spherical:

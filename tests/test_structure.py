@@ -23,6 +23,7 @@ ROOMS = (
     "facets",
     "solids",
     "point_tree",
+    "least_singular",
     "kinematics",
     "cell",
     "toolpath",
@@ -119,6 +120,7 @@ FORBIDDEN = {
 HEAVY = {
     "numba": {
         "point_tree",
+        "least_singular",
         "surface_points",
         "verify_print",
         "kinematics",

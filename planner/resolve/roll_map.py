@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from planner.background import in_threads
 from planner.cell import Cell
+from planner.least_singular import least_singular_values
 from planner.obstacles import NOTHING, Obstacles
 from planner.readonly import ReadOnlyArrays
 from planner.resolve.jointpath import JointPath, flange_poses
@@ -176,7 +177,7 @@ def _judged(
     sigma, clearance = np.full(why.shape, np.nan), np.full(why.shape, np.nan)
     inside = why == FREE
     jacobians = cell.arm.jacobians(arm[inside])[:, :, list(cell.solved)]
-    sigma[inside] = np.linalg.svd(jacobians, compute_uv=False)[:, -1]
+    sigma[inside] = least_singular_values(jacobians)
     why[inside & (sigma < min_sigma)] = SINGULAR
     if obstacles.any:
         clearance = _clearances(

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from planner.cell import Cell
+from planner.least_singular import least_singular_values
 from planner.obstacles import Obstacles
 from planner.resolve.jointpath import JointPath
 from planner.resolve.roll_map import COLUMNS, RollMap, roll_map
@@ -40,6 +41,6 @@ def _tightest(cell: Cell, paths: Sequence[JointPath]) -> tuple[int, ...]:
     for path in paths:
         arm = path.q[path.task.first : path.task.last + 1, :na]
         jacobians = cell.arm.jacobians(arm[:: max(len(arm) // _FEW, 1)])[:, :, list(cell.solved)]
-        sigma.append(np.linalg.svd(jacobians, compute_uv=False)[:, -1].min())
+        sigma.append(least_singular_values(jacobians).min())
         limit.append(np.minimum(arm - cell.limits.q_min[:na], cell.limits.q_max[:na] - arm).min())
     return tuple(dict.fromkeys((int(np.argmin(sigma)), int(np.argmin(limit)))))
