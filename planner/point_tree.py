@@ -156,6 +156,20 @@ def solid_distance(kind, size, planes, x, y, z):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def point_value(p, radius, kind, size, planes, T_solid_tree, clearance, tip, slope, slack):
+    """The value of one point p (3) that `nearest_point` looks for the least of."""
+    T = T_solid_tree
+    d = solid_distance(
+        kind, size, planes,
+        T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3],
+        T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3],
+        T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3],
+    )  # fmt: skip
+    away = np.sqrt((p[0] - tip[0]) ** 2 + (p[1] - tip[1]) ** 2 + (p[2] - tip[2]) ** 2)
+    return d - radius - min(clearance, slope * away - slack)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def nearest_point(
     tree_points, tree_radius, tree_time, centre, reach, since, left, right,
     kind, size, planes, T_solid_tree, now, enough, clearance, tip, slope, slack, stack,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.plan import Check, Trajectory
-from planner.point_tree import PointTree, nearest_point, search_room, solid_distance
+from planner.point_tree import PointTree, nearest_point, point_value, search_room, solid_distance
 from planner.print_body import TIP_SLOPE, PrintBody, tip_slack
 from planner.problem import Problem
 from planner.replay import Motion
@@ -40,7 +40,7 @@ _MOST_PARTS = 64  # of the time between two samples
 class Nearness:
     """How near to part and print bodies come that move with the nozzle (n samples).
 
-    margin (n)   distance less what is needed, FAR at most; between looks it is interpolated
+    margin (n)   distance less what is needed, FAR at most; between looks it is interpolated; empty if not asked for
     least, at    the least of all, and its sample; body, point: whose it is (index), and the point in the tree's order,
                  or -1 if nothing is nearer than FAR
     looks        how many distances were asked for
@@ -83,15 +83,17 @@ def nozzle_nearness(
     slope: float = TIP_SLOPE,
     ahead: Index | None = None,
     share: float = 0.0,
+    margins: bool = False,
 ) -> Nearness:
     """The least of distance - min(clearance, slope * distance from the tip - slack) along a motion (see `nearest_point`).
 
     It is found to TOLERANCE, or a share of itself, also between samples: that is known for a slope of TIP_SLOPE at most.
-    ahead (n): the samples up to which what is laid counts as there; as for that slope, if not given.
+    ahead (n): the samples up to which what is laid counts as there; as for that slope, if not given. margins: whether
+    those of all samples are asked for.
     """
     ahead = _looked_ahead(motion.tip, now, slack) if ahead is None else ahead
     tip, rotation = np.ascontiguousarray(motion.tip), np.ascontiguousarray(motion.rotation)
-    margin = np.full(len(now), FAR)
+    margin = np.full(len(now) if margins else 0, FAR)
     least, at, body, point, looks = _along(
         tree.points, tree.radius, tree.time, tree.centre, tree.reach, tree.since, tree.left, tree.right,
         bodies.kind, bodies.size, bodies.planes, bodies.T_solid_frame, bodies.centre, bodies.reach,
@@ -107,7 +109,7 @@ def beyond_the_tip(
     """The same of true distances, less the clearance, from points beyond the tip's zone."""
     zone = (clearance + slack) / TIP_SLOPE
     ahead = _looked_ahead(motion.tip, now, slack)
-    return nozzle_nearness(tree, bodies, motion, now, _STEEP * zone, clearance, _STEEP, ahead, _SHARE)
+    return nozzle_nearness(tree, bodies, motion, now, _STEEP * zone, clearance, _STEEP, ahead, _SHARE, True)
 
 
 def check_nozzle(
@@ -154,11 +156,13 @@ def _along(
     kind, size, planes, T_solid_frame, body_centre, body_reach,
     tip, rotation, path, turned, now, slack, clearance, slope, rate, share, ahead, margin, stack,
 ):  # fmt: skip
-    """Fill margin; returns the least, its sample, body and point, and how often it was looked. ahead: see _looked_ahead.
+    """Fill margin, unless it is empty; returns the least, its sample, body and point, and how often it was looked.
 
     A margin changes by `rate` times the motion at most, so that samples are passed over as long as this cannot matter.
+    A search begins with the point that was the nearest one before, and ends at what is of no interest: beyond what the
+    body before has left of all margins around, and beyond what lets the most samples be passed over.
     """
-    n = len(now)
+    n, fill = len(now), len(margin) > 0
     least, where, whose, which, looks = FAR, 0, 0, -1, 0
     T, R, p = np.empty((4, 4)), np.empty((3, 3)), np.empty(3)
     for j in range(len(kind)):  # a look here and there, which spares many of those that follow
@@ -176,14 +180,30 @@ def _along(
         arm = np.sqrt(c[0] ** 2 + c[1] ** 2 + c[2] ** 2) + body_reach[j]
         own = T_solid_frame[j]
         tip_away = solid_distance(kind[j], size[j], planes, own[0, 3], own[1, 3], own[2, 3])
-        k, before, value_before = 0, -1, 0.0
+        k, before, value_before, known = 0, -1, 0.0, -1
         while True:
             seeing = now[ahead[k]]
             _pose(own, rotation[k], tip[k], T)
+            enough = FAR
+            if j > 0 or not fill:
+                m = min(n - 1, k + _OFTEN)
+                moved = path[m] - path[k] + arm * (turned[m] - turned[k])
+                enough = min(FAR, max(least, least - max(TOLERANCE, share * least) + rate * moved))
+                if fill:
+                    enough = max(enough, margin[max(0, k - _OFTEN) : m + 1].max())
+            found = -1
+            if known >= 0 and time[known] < seeing:
+                value = point_value(
+                    points[known], radius[known], kind[j], size[j], planes, T, clearance, tip[k], slope, slack[k]
+                )
+                if value < enough:
+                    enough, found = value, known
             value, point = nearest_point(
                 points, radius, time, centre, reach, since, left, right, kind[j], size[j], planes, T,
-                seeing, FAR, clearance, tip[k], slope, slack[k], stack,
+                seeing, enough, clearance, tip[k], slope, slack[k], stack,
             )  # fmt: skip
+            point = found if point < 0 else point
+            known = point if point >= 0 else known
             looks += 1
             if value < least:
                 least, where, whose, which = value, k, j, point
@@ -205,7 +225,7 @@ def _along(
                     looks += 1
                     if inside < least:
                         least, where, whose, which = inside, k, j, found
-            for i in range(max(before, 0), k + 1):
+            for i in range(max(before, 0), k + 1 if fill else 0):
                 done = (i - before) / max(k - before, 1)
                 margin[i] = min(margin[i], (1.0 - done) * value_before + done * value if before >= 0 else value)
             if k == n - 1:
