@@ -42,7 +42,7 @@ _KEPT = 0.1  # of the overrun that a solution may have
 _LEAST_GAP = 0.05  # of what the accuracy leaves to a limit: where less is left there is nothing to gain
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def fastest(
     point: Array,
     middle: Array,
@@ -144,7 +144,7 @@ def fastest(
     return c, False
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _time(c: Array, middle: Array, h: Array) -> float:
     """The time that all intervals take."""
     time = 0.0
@@ -153,7 +153,7 @@ def _time(c: Array, middle: Array, h: Array) -> float:
     return time
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _rooms(
     c: Array, point: Array, middle: Array, end: Array, a: Array, j: Array, ceiling: Array,
     rooms: tuple[Array, Array, Array],
@@ -181,7 +181,7 @@ def _weights(mu: float, room: float, slack: float, dual: float) -> tuple[float, 
     return w, mu * inverse - w * (room - slack)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _assemble(
     c: Array, point: Array, middle: Array, end: Array, a: Array, j: Array, ceiling: Array, h: Array, mu: Array,
     rooms: tuple[Array, Array, Array], slacks: tuple[Array, Array, Array], duals: tuple[Array, Array, Array],

@@ -18,7 +18,7 @@ _TO_BOUNDARY = 0.99  # share of the way to the nearest limit that a step may go
 _POSITIVE = 0.9  # share of the way to rest that a step may go
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def even_out(lengths: Array, sums: Array, mins: Array) -> None:
     """Lower lengths (m), in place, until they change slowly; sums (m + 1) and mins (m) are room."""
     m = len(lengths)
@@ -33,7 +33,7 @@ def even_out(lengths: Array, sums: Array, mins: Array) -> None:
     average(mins, APART // 2, sums, lengths)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def average(values: Array, half: int, sums: Array, out: Array) -> None:
     """Fill out (m) with the means of values (m) over `half` neighbours to both sides; sums (m + 1) is room."""
     m = len(values)
@@ -52,7 +52,7 @@ def _falls(mu: float, ds: float, slack: float, dual: float) -> tuple[float, floa
     return fall, 1.0 - fall - mu / (slack * dual)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def lengths_of(
     c: Array, step: Array, point: Array, middle: Array, end: Array, a: Array, j: Array, ceiling: Array, mu: Array,
     rooms: tuple[Array, Array, Array], slacks: tuple[Array, Array, Array], duals: tuple[Array, Array, Array],
@@ -118,7 +118,7 @@ def go(c: Array, step: Array, middle: Array, end: Array, lengths: Array) -> None
         lengths[:] = lengths.min()
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def move(
     primal: Array, dual: Array, mu: Array, steps: Array, slacks: Array, duals: Array, places: int, gaps: Array
 ) -> None:  # fmt: skip

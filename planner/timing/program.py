@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from planner.timing.nearby import least_nearby, mean_nearby
@@ -37,7 +38,7 @@ class Program:
     """The limits of a stretch as `fastest` takes them, and where they are looked at again.
 
     left, right (m): what the first and last of three coefficients give of x at an interval's own ends; looks: fractions
-    of intervals with the path's rates there, where limits are looked at again; v (nj + 1), a, j (nj): the limits
+    of intervals with the path's rates (3, m, nj + 1) there, where limits are looked at again; v (nj + 1), a, j (nj): the limits
     """
 
     sigma: Array
@@ -49,7 +50,7 @@ class Program:
     ends: Array
     acceleration: Array
     jerk: Array
-    looks: tuple[tuple[float, Array | list[Array]], ...]
+    looks: tuple[tuple[float, Array], ...]
     v: Array
     a: Array
     j: Array
@@ -99,13 +100,13 @@ def program_of(stretch: Stretch, v: Array, a: Array, j: Array, known: tuple[Arra
         )
         / a[:, None],
         jerk=_in_turn(
-            _jerk_rows(bases[0], [each[:-1] for each in points], j),
-            _jerk_rows(bases[2], [each[1:] for each in points], j),
+            _jerk_rows(bases[0], points[:, :-1], j),
+            _jerk_rows(bases[2], points[:, 1:], j),
         ),
         looks=(
-            (0.0, [each[:-1] for each in points]),
+            (0.0, np.ascontiguousarray(points[:, :-1])),
             *((f, stretch.rates(sigma[:-1] + f * h, 3)) for f in _BETWEEN),
-            (1.0, [each[1:] for each in points]),
+            (1.0, np.ascontiguousarray(points[:, 1:])),
         ),
         v=v,
         a=a,
@@ -199,16 +200,17 @@ def _basis(left: Array, right: Array, h: Array, f: float) -> tuple[Array, Array,
     return x, slope, bend
 
 
-def _rows(terms: Sequence[tuple[Array, Array, float]], limit: Array) -> Array:
-    """Sum of rates (m, nj + 1) times what c[i : i + 3] give (m, 3) times a factor, as a share of a limit (nj)."""
-    total = sum(factor * rate[:, :-1, None] * basis[:, None, :] for rate, basis, factor in terms)
-    return np.ascontiguousarray(total / limit[:, None])
-
-
-def _jerk_rows(basis: tuple[Array, Array, Array], rates: Sequence[Array], limit: Array) -> Array:
-    """Jerk over sqrt(x) from c[i : i + 3], as a share of its limit, (m, nj, 3)."""
-    x, slope, bend = basis
-    return _rows([(rates[0], bend, 0.5), (rates[1], slope, 1.5), (rates[2], x, 1.0)], limit)
+@njit(cache=True, nogil=True)
+def _jerk_rows(basis: tuple[Array, Array, Array], rates: Array, limit: Array) -> Array:
+    """Jerk over sqrt(x) from c[i : i + 3], as a share of its limit (nj), (m, nj, 3); rates (3, m, nj + 1)."""
+    m, joints = rates.shape[1], len(limit)
+    out = np.empty((m, joints, 3))
+    for i in range(m):
+        for k in range(joints):
+            for n in range(3):
+                by_x, by_slope = rates[2, i, k] * basis[0][i, n], 1.5 * rates[1, i, k] * basis[1][i, n]
+                out[i, k, n] = (0.5 * rates[0, i, k] * basis[2][i, n] + by_slope + by_x) / limit[k]
+    return out
 
 
 def _in_turn(a: Array, b: Array) -> Array:
@@ -218,17 +220,31 @@ def _in_turn(a: Array, b: Array) -> Array:
 
 def overruns(program: Program, c: Array) -> tuple[Array, Array, Array]:
     """Largest squared speed, acceleration and jerk (m) as shares of their limits in each interval, ends included."""
-    worst = np.zeros((3, len(program.h)))
-    before, after = program.left * (c[:-2] - c[1:-1]), program.right * (c[2:] - c[1:-1])
-    bend = (2.0 * (before + after) / program.h**2)[:, None]
-    for f, rates in program.looks:
-        first, second, third = (each[:, :-1] for each in rates)
-        x = (c[1:-1] + before * (1.0 - f) ** 2 + after * f**2)[:, None]
-        slope = (2.0 * (after * f - before * (1.0 - f)) / program.h)[:, None]
-        acceleration = second * x + 0.5 * first * slope
-        jerk = np.sqrt(x) * (third * x + 1.5 * second * slope + 0.5 * first * bend)
-        for k, (value, limit) in enumerate(
-            ((rates[0] * np.sqrt(x), program.v), (acceleration, program.a), (jerk, program.j))
-        ):
-            np.maximum(worst[k], (np.abs(value) / limit).max(axis=1), out=worst[k])
-    return worst[0] ** 2, worst[1], worst[2]
+    p, worst = program, np.zeros((3, len(program.h)))
+    for f, rates in p.looks:
+        _raise_worst(f, rates, c, p.h, p.left, p.right, p.v, p.a, p.j, worst)
+    return worst[0], worst[1], worst[2]
+
+
+@njit(cache=True, nogil=True)
+def _raise_worst(
+    f: float, rates: Array, c: Array, h: Array, left: Array, right: Array, v: Array, a: Array, j: Array, worst: Array
+) -> None:
+    """Raise worst (3, m) to the shares of the limits at the fraction f of each interval, where rates (3, m, nj + 1)
+    are those of the path."""
+    joints = len(a)
+    for i in range(len(h)):
+        before, after = left[i] * (c[i] - c[i + 1]), right[i] * (c[i + 2] - c[i + 1])
+        x = c[i + 1] + before * (1.0 - f) ** 2 + after * f**2
+        slope = 2.0 * (after * f - before * (1.0 - f)) / h[i]
+        bend = 2.0 * (before + after) / h[i] ** 2
+        root = np.sqrt(x)
+        speed, acceleration, jerk = abs(rates[0, i, joints]) / v[joints], 0.0, 0.0
+        for k in range(joints):
+            first, second, third = rates[0, i, k], rates[1, i, k], rates[2, i, k]
+            speed = max(speed, abs(first) / v[k])
+            acceleration = max(acceleration, abs(second * x + 0.5 * first * slope) / a[k])
+            jerk = max(jerk, abs(third * x + 1.5 * second * slope + 0.5 * first * bend) / j[k])
+        worst[0, i] = max(worst[0, i], speed**2 * x)
+        worst[1, i] = max(worst[1, i], acceleration)
+        worst[2, i] = max(worst[2, i], root * jerk)
