@@ -8,10 +8,10 @@ from functools import cached_property
 
 import coal
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from planner.cell import Cell, Robot
+from planner.replay import joint_poses
 from planner.solids import Body, Box, Capsule, Frustum, Mesh, Solid, triangles_of
 
 Array = NDArray[np.float64]
@@ -234,15 +234,18 @@ class Distances:
 
     def of(self, pair: Pair, poses: Array) -> float:
         """The distance [m] with carriers at poses (carriers, 4, 4); negative by how deep they are in each other."""
+        return float(self.along(pair, poses[None])[0])
+
+    def along(self, pair: Pair, poses: Array) -> Array:
+        """Distances (n) [m] with carriers at poses (n, carriers, 4, 4)."""
         a, b = self._things[pair.a], self._things[pair.b]
-        Ta, Tb = poses[a.carrier] @ a.T_carrier_geometry, poses[b.carrier] @ b.T_carrier_geometry
-        return self.between(a.geometry, Ta, b.geometry, Tb)
+        Ta, Tb = poses[:, a.carrier] @ a.T_carrier_geometry, poses[:, b.carrier] @ b.T_carrier_geometry
+        return np.array([self.between(a.geometry, each, b.geometry, other) for each, other in zip(Ta, Tb, strict=True)])
 
     def between(self, a: coal.CollisionGeometry, Ta: Array, b: coal.CollisionGeometry, Tb: Array) -> float:
         """The same of two of coal's bodies at poses in the world."""
         self._result.clear()
-        placed = (coal.Transform3s(T[:3, :3], T[:3, 3]) for T in (Ta, Tb))
-        Fa, Fb = placed
+        Fa, Fb = coal.Transform3s(Ta[:3, :3], Ta[:3, 3]), coal.Transform3s(Tb[:3, :3], Tb[:3, 3])
         return float(coal.distance(a, Fa, b, Fb, self._request, self._result))
 
 
@@ -298,13 +301,4 @@ def _thing(body: Body, kind: str, carrier: int, joints: int, T_carrier_frame: Ar
 
 def _joint_poses(robot: Robot, q: Array, T_world_base: Array) -> Array:
     """Poses (n, joints, 4, 4) in the world of a robot's joint frames, after their turns."""
-    model, data = robot.model, robot.model.createData()
-    R, p = np.empty((len(q), model.njoints - 1, 3, 3)), np.empty((len(q), model.njoints - 1, 3))
-    for i, row in enumerate(q):
-        pin.forwardKinematics(model, data, np.ascontiguousarray(row))
-        for k in range(1, model.njoints):
-            placed = data.oMi[k]
-            R[i, k - 1], p[i, k - 1] = placed.rotation, placed.translation
-    T = np.zeros((len(q), model.njoints - 1, 4, 4))
-    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, p, 1.0
-    return np.asarray(T_world_base @ T)
+    return np.asarray(T_world_base @ joint_poses(robot.model, q))

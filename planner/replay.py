@@ -123,16 +123,41 @@ def _part(cell: Cell, q_free: Array) -> Array:
     """Part poses in the world (n, 4, 4), from the holder's URDF model with its held axes at their angles."""
     if cell.holder_robot is None:
         return np.broadcast_to(cell.T_world_holder, (len(q_free), 4, 4))
-    robot = cell.holder_robot
-    model, data = robot.model, robot.model.createData()
-    tip = model.getFrameId(robot.tip)
+    model = cell.holder_robot.model
     names = list(model.names[1:])
-    q = np.array([cell.held.get(name, 0.0) for name in names])
     free = [names.index(name) for name in cell.holder.names]
     turned = np.append(True, (np.diff(q_free, axis=0) != 0.0).any(axis=1))  # a table often rests
-    T = np.empty((np.count_nonzero(turned), 4, 4))
-    for i, row in enumerate(q_free[turned]):
-        q[free] = row
-        pin.forwardKinematics(model, data, q)
-        T[i] = pin.updateFramePlacement(model, data, tip).homogeneous
+    held = np.array([cell.held.get(name, 0.0) for name in names])
+    q = np.tile(held, (int(np.count_nonzero(turned)), 1))
+    q[:, free] = q_free[turned]
+    tip = model.frames[model.getFrameId(cell.holder_robot.tip)]
+    T = joint_poses(model, q)[:, tip.parentJoint - 1] @ tip.placement.homogeneous
     return (cell.T_world_holder_base @ T @ cell.T_plate_part)[np.cumsum(turned) - 1]
+
+
+def joint_poses(model: pin.Model, q: Array) -> Array:
+    """Poses (n, joints, 4, 4) of all joints after their turns, in the frame of the robot's base, at postures q (n, nq).
+
+    Pinocchio keeps them one behind the other, so that one view reads them all: each by itself takes far longer to ask for
+    than to compute.
+    """
+    data, n = model.createData(), model.njoints - 1
+    placed = [data.oMi[k] for k in range(1, n + 1)]
+    R, p = _one_view([each.rotation for each in placed]), _one_view([each.translation for each in placed])
+    T = np.zeros((len(q), n, 4, 4))
+    T[..., 3, 3] = 1.0
+    turn, shift = T[..., :3, :3], T[..., :3, 3]
+    for i, row in enumerate(np.ascontiguousarray(q)):
+        pin.forwardKinematics(model, data, row)
+        turn[i], shift[i] = R, p
+    return T
+
+
+def _one_view(arrays: list[Array]) -> Array:
+    """Arrays of one shape that lie at even distances in memory, seen as one (n, ...) that changes as they do."""
+    address = [each.__array_interface__["data"][0] for each in arrays]
+    steps = set(np.diff(address).tolist())
+    if len(steps) > 1:
+        raise ValueError("the arrays do not lie at even distances")
+    shape, strides = (len(arrays), *arrays[0].shape), (*(steps or {0}), *arrays[0].strides)
+    return np.lib.stride_tricks.as_strided(arrays[0], shape, strides, writeable=False)

@@ -194,7 +194,7 @@ class _Sweep:
         pair = self.pairs[k]
         self.looks += len(instant)
         if isinstance(pair, Pair):
-            distance = np.array([self.coal.of(pair, poses[i]) for i in which.tolist()])
+            distance = self.coal.along(pair, poses[which])
             point = np.full(len(distance), -1)
         else:
             distance, point = self._from_print(pair, poses, which, self._printed(instant))

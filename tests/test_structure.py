@@ -147,7 +147,7 @@ HEAVY = {
         "placement.margin_kernel",
     },
     "ruckig": {"travel"},
-    "pinocchio": {"cell", "replay", "collision_bodies"},
+    "pinocchio": {"cell", "replay"},
     "coal": {"robot_bodies", "collision_bodies"},
     "shapely": {
         "toolpath.step.shape",
