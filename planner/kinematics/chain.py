@@ -107,7 +107,7 @@ def chain_poses(placements: Array, axes: Array, T_last_tip: Array, q: Array) -> 
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def chain_jacobians(placements: Array, axes: Array, T_last_tip: Array, q: Array) -> Array:
     """Compiled body of `Chain.jacobians`."""
     m, n = q.shape

@@ -151,15 +151,13 @@ def _places(paths: Sequence[JointPath], columns: int) -> _Places:
 
 
 def _postures(cell: Cell, places: _Places, roll: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Arm joints (m, k, branches, na), turned as near the middle of their ranges as can be, and which exist."""
+    """Arm joints (m, k, branches, na), whichever of their turns, and which exist."""
     m, k, na, nh = len(places.s), len(roll), len(cell.arm), len(cell.holder)
     each = np.repeat(np.arange(m), k)
     task = NozzleTask(0, "", 0, places.tip[each], places.frames[each], each.astype(float), 0, len(each) - 1, 1.0)
     T = flange_poses(cell, task, np.tile(roll, m), places.tilt[each], places.q[each, na : na + nh])
     redundant = cell.inverse.redundant_joint
     q, exists = cell.inverse.solve(T, None if redundant is None else places.q[each, redundant])
-    middle = 0.5 * (cell.limits.q_min[:na] + cell.limits.q_max[:na])
-    q = middle + np.remainder(q - middle + np.pi, _TURN) - np.pi
     return q.reshape(m, k, -1, na), exists.reshape(m, k, -1)
 
 
@@ -169,15 +167,15 @@ _Judgement = tuple[NDArray[np.uint8], Array, Array, Array]
 def _judged(
     cell: Cell, places: _Places, arm: Array, exists: NDArray[np.bool_], obstacles: Obstacles, min_sigma: float
 ) -> _Judgement:
-    """why, sigma, limit and clearance of arm postures (m, k, na)."""
+    """why, sigma, limit and clearance of arm postures (m, k, na), turned as near the middle of their ranges as can be."""
     na = len(cell.arm)
+    arm = arm - _TURN * np.round((arm - 0.5 * (cell.limits.q_min[:na] + cell.limits.q_max[:na])) / _TURN)
     limit = np.minimum(arm - cell.limits.q_min[:na], cell.limits.q_max[:na] - arm).min(axis=2)
     limit[~exists] = np.nan
     why = np.where(exists, np.where(limit < 0.0, LIMITS, FREE), REACH).astype(np.uint8)
     sigma, clearance = np.full(why.shape, np.nan), np.full(why.shape, np.nan)
     inside = why == FREE
-    jacobians = cell.arm.jacobians(arm[inside])[:, :, list(cell.solved)]
-    sigma[inside] = least_singular_values(jacobians)
+    sigma[inside] = _sigmas(cell, arm[inside])
     why[inside & (sigma < min_sigma)] = SINGULAR
     if obstacles.any:
         clearance = _clearances(
@@ -185,6 +183,17 @@ def _judged(
         )
         why[clearance < 0.0] = COLLISION
     return why, sigma, limit, clearance
+
+
+def _sigmas(cell: Cell, q: Array) -> Array:
+    """Least singular values (n) of the arm's Jacobian at postures q (n, na)."""
+    out = np.empty(len(q))
+
+    def part(first: int, last: int) -> None:
+        out[first:last] = least_singular_values(cell.arm.jacobians(q[first:last])[:, :, list(cell.solved)])
+
+    in_threads(part, len(q))
+    return out
 
 
 def _holder(cell: Cell, places: _Places, arm: Array) -> Array:
