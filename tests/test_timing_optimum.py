@@ -8,11 +8,12 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
+from planner.cell import Limits
 from planner.timing.curve import curve_of
 from planner.timing.jerk_kernel import OVERRUN, fastest
 from planner.timing.lengths import APART, even_out
 from planner.timing.nearby import least_nearby, mean_nearby
-from planner.timing.profile import ACCURACY
+from planner.timing.profile import ACCURACY, HEADROOM, fastest_profile
 from planner.timing.program import Program, program_of
 from planner.timing.stretch import Stretch
 
@@ -212,3 +213,23 @@ def test_a_curve_is_its_spline(samples: int) -> None:
     for order, rates in enumerate(curve.derivatives(at, 3), start=1):
         wanted = spline(at, order) if order <= spline.k else np.zeros((len(at), JOINTS))
         np.testing.assert_allclose(rates, wanted, rtol=1e-7, atol=1e-7 * max(float(np.abs(wanted).max()), 1.0))
+
+
+def test_a_profile_in_two_halves_is_as_fast(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two bends far apart, and sampling that is closer at one of them: cut in between, at the commanded speed."""
+    length, speed, n = 60.0, 0.04, 3000
+    u = np.linspace(0.0, length, n)
+    time = u - 0.5 * np.exp(-(((u - 15.0) / 1.0) ** 2))
+    bends = sum(np.outer(np.exp(-(((time - at) / 0.02) ** 2)), [0.1, -0.07, 0.04]) for at in (14.6, 45.0))
+    path = make_interp_spline(u, np.column_stack([bends, speed * time]), k=5)
+    stretch = Stretch(curve_of(path), 0.0, length, (0.05, 0.05))
+    limits = Limits(*(np.full(JOINTS, value) for value in (-3.0, 3.0, 3.0, 20.0, 1000.0)))
+    used = (HEADROOM * limits.acceleration, HEADROOM * limits.jerk)
+    p = program_of(stretch, np.append(HEADROOM * limits.velocity, speed), *used)
+    assert p.cut > 0
+    assert 20.0 < p.sigma[p.cut] < 40.0
+    halves = fastest_profile(stretch, limits, speed)
+    monkeypatch.setattr("planner.timing.program._WORTH_A_CUT", 10**9)
+    whole = fastest_profile(stretch, limits, speed)
+    assert halves.duration == pytest.approx(whole.duration, rel=3.0 * ACCURACY)
+    assert halves.duration > length + 0.05  # both bends cost time

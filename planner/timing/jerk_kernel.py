@@ -122,6 +122,7 @@ def fastest(
                 _rooms(c[all_c], point[at], middle[on], end[ends], a[at], j[ends], ceiling[at], own)
         gap, time = gaps.sum(), _time(c, middle, h)
         least_mu = _LEAST_GAP * accuracy * time / count
+        all_full = True  # shortened steps leave some of the conditions on the duals: then the gap says too little
         for b in range(len(unsettled)):
             if not unsettled[b]:
                 continue
@@ -134,7 +135,8 @@ def fastest(
                 for which, _ in limits_of(slice(lo, hi + 1), slice(2 * lo, 2 * hi), m, nj):
                     over[b] = max(over[b], overrun(room[which], slack[which]))
             unsettled[b] = not (at_rest and over[b] < _KEPT * OVERRUN)
-        if gap < accuracy * time and over.max() < OVERRUN:
+            all_full = all_full and full
+        if all_full and gap < accuracy * time and over.max() < OVERRUN:
             return c, True
         average(gaps, APART, sums, mu)
         for i in range(m):

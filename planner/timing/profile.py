@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from planner.background import in_threads
 from planner.cell import Limits
 from planner.timing.jerk_kernel import fastest
 from planner.timing.lengths import APART
@@ -18,7 +19,7 @@ from planner.timing.stretch import Stretch
 Array = NDArray[np.float64]
 
 HEADROOM = 0.99  # share of the joint limits that is used: the rest covers the path between grid points
-ACCURACY = 1e-5  # share of the time by which the optimum may be missed
+ACCURACY = 1e-4  # share of the time by which the optimum may be missed
 _NEWTON_STEPS = 8
 _ON_TIME = 1e-13  # s: a thousandth of what the third difference of samples would show
 _LONGEST = 30e-3  # s that an interval of the grid may take
@@ -79,19 +80,14 @@ def _within_limits(stretch: Stretch, program: Program) -> Profile:
     at_speed, acceleration, jerk = np.ones(m + 1), np.ones(m + 1), np.ones(m)  # shares of the limits that are used
     c, wanted = program.start, np.ones(-(-m // APART), dtype=np.bool_)
     for _ in range(_ROUNDS):
-        c, _ = fastest(
-            program.point,
-            program.middle,
-            program.ends,
-            program.acceleration / acceleration[:, None, None],
-            program.jerk / np.repeat(jerk, 2)[:, None, None],
-            program.ceiling * at_speed,
-            program.h,
-            np.maximum(c, LEAST_RATE),
-            program.level,
-            ACCURACY,
-            wanted,
+        tightened = replace(
+            program,
+            acceleration=program.acceleration / acceleration[:, None, None],
+            jerk=program.jerk / np.repeat(jerk, 2)[:, None, None],
+            ceiling=program.ceiling * at_speed,
+            start=np.maximum(c, LEAST_RATE),
         )
+        c = _fastest(tightened, wanted)
         c = np.maximum(c, LEAST_RATE)
         over = overruns(program, c)
         if all(float(values.max()) <= enough for values, enough in zip(over, _ENOUGH, strict=True)):
@@ -105,6 +101,27 @@ def _within_limits(stretch: Stretch, program: Program) -> Profile:
     left = [float(values.max()) / enough for values, enough in zip(over, _ENOUGH, strict=True)]
     worst = max(1.0, left[0], left[1], left[2] ** (2.0 / 3.0))
     return _profile(stretch, program, c / worst)
+
+
+def _fastest(program: Program, wanted: NDArray[np.bool_]) -> Array:
+    """Coefficients (m + 2) of the fastest profile, sought in the blocks that are wanted; in two threads if that is all of
+    them and the program can be cut."""
+    p, blocks = program, np.arange(len(wanted))
+    before = blocks < p.cut // APART
+    parts = [before, ~before] if p.cut > 0 and wanted.all() else [wanted]
+    found = [p.start] * len(parts)
+
+    def seek(first: int, last: int) -> None:
+        for k in range(first, last):
+            found[k], _ = fastest(
+                p.point, p.middle, p.ends, p.acceleration, p.jerk, p.ceiling, p.h, p.start, p.level, ACCURACY, parts[k]
+            )
+
+    if len(parts) == 1:
+        seek(0, 1)
+        return found[0]
+    in_threads(seek, len(parts))
+    return np.concatenate([found[0][: p.cut], found[1][p.cut :]])
 
 
 def _blocks_beside(tightened: NDArray[np.bool_]) -> NDArray[np.bool_]:

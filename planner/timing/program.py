@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from planner.timing.lengths import APART
 from planner.timing.nearby import least_nearby, mean_nearby
 from planner.timing.stretch import Stretch
 
@@ -28,6 +29,9 @@ _LEAD_LOOKS = 65  # places of a lead at which limits are looked at
 _COARSE = 20e-3  # s between grid points where nothing but the commanded speed limits the speed, for _FAR around:
 _FAR = 80e-3  # s: more than an arm takes to gather speed
 _EASY = 4.0  # times the commanded speed's squared rate that the joints allow there
+_QUIET = 0.3  # s of that around a place at which a grid may be cut in two, where the ceiling is _STEADY besides:
+_STEADY = 1e-2  # share by which it may vary from one point to the next
+_WORTH_A_CUT = 2048  # intervals
 _LEAST_INTERVALS = 60
 _LOOKS_A_SAMPLE = 3  # of the path, at which the grid's fineness is chosen
 _BETWEEN = (0.25, 0.5, 0.75)  # fractions of intervals at which limits are looked at again
@@ -38,7 +42,9 @@ class Program:
     """The limits of a stretch as `fastest` takes them, and where they are looked at again.
 
     left, right (m): what the first and last of three coefficients give of x at an interval's own ends; looks: fractions
-    of intervals with the path's rates (3, m, nj + 1) there, where limits are looked at again; v (nj + 1), a, j (nj): the limits
+    of intervals with the path's rates (3, m, nj + 1) there, where limits are looked at again; v (nj + 1), a, j (nj): the
+    limits; cut: where a block of intervals begins at which the commanded speed is held, and so long around it that what
+    is before does not feel what is behind, or 0; start is at that speed there
     """
 
     sigma: Array
@@ -57,6 +63,7 @@ class Program:
     ceiling: Array
     start: Array
     level: tuple[bool, bool]
+    cut: int
 
 
 def program_of(stretch: Stretch, v: Array, a: Array, j: Array, known: tuple[Array, Array] | None = None) -> Program:
@@ -68,7 +75,7 @@ def program_of(stretch: Stretch, v: Array, a: Array, j: Array, known: tuple[Arra
     level = (leads[0] > 0.0, leads[1] > 0.0)
     allowed = partial(_allowed, stretch, v, a, j)
     apart = float(np.clip(_GRID * (a / j).min(), *_GRID_BETWEEN))
-    sigma, envelope = _grid(stretch, leads, allowed, apart, known)
+    sigma, envelope, quiet = _grid(stretch, leads, allowed, apart, known)
     h = np.diff(sigma)
     around = np.concatenate([h[:1], h, h[-1:]])
     left, right = h / (around[:-2] + h), h / (h + around[2:])
@@ -81,6 +88,10 @@ def program_of(stretch: Stretch, v: Array, a: Array, j: Array, known: tuple[Arra
             within = np.linspace(0.0, lead, _LEAD_LOOKS)
             at = sigma[0] - within if end == 0 else sigma[-1] + within
             ceiling[-end] = min(ceiling[-end], float(np.minimum(*allowed(at)).min()))
+    start, cut = _start(envelope, ceiling, level), _cut(ceiling, quiet)
+    if cut > 0:  # coefficients belong to the middles of intervals
+        start[cut : cut + 2] = 0.5 * (ceiling[cut - 1 : cut + 1] + ceiling[cut : cut + 2])
+        start[cut : cut + 2] *= min(1.0, ceiling[cut] / float(start[cut : cut + 2] @ (share[cut], 1.0 - share[cut])))
     first, second = points[0][:, :-1], points[1][:, :-1]
     bases = [_basis(left, right, h, f) for f in (0.0, 0.5, 1.0)]
     return Program(
@@ -112,8 +123,9 @@ def program_of(stretch: Stretch, v: Array, a: Array, j: Array, known: tuple[Arra
         a=a,
         j=j,
         ceiling=ceiling,
-        start=_start(envelope, ceiling, level),
+        start=start,
         level=level,
+        cut=cut,
     )
 
 
@@ -136,8 +148,8 @@ def _ceilings(stretch: Stretch, v: Array, sigma: Array, first: Array) -> tuple[A
 
 def _grid(
     stretch: Stretch, leads: tuple[float, float], allowed: Allowed, apart: float, known: tuple[Array, Array] | None
-) -> tuple[Array, Array]:
-    """Grid points (m + 1) between the leads, about `apart` [s], and a guess of x there.
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Grid points (m + 1) between the leads, about `apart` [s], a guess of x there, and which are far from all dips.
 
     As fine as is asked for in the time that the path will take, and as the path's own samples: where these draw
     together, it is not finer than they are.
@@ -156,7 +168,19 @@ def _grid(
     m = max(int(np.ceil(count[-1])), _LEAST_INTERVALS)
     grid = np.interp(np.linspace(0.0, count[-1], m + 1), count, even)
     grid[[0, -1]] = a, b
-    return grid, np.interp(grid, even, envelope)
+    quiet = np.interp(grid, even, least_nearby(calm, time, _QUIET)) == 1.0
+    return grid, np.interp(grid, even, envelope), quiet
+
+
+def _cut(ceiling: Array, quiet: NDArray[np.bool_]) -> int:
+    """Where a grid may be cut in two, as near to its middle as can be; 0 if nowhere, or if it is not worth it."""
+    m = len(quiet) - 1
+    at = np.arange(APART, m - APART, APART)
+    if m < _WORTH_A_CUT:
+        return 0
+    steady = np.abs(ceiling[at[:, None] + (-1, 1)] / ceiling[at, None] - 1.0).max(axis=1) < _STEADY
+    at = at[quiet[at] & steady]
+    return int(at[np.argmin(np.abs(at - m // 2))]) if len(at) else 0
 
 
 def _smoothed(values: Array, time: Array, reach: float) -> Array:
