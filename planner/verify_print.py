@@ -159,8 +159,8 @@ def _along(
     """Fill margin, unless it is empty; returns the least, its sample, body and point, and how often it was looked.
 
     A margin changes by `rate` times the motion at most, so that samples are passed over as long as this cannot matter.
-    A search begins with the point that was the nearest one before, and ends at what is of no interest: beyond what the
-    body before has left of all margins around, and beyond what lets the most samples be passed over.
+    A search begins with the point that was the nearest one before; where no margins are asked for, it ends at what lets
+    the most samples be passed over.
     """
     n, fill = len(now), len(margin) > 0
     least, where, whose, which, looks = FAR, 0, 0, -1, 0
@@ -185,12 +185,10 @@ def _along(
             seeing = now[ahead[k]]
             _pose(own, rotation[k], tip[k], T)
             enough = FAR
-            if j > 0 or not fill:
+            if not fill:
                 m = min(n - 1, k + _OFTEN)
                 moved = path[m] - path[k] + arm * (turned[m] - turned[k])
                 enough = min(FAR, max(least, least - max(TOLERANCE, share * least) + rate * moved))
-                if fill:
-                    enough = max(enough, margin[max(0, k - _OFTEN) : m + 1].max())
             found = -1
             if known >= 0 and time[known] < seeing:
                 value = point_value(
