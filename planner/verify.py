@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import partial, reduce
 from typing import Any
 
 import numpy as np
@@ -81,12 +81,19 @@ def _blocks(n: int) -> Iterator[slice]:
     return (slice(start, min(start + BLOCK, n)) for start in range(0, n, BLOCK))
 
 
+def _worst(values: Array) -> Array:
+    """The greatest of each row (n) of a few columns, which numpy finds column by column in a tenth of the time."""
+    return np.asarray(reduce(np.maximum, values.T))
+
+
 def _finite(t: Trajectory, checks: list[Check]) -> Trajectory:
     """Append the check that every number is one; returns the trajectory with 0 in place of what is none."""
     fields = {name: value for name, value in vars(t).items() if isinstance(value, np.ndarray)}
     bad = np.zeros(len(t))
     for value in fields.values():
-        bad += (~np.isfinite(value)).reshape(len(t), -1).sum(axis=1)
+        finite = np.isfinite(value)
+        if not finite.all():  # to count sample by sample takes far longer
+            bad += (~finite).reshape(len(t), -1).sum(axis=1)
     if bad.any():
         numbers: dict[str, Any] = {k: np.nan_to_num(v, posinf=0.0, neginf=0.0) for k, v in fields.items()}
         t = replace(t, **numbers)
@@ -109,7 +116,8 @@ def _records(problem, cell, toolpath, t, motion, checks, metrics, series) -> Non
         )
         tip = np.linalg.norm(motion.tip[rows] - t.tip[rows], axis=1)
         axis = np.linalg.norm(motion.axis[rows] - t.axis[rows], axis=1)
-        off[rows] = np.max([tip, axis, np.abs(motion.rotation[rows] - turned).max(axis=(1, 2))], axis=0)
+        rotation = _worst(np.abs(motion.rotation[rows] - turned).reshape(len(tip), 9))
+        off[rows] = np.maximum(np.maximum(tip, axis), rotation)
     check_most(checks, t, "recorded poses", off * 1e3, RECORD_TOLERANCE * 1e3, "mm")
     if cell.spherical:  # of other arms no number is written anywhere
         check_most(checks, t, "recorded branch", (motion.branch != t.branch).astype(float), 0.0, "")
@@ -125,13 +133,13 @@ def _limits(problem, cell, toolpath, t, motion, checks, metrics, series) -> None
     ratios = {name: np.empty(len(t)) for name in ("velocity", "acceleration", "jerk")}
     for rows in _blocks(len(t)):
         a, b, c, d, e = (q[rows.start + k : rows.stop + k] for k in range(5))
-        margin[rows] = np.degrees(np.minimum(c - limits.q_min, limits.q_max - c).min(axis=1))
-        step[rows] = (np.abs(c - b) / (limits.velocity * t.dt)).max(axis=1)
+        margin[rows] = np.degrees(-_worst(np.maximum(limits.q_min - c, c - limits.q_max)))
+        step[rows] = _worst(np.abs(c - b) / (limits.velocity * t.dt))
         velocity, acceleration = (d - b) / (2.0 * t.dt), (d - 2.0 * c + b) / t.dt**2
         jerk = (e - 2.0 * d + 2.0 * b - a) / (2.0 * t.dt**3)
-        ratios["velocity"][rows] = (np.abs(velocity) / limits.velocity).max(axis=1)
-        ratios["acceleration"][rows] = (np.abs(acceleration) / limits.acceleration).max(axis=1)
-        ratios["jerk"][rows] = (np.abs(jerk) / limits.jerk).max(axis=1)
+        ratios["velocity"][rows] = _worst(np.abs(velocity) / limits.velocity)
+        ratios["acceleration"][rows] = _worst(np.abs(acceleration) / limits.acceleration)
+        ratios["jerk"][rows] = _worst(np.abs(jerk) / limits.jerk)
     series["limit_margin_deg"] = margin
     metrics["joint_limit_margin_deg"] = check_least(checks, t, "joint range", margin, 0.0, "deg")
     for name, ratio in ratios.items():
