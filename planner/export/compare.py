@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 CLOSE = 3e-5  # [m] between samples, which rounding and played targets do not tell apart
+OTHERS = 4.0  # samples to a side that may be taken for a target's own there, at most
 LEVER = 0.05  # [m/rad]: turning counts as path where the tip stands still
 WINDOWS = (6, 64)  # samples to either side within which a target's own sample is sought, the second if need be
 FOUND = 1e-6  # m, between a target and its sample: the right one, be it at the edge of its window
@@ -219,8 +220,8 @@ def _joint(plan: Plan, match: _Match, a: Indices, s: Indices) -> float:
 def _speed(plan: Plan, match: _Match, on: NDArray[np.bool_]) -> float:
     """Worst difference between programmed speed and what moves that lay material need to arrive when planned.
 
-    Where samples stand close at an end, as before a rest, its target may come from the one beside its own: what that
-    changes is not counted.
+    Where samples stand close at an end, as before a rest, its target may come from one beside its own, as far away as
+    the target is beside the path: what that changes is not counted.
     """
     trajectory, at = plan.trajectory, match.at
     lines = np.linalg.norm(np.diff(match.all.position, axis=0), axis=1)
@@ -228,8 +229,9 @@ def _speed(plan: Plan, match: _Match, on: NDArray[np.bool_]) -> float:
     real = lines / took
     steps = np.linalg.norm(np.diff(trajectory.tip, axis=0), axis=1)
     beside = np.minimum(np.append(steps, np.inf), np.append(np.inf, steps))[at]
-    close = np.minimum(beside[:-1], beside[1:]) < CLOSE
-    off = np.abs(real - match.all.speed[:-1]) - np.where(close, real * trajectory.dt / took, 0.0)
+    away = np.linalg.norm(trajectory.tip[at] - match.all.position, axis=1) / np.maximum(beside, 1e-9)
+    others = np.where(beside < CLOSE, np.clip(away, 1.0, OTHERS), 0.0)
+    off = np.abs(real - match.all.speed[:-1]) - (others[:-1] + others[1:]) * real * trajectory.dt / took
     inside = on[match.piece[:-1]] & (np.diff(match.piece) == 0)
     return float(np.maximum(off, 0.0)[inside].max(initial=0.0))
 
