@@ -105,23 +105,25 @@ def _within_limits(stretch: Stretch, program: Program) -> Profile:
 
 def _fastest(program: Program, wanted: NDArray[np.bool_]) -> Array:
     """Coefficients (m + 2) of the fastest profile, sought in the blocks that are wanted; in two threads if that is all of
-    them and the program can be cut."""
+    them and the program can be cut, unless a half is not found so."""
     p, blocks = program, np.arange(len(wanted))
     before = blocks < p.cut // APART
     parts = [before, ~before] if p.cut > 0 and wanted.all() else [wanted]
-    found = [p.start] * len(parts)
+    found = [(p.start, False)] * len(parts)
 
     def seek(first: int, last: int) -> None:
         for k in range(first, last):
-            found[k], _ = fastest(
+            found[k] = fastest(
                 p.point, p.middle, p.ends, p.acceleration, p.jerk, p.ceiling, p.h, p.start, p.level, ACCURACY, parts[k]
             )
 
-    if len(parts) == 1:
-        seek(0, 1)
-        return found[0]
-    in_threads(seek, len(parts))
-    return np.concatenate([found[0][: p.cut], found[1][p.cut :]])
+    if len(parts) == 2:
+        in_threads(seek, 2)
+        if all(reached for _, reached in found):
+            return np.concatenate([found[0][0][: p.cut], found[1][0][p.cut :]])
+        parts[0] = wanted
+    seek(0, 1)
+    return found[0][0]
 
 
 def _blocks_beside(tightened: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -32,6 +32,7 @@ _EASY = 4.0  # times the commanded speed's squared rate that the joints allow th
 _QUIET = 0.3  # s of that around a place at which a grid may be cut in two, where the ceiling is _STEADY besides:
 _STEADY = 1e-2  # share by which it may vary from one point to the next
 _WORTH_A_CUT = 2048  # intervals
+_BELOW = 1e-3  # share of the ceiling that a cut keeps below it: what cannot move needs room
 _LEAST_INTERVALS = 60
 _LOOKS_A_SAMPLE = 3  # of the path, at which the grid's fineness is chosen
 _BETWEEN = (0.25, 0.5, 0.75)  # fractions of intervals at which limits are looked at again
@@ -44,7 +45,7 @@ class Program:
     left, right (m): what the first and last of three coefficients give of x at an interval's own ends; looks: fractions
     of intervals with the path's rates (3, m, nj + 1) there, where limits are looked at again; v (nj + 1), a, j (nj): the
     limits; cut: where a block of intervals begins at which the commanded speed is held, and so long around it that what
-    is before does not feel what is behind, or 0; start is at that speed there
+    is before does not feel what is behind, or 0; start is nearly at that speed there
     """
 
     sigma: Array
@@ -91,7 +92,8 @@ def program_of(stretch: Stretch, v: Array, a: Array, j: Array, known: tuple[Arra
     start, cut = _start(envelope, ceiling, level), _cut(ceiling, quiet)
     if cut > 0:  # coefficients belong to the middles of intervals
         start[cut : cut + 2] = 0.5 * (ceiling[cut - 1 : cut + 1] + ceiling[cut : cut + 2])
-        start[cut : cut + 2] *= min(1.0, ceiling[cut] / float(start[cut : cut + 2] @ (share[cut], 1.0 - share[cut])))
+        here = float(start[cut : cut + 2] @ (share[cut], 1.0 - share[cut]))
+        start[cut : cut + 2] *= min(1.0, (1.0 - _BELOW) * ceiling[cut] / here)
     first, second = points[0][:, :-1], points[1][:, :-1]
     bases = [_basis(left, right, h, f) for f in (0.0, 0.5, 1.0)]
     return Program(
