@@ -91,7 +91,8 @@ def _kept(cell: Cell, trajectory: Trajectory, tolerance: float) -> tuple[Indices
         k = stretch[looked]
         off = _off(cell, trajectory, looked, kept[k], kept[k + 1])
         bad = off > tolerance
-        worst = max(worst, float(off[~np.isin(k, k[bad])].max(initial=0.0)))  # those that are halved are looked at again
+        settled = ~np.isin(k, k[bad])  # what is halved is looked at again
+        worst = max(worst, float(off[settled].max(initial=0.0)))
         middles = np.unique((kept[k[bad]] + kept[k[bad] + 1]) // 2)
         halved = np.union1d(kept, middles)
         fresh = np.isin(halved[:-1], middles) | np.isin(halved[1:], middles)
