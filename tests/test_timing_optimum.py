@@ -228,6 +228,7 @@ def test_a_profile_in_two_halves_is_as_fast(monkeypatch: pytest.MonkeyPatch) -> 
     p = program_of(stretch, np.append(HEADROOM * limits.velocity, speed), *used)
     assert p.cut > 0
     assert 20.0 < p.sigma[p.cut] < 40.0
+    assert float(p.point[p.cut] @ p.start[p.cut : p.cut + 2]) < 0.9995 * p.ceiling[p.cut], "what cannot move needs room"
     halves = fastest_profile(stretch, limits, speed)
     monkeypatch.setattr("planner.timing.program._WORTH_A_CUT", 10**9)
     whole = fastest_profile(stretch, limits, speed)
