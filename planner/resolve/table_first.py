@@ -100,7 +100,7 @@ def _lattice(cell: Cell, axis: int, step: float) -> tuple[Array, bool]:
     return np.asarray(low + (high - low) / n * np.arange(n + 1)), False
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _after_moves(
     cost: Array, weight: float, turns: bool, least: Array, came: NDArray[np.int64], room: tuple[NDArray[np.int64], Array, Array]
 ) -> None:  # fmt: skip
@@ -108,27 +108,22 @@ def _after_moves(
 
     The lower envelope of parabolas (Felzenszwalb and Huttenlocher 2012), in time linear in n. Where the axis turns all
     round, half of it is repeated at both ends. Parabolas from u and v, with heights h = cost / (2 weight) + v^2 / 2, cross
-    at (h_u - h_v) / (u - v). `room` is for 2 n values each.
+    at (h_u - h_v) / (u - v). An infinite cost has no parabola; one at least is finite. `room` is for 2 n values each.
     """
     n = cost.size
     beside = n // 2 if turns else 0
     at, edge, height = room
     inverse = 0.5 / weight
-    for i in range(n):
-        height[beside + i] = cost[i] * inverse + 0.5 * i * i
-    for i in range(-beside, 0):
-        height[beside + i] = cost[i + n] * inverse + 0.5 * i * i
-    for i in range(n, n + beside):
-        height[beside + i] = cost[i - n] * inverse + 0.5 * i * i
-    top = 0
-    at[0], edge[0] = -beside, -np.inf
-    for i in range(1 - beside, n + beside):
-        own = height[beside + i]
-        while top >= 0 and own - height[beside + at[top]] <= edge[top] * (i - at[top]):
+    top = -1
+    for i in range(-beside, n + beside):
+        own = cost[i + n if i < 0 else (i - n if i >= n else i)] * inverse + 0.5 * i * i
+        if own == np.inf:
+            continue
+        while top >= 0 and own - height[top] <= edge[top] * (i - at[top]):
             top -= 1
-        start = (own - height[beside + at[top]]) / (i - at[top]) if top >= 0 else -np.inf
+        start = (own - height[top]) / (i - at[top]) if top >= 0 else -np.inf
         top += 1
-        at[top], edge[top] = i, start
+        at[top], edge[top], height[top] = i, start, own
     k = 0
     for i in range(n):
         while k < top and edge[k + 1] < i:
@@ -138,52 +133,90 @@ def _after_moves(
         least[i] = cost[came[i]] + weight * (i - v) ** 2
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _apart(i: int, j: int, n: int, turns: bool) -> int:
+    """Steps from one of n places of an axis to another."""
+    d = abs(i - j)
+    return min(d, n - d) if turns else d
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _price_of_lean(cosine: float, aim: float, most: float) -> float:
+    """Seconds a second of a layer that leans beyond what is aimed at."""
+    lean = np.arccos(max(cosine, -1.0))
+    over = max(0.0, lean / aim - 1.0)
+    return LEAN * over * over + BEYOND * max(0.0, lean - most)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _cheapest(
     normals: Array, up: Array, time: Array, step: float, speed: Array, aim: float, most: float, turns: NDArray[np.bool_],
     start: NDArray[np.int64],
 ) -> NDArray[np.int64]:  # fmt: skip
-    """Lattice indices (r, 2) along one task; up (na, nb, 3) the vertical in the part frame, start where travel begins."""
+    """Lattice indices (r, 2) along one task; up (na, nb, 3) the vertical in the part frame, start where travel begins.
+
+    A place that costs more than the best one of its rung and the longest move from there is left out: no cheapest way
+    leads through it. What remains are the places about the cone, few of all.
+    """
     r, na, nb = len(normals), up.shape[0], up.shape[1]
+    weight = np.zeros((r + 1, 2))  # s for a move by a step, squared, to each rung; to the first one there is none
+    farthest = np.zeros(r + 1)  # s for the longest move to it
+    for k in range(1, r):
+        for axis in range(2):
+            weight[k, axis] = MOVE * step * step / (time[k] * speed[axis] ** 2)
+            longest = up.shape[axis] // 2 if turns[axis] else up.shape[axis] - 1
+            farthest[k] += weight[k, axis] * longest**2
     cost = np.empty((na, nb))
     for i in range(na):
         for j in range(nb):
-            di, dj = abs(i - start[0]), abs(j - start[1])
-            di = min(di, na - di) if turns[0] else di
-            dj = min(dj, nb - dj) if turns[1] else dj
-            cost[i, j] = RETURN * step * (di + dj)
+            cost[i, j] = RETURN * step * (_apart(i, start[0], na, turns[0]) + _apart(j, start[1], nb, turns[1]))
     back = np.empty((r, na, nb, 2), dtype=np.int16)
-    moved, came = np.empty((na, nb)), np.empty(max(na, nb), dtype=np.int64)
+    cosine, moved = np.empty((na, nb)), np.empty((na, nb))
+    column, came = np.empty(na), np.empty(max(na, nb), dtype=np.int64)
     most_places = 2 * max(na, nb)
     room = (np.empty(most_places, dtype=np.int64), np.empty(most_places), np.empty(most_places))
     upright = np.cos(aim)
+    best = 0
     for k in range(r):
-        if k:
-            # moves of the two axes cost independently of each other: one axis after the other is the least of both
-            for j in range(nb):
-                _after_moves(
-                    cost[:, j], MOVE * step * step / (time[k] * speed[0] ** 2), turns[0], moved[:, j], came, room
-                )
-                for i in range(na):
-                    back[k, i, j, 0] = came[i]
-            for i in range(na):
-                _after_moves(moved[i], MOVE * step * step / (time[k] * speed[1] ** 2), turns[1], cost[i], came, room)
-                for j in range(nb):
-                    back[k, i, j, 1] = came[j]
         spell = time[k] if k else time[min(1, r - 1)]  # no time leads to the first rung, but it is printed
+        nearest = np.inf  # s for the move from the best place to one that is upright
+        for i in range(na):
+            a = weight[k, 0] * _apart(i, best // nb, na, turns[0]) ** 2
+            for j in range(nb):
+                cosine[i, j] = normals[k, 0] * up[i, j, 0] + normals[k, 1] * up[i, j, 1] + normals[k, 2] * up[i, j, 2]
+                if cosine[i, j] > upright:
+                    nearest = min(nearest, a + weight[k, 1] * _apart(j, best % nb, nb, turns[1]) ** 2)
+        leaning = np.pi  # a place that leans by more costs too much whatever the way there
+        if k:
+            leaning = min(most + (nearest + farthest[k + 1]) / (spell * BEYOND), np.pi)
+            moved[:] = np.inf
+            for j in range(nb):
+                column[:] = cost[:, j]
+                if column.min() < np.inf:
+                    _after_moves(column, weight[k, 0], turns[0], moved[:, j], came, room)
+                    back[k, :, j, 0] = came[:na]
+        least_cosine = np.cos(leaning) if leaning < np.pi else -np.inf
+        least = np.inf
+        for i in range(na):
+            if k:
+                if cosine[i].max() < least_cosine:
+                    cost[i] = np.inf
+                    continue
+                _after_moves(moved[i], weight[k, 1], turns[1], cost[i], came, room)
+                back[k, i, :, 1] = came[:nb]
+            for j in range(nb):
+                if cosine[i, j] < least_cosine:
+                    cost[i, j] = np.inf
+                elif cosine[i, j] <= upright:  # as upright as is aimed at: free, and `most` is beyond
+                    cost[i, j] += spell * _price_of_lean(cosine[i, j], aim, most)
+                if cost[i, j] < least:
+                    least, best = cost[i, j], i * nb + j
         for i in range(na):
             for j in range(nb):
-                cosine = 0.0
-                for c in range(3):
-                    cosine += normals[k, c] * up[i, j, c]
-                if cosine > upright:  # as upright as is aimed at: free, and `most` is beyond
-                    continue
-                lean = np.arccos(max(cosine, -1.0))
-                over = max(0.0, lean / aim - 1.0)
-                cost[i, j] += spell * (LEAN * over * over + BEYOND * max(0.0, lean - most))
+                if cost[i, j] > least + farthest[k + 1]:
+                    cost[i, j] = np.inf
     picked = np.empty((r, 2), dtype=np.int64)
-    flat = cost.argmin()
-    picked[r - 1] = (flat // nb, flat % nb)
+    picked[r - 1] = (best // nb, best % nb)
     for k in range(r - 1, 0, -1):
         j = back[k, picked[k, 0], picked[k, 1], 1]
         picked[k - 1] = (back[k, picked[k, 0], j, 0], j)
