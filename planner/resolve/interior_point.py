@@ -34,7 +34,7 @@ Index = NDArray[np.int64]
 
 _STEPS = 60
 _FREE = 1e-9  # of what there is to gain: price of a slack that has none
-_GAP = 1e-4  # of what there is to gain at all: complementarity and residual at which the solution is taken
+_GAP = 1e-3  # of what there is to gain at all: complementarity and residual at which the solution is taken
 _START = 5.0  # complementarity to begin with, as a share of what there is to gain
 _HALVINGS = 12  # of the interval in which a group's slack is sought
 _TO_THE_WALL = 0.99  # share of the way to the nearest wall that a step may go
