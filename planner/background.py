@@ -6,8 +6,8 @@ import mmap
 import multiprocessing
 import os
 import sys
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import Any
@@ -17,6 +17,8 @@ from numpy.typing import DTypeLike, NDArray
 
 from planner.errors import PlannerError
 from planner.interrupts import ignored_interrupts
+
+Job = Callable[[], Iterable["Job"]]
 
 _PARTS_A_CORE = 4  # so that a core that was given easy parts has some left to take
 
@@ -115,6 +117,19 @@ def in_blocks(function: Callable[[slice], None], count: int, block: int) -> None
         in_threads(part, blocks)
     else:
         part(0, blocks)
+
+
+def in_turn(jobs: Iterable[Job]) -> None:
+    """Call jobs that leave Python to others in as many threads as there are cores, and the jobs that each of them gives
+    because they may begin once it is done."""
+    with ThreadPoolExecutor(cores()) as pool:
+        running = {pool.submit(job) for job in jobs}
+        try:
+            while running:
+                done, running = wait(running, return_when=FIRST_COMPLETED)
+                running |= {pool.submit(job) for each in done for job in each.result()}
+        finally:
+            pool.shutdown(cancel_futures=True)
 
 
 def shared(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:

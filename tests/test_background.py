@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 from solved import bed_plan, small_plan, solve_alone
 
 from planner import planning
-from planner.background import in_background, in_halves, shared, spare_core
+from planner.background import Job, in_background, in_halves, in_turn, shared, spare_core
 from planner.errors import InputError, PlannerError, Refusal
 from planner.obstacles import NOTHING, obstacles_of
 from planner.plan import Plan
@@ -150,3 +151,31 @@ def test_the_baseline_beside_is_the_baseline(monkeypatch: pytest.MonkeyPatch) ->
 def test_a_plan_says_of_the_baseline_what_its_own_plan_says() -> None:
     plan = small_plan()
     assert plan.baseline == {"as_published": solve_alone(plan.problem, "as_published").metrics}
+
+
+def test_jobs_begin_when_those_that_give_them_are_done() -> None:
+    done: list[tuple[int, ...]] = []
+
+    def job(*path: int) -> list[Job]:
+        done.append(path)
+        return [partial(job, *path, k) for k in range(3)] if len(path) < 4 else []
+
+    in_turn([partial(job, 0), partial(job, 1)])
+    assert sorted(done) == sorted(set(done))
+    assert len(done) == 2 * (1 + 3 + 9 + 27)
+    for path in done:
+        assert len(path) == 1 or done.index(path[:-1]) < done.index(path)
+
+
+def test_a_job_that_fails_ends_the_others() -> None:
+    begun: list[int] = []
+
+    def job(k: int) -> list[Job]:
+        begun.append(k)
+        if k == 5:
+            refuse("no way", k)
+        return [partial(job, k + 1)]
+
+    with pytest.raises(Refusal):
+        in_turn([partial(job, 0)])
+    assert begun == [0, 1, 2, 3, 4, 5]

@@ -30,7 +30,8 @@ from planner.resolve.nlp import MOST_SAMPLES, solve_nlp
 from planner.resolve.nlp_program import EQUALITIES, Program, bounds_of, program_of, row_bounds, start_values
 from planner.resolve.osqp_reference import solve_with_osqp
 from planner.resolve.refine import State, Stretch, evaluate, model_of, program_around, refine_stretch, watched
-from planner.resolve.sqp import Track, given_prices, qp_solver, refine_paths, sigma_floor, start_track, whole
+from planner.resolve.sqp import given_prices, qp_solver, refine_paths, sigma_floor, start_track, whole
+from planner.resolve.windows import Track
 from planner.task import Cones, NozzleTask
 
 Array = NDArray[np.float64]

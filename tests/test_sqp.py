@@ -27,11 +27,13 @@ from planner.resolve.refine import (
     refine_stretch,
 )
 from planner.resolve.refine_kernel import DIP, DIP_PRICE, EFFORT, HARD_PRICE, allowed, lost, lost_slope, price_of
-from planner.resolve.sqp import Track, given_price, refine_paths, start_track, whole, windows
+from planner.resolve.sqp import given_price, refine_paths, start_track, whole
+from planner.resolve.windows import Track, Windowed, windows
 from planner.task import NozzleTask, cones_of, make_tasks
 from planner.toolpath.bead import Toolpath
 
 Array = NDArray[np.float64]
+BACKGROUND, WINDOWS = sys.modules["planner.background"], sys.modules["planner.resolve.windows"]
 MODULE = sys.modules["planner.resolve.sqp"]  # the package's attribute of that name is the strategy
 
 
@@ -342,7 +344,32 @@ def test_windows_cover_everything_and_stay_apart() -> None:
         for colour in (edges[::2], edges[1::2]):
             for (_, a1), (b0, _) in zip(colour[:-1], colour[1:], strict=True):
                 assert b0 - a1 > 2 * 6  # more than the B-splines of both sides reach
-        assert max(b - a for a, b in edges) <= MODULE.WINDOW + MODULE.OVERLAP
+        assert max(b - a for a, b in edges) <= WINDOWS.WINDOW + WINDOWS.OVERLAP
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_window_waits_for_both_its_neighbours_and_for_nothing_else(
+    seed: int, setup_of: Callable[[str], Setup], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell, _, paths = setup_of("fast, tilt")
+    monkeypatch.setattr(WINDOWS, "WINDOW", 10 + 2 * seed)
+    monkeypatch.setattr(WINDOWS, "OVERLAP", 4)
+    _, track, _, _ = start(cell, paths[0], 0.1, knot=1e-3)
+    bead = Windowed(track)
+    rng = np.random.default_rng(seed)
+    ready, done, ended = list(bead.first), set[int](), False
+    while ready:
+        assert not ended
+        k = ready.pop(rng.integers(len(ready)))
+        assert k not in done
+        done.add(k)
+        more, ended = bead.done(k, None)
+        ready += more
+        free = {j for j in range(1, len(bead.edges), 2) if {j - 1, j + 1} & set(range(len(bead.edges))) <= done}
+        assert free == (done | set(ready)) & set(range(1, len(bead.edges), 2))
+    assert ended
+    assert done == set(range(len(bead.edges)))
+    np.testing.assert_array_equal(bead.after().c, track.c)
 
 
 def priced(cell: Cell, paths: tuple[JointPath, ...]) -> float:
@@ -358,8 +385,8 @@ def test_small_windows_come_near_to_one_large_one(
     cell, problem, paths = setup_of(name)
     settings = problem.resolve.model_copy(update={"knot": 1e-3})
     large = refine_paths(cell, paths[:1], settings)
-    monkeypatch.setattr(MODULE, "WINDOW", 28)
-    monkeypatch.setattr(MODULE, "OVERLAP", 8)
+    monkeypatch.setattr(WINDOWS, "WINDOW", 28)
+    monkeypatch.setattr(WINDOWS, "OVERLAP", 8)
     assert len(windows(54)) == 3
     small = refine_paths(cell, paths[:1], settings)
     given, one, many = (priced(cell, p) for p in (paths[:1], large, small))
@@ -393,16 +420,19 @@ def test_a_window_sees_the_rates_of_the_whole_path(
         touched = np.flatnonzero((first + width > window[0]) & (first < window[1]))
         reach = np.unique(np.clip(touched[:, None] + np.arange(-2, 3), 0, len(first) - 1))
         assert set(reach) <= set(np.arange(len(first))[piece.samples][counted])
-        assert piece.put_into(track).c.shape == track.c.shape
+        bead = Windowed(track)
+        bead.done(0, piece)
+        assert bead.after().c.shape == track.c.shape
 
 
 def test_threads_do_not_matter(setup_of: Callable[[str], Setup], monkeypatch: pytest.MonkeyPatch) -> None:
     cell, problem, paths = setup_of("fast")
-    monkeypatch.setattr(MODULE, "WINDOW", 14)
-    monkeypatch.setattr(MODULE, "OVERLAP", 4)
+    monkeypatch.setattr(WINDOWS, "WINDOW", 14)
+    monkeypatch.setattr(WINDOWS, "OVERLAP", 4)
     results = []
     for threads in (1, 2, 5):
-        monkeypatch.setattr(MODULE, "cores", lambda threads=threads: threads)
+        for module in (MODULE, BACKGROUND):
+            monkeypatch.setattr(module, "cores", lambda threads=threads: threads)
         results.append(refine_paths(cell, paths, problem.resolve))
     for other in results[1:]:
         for a, b in zip(results[0], other, strict=True):

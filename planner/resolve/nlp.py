@@ -21,7 +21,8 @@ from planner.resolve.jointpath import JointPath, choose_turns
 from planner.resolve.ladder import ladder
 from planner.resolve.nlp_program import bounds_of, program_of, row_bounds, start_values
 from planner.resolve.refine import Model, Stretch, evaluate, model_of
-from planner.resolve.sqp import Track, cheaper, given_prices, sigma_floor, start_track, whole
+from planner.resolve.sqp import cheaper, given_prices, sigma_floor, start_track, whole
+from planner.resolve.windows import Track
 from planner.task import NozzleTask
 
 Array = NDArray[np.float64]

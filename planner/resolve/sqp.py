@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
 from functools import partial
-from itertools import repeat
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
-from planner.background import cores
+from planner.background import Job, cores, in_turn
 from planner.cell import Cell
 from planner.obstacles import NOTHING, Obstacles
 from planner.problem.settings import ResolveSpec
@@ -26,7 +23,6 @@ from planner.resolve.refine import (
     TILT,
     Model,
     QPSolver,
-    State,
     Stretch,
     evaluate,
     evaluate_samples,
@@ -36,31 +32,15 @@ from planner.resolve.refine import (
 from planner.resolve.spacing import knots_along
 from planner.resolve.splines import LEAST_SAMPLES, Basis, Clock, basis_over, clock_of
 from planner.resolve.unreachable import SLIGHT
+from planner.resolve.windows import Piece, Track, Windowed
 from planner.task import NozzleTask
 
 Array = NDArray[np.float64]
 
 SAMPLES_PER_CONTROL = 4  # at least: what moves between control values must be resolved by the samples
-WINDOW = 160  # control values that move at once: bounds the memory
-OVERLAP = 40  # of a window with each neighbour
 _TURN = 2.0 * np.pi
 _PAD = 4  # samples on both sides of a window that its derivatives look at
 _FLOOR = 1.0 + 1e-3  # times the least singular value that was given: the program may miss a bound by less
-
-
-@dataclass(frozen=True)
-class Track:
-    """A path as splines: its task, clock and basis, control values c (k, m), where they
-    were given (anchor), joints q (n, nj), and price [s]."""
-
-    task: NozzleTask
-    branch: int
-    clock: Clock
-    basis: Basis
-    c: Array
-    q: Array
-    anchor: Array
-    price: float
 
 
 def sqp(
@@ -77,7 +57,7 @@ def sqp(
 def refine_paths(
     cell: Cell, paths: Sequence[JointPath], settings: ResolveSpec, obstacles: Obstacles = NOTHING
 ) -> tuple[JointPath, ...]:
-    """Refine every path: layers in turn, beads of a layer and windows of a bead at the same time."""
+    """Refine every path: beads that lie on each other in turn, all else that does not wait for others at the same time."""
     given = given_prices(model_of(cell, obstacles), paths, settings)
     return choose_turns(cell, refine_beads(cell, paths, settings, obstacles, given, sigma_floor(given, settings)))
 
@@ -95,26 +75,26 @@ def refine_beads(
     A bead does not depend on beads of other names.
     """
     model, solver = model_of(cell, obstacles), qp_solver(settings.qp)
-    below: dict[str, Track] = {}
-    refined: dict[int, Track] = {}
     done = list(paths)
-    with ThreadPoolExecutor(cores()) as pool:
-        for layer in _alike(paths, given):
-            starts = [below.get(paths[i].task.name) for i in layer]
-            tracks = list(
-                pool.map(partial(start_track, model, settings.knot, floor), [paths[i] for i in layer], starts)
-            )
-            for colour in (0, 1):
-                jobs = [(k, w) for k, track in enumerate(tracks) for w in windows(track.basis.controls)[colour::2]]
-                refine = partial(_refine_window, model, floor)
-                moved = pool.map(refine, [tracks[k] for k, _ in jobs], [window for _, window in jobs], repeat(solver))
-                for (k, _), piece in zip(jobs, list(moved), strict=True):
-                    tracks[k] = tracks[k] if piece is None else piece.put_into(tracks[k])
-            for i, track in zip(layer, tracks, strict=True):
-                below[track.task.name] = refined[i] = track
-        kept = pool.map(lambda i: cheaper(cell, paths[i], given[i], refined[i], floor, obstacles), refined)
-        for i, path in zip(refined, kept, strict=True):
-            done[i] = path
+
+    def start(chain: Sequence[int], below: Track | None) -> Sequence[Job]:
+        bead = Windowed(start_track(model, settings.knot, floor, paths[chain[0]], below))
+        return [partial(refine, chain, bead, k) for k in bead.first]
+
+    def refine(chain: Sequence[int], bead: Windowed, k: int) -> Sequence[Job]:
+        piece = _refine_window(model, floor, bead.before(k), bead.edges[k], solver)
+        ready, last = bead.done(k, piece)
+        if not last:
+            return [partial(refine, chain, bead, j) for j in ready]
+        i, *above = chain
+        track = bead.after()
+        return [partial(start, above, track)] * bool(above) + [partial(keep, i, track)]
+
+    def keep(i: int, track: Track) -> Sequence[Job]:
+        done[i] = cheaper(cell, paths[i], given[i], track, floor, obstacles)
+        return []
+
+    in_turn([partial(start, chain, None) for chain in _chains(paths, given)])
     return done
 
 
@@ -170,17 +150,12 @@ def _within(cell: Cell, path: JointPath) -> bool:
     return bool(inside.all() and (np.hypot(*path.tilt.T) <= path.task.cones.tilt).all())
 
 
-def _alike(paths: Sequence[JointPath], indices: Iterable[int]) -> list[list[int]]:
-    """Indices in groups: the first bead of each name, then the second one, and so on."""
-    seen: Counter[str] = Counter()
-    groups: list[list[int]] = []
+def _chains(paths: Sequence[JointPath], indices: Iterable[int]) -> list[list[int]]:
+    """Indices of beads that lie on each other, from below: those of the same name."""
+    chains: dict[str, list[int]] = {}
     for i in indices:
-        k = seen[paths[i].task.name]
-        seen[paths[i].task.name] += 1
-        if k == len(groups):
-            groups.append([])
-        groups[k].append(i)
-    return groups
+        chains.setdefault(paths[i].task.name, []).append(i)
+    return list(chains.values())
 
 
 def free_variables(model: Model, path: JointPath) -> Array:
@@ -246,34 +221,9 @@ def fit(basis: Basis, values: Array) -> Array:
     return np.asarray(solveh_banded(N, rhs, lower=True))
 
 
-def windows(controls: int) -> list[tuple[int, int]]:
-    """Ranges of control values that move together; each second one is apart from the others."""
-    if controls <= WINDOW + OVERLAP:
-        return [(0, controls)]
-    stride = WINDOW - OVERLAP
-    count = -(-(controls - OVERLAP) // stride)
-    edges = [(k * stride, min(k * stride + WINDOW, controls)) for k in range(count)]
-    return edges
-
-
-@dataclass(frozen=True)
-class _Piece:
-    """A refined window: the state over some samples and control values of a track."""
-
-    samples: slice
-    controls: slice
-    state: State
-
-    def put_into(self, track: Track) -> Track:
-        """The track with the window in its place."""
-        c, q = track.c.copy(), track.q.copy()
-        c[self.controls], q[self.samples] = self.state.c, self.state.q
-        return replace(track, c=c, q=q)
-
-
 def _refine_window(
     model: Model, floor: float, track: Track, window: tuple[int, int], solver: QPSolver = solve_qp
-) -> _Piece | None:
+) -> Piece | None:
     """Refine the control values of a window, the others held; None where the track itself cannot be followed."""
     if not np.isfinite(track.price):
         return None
@@ -297,7 +247,7 @@ def _refine_window(
         track.anchor[controls], all_of_it.hold[controls], all_of_it.now[samples],
     )  # fmt: skip
     state = evaluate(model, stretch, track.c[controls], track.q[samples], floor)
-    return None if state is None else _Piece(samples, controls, refine_stretch(model, stretch, state, floor, solver))
+    return None if state is None else Piece(samples, controls, refine_stretch(model, stretch, state, floor, solver))
 
 
 def path_of(cell: Cell, track: Track) -> JointPath:
