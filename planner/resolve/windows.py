@@ -15,7 +15,7 @@ from planner.task import NozzleTask
 
 Array = NDArray[np.float64]
 
-WINDOW = 160  # control values that move at once: bounds the memory
+WINDOW = 240  # control values that move at once: fewer, and their seams cost more; more, and cores wait for each other
 OVERLAP = 40  # of a window with each neighbour
 
 
