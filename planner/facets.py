@@ -6,15 +6,18 @@ import io
 import struct
 import warnings
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from planner.errors import Complaint
 from planner.input_file import read_bytes
 from planner.problem.part import MeshSpec
+
+if TYPE_CHECKING:
+    import trimesh
 
 Array = NDArray[np.float64]
 
@@ -63,7 +66,12 @@ def _is_binary(data: bytes) -> bool:
     return not (data.lstrip()[:5].lower() == b"solid" and (b"facet" in data[:4096].lower() or len(data) < _HEADER))
 
 
+# Trimesh takes a third of a second to be imported: only where there is a file to read.
+
+
 def _binary(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
+    import trimesh
+
     if len(data) < _HEADER:
         raise where(f"{path.name} is no STL file: it has {len(data)} bytes")
     (count,) = struct.unpack("<I", data[80:_HEADER])
@@ -76,6 +84,8 @@ def _binary(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
 
 
 def _text(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
+    import trimesh
+
     words = data.lower()
     count = words.count(b"endfacet")
     _check_count(path, count, where)

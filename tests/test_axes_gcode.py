@@ -24,12 +24,13 @@ from tree_sitter import Parser
 from planner.cell import build_cell
 from planner.errors import InputError
 from planner.export import write_robot_code
+from planner.export.axes.able import unsaid_in_axes
 from planner.export.axes.check import axes_complaints
 from planner.export.axes.choice import FROM_ZERO, JUMP, chosen, missing
 from planner.export.axes.flavours import feed_length
 from planner.export.axes.machine import FiveAxes, Machine, Robot, machine_of
 from planner.export.axes.reader import read_axes
-from planner.export.axes.writer import axes_gcode, unsaid_in_axes
+from planner.export.axes.writer import axes_gcode
 from planner.export.languages import check_languages
 from planner.export.rotations import from_matrix
 from planner.plan import Plan

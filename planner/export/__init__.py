@@ -11,8 +11,7 @@ from planner.errors import OutputError, Refusal
 from planner.export.languages import LANGUAGES, chosen
 from planner.export.part_stl import part_stl
 from planner.export.plan_json import plan_json, refusal_json
-from planner.export.rapid.notes import written_notes
-from planner.export.rapid.text import module_name
+from planner.export.rapid.text import module_name, written_notes
 from planner.export.table import write_table
 
 if TYPE_CHECKING:

@@ -6,25 +6,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from planner.export.axes.check import axes_complaints
-from planner.export.axes.writer import axes_gcode, file_name, unsaid_in_axes
-from planner.export.extruder.check import gcode_complaints
-from planner.export.extruder.writer import gcode
-from planner.export.joint_trajectory.check import trajectory_complaints
-from planner.export.joint_trajectory.writer import joint_trajectory, switches, switches_name, trajectory_name
+from planner.export.axes.able import unsaid_in_axes
 from planner.export.krl.able import unsaid_in_krl
-from planner.export.krl.check import krl_complaints
-from planner.export.krl.writer import krl_files
 from planner.export.rapid.able import unsaid_in_rapid
-from planner.export.rapid.check import demand_complaints, line_complaints
-from planner.export.rapid.reader import read_rapid_files
 from planner.export.rapid.text import module_name
-from planner.export.rapid.writer import rapid_files
-from planner.export.readback import readback
 from planner.export.setup import Given, Setup
 from planner.export.urscript.able import unsaid_in_urscript
-from planner.export.urscript.check import urscript_complaints
-from planner.export.urscript.writer import script_name, urscript
 
 if TYPE_CHECKING:
     from planner.cell import Cell
@@ -47,7 +34,20 @@ class Language:
     complaints: Callable[[Plan, Mapping[str, str]], list[str]]
 
 
+# Writer and reader of a language are loaded for who asks for it only: those of all of them take half a second.
+
+
+def _rapid(plan: Plan) -> dict[str, str]:
+    from planner.export.rapid.writer import rapid_files
+
+    return rapid_files(plan)
+
+
 def _rapid_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
+    from planner.export.rapid.check import demand_complaints, line_complaints
+    from planner.export.rapid.reader import read_rapid_files
+    from planner.export.readback import readback
+
     name = module_name(plan.name)
     program = read_rapid_files(files)
     complaints = readback(plan, program)
@@ -58,30 +58,78 @@ def _rapid_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
     return complaints
 
 
+def _urscript(plan: Plan) -> dict[str, str]:
+    from planner.export.urscript.writer import script_name, urscript
+
+    return {script_name(plan): urscript(plan)}
+
+
+def _urscript_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
+    from planner.export.urscript.check import urscript_complaints
+
+    return urscript_complaints(plan, files)
+
+
+def _krl(plan: Plan) -> dict[str, str]:
+    from planner.export.krl.writer import krl_files
+
+    return krl_files(plan)
+
+
+def _krl_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
+    from planner.export.krl.check import krl_complaints
+
+    return krl_complaints(plan, files)
+
+
+def _joint_trajectory(plan: Plan) -> dict[str, str]:
+    from planner.export.joint_trajectory.writer import joint_trajectory, switches, switches_name, trajectory_name
+
+    return {trajectory_name(plan): joint_trajectory(plan), switches_name(plan): switches(plan)}
+
+
+def _joint_trajectory_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
+    from planner.export.joint_trajectory.check import trajectory_complaints
+
+    return trajectory_complaints(plan, files)
+
+
+def _axes(plan: Plan) -> dict[str, str]:
+    from planner.export.axes.writer import axes_gcode, file_name
+
+    return {file_name(plan): axes_gcode(plan)}
+
+
+def _axes_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
+    from planner.export.axes.check import axes_complaints
+    from planner.export.axes.writer import file_name
+
+    return axes_complaints(plan, files[file_name(plan)])
+
+
+def _extruder(plan: Plan) -> dict[str, str]:
+    from planner.export.extruder.writer import gcode
+
+    return {"extrusion.gcode": gcode(plan)}
+
+
+def _extruder_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
+    from planner.export.extruder.check import gcode_complaints
+
+    return gcode_complaints(plan, files["extrusion.gcode"])
+
+
+def _always(setup: Setup) -> None:
+    """Of a language that says what any cell does."""
+
+
 LANGUAGES: dict[str, Language] = {
-    "rapid": Language("RAPID", unsaid_in_rapid, rapid_files, _rapid_complaints),
-    "urscript": Language(
-        "URScript", unsaid_in_urscript, lambda plan: {script_name(plan): urscript(plan)}, urscript_complaints
-    ),
-    "krl": Language("KRL", unsaid_in_krl, krl_files, krl_complaints),
-    "joint_trajectory": Language(
-        "ROS JointTrajectory",
-        lambda setup: None,
-        lambda plan: {trajectory_name(plan): joint_trajectory(plan), switches_name(plan): switches(plan)},
-        trajectory_complaints,
-    ),
-    "axes": Language(
-        "multi-axis G-code",
-        unsaid_in_axes,
-        lambda plan: {file_name(plan): axes_gcode(plan)},
-        lambda plan, files: axes_complaints(plan, files[file_name(plan)]),
-    ),
-    "extruder": Language(
-        "the extruder's G-code",
-        lambda setup: None,
-        lambda plan: {"extrusion.gcode": gcode(plan)},
-        lambda plan, files: gcode_complaints(plan, files["extrusion.gcode"]),
-    ),
+    "rapid": Language("RAPID", unsaid_in_rapid, _rapid, _rapid_complaints),
+    "urscript": Language("URScript", unsaid_in_urscript, _urscript, _urscript_complaints),
+    "krl": Language("KRL", unsaid_in_krl, _krl, _krl_complaints),
+    "joint_trajectory": Language("ROS JointTrajectory", _always, _joint_trajectory, _joint_trajectory_complaints),
+    "axes": Language("multi-axis G-code", unsaid_in_axes, _axes, _axes_complaints),
+    "extruder": Language("the extruder's G-code", _always, _extruder, _extruder_complaints),
 }
 ALWAYS = ("extruder",)  # written beside whatever moves the arm, so not asked for
 

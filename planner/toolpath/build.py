@@ -16,26 +16,72 @@ from planner.problem.volume import VolumeLayersSpec
 from planner.problem.waypoints import WaypointLayersSpec
 from planner.problem.wing import AerofoilLayersSpec
 from planner.toolpath.bead import Toolpath
-from planner.toolpath.gcode.level import slicer_print
-from planner.toolpath.step.cover import cover_faces
-from planner.toolpath.substrate.cores import lay_core
-from planner.toolpath.substrate.projection import project_curves
-from planner.toolpath.volume.layers import fill_mesh
-from planner.toolpath.waypoints.through import through_waypoints
-from planner.toolpath.wing.layers import wing
-from planner.toolpath.wrapped import wrap_drawing
 
-SOURCES: dict[type, Callable[[Problem, Any], Toolpath]] = {
-    LayersSpec: wrap_drawing,
-    ProjectedDrawingSpec: project_curves,
-    ProjectedPatternSpec: project_curves,
-    ProjectedCurvesSpec: project_curves,
-    CoreLayersSpec: lay_core,
-    WaypointLayersSpec: through_waypoints,
-    GcodeLayersSpec: slicer_print,
-    VolumeLayersSpec: fill_mesh,
-    AerofoilLayersSpec: wing,
-    FaceLayersSpec: cover_faces,
+Source = Callable[[Problem, Any], Toolpath]
+
+
+# Each is loaded for who asks for it only: what reads drawings, meshes and CAD files takes a second together.
+
+
+def _drawing() -> Source:
+    from planner.toolpath.wrapped import wrap_drawing
+
+    return wrap_drawing
+
+
+def _projected() -> Source:
+    from planner.toolpath.substrate.projection import project_curves
+
+    return project_curves
+
+
+def _core() -> Source:
+    from planner.toolpath.substrate.cores import lay_core
+
+    return lay_core
+
+
+def _waypoints() -> Source:
+    from planner.toolpath.waypoints.through import through_waypoints
+
+    return through_waypoints
+
+
+def _slicer() -> Source:
+    from planner.toolpath.gcode.level import slicer_print
+
+    return slicer_print
+
+
+def _volume() -> Source:
+    from planner.toolpath.volume.layers import fill_mesh
+
+    return fill_mesh
+
+
+def _wing() -> Source:
+    from planner.toolpath.wing.layers import wing
+
+    return wing
+
+
+def _faces() -> Source:
+    from planner.toolpath.step.cover import cover_faces
+
+    return cover_faces
+
+
+SOURCES: dict[type, Callable[[], Source]] = {
+    LayersSpec: _drawing,
+    ProjectedDrawingSpec: _projected,
+    ProjectedPatternSpec: _projected,
+    ProjectedCurvesSpec: _projected,
+    CoreLayersSpec: _core,
+    WaypointLayersSpec: _waypoints,
+    GcodeLayersSpec: _slicer,
+    VolumeLayersSpec: _volume,
+    AerofoilLayersSpec: _wing,
+    FaceLayersSpec: _faces,
 }
 
 
@@ -45,7 +91,7 @@ def build_toolpath(problem: Problem) -> Toolpath:
     Beads to which their source gives no material are of the layers' own.
     Raises InputError for a file that cannot be read, and for a drawing that does not fit on the part.
     """
-    toolpath = SOURCES[type(problem.layers)](problem, problem.layers)
+    toolpath = SOURCES[type(problem.layers)]()(problem, problem.layers)
     materials = problem.process.materials
     if not materials:
         return toolpath

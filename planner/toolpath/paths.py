@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.problem import Problem
-from planner.toolpath.svg import PlanePath
+
+if TYPE_CHECKING:
+    from planner.toolpath.svg import PlanePath
 
 Array = NDArray[np.float64]
 

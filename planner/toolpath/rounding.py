@@ -14,12 +14,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
-from planner.toolpath.svg import PlanePath
+if TYPE_CHECKING:
+    from planner.toolpath.svg import PlanePath
 
 Array = NDArray[np.float64]
 

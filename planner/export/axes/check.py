@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.export.axes.able import STATION
 from planner.export.axes.flavours import FLAVOURS
 from planner.export.axes.follow import above, spec_of
 from planner.export.axes.machine import FiveAxes, Machine, Robot, machine_of
 from planner.export.axes.reader import AxesProgram, read_axes
-from planner.export.axes.writer import STATION
 from planner.export.extruder.orders import orders
 from planner.export.moves import nearest_fraction
 from planner.export.rotations import continuous

@@ -9,16 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.export.about import resumed, verified
+from planner.export.axes.able import STATION
 from planner.export.axes.flavours import FLAVOURS, Flavour, feed_length
 from planner.export.axes.follow import Followed, follow, spec_of
 from planner.export.axes.machine import FiveAxes
 from planner.export.axes.targets import kept
 from planner.export.extruder.orders import Order, orders
 from planner.export.rests import ON_TIME
-from planner.materials import materials_of
 
 if TYPE_CHECKING:
-    from planner.export.setup import Setup
     from planner.plan import Plan
     from planner.problem.machine import MachineSpec
 
@@ -26,7 +25,6 @@ Array = NDArray[np.float64]
 
 DECIMALS = 4  # of mm and of degrees: 0.1 um, and as little at a metre's distance
 FILAMENT_DECIMALS = 5  # mm
-STATION = ("U", "V")  # letters of what moves a robot's part: genserkins hands them on to further joints
 LEAST_PAUSE = 1e-3  # s
 SHORTEST = 1e-5  # s of a move: near a direction that leaves an axis free it may turn as far as it can in no time
 FAST = 60.0  # s per minute
@@ -35,27 +33,6 @@ FAST = 60.0  # s per minute
 def file_name(plan: Plan) -> str:
     """Name of the file."""
     return f"{plan.name}.{FLAVOURS[spec_of(plan).flavour].suffix}"
-
-
-def unsaid_in_axes(setup: Setup) -> str | None:
-    """Why there is no such program of what a cell does; None if there is one."""
-    spec: MachineSpec | None = setup.problem.program.machine
-    if spec is None:
-        return "program.machine describes no machine"
-    carrying = len(setup.cell.holder) if spec.type == "robot" else 0
-    if carrying > len(STATION):
-        return f"what moves the part has {carrying} axes, and {len(STATION)} letters are left for them"
-    if spec.filament in STATION[:carrying]:
-        return f"{spec.filament} pushes filament, and moves the part"
-    fibre = setup.problem.process.fibre
-    orders = [f"T{each.tool}" for each in materials_of(setup.problem)]
-    orders += [line for line in fibre.code if line.startswith("M")] if fibre is not None else []
-    for line in orders:
-        if FLAVOURS[spec.flavour].order(line) is None:
-            return (
-                f"{line} cannot be said to {spec.flavour}, which numbers tools from 1 and has M100 to M199 with P and S"
-            )
-    return None
 
 
 def axes_gcode(plan: Plan) -> str:

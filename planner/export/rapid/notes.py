@@ -13,14 +13,12 @@ from planner.export.moves import Moves
 from planner.export.player import play
 from planner.export.player.limited import limited
 from planner.export.program import Program
-from planner.export.rapid.text import ZONES, comment
+from planner.export.rapid.text import NOTE, ZONES, comment
 
 if TYPE_CHECKING:
     from planner.plan import Plan
 
-NOTE = "Note: "
 _MOVE = re.compile(r" {8}(?:MoveJ|MoveL|TriggL) ")
-_NOTE = re.compile(rf" {{4}}! {NOTE}(.*)\n {{4}}!   (first .*)\n")
 
 
 @dataclass(frozen=True)
@@ -75,8 +73,3 @@ def note_lines(notes: tuple[Note, ...], plan: Plan, moves: Moves, files: Mapping
         where = f"bead {at}" if at >= 0 else "between beads"
         out += [comment(NOTE + note.words), comment(f"  first {where}, {places[note.move]}")]
     return out
-
-
-def written_notes(text: str) -> tuple[str, ...]:
-    """The notes in the header of a main module, in words."""
-    return tuple(f"{words}; {where}" for words, where in _NOTE.findall(text))

@@ -17,6 +17,8 @@ ZONES = {"fine": 0.0, "z0": 0.3e-3, "z1": 1e-3}
 LONGEST_STRING = 80
 LONGEST_NAME = 32
 LONGEST_COMMENT = 100
+NOTE = "Note: "  # begins a comment in the header that users should read
+_NOTE = re.compile(rf" {{4}}! {NOTE}(.*)\n {{4}}!   (first .*)\n")
 
 
 def module_name(name: str, longest: int = LONGEST_NAME) -> str:
@@ -41,3 +43,8 @@ def comment(text: str, indent: int = 4) -> str:
     """One comment line, ASCII, of bounded length."""
     text = re.sub(r"[^\x20-\x7e]", "?", text)
     return f"{'':{indent}}! {text[:LONGEST_COMMENT].rstrip()}"
+
+
+def written_notes(text: str) -> tuple[str, ...]:
+    """The notes in the header of a main module, in words."""
+    return tuple(f"{words}; {where}" for words, where in _NOTE.findall(text))

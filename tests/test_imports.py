@@ -1,0 +1,34 @@
+"""What commands import: packages that read one kind of source, or write one kind of file, come with that kind only."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+# Of sources, pictures, references, servers and clusters.
+OF_SOME = {"trimesh", "shapely", "svgelements", "pyvrp", "OCP", "PIL", "matplotlib", "casadi", "osqp", "tornado"}
+LANGUAGES = ("axes", "extruder", "joint_trajectory", "krl", "rapid", "urscript")
+
+
+def modules_after(code: str) -> set[str]:
+    """Names of all modules that a process of its own has after some code."""
+    told = f"{code}\nimport sys; print(*sys.modules)"
+    ran = subprocess.run([sys.executable, "-c", told], cwd=ROOT, capture_output=True, text=True, check=True)
+    return set(ran.stdout.splitlines()[-1].split())
+
+
+def test_a_command_starts_without_what_only_some_problems_need() -> None:
+    loaded = modules_after("import planner.solve, planner.planning, planner.report.html")
+    assert "planner.planning" in loaded and not OF_SOME & loaded
+    assert not {f"planner.export.{name}.{what}" for name in LANGUAGES for what in ("writer", "check")} & loaded
+
+
+@pytest.mark.parametrize(("problem", "needed"), [("peer_cap", set()), ("cylinder_logo", {"shapely", "svgelements"})])
+def test_a_source_brings_its_own_packages(problem: str, needed: set[str]) -> None:
+    loaded = modules_after(f"from planner.check import main; main([{problem!r}])")
+    assert "planner.toolpath.build" in loaded
+    assert OF_SOME & loaded == needed
