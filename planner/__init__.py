@@ -16,6 +16,7 @@ import sys
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from planner.garbage import put_off
 from planner.interrupts import end_quietly
 
 if TYPE_CHECKING:
@@ -58,3 +59,4 @@ class _Package(ModuleType):
 sys.modules[__name__].__class__ = _Package
 
 end_quietly()
+put_off()

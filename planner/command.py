@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from planner.errors import EXIT_INTERRUPTED, PlannerError, Refusal, nearest_name
+from planner.garbage import look_again
 from planner.interrupts import end_in_order
 from planner.problem import shipped_problems
 from planner.problem.settings import STRATEGY_NAMES
@@ -32,6 +33,7 @@ def exit_code(run: Callable[[], int], say: Callable[[str], None], interrupted: s
     """The exit code of a command; whatever ends it before its time is said, an error with what would help."""
     try:
         end_in_order()
+        look_again()
         return run()
     except KeyboardInterrupt:
         say(f"interrupted: {interrupted}")

@@ -32,3 +32,26 @@ def test_a_source_brings_its_own_packages(problem: str, needed: set[str]) -> Non
     loaded = modules_after(f"from planner.check import main; main([{problem!r}])")
     assert "planner.toolpath.build" in loaded
     assert OF_SOME & loaded == needed
+
+
+def test_a_command_looks_for_garbage_once_it_runs() -> None:
+    """Not while it is imported, nor when it ends: then there is nothing that would not go with the process."""
+    code = """
+import atexit, gc, sys
+told = []
+atexit.register(lambda: print(*told, gc.get_freeze_count() > 0))  # runs after what is registered later
+sys.argv = ["-m"]
+import planner
+told.append(gc.isenabled())
+from planner.command import exit_code
+told.append(gc.isenabled())
+exit_code(lambda: told.append(gc.isenabled()) or 0, print)
+"""
+    ran = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert ran.stdout.split() == ["False", "False", "True", "True"]
+
+
+def test_whoever_imports_the_package_keeps_python_s_ways() -> None:
+    code = "import gc, planner, planner.command; print(gc.isenabled(), gc.get_freeze_count())"
+    ran = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert ran.stdout.split() == ["True", "0"]

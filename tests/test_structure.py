@@ -17,6 +17,7 @@ ROOMS = (
     "errors",
     "readonly",
     "interrupts",
+    "garbage",
     "background",
     "problem",
     "input_file",
@@ -99,7 +100,8 @@ SAME_ROOM = {
 EVERYWHERE = {"errors"}
 # Rooms that see less than what is to their left, when the program runs.
 NARROW = {
-    "": {"interrupts"},
+    "": {"garbage", "interrupts"},
+    "garbage": {"errors"},
     "readonly": {"errors"},
     "nearest": {"errors"},
     "versions": {"errors"},
@@ -107,7 +109,7 @@ NARROW = {
     "progress": {"errors"},
     "interrupts": {"errors"},
     "output": {"errors", "interrupts"},
-    "command": {"errors", "interrupts", "problem", "plan", "spread"},
+    "command": {"errors", "garbage", "interrupts", "problem", "plan", "spread"},
     "background": {"errors", "interrupts"},
     "export": {"errors", "plan"},
     "report": {"errors", "plan"},

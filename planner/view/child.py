@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from planner.errors import PlannerError, Refusal
+from planner.garbage import look_again
 from planner.interrupts import end_in_order
 from planner.planning import solve
 from planner.problem import Problem, load_problem
@@ -37,6 +38,7 @@ Say = Callable[..., None]
 def main() -> int:
     """Wait for a job, do it, and tell."""
     end_in_order()
+    look_again()
     line = _first_line()
     if not line.strip():
         return 0
