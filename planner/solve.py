@@ -24,6 +24,7 @@ from planner.plan import resumed_name
 from planner.planning import solve, write, write_files
 from planner.problem import Problem, load_problem
 from planner.progress import Stages
+from planner.report import libraries
 from planner.report.failure import write_failure_report
 from planner.report.summary import print_summary
 from planner.spread import crew
@@ -51,6 +52,7 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
         folder = options.out or Path("out") / resumed_name(problem.name, options.from_bead)
         # first of all: a folder that cannot be written, and a scheduler that does not answer, are told at once
         with results_folder(folder) as fresh, crew(options.jobs, options.scheduler) as over:
+            libraries.begin()  # one core has nothing else to do before the search
             shared = over if options.jobs > 1 or options.scheduler is not None else None
             try:
                 plan = solve(

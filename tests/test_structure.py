@@ -164,7 +164,7 @@ HEAVY = {
     "tornado": {"view.server"},
     "trimesh": {"facets", "export.part_stl", "report.finished"},
     "matplotlib": {"report", "placement.chart", "plots", "registration.picture"},
-    "plotly": {"report"},
+    "plotly": set(),
     "rich": {"link.command", "link.show", "new", "place", "progress", "report.summary", "robots", "solve"},
     "pydantic": {"problem", "view.content"},
     "pydantic_core": {"problem"},

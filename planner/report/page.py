@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterable, Mapping
-from functools import cache
 from html import escape
-from importlib.metadata import distribution
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from plotly.offline import get_plotlyjs
 
 from planner.errors import OutputError
-from planner.report.packing import packed, squeezed
+from planner.report.libraries import library
+from planner.report.packing import packed
 
 # The page forbids itself the network: even a library that wanted to fetch something could not.
 POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
@@ -34,9 +31,6 @@ SCRIPTS = (
     "embed",
     "page",
 )
-K3D_SOURCE = "k3d/static/standalone.js"
-# K3D's fonts are for formulas; the report has none, and a browser would load them all.
-FONTS = (r"@font-face\{(?:\$\{\w+\}|[^{}])*\}", r"data:font/woff2;base64,[A-Za-z0-9+/=]*")
 
 
 def page(title: str, header: str, body: str, footer: str, figures: Mapping[str, Any]) -> str:
@@ -68,29 +62,14 @@ def page(title: str, header: str, body: str, footer: str, figures: Mapping[str, 
             f"<main>{body}</main>",
             f"<footer><div>{footer}</div></footer>",
             f"<script type=text/plain id=data>{packed(figures)}</script>",
-            *([f"<script type=text/plain id=k3d-source>{_k3d()}</script>"] if figures.get("scene") else []),
-            *([f"<script type=text/plain id=plotly-source>{_plotly()}</script>"] if figures["charts"] else []),
+            *([f"<script type=text/plain id=k3d-source>{library('k3d')}</script>"] if figures.get("scene") else []),
+            *([f"<script type=text/plain id=plotly-source>{library('plotly')}</script>"] if figures["charts"] else []),
             f'<script>"use strict";\n(() => {{\n{js}}})();</script>',
             "</body>",
             "</html>",
             "",
         ]
     )
-
-
-@cache
-def _plotly() -> str:
-    """plotly.js, compressed."""
-    return squeezed(get_plotlyjs().encode())
-
-
-@cache
-def _k3d() -> str:
-    """The 3-D viewer, compressed: K3D-jupyter's script alone, without importing the package, and without its fonts."""
-    source = Path(str(distribution("k3d").locate_file(K3D_SOURCE))).read_text(encoding="utf-8")
-    for font in FONTS:
-        source = re.sub(font, "", source)
-    return squeezed(source.encode())
 
 
 def write_text(path: Path, text: str) -> None:
