@@ -33,20 +33,16 @@ def rows_text(fixed: Array, decimals: NDArray[np.int64], free: Array) -> str:
         row, length = _fill(fixed, decimals, scale, free, row, out)
         parts.append(out[:length].tobytes().decode("ascii"))
         if row < m:  # a number that is not finite, very large or small, or too near to a half
-            parts.append(_plain_row(fixed[row], decimals, free[row]))
+            parts.append(_plain_row(fixed[row], decimals, scale, free[row]))
             row += 1
     return "".join(parts)
 
 
-def _plain_row(fixed: Array, decimals: NDArray[np.int64], free: Array) -> str:
+def _plain_row(fixed: Array, decimals: NDArray[np.int64], scale: Array, free: Array) -> str:
     """One row by Python's own formatting."""
-    cells = [_plain_fixed(value, d) for value, d in zip(fixed.tolist(), decimals.tolist(), strict=True)]
+    rounded = np.rint(fixed * scale) / scale + 0.0  # turns minus nought into nought
+    cells = [f"{value:.{d}f}" for value, d in zip(rounded.tolist(), decimals.tolist(), strict=True)]
     return ",".join([*cells, *(f"{value:.{SIGNIFICANT}g}" for value in free.tolist())]) + "\n"
-
-
-def _plain_fixed(value: float, decimals: int) -> str:
-    rounded = float(np.round(value, decimals)) + 0.0  # turns minus nought into nought
-    return f"{rounded:.{decimals}f}"
 
 
 @njit(cache=True)
