@@ -98,17 +98,19 @@ def solve(
     with stages.stage("obstacles"):
         given = given_of(problem, cell, toolpath, _within(first_bead, toolpath))
     with _baseline_beside(baseline and strategy != BASELINE, given, dt, second_process) as baseline_metrics:
-        trajectory, report, paths, travels = _plan_with(strategy, given, dt, stages, second_process, over)
-        with stages.stage("dips"):
-            dips = find_dips(problem, cell, toolpath, paths, trajectory)
-        with stages.stage("map"):
-            maps = roll_maps(cell, paths[first_bead:], given.obstacles, problem.resolve.min_sigma)
+        paths = _paths_of(strategy, given, stages, over)
+        rest, shared = paths[first_bead:], second_process and _waypoints(toolpath) >= WORTH_A_FORK
+        with beside(shared, roll_maps, cell, rest, given.obstacles, problem.resolve.min_sigma) as mapped:
+            trajectory, report, travels = _plan_along(paths, strategy, given, dt, stages, shared)
+            with stages.stage("dips"):
+                dips = find_dips(problem, cell, toolpath, paths, trajectory)
+            with stages.stage("map"):
+                maps = mapped()
         with stages.stage("baseline"):
             compared = baseline_metrics()
     judged = None
     if tolerance is not None:
         with stages.stage("tolerance"):
-            rest = paths[first_bead:]
             judged = _headroom(tolerance, problem, cell, toolpath, rest, travels, report, dt, second_process)
     return Plan(
         problem=problem,
@@ -127,7 +129,7 @@ def solve(
         approaches=report.approaches,
         view=report.view,
         headroom=judged,
-        paths=tuple(paths[first_bead:]),
+        paths=tuple(rest),
         roll_maps=maps,
     )
 
@@ -138,8 +140,7 @@ def try_out(problem: Problem, toolpath: Toolpath, strategy: str, second_process:
     toolpath: the problem's own, which does not depend on its cell. Raises Refusal where there is no plan at all.
     """
     given = given_of(problem, build_cell(problem), toolpath)
-    _, report, *_ = _plan_with(strategy, given, DEFAULT_DT, Stages(), second_process)
-    return report
+    return _report_of(strategy, given, DEFAULT_DT, second_process and _waypoints(toolpath) >= WORTH_A_FORK)
 
 
 def _known(strategy: str) -> str:
@@ -167,34 +168,37 @@ def _within(first_bead: int, toolpath: Toolpath) -> int:
     return first_bead
 
 
-def _plan_with(
-    strategy: str,
-    given: Given,
-    dt: float,
-    stages: Stages,
-    second_process: bool = False,
-    over: Spread | None = None,
-) -> tuple[Trajectory, Report, Sequence[JointPath], Sequence[Travel]]:
-    """Resolve, time, join and verify with one strategy; the bound on the deposition time joins the metrics.
+def _paths_of(strategy: str, given: Given, stages: Stages, over: Spread | None = None) -> Sequence[JointPath]:
+    """Resolve all beads with one strategy."""
+    with stages.stage("resolve"):
+        if over is not None and strategy == SPREADS:
+            return sqp_over(over, given)
+        return STRATEGIES[strategy](given.cell, given.tasks, given.problem.resolve, given.obstacles)
 
-    Paths are those of all beads, travels only those around what is printed.
+
+def _plan_along(
+    paths: Sequence[JointPath], strategy: str, given: Given, dt: float, stages: Stages, second_process: bool
+) -> tuple[Trajectory, Report, Sequence[Travel]]:
+    """Time, join and verify the paths of all beads; the bound on the deposition time joins the metrics.
+
+    Travels are only those around what is printed.
     """
     problem, cell, toolpath = given.problem, given.cell, given.toolpath
     obstacles = NOTHING if strategy in UNAWARE else given.obstacles
-    shared = second_process and _waypoints(toolpath) >= WORTH_A_FORK
-    with stages.stage("resolve"):
-        if over is not None and strategy == SPREADS:
-            paths = sqp_over(over, given)
-        else:
-            paths = STRATEGIES[strategy](cell, given.tasks, problem.resolve, obstacles)
+    rest = paths[given.first_bead :]
     with stages.stage("timing"):
-        rest = paths[given.first_bead :]
-        trajectory, travels = trajectory_of(problem, cell, toolpath, rest, obstacles, dt, shared)
+        trajectory, travels = trajectory_of(problem, cell, toolpath, rest, obstacles, dt, second_process)
     with stages.stage("verify"):
-        report = verify(problem, cell, toolpath, trajectory, shared, given.body)
+        report = verify(problem, cell, toolpath, trajectory, second_process, given.body)
     with stages.stage("dips"):
         bound = {"bound_deposition_time_s": sum(bound_time(cell, path) for path in rest)}
-    return trajectory, replace(report, metrics=report.metrics | bound), paths, travels
+    return trajectory, replace(report, metrics=report.metrics | bound), travels
+
+
+def _report_of(strategy: str, given: Given, dt: float, second_process: bool = False) -> Report:
+    """What verification says of a strategy's plan."""
+    stages = Stages()
+    return _plan_along(_paths_of(strategy, given, stages), strategy, given, dt, stages, second_process)[1]
 
 
 def trajectory_of(
@@ -276,10 +280,9 @@ def _baseline_beside(
 def _baseline(given: Given, dt: float) -> dict[str, dict[str, float]]:
     """Metrics of the published way of moving; empty ones if it cannot be planned here."""
     try:
-        _, report, *_ = _plan_with(BASELINE, given, dt, Stages())
+        return {BASELINE: _report_of(BASELINE, given, dt).metrics}
     except Refusal:
         return {BASELINE: {}}
-    return {BASELINE: report.metrics}
 
 
 def write(plan: Plan, folder: str | Path) -> Plan:
