@@ -140,12 +140,17 @@ def test_an_unverified_plan_has_no_robot_code_from_any_process(tmp_path: Path, m
 
 
 @needs_two_cores
-def test_the_baseline_beside_is_the_baseline(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_baseline_and_maps_beside_are_those_made_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     plan = small_plan()
     monkeypatch.setattr(planning, "WORTH_A_FORK", 0)
     beside = planning.solve(plan.problem, second_process=True)
     assert beside.baseline == plan.baseline and set(beside.baseline) == {"as_published"}
     assert beside.metrics == plan.metrics and beside.checks == plan.checks
+    assert len(beside.roll_maps) == len(plan.roll_maps) > 0
+    for made, alone in zip(beside.roll_maps, plan.roll_maps, strict=True):
+        for name, values in vars(alone).items():
+            np.testing.assert_array_equal(getattr(made, name), values, err_msg=name)
+            assert not getattr(made, name).flags.writeable
 
 
 def test_a_plan_says_of_the_baseline_what_its_own_plan_says() -> None:
