@@ -13,8 +13,11 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_STEPS = 200  # at most; three to eight are usual
+_STEPS = 200  # at most; three to six are usual
 _DONE = 1e-15  # relative: a step that no longer changes a value
+# Of the step before: where a step falls below that share, the next one's share is the third power of its own, so that it is
+# known without being made; nearer by, rounding may carry beyond, which costs many more
+_FALLING = 1e-2
 
 
 def least_singular_values(matrices: Array) -> Array:
@@ -31,16 +34,24 @@ def _fill(matrices: Array, out: Array) -> None:
     n, r, c = matrices.shape
     A, q, e = np.empty((r, c)), np.empty(c), np.empty(c)
     for i in range(n):
-        largest = 0.0
         for a in range(r):
             for b in range(c):
                 A[a, b] = matrices[i, a, b]
-                largest = max(largest, abs(A[a, b])) if np.isfinite(A[a, b]) else np.inf
-        if not 0.0 < largest < np.inf:
-            out[i] = 0.0 if largest == 0.0 else np.nan
-            continue
-        _bidiagonal(A, q, e)
-        out[i] = np.sqrt(_least_eigenvalue(q, e))
+        out[i] = least_singular_value(A, q, e)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def least_singular_value(A: Array, q: Array, e: Array) -> float:
+    """Of one tall matrix A (r, c), which is lost; NaN if a number in it is not finite. q and e (c) are room."""
+    r, c = A.shape
+    largest = 0.0
+    for a in range(r):
+        for b in range(c):
+            largest = max(largest, abs(A[a, b])) if np.isfinite(A[a, b]) else np.inf
+    if not 0.0 < largest < np.inf:
+        return 0.0 if largest == 0.0 else np.nan
+    _bidiagonal(A, q, e)
+    return np.sqrt(_least_eigenvalue(q, e))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -89,6 +100,7 @@ def _bidiagonal(A: Array, q: Array, e: Array) -> None:
 def _least_eigenvalue(q: Array, e: Array) -> float:
     """Smallest eigenvalue of B^T B, where q (c) are the squares of B's diagonal and e (c) of those beside it."""
     c, x, low, high = q.size, 0.0, 0.0, np.inf
+    before, share = 0.0, np.inf
     for _ in range(_STEPS):
         # d are the pivots of B^T B - x, s what the one before leaves of x; by x once and twice: s1, s2
         s, s1, s2, d, first, second = -x, -1.0, 0.0, 0.0, 0.0, 0.0
@@ -96,16 +108,22 @@ def _least_eigenvalue(q: Array, e: Array) -> float:
             d = q[i] + s
             if d <= 0.0:
                 break
-            first -= s1 / d
-            second += (s1 / d) ** 2 - s2 / d
-            share, slope = e[i] / d, q[i] / d
-            s, s1, s2 = share * s - x, share * slope * s1 - 1.0, share * slope * (s2 - 2.0 * s1 * s1 / d)
+            inverse = 1.0 / d
+            ratio = s1 * inverse
+            first -= ratio
+            second += ratio * ratio - s2 * inverse
+            left, slope = e[i] * inverse, q[i] * inverse
+            s, s1, s2 = left * s - x, left * slope * s1 - 1.0, left * slope * (s2 - 2.0 * s1 * ratio)
         if d > 0.0:
             # first and second are the sums of 1 / (eigenvalue - x), and of its square
             step = c / (first + np.sqrt(max((c - 1) * (c * second - first * first), 0.0)))
             if step <= _DONE * x:
                 break
             low, x = x, x + step
+            share, last = step / before, share
+            if high == np.inf and last <= 1.0 and share <= _FALLING and step * share**3 <= _DONE * x:
+                break
+            before = step
         else:  # beyond, by rounding: far enough to be seen only if all eigenvalues are close together
             high = x
         if x >= high:

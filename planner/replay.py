@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
+from numba import njit
 from numpy.typing import NDArray
 
-from planner.background import in_halves, shared
 from planner.cell import Cell, Robot
-from planner.least_singular import least_singular_values
+from planner.least_singular import least_singular_value
 from planner.plan import Trajectory
 
 Array = NDArray[np.float64]
@@ -37,48 +38,104 @@ class Motion:
     branch: NDArray[np.int8]
 
 
-def replay(cell: Cell, trajectory: Trajectory, second_process: bool = False) -> Motion:
-    """Forward kinematics and Jacobians of every sample, half of them in a second process if that is wanted."""
+def replay(cell: Cell, trajectory: Trajectory) -> Motion:
+    """Forward kinematics and Jacobians of every sample by Pinocchio, and beside it in a thread what follows from them."""
     n = len(trajectory)
-    vector = (n, 3)
-    rotation = shared((n, 3, 3))
+    rotation = np.empty((n, 3, 3))
     whole = Motion(
-        tip=shared(vector),
+        tip=np.empty((n, 3)),
         axis=rotation[:, :, 2],
         rotation=rotation,
-        up=shared(vector),
-        sigma=shared((n,)),
-        det=shared((n,)),
-        branch=shared((n,), np.int8),
+        up=np.empty((n, 3)),
+        sigma=np.empty(n),
+        det=np.empty(n),
+        branch=np.full(n, UNKNOWN, dtype=np.int8),
     )
-
-    def fill(first: int, last: int) -> None:
-        for start in range(first, last, BLOCK):
-            rows = slice(start, min(start + BLOCK, last))
-            block = _replay(cell, np.ascontiguousarray(trajectory.q[rows]), trajectory.deposit[rows])
-            for name, values in vars(block).items():
-                getattr(whole, name)[rows] = values
-
-    in_halves(fill, n, second_process)
+    with ThreadPoolExecutor(1) as pool:
+        found = []
+        for start in range(0, n, BLOCK):
+            rows = slice(start, min(start + BLOCK, n))
+            q, block = np.ascontiguousarray(trajectory.q[rows]), _rows(whole, rows)
+            found.append(pool.submit(_fill, block, cell, q, trajectory.deposit[rows], *_nozzle(cell, q)))
+        for each in found:
+            each.result()
     return whole
 
 
-def _replay(cell: Cell, q: Array, deposit: NDArray[np.bool_]) -> Motion:
-    """The same of postures q (n, nj)."""
-    arm, na = cell.arm_robot, len(cell.arm)
-    T_base_nozzle, J = _nozzle(arm, cell.T_flange_nozzle, q[:, :na])
-    T_world_nozzle = cell.T_world_base @ T_base_nozzle
-    T_world_part = _part(cell, q[:, na:])
-    R_part_world = np.swapaxes(T_world_part[:, :3, :3], 1, 2)
-    tip = np.einsum("nij,nj->ni", R_part_world, T_world_nozzle[:, :3, 3] - T_world_part[:, :3, 3])
-    rotation = R_part_world @ T_world_nozzle[:, :3, :3]
-    sigma = np.full(len(q), np.nan)
-    sigma[deposit] = least_singular_values(J[deposit])
-    det = np.linalg.det(J[:, :, list(cell.solved)])
-    branch = np.full(len(q), UNKNOWN, dtype=np.int8)
+def _rows(motion: Motion, rows: slice) -> Motion:
+    """Some samples of a motion, in its own memory."""
+    return Motion(**{name: values[rows] for name, values in vars(motion).items()})
+
+
+def _fill(motion: Motion, cell: Cell, q: Array, deposit: NDArray[np.bool_], T_base_nozzle: Array, J: Array) -> None:
+    """Fill in the motion of postures q (n, nj) from nozzle poses (n, 4, 4) and Jacobians (n, 6, na): see `_nozzle`."""
+    T_world_part = _part(cell, q[:, len(cell.arm) :])
+    _judge(
+        T_base_nozzle, J, deposit, cell.T_world_base, T_world_part, np.array(cell.solved),
+        motion.tip, motion.rotation, motion.up, motion.sigma, motion.det,
+    )  # fmt: skip
     if cell.spherical:
-        branch = _branch(arm, T_base_nozzle @ np.linalg.inv(cell.T_flange_nozzle), q[:, :na], det)
-    return Motion(tip, rotation[:, :, 2], rotation, R_part_world[:, :, 2], sigma, det, branch)
+        T_base_flange = T_base_nozzle @ np.linalg.inv(cell.T_flange_nozzle)
+        motion.branch[:] = _branch(cell.arm_robot, T_base_flange, q[:, : len(cell.arm)], motion.det)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _judge(
+    T_base_nozzle: Array, J: Array, deposit: NDArray[np.bool_], T_world_base: Array, T_world_part: Array,
+    solved: NDArray[np.int64], tip: Array, rotation: Array, up: Array, sigma: Array, det: Array,
+) -> None:  # fmt: skip
+    """Fill in the fields of `Motion` but the branch."""
+    na = J.shape[2]
+    A, square, q, e = np.empty((max(6, na), min(6, na))), np.empty((6, 6)), np.empty(min(6, na)), np.empty(min(6, na))
+    R, p = np.empty((3, 3)), np.empty(3)
+    for i in range(len(J)):
+        for a in range(3):
+            p[a] = T_world_base[a, 3] - T_world_part[i, a, 3]
+            for b in range(3):
+                p[a] += T_world_base[a, b] * T_base_nozzle[i, b, 3]
+                R[a, b] = 0.0
+                for c in range(3):
+                    R[a, b] += T_world_base[a, c] * T_base_nozzle[i, c, b]
+        for a in range(3):
+            tip[i, a], up[i, a] = 0.0, T_world_part[i, 2, a]
+            for b in range(3):
+                tip[i, a] += T_world_part[i, b, a] * p[b]
+                rotation[i, a, b] = 0.0
+                for c in range(3):
+                    rotation[i, a, b] += T_world_part[i, c, a] * R[c, b]
+        sigma[i] = np.nan
+        if deposit[i]:
+            for a in range(6):
+                for b in range(na):
+                    A[(b, a) if na > 6 else (a, b)] = J[i, a, b]
+            sigma[i] = least_singular_value(A, q, e)
+        for a in range(6):
+            for b in range(6):
+                square[a, b] = J[i, a, solved[b]]
+        det[i] = _determinant(square)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _determinant(A: Array) -> float:
+    """Determinant of a square matrix, which is lost: by elimination, the largest of each column first."""
+    n, out = len(A), 1.0
+    for k in range(n):
+        pivot = k
+        for i in range(k + 1, n):
+            if abs(A[i, k]) > abs(A[pivot, k]):
+                pivot = i
+        if A[pivot, k] == 0.0:
+            return 0.0
+        if pivot != k:
+            out = -out
+            for j in range(k, n):
+                A[k, j], A[pivot, j] = A[pivot, j], A[k, j]
+        out *= A[k, k]
+        for i in range(k + 1, n):
+            share = A[i, k] / A[k, k]
+            for j in range(k + 1, n):
+                A[i, j] -= share * A[k, j]
+    return out
 
 
 def _branch(arm: Robot, T_base_flange: Array, q: Array, det: Array) -> NDArray[np.int8]:
@@ -103,20 +160,32 @@ def _branch(arm: Robot, T_base_flange: Array, q: Array, det: Array) -> NDArray[n
     return (4 * shoulder + 2 * elbow + wrist).astype(np.int8)
 
 
-def _nozzle(arm: Robot, T_flange_nozzle: Array, q: Array) -> tuple[Array, Array]:
-    """Nozzle poses in the arm's base (n, 4, 4) and Jacobians at the nozzle tip (n, 6, na), world axes."""
-    model = arm.model.copy()
-    flange = model.frames[model.getFrameId(arm.tip)]
-    placement = flange.placement * pin.SE3(T_flange_nozzle)
-    nozzle = model.addFrame(pin.Frame("nozzle", flange.parentJoint, placement, pin.FrameType.OP_FRAME))
+def _nozzle(cell: Cell, q: Array) -> tuple[Array, Array]:
+    """Nozzle poses in the arm's base (n, 4, 4) and Jacobians at the nozzle tip (n, 6, na) there, at postures q (n, nj)."""
+    arm, model = cell.arm_robot, cell.arm_robot.model
     data = model.createData()
-    jacobian, pose, axes = pin.computeFrameJacobian, pin.updateFramePlacement, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    T = np.empty((len(q), 4, 4))
-    J = np.empty((len(q), 6, model.nv))
-    for i, row in enumerate(q):
-        J[i] = jacobian(model, data, row, nozzle, axes)
-        T[i] = pose(model, data, nozzle).homogeneous
+    flange = model.frames[model.getFrameId(arm.tip)]
+    last, turning = _pose_memory([data.oMi[flange.parentJoint]]), data.J.T.reshape(-1)
+    poses, J = np.empty((len(q), 12)), np.empty((len(q), model.nv * 6))
+    jacobians = pin.computeJointJacobians  # of what lies in the base's origin, and moves with the last joint
+    for i, row in enumerate(np.ascontiguousarray(q[:, : model.nq])):
+        jacobians(model, data, row)
+        poses[i], J[i] = last, turning
+    T = _matrices(poses) @ (flange.placement.homogeneous @ cell.T_flange_nozzle)
+    J = np.swapaxes(J.reshape(len(q), model.nv, 6), 1, 2)
+    _shift(J, np.ascontiguousarray(T[:, :3, 3]))
     return T, J
+
+
+@njit(cache=True, nogil=True)
+def _shift(J: Array, p: Array) -> None:
+    """Jacobians J (n, 6, nv) of the origin, made those of places p (n, 3) that move with the same body."""
+    for i in range(len(J)):
+        x, y, z = p[i, 0], p[i, 1], p[i, 2]
+        for k in range(J.shape[2]):
+            J[i, 0, k] += J[i, 4, k] * z - J[i, 5, k] * y
+            J[i, 1, k] += J[i, 5, k] * x - J[i, 3, k] * z
+            J[i, 2, k] += J[i, 3, k] * y - J[i, 4, k] * x
 
 
 def _part(cell: Cell, q_free: Array) -> Array:
@@ -136,28 +205,34 @@ def _part(cell: Cell, q_free: Array) -> Array:
 
 
 def joint_poses(model: pin.Model, q: Array) -> Array:
-    """Poses (n, joints, 4, 4) of all joints after their turns, in the frame of the robot's base, at postures q (n, nq).
-
-    Pinocchio keeps them one behind the other, so that one view reads them all: each by itself takes far longer to ask for
-    than to compute.
-    """
+    """Poses (n, joints, 4, 4) of all joints after their turns, in the frame of the robot's base, at postures q (n, nq)."""
     data, n = model.createData(), model.njoints - 1
-    placed = [data.oMi[k] for k in range(1, n + 1)]
-    R, p = _one_view([each.rotation for each in placed]), _one_view([each.translation for each in placed])
-    T = np.zeros((len(q), n, 4, 4))
-    T[..., 3, 3] = 1.0
-    turn, shift = T[..., :3, :3], T[..., :3, 3]
+    placed = _pose_memory([data.oMi[k] for k in range(1, n + 1)])
+    poses = np.empty((len(q), 12 * n))
+    forward = pin.forwardKinematics
     for i, row in enumerate(np.ascontiguousarray(q)):
-        pin.forwardKinematics(model, data, row)
-        turn[i], shift[i] = R, p
+        forward(model, data, row)
+        poses[i] = placed
+    return _matrices(poses.reshape(len(q), n, 12))
+
+
+def _pose_memory(poses: list[pin.SE3]) -> Array:
+    """The numbers of poses that Pinocchio keeps one behind the other, as one flat view that changes as they do.
+
+    Of each its rotation, column by column, and its translation; see `_matrices`. Each by itself takes far longer to
+    ask for than to compute, and a flat view is copied far sooner than one of matrices.
+    """
+    address = [array.__array_interface__["data"][0] for each in poses for array in (each.rotation, each.translation)]
+    first = poses[0].rotation
+    wanted = address[0] + first.itemsize * np.cumsum([0, *(9, 3) * len(poses)])[:-1]
+    if first.strides != (first.itemsize, 3 * first.itemsize) or not np.array_equal(address, wanted):
+        raise ValueError("the poses do not lie one behind the other")
+    return np.lib.stride_tricks.as_strided(first, (12 * len(poses),), (first.itemsize,), writeable=False)
+
+
+def _matrices(poses: Array) -> Array:
+    """Poses (..., 4, 4) from their numbers (..., 12): a rotation column by column, and a translation."""
+    T = np.zeros((*poses.shape[:-1], 4, 4))
+    T[..., :3, :] = np.swapaxes(poses.reshape(*poses.shape[:-1], 4, 3), -1, -2)
+    T[..., 3, 3] = 1.0
     return T
-
-
-def _one_view(arrays: list[Array]) -> Array:
-    """Arrays of one shape that lie at even distances in memory, seen as one (n, ...) that changes as they do."""
-    address = [each.__array_interface__["data"][0] for each in arrays]
-    steps = set(np.diff(address).tolist())
-    if len(steps) > 1:
-        raise ValueError("the arrays do not lie at even distances")
-    shape, strides = (len(arrays), *arrays[0].shape), (*(steps or {0}), *arrays[0].strides)
-    return np.lib.stride_tricks.as_strided(arrays[0], shape, strides, writeable=False)

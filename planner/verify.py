@@ -66,7 +66,7 @@ def verify(
     trajectory = _finite(trajectory, checks)
     body = body or print_body(toolpath, standing(cell))
     with beside(second_process, sweep_cell, problem, cell, toolpath, trajectory, body) as apart:
-        motion = replay(cell, trajectory, second_process)
+        motion = replay(cell, trajectory)
         metrics: dict[str, float] = {}
         series: dict[str, Array] = {}
         geometry = partial(_geometry, second_process)

@@ -123,6 +123,7 @@ HEAVY = {
     "numba": {
         "point_tree",
         "least_singular",
+        "replay",
         "surface_points",
         "verify_print",
         "kinematics",
