@@ -21,6 +21,7 @@ from planner.problem import load_problem, shipped_problems
 from planner.replay import replay
 from planner.solve import solve
 from planner.verify_clear import keep_apart, sweep_cell
+from planner.verify_print import beyond, by_the_tip
 
 COLUMNS = (
     "problem",
@@ -44,7 +45,8 @@ def row(plan: Plan, seconds: float) -> tuple[str, ...]:
     building = time.process_time() - started
     started = time.process_time()
     given = (plan.problem, plan.cell, plan.toolpath, plan.trajectory)
-    keep_apart(*given, motion, body, lambda: sweep_cell(*given, body), [], {}, {})
+    near = by_the_tip(*given, motion, body), beyond(*given, motion, body)
+    keep_apart(plan.problem, plan.cell, plan.trajectory, body, near, sweep_cell(*given, body), [], {}, {})
     check = time.process_time() - started
     names = ("clearance_min_mm", "nozzle_clearance_min_mm", "arm_clearance_min_mm", "robot_clearance_min_mm")
     nearest = f"{plan.approaches[0].a}, {plan.approaches[0].b}" if plan.approaches else "-"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import mmap
 import multiprocessing
 import os
 import sys
@@ -13,7 +12,6 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
 
 from planner.errors import PlannerError
 from planner.interrupts import ignored_interrupts
@@ -83,7 +81,7 @@ def in_halves(
 ) -> list[Any]:
     """Results of `function(first, last)` for the halves of range(count) side by side, or for all of it here.
 
-    What the function fills in must be `shared`. The second half begins at `middle`, if that is not count // 2.
+    The second half begins at `middle`, if that is not count // 2.
     """
     half = count // 2 if middle is None else middle
     if not second_process or not 0 < half < count or not spare_core():
@@ -130,12 +128,6 @@ def in_turn(jobs: Iterable[Job]) -> None:
                 running |= {pool.submit(job) for each in done for job in each.result()}
         finally:
             pool.shutdown(cancel_futures=True)
-
-
-def shared(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
-    """An array of zeros in memory that forked processes share."""
-    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-    return np.frombuffer(mmap.mmap(-1, max(size, 1)), dtype=dtype, count=int(np.prod(shape))).reshape(shape)
 
 
 def _send_result(sender: Connection, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:

@@ -189,7 +189,7 @@ def _plan_along(
     with stages.stage("timing"):
         trajectory, travels = trajectory_of(problem, cell, toolpath, rest, obstacles, dt, second_process)
     with stages.stage("verify"):
-        report = verify(problem, cell, toolpath, trajectory, second_process, given.body)
+        report = verify(problem, cell, toolpath, trajectory, given.body)
     with stages.stage("dips"):
         bound = {"bound_deposition_time_s": sum(bound_time(cell, path) for path in rest)}
     return trajectory, replace(report, metrics=report.metrics | bound), travels

@@ -7,15 +7,15 @@ says of itself (tip, axis, speed, flow) is compared with what its joints do.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial, reduce
+from functools import reduce
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from planner.background import beside, in_halves, shared
 from planner.cell import Cell
 from planner.nearest import distance_to_polyline
 from planner.plan import Approach, CellView, Check, Trajectory
@@ -26,6 +26,7 @@ from planner.toolpath.bead import Toolpath
 from planner.verify_checks import DIGITS, SPEED_TOLERANCE, check_least, check_most, place, samples_of
 from planner.verify_clear import keep_apart, sweep_cell
 from planner.verify_extrusion import extrusion
+from planner.verify_print import beyond, by_the_tip
 from planner.verify_tilt import bead_errors
 
 Array = NDArray[np.float64]
@@ -53,26 +54,27 @@ def verify(
     cell: Cell,
     toolpath: Toolpath,
     trajectory: Trajectory,
-    second_process: bool = False,
     body: PrintBody | None = None,
 ) -> Report:
     """Check a trajectory against the cell's limits and the input geometry; a failed check is reported, not raised.
 
     body: what takes room of part and print, as `print_body` makes it of this toolpath and cell; made if not given.
 
-    With a second process the report is the same, and there sooner.
+    Distances are found in threads beside the rest: compiled, they leave Python to others.
     """
     checks: list[Check] = []
     trajectory = _finite(trajectory, checks)
     body = body or print_body(toolpath, standing(cell))
-    with beside(second_process, sweep_cell, problem, cell, toolpath, trajectory, body) as apart:
+    metrics: dict[str, float] = {}
+    series: dict[str, Array] = {}
+    with ThreadPoolExecutor() as pool:
+        apart = pool.submit(sweep_cell, problem, cell, toolpath, trajectory, body)
         motion = replay(cell, trajectory)
-        metrics: dict[str, float] = {}
-        series: dict[str, Array] = {}
-        geometry = partial(_geometry, second_process)
-        for part in (_records, _limits, geometry, _coverage, _singularity, _speed, extrusion, _clearance):
+        near = [pool.submit(each, problem, cell, toolpath, trajectory, motion, body) for each in (by_the_tip, beyond)]
+        for part in (_records, _limits, _geometry, _coverage, _singularity, _speed, extrusion, _clearance):
             part(problem, cell, toolpath, trajectory, motion, checks, metrics, series)
-        approaches, view = keep_apart(problem, cell, toolpath, trajectory, motion, body, apart, checks, metrics, series)
+        nozzle = near[0].result(), near[1].result()
+        approaches, view = keep_apart(problem, cell, trajectory, body, nozzle, apart.result(), checks, metrics, series)
     return Report(tuple(checks), metrics, series, approaches, view)
 
 
@@ -149,30 +151,17 @@ def _limits(problem, cell, toolpath, t, motion, checks, metrics, series) -> None
     check_most(checks, t, "continuity", step, 1.0, "of a sample's travel at full speed")
 
 
-def _geometry(second_process, problem, cell, toolpath, t, motion, checks, metrics, series) -> None:  # type: ignore[no-untyped-def]
+def _geometry(problem, cell, toolpath, t, motion, checks, metrics, series) -> None:  # type: ignore[no-untyped-def]
     """Tip on the rounded path, axis on the true normal, rounded path within tolerance of the input, both ways."""
-    position, deviation, normals = shared((len(t),)), shared((len(t),)), shared((len(t), 3))
-    beads = len(toolpath.beads)
-    samples = samples_of(t, beads)
-
-    parts = 2 if beads == 1 else 1  # of a bead: its samples, and whether it goes wherever the input does
-
-    def judge(first: int, last: int) -> float:
-        unreached = 0.0
-        for i in range(first, last):
-            at, bead = samples[i // parts], toolpath.beads[i // parts]
-            if len(at) < 2:
-                continue  # the coverage check names this bead
-            path = CubicSpline(bead.s, bead.points)
-            if i % parts == 0:
-                position[at] = np.linalg.norm(path(t.s[at]) - motion.tip[at], axis=1)
-                deviation[at] = distance_to_polyline(motion.tip[at], bead.source)
-                normals[at] = toolpath.surface.normals_on(i // parts, t.s[at], motion.tip[at])
-            if i % parts == parts - 1:
-                unreached = max(unreached, float(distance_to_polyline(bead.source, path(_denser(bead.s))).max()))
-        return unreached
-
-    unreached = max(in_halves(judge, parts * beads, second_process))
+    position, deviation, normals, unreached = np.zeros(len(t)), np.zeros(len(t)), np.zeros((len(t), 3)), 0.0
+    for i, (at, bead) in enumerate(zip(samples_of(t, len(toolpath.beads)), toolpath.beads, strict=True)):
+        if len(at) < 2:
+            continue  # the coverage check names this bead
+        path = CubicSpline(bead.s, bead.points)
+        position[at] = np.linalg.norm(path(t.s[at]) - motion.tip[at], axis=1)
+        deviation[at] = distance_to_polyline(motion.tip[at], bead.source)
+        normals[at] = toolpath.surface.normals_on(i, t.s[at], motion.tip[at])
+        unreached = max(unreached, float(distance_to_polyline(bead.source, path(_denser(bead.s))).max()))
     cosine = -(normals * motion.axis).sum(axis=1)
     sine = np.linalg.norm(np.cross(normals, motion.axis), axis=1)
     cones = problem.process.cones

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,12 +12,11 @@ from planner.collision_bodies import HEAD, CellBodies, Distances, Pair, all_at_h
 from planner.plan import Approach, CellView, Check, Trajectory
 from planner.print_body import PrintBody
 from planner.problem import Problem
-from planner.replay import Motion
 from planner.solids import triangles_of
 from planner.toolpath.bead import Toolpath
 from planner.verify_checks import DIGITS, place
 from planner.verify_collision import FAR, PrintPair, Swept, print_pairs, sweep
-from planner.verify_print import check_nozzle, print_times
+from planner.verify_print import Nearness, check_nozzle, print_times
 
 Array = NDArray[np.float64]
 
@@ -46,11 +44,10 @@ def sweep_cell(problem: Problem, cell: Cell, toolpath: Toolpath, t: Trajectory, 
 def keep_apart(
     problem: Problem,
     cell: Cell,
-    toolpath: Toolpath,
     t: Trajectory,
-    motion: Motion,
     body: PrintBody,
-    apart: Callable[[], Apart],
+    near: tuple[Nearness, Nearness],
+    apart: Apart,
     checks: list[Check],
     metrics: dict[str, float],
     series: dict[str, Array],
@@ -58,14 +55,14 @@ def keep_apart(
     """Append the checks of nozzle, head, links, fixtures and print; returns the pairs of bodies that come nearest, and
     the bodies of the cell.
 
-    apart: what gives the result of `sweep_cell`. Distances are found up to FAR; `clearance_min_mm` is the least of all
+    near: the results of `by_the_tip` and `beyond`; apart: of `sweep_cell`. Distances are found up to FAR; `clearance_min_mm` is the least of all
     beyond the tip's zone (see verify_print).
     """
     spec = problem.collision
-    check, rule, beyond = check_nozzle(problem, cell, toolpath, t, motion, body)
-    checks.append(check)
-    bodies, found_apart = CellBodies.of(cell), apart()
-    hits, near_print, swept = found_apart.hits, found_apart.near_print, found_apart.swept
+    rule, beyond = near
+    checks.append(check_nozzle(problem, cell, t, body, rule))
+    bodies = CellBodies.of(cell)
+    hits, near_print, swept = apart.hits, apart.near_print, apart.swept
     found = _approaches(bodies, (*hits, *near_print), swept, body.without_bodies)
     robots, prints = found[: len(hits)], found[len(hits) :]
     checks.append(_check("arm clear of part and print", prints, spec.arm, t, _unknown(cell)))
@@ -83,8 +80,8 @@ def keep_apart(
     metrics |= {name: distance * 1e3 for name, distance in distances.items()}
     metrics["clearance_min_mm"] = min(distances.values()) * 1e3
     series["clearance_mm"] = np.clip(np.minimum(beyond.margin + spec.nozzle, swept.nearest), None, FAR) * 1e3
-    near = [each for each in (*nozzle, *robots, *prints) if each.distance < FAR]
-    nearest = tuple(sorted(_once(near), key=_spare)[:MOST_APPROACHES])
+    close = [each for each in (*nozzle, *robots, *prints) if each.distance < FAR]
+    nearest = tuple(sorted(_once(close), key=_spare)[:MOST_APPROACHES])
     return nearest, _view(bodies)
 
 

@@ -8,7 +8,6 @@ could have brought anything too near.
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -112,25 +111,32 @@ def beyond_the_tip(
     return nozzle_nearness(tree, bodies, motion, now, _STEEP * zone, clearance, _STEEP, ahead, _SHARE, True)
 
 
-def check_nozzle(
-    problem: Problem, cell: Cell, toolpath: Toolpath, t: Trajectory, motion: Motion, body: PrintBody,
-) -> tuple[Check, Nearness, Nearness]:  # fmt: skip
-    """The check, and what it rests on: by the rule for the tip, and beyond the tip's zone."""
-    need = problem.collision.nozzle
+def by_the_tip(
+    problem: Problem, cell: Cell, toolpath: Toolpath, t: Trajectory, motion: Motion, body: PrintBody
+) -> Nearness:
+    """How near nozzle and head come, by the rule for the tip."""
     now, slack = print_times(toolpath, t), slack_along(problem, toolpath, t)
-    head = packed(cell.head)
-    with ThreadPoolExecutor(1) as pool:  # beside each other: compiled, they leave Python to others
-        other = pool.submit(beyond_the_tip, body.tree, head, motion, now, slack, need)
-        rule = nozzle_nearness(body.tree, head, motion, now, slack, need)
-        beyond = other.result()
+    return nozzle_nearness(body.tree, packed(cell.head), motion, now, slack, problem.collision.nozzle)
+
+
+def beyond(
+    problem: Problem, cell: Cell, toolpath: Toolpath, t: Trajectory, motion: Motion, body: PrintBody
+) -> Nearness:
+    """How near they come beyond the tip's zone."""
+    now, slack = print_times(toolpath, t), slack_along(problem, toolpath, t)
+    return beyond_the_tip(body.tree, packed(cell.head), motion, now, slack, problem.collision.nozzle)
+
+
+def check_nozzle(problem: Problem, cell: Cell, t: Trajectory, body: PrintBody, rule: Nearness) -> Check:
+    """The check, from how near they come by the rule for the tip."""
+    need = problem.collision.nozzle
     worst = rule.least + need
     where = f"{cell.head[rule.body].name} and {body.name_of(rule.point)}, {place(t, rule.at)}"
     if rule.point < 0:
         where = "everywhere"
     ok = worst >= need - DIGITS
     at = rule.at if rule.point >= 0 else -1
-    check = Check("nozzle clear of part and print", worst * 1e3, need * 1e3, "mm", ok, where, least=True, sample=at)
-    return check, rule, beyond
+    return Check("nozzle clear of part and print", worst * 1e3, need * 1e3, "mm", ok, where, least=True, sample=at)
 
 
 def _looked_ahead(tip: Array, now: Array, slack: Array) -> Index:

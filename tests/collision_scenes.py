@@ -15,6 +15,7 @@ from planner.problem import Problem, load_problem
 from planner.replay import replay
 from planner.toolpath.bead import Bead, Toolpath
 from planner.verify_clear import keep_apart, sweep_cell
+from planner.verify_print import beyond, by_the_tip
 
 Array = NDArray[np.float64]
 DT = 0.004
@@ -132,7 +133,9 @@ def look(problem: Problem, cell: Cell, toolpath: Toolpath, pieces: list[Piece], 
     metrics: dict[str, float] = {}
     series: dict[str, Array] = {}
     apart = sweep_cell(problem, cell, toolpath, whole, body)
-    approaches, _ = keep_apart(problem, cell, toolpath, whole, motion, body, lambda: apart, checks, metrics, series)
+    given = problem, cell, toolpath, whole, motion, body
+    near = by_the_tip(*given), beyond(*given)
+    approaches, _ = keep_apart(problem, cell, whole, body, near, apart, checks, metrics, series)
     return Found({check.name: check for check in checks}, metrics, approaches, series["clearance_mm"])
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,7 +14,7 @@ import pytest
 from solved import bed_plan, small_plan, solve_alone
 
 from planner import planning
-from planner.background import Job, in_background, in_halves, in_turn, shared, spare_core
+from planner.background import Job, in_background, in_halves, in_turn, spare_core
 from planner.errors import InputError, PlannerError, Refusal
 from planner.obstacles import NOTHING, obstacles_of
 from planner.plan import Plan
@@ -62,18 +64,6 @@ def test_halves_are_the_whole() -> None:
             assert [k for part in parts for k in part] == squares(0, count)
 
 
-@needs_two_cores
-def test_both_halves_write_into_shared_memory() -> None:
-    table = shared((1000, 3))
-
-    def fill(first: int, last: int) -> None:
-        table[first:last] = np.arange(first, last)[:, None]
-
-    in_halves(fill, 1000, True)
-    np.testing.assert_array_equal(table, np.repeat(np.arange(1000.0)[:, None], 3, axis=1))
-    assert shared((0, 3)).shape == (0, 3) and shared((2,), np.int8).dtype == np.int8
-
-
 def _same(one: Report, other: Report) -> None:
     assert one.checks == other.checks
     assert one.metrics == other.metrics
@@ -82,15 +72,33 @@ def _same(one: Report, other: Report) -> None:
         np.testing.assert_array_equal(values, other.series[name], err_msg=name)
 
 
-@needs_two_cores
+class _OneByOne:
+    """An executor that does everything where it is asked for."""
+
+    def __init__(self, *_: int) -> None: ...
+
+    def __enter__(self) -> _OneByOne:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        done: Future[Any] = Future()
+        done.set_result(function(*arguments))
+        return done
+
+
 @pytest.mark.parametrize("plan", [small_plan, bed_plan], ids=["positioner", "bed"])
-def test_verification_in_two_processes_is_the_same(plan: Any) -> None:
+def test_verification_in_threads_is_the_same(plan: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = plan()
-    given = plan.problem, plan.cell, plan.toolpath, plan.trajectory
-    _same(verify(*given), verify(*given, second_process=True))
     spoilt = replace(plan.trajectory, bead=np.roll(plan.trajectory.bead, 300))
-    given = plan.problem, plan.cell, plan.toolpath, spoilt
-    _same(verify(*given), verify(*given, second_process=True))
+    for trajectory in (plan.trajectory, spoilt):
+        given = plan.problem, plan.cell, plan.toolpath, trajectory
+        beside = verify(*given)
+        with monkeypatch.context() as patch:
+            patch.setattr("planner.verify.ThreadPoolExecutor", _OneByOne)
+            patch.setattr("planner.replay.ThreadPoolExecutor", _OneByOne)
+            _same(verify(*given), beside)
 
 
 @needs_two_cores

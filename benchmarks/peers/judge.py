@@ -107,7 +107,7 @@ def finish(given: Given, paths: Sequence[JointPath], stages: Stages, obstacles: 
     with stages.stage("timing"):
         trajectory, _ = trajectory_of(problem, cell, toolpath, paths, obstacles, DEFAULT_DT, second_process=True)
     with stages.stage("verify"):
-        report = verify(problem, cell, toolpath, trajectory, True, given.body)
+        report = verify(problem, cell, toolpath, trajectory, given.body)
     return Timed(trajectory, report)
 
 
