@@ -228,16 +228,60 @@ def nearest_point(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def nearest_points(
+def least_distances(
     points, radius, time, centre, reach, since, left, right,
-    kind, size, planes, T_solid_part, middle, now, enough, room, distance, point,
+    kind, size, planes, T_solid_tree, now, exact, most, share, stack, distance, point,
 ):  # fmt: skip
-    """`nearest_point` of a solid at poses (n, 4, 4), its middle (n, 3) and times now (n), into distance and point (n)."""
+    """Distances (n) of a solid at poses (n, 4, 4) from the points that are there before times now (n), `most` at most,
+    and the points (n) that have them, or -1; beyond `exact` any that is about as far.
+
+    A distance beyond `exact` may be too small, and is `share` of the true one or more: of many points that are about as
+    far, none is then looked for that is a little nearer. A search begins with the point that was nearest before.
+    """
+    known, lows = -1, np.empty(len(stack))  # of the nodes on the stack
     for i in range(len(now)):
-        distance[i], point[i] = nearest_point(
-            points, radius, time, centre, reach, since, left, right,
-            kind, size, planes, T_solid_part[i], now[i], enough, 0.0, middle[i], 0.0, 0.0, room,
-        )  # fmt: skip
+        T, best, found, passed = T_solid_tree[i], most, -1, np.inf
+        if known >= 0 and time[known] < now[i]:
+            best, found = _apart(points[known], kind, size, planes, T) - radius[known], known
+            if best >= most:
+                best, found = most, -1
+        stack[0], lows[0], waiting = 0, -np.inf, 1
+        while waiting:
+            waiting -= 1
+            node, low = stack[waiting], lows[waiting]
+            if since[node] >= now[i] or low >= best:
+                continue
+            if low >= exact and low >= share * best:
+                passed = min(passed, low)
+                continue
+            if left[node] < 0:
+                for k in range(-1 - left[node], -1 - left[node] + right[node]):
+                    if time[k] < now[i]:
+                        value = _apart(points[k], kind, size, planes, T) - radius[k]
+                        if value < best:
+                            best, found = value, k
+                continue
+            a, b = left[node], right[node]
+            low_a = _apart(centre[a], kind, size, planes, T) - reach[a]
+            low_b = _apart(centre[b], kind, size, planes, T) - reach[b]
+            if low_a > low_b:  # the nearer child comes first: it is put on top
+                a, b, low_a, low_b = b, a, low_b, low_a
+            stack[waiting], lows[waiting] = b, low_b
+            stack[waiting + 1], lows[waiting + 1] = a, low_a
+            waiting += 2
+        distance[i], point[i] = min(best, passed), found
+        known = found if found >= 0 else known
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _apart(p, kind, size, planes, T):
+    """Signed distance of a point p (3) from a solid in whose frame it is brought by T (4, 4)."""
+    return solid_distance(
+        kind, size, planes,
+        T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3],
+        T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3],
+        T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3],
+    )  # fmt: skip
 
 
 def search_room() -> Index:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision_bodies import ARM, FIXTURE, CellBodies, Distances, Pair, Thing
-from planner.point_tree import nearest_points, search_room
+from planner.point_tree import least_distances, search_room
 from planner.print_body import PrintBody
 from planner.solids import Body, Mesh, Packed, packed
 
@@ -23,6 +23,7 @@ Index = NDArray[np.int64]
 FAR = 50e-3  # m: what is farther away is that far away
 _SEEN = 0.1  # m: so far distances from the print are told apart, since what is farther away may be left out longer
 TOLERANCE = 1e-4  # m: no distance is missed that is too small by more
+_ABOUT = 0.95  # of a distance beyond FAR, to which it is told
 _SHARE = 0.2  # of what a distance is more than is asked for, to which it is found
 _PARTS = 16  # instants of a sample
 _FIRST = 512 * _PARTS  # instants between first looks
@@ -204,15 +205,14 @@ class _Sweep:
         return distance
 
     def _from_print(self, pair: PrintPair, poses: Array, which: Index, now: Array) -> tuple[Array, Index]:
-        """Distances (n) of a thing from what is printed at times now (n), _SEEN at most, and the nearest points or -1."""
+        """Distances (n) of a thing from what is printed at times now (n), _SEEN at most and about beyond FAR, and nearest points or -1."""
         thing, solid, tree = self.bodies.things[pair.a], self.solids[pair.a], self.tree
         T_world_part = poses[which, self.part.carrier] @ self.part.T_carrier_solid
         T_carrier_part = np.linalg.inv(poses[which, thing.carrier]) @ T_world_part
         T_solid_part = solid.T_solid_frame[0] @ T_carrier_part
-        middle = np.einsum("nji,nj->ni", T_carrier_part[:, :3, :3], thing.centre - T_carrier_part[:, :3, 3])
         distance, point = np.empty(len(now)), np.empty(len(now), dtype=np.int64)
-        nearest_points(
+        least_distances(
             tree.points, tree.radius, tree.time, tree.centre, tree.reach, tree.since, tree.left, tree.right,
-            solid.kind[0], solid.size[0], solid.planes, T_solid_part, middle, now, _SEEN, self.room, distance, point,
+            solid.kind[0], solid.size[0], solid.planes, T_solid_part, now, FAR, _SEEN, _ABOUT, self.room, distance, point,
         )  # fmt: skip
         return distance, point

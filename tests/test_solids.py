@@ -11,7 +11,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from planner.point_tree import FROM_THE_START, PointTree, nearest_point, point_tree, search_room, solid_distance
+from planner.point_tree import (
+    FROM_THE_START,
+    PointTree,
+    least_distances,
+    nearest_point,
+    point_tree,
+    search_room,
+    solid_distance,
+)
 from planner.solids import Body, Box, Capsule, Frustum, Hull, Mesh, Packed, Solid, packed, triangles_of
 
 Array = NDArray[np.float64]
@@ -149,3 +157,37 @@ def test_the_tree_finds_what_looking_at_all_points_finds(seed: int, n: int, whic
         assert each[tree.number[found]] == pytest.approx(least, abs=1e-12)
     else:
         assert found == -1
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    n=st.integers(0, 400),
+    which=st.integers(0, len(SOLIDS) - 1),
+    exact=st.floats(-0.01, 0.08),
+    share=st.floats(0.5, 1.0),
+)
+def test_distances_along_poses_are_exact_where_near_and_a_share_of_the_true_ones_beyond(
+    seed: int, n: int, which: int, exact: float, share: float
+) -> None:
+    """Of poses one after the other and far apart, and times in any order, so that what was nearest before may not be there."""
+    rng, most = np.random.default_rng(seed), 0.1
+    points, radius = rng.uniform(-0.1, 0.1, (n, 3)), rng.uniform(0.0, 0.002, n)
+    time = np.where(rng.random(n) < 0.3, FROM_THE_START, rng.random(n))
+    tree, pack = point_tree(points, radius, time), packed([Body("it", SOLIDS[which], np.eye(4))])
+    T = np.stack([pose(seed + 1), *(pose(seed + 2 + k) for k in range(5))])
+    T[:3, :3, 3] += 0.15  # some of them farther away
+    now = rng.uniform(-0.5, 1.5, len(T))
+    distance, point = np.empty(len(T)), np.empty(len(T), dtype=np.int64)
+    least_distances(
+        tree.points, tree.radius, tree.time, tree.centre, tree.reach, tree.since, tree.left, tree.right,
+        pack.kind[0], pack.size[0], pack.planes, T, now, exact, most, share, search_room(), distance, point,
+    )  # fmt: skip
+    for k, T_solid_tree in enumerate(T):
+        each = distances(pack, points @ T_solid_tree[:3, :3].T + T_solid_tree[:3, 3]) - radius
+        each = np.where(time < now[k], each, np.inf)
+        least = min(float(each.min(initial=np.inf)), most)
+        if least < exact:
+            assert distance[k] == pytest.approx(least, abs=1e-12)
+            assert each[tree.number[point[k]]] == pytest.approx(least, abs=1e-12)
+        else:
+            assert max(exact, share * least) - 1e-12 <= distance[k] <= least + 1e-12
