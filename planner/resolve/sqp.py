@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -14,6 +15,7 @@ from planner.background import Job, cores, in_turn
 from planner.cell import Cell
 from planner.obstacles import NOTHING, Obstacles
 from planner.problem.settings import ResolveSpec
+from planner.resolve.clearance import ROOM
 from planner.resolve.interior_point import solve_qp
 from planner.resolve.jointpath import MARGIN, JointPath, choose_turns
 from planner.resolve.ladder import ladder, runs_backwards
@@ -130,18 +132,21 @@ def cheaper(
 ) -> JointPath:
     """A refined track as a path if it costs less than the path that was given and keeps what it kept, else that."""
     refined = path_of(cell, track)
-    price, sigma = given_price(model_of(cell, obstacles), refined, floor)
+    least = _least_margin(refined, obstacles)
+    # who has room everywhere lacks no clearance that would have a price
+    price, sigma = given_price(model_of(cell, NOTHING if least >= ROOM else obstacles), refined, floor)
     better = price < given[0] and sigma >= min(floor / _FLOOR, given[1]) and _within(cell, refined)
-    return refined if better and _as_clear(refined, path, obstacles) else path
+    as_clear = least >= -SLIGHT or least >= _least_margin(path, obstacles)
+    return refined if better and as_clear else path
 
 
-def _as_clear(refined: JointPath, path: JointPath, obstacles: Obstacles) -> bool:
-    """Whether a refined path keeps its clearance, or lacks no more of it than the one that was given."""
-    now = path.task.moments
-    if path.task.cones.tilt == 0.0:  # what is round about the nozzle's axis is as near to the part in both
+def _least_margin(path: JointPath, obstacles: Obstacles) -> float:
+    """The least clearance of a path beyond what is needed [m], if below ROOM."""
+    if (
+        path.task.cones.tilt == 0.0
+    ):  # what is round about the nozzle's axis is as near to the part in all paths of a task
         obstacles = obstacles.but_round_on_part
-    least = float(obstacles.margins(refined.q, now, 0.0)[0].min())
-    return least >= -SLIGHT or least >= float(obstacles.margins(path.q, now, 0.0)[0].min())
+    return float(obstacles.margins(path.q, path.task.moments, ROOM)[0].min())
 
 
 def _within(cell: Cell, path: JointPath) -> bool:
@@ -197,8 +202,13 @@ def start_track(model: Model, knot: float, floor: float, path: JointPath, below:
     basis = basis_over(clock, knots_along(task, knot, SAMPLES_PER_CONTROL))
     c = fit(basis, free_variables(model, path)[:, model.active(task.cones)])
     stretch = whole(task, clock, basis, c)
+    if below is None or below.branch != path.branch or below.c.shape != c.shape:
+        model, below = (
+            replace(model, obstacles=NOTHING),
+            None,
+        )  # there is nothing to compare with: clearance does not count
     best = evaluate(model, stretch, c, path.q, floor)
-    if below is not None and below.branch == path.branch and below.c.shape == c.shape:
+    if below is not None:
         flip = slice(None, None, -1 if runs_backwards(task, below.task) else 1)
         near = below.q[flip][np.round(np.linspace(0, len(below.q) - 1, n)).astype(int)]
         turns = np.round((c[0] - below.c[flip][0]) / _TURN) * _TURN  # they were chosen for each bead
