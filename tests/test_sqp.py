@@ -17,6 +17,7 @@ from planner.resolve.jointpath import JointPath, postures
 from planner.resolve.ladder import ladder, runs_backwards
 from planner.resolve.node_kernel import LIMIT_COMFORT, LIMIT_PRICE, SIGMA_COMFORT, SIGMA_PRICE
 from planner.resolve.refine import (
+    CONE_SIDES,
     Model,
     State,
     Stretch,
@@ -25,7 +26,9 @@ from planner.resolve.refine import (
     model_of,
     program_around,
     refine_stretch,
+    watched,
 )
+from planner.resolve.refine import TILT as TILT_COLUMNS
 from planner.resolve.refine_kernel import DIP, DIP_PRICE, EFFORT, HARD_PRICE, allowed, lost, lost_slope, price_of
 from planner.resolve.sqp import given_price, refine_paths, start_track, whole
 from planner.resolve.windows import Track, Windowed, windows
@@ -133,7 +136,9 @@ def perturbed(model: Model, stretch: Stretch, state: State, floor: float, size: 
 
 def everything(state: State) -> Watch:
     return Watch(
-        np.ones((*state.rates.shape, 2), dtype=np.bool_), np.ones((*state.lean.shape[:2], FACETS.size), dtype=np.bool_)
+        np.ones((*state.rates.shape, 2), dtype=np.bool_),
+        np.ones((*state.lean.shape[:2], FACETS.size), dtype=np.bool_),
+        np.ones((len(state.c), CONE_SIDES), dtype=np.bool_),
     )
 
 
@@ -209,6 +214,35 @@ def test_program_is_the_price_to_first_order_and_not_below(
             assert abs(errors[2]) < 0.25 * abs(errors[1]) + 3e-4 * changes[2] + 1e-5
             # and, where it is not, the program asks too much rather than too little
             assert errors[0] < 0.02 * max(changes) + 0.03
+
+
+def test_sides_of_the_tilts_polygon_join_where_a_step_goes_beyond_them(setup_of: Callable[[str], Setup]) -> None:
+    """And no others: a step that stays inside all that are watched, and lacks nothing, is the one that all would give."""
+    cell, _, paths = setup_of("fast, tilt")
+    model, _, stretch, state = start(cell, paths[0], 0.1)
+    cone = stretch.cones.tilt
+    columns = np.searchsorted(model.active(stretch.cones), TILT_COLUMNS)
+    watch = watched(model, stretch, state)
+    assert not watch.sides.any()  # at rest in the middle
+    assert watch.add_sides(model, stretch, state, np.zeros(state.c.size)) == 0
+    x = np.zeros(state.c.shape)
+    x[3, columns] = 0.99 * cone * np.array([np.cos(0.1), np.sin(0.1)])  # beyond one side, inside the circle
+    x[5, columns] = 2.0 * cone, 0.0
+    state = replace(state, c=np.where(np.isin(np.arange(x.shape[1]), columns), 0.0, state.c))
+    held = replace(stretch, free=(np.arange(len(x)) != 5).astype(float))
+    assert watch.add_sides(model, held, state, x.ravel()) == 1
+    np.testing.assert_array_equal(np.argwhere(watch.sides), [[3, 0]])
+    assert watch.add_sides(model, stretch, state, x.ravel()) == 5  # within 60 degrees to both sides
+    assert watched(model, stretch, replace(state, c=0.8 * x)).sides[3].tolist() == [True, True, *[False] * 10]
+
+
+def test_tilt_stays_in_its_cone_though_few_sides_are_watched(setup_of: Callable[[str], Setup]) -> None:
+    cell, _, paths = setup_of("fast, tilt")
+    for path in paths[:3]:
+        model, _, stretch, state = start(cell, path, 0.1)
+        done = refine_stretch(model, stretch, state, 0.1)
+        assert done.price < state.price
+        assert np.hypot(*done.tilt.T).max() <= stretch.cones.tilt
 
 
 # --- refining ---------------------------------------------------------------------------------------------------

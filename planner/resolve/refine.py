@@ -52,6 +52,8 @@ ANCHOR = 0.1  # s per square radian that an end of a bead moves: what the search
 _RANGE_ROOM = 1e-4  # rad kept from the ends of the joints' ranges
 CONE_ROOM = 1e-3  # rad kept from the cones about gravity: between waypoints normals are known no better
 CONE_SIDES = 12  # of the polygon inside the circle that bounds tilt
+_NEAR_SIDE = 0.7  # share of the way to a side of that above which the program watches it from the start
+_MISSED_SIDE = 1e-5  # rad beyond it that the program must go before it watches it too
 
 
 @dataclass(frozen=True)
@@ -153,10 +155,33 @@ class State:
 
 @dataclass(frozen=True)
 class Watch:
-    """What a program watches: rates (n, 3, nj, 2), upwards and downwards, and facets (n, b, FACETS.size) of b cones."""
+    """What a program watches: rates (n, 3, nj, 2), upwards and downwards, facets (n, b, FACETS.size) of b cones, and
+    sides (k, CONE_SIDES) of the polygon about tilt, none where the nozzle may not."""
 
     rates: Flags
     facets: Flags
+    sides: Flags
+
+    def add_sides(self, model: Model, stretch: Stretch, state: State, x: Array) -> int:
+        """Watch the sides that a step x of the control values goes beyond; returns how many."""
+        room = side_room(model, stretch, state.c + x.reshape(state.c.shape))
+        missed = (room < -_MISSED_SIDE) & (stretch.free[:, None] > 0.0) & ~self.sides
+        self.sides[missed] = True
+        return int(missed.sum())
+
+
+def side_room(model: Model, stretch: Stretch, c: Array) -> Array:
+    """How far control values c (k, m) are inside the sides (k, CONE_SIDES) of the polygon about tilt [rad]."""
+    if stretch.cones.tilt == 0.0:
+        return np.zeros((len(c), 0))
+    tilt = c[:, np.searchsorted(model.active(stretch.cones), TILT)]
+    return stretch.cones.tilt * np.cos(np.pi / CONE_SIDES) - tilt @ side_normals().T
+
+
+def side_normals() -> Array:
+    """Outward unit normals (CONE_SIDES, 2) of the polygon about tilt."""
+    angle = np.arange(CONE_SIDES) * 2.0 * np.pi / CONE_SIDES
+    return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 def evaluate(model: Model, stretch: Stretch, c: Array, q_near: Array, least_sigma: float) -> State | None:
@@ -208,7 +233,8 @@ def watched(model: Model, stretch: Stretch, state: State) -> Watch:
     watch_near(state.rates, model.limits, stretch.deposits, state.slack, rates)
     facets = np.zeros((*state.lean.shape[:2], FACETS.size), dtype=np.bool_)
     watch_leans(stretch.step, state.lean, state.cones, facets)
-    return Watch(rates, facets)
+    near = side_room(model, stretch, state.c) < (1.0 - _NEAR_SIDE) * stretch.cones.tilt
+    return Watch(rates, facets, near)
 
 
 def program_around(
@@ -223,7 +249,7 @@ def program_around(
     rows, groups = count_rows(
         stretch.step, stretch.deposits, watch.rates, state.q, low, high, state.sigma, least_sigma, watch.facets
     )
-    own_A, own_b, own_at, own_price = _further_rows(model, stretch, state, w, trust)
+    own_A, own_b, own_at, own_price = _further_rows(model, stretch, state, w, trust, watch)
     extra = len(own_b)
     H, g = np.empty((k * m, w)), np.empty(k * m)
     A, b, at = np.empty((rows + extra, w)), np.empty(rows + extra), np.empty(rows + extra, dtype=np.int64)
@@ -248,10 +274,10 @@ def program_around(
 
 
 def _further_rows(
-    model: Model, stretch: Stretch, state: State, width: int, trust: float
+    model: Model, stretch: Stretch, state: State, width: int, trust: float, watch: Watch
 ) -> tuple[Array, Array, Index, Array]:
     """Rows of control values and of clearances, and the time that each stands for [s], as the solver wants them."""
-    A, b, at = _control_rows(model, stretch, state, width, trust)
+    A, b, at = _control_rows(model, stretch, state, width, trust, watch)
     price = np.full(len(b), float(stretch.step.mean()))
     if len(state.near.sample):
         own = clearance_rows(state.near, stretch.step, stretch.first, stretch.B, stretch.free, trust)
@@ -260,31 +286,35 @@ def _further_rows(
     return A[order], b[order], at[order], price[order]
 
 
-def _control_rows(model: Model, stretch: Stretch, state: State, width: int, trust: float) -> tuple[Array, Array, Index]:
-    """Bounds of single control values that a step within `trust` may reach: chosen joints' ranges, and a polygon
-    inside the tilt's cone.
+def _control_rows(
+    model: Model, stretch: Stretch, state: State, width: int, trust: float, watch: Watch
+) -> tuple[Array, Array, Index]:
+    """Bounds of single control values that a step within `trust` may reach: chosen joints' ranges, and what is watched
+    of a polygon inside the tilt's cone.
 
     A B-spline stays in the hull of its control values, so these bound every sample.
     """
     k, m = state.c.shape
     active = list(model.active(stretch.cones))
-    rows: list[tuple[NDArray[np.float64], Array]] = []
+    rows: list[tuple[NDArray[np.float64], Array, Flags]] = []
+    every = np.ones(k, dtype=np.bool_)
     chosen = [*range(model.arm, len(model.low)), *model.given]
     for h, joint in enumerate(chosen):
         for sign, end in ((1.0, model.high[joint]), (-1.0, -model.low[joint])):
             if np.isfinite(end):
                 row = np.zeros(m)
                 row[active.index(HOLDER + h)] = sign
-                rows.append((row, end - state.c @ row))
+                rows.append((row, end - state.c @ row, every))
     if stretch.cones.tilt > 0.0:
-        for angle in np.arange(CONE_SIDES) * 2.0 * np.pi / CONE_SIDES:
+        rooms = side_room(model, stretch, state.c)
+        for side, normal in enumerate(side_normals()):
             row = np.zeros(m)
-            row[[active.index(TILT[0]), active.index(TILT[1])]] = np.cos(angle), np.sin(angle)
-            rows.append((row, stretch.cones.tilt * np.cos(np.pi / CONE_SIDES) - state.c @ row))
+            row[[active.index(TILT[0]), active.index(TILT[1])]] = normal
+            rows.append((row, rooms[:, side], watch.sides[:, side]))
     A, b, at = [np.zeros((0, width))], [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
     first = np.minimum(np.arange(k), k - width // m)
-    for row, room in rows:
-        near = np.flatnonzero((room < trust * np.abs(row).sum()) & (stretch.free > 0.0))
+    for row, room, wanted in rows:
+        near = np.flatnonzero(wanted & (room < trust * np.abs(row).sum()) & (stretch.free > 0.0))
         own = np.zeros((len(near), width // m, m))
         own[np.arange(len(near)), near - first[near]] = row
         A.append(own.reshape(len(near), width))
@@ -315,7 +345,7 @@ def _best_step(
         ) + watch_missed_leans(
             stretch.step, state.lean, state.lean_slope, state.cones, stretch.first, stretch.B, stretch.free, x,
             watch.facets,
-        )  # fmt: skip
+        ) + watch.add_sides(model, stretch, state, x)  # fmt: skip
         if not missed:
             break
     return x, float(stretch.step.mean()) * (program.value(np.zeros(len(x))) - program.value(x))
