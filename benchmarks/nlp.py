@@ -26,8 +26,9 @@ from planner.problem.settings import ResolveSpec
 from planner.resolve.jointpath import JointPath
 from planner.resolve.ladder import ladder
 from planner.resolve.nlp import Solution, solve_nlp
-from planner.resolve.refine import evaluate, model_of, refine_stretch
+from planner.resolve.refine import evaluate, refine_stretch
 from planner.resolve.sqp import given_prices, sigma_floor, start_track, whole
+from planner.resolve.stretch import model_of
 from planner.resolve.windows import Track
 from planner.task import tasks_of
 from planner.toolpath.build import build_toolpath

@@ -25,8 +25,9 @@ from planner.problem import load_problem
 from planner.resolve.interior_point import QuadraticProgram, solve_qp
 from planner.resolve.ladder import ladder
 from planner.resolve.osqp_reference import solve_with_osqp, standard_form
-from planner.resolve.refine import QPSolver, evaluate, model_of, refine_stretch
+from planner.resolve.refine import QPSolver, evaluate, refine_stretch
 from planner.resolve.sqp import given_prices, sigma_floor, start_track, whole
+from planner.resolve.stretch import model_of
 from planner.task import tasks_of
 from planner.toolpath.build import build_toolpath
 from planner.versions import versions

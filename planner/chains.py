@@ -15,8 +15,8 @@ from planner.errors import PlannerError
 from planner.given import Given, digest_of, found_anywhere, given_elsewhere
 from planner.resolve.jointpath import JointPath, choose_turns
 from planner.resolve.ladder import ladder
-from planner.resolve.refine import model_of
 from planner.resolve.sqp import given_prices, refine_beads, sigma_floor
+from planner.resolve.stretch import model_of
 from planner.spread import Spread
 
 Array = NDArray[np.float64]

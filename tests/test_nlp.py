@@ -29,8 +29,9 @@ from planner.resolve.ladder import ladder
 from planner.resolve.nlp import MOST_SAMPLES, solve_nlp
 from planner.resolve.nlp_program import EQUALITIES, Program, bounds_of, program_of, row_bounds, start_values
 from planner.resolve.osqp_reference import solve_with_osqp
-from planner.resolve.refine import State, Stretch, evaluate, model_of, program_around, refine_stretch, watched
+from planner.resolve.refine import evaluate, program_around, refine_stretch, watched
 from planner.resolve.sqp import given_prices, qp_solver, refine_paths, sigma_floor, start_track, whole
+from planner.resolve.stretch import State, Stretch, model_of
 from planner.resolve.windows import Track
 from planner.task import Cones, NozzleTask
 

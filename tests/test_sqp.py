@@ -16,21 +16,11 @@ from planner.resolve.cone_kernel import FACETS
 from planner.resolve.jointpath import JointPath, postures
 from planner.resolve.ladder import ladder, runs_backwards
 from planner.resolve.node_kernel import LIMIT_COMFORT, LIMIT_PRICE, SIGMA_COMFORT, SIGMA_PRICE
-from planner.resolve.refine import (
-    CONE_SIDES,
-    Model,
-    State,
-    Stretch,
-    Watch,
-    evaluate,
-    model_of,
-    program_around,
-    refine_stretch,
-    watched,
-)
-from planner.resolve.refine import TILT as TILT_COLUMNS
+from planner.resolve.refine import evaluate, program_around, refine_stretch, watched
 from planner.resolve.refine_kernel import DIP, DIP_PRICE, EFFORT, HARD_PRICE, allowed, lost, lost_slope, price_of
 from planner.resolve.sqp import given_price, refine_paths, start_track, whole
+from planner.resolve.stretch import CONE_SIDES, Model, State, Stretch, Watch, model_of
+from planner.resolve.stretch import TILT as TILT_COLUMNS
 from planner.resolve.windows import Track, Windowed, windows
 from planner.task import NozzleTask, cones_of, make_tasks
 from planner.toolpath.bead import Toolpath

@@ -19,9 +19,9 @@ from planner.problem import load_problem
 from planner.resolve.banded import factorise, substitute
 from planner.resolve.follow_kernel import follow
 from planner.resolve.interior_point import QuadraticProgram, solve_qp
-from planner.resolve.refine import HOLDER, model_of
 from planner.resolve.splines import Clock, basis_over, clock_of
 from planner.resolve.sqp import fit
+from planner.resolve.stretch import HOLDER, model_of
 
 Array = NDArray[np.float64]
 

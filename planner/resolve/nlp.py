@@ -20,8 +20,9 @@ from planner.problem.settings import ResolveSpec
 from planner.resolve.jointpath import JointPath, choose_turns
 from planner.resolve.ladder import ladder
 from planner.resolve.nlp_program import bounds_of, program_of, row_bounds, start_values
-from planner.resolve.refine import Model, Stretch, evaluate, model_of
+from planner.resolve.refine import evaluate
 from planner.resolve.sqp import cheaper, given_prices, sigma_floor, start_track, whole
+from planner.resolve.stretch import Model, Stretch, model_of
 from planner.resolve.windows import Track
 from planner.task import NozzleTask
 

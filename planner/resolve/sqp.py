@@ -19,20 +19,10 @@ from planner.resolve.clearance import ROOM
 from planner.resolve.interior_point import solve_qp
 from planner.resolve.jointpath import MARGIN, JointPath, choose_turns
 from planner.resolve.ladder import ladder, runs_backwards
-from planner.resolve.refine import (
-    HOLDER,
-    ROLL,
-    TILT,
-    Model,
-    QPSolver,
-    Stretch,
-    evaluate,
-    evaluate_samples,
-    model_of,
-    refine_stretch,
-)
+from planner.resolve.refine import QPSolver, evaluate, evaluate_samples, refine_stretch
 from planner.resolve.spacing import knots_along
 from planner.resolve.splines import LEAST_SAMPLES, Basis, Clock, basis_over, clock_of
+from planner.resolve.stretch import HOLDER, ROLL, TILT, Model, Stretch, model_of
 from planner.resolve.unreachable import SLIGHT
 from planner.resolve.windows import Piece, Track, Windowed
 from planner.task import NozzleTask

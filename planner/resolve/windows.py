@@ -9,8 +9,8 @@ from threading import Lock
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.resolve.refine import State
 from planner.resolve.splines import Basis, Clock
+from planner.resolve.stretch import State
 from planner.task import NozzleTask
 
 Array = NDArray[np.float64]
