@@ -19,7 +19,7 @@ from numba import njit
 
 from planner.cell import build_cell
 from planner.problem import Problem
-from planner.resolve import refine, refine_kernel, search, search_kernel
+from planner.resolve import refine, refine_kernel, search, search_kernel, windows
 from planner.resolve.interior_point import QuadraticProgram
 
 # their room has functions of these names
@@ -49,14 +49,14 @@ def _compile_anew(stack: ExitStack, module: ModuleType, names: Sequence[str], us
 @contextmanager
 def _one_window(problem: Problem) -> Iterator[None]:
     with ExitStack() as stack:
-        _put(stack, sqp, "WINDOW", _ENDLESS)
+        _put(stack, windows, "WINDOW", _ENDLESS)
         yield
 
 
 @contextmanager
 def _windows_apart(problem: Problem) -> Iterator[None]:
     with ExitStack() as stack:
-        _put(stack, sqp, "OVERLAP", 0)
+        _put(stack, windows, "OVERLAP", 0)
         yield
 
 
@@ -203,8 +203,8 @@ IDEAS = (
     Idea("home's branch only", "`ladder.full_grid` gives no other branch", change=_home_branch),
     Idea("travel free", "`search_kernel.TRAVEL_PRICE` 0", change=_free_travel),
     Idea("ends not held", "`refine.ANCHOR` 0", change=_loose_ends),
-    Idea("one window", "`sqp.WINDOW` without end", change=_one_window),
-    Idea("windows side by side", "`sqp.OVERLAP` 0", change=_windows_apart),
+    Idea("one window", "`windows.WINDOW` without end", change=_one_window),
+    Idea("windows side by side", "`windows.OVERLAP` 0", change=_windows_apart),
     Idea("exact penalty, shallow dips not avoided", "`refine_kernel.lost` is the slack itself", change=_flat_penalty),
     Idea(
         "squared penalty",

@@ -14,12 +14,12 @@ from benchmarks.rows import Row, Run, make_row
 from benchmarks.summary import results_of
 from planner.errors import EXIT_INPUT
 from planner.problem import load_problem
-from planner.resolve import refine, refine_kernel, search, search_kernel
+from planner.resolve import refine, refine_kernel, search, search_kernel, windows
 from planner.resolve.interior_point import QuadraticProgram
 
 ladder, sqp = (importlib.import_module(f"planner.resolve.{name}") for name in ("ladder", "sqp"))
 PLACES = (
-    (sqp, "WINDOW"), (sqp, "OVERLAP"), (sqp, "start_track"), (refine, "ANCHOR"), (refine, "program_around"),
+    (windows, "WINDOW"), (windows, "OVERLAP"), (sqp, "start_track"), (refine, "ANCHOR"), (refine, "program_around"),
     (refine, "price_of"), (refine_kernel, "price_of"), (refine_kernel, "lost"), (ladder, "full_grid"),
     (search_kernel, "TRAVEL_PRICE"), (search_kernel, "travel_price"), (search, "search_best"),
 )  # fmt: skip
@@ -85,6 +85,6 @@ def test_the_table_tells_how_and_what_came_of_it() -> None:
         plan = {"found": True, "verified": True, "sigma_min": 0.2, "at_speed_fraction": 0.99, "seconds_resolve": 2.0}
         rows += [make_row(run, **(plan if run.strategy == "sqp" else {"reason": "no plan: stuck"})) for run in own]
     lines = ablations.tables(runs, results_of(rows))
-    assert "| one window | `sqp.WINDOW` without end | yes | 99.0 % | – | – | 0.200 | – | 2.00 |" in lines
+    assert "| one window | `windows.WINDOW` without end | yes | 99.0 % | – | – | 0.200 | – | 2.00 |" in lines
     assert "| all to the table | `--strategy as_published` | no plan | – | – | – | – | – | – |" in lines
     assert Run("peer_cap", "sqp", change="one window").label == "sqp: one window"
