@@ -34,7 +34,9 @@ Index = NDArray[np.int64]
 
 _STEPS = 60
 _FREE = 1e-9  # of what there is to gain: price of a slack that has none
-_GAP = 1e-3  # of what there is to gain at all: complementarity and residual at which the solution is taken
+ACCURACY = (
+    1e-3  # of what there is to gain at all: steps are judged by the true price, and nearer costs more than it gains
+)
 _START = 5.0  # complementarity to begin with, as a share of what there is to gain
 _HALVINGS = 12  # of the interval in which a group's slack is sought
 _TO_THE_WALL = 0.99  # share of the way to the nearest wall that a step may go
@@ -62,9 +64,12 @@ class QuadraticProgram:
         return float(_value(self.H, self.g, self.A, self.b, self.at, self.group, self.price, x))
 
 
-def solve_qp(qp: QuadraticProgram) -> tuple[Array, int]:
-    """The minimiser x (n) and the number of Newton steps; x = 0 where that is no worse."""
-    return minimise(qp.H, qp.g, qp.box, qp.A, qp.b, qp.at, qp.group, qp.price)
+def solve_qp(qp: QuadraticProgram, accuracy: float = ACCURACY) -> tuple[Array, int]:
+    """The minimiser x (n) and the number of Newton steps; x = 0 where that is no worse.
+
+    accuracy: share of what there is to gain at all at which complementarity and residual end the method.
+    """
+    return minimise(qp.H, qp.g, qp.box, qp.A, qp.b, qp.at, qp.group, qp.price, accuracy)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
@@ -154,7 +159,7 @@ def _centre(room, first, end, price, target, k, s, lam, slack, mu) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
-def minimise(H, g, box, A, b, at, group, price) -> tuple[Array, int]:
+def minimise(H, g, box, A, b, at, group, price, accuracy) -> tuple[Array, int]:
     """Compiled body of `solve_qp`."""
     n, w = H.shape
     rows, groups = b.size, price.size
@@ -193,12 +198,12 @@ def minimise(H, g, box, A, b, at, group, price) -> tuple[Array, int]:
             gap += slack[k] * mu[k]
         for i in range(n):
             gap += low[i] * lam_low[i] + high[i] * lam_high[i]
-        if gap <= _GAP * scale and dual <= _GAP * scale:
+        if gap <= accuracy * scale and dual <= accuracy * scale:
             if exact:
                 break
             dual = _residual(H, g, A, at, group, chunks, x, lam, lam_low, lam_high, box, residual)
             exact = True
-            if dual <= _GAP * scale:
+            if dual <= accuracy * scale:
                 break
         U[:] = H_upper
         for i in range(n):
