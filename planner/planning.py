@@ -220,12 +220,13 @@ def trajectory_of(
         return [time_path(cell, path, (moving, moving)) for path in paths[first:last]]
 
     def ways(first: int, last: int) -> list[Travel]:
-        return plan_travels(cell, timed, toolpath, problem.process, range(first, last), obstacles)
+        which = range(first, last + (last == n))  # the way home comes after the last bead
+        return plan_travels(cell, timed, toolpath, problem.process, which, obstacles)
 
     done = np.cumsum([len(path.q) for path in paths])
     middle = 1 + int(np.searchsorted(done, 0.5 * done[-1]))
     timed = [each for half in in_halves(part, n, second_process, middle) for each in half]
-    travels = [each for half in in_halves(ways, n + 1, second_process) for each in half]  # and the way home
+    travels = [each for half in in_halves(ways, n, second_process) for each in half]
     return join(cell, toolpath, problem.process, timed, travels, dt), travels
 
 
