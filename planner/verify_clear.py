@@ -55,8 +55,8 @@ def keep_apart(
     """Append the checks of nozzle, head, links, fixtures and print; returns the pairs of bodies that come nearest, and
     the bodies of the cell.
 
-    near: the results of `by_the_tip` and `beyond`; apart: of `sweep_cell`. Distances are found up to FAR; `clearance_min_mm` is the least of all
-    beyond the tip's zone (see verify_print).
+    near: the results of `by_the_tip` and `beyond`; apart: of `sweep_cell`. Distances are found up to FAR;
+    `clearance_min_mm` is the least of all beyond the tip's zone (see verify_print).
     """
     spec = problem.collision
     rule, beyond = near

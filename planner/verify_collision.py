@@ -205,7 +205,8 @@ class _Sweep:
         return distance
 
     def _from_print(self, pair: PrintPair, poses: Array, which: Index, now: Array) -> tuple[Array, Index]:
-        """Distances (n) of a thing from what is printed at times now (n), _SEEN at most and about beyond FAR, and nearest points or -1."""
+        """Distances (n) of a thing from what is printed at times now (n), _SEEN at most and about beyond FAR, and the
+        nearest points or -1."""
         thing, solid, tree = self.bodies.things[pair.a], self.solids[pair.a], self.tree
         T_world_part = poses[which, self.part.carrier] @ self.part.T_carrier_solid
         T_carrier_part = np.linalg.inv(poses[which, thing.carrier]) @ T_world_part

@@ -34,9 +34,8 @@ Index = NDArray[np.int64]
 
 _STEPS = 60
 _FREE = 1e-9  # of what there is to gain: price of a slack that has none
-ACCURACY = (
-    1e-3  # of what there is to gain at all: steps are judged by the true price, and nearer costs more than it gains
-)
+# Share of what there is to gain at all: steps are judged by the true price, and nearer costs more than it gains.
+ACCURACY = 1e-3
 _START = 5.0  # complementarity to begin with, as a share of what there is to gain
 _HALVINGS = 12  # of the interval in which a group's slack is sought
 _TO_THE_WALL = 0.99  # share of the way to the nearest wall that a step may go

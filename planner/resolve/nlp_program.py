@@ -27,7 +27,7 @@ from planner.kinematics.symbolic import symbolic_jacobian, symbolic_pose, symbol
 from planner.resolve.node_kernel import LIMIT_COMFORT, LIMIT_PRICE, SIGMA_COMFORT, SIGMA_PRICE
 from planner.resolve.refine import ANCHOR, CONE_ROOM
 from planner.resolve.refine_kernel import DIP, DIP_PRICE, EFFORT
-from planner.resolve.stretch import CONE_SIDES, HOLDER, ROLL, TILT, Model, State, Stretch
+from planner.resolve.stretch import CONE_SIDES, HOLDER, ROLL, TILT, Model, State, Stretch, side_normals
 from planner.task import Cones
 
 Array = NDArray[np.float64]
@@ -153,8 +153,7 @@ def _linear(model: Model, stretch: Stretch, k: int) -> sparse.csr_matrix:
     polygon = sparse.lil_matrix((CONE_SIDES * k if at.tilts else 0, A.shape[1]))
     if at.tilts:
         sides = np.zeros((CONE_SIDES, m))
-        angles = np.arange(CONE_SIDES) * 2.0 * np.pi / CONE_SIDES
-        sides[:, [1, 2]] = np.column_stack([np.cos(angles), np.sin(angles)])
+        sides[:, list(TILT)] = side_normals()
         polygon[:, n * at.size :] = sparse.kron(sparse.eye(k), sides)
     return sparse.vstack([A, polygon])
 

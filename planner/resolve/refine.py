@@ -34,6 +34,7 @@ from planner.resolve.stretch import (
     State,
     Stretch,
     Watch,
+    near_sides,
     side_normals,
     side_room,
 )
@@ -54,7 +55,6 @@ _NEGLIGIBLE = 1e-4  # seconds a second of printing, likewise
 TILT_PRICE = 0.1
 ANCHOR = 0.1  # s per square radian that an end of a bead moves: what the search chose there keeps travel short
 CONE_ROOM = 1e-3  # rad kept from the cones about gravity: between waypoints normals are known no better
-_NEAR_SIDE = 0.7  # share of the way to a side of that above which the program watches it from the start
 
 
 def evaluate(model: Model, stretch: Stretch, c: Array, q_near: Array, least_sigma: float) -> State | None:
@@ -106,8 +106,7 @@ def watched(model: Model, stretch: Stretch, state: State) -> Watch:
     watch_near(state.rates, model.limits, stretch.deposits, state.slack, rates)
     facets = np.zeros((*state.lean.shape[:2], FACETS.size), dtype=np.bool_)
     watch_leans(stretch.step, state.lean, state.cones, facets)
-    near = side_room(model, stretch, state.c) < (1.0 - _NEAR_SIDE) * stretch.cones.tilt
-    return Watch(rates, facets, near)
+    return Watch(rates, facets, near_sides(model, stretch, state.c))
 
 
 def program_around(

@@ -132,9 +132,8 @@ def cheaper(
 
 def _least_margin(path: JointPath, obstacles: Obstacles) -> float:
     """The least clearance of a path beyond what is needed [m], if below ROOM."""
-    if (
-        path.task.cones.tilt == 0.0
-    ):  # what is round about the nozzle's axis is as near to the part in all paths of a task
+    # what is round about the nozzle's axis is as near to the part in all upright paths of a task
+    if path.task.cones.tilt == 0.0:
         obstacles = obstacles.but_round_on_part
     return float(obstacles.margins(path.q, path.task.moments, ROOM)[0].min())
 
@@ -193,10 +192,8 @@ def start_track(model: Model, knot: float, floor: float, path: JointPath, below:
     c = fit(basis, free_variables(model, path)[:, model.active(task.cones)])
     stretch = whole(task, clock, basis, c)
     if below is None or below.branch != path.branch or below.c.shape != c.shape:
-        model, below = (
-            replace(model, obstacles=NOTHING),
-            None,
-        )  # there is nothing to compare with: clearance does not count
+        # there is nothing to compare with: clearance does not count
+        model, below = replace(model, obstacles=NOTHING), None
     best = evaluate(model, stretch, c, path.q, floor)
     if below is not None:
         flip = slice(None, None, -1 if runs_backwards(task, below.task) else 1)

@@ -19,7 +19,8 @@ Flags = NDArray[np.bool_]
 
 ROLL, TILT, HOLDER = 0, (1, 2), 3  # columns of z; given arm joints come after the holder's
 CONE_SIDES = 12  # of the polygon inside the circle that bounds tilt
-_MISSED_SIDE = 1e-5  # rad beyond it that the program must go before it watches it too
+_NEAR_SIDE = 0.3  # of the cone about tilt: who is as near to a side of its polygon has it watched from the start
+_MISSED_SIDE = 1e-5  # rad beyond a side that the program must go before it watches it too
 _RANGE_ROOM = 1e-4  # rad kept from the ends of the joints' ranges
 
 
@@ -143,6 +144,11 @@ def side_room(model: Model, stretch: Stretch, c: Array) -> Array:
         return np.zeros((len(c), 0))
     tilt = c[:, np.searchsorted(model.active(stretch.cones), TILT)]
     return stretch.cones.tilt * np.cos(np.pi / CONE_SIDES) - tilt @ side_normals().T
+
+
+def near_sides(model: Model, stretch: Stretch, c: Array) -> Flags:
+    """Sides (k, CONE_SIDES) that control values c (k, m) are near."""
+    return np.asarray(side_room(model, stretch, c) < _NEAR_SIDE * stretch.cones.tilt)
 
 
 def side_normals() -> Array:

@@ -28,6 +28,7 @@ from OCP.TopAbs import TopAbs_Orientation, TopAbs_ShapeEnum
 from OCP.TopExp import TopExp, TopExp_Explorer
 from OCP.TopoDS import TopoDS, TopoDS_Compound
 
+from planner.garbage import look_again
 from planner.toolpath.step.choice import Damaged, choose_faces
 
 Array = NDArray[np.float64]
@@ -256,6 +257,7 @@ def _flips(count: int, senses: dict[int, list[tuple[int, int]]]) -> list[int]:
 
 def main() -> int:
     """Answer a request, JSON on standard input (file, faces, apart_mm), with arrays as NPZ on standard output."""
+    look_again()
     request = json.load(sys.stdin)
     try:
         answer = read(request)
