@@ -16,8 +16,8 @@ import pinocchio as pin
 import trimesh
 from numpy.typing import NDArray
 
-from planner.robot_files import ROBOTS, Robot, read_robot, robot_names
-from planner.robot_yaml import read_robot_file
+from planner.robot.file import read_robot_file
+from planner.robot.robot import ROBOTS, Robot, read_robot, robot_names
 from planner.solids import triangles_of
 
 matplotlib.use("Agg")

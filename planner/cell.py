@@ -15,7 +15,7 @@ from planner.kinematics.inverse import InverseKinematics, with_rest
 from planner.kinematics.spherical_wrist import SphericalWrist
 from planner.problem import Problem
 from planner.problem.cell import CellSpec, PositionerSpec
-from planner.robot_files import Robot, chain_of, load_robot
+from planner.robot.robot import Robot, chain_of, load_robot
 from planner.solids import Body
 
 __all__ = ["Cell", "Limits", "Robot", "build_cell", "frame_from_z", "rigid_inverse", "translation"]

@@ -91,7 +91,7 @@ def _tried(mistakes: list[InputError], make: Callable[[], Any]) -> Any:
 
 
 def _robot(problem: Problem, field: str, robot: str | Path) -> None:
-    from planner.robot_files import load_robot
+    from planner.robot.robot import load_robot
 
     load_robot(robot, problem, field)
 

@@ -19,7 +19,7 @@ from planner.cell_bodies import nozzle_profile
 from planner.point_tree import FROM_THE_START, PointTree, point_tree
 from planner.problem.cell import NozzleSpec
 from planner.readonly import ReadOnlyArrays
-from planner.robot_files import bodies_with_tip
+from planner.robot.robot import bodies_with_tip
 from planner.solids import Body, triangles_of
 from planner.surface_points import merged, split
 from planner.toolpath.bead import Bead, Toolpath

@@ -22,8 +22,8 @@ from planner.kinematics.corrected import Corrected
 from planner.kinematics.inverse import InverseKinematics
 from planner.kinematics.offset_wrist import OffsetWrist
 from planner.kinematics.spherical_wrist import SphericalWrist
-from planner.robot_files import ROBOTS, Robot, chain_of, names_meant, read_robot, robot_names
-from planner.robot_yaml import read_robot_file
+from planner.robot.file import read_robot_file
+from planner.robot.robot import ROBOTS, Robot, chain_of, names_meant, read_robot, robot_names
 from planner.solids import Box, Capsule, Frustum, Solid
 
 Array = NDArray[np.float64]

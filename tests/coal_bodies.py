@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planner.robot_files import Robot
+from planner.robot.robot import Robot
 from planner.solids import Body, Box, Capsule, Frustum, triangles_of
 
 Array = NDArray[np.float64]

@@ -22,7 +22,7 @@ from planner.kinematics.newton import refine
 from planner.kinematics.offset_wrist import OffsetWrist, read_offset_wrist
 from planner.kinematics.seven_axes import SevenAxes, read_seven_axes
 from planner.problem import load_problem
-from planner.robot_files import ROBOTS, Robot, chain_of, read_robot, robot_names
+from planner.robot.robot import ROBOTS, Robot, chain_of, read_robot, robot_names
 
 Array = NDArray[np.float64]
 TURN = 2.0 * np.pi

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from planner.cell import Cell, build_cell, frame_from_z, rigid_inverse
 from planner.errors import InputError
 from planner.problem import load_problem
-from planner.robot_files import robot_names
+from planner.robot.robot import robot_names
 
 Array = NDArray[np.float64]
 BED = ("cell.positioner=null", "cell.bed_mm=[560, -93, 290]")

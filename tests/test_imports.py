@@ -27,6 +27,12 @@ def test_a_command_starts_without_what_only_some_problems_need() -> None:
     assert not {f"planner.export.{name}.{what}" for name in LANGUAGES for what in ("writer", "check")} & loaded
 
 
+def test_the_live_view_starts_without_what_its_solver_needs() -> None:
+    """It reads robots' files to follow them, and nothing else of a robot."""
+    loaded = modules_after("import planner.view.command")
+    assert "planner.robot.file" in loaded and not {"numba", "pinocchio", "coal", "scipy"} & loaded
+
+
 @pytest.mark.parametrize(("problem", "needed"), [("peer_cap", set()), ("cylinder_logo", {"shapely", "svgelements"})])
 def test_a_source_brings_its_own_packages(problem: str, needed: set[str]) -> None:
     loaded = modules_after(f"from planner.check import main; main([{problem!r}])")

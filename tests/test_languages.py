@@ -20,7 +20,7 @@ from planner.export.languages import ALWAYS, LANGUAGES, check_languages, chosen
 from planner.plan import Plan
 from planner.problem import load_problem
 from planner.problem.settings import LANGUAGE_NAMES, USUAL_LANGUAGE
-from planner.robot_files import ROBOTS, read_robot, robot_names
+from planner.robot.robot import ROBOTS, read_robot, robot_names
 from planner.solve import main
 
 SPOKEN = {"irb": "rapid", "ur": "urscript"}  # by how the robots' names begin; all others go by the usual one

@@ -15,7 +15,7 @@ from planner.new.posture import reached
 from planner.new.questions import DOWN, WHAT
 from planner.problem import load_problem
 from planner.problem.file import PROBLEMS
-from planner.robot_files import ROBOTS, read_robot, robot_names, shipped_robots
+from planner.robot.robot import ROBOTS, read_robot, robot_names, shipped_robots
 from planner.solve import solve
 
 SQUARE = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 20 20"><path d="M0 0h20v20H0z"/></svg>'

@@ -19,8 +19,8 @@ from planner.problem.file import PROBLEMS, apply_overrides, parse_yaml, read_pro
 from planner.reference.__main__ import TEXTS, main
 from planner.reference.command import FILES
 from planner.reference.fields import example_of, meaning, sections, shipped_examples, values
-from planner.robot_files import ROBOTS, robot_names
-from planner.robot_yaml import KEYS
+from planner.robot.file import KEYS
+from planner.robot.robot import ROBOTS, robot_names
 
 ROOT = Path(__file__).resolve().parents[1]
 MODELINE = "# yaml-language-server: $schema=../docs/problem.schema.json"

@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from planner.errors import InputError
-from planner.robot_files import ROBOTS, read_robot
-from planner.robot_urdf import read_urdf
+from planner.robot.robot import ROBOTS, read_robot
+from planner.robot.urdf import read_urdf
 from planner.solids import Body, Box, Capsule, Frustum, Hull, triangles_of
 
 Array = NDArray[np.float64]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner.robot_files import ROBOTS, read_robot, robot_names
+from planner.robot.robot import ROBOTS, read_robot, robot_names
 from planner.robots import main, reach
 
 MAKERS_REACH = {  # m: to the wrist, product specifications of ABB

@@ -29,7 +29,7 @@ from planner.export.urscript.reader import read_urscript
 from planner.export.urscript.writer import urscript
 from planner.plan import Plan
 from planner.problem import load_problem
-from planner.robot_files import ROBOTS, chain_of, read_robot
+from planner.robot.robot import ROBOTS, chain_of, read_robot
 
 Array = NDArray[np.float64]
 NAME = "TwoBeads.script"

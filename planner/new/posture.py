@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell import frame_from_z
-from planner.robot_files import Robot, chain_of
+from planner.robot.robot import Robot, chain_of
 
 Array = NDArray[np.float64]
 ROLLS = 24  # tried rotations about the nozzle's axis

@@ -22,7 +22,7 @@ from planner.problem.extrusion import BeadSpec
 from planner.problem.part import CylinderSpec, SphereSpec
 from planner.problem.process import ProcessSpec
 from planner.problem.wing import AerofoilSpec
-from planner.robot_files import ROBOTS, Robot, read_robot, shipped_robots
+from planner.robot.robot import ROBOTS, Robot, read_robot, shipped_robots
 from planner.robots import reach
 from planner.toolpath.gcode.reader import LARGEST_FILE
 from planner.toolpath.svg.document import read_document

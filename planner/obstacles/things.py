@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from planner.cell import Cell, Robot, rigid_inverse
 from planner.kinematics.chain import Chain, rotate_about
-from planner.robot_files import joint_axis
+from planner.robot.robot import joint_axis
 from planner.solids import Body, Capsule, Frustum, Hull, Mesh
 
 Array = NDArray[np.float64]

@@ -16,7 +16,7 @@ from planner.problem.written import yaml_text
 from planner.reference.examples import EXAMPLES
 from planner.reference.markdown import table
 from planner.reference.schema import TOLD_BY
-from planner.robot_yaml import KEYS
+from planner.robot.file import KEYS
 
 LONGEST_EXAMPLE = 70  # characters
 _HEAD = """\

@@ -11,8 +11,8 @@ from typing import Any
 
 from planner.problem import Problem
 from planner.problem.layers import KINDS
-from planner.robot_files import robot_names, shipped_robots
-from planner.robot_yaml import KEYS
+from planner.robot.file import KEYS
+from planner.robot.robot import robot_names, shipped_robots
 
 Schema = dict[str, Any]
 DRAFT = "http://json-schema.org/draft-07/schema#"

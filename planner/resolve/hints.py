@@ -21,7 +21,7 @@ from planner.resolve.found import Found, angles_along
 from planner.resolve.jointpath import postures, spread
 from planner.resolve.nodes import Grid, Nodes, evaluate, full_grid
 from planner.resolve.search import Route, best_route
-from planner.robot_files import chain_of
+from planner.robot.robot import chain_of
 from planner.task import NozzleTask
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from planner.errors import InputError, PlannerError
 from planner.problem import Problem, load_problem
 from planner.problem.file import read_problem_file, shorten
-from planner.robot_yaml import read_robot_file
+from planner.robot.file import read_robot_file
 
 LONGEST_TEXT = 60  # characters of a value that are shown
 MOST_MISTAKES = 20  # that are shown below the first

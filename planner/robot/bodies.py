@@ -12,7 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from planner.robot_urdf import FARTHEST, Urdf, hanging_on, origin_of
+from planner.robot.urdf import FARTHEST, Urdf, hanging_on, origin_of
 from planner.solids import Body, Box, Capsule, ConvexSolid, Frustum, Hull
 
 Array = NDArray[np.float64]

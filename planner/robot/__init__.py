@@ -1,0 +1,1 @@
+"""One robot: its file, the URDF that it names, its bodies, and what comes of them all."""
