@@ -10,8 +10,9 @@ import coal
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.cell import Cell, Robot
+from planner.cell import Cell
 from planner.replay import joint_poses
+from planner.robot.robot import Robot
 from planner.solids import Body, Box, Capsule, Frustum, Mesh, Solid, triangles_of
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planner.cell import Cell, rigid_inverse
-from planner.cell_bodies import nozzle_profile
+from planner.cell.bodies import nozzle_profile
 from planner.point_tree import FROM_THE_START, PointTree, point_tree
 from planner.problem.cell import NozzleSpec
 from planner.readonly import ReadOnlyArrays

@@ -10,9 +10,10 @@ import pinocchio as pin
 from numba import njit
 from numpy.typing import NDArray
 
-from planner.cell import Cell, Robot
+from planner.cell import Cell
 from planner.least_singular import least_singular_value
 from planner.plan import Trajectory
+from planner.robot.robot import Robot
 
 Array = NDArray[np.float64]
 UNKNOWN = -1  # branch that is numbered by no convention but that of the inverse kinematics itself

@@ -10,8 +10,9 @@ import coal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from planner.cell import Cell, Robot
+from planner.cell import Cell
 from planner.kinematics.chain import Chain
+from planner.robot.robot import Robot
 from planner.solids import Body, Box, Capsule, Frustum, Hull, Mesh, Solid
 
 AROUND = 200  # corners of a circle

@@ -71,7 +71,6 @@ ROOMS = (
 SAME_ROOM = {
     "surface_points": "print_body",
     "run_ends": "process",
-    "cell_bodies": "cell",
     "verify_checks": "verify",
     "verify_clear": "verify",
     "verify_collision": "verify",
@@ -148,7 +147,7 @@ HEAVY = {
         "placement.margin_kernel",
     },
     "ruckig": {"travel"},
-    "pinocchio": {"robot.bodies", "robot.robot", "robot.urdf", "cell", "replay"},
+    "pinocchio": {"robot.bodies", "robot.robot", "robot.urdf", "cell.cell", "replay"},
     "coal": {"robot.bodies", "collision_bodies"},
     "shapely": {
         "toolpath.step.shape",

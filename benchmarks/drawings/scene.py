@@ -12,7 +12,8 @@ from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from numpy.typing import NDArray
 
-from planner.cell import Cell, Robot
+from planner.cell import Cell
+from planner.robot.robot import Robot
 from planner.solids import Body, Frustum, triangles_of
 
 Array = NDArray[np.float64]

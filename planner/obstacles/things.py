@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.cell import Cell, Robot, rigid_inverse
+from planner.cell import Cell, rigid_inverse
 from planner.kinematics.chain import Chain, rotate_about
-from planner.robot.robot import joint_axis
+from planner.robot.robot import Robot, joint_axis
 from planner.solids import Body, Capsule, Frustum, Hull, Mesh
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planner.cell_bodies import fixture_bodies, head_bodies
+from planner.cell.bodies import fixture_bodies, head_bodies
 from planner.errors import Refusal, nearest_name
 from planner.kinematics.chain import Chain
 from planner.kinematics.inverse import InverseKinematics, with_rest
@@ -17,8 +17,6 @@ from planner.problem import Problem
 from planner.problem.cell import CellSpec, PositionerSpec
 from planner.robot.robot import Robot, chain_of, load_robot
 from planner.solids import Body
-
-__all__ = ["Cell", "Limits", "Robot", "build_cell", "frame_from_z", "rigid_inverse", "translation"]
 
 Array = NDArray[np.float64]
 _ROUNDING = 1e-9  # rad: an angle at the end of its range is inside, though degrees became radians
