@@ -12,8 +12,7 @@ from solved import small_plan
 
 from planner.export.plan_json import DIP_KEYS, KEYS, plan_json
 from planner.export.table import write_table
-from planner.measured_checks import CHECKS
-from planner.measures import COLUMNS, METRICS
+from planner.measures import CHECKS, COLUMNS, METRICS
 
 ROOT = Path(__file__).resolve().parents[1]
 FOUND_IN = sorted((ROOT / "planner").glob("verify*.py"))

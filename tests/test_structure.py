@@ -47,6 +47,7 @@ ROOMS = (
     "verify",
     "headroom",
     "export",
+    "measures",
     "report",
     "plots",
     "versions",
@@ -85,8 +86,6 @@ SAME_ROOM = {
     "materials": "plan",
     "tolerance": "plan",
     "listing": "command",
-    "measures": "plan",
-    "measured_checks": "plan",
     "problem_words": "check",
     "headroom_bounds": "headroom",
     "headroom_cell": "headroom",
@@ -109,7 +108,8 @@ NARROW = {
     "command": {"errors", "garbage", "interrupts", "problem", "plan", "spread"},
     "background": {"errors", "interrupts"},
     "export": {"errors", "plan"},
-    "report": {"errors", "plan"},
+    "measures": set(),
+    "report": {"errors", "plan", "measures"},
     "simulate": {"errors", "command", "problem", "cell", "export"},
 }
 FORBIDDEN = {

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from planner.measured_checks import CHECKS
+from planner.measures import CHECKS
 from planner.problem.described import described
 from planner.reference.fields import sections
 from planner.reference.pages import commands

@@ -10,8 +10,7 @@ from planner.export.plan_json import DIP_KEYS, KEYS
 from planner.link.command import link_command
 from planner.link.egm import egm_command
 from planner.link.stream import stream_command
-from planner.measured_checks import CHECKS
-from planner.measures import COLUMNS, METRICS, Measure
+from planner.measures import CHECKS, COLUMNS, METRICS, Measure
 from planner.new.command import new_command
 from planner.place import place_command
 from planner.reference.command import reference_command

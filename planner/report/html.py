@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from planner.measured_checks import CHECKS
+from planner.measures import CHECKS
 from planner.report import page as frame
 from planner.report.approaches import approaches_section
 from planner.report.curves import joint_charts, time_charts

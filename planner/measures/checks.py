@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from planner.measures import ONLY_MOTOR, ONLY_SWITCHED, Measure
+from planner.measures.metrics import ONLY_MOTOR, ONLY_SWITCHED, Measure
 
 CHECKS: dict[str, Measure] = {
     "all numbers finite": Measure("that are not", "no number of the trajectory is infinite or undefined", "counted"),

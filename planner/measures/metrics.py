@@ -1,7 +1,7 @@
 """What a plan tells, word by word: its metrics and columns, each with unit, meaning, and how it is found.
 
 The verifier finds metrics and checks from the joints of the trajectory alone (`planner.verify`), the planner the bound.
-Whatever a plan has stands here, and nothing else does (held by tests/test_measures.py).
+Whatever a plan has stands here or in `checks`, and nothing else does (held by tests/test_measures.py).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Measure:
-    """A metric, a check (see measured_checks) or a column: unit, what it is, how it is found, and when it is there.
+    """A metric, a check (see checks) or a column: unit, what it is, how it is found, and when it is there.
 
     unit  empty for a number without one
     only  when a plan has it; empty for all
