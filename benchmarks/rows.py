@@ -27,8 +27,8 @@ from planner.measures import METRICS
 if TYPE_CHECKING:
     from planner.cell import Limits
     from planner.plan import Check, Plan
+    from planner.plan.trajectory import Trajectory
     from planner.toolpath.bead import Bead
-    from planner.trajectory import Trajectory
 
 Value = str | float | int | bool
 Row = dict[str, Value]

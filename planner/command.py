@@ -20,7 +20,7 @@ from planner.problem.settings import STRATEGY_NAMES
 from planner.spread import MOST_JOBS
 
 if TYPE_CHECKING:
-    from planner.tolerance import Tolerance
+    from planner.plan.tolerance import Tolerance
 
 DEFAULT_DT = 0.004
 MIN_DT, MAX_DT = 0.0005, 0.02  # s; finer drowns in rounding, coarser hides what a joint does
@@ -247,7 +247,7 @@ def _sample_time(text: str) -> float:
 
 
 def _tolerance(text: str) -> Tolerance:
-    from planner.tolerance import parse_tolerance  # which knows plans, and takes a second to be imported
+    from planner.plan.tolerance import parse_tolerance  # which knows plans, and takes a second to be imported
 
     try:
         return parse_tolerance(text)

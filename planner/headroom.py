@@ -23,9 +23,9 @@ from planner.errors import PlannerError
 from planner.headroom_bounds import first_order
 from planner.headroom_cell import beneath, displaced
 from planner.plan import Check
+from planner.plan.tolerance import NONE, Displacement, Headroom, Tolerance, Tried, Vector
 from planner.problem import Problem
 from planner.resolve.jointpath import JointPath, flange_poses, refuse_at
-from planner.tolerance import NONE, Displacement, Headroom, Tolerance, Tried, Vector
 from planner.toolpath.bead import Toolpath
 
 Array = NDArray[np.float64]

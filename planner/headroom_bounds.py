@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell import Cell
+from planner.plan.tolerance import Bound, Displacement, Tolerance
 from planner.resolve.jointpath import JointPath
-from planner.tolerance import Bound, Displacement, Tolerance
 
 Array = NDArray[np.float64]
 

@@ -24,6 +24,7 @@ from planner.motion import join
 from planner.obstacles import NOTHING, Obstacles
 from planner.output import results_folder
 from planner.plan import Plan, Trajectory
+from planner.plan.tolerance import Headroom, Tolerance, parse_tolerance
 from planner.problem import Problem, load_problem
 from planner.progress import Stages
 from planner.report.html import write_report
@@ -32,7 +33,6 @@ from planner.resolve.jointpath import JointPath
 from planner.resolve.roll_maps import roll_maps
 from planner.spread import Spread
 from planner.timing import TimedPath, bound_time, time_path
-from planner.tolerance import Headroom, Tolerance, parse_tolerance
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.travel import Travel, carried_travels, plan_travels

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_banded
 
 from planner.cell import Cell
-from planner.materials import filament_areas
 from planner.plan import Check, Event, Trajectory
+from planner.plan.materials import filament_areas
 from planner.problem import Problem
 from planner.problem.process import ProcessSpec
 from planner.replay import Motion

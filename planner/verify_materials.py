@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.materials import NONE, selected
 from planner.plan import Check, Event, Trajectory
+from planner.plan.materials import NONE, selected
 from planner.problem import Problem
 from planner.toolpath.bead import Toolpath
 from planner.verify_checks import place

@@ -16,9 +16,9 @@ from solved import small_plan, small_problem, write_small
 
 import planner
 from planner import STRATEGIES, Plan, Problem, load, solve, write
-from planner.columns import columns_of
 from planner.errors import InputError, OutputError
 from planner.export.table import FIXED
+from planner.plan.columns import columns_of
 
 
 def test_public_names_are_what_they_say() -> None:

@@ -14,9 +14,9 @@ from test_travel import check_joined, check_limits, check_smooth, still, tip_spe
 from planner.cell import Cell
 from planner.cubics import Cubics, State, extremes
 from planner.headroom import displaced, followed, middle_of
+from planner.plan.tolerance import Displacement
 from planner.problem import Problem
 from planner.timing import HEADROOM, TimedPath, time_path
-from planner.tolerance import Displacement
 from planner.toolpath.bead import Toolpath
 from planner.travel import ViaHome, plan_travels
 from planner.travel.carried import between_ends, carried_travels, slower

@@ -25,6 +25,7 @@ from planner.headroom_bounds import displacement_slopes, first_order
 from planner.headroom_cell import beneath, displaced
 from planner.obstacles import NOTHING
 from planner.plan import Check, Trajectory
+from planner.plan.tolerance import Displacement, Headroom, Tolerance, Tried, parse_tolerance
 from planner.planning import _elsewhere, solve, trajectory_of
 from planner.problem import Problem, load_problem
 from planner.replay import replay
@@ -33,7 +34,6 @@ from planner.resolve import STRATEGIES
 from planner.resolve.jointpath import JointPath
 from planner.solve import main
 from planner.task import tasks_of
-from planner.tolerance import Displacement, Headroom, Tolerance, Tried, parse_tolerance
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.travel import Travel

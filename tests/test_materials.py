@@ -28,8 +28,8 @@ from planner.export.plan_json import plan_json
 from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.writer import rapid
 from planner.extrusion import feed_of_materials
-from planner.materials import materials_of, selected, used
 from planner.plan import Event, Plan
+from planner.plan.materials import materials_of, selected, used
 from planner.problem import Problem, load_problem
 from planner.problem.layers import KINDS
 from planner.report.summary import print_summary

@@ -15,7 +15,7 @@ from planner.export.program import UNSAID, Program
 from planner.export.rapid.targets import external_degrees, quadrants
 from planner.export.rotations import angle, continuous, slerp, to_matrix
 from planner.export.waits import moving_time, waits_differ
-from planner.materials import materials_of
+from planner.plan.materials import materials_of
 
 if TYPE_CHECKING:
     from planner.plan import Plan

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from planner.tolerance import Bound, Displacement, Headroom, Tried
+    from planner.plan.tolerance import Bound, Displacement, Headroom, Tried
 
 PLACES = 6  # decimals of millimetres and degrees
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from planner.export.headroom_json import headroom_json
-from planner.materials import used
+from planner.plan.materials import used
 
 if TYPE_CHECKING:
     from planner.cell import Cell

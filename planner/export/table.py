@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 
-from planner.columns import columns_of
 from planner.export.digits import rows_text
+from planner.plan.columns import columns_of
 
 if TYPE_CHECKING:
     from planner.plan import Plan

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.materials import filament_areas, used
+from planner.plan.materials import filament_areas, used
 from planner.report.thinning import stretches
 from planner.report.wording import MISSING, counted, number
 

@@ -10,7 +10,7 @@ from planner.report.wording import CHECK_NAMES, METRICS, MISSING, number, signif
 
 if TYPE_CHECKING:
     from planner.plan import Plan
-    from planner.tolerance import Bound, Headroom, Tried
+    from planner.plan.tolerance import Bound, Headroom, Tried
 
 MOST_TIMES = 10.0  # tolerances: farther than that, first order says little
 MOST_FAILURES = 5  # of placements that are told one by one on the command line

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from planner.export.axes.flavours import FLAVOURS
-from planner.materials import materials_of
+from planner.plan.materials import materials_of
 
 if TYPE_CHECKING:
     from planner.export.setup import Setup

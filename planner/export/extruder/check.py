@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from planner.errors import InputError
 from planner.export.extruder.orders import orders
-from planner.materials import SELECTS, materials_of, used
+from planner.plan.materials import SELECTS, materials_of, used
 
 if TYPE_CHECKING:
     from planner.plan import Plan

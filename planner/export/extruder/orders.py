@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planner.materials import SELECTS, materials_of
+from planner.plan.materials import SELECTS, materials_of
 
 if TYPE_CHECKING:
     from planner.plan import Event, Plan, Trajectory

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from planner.export.moves import deposits
-from planner.materials import materials_of
+from planner.plan.materials import materials_of
 
 if TYPE_CHECKING:
     from planner.plan import Plan

@@ -23,7 +23,7 @@ from planner.export.pace import greatest_until_stop, tip_acceleration
 from planner.export.rapid.targets import external_degrees
 from planner.export.rests import Wait
 from planner.export.rotations import to_matrix
-from planner.materials import materials_of
+from planner.plan.materials import materials_of
 
 if TYPE_CHECKING:
     from planner.plan import Plan

@@ -16,7 +16,7 @@ from planner.export.moves import deposits
 from planner.export.program import Program
 from planner.export.rapid.demand import PERCENT, flow
 from planner.export.rapid.lines import COLUMNS, RELATIVE
-from planner.materials import used
+from planner.plan.materials import used
 
 if TYPE_CHECKING:
     from planner.plan import Plan

@@ -11,7 +11,7 @@ from planner.export.about import about
 from planner.export.moves import Moves
 from planner.export.rapid.text import comment, number
 from planner.export.rotations import from_matrix
-from planner.materials import materials_of
+from planner.plan.materials import materials_of
 
 if TYPE_CHECKING:
     from planner.plan import Plan

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from planner.errors import InputError
 from planner.export.moves import Moves
 from planner.export.rapid.fed import laid_filament
-from planner.materials import filament_areas
+from planner.plan.materials import filament_areas
 
 if TYPE_CHECKING:
     from planner.plan import Plan

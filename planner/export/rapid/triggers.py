@@ -9,7 +9,7 @@ from planner.export.moves import Moves
 from planner.export.rapid.declarations import extruders
 from planner.export.rapid.demand import Demand
 from planner.export.rapid.text import number
-from planner.materials import materials_of
+from planner.plan.materials import materials_of
 
 if TYPE_CHECKING:
     from planner.plan import Plan

@@ -25,7 +25,7 @@ from planner.export.rests import Wait
 from planner.export.rotations import from_matrix
 from planner.export.urscript.able import unsaid_in_urscript
 from planner.export.urscript.frames import rotation_vectors, world_controller
-from planner.materials import materials_of
+from planner.plan.materials import materials_of
 
 if TYPE_CHECKING:
     from planner.plan import Plan

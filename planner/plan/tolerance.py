@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from planner.plan import Check
+from planner.plan.plan import Check
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]

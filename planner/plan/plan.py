@@ -1,4 +1,4 @@
-"""The Plan: everything that is known at the end, as one frozen value. Export and report see only this."""
+"""The Plan: everything that is known at the end, as one frozen value."""
 
 from __future__ import annotations
 
@@ -9,20 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell import Cell
-from planner.columns import table_of
-from planner.plan_words import plan_html, plan_line, plan_words
+from planner.plan.columns import table_of
+from planner.plan.trajectory import Trajectory
+from planner.plan.words import plan_html, plan_line, plan_words
 from planner.problem import Problem
 from planner.readonly import ReadOnlyArrays
 from planner.toolpath.bead import Bead, Toolpath
-from planner.trajectory import TRAVEL, Event, Trajectory
 
 if TYPE_CHECKING:
+    from planner.plan.tolerance import Headroom
     from planner.resolve.jointpath import JointPath
     from planner.resolve.roll_map import RollMap
-    from planner.tolerance import Headroom
-
-__all__ = ["CAUSES", "MOST_SHOWN", "RAPID_EXTERNAL_AXES", "TRAVEL", "Approach", "CellView", "Check", "Dip", "Event",
-           "Plan", "Remedy", "Trajectory", "resumed_name"]  # fmt: skip
 
 Array = NDArray[np.float64]
 RAPID_EXTERNAL_AXES = 6

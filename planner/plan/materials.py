@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.plan import Event, Plan
+from planner.plan.plan import Plan
+from planner.plan.trajectory import Event
 from planner.problem import Problem
 from planner.problem.materials import signals
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.trajectory import Trajectory
+from planner.plan.trajectory import Trajectory
 
 EVERY_ROW = slice(None)
 
