@@ -13,7 +13,8 @@ from test_travel import check_joined, check_limits, check_smooth, still, tip_spe
 
 from planner.cell import Cell
 from planner.cubics import Cubics, State, extremes
-from planner.headroom import displaced, followed, middle_of
+from planner.headroom.elsewhere import displaced
+from planner.headroom.trial import followed, middle_of
 from planner.plan.tolerance import Displacement
 from planner.problem import Problem
 from planner.timing import HEADROOM, TimedPath, time_path

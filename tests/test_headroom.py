@@ -20,9 +20,10 @@ from solved import small_problem, write_small
 
 from planner.cell import Cell, build_cell
 from planner.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, Refusal
-from planner.headroom import AS_PLANNED, _try, displacements, followed, headroom, middle_of
-from planner.headroom_bounds import displacement_slopes, first_order
-from planner.headroom_cell import beneath, displaced
+from planner.headroom import headroom
+from planner.headroom.bounds import displacement_slopes, first_order
+from planner.headroom.elsewhere import beneath, displaced
+from planner.headroom.trial import AS_PLANNED, _try, displacements, followed, middle_of
 from planner.obstacles import NOTHING
 from planner.plan import Check, Trajectory
 from planner.plan.tolerance import Displacement, Headroom, Tolerance, Tried, parse_tolerance
@@ -354,7 +355,7 @@ def test_no_tolerance_is_the_plan_itself() -> None:
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two displacements and those that first order calls worst, not twenty: each is verified in full."""
-    monkeypatch.setattr("planner.headroom.displacements", lambda tolerance: displacements(tolerance)[:2])
+    monkeypatch.setattr("planner.headroom.trial.displacements", lambda tolerance: displacements(tolerance)[:2])
 
 
 @pytest.fixture(scope="module")

@@ -82,8 +82,6 @@ SAME_ROOM = {
     "verify_tilt": "verify",
     "listing": "command",
     "problem_words": "check",
-    "headroom_bounds": "headroom",
-    "headroom_cell": "headroom",
     "given": "planning",
     "chains": "planning",
 }

@@ -1,8 +1,8 @@
-"""Head-room: whether a plan holds where the part stands a little elsewhere than planned.
+"""The plan tried where the part stands a little elsewhere than planned, and bounds to first order beside it.
 
 The robot program runs in a work object. A part that stands elsewhere is measured and the work object corrected; the
 nozzle then takes the same poses relative to the part, with the same table angles and on the same branch, by other
-joint angles. Bounds to first order tell how far every joint moves within the whole tolerance (see `headroom_bounds`);
+joint angles. Bounds to first order tell how far every joint moves within the whole tolerance (see `bounds`);
 displacements on its edge are followed, timed, joined by the same travel and verified as the plan itself is.
 """
 
@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from planner.background import in_halves
 from planner.cell import Cell
 from planner.errors import PlannerError
-from planner.headroom_bounds import first_order
-from planner.headroom_cell import beneath, displaced
+from planner.headroom.bounds import first_order
+from planner.headroom.elsewhere import beneath, displaced
 from planner.plan import Check
 from planner.plan.tolerance import NONE, Displacement, Headroom, Tolerance, Tried, Vector
 from planner.problem import Problem
