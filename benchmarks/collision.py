@@ -20,8 +20,8 @@ from planner.print_body import print_body, standing
 from planner.problem import load_problem, shipped_problems
 from planner.replay import replay
 from planner.solve import solve
-from planner.verify_clear import keep_apart, sweep_cell
-from planner.verify_print import beyond, by_the_tip
+from planner.verify.clear import keep_apart, sweep_cell
+from planner.verify.nozzle import beyond, by_the_tip
 
 COLUMNS = (
     "problem",

@@ -45,8 +45,8 @@ from planner.command import exit_code
 from planner.errors import EXIT_VERIFIED, InputError
 from planner.output import results_folder
 from planner.problem.settings import STRATEGY_NAMES
-from planner.verify import AXIS_TOLERANCE, POSITION_TOLERANCE
-from planner.verify_checks import SPEED_TOLERANCE
+from planner.verify.checks import SPEED_TOLERANCE
+from planner.verify.verdict import AXIS_TOLERANCE, POSITION_TOLERANCE
 
 REPORT = "report.md"
 AIM = 10.0  # times the waypoints per second of the fastest peer that verifies

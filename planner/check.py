@@ -104,7 +104,7 @@ def _cell(problem: Problem) -> Cell:
 
 def _check_cell(problem: Problem, cell: Cell) -> None:
     from planner.export.languages import check_languages
-    from planner.verify_clear import check_start
+    from planner.verify.clear import check_start
 
     check_languages(problem, cell)
     check_start(problem, cell)

@@ -36,8 +36,8 @@ from planner.timing import TimedPath, bound_time, time_path
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.travel import Travel, carried_travels, plan_travels
-from planner.verify import Report, verify
-from planner.verify_clear import check_start
+from planner.verify.clear import check_start
+from planner.verify.verdict import Report, verify
 from planner.versions import versions
 
 Array = NDArray[np.float64]

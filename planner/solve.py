@@ -29,7 +29,7 @@ from planner.report.failure import write_failure_report
 from planner.report.summary import print_summary
 from planner.spread import crew
 from planner.toolpath.build import build_toolpath
-from planner.verify_clear import cell_view
+from planner.verify.clear import cell_view
 
 __all__ = ["main", "solve", "write"]
 

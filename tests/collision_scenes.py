@@ -14,8 +14,8 @@ from planner.print_body import print_body, standing
 from planner.problem import Problem, load_problem
 from planner.replay import replay
 from planner.toolpath.bead import Bead, Toolpath
-from planner.verify_clear import keep_apart, sweep_cell
-from planner.verify_print import beyond, by_the_tip
+from planner.verify.clear import keep_apart, sweep_cell
+from planner.verify.nozzle import beyond, by_the_tip
 
 Array = NDArray[np.float64]
 DT = 0.004

@@ -19,7 +19,7 @@ from planner.print_body import PrintBody, print_body, standing
 from planner.problem import Problem, load_problem
 from planner.solve import solve
 from planner.toolpath.bead import Toolpath
-from planner.verify import verify
+from planner.verify.verdict import verify
 
 SVG = """\
 <svg xmlns="http://www.w3.org/2000/svg" width="30mm" height="24mm" viewBox="0 0 30 24">

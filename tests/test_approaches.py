@@ -9,13 +9,13 @@ import pytest
 from solved import bed_plan, small_plan
 
 from planner.cell import Cell
-from planner.collision_bodies import CellBodies
 from planner.plan import Approach, Plan
 from planner.replay import replay
 from planner.report.approaches import approaches_section
 from planner.report.places import NEAREST, places_data, places_of
 from planner.report.robot import TOLERANCE, cell_data, postures
-from planner.verify_clear import cell_view
+from planner.verify.bodies import CellBodies
+from planner.verify.clear import cell_view
 
 Array = np.ndarray
 

@@ -21,7 +21,7 @@ from planner.plan import Plan
 from planner.planning import write_files
 from planner.resolve import STRATEGIES
 from planner.task import tasks_of
-from planner.verify import Report, verify
+from planner.verify.verdict import Report, verify
 
 needs_two_cores = pytest.mark.skipif(not spare_core(), reason="nothing is forked here")
 
@@ -96,7 +96,7 @@ def test_verification_in_threads_is_the_same(plan: Any, monkeypatch: pytest.Monk
         given = plan.problem, plan.cell, plan.toolpath, trajectory
         beside = verify(*given)
         with monkeypatch.context() as patch:
-            patch.setattr("planner.verify.ThreadPoolExecutor", _OneByOne)
+            patch.setattr("planner.verify.verdict.ThreadPoolExecutor", _OneByOne)
             patch.setattr("planner.replay.ThreadPoolExecutor", _OneByOne)
             _same(verify(*given), beside)
 

@@ -9,14 +9,14 @@ import pytest
 from collision_scenes import scene
 from numpy.typing import NDArray
 
-from planner.collision_bodies import CellBodies, Distances, pairs
 from planner.point_tree import point_tree, solid_distance
 from planner.print_body import TIP_SLOPE, PrintBody
 from planner.replay import Motion
 from planner.solids import packed
-from planner.verify_collision import FAR, sweep
-from planner.verify_print import FAR as FAR_FROM_PRINT
-from planner.verify_print import nozzle_nearness
+from planner.verify.bodies import CellBodies, Distances, pairs
+from planner.verify.collision import FAR, sweep
+from planner.verify.nozzle import FAR as FAR_FROM_PRINT
+from planner.verify.nozzle import nozzle_nearness
 
 Array = NDArray[np.float64]
 FIXTURES = (

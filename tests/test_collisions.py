@@ -12,13 +12,13 @@ from collision_scenes import Piece, between, laying, look, postures, scene, stra
 from numpy.typing import NDArray
 
 from planner.cell import Cell
-from planner.collision_bodies import CellBodies, Thing
 from planner.errors import InputError
 from planner.plan import TRAVEL
 from planner.point_tree import solid_distance
 from planner.solids import Body, packed, triangles_of
 from planner.toolpath.bead import Bead, Toolpath
-from planner.verify_clear import check_start
+from planner.verify.bodies import CellBodies, Thing
+from planner.verify.clear import check_start
 
 Array = NDArray[np.float64]
 

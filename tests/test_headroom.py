@@ -38,7 +38,7 @@ from planner.task import tasks_of
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.travel import Travel
-from planner.verify import Report, verify
+from planner.verify.verdict import Report, verify
 
 Array = NDArray[np.float64]
 DT = 0.004

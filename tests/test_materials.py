@@ -36,7 +36,7 @@ from planner.report.summary import print_summary
 from planner.solve import main, write
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.verify import verify
+from planner.verify.verdict import verify
 
 MM = 1e-3
 ORDER = ("pla", "pva", "pva")  # of the small print's beads

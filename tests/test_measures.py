@@ -15,7 +15,7 @@ from planner.export.table import write_table
 from planner.measures import CHECKS, COLUMNS, METRICS
 
 ROOT = Path(__file__).resolve().parents[1]
-FOUND_IN = sorted((ROOT / "planner").glob("verify*.py"))
+FOUND_IN = sorted((ROOT / "planner" / "verify").glob("*.py"))
 BY_LIMIT = ("velocity", "acceleration", "jerk")  # whose names the verifier puts together
 NAMES_A_CHECK = {"Check": 0, "_check": 0, "check_most": 2, "check_least": 2, "_shares": 4}  # where its name stands
 
@@ -24,9 +24,8 @@ def constants() -> set[str]:
     """Every text in the sources that find metrics and checks."""
     found = set()
     for path in [*FOUND_IN, ROOT / "planner" / "planning.py", ROOT / "planner" / "solve.py"]:
-        if path.exists():
-            nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-            found |= {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+        nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        found |= {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
     return found
 
 

@@ -27,7 +27,7 @@ from planner.resolve.ladder import ladder
 from planner.resolve.table_first import _lattice
 from planner.task import make_tasks
 from planner.toolpath.build import build_toolpath
-from planner.verify import verify
+from planner.verify.verdict import verify
 
 Array = NDArray[np.float64]
 JOINTS = tuple(f"joint_{i}" for i in range(1, 7))

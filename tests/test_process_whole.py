@@ -22,7 +22,7 @@ from planner.export.rapid.writer import rapid
 from planner.plan import Plan
 from planner.problem import load_problem
 from planner.solve import solve
-from planner.verify import verify
+from planner.verify.verdict import verify
 
 Array = NDArray[np.float64]
 MM = 1e-3

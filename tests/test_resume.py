@@ -33,7 +33,7 @@ from planner.timing import time_path
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.travel import plan_travels
-from planner.verify import verify
+from planner.verify.verdict import verify
 
 TWO_LAYERS = ("  count: 1\n", "  count: 2\n")
 PROCESS = (

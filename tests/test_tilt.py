@@ -16,8 +16,8 @@ from planner.problem import load_problem
 from planner.replay import replay
 from planner.report.html import write_report
 from planner.report.summary import print_summary
-from planner.verify import verify
-from planner.verify_tilt import bead_errors
+from planner.verify.tilt import bead_errors
+from planner.verify.verdict import verify
 
 Array = NDArray[np.float64]
 CONE_DEG = 5.0

@@ -30,7 +30,7 @@ from planner.replay import replay
 from planner.solve import write
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.wrap import Cylinder
-from planner.verify import Report, verify
+from planner.verify.verdict import Report, verify
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from planner.extrusion import feed, filament_area
 from planner.plan import Event, Plan, Trajectory
 from planner.problem import load_problem
 from planner.toolpath.bead import Toolpath
-from planner.verify import Report, verify
+from planner.verify.verdict import Report, verify
 
 Array = NDArray[np.float64]
 MM = 1e-3

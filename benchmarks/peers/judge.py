@@ -18,8 +18,8 @@ from planner.planning import trajectory_of
 from planner.progress import Stages
 from planner.resolve.jointpath import JointPath
 from planner.timing import time_path
-from planner.verify import AXIS_TOLERANCE, POSITION_TOLERANCE, Report, verify
-from planner.verify_checks import SPEED_TOLERANCE
+from planner.verify.checks import SPEED_TOLERANCE
+from planner.verify.verdict import AXIS_TOLERANCE, POSITION_TOLERANCE, Report, verify
 
 Array = NDArray[np.float64]
 

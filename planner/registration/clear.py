@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell import Cell, frame_from_z, rigid_inverse
-from planner.collision_bodies import CellBodies, Distances, Pair, all_at_home, pairs
 from planner.problem import Problem
 from planner.registration.contacts import plate_poses
 from planner.registration.placement import Distance, Placement
 from planner.solids import triangles_of
+from planner.verify.bodies import CellBodies, Distances, Pair, all_at_home, pairs
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from planner.plan import Check, Event, Trajectory
 from planner.plan.materials import NONE, selected
 from planner.problem import Problem
 from planner.toolpath.bead import Toolpath
-from planner.verify_checks import place
+from planner.verify.checks import place
 
 STILL = 1e-9  # rad that a joint moves in a sample at most, and
 UNMOVED = 1e-12  # m of filament, where robot and extruder rest

@@ -1,8 +1,4 @@
-"""Independent verification of a sampled trajectory: Pinocchio on q(t), the input geometry, and nothing else.
-
-No code of the optimiser, of the planner's own kinematics or of the timing is used here; what the trajectory
-says of itself (tip, axis, speed, flow) is compared with what its joints do.
-"""
+"""All checks and metrics of a trajectory: records, limits, geometry, speed, material, and what comes near."""
 
 from __future__ import annotations
 
@@ -23,11 +19,11 @@ from planner.print_body import PrintBody, print_body, standing
 from planner.problem import Problem
 from planner.replay import replay
 from planner.toolpath.bead import Toolpath
-from planner.verify_checks import DIGITS, SPEED_TOLERANCE, check_least, check_most, place, samples_of
-from planner.verify_clear import keep_apart, sweep_cell
-from planner.verify_extrusion import extrusion
-from planner.verify_print import beyond, by_the_tip
-from planner.verify_tilt import bead_errors
+from planner.verify.checks import DIGITS, SPEED_TOLERANCE, check_least, check_most, place, samples_of
+from planner.verify.clear import keep_apart, sweep_cell
+from planner.verify.extrusion import extrusion
+from planner.verify.nozzle import beyond, by_the_tip
+from planner.verify.tilt import bead_errors
 
 Array = NDArray[np.float64]
 

@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell import Cell
-from planner.collision_bodies import HEAD, CellBodies, Distances, Pair, all_at_home, pairs
 from planner.plan import Approach, CellView, Check, Trajectory
 from planner.print_body import PrintBody
 from planner.problem import Problem
 from planner.solids import triangles_of
 from planner.toolpath.bead import Toolpath
-from planner.verify_checks import DIGITS, place
-from planner.verify_collision import FAR, PrintPair, Swept, print_pairs, sweep
-from planner.verify_print import Nearness, check_nozzle, print_times
+from planner.verify.bodies import HEAD, CellBodies, Distances, Pair, all_at_home, pairs
+from planner.verify.checks import DIGITS, place
+from planner.verify.collision import FAR, PrintPair, Swept, print_pairs, sweep
+from planner.verify.nozzle import Nearness, check_nozzle, print_times
 
 Array = NDArray[np.float64]
 
@@ -56,7 +56,7 @@ def keep_apart(
     the bodies of the cell.
 
     near: the results of `by_the_tip` and `beyond`; apart: of `sweep_cell`. Distances are found up to FAR;
-    `clearance_min_mm` is the least of all beyond the tip's zone (see verify_print).
+    `clearance_min_mm` is the least of all beyond the tip's zone (see `nozzle`).
     """
     spec = problem.collision
     rule, beyond = near

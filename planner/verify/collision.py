@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.collision_bodies import ARM, FIXTURE, CellBodies, Distances, Pair, Thing
 from planner.point_tree import least_distances, search_room
 from planner.print_body import PrintBody
 from planner.solids import Body, Mesh, Packed, packed
+from planner.verify.bodies import ARM, FIXTURE, CellBodies, Distances, Pair, Thing
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -19,8 +19,8 @@ from planner.problem import Problem
 from planner.problem.process import ProcessSpec
 from planner.replay import Motion
 from planner.toolpath.bead import Bead, Toolpath
-from planner.verify_checks import SPEED_TOLERANCE, check_most, samples_of
-from planner.verify_materials import materials
+from planner.verify.checks import SPEED_TOLERANCE, check_most, samples_of
+from planner.verify.materials import materials
 
 Array = NDArray[np.float64]
 Samples = NDArray[np.intp]

@@ -22,7 +22,7 @@ from planner.problem import Problem
 from planner.replay import Motion
 from planner.solids import Packed, packed
 from planner.toolpath.bead import Toolpath
-from planner.verify_checks import DIGITS, place
+from planner.verify.checks import DIGITS, place
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

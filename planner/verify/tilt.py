@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planner.plan import Trajectory
 from planner.toolpath.bead import Toolpath
-from planner.verify_checks import samples_of
+from planner.verify.checks import samples_of
 
 Array = NDArray[np.float64]
 
