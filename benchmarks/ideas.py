@@ -6,6 +6,7 @@ for the time of a run in a process of its own; compiled loops that have them bui
 
 from __future__ import annotations
 
+import math
 import importlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -19,7 +20,7 @@ from numba import njit
 
 from planner.cell import build_cell
 from planner.problem import Problem
-from planner.resolve import refine, refine_kernel, search, search_kernel, windows
+from planner.resolve import price_kernel, refine, refine_kernel, search, search_kernel, windows
 from planner.resolve.interior_point import QuadraticProgram
 
 # their room has functions of these names
@@ -80,6 +81,13 @@ def _loose_ends(problem: Problem) -> Iterator[None]:
 
 
 @contextmanager
+def _free_peaks(problem: Problem) -> Iterator[None]:
+    with ExitStack() as stack:
+        _put(stack, refine, "PEAK", math.inf)
+        yield
+
+
+@contextmanager
 def _free_travel(problem: Problem) -> Iterator[None]:
     with ExitStack() as stack:
         _put(stack, search_kernel, "TRAVEL_PRICE", 0.0)
@@ -121,9 +129,10 @@ def _squared(slack: float) -> float:
 
 def _penalty(stack: ExitStack, lost: Any) -> None:
     """Another price of lost time, in the price of a path and in the program around it."""
-    _put(stack, refine_kernel, "lost", lost)
+    _put(stack, price_kernel, "lost", lost)
     _put(stack, refine_kernel, "lost_slope", _slope_of_flat)
-    _compile_anew(stack, refine_kernel, ("price_of", "quadratic_program"), (refine,))
+    _compile_anew(stack, price_kernel, ("price_of",), (refine,))
+    _compile_anew(stack, refine_kernel, ("quadratic_program",), (refine,))
 
 
 @contextmanager
@@ -138,7 +147,7 @@ def _squared_penalty(problem: Problem) -> Iterator[None]:
     known = refine.program_around
 
     def bent(*given: Any) -> QuadraticProgram:
-        return with_bends(known(*given), _HARD_SHARE * refine_kernel.HARD_PRICE)
+        return with_bends(known(*given), _HARD_SHARE * price_kernel.HARD_PRICE)
 
     with ExitStack() as stack:
         _penalty(stack, _squared)
@@ -203,12 +212,13 @@ IDEAS = (
     Idea("home's branch only", "`ladder.full_grid` gives no other branch", change=_home_branch),
     Idea("travel free", "`search_kernel.TRAVEL_PRICE` 0", change=_free_travel),
     Idea("ends not held", "`refine.ANCHOR` 0", change=_loose_ends),
+    Idea("joints may peak", "`refine.PEAK` without end", change=_free_peaks),
     Idea("one window", "`windows.WINDOW` without end", change=_one_window),
     Idea("windows side by side", "`windows.OVERLAP` 0", change=_windows_apart),
-    Idea("exact penalty, shallow dips not avoided", "`refine_kernel.lost` is the slack itself", change=_flat_penalty),
+    Idea("exact penalty, shallow dips not avoided", "`price_kernel.lost` is the slack itself", change=_flat_penalty),
     Idea(
         "squared penalty",
-        f"`refine_kernel.lost` is the slack squared over {_AS_DEAR_AT:g}, in {len(_BENDS)} pieces",
+        f"`price_kernel.lost` is the slack squared over {_AS_DEAR_AT:g}, in {len(_BENDS)} pieces",
         change=_squared_penalty,
     ),
     Idea("layers start cold", "`sqp.start_track` is not given the bead below", change=_cold_layers, where=_has_layers),

@@ -14,13 +14,13 @@ from benchmarks.rows import Row, Run, make_row
 from benchmarks.summary import results_of
 from planner.errors import EXIT_INPUT
 from planner.problem import load_problem
-from planner.resolve import refine, refine_kernel, search, search_kernel, windows
+from planner.resolve import price_kernel, refine, search, search_kernel, windows
 from planner.resolve.interior_point import QuadraticProgram
 
 ladder, sqp = (importlib.import_module(f"planner.resolve.{name}") for name in ("ladder", "sqp"))
 PLACES = (
-    (windows, "WINDOW"), (windows, "OVERLAP"), (sqp, "start_track"), (refine, "ANCHOR"), (refine, "program_around"),
-    (refine, "price_of"), (refine_kernel, "price_of"), (refine_kernel, "lost"), (ladder, "full_grid"),
+    (windows, "WINDOW"), (windows, "OVERLAP"), (sqp, "start_track"), (refine, "ANCHOR"), (refine, "PEAK"), (refine, "program_around"),
+    (refine, "price_of"), (price_kernel, "price_of"), (price_kernel, "lost"), (ladder, "full_grid"),
     (search_kernel, "TRAVEL_PRICE"), (search_kernel, "travel_price"), (search, "search_best"),
 )  # fmt: skip
 

@@ -16,8 +16,18 @@ from planner.resolve.cone_kernel import FACETS
 from planner.resolve.jointpath import JointPath, postures
 from planner.resolve.ladder import ladder, runs_backwards
 from planner.resolve.node_kernel import LIMIT_COMFORT, LIMIT_PRICE, SIGMA_COMFORT, SIGMA_PRICE
-from planner.resolve.refine import evaluate, program_around, refine_stretch, watched
-from planner.resolve.refine_kernel import DIP, DIP_PRICE, EFFORT, HARD_PRICE, allowed, lost, lost_slope, price_of
+from planner.resolve.price_kernel import (
+    DIP,
+    DIP_PRICE,
+    EFFORT,
+    HARD_PRICE,
+    PEAK_PRICE,
+    allowed,
+    lost,
+    lost_slope,
+    price_of,
+)
+from planner.resolve.refine import calmed, evaluate, program_around, refine_stretch, watched
 from planner.resolve.sqp import given_price, refine_paths, start_track, whole
 from planner.resolve.stretch import CONE_SIDES, Model, State, Stretch, Watch, model_of
 from planner.resolve.stretch import TILT as TILT_COLUMNS
@@ -35,19 +45,25 @@ MODULE = sys.modules["planner.resolve.sqp"]  # the package's attribute of that n
 
 def test_price_against_plain_numpy() -> None:
     rng = np.random.default_rng(1)
-    for n, nj, na, nb in ((40, 7, 6, 0), (30, 6, 6, 2), (25, 9, 7, 1)):
+    for n, nj, na, nb, fast, peak in (
+        (40, 7, 6, 0, 1, np.inf),
+        (30, 6, 6, 2, 1, np.inf),
+        (25, 9, 7, 1, 1, 60.0),
+        (25, 7, 6, 0, 0.02, 0.5),
+    ):
         limits = rng.uniform(1.0, 50.0, (3, nj))
-        rates = rng.normal(size=(n, 3, nj)) * limits * rng.choice([0.3, 1.0, 3.0], (n, 1, 1))
+        rates = rng.normal(size=(n, 3, nj)) * limits * fast * rng.choice([0.3, 1.0, 3.0], (n, 1, 1))
         step, deposits = rng.uniform(0.0, 0.02, n), (rng.random(n) < 0.7).astype(float)
         q, low, high = rng.uniform(-2.1, 2.1, (n, nj)), np.full(na, -2.0), np.full(na, 2.0)
         sigma, least = rng.uniform(0.04, 0.4, n), 0.06
         bounds, slack = rng.normal(size=(n, nb)) * 0.02, np.empty(n)
-        price = price_of(rates, limits, step, deposits, q, low, high, sigma, least, bounds, slack)
+        price = price_of(rates, limits, step, deposits, q, low, high, sigma, least, bounds, peak, slack)
         share = np.abs(rates) / limits
         need = np.maximum((share ** (1.0 / np.array([1, 2, 3])[:, None])).max(axis=(1, 2)) - 1.0, 0.0)
         np.testing.assert_allclose(slack, need, rtol=0, atol=1e-12)
         room = np.minimum(q[:, :na] - low, high - q[:, :na])
         effort = (share**2 / (1 + share**2)).sum(axis=2) @ np.broadcast_to(EFFORT, 3) / nj
+        effort += PEAK_PRICE * ((np.abs(rates[:, 0]) / peak) ** 8).mean(axis=1)
         close = SIGMA_PRICE * np.maximum(SIGMA_COMFORT / sigma - 1, 0) ** 2
         close += LIMIT_PRICE * (np.maximum(1 - room / LIMIT_COMFORT, 0) ** 2).sum(axis=1)
         hard = (
@@ -204,6 +220,48 @@ def test_program_is_the_price_to_first_order_and_not_below(
             assert abs(errors[2]) < 0.25 * abs(errors[1]) + 3e-4 * changes[2] + 1e-5
             # and, where it is not, the program asks too much rather than too little
             assert errors[0] < 0.02 * max(changes) + 0.03
+
+
+def test_peaks_are_in_the_program_to_second_order(setup_of: Callable[[str], Setup]) -> None:
+    """What they add to the price, and to the program, with all rates linear in the control values."""
+    cell, _, paths = setup_of("plain")
+    model, _, stretch, state = start(cell, paths[0], 0.1)
+    dear = replace(stretch, peak=0.7)
+    priced = evaluate(model, dear, state.c, state.q, 0.1)
+    assert priced is not None
+    with_them, without = (program_around(model, s, priced, 0.1, 0.1, everything(state)) for s in (dear, stretch))
+
+    def peaks(rates: Array) -> float:
+        return PEAK_PRICE * float(stretch.step @ ((rates[:, 0] / 0.7) ** 8).mean(axis=1))
+
+    assert priced.price - state.price == pytest.approx(peaks(state.rates))
+    x = np.random.default_rng(6).normal(size=state.c.shape)
+    sides = [evaluate(model, stretch, state.c + s * 1e-5 * x, state.q, 0.1) for s in (1.0, -1.0)]
+    assert sides[0] is not None
+    assert sides[1] is not None
+    slope = (sides[0].rates - sides[1].rates) / 2e-5
+    h = 1e-4
+    by = [peaks(state.rates + k * h * slope) for k in (-1.0, 0.0, 1.0)]
+    typical = float(stretch.step.mean())
+    added = [typical * (with_them.value(k * x.ravel()) - without.value(k * x.ravel())) for k in (-1.0, 0.0, 1.0)]
+    assert added[2] - added[0] == pytest.approx((by[2] - by[0]) / h, rel=0.01)
+    assert added[2] - 2 * added[1] + added[0] == pytest.approx((by[2] - 2 * by[1] + by[0]) / h**2, rel=0.02)
+
+
+@pytest.mark.parametrize("name", ["plain", "fast"])
+def test_peaks_of_the_joints_speed_are_lower_where_nothing_is_lost(name: str, setup_of: Callable[[str], Setup]) -> None:
+    cell, _, paths = setup_of(name)
+    for path in paths[:2]:
+        model, _, stretch, state = start(cell, path, 0.1)
+        dear, given = calmed(stretch, state)
+        if state.slack[stretch.deposits > 0.0].any():  # time that is lost is dearer
+            assert dear is stretch
+            assert given is state
+            continue
+        plain, calm = refine_stretch(model, stretch, state, 0.1), refine_stretch(model, dear, given, 0.1)
+        assert calm.price < given.price
+        assert np.abs(calm.rates[:, 0]).max() <= np.abs(plain.rates[:, 0]).max()
+        assert not calm.slack[stretch.deposits > 0.0].any()
 
 
 def test_sides_of_the_tilts_polygon_join_where_a_step_goes_beyond_them(setup_of: Callable[[str], Setup]) -> None:

@@ -1,8 +1,9 @@
 """Strategy `nlp`: the refinement of `sqp` as one sparse nonlinear program, solved by IPOPT. A slow reference.
 
-The same splines with the same control values, the same price and the same bounds, but nothing is eliminated and
-nothing linearised for good: besides the control values all joints, rates, slacks and singular values are variables at
-every sample, and kinematics and differences are constraints with exact first and second derivatives (`nlp_program`).
+The same splines with the same control values, the same bounds, and the same price but for peaks of the joints' speed
+(`refine.calmed`). But nothing is eliminated and nothing linearised for good: besides the control values all joints,
+rates, slacks and singular values are variables at every sample, and kinematics and differences are constraints with
+exact first and second derivatives (`nlp_program`).
 So where `sqp` stops early, or its elimination of the joints is wrong, this finds a lower price from the same start.
 """
 

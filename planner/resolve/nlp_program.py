@@ -25,8 +25,8 @@ from scipy import sparse
 from planner.cell import Cell
 from planner.kinematics.symbolic import symbolic_jacobian, symbolic_pose, symbolic_roll, symbolic_tilt
 from planner.resolve.node_kernel import LIMIT_COMFORT, LIMIT_PRICE, SIGMA_COMFORT, SIGMA_PRICE
+from planner.resolve.price_kernel import DIP, DIP_PRICE, EFFORT
 from planner.resolve.refine import ANCHOR, CONE_ROOM
-from planner.resolve.refine_kernel import DIP, DIP_PRICE, EFFORT
 from planner.resolve.stretch import CONE_SIDES, HOLDER, ROLL, TILT, Model, State, Stretch, side_normals
 from planner.task import Cones
 

@@ -9,6 +9,7 @@ trust region is one banded quadratic program. Steps that do not lower the true p
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +18,8 @@ from planner.resolve.clearance import clearance_rows, clearances, shortage
 from planner.resolve.cone_kernel import FACETS, watch_leans, watch_missed_leans
 from planner.resolve.follow_kernel import follow
 from planner.resolve.interior_point import QuadraticProgram, solve_qp
-from planner.resolve.refine_kernel import (
-    HARD_PRICE,
-    count_rows,
-    differentiate,
-    price_of,
-    price_tilt,
-    quadratic_program,
-    watch_missed,
-    watch_near,
-)
+from planner.resolve.price_kernel import HARD_PRICE, differentiate, peak_price, price_of
+from planner.resolve.refine_kernel import count_rows, price_tilt, quadratic_program, watch_missed, watch_near
 from planner.resolve.stretch import (
     HOLDER,
     TILT,
@@ -50,6 +43,8 @@ _STEPS = 40
 _ROUNDS = 4  # of solving a program and watching what its solution has missed
 _ENOUGH = 5e-4  # share of the price: a step that promises less is not worth taking
 _NEGLIGIBLE = 1e-4  # seconds a second of printing, likewise
+PEAK = 0.78  # rad/s: joints that stay below at the commanded speed are calm enough
+_PEAK_SHARE = 0.8  # of the greatest speed at the start: far below it nothing else would count any more
 # s/rad^2 a second of printing: tilt is for what it buys, clearance or speed, since a nozzle that leans by t lifts one side
 # of a bead by half its width times t; at 10 degrees as much as 3 per mille of the time
 TILT_PRICE = 0.1
@@ -92,12 +87,21 @@ def evaluate_samples(
     differentiate(q, stretch.centre, stretch.D, rates)
     price = price_of(
         rates, model.limits, stretch.step, stretch.deposits, q, model.low[: model.arm], model.high[: model.arm],
-        sigma, least_sigma, np.hstack([np.hypot(lean[..., 0], lean[..., 1]) - cones, shortage(near)]), slack,
+        sigma, least_sigma, np.hstack([np.hypot(lean[..., 0], lean[..., 1]) - cones, shortage(near)]), stretch.peak, slack,
     )  # fmt: skip
     price += TILT_PRICE * float(stretch.step @ (tilt**2).sum(axis=1))
     if c.shape[1]:
         price += ANCHOR * float(stretch.hold @ ((c - stretch.anchor) ** 2).sum(axis=1))
     return State(c, q, G, sigma, sigma_slope, rates, slack, lean, lean_slope, cones, tilt, near, float(price))
+
+
+def calmed(stretch: Stretch, state: State) -> tuple[Stretch, State]:
+    """The same where peaks of the joints' speed have a price, unless time is lost: that is dearer than they are."""
+    counted = stretch.step > 0.0
+    if state.slack[counted & (stretch.deposits > 0.0)].any():
+        return stretch, state
+    peak = max(PEAK, _PEAK_SHARE * float(np.abs(state.rates[counted, 0]).max()))
+    return replace(stretch, peak=peak), replace(state, price=state.price + peak_price(state.rates, stretch.step, peak))
 
 
 def watched(model: Model, stretch: Stretch, state: State) -> Watch:
@@ -128,7 +132,7 @@ def program_around(
     group, price = np.empty(groups + extra + 1, dtype=np.int64), np.empty(groups + extra)
     quadratic_program(
         state.rates, model.limits, stretch.step, stretch.deposits, state.slack, watch.rates, state.q, state.G, low, high,
-        state.sigma, state.sigma_slope, least_sigma, state.lean, state.lean_slope, state.cones, watch.facets,
+        state.sigma, state.sigma_slope, least_sigma, state.lean, state.lean_slope, state.cones, watch.facets, stretch.peak,
         stretch.centre, stretch.D, stretch.first, stretch.B, stretch.free, H, g, A, b, at, group, price,
     )  # fmt: skip
     pull = 2.0 * ANCHOR * np.repeat(stretch.hold * stretch.free, m)

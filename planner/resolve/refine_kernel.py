@@ -1,13 +1,4 @@
-"""Compiled body of the refinement: what a path costs, and the quadratic program around it.
-
-The price of a path is in seconds. At the commanded speed v the joints' rates are known from the path, so each
-sample has a greatest speed that the limits allow, v / (1 + slack): the slack is the share of its time that is lost.
-
-    price = sum over samples of  step * (deposits * slack + effort + closeness)
-
-effort is small and quadratic in the rates' shares of their limits: of two choices at full speed the calmer one wins.
-closeness grows towards singularities of the arm and the ends of the joints' ranges.
-"""
+"""The quadratic program around a path, compiled: its price (see `price_kernel`) convex and to second order."""
 
 from __future__ import annotations
 
@@ -17,84 +8,14 @@ from numpy.typing import NDArray
 
 from planner.resolve.cone_kernel import facet
 from planner.resolve.node_kernel import LIMIT_COMFORT, LIMIT_PRICE, SIGMA_COMFORT, SIGMA_PRICE
+from planner.resolve.price_kernel import EFFORT, HARD_PRICE, PEAK_PRICE, allowed, lost_slope
 
 Array = NDArray[np.float64]
 
-EFFORT = np.array([3.0, 0.1, 0.1])  # seconds a second of printing, for joints at their speed, acceleration, jerk
-DIP_PRICE = 0.25  # seconds a second of printing below the commanded speed: one deep dip beats two shallow ones
-DIP = 0.05  # slack at which half of that is counted
-HARD_PRICE = 1e3  # seconds a second and unit (rad, or the share of a bound) beyond what must not be exceeded
 NEAR_RATE = 0.7  # share of a rate's limit above which the program watches it from the start
 MISSED = 1e-2  # slack that a rate must ask for beyond the watched ones before the program watches it too
 NEAR_RANGE = 0.3  # rad from the end of a joint's range below which the program watches it
 NEAR_SIGMA = 1.3  # times the least singular value allowed, likewise
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def differentiate(values, centre, D, out) -> None:
-    """Fill out (n, 3, k) with the first three time derivatives of values (n, k)."""
-    n, k = values.shape
-    for i in range(n):
-        for o in range(3):
-            for j in range(k):
-                total = 0.0
-                for s in range(5):
-                    total += D[i, o, s] * values[centre[i] + s - 2, j]
-                out[i, o, j] = total
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def allowed(order: int, slack: float):
-    """Bound of a rate's share of its limit at a slack, linear from there on, and its slope: (1 + slack)^order."""
-    if order == 0:
-        return 1.0 + slack, 1.0
-    if order == 1:
-        return (1.0 + slack) ** 2, 2.0 * (1.0 + slack)
-    return (1.0 + slack) ** 3, 3.0 * (1.0 + slack) ** 2
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def lost(slack: float) -> float:
-    """Price a second of a slack: the time lost, and that there is a dip at all."""
-    return slack + DIP_PRICE * slack / (slack + DIP)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def lost_slope(slack: float) -> float:
-    """Derivative of `lost`, which is concave: its tangent is never below it."""
-    return 1.0 + DIP_PRICE * DIP / (slack + DIP) ** 2
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def price_of(rates, limits, step, deposits, q, low, high, sigma, least_sigma, bounds, slack):
-    """Price of a path [s]; fills slack (n). bounds (n, b): what must not be positive, for instance a cone's excess."""
-    n, _, nj = rates.shape
-    na = low.size
-    total = 0.0
-    for i in range(n):
-        worst = 0.0
-        for j in range(nj):
-            v = abs(rates[i, 0, j]) / limits[0, j]
-            a = abs(rates[i, 1, j]) / limits[1, j]
-            y = abs(rates[i, 2, j]) / limits[2, j]
-            worst = max(worst, v, np.sqrt(a), np.cbrt(y))
-        slack[i] = max(worst - 1.0, 0.0)
-        effort = 0.0
-        for o in range(3):
-            for j in range(nj):
-                square = (rates[i, o, j] / limits[o, j]) ** 2
-                effort += EFFORT[o] * square / (1.0 + square)
-        cost = deposits[i] * lost(slack[i]) + effort / nj
-        close = max(0.0, SIGMA_COMFORT / sigma[i] - 1.0)
-        cost += SIGMA_PRICE * close * close + deposits[i] * HARD_PRICE * max(0.0, least_sigma - sigma[i])
-        for j in range(na):
-            room = min(q[i, j] - low[j], high[j] - q[i, j])
-            near = max(0.0, 1.0 - room / LIMIT_COMFORT)
-            cost += LIMIT_PRICE * near * near + HARD_PRICE * max(0.0, -room)
-        for c in range(bounds.shape[1]):
-            cost += HARD_PRICE * max(0.0, bounds[i, c])
-        total += step[i] * cost
-    return total
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -200,7 +121,7 @@ def count_rows(step, deposits, watch, q, low, high, sigma, least_sigma, watch_le
 @njit(cache=True, nogil=True, error_model="numpy")
 def quadratic_program(
     rates, limits, step, deposits, slack, watch, q, G, low, high, sigma, sigma_slope, least_sigma,
-    lean, lean_slope, cones, watch_lean,
+    lean, lean_slope, cones, watch_lean, peak,
     centre, D, first, B, free,
     H, g, A, b, at, group, price,
 ):  # fmt: skip
@@ -237,9 +158,15 @@ def quadratic_program(
             for j in range(nj):
                 share = rates[i, o, j] / limits[o, j]
                 weight = 2.0 * step[i] * EFFORT[o] / nj / (1.0 + share * share) ** 2
+                slope = share * weight
+                if o == 0 and peak < np.inf:
+                    unit = limits[0, j] / peak
+                    own = 8.0 * PEAK_PRICE * step[i] / nj * unit * unit * (unit * share) ** 6
+                    slope += share * own
+                    weight += 7.0 * own
                 for p in range(w):
                     scaled[o, j, p] = weight * a[o, j, p]
-                    g[at_i + p] += share * scaled[o, j, p]
+                    g[at_i + p] += slope * a[o, j, p]
         np.dot(scaled.reshape(3 * nj, w).T, a.reshape(3 * nj, w), product)
         for p in range(w):
             for d in range(p + 1):

@@ -19,7 +19,7 @@ from planner.resolve.clearance import ROOM
 from planner.resolve.interior_point import solve_qp
 from planner.resolve.jointpath import MARGIN, JointPath, choose_turns
 from planner.resolve.ladder import ladder, runs_backwards
-from planner.resolve.refine import QPSolver, evaluate, evaluate_samples, refine_stretch
+from planner.resolve.refine import QPSolver, calmed, evaluate, evaluate_samples, refine_stretch
 from planner.resolve.spacing import knots_along
 from planner.resolve.splines import LEAST_SAMPLES, Basis, Clock, basis_over, clock_of
 from planner.resolve.stretch import HOLDER, ROLL, TILT, Model, Stretch, model_of
@@ -38,7 +38,7 @@ _FLOOR = 1.0 + 1e-3  # times the least singular value that was given: the progra
 def sqp(
     cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles = NOTHING
 ) -> tuple[JointPath, ...]:
-    """The ladder's paths, their free variables refined until no step lowers the price (see `refine_kernel`).
+    """The ladder's paths, their free variables refined until no step lowers the price (see `price_kernel`).
 
     No path comes back that costs more than the ladder's. Layers follow each other: a bead starts from the
     refined one below it, where that is cheaper. Raises Refusal as `ladder` does.
@@ -244,7 +244,9 @@ def _refine_window(
         track.anchor[controls], all_of_it.hold[controls], all_of_it.now[samples],
     )  # fmt: skip
     state = evaluate(model, stretch, track.c[controls], track.q[samples], floor)
-    return None if state is None else Piece(samples, controls, refine_stretch(model, stretch, state, floor, solver))
+    if state is None:
+        return None
+    return Piece(samples, controls, refine_stretch(model, *calmed(stretch, state), floor, solver))
 
 
 def path_of(cell: Cell, track: Track) -> JointPath:

@@ -81,6 +81,7 @@ class Stretch:
     free (k)                  1 for control values that may move, else 0
     now (n)                   when samples are reached, see `NozzleTask.moments`
     anchor (k, m), hold (k)   where the path's ends were given, and 1 for control values that are ends, else 0
+    peak                      speed of joints that counts as a peak, see `refine.calmed`; inf: none does
     """
 
     tip: Array
@@ -96,6 +97,7 @@ class Stretch:
     anchor: Array
     hold: Array
     now: Array
+    peak: float = np.inf
 
 
 @dataclass(frozen=True)
