@@ -6,8 +6,8 @@ for the time of a run in a process of its own; compiled loops that have them bui
 
 from __future__ import annotations
 
-import math
 import importlib
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
