@@ -15,8 +15,8 @@ from planner.replay import Motion
 from planner.solids import packed
 from planner.verify.bodies import CellBodies, Distances, pairs
 from planner.verify.collision import FAR, sweep
-from planner.verify.nozzle import FAR as FAR_FROM_PRINT
 from planner.verify.nozzle import nozzle_nearness
+from planner.verify.nozzle_kernel import FAR as FAR_FROM_PRINT
 
 Array = NDArray[np.float64]
 FIXTURES = (

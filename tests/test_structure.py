@@ -110,7 +110,7 @@ HEAVY = {
         "least_singular",
         "replay",
         "surface_points",
-        "verify.nozzle",
+        "verify.nozzle_kernel",
         "kinematics",
         "toolpath.substrate.facet_tree",
         "toolpath.substrate.height_field",

@@ -1,0 +1,284 @@
+"""Compiled loops over the samples of a motion: how near bodies that move with the nozzle come to part and print.
+
+A value changes by no more than the motion takes a body past a point, so that samples, points and instants between
+samples are passed over as long as this cannot matter.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from planner.point_tree import nearest_point, point_value, solid_distance
+from planner.print_body import TIP_SLOPE
+
+Array = NDArray[np.float64]
+
+FAR = 50e-3  # m: what is farther away is that far away
+TOLERANCE = 1e-4  # m: no distance is missed that is less than the least that is found by more
+_OFTEN = 25  # samples after which every body is looked at again, wherever it is
+_BLOCK = 2e-3  # m of the tip's way, on which points are looked at together: the longer, the more of them may matter
+_MOST_PARTS = 64  # of the time between two samples
+_DEEPEST = 64  # intervals that wait at once: more than the samples of a block can make
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def least_along(
+    points, radius, time, centre, reach, since, left, right,
+    kind, size, planes, T_solid_frame,
+    tip, rotation, path, turned, now, slack, clearance, slope, ahead, stack,
+):  # fmt: skip
+    """The least value of `nearest_point` along a motion, FAR at most; its sample, body and point, or -1.
+
+    Block by block of samples: every point that could matter in it is followed through it by itself.
+    """
+    n = len(now)
+    least, where, whose, which = FAR, 0, 0, -1
+    poses = np.empty((_OFTEN + 1, 4, 4))
+    room = np.empty((_DEEPEST, 2), np.int64), np.empty((_DEEPEST, 2))
+    for j in range(len(kind)):  # a look here and there, which spares many of those that follow
+        for k in range(0, n, _OFTEN):
+            _pose(T_solid_frame[j], rotation[k], tip[k], poses[0])
+            value, point = nearest_point(
+                points, radius, time, centre, reach, since, left, right, kind[j], size[j], planes, poses[0],
+                now[ahead[k]], least, clearance, tip[k], slope, slack[k], stack,
+            )  # fmt: skip
+            if value < least:
+                least, where, whose, which = value, k, j, point
+    for j in range(len(kind)):
+        a = 0
+        while a < n - 1:
+            b = a + 1
+            while b < min(n - 1, a + _OFTEN) and slack[b + 1] == slack[b] and path[b + 1] - path[a] < _BLOCK:
+                b += 1
+            c = (a + b) // 2
+            T, p, seeing, posed = poses[c - a], tip[c], now[ahead[b]], False
+            _pose(T_solid_frame[j], rotation[c], p, T)
+            gone = max(path[c] - path[a], path[b] - path[c])
+            turn = max(turned[c] - turned[a], turned[b] - turned[c])
+            waiting, stack[0] = 1, 0
+            while waiting:
+                waiting -= 1
+                node = stack[waiting]
+                if since[node] >= seeing:
+                    continue
+                x, y, z = centre[node, 0], centre[node, 1], centre[node, 2]
+                away = np.sqrt((x - p[0]) ** 2 + (y - p[1]) ** 2 + (z - p[2]) ** 2) + reach[node]
+                d = solid_distance(
+                    kind[j], size[j], planes,
+                    T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3],
+                    T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3],
+                    T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3],
+                )  # fmt: skip
+                most = min(clearance, slope * away - slack[b])
+                moved = (1.0 + slope) * gone + (away + gone) * turn
+                if d - reach[node] - most - moved >= least - TOLERANCE:
+                    continue
+                if left[node] >= 0:
+                    stack[waiting], stack[waiting + 1] = left[node], right[node]
+                    waiting += 2
+                    continue
+                for k in range(a, a if posed else b + 1):
+                    _pose(T_solid_frame[j], rotation[k], tip[k], poses[k - a])
+                posed = True
+                for i in range(-1 - left[node], -1 - left[node] + right[node]):
+                    if time[i] < seeing:
+                        value, k = _least_of_point(
+                            points[i], radius[i], time[i], kind[j], size[j], planes, T_solid_frame[j], poses,
+                            a, b, tip, rotation, path, turned, now, ahead, slack[b], clearance, slope, least, room,
+                        )  # fmt: skip
+                        if value < least:
+                            least, where, whose, which = value, k, j, i
+            a = b
+    return least, where, whose, which
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _least_of_point(
+    point, radius, time, kind, size, planes, T_solid_nozzle, poses,
+    a, b, tip, rotation, path, turned, now, ahead, slack, clearance, slope, least, room,
+):  # fmt: skip
+    """The least value of one point in samples a .. b, in which a body is at poses, if it is less; and its sample.
+
+    A point that is laid in the meantime counts from the first sample that sees it, and in the instants before that.
+    """
+    samples, values = room
+    first = a
+    while time >= now[ahead[first]]:
+        first += 1
+    begin = max(a, first - 1)
+    c = max(begin, (a + b) // 2)
+    target, where = least - TOLERANCE, c
+    middle = point_value(point, radius, kind, size, planes, poses[c - a], clearance, tip[c], slope, slack)
+    if c >= first and middle < least:
+        least, where = middle, c
+    away = np.sqrt((point[0] - tip[c, 0]) ** 2 + (point[1] - tip[c, 1]) ** 2 + (point[2] - tip[c, 2]) ** 2)
+    away += max(path[c] - path[begin], path[b] - path[c])
+    waiting = 0
+    for end in (begin, b):
+        moved = (1.0 + slope) * abs(path[end] - path[c]) + away * abs(turned[end] - turned[c])
+        if end == c or middle - moved >= target:
+            continue
+        value = point_value(point, radius, kind, size, planes, poses[end - a], clearance, tip[end], slope, slack)
+        if end >= first and value < least:
+            least, where = value, end
+        samples[waiting, 0], samples[waiting, 1] = min(end, c), max(end, c)
+        values[waiting, 0], values[waiting, 1] = (value, middle) if end < c else (middle, value)
+        waiting += 1
+    while waiting:
+        waiting -= 1
+        i, k = samples[waiting]
+        vi, vk = values[waiting]
+        moved = (1.0 + slope) * (path[k] - path[i]) + away * (turned[k] - turned[i])
+        if 0.5 * (vi + vk - moved) >= target:
+            continue
+        if k == i + 1:
+            value = _least_between(
+                point, radius, kind, size, planes, T_solid_nozzle, tip[i], tip[k], rotation[i], rotation[k],
+                vi + vk, moved, target, clearance, slope, slack,
+            )  # fmt: skip
+            if value < least:
+                least, where = value, k
+            continue
+        m = (i + k) // 2
+        value = point_value(point, radius, kind, size, planes, poses[m - a], clearance, tip[m], slope, slack)
+        if m >= first and value < least:
+            least, where = value, m
+        samples[waiting, 0], samples[waiting, 1], samples[waiting + 1, 0], samples[waiting + 1, 1] = i, m, m, k
+        values[waiting, 0], values[waiting, 1], values[waiting + 1, 0], values[waiting + 1, 1] = vi, value, value, vk
+        waiting += 2
+    return least, where
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _least_between(
+    point, radius, kind, size, planes, T_solid_nozzle, pa, pb, Ra, Rb, both, moved, target, clearance, slope, slack
+):  # fmt: skip
+    """The least value of a point at instants between two samples, so many that none below the target lies between."""
+    parts, least = 1, np.inf
+    while 0.5 * (both - moved / parts) < target and parts < _MOST_PARTS:
+        parts *= 2
+    R, p, T = np.empty((3, 3)), np.empty(3), np.empty((4, 4))
+    for i in range(1, parts):
+        _between(Ra, Rb, pa, pb, i / parts, R, p)
+        _pose(T_solid_nozzle, R, p, T)
+        least = min(least, point_value(point, radius, kind, size, planes, T, clearance, p, slope, slack))
+    return least
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def margins_along(
+    points, radius, time, centre, reach, since, left, right,
+    kind, size, planes, T_solid_frame, body_centre, body_reach,
+    tip, rotation, path, turned, now, slack, clearance, slope, rate, share, ahead, margin, stack,
+):  # fmt: skip
+    """Fill margin, between looks interpolated; returns the least, found to TOLERANCE or a share of itself, and its
+    sample, body and point.
+
+    A margin changes by `rate` times the motion at most. A search begins with the point that was nearest before.
+    """
+    n = len(now)
+    least, where, whose, which = FAR, 0, 0, -1
+    T, R, p = np.empty((4, 4)), np.empty((3, 3)), np.empty(3)
+    for j in range(len(kind)):  # a look here and there, which spares many of those that follow
+        for k in range(0, n, _OFTEN):
+            _pose(T_solid_frame[j], rotation[k], tip[k], T)
+            value, point = nearest_point(
+                points, radius, time, centre, reach, since, left, right, kind[j], size[j], planes, T,
+                now[ahead[k]], least, clearance, tip[k], slope, slack[k], stack,
+            )  # fmt: skip
+            if value < least:
+                least, where, whose, which = value, k, j, point
+    for j in range(len(kind)):
+        c = body_centre[j]
+        arm = np.sqrt(c[0] ** 2 + c[1] ** 2 + c[2] ** 2) + body_reach[j]
+        own = T_solid_frame[j]
+        tip_away = solid_distance(kind[j], size[j], planes, own[0, 3], own[1, 3], own[2, 3])
+        k, before, value_before, known = 0, -1, 0.0, -1
+        while True:
+            seeing = now[ahead[k]]
+            _pose(own, rotation[k], tip[k], T)
+            enough, found = FAR, -1
+            if known >= 0 and time[known] < seeing:
+                value = point_value(
+                    points[known], radius[known], kind[j], size[j], planes, T, clearance, tip[k], slope, slack[k]
+                )
+                if value < enough:
+                    enough, found = value, known
+            value, point = nearest_point(
+                points, radius, time, centre, reach, since, left, right, kind[j], size[j], planes, T,
+                seeing, enough, clearance, tip[k], slope, slack[k], stack,
+            )  # fmt: skip
+            point = found if point < 0 else point
+            known = point if point >= 0 else known
+            if value < least:
+                least, where, whose, which = value, k, j, point
+            if k == before + 1 and k > 0:
+                moved = rate * (path[k] - path[before] + arm * (turned[k] - turned[before]))
+                parts = 1
+                while (
+                    0.5 * (value + value_before - moved / parts) < least - max(TOLERANCE, share * least)
+                    and parts < _MOST_PARTS
+                ):
+                    parts *= 2
+                for i in range(1, parts):
+                    _between(rotation[before], rotation[k], tip[before], tip[k], i / parts, R, p)
+                    _pose(own, R, p, T)
+                    inside, found = nearest_point(
+                        points, radius, time, centre, reach, since, left, right, kind[j], size[j], planes, T,
+                        seeing, least, clearance, p, slope, slack[k], stack,
+                    )  # fmt: skip
+                    if inside < least:
+                        least, where, whose, which = inside, k, j, found
+            for i in range(max(before, 0), k + 1):
+                done = (i - before) / max(k - before, 1)
+                margin[i] = min(margin[i], (1.0 - done) * value_before + done * value if before >= 0 else value)
+            if k == n - 1:
+                break
+            target = least - max(TOLERANCE, share * least)
+            m = k + 1
+            while m < min(n - 1, k + _OFTEN):
+                moved = path[m + 1] - path[k] + arm * (turned[m + 1] - turned[k])
+                if value - rate * moved < target:
+                    break
+                # what is laid in the meantime lies where the tip has been: far within its zone, if only what is beyond counts
+                far = path[m + 1] - path[k]
+                counts = slope <= TIP_SLOPE or 2.0 * far > slack[k] / slope
+                if now[m + 1] > seeing and counts and tip_away - far - slack[k] / TIP_SLOPE - clearance < target:
+                    break
+                m += 1
+            before, value_before, k = k, value, m
+    return least, where, whose, which
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _pose(T_solid_nozzle, R, p, T):
+    """T_solid_part (4, 4) of a solid in the nozzle frame, whose axes in the part frame are R and whose origin is p."""
+    for i in range(3):
+        for k in range(3):
+            T[i, k] = T_solid_nozzle[i, 0] * R[k, 0] + T_solid_nozzle[i, 1] * R[k, 1] + T_solid_nozzle[i, 2] * R[k, 2]
+        T[i, 3] = T_solid_nozzle[i, 3] - T[i, 0] * p[0] - T[i, 1] * p[1] - T[i, 2] * p[2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _between(Ra, Rb, pa, pb, share, R, p):
+    """The pose at a share of the way between two that differ little."""
+    for k in range(3):
+        p[k] = (1.0 - share) * pa[k] + share * pb[k]
+    for column in (2, 0):  # z as it lies between, x at right angles to it
+        length, along = 0.0, 0.0
+        for i in range(3):
+            R[i, column] = (1.0 - share) * Ra[i, column] + share * Rb[i, column]
+        if column == 0:
+            for i in range(3):
+                along += R[i, 0] * R[i, 2]
+            for i in range(3):
+                R[i, 0] -= along * R[i, 2]
+        for i in range(3):
+            length += R[i, column] ** 2
+        for i in range(3):
+            R[i, column] /= np.sqrt(length)
+    R[0, 1] = R[1, 2] * R[2, 0] - R[2, 2] * R[1, 0]
+    R[1, 1] = R[2, 2] * R[0, 0] - R[0, 2] * R[2, 0]
+    R[2, 1] = R[0, 2] * R[1, 0] - R[1, 2] * R[0, 0]
