@@ -91,14 +91,14 @@ def print_summary(plan: Plan, folder: Path, programs: str = "", program_notes: S
 
 
 def _dips(plan: Plan) -> str:
-    """How many dips there are, what they cost, and the worst of them with what would avoid it; empty without any."""
+    """How many dips there are, what they cost, and the dearest of them with what would avoid it; empty without any."""
     dips = without_stops(plan.dips)
     if not dips:
         return ""
     worst = worst_first(dips)[0]
     lost = sum(dip.lost for dip in dips)
     count = "1 dip costs" if len(dips) == 1 else f"{len(dips)} dips cost"
-    text = f"{count} {lost:.2f} s; the worst: {place_words(worst)}, {worst.speed * 1e3:.1f} mm/s, {worst.cause}"
+    text = f"{count} {lost:.2f} s; the dearest: {place_words(worst)}, {worst.speed * 1e3:.1f} mm/s, {worst.cause}"
     return text + (f"; {worst.remedies[0].words} would avoid it" if worst.remedies else "")
 
 
