@@ -42,7 +42,7 @@ _MOST_TRUST, _LEAST_TRUST = 0.6, 2e-3
 _STEPS = 40
 _ROUNDS = 4  # of solving a program and watching what its solution has missed
 _ENOUGH = 5e-4  # share of the price: a step that promises less is not worth taking
-_NEGLIGIBLE = 1.5e-4  # seconds a second of printing, likewise
+_NEGLIGIBLE = 1e-4  # seconds a second of printing, likewise
 PEAK = 0.78  # rad/s: joints that stay below at the commanded speed are calm enough
 _PEAK_SHARE = 0.8  # of the greatest speed at the start: far below it nothing else would count any more
 # s/rad^2 a second of printing: tilt is for what it buys, clearance or speed, since a nozzle that leans by t lifts one side
