@@ -32,8 +32,9 @@ from planner.resolve.sqp import given_price, refine_paths, start_track, whole
 from planner.resolve.stretch import CONE_SIDES, Model, State, Stretch, Watch, model_of
 from planner.resolve.stretch import TILT as TILT_COLUMNS
 from planner.resolve.windows import Track, Windowed, windows
-from planner.task import NozzleTask, cones_of, make_tasks
+from planner.task import NozzleTask, cones_of, make_tasks, tasks_of
 from planner.toolpath.bead import Toolpath
+from planner.toolpath.build import build_toolpath
 
 Array = NDArray[np.float64]
 BACKGROUND, WINDOWS = sys.modules["planner.background"], sys.modules["planner.resolve.windows"]
@@ -248,20 +249,28 @@ def test_peaks_are_in_the_program_to_second_order(setup_of: Callable[[str], Setu
     assert added[2] - 2 * added[1] + added[0] == pytest.approx((by[2] - 2 * by[1] + by[0]) / h**2, rel=0.02)
 
 
-@pytest.mark.parametrize("name", ["plain", "fast"])
-def test_peaks_of_the_joints_speed_are_lower_where_nothing_is_lost(name: str, setup_of: Callable[[str], Setup]) -> None:
-    cell, _, paths = setup_of(name)
-    for path in paths[:2]:
-        model, _, stretch, state = start(cell, path, 0.1)
-        dear, given = calmed(stretch, state)
-        if state.slack[stretch.deposits > 0.0].any():  # time that is lost is dearer
-            assert dear is stretch
-            assert given is state
-            continue
-        plain, calm = refine_stretch(model, stretch, state, 0.1), refine_stretch(model, dear, given, 0.1)
-        assert calm.price < given.price
-        assert np.abs(calm.rates[:, 0]).max() <= np.abs(plain.rates[:, 0]).max()
-        assert not calm.slack[stretch.deposits > 0.0].any()
+def test_peaks_of_the_joints_speed_are_lower_where_nothing_is_lost() -> None:
+    """On the cap that ships, which the ladder's path follows without a dip."""
+    problem = load_problem("peer_cap")
+    cell = build_cell(problem)
+    (path,) = ladder(cell, tasks_of(problem, build_toolpath(problem)), problem.resolve)
+    model, _, stretch, state = start(cell, path, 0.05)
+    assert not state.slack[stretch.deposits > 0.0].any()
+    dear, given = calmed(stretch, state)
+    assert given.price > state.price
+    plain, calm = refine_stretch(model, stretch, state, 0.05), refine_stretch(model, dear, given, 0.05)
+    assert calm.price < given.price
+    assert np.abs(calm.rates[:, 0]).max() < 0.99 * np.abs(plain.rates[:, 0]).max()
+    assert not calm.slack[stretch.deposits > 0.0].any()
+
+
+def test_lost_time_is_dearer_than_peaks(setup_of: Callable[[str], Setup]) -> None:
+    cell, _, paths = setup_of("fast")
+    _, _, stretch, state = start(cell, paths[0], 0.1)
+    assert state.slack[stretch.deposits > 0.0].any()
+    same, given = calmed(stretch, state)
+    assert same is stretch
+    assert given is state
 
 
 def test_sides_of_the_tilts_polygon_join_where_a_step_goes_beyond_them(setup_of: Callable[[str], Setup]) -> None:

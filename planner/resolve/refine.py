@@ -96,7 +96,7 @@ def evaluate_samples(
 
 
 def calmed(stretch: Stretch, state: State) -> tuple[Stretch, State]:
-    """The same where peaks of the joints' speed have a price, unless time is lost: that is dearer than they are."""
+    """Both with a price on peaks of the joints' speed, if no time is lost there: lost time is dearer."""
     counted = stretch.step > 0.0
     if state.slack[counted & (stretch.deposits > 0.0)].any():
         return stretch, state

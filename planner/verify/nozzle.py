@@ -27,7 +27,6 @@ from planner.verify.nozzle_kernel import FAR, least_along, margins_along
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-_SHARE = 1.0  # of what points beyond the tip's zone have to spare, to which the least is found: enough to miss none that lacks
 _STEEP = 1e3  # slope that lets nothing within the tip's zone count
 
 
@@ -89,7 +88,7 @@ def beyond_the_tip(
     margin = np.full(len(now), FAR)
     found = margins_along(
         *_points(tree), bodies.kind, bodies.size, bodies.planes, bodies.T_solid_frame, bodies.centre, bodies.reach,
-        *_ways(motion), now, _STEEP * zone, clearance, _STEEP, 1.0 + TIP_SLOPE, _SHARE, ahead, margin, search_room(),
+        *_ways(motion), now, _STEEP * zone, clearance, _STEEP, ahead, margin, search_room(),
     )  # fmt: skip
     return Nearness(margin, *found)
 

@@ -20,6 +20,7 @@ TOLERANCE = 1e-4  # m: no distance is missed that is less than the least that is
 _OFTEN = 25  # samples after which every body is looked at again, wherever it is
 _BLOCK = 2e-3  # m of the tip's way, on which points are looked at together: the longer, the more of them may matter
 _MOST_PARTS = 64  # of the time between two samples
+_RATE = 1.0 + TIP_SLOPE  # of a motion, by which a margin beyond the tip's zone changes at most
 _DEEPEST = 64  # intervals that wait at once: more than the samples of a block can make
 
 
@@ -34,18 +35,12 @@ def least_along(
     Block by block of samples: every point that could matter in it is followed through it by itself.
     """
     n = len(now)
-    least, where, whose, which = FAR, 0, 0, -1
+    least, where, whose, which = _here_and_there(
+        points, radius, time, centre, reach, since, left, right, kind, size, planes, T_solid_frame,
+        tip, rotation, now, slack, clearance, slope, ahead, stack,
+    )  # fmt: skip
     poses = np.empty((_OFTEN + 1, 4, 4))
     room = np.empty((_DEEPEST, 2), np.int64), np.empty((_DEEPEST, 2))
-    for j in range(len(kind)):  # a look here and there, which spares many of those that follow
-        for k in range(0, n, _OFTEN):
-            _pose(T_solid_frame[j], rotation[k], tip[k], poses[0])
-            value, point = nearest_point(
-                points, radius, time, centre, reach, since, left, right, kind[j], size[j], planes, poses[0],
-                now[ahead[k]], least, clearance, tip[k], slope, slack[k], stack,
-            )  # fmt: skip
-            if value < least:
-                least, where, whose, which = value, k, j, point
     for j in range(len(kind)):
         a = 0
         while a < n - 1:
@@ -91,6 +86,26 @@ def least_along(
                         if value < least:
                             least, where, whose, which = value, k, j, i
             a = b
+    return least, where, whose, which
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _here_and_there(
+    points, radius, time, centre, reach, since, left, right, kind, size, planes, T_solid_frame,
+    tip, rotation, now, slack, clearance, slope, ahead, stack,
+):  # fmt: skip
+    """The least value at some samples, its sample, body and point: it spares many of the looks that follow."""
+    least, where, whose, which = FAR, 0, 0, -1
+    T = np.empty((4, 4))
+    for j in range(len(kind)):
+        for k in range(0, len(now), _OFTEN):
+            _pose(T_solid_frame[j], rotation[k], tip[k], T)
+            value, point = nearest_point(
+                points, radius, time, centre, reach, since, left, right, kind[j], size[j], planes, T,
+                now[ahead[k]], least, clearance, tip[k], slope, slack[k], stack,
+            )  # fmt: skip
+            if value < least:
+                least, where, whose, which = value, k, j, point
     return least, where, whose, which
 
 
@@ -171,25 +186,19 @@ def _least_between(
 def margins_along(
     points, radius, time, centre, reach, since, left, right,
     kind, size, planes, T_solid_frame, body_centre, body_reach,
-    tip, rotation, path, turned, now, slack, clearance, slope, rate, share, ahead, margin, stack,
+    tip, rotation, path, turned, now, slack, clearance, slope, ahead, margin, stack,
 ):  # fmt: skip
-    """Fill margin, between looks interpolated; returns the least, found to TOLERANCE or a share of itself, and its
-    sample, body and point.
+    """Fill margin, between looks interpolated; returns the least, its sample, body and point.
 
-    A margin changes by `rate` times the motion at most. A search begins with the point that was nearest before.
+    The slope is so steep that only points beyond the tip's zone count, slack / slope away. Of what these have to spare
+    the least is found only so far that none is missed that lacks. A search begins with the point that was nearest before.
     """
     n = len(now)
-    least, where, whose, which = FAR, 0, 0, -1
+    least, where, whose, which = _here_and_there(
+        points, radius, time, centre, reach, since, left, right, kind, size, planes, T_solid_frame,
+        tip, rotation, now, slack, clearance, slope, ahead, stack,
+    )  # fmt: skip
     T, R, p = np.empty((4, 4)), np.empty((3, 3)), np.empty(3)
-    for j in range(len(kind)):  # a look here and there, which spares many of those that follow
-        for k in range(0, n, _OFTEN):
-            _pose(T_solid_frame[j], rotation[k], tip[k], T)
-            value, point = nearest_point(
-                points, radius, time, centre, reach, since, left, right, kind[j], size[j], planes, T,
-                now[ahead[k]], least, clearance, tip[k], slope, slack[k], stack,
-            )  # fmt: skip
-            if value < least:
-                least, where, whose, which = value, k, j, point
     for j in range(len(kind)):
         c = body_centre[j]
         arm = np.sqrt(c[0] ** 2 + c[1] ** 2 + c[2] ** 2) + body_reach[j]
@@ -215,11 +224,10 @@ def margins_along(
             if value < least:
                 least, where, whose, which = value, k, j, point
             if k == before + 1 and k > 0:
-                moved = rate * (path[k] - path[before] + arm * (turned[k] - turned[before]))
+                moved = _RATE * (path[k] - path[before] + arm * (turned[k] - turned[before]))
                 parts = 1
                 while (
-                    0.5 * (value + value_before - moved / parts) < least - max(TOLERANCE, share * least)
-                    and parts < _MOST_PARTS
+                    0.5 * (value + value_before - moved / parts) < min(least - TOLERANCE, 0.0) and parts < _MOST_PARTS
                 ):
                     parts *= 2
                 for i in range(1, parts):
@@ -236,15 +244,15 @@ def margins_along(
                 margin[i] = min(margin[i], (1.0 - done) * value_before + done * value if before >= 0 else value)
             if k == n - 1:
                 break
-            target = least - max(TOLERANCE, share * least)
+            target = min(least - TOLERANCE, 0.0)
             m = k + 1
             while m < min(n - 1, k + _OFTEN):
                 moved = path[m + 1] - path[k] + arm * (turned[m + 1] - turned[k])
-                if value - rate * moved < target:
+                if value - _RATE * moved < target:
                     break
                 # what is laid in the meantime lies where the tip has been: far within its zone, if only what is beyond counts
                 far = path[m + 1] - path[k]
-                counts = slope <= TIP_SLOPE or 2.0 * far > slack[k] / slope
+                counts = 2.0 * far > slack[k] / slope
                 if now[m + 1] > seeing and counts and tip_away - far - slack[k] / TIP_SLOPE - clearance < target:
                     break
                 m += 1
