@@ -132,7 +132,7 @@ def _penalty(stack: ExitStack, lost: Any) -> None:
     _put(stack, price_kernel, "lost", lost)
     _put(stack, refine_kernel, "lost_slope", _slope_of_flat)
     _compile_anew(stack, price_kernel, ("price_of",), (refine,))
-    _compile_anew(stack, refine_kernel, ("quadratic_program",), (refine,))
+    _compile_anew(stack, refine_kernel, ("bound_rows",), (refine,))
 
 
 @contextmanager

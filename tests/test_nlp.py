@@ -29,7 +29,7 @@ from planner.resolve.ladder import ladder
 from planner.resolve.nlp import MOST_SAMPLES, solve_nlp
 from planner.resolve.nlp_program import EQUALITIES, Program, bounds_of, program_of, row_bounds, start_values
 from planner.resolve.osqp_reference import solve_with_osqp
-from planner.resolve.refine import evaluate, program_around, refine_stretch, watched
+from planner.resolve.refine import evaluate, expand, program_around, refine_stretch, watched
 from planner.resolve.sqp import given_prices, qp_solver, refine_paths, sigma_floor, start_track, whole
 from planner.resolve.stretch import State, Stretch, model_of
 from planner.resolve.windows import Track
@@ -272,7 +272,9 @@ def test_our_solver_is_as_good_as_osqp(seed: int) -> None:
 def test_programs_of_a_bead_are_solved_alike(cell: Cell, path: JointPath) -> None:
     _, stretch, state, floor = started(cell, path, Cones(tilt=0.2))
     for trust in (0.3, 0.05, 0.005):
-        qp = program_around(model_of(cell), stretch, state, floor, trust, watched(model_of(cell), stretch, state))
+        model = model_of(cell)
+        around, watch = expand(model, stretch, state), watched(model, stretch, state, trust)
+        qp = program_around(model, stretch, state, around, floor, trust, watch)
         (own, _), (other, _) = solve_qp(qp), solve_with_osqp(qp)
         rest = qp.value(np.zeros(len(own)))
         assert qp.value(own) - qp.value(other) <= 0.01 * (rest - qp.value(other))

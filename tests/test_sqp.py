@@ -27,7 +27,7 @@ from planner.resolve.price_kernel import (
     lost_slope,
     price_of,
 )
-from planner.resolve.refine import calmed, evaluate, program_around, refine_stretch, watched
+from planner.resolve.refine import calmed, evaluate, expand, program_around, refine_stretch, watched
 from planner.resolve.sqp import given_price, refine_paths, start_track, whole
 from planner.resolve.stretch import CONE_SIDES, Model, State, Stretch, Watch, model_of
 from planner.resolve.stretch import TILT as TILT_COLUMNS
@@ -146,6 +146,7 @@ def everything(state: State) -> Watch:
         np.ones((*state.rates.shape, 2), dtype=np.bool_),
         np.ones((*state.lean.shape[:2], FACETS.size), dtype=np.bool_),
         np.ones((len(state.c), CONE_SIDES), dtype=np.bool_),
+        np.ones((len(state.q), 6), dtype=np.bool_),
     )
 
 
@@ -157,7 +158,7 @@ def test_rows_of_the_program_are_derivatives_of_the_rates(name: str, setup_of: C
     state = perturbed(model, stretch, state, floor, 0.02, 1)
     stretch = replace(stretch, free=(np.arange(len(state.c)) % 5 != 2).astype(float))
     watch = everything(state)
-    qp = program_around(model, stretch, state, floor, 0.1, watch)
+    qp = program_around(model, stretch, state, expand(model, stretch, state), floor, 0.1, watch)
     np.testing.assert_array_equal(qp.box, 0.1)
     nj = state.rates.shape[2]
     rng = np.random.default_rng(2)
@@ -203,7 +204,7 @@ def test_program_is_the_price_to_first_order_and_not_below(
         model, _, stretch, state = start(cell, path, floor, 5e-3)  # round bends half of that
         state = perturbed(model, stretch, state, floor, 0.03, 3)
         watch = everything(state)
-        qp = program_around(model, stretch, state, floor, 0.1, watch)
+        qp = program_around(model, stretch, state, expand(model, stretch, state), floor, 0.1, watch)
         typical, now = float(stretch.step.mean()), qp.value(np.zeros(len(qp.g)))
         rng = np.random.default_rng(4)
         k = np.arange(len(state.c))[:, None]
@@ -230,7 +231,9 @@ def test_peaks_are_in_the_program_to_second_order(setup_of: Callable[[str], Setu
     dear = replace(stretch, peak=0.7)
     priced = evaluate(model, dear, state.c, state.q, 0.1)
     assert priced is not None
-    with_them, without = (program_around(model, s, priced, 0.1, 0.1, everything(state)) for s in (dear, stretch))
+    with_them, without = (
+        program_around(model, s, priced, expand(model, s, priced), 0.1, 0.1, everything(state)) for s in (dear, stretch)
+    )
 
     def peaks(rates: Array) -> float:
         return PEAK_PRICE * float(stretch.step @ ((rates[:, 0] / 0.7) ** 8).mean(axis=1))
@@ -279,7 +282,7 @@ def test_sides_of_the_tilts_polygon_join_where_a_step_goes_beyond_them(setup_of:
     model, _, stretch, state = start(cell, paths[0], 0.1)
     cone = stretch.cones.tilt
     columns = np.searchsorted(model.active(stretch.cones), TILT_COLUMNS)
-    watch = watched(model, stretch, state)
+    watch = watched(model, stretch, state, 0.1)
     assert not watch.sides.any()  # at rest in the middle
     assert watch.add_sides(model, stretch, state, np.zeros(state.c.size)) == 0
     x = np.zeros(state.c.shape)
@@ -290,7 +293,38 @@ def test_sides_of_the_tilts_polygon_join_where_a_step_goes_beyond_them(setup_of:
     assert watch.add_sides(model, held, state, x.ravel()) == 1
     np.testing.assert_array_equal(np.argwhere(watch.sides), [[3, 0]])
     assert watch.add_sides(model, stretch, state, x.ravel()) == 5  # within 60 degrees to both sides
-    assert watched(model, stretch, replace(state, c=0.8 * x)).sides[3].tolist() == [True, True, *[False] * 10]
+    assert watched(model, stretch, replace(state, c=0.8 * x), 0.1).sides[3].tolist() == [True, True, *[False] * 10]
+
+
+def test_ends_of_ranges_join_where_a_step_goes_beyond_them(setup_of: Callable[[str], Setup]) -> None:
+    """And no step can reach an end that is not watched, unless it was told to."""
+    cell, _, paths = setup_of("plain")
+    model, _, stretch, state = start(cell, paths[0], 0.1)
+    reach = 0.1 * np.abs(state.G[:, : model.arm]).sum(axis=2)
+    nearest = int(state.q[:, 1].argmin())
+    low = model.low.copy()
+    low[1] = state.q[nearest, 1] - 0.5 * reach[nearest, 1]
+    narrow = replace(model, low=low)
+    watch = watched(narrow, stretch, state, 0.1)
+    counted = stretch.step > 0.0
+    room = np.minimum(state.q[:, :6] - narrow.low[:6], narrow.high[:6] - state.q[:, :6])
+    assert watch.ends[:, 1].any()
+    assert not watch.ends[room > reach].any()
+    assert not watched(model, stretch, state, 0.0).ends.any()
+    watch.ends[:] = False
+    assert watch.add_ends(narrow, stretch, state.q) == 0
+    beyond = state.q - np.eye(state.q.shape[1])[1] * (room[:, 1].min() + 0.01)
+    over = counted & (beyond[:, 1] < narrow.low[1] - 1e-5)
+    assert watch.add_ends(narrow, stretch, beyond) == over.sum() > 0
+    np.testing.assert_array_equal(watch.ends[:, 1], over)
+    qp = program_around(narrow, stretch, state, expand(narrow, stretch, state), 0.1, 0.1, watch)
+    moved = np.random.default_rng(8).normal(size=state.c.shape)
+    by = np.einsum("nm,nb,nbm->n", state.G[:, 1], stretch.B[:, 0], moved[stretch.first[:, None] + np.arange(6)])
+    rows = np.flatnonzero(np.isclose(qp.b[:, None], room[over, 1]).any(axis=1))
+    assert len(rows) >= over.sum()
+    w = qp.A.shape[1]
+    seen = [qp.A[r] @ moved.ravel()[qp.at[r] : qp.at[r] + w] for r in rows]
+    assert all(np.isclose(seen, -value, rtol=1e-9, atol=1e-12).any() for value in by[over])  # towards the lower end
 
 
 def test_tilt_stays_in_its_cone_though_few_sides_are_watched(setup_of: Callable[[str], Setup]) -> None:

@@ -9,7 +9,7 @@ trust region is one banded quadratic program. Steps that do not lower the true p
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,15 @@ from planner.resolve.cone_kernel import FACETS, watch_leans, watch_missed_leans
 from planner.resolve.follow_kernel import follow
 from planner.resolve.interior_point import QuadraticProgram, solve_qp
 from planner.resolve.price_kernel import HARD_PRICE, differentiate, peak_price, price_of
-from planner.resolve.refine_kernel import count_rows, price_tilt, quadratic_program, watch_missed, watch_near
+from planner.resolve.refine_kernel import (
+    bound_rows,
+    count_rows,
+    price_tilt,
+    rate_slopes,
+    smooth_price,
+    watch_missed,
+    watch_near,
+)
 from planner.resolve.stretch import (
     HOLDER,
     TILT,
@@ -27,6 +35,7 @@ from planner.resolve.stretch import (
     State,
     Stretch,
     Watch,
+    near_ends,
     near_sides,
     side_normals,
     side_room,
@@ -104,49 +113,74 @@ def calmed(stretch: Stretch, state: State) -> tuple[Stretch, State]:
     return replace(stretch, peak=peak), replace(state, price=state.price + peak_price(state.rates, stretch.step, peak))
 
 
-def watched(model: Model, stretch: Stretch, state: State) -> Watch:
-    """What the program watches from the start."""
+def watched(model: Model, stretch: Stretch, state: State, trust: float) -> Watch:
+    """What a program watches from the start, whose steps are at most `trust` [rad]."""
     rates = np.zeros((*state.rates.shape, 2), dtype=np.bool_)
     watch_near(state.rates, model.limits, stretch.deposits, state.slack, rates)
     facets = np.zeros((*state.lean.shape[:2], FACETS.size), dtype=np.bool_)
     watch_leans(stretch.step, state.lean, state.cones, facets)
-    return Watch(rates, facets, near_sides(model, stretch, state.c))
+    return Watch(rates, facets, near_sides(model, stretch, state.c), near_ends(model, stretch, state, trust))
+
+
+@dataclass(frozen=True)
+class Expansion:
+    """A path's price around it, but for its bounds: control values that move by x add g x + x H x / 2.
+
+    H (k m, w) lower band, g (k m), slopes (n, 3 nj, w): of the rates, as shares of their limits
+    """
+
+    H: Array
+    g: Array
+    slopes: Array
+
+
+def expand(model: Model, stretch: Stretch, state: State) -> Expansion:
+    """The price around a state, see `Expansion`."""
+    low, high = model.low[: model.arm], model.high[: model.arm]
+    (n, nj, m), k, width = state.G.shape, len(state.c), stretch.B.shape[2]
+    H, g, slopes = np.empty((k * m, width * m)), np.empty(k * m), np.empty((n, 3 * nj, width * m))
+    rate_slopes(model.limits, state.G, stretch.centre, stretch.D, stretch.first, stretch.B, stretch.free, slopes)
+    smooth_price(
+        state.rates, model.limits, stretch.step, state.q, state.G, low, high, state.sigma, state.sigma_slope,
+        stretch.peak, slopes, stretch.first, stretch.B, stretch.free, H, g,
+    )  # fmt: skip
+    pull = 2.0 * ANCHOR * np.repeat(stretch.hold * stretch.free, m)
+    H[:, 0] += pull
+    g += pull * (state.c - stretch.anchor).ravel()
+    if state.tilt.shape[1]:
+        columns = np.searchsorted(model.active(stretch.cones), TILT)
+        price_tilt(stretch.step, state.tilt, TILT_PRICE, stretch.first, stretch.B, stretch.free, columns, H, g)
+    return Expansion(H, g, slopes)
 
 
 def program_around(
-    model: Model, stretch: Stretch, state: State, least_sigma: float, trust: float, watch: Watch
+    model: Model, stretch: Stretch, state: State, around: Expansion, least_sigma: float, trust: float, watch: Watch
 ) -> QuadraticProgram:
     """The quadratic program whose solution moves the control values of a state, at most by `trust` [rad].
 
     Only what is watched has rows in it.
     """
     low, high = model.low[: model.arm], model.high[: model.arm]
-    (k, m), w = state.c.shape, stretch.B.shape[2] * state.c.shape[1]
+    w = around.H.shape[1]
     rows, groups = count_rows(
-        stretch.step, stretch.deposits, watch.rates, state.q, low, high, state.sigma, least_sigma, watch.facets
+        stretch.step, stretch.deposits, watch.rates, watch.ends, state.sigma, least_sigma, watch.facets
     )
     own_A, own_b, own_at, own_price = _further_rows(model, stretch, state, w, trust, watch)
     extra = len(own_b)
-    H, g = np.empty((k * m, w)), np.empty(k * m)
     A, b, at = np.empty((rows + extra, w)), np.empty(rows + extra), np.empty(rows + extra, dtype=np.int64)
     group, price = np.empty(groups + extra + 1, dtype=np.int64), np.empty(groups + extra)
-    quadratic_program(
+    bound_rows(
         state.rates, model.limits, stretch.step, stretch.deposits, state.slack, watch.rates, state.q, state.G, low, high,
-        state.sigma, state.sigma_slope, least_sigma, state.lean, state.lean_slope, state.cones, watch.facets, stretch.peak,
-        stretch.centre, stretch.D, stretch.first, stretch.B, stretch.free, H, g, A, b, at, group, price,
+        watch.ends, state.sigma, state.sigma_slope, least_sigma, state.lean, state.lean_slope, state.cones, watch.facets,
+        around.slopes, stretch.first, stretch.B, stretch.free, A, b, at, group, price,
     )  # fmt: skip
-    pull = 2.0 * ANCHOR * np.repeat(stretch.hold * stretch.free, m)
-    H[:, 0] += pull
-    g += pull * (state.c - stretch.anchor).ravel()
     A[rows:], b[rows:], at[rows:] = own_A, own_b, own_at
     group[groups + 1 :] = rows + 1 + np.arange(extra)
     typical = float(stretch.step.mean())
     price[groups:] = HARD_PRICE * own_price
-    if state.tilt.shape[1]:
-        columns = np.searchsorted(model.active(stretch.cones), TILT)
-        price_tilt(stretch.step, state.tilt, TILT_PRICE, stretch.first, stretch.B, stretch.free, columns, H, g)
     # in units of a sample's time, so that the solver sees numbers near 1
-    return QuadraticProgram(H / typical, g / typical, np.full(k * m, trust), A, b, at, group, price / typical)
+    box = np.full(len(around.g), trust)
+    return QuadraticProgram(around.H / typical, around.g / typical, box, A, b, at, group, price / typical)
 
 
 def _further_rows(
@@ -206,22 +240,23 @@ def _foreseen(stretch: Stretch, state: State, x: Array) -> Array:
 
 
 def _best_step(
-    model: Model, stretch: Stretch, state: State, least_sigma: float, trust: float, watch: Watch, solver: QPSolver
-) -> tuple[Array, float]:
+    model: Model, stretch: Stretch, state: State, around: Expansion, least_sigma: float, trust: float, watch: Watch,
+    solver: QPSolver,
+) -> tuple[Array, float]:  # fmt: skip
     """The step x that lowers the model's price most, and by how much [s].
 
     A sample has some forty bounds, few of which matter: those that a solution goes beyond are added to `watch`.
     """
     for _ in range(_ROUNDS):
-        program = program_around(model, stretch, state, least_sigma, trust, watch)
+        program = program_around(model, stretch, state, around, least_sigma, trust, watch)
         x, _ = solver(program)
         missed = watch_missed(
-            state.rates, model.limits, stretch.deposits, state.slack, state.G, stretch.centre, stretch.D,
-            stretch.first, stretch.B, stretch.free, x, watch.rates,
+            state.rates, model.limits, stretch.deposits, state.slack, around.slopes,
+            stretch.first * state.c.shape[1], x, watch.rates,
         ) + watch_missed_leans(
             stretch.step, state.lean, state.lean_slope, state.cones, stretch.first, stretch.B, stretch.free, x,
             watch.facets,
-        ) + watch.add_sides(model, stretch, state, x)  # fmt: skip
+        ) + watch.add_sides(model, stretch, state, x) + watch.add_ends(model, stretch, _foreseen(stretch, state, x))  # fmt: skip
         if not missed:
             break
     return x, float(stretch.step.mean()) * (program.value(np.zeros(len(x))) - program.value(x))
@@ -234,9 +269,9 @@ def refine_stretch(
     trust = _TRUST
     enough = _NEGLIGIBLE * float(stretch.step.sum())
     for _ in range(_STEPS):
-        watch = watched(model, stretch, state)
+        around, watch = expand(model, stretch, state), watched(model, stretch, state, trust)
         while True:
-            x, promised = _best_step(model, stretch, state, least_sigma, trust, watch, solver)
+            x, promised = _best_step(model, stretch, state, around, least_sigma, trust, watch, solver)
             if promised < enough + _ENOUGH * state.price:
                 return state
             trial = evaluate(

@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from planner.resolve.banded import SUMS
 from planner.resolve.cone_kernel import facet
 from planner.resolve.node_kernel import LIMIT_COMFORT, LIMIT_PRICE, SIGMA_COMFORT, SIGMA_PRICE
 from planner.resolve.price_kernel import EFFORT, HARD_PRICE, PEAK_PRICE, allowed, lost_slope
@@ -14,38 +15,46 @@ Array = NDArray[np.float64]
 
 NEAR_RATE = 0.7  # share of a rate's limit above which the program watches it from the start
 MISSED = 1e-2  # slack that a rate must ask for beyond the watched ones before the program watches it too
-NEAR_RANGE = 0.3  # rad from the end of a joint's range below which the program watches it
-NEAR_SIGMA = 1.3  # times the least singular value allowed, likewise
+NEAR_SIGMA = 1.3  # times the least singular value allowed below which the program has a row for it
+_TOGETHER = 8  # samples at most whose effort is one product of matrices: few enough for one thread
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _slopes(i: int, limits, G, centre, D, first, B, free, Gd, Bf, a) -> None:
-    """Fill a (3, nj, w) with the slopes of a sample's rates, as shares of their limits, by the control values.
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
+def rate_slopes(limits, G, centre, D, first, B, free, slopes) -> None:
+    """Fill slopes (n, 3 nj, w) with the slopes of the rates, as shares of their limits, by the control values.
 
-    Fills Bf (4, nb), the B-splines of those that may move, on the way; Gd (3, nj, m) is room.
+    free (controls) is 1 for those that may move, else 0. q(t) moves by G(t) times the spline of x: its rates by the
+    product rule, with rates of G by differences.
     """
-    _, nj, m = G.shape
+    n, nj, m = G.shape
     nb = B.shape[2]
-    for e in range(nb):
-        for o in range(4):
-            Bf[o, e] = B[i, o, e] * free[first[i] + e]
-    for o in range(3):
-        for j in range(nj):
-            for c in range(m):
-                total = 0.0
-                for s in range(5):
-                    total += D[i, o, s] * G[centre[i] + s - 2, j, c]
-                Gd[o, j, c] = total
-    for j in range(nj):
-        v, y, z = 1.0 / limits[0, j], 1.0 / limits[1, j], 1.0 / limits[2, j]
+    Gd, Bf = np.empty((3, nj, m)), np.empty((4, nb))
+    for i in range(n):
         for e in range(nb):
-            b0, b1, b2, b3 = Bf[0, e], Bf[1, e], Bf[2, e], Bf[3, e]
-            for c in range(m):
-                g0, g1, g2, g3 = G[i, j, c], Gd[0, j, c], Gd[1, j, c], Gd[2, j, c]
-                p = e * m + c
-                a[0, j, p] = v * (g0 * b1 + g1 * b0)
-                a[1, j, p] = y * (g0 * b2 + 2.0 * g1 * b1 + g2 * b0)
-                a[2, j, p] = z * (g0 * b3 + 3.0 * g1 * b2 + 3.0 * g2 * b1 + g3 * b0)
+            for o in range(4):
+                Bf[o, e] = B[i, o, e] * free[first[i] + e]
+        s = centre[i]
+        for o in range(3):
+            d0, d1, d2, d3, d4 = D[i, o, 0], D[i, o, 1], D[i, o, 2], D[i, o, 3], D[i, o, 4]
+            for j in range(nj):
+                for c in range(m):
+                    Gd[o, j, c] = (
+                        d0 * G[s - 2, j, c]
+                        + d1 * G[s - 1, j, c]
+                        + d2 * G[s, j, c]
+                        + d3 * G[s + 1, j, c]
+                        + d4 * G[s + 2, j, c]
+                    )
+        for j in range(nj):
+            v, y, z = 1.0 / limits[0, j], 1.0 / limits[1, j], 1.0 / limits[2, j]
+            for e in range(nb):
+                b0, b1, b2, b3 = Bf[0, e], Bf[1, e], Bf[2, e], Bf[3, e]
+                for c in range(m):
+                    g0, g1, g2, g3 = G[i, j, c], Gd[0, j, c], Gd[1, j, c], Gd[2, j, c]
+                    p = e * m + c
+                    slopes[i, j, p] = v * (g0 * b1 + g1 * b0)
+                    slopes[i, nj + j, p] = y * (g0 * b2 + 2.0 * g1 * b1 + g2 * b0)
+                    slopes[i, 2 * nj + j, p] = z * (g0 * b3 + 3.0 * g1 * b2 + 3.0 * g2 * b1 + g3 * b0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -60,26 +69,28 @@ def watch_near(rates, limits, deposits, slack, watch) -> None:
                     watch[i, o, j, 0 if rates[i, o, j] > 0.0 else 1] = True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def watch_missed(rates, limits, deposits, slack, G, centre, D, first, B, free, x, watch):
-    """Mark the rates that a step x takes beyond what the watched ones of their sample ask for; returns how many."""
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
+def watch_missed(rates, limits, deposits, slack, slopes, at, x, watch):
+    """Mark the rates that a step x takes beyond what the watched ones of their sample ask for; returns how many.
+
+    slopes (n, 3 nj, w) are those of `rate_slopes`, from the variable at (n) on.
+    """
     n, _, nj = rates.shape
-    m = G.shape[2]
-    w = B.shape[2] * m
-    Gd, a, Bf = np.empty((3, nj, m)), np.empty((3, nj, w)), np.empty((4, B.shape[2]))
-    over = np.empty((3, nj, 2))
+    w = slopes.shape[2]
+    over, own = np.empty((3, nj, 2)), np.empty(w)
     missed = 0
     for i in range(n):
         if deposits[i] == 0.0:
             continue
-        _slopes(i, limits, G, centre, D, first, B, free, Gd, Bf, a)
+        for p in range(w):
+            own[p] = x[at[i] + p]
         needed = 0.0
         for o in range(3):
             bound, slope = allowed(o, slack[i])
             for j in range(nj):
                 share = rates[i, o, j] / limits[o, j]
                 for p in range(w):
-                    share += a[o, j, p] * x[first[i] * m + p]
+                    share += slopes[i, o * nj + j, p] * own[p]
                 for side in range(2):
                     over[o, j, side] = ((share if side == 0 else -share) - bound) / slope + slack[i]
                     if watch[i, o, j, side]:
@@ -94,20 +105,18 @@ def watch_missed(rates, limits, deposits, slack, G, centre, D, first, B, free, x
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def count_rows(step, deposits, watch, q, low, high, sigma, least_sigma, watch_lean):
-    """Rows (r) and groups (k) that `quadratic_program` will write."""
-    n = len(q)
+def count_rows(step, deposits, watch, watch_end, sigma, least_sigma, watch_lean):
+    """Rows (r) and groups (k) that `bound_rows` will write."""
     rows, groups = 0, 0
-    for i in range(n):
+    for i in range(len(step)):
         if step[i] == 0.0:
             continue
         own = watch[i].sum() if deposits[i] > 0.0 else 0
         rows += own
         groups += 1 if own else 0
-        for j in range(low.size):
-            if min(q[i, j] - low[j], high[j] - q[i, j]) < NEAR_RANGE:
-                rows += 1
-                groups += 1
+        own = watch_end[i].sum()
+        rows += own
+        groups += own
         if deposits[i] > 0.0 and sigma[i] < NEAR_SIGMA * least_sigma:
             rows += 1
             groups += 1
@@ -118,59 +127,92 @@ def count_rows(step, deposits, watch, q, low, high, sigma, least_sigma, watch_le
     return rows, groups
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def quadratic_program(
-    rates, limits, step, deposits, slack, watch, q, G, low, high, sigma, sigma_slope, least_sigma,
-    lean, lean_slope, cones, watch_lean, peak,
-    centre, D, first, B, free,
-    H, g, A, b, at, group, price,
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
+def smooth_price(
+    rates, limits, step, q, G, low, high, sigma, sigma_slope, peak, slopes, first, B, free, H, g
 ):  # fmt: skip
-    """Fill the program around a path whose control values move by x; free (controls) is 1 for those that may, else 0.
-
-    q(t) moves by G(t) times the spline of x: its rates by the product rule, with rates of G by differences.
-    """
+    """Fill H (n, w), a lower band, and g (n) with the part of the price around a path that has no bounds, to second order:
+    effort, peaks, and closeness to ends of ranges and to singularities. What is held has a one on the diagonal."""
     n, _, nj = rates.shape
-    na = low.size
     m = G.shape[2]
-    nb = B.shape[2]
-    w = nb * m
-    Gd = np.empty((3, nj, m))
-    a = np.empty((3, nj, w))
-    scaled, product = np.empty((3, nj, w)), np.empty((w, w))
-    a0 = np.empty(w)
-    r, k = 0, 0
-    group[0] = 0
+    w = slopes.shape[2]
+    scaled, product = np.empty((_TOGETHER, 3 * nj, w)), np.empty((w, w))
+    row = np.empty(w)
     H[:] = 0.0
     g[:] = 0.0
-    row = np.empty(w)
-    Bf = np.empty((4, nb))
-    for k_free in range(free.size):
-        if free[k_free] == 0.0:
+    for k in range(free.size):
+        if free[k] == 0.0:
             for c in range(m):
-                H[k_free * m + c, 0] = 1.0
+                H[k * m + c, 0] = 1.0
+    start = 0
+    while start < n:
+        end = start + 1
+        while end < n and end - start < _TOGETHER and first[end] == first[start]:
+            end += 1
+        at = first[start] * m
+        for i in range(start, end):
+            for o in range(3):
+                for j in range(nj):
+                    r = o * nj + j
+                    share = rates[i, o, j] / limits[o, j]
+                    weight = 2.0 * step[i] * EFFORT[o] / nj / (1.0 + share * share) ** 2
+                    slope = share * weight
+                    if o == 0 and peak < np.inf:
+                        unit = limits[0, j] / peak
+                        own = 8.0 * PEAK_PRICE * step[i] / nj * unit * unit * (unit * share) ** 6
+                        slope += share * own
+                        weight += 7.0 * own
+                    for p in range(w):
+                        scaled[i - start, r, p] = weight * slopes[i, r, p]
+                        g[at + p] += slope * slopes[i, r, p]
+        rows = 3 * nj * (end - start)
+        np.dot(scaled[: end - start].reshape(rows, w).T, slopes[start:end].reshape(rows, w), product)
+        for p in range(w):
+            for d in range(p + 1):
+                H[at + p, d] += product[p, p - d]
+        start = end
+    for i in range(n):
+        if step[i] == 0.0:
+            continue
+        at = first[i] * m
+        for j in range(low.size):
+            room_low, room_high = q[i, j] - low[j], high[j] - q[i, j]
+            near = 1.0 - min(room_low, room_high) / LIMIT_COMFORT
+            if near > 0.0:
+                sign = (-1.0 if room_low < room_high else 1.0) / LIMIT_COMFORT
+                _row_of(i, sign, G[i, j], first, B, free, row)
+                _add(H, g, at, row, 2.0 * step[i] * LIMIT_PRICE, near)
+        close = SIGMA_COMFORT / sigma[i] - 1.0
+        if close > 0.0:
+            _row_of(i, -SIGMA_COMFORT / (sigma[i] * sigma[i]), sigma_slope[i], first, B, free, row)
+            _add(H, g, at, row, 2.0 * step[i] * SIGMA_PRICE, close)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _row_of(i, factor, by_z, first, B, free, row) -> None:
+    """Fill row (w) with factor times the slope by the control values of what has the slope by_z (m) at sample i."""
+    m = by_z.size
+    for e in range(B.shape[2]):
+        share = factor * B[i, 0, e] * free[first[i] + e]
+        for c in range(m):
+            row[e * m + c] = share * by_z[c]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def bound_rows(
+    rates, limits, step, deposits, slack, watch, q, G, low, high, watch_end, sigma, sigma_slope, least_sigma,
+    lean, lean_slope, cones, watch_lean, slopes, first, B, free,
+    A, b, at, group, price,
+):  # fmt: skip
+    """Fill the rows of what is watched around a path whose control values move by x, and the price of their slacks."""
+    n, _, nj = rates.shape
+    m, w = G.shape[2], slopes.shape[2]
+    r, k = 0, 0
+    group[0] = 0
     for i in range(n):
         if step[i] == 0.0:
             continue
         at_i = first[i] * m
-        _slopes(i, limits, G, centre, D, first, B, free, Gd, Bf, a)
-        # effort: what single rates add is one product of matrices
-        for o in range(3):
-            for j in range(nj):
-                share = rates[i, o, j] / limits[o, j]
-                weight = 2.0 * step[i] * EFFORT[o] / nj / (1.0 + share * share) ** 2
-                slope = share * weight
-                if o == 0 and peak < np.inf:
-                    unit = limits[0, j] / peak
-                    own = 8.0 * PEAK_PRICE * step[i] / nj * unit * unit * (unit * share) ** 6
-                    slope += share * own
-                    weight += 7.0 * own
-                for p in range(w):
-                    scaled[o, j, p] = weight * a[o, j, p]
-                    g[at_i + p] += slope * a[o, j, p]
-        np.dot(scaled.reshape(3 * nj, w).T, a.reshape(3 * nj, w), product)
-        for p in range(w):
-            for d in range(p + 1):
-                H[at_i + p, d] += product[p, p - d]
         # lost time: all rates of a sample share its slack
         if deposits[i] > 0.0:
             own = 0
@@ -182,7 +224,7 @@ def quadratic_program(
                         if watch[i, o, j, side]:
                             sign = 1.0 if side == 0 else -1.0
                             for p in range(w):
-                                A[r, p] = sign * a[o, j, p] / slope
+                                A[r, p] = sign * slopes[i, o * nj + j, p] / slope
                             b[r] = (bound - sign * share) / slope - slack[i]
                             at[r] = at_i
                             r += 1
@@ -192,57 +234,36 @@ def quadratic_program(
                 k += 1
                 group[k] = r
         # closeness to the ends of the joints' ranges
-        for j in range(na):
-            room_low, room_high = q[i, j] - low[j], high[j] - q[i, j]
-            room = min(room_low, room_high)
-            if room < NEAR_RANGE or room < LIMIT_COMFORT:
-                sign = -1.0 if room_low < room_high else 1.0
-                for e in range(nb):
-                    for c in range(m):
-                        row[e * m + c] = sign * G[i, j, c] * Bf[0, e]
-                near = 1.0 - room / LIMIT_COMFORT
-                if near > 0.0:
-                    for p in range(w):
-                        a0[p] = row[p] / LIMIT_COMFORT
-                    _add(H, g, at_i, a0, 2.0 * step[i] * LIMIT_PRICE, near)
-                if room < NEAR_RANGE:
-                    for p in range(w):
-                        A[r, p] = row[p]
-                    b[r] = room
-                    at[r] = at_i
-                    price[k] = step[i] * HARD_PRICE
-                    r += 1
-                    k += 1
-                    group[k] = r
-        # closeness to singularities
-        close = SIGMA_COMFORT / sigma[i] - 1.0
-        if close > 0.0 or (deposits[i] > 0.0 and sigma[i] < NEAR_SIGMA * least_sigma):
-            for e in range(nb):
-                for c in range(m):
-                    row[e * m + c] = sigma_slope[i, c] * Bf[0, e]
-            if close > 0.0:
-                for p in range(w):
-                    a0[p] = -SIGMA_COMFORT / (sigma[i] * sigma[i]) * row[p]
-                _add(H, g, at_i, a0, 2.0 * step[i] * SIGMA_PRICE, close)
-            if deposits[i] > 0.0 and sigma[i] < NEAR_SIGMA * least_sigma:
-                for p in range(w):
-                    A[r, p] = -row[p]
-                b[r] = sigma[i] - least_sigma
+        for j in range(low.size):
+            if watch_end[i, j]:
+                room_low, room_high = q[i, j] - low[j], high[j] - q[i, j]
+                _row_of(i, -1.0 if room_low < room_high else 1.0, G[i, j], first, B, free, A[r])
+                b[r] = min(room_low, room_high)
                 at[r] = at_i
                 price[k] = step[i] * HARD_PRICE
                 r += 1
                 k += 1
                 group[k] = r
+        # closeness to singularities
+        if deposits[i] > 0.0 and sigma[i] < NEAR_SIGMA * least_sigma:
+            _row_of(i, -1.0, sigma_slope[i], first, B, free, A[r])
+            b[r] = sigma[i] - least_sigma
+            at[r] = at_i
+            price[k] = step[i] * HARD_PRICE
+            r += 1
+            k += 1
+            group[k] = r
         # cones: of a direction's lean, all facets share a slack
         for v in range(cones.size):
             own = 0
             for f in range(watch_lean.shape[2]):
                 if watch_lean[i, v, f]:
                     u_x, u_y = facet(lean[i, v], f)
-                    for e in range(nb):
+                    for e in range(B.shape[2]):
+                        share = B[i, 0, e] * free[first[i] + e]
                         for c in range(m):
                             slope = u_x * lean_slope[i, v, 0, c] + u_y * lean_slope[i, v, 1, c]
-                            A[r, e * m + c] = slope * Bf[0, e]
+                            A[r, e * m + c] = slope * share
                     b[r] = cones[v] - u_x * lean[i, v, 0] - u_y * lean[i, v, 1]
                     at[r] = at_i
                     r += 1

@@ -21,6 +21,8 @@ ROLL, TILT, HOLDER = 0, (1, 2), 3  # columns of z; given arm joints come after t
 CONE_SIDES = 12  # of the polygon inside the circle that bounds tilt
 _NEAR_SIDE = 0.3  # of the cone about tilt: who is as near to a side of its polygon has it watched from the start
 _MISSED_SIDE = 1e-5  # rad beyond a side that the program must go before it watches it too
+_NEAR_END = 0.7  # of what a step may move a joint: who is as near to the end of its range has it watched from the start
+_MISSED_END = 1e-5  # rad beyond that end that the program must go before it watches it too
 _RANGE_ROOM = 1e-4  # rad kept from the ends of the joints' ranges
 
 
@@ -125,12 +127,14 @@ class State:
 
 @dataclass(frozen=True)
 class Watch:
-    """What a program watches: rates (n, 3, nj, 2), upwards and downwards, facets (n, b, FACETS.size) of b cones, and
-    sides (k, CONE_SIDES) of the polygon about tilt, none where the nozzle may not."""
+    """What a program watches: rates (n, 3, nj, 2), upwards and downwards, facets (n, b, FACETS.size) of b cones, sides
+    (k, CONE_SIDES) of the polygon about tilt, none where the nozzle may not, and the arm's joints (n, na) for the nearer
+    end of their range."""
 
     rates: Flags
     facets: Flags
     sides: Flags
+    ends: Flags
 
     def add_sides(self, model: Model, stretch: Stretch, state: State, x: Array) -> int:
         """Watch the sides that a step x of the control values goes beyond; returns how many."""
@@ -138,6 +142,24 @@ class Watch:
         missed = (room < -_MISSED_SIDE) & (stretch.free[:, None] > 0.0) & ~self.sides
         self.sides[missed] = True
         return int(missed.sum())
+
+    def add_ends(self, model: Model, stretch: Stretch, q: Array) -> int:
+        """Watch the ends of ranges that joints q (n, nj), which a step leads to, go beyond; returns how many."""
+        missed = (_end_room(model, q) < -_MISSED_END) & (stretch.step[:, None] > 0.0) & ~self.ends
+        self.ends[missed] = True
+        return int(missed.sum())
+
+
+def _end_room(model: Model, q: Array) -> Array:
+    """How far joints q (n, nj) are inside their ranges, the arm's (n, na) [rad]."""
+    arm = slice(model.arm)
+    return np.minimum(q[:, arm] - model.low[arm], model.high[arm] - q[:, arm])
+
+
+def near_ends(model: Model, stretch: Stretch, state: State, trust: float) -> Flags:
+    """The arm's joints (n, na) that a share of a step within `trust` [rad] may take to the end of their range."""
+    reach = trust * np.abs(state.G[:, : model.arm]).sum(axis=2)
+    return np.asarray((_end_room(model, state.q) < _NEAR_END * reach) & (stretch.step[:, None] > 0.0))
 
 
 def side_room(model: Model, stretch: Stretch, c: Array) -> Array:
