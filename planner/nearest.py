@@ -7,6 +7,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from planner.readonly import read_only
+
 Array = NDArray[np.float64]
 
 
@@ -20,7 +22,7 @@ def distance_to_polyline(points: Array, polyline: Array) -> Array:
         return np.zeros(0)
     # a tree of sliding midpoints is built in half the time, and as good for points in a row
     _, nearest = cKDTree(polyline, balanced_tree=False, compact_nodes=False).query(points, k=2)
-    return _distances(np.ascontiguousarray(points), np.ascontiguousarray(polyline), nearest)
+    return _distances(read_only(points), read_only(polyline), nearest)
 
 
 @njit(cache=True)

@@ -1,10 +1,11 @@
-"""Arrays of frozen values are read-only."""
+"""Arrays of frozen values are read-only. To compiled code such an array is another type than one that may be written."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 
 class ReadOnlyArrays:
@@ -19,3 +20,10 @@ class ReadOnlyArrays:
         """A copy, or a value that another process sent, is read-only as well: to compiled code that is another type."""
         vars(self).update(state)
         ReadOnlyArrays.__post_init__(self)
+
+
+def read_only(values: NDArray[Any]) -> NDArray[Any]:
+    """The same values in one piece of memory, read-only: what takes them, compiled, is compiled once."""
+    view = np.ascontiguousarray(values).view()
+    view.setflags(write=False)
+    return view

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from planner.cell import Cell
 from planner.least_singular import least_singular_value
 from planner.plan import Trajectory
+from planner.readonly import read_only
 from planner.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -70,7 +71,7 @@ def _rows(motion: Motion, rows: slice) -> Motion:
 
 def _fill(motion: Motion, cell: Cell, q: Array, deposit: NDArray[np.bool_], T_base_nozzle: Array, J: Array) -> None:
     """Fill in the motion of postures q (n, nj) from nozzle poses (n, 4, 4) and Jacobians (n, 6, na): see `_nozzle`."""
-    T_world_part = _part(cell, q[:, len(cell.arm) :])
+    T_world_part = read_only(_part(cell, q[:, len(cell.arm) :]))
     _judge(
         T_base_nozzle, J, deposit, cell.T_world_base, T_world_part, np.array(cell.solved),
         motion.tip, motion.rotation, motion.up, motion.sigma, motion.det,

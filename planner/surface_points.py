@@ -26,12 +26,13 @@ def split(triangles, longest):
                 long += 1
         if count + len(now) - long > len(done):
             more = np.empty((2 * (count + len(now)), 3, 3))
-            more[:count] = done[:count]
+            for i in range(count):
+                _copy(done[i], more[i])
             done = more
         halves, j = np.empty((2 * long, 3, 3)), 0
         for i in range(len(now)):
             if across[i] < 0:
-                done[count] = now[i]
+                _copy(now[i], done[count])
                 count += 1
                 continue
             for x in range(3):
@@ -42,6 +43,13 @@ def split(triangles, longest):
             j += 1
         now = halves
     return done[:count].copy()
+
+
+@njit(cache=True, error_model="numpy")
+def _copy(triangle, out):
+    for k in range(3):
+        for x in range(3):
+            out[k, x] = triangle[k, x]
 
 
 @njit(cache=True, error_model="numpy")

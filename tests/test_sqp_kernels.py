@@ -173,8 +173,11 @@ def run_follow(cell: Cell, tip: Array, frames: Array, z: Array, q_near: Array) -
         -2, q_near.copy(), np.full((n, q_near.shape[1], m), nan), np.full(n, nan), np.full((n, m), nan),
         np.full((n, 2, 2), nan), np.full((n, 2, 2, m), nan),
     )  # fmt: skip
+    task = [np.ascontiguousarray(each) for each in (tip, frames)]
+    for each in task:
+        each.setflags(write=False)  # as a task's are: `follow` need not be compiled twice
     out.lost = follow(
-        *model.chains, model.solved, model.given, np.ascontiguousarray(tip), np.ascontiguousarray(frames), z,
+        *model.chains, model.solved, model.given, *task, z,
         np.arange(m), out.q, out.G, out.sigma, out.sigma_slope, out.lean, out.lean_slope,
     )  # fmt: skip
     return out

@@ -82,7 +82,7 @@ NARROW = {
     "": {"garbage", "interrupts"},
     "garbage": {"errors"},
     "readonly": {"errors"},
-    "nearest": {"errors"},
+    "nearest": {"errors", "readonly"},
     "versions": {"errors"},
     "spread": {"errors", "interrupts", "versions"},
     "progress": {"errors"},

@@ -204,8 +204,9 @@ def minimise(H, g, box, A, b, at, group, price, accuracy) -> tuple[Array, int]:
             exact = True
             if dual <= accuracy * scale:
                 break
-        U[:] = H_upper
         for i in range(n):
+            for d in range(w):
+                U[i, d] = H_upper[i, d]
             U[i, 0] += lam_low[i] / low[i] + lam_high[i] / high[i]
         for k in range(groups):
             own[k] = mu[k] / slack[k]

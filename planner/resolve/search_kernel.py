@@ -234,7 +234,7 @@ def search_greedy(q, price, roll_from, holder_from, periodic, holder_step, task_
         for k in np.argsort(flat):  # the next best start, if this one leads into a dead end
             if flat[k] == np.inf:
                 break
-            picked[r0] = (k // (C * B), (k // C) % B, k % C)
+            picked[r0, 0], picked[r0, 1], picked[r0, 2] = k // (C * B), (k // C) % B, k % C
             spent, stuck = _follow(
                 q,
                 price,
@@ -283,7 +283,7 @@ def _follow(q, price, roll_from, holder_from, periodic, holder_step, stop: int, 
                     )  # fmt: skip
                     if t < best:
                         best = t
-                        picked[r] = (i, b, c)
+                        picked[r, 0], picked[r, 1], picked[r, 2] = i, b, c
         if best == np.inf:
             return np.inf, r
         total += best

@@ -58,7 +58,9 @@ def _polynomials(t: Array, c: Array, degree: int, spans: NDArray[np.int64]) -> A
     felt, now = np.empty((degree + 1, columns)), np.empty((degree + 1, columns))
     for at in range(len(spans)):
         i = spans[at]
-        felt[:] = c[i - degree : i + 1]
+        for j in range(degree + 1):
+            for column in range(columns):
+                felt[j, column] = c[i - degree + j, column]
         scale = 1.0  # of the derivative: one over the factorial of its order
         for order in range(degree + 1):
             left = degree - order  # degree of the derivative, of which felt[order :] are control values
@@ -69,7 +71,9 @@ def _polynomials(t: Array, c: Array, degree: int, spans: NDArray[np.int64]) -> A
                     factor = (left + 1) / (t[low + left + 1] - t[low])
                     for column in range(columns):
                         felt[j, column] = factor * (felt[j, column] - felt[j - 1, column])
-            now[:] = felt
+            for j in range(order, degree + 1):
+                for column in range(columns):
+                    now[j, column] = felt[j, column]
             for level in range(1, left + 1):
                 for j in range(degree, order + level - 1, -1):
                     low = i - degree + j

@@ -29,7 +29,8 @@ def even_out(lengths: Array, sums: Array, mins: Array) -> None:
         least = min(sums[max(b - 1, 0)], sums[b], sums[min(b + 1, blocks - 1)])
         mins[b * APART : min((b + 1) * APART, m)] = least
     average(mins, APART // 2, sums, lengths)
-    mins[:] = lengths
+    for i in range(m):
+        mins[i] = lengths[i]
     average(mins, APART // 2, sums, lengths)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.cubics import Cubics, State
-from planner.readonly import ReadOnlyArrays
+from planner.readonly import ReadOnlyArrays, read_only
 from planner.toolpath.bead import Surface
 
 Array = NDArray[np.float64]
@@ -114,7 +114,7 @@ class Room(ReadOnlyArrays):
         Most of a way is far from the part, and a distance changes by no more than a point moves: every 64th instant is
         looked at first, then those between that this leaves open.
         """
-        points = np.ascontiguousarray(points)
+        points = read_only(points)
         floor = min(0.0, float(self.gaps.min()))
         needed = _needed(points, self.tips, self.gaps, self.full, floor)
         most, before = -np.inf, 0

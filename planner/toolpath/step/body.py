@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from planner.readonly import ReadOnlyArrays
+from planner.readonly import ReadOnlyArrays, read_only
 from planner.toolpath.step.face import Face
 from planner.toolpath.step.nearest import settle, signed
 from planner.toolpath.step.splines import SplineSet
@@ -165,7 +165,7 @@ class FaceBody:
     def _feet(self, points: Array, face: Ints, uv: Array) -> Places:
         s = self.splines
         found, place = settle(
-            np.ascontiguousarray(points),
+            read_only(points),
             np.ascontiguousarray(face),
             np.ascontiguousarray(uv),
             s.knots,
@@ -194,7 +194,7 @@ class FaceBody:
         near = np.ascontiguousarray(near.reshape(len(points), min(_CANDIDATES, self.tree.n)))
         s = self.splines
         return signed(
-            np.ascontiguousarray(points),
+            read_only(points),
             near,
             self.sample_face,
             self.sample_uv,

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planner.readonly import ReadOnlyArrays
+from planner.readonly import ReadOnlyArrays, read_only
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -53,7 +53,7 @@ class FacetTree(ReadOnlyArrays):
 
     def distance(self, points: Array) -> Array:
         """Distance (n,) of points (n, 3) from the nearest facet [m]."""
-        return _distance(np.ascontiguousarray(points), self.corners, self.low, self.high)
+        return _distance(read_only(points), self.corners, self.low, self.high)
 
     def top(self, plane: Array) -> tuple[Array, Index]:
         """The highest facet that is seen from above at x, y (n, 2): z there [m], NaN where none is; its index, or -1."""

@@ -16,7 +16,7 @@ from scipy.interpolate import BSpline
 from scipy.sparse import coo_array, csr_array, diags_array, eye_array, kron
 from scipy.sparse.linalg import splu
 
-from planner.readonly import ReadOnlyArrays
+from planner.readonly import ReadOnlyArrays, read_only
 
 Array = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ class HeightField(ReadOnlyArrays):
 
     def nearest(self, points: Array) -> Array:
         """x, y (n, 2) of the places whose normals pass through points (n, 3), found from above or below them."""
-        return _nearest(np.ascontiguousarray(points), self.corner, self.step, self.coefficients, _BASIS)
+        return _nearest(read_only(points), self.corner, self.step, self.coefficients, _BASIS)
 
     def level(self, z: float) -> HeightField:
         """The plane at height z [m], with the same knots."""

@@ -14,6 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from planner.readonly import read_only
 from planner.toolpath.bead import Bead
 
 Array = NDArray[np.float64]
@@ -85,7 +86,7 @@ class Surfels:
         _, k = self.tip_tree.query(points, workers=_workers(points))
         bead = np.searchsorted(self.first, k, side="right") - 1
         start = np.clip(k - _STENCIL // 2 + 1, self.first[bead], self.first[bead + 1] - _STENCIL)
-        return _normals(np.ascontiguousarray(points), self.tips, self.outward, start, (k - start).astype(float))
+        return _normals(read_only(points), self.tips, self.outward, start, (k - start).astype(float))
 
     def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
         """Outward unit normals (n, 3) of a bead nearest to tips (n, 3) beside its arc lengths s (n) [m].
