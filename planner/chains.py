@@ -15,14 +15,14 @@ from planner.errors import PlannerError
 from planner.given import Given, digest_of, found_anywhere, given_elsewhere
 from planner.resolve.jointpath import JointPath, choose_turns
 from planner.resolve.ladder import ladder
-from planner.resolve.sqp import given_prices, refine_beads, sigma_floor
+from planner.resolve.sqp import Priced, given_prices, refine_beads, sigma_floor
 from planner.resolve.stretch import model_of
 from planner.spread import Spread
 
 Array = NDArray[np.float64]
 Joints = tuple[Array, Array, Array, int]  # roll, tilt, joints and branch of a JointPath
 # name and overrides of the problem, its digest, prices of a piece's beads, what they must keep; beads by their index
-Piece = tuple[tuple[str, tuple[str, ...], str], list[tuple[float, float] | None], float, list[int], list[Joints]]
+Piece = tuple[tuple[str, tuple[str, ...], str], list[Priced | None], float, list[int], list[Joints]]
 
 LEAST = 4000  # samples of a piece: less takes longer to send than to refine
 

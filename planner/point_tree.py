@@ -134,9 +134,7 @@ def solid_distance(kind, size, planes, x, y, z):
     if kind == FRUSTUM:
         r = np.sqrt(x * x + y * y)
         bottom, top, height = size[0], size[1], size[2]
-        # the side from (bottom, 0) to (top, height), its outward normal
-        along = np.sqrt((top - bottom) ** 2 + height * height)
-        ux, uz = (top - bottom) / along, height / along
+        ux, uz, along = size[3], size[4], size[5]  # the side from (bottom, 0) to (top, height)
         side = (r - bottom) * uz - z * ux
         inside = max(side, max(-z, z - height))
         if inside <= 0.0:

@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 BOX, FRUSTUM, CAPSULE, HULL = 0, 1, 2, 3  # numbers of the kinds in compiled kernels
+SIZES = 6  # numbers at most that say how large one is
 _AROUND = 48  # corners of a circle that is drawn as triangles
 
 
@@ -107,8 +108,8 @@ class Body:
 class Packed(ReadOnlyArrays):
     """Convex solids as numbers for compiled kernels (b solids), in one frame.
 
-    kind (b), size (b, 4)    of Box: half sizes; Frustum: bottom, top, height; Capsule: radius, half length;
-                             Hull: first plane and number of planes
+    kind (b), size (b, SIZES)   of Box: half sizes; Capsule: radius, half length; Hull: first plane, number of planes;
+                             Frustum: bottom, top, height, direction (2, outwards and up) and length of its side
     planes (k, 4)            of all hulls
     T_solid_frame (b, 4, 4)  takes points of the frame into the solid
     centre (b, 3), reach (b) ball around the solid, in the frame
@@ -125,7 +126,7 @@ class Packed(ReadOnlyArrays):
 def packed(bodies: Sequence[Body]) -> Packed:
     """Bodies of convex solids in one frame as numbers. Raises TypeError for a mesh."""
     b = len(bodies)
-    kind, size = np.zeros(b, dtype=np.int64), np.zeros((b, 4))
+    kind, size = np.zeros(b, dtype=np.int64), np.zeros((b, SIZES))
     T_solid_frame, centre, reach = np.zeros((b, 4, 4)), np.zeros((b, 3)), np.zeros(b)
     planes: list[Array] = [np.zeros((0, 4))]
     for i, body in enumerate(bodies):
@@ -134,7 +135,10 @@ def packed(bodies: Sequence[Body]) -> Packed:
             kind[i], size[i, :3] = BOX, 0.5 * np.array(solid.size)
             middle, reach[i] = np.zeros(3), np.linalg.norm(size[i, :3])
         elif isinstance(solid, Frustum):
-            kind[i], size[i, :3] = FRUSTUM, (solid.bottom, solid.top, solid.height)
+            wider = solid.top - solid.bottom
+            side = np.sqrt(wider * wider + solid.height * solid.height)
+            kind[i] = FRUSTUM
+            size[i] = solid.bottom, solid.top, solid.height, wider / side, solid.height / side, side
             middle = np.array([0.0, 0.0, 0.5 * solid.height])
             reach[i] = np.hypot(max(solid.bottom, solid.top), 0.5 * solid.height)
         elif isinstance(solid, Capsule):

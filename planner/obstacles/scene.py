@@ -20,7 +20,7 @@ from planner.obstacles.things import ARM, HEAD, Thing, corners, is_round, looked
 from planner.point_tree import PointTree, point_tree
 from planner.print_body import TIP_SLOPE, PrintBody, print_body, standing, tip_slack
 from planner.problem import Problem
-from planner.solids import Body, Hull, Mesh, packed
+from planner.solids import SIZES, Body, Hull, Mesh, packed
 from planner.toolpath.bead import Toolpath
 
 Array = NDArray[np.float64]
@@ -133,7 +133,7 @@ def _empty() -> Table:
     no_points, no_pairs = np.zeros((0, 3)), np.zeros((0, 2), dtype=np.int64)
     return Table(
         placements=no_poses, axes=no_points, arm=np.zeros(1, dtype=np.int64), tip=np.zeros(3),
-        frame=no_index, kind=no_index, size=np.zeros((0, 4)), planes=np.zeros((0, 4)), vertices=no_points, span=no_pairs,
+        frame=no_index, kind=no_index, size=np.zeros((0, SIZES)), planes=np.zeros((0, 4)), vertices=no_points, span=no_pairs,
         T_frame_solid=no_poses, ball=np.zeros((0, 4)), pair=no_pairs, needed=none,
         points=no_points, radius=none, time=none, node_centre=no_points, node_reach=none, since=none,
         left=no_index, right=no_index, first=np.zeros((0, 4), dtype=np.int64), tree_frame=no_index,

@@ -20,7 +20,7 @@ class Table(NamedTuple):
 
     placements (nj, 4, 4), axes (nj, 3)   as in Chain, of the arm and then the holder; arm (1): how many are the arm's
     tip (3)                               of the nozzle in the arm's last frame
-    frame, kind (b), size (b, 4), planes, vertices, span (b, 2)   solids as in Packed; span: first vertex and how many
+    frame, kind (b), size (b, SIZES), planes, vertices, span (b, 2)   solids as in Packed; span: first vertex and how many
     T_frame_solid (b, 4, 4), ball (b, 4)  middle and reach of a ball around each, in its frame
     pair (p, 2), needed (p)               bodies that may touch, the distance that they keep [m]
     points .. right                       the trees of `PointTree` end to end

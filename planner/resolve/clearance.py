@@ -40,16 +40,21 @@ class Clearances:
     slope: Array
 
 
-def clearances(obstacles: Obstacles, q: Array, G: Array, now: Array, tip: Array, *, held: bool = True) -> Clearances:
+def clearances(
+    obstacles: Obstacles, q: Array, G: Array, now: Array, tip: Array, first: int = 0, *, held: bool = True
+) -> Clearances:
     """The least margins of postures q (n, nj) at times now (n), the nozzle's tip at tip (n, 3); G (n, nj, m) is dq/dz.
 
+    first: the sample to begin with; those before are of no concern.
     held: whether margins are to be held; if not, only those that lack something come back.
     """
     n, nj = q.shape
     if not obstacles.any:
         return Clearances(np.zeros(n), np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, G.shape[2])))
     gone = np.concatenate([np.zeros(1), np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))]) // EVERY
-    fine = np.flatnonzero(np.concatenate([np.ones(1, dtype=np.bool_), np.diff(gone) > 0.0]))
+    begins = np.concatenate([np.ones(1, dtype=np.bool_), np.diff(gone) > 0.0])
+    begins[: first + 1] = np.arange(first + 1) == first
+    fine = np.flatnonzero(begins)
     margin, slope = np.empty((n, _ROWS)), np.empty((n, _ROWS, nj))
     which = np.empty((n, _ROWS), dtype=np.int64)
     wanted, comfort = np.zeros(n, dtype=np.bool_), (COMFORT, COMFORT_OF_POINTS) if held else (ROOM, ROOM)
@@ -68,8 +73,9 @@ def clearances(obstacles: Obstacles, q: Array, G: Array, now: Array, tip: Array,
         look(fine[_beside_small(margin[fine[::SPARSE]], slope[fine[::SPARSE]], len(fine))])
     else:
         look(fine)
-    group = np.cumsum(wanted) - 1
-    time = np.where(wanted, np.bincount(group)[group], 0).astype(float)
+    group = np.cumsum(wanted)[first:] - 1
+    time = np.zeros(n)
+    time[first:] = np.where(wanted[first:], np.bincount(group)[group], 0)
     margin[~wanted] = np.inf
     sample, row = np.nonzero(margin < comfort[0])
     return Clearances(time, sample, margin[sample, row], np.einsum("kj,kjm->km", slope[sample, row], G[sample]))

@@ -3,11 +3,13 @@
 The price of a path is in seconds. At the commanded speed v the joints' rates are known from the path, so each
 sample has a greatest speed that the limits allow, v / (1 + slack): the slack is the share of its time that is lost.
 
-    price = sum over samples of  step * (deposits * slack + effort + closeness)
+    price = sum over samples of  step * (deposits * lost(slack) + effort + closeness + excess)
 
-effort is small and quadratic in the rates' shares of their limits: of two choices at full speed the calmer one wins.
-Where no time is lost anyway, peaks of the joints' speed are part of it.
+lost is the time that a slack loses, and a little for every dip.
+effort is small and grows with the squares of the rates' shares of their limits, ever more slowly beyond them: of two
+choices at full speed the calmer one wins. Where no time is lost anyway, peaks of the joints' speed are part of it.
 closeness grows towards singularities of the arm and the ends of the joints' ranges.
+excess is dear: what goes beyond bounds. Tilt, and ends of beads that move, are priced in `refine`.
 """
 
 from __future__ import annotations

@@ -90,7 +90,8 @@ def evaluate_samples(
     lean, lean_slope = np.ascontiguousarray(lean[:, bounded]), np.ascontiguousarray(lean_slope[:, bounded])
     # upright, what is round about the nozzle's axis keeps the clearance from the part that it has
     obstacles = model.obstacles if stretch.cones.tilt > 0.0 else model.obstacles.but_round_on_part
-    near = clearances(obstacles, q, G, stretch.now, stretch.tip, held=c.shape[1] > 0)
+    first = int(np.argmax(stretch.step > 0.0))
+    near = clearances(obstacles, q, G, stretch.now, stretch.tip, first, held=c.shape[1] > 0)
     tilt = z[:, list(TILT)] if stretch.cones.tilt > 0.0 else np.zeros((n, 0))
     rates, slack = np.empty((n, 3, nj)), np.empty(n)
     differentiate(q, stretch.centre, stretch.D, rates)
@@ -256,7 +257,7 @@ def _best_step(
         ) + watch_missed_leans(
             stretch.step, state.lean, state.lean_slope, state.cones, stretch.first, stretch.B, stretch.free, x,
             watch.facets,
-        ) + watch.add_sides(model, stretch, state, x) + watch.add_ends(model, stretch, _foreseen(stretch, state, x))  # fmt: skip
+        ) + watch.add_sides(model, stretch, state, x) + watch.add_ends(model, stretch, state, _foreseen(stretch, state, x))  # fmt: skip
         if not missed:
             break
     return x, float(stretch.step.mean()) * (program.value(np.zeros(len(x))) - program.value(x))

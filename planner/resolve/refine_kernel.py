@@ -1,4 +1,4 @@
-"""The quadratic program around a path, compiled: its price (see `price_kernel`) convex and to second order."""
+"""The quadratic program around a path, compiled: its price (see `price_kernel`) to first order, with a convex second one."""
 
 from __future__ import annotations
 
@@ -131,8 +131,9 @@ def count_rows(step, deposits, watch, watch_end, sigma, least_sigma, watch_lean)
 def smooth_price(
     rates, limits, step, q, G, low, high, sigma, sigma_slope, peak, slopes, first, B, free, H, g
 ):  # fmt: skip
-    """Fill H (n, w), a lower band, and g (n) with the part of the price around a path that has no bounds, to second order:
-    effort, peaks, and closeness to ends of ranges and to singularities. What is held has a one on the diagonal."""
+    """Fill H (n, w), a lower band, and g (n) with the part of the price around a path that has no bounds: effort, peaks, and
+    closeness to ends of ranges and to singularities. g is exact, H what is convex: of effort its slope over the rate, of
+    peaks all of it. What is held has a one on the diagonal."""
     n, _, nj = rates.shape
     m = G.shape[2]
     w = slopes.shape[2]

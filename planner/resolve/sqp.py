@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from planner.resolve.clearance import ROOM
 from planner.resolve.interior_point import solve_qp
 from planner.resolve.jointpath import MARGIN, JointPath, choose_turns
 from planner.resolve.ladder import ladder, runs_backwards
-from planner.resolve.refine import QPSolver, calmed, evaluate, evaluate_samples, refine_stretch
+from planner.resolve.refine import CONE_ROOM, QPSolver, calmed, evaluate, evaluate_samples, refine_stretch
 from planner.resolve.spacing import knots_along
 from planner.resolve.splines import LEAST_SAMPLES, Basis, Clock, basis_over, clock_of
 from planner.resolve.stretch import HOLDER, ROLL, TILT, Model, Stretch, model_of
@@ -59,7 +60,7 @@ def refine_beads(
     paths: Sequence[JointPath],
     settings: ResolveSpec,
     obstacles: Obstacles,
-    given: dict[int, tuple[float, float]],
+    given: dict[int, Priced],
     floor: float,
 ) -> list[JointPath]:
     """Refine paths with the prices of `given_prices` down to a floor of `sigma_floor`; turns are still to be chosen.
@@ -99,33 +100,37 @@ def qp_solver(name: str) -> QPSolver:
     return solve_qp
 
 
-def given_prices(model: Model, paths: Sequence[JointPath], settings: ResolveSpec) -> dict[int, tuple[float, float]]:
-    """Price [s] and least singular value of the paths that are long enough to be refined, by their index."""
+def given_prices(model: Model, paths: Sequence[JointPath], settings: ResolveSpec) -> dict[int, Priced]:
+    """What the paths that are long enough to be refined cost as they are, by their index."""
     long_enough = [i for i, path in enumerate(paths) if len(path.task) >= LEAST_SAMPLES]
     with ThreadPoolExecutor(cores()) as pool:
         prices = pool.map(lambda i: given_price(model, paths[i], settings.min_sigma), long_enough)
         return dict(zip(long_enough, prices, strict=True))
 
 
-def sigma_floor(given: dict[int, tuple[float, float]], settings: ResolveSpec) -> float:
+def sigma_floor(given: dict[int, Priced], settings: ResolveSpec) -> float:
     """The least singular value that refined paths must keep, from what `given_prices` says."""
-    return _FLOOR * max(settings.min_sigma, min((sigma for _, sigma in given.values()), default=0.0))
+    return _FLOOR * max(settings.min_sigma, min((path.sigma for path in given.values()), default=0.0))
 
 
 def cheaper(
     cell: Cell,
     path: JointPath,
-    given: tuple[float, float],
+    given: Priced,
     track: Track,
     floor: float,
     obstacles: Obstacles = NOTHING,
 ) -> JointPath:
     """A refined track as a path if it costs less than the path that was given and keeps what it kept, else that."""
+    if not np.isfinite(track.price):
+        return path
     refined = path_of(cell, track)
     least = _least_margin(refined, obstacles)
     # who has room everywhere lacks no clearance that would have a price
-    price, sigma = given_price(model_of(cell, NOTHING if least >= ROOM else obstacles), refined, floor)
-    better = price < given[0] and sigma >= min(floor / _FLOOR, given[1]) and _within(cell, refined)
+    now = given_price(model_of(cell, NOTHING if least >= ROOM else obstacles), refined, floor)
+    better = now.price < given.price and now.sigma >= min(floor / _FLOOR, given.sigma) and _within(cell, refined)
+    # cones about gravity have but a price in the program, if a high one
+    better = better and now.beyond <= max(given.beyond, 0.0)
     as_clear = least >= -SLIGHT or least >= _least_margin(path, obstacles)
     return refined if better and as_clear else path
 
@@ -175,12 +180,25 @@ def whole(task: NozzleTask, clock: Clock, basis: Basis, anchor: Array) -> Stretc
     )  # fmt: skip
 
 
-def given_price(model: Model, path: JointPath, least_sigma: float) -> tuple[float, float]:
-    """Price [s] of a path as it is, and its least singular value in deposition; infinite and 0 where the kernels cannot follow it."""
+class Priced(NamedTuple):
+    """What a path costs: its price [s]; in deposition its least singular value, and how far it leans beyond the cones
+    about gravity at most, negative within them [rad]."""
+
+    price: float
+    sigma: float
+    beyond: float
+
+
+def given_price(model: Model, path: JointPath, least_sigma: float) -> Priced:
+    """What a path costs as it is; everything, where the kernels cannot follow it."""
     clock = clock_of(path.task.s / path.task.speed)
     stretch = whole(path.task, clock, basis_over(clock, np.array([0.0, 1.0])), np.zeros((2, 0)))
     state = evaluate_samples(model, stretch, np.zeros((2, 0)), free_variables(model, path), path.q, least_sigma)
-    return (np.inf, 0.0) if state is None else (state.price, float(state.sigma[stretch.deposits > 0.0].min()))
+    if state is None:
+        return Priced(np.inf, 0.0, np.inf)
+    laid = stretch.deposits > 0.0
+    over = np.hypot(state.lean[laid, :, 0], state.lean[laid, :, 1]) - (state.cones + CONE_ROOM)
+    return Priced(state.price, float(state.sigma[laid].min()), float(over.max(initial=-np.inf)))
 
 
 def start_track(model: Model, knot: float, floor: float, path: JointPath, below: Track | None) -> Track:

@@ -143,23 +143,24 @@ class Watch:
         self.sides[missed] = True
         return int(missed.sum())
 
-    def add_ends(self, model: Model, stretch: Stretch, q: Array) -> int:
-        """Watch the ends of ranges that joints q (n, nj), which a step leads to, go beyond; returns how many."""
-        missed = (_end_room(model, q) < -_MISSED_END) & (stretch.step[:, None] > 0.0) & ~self.ends
+    def add_ends(self, model: Model, stretch: Stretch, state: State, q: Array) -> int:
+        """Watch the ends that joints q (n, nj), which a step leads to, go beyond, of those nearer now; returns how many."""
+        missed = (_end_room(model, state.q, q) < -_MISSED_END) & (stretch.step[:, None] > 0.0) & ~self.ends
         self.ends[missed] = True
         return int(missed.sum())
 
 
-def _end_room(model: Model, q: Array) -> Array:
-    """How far joints q (n, nj) are inside their ranges, the arm's (n, na) [rad]."""
+def _end_room(model: Model, now: Array, q: Array) -> Array:
+    """How far joints q (n, nj) are from the end of their range that is nearer now, the arm's (n, na) [rad]."""
     arm = slice(model.arm)
-    return np.minimum(q[:, arm] - model.low[arm], model.high[arm] - q[:, arm])
+    low, high = model.low[arm], model.high[arm]
+    return np.where(now[:, arm] - low < high - now[:, arm], q[:, arm] - low, high - q[:, arm])
 
 
 def near_ends(model: Model, stretch: Stretch, state: State, trust: float) -> Flags:
     """The arm's joints (n, na) that a share of a step within `trust` [rad] may take to the end of their range."""
     reach = trust * np.abs(state.G[:, : model.arm]).sum(axis=2)
-    return np.asarray((_end_room(model, state.q) < _NEAR_END * reach) & (stretch.step[:, None] > 0.0))
+    return np.asarray((_end_room(model, state.q, state.q) < _NEAR_END * reach) & (stretch.step[:, None] > 0.0))
 
 
 def side_room(model: Model, stretch: Stretch, c: Array) -> Array:

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 FAR = 50e-3  # m: what is farther away is that far away
 TOLERANCE = 1e-4  # m: no distance is missed that is less than the least that is found by more
 _OFTEN = 25  # samples after which every body is looked at again, wherever it is
-_BLOCK = 2e-3  # m of the tip's way, on which points are looked at together: the longer, the more of them may matter
+_BLOCK = 1e-3  # m of the tip's way, on which points are looked at together: the longer, the more of them may matter
 _MOST_PARTS = 64  # of the time between two samples
 _RATE = 1.0 + TIP_SLOPE  # of a motion, by which a margin beyond the tip's zone changes at most
 _DEEPEST = 64  # intervals that wait at once: more than the samples of a block can make
@@ -74,17 +74,23 @@ def least_along(
                     stack[waiting], stack[waiting + 1] = left[node], right[node]
                     waiting += 2
                     continue
-                for k in range(a, a if posed else b + 1):
-                    _pose(T_solid_frame[j], rotation[k], tip[k], poses[k - a])
-                posed = True
                 for i in range(-1 - left[node], -1 - left[node] + right[node]):
-                    if time[i] < seeing:
-                        value, k = _least_of_point(
-                            points[i], radius[i], time[i], kind[j], size[j], planes, T_solid_frame[j], poses,
-                            a, b, tip, rotation, path, turned, now, ahead, slack[b], clearance, slope, least, room,
-                        )  # fmt: skip
-                        if value < least:
-                            least, where, whose, which = value, k, j, i
+                    if time[i] >= seeing:
+                        continue
+                    value = point_value(points[i], radius[i], kind[j], size[j], planes, T, clearance, p, slope, slack[b])
+                    x, y, z = points[i, 0], points[i, 1], points[i, 2]
+                    away = np.sqrt((x - p[0]) ** 2 + (y - p[1]) ** 2 + (z - p[2]) ** 2)
+                    if value - (1.0 + slope) * gone - (away + gone) * turn >= least - TOLERANCE:
+                        continue
+                    for k in range(a, a if posed else b + 1):
+                        _pose(T_solid_frame[j], rotation[k], tip[k], poses[k - a])
+                    posed = True
+                    value, k = _least_of_point(
+                        points[i], radius[i], time[i], kind[j], size[j], planes, T_solid_frame[j], poses,
+                        a, b, tip, rotation, path, turned, now, ahead, slack[b], clearance, slope, least, room,
+                    )  # fmt: skip
+                    if value < least:
+                        least, where, whose, which = value, k, j, i
             a = b
     return least, where, whose, which
 
