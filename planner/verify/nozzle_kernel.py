@@ -77,7 +77,9 @@ def least_along(
                 for i in range(-1 - left[node], -1 - left[node] + right[node]):
                     if time[i] >= seeing:
                         continue
-                    value = point_value(points[i], radius[i], kind[j], size[j], planes, T, clearance, p, slope, slack[b])
+                    value = point_value(
+                        points[i], radius[i], kind[j], size[j], planes, T, clearance, p, slope, slack[b]
+                    )
                     x, y, z = points[i, 0], points[i, 1], points[i, 2]
                     away = np.sqrt((x - p[0]) ** 2 + (y - p[1]) ** 2 + (z - p[2]) ** 2)
                     if value - (1.0 + slope) * gone - (away + gone) * turn >= least - TOLERANCE:
