@@ -53,7 +53,7 @@ def clearances(
         return Clearances(np.zeros(n), np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, G.shape[2])))
     gone = np.concatenate([np.zeros(1), np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))]) // EVERY
     begins = np.concatenate([np.ones(1, dtype=np.bool_), np.diff(gone) > 0.0])
-    begins[: first + 1] = np.arange(first + 1) == first
+    begins[:first], begins[first] = False, True
     fine = np.flatnonzero(begins)
     margin, slope = np.empty((n, _ROWS)), np.empty((n, _ROWS, nj))
     which = np.empty((n, _ROWS), dtype=np.int64)

@@ -127,10 +127,10 @@ def cheaper(
     refined = path_of(cell, track)
     least = _least_margin(refined, obstacles)
     # who has room everywhere lacks no clearance that would have a price
-    now = given_price(model_of(cell, NOTHING if least >= ROOM else obstacles), refined, floor)
-    better = now.price < given.price and now.sigma >= min(floor / _FLOOR, given.sigma) and _within(cell, refined)
+    cost = given_price(model_of(cell, NOTHING if least >= ROOM else obstacles), refined, floor)
+    better = cost.price < given.price and cost.sigma >= min(floor / _FLOOR, given.sigma) and _within(cell, refined)
     # cones about gravity have but a price in the program, if a high one
-    better = better and now.beyond <= max(given.beyond, 0.0)
+    better = better and cost.beyond <= max(given.beyond, 0.0)
     as_clear = least >= -SLIGHT or least >= _least_margin(path, obstacles)
     return refined if better and as_clear else path
 
