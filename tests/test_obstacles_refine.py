@@ -16,6 +16,7 @@ from planner.obstacles import NOTHING, Obstacles, obstacles_of
 from planner.obstacles.scene import Around, _assembled
 from planner.point_tree import point_tree
 from planner.problem import Problem, load_problem
+from planner.resolve.clearance import clearances, shortage
 from planner.resolve.jointpath import JointPath
 from planner.resolve.ladder import ladder
 from planner.resolve.sqp import refine_paths, sqp
@@ -90,6 +91,24 @@ def test_refined_paths_keep_clear_of_a_post(
     assert min(least(cell, post, path.q[::20]) for path in aware) > problem.collision.nozzle - SLIGHT
     for path in aware:
         assert obstacles.margins(path.q, path.task.moments, 1.0)[0].min() > -SLIGHT
+
+
+def test_a_window_looks_from_its_first_sample_that_counts(
+    problem: Problem, bare: Cell, toolpath: Toolpath, tasks: tuple[NozzleTask, ...]
+) -> None:
+    """What lacks there has a weight, and every sample that counts is stood for."""
+    path = ladder(bare, tasks, problem.resolve)[0]
+    n, first = len(path.q), 4
+    post = Body("post", Capsule(0.01, 0.1), at(head_at(bare, path.q[first]) + [0.0, 0.0, 0.03]))
+    obstacles = obstacles_of(problem, replace(bare, fixtures=(post,)), toolpath)
+    G = np.ones((n, path.q.shape[1], 1))
+    for held in (True, False):
+        near = clearances(obstacles, path.q, G, path.task.moments, path.task.tip, first, held=held)
+        assert not near.time[:first].any()
+        assert near.time[first] > 0.0
+        assert near.time.sum() == n - first
+        assert near.sample.min() == first
+        assert shortage(near)[first] > 0.0
 
 
 def test_no_refined_path_gives_up_the_clearance_that_was_found(
