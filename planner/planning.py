@@ -186,8 +186,7 @@ def _plan_along(
     problem, cell, toolpath = given.problem, given.cell, given.toolpath
     obstacles = NOTHING if strategy in UNAWARE else given.obstacles
     rest = paths[given.first_bead :]
-    with stages.stage("timing"):
-        trajectory, travels = trajectory_of(problem, cell, toolpath, rest, obstacles, dt, second_process)
+    trajectory, travels = trajectory_of(problem, cell, toolpath, rest, obstacles, dt, second_process, stages)
     with stages.stage("verify"):
         report = verify(problem, cell, toolpath, trajectory, given.body)
     with stages.stage("dips"):
@@ -209,12 +208,14 @@ def trajectory_of(
     obstacles: Obstacles,
     dt: float,
     second_process: bool,
+    stages: Stages | None = None,
 ) -> tuple[Trajectory, Sequence[Travel]]:
     """Time the beads' paths and plan the travel between them, half of both in a second process if that is wanted.
 
     The travels in the trajectory come back with it.
     """
     n, moving = len(paths), problem.process.hand_over == "motion"
+    stages = stages or Stages()
 
     def part(first: int, last: int) -> list[TimedPath]:
         return [time_path(cell, path, (moving, moving)) for path in paths[first:last]]
@@ -225,9 +226,12 @@ def trajectory_of(
 
     done = np.cumsum([len(path.q) for path in paths])
     middle = 1 + int(np.searchsorted(done, 0.5 * done[-1]))
-    timed = [each for half in in_halves(part, n, second_process, middle) for each in half]
-    travels = [each for half in in_halves(ways, n, second_process) for each in half]
-    return join(cell, toolpath, problem.process, timed, travels, dt), travels
+    with stages.stage("timing"):
+        timed = [each for half in in_halves(part, n, second_process, middle) for each in half]
+    with stages.stage("travel"):
+        travels = [each for half in in_halves(ways, n, second_process) for each in half]
+        trajectory = join(cell, toolpath, problem.process, timed, travels, dt)
+    return trajectory, travels
 
 
 def _elsewhere(

@@ -9,7 +9,20 @@ from planner.problem.settings import STRATEGY_NAMES
 from planner.view.figures import NONE, ROWS, difference, heading, verdict, written
 from planner.view.state import Entry, Result, View
 
-STAGES = ("start", "load", "toolpath", "obstacles", "resolve", "timing", "verify", "dips", "map", "baseline", "report")
+STAGES = (
+    "start",
+    "load",
+    "toolpath",
+    "obstacles",
+    "resolve",
+    "timing",
+    "travel",
+    "verify",
+    "dips",
+    "map",
+    "baseline",
+    "report",
+)
 
 
 def snapshot(view: View, title: str, file: str) -> dict[str, Any]:
