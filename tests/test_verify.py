@@ -922,7 +922,9 @@ def test_the_files_have_the_promised_fields(files: Files) -> None:
     branch_changes_in_deposition extruded_mm extruded_volume_mm3 bound_deposition_time_s flow_error_max
     """
     assert set(metrics.split()) == set(files.metrics)
-    assert {"load", "toolpath", "resolve", "timing", "travel", "verify", "export", "total"} <= set(files.plan["timing_s"])
+    assert {"load", "toolpath", "resolve", "timing", "travel", "verify", "export", "total"} <= set(
+        files.plan["timing_s"]
+    )
     joint = "name type moves origin_m direction q_min q_max v_max a_max j_max"
     assert all(set(entry) == set(joint.split()) for entry in files.joints)
     assert all(set(check) == {"name", "worst", "limit", "unit", "ok", "where"} for check in files.plan["checks"])
