@@ -23,6 +23,7 @@ from benchmarks import usage
 from benchmarks.usage import Usage
 from planner.errors import InputError, OutputError
 from planner.measures import METRICS
+from planner.progress import STAGES
 
 if TYPE_CHECKING:
     from planner.cell import Limits
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
 Value = str | float | int | bool
 Row = dict[str, Value]
 
-STAGES = ("load", "toolpath", "obstacles", "resolve", "timing", "travel", "verify", "dips", "map")
 PLANNING = ("load", "toolpath", "obstacles", "resolve", "timing", "travel", "verify")  # what waypoints_per_s counts
 NUMBERS = (
     "waypoints_per_s", *(f"seconds_{stage}" for stage in STAGES), "seconds_total", "cpu_s", "peak_mb",

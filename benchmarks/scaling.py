@@ -24,14 +24,14 @@ from rich.table import Table
 
 from benchmarks.memory import Peak
 from benchmarks.peer_cases import waypoint_text
-from benchmarks.rows import STAGES, Row, Run, append_row, row_of_plan
+from benchmarks.rows import Row, Run, append_row, row_of_plan
 from benchmarks.single import beadwise
 from benchmarks.usage import Usage, cpu_seconds
 from planner.errors import EXIT_VERIFIED, PlannerError
 from planner.planning import solve, write_files
 from planner.problem import load_problem
 from planner.problem.settings import STRATEGY_NAMES
-from planner.progress import Stages
+from planner.progress import STAGES, Stages
 
 Array = NDArray[np.float64]
 

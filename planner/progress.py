@@ -9,6 +9,9 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
+# of planning with a strategy, in the order in which they begin
+STAGES = ("load", "toolpath", "obstacles", "resolve", "timing", "travel", "verify", "dips", "map")
+
 
 class Stages:
     """Times named stages; with a console, draws a bar for each. `seconds` holds what has been measured so far.

@@ -26,6 +26,7 @@ from planner.cell import Cell, build_cell
 from planner.nearest import distance_to_polyline
 from planner.plan import TRAVEL, Plan, Trajectory
 from planner.problem import Problem, load_problem
+from planner.progress import STAGES
 from planner.replay import replay
 from planner.solve import write
 from planner.toolpath.bead import Bead, Toolpath
@@ -925,6 +926,7 @@ def test_the_files_have_the_promised_fields(files: Files) -> None:
     assert {"load", "toolpath", "resolve", "timing", "travel", "verify", "export", "total"} <= set(
         files.plan["timing_s"]
     )
+    assert set(STAGES) == set(files.plan["timing_s"]) - {"baseline", "export", "total"}
     joint = "name type moves origin_m direction q_min q_max v_max a_max j_max"
     assert all(set(entry) == set(joint.split()) for entry in files.joints)
     assert all(set(check) == {"name", "worst", "limit", "unit", "ok", "where"} for check in files.plan["checks"])

@@ -25,11 +25,12 @@ from benchmarks.peers.judge import PATH_COLUMNS
 from benchmarks.peers.one import JOINTS, ROW, WARM
 from benchmarks.peers.peer_list import PEERS, Peer
 from benchmarks.peers.watch import Ended, watched
-from benchmarks.rows import COLUMNS, STAGES, Row, Run, append_row, make_row, times
+from benchmarks.rows import COLUMNS, Row, Run, append_row, make_row, times
 from benchmarks.single import beadwise
 from benchmarks.summary import ALONE, CHOSEN, OURS
 from planner.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, PlannerError
 from planner.given import Given
+from planner.progress import STAGES
 
 HERE = Path(__file__).resolve().parent
 STRATEGIES = {"beadwise": CHOSEN, "beadwise_alone": ALONE}  # of ours, by the names of their processes

@@ -6,23 +6,11 @@ from dataclasses import asdict
 from typing import Any
 
 from planner.problem.settings import STRATEGY_NAMES
+from planner.progress import STAGES
 from planner.view.figures import NONE, ROWS, difference, heading, verdict, written
 from planner.view.state import Entry, Result, View
 
-STAGES = (
-    "start",
-    "load",
-    "toolpath",
-    "obstacles",
-    "resolve",
-    "timing",
-    "travel",
-    "verify",
-    "dips",
-    "map",
-    "baseline",
-    "report",
-)
+_SHOWN = ("start", *STAGES, "baseline", "report")
 
 
 def snapshot(view: View, title: str, file: str) -> dict[str, Any]:
@@ -50,7 +38,7 @@ def _pane(view: View, strategy: str) -> dict[str, Any]:
             "job": job.number,
             "stage": job.stage,
             "draft": job.draft,
-            "done": STAGES.index(job.stage) / len(STAGES) if job.stage in STAGES else None,
+            "done": _SHOWN.index(job.stage) / len(_SHOWN) if job.stage in _SHOWN else None,
         }
     waiting = view.solving and running is None and strategy not in view.tried and view.content is not None
     return {"strategy": strategy, "running": running, "waiting": waiting, "result": _result(view, result)}
