@@ -18,6 +18,7 @@ from planner.interrupts import ignored_interrupts
 
 Job = Callable[[], Iterable["Job"]]
 
+_FEW_BLOCKS = 2  # are done sooner than threads begin: a millisecond or two each
 _PARTS_A_CORE = 4  # so that a core that was given easy parts has some left to take
 
 
@@ -104,14 +105,15 @@ def in_threads(function: Callable[[int, int], None], count: int) -> None:
 
 def in_blocks(function: Callable[[slice], None], count: int, block: int) -> None:
     """Call a function that leaves Python to others with slices of range(count), `block` long, in as many threads as there
-    are cores: what it does may depend on the block, which is the same for any number of cores."""
+    are cores if these are more than a few: what it does may depend on the block, which is the same for any number of
+    cores."""
     blocks = -(-count // block)
 
     def part(first: int, last: int) -> None:
         for k in range(first, last):
             function(slice(k * block, min((k + 1) * block, count)))
 
-    if blocks > 1:
+    if blocks > _FEW_BLOCKS:
         in_threads(part, blocks)
     else:
         part(0, blocks)

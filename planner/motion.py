@@ -149,5 +149,5 @@ def _poses(cell: Cell, q: Array) -> tuple[Array, Array, Array]:
         rows = slice(start, start + BLOCK)
         T_part_nozzle = cell.T_part_nozzle(q[rows])
         tip[rows], axis[rows] = T_part_nozzle[:, :3, 3], T_part_nozzle[:, :3, 2]
-        quat[rows] = Rotation.from_matrix(T_part_nozzle[:, :3, :3]).as_quat()
+        quat[rows] = Rotation.from_matrix(T_part_nozzle[:, :3, :3], assume_valid=True).as_quat()
     return tip, axis, quat

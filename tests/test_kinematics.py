@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from planner.cell import Cell, build_cell
-from planner.kinematics.chain import chain_state, jacobian_at
 from planner.kinematics.six import invert6, largest_singular_value
 from planner.kinematics.spherical_wrist import SphericalWrist, all_turns, solve_within
-from planner.kinematics.wrist_rates import inverse_jacobian
+from planner.kinematics.wrist_rates import inverse_jacobian, jacobian, sines_of
 from planner.problem import load_problem
 
 Array = NDArray[np.float64]
@@ -360,19 +359,6 @@ def test_out_of_reach_in_the_hole_around_the_shoulder() -> None:
 # --- Jacobians and small matrices of the kernels ----------------------------------------------------------------
 
 
-def test_jacobian_at_is_that_of_the_chain(tilted_cell: Cell) -> None:
-    arm = tilted_cell.arm
-    q = np.random.default_rng(13).uniform(-np.pi, np.pi, (500, 6))
-    expected = arm.jacobians(q)
-    origins, directions, J = np.empty((6, 3)), np.empty((6, 3)), np.empty((6, 6))
-    T, before, after, R = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4)), np.empty((3, 3))
-    for k in range(len(q)):
-        chain_state(arm.placements, arm.axes, arm.T_last_tip, q[k], origins, directions, T, before, after, R)
-        np.testing.assert_allclose(T, arm.poses(q[k : k + 1])[0], rtol=0, atol=1e-13)
-        jacobian_at(origins, directions, np.ascontiguousarray(T[:3, 3]), J)
-        np.testing.assert_allclose(J, expected[k], rtol=0, atol=1e-12)
-
-
 @pytest.mark.parametrize("name", OPW)
 def test_solutions_within_ranges_are_those_of_solve(name: str) -> None:
     wrist = wrist_of(name)
@@ -393,7 +379,7 @@ def test_solutions_within_ranges_are_those_of_solve(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", OPW)
-def test_inverse_jacobian_of_a_spherical_wrist(name: str) -> None:
+def test_jacobian_of_a_spherical_wrist_and_its_inverse(name: str) -> None:
     """Of a point that stands off the flange, against Pinocchio's Jacobian."""
     model = pinocchio_arm(name)
     tool = pin.SE3(np.eye(3), np.array([0.1, -0.05, 0.2]))
@@ -401,19 +387,22 @@ def test_inverse_jacobian_of_a_spherical_wrist(name: str) -> None:
         pin.Frame("tip", model.njoints - 1, model.frames[-1].placement * tool, pin.FrameType.OP_FRAME)
     )
     data, parameters, out = model.createData(), wrist_of(name).parameters, np.empty((6, 6))
+    forward = np.empty((6, 6))
     for q in np.random.default_rng(25).uniform(-np.pi, np.pi, (1000, 6)):
         J = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
         pin.updateFramePlacements(model, data)
-        assert inverse_jacobian(parameters, q, data.oMf[frame].translation, out)
+        assert inverse_jacobian(parameters, sines_of(q), data.oMf[frame].translation, out)
         np.testing.assert_allclose(out @ J, np.eye(6), rtol=0, atol=1e-12 * np.linalg.cond(J))
+        jacobian(parameters, sines_of(q), data.oMf[frame].translation, forward)
+        np.testing.assert_allclose(forward, J, rtol=0, atol=1e-13)
 
 
 def test_inverse_jacobian_refuses_a_straight_wrist_and_a_stretched_arm(cell: Cell) -> None:
     out = np.empty((6, 6))
     q = np.array([0.3, 0.4, -0.2, 0.5, 0.0, 0.1])
-    assert not inverse_jacobian(cell.wrist.parameters, q, np.zeros(3), out)
+    assert not inverse_jacobian(cell.wrist.parameters, sines_of(q), np.zeros(3), out)
     q[2], q[4] = -0.5 * np.pi - np.arctan2(cell.wrist.a2, cell.wrist.c3), 0.6
-    assert not inverse_jacobian(cell.wrist.parameters, q, np.zeros(3), out)
+    assert not inverse_jacobian(cell.wrist.parameters, sines_of(q), np.zeros(3), out)
 
 
 def test_invert6_against_numpy() -> None:
@@ -432,6 +421,7 @@ def test_invert6_refuses_singular_matrices() -> None:
     A[4] = 0.0
     assert not invert6(A.copy(), np.empty((6, 6)))
     assert not invert6(np.zeros((6, 6)), np.empty((6, 6)))
+    assert not invert6(np.full((6, 6), np.nan), np.empty((6, 6)))
 
 
 def test_largest_singular_value_against_numpy(cell: Cell) -> None:

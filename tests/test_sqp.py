@@ -28,6 +28,7 @@ from planner.resolve.price_kernel import (
     price_of,
 )
 from planner.resolve.refine import calmed, evaluate, expand, program_around, refine_stretch, watched
+from planner.resolve.refine_kernel import watch_missed_ends
 from planner.resolve.sqp import Priced, given_price, refine_paths, start_track, whole
 from planner.resolve.stretch import CONE_SIDES, Model, State, Stretch, Watch, model_of
 from planner.resolve.stretch import TILT as TILT_COLUMNS
@@ -311,12 +312,13 @@ def test_ends_of_ranges_join_where_a_step_goes_beyond_them(setup_of: Callable[[s
     np.testing.assert_array_equal(watch.ends, (room < 0.7 * reach) & counted[:, None])
     assert not watched(model, stretch, state, 0.0).ends.any()
     watch.ends[:] = False
-    assert watch.add_ends(narrow, stretch, state, state.q) == 0
+    ranges = narrow.low[:6], narrow.high[:6], stretch.step, watch.ends
+    assert watch_missed_ends(state.q, state.q, *ranges) == 0
     beyond = state.q - np.eye(state.q.shape[1])[1] * (room[:, 1].min() + 0.01)
     over = counted & (beyond[:, 1] < narrow.low[1] - 1e-5)
     farther = state.q + np.eye(state.q.shape[1])[1] * 10.0  # beyond the end that has no row
-    assert watch.add_ends(narrow, stretch, state, farther) == 0
-    assert watch.add_ends(narrow, stretch, state, beyond) == over.sum() > 0
+    assert watch_missed_ends(state.q, farther, *ranges) == 0
+    assert watch_missed_ends(state.q, beyond, *ranges) == over.sum() > 0
     np.testing.assert_array_equal(watch.ends[:, 1], over)
     qp = program_around(narrow, stretch, state, expand(narrow, stretch, state), 0.1, 0.1, watch)
     moved = np.random.default_rng(8).normal(size=state.c.shape)

@@ -137,6 +137,7 @@ def test_fit_reproduces_splines_and_is_the_least_squares_fit(controls: int, n: i
 
 BUILDS = {
     "table": (),
+    "turned base": (),
     "bed": ("cell.positioner=null", "cell.bed_mm=[560, -93, 290]", "cell.nozzle.axis=[0.2, -0.1, 2]"),
     "table and tilt": (
         "cell.positioner.held_deg={}",
@@ -149,7 +150,17 @@ BUILDS = {
 
 @pytest.fixture(scope="module", params=BUILDS)
 def any_cell(request: pytest.FixtureRequest) -> Cell:
-    return build_cell(load_problem("cylinder_logo", BUILDS[request.param]))
+    cell = build_cell(load_problem("cylinder_logo", BUILDS[request.param]))
+    return turned_base(cell) if request.param == "turned base" else cell
+
+
+def turned_base(cell: Cell) -> Cell:
+    """The cell with its arm mounted askew."""
+    T_world_base = cell.T_world_base.copy()
+    T_world_base[:3, :3] = Rotation.from_rotvec([0.4, -0.7, 1.1]).as_matrix()
+    placements = cell.arm.placements.copy()
+    placements[0] = T_world_base @ np.linalg.inv(cell.T_world_base) @ placements[0]
+    return replace(cell, T_world_base=T_world_base, arm=replace(cell.arm, placements=placements))
 
 
 @dataclass

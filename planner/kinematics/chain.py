@@ -9,6 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Nine = tuple[float, float, float, float, float, float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -88,76 +89,56 @@ def turn(T: Array, R: Array, out: Array) -> None:
     out[3, 0], out[3, 1], out[3, 2], out[3, 3] = 0.0, 0.0, 0.0, 1.0
 
 
-@njit(cache=True)
-def chain_poses(placements: Array, axes: Array, T_last_tip: Array, q: Array) -> Array:
-    """Compiled body of `Chain.poses`."""
-    m, n = q.shape
-    out = np.empty((m, 4, 4))
-    R = np.empty((3, 3))
-    before, after = np.eye(4), np.eye(4)
-    for k in range(m):
-        after[:] = 0.0
-        for i in range(4):
-            after[i, i] = 1.0
-        for i in range(n):
-            mul4(after, placements[i], before)
-            rotate_about(axes[i], q[k, i], R)
-            turn(before, R, after)
-        mul4(after, T_last_tip, out[k])
-    return out
+@njit(cache=True, nogil=True, error_model="numpy")
+def _times(R: Nine, S: Nine) -> Nine:
+    """The product of two matrices (3, 3), row by row."""
+    return (
+        R[0] * S[0] + R[1] * S[3] + R[2] * S[6], R[0] * S[1] + R[1] * S[4] + R[2] * S[7], R[0] * S[2] + R[1] * S[5] + R[2] * S[8],
+        R[3] * S[0] + R[4] * S[3] + R[5] * S[6], R[3] * S[1] + R[4] * S[4] + R[5] * S[7], R[3] * S[2] + R[4] * S[5] + R[5] * S[8],
+        R[6] * S[0] + R[7] * S[3] + R[8] * S[6], R[6] * S[1] + R[7] * S[4] + R[8] * S[7], R[6] * S[2] + R[7] * S[5] + R[8] * S[8],
+    )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
-def chain_jacobians(placements: Array, axes: Array, T_last_tip: Array, q: Array) -> Array:
-    """Compiled body of `Chain.jacobians`."""
-    m, n = q.shape
-    out = np.empty((m, 6, n))
-    origins = np.empty((n, 3))
-    directions = np.empty((n, 3))
-    R = np.empty((3, 3))
-    before, after, tip = np.eye(4), np.eye(4), np.eye(4)
-    for k in range(m):
-        after[:] = 0.0
-        for i in range(4):
-            after[i, i] = 1.0
-        for i in range(n):
-            mul4(after, placements[i], before)
-            for j in range(3):
-                directions[i, j] = before[j, 0] * axes[i, 0] + before[j, 1] * axes[i, 1] + before[j, 2] * axes[i, 2]
-                origins[i, j] = before[j, 3]
-            rotate_about(axes[i], q[k, i], R)
-            turn(before, R, after)
-        mul4(after, T_last_tip, tip)
-        for i in range(n):
-            z = directions[i]
-            x, y, w = tip[0, 3] - origins[i, 0], tip[1, 3] - origins[i, 1], tip[2, 3] - origins[i, 2]
-            out[k, 0, i] = z[1] * w - z[2] * y
-            out[k, 1, i] = z[2] * x - z[0] * w
-            out[k, 2, i] = z[0] * y - z[1] * x
-            out[k, 3, i], out[k, 4, i], out[k, 5, i] = z[0], z[1], z[2]
-    return out
-
-
-@njit(cache=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def chain_state(
-    placements: Array, axes: Array, T_last_tip: Array, q: Array, origins: Array, directions: Array, T_tip: Array,
-    before: Array, after: Array, R: Array,
-) -> None:  # fmt: skip
-    """Fill origins, directions (n, 3) of the joints and T_tip (4, 4) for one posture; the last three are room."""
-    after[:] = 0.0
-    for i in range(4):
-        after[i, i] = 1.0
-    for i in range(q.size):
-        mul4(after, placements[i], before)
-        for j in range(3):
-            directions[i, j] = before[j, 0] * axes[i, 0] + before[j, 1] * axes[i, 1] + before[j, 2] * axes[i, 2]
-            origins[i, j] = before[j, 3]
-        rotate_about(axes[i], q[i], R)
-        turn(before, R, after)
-    mul4(after, T_last_tip, T_tip)
+    placements: Array, axes: Array, T_last_tip: Array, q: Array, origins: Array, directions: Array, T_tip: Array
+) -> None:
+    """Fill origins, directions (n, 3) of the joints and T_tip (4, 4) for one posture.
+
+    The pose on the way stays in the processor's registers: as arrays it would take twice as long.
+    """
+    n = q.size
+    R = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    t0, t1, t2 = 0.0, 0.0, 0.0
+    for i in range(n + 1):
+        P = placements[i] if i < n else T_last_tip
+        x, y, z = P[0, 3], P[1, 3], P[2, 3]
+        t0 += R[0] * x + R[1] * y + R[2] * z
+        t1 += R[3] * x + R[4] * y + R[5] * z
+        t2 += R[6] * x + R[7] * y + R[8] * z
+        R = _times(R, (P[0, 0], P[0, 1], P[0, 2], P[1, 0], P[1, 1], P[1, 2], P[2, 0], P[2, 1], P[2, 2]))
+        if i == n:
+            break
+        x, y, z = axes[i, 0], axes[i, 1], axes[i, 2]
+        origins[i, 0], origins[i, 1], origins[i, 2] = t0, t1, t2
+        directions[i, 0] = R[0] * x + R[1] * y + R[2] * z
+        directions[i, 1] = R[3] * x + R[4] * y + R[5] * z
+        directions[i, 2] = R[6] * x + R[7] * y + R[8] * z
+        c, s = np.cos(q[i]), np.sin(q[i])
+        u, v, w = (1.0 - c) * x, (1.0 - c) * y, (1.0 - c) * z
+        turned = (
+            u * x + c, u * y - s * z, u * z + s * y,
+            u * y + s * z, v * y + c, v * z - s * x,
+            u * z - s * y, v * z + s * x, w * z + c,
+        )  # fmt: skip
+        R = _times(R, turned)
+    T_tip[0, 0], T_tip[0, 1], T_tip[0, 2], T_tip[0, 3] = R[0], R[1], R[2], t0
+    T_tip[1, 0], T_tip[1, 1], T_tip[1, 2], T_tip[1, 3] = R[3], R[4], R[5], t1
+    T_tip[2, 0], T_tip[2, 1], T_tip[2, 2], T_tip[2, 3] = R[6], R[7], R[8], t2
+    T_tip[3, 0], T_tip[3, 1], T_tip[3, 2], T_tip[3, 3] = 0.0, 0.0, 0.0, 1.0
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def jacobian_at(origins: Array, directions: Array, p: Array, J: Array) -> None:
     """Fill J (6, n), linear rows first, at a point p (3), from what `chain_state` gives."""
     for j in range(J.shape[1]):
@@ -167,3 +148,28 @@ def jacobian_at(origins: Array, directions: Array, p: Array, J: Array) -> None:
         J[1, j] = d[2] * x - d[0] * w
         J[2, j] = d[0] * y - d[1] * x
         J[3, j], J[4, j], J[5, j] = d[0], d[1], d[2]
+
+
+@njit(cache=True, nogil=True)
+def chain_poses(placements: Array, axes: Array, T_last_tip: Array, q: Array) -> Array:
+    """Compiled body of `Chain.poses`."""
+    m, n = q.shape
+    out = np.empty((m, 4, 4))
+    origins, directions = np.empty((n, 3)), np.empty((n, 3))
+    for k in range(m):
+        chain_state(placements, axes, T_last_tip, q[k], origins, directions, out[k])
+    return out
+
+
+@njit(cache=True, nogil=True)
+def chain_jacobians(placements: Array, axes: Array, T_last_tip: Array, q: Array) -> Array:
+    """Compiled body of `Chain.jacobians`."""
+    m, n = q.shape
+    out = np.empty((m, 6, n))
+    origins, directions, T_tip, p = np.empty((n, 3)), np.empty((n, 3)), np.empty((4, 4)), np.empty(3)
+    for k in range(m):
+        chain_state(placements, axes, T_last_tip, q[k], origins, directions, T_tip)
+        for i in range(3):
+            p[i] = T_tip[i, 3]
+        jacobian_at(origins, directions, p, out[k])
+    return out

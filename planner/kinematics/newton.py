@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planner.kinematics.chain import mul4, rotate_about, turn
+from planner.kinematics.chain import chain_state, jacobian_at
 
 Array = NDArray[np.float64]
 EXACT = 1e-11  # m and rad: below, a posture has the pose
@@ -34,11 +34,11 @@ def refine(
     held  joint that keeps its angle; -1 for none
     """
     n = q.size
-    T, J, room = np.empty((4, 4)), np.empty((6, n)), np.empty((3, 4, 4))
+    T, J, lines = np.empty((4, 4)), np.empty((6, n)), np.empty((2, n, 3))
     e, A, b = np.empty(6), np.empty((n, n)), np.empty(n)
     before = np.inf
     for _ in range(iterations):
-        _pose_and_jacobian(placements, axes, T_last_tip, q, T, J, room)
+        _pose_and_jacobian(placements, axes, T_last_tip, q, T, J, lines)
         square = _error(T, R, t, e)
         if square < EXACT * EXACT and square >= 0.01 * before:  # one step more than needed, while it still helps
             return True
@@ -64,33 +64,17 @@ def refine(
         scale = _LONGEST_STEP / longest if longest > _LONGEST_STEP else 1.0
         for i in range(n):
             q[i] += scale * b[i]
-    _pose_and_jacobian(placements, axes, T_last_tip, q, T, J, room)
+    _pose_and_jacobian(placements, axes, T_last_tip, q, T, J, lines)
     return bool(_error(T, R, t, e) < EXACT * EXACT)
 
 
 @njit(cache=True)
 def _pose_and_jacobian(
-    placements: Array, axes: Array, T_last_tip: Array, q: Array, tip: Array, J: Array, room: Array
+    placements: Array, axes: Array, T_last_tip: Array, q: Array, tip: Array, J: Array, lines: Array
 ) -> None:
-    """Fill tip (4, 4) and its geometric Jacobian J (6, n) of one posture q (n); room (3, 4, 4) is spoilt."""
-    before, after, R = room[0], room[1], room[2]  # R (4, 4) whole: another memory layout would be compiled once more
-    after[:] = 0.0
-    for i in range(4):
-        after[i, i] = 1.0
-    n = q.size
-    for i in range(n):
-        mul4(after, placements[i], before)
-        for j in range(3):  # origins and directions first, where the linear and angular rows will stand
-            J[j, i] = before[j, 3]
-            J[3 + j, i] = before[j, 0] * axes[i, 0] + before[j, 1] * axes[i, 1] + before[j, 2] * axes[i, 2]
-        rotate_about(axes[i], q[i], R)
-        turn(before, R, after)
-    mul4(after, T_last_tip, tip)
-    for i in range(n):
-        x, y, w = tip[0, 3] - J[0, i], tip[1, 3] - J[1, i], tip[2, 3] - J[2, i]
-        J[0, i] = J[4, i] * w - J[5, i] * y
-        J[1, i] = J[5, i] * x - J[3, i] * w
-        J[2, i] = J[3, i] * y - J[4, i] * x
+    """Fill tip (4, 4) and its geometric Jacobian J (6, n) of one posture q (n); lines (2, n, 3) is spoilt."""
+    chain_state(placements, axes, T_last_tip, q, lines[0], lines[1], tip)
+    jacobian_at(lines[0], lines[1], tip[:3, 3], J)
 
 
 @njit(cache=True)

@@ -13,32 +13,37 @@ _SQUARINGS = 3
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def invert6(A: Array, B: Array) -> bool:
-    """Fill B with the inverse of A (6, 6), which is spoilt; False if A is singular to rounding."""
-    n = 6
-    for i in range(n):
-        for j in range(n):
-            B[i, j] = 1.0 if i == j else 0.0
-    for k in range(n):
-        best = k
-        for i in range(k + 1, n):
-            if abs(A[i, k]) > abs(A[best, k]):
-                best = i
-        if abs(A[best, k]) < _SINGULAR:
+    """Fill B with the inverse of A (6, 6), which is spoilt; False if A is singular to rounding (Gauss and Jordan, in
+    place: a column that has become one of the unit matrix makes room for one of the inverse)."""
+    for k in range(6):
+        best, most = k, abs(A[k, k])
+        for i in range(k + 1, 6):
+            if abs(A[i, k]) > most:
+                best, most = i, abs(A[i, k])
+        if not most >= _SINGULAR:
             return False
+        B[0, k] = best  # noted here until B is filled
         if best != k:
-            for j in range(n):
+            for j in range(6):
                 A[k, j], A[best, j] = A[best, j], A[k, j]
-                B[k, j], B[best, j] = B[best, j], B[k, j]
         scale = 1.0 / A[k, k]
-        for j in range(n):
+        A[k, k] = 1.0
+        for j in range(6):
             A[k, j] *= scale
-            B[k, j] *= scale
-        for i in range(n):
+        for i in range(6):
             if i != k:
                 f = A[i, k]
-                for j in range(n):
+                A[i, k] = 0.0
+                for j in range(6):
                     A[i, j] -= f * A[k, j]
-                    B[i, j] -= f * B[k, j]
+    for k in range(5, -1, -1):  # rows that changed places are columns of the inverse that did
+        best = int(B[0, k])
+        if best != k:
+            for i in range(6):
+                A[i, k], A[i, best] = A[i, best], A[i, k]
+    for i in range(6):
+        for j in range(6):
+            B[i, j] = A[i, j]
     return True
 
 

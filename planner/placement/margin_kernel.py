@@ -78,7 +78,6 @@ def evaluate_margins(
         J, J6, Jp, Ji = np.empty((6, na)), np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
         T_held, T_world_part, T_world_task = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
         T_rolled, T_base_nozzle, T_base_flange = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
-        before, after = np.empty((4, 4)), np.empty((4, 4))
         origins, directions = np.empty((na, 3)), np.empty((na, 3))
         z_axis = np.array((0.0, 0.0, 1.0))
         posture, bodies = np.empty((1, na + held_holder.shape[1])), room_for(table)
@@ -122,9 +121,7 @@ def evaluate_margins(
                     # a spherical wrist turned over has the same axes, one of them reversed: the same rates and sigma
                     pair = c // 2 if kind == SPHERICAL_WRIST else c
                     if not known[pair]:
-                        chain_state(
-                            arm_placements, arm_axes, arm_tip, eight[c], origins, directions, T_held, before, after, R
-                        )
+                        chain_state(arm_placements, arm_axes, arm_tip, eight[c], origins, directions, T_held)
                         jacobian_at(origins, directions, T_world_task[:3, 3], J)
                         into_part(J, solved, T_world_part, Jp)
                         sigmas[pair], shares[pair] = 0.0, 0.0

@@ -1,8 +1,8 @@
 """Compiled: postures that hold a task for given free variables, and how they change with them.
 
 Works on any arm whose Jacobian, less the columns of joints that are themselves free, is 6 x 6: Newton's method on
-the kinematic chain, from a posture nearby, so that the branch stays what it was. With a spherical wrist the closed form
-gives that posture, and a step is seldom needed.
+the kinematic chain, from a posture nearby, so that the branch stays what it was. A spherical wrist has posture and
+Jacobian in closed form, unless the posture nearby is too far away to tell which turn of a joint is meant.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ from planner.kinematics.chain import chain_state, jacobian_at, mul4, rotate_abou
 from planner.kinematics.inverse import SPHERICAL_WRIST
 from planner.kinematics.six import invert6
 from planner.kinematics.spherical_wrist import ALL_ROUND, branch_of, solve_within
+from planner.kinematics.wrist_rates import inverse_jacobian, jacobian, sines_of
 from planner.resolve.cone_kernel import lean_of, lean_slope_of
-from planner.resolve.sigma_kernel import gram, power, sigma_slope_by_joints, square
+from planner.resolve.sigma_kernel import gram, power, sigma_slope_by_joints, square, to_unit
 
 Array = NDArray[np.float64]
 
@@ -102,25 +103,65 @@ def _inverse_at(origins, directions, T_world_nozzle, solved, J, J6, Ji) -> bool:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _near_in_closed_form(p, T_base_world, T_world_nozzle, T_nozzle_flange, q, eight, ok, wanted, A, B) -> None:
-    """Replace the posture q (6) by the one of its branch that a nozzle pose asks for, to rounding, where there is one
-    nearby. The last ones are room: eight (8, 6), ok, wanted (8), A, B (4, 4)."""
-    mul4(T_base_world, T_world_nozzle, A)
-    mul4(A, T_nozzle_flange, B)
+def _near_in_closed_form(
+    p, T_base_world, T_world_nozzle, T_nozzle_flange, q, eight, ok, wanted, T_base_nozzle, T_base_flange
+) -> bool:
+    """Replace the posture q (6) by the one of its branch that a nozzle pose asks for, to rounding; False, and q as it was,
+    if there is none nearby. The next three are room: eight (8, 6), ok, wanted (8); the last two are filled."""
+    mul4(T_base_world, T_world_nozzle, T_base_nozzle)
+    mul4(T_base_nozzle, T_nozzle_flange, T_base_flange)
     k = branch_of(p, q)
     wanted[:] = False
     wanted[k] = True
-    solve_within(p, B[:3, :3], B[:3, 3], -ALL_ROUND, ALL_ROUND, wanted, eight, ok)
+    solve_within(p, T_base_flange[:3, :3], T_base_flange[:3, 3], -ALL_ROUND, ALL_ROUND, wanted, eight, ok)
     if not ok[k]:
-        return
+        return False
     furthest = 0.0
     for j in range(6):
         away = q[j] - eight[k, j]
         eight[k, j] += 2.0 * np.pi * np.round(away / (2.0 * np.pi))
-        furthest = max(furthest, abs(q[j] - eight[k, j]))
-    if furthest < _LONGEST:
-        for j in range(6):
-            q[j] = eight[k, j]
+        furthest += abs(q[j] - eight[k, j])  # a sum, because max loses a NaN
+    if not furthest < _LONGEST:
+        return False
+    for j in range(6):
+        q[j] = eight[k, j]
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _by_steps(
+    placements, axes, T_last_tip, solved, p, R, q, origins, directions, T_world_nozzle, turn, e, J, J6, Ji
+) -> bool:  # fmt: skip
+    """Change the joints `solved` of q (na) until its nozzle is at p (3), turned by R (3, 3), and fill J (6, na), Ji (6, 6)
+    as `_inverse_at` does; False if there is no such posture. The others are room."""
+    for _ in range(_STEPS):
+        chain_state(placements, axes, T_last_tip, q, origins, directions, T_world_nozzle)
+        if not _inverse_at(origins, directions, T_world_nozzle, solved, J, J6, Ji):
+            return False
+        rotation_error(R, T_world_nozzle, turn)
+        size = 0.0
+        for a in range(3):
+            e[a] = p[a] - T_world_nozzle[a, 3]
+            e[3 + a] = turn[a]
+            size += abs(e[a]) + abs(e[3 + a])  # a sum, because max loses a NaN
+        if not size < np.inf:
+            return False
+        if size < CONVERGED:
+            return True
+        longest = 0.0
+        for k in range(6):
+            J6[0, k] = 0.0
+            for a in range(6):
+                J6[0, k] += Ji[k, a] * e[a]
+            longest = max(longest, abs(J6[0, k]))
+        if not longest < 1e6:
+            return False
+        scale = min(1.0, _LONGEST / longest) if longest > 0.0 else 1.0
+        for k in range(6):
+            q[solved[k]] += scale * J6[0, k]
+        if longest < 1e-14:
+            return True  # no further digits to be had
+    return False
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -145,10 +186,10 @@ def follow(
     na, nh = len(arm_axes), len(holder_axes)
     o_arm, d_arm = np.empty((na, 3)), np.empty((na, 3))
     o_hold, d_hold = np.empty((nh, 3)), np.empty((nh, 3))
-    before, after, R = np.eye(4), np.eye(4), np.empty((3, 3))
     T_world_part, T_world_nozzle, R_tilt = np.eye(4), np.eye(4), np.empty((3, 3))
     R_part_nozzle, R_target, slopes = np.empty((3, 3)), np.empty((3, 3)), np.empty((2, 3))
     T_target, eight, ok, wanted = np.eye(4), np.empty((8, na)), np.empty(8, dtype=np.bool_), np.zeros(8, dtype=np.bool_)
+    T_base_nozzle, T_base_flange, into = np.empty((4, 4)), np.empty((4, 4)), np.empty((3, 3))
     axis, p, e = np.empty(3), np.empty(3), np.empty(6)
     J, J6, Ji = np.empty((6, na)), np.empty((6, 6)), np.empty((6, 6))
     W, Wi = np.empty((6, 6)), np.empty((6, 6))
@@ -164,9 +205,7 @@ def follow(
             q[i, na + h] = z[i, 3 + h]
         for k in range(given.size):
             q[i, given[k]] = z[i, 3 + nh + k]
-        chain_state(
-            holder_placements, holder_axes, holder_tip, q[i, na:], o_hold, d_hold, T_world_part, before, after, R
-        )
+        chain_state(holder_placements, holder_axes, holder_tip, q[i, na:], o_hold, d_hold, T_world_part)
         _tilted(frames[i], z[i, 0], z[i, 1], z[i, 2], R_tilt, axis, R_part_nozzle, slopes)
         for a in range(3):
             p[a] = T_world_part[a, 3]
@@ -176,46 +215,28 @@ def follow(
                 R_target[a, b] = 0.0
                 for k in range(3):
                     R_target[a, b] += T_world_part[a, k] * R_part_nozzle[k, b]
+        closed = False
         if kind == SPHERICAL_WRIST:
             for a in range(3):
                 for b in range(3):
                     T_target[a, b] = R_target[a, b]
                 T_target[a, 3] = p[a]
-            _near_in_closed_form(
-                parameters, T_base_world, T_target, T_nozzle_flange, q[i, :na], eight, ok, wanted, before, after
+            closed = _near_in_closed_form(
+                parameters, T_base_world, T_target, T_nozzle_flange, q[i, :na], eight, ok, wanted, T_base_nozzle,
+                T_base_flange,
             )  # fmt: skip
-        found = False
-        for _ in range(_STEPS):
-            chain_state(arm_placements, arm_axes, arm_tip, q[i, :na], o_arm, d_arm, T_world_nozzle, before, after, R)
-            if not _inverse_at(o_arm, d_arm, T_world_nozzle, solved, J, J6, Ji):
+        if closed:
+            sines = sines_of(q[i, :na])
+            jacobian(parameters, sines, T_base_nozzle[:3, 3], J)
+            if not inverse_jacobian(parameters, sines, T_base_nozzle[:3, 3], Ji):
                 return i
-            rotation_error(R_target, T_world_nozzle, a3)
-            size = 0.0
-            for a in range(3):
-                e[a] = p[a] - T_world_nozzle[a, 3]
-                e[3 + a] = a3[a]
-                size += abs(e[a]) + abs(e[3 + a])  # a sum, because max loses a NaN
-            if not size < np.inf:
-                return i
-            if size < CONVERGED:
-                found = True
-                break
-            longest = 0.0
-            for k in range(6):
-                twist[k] = 0.0
-                for a in range(6):
-                    twist[k] += Ji[k, a] * e[a]
-                longest = max(longest, abs(twist[k]))
-            if not longest < 1e6:
-                return i
-            scale = min(1.0, _LONGEST / longest) if longest > 0.0 else 1.0
-            for k in range(6):
-                q[i, solved[k]] += scale * twist[k]
-            if longest < 1e-14:
-                found = True  # no further digits to be had
-                break
-        if not found:
+        elif not _by_steps(
+            arm_placements, arm_axes, arm_tip, solved, p, R_target, q[i, :na], o_arm, d_arm, T_world_nozzle, a3, e, J, J6, Ji
+        ):  # fmt: skip
             return i
+        for a in range(3):  # the frame of J: the base's, or the world
+            for b in range(3):
+                into[a, b] = T_base_world[a, b] if closed else (1.0 if a == b else 0.0)
         for a in range(3):
             back[a] = -R_target[a, 2]
             normal[a] = 0.0
@@ -261,14 +282,17 @@ def follow(
                 for a in range(6):
                     twist[a] = -J[a, joint]
                 G[i, joint, c] = 1.0
+            for a in range(3):
+                e[a] = into[a, 0] * twist[0] + into[a, 1] * twist[1] + into[a, 2] * twist[2]
+                e[3 + a] = into[a, 0] * twist[3] + into[a, 1] * twist[4] + into[a, 2] * twist[5]
             for k in range(6):
                 g = 0.0
                 for a in range(6):
-                    g += Ji[k, a] * twist[a]
+                    g += Ji[k, a] * e[a]
                 G[i, solved[k], c] = g
         # smallest singular value: the dominant eigenvector u of (J J^T)^-1, by the power method
         if na == 6:
-            gram(Ji, W, Wi)
+            gram(Ji, Wi)
         else:
             for a in range(6):
                 for b in range(6):
@@ -281,8 +305,9 @@ def follow(
         square(W, J6)
         for _ in range(_POWER_STEPS if i else 10 * _POWER_STEPS):
             power(J6, u, w)
-        eigen = power(Wi, u, w)
-        s = 1.0 / np.sqrt(eigen)
+        to_unit(u)
+        power(Wi, u, w)
+        s = 1.0 / np.sqrt(to_unit(u))
         sigma[i] = s
         for k in range(na):
             v[k] = 0.0

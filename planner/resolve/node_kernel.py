@@ -10,7 +10,7 @@ from planner.kinematics.chain import chain_state, jacobian_at, mul4, pose_of, ro
 from planner.kinematics.inverse import SPHERICAL_WRIST, solve_one
 from planner.kinematics.six import invert6, largest_singular_value
 from planner.kinematics.spherical_wrist import solve_within
-from planner.kinematics.wrist_rates import inverse_jacobian
+from planner.kinematics.wrist_rates import inverse_jacobian, sines_of
 from planner.obstacles.kernel import FIRST, NO, first_lacking, head_lacking
 from planner.obstacles.table import room_for
 
@@ -171,7 +171,6 @@ def evaluate_nodes(
         J, J6, Jp, Ji = np.empty((6, na)), np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
         T_held, T_world_part, T_world_task = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
         T_rolled, T_base_nozzle, T_base_flange = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
-        before, after = np.empty((4, 4)), np.empty((4, 4))
         origins, directions = np.empty((na, 3)), np.empty((na, 3))
         z_axis = np.array((0.0, 0.0, 1.0))
         here = slice(start[r], stop[r])
@@ -227,20 +226,9 @@ def evaluate_nodes(
                     pair = k // 2 if kind == SPHERICAL_WRIST else k
                     if known[pair] < 0:
                         if kind == SPHERICAL_WRIST:
-                            regular = inverse_jacobian(p, eight[k], T_base_nozzle[:3, 3], Ji)
+                            regular = inverse_jacobian(p, sines_of(eight[k]), T_base_nozzle[:3, 3], Ji)
                         else:
-                            chain_state(
-                                arm_placements,
-                                arm_axes,
-                                arm_tip,
-                                eight[k],
-                                origins,
-                                directions,
-                                T_held,
-                                before,
-                                after,
-                                R,
-                            )
+                            chain_state(arm_placements, arm_axes, arm_tip, eight[k], origins, directions, T_held)
                             jacobian_at(origins, directions, T_world_task[:3, 3], J)
                             into_part(J, solved, T_world_part, Jp)
                             regular = invert6(Jp, Ji)

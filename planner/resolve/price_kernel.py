@@ -74,13 +74,12 @@ def price_of(rates, limits, step, deposits, q, low, high, sigma, least_sigma, bo
     na = low.size
     total = 0.0
     for i in range(n):
-        worst = 0.0
+        v, a, y = 0.0, 0.0, 0.0
         for j in range(nj):
-            v = abs(rates[i, 0, j]) / limits[0, j]
-            a = abs(rates[i, 1, j]) / limits[1, j]
-            y = abs(rates[i, 2, j]) / limits[2, j]
-            worst = max(worst, v, np.sqrt(a), np.cbrt(y))
-        slack[i] = max(worst - 1.0, 0.0)
+            v = max(v, abs(rates[i, 0, j]) / limits[0, j])
+            a = max(a, abs(rates[i, 1, j]) / limits[1, j])
+            y = max(y, abs(rates[i, 2, j]) / limits[2, j])
+        slack[i] = max(v, np.sqrt(a), np.cbrt(y), 1.0) - 1.0
         effort = 0.0
         for o in range(3):
             for j in range(nj):

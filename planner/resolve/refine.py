@@ -22,12 +22,16 @@ from planner.resolve.price_kernel import HARD_PRICE, differentiate, peak_price, 
 from planner.resolve.refine_kernel import (
     bound_rows,
     count_rows,
+    foreseen,
     price_tilt,
     rate_slopes,
     smooth_price,
     watch_missed,
+    watch_missed_ends,
     watch_near,
+    watch_near_ends,
 )
+from planner.resolve.splines import spline_values
 from planner.resolve.stretch import (
     HOLDER,
     TILT,
@@ -35,7 +39,6 @@ from planner.resolve.stretch import (
     State,
     Stretch,
     Watch,
-    near_ends,
     near_sides,
     side_normals,
     side_room,
@@ -65,7 +68,7 @@ def evaluate(model: Model, stretch: Stretch, c: Array, q_near: Array, least_sigm
     """The path that control values c (k, m) make, starting Newton's method from q_near; None if there is none."""
     active = model.active(stretch.cones)
     z = np.zeros((len(stretch.tip), model.columns))
-    z[:, active] = np.einsum("nb,nbk->nk", stretch.B[:, 0], c[stretch.first[:, None] + np.arange(stretch.B.shape[2])])
+    z[:, active] = spline_values(stretch.first, stretch.B, c)
     return evaluate_samples(model, stretch, c, z, q_near, least_sigma)
 
 
@@ -120,7 +123,10 @@ def watched(model: Model, stretch: Stretch, state: State, trust: float) -> Watch
     watch_near(state.rates, model.limits, stretch.deposits, state.slack, rates)
     facets = np.zeros((*state.lean.shape[:2], FACETS.size), dtype=np.bool_)
     watch_leans(stretch.step, state.lean, state.cones, facets)
-    return Watch(rates, facets, near_sides(model, stretch, state.c), near_ends(model, stretch, state, trust))
+    ends = np.zeros((len(state.q), model.arm), dtype=np.bool_)
+    low, high = model.low[: model.arm], model.high[: model.arm]
+    watch_near_ends(state.q, state.G, low, high, stretch.step, trust, ends)
+    return Watch(rates, facets, near_sides(model, stretch, state.c), ends)
 
 
 @dataclass(frozen=True)
@@ -234,33 +240,30 @@ def _control_rows(
     return np.concatenate(A), np.concatenate(b), np.concatenate(at)
 
 
-def _foreseen(stretch: Stretch, state: State, x: Array) -> Array:
-    """Joints (n, nj) that a step x of the control values leads to, to first order."""
-    moved = x.reshape(state.c.shape)[stretch.first[:, None] + np.arange(stretch.B.shape[2])]
-    return state.q + np.einsum("njm,nb,nbm->nj", state.G, stretch.B[:, 0], moved, optimize=True)
-
-
 def _best_step(
     model: Model, stretch: Stretch, state: State, around: Expansion, least_sigma: float, trust: float, watch: Watch,
     solver: QPSolver,
-) -> tuple[Array, float]:  # fmt: skip
-    """The step x that lowers the model's price most, and by how much [s].
+) -> tuple[Array, Array, float]:  # fmt: skip
+    """The step x that lowers the model's price most, the joints (n, nj) that it leads to, to first order, and by how much
+    the price falls [s].
 
     A sample has some forty bounds, few of which matter: those that a solution goes beyond are added to `watch`.
     """
+    low, high = model.low[: model.arm], model.high[: model.arm]
     for _ in range(_ROUNDS):
         program = program_around(model, stretch, state, around, least_sigma, trust, watch)
         x, _ = solver(program)
+        q = foreseen(state.q, state.G, spline_values(stretch.first, stretch.B, x.reshape(state.c.shape)))
         missed = watch_missed(
             state.rates, model.limits, stretch.deposits, state.slack, around.slopes,
             stretch.first * state.c.shape[1], x, watch.rates,
         ) + watch_missed_leans(
             stretch.step, state.lean, state.lean_slope, state.cones, stretch.first, stretch.B, stretch.free, x,
             watch.facets,
-        ) + watch.add_sides(model, stretch, state, x) + watch.add_ends(model, stretch, state, _foreseen(stretch, state, x))  # fmt: skip
+        ) + watch.add_sides(model, stretch, state, x) + watch_missed_ends(state.q, q, low, high, stretch.step, watch.ends)  # fmt: skip
         if not missed:
             break
-    return x, float(stretch.step.mean()) * (program.value(np.zeros(len(x))) - program.value(x))
+    return x, q, float(stretch.step.mean()) * (program.value(np.zeros(len(x))) - program.value(x))
 
 
 def refine_stretch(
@@ -272,12 +275,10 @@ def refine_stretch(
     for _ in range(_STEPS):
         around, watch = expand(model, stretch, state), watched(model, stretch, state, trust)
         while True:
-            x, promised = _best_step(model, stretch, state, around, least_sigma, trust, watch, solver)
+            x, q, promised = _best_step(model, stretch, state, around, least_sigma, trust, watch, solver)
             if promised < enough + _ENOUGH * state.price:
                 return state
-            trial = evaluate(
-                model, stretch, state.c + x.reshape(state.c.shape), _foreseen(stretch, state, x), least_sigma
-            )
+            trial = evaluate(model, stretch, state.c + x.reshape(state.c.shape), q, least_sigma)
             gained = -np.inf if trial is None else state.price - trial.price
             if trial is not None and gained > 0.1 * promised:
                 state = trial

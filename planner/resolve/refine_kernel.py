@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 
 NEAR_RATE = 0.7  # share of a rate's limit above which the program watches it from the start
 MISSED = 1e-2  # slack that a rate must ask for beyond the watched ones before the program watches it too
+_NEAR_END = 0.7  # of what a step may move a joint: who is as near to the end of its range has it watched from the start
+_MISSED_END = 1e-5  # rad beyond that end that the program must go before it watches it too
 NEAR_SIGMA = 1.3  # times the least singular value allowed below which the program has a row for it
 _TOGETHER = 8  # samples at most whose effort is one product of matrices: few enough for one thread
 
@@ -101,6 +103,45 @@ def watch_missed(rates, limits, deposits, slack, slopes, at, x, watch):
                     if over[o, j, side] > needed + MISSED and not watch[i, o, j, side]:
                         watch[i, o, j, side] = True
                         missed += 1
+    return missed
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def watch_near_ends(q, G, low, high, step, trust, watch) -> None:
+    """Mark in watch (n, na) the arm's joints that a share of a step within `trust` [rad] may take to the end of their range
+    that is nearer now."""
+    for i in range(len(q)):
+        if step[i] > 0.0:
+            for j in range(low.size):
+                reach = 0.0
+                for c in range(G.shape[2]):
+                    reach += abs(G[i, j, c])
+                watch[i, j] = min(q[i, j] - low[j], high[j] - q[i, j]) < _NEAR_END * trust * reach
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def foreseen(q, G, moved):
+    """Joints (n, nj) that a move of the free variables by moved (n, m) leads to, to first order."""
+    out = q.copy()
+    for i in range(len(q)):
+        for j in range(q.shape[1]):
+            for c in range(moved.shape[1]):
+                out[i, j] += G[i, j, c] * moved[i, c]
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def watch_missed_ends(now, then, low, high, step, watch):
+    """Mark in watch (n, na) the ends that joints `then` (n, nj) go beyond, of those nearer `now`; returns how many."""
+    missed = 0
+    for i in range(len(now)):
+        if step[i] > 0.0:
+            for j in range(low.size):
+                below = now[i, j] - low[j] < high[j] - now[i, j]
+                room = then[i, j] - low[j] if below else high[j] - then[i, j]
+                if room < -_MISSED_END and not watch[i, j]:
+                    watch[i, j] = True
+                    missed += 1
     return missed
 
 

@@ -7,47 +7,52 @@ from numba import njit
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def gram(B, across, out) -> None:
-    """Fill out with B^T B (6, 6), across with B^T."""
+def gram(B, out) -> None:
+    """Fill out with B^T B (6, 6)."""
     for a in range(6):
         for b in range(6):
-            across[a, b], out[a, b] = B[b, a], 0.0
-    for a in range(6):
-        for k in range(6):
+            out[a, b] = B[0, a] * B[0, b]
+        for k in range(1, 6):
             for b in range(6):
-                out[a, b] += across[a, k] * B[k, b]
+                out[a, b] += B[k, a] * B[k, b]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def square(M, out) -> None:
-    """Fill out with M M (6, 6), scaled so that its diagonal sums to 1."""
+    """Fill out with M M of a symmetric M (6, 6), scaled so that its diagonal sums to 1."""
     trace = 0.0
     for a in range(6):
-        for b in range(6):
-            out[a, b] = 0.0
-        for k in range(6):
-            for b in range(6):
-                out[a, b] += M[a, k] * M[k, b]
+        for b in range(a, 6):
+            # written out, for a processor adds three numbers at once, but not to each other
+            x = M[a, 0] * M[b, 0] + M[a, 1] * M[b, 1] + M[a, 2] * M[b, 2]
+            out[a, b] = x + (M[a, 3] * M[b, 3] + M[a, 4] * M[b, 4] + M[a, 5] * M[b, 5])
+            out[b, a] = out[a, b]
         trace += out[a, a]
+    scale = 1.0 / trace
     for a in range(6):
         for b in range(6):
-            out[a, b] /= trace
+            out[a, b] *= scale
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def power(M, u, w) -> float:
-    """Turn u (6) towards the dominant eigenvector of a symmetric M (6, 6) by a step; returns the eigenvalue as seen
-    before. w (6) is room."""
-    eigen = 0.0
+def power(M, u, w) -> None:
+    """Replace u (6) by M u, with a symmetric M (6, 6). w (6) is room."""
     for a in range(6):
-        w[a] = 0.0
-        for b in range(6):
-            w[a] += M[a, b] * u[b]
-        eigen += w[a] * w[a]
-    eigen = np.sqrt(eigen)
+        w[a] = M[0, a] * u[0]
+    for b in range(1, 6):
+        for a in range(6):
+            w[a] += M[b, a] * u[b]
     for a in range(6):
-        u[a] = w[a] / eigen
-    return eigen
+        u[a] = w[a]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def to_unit(u) -> float:
+    """Scale u (6) to length 1; returns the length that it had."""
+    length = np.sqrt((u[0] * u[0] + u[1] * u[1]) + (u[2] * u[2] + u[3] * u[3]) + (u[4] * u[4] + u[5] * u[5]))
+    for a in range(6):
+        u[a] /= length
+    return length
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -85,7 +85,19 @@ class Basis:
 
     def values(self, c: Array) -> Array:
         """The spline (n, k) with control values c (m, k)."""
-        return np.einsum("nb,nbk->nk", self.B[:, 0], c[self.first[:, None] + np.arange(self.B.shape[2])])
+        return spline_values(self.first, self.B, c)
+
+
+@njit(cache=True, nogil=True)
+def spline_values(first: Index, B: Array, c: Array) -> Array:
+    """The spline (n, k) with control values c (m, k); first (n) and B (n, 4, degree + 1) as in Basis."""
+    n, k = len(first), c.shape[1]
+    out = np.zeros((n, k))
+    for i in range(n):
+        for b in range(B.shape[2]):
+            for j in range(k):
+                out[i, j] += B[i, 0, b] * c[first[i] + b, j]
+    return out
 
 
 def basis_over(clock: Clock, places: Array) -> Basis:

@@ -21,8 +21,6 @@ ROLL, TILT, HOLDER = 0, (1, 2), 3  # columns of z; given arm joints come after t
 CONE_SIDES = 12  # of the polygon inside the circle that bounds tilt
 _NEAR_SIDE = 0.3  # of the cone about tilt: who is as near to a side of its polygon has it watched from the start
 _MISSED_SIDE = 1e-5  # rad beyond a side that the program must go before it watches it too
-_NEAR_END = 0.7  # of what a step may move a joint: who is as near to the end of its range has it watched from the start
-_MISSED_END = 1e-5  # rad beyond that end that the program must go before it watches it too
 _RANGE_ROOM = 1e-4  # rad kept from the ends of the joints' ranges
 
 
@@ -142,25 +140,6 @@ class Watch:
         missed = (room < -_MISSED_SIDE) & (stretch.free[:, None] > 0.0) & ~self.sides
         self.sides[missed] = True
         return int(missed.sum())
-
-    def add_ends(self, model: Model, stretch: Stretch, state: State, q: Array) -> int:
-        """Watch the ends that joints q (n, nj), which a step leads to, go beyond, of those nearer now; returns how many."""
-        missed = (_end_room(model, state.q, q) < -_MISSED_END) & (stretch.step[:, None] > 0.0) & ~self.ends
-        self.ends[missed] = True
-        return int(missed.sum())
-
-
-def _end_room(model: Model, now: Array, q: Array) -> Array:
-    """How far joints q (n, nj) are from the end of their range that is nearer now, the arm's (n, na) [rad]."""
-    arm = slice(model.arm)
-    low, high = model.low[arm], model.high[arm]
-    return np.where(now[:, arm] - low < high - now[:, arm], q[:, arm] - low, high - q[:, arm])
-
-
-def near_ends(model: Model, stretch: Stretch, state: State, trust: float) -> Flags:
-    """The arm's joints (n, na) that a share of a step within `trust` [rad] may take to the end of their range."""
-    reach = trust * np.abs(state.G[:, : model.arm]).sum(axis=2)
-    return np.asarray((_end_room(model, state.q, state.q) < _NEAR_END * reach) & (stretch.step[:, None] > 0.0))
 
 
 def side_room(model: Model, stretch: Stretch, c: Array) -> Array:

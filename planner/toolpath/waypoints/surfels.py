@@ -37,7 +37,7 @@ class Surfels:
     centres (n, 3)         of the discs: one bead's height below the tips
     radius                 of the discs: neighbours touch
     first (beads + 1)      index of each bead's first sample
-    bare (n)               whether nothing is printed beneath the sample: what it lies on is there from the start
+    bare (m + 1)           samples beneath which nothing is printed: what they lie on is there from the start; then a -1
     printed                how many beads are there
     trees                  search trees by (size, number) of a block of beads; those of `bare` and of all tips
     """
@@ -48,7 +48,7 @@ class Surfels:
     centres: Array
     radius: float
     first: Index
-    bare: NDArray[np.bool_]
+    bare: Index
     printed: int
     trees: dict[tuple[int, int], cKDTree]
     bare_tree: cKDTree
@@ -62,7 +62,7 @@ class Surfels:
         """Distance (n,) of points (n, 3) from what is there, FAR at most; negative inside a shell."""
         workers = _workers(points)
         best, nearest = self.bare_tree.query(points, distance_upper_bound=FAR, workers=workers)
-        nearest = np.append(np.flatnonzero(self.bare), -1)[nearest]
+        nearest = self.bare[nearest]
         start, left = 0, self.printed
         for size in sorted({size for size, _ in self.trees}, reverse=True):
             if left >= size:  # the printed beads are one block for each binary digit of their number
@@ -159,7 +159,7 @@ def with_layers(beads: Sequence[Bead]) -> tuple[tuple[Bead, ...], Surfels]:
         below = below[(below >= 0) & (below < i)]
         most = 2 * len(below) > len(bead.points)
         layers.append(int(np.median(np.array(layers)[below])) + 1 if most else 0)
-    bare = beneath < 0
+    bare = np.flatnonzero(beneath < 0)
     trees: dict[tuple[int, int], cKDTree] = {}
     size = 1
     while size <= len(beads):
@@ -167,7 +167,9 @@ def with_layers(beads: Sequence[Bead]) -> tuple[tuple[Bead, ...], Surfels]:
             trees[size, number] = _tree(centres[first[number * size] : first[(number + 1) * size]])
         size *= 2
     bare_tree = _tree(centres[bare])
-    surfels = Surfels(tips, normals, along, centres, radius, first, bare, len(beads), trees, bare_tree, tip_tree)
+    surfels = Surfels(
+        tips, normals, along, centres, radius, first, np.append(bare, -1), len(beads), trees, bare_tree, tip_tree
+    )
     return tuple(replace(bead, layer=layer) for bead, layer in zip(beads, layers, strict=True)), surfels
 
 
