@@ -166,10 +166,8 @@ def chain_jacobians(placements: Array, axes: Array, T_last_tip: Array, q: Array)
     """Compiled body of `Chain.jacobians`."""
     m, n = q.shape
     out = np.empty((m, 6, n))
-    origins, directions, T_tip, p = np.empty((n, 3)), np.empty((n, 3)), np.empty((4, 4)), np.empty(3)
+    origins, directions, T_tip = np.empty((n, 3)), np.empty((n, 3)), np.empty((4, 4))
     for k in range(m):
         chain_state(placements, axes, T_last_tip, q[k], origins, directions, T_tip)
-        for i in range(3):
-            p[i] = T_tip[i, 3]
-        jacobian_at(origins, directions, p, out[k])
+        jacobian_at(origins, directions, T_tip[:3, 3], out[k])
     return out

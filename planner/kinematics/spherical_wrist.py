@@ -18,8 +18,7 @@ BRANCHES = 8
 BEHIND_AXIS_1, BEHIND_LOWER_ARM, AXIS_5_NEGATIVE = 4, 2, 1  # the bits of a branch number are those of ABB's cfx
 _TURN = 2.0 * np.pi
 _REACH_ROUNDING = 1e-10  # cosine beyond 1 by this much is a stretched arm, not one out of reach
-ALL_ROUND = np.full(6, 1e3)  # rad: a range that bounds nothing
-_ALL = np.ones(8, dtype=np.bool_)  # branches
+ALL_ROUND = 1e3  # rad: from -ALL_ROUND to ALL_ROUND is a range that bounds nothing
 _STRAIGHT_WRIST = 1e-9  # rad; below it only q4 + q6 is defined, and q4 is set to 0
 
 
@@ -105,7 +104,7 @@ def _wrap(angle: float) -> float:
 @njit(cache=True)
 def solve_one(p: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> None:
     """Fill q (8, 6), each angle in (-pi, pi], and ok (8) with all postures for one flange pose: see `solve_within`."""
-    solve_within(p, R, t, -ALL_ROUND, ALL_ROUND, _ALL, q, ok)
+    solve_within(p, R, t, np.full(6, -ALL_ROUND), np.full(6, ALL_ROUND), np.ones(8, np.bool_), q, ok)
     for i in range(8):
         if ok[i]:
             for j in range(6):
@@ -183,7 +182,7 @@ def solve_within(
 def _may_stand(angle: float, low: float, high: float) -> bool:
     """Whether an angle, turned as near to the middle as whole turns bring it, lies within a range."""
     away = angle - 0.5 * (low + high)
-    return abs(away - _TURN * np.round(away / _TURN)) <= 0.5 * (high - low)
+    return abs(away - _TURN * np.rint(away / _TURN)) <= 0.5 * (high - low)
 
 
 @njit(cache=True)

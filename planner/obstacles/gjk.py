@@ -6,6 +6,8 @@ plane that says so, mostly the one that was good at the posture before. Round so
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 
@@ -13,6 +15,8 @@ from planner.solids import BOX, CAPSULE, FRUSTUM
 
 _ROUNDS = 40
 _EXACT = 1e-4  # share of a distance by which it may be told too small
+_FACES = np.array([(1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)])  # corners of a simplex opposite to each corner
+_FIRST: Any = np.int64(0)  # a plain 0 is a type of its own, for which kernels would be compiled once more
 _TOUCHING = 1e-7  # m: nearer solids overlap
 
 
@@ -112,12 +116,12 @@ def _nearest(S, n):
         t = min(max(along / length, 0.0), 1.0) if length > 0.0 else 0.0
         return 1.0 - t, t, 0.0, 0.0, False
     if n == 3:
-        s, t, u = _on_triangle(S, 0, 1, 2)
+        s, t, u = _on_triangle(S, _FACES[3, 0], _FACES[3, 1], _FACES[3, 2])
         return s, t, u, 0.0, False
     best = np.inf
     out = (0.0, 0.0, 0.0, 0.0, True)
     for face in range(4):
-        i, j, k = (1, 2, 3) if face == 0 else (0, 2, 3) if face == 1 else (0, 1, 3) if face == 2 else (0, 1, 2)
+        i, j, k = _FACES[face, 0], _FACES[face, 1], _FACES[face, 2]
         if not _beyond(S, i, j, k, face):
             continue
         s, t, u = _on_triangle(S, i, j, k)
@@ -148,7 +152,7 @@ def solids_distance(kind, size, span, vertices, pose, a, b, enough, little, way,
     S (4, 9)    on exit its first row holds, from column 3 on, the points of a and of b that are nearest
     """
     radii = (size[a, 0] if kind[a] == CAPSULE else 0.0) + (size[b, 0] if kind[b] == CAPSULE else 0.0)
-    n = 0
+    n = _FIRST
     lower = -np.inf
     x, y, z = way[k, 0], way[k, 1], way[k, 2]
     out = 0.0

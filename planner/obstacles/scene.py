@@ -15,7 +15,7 @@ from planner.background import in_blocks
 from planner.cell import Cell
 from planner.obstacles.along import hit_along, lacking_at, least_margins
 from planner.obstacles.sampling import surface_points
-from planner.obstacles.table import Table
+from planner.obstacles.table import Table, with_fields
 from planner.obstacles.things import ARM, HEAD, Thing, corners, is_round, looked_at, may_touch, things_of
 from planner.point_tree import PointTree, point_tree
 from planner.print_body import TIP_SLOPE, PrintBody, print_body, standing, tip_slack
@@ -69,7 +69,9 @@ class Obstacles:
 
     def _looking(self, kept: NDArray[np.bool_]) -> Obstacles:
         fields = ("look", "keep", "head_on_part", "round_on_part")
-        return replace(self, table=self.table._replace(**{name: getattr(self.table, name)[kept] for name in fields}))
+        return replace(
+            self, table=with_fields(self.table, **{name: getattr(self.table, name)[kept] for name in fields})
+        )
 
     def of(self, cell: Cell) -> Obstacles:
         """The same obstacles where the cell's holder or part stand elsewhere."""
@@ -131,7 +133,7 @@ def _empty() -> Table:
     """A table of nothing."""
     none, no_index, no_poses = np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros((0, 4, 4))
     no_points, no_pairs = np.zeros((0, 3)), np.zeros((0, 2), dtype=np.int64)
-    return Table(
+    table = Table(
         placements=no_poses, axes=no_points, arm=np.zeros(1, dtype=np.int64), tip=np.zeros(3),
         frame=no_index, kind=no_index, size=np.zeros((0, SIZES)), planes=np.zeros((0, 4)), vertices=no_points, span=no_pairs,
         T_frame_solid=no_poses, ball=np.zeros((0, 4)), pair=no_pairs, needed=none,
@@ -140,6 +142,7 @@ def _empty() -> Table:
         T_frame_tree=no_poses, look=no_pairs, keep=no_points, slack=none,
         head_on_part=np.zeros(0, dtype=np.bool_), round_on_part=np.zeros(0, dtype=np.bool_),
     )  # fmt: skip
+    return with_fields(table, **table._asdict())
 
 
 NOTHING = Obstacles(_empty(), (), (), None)
@@ -182,7 +185,8 @@ def _assembled(cell: Cell, around: Around) -> Obstacles:
     on_part = np.array([tree == 0 and solid[k].whose == HEAD for k, tree in look], dtype=np.bool_)
     round_ = np.array([is_round(solid[k].body, cell.arm.T_last_tip) for k, _ in look], dtype=np.bool_)
     keep = np.array(clearance, dtype=float)
-    table = _table(cell, [thing.body for thing in solid], [thing.frame for thing in solid])._replace(
+    table = with_fields(
+        _table(cell, [thing.body for thing in solid], [thing.frame for thing in solid]),
         pair=np.array(pairs, dtype=np.int64).reshape(-1, 2),
         needed=np.array(needed, dtype=float),
         tree_frame=np.array(frames, dtype=np.int64),
@@ -210,15 +214,16 @@ def _table(cell: Cell, bodies: Sequence[Body], frames: Sequence[int]) -> Table:
             vertices.append(own)
     poses = np.array([body.T_frame_solid for body in bodies]).reshape(-1, 4, 4)
     arm, holder = cell.arm, cell.holder
-    return _empty()._replace(
+    return with_fields(
+        _empty(),
         placements=np.concatenate([arm.placements, holder.placements]),
         axes=np.concatenate([arm.axes, holder.axes]),
         arm=np.array([len(arm)]),
         tip=arm.T_last_tip[:3, 3].copy(),
         frame=np.array(frames, dtype=np.int64),
-        kind=numbers.kind.copy(),
-        size=numbers.size.copy(),
-        planes=numbers.planes.copy(),
+        kind=numbers.kind,
+        size=numbers.size,
+        planes=numbers.planes,
         vertices=np.concatenate(vertices),
         span=span,
         T_frame_solid=poses,
@@ -252,4 +257,4 @@ def _without_joined(cell: Cell, table: Table, things: Sequence[Thing]) -> Table:
     lacking_at(table, q, lacking)
     own = np.array([things[a].whose in (ARM, HEAD) and things[b].whose in (ARM, HEAD) for a, b in table.pair])
     kept = ~(lacking.all(axis=0) & own.astype(np.bool_).reshape(-1))
-    return table._replace(pair=table.pair[kept], needed=table.needed[kept])
+    return with_fields(table, pair=table.pair[kept], needed=table.needed[kept])

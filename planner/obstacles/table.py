@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from planner.readonly import read_only
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -63,6 +65,12 @@ class Table(NamedTuple):
     slack: Array
     head_on_part: Flags
     round_on_part: Flags
+
+
+def with_fields(table: Table, **fields: NDArray[Any]) -> Table:
+    """The table with other arrays in it, all of them read-only: so are those that verification has, and kernels that both
+    call are compiled once."""
+    return table._replace(**{name: read_only(values) for name, values in fields.items()})
 
 
 class Room(NamedTuple):

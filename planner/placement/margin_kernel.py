@@ -155,7 +155,7 @@ def _reachable_in(q0, q1, turn: float, time: float, v: Array, wraps: NDArray[np.
     for j in range(wraps.size):
         d = abs(float(q1[j]) - float(q0[j]))
         if wraps[j]:
-            d = abs(d - 2.0 * np.pi * np.round(d / (2.0 * np.pi)))
+            d = abs(d - 2.0 * np.pi * np.rint(d / (2.0 * np.pi)))
         if d > v[j] * time:
             return False
     return True

@@ -104,22 +104,22 @@ def _inverse_at(origins, directions, T_world_nozzle, solved, J, J6, Ji) -> bool:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _near_in_closed_form(
-    p, T_base_world, T_world_nozzle, T_nozzle_flange, q, eight, ok, wanted, T_base_nozzle, T_base_flange
+    p, T_base_world, T_world_nozzle, T_nozzle_flange, q, low, high, eight, ok, wanted, T_base_nozzle, T_base_flange
 ) -> bool:
     """Replace the posture q (6) by the one of its branch that a nozzle pose asks for, to rounding; False, and q as it was,
-    if there is none nearby. The next three are room: eight (8, 6), ok, wanted (8); the last two are filled."""
+    if there is none nearby. low, high (6) bound nothing; eight (8, 6), ok, wanted (8) are room; the last two are filled."""
     mul4(T_base_world, T_world_nozzle, T_base_nozzle)
     mul4(T_base_nozzle, T_nozzle_flange, T_base_flange)
     k = branch_of(p, q)
     wanted[:] = False
     wanted[k] = True
-    solve_within(p, T_base_flange[:3, :3], T_base_flange[:3, 3], -ALL_ROUND, ALL_ROUND, wanted, eight, ok)
+    solve_within(p, T_base_flange[:3, :3], T_base_flange[:3, 3], low, high, wanted, eight, ok)
     if not ok[k]:
         return False
     furthest = 0.0
     for j in range(6):
         away = q[j] - eight[k, j]
-        eight[k, j] += 2.0 * np.pi * np.round(away / (2.0 * np.pi))
+        eight[k, j] += 2.0 * np.pi * np.rint(away / (2.0 * np.pi))
         furthest += abs(q[j] - eight[k, j])  # a sum, because max loses a NaN
     if not furthest < _LONGEST:
         return False
@@ -190,6 +190,7 @@ def follow(
     R_part_nozzle, R_target, slopes = np.empty((3, 3)), np.empty((3, 3)), np.empty((2, 3))
     T_target, eight, ok, wanted = np.eye(4), np.empty((8, na)), np.empty(8, dtype=np.bool_), np.zeros(8, dtype=np.bool_)
     T_base_nozzle, T_base_flange, into = np.empty((4, 4)), np.empty((4, 4)), np.empty((3, 3))
+    low, high = np.full(6, -ALL_ROUND), np.full(6, ALL_ROUND)
     axis, p, e = np.empty(3), np.empty(3), np.empty(6)
     J, J6, Ji = np.empty((6, na)), np.empty((6, 6)), np.empty((6, 6))
     W, Wi = np.empty((6, 6)), np.empty((6, 6))
@@ -222,8 +223,8 @@ def follow(
                     T_target[a, b] = R_target[a, b]
                 T_target[a, 3] = p[a]
             closed = _near_in_closed_form(
-                parameters, T_base_world, T_target, T_nozzle_flange, q[i, :na], eight, ok, wanted, T_base_nozzle,
-                T_base_flange,
+                parameters, T_base_world, T_target, T_nozzle_flange, q[i, :na], low, high, eight, ok, wanted,
+                T_base_nozzle, T_base_flange,
             )  # fmt: skip
         if closed:
             sines = sines_of(q[i, :na])

@@ -107,7 +107,7 @@ def _turned(R, twist, out) -> None:
 def nearest_turn(angle: float, middle: float) -> float:
     """The angle, in whole turns as near to the middle of a joint's range as can be."""
     away = angle - middle
-    return middle + away - 2.0 * np.pi * np.round(away / (2.0 * np.pi))
+    return middle + away - 2.0 * np.pi * np.rint(away / (2.0 * np.pi))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -24,7 +24,7 @@ def travel_price(
     for j in range(na + 1):
         d = abs(turn) if j == na else abs(float(qa[j]) - float(qb[j]))
         if j < na and wraps[j]:
-            d = abs(d - 2.0 * np.pi * np.round(d / (2.0 * np.pi)))
+            d = abs(d - 2.0 * np.pi * np.rint(d / (2.0 * np.pi)))
         if d * a[j] < v[j] * v[j]:
             worst = max(worst, 2.0 * np.sqrt(d / a[j]))
         else:
@@ -45,8 +45,8 @@ def edge_price(q0, q1, q1_straight, turn: float, time: float, v: Array, a: Array
         d = float(q1[j]) - float(q0[j])
         e = float(q1[j]) - float(q1_straight[j])
         if wraps[j]:
-            d -= 2.0 * np.pi * np.round(d / (2.0 * np.pi))
-            e -= 2.0 * np.pi * np.round(e / (2.0 * np.pi))
+            d -= 2.0 * np.pi * np.rint(d / (2.0 * np.pi))
+            e -= 2.0 * np.pi * np.rint(e / (2.0 * np.pi))
         if abs(d) > SPEED_SHARE * v[j] * time:
             return np.inf
         need = max(need, abs(e) / (time * time * a[j]))
@@ -65,7 +65,7 @@ def _shift(index: int, window: int, periodic: bool) -> int:
 def _turn(holder_from, r1: int, b1: int, r0: int, b0: int, holder_step: float) -> float:
     """Holder's turn from node b0 at rung r0 to node b1 at rung r1, the short way round."""
     turn = ((holder_from[r1] + b1) - (holder_from[r0] + b0)) * holder_step
-    return turn - 2.0 * np.pi * np.round(turn / (2.0 * np.pi))
+    return turn - 2.0 * np.pi * np.rint(turn / (2.0 * np.pi))
 
 
 @njit(cache=True)

@@ -233,7 +233,7 @@ def fit(basis: Basis, values: Array) -> Array:
         np.add.at(rhs, basis.first + e, basis.B[:, 0, e, None] * values)
         for f in range(e, width):
             np.add.at(N[f - e], basis.first + e, basis.B[:, 0, e] * basis.B[:, 0, f])
-    return np.asarray(solveh_banded(N, rhs, lower=True))
+    return np.ascontiguousarray(solveh_banded(N, rhs, lower=True))
 
 
 def _refine_window(
