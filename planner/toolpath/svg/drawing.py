@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.errors import nearest_name
+from planner.errors import InputError, nearest_name
 from planner.toolpath.svg.document import (
     MAX_COORDINATE,
     MAX_DEPTH,
@@ -97,6 +97,7 @@ class Drawing:
         self._drawn: list[Outline] = []
         self._elements = self._points = self._shapes = 0
         self._subpaths: dict[int, list[Subpath]] = {}
+        self._counts: dict[int, int] = {}
         self._ids: dict[str, list[Node]] = {}
         self._rules: list[Rule] = []
         self._parents: dict[int, Node] = {}
@@ -112,14 +113,31 @@ class Drawing:
 
     def outlines(self) -> list[Outline]:
         """Return every visible subpath in drawing order."""
+        self._count(self._root, False, 0)
         self._draw(self._root, Place(np.eye(3)), None)
         return self._drawn
+
+    def _count(self, node: Node, used: bool, depth: int) -> int:
+        """Return how many elements drawing this one takes, cuts aside; refuse it before it is drawn if it takes too many."""
+        if depth > MAX_DEPTH or (node.tag in NOT_DRAWN and not (node.tag == "symbol" and used)):
+            return 1
+        if id(node) not in self._counts:
+            count = 1
+            if node.tag == "use":
+                found = self._ids.get(_name_used(node), [])
+                count += self._count(found[0], True, depth + 1) if found else 0
+            else:
+                count += sum(self._count(child, False, depth + 1) for child in node.children)
+            if count > MAX_ELEMENTS:
+                raise _too_many(node)
+            self._counts[id(node)] = count
+        return self._counts[id(node)]
 
     def _draw(self, node: Node, place: Place, user: Node | None) -> None:
         """Draw an element; `user` is the <use> that names it, where that is why it is drawn."""
         self._elements += 1
         if self._elements > MAX_ELEMENTS or place.depth > MAX_DEPTH:
-            raise node.error(f"<use> makes more than {MAX_ELEMENTS} elements of it, or more than {MAX_DEPTH} levels")
+            raise _too_many(node)
         if node.tag in NOT_DRAWN and not (node.tag == "symbol" and user is not None):
             return
         style = self._style(node)
@@ -150,7 +168,7 @@ class Drawing:
 
     def _follow(self, node: Node, place: Place) -> None:
         """Draw what a <use> names."""
-        name = node.attributes.get("href", node.attributes.get(XLINK_HREF, "")).strip().removeprefix("#")
+        name = _name_used(node)
         found = self._named(node, name)
         if found.tag in NOT_DRAWN - {"symbol"}:
             raise node.error(f"<{found.tag}> '{name}' cannot be drawn")
@@ -266,3 +284,12 @@ class Drawing:
         if any(rule.marks is None for rule in self._rules):
             style["unread"] = "yes"
         return {name: value for name, value in style.items() if name not in PAINT or value != "inherit"}
+
+
+def _name_used(node: Node) -> str:
+    """Return the id that a <use> refers to."""
+    return node.attributes.get("href", node.attributes.get(XLINK_HREF, "")).strip().removeprefix("#")
+
+
+def _too_many(node: Node) -> InputError:
+    return node.error(f"<use> makes more than {MAX_ELEMENTS} elements of it, or more than {MAX_DEPTH} levels")
