@@ -11,11 +11,11 @@ from scipy.interpolate import make_interp_spline
 from planner.cell import Limits
 from planner.timing.curve import curve_of
 from planner.timing.jerk_kernel import OVERRUN, fastest
+from planner.timing.leg import Leg
 from planner.timing.lengths import APART, even_out
 from planner.timing.nearby import least_nearby, mean_nearby
 from planner.timing.profile import ACCURACY, HEADROOM, fastest_profile
 from planner.timing.program import Program, program_of
-from planner.timing.stretch import Stretch
 
 Array = NDArray[np.float64]
 Blocks = NDArray[np.bool_]
@@ -38,7 +38,7 @@ def program(seed: int, ramps: tuple[float, float] = (0.05, 0.05)) -> Program:
     bend = np.outer(np.exp(-(((u - 0.12) / 0.02) ** 2)), rng.normal(size=JOINTS) * 0.02)
     path = make_interp_spline(u, np.column_stack([waves + bend, 0.04 * u]), k=5)
     v, a, j = np.array([3.0, 3.0, 3.0, 0.04]), rng.uniform(10.0, 30.0, JOINTS), rng.uniform(500.0, 1500.0, JOINTS)
-    return program_of(Stretch(curve_of(path), 0.0, LENGTH, ramps), v, a, j)
+    return program_of(Leg(curve_of(path), 0.0, LENGTH, ramps), v, a, j)
 
 
 def solve(p: Program, accuracy: float = ACCURACY, start: Array | None = None, wanted: Blocks | None = None) -> Solution:
@@ -131,15 +131,15 @@ def test_a_limit_that_is_raised_makes_nothing_slower() -> None:
 def test_rates_of_a_stretch_by_finite_differences(ramps: tuple[float, float]) -> None:
     rng = np.random.default_rng(5)
     path = make_interp_spline(np.linspace(0.0, LENGTH, 9), rng.normal(size=(9, JOINTS + 1)), k=5)
-    stretch = Stretch(curve_of(path), 0.02, LENGTH - 0.01, ramps)
-    joints = [0.0, *stretch.lasts, stretch.end - stretch.lasts[1], stretch.end]
-    sigma = np.linspace(0.0, stretch.end, 203)[1:-1]
+    leg = Leg(curve_of(path), 0.02, LENGTH - 0.01, ramps)
+    joints = [0.0, *leg.lasts, leg.end - leg.lasts[1], leg.end]
+    sigma = np.linspace(0.0, leg.end, 203)[1:-1]
     sigma = sigma[np.abs(sigma[:, None] - joints).min(axis=1) > 1e-4]  # the nominal third derivative jumps there
-    np.testing.assert_allclose(stretch.u(np.array([0.0, stretch.end])), [0.02, LENGTH - 0.01], atol=1e-12)
+    np.testing.assert_allclose(leg.u(np.array([0.0, leg.end])), [0.02, LENGTH - 0.01], atol=1e-12)
     h = 1e-5
-    before = [path(stretch.u(sigma - h)), *stretch.rates(sigma - h, 2)]
-    after = [path(stretch.u(sigma + h)), *stretch.rates(sigma + h, 2)]
-    for a, b, rate in zip(before, after, stretch.rates(sigma, 3), strict=True):
+    before = [path(leg.u(sigma - h)), *leg.rates(sigma - h, 2)]
+    after = [path(leg.u(sigma + h)), *leg.rates(sigma + h, 2)]
+    for a, b, rate in zip(before, after, leg.rates(sigma, 3), strict=True):
         np.testing.assert_allclose((b - a) / (2 * h), rate, rtol=1e-4, atol=1e-5 * np.abs(rate).max())
 
 
@@ -162,7 +162,7 @@ def long_program() -> Program:
         u, np.column_stack([0.02 * np.sin(np.outer(u, [20.0, 25.0, 30.0])) + bend, 0.04 * u]), k=5
     )
     v, a, j = np.array([3.0, 3.0, 3.0, 0.04]), np.full(JOINTS, 20.0), np.full(JOINTS, 1000.0)
-    return program_of(Stretch(curve_of(path), 0.0, 6.0, (0.05, 0.05)), v, a, j)
+    return program_of(Leg(curve_of(path), 0.0, 6.0, (0.05, 0.05)), v, a, j)
 
 
 def test_what_is_settled_early_is_as_good_in_the_end() -> None:
@@ -222,15 +222,15 @@ def test_a_profile_in_two_halves_is_as_fast(monkeypatch: pytest.MonkeyPatch) -> 
     time = u - 0.5 * np.exp(-(((u - 15.0) / 1.0) ** 2))
     bends = sum(np.outer(np.exp(-(((time - at) / 0.02) ** 2)), [0.1, -0.07, 0.04]) for at in (14.6, 45.0))
     path = make_interp_spline(u, np.column_stack([bends, speed * time]), k=5)
-    stretch = Stretch(curve_of(path), 0.0, length, (0.05, 0.05))
+    leg = Leg(curve_of(path), 0.0, length, (0.05, 0.05))
     limits = Limits(*(np.full(JOINTS, value) for value in (-3.0, 3.0, 3.0, 20.0, 1000.0)))
     used = (HEADROOM * limits.acceleration, HEADROOM * limits.jerk)
-    p = program_of(stretch, np.append(HEADROOM * limits.velocity, speed), *used)
+    p = program_of(leg, np.append(HEADROOM * limits.velocity, speed), *used)
     assert p.cut > 0
     assert 20.0 < p.sigma[p.cut] < 40.0
     assert float(p.point[p.cut] @ p.start[p.cut : p.cut + 2]) < 0.9995 * p.ceiling[p.cut], "what cannot move needs room"
-    halves = fastest_profile(stretch, limits, speed)
+    halves = fastest_profile(leg, limits, speed)
     monkeypatch.setattr("planner.timing.program._WORTH_A_CUT", 10**9)
-    whole = fastest_profile(stretch, limits, speed)
+    whole = fastest_profile(leg, limits, speed)
     assert halves.duration == pytest.approx(whole.duration, rel=3.0 * ACCURACY)
     assert halves.duration > length + 0.05  # both bends cost time

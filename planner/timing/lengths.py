@@ -1,4 +1,4 @@
-"""Lengths of steps of the interior-point method that differ along a stretch, slowly: compiled.
+"""Lengths of steps of the interior-point method that differ along a leg, slowly: compiled.
 
 A step's length is bounded by the place where a limit would be overrun first. Only its neighbourhood has to step less:
 what a length that varies adds to the limits' residuals is small where it varies over many intervals, and the next step

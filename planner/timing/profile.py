@@ -1,4 +1,4 @@
-"""Profile: how fast a stretch of path is followed, the fastest that speed, acceleration and jerk limits allow."""
+"""Profile: how fast a leg of a path is followed, the fastest that speed, acceleration and jerk limits allow."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from planner.background import in_threads
 from planner.cell import Limits
 from planner.timing.jerk_kernel import fastest
+from planner.timing.leg import Leg
 from planner.timing.lengths import APART
 from planner.timing.program import LEAST_RATE, Program, overruns, program_of
-from planner.timing.stretch import Stretch
 
 Array = NDArray[np.float64]
 
@@ -32,49 +32,49 @@ _NODES, _WEIGHTS = (np.ascontiguousarray(each) for each in np.polynomial.legendr
 
 @dataclass(frozen=True)
 class Profile:
-    """Squared rate x of sigma along a stretch, quadratic in each of k intervals, and the time at their ends.
+    """Squared rate x of sigma along a leg, quadratic in each of k intervals, and the time at their ends.
 
     sigma (k + 1); x (k, 3): x = x0 + x1 f + x2 f^2 at the fraction f of an interval; times (k + 1) from 0 [s]
     """
 
-    stretch: Stretch
+    leg: Leg
     sigma: Array
     x: Array
     times: Array
 
     @property
     def duration(self) -> float:
-        """Time that the stretch takes [s]."""
+        """Time that the leg takes [s]."""
         return float(self.times[-1])
 
     def u(self, t: Array) -> Array:
         """Path parameter (k) at times t (k), which are held within [0, duration]."""
-        return self.stretch.u(_when(np.clip(t, 0.0, self.times[-1]), self.sigma, self.x, self.times))
+        return self.leg.u(_when(np.clip(t, 0.0, self.times[-1]), self.sigma, self.x, self.times))
 
     def rates_at_end(self, last: bool) -> tuple[Array, Array]:
-        """First and second derivative by time of joints and arc length (nj + 1) where the stretch begins or ends."""
+        """First and second derivative by time of joints and arc length (nj + 1) where the leg begins or ends."""
         i, f = (-1, 1.0) if last else (0, 0.0)
         x0, x1, x2 = self.x[i]
         x, slope = x0 + f * (x1 + f * x2), (x1 + 2.0 * f * x2) / (self.sigma[1:] - self.sigma[:-1])[i]
-        first, second = (each[0] for each in self.stretch.rates(self.sigma[[i if last else 0]], 2))
+        first, second = (each[0] for each in self.leg.rates(self.sigma[[i if last else 0]], 2))
         return first * np.sqrt(x), second * x + 0.5 * first * slope
 
 
-def fastest_profile(stretch: Stretch, limits: Limits, speed: float) -> Profile:
-    """The fastest profile of a stretch whose last column is arc length, of rate at most `speed` [m/s].
+def fastest_profile(leg: Leg, limits: Limits, speed: float) -> Profile:
+    """The fastest profile of a leg whose last column is arc length, of rate at most `speed` [m/s].
 
     Limits hold between grid points too: where the path overruns them there, they are tightened, and in the end the
-    whole stretch is slowed down by what is left over.
+    whole leg is slowed down by what is left over.
     """
     v = np.append(HEADROOM * limits.velocity, speed)
-    program_on = partial(program_of, stretch, v, HEADROOM * limits.acceleration, HEADROOM * limits.jerk)
-    profile = _within_limits(stretch, program_on())
+    program_on = partial(program_of, leg, v, HEADROOM * limits.acceleration, HEADROOM * limits.jerk)
+    profile = _within_limits(leg, program_on())
     if float(np.diff(profile.times).max()) > _LONGEST:  # it is slower there than the grid was made for
-        profile = _within_limits(stretch, program_on((profile.sigma[:-1], profile.x[:, 0])))
+        profile = _within_limits(leg, program_on((profile.sigma[:-1], profile.x[:, 0])))
     return profile
 
 
-def _within_limits(stretch: Stretch, program: Program) -> Profile:
+def _within_limits(leg: Leg, program: Program) -> Profile:
     """The fastest profile on a program's grid, its limits tightened as told above."""
     m = len(program.h)
     at_speed, acceleration, jerk = np.ones(m + 1), np.ones(m + 1), np.ones(m)  # shares of the limits that are used
@@ -100,7 +100,7 @@ def _within_limits(stretch: Stretch, program: Program) -> Profile:
         wanted = _blocks_beside(np.any([values > 1.0 for values in tighter], axis=0))
     left = [float(values.max()) / enough for values, enough in zip(over, _ENOUGH, strict=True)]
     worst = max(1.0, left[0], left[1], left[2] ** (2.0 / 3.0))
-    return _profile(stretch, program, c / worst)
+    return _profile(leg, program, c / worst)
 
 
 def _fastest(program: Program, wanted: NDArray[np.bool_]) -> Array:
@@ -135,7 +135,7 @@ def _blocks_beside(tightened: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return blocks[1:-1]
 
 
-def _profile(stretch: Stretch, program: Program, c: Array) -> Profile:
+def _profile(leg: Leg, program: Program, c: Array) -> Profile:
     """The profile of coefficients c (m + 2), with its leads."""
     x = np.column_stack(
         [
@@ -148,9 +148,9 @@ def _profile(stretch: Stretch, program: Program, c: Array) -> Profile:
     if program.level[0]:
         x, sigma = np.vstack([[[c[0], 0.0, 0.0]], x]), np.append(0.0, sigma)
     if program.level[1]:
-        x, sigma = np.vstack([x, [[c[-1], 0.0, 0.0]]]), np.append(sigma, stretch.end)
+        x, sigma = np.vstack([x, [[c[-1], 0.0, 0.0]]]), np.append(sigma, leg.end)
     times = np.concatenate([[0.0], np.cumsum(_durations(np.diff(sigma), x))])
-    return Profile(stretch, sigma, x, times)
+    return Profile(leg, sigma, x, times)
 
 
 @njit(cache=True)

@@ -1,4 +1,4 @@
-"""Program: the limits of a stretch of path, on a grid of its own, as the interior-point method takes them."""
+"""Program: the limits of a leg of a path, on a grid of its own, as the interior-point method takes them."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from planner.timing.leg import Leg
 from planner.timing.lengths import APART
 from planner.timing.nearby import least_nearby, mean_nearby
-from planner.timing.stretch import Stretch
 
 Array = NDArray[np.float64]
 Allowed = Callable[[Array], tuple[Array, Array]]
@@ -40,7 +40,7 @@ _BETWEEN = (0.25, 0.5, 0.75)  # fractions of intervals at which limits are looke
 
 @dataclass(frozen=True)
 class Program:
-    """The limits of a stretch as `fastest` takes them, and where they are looked at again.
+    """The limits of a leg as `fastest` takes them, and where they are looked at again.
 
     left, right (m): what the first and last of three coefficients give of x at an interval's own ends; looks: fractions
     of intervals with the path's rates (3, m, nj + 1) there, where limits are looked at again; v (nj + 1), a, j (nj): the
@@ -67,23 +67,23 @@ class Program:
     cut: int
 
 
-def program_of(stretch: Stretch, v: Array, a: Array, j: Array, known: tuple[Array, Array] | None = None) -> Program:
-    """The program of a stretch under limits of velocity (nj + 1), the last of arc length, acceleration and jerk (nj).
+def program_of(leg: Leg, v: Array, a: Array, j: Array, known: tuple[Array, Array] | None = None) -> Program:
+    """The program of a leg under limits of velocity (nj + 1), the last of arc length, acceleration and jerk (nj).
 
     known: places and the squared rates that a solution on another grid has there, so that this one fits it better.
     """
-    leads = (_LEAD * stretch.lasts[0], _LEAD * stretch.lasts[1])
+    leads = (_LEAD * leg.lasts[0], _LEAD * leg.lasts[1])
     level = (leads[0] > 0.0, leads[1] > 0.0)
-    allowed = partial(_allowed, stretch, v, a, j)
+    allowed = partial(_allowed, leg, v, a, j)
     apart = float(np.clip(_GRID * (a / j).min(), *_GRID_BETWEEN))
-    sigma, envelope, quiet = _grid(stretch, leads, allowed, apart, known)
+    sigma, envelope, quiet = _grid(leg, leads, allowed, apart, known)
     h = np.diff(sigma)
     around = np.concatenate([h[:1], h, h[-1:]])
     left, right = h / (around[:-2] + h), h / (h + around[2:])
     share = np.append(left, 0.5)
     slope = 2.0 / (around[:-1] + around[1:])
-    points = stretch.rates(sigma, 3)
-    ceiling = np.minimum(*_ceilings(stretch, v, sigma, points[0]))
+    points = leg.rates(sigma, 3)
+    ceiling = np.minimum(*_ceilings(leg, v, sigma, points[0]))
     for end, lead in enumerate(leads):  # rows of the grid do not see the leads: there x is that of the grid's end
         if lead > 0.0:
             within = np.linspace(0.0, lead, _LEAD_LOOKS)
@@ -118,7 +118,7 @@ def program_of(stretch: Stretch, v: Array, a: Array, j: Array, known: tuple[Arra
         ),
         looks=(
             (0.0, np.ascontiguousarray(points[:, :-1])),
-            *((f, stretch.rates(sigma[:-1] + f * h, 3)) for f in _BETWEEN),
+            *((f, leg.rates(sigma[:-1] + f * h, 3)) for f in _BETWEEN),
             (1.0, np.ascontiguousarray(points[:, 1:])),
         ),
         v=v,
@@ -131,42 +131,42 @@ def program_of(stretch: Stretch, v: Array, a: Array, j: Array, known: tuple[Arra
     )
 
 
-def _allowed(stretch: Stretch, v: Array, a: Array, j: Array, sigma: Array) -> tuple[Array, Array]:
+def _allowed(leg: Leg, v: Array, a: Array, j: Array, sigma: Array) -> tuple[Array, Array]:
     """Largest constant x (k) that the joints' limits allow at sigma (k), and the one that the commanded speed allows."""
-    first, second, third = stretch.rates(sigma, 3)
+    first, second, third = leg.rates(sigma, 3)
     with np.errstate(divide="ignore", over="ignore"):
-        x = np.minimum(_ceilings(stretch, v, sigma, first)[0], (a / np.abs(second[:, :-1])).min(axis=1))
+        x = np.minimum(_ceilings(leg, v, sigma, first)[0], (a / np.abs(second[:, :-1])).min(axis=1))
         x = np.minimum(x, (j / np.abs(third[:, :-1])).min(axis=1) ** (2.0 / 3.0))
-    return np.maximum(x, LEAST_RATE), np.maximum(_ceilings(stretch, v, sigma, first)[1], LEAST_RATE)
+    return np.maximum(x, LEAST_RATE), np.maximum(_ceilings(leg, v, sigma, first)[1], LEAST_RATE)
 
 
-def _ceilings(stretch: Stretch, v: Array, sigma: Array, first: Array) -> tuple[Array, Array]:
+def _ceilings(leg: Leg, v: Array, sigma: Array, first: Array) -> tuple[Array, Array]:
     """Largest x (k) by the joints' and by the commanded speed at sigma (k); first (k, nj + 1) are rates of order 1."""
     with np.errstate(divide="ignore", over="ignore"):
         joints = (v[:-1] / np.abs(first[:, :-1])).min(axis=1)
-        along = v[-1] / np.abs(stretch.along(sigma))
+        along = v[-1] / np.abs(leg.along(sigma))
     return np.minimum(joints, _FASTEST) ** 2, np.minimum(along, _FASTEST) ** 2
 
 
 def _grid(
-    stretch: Stretch, leads: tuple[float, float], allowed: Allowed, apart: float, known: tuple[Array, Array] | None
+    leg: Leg, leads: tuple[float, float], allowed: Allowed, apart: float, known: tuple[Array, Array] | None
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Grid points (m + 1) between the leads, about `apart` [s], a guess of x there, and which are far from all dips.
 
     As fine as is asked for in the time that the path will take, and as the path's own samples: where these draw
     together, it is not finer than they are.
     """
-    a, b = leads[0], stretch.end - leads[1]
-    step = min(max(apart, stretch.spacing / _LOOKS_A_SAMPLE), stretch.spacing)
+    a, b = leads[0], leg.end - leads[1]
+    step = min(max(apart, leg.spacing / _LOOKS_A_SAMPLE), leg.spacing)
     even = np.linspace(a, b, max(int(np.ceil((b - a) / step)), _LEAST_INTERVALS) + 1)
     joints, commanded = allowed(even)
     # the time at the commanded speed, in which what is near is near, however close the samples are
     time = _cumulated(1.0 / np.sqrt(commanded), even)
     guess = np.minimum(joints, commanded) if known is None else np.interp(even, *known)
     envelope = _smoothed(guess, time, 0.5 * _DIP)
-    calm = _smoothed(np.where(_calm(stretch, even, time, joints, commanded), 1.0, 0.0), time, 0.5 * _FAR)
+    calm = _smoothed(np.where(_calm(leg, even, time, joints, commanded), 1.0, 0.0), time, 0.5 * _FAR)
     lasting = (apart + calm * (_COARSE - apart)) * np.clip(np.sqrt(envelope), _SLOWEST, None)
-    count = _cumulated(1.0 / np.minimum(lasting, stretch.spacing), even)
+    count = _cumulated(1.0 / np.minimum(lasting, leg.spacing), even)
     m = max(int(np.ceil(count[-1])), _LEAST_INTERVALS)
     grid = np.interp(np.linspace(0.0, count[-1], m + 1), count, even)
     grid[[0, -1]] = a, b
@@ -197,10 +197,10 @@ def _cumulated(density: Array, even: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(0.5 * step * (density[1:] + density[:-1]))])
 
 
-def _calm(stretch: Stretch, even: Array, time: Array, joints: Array, commanded: Array) -> NDArray[np.bool_]:
+def _calm(leg: Leg, even: Array, time: Array, joints: Array, commanded: Array) -> NDArray[np.bool_]:
     """Places (k) of an even grid far around which the commanded speed alone sets the speed."""
-    start, end = stretch.lasts
-    inside = (even > start + _FAR) & (even < stretch.end - end - _FAR)
+    start, end = leg.lasts
+    inside = (even > start + _FAR) & (even < leg.end - end - _FAR)
     return np.asarray((least_nearby(joints / commanded, time, _FAR) > _EASY) & inside)
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.resolve.jointpath import JointPath
-from planner.timing.timed_path import stretches_of
+from planner.timing.timed_path import legs_of
 
 Array = NDArray[np.float64]
 
@@ -32,11 +32,11 @@ def bound_time(cell: Cell, path: JointPath) -> float:
     No headroom is kept below the limits. Rests at stops are not counted.
     """
     task, total = path.task, 0.0
-    curve, stretches = stretches_of(path, (False, False))
+    curve, legs = legs_of(path, (False, False))
     v = np.append(cell.limits.velocity, task.speed)
-    for stretch in stretches:
-        intervals = max(int(np.ceil(REFINE * (stretch.last - stretch.first) / stretch.spacing)), REFINE)
-        grid = np.linspace(stretch.first, stretch.last, intervals + 1)
+    for leg in legs:
+        intervals = max(int(np.ceil(REFINE * (leg.last - leg.first) / leg.spacing)), REFINE)
+        grid = np.linspace(leg.first, leg.last, intervals + 1)
         first, second = curve.derivatives(grid, 2)
         with np.errstate(divide="ignore", over="ignore"):
             ceiling = (v / np.abs(first)).min(axis=1) ** 2

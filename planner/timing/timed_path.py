@@ -13,8 +13,8 @@ from planner.cell import Cell
 from planner.cubics import State
 from planner.resolve.jointpath import JointPath, refuse_at
 from planner.timing.curve import Curve, curve_of
+from planner.timing.leg import Leg
 from planner.timing.profile import Profile, fastest_profile
-from planner.timing.stretch import Stretch
 
 Array = NDArray[np.float64]
 
@@ -26,20 +26,20 @@ RAMP = 60e-3  # s at the commanded speed: what an arm takes, about, from rest to
 
 @dataclass(frozen=True)
 class TimedPath:
-    """One bead with its runs in time, from t = 0: stretches of path, and rests between them.
+    """One bead with its runs in time, from t = 0: legs of the path, and rests between them.
 
-    curve: joints and arc length over the path parameter; starts (k) of each stretch, and how long it rests before it
+    curve: joints and arc length over the path parameter; starts (k) of each leg, and how long it rests before it
     """
 
     path: JointPath
     curve: Curve
-    stretches: tuple[Profile, ...]
+    legs: tuple[Profile, ...]
     starts: tuple[float, ...]
 
     @property
     def duration(self) -> float:
         """From the start of the run-in to the end of the run-out [s]."""
-        return self.starts[-1] + self.stretches[-1].duration
+        return self.starts[-1] + self.legs[-1].duration
 
     @property
     def start(self) -> State:
@@ -72,20 +72,20 @@ class TimedPath:
     @property
     def rests(self) -> tuple[tuple[float, float], ...]:
         """First and last instant of the rest at each of the task's stops [s]."""
-        ends = [start + each.duration for start, each in zip(self.starts, self.stretches, strict=True)]
+        ends = [start + each.duration for start, each in zip(self.starts, self.legs, strict=True)]
         return tuple(zip(ends[:-1], self.starts[1:], strict=True))
 
     def _u(self, t: Array) -> Array:
         u = np.empty(len(t))
         which = np.clip(np.searchsorted(self.starts, t, side="right") - 1, 0, len(self.starts) - 1)
-        for i, (profile, begin) in enumerate(zip(self.stretches, self.starts, strict=True)):
+        for i, (profile, begin) in enumerate(zip(self.legs, self.starts, strict=True)):
             rows = which == i
             u[rows] = profile.u(t[rows] - begin)
         return u
 
     def _end(self, last: bool) -> State:
-        profile = self.stretches[-1 if last else 0]
-        u = profile.stretch.last if last else profile.stretch.first
+        profile = self.legs[-1 if last else 0]
+        u = profile.leg.last if last else profile.leg.first
         first, second = profile.rates_at_end(last)
         return State(self.curve(np.array([u]))[0, :-1], first[:-1], second[:-1])
 
@@ -96,8 +96,8 @@ def time_path(cell: Cell, path: JointPath, moving: tuple[bool, bool] = (False, F
     It starts and ends at rest, but where it is `moving`, and comes to rest at the task's stops. Raises Refusal for a
     task whose arc length does not grow from sample to sample.
     """
-    curve, stretches = stretches_of(path, moving)
-    profiles = tuple(fastest_profile(stretch, cell.limits, path.task.speed) for stretch in stretches)
+    curve, legs = legs_of(path, moving)
+    profiles = tuple(fastest_profile(leg, cell.limits, path.task.speed) for leg in legs)
     waits = [0.0, *(stop.wait for stop in path.task.stops)]
     starts, now = [], 0.0
     for wait, profile in zip(waits, profiles, strict=True):
@@ -106,8 +106,8 @@ def time_path(cell: Cell, path: JointPath, moving: tuple[bool, bool] = (False, F
     return TimedPath(path, curve, profiles, tuple(starts))
 
 
-def stretches_of(path: JointPath, moving: tuple[bool, bool]) -> tuple[Curve, tuple[Stretch, ...]]:
-    """Joints and arc length over time at the commanded speed, and the stretches from rest to rest of that curve."""
+def legs_of(path: JointPath, moving: tuple[bool, bool]) -> tuple[Curve, tuple[Leg, ...]]:
+    """Joints and arc length over time at the commanded speed, and the legs from rest to rest of that curve."""
     task = path.task
     n = len(task)
     # The path parameter is time at the commanded speed, so that its rate is 1 where that speed is held.
@@ -118,12 +118,12 @@ def stretches_of(path: JointPath, moving: tuple[bool, bool]) -> tuple[Curve, tup
     if len(falls):
         refuse_at(task, int(falls[0]) // LOOKS, "the path turns back on itself between samples")
     ends = [0.0, *(at_arc_length(curve, stop.s) for stop in task.stops), float(u[-1])]
-    stretches = []
+    legs = []
     for i, (a, b) in enumerate(zip(ends[:-1], ends[1:], strict=True)):
         at_start, at_end = i > 0 or not moving[0], i + 2 < len(ends) or not moving[1]
         ramp = min(RAMP, (b - a) / 3.0)
-        stretches.append(Stretch(curve, a, b, (ramp if at_start else 0.0, ramp if at_end else 0.0)))
-    return curve, tuple(stretches)
+        legs.append(Leg(curve, a, b, (ramp if at_start else 0.0, ramp if at_end else 0.0)))
+    return curve, tuple(legs)
 
 
 def at_arc_length(curve: Curve, wanted: float) -> float:

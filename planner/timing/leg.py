@@ -1,4 +1,4 @@
-"""Stretch: a piece of a joint path in a parameter in which it can start and end at rest.
+"""Leg: a piece of a joint path in a parameter in which it can start and end at rest.
 
 A profile x(u) of squared rates cannot leave rest with bounded jerk and a bounded second derivative: there x grows
 with u^(4/3). So near an end at rest the path parameter u follows a nominal motion u(sigma) that begins with the cube
@@ -21,7 +21,7 @@ _MEAN = 0.6  # mean speed of a nominal ramp over its last
 
 
 @dataclass(frozen=True)
-class Stretch:
+class Leg:
     """The path from u = first to u = last, over sigma from 0 to `end`.
 
     path: joints and arc length over u [s at the commanded speed]; ramps: the parts of u in which the nominal motion
