@@ -18,7 +18,6 @@ from planner.interrupts import ignored_interrupts
 
 Job = Callable[[], Iterable["Job"]]
 
-_FEW_BLOCKS = 2  # are done sooner than threads begin: a millisecond or two each
 _PARTS_A_CORE = 4  # so that a core that was given easy parts has some left to take
 
 
@@ -103,9 +102,9 @@ def in_threads(function: Callable[[int, int], None], count: int) -> None:
             pass
 
 
-def in_blocks(function: Callable[[slice], None], count: int, block: int) -> None:
+def in_blocks(function: Callable[[slice], None], count: int, block: int, few: int = 1) -> None:
     """Call a function that leaves Python to others with slices of range(count), `block` long, in as many threads as there
-    are cores if these are more than a few: what it does may depend on the block, which is the same for any number of
+    are cores if these are more than `few`: what it does may depend on the block, which is the same for any number of
     cores."""
     blocks = -(-count // block)
 
@@ -113,7 +112,7 @@ def in_blocks(function: Callable[[slice], None], count: int, block: int) -> None
         for k in range(first, last):
             function(slice(k * block, min((k + 1) * block, count)))
 
-    if blocks > _FEW_BLOCKS:
+    if blocks > few:
         in_threads(part, blocks)
     else:
         part(0, blocks)

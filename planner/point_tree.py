@@ -20,7 +20,7 @@ from planner.solids import BOX, CAPSULE, FRUSTUM
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-_FIRST: Any = np.int64(0)  # a plain 0 is a type of its own, for which kernels would be compiled once more
+_ZERO: Any = np.int64(0)  # a plain 0 is a type of its own, for which kernels would be compiled once more
 _LEAF = 8  # points of a leaf
 _DEEP = 128  # nodes that wait at once: twice the depth of a tree of as many points as an index can count
 FROM_THE_START = -np.inf  # the time of what is there before the print
@@ -74,7 +74,7 @@ def _build(points, radius, time, order, centre, reach, since, left, right):
         if a == b:
             left[node], right[node] = -1 - a, 0
             continue
-        widest, axis = -1.0, _FIRST
+        widest, axis = -1.0, _ZERO
         for k in range(3):
             low, high = points[order[a], k], points[order[a], k]
             for i in range(a, b):

@@ -19,6 +19,7 @@ from planner.problem import load_problem
 from planner.resolve.banded import factorise, substitute
 from planner.resolve.follow_kernel import follow
 from planner.resolve.interior_point import ACCURACY, QuadraticProgram, solve_qp
+from planner.resolve.refine_kernel import foreseen
 from planner.resolve.splines import Clock, basis_over, clock_of
 from planner.resolve.sqp import fit
 from planner.resolve.stretch import HOLDER, model_of
@@ -291,6 +292,31 @@ def test_smallest_singular_value_is_followed_along_a_path(cell: Cell) -> None:
         assert (out.sigma > singular[:, -1] * (1 - 1e-6)).all()
         assert (out.sigma < singular[:, -1] * (1 + 5e-3)).all()
     assert closest < 1.05
+
+
+def test_singular_values_where_closed_form_and_steps_take_turns() -> None:
+    """With a base that stands askew: both tell of the Jacobian in the world."""
+    cell = turned_base(build_cell(load_problem("cylinder_logo")))
+    rng = np.random.default_rng(12)
+    tip, frames, z, q = made_up_tasks(cell, rng, 200)
+    near = q.copy()
+    near[::3, 0] += 0.6  # too far for the closed form
+    out = run_follow(cell, tip, frames, z, near)
+    assert out.lost == -1
+    same = np.abs(out.q - q).max(axis=1) < 1e-8
+    assert same[::3].sum() > 30 and same[1::3].all() and same[2::3].all()
+    one = run_follow(cell, tip, frames, z, q)
+    np.testing.assert_allclose(out.G[same], one.G[same], rtol=0, atol=1e-8 * np.abs(one.G).max())
+    values = np.linalg.svd(cell.arm.jacobians(out.q[:, : len(cell.arm)]), compute_uv=False)
+    clear = values[:, -2] > 3.0 * values[:, -1]
+    assert clear.sum() > 30
+    np.testing.assert_allclose(out.sigma[clear], values[clear, -1], rtol=1e-6)
+
+
+def test_foreseen_joints_are_those_of_the_slopes() -> None:
+    rng = np.random.default_rng(31)
+    q, G, moved = rng.normal(size=(9, 7)), rng.normal(size=(9, 7, 3)), rng.normal(size=(9, 3))
+    np.testing.assert_allclose(foreseen(q, G, moved), q + np.einsum("njm,nm->nj", G, moved), rtol=0, atol=1e-14)
 
 
 def test_failure_is_reported_by_its_place(any_cell: Cell) -> None:

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planner.errors import InputError
-from planner.toolpath.svg import PlanePath, read_svg
+from planner.toolpath.svg import PlanePath, drawing, read_svg
+from planner.toolpath.svg.drawing import Drawing
 
 ROOT = Path(__file__).resolve().parents[1]
 BRISTOL = ROOT.parent / "shared/data/bristol/uob_logo.svg"
@@ -489,6 +490,22 @@ REFUSALS = [
     ("<path d='M0 0L1 1'>", "not well-formed XML at column"),
     ("&lol;", "not well-formed"),
 ]
+
+
+def test_what_uses_multiply_is_counted_before_it_is_drawn(read: Read, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(Drawing, "_draw", lambda *_: pytest.fail("drawn before it was counted"))
+        with pytest.raises(InputError, match="more than 100000 elements"):
+            read(f'{BOMB}<use href="#b0"/>')
+    monkeypatch.setattr(drawing, "MAX_ELEMENTS", 400)
+    tile = '<g id="t">' + '<path d="M0 0L9 9"><title/><desc/></path>' * 30 + "</g>"
+    assert len(read(tile + '<use href="#t"/>' * 10)) == 330, "what stands in a shape is not drawn"
+    uses = '<g display="none">' + '<use href="#t"/>' * 50 + "</g>"
+    assert len(read(f"{uses}<defs>{tile}</defs>{GOOD}")) == 1, "nor is what is hidden"
+    with pytest.raises(InputError, match="more than 400 elements"):
+        read(tile + '<use href="#t"/>' * 13)
+    with pytest.raises(InputError, match="use 1: it uses itself"):
+        read(f'<g id="a">{GOOD * 150}<use href="#a"/></g>')
 
 
 @pytest.mark.parametrize(("content", "reason"), REFUSALS, ids=[f"{k}-{c[:24]}" for k, (c, _) in enumerate(REFUSALS)])

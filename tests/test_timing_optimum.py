@@ -128,7 +128,7 @@ def test_a_limit_that_is_raised_makes_nothing_slower() -> None:
 
 
 @pytest.mark.parametrize("ramps", [(0.05, 0.08), (0.0, 0.0)])
-def test_rates_of_a_stretch_by_finite_differences(ramps: tuple[float, float]) -> None:
+def test_rates_of_a_leg_by_finite_differences(ramps: tuple[float, float]) -> None:
     rng = np.random.default_rng(5)
     path = make_interp_spline(np.linspace(0.0, LENGTH, 9), rng.normal(size=(9, JOINTS + 1)), k=5)
     leg = Leg(curve_of(path), 0.02, LENGTH - 0.01, ramps)

@@ -16,7 +16,7 @@ from planner.solids import BOX, CAPSULE, FRUSTUM
 _ROUNDS = 40
 _EXACT = 1e-4  # share of a distance by which it may be told too small
 _FACES = np.array([(1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)])  # corners of a simplex opposite to each corner
-_FIRST: Any = np.int64(0)  # a plain 0 is a type of its own, for which kernels would be compiled once more
+_ZERO: Any = np.int64(0)  # a plain 0 is a type of its own, for which kernels would be compiled once more
 _TOUCHING = 1e-7  # m: nearer solids overlap
 
 
@@ -152,7 +152,7 @@ def solids_distance(kind, size, span, vertices, pose, a, b, enough, little, way,
     S (4, 9)    on exit its first row holds, from column 3 on, the points of a and of b that are nearest
     """
     radii = (size[a, 0] if kind[a] == CAPSULE else 0.0) + (size[b, 0] if kind[b] == CAPSULE else 0.0)
-    n = _FIRST
+    n = _ZERO
     lower = -np.inf
     x, y, z = way[k, 0], way[k, 1], way[k, 2]
     out = 0.0

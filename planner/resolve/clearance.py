@@ -26,6 +26,7 @@ _SMALL = 6e-3  # m
 ROOM = 2e-4  # m of margin that is asked for, since paths are looked at in samples
 UNIT = 10.0  # 1/m: a tenth of a millimetre that lacks counts as much as a milliradian beyond a cone
 _ROWS = 4  # pairs of a sample that are held
+_FEW = 2  # blocks of postures that are looked at sooner than threads begin
 _STILL = 1e-6  # m/rad: margins that change by less do not change
 
 
@@ -66,6 +67,7 @@ def clearances(
             lambda b: nearest_margins(obstacles.table, q[b], now[b], mask[b], *comfort, margin[b], slope[b], which[b]),
             n,
             BLOCK,
+            _FEW,
         )
 
     if held:

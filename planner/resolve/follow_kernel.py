@@ -2,7 +2,7 @@
 
 Works on any arm whose Jacobian, less the columns of joints that are themselves free, is 6 x 6: Newton's method on
 the kinematic chain, from a posture nearby, so that the branch stays what it was. A spherical wrist has posture and
-Jacobian in closed form, unless the posture nearby is too far away to tell which turn of a joint is meant.
+Jacobian in closed form, unless no posture of the branch is nearby.
 """
 
 from __future__ import annotations
@@ -106,8 +106,11 @@ def _inverse_at(origins, directions, T_world_nozzle, solved, J, J6, Ji) -> bool:
 def _near_in_closed_form(
     p, T_base_world, T_world_nozzle, T_nozzle_flange, q, low, high, eight, ok, wanted, T_base_nozzle, T_base_flange
 ) -> bool:
-    """Replace the posture q (6) by the one of its branch that a nozzle pose asks for, to rounding; False, and q as it was,
-    if there is none nearby. low, high (6) bound nothing; eight (8, 6), ok, wanted (8) are room; the last two are filled."""
+    """Replace the posture q (6) by the one of its branch that a nozzle pose asks for, as exactly as the lengths p are those
+    of the chain; False, and q as it was, if there is none nearby.
+
+    low, high (6) bound nothing; eight (8, 6), ok, wanted (8) are room; the last two are filled.
+    """
     mul4(T_base_world, T_world_nozzle, T_base_nozzle)
     mul4(T_base_nozzle, T_nozzle_flange, T_base_flange)
     k = branch_of(p, q)
@@ -116,16 +119,27 @@ def _near_in_closed_form(
     solve_within(p, T_base_flange[:3, :3], T_base_flange[:3, 3], low, high, wanted, eight, ok)
     if not ok[k]:
         return False
-    furthest = 0.0
     for j in range(6):
         away = q[j] - eight[k, j]
         eight[k, j] += 2.0 * np.pi * np.rint(away / (2.0 * np.pi))
-        furthest += abs(q[j] - eight[k, j])  # a sum, because max loses a NaN
-    if not furthest < _LONGEST:
-        return False
+        if not abs(q[j] - eight[k, j]) < _LONGEST:
+            return False
     for j in range(6):
         q[j] = eight[k, j]
     return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _out_of_base(T_base_world, J, Ji) -> None:
+    """Turn a Jacobian (6, 6) and its inverse from the arm's base frame into the world."""
+    R = T_base_world
+    for k in range(6):
+        for first in (0, 3):
+            x, y, z = J[first, k], J[first + 1, k], J[first + 2, k]
+            u, v, w = Ji[k, first], Ji[k, first + 1], Ji[k, first + 2]
+            for a in range(3):
+                J[first + a, k] = R[0, a] * x + R[1, a] * y + R[2, a] * z
+                Ji[k, first + a] = R[0, a] * u + R[1, a] * v + R[2, a] * w
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -133,7 +147,7 @@ def _by_steps(
     placements, axes, T_last_tip, solved, p, R, q, origins, directions, T_world_nozzle, turn, e, J, J6, Ji
 ) -> bool:  # fmt: skip
     """Change the joints `solved` of q (na) until its nozzle is at p (3), turned by R (3, 3), and fill J (6, na), Ji (6, 6)
-    as `_inverse_at` does; False if there is no such posture. The others are room."""
+    as `_inverse_at` does; False if there is no such posture. From origins on all but these two are room."""
     for _ in range(_STEPS):
         chain_state(placements, axes, T_last_tip, q, origins, directions, T_world_nozzle)
         if not _inverse_at(origins, directions, T_world_nozzle, solved, J, J6, Ji):
@@ -189,12 +203,12 @@ def follow(
     T_world_part, T_world_nozzle, R_tilt = np.eye(4), np.eye(4), np.empty((3, 3))
     R_part_nozzle, R_target, slopes = np.empty((3, 3)), np.empty((3, 3)), np.empty((2, 3))
     T_target, eight, ok, wanted = np.eye(4), np.empty((8, na)), np.empty(8, dtype=np.bool_), np.zeros(8, dtype=np.bool_)
-    T_base_nozzle, T_base_flange, into = np.empty((4, 4)), np.empty((4, 4)), np.empty((3, 3))
+    T_base_nozzle, T_base_flange = np.empty((4, 4)), np.empty((4, 4))
     low, high = np.full(6, -ALL_ROUND), np.full(6, ALL_ROUND)
     axis, p, e = np.empty(3), np.empty(3), np.empty(6)
     J, J6, Ji = np.empty((6, na)), np.empty((6, 6)), np.empty((6, 6))
     W, Wi = np.empty((6, 6)), np.empty((6, 6))
-    u, w = np.full(6, 1.0), np.empty(6)
+    u, w = 1.0 + 0.1 * np.arange(6.0), np.empty(6)  # whatever, but at right angles to nothing in particular
     v = np.empty(na)
     twist = np.empty(6)
     sum_before, sum_after = np.empty(6), np.empty(6)
@@ -231,13 +245,11 @@ def follow(
             jacobian(parameters, sines, T_base_nozzle[:3, 3], J)
             if not inverse_jacobian(parameters, sines, T_base_nozzle[:3, 3], Ji):
                 return i
+            _out_of_base(T_base_world, J, Ji)
         elif not _by_steps(
             arm_placements, arm_axes, arm_tip, solved, p, R_target, q[i, :na], o_arm, d_arm, T_world_nozzle, a3, e, J, J6, Ji
         ):  # fmt: skip
             return i
-        for a in range(3):  # the frame of J: the base's, or the world
-            for b in range(3):
-                into[a, b] = T_base_world[a, b] if closed else (1.0 if a == b else 0.0)
         for a in range(3):
             back[a] = -R_target[a, 2]
             normal[a] = 0.0
@@ -283,13 +295,10 @@ def follow(
                 for a in range(6):
                     twist[a] = -J[a, joint]
                 G[i, joint, c] = 1.0
-            for a in range(3):
-                e[a] = into[a, 0] * twist[0] + into[a, 1] * twist[1] + into[a, 2] * twist[2]
-                e[3 + a] = into[a, 0] * twist[3] + into[a, 1] * twist[4] + into[a, 2] * twist[5]
             for k in range(6):
                 g = 0.0
                 for a in range(6):
-                    g += Ji[k, a] * e[a]
+                    g += Ji[k, a] * twist[a]
                 G[i, solved[k], c] = g
         # smallest singular value: the dominant eigenvector u of (J J^T)^-1, by the power method
         if na == 6:

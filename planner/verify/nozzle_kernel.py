@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 FAR = 50e-3  # m: what is farther away is that far away
 TOLERANCE = 1e-4  # m: no distance is missed that is less than the least that is found by more
-_FIRST: Any = np.int64(0)  # a plain 0 is a type of its own, for which kernels would be compiled once more
+_ZERO: Any = np.int64(0)  # a plain 0 is a type of its own, for which kernels would be compiled once more
 _OFTEN = 25  # samples after which every body is looked at again, wherever it is
 _BLOCK = 1e-3  # m of the tip's way, on which points are looked at together: the longer, the more of them may matter
 _MOST_PARTS = 64  # of the time between two samples
@@ -45,7 +45,7 @@ def least_along(
     poses = np.empty((_OFTEN + 1, 4, 4))
     room = np.empty((_DEEPEST, 2), np.int64), np.empty((_DEEPEST, 2))
     for j in range(len(kind)):
-        a = _FIRST
+        a = _ZERO
         while a < n - 1:
             b = a + 1
             while b < min(n - 1, a + _OFTEN) and slack[b + 1] == slack[b] and path[b + 1] - path[a] < _BLOCK:

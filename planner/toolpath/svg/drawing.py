@@ -118,11 +118,13 @@ class Drawing:
         return self._drawn
 
     def _count(self, node: Node, used: bool, depth: int) -> int:
-        """Return how many elements drawing this one takes, cuts aside; refuse it before it is drawn if it takes too many."""
+        """Return how many elements `_draw` visits for this one, cuts aside; refuse it before that if they are too many."""
         if depth > MAX_DEPTH or (node.tag in NOT_DRAWN and not (node.tag == "symbol" and used)):
             return 1
         if id(node) not in self._counts:
-            count = 1
+            self._counts[id(node)] = count = 1  # for who meets it again inside of itself, which `_follow` refuses
+            if node.tag in SHAPES or self._style(node).get("display") == "none":
+                return count
             if node.tag == "use":
                 found = self._ids.get(_name_used(node), [])
                 count += self._count(found[0], True, depth + 1) if found else 0
@@ -292,4 +294,4 @@ def _name_used(node: Node) -> str:
 
 
 def _too_many(node: Node) -> InputError:
-    return node.error(f"<use> makes more than {MAX_ELEMENTS} elements of it, or more than {MAX_DEPTH} levels")
+    return node.error(f"with what <use> makes of it there are more than {MAX_ELEMENTS} elements, or {MAX_DEPTH} levels")
