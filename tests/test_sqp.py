@@ -28,10 +28,10 @@ from planner.resolve.price_kernel import (
     price_of,
 )
 from planner.resolve.refine import calmed, evaluate, expand, program_around, refine_stretch, watched
-from planner.resolve.refine_kernel import watch_missed_ends
 from planner.resolve.sqp import Priced, given_price, refine_paths, start_track, whole
 from planner.resolve.stretch import CONE_SIDES, Model, State, Stretch, Watch, model_of
 from planner.resolve.stretch import TILT as TILT_COLUMNS
+from planner.resolve.watch_kernel import watch_missed_ends
 from planner.resolve.windows import Track, Windowed, windows
 from planner.task import NozzleTask, cones_of, make_tasks, tasks_of
 from planner.toolpath.bead import Toolpath

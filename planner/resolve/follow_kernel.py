@@ -144,10 +144,10 @@ def _out_of_base(T_base_world, J, Ji) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _by_steps(
-    placements, axes, T_last_tip, solved, p, R, q, origins, directions, T_world_nozzle, turn, e, J, J6, Ji
+    placements, axes, T_last_tip, solved, p, R, q, origins, directions, T_world_nozzle, turn, e, step, J, J6, Ji
 ) -> bool:  # fmt: skip
     """Change the joints `solved` of q (na) until its nozzle is at p (3), turned by R (3, 3), and fill J (6, na), Ji (6, 6)
-    as `_inverse_at` does; False if there is no such posture. From origins on all but these two are room."""
+    as `_inverse_at` does; False if there is no such posture. From origins on all but J and Ji are room."""
     for _ in range(_STEPS):
         chain_state(placements, axes, T_last_tip, q, origins, directions, T_world_nozzle)
         if not _inverse_at(origins, directions, T_world_nozzle, solved, J, J6, Ji):
@@ -164,15 +164,15 @@ def _by_steps(
             return True
         longest = 0.0
         for k in range(6):
-            J6[0, k] = 0.0
+            step[k] = 0.0
             for a in range(6):
-                J6[0, k] += Ji[k, a] * e[a]
-            longest = max(longest, abs(J6[0, k]))
+                step[k] += Ji[k, a] * e[a]
+            longest = max(longest, abs(step[k]))
         if not longest < 1e6:
             return False
         scale = min(1.0, _LONGEST / longest) if longest > 0.0 else 1.0
         for k in range(6):
-            q[solved[k]] += scale * J6[0, k]
+            q[solved[k]] += scale * step[k]
         if longest < 1e-14:
             return True  # no further digits to be had
     return False
@@ -247,7 +247,8 @@ def follow(
                 return i
             _out_of_base(T_base_world, J, Ji)
         elif not _by_steps(
-            arm_placements, arm_axes, arm_tip, solved, p, R_target, q[i, :na], o_arm, d_arm, T_world_nozzle, a3, e, J, J6, Ji
+            arm_placements, arm_axes, arm_tip, solved, p, R_target, q[i, :na], o_arm, d_arm, T_world_nozzle, a3, e, twist,
+            J, J6, Ji,
         ):  # fmt: skip
             return i
         for a in range(3):

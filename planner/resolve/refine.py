@@ -26,10 +26,6 @@ from planner.resolve.refine_kernel import (
     price_tilt,
     rate_slopes,
     smooth_price,
-    watch_missed,
-    watch_missed_ends,
-    watch_near,
-    watch_near_ends,
 )
 from planner.resolve.splines import spline_values
 from planner.resolve.stretch import (
@@ -43,6 +39,7 @@ from planner.resolve.stretch import (
     side_normals,
     side_room,
 )
+from planner.resolve.watch_kernel import watch_missed, watch_missed_ends, watch_near, watch_near_ends
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -99,7 +96,7 @@ def evaluate_samples(
     rates, slack = np.empty((n, 3, nj)), np.empty(n)
     differentiate(q, stretch.centre, stretch.D, rates)
     price = price_of(
-        rates, model.limits, stretch.step, stretch.deposits, q, model.low[: model.arm], model.high[: model.arm],
+        rates, model.limits, stretch.step, stretch.deposits, q, *model.arm_range,
         sigma, least_sigma, np.hstack([np.hypot(lean[..., 0], lean[..., 1]) - cones, shortage(near)]), stretch.peak, slack,
     )  # fmt: skip
     price += TILT_PRICE * float(stretch.step @ (tilt**2).sum(axis=1))
@@ -124,7 +121,7 @@ def watched(model: Model, stretch: Stretch, state: State, trust: float) -> Watch
     facets = np.zeros((*state.lean.shape[:2], FACETS.size), dtype=np.bool_)
     watch_leans(stretch.step, state.lean, state.cones, facets)
     ends = np.zeros((len(state.q), model.arm), dtype=np.bool_)
-    low, high = model.low[: model.arm], model.high[: model.arm]
+    low, high = model.arm_range
     watch_near_ends(state.q, state.G, low, high, stretch.step, trust, ends)
     return Watch(rates, facets, near_sides(model, stretch, state.c), ends)
 
@@ -143,7 +140,7 @@ class Expansion:
 
 def expand(model: Model, stretch: Stretch, state: State) -> Expansion:
     """The price around a state, see `Expansion`."""
-    low, high = model.low[: model.arm], model.high[: model.arm]
+    low, high = model.arm_range
     (n, nj, m), k, width = state.G.shape, len(state.c), stretch.B.shape[2]
     H, g, slopes = np.empty((k * m, width * m)), np.empty(k * m), np.empty((n, 3 * nj, width * m))
     rate_slopes(model.limits, state.G, stretch.centre, stretch.D, stretch.first, stretch.B, stretch.free, slopes)
@@ -167,7 +164,7 @@ def program_around(
 
     Only what is watched has rows in it.
     """
-    low, high = model.low[: model.arm], model.high[: model.arm]
+    low, high = model.arm_range
     w = around.H.shape[1]
     rows, groups = count_rows(
         stretch.step, stretch.deposits, watch.rates, watch.ends, state.sigma, least_sigma, watch.facets
@@ -249,7 +246,7 @@ def _best_step(
 
     A sample has some forty bounds, few of which matter: those that a solution goes beyond are added to `watch`.
     """
-    low, high = model.low[: model.arm], model.high[: model.arm]
+    low, high = model.arm_range
     for _ in range(_ROUNDS):
         program = program_around(model, stretch, state, around, least_sigma, trust, watch)
         x, _ = solver(program)

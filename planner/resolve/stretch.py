@@ -42,6 +42,11 @@ class Model:
     obstacles: Obstacles = NOTHING
 
     @property
+    def arm_range(self) -> tuple[Array, Array]:
+        """Ends (na) of the ranges of the arm's joints."""
+        return self.low[: self.arm], self.high[: self.arm]
+
+    @property
     def columns(self) -> int:
         """Number of columns of z."""
         return HOLDER + len(self.low) - self.arm + len(self.given)
