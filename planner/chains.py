@@ -8,18 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
 from planner.errors import PlannerError
 from planner.given import Given, digest_of, found_anywhere, given_elsewhere
+from planner.readonly import Array
 from planner.resolve.jointpath import JointPath, choose_turns
 from planner.resolve.ladder import ladder
 from planner.resolve.sqp import Priced, given_prices, refine_beads, sigma_floor
 from planner.resolve.stretch import model_of
 from planner.spread import Spread
 
-Array = NDArray[np.float64]
 Joints = tuple[Array, Array, Array, int]  # roll, tilt, joints and branch of a JointPath
 # name and overrides of the problem, its digest, prices of a piece's beads, what they must keep; beads by their index
 Piece = tuple[tuple[str, tuple[str, ...], str], list[Priced | None], float, list[int], list[Joints]]

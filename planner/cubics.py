@@ -8,11 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from planner.readonly import ReadOnlyArrays
-
-Array = NDArray[np.float64]
+from planner.readonly import Array, ReadOnlyArrays
 
 
 class State(NamedTuple):

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.spatial import cKDTree
 
@@ -22,12 +21,11 @@ from planner.extrusion import bead_area, deposited_volume
 from planner.plan import Dip, Remedy, Trajectory
 from planner.problem import Problem
 from planner.problem.process import ProcessSpec
+from planner.readonly import Array
 from planner.resolve.derivatives import ORDERS, by_arc_length, spline_of
 from planner.resolve.jointpath import JointPath
 from planner.timing import HEADROOM
 from planner.toolpath.bead import Bead, Toolpath
-
-Array = NDArray[np.float64]
 
 AT_SPEED = 0.98  # of the commanded speed: a sample below is in a dip
 MERGE = 5  # samples at speed between two dips that still count as one

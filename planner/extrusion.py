@@ -11,9 +11,8 @@ from scipy.ndimage import uniform_filter1d
 from planner.errors import InputError
 from planner.plan import Event
 from planner.problem.process import ProcessSpec
+from planner.readonly import Array
 from planner.toolpath.bead import Bead
-
-Array = NDArray[np.float64]
 
 ADVANCE_RAMP = 0.4  # share of the lag over which pressure is built up at a bead's start and let off at its end,
 LONGEST_RAMP = 0.04  # s, and at most this long: what is left of the error a lag later is below 0.3 %

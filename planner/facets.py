@@ -9,17 +9,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from planner.errors import Complaint
 from planner.input_file import read_bytes
 from planner.problem.part import MeshSpec
+from planner.readonly import Array
 
 if TYPE_CHECKING:
     import trimesh
 
-Array = NDArray[np.float64]
 
 MOST_FACETS = 2_000_000  # read in 5 s with 1.5 GB as a binary file
 FARTHEST = 100_000.0  # mm from the origin: a hall

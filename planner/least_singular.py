@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planner.readonly import Array
 
 _STEPS = 200  # at most; three to six are usual
 _DONE = 1e-15  # relative: a step that no longer changes a value

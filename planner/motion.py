@@ -16,11 +16,11 @@ from planner.extrusion import extruded_volume, feed_of_materials, flow
 from planner.plan import TRAVEL, Trajectory
 from planner.problem.process import ProcessSpec
 from planner.process import least_travel_time
+from planner.readonly import Array
 from planner.timing import TimedPath
 from planner.toolpath.bead import Bead, Toolpath
 from planner.travel import Travel, ViaHome
 
-Array = NDArray[np.float64]
 BLOCK = 32768  # samples
 _ON_TIME = 1e-9  # of a sample: an instant this close behind a sample counts as on it
 

@@ -7,9 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from planner.readonly import read_only
-
-Array = NDArray[np.float64]
+from planner.readonly import Array, read_only
 
 
 def distance_to_polyline(points: Array, polyline: Array) -> Array:

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.background import beside, in_background, in_halves, spare_core
 from planner.cell import Cell, build_cell
@@ -39,8 +38,6 @@ from planner.travel import Travel, carried_travels, plan_travels
 from planner.verify.clear import check_start
 from planner.verify.verdict import Report, verify
 from planner.versions import versions
-
-Array = NDArray[np.float64]
 
 BASELINE = "as_published"
 SPREADS = "sqp"  # the strategy whose work other processes can share

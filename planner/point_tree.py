@@ -12,13 +12,9 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from planner.readonly import ReadOnlyArrays
+from planner.readonly import Array, Ints, ReadOnlyArrays
 from planner.solids import BOX, CAPSULE, FRUSTUM
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 _ZERO: Any = np.int64(0)  # a plain 0 is a type of its own, for which kernels would be compiled once more
 _LEAF = 8  # points of a leaf
@@ -38,12 +34,12 @@ class PointTree(ReadOnlyArrays):
     points: Array
     radius: Array
     time: Array
-    number: Index
+    number: Ints
     centre: Array
     reach: Array
     since: Array
-    left: Index
-    right: Index
+    left: Ints
+    right: Ints
 
 
 def point_tree(points: Array, radius: Array | float = 0.0, time: Array | float = FROM_THE_START) -> PointTree:
@@ -284,6 +280,6 @@ def _apart(p, kind, size, planes, T):
     )  # fmt: skip
 
 
-def search_room() -> Index:
+def search_room() -> Ints:
     """Room that `nearest_point` needs for its search; one for each thread."""
     return np.empty(_DEEP, dtype=np.int64)

@@ -11,22 +11,17 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planner.cell import Cell, rigid_inverse
 from planner.cell.bodies import nozzle_profile
 from planner.point_tree import FROM_THE_START, PointTree, point_tree
 from planner.problem.cell import NozzleSpec
-from planner.readonly import ReadOnlyArrays
+from planner.readonly import Array, Flags, Ints, ReadOnlyArrays
 from planner.robot.robot import bodies_with_tip
 from planner.solids import Body, triangles_of
 from planner.surface_points import merged, split
 from planner.toolpath.bead import Bead, Toolpath
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 # Nobody can keep a whole clearance where the nozzle lays a bead beside another: a point of part or print needs this share
 # of its distance from the nozzle's tip, less what the share is where nozzle's face and bead end.
@@ -53,7 +48,7 @@ class PrintBody(ReadOnlyArrays):
     """
 
     tree: PointTree
-    first: Index
+    first: Ints
     names: tuple[str, ...]
     bodies: int = 0
 

@@ -6,14 +6,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import Complaint, InputError
 from planner.problem.process import FibreSpec, ProcessSpec
+from planner.readonly import Array
 from planner.run_ends import End, end_of
 from planner.toolpath.bead import Bead
-
-Array = NDArray[np.float64]
 
 RISE_PER_LENGTH = 0.5  # height of the far end of a run over its length: clears a bead within the run's last half
 _STRAIGHTEN = 0.4  # greatest share of a run in which the bead's curvature fades to a straight line

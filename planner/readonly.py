@@ -1,4 +1,4 @@
-"""Arrays of frozen values are read-only. To compiled code such an array is another type than one that may be written."""
+"""Types of arrays, and arrays that are read-only: to compiled code another type than one that may be written."""
 
 from __future__ import annotations
 
@@ -6,6 +6,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Indices = NDArray[np.intp]
+Flags = NDArray[np.bool_]
 
 
 class ReadOnlyArrays:

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from planner.cell import Cell
 from planner.least_singular import least_singular_value
 from planner.plan import Trajectory
-from planner.readonly import read_only
+from planner.readonly import Array, read_only
 from planner.robot.robot import Robot
 
-Array = NDArray[np.float64]
 UNKNOWN = -1  # branch that is numbered by no convention but that of the inverse kinematics itself
 BLOCK = 8192  # samples at once: bounds the memory, since a Jacobian takes more than all that is kept of a sample
 

@@ -11,7 +11,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from scipy.optimize import minimize
@@ -22,11 +21,11 @@ from planner.kinematics.corrected import Corrected
 from planner.kinematics.inverse import InverseKinematics
 from planner.kinematics.offset_wrist import OffsetWrist
 from planner.kinematics.spherical_wrist import SphericalWrist
+from planner.readonly import Array
 from planner.robot.file import read_robot_file
 from planner.robot.robot import ROBOTS, Robot, chain_of, names_meant, read_robot, robot_names
 from planner.solids import Box, Capsule, Frustum, Solid
 
-Array = NDArray[np.float64]
 _TRIED = 500  # random postures, of which the farthest few are bettered until they are as far as can be
 _BETTERED = 3
 _TURN = 2.0 * np.pi

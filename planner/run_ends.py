@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
+from planner.readonly import Array
 from planner.toolpath.bead import Bead
-
-Array = NDArray[np.float64]
 
 _SAMPLES = 12  # enough for the end's derivatives
 _DEGREE = 5

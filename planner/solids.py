@@ -7,13 +7,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from planner.readonly import ReadOnlyArrays
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from planner.readonly import Array, Ints, ReadOnlyArrays
 
 BOX, FRUSTUM, CAPSULE, HULL = 0, 1, 2, 3  # numbers of the kinds in compiled kernels
 SIZES = 6  # numbers at most that say how large one is
@@ -73,7 +69,7 @@ class Hull(ReadOnlyArrays):
         return float(self._hull.volume)
 
     @property
-    def facets(self) -> tuple[Array, Index]:
+    def facets(self) -> tuple[Array, Ints]:
         """Vertices (m, 3) and triangles (k, 3), counter-clockwise seen from outside."""
         hull = self._hull
         triangles = hull.simplices.astype(np.int64)
@@ -88,7 +84,7 @@ class Mesh(ReadOnlyArrays):
     """Triangles as they are, hollows and all: vertices (n, 3), triangles (m, 3), counter-clockwise seen from outside."""
 
     vertices: Array
-    triangles: Index
+    triangles: Ints
 
 
 ConvexSolid = Box | Frustum | Capsule | Hull
@@ -115,7 +111,7 @@ class Packed(ReadOnlyArrays):
     centre (b, 3), reach (b) ball around the solid, in the frame
     """
 
-    kind: Index
+    kind: Ints
     size: Array
     planes: Array
     T_solid_frame: Array
@@ -157,7 +153,7 @@ def packed(bodies: Sequence[Body]) -> Packed:
     return Packed(kind, size, np.concatenate(planes), T_solid_frame, centre, reach)
 
 
-def triangles_of(solid: Solid) -> tuple[Array, Index]:
+def triangles_of(solid: Solid) -> tuple[Array, Ints]:
     """Vertices (n, 3) and triangles (m, 3) of a solid's surface, counter-clockwise seen from outside.
 
     What is round becomes corners on it: inside by 0.2 per cent of the radius at most.
@@ -181,7 +177,7 @@ def triangles_of(solid: Solid) -> tuple[Array, Index]:
     return _turned([(float(r), float(z)) for r, z in rings], circle)
 
 
-def _turned(rings: Sequence[tuple[float, float]], circle: Array) -> tuple[Array, Index]:
+def _turned(rings: Sequence[tuple[float, float]], circle: Array) -> tuple[Array, Ints]:
     """Triangles of a solid of revolution from its rings (radius, height), lowest first, and a circle (n, 3)."""
     n = len(circle)
     points = [radius * circle + [0.0, 0.0, z] for radius, z in rings]

@@ -7,16 +7,13 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import Complaint
 from planner.problem import Problem
 from planner.problem.process import ConesSpec, FibreSpec
 from planner.process import cut_place, with_runs
-from planner.readonly import ReadOnlyArrays
+from planner.readonly import Array, ReadOnlyArrays
 from planner.toolpath.bead import Toolpath
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

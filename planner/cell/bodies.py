@@ -6,7 +6,6 @@ import itertools
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from planner.errors import Complaint
@@ -14,9 +13,8 @@ from planner.facets import read_corners
 from planner.problem import Problem
 from planner.problem.cell import NozzleSpec
 from planner.problem.solids import SolidSpec
+from planner.readonly import Array
 from planner.solids import Body, Box, Capsule, Frustum, Hull, Mesh, Solid
-
-Array = NDArray[np.float64]
 
 # Of a nozzle whose outline is not given: long and slender, as they are sold for printing beside walls.
 _CONE = np.radians(30.0)  # half angle above the face, whose radius is the bore's diameter

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from planner.cell.bodies import fixture_bodies, head_bodies
 from planner.errors import Refusal, nearest_name
@@ -15,10 +14,10 @@ from planner.kinematics.inverse import InverseKinematics, with_rest
 from planner.kinematics.spherical_wrist import SphericalWrist
 from planner.problem import Problem
 from planner.problem.cell import CellSpec, PositionerSpec
+from planner.readonly import Array
 from planner.robot.robot import Robot, chain_of, load_robot
 from planner.solids import Body
 
-Array = NDArray[np.float64]
 _ROUNDING = 1e-9  # rad: an angle at the end of its range is inside, though degrees became radians
 
 

@@ -9,14 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from planner.export.corners import closer_at_turns
 from planner.export.fit import Poses, Way, between, fraction, great_arc, misfits
 from planner.export.thinning import Indices, Judge, fewest
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from planner.readonly import Array, Flags
 
 OFF = 0.5  # of the tolerances: how far targets may lie beside the path
 TINY = 1e-15  # m, rad: keeps what is not moved from dividing by nothing

@@ -11,19 +11,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planner.export.moves import TRAVEL_TOLERANCE, deposits
 from planner.export.rests import rests_of
+from planner.readonly import Array, Flags
 
 if TYPE_CHECKING:
     from planner.export.moves import Moves
     from planner.export.program import Program
     from planner.plan import Plan
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 STEP = 1e-6  # [m] to which radii are rounded down
 NEAR = 0.05e-3  # [m] between the place of a rest and a target where the program stops

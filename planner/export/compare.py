@@ -16,12 +16,11 @@ from planner.export.rapid.targets import external_degrees, quadrants
 from planner.export.rotations import angle, continuous, slerp, to_matrix
 from planner.export.waits import moving_time, waits_differ
 from planner.plan.materials import materials_of
+from planner.readonly import Array, Indices
 
 if TYPE_CHECKING:
     from planner.plan import Plan
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 CLOSE = 3e-5  # [m] between samples, which rounding and played targets do not tell apart
 OTHERS = 4.0  # samples to a side that may be taken for a target's own there, at most

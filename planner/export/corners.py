@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Indices = NDArray[np.intp]
+from planner.readonly import Array, Flags, Indices
 
 ZONE = 0.3e-3  # m, of the targets of linear moves (RAPID's z0); controllers cut it to half of the neighbouring lines
 

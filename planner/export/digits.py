@@ -6,7 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planner.readonly import Array
+
 Bytes = NDArray[np.uint8]
 
 LONGEST_CELL = 24  # bytes, with sign, point and comma

@@ -6,12 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from planner.export.thinning import Indices
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from planner.readonly import Array, Flags
 
 TERMS = ("chord", "orientation", "station", "time", "tangent", "flow", "length")  # what can keep a line short
 LEAST_STEP = 1e-9  # [m] between samples: a shorter one, at rest, has no direction

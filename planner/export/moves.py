@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.export.beside import chosen_targets
 from planner.export.fit import Poses, Way
@@ -14,12 +13,11 @@ from planner.export.reached import reached
 from planner.export.rests import Rests, Wait, rests_of
 from planner.export.rotations import angle, continuous
 from planner.export.thinning import Indices, by_samples
+from planner.readonly import Array, Flags
 
 if TYPE_CHECKING:
     from planner.plan import Plan, Trajectory
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 ROUNDING = 1e-6  # [m]; what the numbers in the file take of the tolerance of the path
 ANGLE_TOLERANCE = np.radians(0.045)  # orientation and the part's axes [rad]; likewise of 0.05 deg

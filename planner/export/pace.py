@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from planner.readonly import Array
 
 if TYPE_CHECKING:
     from planner.export.moves import Moves
     from planner.plan import Trajectory
-
-Array = NDArray[np.float64]
 
 
 def tip_acceleration(trajectory: Trajectory) -> float:

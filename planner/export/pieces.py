@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 
 from planner.export.program import Program
 from planner.export.rotations import continuous, slerp
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from planner.readonly import Array, Indices
 
 
 @dataclass(frozen=True)

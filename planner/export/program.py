@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planner.readonly import Array
+
 UNSAID = -128  # in place of a part of a configuration
 
 

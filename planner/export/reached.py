@@ -5,17 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.export.fit import Poses
 from planner.export.rotations import to_matrix
 from planner.export.thinning import Indices
+from planner.readonly import Array, Flags
 
 if TYPE_CHECKING:
     from planner.plan import Plan
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 BLOCK = 20_000  # poses whose postures are sought at once: bounds the memory
 REVOLUTION = 2.0 * np.pi

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import InputError
 from planner.export.compare import Agreement, compare
@@ -14,11 +13,11 @@ from planner.export.moves import deposits
 from planner.export.player import Played, play
 from planner.export.player.laying import laid_spans, laid_targets
 from planner.export.program import Program
+from planner.readonly import Array
 
 if TYPE_CHECKING:
     from planner.plan import Plan
 
-Array = NDArray[np.float64]
 
 # of the time in which material is laid: wide, for it is a model's, which small prints full of corners stretch by 5 per
 # cent; shipped problems stay within half a per cent (`python -m benchmarks.programs`)

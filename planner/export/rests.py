@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from planner.readonly import Array, Flags, Indices
 
 if TYPE_CHECKING:
     from planner.plan import Event, Trajectory
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Indices = NDArray[np.intp]
 
 LEAST_WAIT = 0.05  # [s]; a shorter rest is no more than the turn of a motion
 STILL = 1e-9  # rad that a joint moves in a sample, at most, where the robot stands still

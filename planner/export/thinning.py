@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from planner.readonly import Array, Indices
+
 # (first, last, k) → how far interpolation between samples first and last misses sample k, in tolerances
 Misfit = Callable[[Indices, Indices, Indices], Array]
 # (first, last) → the worst of that over the samples between them; 0 where there is none

@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.export.program import Program
 from planner.export.rests import LEAST_WAIT, ON_TIME, STILL, cuts, rested_for, samples_of_rest
+from planner.readonly import Array
 
 if TYPE_CHECKING:
     from planner.plan import Plan, Trajectory
 
-Array = NDArray[np.float64]
 
 PLACE = 0.05e-3  # m between the nozzle's tip and the target at which it waits
 DOUBT = 2.0  # samples: so well do they tell how long a rest lasts, where no event does

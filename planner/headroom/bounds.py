@@ -12,13 +12,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.plan.tolerance import Bound, Displacement, Tolerance
+from planner.readonly import Array
 from planner.resolve.jointpath import JointPath
-
-Array = NDArray[np.float64]
 
 BLOCK = 8192  # samples at once: bounds the memory
 RANGE, SINGULARITY = "joint range", "singularity margin"

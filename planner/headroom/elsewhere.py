@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cell import Cell, rigid_inverse
+from planner.readonly import Array
 from planner.solids import Body, triangles_of
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.substrate.facet_tree import FacetTree
-
-Array = NDArray[np.float64]
 
 
 def displaced(cell: Cell, T_planned_displaced: Array, along: tuple[str, ...] = ()) -> Cell:

@@ -15,7 +15,6 @@ from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.background import in_halves
 from planner.cell import Cell
@@ -25,10 +24,9 @@ from planner.headroom.elsewhere import beneath, displaced
 from planner.plan import Check
 from planner.plan.tolerance import NONE, Displacement, Headroom, Tolerance, Tried, Vector
 from planner.problem import Problem
+from planner.readonly import Array
 from planner.resolve.jointpath import JointPath, flange_poses, refuse_at
 from planner.toolpath.bead import Toolpath
-
-Array = NDArray[np.float64]
 
 AS_PLANNED = Displacement("as planned")
 AXES = "xyz"

@@ -10,11 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from planner.kinematics.chain import Chain, mul4
+from planner.readonly import Array
 
-Array = NDArray[np.float64]
 TURN = 2.0 * np.pi
 STRAIGHT = 1e-9  # sine below which two axes count as one; only the sum of their angles is defined there
 REACH_ROUNDING = 1e-10  # cosine beyond 1 by this much is a stretched arm, not one out of reach

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planner.readonly import Array
+
 Nine = tuple[float, float, float, float, float, float, float, float, float]
 
 

@@ -17,8 +17,8 @@ from planner.kinematics.chain import Chain
 from planner.kinematics.newton import refine
 from planner.kinematics.offset_wrist import OffsetWrist
 from planner.kinematics.seven_axes import SevenAxes
+from planner.readonly import Array
 
-Array = NDArray[np.float64]
 _ITERATIONS = 20  # two or three do, a few more beside singularities
 
 

@@ -14,8 +14,8 @@ from planner.kinematics.corrected import Corrected, length, refine_branches
 from planner.kinematics.offset_wrist import OffsetWrist
 from planner.kinematics.seven_axes import SevenAxes
 from planner.kinematics.spherical_wrist import SphericalWrist
+from planner.readonly import Array
 
-Array = NDArray[np.float64]
 SPHERICAL_WRIST, OFFSET_WRIST, SEVEN_AXES, CORRECTED = 0, 1, 2, 4
 _solve_spherical, _solve_offset, _solve_seven = spherical_wrist.solve_one, offset_wrist.solve_one, seven_axes.solve_one
 

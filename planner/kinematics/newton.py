@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from planner.kinematics.chain import chain_state, jacobian_at
+from planner.readonly import Array
 
-Array = NDArray[np.float64]
 EXACT = 1e-11  # m and rad: below, a posture has the pose
 _LEAST_DAMPING = 1e-13
 _LONGEST_STEP = 0.5  # rad in one joint

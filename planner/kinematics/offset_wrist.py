@@ -34,8 +34,8 @@ from planner.kinematics.axes import (
     wrap,
 )
 from planner.kinematics.chain import Chain, mul4
+from planner.readonly import Array
 
-Array = NDArray[np.float64]
 BRANCHES = 8
 BEHIND_AXIS_1, ELBOW_NEGATIVE, AXIS_5_NEGATIVE = 4, 2, 1  # bits of a branch number
 

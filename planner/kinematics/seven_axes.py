@@ -22,10 +22,10 @@ from planner.kinematics import seven_axes_kernel as kernel
 from planner.kinematics.axes import OtherGeometry, about_y, about_z, at, axes_at_zero, from_zy
 from planner.kinematics.chain import Chain
 from planner.kinematics.seven_axes_kernel import BRANCHES, SEVENTH, THIRD, solve_one
+from planner.readonly import Array
 
 __all__ = ["BRANCHES", "SevenAxes", "read_seven_axes", "solve_one"]
 
-Array = NDArray[np.float64]
 _NEAR = 5e-3  # m: as in an arm that was measured
 
 

@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from planner.kinematics.axes import REACH_ROUNDING, STRAIGHT, between, inverse_of, wrap
 from planner.kinematics.chain import mul4
+from planner.readonly import Array, Flags
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 BRANCHES = 8
 ELBOW_NEGATIVE, SHOULDER_OTHER, WRIST_OTHER = 4, 2, 1  # bits of a branch number
 THIRD, SEVENTH = 2, 6  # the joints that can be given, counted from 0

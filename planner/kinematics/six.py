@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planner.readonly import Array
+
 _SINGULAR = 1e-12  # pivot below which a matrix has no inverse
 _SQUARINGS = 3
 

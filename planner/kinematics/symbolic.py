@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.kinematics.chain import Chain
+from planner.readonly import Array
 
-Array = NDArray[np.float64]
 _TERMS = 14  # of the series of sine and cosine: the rest is below 1e-16 up to an angle of 3 rad
 
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planner.readonly import Array
+
 Ten = tuple[float, float, float, float, float, float, float, float, float, float]
 _SINGULAR = 1e-12  # m, m^2 or sine: what must not vanish is no more than rounding
 

@@ -14,14 +14,12 @@ from pathlib import Path
 from types import ModuleType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.command import Command, exit_code
 from planner.errors import EXIT_VERIFIED, InputError
 from planner.link.egm_follow import SILENCE, EgmStopped, Follower, Heard
 from planner.link.egm_plan import ARM_AXES, PERIOD, JointPlan, read_plan
-
-Array = NDArray[np.float64]
+from planner.readonly import Array
 
 HOST, PORT = "127.0.0.1", 6510  # ABB's port
 JOINING = 120.0  # s in which the controller's first word must come

@@ -6,13 +6,11 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import EXIT_NOT_VERIFIED, PlannerError
 from planner.link.egm_limits import Limiter
 from planner.link.egm_plan import PERIOD, JointPlan
-
-Array = NDArray[np.float64]
+from planner.readonly import Array
 
 NEAR_START = np.radians(1.0)  # within which the robot must stand before the first reference
 DEVIATION = np.radians(2.0)  # of the robot from all references of the last LAG

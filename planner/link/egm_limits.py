@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planner.readonly import Array
+
 CATCHING_UP = 0.5  # share of the acceleration with which a reference that lies behind is planned to come up
 
 

@@ -9,12 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from planner.errors import InputError
-
-Array = NDArray[np.float64]
+from planner.readonly import Array
 
 PERIOD = 0.004  # s, of EGM
 ARM_AXES = 6

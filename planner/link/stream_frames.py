@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from planner.errors import InputError
 from planner.export.program import Program, Trigger
-
-Array = NDArray[np.float64]
+from planner.readonly import Array
 
 BODY = struct.Struct("<IBBBx3f4f4b6f4fffHxx")
 SUMS = struct.Struct("<HH")

@@ -6,12 +6,9 @@ import re
 from collections.abc import Sequence
 from importlib.resources import files
 
-import numpy as np
-from numpy.typing import NDArray
-
 from planner.export.program import Program
+from planner.readonly import Array
 
-Array = NDArray[np.float64]
 MODULE = "BeadwiseStream"
 _PARTS = re.compile(r"( *! --- of the plan ---\n).*?(?= *! --- of every plan ---\n)", re.DOTALL)
 

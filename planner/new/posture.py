@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cell import frame_from_z
+from planner.readonly import Array
 from planner.robot.robot import Robot, chain_of
 
-Array = NDArray[np.float64]
 ROLLS = 24  # tried rotations about the nozzle's axis
 REDUNDANT = 9  # tried angles of a redundant joint, over the middle half of its range
 GOOD_ANGLE = np.radians(30.0)  # from an end stop: more of it is no better

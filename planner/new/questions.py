@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import InputError
 from planner.facets import read_corners
@@ -22,12 +21,12 @@ from planner.problem.extrusion import BeadSpec
 from planner.problem.part import CylinderSpec, SphereSpec
 from planner.problem.process import ProcessSpec
 from planner.problem.wing import AerofoilSpec
+from planner.readonly import Array
 from planner.robot.robot import ROBOTS, Robot, read_robot, shipped_robots
 from planner.robots import reach
 from planner.toolpath.gcode.reader import LARGEST_FILE
 from planner.toolpath.svg.document import read_document
 
-Array = NDArray[np.float64]
 Values = dict[str, Any]
 
 WHAT = {

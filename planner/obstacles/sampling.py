@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planner.readonly import Array
 
 _SPACING = 2e-3  # m
 _MOST = 100_000  # points, about: larger surfaces have them farther apart

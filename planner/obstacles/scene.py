@@ -20,11 +20,9 @@ from planner.obstacles.things import ARM, HEAD, Thing, corners, is_round, looked
 from planner.point_tree import PointTree, point_tree
 from planner.print_body import TIP_SLOPE, PrintBody, print_body, standing, tip_slack
 from planner.problem import Problem
+from planner.readonly import Array, Ints
 from planner.solids import SIZES, Body, Hull, Mesh, packed
 from planner.toolpath.bead import Toolpath
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 PART = "part or print"
 BLOCK = 1024  # postures along which what was far enough is remembered
@@ -77,7 +75,7 @@ class Obstacles:
         """The same obstacles where the cell's holder or part stand elsewhere."""
         return self if self.around is None else _assembled(cell, self.around)
 
-    def margins(self, q: Array, now: Array, enough: float, more: float = 0.0) -> tuple[Array, Index]:
+    def margins(self, q: Array, now: Array, enough: float, more: float = 0.0) -> tuple[Array, Ints]:
         """Least clearance (n) beyond what is needed at postures q (n, nj) at times of the print now (n), if below
         `enough` [m]; and which pair (n) has it, or -1. `more` [m] is asked for between bodies besides."""
         margin, which = np.full(len(q), enough), np.full(len(q), -1, dtype=np.int64)

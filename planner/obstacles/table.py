@@ -8,11 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planner.readonly import read_only
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-Flags = NDArray[np.bool_]
+from planner.readonly import Array, Flags, Ints, read_only
 
 DEEP = 128  # nodes of a tree that wait at once, see `search_room`
 
@@ -37,17 +33,17 @@ class Table(NamedTuple):
 
     placements: Array
     axes: Array
-    arm: Index
+    arm: Ints
     tip: Array
-    frame: Index
-    kind: Index
+    frame: Ints
+    kind: Ints
     size: Array
     planes: Array
     vertices: Array
-    span: Index
+    span: Ints
     T_frame_solid: Array
     ball: Array
-    pair: Index
+    pair: Ints
     needed: Array
     points: Array
     radius: Array
@@ -55,12 +51,12 @@ class Table(NamedTuple):
     node_centre: Array
     node_reach: Array
     since: Array
-    left: Index
-    right: Index
-    first: Index
-    tree_frame: Index
+    left: Ints
+    right: Ints
+    first: Ints
+    tree_frame: Ints
     T_frame_tree: Array
-    look: Index
+    look: Ints
     keep: Array
     slack: Array
     head_on_part: Flags
@@ -86,8 +82,8 @@ class Room(NamedTuple):
     simplex: Array
     few: Array
     T_solid_tree: Array
-    stack: Index
-    last: Index
+    stack: Ints
+    last: Ints
 
 
 @njit(cache=True, nogil=True)

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cell import Cell, rigid_inverse
 from planner.kinematics.chain import Chain, rotate_about
+from planner.readonly import Array
 from planner.robot.robot import Robot, joint_axis
 from planner.solids import Body, Capsule, Frustum, Hull, Mesh
-
-Array = NDArray[np.float64]
 
 _FILLED = 1e-6  # of its hull's volume that a mesh may lack to be that hull
 _ON_AXIS = 1e-9  # m, and of a direction's length: so near to an axis is on it

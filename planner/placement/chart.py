@@ -11,12 +11,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import QuadMesh
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from planner.placement.freedom import ANGLES, FREEDOMS, Place
 from planner.placement.study import Slice, Study
-
-Array = NDArray[np.float64]
 
 COLOURS = "cividis"  # the same to all eyes, and in grey
 PRESENT, BEST = "#d55e00", "#ffffff"

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cell import Cell, rigid_inverse, translation
 from planner.kinematics.chain import Chain
 from planner.problem import Problem
-
-Array = NDArray[np.float64]
+from planner.readonly import Array
 
 FREEDOMS = ("x", "y", "z", "turn", "part_x", "part_y")
 ANGLES = frozenset({"turn"})

@@ -11,6 +11,7 @@ from planner.kinematics.inverse import SPHERICAL_WRIST, solve_one
 from planner.kinematics.six import invert6, largest_singular_value
 from planner.obstacles.kernel import FIRST, NO, first_lacking, head_lacking
 from planner.obstacles.table import room_for
+from planner.readonly import Array
 from planner.resolve.node_kernel import (
     CLEAR_ROOM,
     LIMIT_ROOM,
@@ -18,8 +19,6 @@ from planner.resolve.node_kernel import (
     nearest_turn,
     nearest_turns,
 )
-
-Array = NDArray[np.float64]
 
 NO_WRIST, SPHERICAL, OFFSET = 0, 1, 2  # how joint 5 tells how near the wrist is to its singularity
 

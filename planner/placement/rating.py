@@ -26,6 +26,7 @@ from planner.placement.margin_kernel import (
     evaluate_margins,
     way_back,
 )
+from planner.readonly import Array
 from planner.resolve.demand import Demand, demand_of
 from planner.resolve.jointpath import JointPath
 from planner.resolve.node_kernel import SIGMA_COMFORT
@@ -34,8 +35,6 @@ from planner.resolve.search import ROUND
 from planner.resolve.search_kernel import SPEED_SHARE
 from planner.task import NozzleTask
 from planner.timing import bound_time
-
-Array = NDArray[np.float64]
 
 ROOM_COMFORT = 0.175  # rad, 10 degrees, from joint limits and the wrist's flip: what a part 2 mm off takes is a tenth
 COMFORT = np.array([SIGMA_COMFORT, ROOM_COMFORT, ROOM_COMFORT])

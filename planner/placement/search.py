@@ -11,10 +11,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import qmc
 
-Array = NDArray[np.float64]
 Point = tuple[float, ...]
 Score = Callable[[Point, float], float]  # point, floor → its score, 0 where that is not above the floor
 Scores = Callable[[Sequence[Point], float], list[float]]  # the same of several points, in whatever order

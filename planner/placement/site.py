@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cell import Cell, build_cell
 from planner.given import check_same, digest_of
@@ -22,8 +21,6 @@ from planner.resolve.ladder import first_of_each_name
 from planner.task import NozzleTask, tasks_of
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
-
-Array = NDArray[np.float64]
 
 COARSE = 40, np.radians(30.0)  # rungs and steps of the grid, for lattice and map
 FINE = {False: (120, np.radians(15.0)), True: (60, np.radians(20.0))}  # for what is polished; with a table

@@ -8,7 +8,6 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.errors import Refusal
@@ -18,8 +17,8 @@ from planner.placement.ranges import reach
 from planner.placement.rating import Rating, rate
 from planner.placement.search import Axis, Point, Tried, lattice, polish, well_apart
 from planner.placement.site import Site
+from planner.readonly import Array
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, int], AbstractContextManager[Callable[[], None]]]  # stage, steps → what counts them
 
 _SAMPLES_RESOLVED = 200_000  # waypoints, over all places that are tried with the strategy: a minute or two

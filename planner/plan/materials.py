@@ -12,8 +12,8 @@ from planner.plan.plan import Plan
 from planner.plan.trajectory import Event
 from planner.problem import Problem
 from planner.problem.materials import signals
+from planner.readonly import Array
 
-Array = NDArray[np.float64]
 SELECTS = ("select", "change")  # kinds of events after which another tool feeds
 NONE = -1  # in place of a material before the first one is selected
 

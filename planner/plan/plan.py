@@ -13,7 +13,7 @@ from planner.plan.columns import table_of
 from planner.plan.trajectory import Trajectory
 from planner.plan.words import plan_html, plan_line, plan_words
 from planner.problem import Problem
-from planner.readonly import ReadOnlyArrays
+from planner.readonly import Array, ReadOnlyArrays
 from planner.toolpath.bead import Bead, Toolpath
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from planner.resolve.jointpath import JointPath
     from planner.resolve.roll_map import RollMap
 
-Array = NDArray[np.float64]
 RAPID_EXTERNAL_AXES = 6
 MOST_SHOWN = 2  # changes of a remedy in words
 # Of dips that no joint limits.

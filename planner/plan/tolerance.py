@@ -12,12 +12,11 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from planner.plan.plan import Check
+from planner.readonly import Array
 
-Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 
 LARGEST_SHIFT_MM = 100.0  # beyond, a part is somewhere else: its place is measured and planned anew

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.readonly import ReadOnlyArrays
+from planner.readonly import Array, ReadOnlyArrays
 
-Array = NDArray[np.float64]
 TRAVEL = -1  # index of the bead where there is none
 
 

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
 from planner.errors import InputError
 from planner.plan import Plan
 from planner.plots.style import ALARM, COLOURS, FAINT, INK, SOFT, STYLES, axes_of, legend_above, tidy
+from planner.readonly import Array
 from planner.resolve.derivatives import ORDERS, ByArcLength, by_arc_length, spline_of
-
-Array = NDArray[np.float64]
 
 NAMES = ("velocity", "acceleration", "jerk")
 RATES = ("|q′| v", "|q″| v²", "|q‴| v³")

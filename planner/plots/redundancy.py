@@ -6,13 +6,11 @@ import matplotlib.patheffects as effects
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
-from numpy.typing import NDArray
 
 from planner.errors import InputError, nearest_name
 from planner.plots.style import INK, MAP, SOFT, axes_of
+from planner.readonly import Array
 from planner.resolve.roll_map import COLLISION, LIMITS, REACH, SINGULAR, RollMap
-
-Array = NDArray[np.float64]
 
 # measure → label, factor
 MEASURES = {

@@ -8,13 +8,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
-from numpy.typing import NDArray
 
 from planner.errors import InputError, nearest_name
 from planner.plan import Plan
 from planner.plots.style import FAINT, MAP
-
-Array = NDArray[np.float64]
+from planner.readonly import Array
 
 MEASURES = {"speed": "speed, mm/s", "sigma": "singular value σ", "layer": "layer", "bead": "bead"}
 MOST_SEGMENTS = 12_000  # more is slow to draw, and no finer to look at

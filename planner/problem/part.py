@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
-from pydantic import model_validator
+from pydantic import BeforeValidator, model_validator
 
-from planner.problem.faces import StepSpec
-from planner.problem.fields import PATH, Position, Quantity, Section, Vector, exactly_one, key, refusal
+from planner.problem.fields import PATH, Position, Quantity, Section, Vector, exactly_one, key, one_of, refusal
+from planner.problem.file import describe
 
 
 class CylinderSpec(Section):
@@ -74,6 +74,43 @@ class MeshSpec(Section):
         "rpy_deg",
         "the file turned about x, then y, then z of the part frame [deg]; [90, 0, 0] where y points up",
         (0, 0, 0),
+    )
+
+
+Face = int | str  # its number in the file, from 1, or its name
+
+ANY_FACES = "all, or a list of names and numbers, from 1, as they stand in the file"
+
+
+def _faces(value: Any) -> Any:
+    if value == "all":
+        return value
+    if not isinstance(value, (tuple, list)):
+        raise refusal(f"must be a list of faces or all, not {describe(value)}", ANY_FACES)
+    if not value:
+        raise refusal("names no face", ANY_FACES)
+    for i, face in enumerate(value):
+        if type(face) not in (int, str) or face == "":
+            raise refusal(f"is no name and no number of a face: {describe(face)}", ANY_FACES, item=i)
+        if face in value[:i]:
+            raise refusal(f"{face!r} stands in the list twice", "name each face once", item=i)
+    return tuple(value)
+
+
+Faces = Annotated[tuple[Face, ...] | Literal["all"], BeforeValidator(_faces)]
+
+
+class StepSpec(Section):
+    """A body from a STEP file: faces, with material beneath them."""
+
+    file: Annotated[Path, PATH] = key("file", "the STEP file, counted from the folder of the problem file")
+    faces: Faces = key("faces", f"the faces that are there: {ANY_FACES}", "all")
+    normals: Annotated[Literal["outward", "inward"], one_of(("outward", "inward"))] = key(
+        "normals", "where the file's faces look: out of the material, or into it, as open sheets may", "outward"
+    )
+    origin: Position = key("origin_mm", "the file's origin in the part frame, once the file is turned [mm]", (0, 0, 0))
+    rpy: Annotated[Vector, Quantity("deg", -360, 360, count=3)] = key(
+        "rpy_deg", "the file turned about x, then y, then z of the part frame [deg]", (0, 0, 0)
     )
 
 

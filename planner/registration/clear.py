@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from planner.cell import Cell, frame_from_z, rigid_inverse
 from planner.problem import Problem
+from planner.readonly import Array
 from planner.registration.contacts import plate_poses
 from planner.registration.placement import Distance, Placement
 from planner.solids import triangles_of
 from planner.verify.bodies import CellBodies, Distances, Pair, all_at_home, pairs
-
-Array = NDArray[np.float64]
 
 ROLLS = 8  # of the nozzle about its axis, that are tried
 _FREE, _SHARE = 1e-3, 0.1  # m that the head keeps from the part, or a tenth of the height above the tip, where less

@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 from planner.cell import Cell
 from planner.errors import Complaint, InputError, nearest_name
 from planner.input_file import read_text
-from planner.readonly import ReadOnlyArrays
-
-Array = NDArray[np.float64]
+from planner.readonly import Array, ReadOnlyArrays
 
 TIP, AXIS = ("x", "y", "z"), ("ax", "ay", "az")
 NAMES = ("name", "contact")

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from planner.cell import Cell, build_cell
 from planner.errors import InputError
 from planner.problem import Problem
+from planner.readonly import Array
 from planner.registration.clear import Clearance
 from planner.registration.contacts import Contacts, Readings, contacts_of, other_units, plate_poses, read_readings
 from planner.registration.fitting import Fit, Touch, fit
@@ -22,8 +23,6 @@ from planner.registration.uncertainty import Uncertainty, Waypoints, uncertainty
 from planner.registration.unknowns import FREEDOMS, Unknowns, looked_for, split, table_ways, words
 from planner.toolpath.bead import Surface, Toolpath
 from planner.toolpath.build import build_toolpath
-
-Array = NDArray[np.float64]
 
 MISFIT = 1e-3  # m: contacts that agree no better are not those of this part, or not in these units
 FAR_OFF = 0.3  # m: nobody places a part so far from where the problem has it

@@ -15,15 +15,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm, t
 
+from planner.readonly import Array, Flags
 from planner.registration.contacts import Contacts
 from planner.registration.placement import TURNS, UNKNOWNS, Distance, Placement, rows, slopes
 from planner.registration.unknowns import Unknowns, split
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 LEAST_NOISE = 5e-6  # m: readings are rounded to 0.01 mm, so that no fit is better than this
 MOST_WRONG = 0.3  # share of contacts that may be wrong

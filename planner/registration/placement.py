@@ -10,12 +10,9 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from planner.readonly import ReadOnlyArrays
-
-Array = NDArray[np.float64]
+from planner.readonly import Array, ReadOnlyArrays
 
 TURNS = slice(3, 6)
 SHIFTS = slice(6, 9)

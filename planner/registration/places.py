@@ -9,14 +9,12 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planner.cell import Cell, frame_from_z
-from planner.readonly import ReadOnlyArrays
+from planner.readonly import Array, ReadOnlyArrays
 from planner.registration.clear import reached, rolls
 from planner.registration.contacts import plate_poses
 from planner.registration.placement import Distance, Placement, rows, slopes
 from planner.registration.unknowns import Unknowns
 from planner.toolpath.bead import Toolpath
-
-Array = NDArray[np.float64]
 
 _TANGENTS = 4_000  # places beneath beads
 _MOST = 160  # places that are looked at

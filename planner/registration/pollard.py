@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from planner.readonly import ReadOnlyArrays
-
-Array = NDArray[np.float64]
+from planner.readonly import Array, ReadOnlyArrays
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,12 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.problem.rewrite import Value
+from planner.readonly import Array
 from planner.registration.finding import MISFIT, Registration, Scene
 from planner.registration.placement import Placement
 from planner.registration.places import Places
-
-Array = NDArray[np.float64]
 
 
 def verdict(found: Registration, tolerance: float) -> tuple[bool, str]:

@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 from scipy.stats import f as fisher
 
+from planner.readonly import Array
 from planner.registration.fitting import Fit
 from planner.registration.placement import SHIFTS, TURNS, UNKNOWNS, Placement, rows
 from planner.registration.unknowns import Unknowns, split
 from planner.toolpath.bead import Toolpath
-
-Array = NDArray[np.float64]
 
 CONFIDENCE = 0.95
 _WAYPOINTS = 1_500  # at which the height is looked at

@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planner.readonly import ReadOnlyArrays
+from planner.readonly import Array, ReadOnlyArrays
 from planner.registration.placement import SHIFTS, SIZE, TURNS, UNKNOWNS
-
-Array = NDArray[np.float64]
 
 FREEDOMS = ("x", "y", "z", "rx", "ry", "rz")
 # A freedom that moves the touched places by less than this share of its own size along their normals is not seen there:

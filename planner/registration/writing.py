@@ -6,14 +6,12 @@ import warnings
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from planner.problem import Problem
 from planner.problem.rewrite import Value
+from planner.readonly import Array
 from planner.registration.placement import Placement
-
-Array = NDArray[np.float64]
 
 _MM, _DEG = 4, 5  # decimals: a tenth of a micrometre, and as much at a metre
 _TURNED = 1e-9  # rad: less is rounding

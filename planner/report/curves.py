@@ -6,8 +6,8 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.readonly import Array
 from planner.report.extruder import even_flow, flow_note, pushed, pushes_otherwise
 from planner.report.scene import INK, PAPER
 from planner.report.thinning import CURVE_BUDGET, keep_minima, stretches, thin_curve, with_gaps
@@ -15,7 +15,6 @@ from planner.report.thinning import CURVE_BUDGET, keep_minima, stretches, thin_c
 if TYPE_CHECKING:
     from planner.plan import Plan
 
-Array = NDArray[np.float64]
 
 # Okabe and Ito's colours: told apart by any eye; dashes tell them apart in print.
 BLUE, ORANGE, GREEN, GREY = "#0072b2", "#d55e00", "#007d5c", "#9aa7b4"

@@ -15,7 +15,6 @@ from planner.report.wording import counted, number
 if TYPE_CHECKING:
     from planner.plan import Dip, Plan, Trajectory
 
-Array = NDArray[np.float64]
 
 MOST_ROWS = 30
 MOST_MARKS = 800  # each carries some 300 bytes of words

@@ -9,16 +9,15 @@ from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.plan.materials import filament_areas, used
+from planner.readonly import Array
 from planner.report.thinning import stretches
 from planner.report.wording import MISSING, counted, number
 
 if TYPE_CHECKING:
     from planner.plan import Event, Plan, Trajectory
 
-Array = NDArray[np.float64]
 
 WORDS = {
     "heat": "heat up, at home",

@@ -9,11 +9,9 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
 from planner.errors import InputError, nearest_name
-
-Array = NDArray[np.float64]
+from planner.readonly import Array
 
 COLUMNS = ("t_s", "bead", "layer", "deposit", "x_mm", "y_mm", "z_mm", "ax", "ay", "az", "speed_mm_s", "flow_mm3_s")
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.readonly import Array
 from planner.report.extruder import even_flow, surplus
 from planner.report.packing import coarse
 from planner.report.thinning import SCENE_BUDGET, keep_minima, stretches, turning
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from planner.plan import Plan
     from planner.toolpath.bead import Bead
 
-Array = NDArray[np.float64]
 
 EVEN = 127  # steps of a component of a unit vector
 # What series of the verifier say, and in which unit; where these are small it gets tight.

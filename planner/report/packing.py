@@ -13,9 +13,8 @@ import zlib
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planner.readonly import Array
 
 KINDS = {"float32": "f4", "float64": "f8", "int32": "i4", "int8": "i1", "uint8": "u1", "uint16": "u2", "uint32": "u4"}
 LEVEL = 9  # of compression: a page is written once and opened often

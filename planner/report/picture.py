@@ -21,11 +21,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from planner.errors import InputError, OutputError, PlannerError
+from planner.readonly import Array
 from planner.report.finished import read_folder, read_part
 from planner.report.scene import ALARM, COLOURS, INK
 from planner.report.thinning import stretches, thin_curve
-
-Array = NDArray[np.float64]
 
 ELEVATION = np.radians(20.0)
 SCENE_INCHES = np.array([6.2, 6.1])  # width and height of the scene

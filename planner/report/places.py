@@ -7,14 +7,12 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.report.wording import CHECK_NAMES, significant
 
 if TYPE_CHECKING:
     from planner.plan import Approach, Check, Plan
 
-Array = NDArray[np.float64]
 AT_SPEED = 0.98
 NEAREST = 3  # approaches in the list; the table has all
 SAME_DIP = 1e-6  # s: a dip's slowest sample and the slowest of all are one

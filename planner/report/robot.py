@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from planner.readonly import Array, Indices
 
 if TYPE_CHECKING:
     from planner.cell import Cell
     from planner.plan import CellView, Trajectory
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 TOLERANCE = 0.5e-3  # m: how far off the tip may be between postures that the page has
 MOST_POSTURES = 60_000

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.report.dips import dip_marks
 from planner.report.lines import bead_lines, plan_lines
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
     from planner.toolpath.bead import Bead
     from planner.toolpath.shape import Shape
 
-Array = NDArray[np.float64]
 
 EARLIER_BUDGET = 10_000  # points of beads that are there before the motion
 # Cividis, reversed and without its palest end: the ordinary is dark and calm, the exceptional is light.

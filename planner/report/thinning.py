@@ -11,8 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from planner.readonly import Array, Indices
 
 CURVE_BUDGET = 4_000
 SCENE_BUDGET = 40_000

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cell import Cell, Limits, rigid_inverse
 from planner.errors import Refusal
 from planner.kinematics.chain import Chain
 from planner.problem.settings import ResolveSpec
+from planner.readonly import Array
 from planner.resolve.demand import Demand
 from planner.resolve.found import Found
 from planner.resolve.jointpath import JointPath, choose_turns, postures, upright
@@ -20,8 +20,6 @@ from planner.resolve.search import greedy_route, joint_limits
 from planner.resolve.search_kernel import SPEED_SHARE
 from planner.resolve.unreachable import refuse_rung
 from planner.task import NozzleTask
-
-Array = NDArray[np.float64]
 
 
 def as_published(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[JointPath, ...]:

@@ -8,18 +8,14 @@ done again. A route that is found clear so is the one that a search among clear 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.obstacles import NOTHING, Obstacles
+from planner.readonly import Array, Flags, Ints
 from planner.resolve.demand import Demand
 from planner.resolve.node_kernel import CLEAR_ROOM
 from planner.resolve.nodes import Grid, Nodes, nodes_to_fill
 from planner.resolve.search import Route, best_route
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 _REACH = 4  # rungs to each side of a blocked one that are looked at first; four times as many each time after
 _WIDER = 4
@@ -55,14 +51,14 @@ class ClearSearch:
             self.look(np.unique(around[(around >= 0) & (around < len(self._looked))]))
             reach *= _WIDER
 
-    def look(self, rungs: Index) -> Nodes:
+    def look(self, rungs: Ints) -> Nodes:
         """Take what is not clear at some rungs out of the nodes, which come back."""
         rungs = rungs[~self._looked[rungs]]
         self._fill(rungs, self._obstacles)
         self._looked[rungs] = True
         return self.nodes
 
-    def _blocked(self, route: Route) -> Index:
+    def _blocked(self, route: Route) -> Ints:
         """Rungs not looked at yet where a route's node, or the one that keeps to the angles before, is not clear."""
         grid, demand = self.nodes.grid, self._demand
         at = np.flatnonzero(~self._looked)

@@ -8,15 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.background import in_blocks
 from planner.obstacles import Obstacles
 from planner.obstacles.scene import BLOCK
 from planner.obstacles.slopes import nearest_margins
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from planner.readonly import Array, Ints
 
 COMFORT = 15e-3  # m of margin above which nothing is held: three times what arms keep
 COMFORT_OF_POINTS = 2e-3  # m, the same of part and print: to look farther around the nozzle takes five times as long
@@ -36,7 +33,7 @@ class Clearances:
     [m/rad]; time (n): what a sample stands for among those that are looked at, in samples."""
 
     time: Array
-    sample: Index
+    sample: Ints
     margin: Array
     slope: Array
 
@@ -60,7 +57,7 @@ def clearances(
     which = np.empty((n, _ROWS), dtype=np.int64)
     wanted, comfort = np.zeros(n, dtype=np.bool_), (COMFORT, COMFORT_OF_POINTS) if held else (ROOM, ROOM)
 
-    def look(at: Index) -> None:
+    def look(at: Ints) -> None:
         mask = np.zeros(n, dtype=np.bool_)
         mask[at] = wanted[at] = True
         in_blocks(
@@ -83,7 +80,7 @@ def clearances(
     return Clearances(time, sample, margin[sample, row], np.einsum("kj,kjm->km", slope[sample, row], G[sample]))
 
 
-def _beside_small(margin: Array, slope: Array, count: int) -> Index:
+def _beside_small(margin: Array, slope: Array, count: int) -> Ints:
     """Which of `count` samples, each SPARSE-th of which has margins (k, rows) with slopes (k, rows, nj), lie between
     two of them one of which has a small margin that can change."""
     small = ((margin < _SMALL) & (np.abs(slope).sum(axis=2) > _STILL)).any(axis=1)
@@ -100,8 +97,8 @@ def shortage(near: Clearances) -> Array:
 
 
 def clearance_rows(
-    near: Clearances, step: Array, first: Index, B: Array, free: Array, trust: float
-) -> tuple[Array, Array, Index, Array]:
+    near: Clearances, step: Array, first: Ints, B: Array, free: Array, trust: float
+) -> tuple[Array, Array, Ints, Array]:
     """Rows A (r, w) x <= b (r) that keep margins, from which variable on (r), and the time each stands for (r) [s].
 
     Only margins that a step within `trust` [rad] could use up have rows.

@@ -8,11 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.readonly import Array
 from planner.resolve.spacing import places_along
 from planner.task import FREE, Cones, NozzleTask
-
-Array = NDArray[np.float64]
-
 
 SAMPLES_PER_RUNG = 8  # at least: what roll and holder do between rungs must be resolved by the samples
 

@@ -9,12 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 
+from planner.readonly import Array
 from planner.resolve.jointpath import JointPath
-
-Array = NDArray[np.float64]
 
 ORDERS = np.array([1, 2, 3])
 _STILL = 1e-6  # of a sample's mean length: where less is moved from sample to sample, a path has no direction

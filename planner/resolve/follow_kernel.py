@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from planner.kinematics.chain import chain_state, jacobian_at, mul4, rotate_about
 from planner.kinematics.inverse import SPHERICAL_WRIST
@@ -18,8 +17,6 @@ from planner.kinematics.spherical_wrist import ALL_ROUND, branch_of, solve_withi
 from planner.kinematics.wrist_rates import inverse_jacobian, jacobian, sines_of
 from planner.resolve.cone_kernel import lean_of, lean_slope_of
 from planner.resolve.sigma_kernel import gram, power, sigma_slope_by_joints, square, to_unit
-
-Array = NDArray[np.float64]
 
 CONVERGED = 1e-12  # m and rad: error of the nozzle's pose that is none
 _STEPS = 12  # of Newton's method; from a neighbouring sample's posture three or four do

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.readonly import Array
 from planner.resolve.demand import Demand
 from planner.resolve.nodes import Grid, Nodes
 from planner.resolve.search import Route
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

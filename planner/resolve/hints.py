@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from planner.cell import Cell, translation
 from planner.errors import Refusal
 from planner.obstacles import NOTHING, Obstacles
+from planner.readonly import Array
 from planner.resolve.demand import Demand
 from planner.resolve.found import Found, angles_along
 from planner.resolve.jointpath import postures, spread
@@ -23,8 +24,6 @@ from planner.resolve.nodes import Grid, Nodes, evaluate, full_grid
 from planner.resolve.search import Route, best_route
 from planner.robot.robot import chain_of
 from planner.task import NozzleTask
-
-Array = NDArray[np.float64]
 
 TILTS = (5.0, 10.0, 20.0)  # deg from the surface normal
 _AZIMUTHS = 12  # directions in which the nozzle is tilted

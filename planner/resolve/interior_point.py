@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from planner.readonly import Array, Ints
 from planner.resolve.banded import (
     SUMS,
     add_rows,
@@ -28,9 +28,6 @@ from planner.resolve.banded import (
     times_band,
     upper_band,
 )
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 _STEPS = 60
 _FREE = 1e-9  # of what there is to gain: price of a slack that has none
@@ -54,8 +51,8 @@ class QuadraticProgram:
     box: Array
     A: Array
     b: Array
-    at: Index
-    group: Index
+    at: Ints
+    group: Ints
     price: Array
 
     def value(self, x: Array) -> float:

@@ -7,15 +7,14 @@ from dataclasses import dataclass, replace
 from typing import NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
 from planner.cell import Cell, Limits, rigid_inverse
 from planner.errors import Refusal
+from planner.readonly import Array
 from planner.task import NozzleTask
 
-Array = NDArray[np.float64]
 _TURN = 2.0 * np.pi
 TURNS = 5  # of a joint that are tried along a bead
 COMBINATIONS = 128  # of joints' turns that are tried along a bead

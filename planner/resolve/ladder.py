@@ -7,12 +7,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.errors import Refusal
 from planner.obstacles import NOTHING, Obstacles
 from planner.problem.settings import ResolveSpec
+from planner.readonly import Array
 from planner.resolve.clear_search import ClearSearch
 from planner.resolve.demand import Demand, demand_of
 from planner.resolve.found import Found, angles_along
@@ -23,8 +23,6 @@ from planner.resolve.table_first import ARM_SHARES, slowed, upright_table
 from planner.resolve.unreachable import refuse_collision, refuse_rung
 from planner.resolve.way_home import ways_home
 from planner.task import NozzleTask
-
-Array = NDArray[np.float64]
 
 # Of the second search: coarse steps are divided by the first number, and the guide may be left by the second one of
 # those to each side in roll, by the third one in the chosen joint. A guide that turns by a coarse step a rung is too

@@ -13,11 +13,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.errors import Refusal
 from planner.problem.settings import ResolveSpec
+from planner.readonly import Array
 from planner.resolve.jointpath import JointPath, choose_turns
 from planner.resolve.ladder import ladder
 from planner.resolve.nlp_program import bounds_of, program_of, row_bounds, start_values
@@ -26,8 +26,6 @@ from planner.resolve.sqp import cheaper, given_prices, sigma_floor, start_track,
 from planner.resolve.stretch import Model, Stretch, model_of
 from planner.resolve.windows import Track
 from planner.task import NozzleTask
-
-Array = NDArray[np.float64]
 
 MOST_SAMPLES = 1000  # of all beads: some minutes
 _COMMON = {

@@ -19,18 +19,16 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from planner.cell import Cell
 from planner.kinematics.symbolic import symbolic_jacobian, symbolic_pose, symbolic_roll, symbolic_tilt
+from planner.readonly import Array
 from planner.resolve.node_kernel import LIMIT_COMFORT, LIMIT_PRICE, SIGMA_COMFORT, SIGMA_PRICE
 from planner.resolve.price_kernel import DIP, DIP_PRICE, EFFORT
 from planner.resolve.refine import ANCHOR, CONE_ROOM
 from planner.resolve.stretch import CONE_SIDES, HOLDER, ROLL, TILT, Model, State, Stretch, side_normals
 from planner.task import Cones
-
-Array = NDArray[np.float64]
 
 DAMPING = 1.0  # of control values in the approach, in units of a sample's time: its first steps are too long otherwise
 EQUALITIES = 13  # of a sample: pose, singular vector, its length

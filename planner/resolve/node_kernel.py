@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from planner.kinematics.chain import chain_state, jacobian_at, mul4, pose_of, rotate_about, turn
 from planner.kinematics.inverse import SPHERICAL_WRIST, solve_one
@@ -13,8 +12,6 @@ from planner.kinematics.spherical_wrist import solve_within
 from planner.kinematics.wrist_rates import inverse_jacobian, sines_of
 from planner.obstacles.kernel import FIRST, NO, first_lacking, head_lacking
 from planner.obstacles.table import room_for
-
-Array = NDArray[np.float64]
 
 SIGMA_COMFORT = 0.20  # singular value below which closeness to a singularity is priced
 SIGMA_PRICE = 0.3  # seconds a second of printing, at half of SIGMA_COMFORT

@@ -17,11 +17,10 @@ from planner.cell import Cell, rigid_inverse
 from planner.kinematics.chain import Chain
 from planner.kinematics.inverse import kind_of
 from planner.obstacles import NOTHING, Obstacles
+from planner.readonly import Array, Ints
 from planner.resolve.demand import Demand
 from planner.resolve.node_kernel import evaluate_nodes
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 BRANCHES = 8  # of every kind of arm
 
 
@@ -92,7 +91,7 @@ def evaluate(cell: Cell, demand: Demand, grid: Grid, min_sigma: float, obstacles
 
 def nodes_to_fill(
     cell: Cell, demand: Demand, grid: Grid, min_sigma: float
-) -> tuple[Nodes, Callable[[Index, Obstacles], None]]:
+) -> tuple[Nodes, Callable[[Ints, Obstacles], None]]:
     """Nodes without a posture yet, and what evaluates those of some rungs, as `evaluate` does; also once more."""
     limits, na, nh = cell.limits, len(cell.arm), len(cell.holder)
     r = len(demand.rung)
@@ -123,7 +122,7 @@ def nodes_to_fill(
         min_sigma, q, price,
     )  # fmt: skip
 
-    def fill(rungs: Index, obstacles: Obstacles) -> None:
+    def fill(rungs: Ints, obstacles: Obstacles) -> None:
         table = (obstacles.but_head_on_part if demand.cones.tilt > 0.0 else obstacles).table
         price[rungs] = np.inf
 

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import osqp
-from numpy.typing import NDArray
 from scipy import sparse
 
+from planner.readonly import Array
 from planner.resolve.interior_point import QuadraticProgram
-
-Array = NDArray[np.float64]
 
 _STEPS = 20_000
 _TOLERANCE = 1e-6  # absolute and relative, of OSQP's residuals

@@ -16,11 +16,8 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from planner.resolve.node_kernel import LIMIT_COMFORT, LIMIT_PRICE, SIGMA_COMFORT, SIGMA_PRICE
-
-Array = NDArray[np.float64]
 
 EFFORT = np.array([3.0, 0.1, 0.1])  # seconds a second of printing, for joints at their speed, acceleration, jerk
 PEAK_PRICE = 0.1  # seconds a second of printing, for joints at the speed that counts as a peak

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.readonly import Array, Flags, Ints
 from planner.resolve.clearance import clearance_rows, clearances, shortage
 from planner.resolve.cone_kernel import FACETS, watch_leans, watch_missed_leans
 from planner.resolve.follow_kernel import follow
@@ -41,9 +42,6 @@ from planner.resolve.stretch import (
 )
 from planner.resolve.watch_kernel import watch_missed, watch_missed_ends, watch_near, watch_near_ends
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 QPSolver = Callable[[QuadraticProgram], tuple[Array, int]]
 
 _TRUST = 0.15  # rad that a control value may move in the first step
@@ -189,7 +187,7 @@ def program_around(
 
 def _further_rows(
     model: Model, stretch: Stretch, state: State, width: int, trust: float, watch: Watch
-) -> tuple[Array, Array, Index, Array]:
+) -> tuple[Array, Array, Ints, Array]:
     """Rows of control values and of clearances, and the time that each stands for [s], as the solver wants them."""
     A, b, at = _control_rows(model, stretch, state, width, trust, watch)
     price = np.full(len(b), float(stretch.step.mean()))
@@ -202,7 +200,7 @@ def _further_rows(
 
 def _control_rows(
     model: Model, stretch: Stretch, state: State, width: int, trust: float, watch: Watch
-) -> tuple[Array, Array, Index]:
+) -> tuple[Array, Array, Ints]:
     """Bounds of single control values that a step within `trust` may reach: chosen joints' ranges, and what is watched
     of a polygon inside the tilt's cone.
 

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from planner.resolve.banded import SUMS
 from planner.resolve.cone_kernel import facet
 from planner.resolve.node_kernel import LIMIT_COMFORT, LIMIT_PRICE, SIGMA_COMFORT, SIGMA_PRICE
 from planner.resolve.price_kernel import EFFORT, HARD_PRICE, PEAK_PRICE, allowed, lost_slope
-
-Array = NDArray[np.float64]
 
 NEAR_SIGMA = 1.3  # times the least singular value allowed below which the program has a row for it
 _TOGETHER = 8  # samples at most whose effort is one product of matrices: few enough for one thread

@@ -17,11 +17,9 @@ from planner.background import in_threads
 from planner.cell import Cell
 from planner.least_singular import least_singular_values
 from planner.obstacles import NOTHING, Obstacles
-from planner.readonly import ReadOnlyArrays
+from planner.readonly import Array, ReadOnlyArrays
 from planner.resolve.jointpath import JointPath, flange_poses
 from planner.task import NozzleTask
-
-Array = NDArray[np.float64]
 
 FREE, REACH, LIMITS, SINGULAR, COLLISION = range(5)
 REASONS = ("free", "out of reach", "joint limits", "singularity", "collision")  # by those numbers

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell import Limits
+from planner.readonly import Array
 from planner.resolve.demand import Demand
 from planner.resolve.nodes import Nodes
 from planner.resolve.search_kernel import search_best, search_greedy
 
-Array = NDArray[np.float64]
 ROUND = np.radians(600.0)  # range of a joint that is as good as unbounded along one bead
 
 

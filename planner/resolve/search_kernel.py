@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planner.readonly import Array
 
 SPEED_SHARE = 0.9  # of a joint's speed that an edge may use: the rest is for what happens between rungs
 TRAVEL_PRICE = 0.02  # seconds a second of travel: a dip spoils the bead, travel only takes time

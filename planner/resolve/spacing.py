@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
+from planner.readonly import Array
 from planner.task import NozzleTask
-
-Array = NDArray[np.float64]
 
 NARROW = np.radians(30.0)  # cone of the layer to gravity below which the table has to follow the normal
 _TURN_SHARE = 0.5  # of that cone: how far the normal may turn from one place to the next

@@ -11,12 +11,9 @@ from math import factorial
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from planner.readonly import Array, Ints
 from planner.resolve.spacing import breaks_of
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 DEGREE = 5  # four continuous derivatives: jerk has no steps
 LEAST_SAMPLES = 5  # that a stencil needs
@@ -45,7 +42,7 @@ class Clock:
 
     step: Array
     rate: Array
-    centre: Index
+    centre: Ints
     D: Array
 
     def rates(self, values: Array) -> Array:
@@ -79,7 +76,7 @@ class Basis:
     B (n, 4, degree + 1)   their values and their first three derivatives in time
     """
 
-    first: Index
+    first: Ints
     B: Array
     controls: int
 
@@ -89,7 +86,7 @@ class Basis:
 
 
 @njit(cache=True, nogil=True)
-def spline_values(first: Index, B: Array, c: Array) -> Array:
+def spline_values(first: Ints, B: Array, c: Array) -> Array:
     """The spline (n, k) with control values c (m, k); first (n) and B (n, 4, degree + 1) as in Basis."""
     n, k = len(first), c.shape[1]
     out = np.zeros((n, k))
@@ -114,7 +111,7 @@ def basis_over(clock: Clock, places: Array) -> Basis:
 
 
 @njit(cache=True)
-def _basis(u: Array, knots: Array, degree: int) -> tuple[Index, Array]:
+def _basis(u: Array, knots: Array, degree: int) -> tuple[Ints, Array]:
     """First nonzero B-spline (n) at each u (n), and values and three derivatives (n, 4, degree + 1) of all of them.
 
     The recursion of Cox and de Boor up to degree - k, then k differentiation steps.

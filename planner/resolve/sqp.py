@@ -9,13 +9,13 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
 from planner.background import Job, cores, in_turn
 from planner.cell import Cell
 from planner.obstacles import NOTHING, Obstacles
 from planner.problem.settings import ResolveSpec
+from planner.readonly import Array
 from planner.resolve.clearance import ROOM
 from planner.resolve.interior_point import solve_qp
 from planner.resolve.jointpath import MARGIN, JointPath, choose_turns
@@ -27,8 +27,6 @@ from planner.resolve.stretch import HOLDER, ROLL, TILT, Model, Stretch, model_of
 from planner.resolve.unreachable import SLIGHT
 from planner.resolve.windows import Piece, Track, Windowed
 from planner.task import NozzleTask
-
-Array = NDArray[np.float64]
 
 SAMPLES_PER_CONTROL = 4  # at least: what moves between control values must be resolved by the samples
 _TURN = 2.0 * np.pi

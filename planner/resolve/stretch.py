@@ -5,17 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cell import Cell, rigid_inverse
 from planner.kinematics.inverse import kind_of
 from planner.obstacles import NOTHING, Obstacles
+from planner.readonly import Array, Flags, Ints
 from planner.resolve.clearance import Clearances
 from planner.task import Cones
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 ROLL, TILT, HOLDER = 0, (1, 2), 3  # columns of z; given arm joints come after the holder's
 CONE_SIDES = 12  # of the polygon inside the circle that bounds tilt
@@ -33,8 +29,8 @@ class Model:
     """
 
     chains: tuple[Array, Array, Array, Array, Array, Array, int, Array, Array, Array]
-    solved: Index
-    given: Index
+    solved: Ints
+    given: Ints
     limits: Array
     low: Array
     high: Array
@@ -51,7 +47,7 @@ class Model:
         """Number of columns of z."""
         return HOLDER + len(self.low) - self.arm + len(self.given)
 
-    def active(self, cones: Cones) -> Index:
+    def active(self, cones: Cones) -> Ints:
         """Columns of z that may be chosen."""
         tilt = TILT if cones.tilt > 0.0 else ()
         return np.array([ROLL, *tilt, *range(HOLDER, self.columns)])
@@ -94,9 +90,9 @@ class Stretch:
     cones: Cones
     step: Array
     deposits: Array
-    centre: Index
+    centre: Ints
     D: Array
-    first: Index
+    first: Ints
     B: Array
     free: Array
     anchor: Array

@@ -14,11 +14,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from planner.cell import Cell
+from planner.readonly import Array
 from planner.resolve.demand import Demand
 from planner.resolve.node_kernel import LIMIT_ROOM
 from planner.task import NozzleTask
-
-Array = NDArray[np.float64]
 
 _SHARE = 0.6  # of the cone that is aimed at: splines cut what is found on the lattice
 _STEPS_IN_CONE = 2.0  # lattice steps in that share

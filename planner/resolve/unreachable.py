@@ -8,11 +8,11 @@ from dataclasses import replace
 from typing import NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.background import cores
 from planner.cell import Cell
 from planner.obstacles import NOTHING, Obstacles
+from planner.readonly import Array
 from planner.resolve.demand import Demand
 from planner.resolve.found import Found
 from planner.resolve.hints import path_hints, place_hints, speed_hints, stuck_at
@@ -21,8 +21,6 @@ from planner.resolve.node_kernel import CLEAR_ROOM, LIMIT_ROOM
 from planner.resolve.nodes import Grid, Nodes, evaluate
 from planner.resolve.search import best_route
 from planner.task import NozzleTask
-
-Array = NDArray[np.float64]
 
 _UNHURRIED = 1e4  # times as long on the way: if this opens one, joint speed was the reason
 SLIGHT = 1e-4  # m of clearance that a path between rungs may lack

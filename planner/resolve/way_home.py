@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cell import Cell
+from planner.readonly import Array
 from planner.resolve.nodes import Nodes
 from planner.resolve.search import joint_limits
 from planner.resolve.search_kernel import TRAVEL_PRICE
 from planner.task import NozzleTask
-
-Array = NDArray[np.float64]
 
 _LOOKS = 9  # postures along a way, by which the tip's way is measured
 

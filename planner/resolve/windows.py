@@ -6,14 +6,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from threading import Lock
 
-import numpy as np
-from numpy.typing import NDArray
-
+from planner.readonly import Array
 from planner.resolve.splines import Basis, Clock
 from planner.resolve.stretch import State
 from planner.task import NozzleTask
-
-Array = NDArray[np.float64]
 
 WINDOW = 240  # control values that move at once: fewer, and their seams cost more; more, and cores wait for each other
 OVERLAP = 40  # of a window with each neighbour

@@ -9,13 +9,11 @@ from xml.etree import ElementTree as ET
 import coal
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from planner.robot.urdf import FARTHEST, Urdf, hanging_on, origin_of
 from planner.solids import Body, Box, Capsule, ConvexSolid, Frustum, Hull
 
-Array = NDArray[np.float64]
 SHAPES = ("box", "cylinder", "sphere", "capsule", "mesh")
 THINNEST = 1e-6  # m: what is thinner is a mistake
 

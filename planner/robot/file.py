@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import InputError, nearest_name
 from planner.problem.file import Keys, Source, read_yaml_file
 from planner.problem.settings import LANGUAGE_NAMES, USUAL_LANGUAGE
+from planner.readonly import Array
 
-Array = NDArray[np.float64]
 LENGTHS = tuple(f"{name}_mm" for name in ("a1", "a2", "b", "c1", "c2", "c3", "c4"))  # of a spherical wrist's arm
 KINDS = ("offset_wrist", "seven_axes")  # spherical wrists have a section of their own, with their lengths
 

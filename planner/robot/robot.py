@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from planner.errors import nearest_name
 from planner.kinematics.axes import OtherGeometry
@@ -21,12 +20,12 @@ from planner.kinematics.seven_axes import SevenAxes, read_seven_axes
 from planner.kinematics.spherical_wrist import SphericalWrist
 from planner.problem import Problem
 from planner.problem.settings import LANGUAGE_NAMES, USUAL_LANGUAGE
+from planner.readonly import Array
 from planner.robot.bodies import read_bodies
 from planner.robot.file import KINDS, LENGTHS, RobotFile, is_number, read_robot_file
 from planner.robot.urdf import Urdf, model_of, read_urdf, turning_joints
 from planner.solids import Body
 
-Array = NDArray[np.float64]
 ROBOTS = Path(__file__).resolve().parents[2] / "robots"
 _INVERSE = ("spherical_wrist", "inverse_kinematics")  # keys, one of which an arm has
 _SAME_POSE = 1e-9  # m: closed form and URDF are one arm

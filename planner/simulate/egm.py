@@ -10,12 +10,10 @@ from collections.abc import Sequence
 from types import ModuleType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import InputError
+from planner.readonly import Array
 from planner.simulate.faults import Fault, Faults
-
-Array = NDArray[np.float64]
 
 PERIOD = 0.004  # s
 TIME_CONSTANT = 0.03  # s of the first-order lag with which the robot follows

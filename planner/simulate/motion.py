@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.export.program import Program
+from planner.readonly import Array
 
-Array = NDArray[np.float64]
 ORDER = OUTPUT, SEND, SETTLE = "output", "send", "settle"
 # lines that the board acknowledges only when they are over
 SLOW = ("G4", "M109", "M116", "M190")

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.export.player import Played, play
 from planner.export.program import Program
+from planner.readonly import Array
 from planner.simulate.motion import OUTPUT, Happening, in_order, lines
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

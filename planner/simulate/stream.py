@@ -16,12 +16,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.readonly import Array
 from planner.simulate.faults import Fault, Faults
 from planner.simulate.lines import BLOCK, bound_socket
-
-Array = NDArray[np.float64]
 
 FRAME = 96  # bytes
 CAPACITY = 256  # frames

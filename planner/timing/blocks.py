@@ -6,9 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from planner.readonly import Array
 from planner.timing.lengths import APART
-
-Array = NDArray[np.float64]
 
 
 @njit(cache=True)

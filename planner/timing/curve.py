@@ -9,9 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-from planner.readonly import ReadOnlyArrays
-
-Array = NDArray[np.float64]
+from planner.readonly import Array, ReadOnlyArrays
 
 
 @dataclass(frozen=True)

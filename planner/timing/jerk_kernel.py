@@ -25,10 +25,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from planner.readonly import Array
 from planner.timing.blocks import limits_of, overrun, runs_of, split
 from planner.timing.lengths import APART, average, even_out, go, lengths_of, move
-
-Array = NDArray[np.float64]
 
 OVERRUN = 1e-3  # of a limit: the most by which a solution may miss it; who asks for one keeps more in reserve
 _STEPS = 80  # most of the method's steps: 20 to 40 are usual

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from planner.readonly import Array
 from planner.timing.curve import Curve
 
-Array = NDArray[np.float64]
 _LEAST_NOMINAL = 0.2  # of the nominal motion's full rate: below it counts as nearly at rest
 _MEAN = 0.6  # mean speed of a nominal ramp over its last
 

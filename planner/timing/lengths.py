@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planner.readonly import Array
 
 APART = 256  # intervals over which lengths change: thirty times what an arm takes to build up its acceleration
 _TO_BOUNDARY = 0.99  # share of the way to the nearest limit that a step may go

@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from planner.background import in_threads
 from planner.cell import Limits
+from planner.readonly import Array
 from planner.timing.jerk_kernel import fastest
 from planner.timing.leg import Leg
 from planner.timing.lengths import APART
 from planner.timing.program import LEAST_RATE, Program, overruns, program_of
-
-Array = NDArray[np.float64]
 
 HEADROOM = 0.99  # share of the joint limits that is used: the rest covers the path between grid points
 ACCURACY = 1e-4  # share of the time by which the optimum may be missed

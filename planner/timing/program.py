@@ -10,11 +10,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from planner.readonly import Array
 from planner.timing.leg import Leg
 from planner.timing.lengths import APART
 from planner.timing.nearby import least_nearby, mean_nearby
 
-Array = NDArray[np.float64]
 Allowed = Callable[[Array], tuple[Array, Array]]
 
 _GRID = 0.125  # of the time in which joints build up their acceleration: the time between grid points, about

@@ -14,13 +14,11 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from planner.cell import Cell
+from planner.readonly import Array
 from planner.resolve.jointpath import JointPath
 from planner.timing.timed_path import legs_of
-
-Array = NDArray[np.float64]
 
 REFINE = 4  # grid intervals for each interval of the task's samples
 _HALVINGS = 44  # of the interval in which a largest feasible x is sought: to 1e-13 of it

@@ -5,18 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.optimize import brentq
 
 from planner.cell import Cell
 from planner.cubics import State
+from planner.readonly import Array
 from planner.resolve.jointpath import JointPath, refuse_at
 from planner.timing.curve import Curve, curve_of
 from planner.timing.leg import Leg
 from planner.timing.profile import Profile, fastest_profile
-
-Array = NDArray[np.float64]
 
 BRACKETS = 256  # in which an instant is sought at which the nozzle is at a place
 LOOKS = 4  # between two samples of the task, to see that its arc length grows

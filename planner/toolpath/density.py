@@ -7,11 +7,10 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
-Array = NDArray[np.float64]
+from planner.readonly import Array
 
 _SMOOTHING = 8.0  # mean steps over which the waypoints' own density is averaged
 _REACH = 30.0  # widths around a corner up to which samples draw together

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
+from planner.readonly import Array
 from planner.toolpath.bead import Bead
 from planner.toolpath.rounding import PlaneCurve
 
-Array = NDArray[np.float64]
 _SOURCE_STEP = 1e-4  # m: an input polyline is laid this densely, 0.04 um from the true helix at 34 mm
 
 

@@ -9,9 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from planner.readonly import Array
 from planner.toolpath.rounding import PlaneCurve
-
-Array = NDArray[np.float64]
 
 
 def shorten_travel(curves: Sequence[PlaneCurve], start: Array | None = None) -> list[PlaneCurve]:

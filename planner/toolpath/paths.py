@@ -6,14 +6,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.problem import Problem
+from planner.readonly import Array
 
 if TYPE_CHECKING:
     from planner.toolpath.svg import PlanePath
 
-Array = NDArray[np.float64]
 
 _SHRUNK = 0.5  # share of its length that a path must keep when its corners are rounded
 _KINK = np.radians(10.0)  # a turn above this at one vertex counts as a corner when a seam is looked for

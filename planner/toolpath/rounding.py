@@ -17,13 +17,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
+
+from planner.readonly import Array
 
 if TYPE_CHECKING:
     from planner.toolpath.svg import PlanePath
 
-Array = NDArray[np.float64]
 
 SAMPLES_PER_TOLERANCE = 2.0  # sample spacing = tolerance / 2: a rounded corner is some 10 tolerances long
 ROUNDING_LENGTH = 12.5  # l in tolerances: long enough that a right angle uses its whole disc

@@ -6,12 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planner.readonly import ReadOnlyArrays
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from planner.readonly import Array, Ints, ReadOnlyArrays
 
 _AROUND = 96  # corners of a circle
 _DOWN = 24  # rings of a dome
@@ -28,7 +24,7 @@ class Shape(ReadOnlyArrays):
 
     vertices: Array
     normals: Array
-    triangles: Index
+    triangles: Ints
 
 
 def cylinder_shape(radius: float, height: float, centre: Array) -> Shape:
@@ -78,7 +74,7 @@ def skin_shape(at: Callable[[Array], tuple[Array, Array]], low: Array, high: Arr
     )  # rows run along x
 
 
-def _squares(rows: int, columns: int) -> Index:
+def _squares(rows: int, columns: int) -> Ints:
     """Triangles of a grid of vertices that is counter-clockwise where columns run to the right and rows up."""
     corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     right, above = corner + 1, corner + columns

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planner.readonly import Array
 
 _CLEAR = 0.3  # least sine of the angle between normals and an axis that is projected onto the tangent plane
 

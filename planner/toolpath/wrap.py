@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.readonly import Array
 from planner.toolpath.bead import Bead
 from planner.toolpath.laying import bead_along, densify
 from planner.toolpath.rounding import PlaneCurve
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

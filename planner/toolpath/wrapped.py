@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.problem import Problem
 from planner.problem.drawings import LayersSpec
@@ -16,8 +15,6 @@ from planner.toolpath.rounding import round_corners
 from planner.toolpath.shape import cylinder_shape
 from planner.toolpath.svg import PlanePath, read_svg
 from planner.toolpath.wrap import Cylinder, wrap_layer
-
-Array = NDArray[np.float64]
 
 
 def wrap_drawing(problem: Problem, spec: LayersSpec) -> Toolpath:

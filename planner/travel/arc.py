@@ -10,17 +10,15 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from planner.cell import Cell
 from planner.cubics import Cubics, chain
+from planner.readonly import Array
 from planner.travel.clearance import SLOPE, Room, track
 from planner.travel.moves import Bounds, between, stopped
 from planner.travel.ways import Built, Ends, reaching
-
-Array = NDArray[np.float64]
 
 _STEPS = 30  # of the walk round the part, if it were straight
 _GROWTH = 0.3  # of the distance from the nearer end: how long steps may be

@@ -10,14 +10,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.obstacles import Obstacles
+from planner.readonly import Array
 from planner.travel.clearance import SWEPT, Room, nozzle_points
 from planner.travel.ways import Ends, lifted
-
-Array = NDArray[np.float64]
 
 _LIFTS = (1.0, 4.0, 16.0)  # of the least lift, from which it starts, in turn
 _DRAWN = 1500  # postures, at most

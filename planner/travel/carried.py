@@ -9,15 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.cubics import Cubics, State, add, extremes
+from planner.readonly import Array
 from planner.timing import HEADROOM, TimedPath
 from planner.travel.clearance import track
 from planner.travel.plan import Travel, ViaHome, within_limits
-
-Array = NDArray[np.float64]
 
 _FAST = 0.995  # of the tip's greatest speed: what is slow enough between instants
 # Position, velocity and acceleration at the end of three equal spells of jerk, for each jerk in turn (cf. h^3, h^2, h).

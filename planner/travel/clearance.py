@@ -6,15 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.cubics import Cubics, State
-from planner.readonly import ReadOnlyArrays, read_only
+from planner.readonly import Array, Ints, ReadOnlyArrays, read_only
 from planner.toolpath.bead import Surface
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 NOZZLE_POINTS = (0.0, 0.01, 0.03, 0.06, 0.1)  # m behind the tip, along the nozzle, that must keep clear
 SLOPE = 0.5  # height gained, for each distance from an end: as steeply as runs rise
@@ -144,7 +140,7 @@ def _needed(points: Array, tips: Array, gaps: Array, full: float, floor: float) 
 
 
 @njit(cache=True)
-def _left_open(points: Array, needed: Array, least: Array, before: int, stride: int) -> tuple[Index, Index]:
+def _left_open(points: Array, needed: Array, least: Array, before: int, stride: int) -> tuple[Ints, Ints]:
     """Which of every `stride`-th instant's points lack distance for all that is known: their rows and columns.
 
     What is known of every `before`-th instant, if any, is brought into least (k, n) at these instants.

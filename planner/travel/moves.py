@@ -11,11 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import ruckig
 from numba import njit
-from numpy.typing import NDArray
 
 from planner.cubics import Cubics, State
-
-Array = NDArray[np.float64]
+from planner.readonly import Array
 
 _REACHED = (ruckig.Result.Working, ruckig.Result.Finished)
 _EXACT = 1e-9  # rad, rad/s, rad/s^2: how well a move must end where it should; ruckig's own measure is 1e-8

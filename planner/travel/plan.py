@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.cubics import Cubics, State, extremes
@@ -26,8 +25,6 @@ from planner.travel.clearance import Room, fine, glance, room, track
 from planner.travel.moves import between
 from planner.travel.upright import above, along_normal
 from planner.travel.ways import Built, Caps, Ends
-
-Array = NDArray[np.float64]
 
 LOW_HUMPS = (0.6, 0.35)  # of the least lift, by which the nozzle is raised where little is enough: beads close by
 HIGH_HUMPS = (1.6, 2.5)  # where the lift alone is not enough

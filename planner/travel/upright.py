@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.cubics import Cubics, State, rest
 from planner.travel.arc import along_tips
 from planner.travel.clearance import Room
 from planner.travel.ways import Ends, at_rest, reaching
-
-Array = NDArray[np.float64]
 
 _PLACES = 31  # along the normal, that the tip keeps to
 _LEAST = 1e-6  # m: a lower lift is none

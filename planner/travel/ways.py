@@ -12,17 +12,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.cubics import Cubics, State, add, chain, extremes, rest
 from planner.kinematics.chain import chain_jacobians, chain_poses
 from planner.kinematics.newton import solve_symmetric
+from planner.readonly import Array
 from planner.timing import HEADROOM
 from planner.travel.clearance import Room
 from planner.travel.moves import LEAST_LEFT, Bounds, between, resting, time_beside
-
-Array = NDArray[np.float64]
 
 DRAW_BACK = 0.5  # rad of the lower arm, backwards: lifts the nozzle off the part and towards the arm's base
 _NEWTON_STEPS = 4  # towards a tip position, at most

@@ -8,15 +8,12 @@ from functools import cached_property
 
 import coal
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cell import Cell
+from planner.readonly import Array
 from planner.replay import joint_poses
 from planner.robot.robot import Robot
 from planner.solids import Body, Box, Capsule, Frustum, Mesh, Solid, triangles_of
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 ARM, HEAD, HOLDER, CARRIED, FIXTURE = "arm", "head", "holder", "carried", "fixture"
 _TRIED = 64  # postures in which two bodies of one robot must all be too near, to count as joined

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.plan import Check, Trajectory
-
-Array = NDArray[np.float64]
+from planner.readonly import Array
 
 SPEED_TOLERANCE = 0.02  # of the commanded speed: within it a sample counts as at speed
 DIGITS = 1e-9  # relative: limits are compared with this much room for rounding

@@ -5,20 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.plan import Approach, CellView, Check, Trajectory
 from planner.print_body import PrintBody
 from planner.problem import Problem
+from planner.readonly import Array
 from planner.solids import triangles_of
 from planner.toolpath.bead import Toolpath
 from planner.verify.bodies import HEAD, CellBodies, Distances, Pair, all_at_home, pairs
 from planner.verify.checks import DIGITS, place
 from planner.verify.collision import FAR, PrintPair, Swept, print_pairs, sweep
 from planner.verify.nozzle import Nearness, check_nozzle, print_times
-
-Array = NDArray[np.float64]
 
 MOST_APPROACHES = 12
 

@@ -10,15 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.point_tree import least_distances, search_room
 from planner.print_body import PrintBody
+from planner.readonly import Array, Ints
 from planner.solids import Body, Mesh, Packed, packed
 from planner.verify.bodies import ARM, FIXTURE, CellBodies, Distances, Pair, Thing
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 FAR = 50e-3  # m: what is farther away is that far away
 _SEEN = 0.1  # m: so far distances from the print are told apart, since what is farther away may be left out longer
@@ -41,7 +38,7 @@ class Swept:
 
     distance: Array
     at: Array
-    points: Index
+    points: Ints
     nearest: Array
     looks: int
 
@@ -148,7 +145,7 @@ class _Sweep:
         found = self.least - np.maximum(TOLERANCE, _SHARE * np.abs(self.least - self.need))
         return np.where(self.least >= self.need, np.maximum(found, self.need - TOLERANCE), found)
 
-    def _bound(self, pair: Index, a: Index, b: Index, da: Array, db: Array) -> Array:
+    def _bound(self, pair: Ints, a: Ints, b: Ints, da: Array, db: Array) -> Array:
         """What no distance of a pair falls below between instants a and b, where it is da and db."""
         turned = self._at(self.turned, b) - self._at(self.turned, a)
         moved = (turned * self.swing[pair]).sum(axis=1)
@@ -156,17 +153,17 @@ class _Sweep:
         grown = self.printed[pair] & (self._printed(b) > self._printed(a))  # at b all is there that is there between
         return np.where(grown, db - moved, both)
 
-    def _at(self, values: Array, instant: Index) -> Array:
+    def _at(self, values: Array, instant: Ints) -> Array:
         """Values (n, ...) of samples at instants."""
         k, part = np.divmod(instant, _PARTS)
         share = (part / _PARTS)[:, None]
         return (1.0 - share) * values[k] + share * values[np.minimum(k + 1, len(values) - 1)]
 
-    def _printed(self, instant: Index) -> Array:
+    def _printed(self, instant: Ints) -> Array:
         """What is printed at instants: as at the next sample."""
         return self.now[-(-instant // _PARTS)]
 
-    def _distances(self, pair: Index, instant: Index) -> Array:
+    def _distances(self, pair: Ints, instant: Ints) -> Array:
         """Distances of pairs at instants, or lower bounds beyond FAR; the least are kept."""
         out = np.empty(len(pair))
         order = np.argsort(instant, kind="stable")
@@ -181,7 +178,7 @@ class _Sweep:
                 out[near[own]] = self._of_pair(k, instant[near[own]], poses, of[own])
         return out
 
-    def _apart(self, pair: Index, which: Index, poses: Array) -> Array:
+    def _apart(self, pair: Ints, which: Ints, poses: Array) -> Array:
         """Distances of balls around the two of each pair, at poses[which]."""
         middle, reach = [], np.zeros(len(pair))
         for carrier, centre, size in self.balls:
@@ -190,7 +187,7 @@ class _Sweep:
             reach += size[pair]
         return np.asarray(np.linalg.norm(middle[0] - middle[1], axis=1) - reach)
 
-    def _of_pair(self, k: int, instant: Index, poses: Array, which: Index) -> Array:
+    def _of_pair(self, k: int, instant: Ints, poses: Array, which: Ints) -> Array:
         """Distances of one pair at instants (n), which increase, where carriers are at poses[which]."""
         pair = self.pairs[k]
         self.looks += len(instant)
@@ -204,7 +201,7 @@ class _Sweep:
             self.least[k], self.at[k], self.points[k] = distance[best], instant[best] / _PARTS, point[best]
         return distance
 
-    def _from_print(self, pair: PrintPair, poses: Array, which: Index, now: Array) -> tuple[Array, Index]:
+    def _from_print(self, pair: PrintPair, poses: Array, which: Ints, now: Array) -> tuple[Array, Ints]:
         """Distances (n) of a thing from what is printed at times now (n), _SEEN at most and about beyond FAR, and the
         nearest points or -1."""
         thing, solid, tree = self.bodies.things[pair.a], self.solids[pair.a], self.tree

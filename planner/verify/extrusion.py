@@ -17,12 +17,12 @@ from planner.plan import Check, Event, Trajectory
 from planner.plan.materials import filament_areas
 from planner.problem import Problem
 from planner.problem.process import ProcessSpec
+from planner.readonly import Array
 from planner.replay import Motion
 from planner.toolpath.bead import Bead, Toolpath
 from planner.verify.checks import SPEED_TOLERANCE, check_most, samples_of
 from planner.verify.materials import materials
 
-Array = NDArray[np.float64]
 Samples = NDArray[np.intp]
 
 EXTRUSION_TOLERANCE = 1e-3  # of the volume

@@ -11,21 +11,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cell import Cell
 from planner.plan import Check, Trajectory
 from planner.point_tree import PointTree, search_room
 from planner.print_body import TIP_SLOPE, PrintBody, tip_slack
 from planner.problem import Problem
+from planner.readonly import Array, Ints
 from planner.replay import Motion
 from planner.solids import Packed, packed
 from planner.toolpath.bead import Toolpath
 from planner.verify.checks import DIGITS, place
 from planner.verify.nozzle_kernel import FAR, least_along, margins_along
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 _STEEP = 1e3  # slope that lets nothing within the tip's zone count
 
@@ -93,7 +90,7 @@ def beyond_the_tip(
     return Nearness(margin, *found)
 
 
-def _points(tree: PointTree) -> tuple[Array, Array, Array, Array, Array, Array, Index, Index]:
+def _points(tree: PointTree) -> tuple[Array, Array, Array, Array, Array, Array, Ints, Ints]:
     """A tree as the kernels want it."""
     return tree.points, tree.radius, tree.time, tree.centre, tree.reach, tree.since, tree.left, tree.right
 
@@ -132,7 +129,7 @@ def check_nozzle(problem: Problem, cell: Cell, t: Trajectory, body: PrintBody, r
     return Check("nozzle clear of part and print", worst * 1e3, need * 1e3, "mm", ok, where, least=True, sample=at)
 
 
-def _looked_ahead(tip: Array, now: Array, slack: Array) -> Index:
+def _looked_ahead(tip: Array, now: Array, slack: Array) -> Ints:
     """For each sample (n) the one up to which what is laid may count as there: a part of the tip's zone ahead."""
     far = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))])
     bead = np.floor(now)

@@ -10,12 +10,9 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from planner.point_tree import nearest_point, point_value, solid_distance
 from planner.print_body import TIP_SLOPE
-
-Array = NDArray[np.float64]
 
 FAR = 50e-3  # m: what is farther away is that far away
 TOLERANCE = 1e-4  # m: no distance is missed that is less than the least that is found by more

@@ -11,13 +11,11 @@ that no height is added to this by the lean, whichever way it is.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.plan import Trajectory
+from planner.readonly import Array
 from planner.toolpath.bead import Toolpath
 from planner.verify.checks import samples_of
-
-Array = NDArray[np.float64]
 
 
 def bead_errors(toolpath: Toolpath, t: Trajectory, lean: Array) -> Array:

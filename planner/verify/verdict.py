@@ -9,7 +9,6 @@ from functools import reduce
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from planner.cell import Cell
@@ -17,6 +16,7 @@ from planner.nearest import distance_to_polyline
 from planner.plan import Approach, CellView, Check, Trajectory
 from planner.print_body import PrintBody, print_body, standing
 from planner.problem import Problem
+from planner.readonly import Array
 from planner.replay import replay
 from planner.toolpath.bead import Toolpath
 from planner.verify.checks import DIGITS, SPEED_TOLERANCE, check_least, check_most, place, samples_of
@@ -24,8 +24,6 @@ from planner.verify.clear import keep_apart, sweep_cell
 from planner.verify.extrusion import extrusion
 from planner.verify.nozzle import beyond, by_the_tip
 from planner.verify.tilt import bead_errors
-
-Array = NDArray[np.float64]
 
 POSITION_TOLERANCE = 2e-5  # m, tip against the rounded path: no more than interpolation between waypoints may add
 AXIS_TOLERANCE = np.radians(0.05)  # rad, nozzle axis against the true normal

@@ -15,12 +15,11 @@ from planner.export.axes.reader import AxesProgram, read_axes
 from planner.export.extruder.orders import orders
 from planner.export.moves import nearest_fraction
 from planner.export.rotations import continuous
+from planner.readonly import Array
 
 if TYPE_CHECKING:
     from planner.plan import Plan
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 PATH = 0.05e-3  # m
 LEAN = np.radians(0.1)

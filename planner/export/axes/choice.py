@@ -7,13 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from planner.export.axes.machine import Machine, Ways
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Indices = NDArray[np.intp]
+from planner.readonly import Array, Flags, Indices
 
 TURN = 2.0 * np.pi
 JUMP = np.radians(10.0)  # between two samples: more than that is another way, not a motion

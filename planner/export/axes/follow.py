@@ -6,19 +6,16 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.export.axes.choice import chosen, missing
 from planner.export.axes.machine import FiveAxes, Machine, Robot, machine_of
 from planner.export.rotations import continuous, slerp
+from planner.readonly import Array, Flags, Indices
 
 if TYPE_CHECKING:
     from planner.plan import Plan
     from planner.problem.machine import MachineSpec
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Indices = NDArray[np.intp]
 
 FINEST = np.radians(2.0)  # that an axis turns between two samples: poses between them are added where it turns more
 MOST_ADDED = 60  # between two samples, each time

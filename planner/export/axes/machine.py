@@ -12,15 +12,13 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.export.rotations import angle, from_matrix, to_matrix
+from planner.readonly import Array, Flags
 
 if TYPE_CHECKING:
     from planner.problem.machine import MachineSpec
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 FREE = np.radians(0.02)  # from a direction that leaves an axis free: nearer counts as there, of 0.1 deg allowed
 BEYOND = 1e-9  # by which a square may be negative from rounding

@@ -8,15 +8,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import InputError
 from planner.export.axes.flavours import FLAVOURS, feed_length
+from planner.readonly import Array
 
 if TYPE_CHECKING:
     from planner.problem.machine import MachineSpec
 
-Array = NDArray[np.float64]
 
 MOST_CHARACTERS = 256  # of a line; LinuxCNC takes no more
 _MOVE = re.compile(r"G([01])((?: [A-Z]-?\d{1,7}\.\d{4,5})+)")

@@ -5,17 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.export.axes.follow import Followed
 from planner.export.moves import ANGLE_TOLERANCE, ROUNDING, TIME_TOLERANCE, nearest_fraction
 from planner.export.rests import ON_TIME
 from planner.export.thinning import Indices, by_samples, thin
+from planner.readonly import Array
 
 if TYPE_CHECKING:
     from planner.plan import Plan
 
-Array = NDArray[np.float64]
 
 FILAMENT_TOLERANCE = 5e-6  # m of filament that a line may be ahead or behind
 STILL = 1e-7  # m, rad by which nothing moves

@@ -16,12 +16,12 @@ from planner.export.axes.machine import FiveAxes
 from planner.export.axes.targets import kept
 from planner.export.extruder.orders import Order, orders
 from planner.export.rests import ON_TIME
+from planner.readonly import Array
 
 if TYPE_CHECKING:
     from planner.plan import Plan
     from planner.problem.machine import MachineSpec
 
-Array = NDArray[np.float64]
 
 DECIMALS = 4  # of mm and of degrees: 0.1 um, and as little at a metre's distance
 FILAMENT_DECIMALS = 5  # mm

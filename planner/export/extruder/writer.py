@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.export.extruder.orders import orders
+from planner.readonly import Indices
 
 if TYPE_CHECKING:
     from planner.plan import Plan, Trajectory
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 Labels = NDArray[np.int64]
 
 BLOCK_S = 0.02  # shortest command [s]: a board that is fed faster than 50 lines/s may stutter

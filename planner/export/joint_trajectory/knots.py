@@ -10,17 +10,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from planner.export.moves import ANGLE_TOLERANCE, ROUNDING, TRAVEL_TOLERANCE
 from planner.export.rotations import to_matrix
 from planner.export.thinning import Indices, by_samples, thin
+from planner.readonly import Array
 
 if TYPE_CHECKING:
     from planner.plan import Plan
 
-Array = NDArray[np.float64]
 
 FARTHEST = 64  # samples between two points, at most: where thinning starts
 VELOCITY_SHARE = 0.005  # of a joint's limit, by which the splines may miss the planned velocity

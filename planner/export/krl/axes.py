@@ -13,10 +13,8 @@ LIN ignores both; they decide how a program is entered at a target, and PTP targ
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Whole = NDArray[np.intp]
+from planner.readonly import Array, Indices
 
 SIGNS = np.array([-1.0, 1.0, 1.0, -1.0, 1.0, -1.0])
 OFFSETS = np.radians([0.0, -90.0, 90.0, 0.0, 0.0, 0.0])
@@ -36,24 +34,24 @@ def from_kuka(axes: Array) -> Array:
     return out
 
 
-def status(branch: Whole) -> Whole:
+def status(branch: Indices) -> Indices:
     """Status (m) of branches (m)."""
     behind, below, flipped = (branch & bit > 0 for bit in (BEHIND_AXIS_1, BEHIND_LOWER_ARM, AXIS_5_NEGATIVE))
-    out: Whole = behind * 1 + ~below * 2 + flipped * 4
+    out: Indices = behind * 1 + ~below * 2 + flipped * 4
     return out
 
 
-def branch_of(status_: Whole) -> Whole:
+def branch_of(status_: Indices) -> Indices:
     """Branches (m) of Status (m)."""
-    out: Whole = (
+    out: Indices = (
         (status_ & 1 > 0) * BEHIND_AXIS_1 + (status_ & 2 == 0) * BEHIND_LOWER_ARM + (status_ & 4 > 0) * AXIS_5_NEGATIVE
     )
     return out
 
 
-def turn(q: Array) -> Whole:
+def turn(q: Array) -> Indices:
     """Turn (m) of our joints (m, 6)."""
-    out: Whole = (np.round(to_kuka(q), 9) < 0.0) @ (1 << np.arange(6))
+    out: Indices = (np.round(to_kuka(q), 9) < 0.0) @ (1 << np.arange(6))
     return out
 
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.export.blends import blend_complaints
 from planner.export.krl.axes import from_kuka, to_kuka, turn
@@ -17,11 +16,11 @@ from planner.export.krl.writer import LEAST_SPEED, SPEED, percent, radii_of, set
 from planner.export.moves import Moves, plan_moves
 from planner.export.outputs import named, output_numbers
 from planner.export.playable import played_complaints
+from planner.readonly import Array
 
 if TYPE_CHECKING:
     from planner.plan import Plan
 
-Array = NDArray[np.float64]
 
 ROUNDING = np.radians(1.01e-4)  # of axes
 

@@ -7,15 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import InputError
 from planner.export.krl.axes import branch_of, quaternions
 from planner.export.program import UNSAID, Program, Trigger
 from planner.export.rotations import from_matrix
+from planner.readonly import Array, Indices
 
-Array = NDArray[np.float64]
-Whole = NDArray[np.intp]
 Forward = Callable[[Array], Array]
 
 NUMBER = r"-?[0-9]+(?:\.[0-9]+)?"
@@ -71,8 +69,8 @@ class Source:
 
     program: Program
     axes: Array
-    turn: Whole
-    share: Whole
+    turn: Indices
+    share: Indices
     settings: dict[str, str]
 
 

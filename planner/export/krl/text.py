@@ -5,12 +5,10 @@ from __future__ import annotations
 import re
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.export.krl.axes import angles
 from planner.export.rapid.text import module_name, number
-
-Array = NDArray[np.float64]
+from planner.readonly import Array
 
 LONGEST_NAME = 24
 LONGEST_COMMENT = 100

@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.export.about import about
 from planner.export.blends import move_radii
@@ -24,11 +23,11 @@ from planner.export.rapid.targets import external_degrees
 from planner.export.rests import Wait
 from planner.export.rotations import to_matrix
 from planner.plan.materials import materials_of
+from planner.readonly import Array
 
 if TYPE_CHECKING:
     from planner.plan import Plan
 
-Array = NDArray[np.float64]
 
 SPEED = 4  # decimals of m/s
 LEAST_SPEED = 10.0**-SPEED

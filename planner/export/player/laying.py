@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.export.player.played import Played
+from planner.readonly import Array, Flags
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 AT_ONCE = 1e-9  # s by which what happens at a target may miss it
 
 

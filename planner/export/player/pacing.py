@@ -6,18 +6,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.export.player.played import PHASES, TIMES
 from planner.export.player.postures import Knots
 from planner.export.program import Program
 from planner.export.rotations import angle
+from planner.readonly import Array, Indices
 
 if TYPE_CHECKING:
     from planner.cell import Cell
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 # Metres of path that a joint's way counts as, by the second that it would take at its own speed limit: where the tip
 # hardly moves, or stands, joints measure the path. A printing tip moves faster than this.

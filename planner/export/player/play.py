@@ -19,7 +19,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.export.player.pacing import pace
 from planner.export.player.played import Happening, Played
@@ -30,7 +29,6 @@ from planner.export.rotations import continuous, from_matrix
 if TYPE_CHECKING:
     from planner.cell import Cell
 
-Array = NDArray[np.float64]
 ORDER = {"output": 0, "demand": 1, "send": 2, "wait": 3}  # of what happens at the same time
 
 

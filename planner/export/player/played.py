@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.export.rotations import slerp
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from planner.readonly import Array, Indices
 
 # A way has three parts: from its first speed to the one that is then kept, and on to that of the next way.
 PHASES = ("speed", "first acceleration", "its time", "time of even speed", "last acceleration", "its time")

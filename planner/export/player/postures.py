@@ -7,18 +7,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import InputError
 from planner.export.program import Program
 from planner.export.rotations import angle, from_matrix, slerp, to_matrix
+from planner.readonly import Array, Flags, Indices
 
 if TYPE_CHECKING:
     from planner.cell import Cell
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
-Flags = NDArray[np.bool_]
 
 # Between two knots joints are interpolated: on an arm of 0.3 m a line of this length leaves its chord by 4 um,
 # and the tip of a nozzle of 0.15 m, where the nozzle turns by this angle, by 6 um.

@@ -8,7 +8,6 @@ import re
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.export.extruder.check import AMOUNT
 from planner.export.extruder.orders import orders
@@ -17,11 +16,11 @@ from planner.export.program import Program
 from planner.export.rapid.demand import PERCENT, flow
 from planner.export.rapid.lines import COLUMNS, RELATIVE
 from planner.plan.materials import used
+from planner.readonly import Array
 
 if TYPE_CHECKING:
     from planner.plan import Plan
 
-Array = NDArray[np.float64]
 
 SHIFTS = (-1, 0, 1)  # samples by which a target may be mistaken for its neighbour
 LONGER = (

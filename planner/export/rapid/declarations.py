@@ -5,18 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.export.about import about
 from planner.export.moves import Moves
 from planner.export.rapid.text import comment, number
 from planner.export.rotations import from_matrix
 from planner.plan.materials import materials_of
+from planner.readonly import Array
 
 if TYPE_CHECKING:
     from planner.plan import Plan
 
-Array = NDArray[np.float64]
 
 HEAD_ROOM = 1.5  # of reorientation and axis speeds over what the plan needs, so that the tip's speed alone governs
 SECOND_ARM = (

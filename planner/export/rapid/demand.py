@@ -12,11 +12,11 @@ from planner.errors import InputError
 from planner.export.moves import Moves
 from planner.export.rapid.fed import laid_filament
 from planner.plan.materials import filament_areas
+from planner.readonly import Array
 
 if TYPE_CHECKING:
     from planner.plan import Plan
 
-Array = NDArray[np.float64]
 
 PERCENT = 0.01  # of the largest flow: the step of the demand
 DECIMALS = 4  # of the output's value

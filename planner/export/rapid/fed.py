@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from planner.readonly import Array, Indices
 
 if TYPE_CHECKING:
     from planner.plan import Event, Trajectory
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 
 def event_samples(trajectory: Trajectory) -> Indices:

@@ -17,12 +17,11 @@ from planner.errors import InputError
 from planner.export.extruder.orders import orders
 from planner.export.moves import Moves, deposits
 from planner.export.rapid.fed import laid_filament
+from planner.readonly import Indices
 
 if TYPE_CHECKING:
     from planner.plan import Plan, Trajectory
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 SHORTEST = 0.02  # s that a line lasts, as in extruder.writer: a board that gets more than 50 lines/s may stutter
 LONGEST_LINE = 60  # characters: with number and line end it fits into a string of RAPID

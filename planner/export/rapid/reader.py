@@ -7,7 +7,6 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import InputError
 from planner.export.program import Program, Trigger
@@ -25,8 +24,7 @@ from planner.export.rapid.syntax import (
     target_numbers,
 )
 from planner.export.rapid.text import ZONES
-
-Array = NDArray[np.float64]
+from planner.readonly import Array
 
 # What stands around the motion, in main alone: it must all be there, before the start or behind the last move.
 AROUND = ("setting", "unit", "output", "demanded")

@@ -7,14 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import InputError
 from planner.export.rapid.lines import LONGEST_LINE
 from planner.export.rapid.modules import HOME
 from planner.export.rapid.server import END, LATEST, LINE, OPEN, SETTLE, server_declarations
+from planner.readonly import Array
 
-Array = NDArray[np.float64]
 Parts = tuple[str | None, ...]
 Place = tuple[str, int]  # file, line
 Step = tuple[str, Place, Parts]  # word, place, what stands in it

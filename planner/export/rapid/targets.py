@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from planner.export.moves import Moves
 from planner.export.rotations import continuous
 from planner.plan import RAPID_EXTERNAL_AXES
+from planner.readonly import Array
 
 if TYPE_CHECKING:
     from planner.cell import Cell
     from planner.plan import Plan
 
-Array = NDArray[np.float64]
 UNUSED = "9E9"
 
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from planner.readonly import Array
 
 if TYPE_CHECKING:
     from planner.cell import Cell
-
-Array = NDArray[np.float64]
 
 
 def world_controller(cell: Cell) -> Array:

@@ -7,14 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import InputError
 from planner.export.program import UNSAID, Program, Trigger
 from planner.export.rotations import from_matrix
 from planner.export.urscript.frames import quaternions
+from planner.readonly import Array
 
-Array = NDArray[np.float64]
 Forward = Callable[[Array], Array]
 
 NUMBER = r"-?[0-9]+(?:\.[0-9]+)?"

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.export.about import about
 from planner.export.blends import move_radii
@@ -26,11 +25,11 @@ from planner.export.rotations import from_matrix
 from planner.export.urscript.able import unsaid_in_urscript
 from planner.export.urscript.frames import rotation_vectors, world_controller
 from planner.plan.materials import materials_of
+from planner.readonly import Array
 
 if TYPE_CHECKING:
     from planner.plan import Plan
 
-Array = NDArray[np.float64]
 
 LONGEST_COMMENT = 100
 LENGTH, ANGLE = 6, 6  # decimals of metres and radians

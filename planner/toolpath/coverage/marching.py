@@ -6,10 +6,8 @@ import heapq
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from planner.readonly import Array, Ints
 
 
 def march(points: Array, triangles: Ints, start: Array) -> Array:

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from planner.readonly import Array, Ints
 
 # Samples nearer than this many spacings are neighbours. With a knight's move (2.24) among them, the shortest way over
 # neighbours is at most 3 % longer than the straight one.

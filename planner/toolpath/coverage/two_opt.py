@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from planner.readonly import Array, Ints
 
 _LONGEST_MOVED = 3  # samples in a piece that is moved (Or-opt)
 _GAIN = 1e-9  # of the mean distance: less is rounding

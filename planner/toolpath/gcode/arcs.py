@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planner.readonly import Array
 
 _OFF = 0.01, 5e-5  # share of the radius, and m, by which an arc's ends may differ in it: files are rounded
 _MOST_CHORDS = 10_000

@@ -8,12 +8,12 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import InputError
 from planner.problem import Problem
 from planner.problem.extrusion import SectionName
 from planner.problem.gcode import GcodeLayersSpec
+from planner.readonly import Array
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.gcode.reader import GcodeFile, Thread, read_gcode
 from planner.toolpath.gcode.surface import LevelLayers
@@ -21,8 +21,6 @@ from planner.toolpath.laying import arc_length, densify
 from planner.toolpath.paths import length
 from planner.toolpath.rounding import PlaneCurve, round_corners
 from planner.toolpath.svg import PlanePath
-
-Array = NDArray[np.float64]
 
 SAME_LEVEL = 5e-6  # m: z of one layer differs by less, however it is rounded
 SIZES = (1e-5, 50e-3)  # m: widths and heights of beads that can be meant

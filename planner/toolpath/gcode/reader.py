@@ -14,10 +14,8 @@ from numpy.typing import NDArray
 
 from planner.errors import Complaint, InputError
 from planner.input_file import read_text
-from planner.readonly import ReadOnlyArrays
+from planner.readonly import Array, ReadOnlyArrays
 from planner.toolpath.gcode.arcs import NoArc, arc_by_centre, centre_by_radius
-
-Array = NDArray[np.float64]
 
 LARGEST_FILE = 200_000_000  # bytes: some six million moves
 FARTHEST = 100.0  # m: a hall

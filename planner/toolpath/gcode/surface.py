@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from planner.readonly import Array
 from planner.toolpath.bead import Bead
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

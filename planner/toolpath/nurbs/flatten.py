@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from planner.problem.curves import CurveSpec
+from planner.readonly import Array
 from planner.toolpath.svg import PlanePath
-
-Array = NDArray[np.float64]
 
 FLATNESS = 1e-6  # m, between chords and curve: far below any tolerance, and some 200 points for a curve of 100 mm
 _PIECES = 8  # of each span between knots at first

@@ -9,14 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from planner.readonly import ReadOnlyArrays, read_only
+from planner.readonly import Array, Ints, ReadOnlyArrays, read_only
 from planner.toolpath.step.face import Face
 from planner.toolpath.step.nearest import settle, signed
 from planner.toolpath.step.splines import SplineSet
 from planner.toolpath.step.trim import all_inside, normals_met, raster_of, shared
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _COARSEST, _FINEST, _SHARE = 5e-3, 1e-3, 0.01  # m between samples of a face, as a share of its size
 _MOST_ACROSS = 400  # samples of a face along u or v

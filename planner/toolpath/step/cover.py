@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.problem import Problem
 from planner.problem.faces import FaceLayersSpec
+from planner.readonly import Array
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.coverage.registry import ORDERS
 from planner.toolpath.coverage.rows import NotCoveredError, TooSmallError, cover
@@ -25,8 +25,6 @@ from planner.toolpath.step.layers import FaceLayers, laid
 from planner.toolpath.step.regions import smooth_regions
 from planner.toolpath.step.sampling import TooMany, sample_faces
 from planner.toolpath.step.shape import faces_shape
-
-Array = NDArray[np.float64]
 
 _QUARTER = 0.25  # of the spacing between points along the faces' edges
 _APART = 0.5  # of the spacing: so far apart are the source's points at most

@@ -5,14 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planner.readonly import ReadOnlyArrays
+from planner.readonly import Array, ReadOnlyArrays
 from planner.toolpath.interpolation import calm_path, interpolate
 from planner.toolpath.step.body import FaceBody, Places
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _STEP = 2e-3  # m between the places on the faces that the curve is laid through
 _FEWEST = 12  # steps of a curve

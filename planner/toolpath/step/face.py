@@ -5,13 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planner.readonly import ReadOnlyArrays
+from planner.readonly import Array, Ints, ReadOnlyArrays
 from planner.toolpath.step.splines import SplineSet, SplineSurface
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

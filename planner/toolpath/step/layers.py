@@ -6,16 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.readonly import Array, Ints
 from planner.toolpath.bead import Bead
 from planner.toolpath.laying import arc_length
 from planner.toolpath.step.body import FaceBody
 from planner.toolpath.step.curves import FaceCurve
 from planner.toolpath.transport import roll_zeros
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _CLOSED = 1e-6  # m between the ends of a closed curve
 

@@ -6,11 +6,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from planner.readonly import Array, Ints
 from planner.toolpath.step.splines import fill_normal, foot_of
 from planner.toolpath.step.trim import is_inside
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 SHELL = 10e-3  # m of material beneath open faces: nothing else is known of it
 _ASIDE = 1e-8  # m, by which a perpendicular may miss a point

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from OCP.BRep import BRep_Builder, BRep_Tool
 from OCP.BRepAdaptor import BRepAdaptor_Curve, BRepAdaptor_Curve2d
 from OCP.BRepBuilderAPI import BRepBuilderAPI_NurbsConvert, BRepBuilderAPI_Sewing
@@ -29,10 +28,8 @@ from OCP.TopExp import TopExp, TopExp_Explorer
 from OCP.TopoDS import TopoDS, TopoDS_Compound
 
 from planner.garbage import look_again
+from planner.readonly import Array
 from planner.toolpath.step.choice import Damaged, choose_faces
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 MOST_FACES = 5000  # read and converted in some 20 s
 _FEWEST = 3  # points of a loop

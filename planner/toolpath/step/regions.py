@@ -10,10 +10,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from planner.readonly import Array
 from planner.toolpath.step.face import Face
 from planner.toolpath.step.trim import ON_THE_RIM
-
-Array = NDArray[np.float64]
 
 SMOOTH = np.radians(0.04)  # between normals along a shared edge: half of what the nozzle's axis may be off the normal
 

@@ -8,12 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from planner.readonly import Array, Ints
 from planner.toolpath.coverage.sampled import SampledSurface
 from planner.toolpath.step.body import FaceBody
 from planner.toolpath.step.trim import ON_THE_RIM
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 TOLERANCE = 1e-6  # m: the paper's t, by which a distance may miss the desired one
 MOST_SAMPLES = 200_000

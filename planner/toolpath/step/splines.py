@@ -11,12 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from planner.readonly import ReadOnlyArrays
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from planner.readonly import Array, Ints, ReadOnlyArrays
 
 BEYOND = 0.02  # of the domain's width: so far a surface is followed beyond its rim
 _POLE = 1e-7  # m: a shorter side of a surface is a pole

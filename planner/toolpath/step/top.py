@@ -9,14 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from planner.readonly import Array, Ints
 from planner.toolpath.shape import Shape, skin_shape
 from planner.toolpath.step.body import FaceBody, Places
 from planner.toolpath.step.face import Face
 from planner.toolpath.step.trim import ON_THE_RIM
 from planner.toolpath.substrate.height_field import HeightField, fit
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 CLOSE = 5e-7  # m: near enough to the faces; normals are then within some hundredths of a degree
 FARTHEST = 2e-5  # m, of the smooth surface from the faces at the curves

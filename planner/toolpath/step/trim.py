@@ -9,8 +9,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from planner.readonly import Array, Ints
+
 Raster = NDArray[np.int8]
 
 ON_THE_RIM = 5e-6  # m: so near a face's rim a place counts as on it; its edges are known to 2 um

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.problem.part import PartSpec
+from planner.readonly import Array
 from planner.toolpath.shape import Shape, dome_shape, skin_shape
 from planner.toolpath.substrate.bodies import Ball, Body
-
-Array = NDArray[np.float64]
 
 _TRIES = 24  # places within a wave from which the nearest one is looked for
 _NEWTON_STEPS = 60  # from next to a pole each step gains a factor of 1.5

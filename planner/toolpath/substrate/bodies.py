@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from planner.readonly import Array
 from planner.toolpath.shape import Shape, dome_shape, facets_shape, skin_shape
 from planner.toolpath.substrate.facet_tree import FacetTree
 from planner.toolpath.substrate.height_field import HeightField, fit
 
-Array = NDArray[np.float64]
 Part = Callable[[Array], NDArray[np.bool_]]  # which places x, y (n, 2) belong to it
 
 FARTHEST_FROM_FACETS = 5e-5  # m, of the smooth surface, at the curves

@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
+from planner.readonly import Array
 from planner.toolpath.substrate.bodies import MeshTop
 from planner.toolpath.substrate.facet_tree import FacetTree
 from planner.toolpath.substrate.height_field import HeightField
-
-Array = NDArray[np.float64]
 
 _PITCH = 1e-3  # m between corners of the facets that stand for layers: 0.08 mm off them where 1.5 mm is their radius
 _MOST_PITCHES = 300  # along the longer side

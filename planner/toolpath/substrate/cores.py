@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from planner.problem import Problem
 from planner.problem.cores import CoreLayersSpec
+from planner.readonly import Array
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.laying import bead_along, densify
 from planner.toolpath.ordering import shorten_travel
@@ -24,8 +25,6 @@ from planner.toolpath.substrate.projection import REACH, RESERVE, paths_of, plac
 from planner.toolpath.substrate.trimming import trim_curve, trim_path
 from planner.toolpath.svg import PlanePath
 from planner.toolpath.transport import roll_zeros
-
-Array = NDArray[np.float64]
 
 _LEAST = 0.2  # of the height of layers: where they were less high, they are left out
 _SHORTEST = 3.0  # bead widths: a shorter piece of a layer is left out

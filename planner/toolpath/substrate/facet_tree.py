@@ -8,10 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planner.readonly import ReadOnlyArrays, read_only
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from planner.readonly import Array, Ints, ReadOnlyArrays, read_only
 
 _LEAF = 4  # facets in a leaf
 _BITS = 20  # of each coordinate, by which facets are sorted
@@ -55,7 +52,7 @@ class FacetTree(ReadOnlyArrays):
         """Distance (n,) of points (n, 3) from the nearest facet [m]."""
         return _distance(read_only(points), self.corners, self.low, self.high)
 
-    def top(self, plane: Array) -> tuple[Array, Index]:
+    def top(self, plane: Array) -> tuple[Array, Ints]:
         """The highest facet that is seen from above at x, y (n, 2): z there [m], NaN where none is; its index, or -1."""
         return _top(np.ascontiguousarray(plane), self.corners, self.normals, self.low, self.high)
 
@@ -155,7 +152,7 @@ def _distance(points: Array, corners: Array, low: Array, high: Array) -> Array:
 
 
 @njit(cache=True)
-def _top(plane: Array, corners: Array, normals: Array, low: Array, high: Array) -> tuple[Array, Index]:
+def _top(plane: Array, corners: Array, normals: Array, low: Array, high: Array) -> tuple[Array, Ints]:
     n, first_leaf = len(corners), len(low) // 2
     out, found = np.full(len(plane), np.nan), np.full(len(plane), -1, dtype=np.int64)
     stack = np.empty(_DEPTH, dtype=np.int64)

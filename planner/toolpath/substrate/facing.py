@@ -9,10 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-Array = NDArray[np.float64]
+from planner.readonly import Array
 
 _KNOTS = 6
 _SHARE = BSpline.basis_element(np.arange(_KNOTS + 1.0)).antiderivative()  # of a jump that is behind, over its length

@@ -11,14 +11,11 @@ from math import comb
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.sparse import coo_array, csr_array, diags_array, eye_array, kron
 from scipy.sparse.linalg import splu
 
-from planner.readonly import ReadOnlyArrays, read_only
-
-Array = NDArray[np.float64]
+from planner.readonly import Array, ReadOnlyArrays, read_only
 
 _DEGREE = 5
 _STIFF = 1e-7  # weight of third differences against a sample's: where nothing is known the surface goes on as it was

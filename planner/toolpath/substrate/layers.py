@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.readonly import Array
 from planner.toolpath.bead import Bead
 from planner.toolpath.laying import arc_length, densify
 from planner.toolpath.rounding import PlaneCurve
@@ -16,7 +16,6 @@ from planner.toolpath.substrate.facet_tree import FacetTree
 from planner.toolpath.substrate.facing import Facing
 from planner.toolpath.transport import roll_zeros
 
-Array = NDArray[np.float64]
 _ASIDE = 1e-5  # m, to either side, for the slope of what a plane point is mapped to
 
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.problem.drawings import PatternSpec
+from planner.readonly import Array
 from planner.toolpath.svg import PlanePath
 
-Array = NDArray[np.float64]
 Inside = Callable[[Array], NDArray[np.bool_]]
 
 MOST_CELLS = 100_000

@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planner.errors import Complaint
@@ -23,6 +22,7 @@ from planner.problem.drawings import (
 )
 from planner.problem.faces import StepSpec
 from planner.problem.part import MeshSpec, PartSpec
+from planner.readonly import Array
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.laying import densify
 from planner.toolpath.nurbs import nurbs_paths
@@ -37,8 +37,6 @@ from planner.toolpath.substrate.facet_tree import FacetTree
 from planner.toolpath.substrate.layers import Substrate
 from planner.toolpath.substrate.patterns import NoPattern, pattern
 from planner.toolpath.svg import PlanePath, read_svg
-
-Array = NDArray[np.float64]
 
 STEEPEST = 75.0  # deg from the horizontal: beyond, a hair's breadth aside is a long way down, and the nozzle lies flat
 REACH = 2.0  # bead widths beside a curve within which the surface counts

@@ -5,19 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.readonly import Array, Flags
 from planner.toolpath.paths import length
 from planner.toolpath.rounding import PlaneCurve
 from planner.toolpath.svg import PlanePath
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
 _SAME = 1e-9  # m: vertices nearer than this to a cut are the cut
 
 
-def trim_path(path: PlanePath, dense: Array, keep: Mask) -> list[PlanePath]:
+def trim_path(path: PlanePath, dense: Array, keep: Flags) -> list[PlanePath]:
     """The pieces of a polyline where its dense points (n, 2) are kept (n); closed if all of a closed one are."""
     if keep.all():
         return [path]
@@ -29,7 +26,7 @@ def trim_path(path: PlanePath, dense: Array, keep: Mask) -> list[PlanePath]:
     ]
 
 
-def trim_curve(curve: PlaneCurve, keep: Mask) -> list[PlaneCurve]:
+def trim_curve(curve: PlaneCurve, keep: Flags) -> list[PlaneCurve]:
     """The pieces of a rounded curve whose samples are kept (n), from sample to sample; at least two samples each."""
     if keep.all():
         return [curve]
@@ -46,7 +43,7 @@ def trim_curve(curve: PlaneCurve, keep: Mask) -> list[PlaneCurve]:
     return pieces
 
 
-def _runs(keep: Mask, closed: bool) -> list[tuple[int, int]]:
+def _runs(keep: Flags, closed: bool) -> list[tuple[int, int]]:
     """First and last place of each run of kept places (n), not all of them; past n - 1 where it crosses the seam."""
     change = np.flatnonzero(np.diff(np.concatenate([[0], keep.astype(np.int8), [0]])))
     runs = [(int(first), int(end) - 1) for first, end in change.reshape(-1, 2)]

@@ -10,14 +10,13 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import InputError
+from planner.readonly import Array
 from planner.toolpath.svg.cuts import cut, extremes
 from planner.toolpath.svg.document import MAX_POINTS, read_document
 from planner.toolpath.svg.drawing import Drawing
 
-Array = NDArray[np.float64]
 SAME_POINT = 0.01  # of the flatness: points nearer than this are one, or rounding in the file makes false corners
 
 

@@ -13,12 +13,11 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from planner.readonly import Array
 from planner.toolpath.svg.document import MAX_POINTS
 from planner.toolpath.svg.drawing import Outline, Region
 from planner.toolpath.svg.pieces import Piece
 from planner.toolpath.svg.style import BLACK, OPAQUE
-
-Array = NDArray[np.float64]
 
 _LEAST_OF_AREA = 3  # vertices: two points are a line, whatever it is filled with
 _COARSE = 1e-4  # of the drawing's size: tolerance with which the size of what is left is found

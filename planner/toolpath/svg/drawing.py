@@ -6,9 +6,9 @@ import re
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import InputError, nearest_name
+from planner.readonly import Array
 from planner.toolpath.svg.document import (
     MAX_COORDINATE,
     MAX_DEPTH,
@@ -35,7 +35,6 @@ from planner.toolpath.svg.style import (
 )
 from planner.toolpath.svg.transform import Size, mask_box, transform_matrix, viewport_matrix
 
-Array = NDArray[np.float64]
 # Attributes that would move or hide an outline and are not supported; style.py has the properties.
 REFERENCE = re.compile(r"url\(\s*[\"']?\s*#([^\s\"')]*)\s*[\"']?\s*\)", re.IGNORECASE)
 MOVING = ("transform-origin", "refX", "refY", "systemLanguage", "requiredExtensions")

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.readonly import Array
 from planner.toolpath.svg.document import MAX_POINTS
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,11 @@ import re
 
 import numpy as np
 import svgelements
-from numpy.typing import NDArray
 
+from planner.readonly import Array
 from planner.toolpath.svg.document import COMMA, MAX_COORDINATE, MAX_POINTS, NUMBER, SPACE, Node
 from planner.toolpath.svg.pieces import Piece, Subpath
 
-Array = NDArray[np.float64]
 NUMBER_COUNTS = {"M": 2, "L": 2, "T": 2, "H": 1, "V": 1, "C": 6, "S": 4, "Q": 4}
 ARGUMENTS = {letter: COMMA.join([f"({NUMBER})"] * count) for letter, count in NUMBER_COUNTS.items()}
 ARGUMENTS["A"] = COMMA.join([f"({NUMBER})"] * 3 + ["([01])"] * 2 + [f"({NUMBER})"] * 2)

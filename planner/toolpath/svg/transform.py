@@ -6,12 +6,11 @@ import math
 import re
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import nearest_name
+from planner.readonly import Array
 from planner.toolpath.svg.document import COMMA, MAX_COORDINATE, NUMBER, SPACE, Node
 
-Array = NDArray[np.float64]
 TRANSFORM = re.compile(rf"([a-zA-Z]+){SPACE}\({SPACE}({NUMBER}(?:{COMMA}{NUMBER})*+){SPACE}\){COMMA}")
 TRANSFORMS = {"matrix": (6,), "translate": (1, 2), "scale": (1, 2), "rotate": (1, 3), "skewX": (1,), "skewY": (1,)}
 VIEW_BOX = re.compile(SPACE + COMMA.join([f"({NUMBER})"] * 4) + SPACE)

@@ -7,13 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 import shapely
 import shapely.affinity
-from numpy.typing import NDArray
 
+from planner.readonly import Array
 from planner.toolpath.paths import length
 from planner.toolpath.svg import PlanePath
 from planner.toolpath.volume.solid import polygons
-
-Array = NDArray[np.float64]
 
 _FARTHEST = 3.0  # line distances, to the next line's end: farther, the zig-zag ends
 _BESIDE = 0.1  # bead widths by which the way from line to line may leave the region: the bead at the wall takes it

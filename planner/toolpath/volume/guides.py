@@ -5,18 +5,16 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import Complaint
 from planner.facets import read_facets
 from planner.problem import Problem
 from planner.problem.volume import GuideSpec, VolumeLayersSpec
+from planner.readonly import Array
 from planner.toolpath.substrate.bodies import MeshTop, TooRough, reach_beside
 from planner.toolpath.substrate.facet_tree import FacetTree
 from planner.toolpath.volume.morph import Heights, Morph
 from planner.toolpath.volume.solid import Solid
-
-Array = NDArray[np.float64]
 
 _GRID = 120  # places along the body's longer side at which its surfaces are looked at
 _REACH = 2.0  # bead widths beside the body within which its surfaces count

@@ -8,12 +8,12 @@ from functools import partial
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
 from planner.errors import Complaint
 from planner.facets import read_facets
 from planner.problem import Problem
 from planner.problem.volume import VolumeLayersSpec
+from planner.readonly import Array
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.laying import bead_along, densify
 from planner.toolpath.ordering import shorten_travel
@@ -27,8 +27,6 @@ from planner.toolpath.volume.fill import walls, zigzag
 from planner.toolpath.volume.guides import stack_of
 from planner.toolpath.volume.morph import Morph, MorphedLayers
 from planner.toolpath.volume.solid import NotClosed, Solid, TooFine
-
-Array = NDArray[np.float64]
 
 _GRID = 120  # places along the body's longer side at which the tilt is looked at
 _CUT = 1e-3  # m: longest edge of the facets that are bent with the layers; 1.3 um off them where 100 mm is their radius

@@ -11,14 +11,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
+from planner.readonly import Array
 from planner.toolpath.substrate.bodies import MeshTop
 from planner.toolpath.substrate.facet_tree import FacetTree
 from planner.toolpath.substrate.height_field import HeightField, fit
 
-Array = NDArray[np.float64]
 Heights = Callable[[Array], Array]  # of places x, y (n, 2): z (n) [m]
 
 _BEND = 0.2  # of the way from the least to the greatest height, over which the thickness bends towards the least

@@ -9,10 +9,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from planner.readonly import ReadOnlyArrays
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from planner.readonly import Array, Ints, ReadOnlyArrays
 
 MOST_FACETS = 2_000_000  # once they are
 _DECIMALS = 9  # of a metre: corners that are one corner differ by rounding, once the file is turned
@@ -36,7 +33,7 @@ class Solid(ReadOnlyArrays):
     """A closed body: vertices (n, 3) [m], part frame, and facets (m, 3), counter-clockwise seen from outside."""
 
     vertices: Array
-    facets: Index
+    facets: Ints
 
     @classmethod
     def of(cls, corners: Array) -> Solid:
@@ -109,7 +106,7 @@ class Solid(ReadOnlyArrays):
         following = np.roll(up, -1, axis=1)
         n = np.int64(len(self.vertices))
 
-        def crossing(where: NDArray[np.bool_]) -> tuple[Index, Array]:
+        def crossing(where: NDArray[np.bool_]) -> tuple[Ints, Array]:
             """Of the one edge a facet is crossed at: a number that both its facets know it by, and the place (2)."""
             k = np.argmax(where, axis=1)
             row = np.arange(len(facets))

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from planner.errors import Complaint, InputError, nearest_name
 from planner.input_file import read_bytes, read_text
-
-Array = NDArray[np.float64]
+from planner.readonly import Array
 
 NEEDED = ("x", "y", "z", "nx", "ny", "nz")
 OPTIONAL = ("layer", "bead", "width", "height")

@@ -13,12 +13,9 @@ from numpy.typing import NDArray
 
 from planner.errors import Complaint, InputError
 from planner.problem.waypoints import WaypointsSpec
-from planner.readonly import ReadOnlyArrays
+from planner.readonly import Array, Ints, ReadOnlyArrays
 from planner.toolpath.waypoints.columns import Columns, read_columns
 from planner.toolpath.waypoints.smoothing import smooth_normals
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 FARTHEST = 1e5  # mm: a hall of 100 m
 SPLIT = 3.0  # median steps: a longer one is no step of the path but a way to the next bead
@@ -43,7 +40,7 @@ class Waypoints(ReadOnlyArrays):
     name: str
     points: Array
     normals: Array
-    lines: Index
+    lines: Ints
     width: Array | None
     height: Array | None
     layer: int | None
@@ -63,7 +60,7 @@ class _Rows:
 
     points: Array
     normals: Array
-    lines: Index
+    lines: Ints
     width: Array | None
     height: Array | None
     layer: Array | None
@@ -171,7 +168,7 @@ def _check(columns: Columns, path: Path, unit: str) -> None:
             raise wrong(f"{name} is {row[name]:g}", hint=f"a whole number, {MOST_LAYERS:g} at most")
 
 
-def _changes(rows: _Rows) -> Index:
+def _changes(rows: _Rows) -> Ints:
     """Where a column says that another bead begins: first rows of all but the first, and how many rows there are."""
     changed = np.zeros(len(rows.points) - 1, dtype=bool)
     for column in (rows.layer, rows.bead):
@@ -180,7 +177,7 @@ def _changes(rows: _Rows) -> Index:
     return np.append(np.flatnonzero(changed) + 1, len(rows.points))
 
 
-def _parts(ends: Index) -> Iterator[slice]:
+def _parts(ends: Ints) -> Iterator[slice]:
     """Slices up to each of the ends."""
     return (slice(int(a), int(b)) for a, b in zip(np.append(0, ends[:-1]), ends, strict=True))
 

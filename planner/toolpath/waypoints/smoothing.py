@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
-Array = NDArray[np.float64]
+from planner.readonly import Array
 
 REACH = 3.0  # waypoints, about, to either side over which a normal is averaged; waves of 20 or more stay
 _ROUNDS = 40  # in which normals that were turned too far are held more firmly

@@ -11,14 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from planner.readonly import read_only
+from planner.readonly import Array, Ints, read_only
 from planner.toolpath.bead import Bead
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 FAR = 50e-3  # m: what is farther away than this is that far away
 SHELL = 10e-3  # m of solid beneath a disc
@@ -47,8 +43,8 @@ class Surfels:
     along: Array
     centres: Array
     radius: float
-    first: Index
-    bare: Index
+    first: Ints
+    bare: Ints
     printed: int
     trees: dict[tuple[int, int], cKDTree]
     bare_tree: cKDTree
@@ -101,7 +97,7 @@ class Surfels:
 
 
 @njit(cache=True)
-def _normals(points: Array, tips: Array, outward: Array, start: Index, near: Array) -> Array:
+def _normals(points: Array, tips: Array, outward: Array, start: Ints, near: Array) -> Array:
     """Unit normals (n, 3) where the polynomials through six samples from `start` come nearest to points (n, 3).
 
     near (n): about where in the six that is.
@@ -182,7 +178,7 @@ def _tree(points: Array) -> cKDTree:
     return cKDTree(points, balanced_tree=False, compact_nodes=False)
 
 
-def _beneath(tips: Array, normals: Array, centres: Array, height: Array, reach: float, tree: cKDTree) -> Index:
+def _beneath(tips: Array, normals: Array, centres: Array, height: Array, reach: float, tree: cKDTree) -> Ints:
     """For each sample (n) an earlier one that lies about one bead's height beneath it, or -1.
 
     How far two samples are apart in height is measured along the mean of their normals: 0 on any sphere.

@@ -6,11 +6,11 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import InputError
 from planner.problem import Problem
 from planner.problem.waypoints import WaypointLayersSpec
+from planner.readonly import Array
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.interpolation import Interpolated, TooRough, interpolate
 from planner.toolpath.laying import arc_length
@@ -20,7 +20,6 @@ from planner.toolpath.waypoints.checks import check_clear, check_section, check_
 from planner.toolpath.waypoints.reader import Waypoints, read_waypoints
 from planner.toolpath.waypoints.surfels import with_layers
 
-Array = NDArray[np.float64]
 _APART = 0.5  # of the bead's width: passes lie no closer to each other
 _PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
 _CLOSED = 1e-6  # m between the ends of a closed path

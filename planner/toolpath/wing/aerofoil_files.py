@@ -11,12 +11,11 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import Complaint, InputError
 from planner.input_file import read_lines
+from planner.readonly import Array
 
-Array = NDArray[np.float64]
 Row = tuple[int, float, float]  # line from 1, x, z
 
 LARGEST_FILE = 1_000_000  # bytes

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.readonly import Array, Flags
 from planner.toolpath.wing.loft import LoftedSide
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Intervals = Sequence[tuple[float, float]]
 
 STATION = 0.5e-3  # m between stations; between them edges are straight
@@ -63,7 +62,7 @@ class Area:
         nearest = np.where(share[:, None, None] < 0.5, before, after)
         return np.asarray(np.where(differs[:, None, None], nearest, between))
 
-    def holds(self, c: Array, y: Array) -> Mask:
+    def holds(self, c: Array, y: Array) -> Flags:
         """Which places (n) lie inside."""
         edges = self.at(y)
         return np.asarray(((c[:, None] >= edges[:, :, 0]) & (c[:, None] <= edges[:, :, 1])).any(axis=1))

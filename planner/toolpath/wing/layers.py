@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.problem import Problem
 from planner.problem.wing import AerofoilLayersSpec, SupportSpec
+from planner.readonly import Array
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.wing.lofted import lofted_wing
 from planner.toolpath.wing.placing import (
@@ -29,8 +29,6 @@ from planner.toolpath.wing.section import Section, parallels
 from planner.toolpath.wing.strips import CurvedStrip, FlatStrip, LayeredSolid, Strip
 from planner.toolpath.wing.support import check_support, strips_of
 from planner.toolpath.wing.zigzag import Filling, fill
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

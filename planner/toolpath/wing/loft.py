@@ -11,12 +11,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from planner.readonly import Array
 from planner.toolpath.wing.section import Section, Side
-
-Array = NDArray[np.float64]
 
 _GRID = (400, 17)  # places along u and v where the search for the nearest one begins
 _BEYOND = 0.25  # of the span, by which the search goes on at either end

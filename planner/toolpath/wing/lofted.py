@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.problem import Problem
 from planner.problem.wing import AerofoilLayersSpec, SupportSpec
+from planner.readonly import Array
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.wing.areas import Area, parallel_area, stations_of
 from planner.toolpath.wing.loft import Loft
@@ -27,8 +27,6 @@ from planner.toolpath.wing.sheet_solid import SheetSolid
 from planner.toolpath.wing.sheets import CurvedSheet, FlatSheet, Sheet
 from planner.toolpath.wing.support import below, check_support, level_count, level_ends, widened
 from planner.toolpath.wing.zigzag import Filling
-
-Array = NDArray[np.float64]
 
 _GAPE = 1.05  # greatest distance of passes, of their mean: wider, and there are gaps of more than a twentieth of a bead
 _OUTLINE = 1500  # points of a side at one station, where level layers are cut off

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.readonly import Array
 from planner.toolpath.bead import Bead
 from planner.toolpath.interpolation import interpolate
 from planner.toolpath.laying import arc_length
@@ -17,7 +17,6 @@ from planner.toolpath.wing.placing import SHORTEST
 from planner.toolpath.wing.sheets import Sheet
 from planner.toolpath.wing.zigzag import APART, PER_RUN, STEP, TURN, Filling
 
-Array = NDArray[np.float64]
 Segment = tuple[int, float, float]  # a row, and where on it a pass begins and ends
 
 

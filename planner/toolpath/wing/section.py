@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial import cKDTree
 
-Array = NDArray[np.float64]
+from planner.readonly import Array
 
 _DEGREE = 5  # so that the nozzle's angular acceleration has no steps
 _SAMPLES = 2000  # of a side: the start of Newton's method, and of the search for where a parallel ends

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from planner.readonly import Array, Flags
 from planner.toolpath.wing.sheets import Places, Sheet
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 _Piece = tuple[Array, Array, Array]  # places, outward normals and grain (n, 3)
 
 _ACROSS, _ALONG, _DOWN = 4e-4, 1e-3, 2.5e-4  # m between places of a skin: across, along the span, down an edge
@@ -104,7 +102,7 @@ class SheetSolid:
         """Points (n, 3) moved along y into the span."""
         return np.column_stack([points[:, 0], np.clip(points[:, 1], *self.span), points[:, 2]])
 
-    def _covered(self, points: Array) -> Mask:
+    def _covered(self, points: Array) -> Flags:
         """Which points (n, 3) lie in a sheet that is there."""
         skin = self._skin(self.level)
         low, high = skin.tree.mins, skin.tree.maxes
@@ -140,7 +138,7 @@ def _bare(piece: _Piece, sheets: list[Sheet]) -> _Piece:
     return points[bare], normals[bare], grain[bare]
 
 
-def _inside(sheets: list[Sheet], points: Array) -> Mask:
+def _inside(sheets: list[Sheet], points: Array) -> Flags:
     """Which points (n, 3) lie in any of the sheets."""
     places, covered = Places(points), np.zeros(len(points), dtype=bool)
     for sheet in sheets:

@@ -7,14 +7,11 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, RectBivariateSpline
 
+from planner.readonly import Array, Flags
 from planner.toolpath.wing.areas import STATION, Area
 from planner.toolpath.wing.loft import LoftedSide
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _NUDGE = 1e-6  # m by which a place beyond the ends of a side is off its normal there
 _ACROSS, _ALONG = 161, 9  # places of the table by which a sheet is unrolled
@@ -72,7 +69,7 @@ class Sheet(Protocol):
         """Outward unit normals (n, 3) of the true surface at its places nearest to points (n, 3)."""
         ...
 
-    def covers(self, places: Places) -> Mask:
+    def covers(self, places: Places) -> Flags:
         """Which places (n) lie inside."""
         ...
 
@@ -133,7 +130,7 @@ class CurvedSheet:
         """Outward unit normals (n, 3) of the true surface at its places nearest to points (n, 3)."""
         return self._outward * self.side.inward(*self.side.nearest(points))
 
-    def covers(self, places: Places) -> Mask:
+    def covers(self, places: Places) -> Flags:
         """Which places (n) lie inside."""
         u, depth = places.beside(self.side)
         low, high = sorted((self.tip, self.base))
@@ -221,7 +218,7 @@ class FlatSheet:
         """Upwards (n, 3)."""
         return np.tile([0.0, 0.0, 1.0], (len(points), 1))
 
-    def covers(self, places: Places) -> Mask:
+    def covers(self, places: Places) -> Flags:
         """Which places (n) lie inside."""
         x, y, z = places.points.T
         covered = (z > self.base) & (z < self.tip)

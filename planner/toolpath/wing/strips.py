@@ -7,14 +7,12 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
+from planner.readonly import Array, Flags
 from planner.toolpath.wing.section import Side
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 _Piece = tuple[Array, Array]  # of an outline: see there
 
 _SAMPLE = 5e-5  # m between places at which outlines are looked up
@@ -66,7 +64,7 @@ class Strip(Protocol):
         """Outward unit normals (n, 2) of the tip curve's direction at points (n, 2)."""
         ...
 
-    def covers(self, places: Places) -> Mask:
+    def covers(self, places: Places) -> Flags:
         """Which places (n) lie inside."""
         ...
 
@@ -115,7 +113,7 @@ class CurvedStrip:
         t = np.clip(self.side.nearest(points), self.first, self.last)
         return self._outward * self.side.inward(t)
 
-    def covers(self, places: Places) -> Mask:
+    def covers(self, places: Places) -> Flags:
         """Which places (n) lie inside."""
         t, depth = places.beside(self.side)
         low, high = sorted((self.tip, self.base))
@@ -179,7 +177,7 @@ class FlatStrip:
         """Upwards (n, 2)."""
         return np.tile([0.0, 1.0], (len(points), 1))
 
-    def covers(self, places: Places) -> Mask:
+    def covers(self, places: Places) -> Flags:
         """Which places (n) lie inside."""
         x, z = places.points.T
         return np.asarray((x > self.first) & (x < self.last) & (z > self.base) & (z < self.tip))
@@ -254,7 +252,7 @@ class LayeredSolid:
         out[free] = away[free] / size[free, None]
         return out
 
-    def _covered(self, points: Array) -> Mask:
+    def _covered(self, points: Array) -> Flags:
         """Which points (n, 2) lie in a strip that is there."""
         outline = self._outline(self.level)
         low, high = outline.points.min(axis=0), outline.points.max(axis=0)
@@ -287,7 +285,7 @@ def _bare(piece: _Piece, strips: list[Strip]) -> _Piece:
     return points[bare], normals[bare]
 
 
-def _inside(strips: list[Strip], points: Array) -> Mask:
+def _inside(strips: list[Strip], points: Array) -> Flags:
     """Which points (n, 2) lie in any of the strips."""
     places, covered = Places(points), np.zeros(len(points), dtype=bool)
     for strip in strips:

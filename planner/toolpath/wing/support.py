@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.problem import Problem
 from planner.problem.wing import AerofoilLayersSpec, SupportSpec
+from planner.readonly import Array
 from planner.toolpath.wing.section import Section, parallels
 from planner.toolpath.wing.strips import CurvedStrip, FlatStrip, Strip
-
-Array = NDArray[np.float64]
 
 _SAMPLES = 4000  # of the section's underside, between which level layers end
 _APART = 0.5  # layer heights in x that level layers keep from the ends of curved ones

@@ -6,15 +6,13 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.readonly import Array
 from planner.toolpath.bead import Bead
 from planner.toolpath.interpolation import interpolate
 from planner.toolpath.laying import arc_length
 from planner.toolpath.transport import roll_zeros
 from planner.toolpath.wing.strips import Strip
-
-Array = NDArray[np.float64]
 
 STEP = 1e-3  # m between waypoints where a strip is flat
 TURN = 0.06  # rad that the nozzle turns from one waypoint to the next at most, where a strip bends most
