@@ -22,8 +22,8 @@ from benchmarks.rows import BETWEEN, Run, read_rows
 from benchmarks.run import add_options, carry_out, ended
 from benchmarks.single import beadwise
 from benchmarks.summary import AT_SPEED, MARGIN, OVER_IDEAL, RESOLVE, SIGMA, WHOLE, Result, of_one_commit, results_of
-from planner.command import one_of
-from planner.errors import EXIT_VERIFIED
+from planner.base.command_line import one_of
+from planner.base.errors import EXIT_VERIFIED
 
 OUT = Path("out/benchmarks/ablations.csv")
 # Layers that could start from each other, one long bead on a bed, a table that is free, a robot that holds the part.

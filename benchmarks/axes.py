@@ -25,11 +25,11 @@ from benchmarks.peer_cases import cap, waypoint_text
 from benchmarks.rows import Row, Run, append_row, row_of_plan, row_without_plan
 from benchmarks.single import beadwise
 from benchmarks.usage import Usage, cpu_seconds
-from planner.errors import EXIT_VERIFIED, PlannerError, Refusal
-from planner.planning import solve
+from planner.base.errors import EXIT_VERIFIED, PlannerError, Refusal
+from planner.base.progress import Stages
+from planner.planning.pipeline import solve
 from planner.problem import load_problem
 from planner.problem.settings import STRATEGY_NAMES
-from planner.progress import Stages
 
 WAYPOINTS = 1000
 TILT = 10  # degrees from the normal that the nozzle may lean, where it may

@@ -10,13 +10,12 @@ import sys
 import time
 from collections.abc import Sequence
 
-from planner.cell import build_cell
-from planner.errors import EXIT_VERIFIED, PlannerError
+from planner.base.errors import EXIT_VERIFIED, PlannerError
+from planner.cell.cell import build_cell
 from planner.problem import load_problem
-from planner.resolve.bound import PIECE, lower_bound
-from planner.resolve.ladder import ladder_route
-from planner.task import tasks_of
+from planner.resolve.ladder import PIECE, ladder_route, lower_bound
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.task import tasks_of
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -22,16 +22,16 @@ from rich.console import Console
 from rich.table import Table
 from scipy.interpolate import make_interp_spline
 
-from planner.cell import build_cell
-from planner.errors import EXIT_VERIFIED, PlannerError, Refusal
-from planner.obstacles import NOTHING
+from planner.base.errors import EXIT_VERIFIED, PlannerError, Refusal
+from planner.cell.cell import build_cell
+from planner.collision.scene import NOTHING
+from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem
 from planner.problem.settings import STRATEGY_NAMES
-from planner.resolve import STRATEGIES
-from planner.resolve.jointpath import JointPath
-from planner.solve import solve
-from planner.task import tasks_of
+from planner.resolve.joint_path import JointPath
+from planner.resolve.strategies import STRATEGIES
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.task import tasks_of
 
 Array = NDArray[np.float64]
 

@@ -33,10 +33,10 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.named import load_named
-from planner.command import add_set
-from planner.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, PlannerError, Refusal
-from planner.planning import load, solve, try_out
-from planner.spread import Spread, crew
+from planner.base.distribution import Spread, crew
+from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, PlannerError, Refusal
+from planner.planning.options import add_set
+from planner.planning.pipeline import load, solve, try_out
 from planner.toolpath.build import build_toolpath
 
 PROBLEM = "peer_cap@3000"  # waypoints: some seconds a plan, so that what a worker imports first does not count

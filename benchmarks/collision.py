@@ -14,13 +14,13 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.table import Table
 
-from planner.errors import PlannerError
+from planner.base.errors import PlannerError
+from planner.collision.print_body import print_body, standing
 from planner.plan import Plan
-from planner.print_body import print_body, standing
+from planner.planning.pipeline import solve
 from planner.problem import load_problem, shipped_problems
-from planner.replay import replay
-from planner.solve import solve
-from planner.verify.clear import keep_apart, sweep_cell
+from planner.verify.collision import keep_apart, sweep_cell
+from planner.verify.executed import executed_motion
 from planner.verify.nozzle import beyond, by_the_tip
 
 COLUMNS = (
@@ -39,7 +39,7 @@ COLUMNS = (
 
 def row(plan: Plan, seconds: float) -> tuple[str, ...]:
     """A plan's least distances and what they take."""
-    motion = replay(plan.cell, plan.trajectory)
+    motion = executed_motion(plan.cell, plan.trajectory)
     started = time.process_time()
     body = print_body(plan.toolpath, standing(plan.cell))
     building = time.process_time() - started

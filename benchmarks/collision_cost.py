@@ -14,16 +14,16 @@ from typing import TypeVar
 from rich.console import Console
 from rich.table import Table
 
-from planner.cell import build_cell
-from planner.errors import EXIT_VERIFIED, PlannerError
-from planner.obstacles import NOTHING, Obstacles, obstacles_of
+from planner.base.errors import EXIT_VERIFIED, PlannerError
+from planner.cell.cell import build_cell
+from planner.collision.scene import NOTHING, Obstacles, obstacles_of
+from planner.motion.timing.timed_path import time_path
+from planner.motion.travel.plan import plan_travels
 from planner.problem import Problem, load_problem
 from planner.resolve.ladder import ladder
 from planner.resolve.sqp import refine_paths
-from planner.task import tasks_of
-from planner.timing import time_path
 from planner.toolpath.build import build_toolpath
-from planner.travel import plan_travels
+from planner.toolpath.task import tasks_of
 
 PROBLEMS = ("cylinder_logo", "naca0015_wing", "fibre_bowl", "curved_plate")
 COLUMNS = ("problem", "obstacles", "ladder", "refinement", "timing", "travel", "together", "times", "least margin")

@@ -30,15 +30,15 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.corpus_archives import ARCHIVES, NoArchive
-from planner.errors import EXIT_INPUT, EXIT_VERIFIED, InputError, PlannerError
+from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED, InputError, PlannerError
+from planner.planning.pipeline import solve
 from planner.problem import Problem, find_problem, load_problem
 from planner.problem.drawings import LayersSpec
-from planner.problem.wing import AerofoilLayersSpec
-from planner.solve import solve
+from planner.problem.layers import AerofoilLayersSpec
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.svg import read_svg
-from planner.toolpath.wing.aerofoil_files import read_section
+from planner.toolpath.svg.outlines import read_svg
+from planner.toolpath.wing.section import read_section
 
 EXIT_CRASHED = 1
 LONGEST = 120  # s of processor time for one file: beyond, it hangs

@@ -16,20 +16,19 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from planner.errors import EXIT_VERIFIED, PlannerError, Refusal
+from planner.base.errors import EXIT_VERIFIED, PlannerError, Refusal
+from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem
-from planner.problem.faces import FaceLayersSpec, StepSpec
-from planner.solve import solve
+from planner.problem.layers import FaceLayersSpec
+from planner.problem.part import StepSpec
 from planner.toolpath.coverage import measures
-from planner.toolpath.coverage.measures import Line
-from planner.toolpath.coverage.registry import ORDERS
+from planner.toolpath.coverage.measures import SurfaceLine
 from planner.toolpath.coverage.rows import REACH, cover
 from planner.toolpath.coverage.sheet import sheet_of
+from planner.toolpath.coverage.tours import ORDERS
 from planner.toolpath.step.body import FaceBody
-from planner.toolpath.step.choice import choose_faces
-from planner.toolpath.step.face import Face
-from planner.toolpath.step.files import read_step
-from planner.toolpath.step.regions import smooth_regions
+from planner.toolpath.step.cover import smooth_regions
+from planner.toolpath.step.files import Face, choose_faces, read_step
 from planner.toolpath.step.sampling import sample_faces
 
 Array = NDArray[np.float64]
@@ -51,7 +50,9 @@ def faces_of(problem: Problem, spec: FaceLayersSpec, step: StepSpec) -> list[Fac
     return [face for face in faces if face.number in numbers]
 
 
-def paths(region: Sequence[Face], spec: FaceLayersSpec, speed: float) -> list[tuple[str, str, str, list[Line], float]]:
+def paths(
+    region: Sequence[Face], spec: FaceLayersSpec, speed: float
+) -> list[tuple[str, str, str, list[SurfaceLine], float]]:
     """Every path over a region: its name, how many samples, whether each is visited once, its lines, CPU time [s]."""
     out = []
     samples = sample_faces(FaceBody.of(region), spec.source.spacing)
@@ -64,7 +65,7 @@ def paths(region: Sequence[Face], spec: FaceLayersSpec, speed: float) -> list[tu
     start = time.process_time()
     strokes = cover(region, spec.source.spacing, speed)
     seconds = time.process_time() - start
-    out.append((ROWS, "", "", [Line(s.points, s.normals, s.closed) for s in strokes], seconds))
+    out.append((ROWS, "", "", [SurfaceLine(s.points, s.normals, s.closed) for s in strokes], seconds))
     return out
 
 
@@ -96,7 +97,7 @@ def rows_of(name: str, overrides: Sequence[str], plan: bool) -> list[list[str]]:
     return out
 
 
-def measured(lines: Sequence[Line], looks: Array, spacing: float, speed: float, tolerance: float) -> list[str]:
+def measured(lines: Sequence[SurfaceLine], looks: Array, spacing: float, speed: float, tolerance: float) -> list[str]:
     """What is said of every path, from whether it crosses itself to how far it stays away."""
     turns, turned = measures.turns(lines, spacing)
     crossings = len(measures.crossings(lines))

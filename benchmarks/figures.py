@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from benchmarks.summary import AT_SPEED, JERK, MARGIN, OVER_BOUND, OVER_IDEAL, RATE, SIGMA, Measure, Result
-from planner.plots.style import COLOURS, FAINT, INK, tidy
+from planner.report.plots import COLOURS, FAINT, INK, tidy
 
 PALETTE = 64  # colours of a picture: a quarter of the bytes, and nothing that one sees
 DPI = 110

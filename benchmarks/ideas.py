@@ -18,10 +18,14 @@ from unittest.mock import patch
 import numpy as np
 from numba import njit
 
-from planner.cell import build_cell
+from planner.cell.cell import build_cell
 from planner.problem import Problem
-from planner.resolve import price_kernel, refine, refine_kernel, search, search_kernel, windows
-from planner.resolve.interior_point import QuadraticProgram
+from planner.resolve import price_kernels as price_kernel
+from planner.resolve import price_kernels as refine_kernel
+from planner.resolve import refine, search
+from planner.resolve import search as search_kernel
+from planner.resolve import sqp as windows
+from planner.resolve.quadratic import QuadraticProgram
 
 # their room has functions of these names
 ladder, sqp = (importlib.import_module(f"planner.resolve.{name}") for name in ("ladder", "sqp"))

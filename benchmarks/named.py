@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.peer_cases import CASES, write_case
-from planner.errors import InputError, nearest_name
+from planner.base.errors import InputError, nearest_name
 from planner.problem import Problem, load_problem, shipped_problems
 
 AT = "@"  # peer_cap@10000: that case in so many waypoints

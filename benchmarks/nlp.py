@@ -20,19 +20,18 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from planner.cell import Cell, build_cell
+from planner.base.versions import versions
+from planner.cell.cell import Cell, build_cell
 from planner.problem import load_problem
 from planner.problem.settings import ResolveSpec
-from planner.resolve.jointpath import JointPath
+from planner.resolve.joint_path import JointPath
 from planner.resolve.ladder import ladder
-from planner.resolve.nlp import Solution, solve_nlp
+from planner.resolve.reference.nlp import Solution, solve_nlp
 from planner.resolve.refine import evaluate, refine_stretch
-from planner.resolve.sqp import given_prices, sigma_floor, start_track, whole
-from planner.resolve.stretch import model_of
-from planner.resolve.windows import Track
-from planner.task import tasks_of
+from planner.resolve.segment import model_of
+from planner.resolve.sqp import SplinePath, given_prices, sigma_floor, start_track, whole
 from planner.toolpath.build import build_toolpath
-from planner.versions import versions
+from planner.toolpath.task import tasks_of
 
 STEPS = (
     '<svg xmlns="http://www.w3.org/2000/svg" width="12mm" height="6mm" viewBox="0 0 12 6">'
@@ -74,7 +73,7 @@ def ladders_path(case: Case, folder: Path) -> tuple[Cell, JointPath, ResolveSpec
     return cell, ladder(cell, [task], problem.resolve)[0], problem.resolve
 
 
-def with_sqp(cell: Cell, track: Track, floor: float) -> float:
+def with_sqp(cell: Cell, track: SplinePath, floor: float) -> float:
     """Price that sqp's refinement reaches from a track."""
     model = model_of(cell)
     stretch = whole(track.task, track.clock, track.basis, track.anchor)

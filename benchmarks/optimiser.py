@@ -19,15 +19,15 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks import peer_cases, scaling, strategies
-from planner.cell import build_cell
-from planner.errors import EXIT_VERIFIED, PlannerError
+from planner.base.errors import EXIT_VERIFIED, PlannerError
+from planner.base.versions import versions
+from planner.cell.cell import build_cell
 from planner.problem import Problem, load_problem
 from planner.resolve.ladder import coarse_nodes, ladder
 from planner.resolve.search import best_route
 from planner.resolve.sqp import refine_paths
-from planner.task import tasks_of
 from planner.toolpath.build import build_toolpath
-from planner.versions import versions
+from planner.toolpath.task import tasks_of
 
 LAYER = ["layers.count=1"]
 ROLLS = 36

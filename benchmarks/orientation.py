@@ -19,13 +19,13 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from planner.errors import EXIT_VERIFIED, PlannerError
+from planner.base.errors import EXIT_VERIFIED, PlannerError
+from planner.planning.pipeline import solve
 from planner.problem import load_problem
-from planner.solve import solve
 from planner.toolpath.bead import Bead
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.substrate.bodies import Ball, MeshTop
-from planner.toolpath.substrate.layers import Substrate
+from planner.toolpath.substrate.projection import Substrate
 
 Array = NDArray[np.float64]
 

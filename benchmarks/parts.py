@@ -32,7 +32,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial import cKDTree
 
-from planner.errors import EXIT_VERIFIED, PlannerError
+from planner.base.errors import EXIT_VERIFIED, PlannerError
 from planner.problem import load_problem, shipped_problems
 from planner.report.picture import draw_picture
 from planner.toolpath.bead import Bead, Toolpath

@@ -22,12 +22,12 @@ from rich.console import Console
 from rich.table import Table
 from scipy.interpolate import CubicSpline
 
-from planner.errors import EXIT_VERIFIED, PlannerError, Refusal
+from planner.base.errors import EXIT_VERIFIED, PlannerError, Refusal
+from planner.base.progress import Stages
 from planner.plan import Plan
+from planner.planning.pipeline import solve
 from planner.problem import load_problem
 from planner.problem.settings import STRATEGY_NAMES
-from planner.progress import Stages
-from planner.solve import solve
 
 Array = NDArray[np.float64]
 

@@ -18,18 +18,14 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from planner.cell import build_cell
-from planner.errors import EXIT_VERIFIED, PlannerError
-from planner.place import METRICS, best_of, outcomes
-from planner.placement.chart import draw_map, words
-from planner.placement.crew import Outcome, crew_of
-from planner.placement.freedom import place_of
-from planner.placement.ranges import axes_of
-from planner.placement.site import Asked, site_of
-from planner.placement.study import study
+from planner.base.distribution import crew
+from planner.base.errors import EXIT_VERIFIED, PlannerError
+from planner.base.progress import Stages
+from planner.cell.cell import build_cell
+from planner.place.command import METRICS, best_of, draw_map, outcomes, words
+from planner.place.site import Asked, axes_of, place_of, site_of
+from planner.place.study import PlaceOutcome, crew_of, study
 from planner.problem import load_problem
-from planner.progress import Stages
-from planner.spread import crew
 
 PROBLEMS = {
     "hemisphere_honeycomb": ["layers.count=1"],
@@ -67,7 +63,7 @@ def rows(name: str, overrides: list[str], maps: Path | None) -> list[list[str]]:
     ]
 
 
-def _cells(outcome: Outcome, names: Sequence[str]) -> list[str]:
+def _cells(outcome: PlaceOutcome, names: Sequence[str]) -> list[str]:
     if outcome.failure is not None:
         return [words(outcome.place, names), outcome.failure, *[""] * len(METRICS)]
     figures = [f"{outcome.metrics[key] * scale:.{digits}f}" for key, _, scale, digits in METRICS]

@@ -22,7 +22,7 @@ from typing import Any
 
 from PIL import Image
 
-from planner.errors import PlannerError
+from planner.base.errors import PlannerError
 from planner.problem import shipped_problems
 from planner.report.picture import draw_picture
 

@@ -52,7 +52,7 @@ class InLine:
 
 def stage_clock(seconds: dict[str, float]) -> Any:
     """Stages that note processor time [s] in `seconds`."""
-    from planner.progress import Stages
+    from planner.base.progress import Stages
 
     class Clocked(Stages):
         @contextmanager
@@ -102,8 +102,8 @@ def _profile(name: str, strategy: str, most: int) -> int:
 
     from benchmarks.named import load_named
     from benchmarks.single import warm_up
-    from planner.errors import EXIT_VERIFIED, PlannerError
-    from planner.planning import solve
+    from planner.base.errors import EXIT_VERIFIED, PlannerError
+    from planner.planning.pipeline import solve
 
     seconds: dict[str, float] = {}
     profile = cProfile.Profile(time.process_time)

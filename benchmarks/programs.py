@@ -15,15 +15,14 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from planner.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, PlannerError
-from planner.export.player import play
-from planner.export.player.limited import limited
+from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, PlannerError
+from planner.export.player.play import limited, play
 from planner.export.rapid.reader import read_rapid_files
 from planner.export.rapid.writer import rapid_files
 from planner.export.readback import judge
 from planner.plan import Plan
+from planner.planning.pipeline import solve
 from planner.problem import load_problem, shipped_problems
-from planner.solve import solve
 
 COLUMNS = ("problem", "waypoints", "targets", "path", "corner", "angle", "events", "time laid", "worst bead")
 COLUMNS += ("slow moves", "write", "read", "play", "judge")

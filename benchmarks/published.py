@@ -27,11 +27,12 @@ from benchmarks.run import fill, some_seconds
 from benchmarks.single import beadwise, run_apart
 from benchmarks.usage import commit, machine
 from benchmarks.waypoint_files import Look, Meaning, files_in, look_at, place, shrunk, together
-from planner.cell import build_cell
-from planner.command import add_spread, add_strategy, exit_code
-from planner.errors import EXIT_VERIFIED, InputError, PlannerError
-from planner.given import found_anywhere
-from planner.placement.ranges import reach
+from planner.base.command_line import exit_code
+from planner.base.errors import EXIT_VERIFIED, InputError, PlannerError
+from planner.cell.cell import build_cell
+from planner.place.site import reach
+from planner.planning.context import found_anywhere
+from planner.planning.options import add_spread, add_strategy
 from planner.problem import load_problem
 
 OUT = Path("out/benchmarks/published.csv")

@@ -20,17 +20,17 @@ from rich.console import Console
 from rich.table import Table
 from scipy import sparse
 
-from planner.cell import build_cell
+from planner.base.versions import versions
+from planner.cell.cell import build_cell
 from planner.problem import load_problem
-from planner.resolve.interior_point import QuadraticProgram, solve_qp
 from planner.resolve.ladder import ladder
-from planner.resolve.osqp_reference import solve_with_osqp, standard_form
+from planner.resolve.quadratic import QuadraticProgram, solve_qp
+from planner.resolve.reference.osqp import solve_with_osqp, standard_form
 from planner.resolve.refine import QPSolver, evaluate, refine_stretch
+from planner.resolve.segment import model_of
 from planner.resolve.sqp import given_prices, sigma_floor, start_track, whole
-from planner.resolve.stretch import model_of
-from planner.task import tasks_of
 from planner.toolpath.build import build_toolpath
-from planner.versions import versions
+from planner.toolpath.task import tasks_of
 
 Array = NDArray[np.float64]
 

@@ -24,15 +24,13 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from benchmarks.touching import cartesian, misplaced, tips_of, write_contacts
-from planner.errors import EXIT_VERIFIED, InputError, PlannerError
+from planner.base.errors import EXIT_VERIFIED, InputError, PlannerError
 from planner.problem import load_problem
-from planner.registration.contacts import plate_poses
-from planner.registration.finding import Ask, Registration, Scene, plan_contacts, register, scene_of
-from planner.registration.picture import write_picture
-from planner.registration.placement import Placement
-from planner.registration.places import Places
-from planner.registration.pollard import locate
-from planner.registration.telling import lines_of, verdict
+from planner.register.contacts import locate, plate_poses
+from planner.register.finding import Ask, Registration, Scene, plan_contacts, register, scene_of
+from planner.register.fitting import Placement
+from planner.register.places import TouchPlaces
+from planner.register.telling import lines_of, verdict, write_picture
 
 Array = NDArray[np.float64]
 
@@ -84,7 +82,7 @@ CASES = (
 def touched(
     scene: Scene,
     case: Case,
-    places: Places,
+    places: TouchPlaces,
     best: Sequence[int],
     noise: float,
     random: np.random.Generator,

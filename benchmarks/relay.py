@@ -25,11 +25,9 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from planner.link.effects import Side
-from planner.link.log import Log
 from planner.link.program_lines import ProgramLine, ProgramLines
-from planner.link.relay import WINDOW, Relay
-from planner.link.run import Requests, run_relay
+from planner.link.relay import WINDOW, Relay, RelaySide
+from planner.link.run import Log, Requests, run_relay
 
 ASKED_P99 = 5e-3  # s
 MODULE = "Bench"
@@ -89,7 +87,7 @@ def relayed(lines: ProgramLines, controller: socket.socket, board: socket.socket
     with tempfile.TemporaryDirectory() as folder:
         log = Log(Path(folder) / "log.jsonl")
         relay = Relay(lines, time.monotonic())
-        sockets = {Side.CONTROLLER: controller, Side.BOARD: board}
+        sockets = {RelaySide.CONTROLLER: controller, RelaySide.BOARD: board}
         outcome = run_relay(relay, sockets, requests, log, lambda reason: None, lambda n: None)
         log.close()
     requests.close()

@@ -41,9 +41,9 @@ from benchmarks.summary import (
     of_one_commit,
     results_of,
 )
-from planner.command import exit_code
-from planner.errors import EXIT_VERIFIED, InputError
-from planner.output import results_folder
+from planner.base.command_line import exit_code
+from planner.base.errors import EXIT_VERIFIED, InputError
+from planner.base.files import results_folder
 from planner.problem.settings import STRATEGY_NAMES
 from planner.verify.checks import SPEED_TOLERANCE
 from planner.verify.verdict import AXIS_TOLERANCE, POSITION_TOLERANCE

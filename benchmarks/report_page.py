@@ -18,9 +18,9 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.browser import chromium, page_of
-from planner.errors import EXIT_VERIFIED, PlannerError
+from planner.base.errors import EXIT_VERIFIED, PlannerError
 from planner.plan import Plan
-from planner.planning import load, solve
+from planner.planning.pipeline import load, solve
 from planner.report.html import write_report
 
 SIZE = (1366, 768)

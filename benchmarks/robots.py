@@ -16,9 +16,9 @@ import pinocchio as pin
 import trimesh
 from numpy.typing import NDArray
 
-from planner.robot.file import read_robot_file
-from planner.robot.robot import ROBOTS, Robot, read_robot, robot_names
-from planner.solids import triangles_of
+from planner.cell.robot import ROBOTS, Robot, read_robot, robot_names
+from planner.cell.robot_file import read_robot_file
+from planner.cell.solids import triangles_of
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # after the choice of its backend

@@ -21,14 +21,13 @@ from numpy.typing import NDArray
 
 from benchmarks import usage
 from benchmarks.usage import Usage
-from planner.errors import InputError, OutputError
-from planner.measures import METRICS
-from planner.progress import STAGES
+from planner.base.errors import InputError, OutputError
+from planner.base.progress import STAGES
+from planner.plan.measures import METRICS
 
 if TYPE_CHECKING:
-    from planner.cell import Limits
-    from planner.plan import Check, Plan
-    from planner.plan.trajectory import Trajectory
+    from planner.cell.cell import Limits
+    from planner.plan import Check, Plan, Trajectory
     from planner.toolpath.bead import Bead
 
 Value = str | float | int | bool

@@ -22,10 +22,11 @@ from benchmarks.named import all_problems, coarse, load_named
 from benchmarks.rows import KEY, Row, Run, append_row, key_of, read_rows, row_without_plan
 from benchmarks.single import Job, beadwise, run_apart
 from benchmarks.usage import commit, machine
-from planner.command import add_spread, exit_code, one_of
-from planner.errors import EXIT_VERIFIED, PlannerError
+from planner.base.command_line import exit_code, one_of
+from planner.base.distribution import spread
+from planner.base.errors import EXIT_VERIFIED, PlannerError
+from planner.planning.options import add_spread
 from planner.problem.settings import STRATEGY_NAMES
-from planner.spread import spread
 
 Item = TypeVar("Item")
 

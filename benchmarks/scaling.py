@@ -27,11 +27,11 @@ from benchmarks.peer_cases import waypoint_text
 from benchmarks.rows import Row, Run, append_row, row_of_plan
 from benchmarks.single import beadwise
 from benchmarks.usage import Usage, cpu_seconds
-from planner.errors import EXIT_VERIFIED, PlannerError
-from planner.planning import solve, write_files
+from planner.base.errors import EXIT_VERIFIED, PlannerError
+from planner.base.progress import STAGES, Stages
+from planner.planning.pipeline import solve, write_files
 from planner.problem import load_problem
 from planner.problem.settings import STRATEGY_NAMES
-from planner.progress import STAGES, Stages
 
 Array = NDArray[np.float64]
 

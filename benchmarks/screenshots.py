@@ -19,10 +19,10 @@ from playwright.sync_api import Browser, Page
 from rich.console import Console
 
 from benchmarks.browser import chromium, page_of
-from planner.errors import EXIT_VERIFIED, PlannerError, Refusal
-from planner.planning import load, solve
+from planner.base.errors import EXIT_VERIFIED, PlannerError, Refusal
+from planner.planning.pipeline import load, solve
+from planner.planning.solve_command import report_refusal
 from planner.report.html import write_report
-from planner.solve import report_refusal
 
 PICTURES = Path(__file__).resolve().parent.parent / "docs" / "pictures"
 DESK, PHONE = (1366, 768), (390, 844)

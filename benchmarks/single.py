@@ -23,10 +23,10 @@ from benchmarks.named import load_named
 from benchmarks.own_process import end_with_parent, in_own_process
 from benchmarks.rows import Row, Run, row_of_plan, row_without_plan
 from benchmarks.usage import Usage, cpu_seconds, peak_mb
-from planner.errors import PlannerError, Refusal
-from planner.planning import solve, try_out
+from planner.base.errors import PlannerError, Refusal
+from planner.base.progress import Stages
+from planner.planning.pipeline import solve, try_out
 from planner.problem import Problem
-from planner.progress import Stages
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
 

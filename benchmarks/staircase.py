@@ -21,12 +21,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from planner.errors import EXIT_VERIFIED, PlannerError
+from planner.base.errors import EXIT_VERIFIED, PlannerError
 from planner.problem import Problem, load_problem
-from planner.problem.wing import AerofoilLayersSpec
+from planner.problem.layers import AerofoilLayersSpec
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.wing.placing import root_section
-from planner.toolpath.wing.section import Section, Side
+from planner.toolpath.wing.section import AerofoilSection, SectionSide, root_section
 
 Array = NDArray[np.float64]
 
@@ -124,7 +123,7 @@ def _dense(line: Array) -> Array:
     return np.column_stack([np.interp(at, length, line[:, k]) for k in range(2)])
 
 
-def errors(outline: Outline, side: Side, x: tuple[float, float]) -> tuple[Array, Array]:
+def errors(outline: Outline, side: SectionSide, x: tuple[float, float]) -> tuple[Array, Array]:
     """How far the surface is off the outline at places between two x (n) [m], and these places' distances (n)."""
     t = np.linspace(side.first, side.last, 6000)
     points = side.points(t)
@@ -132,7 +131,7 @@ def errors(outline: Outline, side: Side, x: tuple[float, float]) -> tuple[Array,
     return points[:, 0], outline.distance(points)
 
 
-def off_surface(outline: Outline, section: Section, x: tuple[float, float], near: float) -> Array:
+def off_surface(outline: Outline, section: AerofoilSection, x: tuple[float, float], near: float) -> Array:
     """Distances (n) of places of the outline from the surface, between two x [m].
 
     Those farther than `near` border on voids inside, where layers of both halves meet, and do not count.
@@ -175,7 +174,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return EXIT_VERIFIED
 
 
-def cusps(section: Section, height: float, x: tuple[float, float]) -> float:
+def cusps(section: AerofoilSection, height: float, x: tuple[float, float]) -> float:
     """Greatest height of a step's corner above the line through the corners' feet: layer height times cos of the slope."""
     most = 0.0
     for side in (section.upper, section.lower):
@@ -185,7 +184,7 @@ def cusps(section: Section, height: float, x: tuple[float, float]) -> float:
     return most
 
 
-def draw(outlines: dict[str, Outline], section: Section, x: tuple[float, float]) -> Figure:
+def draw(outlines: dict[str, Outline], section: AerofoilSection, x: tuple[float, float]) -> Figure:
     """Both outlines over the true section, the errors along the upper surface, and a part of it closer."""
     figure = Figure(figsize=(11, 8), layout="constrained")
     whole, close, error = figure.subplots(3, 1)

@@ -15,12 +15,12 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.table import Table
 
-from planner.errors import EXIT_VERIFIED, PlannerError, Refusal
+from planner.base.errors import EXIT_VERIFIED, PlannerError, Refusal
+from planner.base.progress import Stages
+from planner.base.versions import versions
+from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem
 from planner.problem.settings import STRATEGY_NAMES
-from planner.progress import Stages
-from planner.solve import solve
-from planner.versions import versions
 
 COLUMNS = ("strategy", "verified", "at speed", "deposition / ideal", "print s", "σ min", "limit margin °", "resolve s")
 

@@ -18,16 +18,15 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from planner.errors import EXIT_VERIFIED, PlannerError
+from planner.base.errors import EXIT_VERIFIED, PlannerError
 from planner.export.fit import TERMS, Poses, misfits
 from planner.export.languages import LANGUAGES
-from planner.export.moves import Moves, deposits, plan_moves, way_of
+from planner.export.moves import Moves, deposits, plan_moves, rests_of, way_of
 from planner.export.rapid.reader import read_rapid_files
 from planner.export.rapid.writer import rapid_files
-from planner.export.rests import rests_of
 from planner.plan import Plan
+from planner.planning.pipeline import solve
 from planner.problem import load_problem
-from planner.solve import solve
 
 USUAL = ("peer_cap", "fibre_plane", "hemisphere_honeycomb")  # solved in seconds
 COLUMNS = ("problem", "waypoints", "moves", "along beads", "waypoints each", "below 0.6 mm", "limited by", "time")

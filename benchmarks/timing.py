@@ -21,18 +21,18 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from planner.cell import Cell, build_cell
-from planner.command import DEFAULT_DT
-from planner.errors import EXIT_VERIFIED, PlannerError, Refusal
-from planner.obstacles import NOTHING
+from planner.base.errors import EXIT_VERIFIED, PlannerError, Refusal
+from planner.base.versions import versions
+from planner.cell.cell import Cell, build_cell
+from planner.collision.scene import NOTHING
+from planner.motion.timing.timed_path import TimedPath, bound_time, time_path
+from planner.planning.options import DEFAULT_DT
+from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem, shipped_problems
-from planner.resolve import STRATEGIES
-from planner.resolve.jointpath import JointPath
-from planner.solve import solve
-from planner.task import NozzleTask, tasks_of
-from planner.timing import TimedPath, bound_time, time_path
+from planner.resolve.joint_path import JointPath
+from planner.resolve.strategies import STRATEGIES
 from planner.toolpath.build import build_toolpath
-from planner.versions import versions
+from planner.toolpath.task import NozzleTask, tasks_of
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.registration.contacts import plate_poses
-from planner.registration.finding import Scene
-from planner.registration.placement import UNKNOWNS, Placement, slopes
+from planner.register.contacts import plate_poses
+from planner.register.finding import Scene
+from planner.register.fitting import UNKNOWNS, Placement, slopes
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from planner.background import cores
+from planner.base.processes import cores
 
 ROOT = Path(__file__).resolve().parents[1]
 MEGABYTE = 1e6  # bytes

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.errors import InputError
-from planner.toolpath.waypoints.columns import LENGTHS, read_columns
+from planner.base.errors import InputError
+from planner.toolpath.waypoints.reader import LENGTHS, read_columns
 
 Array = NDArray[np.float64]
 

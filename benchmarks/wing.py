@@ -18,9 +18,9 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial import ConvexHull
 
-from planner.errors import EXIT_VERIFIED, PlannerError
+from planner.base.errors import EXIT_VERIFIED, PlannerError
 from planner.problem import Problem, load_problem
-from planner.problem.wing import AerofoilLayersSpec
+from planner.problem.layers import AerofoilLayersSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
 

@@ -12,51 +12,40 @@
 from __future__ import annotations
 
 import importlib
-import sys
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from planner.garbage import put_off
-from planner.interrupts import end_quietly
-
 if TYPE_CHECKING:
+    from planner.cell.cell import Cell
     from planner.plan import Plan
-    from planner.planning import load, solve, write
+    from planner.planning.pipeline import load, solve, write
     from planner.problem import Problem
-    from planner.resolve import STRATEGIES
+    from planner.report import plots
+    from planner.resolve.strategies import STRATEGIES
+    from planner.toolpath.bead import Toolpath
 
-__all__ = ["STRATEGIES", "Plan", "Problem", "load", "solve", "write"]
+__all__ = ["STRATEGIES", "Cell", "Plan", "Problem", "Toolpath", "load", "plots", "solve", "write"]
 
 # Public name → module that holds it. Read when first asked for: every command imports this package, and is quick.
 _HOMES = {
-    "STRATEGIES": "planner.resolve",
+    "STRATEGIES": "planner.resolve.strategies",
+    "Cell": "planner.cell.cell",
     "Plan": "planner.plan",
     "Problem": "planner.problem",
-    "load": "planner.planning",
-    "solve": "planner.planning",
-    "write": "planner.planning",
+    "Toolpath": "planner.toolpath.bead",
+    "load": "planner.planning.pipeline",
+    "plots": "planner.report",
+    "solve": "planner.planning.pipeline",
+    "write": "planner.planning.pipeline",
 }
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name == "plots":
+        return importlib.import_module("planner.report.plots")
     return getattr(importlib.import_module(_HOMES[name]), name)
 
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
-
-
-class _Package(ModuleType):
-    """Keeps public names from the modules below it: `planner.solve` is the function, though a command is named so."""
-
-    def __setattr__(self, name: str, value: object) -> None:
-        if not (name in _HOMES and isinstance(value, ModuleType)):
-            super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package
-
-end_quietly()
-put_off()

@@ -9,8 +9,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planner.robot.robot import Robot
-from planner.solids import Body, Box, Capsule, Frustum, triangles_of
+from planner.cell.robot import Robot
+from planner.cell.solids import Body, Box, Capsule, Frustum, triangles_of
 
 Array = NDArray[np.float64]
 Placed = tuple[int, str, coal.CollisionGeometry, coal.Transform3s]  # joint index, name, shape, pose in the base

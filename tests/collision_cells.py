@@ -10,10 +10,10 @@ import coal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from planner.cell import Cell
-from planner.kinematics.chain import Chain
-from planner.robot.robot import Robot
-from planner.solids import Body, Box, Capsule, Frustum, Hull, Mesh, Solid
+from planner.cell.cell import Cell
+from planner.cell.kinematics.chain import Chain
+from planner.cell.robot import Robot
+from planner.cell.solids import Body, Box, Capsule, Frustum, Hull, Mesh, Solid
 
 AROUND = 200  # corners of a circle
 THICK = 0.04  # m, radius of the links

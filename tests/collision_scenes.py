@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.cell import Cell, build_cell
+from planner.cell.cell import Cell, build_cell
+from planner.collision.print_body import print_body, standing
 from planner.plan import TRAVEL, Approach, Check, Trajectory
-from planner.print_body import print_body, standing
 from planner.problem import Problem, load_problem
-from planner.replay import replay
 from planner.toolpath.bead import Bead, Toolpath
-from planner.verify.clear import keep_apart, sweep_cell
+from planner.verify.collision import keep_apart, sweep_cell
+from planner.verify.executed import executed_motion
 from planner.verify.nozzle import beyond, by_the_tip
 
 Array = NDArray[np.float64]
@@ -126,7 +126,7 @@ def look(problem: Problem, cell: Cell, toolpath: Toolpath, pieces: list[Piece], 
         dt, np.arange(n) * dt, bead, np.zeros(n, dtype=np.int32), bead >= 0, s, q, np.zeros((n, 3)), np.zeros((n, 4)),
         np.zeros((n, 3)), np.zeros(n, dtype=np.int8), zeros, zeros, zeros, zeros,
     )  # fmt: skip
-    motion = replay(cell, whole)
+    motion = executed_motion(cell, whole)
     whole = replace(whole, tip=motion.tip, axis=motion.axis)
     checks: list[Check] = []
     body = print_body(toolpath, standing(cell))

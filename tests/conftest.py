@@ -12,15 +12,15 @@ import pytest
 from compiling import take_turns
 from hypothesis import HealthCheck, settings
 
-from planner.cell import Cell, build_cell
-from planner.obstacles import NOTHING
+from planner.cell.cell import Cell, build_cell
+from planner.collision.scene import NOTHING
+from planner.motion.timing.timed_path import TimedPath, time_path
 from planner.problem import Problem, load_problem
-from planner.resolve import STRATEGIES
-from planner.resolve.jointpath import JointPath
-from planner.task import NozzleTask, make_tasks
-from planner.timing import TimedPath, time_path
+from planner.resolve.joint_path import JointPath
+from planner.resolve.strategies import STRATEGIES
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.task import NozzleTask, make_tasks
 
 # Compiled kernels and a shared machine make single examples slow at times, and the same run must be the same run.
 settings.register_profile(

@@ -12,22 +12,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.cell import Cell, build_cell
-from planner.export.axes.writer import axes_gcode, file_name
-from planner.export.extruder.writer import gcode
-from planner.export.joint_trajectory.writer import joint_trajectory, switches
-from planner.export.krl.writer import krl_files
+from planner.cell.cell import Cell, build_cell
+from planner.export.axes.gcode import axes_gcode, file_name
+from planner.export.extruder import gcode
+from planner.export.fit import from_matrix
+from planner.export.joint_trajectory import joint_trajectory, switches
+from planner.export.krl import krl_files
 from planner.export.plan_json import plan_json
 from planner.export.rapid.writer import pgf, rapid, rapid_files
-from planner.export.rotations import from_matrix
-from planner.export.table import write_table
-from planner.export.urscript.writer import urscript
-from planner.extrusion import feed_of_materials
+from planner.export.tables import write_table
+from planner.export.urscript import urscript
+from planner.motion.extrusion import feed_of_materials
 from planner.plan import Check, Event, Plan, Trajectory
 from planner.problem.cell import CellSpec
-from planner.problem.machine import MachineSpec
 from planner.problem.process import ProcessSpec
-from planner.problem.settings import ProgramSpec
+from planner.problem.settings import MachineSpec, ProgramSpec
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.toolpath.coverage.sampled import SampledSurface
 from planner.toolpath.coverage.sheet import inside
+from planner.toolpath.coverage.tours import SampledSurface
 
 Array = NDArray[np.float64]
 
@@ -19,7 +19,7 @@ _CALIBRATED = 1e-3  # of the desired distance
 
 @dataclass(frozen=True)
 class FormulaFace:
-    """formula: (u, v) -> points (..., 3) [m]; loops as in planner.toolpath.coverage.patches.Patch; turned: whether the
+    """formula: (u, v) -> points (..., 3) [m]; loops as in planner.toolpath.coverage.sheet.Patch; turned: whether the
     outward normal is that of dr/dv x dr/du."""
 
     formula: Callable[[Array, Array], Array]

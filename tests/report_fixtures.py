@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from planner.plan import Check, Dip, Plan, Remedy, Trajectory
-from planner.toolpath.shape import cylinder_shape
+from planner.toolpath.bead import cylinder_shape
 
 RADIUS, HEIGHT, CENTRE = 0.034, 0.100, np.array([0.0314, 0.037])
 COMMANDED = 0.040

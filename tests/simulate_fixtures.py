@@ -8,12 +8,12 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from planner.export.program import Program, Trigger
+from planner.export.program import RobotProgram, Trigger
 
 MODULE = "MODULE Made\n    PROC main()\n    ENDPROC\nENDMODULE\n"
 
 
-def program(lines: Sequence[str] = (), moves: int = 11, step: float = 0.01, speed: float = 0.1) -> Program:
+def program(lines: Sequence[str] = (), moves: int = 11, step: float = 0.01, speed: float = 0.1) -> RobotProgram:
     """A straight way of moves at a speed [m, m/s]; lines are sent one after each move, the extruder runs throughout."""
     x = step * np.arange(moves)
     fine = np.arange(moves) % (moves - 1) == 0
@@ -21,7 +21,7 @@ def program(lines: Sequence[str] = (), moves: int = 11, step: float = 0.01, spee
     unused = np.full((moves, 6), np.nan)
     sends = {k: (text,) for k, text in enumerate(lines[: moves - 1])}
     sends[moves - 1] = tuple(lines[moves - 1 :])
-    return Program(
+    return RobotProgram(
         module="Made",
         tool=identity,
         uframe=identity,
@@ -42,7 +42,7 @@ def program(lines: Sequence[str] = (), moves: int = 11, step: float = 0.01, spee
     )
 
 
-def reader(made: Program) -> Callable[[Mapping[str, str]], Program]:
+def reader(made: RobotProgram) -> Callable[[Mapping[str, str]], RobotProgram]:
     """What reads any modules as the program that was made."""
     return lambda modules: made
 

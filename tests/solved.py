@@ -10,14 +10,13 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-from planner.cell import Cell
-from planner.command import DEFAULT_DT
-from planner.obstacles import obstacles_of
+from planner.cell.cell import Cell
+from planner.collision.print_body import PrintBody, print_body, standing
+from planner.collision.scene import obstacles_of
 from planner.plan import Plan
-from planner.planning import trajectory_of
-from planner.print_body import PrintBody, print_body, standing
+from planner.planning.options import DEFAULT_DT
+from planner.planning.pipeline import solve, trajectory_of
 from planner.problem import Problem, load_problem
-from planner.solve import solve
 from planner.toolpath.bead import Toolpath
 from planner.verify.verdict import verify
 

@@ -10,9 +10,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from planner.errors import InputError
+from planner.base.errors import InputError
 from planner.problem import find_problem
-from planner.toolpath.wing.aerofoil_files import naca_section, read_section
+from planner.toolpath.wing.section import naca_section, read_section
 
 Array = NDArray[np.float64]
 

@@ -15,10 +15,13 @@ import pytest
 from solved import small_plan, small_problem, write_small
 
 import planner
-from planner import STRATEGIES, Plan, Problem, load, solve, write
-from planner.errors import InputError, OutputError
-from planner.export.table import FIXED
-from planner.plan.columns import columns_of
+from planner.base.errors import InputError, OutputError
+from planner.export.tables import FIXED
+from planner.plan import Plan
+from planner.plan.plan import columns_of
+from planner.planning.pipeline import load, solve, write
+from planner.problem import Problem
+from planner.resolve.strategies import STRATEGIES
 
 
 def test_public_names_are_what_they_say() -> None:

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 from solved import bed_plan, small_plan
 
-from planner.cell import Cell
+from planner.cell.cell import Cell
 from planner.plan import Approach, Plan
-from planner.replay import replay
-from planner.report.approaches import approaches_section
-from planner.report.places import NEAREST, places_data, places_of
-from planner.report.robot import TOLERANCE, cell_data, postures
+from planner.report.places import NEAREST, approaches_section, places_data, places_of
+from planner.report.scene import TOLERANCE, cell_data, postures
 from planner.verify.bodies import CellBodies
-from planner.verify.clear import cell_view
+from planner.verify.collision import cell_view
+from planner.verify.executed import executed_motion
 
 Array = np.ndarray
 
@@ -67,7 +66,7 @@ def test_postures_between_those_of_the_page_are_close_enough(plan: Plan) -> None
     assert kept["sample"][0] == 0 and kept["sample"][-1] == len(t) - 1 and (np.diff(kept["sample"]) > 0).all()
     assert len(q) < len(t) / 4, "far fewer than samples"
     between = np.column_stack([np.interp(np.arange(len(t)), kept["sample"], q[:, k]) for k in range(nj)])
-    tip = replay(plan.cell, replace(t, q=between)).tip
+    tip = executed_motion(plan.cell, replace(t, q=between)).tip
     off = np.linalg.norm(tip - t.tip, axis=1).max()
     assert off < TOLERANCE + 2e-6
     assert 1e-3 * kept["off_mm"] == pytest.approx(off, abs=3e-6)
@@ -75,7 +74,7 @@ def test_postures_between_those_of_the_page_are_close_enough(plan: Plan) -> None
 
 def test_too_many_postures_are_thinned_further(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     fine = postures(plan.cell, plan.trajectory)
-    monkeypatch.setattr("planner.report.robot.MOST_POSTURES", len(fine["sample"]) // 2)
+    monkeypatch.setattr("planner.report.scene.MOST_POSTURES", len(fine["sample"]) // 2)
     coarse = postures(plan.cell, plan.trajectory)
     assert len(coarse["sample"]) <= len(fine["sample"]) // 2 and coarse["off_mm"] > fine["off_mm"]
 

@@ -13,16 +13,14 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from planner.cell import build_cell
-from planner.errors import InputError, Refusal
-from planner.kinematics.chain import Chain
-from planner.kinematics.corrected import Corrected
-from planner.kinematics.inverse import InverseKinematics, kind_of, solve_one, track, with_rest
-from planner.kinematics.newton import refine
-from planner.kinematics.offset_wrist import OffsetWrist, read_offset_wrist
-from planner.kinematics.seven_axes import SevenAxes, read_seven_axes
+from planner.base.errors import InputError, Refusal
+from planner.cell.cell import build_cell
+from planner.cell.kinematics.chain import Chain, refine
+from planner.cell.kinematics.inverse import Corrected, InverseKinematics, kind_of, solve_one, track, with_rest
+from planner.cell.kinematics.offset_wrist import OffsetWrist, read_offset_wrist
+from planner.cell.kinematics.seven_axes import SevenAxes, read_seven_axes
+from planner.cell.robot import ROBOTS, Robot, chain_of, read_robot, robot_names
 from planner.problem import load_problem
-from planner.robot.robot import ROBOTS, Robot, chain_of, read_robot, robot_names
 
 Array = NDArray[np.float64]
 TURN = 2.0 * np.pi

@@ -21,21 +21,17 @@ from solved import solve_alone
 from tree_sitter import Language as Grammar
 from tree_sitter import Parser
 
-from planner.cell import build_cell
-from planner.errors import InputError
-from planner.export import write_robot_code
-from planner.export.axes.able import unsaid_in_axes
-from planner.export.axes.check import axes_complaints
-from planner.export.axes.choice import FROM_ZERO, JUMP, chosen, missing
-from planner.export.axes.flavours import feed_length
-from planner.export.axes.machine import FiveAxes, Machine, Robot, machine_of
-from planner.export.axes.reader import read_axes
-from planner.export.axes.writer import axes_gcode
+from planner.base.errors import InputError
+from planner.cell.cell import build_cell
+from planner.export.axes.gcode import axes_complaints, axes_gcode, feed_length, read_axes
+from planner.export.axes.machine import FROM_ZERO, JUMP, FiveAxes, Machine, PoseMachine, chosen, machine_of, missing
+from planner.export.fit import from_matrix
 from planner.export.languages import check_languages
-from planner.export.rotations import from_matrix
+from planner.export.support import unsaid_in_axes
+from planner.export.write import write_robot_code
 from planner.plan import Plan
 from planner.problem import load_problem
-from planner.problem.machine import MachineSpec
+from planner.problem.settings import MachineSpec
 from tests.export_fixtures import GOLDEN, axes_texts, make_plan
 from tests.solved import small_problem
 
@@ -203,7 +199,7 @@ def test_what_cannot_be_reached_is_told(machine: FiveAxes, seed: int) -> None:
 @given(st.floats(-3.1, 3.1), st.floats(-1.6, 1.6) | st.just(np.pi / 2) | st.just(-np.pi / 2), st.floats(-3.1, 3.1))
 def test_roll_pitch_yaw_are_those_of_linuxcnc(a: float, b: float, c: float) -> None:
     R = Rotation.from_euler("xyz", [a, b, c])  # fixed axes: Rz(c) Ry(b) Rx(a)
-    quat, robot = R.as_quat()[None], Robot()
+    quat, robot = R.as_quat()[None], PoseMachine()
     ways = robot.ways(quat)
     found = robot.settled(np.array([[a, 0.0, 0.0]]), quat) if ways.free[0] else ways.angles[0]
     for angles in found:
@@ -349,7 +345,7 @@ def replayed(name: str, plan: Plan, text: str) -> tuple[Array, Array, Array, Arr
             at = {k: before[k] + u * (place[k] - before[k]) for k in place}
             straight = 1e-3 * np.array([at[k] for k in "XYZ"])
             angles = np.radians([at[k] for k in machine.letters])
-            if isinstance(machine, Robot):
+            if isinstance(machine, PoseMachine):
                 R = Rotation.from_euler("xyz", angles).as_matrix()
                 tip, direction = straight, R[:, 2]
             elif machine.tcp:

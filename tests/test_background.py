@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from solved import bed_plan, small_plan, solve_alone
 
-from planner import planning
-from planner.background import Job, in_background, in_halves, in_turn, spare_core
-from planner.errors import InputError, PlannerError, Refusal
-from planner.obstacles import NOTHING, obstacles_of
+from planner.base.errors import InputError, PlannerError, Refusal
+from planner.base.processes import Job, in_background, in_halves, in_turn, spare_core
+from planner.collision.scene import NOTHING, obstacles_of
 from planner.plan import Plan
-from planner.planning import write_files
-from planner.resolve import STRATEGIES
-from planner.task import tasks_of
+from planner.planning import pipeline as planning
+from planner.planning.pipeline import write_files
+from planner.resolve.strategies import STRATEGIES
+from planner.toolpath.task import tasks_of
 from planner.verify.verdict import Report, verify
 
 needs_two_cores = pytest.mark.skipif(not spare_core(), reason="nothing is forked here")
@@ -97,7 +97,7 @@ def test_verification_in_threads_is_the_same(plan: Any, monkeypatch: pytest.Monk
         beside = verify(*given)
         with monkeypatch.context() as patch:
             patch.setattr("planner.verify.verdict.ThreadPoolExecutor", _OneByOne)
-            patch.setattr("planner.replay.ThreadPoolExecutor", _OneByOne)
+            patch.setattr("planner.verify.executed.ThreadPoolExecutor", _OneByOne)
             _same(verify(*given), beside)
 
 

@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from solved import solve_alone
 
-from planner.cell import Cell
-from planner.errors import InputError, PlannerError, Refusal
-from planner.nearest import distance_to_polyline
+from planner.base.errors import InputError, PlannerError, Refusal
+from planner.base.nearest import distance_to_polyline
+from planner.cell.cell import Cell
+from planner.motion.timing.timed_path import time_path
 from planner.plan import Plan
+from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem
-from planner.resolve.jointpath import JointPath
-from planner.solve import solve
-from planner.task import NozzleTask
-from planner.timing import time_path
+from planner.resolve.joint_path import JointPath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.interpolation import interpolate
+from planner.toolpath.task import NozzleTask
 from planner.toolpath.waypoints.reader import SAME_PLACE, distinct
 
 Array = NDArray[np.float64]

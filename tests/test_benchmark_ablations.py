@@ -12,10 +12,13 @@ from benchmarks import ablations, ideas
 from benchmarks.ideas import IDEAS, NAMES, changed, with_bends
 from benchmarks.rows import Row, Run, make_row
 from benchmarks.summary import results_of
-from planner.errors import EXIT_INPUT
+from planner.base.errors import EXIT_INPUT
 from planner.problem import load_problem
-from planner.resolve import price_kernel, refine, search, search_kernel, windows
-from planner.resolve.interior_point import QuadraticProgram
+from planner.resolve import price_kernels as price_kernel
+from planner.resolve import refine, search
+from planner.resolve import search as search_kernel
+from planner.resolve import sqp as windows
+from planner.resolve.quadratic import QuadraticProgram
 
 ladder, sqp = (importlib.import_module(f"planner.resolve.{name}") for name in ("ladder", "sqp"))
 PLACES = (

@@ -9,7 +9,7 @@ import pytest
 from benchmarks import report
 from benchmarks.rows import Row, Run, append_row, make_row, read_rows
 from benchmarks.summary import against_peers, of_one_commit, results_of
-from planner.errors import EXIT_INPUT, EXIT_VERIFIED
+from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED
 
 GOLDEN = Path(__file__).parent / "golden" / "benchmark_report.md"
 LARGEST_PICTURE = 150_000  # bytes

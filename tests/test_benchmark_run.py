@@ -15,9 +15,9 @@ from benchmarks import named, rows, run, single
 from benchmarks.own_process import Ended, in_own_process
 from benchmarks.rows import COLUMNS, KEY, Row, Run, append_row, make_row, read_rows
 from benchmarks.usage import Usage, commit, cpu_seconds, machine, peak_mb
-from planner.errors import EXIT_INPUT, EXIT_INTERRUPTED, EXIT_VERIFIED, InputError
-from planner.measures import METRICS
-from planner.resolve import STRATEGIES
+from planner.base.errors import EXIT_INPUT, EXIT_INTERRUPTED, EXIT_VERIFIED, InputError
+from planner.plan.measures import METRICS
+from planner.resolve.strategies import STRATEGIES
 
 PROBLEMS, CHOSEN = ("peer_cap@60", "peer_cylinder@60"), ("greedy", "ladder")
 GRID = ["--problems", *PROBLEMS, "--strategies", *CHOSEN, "--coarse"]

@@ -13,7 +13,7 @@ import pytest
 from benchmarks import axes, profile, scaling
 from benchmarks.memory import Peak, held_mb
 from benchmarks.peer_cases import cap, waypoint_text
-from planner.cell import build_cell
+from planner.cell.cell import build_cell
 from planner.problem import load_problem
 
 

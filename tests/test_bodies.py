@@ -14,17 +14,16 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
-from planner.errors import InputError
+from planner.base.errors import InputError
+from planner.planning.solve_command import main
 from planner.problem import load_problem
-from planner.solve import main
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.substrate.analytic import Corrugation, Ellipsoid, Plane
-from planner.toolpath.substrate.bodies import Ball, Body
+from planner.toolpath.substrate.bodies import Ball, Corrugation, Ellipsoid, Plane, SubstrateBody
 
 Array = NDArray[np.float64]
 
 SIZE = np.array([0.2, 0.15])
-BODIES: dict[str, Body] = {
+BODIES: dict[str, SubstrateBody] = {
     "level": Plane(np.array([0.01, 0.0, 0.02]), np.zeros(2), SIZE),
     "inclined": Plane(np.array([0.01, 0.0, 0.02]), np.array([0.3, -0.5]), SIZE),
     "corrugation": Corrugation(np.array([0.01, 0.02, -0.005]), 0.006, 2.0 * np.pi / 0.06, np.array([0.6, 0.8]), SIZE),

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import pytest
 
-from planner.cell import Cell, build_cell
+from planner.cell.cell import Cell, build_cell
 from planner.problem import load_problem
-from planner.resolve.bound import lower_bound
-from planner.resolve.found import Found
-from planner.resolve.ladder import ladder_route
+from planner.resolve.ladder import ladder_route, lower_bound
 from planner.resolve.nodes import evaluate, full_grid
-from planner.resolve.search import best_route
-from planner.task import make_tasks
+from planner.resolve.search import LadderRoute, best_route
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.task import make_tasks
 
 SETTINGS = ["layers.count=1", "resolve.rung_mm=20", "resolve.roll_step_deg=45", "resolve.table_step_deg=45"]
 
 
 @pytest.fixture(scope="module")
-def searched() -> tuple[Cell, Found, float, float]:
+def searched() -> tuple[Cell, LadderRoute, float, float]:
     """A cell, the ladder's route over two beads, the least singular value, and the best price on the fine grid."""
     problem = load_problem("cylinder_logo", SETTINGS)
     cell = build_cell(problem)
@@ -34,7 +32,7 @@ def searched() -> tuple[Cell, Found, float, float]:
 
 @pytest.mark.parametrize("piece", [1, 3, 1000])
 def test_no_route_on_the_fine_grid_costs_less_than_the_bound(
-    searched: tuple[Cell, Found, float, float], piece: int
+    searched: tuple[Cell, LadderRoute, float, float], piece: int
 ) -> None:
     cell, found, sigma, best = searched
     bound = lower_bound(cell, found, sigma, piece)
@@ -42,13 +40,13 @@ def test_no_route_on_the_fine_grid_costs_less_than_the_bound(
     assert best <= found.route.price * (1.0 + 1e-9)
 
 
-def test_longer_pieces_bound_no_worse(searched: tuple[Cell, Found, float, float]) -> None:
+def test_longer_pieces_bound_no_worse(searched: tuple[Cell, LadderRoute, float, float]) -> None:
     cell, found, sigma, _ = searched
     short, long = (lower_bound(cell, found, sigma, piece) for piece in (1, 1000))
     assert short <= long * (1.0 + 1e-9)
 
 
-def test_one_rung_at_a_time_is_the_sum_of_the_cheapest_nodes(searched: tuple[Cell, Found, float, float]) -> None:
+def test_one_rung_at_a_time_is_the_sum_of_the_cheapest_nodes(searched: tuple[Cell, LadderRoute, float, float]) -> None:
     cell, found, sigma, _ = searched
     grid = found.nodes.grid
     whole = full_grid(found.demand, grid.roll_step, grid.holder_step, True, grid.swept, grid.held)

@@ -18,10 +18,10 @@ from report_fixtures import SHAPE, make_beads, make_plan, make_problem, with_dip
 from solved import small_plan, small_problem
 
 from benchmarks.browser import chromium
-from planner.errors import Refusal
+from planner.base.errors import Refusal
+from planner.planning.solve_command import report_refusal
 from planner.report.failure import write_failure_report
 from planner.report.html import write_report
-from planner.solve import report_refusal
 
 pytestmark = NEEDS_CHROMIUM
 DOUBLE_CLICK = 400  # ms: what plotly takes for one click if two come sooner (300), and some more

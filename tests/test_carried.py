@@ -11,16 +11,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from test_travel import check_joined, check_limits, check_smooth, still, tip_speed
 
-from planner.cell import Cell
-from planner.cubics import Cubics, State, extremes
-from planner.headroom.elsewhere import displaced
-from planner.headroom.trial import followed, middle_of
-from planner.plan.tolerance import Displacement
+from planner.cell.cell import Cell
+from planner.motion.cubics import Cubics, JointState, extremes
+from planner.motion.timing.profile import HEADROOM
+from planner.motion.timing.timed_path import TimedPath, time_path
+from planner.motion.travel.plan import ViaHome, between_ends, carried_travels, plan_travels, slower
+from planner.plan.robustness import Displacement
+from planner.planning.robustness import displaced, followed, middle_of
 from planner.problem import Problem
-from planner.timing import HEADROOM, TimedPath, time_path
 from planner.toolpath.bead import Toolpath
-from planner.travel import ViaHome, plan_travels
-from planner.travel.carried import between_ends, carried_travels, slower
 
 Array = NDArray[np.float64]
 AWAY = Displacement("", (1e-3, -1.5e-3, 1e-3), (math.radians(0.6), math.radians(-0.5), math.radians(0.6)))
@@ -42,7 +41,7 @@ def wave(rng: np.random.Generator, nj: int = 3) -> Cubics:
 def test_a_motion_between_other_ends_meets_them_and_stays_smooth(seed: int) -> None:
     rng = np.random.default_rng(seed)
     way = wave(rng)
-    start, end = (State(*(rng.normal(size=3) for _ in range(3))) for _ in range(2))
+    start, end = (JointState(*(rng.normal(size=3) for _ in range(3))) for _ in range(2))
     moved = between_ends(way, start, end)
     assert moved.duration == pytest.approx(way.duration)
     check_joined(moved, start, end)

@@ -9,10 +9,10 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from planner.cell import Cell, build_cell, frame_from_z, rigid_inverse
-from planner.errors import InputError
+from planner.base.errors import InputError
+from planner.cell.cell import Cell, build_cell, frame_from_z, rigid_inverse
+from planner.cell.robot import robot_names
 from planner.problem import load_problem
-from planner.robot.robot import robot_names
 
 Array = NDArray[np.float64]
 BED = ("cell.positioner=null", "cell.bed_mm=[560, -93, 290]")

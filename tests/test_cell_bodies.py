@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner.cell import build_cell
-from planner.errors import InputError
+from planner.base.errors import InputError
+from planner.cell.cell import build_cell
+from planner.cell.solids import Body, Box, Capsule, Frustum, Hull, Mesh, packed, triangles_of
 from planner.problem import load_problem
-from planner.solids import Body, Box, Capsule, Frustum, Hull, Mesh, packed, triangles_of
 
 
 def heads(*changes: str) -> tuple[Body, ...]:

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from solved import small_problem, write_small
 
-from planner import chains
-from planner.cell import build_cell
-from planner.chains import pieces_of
-from planner.errors import InputError
-from planner.given import digest_of, given_elsewhere
-from planner.planning import load, solve
-from planner.resolve.jointpath import JointPath
-from planner.spread import crew
-from planner.task import NozzleTask, tasks_of
+from planner.base.distribution import crew
+from planner.base.errors import InputError
+from planner.cell.cell import build_cell
+from planner.planning import distributed as chains
+from planner.planning.context import context_elsewhere, digest_of
+from planner.planning.distributed import pieces_of
+from planner.planning.pipeline import load, solve
+from planner.resolve.joint_path import JointPath
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.task import NozzleTask, tasks_of
 
 
 def test_pieces_are_whole_chains(tasks: Sequence[NozzleTask], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -60,5 +60,5 @@ def test_a_file_that_is_another_one_elsewhere_is_told(tmp_path: Path) -> None:
     digest = digest_of(cell, tasks)
     file = write_small(tmp_path, ("radius_mm: 34", "radius_mm: 33"))
     with pytest.raises(InputError, match=r"small\.yaml.* is not the same for a worker"):
-        given_elsewhere(str(file), (), digest)
+        context_elsewhere(str(file), (), digest)
     assert digest != digest_of(cell, [replace(tasks[0], tip=tasks[0].tip + 1e-9), *tasks[1:]])

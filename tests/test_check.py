@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from planner.check import examine, is_quick, main
+from planner.planning.check_command import examine, is_quick, main
 from planner.problem import load_problem, shipped_problems
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -141,7 +141,7 @@ def test_most_that_ships_is_laid_at_once() -> None:
 def test_what_it_imports_for_a_wrong_file(tmp_path: Path) -> None:
     """A mistake in the file itself is told without the packages that take most of a second."""
     file = own(tmp_path, arm="7")
-    code = f"import sys; from planner.check import main; main([{str(file)!r}]); print(*sys.modules)"
+    code = f"import sys; from planner.planning.check_command import main; main([{str(file)!r}]); print(*sys.modules)"
     ran = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert "cell.arm" in ran.stderr
     assert not {"numba", "pinocchio", "trimesh", "plotly", "matplotlib", "scipy.spatial"} & set(ran.stdout.split())

@@ -9,14 +9,14 @@ import pytest
 from collision_scenes import scene
 from numpy.typing import NDArray
 
-from planner.point_tree import point_tree, solid_distance
-from planner.print_body import TIP_SLOPE, PrintBody
-from planner.replay import Motion
-from planner.solids import packed
+from planner.cell.solids import packed
+from planner.collision.point_tree import point_tree, solid_distance
+from planner.collision.print_body import TIP_SLOPE, PrintBody
 from planner.verify.bodies import CellBodies, Distances, pairs
 from planner.verify.collision import FAR, sweep
+from planner.verify.executed import ExecutedMotion
+from planner.verify.nozzle import FAR as FAR_FROM_PRINT
 from planner.verify.nozzle import nozzle_nearness
-from planner.verify.nozzle_kernel import FAR as FAR_FROM_PRINT
 
 Array = NDArray[np.float64]
 FIXTURES = (
@@ -83,7 +83,7 @@ def test_the_nozzle_from_print_is_as_near_as_by_brute_force(tmp_path: Path, lift
     rotation[:, 2] = np.column_stack([-np.sin(lean), np.zeros(n), -np.cos(lean)])
     assert np.linalg.det(rotation) == pytest.approx(np.ones(n))
     still = np.zeros(n)
-    motion = Motion(tip, rotation[:, :, 2], rotation, np.zeros((n, 3)), still, still, still.astype(np.int8))
+    motion = ExecutedMotion(tip, rotation[:, :, 2], rotation, np.zeros((n, 3)), still, still, still.astype(np.int8))
     now, slack, clearance = 2.5 * np.floor(4 * u), np.full(n, 4e-4), 2e-3
     tree = point_tree(points, 2e-4, time)
     head = packed(cell.head)

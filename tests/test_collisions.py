@@ -11,14 +11,14 @@ import trimesh
 from collision_scenes import Piece, between, laying, look, postures, scene, straight_bead, upright
 from numpy.typing import NDArray
 
-from planner.cell import Cell
-from planner.errors import InputError
+from planner.base.errors import InputError
+from planner.cell.cell import Cell
+from planner.cell.solids import Body, packed, triangles_of
+from planner.collision.point_tree import solid_distance
 from planner.plan import TRAVEL
-from planner.point_tree import solid_distance
-from planner.solids import Body, packed, triangles_of
 from planner.toolpath.bead import Bead, Toolpath
-from planner.verify.bodies import CellBodies, Thing
-from planner.verify.clear import check_start
+from planner.verify.bodies import CellBodies, CheckedBody
+from planner.verify.collision import check_start
 
 Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ def one_bead() -> Toolpath:
     return toolpath_of([straight_bead(np.array([-0.02, 0.0, 0.5e-3]), np.array([0.02, 0.0, 0.5e-3]))])
 
 
-def placed(cell: Cell, name: str, q: Array) -> tuple[Thing, Array]:
+def placed(cell: Cell, name: str, q: Array) -> tuple[CheckedBody, Array]:
     """A body and the corners (n, 3) of its surface in the world."""
     bodies = CellBodies.of(cell)
     thing = next(each for each in bodies.things if each.name == name)

@@ -20,8 +20,8 @@ import pytest
 from solved import SVG, line_of, write_small
 
 import planner.planning
+from planner.planning.solve_command import main
 from planner.problem import shipped_problems
-from planner.solve import main
 
 ROOT = Path(__file__).resolve().parents[1]
 VERIFIED = {
@@ -555,7 +555,7 @@ HELD_UP = """
 import sys, time
 from pathlib import Path
 import planner.output, planner.planning
-from planner.solve import main
+from planner.planning.solve_command import main
 
 def hold(module, name, before):
     real = getattr(module, name)
@@ -617,7 +617,7 @@ def nothing_runs_in(folder: Path) -> None:
 
 
 PLACES = {
-    "before the resolving": ("planner.given", "tasks_of", True),
+    "before the resolving": ("planner.planning.context", "tasks_of", True),
     "before the verifying": ("planner.planning", "verify", True),
     "between robot code and report": ("planner.planning", "write_robot_code", False),
     "when all is written aside": ("planner.planning", "write_plan", False),
@@ -654,7 +654,7 @@ def test_interruption_while_files_change_places(tmp_path: Path) -> None:
     (tmp_path / "results").mkdir()
     for name in VERIFIED:
         (tmp_path / "results" / name).write_text("earlier")
-    outcome = interrupted(tmp_path, "planner.output.os", "replace", True, seconds=1.0)
+    outcome = interrupted(tmp_path, "planner.base.files.os", "replace", True, seconds=1.0)
     assert "Traceback" not in outcome.err
     after = contents(tmp_path / "results")
     assert set(after) == VERIFIED

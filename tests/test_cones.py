@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from planner.resolve.cone_kernel import FACETS, facet, lean_of, lean_slope_of, watch_leans, watch_missed_leans
-from planner.resolve.jointpath import spread
-from planner.resolve.spacing import breaks_of, places_along
-from planner.resolve.splines import basis_over, clock_of
-from planner.task import FREE, Cones, NozzleTask
+from planner.resolve.cone_kernels import FACETS, facet, lean_of, lean_slope_of, watch_leans, watch_missed_leans
+from planner.resolve.joint_path import spread
+from planner.resolve.splines import basis_over, breaks_of, clock_of, places_along
+from planner.toolpath.task import FREE, Cones, NozzleTask
 
 Array = NDArray[np.float64]
 NARROW_CONES = Cones(layer_gravity=np.radians(8.0))

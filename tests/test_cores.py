@@ -17,17 +17,16 @@ from scipy.spatial import cKDTree
 from solved import solve_alone
 
 from benchmarks.parts import spacing
-from planner.errors import InputError
+from planner.base.errors import InputError
+from planner.planning.solve_command import main
 from planner.problem import load_problem
-from planner.solve import main
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.laying import densify
-from planner.toolpath.rounding import PlaneCurve
-from planner.toolpath.substrate.core_surface import CoreSurface, even_levels, varying_levels
-from planner.toolpath.substrate.height_field import HeightField
-from planner.toolpath.substrate.trimming import trim_curve, trim_path
-from planner.toolpath.svg import PlanePath
+from planner.toolpath.plane_paths import PlaneCurve, densify
+from planner.toolpath.substrate.cores import CoreSurface, even_levels, varying_levels
+from planner.toolpath.substrate.mesh_surface import HeightField
+from planner.toolpath.substrate.projection import trim_curve, trim_path
+from planner.toolpath.svg.outlines import PlanePath
 
 Array = NDArray[np.float64]
 

@@ -11,11 +11,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.toolpath.coverage import measures
-from planner.toolpath.coverage.measures import Line
-from planner.toolpath.coverage.orders import greedy, weighted_greedy
-from planner.toolpath.coverage.registry import ORDERS
-from planner.toolpath.coverage.sampled import SampledSurface, along_surface
-from planner.toolpath.coverage.tour import MOST_SAMPLES, TooManySamplesError, tour
+from planner.toolpath.coverage.measures import SurfaceLine
+from planner.toolpath.coverage.tours import (
+    MOST_SAMPLES,
+    ORDERS,
+    SampledSurface,
+    TooManySamplesError,
+    along_surface,
+    greedy,
+    tour,
+    weighted_greedy,
+)
 
 SPACING = 0.01
 
@@ -38,12 +44,12 @@ def grid(across: int, along: int) -> SampledSurface:
     return flat(SPACING * np.stack([u.ravel(), v.ravel()], axis=1).astype(float), u.ravel())
 
 
-def line(*xy: tuple[float, float], closed: bool = False) -> Line:
+def line(*xy: tuple[float, float], closed: bool = False) -> SurfaceLine:
     points = np.array([[x, y, 0.0] for x, y in xy])
-    return Line(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)), closed)
+    return SurfaceLine(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)), closed)
 
 
-def crosses(*lines: Line) -> bool:
+def crosses(*lines: SurfaceLine) -> bool:
     return len(measures.crossings(lines)) > 0
 
 
@@ -214,10 +220,10 @@ def _clearance(path: np.ndarray) -> float:
 
 def test_sheets_above_each_other_do_not_meet() -> None:
     up, down = np.tile([0.0, 0.0, 1.0], (2, 1)), np.tile([0.0, 0.0, -1.0], (2, 1))
-    one = Line(np.array([[0.0, 0.0, 0.0], [0.02, 0.0, 0.0]]), up)
+    one = SurfaceLine(np.array([[0.0, 0.0, 0.0], [0.02, 0.0, 0.0]]), up)
     under = np.array([[0.01, -0.01, -0.002], [0.01, 0.01, -0.002]])
-    assert not crosses(one, Line(under, down))
-    assert crosses(one, Line(under, up))
+    assert not crosses(one, SurfaceLine(under, down))
+    assert crosses(one, SurfaceLine(under, up))
 
 
 def test_the_paths_of_the_paper_on_the_curved_plate() -> None:
@@ -261,4 +267,4 @@ def test_distance_from_a_line_is_that_from_its_points_laid_densely(seed: int) ->
     points = rng.uniform(0.0, 0.04, (20, 3))
     wanted = np.linalg.norm(points[:, None] - dense, axis=2).min(axis=1)
     assert measures.distances([path], points) == pytest.approx(wanted, abs=2e-5)
-    assert measures.farthest([Line(path, path)], points) == pytest.approx(wanted.max(), abs=2e-5)
+    assert measures.farthest([SurfaceLine(path, path)], points) == pytest.approx(wanted.max(), abs=2e-5)

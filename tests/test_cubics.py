@@ -9,8 +9,8 @@ from hypothesis import given, reject
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from planner.cubics import Cubics, chain, rest
-from planner.travel.moves import from_ruckig
+from planner.motion.cubics import Cubics, chain, rest
+from planner.motion.travel.moves import from_ruckig
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from solved import small_plan
 
-from planner.export.digits import SIGNIFICANT, rows_text
-from planner.export.table import FIXED, write_table
+from planner.export.tables import FIXED, SIGNIFICANT, rows_text, write_table
 
 DECIMALS = np.array([0, 2, 5, 9], dtype=np.int64)
 ANY = st.floats(allow_nan=True, allow_infinity=True)

@@ -11,17 +11,18 @@ import pytest
 from numpy.typing import NDArray
 from solved import small_plan, small_problem
 
-from planner.cell import Cell, Limits
-from planner.dips import AT_SPEED, MERGE, find_dips
-from planner.obstacles import obstacles_of
+from planner.cell.cell import Cell, Limits
+from planner.collision.scene import obstacles_of
+from planner.motion.dips import AT_SPEED, MERGE, find_dips
+from planner.motion.timing.profile import HEADROOM
+from planner.motion.timing.timed_path import time_path
 from planner.plan import TRAVEL, Dip, Remedy, Trajectory
+from planner.planning.pipeline import solve
 from planner.problem import load_problem
-from planner.resolve import STRATEGIES
-from planner.resolve.jointpath import JointPath
-from planner.solve import solve
-from planner.task import NozzleTask, Stop, make_tasks
-from planner.timing import HEADROOM, time_path
+from planner.resolve.joint_path import JointPath
+from planner.resolve.strategies import STRATEGIES
 from planner.toolpath.bead import Bead, Toolpath
+from planner.toolpath.task import NozzleTask, Stop, make_tasks
 
 Array = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planner.events import Span, events
+from planner.motion.extrusion import Span, events
 from planner.plan import TRAVEL, Event
 from planner.problem.process import ProcessSpec
-from planner.process import least_travel_time, prime_time
+from planner.toolpath.runs import least_travel_time, prime_time
 
 ROUNDING = 1e-9  # s
 

@@ -18,21 +18,19 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from planner.errors import InputError, OutputError
-from planner.export import write_plan, write_robot_code, write_trajectory
-from planner.export.compare import compare
-from planner.export.extruder.writer import gcode
+from planner.base.errors import InputError, OutputError
+from planner.export.extruder import gcode
+from planner.export.fit import angle, by_samples, continuous, fewest, from_matrix, slerp, thin, to_matrix
 from planner.export.languages import LANGUAGES
-from planner.export.pieces import replay
 from planner.export.plan_json import plan_json
+from planner.export.program import replay
 from planner.export.rapid import writer
-from planner.export.rapid.reader import read_rapid
-from planner.export.rapid.syntax import NUMBER, numbers
+from planner.export.rapid.reader import NUMBER, numbers, read_rapid
 from planner.export.rapid.text import comment, module_name, number
 from planner.export.rapid.writer import rapid
-from planner.export.rotations import angle, continuous, from_matrix, slerp, to_matrix
-from planner.export.table import write_table
-from planner.export.thinning import by_samples, fewest, thin
+from planner.export.readback import compare
+from planner.export.tables import write_table
+from planner.export.write import write_plan, write_robot_code, write_trajectory
 from planner.plan import Check, Dip, Event, Remedy, Trajectory
 
 HEADER = "t_s,bead,layer,deposit,s_mm,x_mm,y_mm,z_mm,ax,ay,az,speed_mm_s,flow_mm3_s,e_mm"

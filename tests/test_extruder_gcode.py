@@ -9,9 +9,8 @@ import pytest
 from gcodeparser import parse_gcode_lines
 from solved import solve_alone
 
-from planner.errors import InputError
-from planner.export.extruder.check import gcode_complaints, read_gcode
-from planner.export.extruder.writer import gcode
+from planner.base.errors import InputError
+from planner.export.extruder import gcode, gcode_complaints, read_gcode
 from planner.plan import Event, Plan
 from planner.problem import load_problem
 from planner.problem.process import ProcessSpec

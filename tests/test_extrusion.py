@@ -12,8 +12,16 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import quad
 
-from planner.errors import InputError
-from planner.extrusion import bead_area, cross_section, deposited_volume, extruded_volume, feed, filament_area, flow
+from planner.base.errors import InputError
+from planner.motion.extrusion import (
+    bead_area,
+    cross_section,
+    deposited_volume,
+    extruded_volume,
+    feed,
+    filament_area,
+    flow,
+)
 from planner.plan import Event
 from planner.toolpath.bead import Bead
 

@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from solved import solve_alone
 
 from benchmarks.orientation import main as orientation
-from planner.errors import InputError
+from planner.base.errors import InputError
 from planner.problem import Problem, load_problem
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.substrate.bodies import Ball
-from planner.toolpath.substrate.facing import Facing
-from planner.toolpath.substrate.layers import Substrate
+from planner.toolpath.substrate.bodies import Ball, Facing
+from planner.toolpath.substrate.projection import Substrate
 
 Array = NDArray[np.float64]
 

@@ -10,11 +10,11 @@ import pytest
 from numpy.typing import NDArray
 from solved import promises_kept, solve_alone
 
-from planner.errors import InputError
-from planner.export.compare import compare
+from planner.base.errors import InputError
 from planner.export.moves import plan_moves
 from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.writer import rapid
+from planner.export.readback import compare
 from planner.plan import Plan
 from planner.problem import load_problem
 

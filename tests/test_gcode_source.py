@@ -14,16 +14,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import trapezoid
 
-from planner.errors import InputError
-from planner.extrusion import bead_area
-from planner.nearest import distance_to_polyline
+from planner.base.errors import InputError
+from planner.base.nearest import distance_to_polyline
+from planner.motion.extrusion import bead_area
+from planner.planning.solve_command import main
 from planner.problem import find_problem, load_problem
-from planner.solve import main
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.gcode.arcs import arc_by_centre, centre_by_radius
-from planner.toolpath.gcode.reader import GcodeFile, read_gcode
-from planner.toolpath.gcode.surface import LevelLayers
+from planner.toolpath.gcode.layers import LevelLayers
+from planner.toolpath.gcode.reader import GcodeFile, arc_by_centre, centre_by_radius, read_gcode
 
 Array = NDArray[np.float64]
 CHORD = 1e-5

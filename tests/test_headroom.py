@@ -18,26 +18,34 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from solved import small_problem, write_small
 
-from planner.cell import Cell, build_cell
-from planner.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, Refusal
-from planner.headroom import headroom
-from planner.headroom.bounds import displacement_slopes, first_order
-from planner.headroom.elsewhere import beneath, displaced
-from planner.headroom.trial import AS_PLANNED, _try, displacements, followed, middle_of
-from planner.obstacles import NOTHING
+from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, Refusal
+from planner.cell.cell import Cell, build_cell
+from planner.collision.scene import NOTHING
+from planner.motion.travel.plan import Travel
 from planner.plan import Check, Trajectory
-from planner.plan.tolerance import Displacement, Headroom, Tolerance, Tried, parse_tolerance
-from planner.planning import _elsewhere, solve, trajectory_of
+from planner.plan.robustness import Displacement, Robustness, Tolerance, TriedDisplacement, parse_tolerance
+from planner.planning.pipeline import _elsewhere, solve, trajectory_of
+from planner.planning.robustness import (
+    AS_PLANNED,
+    _try,
+    assess_robustness,
+    beneath,
+    displaced,
+    displacement_slopes,
+    displacements,
+    first_order,
+    followed,
+    middle_of,
+)
+from planner.planning.solve_command import main
 from planner.problem import Problem, load_problem
-from planner.replay import replay
-from planner.report.headroom import headroom_section
-from planner.resolve import STRATEGIES
-from planner.resolve.jointpath import JointPath
-from planner.solve import main
-from planner.task import tasks_of
+from planner.report.robustness import robustness_section
+from planner.resolve.joint_path import JointPath
+from planner.resolve.strategies import STRATEGIES
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.travel import Travel
+from planner.toolpath.task import tasks_of
+from planner.verify.executed import executed_motion
 from planner.verify.verdict import Report, verify
 
 Array = NDArray[np.float64]
@@ -86,10 +94,10 @@ class Case:
         trajectory = _elsewhere(self.problem, cell, self.toolpath, paths, self.planned[1], DT)
         return verify(self.problem, cell, self.toolpath, trajectory)
 
-    def judged(self, tolerance: Tolerance) -> Headroom:
+    def judged(self, tolerance: Tolerance) -> Robustness:
         """The head-room of the paths."""
         planned = verify(self.problem, self.cell, self.toolpath, self.planned[0])
-        return headroom(tolerance, self.problem, self.cell, self.toolpath, self.paths, planned, self.again)
+        return assess_robustness(tolerance, self.problem, self.cell, self.toolpath, self.paths, planned, self.again)
 
 
 def case_of(problem: Problem) -> Case:
@@ -165,7 +173,7 @@ def test_the_verifier_sees_the_part_where_it_was_put(cases: dict[str, Case], nam
     T = Displacement("", (2e-3, 0.0, 0.0), (0.0, 0.0, 0.0)).matrix(middle_of(case.toolpath))
     elsewhere = displaced(case.cell, T)
     trajectory = case.planned[0]
-    here, there = replay(case.cell, trajectory), replay(elsewhere, trajectory)
+    here, there = executed_motion(case.cell, trajectory), executed_motion(elsewhere, trajectory)
     np.testing.assert_allclose(there.tip, here.tip - [2e-3, 0.0, 0.0], atol=1e-12)
     failed = {check.name for check in verify(case.problem, elsewhere, case.toolpath, trajectory).checks if not check.ok}
     assert "tip on the path" in failed, "the old joints do not print on the displaced part"
@@ -355,7 +363,7 @@ def test_no_tolerance_is_the_plan_itself() -> None:
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two displacements and those that first order calls worst, not twenty: each is verified in full."""
-    monkeypatch.setattr("planner.headroom.trial.displacements", lambda tolerance: displacements(tolerance)[:2])
+    monkeypatch.setattr("planner.planning.robustness.displacements", lambda tolerance: displacements(tolerance)[:2])
 
 
 @pytest.fixture(scope="module")
@@ -445,7 +453,7 @@ def test_the_command_says_that_it_holds(tmp_path: Path, capfd: pytest.CaptureFix
 def test_two_processes_say_the_same_as_one(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = small_problem()
     one = solve(problem, tolerance=AROUND)
-    monkeypatch.setattr("planner.planning.WORTH_A_FORK", 0)
+    monkeypatch.setattr("planner.planning.pipeline.WORTH_A_FORK", 0)
     two = solve(problem, tolerance=AROUND, second_process=True)
     assert one.headroom is not None
     assert one.headroom == two.headroom
@@ -469,15 +477,15 @@ def test_worst_checks_are_those_that_fail_or_are_nearest_to_their_limits() -> No
 
     at = [Displacement(str(k)) for k in range(3)]
     tried = (
-        Tried(at[0], (check("a", 0.5, 1.0), check("b", 5.0, 1.0, least=True))),
-        Tried(
+        TriedDisplacement(at[0], (check("a", 0.5, 1.0), check("b", 5.0, 1.0, least=True))),
+        TriedDisplacement(
             at[1], (check("a", 0.9, 1.0), check("b", 2.0, 1.0, least=True)), {"sigma_min": 0.2, "gap_clearance_mm": 3.0}
         ),
-        Tried(
+        TriedDisplacement(
             at[2], (check("a", 0.7, 1.0), check("b", 0.5, 1.0, least=True)), {"sigma_min": 0.3, "gap_clearance_mm": 2.0}
         ),
     )
-    room = Headroom(AROUND, (0.0, 0.0, 0.0), (), tried)
+    room = Robustness(AROUND, (0.0, 0.0, 0.0), (), tried)
     assert {found.name: where.name for found, where in room.worst_checks} == {"a": "1", "b": "2"}
     assert not room.holds
     assert {name: where.name for name, (_, where) in room.worst_metrics.items()} == {
@@ -487,7 +495,7 @@ def test_worst_checks_are_those_that_fail_or_are_nearest_to_their_limits() -> No
 
 
 def test_the_report_says_nothing_where_nobody_asked() -> None:
-    assert headroom_section(solve(small_problem(), "as_published")) == ""
+    assert robustness_section(solve(small_problem(), "as_published")) == ""
 
 
 # How it is written

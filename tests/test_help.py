@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from planner.command import Command, solve_command
-from planner.listing import columns, shipped
-from planner.progress import Stages
+from planner.base.command_line import Command
+from planner.base.progress import Stages
+from planner.planning.options import solve_command
+from planner.problem.describe import columns, shipped
 from planner.reference.pages import commands
 
 ROOT = Path(__file__).resolve().parents[1]

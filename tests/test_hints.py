@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from planner.cell import build_cell
-from planner.errors import Refusal
+from planner.base.errors import Refusal
+from planner.cell.cell import build_cell
 from planner.problem import load_problem
-from planner.resolve.jointpath import JointPath, flange_poses
+from planner.resolve.joint_path import JointPath, flange_poses
 from planner.resolve.ladder import coarse_nodes, ladder
 from planner.resolve.search import best_route
-from planner.task import NozzleTask, make_tasks
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.task import NozzleTask, make_tasks
 
 Array = NDArray[np.float64]
 BASE = ("layers.count=1", "resolve.rung_mm=10")

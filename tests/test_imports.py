@@ -30,12 +30,12 @@ def test_a_command_starts_without_what_only_some_problems_need() -> None:
 def test_the_live_view_starts_without_what_its_solver_needs() -> None:
     """It reads robots' files to follow them, and nothing else of a robot."""
     loaded = modules_after("import planner.view.command")
-    assert "planner.robot.file" in loaded and not {"numba", "pinocchio", "coal", "scipy"} & loaded
+    assert "planner.cell.robot_file" in loaded and not {"numba", "pinocchio", "coal", "scipy"} & loaded
 
 
 @pytest.mark.parametrize(("problem", "needed"), [("peer_cap", set()), ("cylinder_logo", {"shapely", "svgelements"})])
 def test_a_source_brings_its_own_packages(problem: str, needed: set[str]) -> None:
-    loaded = modules_after(f"from planner.check import main; main([{problem!r}])")
+    loaded = modules_after(f"from planner.planning.check_command import main; main([{problem!r}])")
     assert "planner.toolpath.build" in loaded
     assert OF_SOME & loaded == needed
 
@@ -58,6 +58,6 @@ exit_code(lambda: told.append(gc.isenabled()) or 0, print)
 
 
 def test_whoever_imports_the_package_keeps_python_s_ways() -> None:
-    code = "import gc, planner, planner.command; print(gc.isenabled(), gc.get_freeze_count())"
+    code = "import gc, planner, planner.base.command_line; print(gc.isenabled(), gc.get_freeze_count())"
     ran = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert ran.stdout.split() == ["True", "0"]

@@ -12,11 +12,15 @@ from export_fixtures import GOLDEN, golden_texts, make_plan
 from scipy.interpolate import BPoly
 from solved import small_plan
 
-from planner.errors import InputError
-from planner.export.joint_trajectory.check import trajectory_complaints
-from planner.export.joint_trajectory.knots import plan_knots
-from planner.export.joint_trajectory.reader import read_joint_trajectory, read_switches
-from planner.export.joint_trajectory.writer import joint_trajectory, switches
+from planner.base.errors import InputError
+from planner.export.joint_trajectory import (
+    joint_trajectory,
+    plan_knots,
+    read_joint_trajectory,
+    read_switches,
+    switches,
+    trajectory_complaints,
+)
 from planner.plan import Plan
 
 MESSAGE, EXTRUDER = "two_beads_joint_trajectory.json", "two_beads_extruder.json"

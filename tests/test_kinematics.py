@@ -11,10 +11,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from planner.cell import Cell, build_cell
-from planner.kinematics.six import invert6, largest_singular_value
-from planner.kinematics.spherical_wrist import SphericalWrist, all_turns, solve_within
-from planner.kinematics.wrist_rates import inverse_jacobian, jacobian, sines_of
+from planner.cell.cell import Cell, build_cell
+from planner.cell.kinematics.chain import invert6, largest_singular_value
+from planner.cell.kinematics.spherical_wrist import (
+    SphericalWrist,
+    all_turns,
+    inverse_jacobian,
+    jacobian,
+    sines_of,
+    solve_within,
+)
 from planner.problem import load_problem
 
 Array = NDArray[np.float64]

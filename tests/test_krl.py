@@ -15,15 +15,23 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from solved import small_plan
 
-from planner.errors import InputError
-from planner.export.beside import OFF
-from planner.export.krl.able import unsaid_in_krl
-from planner.export.krl.axes import angles, branch_of, from_kuka, quaternions, status, to_kuka, turn
-from planner.export.krl.check import krl_complaints
-from planner.export.krl.reader import read_krl
-from planner.export.krl.text import krl_name
-from planner.export.krl.writer import krl_files
+from planner.base.errors import InputError
+from planner.export.fit import OFF
+from planner.export.krl import (
+    angles,
+    branch_of,
+    from_kuka,
+    krl_complaints,
+    krl_files,
+    krl_name,
+    quaternions,
+    read_krl,
+    status,
+    to_kuka,
+    turn,
+)
 from planner.export.moves import ANGLE_TOLERANCE
+from planner.export.support import unsaid_in_krl
 from planner.plan import Plan
 
 Array = NDArray[np.float64]

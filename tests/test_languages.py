@@ -13,15 +13,15 @@ import pytest
 from export_fixtures import make_plan
 from solved import line_of, write_small
 
-from planner.cell import build_cell
-from planner.errors import InputError
-from planner.export import write_robot_code
+from planner.base.errors import InputError
+from planner.cell.cell import build_cell
+from planner.cell.robot import ROBOTS, read_robot, robot_names
 from planner.export.languages import ALWAYS, LANGUAGES, check_languages, chosen
+from planner.export.write import write_robot_code
 from planner.plan import Plan
+from planner.planning.solve_command import main
 from planner.problem import load_problem
 from planner.problem.settings import LANGUAGE_NAMES, USUAL_LANGUAGE
-from planner.robot.robot import ROBOTS, read_robot, robot_names
-from planner.solve import main
 
 SPOKEN = {"irb": "rapid", "ur": "urscript"}  # by how the robots' names begin; all others go by the usual one
 

@@ -7,7 +7,7 @@ import zlib
 
 from plotly.offline import get_plotlyjs
 
-from planner.report import libraries
+from planner.report import page as libraries
 
 
 def source(name: str) -> str:

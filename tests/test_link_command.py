@@ -18,18 +18,19 @@ from export_fixtures import socket_plan
 from rich.console import Console
 from simulate_fixtures import MODULE, program, reader
 
-from planner.errors import InputError
+from planner.base.errors import InputError
 from planner.export.rapid.writer import rapid_files
-from planner.link import board, command, demo, robot
-from planner.link.command import main
+from planner.link import command
+from planner.link import command as demo
+from planner.link import run as board
+from planner.link import rws as robot
+from planner.link.command import Show, duration, main, place, progress
+from planner.link.connections import Address, Secret, connect, parse_address, password
 from planner.link.program_lines import ProgramLine, ProgramLines
 from planner.link.rws import Rws
-from planner.link.secret import Secret, password
-from planner.link.show import Show, duration, place, progress
-from planner.link.sockets import Address, connect, parse_address
-from planner.simulate import Simulated, start
 from planner.simulate.controller import Controller
 from planner.simulate.rws import Access, RwsServer
+from planner.simulate.start import Simulated, start
 
 LINES = ["M83", *(f"G1 E0.{k} F600" for k in range(100, 118)), "M104 S0"]
 PASSWORD, HEAD_PASSWORD = "r0b0tics-of-ours", "h3ad"

@@ -9,16 +9,14 @@ import pytest
 from link_ends import Board, Controller, program
 
 from planner.link import relay as relay_module
-from planner.link.effects import Effect, Note, Outcome, Side, StopRobot, Write
-from planner.link.framing import LONGEST_LINE
-from planner.link.patience import ACK_TIME, HEAT_TIME
+from planner.link.messages import LONGEST_LINE
 from planner.link.program_lines import ProgramLine, ProgramLines
-from planner.link.relay import Relay
+from planner.link.relay import ACK_TIME, HEAT_TIME, Effect, LogNote, Relay, RelaySide, RunOutcome, StopRobot, Write
 
 FAULTS = 1000
 PROGRAM = program()
 TOTAL = len(PROGRAM)
-CONTROLLER, BOARD = Side.CONTROLLER, Side.BOARD
+CONTROLLER, BOARD = RelaySide.CONTROLLER, RelaySide.BOARD
 
 
 class Run:
@@ -34,10 +32,10 @@ class Run:
         self.to_relay = {CONTROLLER: b"", BOARD: b""}
         self.from_relay = {CONTROLLER: b"", BOARD: b""}
         self.open = {CONTROLLER, BOARD}
-        self.deaf: set[Side] = set()  # ends that neither read nor answer any more
-        self.notes: list[Note] = []
+        self.deaf: set[RelaySide] = set()  # ends that neither read nor answer any more
+        self.notes: list[LogNote] = []
         self.robot_stopped: str | None = None
-        self.outcome: Outcome | None = None
+        self.outcome: RunOutcome | None = None
 
     def carry_out(self, effects: list[Effect]) -> None:
         for effect in effects:
@@ -45,7 +43,7 @@ class Run:
             if isinstance(effect, Write):
                 if effect.side in self.open:
                     self.from_relay[effect.side] += effect.data
-            elif isinstance(effect, Note):
+            elif isinstance(effect, LogNote):
                 self.notes.append(effect)
             elif isinstance(effect, StopRobot):
                 assert self.robot_stopped is None
@@ -53,7 +51,7 @@ class Run:
             else:
                 self.outcome = effect
 
-    def cut(self, side: Side) -> None:
+    def cut(self, side: RelaySide) -> None:
         self.open.discard(side)
         self.from_relay[side] = b""
         self.carry_out(self.relay.lost(side, "connection reset", self.now))
@@ -367,8 +365,8 @@ def reason_of(effects: list[Effect]) -> str:
     return next(effect.reason for effect in effects if isinstance(effect, StopRobot))
 
 
-def outcome_of(effects: list[Effect]) -> Outcome:
-    return next(effect for effect in effects if isinstance(effect, Outcome))
+def outcome_of(effects: list[Effect]) -> RunOutcome:
+    return next(effect for effect in effects if isinstance(effect, RunOutcome))
 
 
 def test_the_checksum() -> None:

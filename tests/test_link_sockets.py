@@ -15,13 +15,11 @@ import pytest
 from link_ends import program
 from link_servers import BoardEnd, ControllerEnd
 
-from planner.errors import OutputError
-from planner.link import patience
+from planner.base.errors import OutputError
+from planner.link import relay as patience
 from planner.link import relay as relay_module
-from planner.link.effects import Effect, Outcome, Side
-from planner.link.log import Log
-from planner.link.relay import Relay
-from planner.link.run import INTERRUPTED, Requests, run_relay, signals_as
+from planner.link.relay import Effect, Relay, RelaySide, RunOutcome
+from planner.link.run import INTERRUPTED, Log, Requests, run_relay, signals_as
 
 PROGRAM = program()
 TOTAL = len(PROGRAM)
@@ -36,10 +34,10 @@ class Session:
         self.robot: list[str] = []
         self.shown: list[int] = []
 
-    def run(self) -> Outcome:
+    def run(self) -> RunOutcome:
         sockets = {
-            Side.CONTROLLER: socket.create_connection(self.controller.address),
-            Side.BOARD: socket.create_connection(self.board.address),
+            RelaySide.CONTROLLER: socket.create_connection(self.controller.address),
+            RelaySide.BOARD: socket.create_connection(self.board.address),
         }
         log = Log(self.log)
         relay = Relay(PROGRAM, time.monotonic())
@@ -58,7 +56,7 @@ def records(path: Path) -> list[dict[str, object]]:
     return [json.loads(line) for line in path.read_text(encoding="ascii").splitlines()]
 
 
-def check(session: Session, outcome: Outcome) -> None:
+def check(session: Session, outcome: RunOutcome) -> None:
     """Nothing lost, nothing doubled, and the log says the same."""
     done = session.board.core.done
     assert done == [(n, PROGRAM[n].text) for n in range(1, len(done) + 1)]
@@ -181,7 +179,7 @@ def test_a_mistake_of_the_relay_s_own_stops_both_sides(
     """Nobody is left to say `stop` afterwards, so it is said on the way out."""
 
     class Faulty(Relay):
-        def received(self, side: Side, data: bytes, now: float) -> list[Effect]:
+        def received(self, side: RelaySide, data: bytes, now: float) -> list[Effect]:
             return self._slip("received") or super().received(side, data, now)
 
         def tick(self, now: float) -> list[Effect]:

@@ -9,10 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner import link
-from planner.errors import InputError
-from planner.link.framing import LONGEST_LINE, Framer, Garbage
+from planner.base.errors import InputError
 from planner.link.messages import (
+    LONGEST_LINE,
     End,
+    Framer,
+    Garbage,
     Hello,
     Line,
     Ok,

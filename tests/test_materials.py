@@ -18,22 +18,22 @@ from solved import small_problem, solve_alone, write_small
 
 import planner.export
 import planner.planning
-from planner.errors import InputError
-from planner.export import write_robot_code
-from planner.export.compare import compare
-from planner.export.extruder.check import gcode_complaints, read_gcode
-from planner.export.extruder.writer import gcode
+from planner.base.errors import InputError
+from planner.export.extruder import gcode, gcode_complaints, read_gcode
 from planner.export.languages import LANGUAGES
 from planner.export.plan_json import plan_json
 from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.writer import rapid
-from planner.extrusion import feed_of_materials
+from planner.export.readback import compare
+from planner.export.write import write_robot_code
+from planner.motion.extrusion import feed_of_materials
 from planner.plan import Event, Plan
-from planner.plan.materials import materials_of, selected, used
+from planner.plan.plan import materials_of, selected, used
+from planner.planning.pipeline import write
+from planner.planning.solve_command import main
 from planner.problem import Problem, load_problem
 from planner.problem.layers import KINDS
 from planner.report.summary import print_summary
-from planner.solve import main, write
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.verify.verdict import verify

@@ -11,8 +11,8 @@ from export_fixtures import make_plan
 from solved import small_plan
 
 from planner.export.plan_json import DIP_KEYS, KEYS, plan_json
-from planner.export.table import write_table
-from planner.measures import CHECKS, COLUMNS, METRICS
+from planner.export.tables import write_table
+from planner.plan.measures import CHECKS, COLUMNS, METRICS
 
 ROOT = Path(__file__).resolve().parents[1]
 FOUND_IN = sorted((ROOT / "planner" / "verify").glob("*.py"))

@@ -16,24 +16,34 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from planner.cell import Cell, build_cell
-from planner.errors import InputError, Refusal
-from planner.kinematics.chain import Chain
-from planner.kinematics.symbolic import symbolic_jacobian, symbolic_pose, symbolic_roll, symbolic_tilt
-from planner.obstacles import NOTHING
+from planner.base.errors import InputError, Refusal
+from planner.cell.cell import Cell, build_cell
+from planner.cell.kinematics.chain import Chain
+from planner.collision.scene import NOTHING
 from planner.problem import load_problem
-from planner.resolve import STRATEGIES
-from planner.resolve.interior_point import QuadraticProgram, solve_qp
-from planner.resolve.jointpath import JointPath
+from planner.resolve.joint_path import JointPath
 from planner.resolve.ladder import ladder
-from planner.resolve.nlp import MOST_SAMPLES, solve_nlp
-from planner.resolve.nlp_program import EQUALITIES, Program, bounds_of, program_of, row_bounds, start_values
-from planner.resolve.osqp_reference import solve_with_osqp
+from planner.resolve.quadratic import QuadraticProgram, solve_qp
+from planner.resolve.reference.nlp import (
+    EQUALITIES,
+    MOST_SAMPLES,
+    NonlinearProgram,
+    bounds_of,
+    program_of,
+    row_bounds,
+    solve_nlp,
+    start_values,
+    symbolic_jacobian,
+    symbolic_pose,
+    symbolic_roll,
+    symbolic_tilt,
+)
+from planner.resolve.reference.osqp import solve_with_osqp
 from planner.resolve.refine import evaluate, expand, program_around, refine_stretch, watched
-from planner.resolve.sqp import given_prices, qp_solver, refine_paths, sigma_floor, start_track, whole
-from planner.resolve.stretch import State, Stretch, model_of
-from planner.resolve.windows import Track
-from planner.task import Cones, NozzleTask
+from planner.resolve.segment import PathSegment, PathState, model_of
+from planner.resolve.sqp import SplinePath, given_prices, qp_solver, refine_paths, sigma_floor, start_track, whole
+from planner.resolve.strategies import STRATEGIES
+from planner.toolpath.task import Cones, NozzleTask
 
 Array = NDArray[np.float64]
 KNOT = 2.5e-3
@@ -123,7 +133,7 @@ def path(cell: Cell) -> JointPath:
     return ladder(cell, [bead()], load_problem("cylinder_logo").resolve)[0]
 
 
-def started(cell: Cell, path: JointPath, cones: Cones) -> tuple[Track, Stretch, State, float]:
+def started(cell: Cell, path: JointPath, cones: Cones) -> tuple[SplinePath, PathSegment, PathState, float]:
     """A path as splines, its stretch and state, and the floor of the singular value."""
     path = replace(path, task=replace(path.task, cones=cones))
     floor = sigma_floor(given_prices(model_of(cell), [path], load_problem("cylinder_logo").resolve), SETTINGS)
@@ -138,7 +148,7 @@ SETTINGS = load_problem("cylinder_logo").resolve
 CONES = (Cones(), Cones(tilt=0.3, nozzle_gravity=2.0, layer_gravity=2.0))
 
 
-def built(cell: Cell, stretch: Stretch, state: State) -> tuple[Program, Array]:
+def built(cell: Cell, stretch: PathSegment, state: PathState) -> tuple[NonlinearProgram, Array]:
     model = model_of(cell)
     return program_of(cell, model, stretch, len(state.c)), start_values(cell, model, stretch, state)
 

@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from planner.errors import InputError
+from planner.base.errors import InputError
+from planner.planning.solve_command import main
 from planner.problem import Problem, load_problem
-from planner.problem.curves import CurveSpec
-from planner.solve import main
+from planner.problem.drawings import CurveSpec
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.nurbs.flatten import FLATNESS, Curve, Cusp, flatten
+from planner.toolpath.nurbs import FLATNESS, Cusp, NurbsCurve, flatten
 
 Array = NDArray[np.float64]
 
@@ -63,7 +63,7 @@ def test_a_curve_is_what_the_definition_says(
     steps = data.draw(st.lists(st.floats(0.1, 2.0), min_size=n - degree, max_size=n - degree))
     inner = np.concatenate([[0.0], np.cumsum(steps)])
     knots = np.concatenate([np.repeat(inner[0], degree), inner, np.repeat(inner[-1], degree)])
-    curve = Curve.of(spec(degree, points, tuple(weights), tuple(knots)))
+    curve = NurbsCurve.of(spec(degree, points, tuple(weights), tuple(knots)))
     for u in np.linspace(0.0, 1.0, 7):
         basis = np.array([by_the_book(knots / knots[-1], degree, i, float(u)) for i in range(n)]) * weights
         expected = basis @ np.array(points) / basis.sum()
@@ -74,13 +74,13 @@ def test_without_knots_and_weights_four_points_of_degree_three_are_a_bezier_curv
     points = np.array([[0.0, 0.0], [0.01, 0.03], [0.04, -0.02], [0.05, 0.01]])
     u = np.linspace(0.0, 1.0, 11)
     bernstein = np.stack([comb(3, k) * u**k * (1.0 - u) ** (3 - k) for k in range(4)], axis=1)
-    np.testing.assert_allclose(Curve.of(spec(3, points)).at(u), bernstein @ points, atol=1e-15)
+    np.testing.assert_allclose(NurbsCurve.of(spec(3, points)).at(u), bernstein @ points, atol=1e-15)
 
 
 def test_a_rational_curve_is_an_exact_circle_that_closes() -> None:
     radius = 0.02
     weights = tuple(SQRT_HALF if i % 2 else 1.0 for i in range(9))
-    path = flatten(Curve.of(spec(2, radius * np.array(CIRCLE), weights, CIRCLE_KNOTS)), "circle")
+    path = flatten(NurbsCurve.of(spec(2, radius * np.array(CIRCLE), weights, CIRCLE_KNOTS)), "circle")
     assert path.closed
     assert np.array_equal(path.points[0], path.points[-1])
     middle = 0.5 * (path.points[1:] + path.points[:-1])
@@ -92,7 +92,7 @@ def test_a_rational_curve_is_an_exact_circle_that_closes() -> None:
 @settings(max_examples=40)
 @given(st.integers(2, 4), points_of_a_curve)
 def test_chords_leave_a_curve_by_less_than_the_flatness(degree: int, points: list[tuple[float, float]]) -> None:
-    curve = Curve.of(spec(degree, points))
+    curve = NurbsCurve.of(spec(degree, points))
     try:
         path = flatten(curve, "any")
     except Cusp:
@@ -108,7 +108,7 @@ def test_chords_leave_a_curve_by_less_than_the_flatness(degree: int, points: lis
 
 def test_segments_are_shorter_where_the_radius_is_smaller() -> None:
     """A parabola's radius grows from its top: so do the chords, as the root of it."""
-    path = flatten(Curve.of(spec(2, [(-0.05, 0.05), (0.0, -0.05), (0.05, 0.05)])), "parabola")
+    path = flatten(NurbsCurve.of(spec(2, [(-0.05, 0.05), (0.0, -0.05), (0.05, 0.05)])), "parabola")
     size = np.hypot(*np.diff(path.points, axis=0).T)
     middle = 0.5 * (path.points[1:] + path.points[:-1])[:, 0]
     top, ends = size[np.abs(middle) < 0.005].mean(), size[np.abs(middle) > 0.045].mean()
@@ -117,7 +117,7 @@ def test_segments_are_shorter_where_the_radius_is_smaller() -> None:
 
 def test_a_double_knot_makes_a_corner_and_stays_a_vertex() -> None:
     points = [(0.0, 0.0), (0.01, 0.0), (0.02, 0.0), (0.02, 0.01), (0.02, 0.02)]
-    path = flatten(Curve.of(spec(2, points, None, (0, 0, 0, 1, 1, 2, 2, 2))), "corner")
+    path = flatten(NurbsCurve.of(spec(2, points, None, (0, 0, 0, 1, 1, 2, 2, 2))), "corner")
     assert np.hypot(*(path.points - [0.02, 0.0]).T).min() < 1e-12
 
 
@@ -130,7 +130,7 @@ def test_a_double_knot_makes_a_corner_and_stays_a_vertex() -> None:
 )
 def test_a_curve_with_a_cusp_is_refused(points: list[tuple[float, float]]) -> None:
     with pytest.raises(Cusp) as caught:
-        flatten(Curve.of(spec(3, points)), "cusp")
+        flatten(NurbsCurve.of(spec(3, points)), "cusp")
     assert np.isfinite(caught.value.place).all()
 
 

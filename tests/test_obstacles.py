@@ -9,24 +9,21 @@ import pytest
 from collision_cells import Placed, coal_distance, placed, with_bodies
 from scipy.spatial.transform import Rotation
 
-from planner.cell import Cell, build_cell
-from planner.errors import Refusal
-from planner.obstacles import Obstacles, obstacles_of
-from planner.obstacles.gjk import solids_distance
-from planner.obstacles.sampling import surface_points
-from planner.obstacles.scene import Around, _assembled
-from planner.obstacles.slopes import nearest_margins
-from planner.point_tree import point_tree
-from planner.print_body import TIP_SLOPE
+from planner.base.errors import Refusal
+from planner.cell.cell import Cell, build_cell
+from planner.cell.solids import Body, Box, Capsule, Frustum, Hull, Mesh, Solid, packed, triangles_of
+from planner.collision.gjk import solids_distance
+from planner.collision.margins import nearest_margins
+from planner.collision.point_tree import point_tree
+from planner.collision.print_body import TIP_SLOPE
+from planner.collision.scene import Around, Obstacles, _assembled, obstacles_of, surface_points
 from planner.problem import Problem, load_problem
-from planner.resolve.clear_search import ClearSearch
-from planner.resolve.jointpath import JointPath
-from planner.resolve.ladder import coarse_nodes, ladder
+from planner.resolve.joint_path import JointPath
+from planner.resolve.ladder import ClearSearch, coarse_nodes, ladder
 from planner.resolve.nodes import evaluate
 from planner.resolve.search import best_route
-from planner.solids import Body, Box, Capsule, Frustum, Hull, Mesh, Solid, packed, triangles_of
-from planner.task import NozzleTask, tasks_of
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.task import NozzleTask, tasks_of
 
 
 def a_solid(rng: np.random.Generator) -> Solid:

@@ -9,26 +9,25 @@ import numpy as np
 import pytest
 from collision_cells import coal_distance, placed, with_bodies
 
-from planner.cell import Cell, build_cell
-from planner.cubics import Cubics, State
-from planner.errors import Refusal
-from planner.obstacles import NOTHING, Obstacles, obstacles_of
-from planner.obstacles.scene import Around, _assembled
-from planner.point_tree import point_tree
+from planner.base.errors import Refusal
+from planner.cell.cell import Cell, build_cell
+from planner.cell.solids import Body, Capsule
+from planner.collision.point_tree import point_tree
+from planner.collision.scene import NOTHING, Around, Obstacles, _assembled, obstacles_of
+from planner.motion.cubics import Cubics, JointState
+from planner.motion.timing.timed_path import TimedPath, time_path
+from planner.motion.travel.clearance import travel_clearance
+from planner.motion.travel.detours import around
+from planner.motion.travel.plan import Task, no_way, quickest
+from planner.motion.travel.ways import Ends, bounds_of
 from planner.problem import Problem, load_problem
-from planner.resolve.clearance import clearances, shortage
-from planner.resolve.jointpath import JointPath
+from planner.resolve.joint_path import JointPath
 from planner.resolve.ladder import ladder
+from planner.resolve.segment import clearances, shortage
 from planner.resolve.sqp import refine_paths, sqp
-from planner.solids import Body, Capsule
-from planner.task import Cones, NozzleTask, tasks_of
-from planner.timing import TimedPath, time_path
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.travel.around import around
-from planner.travel.clearance import room
-from planner.travel.plan import Task, no_way, quickest
-from planner.travel.ways import Ends, bounds_of
+from planner.toolpath.task import Cones, NozzleTask, tasks_of
 
 SLIGHT = 2e-4  # m: what may lack between the instants that are looked at
 
@@ -186,8 +185,8 @@ def beside_a_wall(problem: Problem, bare: Cell, toolpath: Toolpath, timed: list[
     both = np.stack([start, end])
     wall = Body("wall", Capsule(0.04, 0.5), at(head_at(bare, both.mean(axis=0))))
     cell = replace(bare, fixtures=(wall,))
-    states = [State(q, np.zeros_like(q), np.zeros_like(q)) for q in both]
-    space = room(cell, toolpath.surface.before(0), 0.0, problem.process.lift, *states)
+    states = [JointState(q, np.zeros_like(q), np.zeros_like(q)) for q in both]
+    space = travel_clearance(cell, toolpath.surface.before(0), 0.0, problem.process.lift, *states)
     ends = Ends(states[0], states[1], 0.0, bounds_of(cell))
     return wall, Task(cell, ends, space, 0.2, obstacles_of(problem, cell, toolpath), 0.0, -1e-4)
 

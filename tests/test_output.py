@@ -10,11 +10,11 @@ from types import SimpleNamespace
 import pytest
 from export_fixtures import in_modules, make_plan, socket_plan
 
+from planner.base.files import earlier_results, results_folder
+from planner.base.versions import versions
 from planner.export.languages import LANGUAGES
-from planner.output import earlier_results, results_folder
 from planner.plan import Plan
-from planner.problem.machine import MachineSpec
-from planner.versions import versions
+from planner.problem.settings import MachineSpec
 
 
 def short(**options: object) -> Plan:

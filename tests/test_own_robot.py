@@ -10,11 +10,11 @@ import pytest
 from coal_bodies import nearest_links
 from solved import solve_alone
 
-from planner.cell import build_cell
-from planner.errors import InputError
+from planner.base.errors import InputError
+from planner.cell.cell import build_cell
+from planner.cell.solids import Hull
+from planner.planning.solve_command import main
 from planner.problem import load_problem
-from planner.solids import Hull
-from planner.solve import main
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 EXAMPLE = DOCS / "own_robot"

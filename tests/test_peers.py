@@ -19,21 +19,21 @@ from benchmarks.peers.one import judged_file
 from benchmarks.peers.peer_list import PEERS
 from benchmarks.peers.watch import watched
 from benchmarks.rows import COLUMNS, Row, Run, append_row, make_row
-from planner.given import Given
-from planner.obstacles import NOTHING
-from planner.resolve import STRATEGIES
+from planner.collision.scene import NOTHING
+from planner.planning.context import PlanningContext
+from planner.resolve.strategies import STRATEGIES
 
 ROOT = Path(__file__).resolve().parent.parent
 LINES = 200  # waypoints of the small cases
 
 
 @pytest.fixture(scope="module")
-def cap(tmp_path_factory: pytest.TempPathFactory) -> Given:
+def cap(tmp_path_factory: pytest.TempPathFactory) -> PlanningContext:
     return given(Case("peer_cap", LINES), tmp_path_factory.mktemp("cap"))
 
 
 @pytest.fixture(scope="module")
-def beads(cap: Given) -> list[np.ndarray]:
+def beads(cap: PlanningContext) -> list[np.ndarray]:
     return [path.q for path in STRATEGIES["sqp"](cap.cell, cap.tasks, cap.problem.resolve, NOTHING)]
 
 
@@ -68,7 +68,7 @@ def test_what_a_peer_runs_imports_nothing_of_the_planner() -> None:
         assert not [line for line in imports if line.split()[1].split(".")[0] in ("planner", "benchmarks")]
 
 
-def test_joints_of_our_own_hold_and_verify(cap: Given, beads: list[np.ndarray]) -> None:
+def test_joints_of_our_own_hold_and_verify(cap: PlanningContext, beads: list[np.ndarray]) -> None:
     row = judge.judge(cap, beads)
     assert row["found"] and row["holds"] is True and row["verified"], row["reason"] or row["holds_reason"]
     assert row["off_waypoints_mm"] < 1e-6
@@ -76,7 +76,7 @@ def test_joints_of_our_own_hold_and_verify(cap: Given, beads: list[np.ndarray]) 
     assert set(row) <= {*COLUMNS, *judge.PATH_COLUMNS}
 
 
-def test_speeds_without_travel_are_those_of_the_verifier(cap: Given, beads: list[np.ndarray]) -> None:
+def test_speeds_without_travel_are_those_of_the_verifier(cap: PlanningContext, beads: list[np.ndarray]) -> None:
     row, whole = judge.speeds(cap, judge.paths_of(cap, beads)), judge.judge(cap, beads)
     assert float(row["deposition_time_s"]) == pytest.approx(float(whole["deposition_time_s"]), rel=0.01)
     assert float(row["at_speed_fraction"]) == pytest.approx(float(whole["at_speed_fraction"]), abs=0.01)
@@ -100,21 +100,21 @@ def outside(q: np.ndarray) -> np.ndarray:
     ("spoil", "word"), [(shifted, "off at waypoints"), (jumping, "axis between"), (outside, "beyond a joint's range")]
 )
 def test_joints_that_are_wrong_neither_hold_nor_verify(
-    cap: Given, beads: list[np.ndarray], spoil: object, word: str
+    cap: PlanningContext, beads: list[np.ndarray], spoil: object, word: str
 ) -> None:
     row = judge.judge(cap, [spoil(q.copy()) for q in beads])  # type: ignore[operator]
     assert row["holds"] is False and word in str(row["holds_reason"])
     assert not row["verified"] and row["reason"]
 
 
-def test_joints_of_other_numbers_are_no_plan(cap: Given, beads: list[np.ndarray], tmp_path: Path) -> None:
+def test_joints_of_other_numbers_are_no_plan(cap: PlanningContext, beads: list[np.ndarray], tmp_path: Path) -> None:
     assert "joints" in str(judge.judge(cap, [q[:-1] for q in beads])["reason"])
     assert "finite" in str(judge.judge(cap, [q * np.nan for q in beads])["reason"])
     np.savetxt(tmp_path / "q.csv", beads[0][:7], delimiter=",", header="j")
     assert "7 waypoints" in str(judged_file(cap, tmp_path)["reason"])
 
 
-def test_a_peer_that_is_missing_is_a_row_with_its_reason(cap: Given, tmp_path: Path) -> None:
+def test_a_peer_that_is_missing_is_a_row_with_its_reason(cap: PlanningContext, tmp_path: Path) -> None:
     row = command.one_peer("pink", "peer_cap@1000", cap, tmp_path / "python", tmp_path, (10.0, 1e3))
     assert "not installed" in str(row["reason"]) and "make peers" in str(row["reason"])
 

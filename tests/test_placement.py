@@ -12,24 +12,42 @@ import pytest
 from numpy.typing import NDArray
 from solved import BED, write_small
 
-from planner.cell import Cell, build_cell
-from planner.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, OutputError
-from planner.obstacles import obstacles_of
-from planner.place import PICTURE, TABLE, Outcome, best_of, main
-from planner.placement.crew import crew_of
-from planner.placement.freedom import Place, changed_fields, moved_cell, place_of
-from planner.placement.margin_kernel import bottleneck, way_back
-from planner.placement.ranges import axes_of, reach
-from planner.placement.rating import COMFORT, Course, best_worst, course_of, rate, score, score_of_paths
-from planner.placement.search import Axis, Tried, lattice, one_by_one, polish, well_apart
-from planner.placement.site import Asked, own_site, site_of, surroundings
-from planner.planning import try_out
+from planner.base.distribution import crew
+from planner.base.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, OutputError
+from planner.cell.cell import Cell, build_cell
+from planner.collision.scene import obstacles_of
+from planner.place.command import PICTURE, TABLE, best_of, main
+from planner.place.rating import (
+    COMFORT,
+    Course,
+    best_worst,
+    bottleneck,
+    course_of,
+    rate,
+    score,
+    score_of_paths,
+    way_back,
+)
+from planner.place.search import Axis, ScoredPoint, lattice, one_by_one, polish, well_apart
+from planner.place.site import (
+    Asked,
+    PartPlace,
+    axes_of,
+    changed_fields,
+    moved_cell,
+    own_site,
+    place_of,
+    reach,
+    site_of,
+    surroundings,
+)
+from planner.place.study import PlaceOutcome, crew_of
+from planner.planning.pipeline import try_out
 from planner.problem import Problem, load_problem
 from planner.problem.rewrite import changed_text, write_changed
-from planner.resolve import STRATEGIES
-from planner.spread import crew
-from planner.task import NozzleTask, tasks_of
+from planner.resolve.strategies import STRATEGIES
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.task import NozzleTask, tasks_of
 
 Array = NDArray[np.float64]
 STEP = np.radians(30.0)
@@ -251,7 +269,7 @@ def test_a_moved_cell_is_the_cell_of_the_changed_file(tmp_path: Path, name: str)
     changes, by = CELLS[name]
     problem = load_problem(write_small(tmp_path / "here", *changes))
     cell, now = build_cell(problem), place_of(problem)
-    there = Place(*(a + b for a, b in zip(vars(now).values(), by, strict=True)))
+    there = PartPlace(*(a + b for a, b in zip(vars(now).values(), by, strict=True)))
     target = tmp_path / "elsewhere" / "moved.yaml"
     write_changed(problem, changed_fields(problem, there), target)
     written = load_problem(target)
@@ -326,7 +344,7 @@ def ridge(point: tuple[float, ...], floor: float) -> float:
 
 
 def test_search_finds_the_top_of_a_ridge() -> None:
-    tried = [Tried(point, ridge(point, 0.0)) for point in lattice(AXES)]
+    tried = [ScoredPoint(point, ridge(point, 0.0)) for point in lattice(AXES)]
     assert len(tried) == 150
     starts = well_apart(tried, 3, lambda a, b: abs(a[0] - b[0]) > 0.3)
     trails = [polish(AXES, one_by_one(ridge), start.point) for start in starts]
@@ -340,7 +358,7 @@ def test_search_finds_the_top_of_a_ridge() -> None:
 
 
 def test_places_apart_are_kept_best_first() -> None:
-    tried = [Tried((x,), s) for x, s in ((0.0, 1.0), (0.1, 2.0), (0.5, 0.5), (0.9, 0.0))]
+    tried = [ScoredPoint((x,), s) for x, s in ((0.0, 1.0), (0.1, 2.0), (0.5, 0.5), (0.9, 0.0))]
     found = well_apart(tried, 5, lambda a, b: abs(a[0] - b[0]) > 0.2)
     assert found == [tried[1], tried[2]]
 
@@ -410,7 +428,7 @@ def test_command_finds_a_better_place(tmp_path: Path, capsys: pytest.CaptureFixt
         loaded = load_problem(path)
         report = try_out(loaded, build_toolpath(loaded), loaded.strategy)
         assert all(check.ok for check in report.checks)
-        scores.append(Outcome(place_of(loaded), 0.0, report.metrics, None).score)
+        scores.append(PlaceOutcome(place_of(loaded), 0.0, report.metrics, None).score)
     assert scores[1] > 1.1 * scores[0]
 
     rows = list(csv.DictReader((out / TABLE).read_text(encoding="utf-8").splitlines()))
@@ -475,8 +493,8 @@ def test_command_refuses_options(tmp_path: Path, option: list[str]) -> None:
 def test_the_best_is_verified_and_better_than_it_was() -> None:
     metrics = {"sigma_min": 0.2, "joint_limit_margin_deg": 30.0, "wrist_margin_deg": 40.0}
     metrics |= {"ideal_deposition_time_s": 9.0, "deposition_time_s": 10.0}
-    place = Place(0.0, 0.0, 0.0, 0.0)
-    good = Outcome(place, 1.0, metrics, None)
+    place = PartPlace(0.0, 0.0, 0.0, 0.0)
+    good = PlaceOutcome(place, 1.0, metrics, None)
     better = replace(good, metrics=metrics | {"sigma_min": 0.21})
     assert good.score == pytest.approx(0.9)
     assert replace(good, metrics=metrics | {"wrist_margin_deg": 5.0}).score == pytest.approx(0.45, rel=0.01)

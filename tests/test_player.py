@@ -7,14 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner.errors import InputError
+from planner.base.errors import InputError
+from planner.export.fit import angle, from_matrix
 from planner.export.moves import deposits
-from planner.export.player import play
-from planner.export.program import Program, Trigger
+from planner.export.player.play import play
+from planner.export.program import RobotProgram, Trigger
 from planner.export.rapid.reader import read_rapid
-from planner.export.rapid.targets import quadrants
-from planner.export.rapid.writer import rapid
-from planner.export.rotations import angle, from_matrix
+from planner.export.rapid.writer import quadrants, rapid
 from tests.export_fixtures import make_plan
 
 _CELL = make_plan(positioner=False).cell  # whose limits are those of a synthetic plan
@@ -31,7 +30,7 @@ def program_through(points, *, fine=(), speed=SPEED, turn=FAST, zone=0.3e-3, lin
     T = CELL.T_part_nozzle(HOME[None])
     flange = CELL.T_flange_nozzle
     stops = np.isin(np.arange(m), [*fine, m - 1])
-    return Program(
+    return RobotProgram(
         module="Test",
         tool=_frame(flange),
         uframe=_frame(CELL.T_world_holder),

@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planner.errors import InputError
-from planner.export.corners import closer_at_turns
+from planner.base.errors import InputError
+from planner.export.fit import closer_at_turns
 from planner.export.languages import LANGUAGES
-from planner.export.player import play
-from planner.export.player.laying import laid_moves, laid_spans, laid_targets
-from planner.export.player.limited import ACCELERATION, limited
-from planner.export.rapid.demand import flow
+from planner.export.player.play import ACCELERATION, limited, play
+from planner.export.player.played import laid_moves, laid_spans, laid_targets
+from planner.export.rapid.extruder import flow
 from planner.export.rapid.reader import read_rapid, read_rapid_files
 from planner.export.rapid.writer import rapid, rapid_files
 from planner.export.readback import judge, readback

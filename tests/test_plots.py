@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from solved import small_plan
 
 from planner import plots
-from planner.errors import InputError
+from planner.base.errors import InputError
 from planner.plan import Plan
 from planner.resolve.roll_map import LIMITS, SINGULAR
 

@@ -12,21 +12,21 @@ import pytest
 from numpy.typing import NDArray
 from solved import solve_alone
 
-from planner.cell import Cell, build_cell
-from planner.errors import InputError, Refusal
-from planner.export import write_robot_code
+from planner.base.errors import InputError, Refusal
+from planner.cell.cell import Cell, build_cell
 from planner.export.languages import chosen
 from planner.export.plan_json import cell_screws
 from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.writer import rapid
+from planner.export.write import write_robot_code
 from planner.plan import Plan
 from planner.problem import Problem, load_problem
-from planner.replay import replay
 from planner.report.summary import print_summary
 from planner.resolve.ladder import ladder
 from planner.resolve.table_first import _lattice
-from planner.task import make_tasks
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.task import make_tasks
+from planner.verify.executed import executed_motion
 from planner.verify.verdict import verify
 
 Array = NDArray[np.float64]
@@ -128,7 +128,7 @@ def test_a_second_arm_carries_the_part_as_pinocchio_says(folder: Path, free: tup
     nozzle = pin.SE3(pin.utils.rotate("y", np.radians(45.0)), np.array([0.0, 0.0, 0.1]))
     q = random_postures(cell, 20)
     seen = cell.T_part_nozzle(q)
-    motion = replay(cell, replace_trajectory(plan_of(folder, "bed"), q).trajectory)
+    motion = executed_motion(cell, replace_trajectory(plan_of(folder, "bed"), q).trajectory)
     for k, row in enumerate(q):
         held = np.radians([HOLD[name] for name in JOINTS])
         held[[JOINTS.index(name) for name in free]] = row[6:]

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planner.cell import build_cell
-from planner.point_tree import FROM_THE_START
-from planner.print_body import CLEARANCE, PrintBody, print_body, standing
+from planner.cell.cell import build_cell
+from planner.cell.solids import Body, Box
+from planner.collision.point_tree import FROM_THE_START
+from planner.collision.print_body import CLEARANCE, PrintBody, merged, print_body, split, standing
 from planner.problem import load_problem
-from planner.solids import Body, Box
-from planner.surface_points import merged, split
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 

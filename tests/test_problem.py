@@ -14,9 +14,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 
-from planner.errors import InputError
+from planner.base.errors import InputError
 from planner.problem import Problem, find_problem, load_problem, shipped_problems
-from planner.problem.mistakes import _models
+from planner.problem.problem import _models
 from planner.problem.settings import STRATEGY_NAMES
 
 # Lines are counted by the tests: keep one section per line.

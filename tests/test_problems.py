@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from solved import promises_kept, solve_alone
 
-from planner.errors import Refusal
-from planner.export.compare import compare
-from planner.export.pieces import replay
+from planner.base.errors import Refusal
+from planner.export.program import replay
 from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.writer import rapid
+from planner.export.readback import compare
 from planner.plan import Plan
 from planner.problem import load_problem, shipped_problems
 

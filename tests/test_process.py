@@ -8,16 +8,15 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from planner.errors import InputError
+from planner.base.errors import InputError
 from planner.problem import Problem, load_problem
 from planner.problem.process import FibreSpec
-from planner.process import Run, cut_place, with_runs
-from planner.task import NozzleTask, Stop, make_tasks, tasks_of
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.rounding import PlaneCurve
-from planner.toolpath.transport import roll_zeros
-from planner.toolpath.wrap import Cylinder, wrap_layer
+from planner.toolpath.plane_paths import PlaneCurve
+from planner.toolpath.runs import BeadRun, cut_place, with_runs
+from planner.toolpath.task import NozzleTask, Stop, make_tasks, roll_zeros, tasks_of
+from planner.toolpath.wrapped import Cylinder, wrap_layer
 
 Array = NDArray[np.float64]
 MM = 1e-3
@@ -38,7 +37,7 @@ def bead_of(points: Array, normals: Array, closed: bool = False) -> Bead:
     return Bead("own", 0, s, points, normals, roll_zeros([normals])[0], points, 0.6 * MM, HEIGHT, closed)
 
 
-def ends_of(bead: Bead, run: Run) -> list[tuple[Array, Array, Array, Array]]:
+def ends_of(bead: Bead, run: BeadRun) -> list[tuple[Array, Array, Array, Array]]:
     """For both ends: points (m, 3) from the bead's end outward, normals there, arc length, and the bead's (k, 3)."""
     out = []
     for walk, inner in ((slice(run.first, None, -1), bead.points), (slice(run.last, None), bead.points[::-1])):

@@ -12,16 +12,16 @@ import pytest
 from numpy.typing import NDArray
 from solved import sampled, small_problem, solve_alone
 
-from planner.command import DEFAULT_DT
-from planner.errors import InputError
-from planner.export.compare import compare
-from planner.export.extruder.writer import gcode
+from planner.base.errors import InputError
+from planner.export.extruder import gcode
 from planner.export.plan_json import plan_json
 from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.writer import rapid
+from planner.export.readback import compare
 from planner.plan import Plan
+from planner.planning.options import DEFAULT_DT
+from planner.planning.pipeline import solve
 from planner.problem import load_problem
-from planner.solve import solve
 from planner.verify.verdict import verify
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ from benchmarks.published import jobs_of, left, main, parser, planned, summary
 from benchmarks.rows import Row, Run, make_row, read_rows
 from benchmarks.single import Job as SingleJob
 from benchmarks.waypoint_files import FIT, Meaning, files_in, look_at, place, together
-from planner.errors import InputError
+from planner.base.errors import InputError
 from planner.problem import load_problem
 from planner.toolpath.build import build_toolpath
 

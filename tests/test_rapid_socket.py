@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from export_fixtures import FILAMENT, GOLDEN, MATERIALS, make_plan, problem, socket_plan
 
-from planner.errors import InputError
+from planner.base.errors import InputError
 from planner.export.languages import LANGUAGES
 from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.writer import rapid_files

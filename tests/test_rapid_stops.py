@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 from rapid_runner import Ended, Raised, Runner, SystemStop
 
-from planner.export.rapid.lines import LONGEST_LINE
-from planner.export.rapid.server import WINDOW, server, server_declarations
+from planner.export.rapid.extruder import LONGEST_LINE, WINDOW, server, server_declarations
 
 STREAM = files("planner.link").joinpath("BeadwiseStream.mod").read_text("ascii")
 

@@ -19,12 +19,11 @@ from export_fixtures import (
     socket_plan,
 )
 
-from planner.errors import InputError
+from planner.base.errors import InputError
 from planner.export.languages import LANGUAGES
-from planner.export.rapid.modules import batches_of
-from planner.export.rapid.procedures import Procedure
 from planner.export.rapid.reader import read_rapid, read_rapid_files
-from planner.export.rapid.writer import rapid, rapid_files
+from planner.export.rapid.text import batches_of
+from planner.export.rapid.writer import Procedure, rapid, rapid_files
 
 RAPID = LANGUAGES["rapid"]
 

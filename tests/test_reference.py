@@ -11,16 +11,15 @@ from typing import Any
 import jsonschema
 import pytest
 
-from planner.errors import InputError
+from planner.base.errors import InputError
+from planner.cell.robot import ROBOTS, robot_names
+from planner.cell.robot_file import KEYS
 from planner.problem import Problem, load_problem, shipped_problems
-from planner.problem.described import described
-from planner.problem.fields import LONGEST_NAME
-from planner.problem.file import PROBLEMS, apply_overrides, parse_yaml, read_problem_file, read_yaml_file
-from planner.reference.__main__ import TEXTS, main
+from planner.problem.fields import LONGEST_NAME, described
+from planner.problem.yaml_file import PROBLEMS, apply_overrides, parse_yaml, read_problem_file, read_yaml_file
 from planner.reference.command import FILES
 from planner.reference.fields import example_of, meaning, sections, shipped_examples, values
-from planner.robot.file import KEYS
-from planner.robot.robot import ROBOTS, robot_names
+from planner.reference.generate import TEXTS, main
 
 ROOT = Path(__file__).resolve().parents[1]
 MODELINE = "# yaml-language-server: $schema=../docs/problem.schema.json"

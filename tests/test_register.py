@@ -16,19 +16,16 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from benchmarks.touching import cartesian, misplaced, tips_of, write_contacts
-from planner.cell import build_cell
-from planner.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError
-from planner.kinematics.inverse import track
+from planner.base.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError
+from planner.cell.cell import build_cell
+from planner.cell.kinematics.inverse import track
 from planner.problem import load_problem, shipped_problems
 from planner.problem.rewrite import write_changed
-from planner.register import main
-from planner.registration.contacts import plate_poses, read_readings
-from planner.registration.finding import Ask, Scene, plan_contacts, register, scene_of, suggest_next
-from planner.registration.fitting import most_wrong
-from planner.registration.placement import UNKNOWNS, Placement, rows, slopes
-from planner.registration.pollard import locate
-from planner.registration.unknowns import looked_for, split, words
-from planner.registration.writing import changes_of, rpy_degrees
+from planner.register.command import main
+from planner.register.contacts import locate, plate_poses, read_readings
+from planner.register.finding import Ask, Scene, plan_contacts, register, scene_of, suggest_next
+from planner.register.fitting import UNKNOWNS, Placement, looked_for, most_wrong, rows, slopes, split, words
+from planner.register.telling import changes_of, rpy_degrees
 
 Array = NDArray[np.float64]
 

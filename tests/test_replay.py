@@ -14,9 +14,9 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 from solved import small_plan
 
-from planner.cell import Cell, build_cell
+from planner.cell.cell import Cell, build_cell
 from planner.problem import load_problem
-from planner.replay import _determinant, joint_poses, replay
+from planner.verify.executed import _determinant, executed_motion, joint_poses
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ def check(cell: Cell) -> None:
     limits = cell.limits
     low, high = np.maximum(limits.q_min, -np.pi), np.minimum(limits.q_max, np.pi)
     q = np.random.default_rng(5).uniform(low, high, (len(t), len(low)))
-    motion = replay(cell, replace(t, q=q))
+    motion = executed_motion(cell, replace(t, q=q))
     for i in range(0, len(t), max(len(t) // 40, 1)):
         T_world_nozzle, J = of_nozzle(cell, q[i])
         T = np.linalg.inv(of_part(cell, q[i])) @ T_world_nozzle

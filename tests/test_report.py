@@ -22,19 +22,18 @@ from plotly.offline import get_plotlyjs
 from report_fixtures import CENTRE, HEIGHT, RADIUS, SHAPE, make_beads, make_plan, make_problem, with_dips, write_folder
 from report_page import figures, library, own_text, points, values, visible
 
-from planner.errors import InputError, OutputError
-from planner.export import write_part
+from planner.base.errors import InputError, OutputError
+from planner.export.write import write_part
 from planner.plan import Event
 from planner.problem import Problem
-from planner.problem.described import described
+from planner.problem.fields import described
 from planner.report import picture, places
-from planner.report.curves import joint_charts, time_charts
-from planner.report.dips import MOST_MARKS, MOST_ROWS
+from planner.report.charts import joint_charts, time_charts
 from planner.report.extruder import even_flow, flow_note
 from planner.report.failure import write_failure_report
-from planner.report.finished import read_part
 from planner.report.html import _command, _header, write_report
-from planner.report.places import worst_places
+from planner.report.picture import read_part
+from planner.report.places import MOST_MARKS, MOST_ROWS, worst_places
 from planner.report.scene import plan_scene
 from planner.report.summary import print_summary
 from planner.report.thinning import CURVE_BUDGET, SCENE_BUDGET, keep_minima, runs, stretches, thin_curve

@@ -14,15 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from planner.cell import Cell, Limits, build_cell
-from planner.errors import Refusal
-from planner.obstacles import NOTHING
+from planner.base.errors import Refusal
+from planner.cell.cell import Cell, Limits, build_cell
+from planner.collision.scene import NOTHING
 from planner.problem import Problem, load_problem
-from planner.resolve import STRATEGIES
-from planner.resolve.demand import Demand, demand_of
-from planner.resolve.jointpath import JointPath, choose_turns, spread
+from planner.resolve.joint_path import JointPath, SampledTasks, choose_turns, sample_tasks, spread
 from planner.resolve.ladder import coarse_nodes
-from planner.resolve.node_kernel import (
+from planner.resolve.nodes import (
     AT_SPEED,
     DIP_PRICE,
     LIMIT_COMFORT,
@@ -31,13 +29,16 @@ from planner.resolve.node_kernel import (
     RAMP_SHARE,
     SIGMA_COMFORT,
     SIGMA_PRICE,
+    Grid,
+    Nodes,
+    evaluate,
+    full_grid,
 )
-from planner.resolve.nodes import Grid, Nodes, evaluate, full_grid
-from planner.resolve.search import Route, best_route, greedy_route
-from planner.resolve.search_kernel import SPEED_SHARE, TRAVEL_PRICE, TURN_PRICE
-from planner.task import NozzleTask, make_tasks
+from planner.resolve.search import SPEED_SHARE, TRAVEL_PRICE, TURN_PRICE, Route, best_route, greedy_route
+from planner.resolve.strategies import STRATEGIES
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.task import NozzleTask, make_tasks
 
 Array = NDArray[np.float64]
 Paths = dict[str, tuple[JointPath, ...]]
@@ -66,7 +67,7 @@ def test_demand_of_a_helix_is_the_closed_form() -> None:
     speed, radius, pitch = 0.04, 0.03, 0.5
     task = helix_task(speed, radius=radius, pitch=pitch)
     assert np.allclose(np.linalg.det(task.frames), 1.0)
-    demand = demand_of([task], 5e-3)
+    demand = sample_tasks([task], 5e-3)
     rate = speed / (radius * np.hypot(1.0, pitch))  # of the angle, rad/s
     angle = np.linspace(0.0, 2.0, len(task))
     c, s, one = np.cos(angle), np.sin(angle), np.ones(len(task))
@@ -80,7 +81,7 @@ def test_demand_of_a_helix_is_the_closed_form() -> None:
 
 
 def test_twists_are_finite_differences_of_poses(tasks: tuple[NozzleTask, ...]) -> None:
-    demand = demand_of(tasks, 5e-3)
+    demand = sample_tasks(tasks, 5e-3)
     offset = 0
     for task in tasks:
         t = task.s / task.speed
@@ -100,7 +101,7 @@ def test_twists_are_finite_differences_of_poses(tasks: tuple[NozzleTask, ...]) -
 
 @pytest.mark.parametrize("spacing", [2e-3, 5e-3, 1.0])
 def test_rungs_cover_every_task(tasks: tuple[NozzleTask, ...], spacing: float) -> None:
-    demand = demand_of(tasks, spacing)
+    demand = sample_tasks(tasks, spacing)
     offset = 0
     for i, task in enumerate(tasks):
         rungs = demand.rungs_of(i)
@@ -123,7 +124,7 @@ def test_rungs_cover_every_task(tasks: tuple[NozzleTask, ...], spacing: float) -
 
 
 def test_rungs_closer_than_samples_take_time(tasks: tuple[NozzleTask, ...]) -> None:
-    demand = demand_of(tasks, 2e-5)
+    demand = sample_tasks(tasks, 2e-5)
     for i in range(len(tasks)):
         assert (demand.time[demand.rungs_of(i)][1:] > 0.0).all()
 
@@ -132,7 +133,7 @@ def test_rungs_closer_than_samples_take_time(tasks: tuple[NozzleTask, ...]) -> N
 
 
 def slow_price(
-    cell: Cell, demand: Demand, rung: int, roll: float, holder: float, branch: int, min_sigma: float
+    cell: Cell, demand: SampledTasks, rung: int, roll: float, holder: float, branch: int, min_sigma: float
 ) -> tuple[float, Array | None, float]:
     """Price [s], joints and smallest singular value of one node, sample by sample and joint by joint."""
     limits = cell.limits
@@ -184,7 +185,7 @@ def test_nodes_against_a_slow_reference(
     if holder == "bed":
         spot = ["cell.positioner=null", "cell.bed_mm=[-600, -30, 380]", "cell.base_mm=[10, 20, 30]"]
         cell = build_cell(load_problem("cylinder_logo", spot))
-    demand = demand_of(tasks[:3], 10e-3)
+    demand = sample_tasks(tasks[:3], 10e-3)
     grid = full_grid(demand, np.radians(40), np.radians(60), len(cell.holder) > 0)
     assert (grid.rolls, grid.holders) == (9, 6 if holder == "table" else 1)
     min_sigma = 0.05
@@ -229,7 +230,7 @@ def test_prices_near_a_singularity_follow_sigma(
 
 
 def test_steps_are_rounded_to_divide_the_circle(tasks: tuple[NozzleTask, ...]) -> None:
-    demand = demand_of(tasks, 10e-3)
+    demand = sample_tasks(tasks, 10e-3)
     grid = full_grid(demand, np.radians(50.0), np.radians(360.0 / 7), True)
     assert (grid.rolls, grid.holders) == (8, 7)
     assert grid.rolls * grid.roll_step == pytest.approx(TURN)
@@ -263,7 +264,7 @@ def slow_edge(q0: Array, q1: Array, straight: Array, turn: float, time: float, l
     return TURN_PRICE * time * need**2
 
 
-def edge_matrix(nodes: Nodes, demand: Demand, r: int, limits: Limits) -> Array:
+def edge_matrix(nodes: Nodes, demand: SampledTasks, r: int, limits: Limits) -> Array:
     """Prices (k, k) of getting from each node of rung r - 1 to each of rung r."""
     grid = nodes.grid
     shape = nodes.price.shape[1:]
@@ -298,7 +299,7 @@ def edge_matrix(nodes: Nodes, demand: Demand, r: int, limits: Limits) -> Array:
     return E
 
 
-def brute_force(nodes: Nodes, demand: Demand, limits: Limits) -> tuple[Array, list[Array]]:
+def brute_force(nodes: Nodes, demand: SampledTasks, limits: Limits) -> tuple[Array, list[Array]]:
     """The price of every way through the ladder there is, and the edges' prices."""
     R = len(demand.rung)
     edges = [edge_matrix(nodes, demand, r, limits) for r in range(1, R)]
@@ -331,7 +332,7 @@ def first_dead_rung(nodes: Nodes, edges: list[Array]) -> int:
     return -1
 
 
-def tiny_ladder(rng: np.random.Generator, periodic: bool) -> tuple[Nodes, Demand, Limits]:
+def tiny_ladder(rng: np.random.Generator, periodic: bool) -> tuple[Nodes, SampledTasks, Limits]:
     """At most four rungs in one to three tasks, three rolls, three holder angles, two branches."""
     R = int(rng.integers(2, 5))
     A, B, C = int(rng.integers(1, 4)), int(rng.integers(1, 4)), int(rng.integers(1, 3))
@@ -356,7 +357,7 @@ def tiny_ladder(rng: np.random.Generator, periodic: bool) -> tuple[Nodes, Demand
     time[task_rungs[:-1]] = 0.0
     empty = np.zeros(0)
     index = np.arange(R)
-    demand = Demand(empty, empty, empty, empty, empty, empty, index, empty, index, index + 1, time, task_rungs)
+    demand = SampledTasks(empty, empty, empty, empty, empty, empty, index, empty, index, index + 1, time, task_rungs)
     v, a = rng.uniform(0.5, 1.2, 7), rng.uniform(2.0, 6.0, 7)
     v[6] = 4.0 if periodic else 0.5
     limits = Limits(np.full(7, -9.0), np.full(7, 9.0), v, a, 50 * a)
@@ -402,7 +403,7 @@ def test_search_prefers_a_short_travel() -> None:
     zero = np.zeros(2, dtype=np.int64)
     grid = Grid(0.3, TURN, zero, zero, 3, 1, True, np.zeros((2, 1), dtype=np.int64))
     empty = np.zeros(0)
-    demand = Demand(
+    demand = SampledTasks(
         empty, empty, empty, empty, empty, empty, zero, empty, zero, zero + 1, np.zeros(2), np.array([0, 1, 2])
     )
     limits = Limits(*(np.full(7, x) for x in (-9.0, 9.0, 1.0, 5.0, 250.0)))

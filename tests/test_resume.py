@@ -16,23 +16,24 @@ from scipy.interpolate import CubicSpline
 from solved import write_small
 
 import planner.planning
-from planner.errors import EXIT_INPUT, InputError
+from planner.base.errors import EXIT_INPUT, InputError
+from planner.collision.print_body import print_body, standing
+from planner.collision.scene import NOTHING, obstacles_of
 from planner.export.plan_json import plan_json
 from planner.export.rapid.text import LONGEST_NAME, module_name
-from planner.motion import join
-from planner.obstacles import NOTHING, obstacles_of
+from planner.motion.timing.timed_path import time_path
+from planner.motion.trajectory import join
+from planner.motion.travel.plan import plan_travels
 from planner.plan import Plan, Trajectory
-from planner.print_body import print_body, standing
+from planner.planning.pipeline import solve, write
+from planner.planning.solve_command import main
 from planner.problem import Problem, load_problem
 from planner.report.scene import plan_scene
 from planner.report.summary import print_summary
-from planner.resolve import STRATEGIES
-from planner.solve import main, solve, write
-from planner.task import tasks_of
-from planner.timing import time_path
+from planner.resolve.strategies import STRATEGIES
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.travel import plan_travels
+from planner.toolpath.task import tasks_of
 from planner.verify.verdict import verify
 
 TWO_LAYERS = ("  count: 1\n", "  count: 2\n")

@@ -11,9 +11,9 @@ import pytest
 from coal_bodies import distance, nearest_links, placed
 from numpy.typing import NDArray
 
-from planner.cell import Cell, build_cell
+from planner.cell.cell import Cell, build_cell
+from planner.cell.robot import ROBOTS, Robot, joint_axis, read_robot, robot_names
 from planner.problem import load_problem
-from planner.robot.robot import ROBOTS, Robot, joint_axis, read_robot, robot_names
 
 Array = NDArray[np.float64]
 DRAWN = [key for key in robot_names() if key not in ("panda", "ur3", "ur5", "ur10", "xarm7")]

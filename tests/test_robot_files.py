@@ -10,10 +10,10 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from planner.errors import InputError
-from planner.robot.robot import ROBOTS, read_robot
-from planner.robot.urdf import read_urdf
-from planner.solids import Body, Box, Capsule, Frustum, Hull, triangles_of
+from planner.base.errors import InputError
+from planner.cell.robot import ROBOTS, read_robot
+from planner.cell.solids import Body, Box, Capsule, Frustum, Hull, triangles_of
+from planner.cell.urdf import read_urdf
 
 Array = NDArray[np.float64]
 SHARE = Path(coal.__file__).resolve().parents[4] / "share"

@@ -10,14 +10,25 @@ import pytest
 from numpy.typing import NDArray
 from solved import small_plan
 
-from planner.obstacles import Obstacles
+from planner.collision.scene import Obstacles
 from planner.plan import Plan
-from planner.report.packing import packed
+from planner.report.page import packed
 from planner.report.roll_map import roll_map_figures, roll_map_section
 from planner.resolve import roll_map as module
-from planner.resolve.jointpath import JointPath
-from planner.resolve.roll_map import COLLISION, FREE, LIMITS, REACH, REASONS, SINGULAR, RollMap, roll_map, unplanned
-from planner.resolve.roll_maps import BEAD_COLUMNS, roll_maps
+from planner.resolve.joint_path import JointPath
+from planner.resolve.roll_map import (
+    BEAD_COLUMNS,
+    COLLISION,
+    FREE,
+    LIMITS,
+    REACH,
+    REASONS,
+    SINGULAR,
+    RollMap,
+    roll_map,
+    roll_maps,
+    unplanned,
+)
 
 Array = NDArray[np.float64]
 COLUMNS, ROLLS = 9, 24

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 
-from planner.toolpath.rounding import ROUNDING_LENGTH, PlaneCurve, round_corners
-from planner.toolpath.svg import PlanePath
+from planner.toolpath.plane_paths import ROUNDING_LENGTH, PlaneCurve, round_corners
+from planner.toolpath.svg.outlines import PlanePath
 
 Array = NDArray[np.float64]
 TOLERANCE = 0.2e-3

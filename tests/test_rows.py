@@ -11,14 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.toolpath.coverage import measures
-from planner.toolpath.coverage.joints import Joint, chains, chosen, possible
-from planner.toolpath.coverage.levels import Rim, Row, rows_at
-from planner.toolpath.coverage.marching import march
-from planner.toolpath.coverage.measures import Line
-from planner.toolpath.coverage.patches import Stroke
+from planner.toolpath.coverage.measures import SurfaceLine
 from planner.toolpath.coverage.rows import REACH, TooSmallError, cover
-from planner.toolpath.coverage.sheet import inside, sheet_of
-from planner.toolpath.coverage.smooth import evenly, smooth
+from planner.toolpath.coverage.sheet import Rim, Row, Stroke, inside, march, rows_at, sheet_of
+from planner.toolpath.coverage.stitch import Joint, chains, chosen, evenly, possible, smooth
 
 SPACING, SPEED = 0.01, 0.04
 
@@ -71,8 +67,8 @@ ALL = {
 }
 
 
-def lines(strokes: list[Stroke]) -> list[Line]:
-    return [Line(stroke.points, stroke.normals, stroke.closed) for stroke in strokes]
+def lines(strokes: list[Stroke]) -> list[SurfaceLine]:
+    return [SurfaceLine(stroke.points, stroke.normals, stroke.closed) for stroke in strokes]
 
 
 def looked_at(patch: FormulaFace, count: int = 150) -> np.ndarray:

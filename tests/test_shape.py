@@ -9,8 +9,8 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from planner.export.part_stl import part_stl
-from planner.toolpath.shape import MOST_TRIANGLES, Shape, cylinder_shape, dome_shape, facets_shape, skin_shape
+from planner.export.tables import part_stl
+from planner.toolpath.bead import MOST_TRIANGLES, Shape, cylinder_shape, dome_shape, facets_shape, skin_shape
 from planner.toolpath.substrate.bodies import Ball
 
 CENTRE = np.array([0.02, -0.01, -0.015])

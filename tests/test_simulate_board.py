@@ -11,11 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner.errors import InputError
-from planner.simulate.board import LONGEST_LINE, QUEUE, Board
-from planner.simulate.board_server import DISCARDED, BoardServer
-from planner.simulate.faults import BOARD_FAULTS, Faults, faults_of
-from planner.simulate.heaters import AMBIENT_C, NOZZLE
+from planner.base.errors import InputError
+from planner.simulate.board import AMBIENT_C, BOARD_FAULTS, LONGEST_LINE, NOZZLE, QUEUE, Board, Faults, faults_of
+from planner.simulate.servers import DISCARDED, BoardServer
 
 
 def framed(n: int, text: str) -> bytes:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from planner.simulate.__main__ import main
+from planner.simulate.command import main
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -16,12 +16,10 @@ from simulate_fixtures import MODULE, Client, program, reader
 
 from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.writer import rapid, rapid_files
-from planner.simulate import Simulated, start
-from planner.simulate.controller import Controller
-from planner.simulate.motion import OUTPUT, SEND, SETTLE, own_clock
-from planner.simulate.player import played_motion
-from planner.simulate.program_socket import TIMEOUT, WINDOW
+from planner.simulate.controller import OUTPUT, SEND, SETTLE, Controller, own_clock, played_motion
 from planner.simulate.rws import FORM_V2, USER, Access, RwsServer
+from planner.simulate.servers import TIMEOUT, WINDOW
+from planner.simulate.start import Simulated, start
 
 LINES = tuple(f"G1 E{0.1 + 0.01 * k:.3f} F300" for k in range(40))
 

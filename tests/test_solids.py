@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from planner.point_tree import (
+from planner.cell.solids import Body, Box, Capsule, Frustum, Hull, Mesh, Packed, Solid, packed, triangles_of
+from planner.collision.point_tree import (
     FROM_THE_START,
     PointTree,
     least_distances,
@@ -20,7 +21,6 @@ from planner.point_tree import (
     search_room,
     solid_distance,
 )
-from planner.solids import Body, Box, Capsule, Frustum, Hull, Mesh, Packed, Solid, packed, triangles_of
 
 Array = NDArray[np.float64]
 RNG = np.random.default_rng(3)

@@ -13,10 +13,9 @@ from typing import Any
 
 import pytest
 
-from planner.errors import InputError, PlannerError, Refusal
-from planner.spread import Lost, spread
-from planner.spread import cluster as cluster_module
-from planner.spread.named import name_of, program_of
+from planner.base import distribution as cluster_module
+from planner.base.distribution import Lost, name_of, program_of, spread
+from planner.base.errors import InputError, PlannerError, Refusal
 
 
 def square(item: int) -> tuple[int, int]:
@@ -184,4 +183,6 @@ def test_a_worker_that_is_killed(scheduler: tuple[str, Any], tmp_path: Path) -> 
 
 def test_names_and_programs() -> None:
     assert name_of(square) == ("test_spread", "square")
-    assert "numba" in program_of("planner.spread") and program_of("planner.spread") != program_of("test_spread")
+    assert "numba" in program_of("planner.base.distribution") and program_of("planner.base.distribution") != program_of(
+        "test_spread"
+    )

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from planner.cell import Cell, build_cell
+from planner.cell.cell import Cell, build_cell
 from planner.problem import Problem, load_problem
-from planner.resolve.cone_kernel import FACETS
-from planner.resolve.jointpath import JointPath, postures
+from planner.resolve.cone_kernels import FACETS
+from planner.resolve.joint_path import JointPath, postures
 from planner.resolve.ladder import ladder, runs_backwards
-from planner.resolve.node_kernel import LIMIT_COMFORT, LIMIT_PRICE, SIGMA_COMFORT, SIGMA_PRICE
-from planner.resolve.price_kernel import (
+from planner.resolve.nodes import LIMIT_COMFORT, LIMIT_PRICE, SIGMA_COMFORT, SIGMA_PRICE
+from planner.resolve.price_kernels import (
     DIP,
     DIP_PRICE,
     EFFORT,
@@ -26,19 +26,18 @@ from planner.resolve.price_kernel import (
     lost,
     lost_slope,
     price_of,
+    watch_missed_ends,
 )
 from planner.resolve.refine import calmed, evaluate, expand, program_around, refine_stretch, watched
-from planner.resolve.sqp import Priced, given_price, refine_paths, start_track, whole
-from planner.resolve.stretch import CONE_SIDES, Model, State, Stretch, Watch, model_of
-from planner.resolve.stretch import TILT as TILT_COLUMNS
-from planner.resolve.watch_kernel import watch_missed_ends
-from planner.resolve.windows import Track, Windowed, windows
-from planner.task import NozzleTask, cones_of, make_tasks, tasks_of
+from planner.resolve.segment import CONE_SIDES, Model, PathSegment, PathState, Watch, model_of
+from planner.resolve.segment import TILT as TILT_COLUMNS
+from planner.resolve.sqp import Priced, SplinePath, Windowed, given_price, refine_paths, start_track, whole, windows
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.task import NozzleTask, cones_of, make_tasks, tasks_of
 
 Array = NDArray[np.float64]
-BACKGROUND, WINDOWS = sys.modules["planner.background"], sys.modules["planner.resolve.windows"]
+BACKGROUND, WINDOWS = sys.modules["planner.base.processes"], sys.modules["planner.resolve.sqp"]
 MODULE = sys.modules["planner.resolve.sqp"]  # the package's attribute of that name is the strategy
 
 
@@ -123,7 +122,9 @@ def setup_of(drawing_problem: Problem, toolpath: Toolpath) -> Callable[[str], Se
     return make
 
 
-def start(cell: Cell, path: JointPath, floor: float, knot: float = 2.5e-3) -> tuple[Model, Track, Stretch, State]:
+def start(
+    cell: Cell, path: JointPath, floor: float, knot: float = 2.5e-3
+) -> tuple[Model, SplinePath, PathSegment, PathState]:
     model = model_of(cell)
     track = start_track(model, knot, floor, path, None)
     stretch = whole(track.task, track.clock, track.basis, track.anchor)
@@ -132,7 +133,7 @@ def start(cell: Cell, path: JointPath, floor: float, knot: float = 2.5e-3) -> tu
     return model, track, stretch, state
 
 
-def perturbed(model: Model, stretch: Stretch, state: State, floor: float, size: float, seed: int) -> State:
+def perturbed(model: Model, stretch: PathSegment, state: PathState, floor: float, size: float, seed: int) -> PathState:
     """Smoothly, so that the joints keep following."""
     rng = np.random.default_rng(seed)
     k, m = state.c.shape
@@ -142,7 +143,7 @@ def perturbed(model: Model, stretch: Stretch, state: State, floor: float, size: 
     return out
 
 
-def everything(state: State) -> Watch:
+def everything(state: PathState) -> Watch:
     return Watch(
         np.ones((*state.rates.shape, 2), dtype=np.bool_),
         np.ones((*state.lean.shape[:2], FACETS.size), dtype=np.bool_),
@@ -445,7 +446,7 @@ def test_no_path_comes_back_that_leaves_a_range_or_its_cone(
     monkeypatch.setattr(MODULE, "given_price", lambda model, path, least: Priced(-float(np.ptp(path.roll)), 1.0, -1.0))
     for column, by in ((3, 0.2), (1, 0.4), (3, 0.05), (1, 0.3)):
 
-        def shifted(*given: object, column: int = column, by: float = by) -> Track:
+        def shifted(*given: object, column: int = column, by: float = by) -> SplinePath:
             track = start_track(*given)  # type: ignore[arg-type]
             c = track.c.copy()
             c[:, column] += by
@@ -553,9 +554,9 @@ def test_a_window_sees_the_rates_of_the_whole_path(
     """Wherever it counts them; and it counts all samples that its control values touch."""
     cell, _, paths = setup_of("fast, tilt")
     model, track, stretch, state = start(cell, paths[0], 0.1, knot=1e-3)
-    seen: list[tuple[Stretch, State]] = []
+    seen: list[tuple[PathSegment, PathState]] = []
 
-    def capture(model: Model, stretch: Stretch, state: State, *_: object) -> State:
+    def capture(model: Model, stretch: PathSegment, state: PathState, *_: object) -> PathState:
         seen.append((stretch, state))
         return state
 

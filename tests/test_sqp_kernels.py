@@ -14,15 +14,14 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
-from planner.cell import Cell, build_cell
+from planner.cell.cell import Cell, build_cell
 from planner.problem import load_problem
-from planner.resolve.banded import factorise, substitute
-from planner.resolve.follow_kernel import follow
-from planner.resolve.interior_point import ACCURACY, QuadraticProgram, solve_qp
-from planner.resolve.refine_kernel import foreseen
+from planner.resolve.follow import follow
+from planner.resolve.price_kernels import foreseen
+from planner.resolve.quadratic import ACCURACY, QuadraticProgram, factorise, solve_qp, substitute
+from planner.resolve.segment import HOLDER, model_of
 from planner.resolve.splines import Clock, basis_over, clock_of
 from planner.resolve.sqp import fit
-from planner.resolve.stretch import HOLDER, model_of
 
 Array = NDArray[np.float64]
 

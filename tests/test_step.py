@@ -26,17 +26,14 @@ from OCP.TopoDS import TopoDS_Compound, TopoDS_Shape
 from scipy.interpolate import NdBSpline
 from scipy.spatial import cKDTree
 
-from planner.errors import InputError
+from planner.base.errors import InputError
+from planner.planning.solve_command import main
 from planner.problem import Problem, load_problem
-from planner.problem.faces import StepSpec
-from planner.solve import main
+from planner.problem.part import StepSpec
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.step.body import FaceBody
-from planner.toolpath.step.choice import Damaged, choose_faces
-from planner.toolpath.step.face import Face
-from planner.toolpath.step.files import read_step
-from planner.toolpath.step.nearest import SHELL
-from planner.toolpath.step.regions import smooth_regions
+from planner.toolpath.step.body import SHELL, FaceBody
+from planner.toolpath.step.cover import smooth_regions
+from planner.toolpath.step.files import Damaged, Face, choose_faces, read_step
 from planner.toolpath.step.sampling import TOLERANCE, sample_faces
 from planner.toolpath.step.splines import SplineSet, SplineSurface
 

@@ -14,13 +14,13 @@ from OCP.gp import gp_GTrsf, gp_Mat, gp_Pnt, gp_Vec, gp_XYZ
 from OCP.STEPControl import STEPControl_StepModelType, STEPControl_Writer
 from solved import solve_alone
 
-from planner.errors import InputError
+from planner.base.errors import InputError
+from planner.planning.solve_command import main
 from planner.problem import Problem, load_problem
-from planner.solve import main
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.step.files import read_step
 from planner.toolpath.step.top import FaceTop, UpperFaces
-from planner.toolpath.substrate.analytic import Ellipsoid
+from planner.toolpath.substrate.bodies import Ellipsoid
 
 Array = NDArray[np.float64]
 

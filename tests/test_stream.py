@@ -18,24 +18,35 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulate_fixtures import program as straight
 
-from planner.errors import InputError
-from planner.export.program import Program, Trigger
+from planner.base.errors import InputError
+from planner.export.program import RobotProgram, Trigger
 from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.writer import rapid, rapid_files
-from planner.link import stream_sender
-from planner.link.stream import main, program_in, send
-from planner.link.stream_frames import END, LENGTH, LINEAR, packed, stream_of
-from planner.link.stream_sender import ALIVE_EVERY, PATIENCE, Sender, StreamStopped
-from planner.link.stream_server import server_module
+from planner.link import stream as stream_sender
+from planner.link.stream import (
+    ALIVE_EVERY,
+    END,
+    LENGTH,
+    LINEAR,
+    PATIENCE,
+    Sender,
+    StreamStopped,
+    main,
+    packed,
+    program_in,
+    send,
+    server_module,
+    stream_of,
+)
 from planner.simulate import stream as server
-from planner.simulate.faults import STREAM_FAULTS, faults_of
-from planner.simulate.stream import Buffer, Frame, Stopped, StreamServer, frame_of
+from planner.simulate.board import STREAM_FAULTS, faults_of
+from planner.simulate.stream import Buffer, Frame, StreamEnded, StreamServer, frame_of
 
 TEXT = files("planner.link").joinpath("BeadwiseStream.mod").read_text("ascii")
 
 
 @cache
-def printed(materials: tuple[str, ...] = ()) -> Program:
+def printed(materials: tuple[str, ...] = ()) -> RobotProgram:
     return read_rapid(rapid(make_plan(materials=materials)))
 
 
@@ -43,7 +54,7 @@ def silent(text: str) -> None:
     """Says nothing."""
 
 
-def arrived(program: Program) -> list[Frame]:
+def arrived(program: RobotProgram) -> list[Frame]:
     return [frame_of(data) for data in stream_of(program).frames()]
 
 
@@ -94,13 +105,13 @@ def test_frames_say_how_far_the_next_rest_is() -> None:
 def test_a_bit_that_changed_is_noticed(bit: int) -> None:
     data = bytearray(packed(77, LINEAR, values=[1.5 * k for k in range(19)], conf=[-1, 0, 1, 4], left=3))
     data[bit // 8] ^= 1 << bit % 8
-    with pytest.raises(Stopped, match="checksum"):
+    with pytest.raises(StreamEnded, match="checksum"):
         frame_of(bytes(data))
 
 
 def test_words_that_changed_places_are_noticed() -> None:
     data = packed(77, LINEAR, values=[1.5 * k for k in range(19)], left=3)
-    with pytest.raises(Stopped, match="checksum"):
+    with pytest.raises(StreamEnded, match="checksum"):
         frame_of(data[:8] + data[12:16] + data[8:12] + data[16:])
 
 
@@ -173,7 +184,7 @@ def test_a_foreign_parser_accepts_the_module(monkeypatch) -> None:
 # ---- back-pressure, in time that passes only here -----------------------------------------------------------------
 
 
-def simulated(program: Program, capacity: int, latency: float, step: float) -> Buffer:
+def simulated(program: RobotProgram, capacity: int, latency: float, step: float) -> Buffer:
     """A stream from end to end with a network that takes `latency` [s] either way, looked at every `step` [s]."""
     stream, now = stream_of(program), 0.0
     sender, buffer = Sender(stream, now), Buffer(capacity)
@@ -217,7 +228,7 @@ def test_what_arrives_is_what_was_sent_and_never_too_much(capacity, latency, ste
 def test_too_long_a_way_starves_it_and_is_told() -> None:
     buffer = simulated(straight(moves=60, step=0.002), 4, 0.2, 0.001)
     assert buffer.record().starved > 5
-    with pytest.raises(Stopped, match="no frames within a bead"):
+    with pytest.raises(StreamEnded, match="no frames within a bead"):
         simulated(straight(moves=60, step=0.002), 4, 0.4, 0.001)
 
 
@@ -226,11 +237,11 @@ def test_the_buffer_refuses_what_must_not_come() -> None:
     small = Buffer(3)
     for frame in frames[:3]:
         small.take(frame)
-    with pytest.raises(Stopped, match="more frames than fit"):
+    with pytest.raises(StreamEnded, match="more frames than fit"):
         small.take(frames[3])
-    with pytest.raises(Stopped, match="out of order"):
+    with pytest.raises(StreamEnded, match="out of order"):
         Buffer().take(frames[1])
-    with pytest.raises(Stopped, match="asked for it"):
+    with pytest.raises(StreamEnded, match="asked for it"):
         Buffer().take(replace(frames[0], kind=5))
 
 

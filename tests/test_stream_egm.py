@@ -17,16 +17,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from planner.errors import InputError
+from planner.base.errors import InputError
 from planner.export.plan_json import plan_json
-from planner.export.table import write_table
+from planner.export.tables import write_table
 from planner.link import egm
-from planner.link.egm_follow import DEVIATION, GAP, NEAR_START, EgmStopped, Follower, Heard
-from planner.link.egm_limits import Limiter
-from planner.link.egm_plan import PERIOD, JointPlan, read_plan
+from planner.link.egm import (
+    DEVIATION,
+    GAP,
+    NEAR_START,
+    PERIOD,
+    EgmStopped,
+    Follower,
+    Heard,
+    JointPlan,
+    Limiter,
+    read_plan,
+)
 from planner.plan import Plan
+from planner.simulate.board import EGM_FAULTS, faults_of
 from planner.simulate.egm import EgmRobot
-from planner.simulate.faults import EGM_FAULTS, faults_of
 
 DEGREES = np.pi / 180.0
 VELOCITY, ACCELERATION = np.array([2.0, 3.0]), np.array([15.0, 30.0])

@@ -16,17 +16,16 @@ from solved import solve_alone
 
 from benchmarks.orientation import angles, published_axes
 from benchmarks.orientation import main as orientation
-from planner.errors import InputError
+from planner.base.errors import InputError
+from planner.planning.solve_command import main
 from planner.problem import Problem, load_problem
 from planner.problem.drawings import PatternSpec
-from planner.solve import main
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.laying import densify
-from planner.toolpath.substrate.bodies import FARTHEST_FROM_FACETS, Ball, MeshTop, TooRough, reach_beside
-from planner.toolpath.substrate.facet_tree import FacetTree
-from planner.toolpath.substrate.height_field import fit
-from planner.toolpath.substrate.layers import Substrate
+from planner.toolpath.plane_paths import densify
+from planner.toolpath.substrate.bodies import FARTHEST_FROM_FACETS, Ball, MeshTop, TooRoughMesh, reach_beside
+from planner.toolpath.substrate.mesh_surface import FacetTree, fit
 from planner.toolpath.substrate.patterns import NoPattern, pattern
+from planner.toolpath.substrate.projection import Substrate
 
 Array = NDArray[np.float64]
 
@@ -202,7 +201,7 @@ def test_an_edge_has_no_smooth_surface() -> None:
     line = np.column_stack([x, np.zeros(len(x))])
     flat = MeshTop.near(FacetTree.of(np.asarray(box.triangles)), line, 5e-3)
     assert flat.gap <= 1e-9
-    with pytest.raises(TooRough) as caught:
+    with pytest.raises(TooRoughMesh) as caught:
         MeshTop.near(FacetTree.of(np.asarray(roof.triangles)), line, 5e-3)
     assert caught.value.gap > FARTHEST_FROM_FACETS
 
@@ -377,7 +376,7 @@ def test_facets_that_stand_there_twice_or_have_no_area_change_nothing(tmp_path: 
 
 
 def test_a_mesh_of_too_many_facets_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("planner.facets.MOST_FACETS", 1000)
+    monkeypatch.setattr("planner.problem.stl.MOST_FACETS", 1000)
     with pytest.raises(InputError, match="has 5120 facets"):
         build_toolpath(dome(tmp_path))
 

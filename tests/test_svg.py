@@ -16,9 +16,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from planner.errors import InputError
-from planner.toolpath.svg import PlanePath, drawing, read_svg
+from planner.base.errors import InputError
+from planner.toolpath.svg import drawing
 from planner.toolpath.svg.drawing import Drawing
+from planner.toolpath.svg.outlines import PlanePath, read_svg
 
 ROOT = Path(__file__).resolve().parents[1]
 BRISTOL = ROOT.parent / "shared/data/bristol/uob_logo.svg"

@@ -10,8 +10,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from planner.errors import InputError
-from planner.toolpath.svg import PlanePath, read_svg
+from planner.base.errors import InputError
+from planner.toolpath.svg.outlines import PlanePath, read_svg
 
 Array = NDArray[np.float64]
 SVG = "http://www.w3.org/2000/svg"

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planner.cell import build_cell
+from planner.cell.cell import build_cell
 from planner.problem import load_problem
-from planner.resolve.demand import demand_of
+from planner.resolve.joint_path import sample_tasks
 from planner.resolve.table_first import ARM_SHARES, BEYOND, LEAN, MOVE, RETURN, _cheapest, slowed, upright_table
-from planner.task import Cones, NozzleTask
+from planner.toolpath.task import Cones, NozzleTask
 
 
 def price(way: list[tuple[int, int]], normals, up, time, step, speed, aim, most, turns, start) -> float:  # type: ignore[no-untyped-def]
@@ -68,7 +68,7 @@ def test_layer_stays_upright_and_the_print_slows_where_the_table_must_hurry() ->
     problem = load_problem("cylinder_logo", ["cell.positioner.held_deg={}", "cell.positioner.free=[tilt, rotation]"])
     cell = build_cell(problem)
     task = leaning_task(np.radians(25.0))
-    demand = demand_of([task], 2e-3)
+    demand = sample_tasks([task], 2e-3)
     angles = upright_table(cell, [task], demand)
     up = cell.holder.poses(angles)[:, 2, :3]
     normals = -demand.frames[demand.rung][:, :, 2]
@@ -100,7 +100,7 @@ def passing_task() -> NozzleTask:
 def test_table_turns_all_it_must_rather_than_leave_the_cone() -> None:
     problem = load_problem("cylinder_logo", ["cell.positioner.held_deg={}", "cell.positioner.free=[tilt, rotation]"])
     cell = build_cell(problem)
-    demand = demand_of([passing_task()], 0.5e-3)
+    demand = sample_tasks([passing_task()], 0.5e-3)
     up = cell.holder.poses(upright_table(cell, [passing_task()], demand))[:, 2, :3]
     normals = -demand.frames[demand.rung][:, :, 2]
     assert np.degrees(np.arccos((up * normals).sum(axis=1))).max() < 8.0

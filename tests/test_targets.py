@@ -11,11 +11,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from planner.export.beside import OFF, chosen_targets
-from planner.export.fit import Poses, Way, misfits
+from planner.export.fit import (
+    OFF,
+    Poses,
+    SampledWay,
+    angle,
+    chosen_targets,
+    continuous,
+    fewest,
+    from_matrix,
+    misfits,
+    slerp,
+)
 from planner.export.moves import ANGLE_TOLERANCE, plan_moves
-from planner.export.rotations import angle, continuous, from_matrix, slerp
-from planner.export.thinning import fewest
 from planner.plan import Plan
 
 Array = NDArray[np.float64]
@@ -26,13 +34,15 @@ LONG = 1.0  # m, rad, s: a tolerance that nothing reaches
 BY_CHORD = np.array([CHORD, LONG, LONG, LONG, LONG, LONG, LONG])
 
 
-def way_of(tip: Array, quat: Array | None = None, station: Array | None = None, tolerance: Array = BY_CHORD) -> Way:
+def way_of(
+    tip: Array, quat: Array | None = None, station: Array | None = None, tolerance: Array = BY_CHORD
+) -> SampledWay:
     """A path (n, 3) that material is laid along at an even pace, the nozzle upright unless it is said."""
     n = len(tip)
     quat = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1)) if quat is None else quat
     table = np.column_stack([tip, quat, np.zeros((n, 1)) if station is None else station])
     path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))])
-    return Way(Poses(table), 25.0 * path, path, np.zeros(n), np.ones(n, dtype=bool), tolerance)
+    return SampledWay(Poses(table), 25.0 * path, path, np.zeros(n), np.ones(n, dtype=bool), tolerance)
 
 
 def no_joint_moves(first: Indices, last: Indices) -> Array:
@@ -40,12 +50,12 @@ def no_joint_moves(first: Indices, last: Indices) -> Array:
     return np.zeros(0)
 
 
-def chosen(way: Way, kept: list[int], zones: bool = False) -> tuple[Indices, Poses]:
+def chosen(way: SampledWay, kept: list[int], zones: bool = False) -> tuple[Indices, Poses]:
     n = len(way.clock)
     return chosen_targets(way, np.array(kept), np.full(n - 1, True), np.full(n, zones), no_joint_moves, CHORD)
 
 
-def on_the_path(way: Way, kept: list[int]) -> Indices:
+def on_the_path(way: SampledWay, kept: list[int]) -> Indices:
     """The fewest targets that lie on the path itself."""
     return fewest(np.array(kept), lambda a, b: misfits(way, way.poses, a, b).max(axis=1, initial=0.0))
 

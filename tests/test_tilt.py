@@ -13,10 +13,10 @@ from solved import small_plan, solve_alone, write_small
 
 from planner.plan import Plan
 from planner.problem import load_problem
-from planner.replay import replay
 from planner.report.html import write_report
 from planner.report.summary import print_summary
-from planner.verify.tilt import bead_errors
+from planner.verify.checks import bead_errors
+from planner.verify.executed import executed_motion
 from planner.verify.verdict import verify
 
 Array = NDArray[np.float64]
@@ -37,7 +37,7 @@ def normals_of_the_cylinder(tips: Array) -> Array:
 
 
 def test_the_lean_is_that_of_the_joints_against_the_cylinder(plan: Plan) -> None:
-    motion = replay(plan.cell, plan.trajectory)
+    motion = executed_motion(plan.cell, plan.trajectory)
     at = plan.trajectory.deposit
     normals = normals_of_the_cylinder(motion.tip[at])
     lean = np.arccos(np.clip(-(normals * motion.axis[at]).sum(axis=1), -1.0, 1.0))
@@ -52,7 +52,7 @@ def test_the_lean_is_that_of_the_joints_against_the_cylinder(plan: Plan) -> None
 
 def test_a_beads_edge_is_as_far_off_as_the_nozzles_face_is(plan: Plan) -> None:
     # Here the face's rim is looked at point by point: how high it stands above the plane through the tip.
-    motion, t = replay(plan.cell, plan.trajectory), plan.trajectory
+    motion, t = executed_motion(plan.cell, plan.trajectory), plan.trajectory
     rows = np.flatnonzero(t.deposit)[::7]
     normals = normals_of_the_cylinder(motion.tip[rows])
     around = np.linspace(0.0, 2.0 * np.pi, 721)

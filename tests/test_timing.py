@@ -16,11 +16,11 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import linprog
 from toppra import algorithm, constraint
 
-from planner.cell import Cell
-from planner.resolve.jointpath import JointPath, spread
-from planner.task import NozzleTask
-from planner.timing import HEADROOM, TimedPath, bound_time, time_path
-from planner.timing.reachability import fastest_profile
+from planner.cell.cell import Cell
+from planner.motion.timing.profile import HEADROOM
+from planner.motion.timing.timed_path import TimedPath, bound_time, fastest_without_jerk, time_path
+from planner.resolve.joint_path import JointPath, spread
+from planner.toolpath.task import NozzleTask
 
 Array = NDArray[np.float64]
 DT = 0.004
@@ -218,7 +218,7 @@ def test_fastest_profile_against_toppra(seed: int) -> None:
     v, a = rng.uniform(0.6, 2.0, 7), rng.uniform(2.0, 6.0, 7)
     with np.errstate(divide="ignore"):
         ceiling = np.minimum((v / np.abs(spline(grid, 1))).min(axis=1), 1.0) ** 2
-    x = fastest_profile(spline(grid, 1), spline(grid, 2), ceiling, a, grid[1])
+    x = fastest_without_jerk(spline(grid, 1), spline(grid, 2), ceiling, a, grid[1])
 
     class Path(toppra.interpolator.AbstractGeometricPath):  # type: ignore[misc]
         """The spline, and the parameter itself as a joint of its own: its speed limit is the commanded speed."""
@@ -284,7 +284,7 @@ def test_fastest_profile_against_linear_programming(seed: int) -> None:
     a_max, v_max = rng.uniform(0.5, 4.0, joints), rng.uniform(0.3, 2.0, joints)
     ceiling = np.minimum((v_max / np.abs(slopes)).min(axis=1), rng.uniform(0.4, 1.5)) ** 2
     step = float(grid[1] - grid[0])
-    x = fastest_profile(slopes, bends, ceiling, a_max, step)
+    x = fastest_without_jerk(slopes, bends, ceiling, a_max, step)
     assert x[0] == 0.0
     assert x[-1] == 0.0
     assert (x[1:-1] > 0.0).all()

@@ -8,14 +8,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from planner.cell import Limits
-from planner.timing.curve import curve_of
-from planner.timing.jerk_kernel import OVERRUN, fastest
-from planner.timing.leg import Leg
-from planner.timing.lengths import APART, even_out
-from planner.timing.nearby import least_nearby, mean_nearby
-from planner.timing.profile import ACCURACY, HEADROOM, fastest_profile
-from planner.timing.program import Program, program_of
+from planner.cell.cell import Limits
+from planner.motion.timing.kernels import APART, OVERRUN, even_out, fastest, least_nearby, mean_nearby
+from planner.motion.timing.profile import ACCURACY, HEADROOM, Leg, LegLimits, curve_of, fastest_profile, leg_limits
 
 Array = NDArray[np.float64]
 Blocks = NDArray[np.bool_]
@@ -24,7 +19,7 @@ JOINTS = 3
 LENGTH = 0.25  # s at the commanded speed: some hundred intervals
 
 
-def program(seed: int, ramps: tuple[float, float] = (0.05, 0.05)) -> Program:
+def program(seed: int, ramps: tuple[float, float] = (0.05, 0.05)) -> LegLimits:
     """A short path of three joints with a bend that its limits slow down."""
     rng = np.random.default_rng(seed)
     u = np.linspace(0.0, LENGTH, 60)
@@ -38,10 +33,12 @@ def program(seed: int, ramps: tuple[float, float] = (0.05, 0.05)) -> Program:
     bend = np.outer(np.exp(-(((u - 0.12) / 0.02) ** 2)), rng.normal(size=JOINTS) * 0.02)
     path = make_interp_spline(u, np.column_stack([waves + bend, 0.04 * u]), k=5)
     v, a, j = np.array([3.0, 3.0, 3.0, 0.04]), rng.uniform(10.0, 30.0, JOINTS), rng.uniform(500.0, 1500.0, JOINTS)
-    return program_of(Leg(curve_of(path), 0.0, LENGTH, ramps), v, a, j)
+    return leg_limits(Leg(curve_of(path), 0.0, LENGTH, ramps), v, a, j)
 
 
-def solve(p: Program, accuracy: float = ACCURACY, start: Array | None = None, wanted: Blocks | None = None) -> Solution:
+def solve(
+    p: LegLimits, accuracy: float = ACCURACY, start: Array | None = None, wanted: Blocks | None = None
+) -> Solution:
     begin = p.start if start is None else start
     blocks = np.ones(-(-len(p.h) // APART), dtype=np.bool_) if wanted is None else wanted
     arguments = (p.point, p.middle, p.ends, p.acceleration, p.jerk, p.ceiling, p.h, begin, p.level, accuracy, blocks)
@@ -49,11 +46,11 @@ def solve(p: Program, accuracy: float = ACCURACY, start: Array | None = None, wa
     return np.asarray(c), bool(found)
 
 
-def time_of(p: Program, c: Array) -> float:
+def time_of(p: LegLimits, c: Array) -> float:
     return float((p.h / np.sqrt((p.middle * np.column_stack([c[:-2], c[1:-1], c[2:]])).sum(axis=1))).sum())
 
 
-def overrun(p: Program, c: Array) -> float:
+def overrun(p: LegLimits, c: Array) -> float:
     """Largest share by which any limit is missed, each written out anew."""
     two, three = np.column_stack([c[:-1], c[1:]]), np.column_stack([c[:-2], c[1:-1], c[2:]])
     twice = np.repeat(three, 2, axis=0)
@@ -63,7 +60,7 @@ def overrun(p: Program, c: Array) -> float:
     return float(max((x / p.ceiling).max() - 1.0, acceleration.max() - 1.0, jerk.max()))
 
 
-def by_ipopt(p: Program) -> float:
+def by_ipopt(p: LegLimits) -> float:
     """The least time of the same program, from the same start, with the jerk limit as it is, not convex."""
     m = len(p.h)
     opti = ca.Opti()
@@ -123,7 +120,7 @@ def test_a_limit_that_is_raised_makes_nothing_slower() -> None:
     for seed in range(10):
         p = program(seed)
         slow = time_of(p, solve(p)[0])
-        wide = Program(**{**vars(p), "jerk": 0.5 * p.jerk})
+        wide = LegLimits(**{**vars(p), "jerk": 0.5 * p.jerk})
         assert time_of(wide, solve(wide)[0]) <= slow * (1.0 + 2.0 * ACCURACY)
 
 
@@ -154,7 +151,7 @@ def test_a_hard_place_shortens_steps_around_it_only() -> None:
     assert lengths[4 * APART] == pytest.approx(0.01) and lengths[-1] == pytest.approx(0.2)
 
 
-def long_program() -> Program:
+def long_program() -> LegLimits:
     """A path of many blocks with one hard place."""
     u = np.linspace(0.0, 6.0, 1200)
     bend = np.outer(0.5 * np.exp(-(((u - 2.0) / 0.01) ** 2)), [1.0, -0.7, 0.4])
@@ -162,7 +159,7 @@ def long_program() -> Program:
         u, np.column_stack([0.02 * np.sin(np.outer(u, [20.0, 25.0, 30.0])) + bend, 0.04 * u]), k=5
     )
     v, a, j = np.array([3.0, 3.0, 3.0, 0.04]), np.full(JOINTS, 20.0), np.full(JOINTS, 1000.0)
-    return program_of(Leg(curve_of(path), 0.0, 6.0, (0.05, 0.05)), v, a, j)
+    return leg_limits(Leg(curve_of(path), 0.0, 6.0, (0.05, 0.05)), v, a, j)
 
 
 def test_what_is_settled_early_is_as_good_in_the_end() -> None:
@@ -183,7 +180,7 @@ def test_blocks_that_are_not_wanted_stay_and_the_others_are_as_good() -> None:
     before, _ = solve(p)
     jerk, at = p.jerk.copy(), int(np.searchsorted(p.sigma, 2.0))
     jerk[2 * at : 2 * at + 2] *= 1.05
-    tighter = Program(**{**vars(p), "jerk": jerk})
+    tighter = LegLimits(**{**vars(p), "jerk": jerk})
     wanted = np.abs(np.arange(-(-len(p.h) // APART)) - at // APART) <= 1
     c, found = solve(tighter, start=before, wanted=wanted)
     assert found
@@ -225,12 +222,12 @@ def test_a_profile_in_two_halves_is_as_fast(monkeypatch: pytest.MonkeyPatch) -> 
     leg = Leg(curve_of(path), 0.0, length, (0.05, 0.05))
     limits = Limits(*(np.full(JOINTS, value) for value in (-3.0, 3.0, 3.0, 20.0, 1000.0)))
     used = (HEADROOM * limits.acceleration, HEADROOM * limits.jerk)
-    p = program_of(leg, np.append(HEADROOM * limits.velocity, speed), *used)
+    p = leg_limits(leg, np.append(HEADROOM * limits.velocity, speed), *used)
     assert p.cut > 0
     assert 20.0 < p.sigma[p.cut] < 40.0
     assert float(p.point[p.cut] @ p.start[p.cut : p.cut + 2]) < 0.9995 * p.ceiling[p.cut], "what cannot move needs room"
     halves = fastest_profile(leg, limits, speed)
-    monkeypatch.setattr("planner.timing.program._WORTH_A_CUT", 10**9)
+    monkeypatch.setattr("planner.motion.timing.profile._WORTH_A_CUT", 10**9)
     whole = fastest_profile(leg, limits, speed)
     assert halves.duration == pytest.approx(whole.duration, rel=3.0 * ACCURACY)
     assert halves.duration > length + 0.05  # both bends cost time

@@ -15,18 +15,16 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial import cKDTree
 from scipy.special import ellipeinc
 
-from planner.errors import InputError
+from planner.base.errors import InputError
 from planner.problem import Problem
-from planner.process import RISE_PER_LENGTH, Run, with_runs
-from planner.task import NozzleTask, make_tasks
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.laying import arc_length
 from planner.toolpath.ordering import reverse, shorten_travel, travel_length
-from planner.toolpath.paths import seam_on_smooth_part
-from planner.toolpath.rounding import PlaneCurve, round_corners
-from planner.toolpath.svg import PlanePath
-from planner.toolpath.wrap import Cylinder, wrap_layer
+from planner.toolpath.plane_paths import PlaneCurve, arc_length, round_corners, seam_on_smooth_part
+from planner.toolpath.runs import RISE_PER_LENGTH, BeadRun, with_runs
+from planner.toolpath.svg.outlines import PlanePath
+from planner.toolpath.task import NozzleTask, make_tasks
+from planner.toolpath.wrapped import Cylinder, wrap_layer
 
 Array = NDArray[np.float64]
 MM = 1e-3
@@ -356,13 +354,13 @@ RUN = 3.0 * MM
 
 
 @pytest.fixture(scope="module")
-def runs(toolpath: Toolpath) -> list[tuple[Bead, Run]]:
+def runs(toolpath: Toolpath) -> list[tuple[Bead, BeadRun]]:
     straight = [line((0, 0), (0.02, 0.0), 200), line((0, 0), (0, 0.02), 200), line((0, 0), (0.01, -0.02), 200)]
     beads = [*toolpath.beads, *wrap_layer(straight, CYLINDER, 0, 0.5 * MM, 0.6 * MM, 0.5 * MM)]
     return [(bead, with_runs(bead, RUN)) for bead in beads]
 
 
-def test_the_bead_itself_is_untouched(runs: list[tuple[Bead, Run]]) -> None:
+def test_the_bead_itself_is_untouched(runs: list[tuple[Bead, BeadRun]]) -> None:
     for bead, run in runs:
         inside = slice(run.first, run.last + 1)
         np.testing.assert_array_equal(run.points[inside], bead.points)
@@ -371,7 +369,7 @@ def test_the_bead_itself_is_untouched(runs: list[tuple[Bead, Run]]) -> None:
         np.testing.assert_allclose(run.s[inside], bead.s, rtol=0, atol=1e-9)
 
 
-def test_arc_length_is_negative_before_the_start(runs: list[tuple[Bead, Run]]) -> None:
+def test_arc_length_is_negative_before_the_start(runs: list[tuple[Bead, BeadRun]]) -> None:
     for bead, run in runs:
         assert run.s[run.first] == 0.0
         assert run.s[run.last] == pytest.approx(bead.length, abs=1e-9)
@@ -386,7 +384,7 @@ def test_arc_length_is_negative_before_the_start(runs: list[tuple[Bead, Run]]) -
 
 
 @pytest.mark.parametrize("which", ["points", "normals", "roll_zero"])
-def test_runs_join_with_continuous_second_derivatives(runs: list[tuple[Bead, Run]], which: str) -> None:
+def test_runs_join_with_continuous_second_derivatives(runs: list[tuple[Bead, BeadRun]], which: str) -> None:
     """By second differences: no step from one side to the other, and no spike between, as a kink would make."""
     for _, run in runs:
         rows = getattr(run, which)
@@ -404,7 +402,7 @@ def test_runs_join_with_continuous_second_derivatives(runs: list[tuple[Bead, Run
                 assert np.abs(np.diff(steps)).max() < 0.05 * steps.max()
 
 
-def test_runs_rise_from_the_surface(runs: list[tuple[Bead, Run]]) -> None:
+def test_runs_rise_from_the_surface(runs: list[tuple[Bead, BeadRun]]) -> None:
     for bead, run in runs:
         height = CYLINDER.signed_distance(run.points) - (bead.layer + 1) * 0.5 * MM
         for end, joint, step in ((0, run.first, -1), (-1, run.last, 1)):

@@ -12,21 +12,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from planner.cell import Cell
-from planner.cubics import Cubics, State, extremes
-from planner.errors import Refusal
+from planner.base.errors import Refusal
+from planner.cell.cell import Cell
+from planner.motion.cubics import Cubics, JointState, extremes
+from planner.motion.timing.profile import HEADROOM
+from planner.motion.timing.timed_path import TimedPath, time_path
+from planner.motion.travel.clearance import NOZZLE_POINTS, SLOPE, TravelClearance, travel_clearance
+from planner.motion.travel.moves import Bounds, between, resting, time_beside
+from planner.motion.travel.plan import Task, plan_travels, quickest
+from planner.motion.travel.ways import Ends, bounds_of, reaching
 from planner.problem import Problem
 from planner.problem.process import ProcessSpec
-from planner.process import least_travel_time
-from planner.resolve.jointpath import JointPath
-from planner.timing import HEADROOM, TimedPath, time_path
+from planner.resolve.joint_path import JointPath
 from planner.toolpath.bead import Surface, Toolpath
-from planner.toolpath.wrap import Cylinder
-from planner.travel import plan_travels
-from planner.travel.clearance import NOZZLE_POINTS, SLOPE, Room, room
-from planner.travel.moves import Bounds, between, resting, time_beside
-from planner.travel.plan import Task, quickest
-from planner.travel.ways import Ends, bounds_of, reaching
+from planner.toolpath.runs import least_travel_time
+from planner.toolpath.wrapped import Cylinder
 
 Array = NDArray[np.float64]
 DT = 0.004
@@ -54,7 +54,7 @@ def check_smooth(motion: Cubics) -> None:
         np.testing.assert_allclose(end[:-1], begin[1:], rtol=0, atol=1e-9)
 
 
-def check_joined(motion: Cubics, start: State, end: State) -> None:
+def check_joined(motion: Cubics, start: JointState, end: JointState) -> None:
     for found, wanted in ((motion.start, start), (motion.end, end)):
         for ours, theirs in zip(found, wanted, strict=True):
             np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9)
@@ -69,8 +69,8 @@ def tip_speed(cell: Cell, motion: Cubics) -> float:
     return fastest
 
 
-def still(q: Array) -> State:
-    return State(q, np.zeros_like(q), np.zeros_like(q))
+def still(q: Array) -> JointState:
+    return JointState(q, np.zeros_like(q), np.zeros_like(q))
 
 
 # --- moves ------------------------------------------------------------------------------------------------------
@@ -109,7 +109,7 @@ def test_moves_between_states_in_motion_end_exactly_and_within_bounds(cell: Cell
     random = np.random.default_rng(seed)
     bounds = bounds_of(cell)
     states = [
-        State(
+        JointState(
             random.uniform(-1.0, 1.0, 7),
             random.uniform(-0.5, 0.5, 7) * bounds.velocity,
             random.uniform(-0.3, 0.3, 7) * bounds.acceleration,
@@ -173,14 +173,14 @@ def test_postures_reach_tips(cell: Cell, seed: int) -> None:
 
 def travel(
     cell: Cell,
-    start: State,
-    end: State,
+    start: JointState,
+    end: JointState,
     speed: float = 0.2,
     lift: float = 5e-3,
     least: float = 0.0,
     surface: Surface = PART,
 ) -> Cubics | None:
-    space = room(cell, surface, 0.0, lift, start, end)
+    space = travel_clearance(cell, surface, 0.0, lift, start, end)
     return quickest(Task(cell, Ends(start, end, least, bounds_of(cell)), space, speed))
 
 
@@ -191,7 +191,7 @@ def test_travels_keep_limits_and_tip_speed(cell: Cell, seed: int, speed: float) 
     random = np.random.default_rng(seed)
     q = cell.home + random.uniform(-0.2, 0.2, (2, 7))
     moving = float(random.integers(0, 2)) * 0.1 * speed
-    states = [State(each, moving * random.uniform(-1, 1, 7), moving * random.uniform(-5, 5, 7)) for each in q]
+    states = [JointState(each, moving * random.uniform(-1, 1, 7), moving * random.uniform(-5, 5, 7)) for each in q]
     motion = travel(cell, *states, speed)
     assert motion is not None
     check_limits(cell, motion)
@@ -232,7 +232,7 @@ def test_lacking_height_as_if_every_point_were_looked_at(seed: int, k: int) -> N
     )
     points = tip + np.array([0.0, 0.0, 1.0]) * np.array(NOZZLE_POINTS)[:, None, None]
     gaps = np.stack([PART.signed_distance(points[:, i]) for i in (0, -1)])
-    space = Room(PART, 0.0, 5e-3, tip[[0, -1]], gaps)
+    space = TravelClearance(PART, 0.0, 5e-3, tip[[0, -1]], gaps)
     away = np.linalg.norm(tip[:, None] - space.tips, axis=2)
     cones = (gaps[:, :, None] + SLOPE * away.T[:, None]).min(axis=0)
     needed = np.maximum(np.minimum(space.full, cones) - 0.25e-3, min(0.0, float(gaps.min())))
@@ -260,7 +260,7 @@ def test_joint_ranges_hold_where_a_move_swings_back(cell: Cell) -> None:
         v[5] = 1.5
         end = cell.home.copy()
         end[5] = q[5] - 0.3
-        motion = travel(cell, State(q, v, np.zeros(7)), still(end), speed=2.0)
+        motion = travel(cell, JointState(q, v, np.zeros(7)), still(end), speed=2.0)
         assert (motion is not None) == possible
         if motion is not None:
             check_limits(cell, motion)
@@ -426,5 +426,5 @@ def test_a_joint_unwinds_on_the_way(
         assert distance_to_cylinder(T[:, :3, 3] - back * T[:, :3, 2], 0.034).min() > 0.5e-3
 
 
-def replace_q(state: State, q: Array) -> State:
-    return State(q, state.v, state.a)
+def replace_q(state: JointState, q: Array) -> JointState:
+    return JointState(q, state.v, state.a)

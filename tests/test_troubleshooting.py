@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from planner.measures import CHECKS
-from planner.problem.described import described
+from planner.plan.measures import CHECKS
+from planner.problem.fields import described
 from planner.reference.fields import sections
 from planner.reference.pages import commands
 

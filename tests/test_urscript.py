@@ -17,19 +17,23 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from solved import BED, POSITIONER, solve_alone, write_small
 
-from planner.cell import build_cell
-from planner.errors import InputError
-from planner.export.beside import OFF
+from planner.base.errors import InputError
+from planner.cell.cell import build_cell
+from planner.cell.robot import ROBOTS, chain_of, read_robot
+from planner.export.fit import OFF
 from planner.export.languages import chosen
 from planner.export.moves import ANGLE_TOLERANCE
-from planner.export.urscript.able import unsaid_in_urscript
-from planner.export.urscript.check import urscript_complaints
-from planner.export.urscript.frames import quaternions, rotation_vectors, world_controller
-from planner.export.urscript.reader import read_urscript
-from planner.export.urscript.writer import urscript
+from planner.export.support import unsaid_in_urscript
+from planner.export.urscript import (
+    quaternions,
+    read_urscript,
+    rotation_vectors,
+    urscript,
+    urscript_complaints,
+    world_controller,
+)
 from planner.plan import Plan
 from planner.problem import load_problem
-from planner.robot.robot import ROBOTS, chain_of, read_robot
 
 Array = NDArray[np.float64]
 NAME = "TwoBeads.script"

@@ -22,15 +22,15 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 from solved import bed_plan, body_of, small_plan
 
-from planner.cell import Cell, build_cell
-from planner.nearest import distance_to_polyline
+from planner.base.nearest import distance_to_polyline
+from planner.base.progress import STAGES
+from planner.cell.cell import Cell, build_cell
 from planner.plan import TRAVEL, Plan, Trajectory
+from planner.planning.pipeline import write
 from planner.problem import Problem, load_problem
-from planner.progress import STAGES
-from planner.replay import replay
-from planner.solve import write
 from planner.toolpath.bead import Bead, Toolpath
-from planner.toolpath.wrap import Cylinder
+from planner.toolpath.wrapped import Cylinder
+from planner.verify.executed import executed_motion
 from planner.verify.verdict import Report, verify
 
 Array = NDArray[np.float64]
@@ -1047,7 +1047,7 @@ def test_a_station_with_two_moving_axes_is_replayed_as_it_moves() -> None:
     q[80:, 6], q[80:, 7] = -wave, wave[::-1]
     T = cell.T_part_nozzle(q)
     nothing = np.zeros(len(q))
-    motion = replay(
+    motion = executed_motion(
         cell,
         Trajectory(
             dt=0.004, t=nothing, bead=nothing.astype(np.int32), layer=nothing.astype(np.int32), deposit=nothing > 0,

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from solved import body_of, small_plan, solve_alone, write_small
 
 import planner.planning
-from planner.export.extruder.writer import gcode
-from planner.extrusion import feed, filament_area
+from planner.export.extruder import gcode
+from planner.motion.extrusion import feed, filament_area
 from planner.plan import Event, Plan, Trajectory
 from planner.problem import load_problem
 from planner.toolpath.bead import Toolpath

@@ -20,15 +20,12 @@ import pytest
 from solved import line_of, write_small
 from tornado.httpclient import AsyncHTTPClient, HTTPRequest, HTTPResponse
 
-from planner.errors import InputError
+from planner.base.errors import InputError
 from planner.view import solver
-from planner.view.command import main
+from planner.view.command import Subject, main, read_results, run_view
 from planner.view.content import Content, changes, mistake_of, read_content, signatures
-from planner.view.events import Again, Beside, Choose, Drafts
-from planner.view.folder import read_results
-from planner.view.run import Subject, run_view
+from planner.view.machine import Again, Beside, Choose, Drafts, View
 from planner.view.server import LARGEST_ORDER, News, order_of
-from planner.view.state import View
 
 ROOT = Path(__file__).resolve().parents[1]
 PLAN = {

@@ -8,7 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.view.content import Content, Mistake
-from planner.view.events import (
+from planner.view.machine import (
+    LONGEST_WAIT,
+    MOST_ENTRIES,
+    QUIET_TIME,
     Again,
     Beside,
     Broke,
@@ -22,20 +25,21 @@ from planner.view.events import (
     Remove,
     Shown,
     Solved,
+    SolveOutcome,
     Staged,
     Start,
     Tick,
     Touched,
+    View,
+    step,
 )
-from planner.view.machine import LONGEST_WAIT, MOST_ENTRIES, QUIET_TIME, step
-from planner.view.snapshot import snapshot
-from planner.view.state import Outcome, View
+from planner.view.server import snapshot
 
 SLOW, FAST = (Content((("process.speed_mm_s", text), ("name", "a"))) for text in ("5", "10"))
 WRONG = Mistake("must be a number", "a.yaml", 3, "process.speed_mm_s")
-GOOD = Outcome("verified", "verified: 28 checks hold", (("at_speed_fraction", 0.9), ("print_time_s", 60.0)))
-BETTER = Outcome("verified", "verified: 28 checks hold", (("at_speed_fraction", 0.95), ("print_time_s", 61.0)))
-DRAFT = Outcome("verified", "verified: 28 checks hold", (("at_speed_fraction", 0.8),), "one layer of 10")
+GOOD = SolveOutcome("verified", "verified: 28 checks hold", (("at_speed_fraction", 0.9), ("print_time_s", 60.0)))
+BETTER = SolveOutcome("verified", "verified: 28 checks hold", (("at_speed_fraction", 0.95), ("print_time_s", 61.0)))
+DRAFT = SolveOutcome("verified", "verified: 28 checks hold", (("at_speed_fraction", 0.8),), "one layer of 10")
 
 
 def after(view: View, *events: Event) -> tuple[View, list[Effect]]:

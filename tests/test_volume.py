@@ -13,14 +13,14 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
-from planner.extrusion import bead_area
+from planner.motion.extrusion import bead_area
+from planner.planning.solve_command import main
 from planner.problem import find_problem, load_problem
-from planner.solve import main
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.paths import length
-from planner.toolpath.volume.fill import walls, zigzag
-from planner.toolpath.volume.solid import NotClosed, Solid
+from planner.toolpath.plane_paths import length
+from planner.toolpath.volume.layers import walls, zigzag
+from planner.toolpath.volume.sections import NotClosed, Solid
 
 Array = NDArray[np.float64]
 Top = Callable[[Array, Array], Array]

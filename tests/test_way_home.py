@@ -8,20 +8,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from planner.cell import Cell, build_cell
+from planner.cell.cell import Cell, build_cell
 from planner.problem import Problem, load_problem
-from planner.resolve.demand import Demand
-from planner.resolve.ladder import coarse_nodes
+from planner.resolve.joint_path import SampledTasks
+from planner.resolve.ladder import coarse_nodes, home_travel_costs
 from planner.resolve.nodes import Nodes
-from planner.resolve.search import Route, best_route, joint_limits
-from planner.resolve.search_kernel import TRAVEL_PRICE
-from planner.resolve.way_home import ways_home
-from planner.task import NozzleTask, tasks_of
+from planner.resolve.search import TRAVEL_PRICE, Route, best_route, joint_limits
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.task import NozzleTask, tasks_of
 
 Array = NDArray[np.float64]
 SETTINGS = ["layers.count=1", "resolve.rung_mm=20", "resolve.roll_step_deg=45", "resolve.table_step_deg=90"]
-Searched = tuple[Problem, Cell, tuple[NozzleTask, ...], Demand, Nodes]
+Searched = tuple[Problem, Cell, tuple[NozzleTask, ...], SampledTasks, Nodes]
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +36,7 @@ def test_a_way_takes_as_long_as_its_slowest_joint_or_its_tip(searched: Searched)
     slow = [replace(task, travel_speed=1e-3) for task in tasks]
     quick = [replace(task, travel_speed=np.inf) for task in tasks]
     for rung, by_joints, by_tip in zip(
-        (0, -1), ways_home(cell, quick, nodes), ways_home(cell, slow, nodes), strict=True
+        (0, -1), home_travel_costs(cell, quick, nodes), home_travel_costs(cell, slow, nodes), strict=True
     ):
         k = tuple(np.argwhere(np.isfinite(nodes.price[rung]))[0])
         v, a, wraps = joint_limits(nodes, cell.limits)
@@ -57,14 +55,16 @@ def test_a_way_takes_as_long_as_its_slowest_joint_or_its_tip(searched: Searched)
 
 def test_a_part_of_the_print_pays_its_share(searched: Searched) -> None:
     _, cell, tasks, _, nodes = searched
-    for whole, part in zip(ways_home(cell, tasks, nodes), ways_home(cell, tasks, nodes, 0.25), strict=True):
+    for whole, part in zip(
+        home_travel_costs(cell, tasks, nodes), home_travel_costs(cell, tasks, nodes, 0.25), strict=True
+    ):
         np.testing.assert_allclose(part, 0.25 * whole)
 
 
 def test_the_search_ends_where_the_way_home_is_short(searched: Searched) -> None:
     _, cell, tasks, demand, nodes = searched
     free, _ = best_route(nodes, demand, cell.limits)
-    out, back = ways_home(cell, tasks, nodes)
+    out, back = home_travel_costs(cell, tasks, nodes)
     priced, _ = best_route(nodes, demand, cell.limits, (out, back))
     assert free is not None and priced is not None
     assert free.price <= priced.price - _at_ends(priced, nodes, out, back) + 1e-9

@@ -15,15 +15,13 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from test_waypoints import case_text
 
-from planner.errors import InputError
+from planner.base.errors import InputError
+from planner.planning.solve_command import main
 from planner.problem import load_problem
-from planner.problem.waypoints import WaypointsSpec
-from planner.solve import main
+from planner.problem.layers import WaypointsSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.waypoints.columns import NEEDED, OPTIONAL
-from planner.toolpath.waypoints.reader import read_waypoints
-from planner.toolpath.waypoints.smoothing import smooth_normals
+from planner.toolpath.waypoints.reader import NEEDED, OPTIONAL, read_waypoints, smooth_normals
 
 Array = NDArray[np.float64]
 HEADER = "x,y,z,nx,ny,nz"

@@ -15,15 +15,15 @@ from scipy.interpolate import make_interp_spline
 
 from benchmarks.peer_cases import CASES, SHIPPED, cap, cylinder, waypoint_text, write_case
 from benchmarks.scaling import sheet
-from planner.errors import InputError
-from planner.nearest import distance_to_polyline
+from planner.base.errors import InputError
+from planner.base.nearest import distance_to_polyline
 from planner.problem import Problem, find_problem, load_problem
-from planner.problem.waypoints import WaypointsSpec
+from planner.problem.layers import WaypointsSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.interpolation import CORNER_TURN, Interpolated, interpolate
-from planner.toolpath.laying import arc_length
-from planner.toolpath.transport import roll_zeros
+from planner.toolpath.plane_paths import arc_length
+from planner.toolpath.task import roll_zeros
 from planner.toolpath.waypoints.reader import Waypoints, distinct, read_waypoints
 from planner.toolpath.waypoints.surfels import FAR, Surfels, with_layers
 

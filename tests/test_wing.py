@@ -11,12 +11,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from planner.errors import InputError
+from planner.base.errors import InputError
 from planner.problem import Problem, load_problem
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.wing.aerofoil_files import naca_section
-from planner.toolpath.wing.section import Section, TooUneven, parallels, section_through
+from planner.toolpath.wing.section import AerofoilSection, TooUneven, naca_section, parallels, section_through
 from planner.toolpath.wing.strips import CurvedStrip, FlatStrip, LayeredSolid
 
 Array = NDArray[np.float64]
@@ -38,7 +37,7 @@ def supported() -> Toolpath:
     return build_toolpath(problem("layers.source.span_mm=4", "layers.count=20"))
 
 
-def section_of(digits: str, chord: float) -> Section:
+def section_of(digits: str, chord: float) -> AerofoilSection:
     points = naca_section(digits)
     return section_through(chord * points, int(np.argmin(np.linalg.norm(points, axis=1))))
 

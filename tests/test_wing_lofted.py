@@ -10,18 +10,15 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
-from planner.errors import InputError
-from planner.nearest import distance_to_polyline
+from planner.base.errors import InputError
+from planner.base.nearest import distance_to_polyline
 from planner.problem import Problem, load_problem
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.wing.aerofoil_files import naca_section
-from planner.toolpath.wing.areas import Area
-from planner.toolpath.wing.loft import LoftedSide
 from planner.toolpath.wing.scanlines import linked
-from planner.toolpath.wing.section import section_through
+from planner.toolpath.wing.section import naca_section, section_through
 from planner.toolpath.wing.sheet_solid import SheetSolid
-from planner.toolpath.wing.sheets import CurvedSheet, FlatSheet
+from planner.toolpath.wing.sheets import Area, CurvedSheet, FlatSheet, LoftedSide
 
 Array = NDArray[np.float64]
 HEIGHT = WIDTH = 0.5e-3

@@ -24,11 +24,11 @@ from benchmarks.drawings.scene import (
     holder_shapes,
     shape_of,
 )
-from planner.cell import Cell, build_cell, rigid_inverse
+from planner.cell.cell import Cell, build_cell, rigid_inverse
+from planner.cell.solids import Body, Capsule
 from planner.problem import load_problem
-from planner.solids import Body, Capsule
-from planner.task import NozzleTask, tasks_of
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.task import NozzleTask, tasks_of
 
 Array = NDArray[np.float64]
 PROBLEM = "cylinder_logo"

@@ -16,15 +16,15 @@ from scipy.interpolate import make_interp_spline
 
 from benchmarks.drawings.cells import CAP, DPI
 from benchmarks.drawings.scene import INK
-from planner.cell import Cell, build_cell, rigid_inverse
-from planner.obstacles import NOTHING, obstacles_of
-from planner.print_body import print_body, standing
+from planner.cell.cell import Cell, build_cell, rigid_inverse
+from planner.collision.print_body import print_body, standing
+from planner.collision.scene import NOTHING, obstacles_of
+from planner.motion.timing.timed_path import time_path
 from planner.problem import load_problem
-from planner.resolve import STRATEGIES
-from planner.resolve.jointpath import JointPath
-from planner.task import NozzleTask, tasks_of
-from planner.timing import time_path
+from planner.resolve.joint_path import JointPath
+from planner.resolve.strategies import STRATEGIES
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.task import NozzleTask, tasks_of
 
 Array = NDArray[np.float64]
 PLACES, ROLLS = 320, 180  # of the map

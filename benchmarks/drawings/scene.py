@@ -12,9 +12,9 @@ from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from numpy.typing import NDArray
 
-from planner.cell import Cell
-from planner.robot.robot import Robot
-from planner.solids import Body, Frustum, triangles_of
+from planner.cell.cell import Cell
+from planner.cell.robot import Robot
+from planner.cell.solids import Body, Frustum, triangles_of
 
 Array = NDArray[np.float64]
 FINEST = 0.04  # m: triangles are cut to this size, so that nearer ones hide farther ones

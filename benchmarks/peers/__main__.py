@@ -28,9 +28,9 @@ from benchmarks.peers.watch import Ended, watched
 from benchmarks.rows import COLUMNS, Row, Run, append_row, make_row, times
 from benchmarks.single import beadwise
 from benchmarks.summary import ALONE, CHOSEN, OURS
-from planner.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, PlannerError
-from planner.given import Given
-from planner.progress import STAGES
+from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, PlannerError
+from planner.base.progress import STAGES
+from planner.planning.context import PlanningContext
 
 HERE = Path(__file__).resolve().parent
 STRATEGIES = {"beadwise": CHOSEN, "beadwise_alone": ALONE}  # of ours, by the names of their processes
@@ -39,7 +39,9 @@ OUT = Path("out/peers")
 SECONDS, MEGABYTES = 60.0, 8e3
 
 
-def one_peer(name: str, key: str, ready: Given, python: Path, folder: Path, limits: tuple[float, float]) -> Row:
+def one_peer(
+    name: str, key: str, ready: PlanningContext, python: Path, folder: Path, limits: tuple[float, float]
+) -> Row:
     """Plan a case with a peer and judge what comes out; the row in columns of both tables."""
     peer = PEERS[name]
     label = {"planner": name}
@@ -79,7 +81,7 @@ def _label(peer: Peer, version: str) -> str:
     return f"{version}, {peer.words}"
 
 
-def _table(ready: Given) -> bool:
+def _table(ready: PlanningContext) -> bool:
     return len(ready.cell.holder) > 0
 
 
@@ -117,7 +119,7 @@ def _case(
     key: str, options: argparse.Namespace, limits: tuple[float, float], folder: Path, done: set[tuple[str, str]]
 ) -> None:
     """Run one case with all planners that have no row yet."""
-    ready: Given | None = None
+    ready: PlanningContext | None = None
     for name in (*STRATEGIES, *options.peer):
         if (key, name) in done:
             continue

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from benchmarks.peer_cases import CASES as MEASURED
 from benchmarks.peer_cases import write_case as write_problem
-from planner.cell import Cell, build_cell
-from planner.given import Given, given_of
-from planner.kinematics.chain import Chain
+from planner.cell.cell import Cell, build_cell
+from planner.cell.kinematics.chain import Chain
+from planner.planning.context import PlanningContext, context_of
 from planner.problem import Problem, load_problem
 from planner.toolpath.build import build_toolpath
 
@@ -70,16 +70,16 @@ def problem_of(case: Case, folder: Path) -> Problem:
     return load_problem(write_problem(case.name, case.waypoints, folder))
 
 
-def given(case: Case, folder: Path) -> Given:
+def given(case: Case, folder: Path) -> PlanningContext:
     """Read a case, build its toolpath and cell. Raises InputError as planning does."""
     problem = problem_of(case, folder)
     cell, toolpath = build_cell(problem), build_toolpath(problem)
     if case.layers is not None:
         toolpath = replace(toolpath, beads=tuple(bead for bead in toolpath.beads if bead.layer < case.layers))
-    return given_of(problem, cell, toolpath)
+    return context_of(problem, cell, toolpath)
 
 
-def write_case(given: Given, folder: Path) -> None:
+def write_case(given: PlanningContext, folder: Path) -> None:
     """Write the three files of a case into a folder that exists."""
     rows = [
         np.column_stack([np.full(len(task), i), task.tip, task.frames[:, :, 2], task.frames[:, :, 0]])
@@ -93,7 +93,7 @@ def write_case(given: Given, folder: Path) -> None:
     (folder / LIMITS).write_text(json.dumps(limits(given), indent=1) + "\n", encoding="utf-8")
 
 
-def limits(given: Given) -> dict[str, object]:
+def limits(given: PlanningContext) -> dict[str, object]:
     """Joints in order with their limits and home [rad, s], how many are the arm's, the speed [m/s], and the arm's lengths.
 
     opw: of an arm with a spherical wrist, as Brandstötter et al. name them [m], with its joints' offsets [rad]; else null.

@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.rows import Row, at_waypoints, judged
-from planner.command import DEFAULT_DT
-from planner.errors import Refusal
-from planner.given import Given
-from planner.obstacles import NOTHING, Obstacles
+from planner.base.errors import Refusal
+from planner.base.progress import Stages
+from planner.collision.scene import NOTHING, Obstacles
+from planner.motion.timing.timed_path import time_path
 from planner.plan import Trajectory
-from planner.planning import trajectory_of
-from planner.progress import Stages
-from planner.resolve.jointpath import JointPath
-from planner.timing import time_path
+from planner.planning.context import PlanningContext
+from planner.planning.options import DEFAULT_DT
+from planner.planning.pipeline import trajectory_of
+from planner.resolve.joint_path import JointPath
 from planner.verify.checks import SPEED_TOLERANCE
 from planner.verify.verdict import AXIS_TOLERANCE, POSITION_TOLERANCE, Report, verify
 
@@ -41,7 +41,7 @@ class Timed:
     report: Report
 
 
-def paths_of(given: Given, beads: Sequence[Array]) -> tuple[JointPath, ...]:
+def paths_of(given: PlanningContext, beads: Sequence[Array]) -> tuple[JointPath, ...]:
     """Joint paths of joints (n, nj) at the waypoints of each bead. Raises ValueError for other numbers of them."""
     if len(beads) != len(given.tasks):
         raise ValueError(f"joints of {len(beads)} beads, not {len(given.tasks)}")
@@ -56,7 +56,7 @@ def paths_of(given: Given, beads: Sequence[Array]) -> tuple[JointPath, ...]:
     return tuple(paths)
 
 
-def path_facts(given: Given, beads: Sequence[Array]) -> Row:
+def path_facts(given: PlanningContext, beads: Sequence[Array]) -> Row:
     """What joints are at the waypoints, and between them by linear interpolation, as a controller moves them.
 
     A path holds if tip and axis are within the verifier's tolerances at every waypoint and within BETWEEN times these
@@ -98,7 +98,7 @@ def _angle(a: Array, b: Array) -> float:
     return float(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1)).max())
 
 
-def finish(given: Given, paths: Sequence[JointPath], stages: Stages, obstacles: Obstacles = NOTHING) -> Timed:
+def finish(given: PlanningContext, paths: Sequence[JointPath], stages: Stages, obstacles: Obstacles = NOTHING) -> Timed:
     """Time joint paths, plan the travel between them and verify all of it, as planning does.
 
     Raises Refusal where no travel is found, or a path turns back on itself.
@@ -111,7 +111,7 @@ def finish(given: Given, paths: Sequence[JointPath], stages: Stages, obstacles: 
     return Timed(trajectory, report)
 
 
-def judge(given: Given, beads: Sequence[Array], told: bool = False) -> Row:
+def judge(given: PlanningContext, beads: Sequence[Array], told: bool = False) -> Row:
     """Of joints (n, nj) at the waypoints of each bead: all that a row says of them, in columns of both tables.
 
     Among it the seconds that timing, travel and verification took, which whoever planned the joints has yet to do.
@@ -132,7 +132,7 @@ def judge(given: Given, beads: Sequence[Array], told: bool = False) -> Row:
     return {"found": True, **facts, **seconds, **verdict(given, timed, told)}
 
 
-def speeds(given: Given, paths: Sequence[JointPath]) -> Row:
+def speeds(given: PlanningContext, paths: Sequence[JointPath]) -> Row:
     """How fast joint paths can be followed, of paths between which there is no travel; empty if they cannot."""
     commanded, laid, at_speed, seconds = given.problem.process.speed, 0.0, 0.0, 0.0
     try:
@@ -148,7 +148,7 @@ def speeds(given: Given, paths: Sequence[JointPath]) -> Row:
     return {"deposition_time_s": seconds, "at_speed_fraction": at_speed / laid if laid else 0.0}
 
 
-def verdict(given: Given, timed: Timed, told: bool) -> Row:
+def verdict(given: PlanningContext, timed: Timed, told: bool) -> Row:
     """What the verifier says of a trajectory; of distances from bodies only where they were told."""
     checks = [each for each in timed.report.checks if told or UNTOLD not in each.name]
     row = judged(checks, timed.report.metrics)

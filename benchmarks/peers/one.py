@@ -16,13 +16,13 @@ from benchmarks.peers.case import CASES, given
 from benchmarks.peers.judge import judge
 from benchmarks.rows import Row
 from benchmarks.usage import cpu_seconds, peak_mb
-from planner.given import Given
+from planner.planning.context import PlanningContext
 
 JOINTS, ROW = "q.csv", "row.json"
 WARM = "warm"  # has everything compiled, and does nothing else
 
 
-def judged_file(given: Given, folder: Path) -> Row:
+def judged_file(given: PlanningContext, folder: Path) -> Row:
     """The judge's row of the joints in a folder."""
     q = np.loadtxt(folder / JOINTS, delimiter=",", skiprows=1, ndmin=2)
     lengths = [len(task) for task in given.tasks]

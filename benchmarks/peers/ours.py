@@ -8,27 +8,27 @@ from pathlib import Path
 from benchmarks.peers.case import Case, given
 from benchmarks.peers.judge import finish, path_facts, verdict
 from benchmarks.rows import Row, times
-from planner.cell import build_cell
-from planner.errors import Refusal
-from planner.given import Given
-from planner.obstacles import NOTHING, obstacles_of
-from planner.print_body import print_body, standing
-from planner.progress import Stages
-from planner.resolve import STRATEGIES
+from planner.base.errors import Refusal
+from planner.base.progress import Stages
+from planner.cell.cell import build_cell
+from planner.collision.print_body import print_body, standing
+from planner.collision.scene import NOTHING, obstacles_of
+from planner.planning.context import PlanningContext
+from planner.resolve.strategies import STRATEGIES
 from planner.toolpath.build import build_toolpath
 
 SMALL = 200  # waypoints of the case that is planned before the clock starts
 STRATEGY = "sqp"
 
 
-def warm(ready: Given, collision: bool = False) -> None:
+def warm(ready: PlanningContext, collision: bool = False) -> None:
     """Plan a small case of the same joints: what is compiled or loaded for the first time is not to be timed."""
     alike = "peer_cylinder" if len(ready.cell.holder) else "peer_cap"
     with tempfile.TemporaryDirectory() as folder:
         planned(given(Case(alike, SMALL), Path(folder)), collision)
 
 
-def planned(ready: Given, collision: bool, cut: bool = False) -> Row:
+def planned(ready: PlanningContext, collision: bool, cut: bool = False) -> Row:
     """A row's columns of both tables; collision: bodies are kept apart, which peers are not asked for.
 
     cut: the toolpath is a part of the problem's, and the time that it takes is that of the whole: not known.

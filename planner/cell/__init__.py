@@ -1,5 +1,1 @@
-"""The robot cell: its robots, and what is made for a problem: where they stand, the nozzle and its head, fixtures."""
-
-from planner.cell.cell import Cell, Limits, build_cell, frame_from_z, rigid_inverse, translation
-
-__all__ = ["Cell", "Limits", "build_cell", "frame_from_z", "rigid_inverse", "translation"]
+"""The robot cell: robots from their files, kinematics, bodies, and where everything stands."""

@@ -1,20 +1,131 @@
-"""Bodies of the print head and of fixtures, as the problem gives them; a head of its own where it gives none."""
+"""Bodies for collision: links from a URDF's <collision> shapes, print head and fixtures from the problem."""
 
 from __future__ import annotations
 
 import itertools
 from functools import partial
+from pathlib import Path
+from urllib.parse import unquote, urlparse
+from xml.etree import ElementTree as ET
 
+import coal
 import numpy as np
+import pinocchio as pin
+from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
-from planner.errors import Complaint
-from planner.facets import read_corners
+from planner.base.arrays import Array
+from planner.base.errors import Complaint
+from planner.cell.solids import Body, Box, Capsule, ConvexSolid, Frustum, Hull, Mesh, Solid
+from planner.cell.urdf import FARTHEST, Urdf, hanging_on, origin_of
 from planner.problem import Problem
-from planner.problem.cell import NozzleSpec
-from planner.problem.solids import SolidSpec
-from planner.readonly import Array
-from planner.solids import Body, Box, Capsule, Frustum, Hull, Mesh, Solid
+from planner.problem.cell import BodySpec, NozzleSpec
+from planner.problem.stl import read_corners
+
+# ----------------------------------------------------------------------------------------------------
+# The bodies of a robot: the <collision> shapes of its URDF, each in the frame of the joint that carries it.
+
+SHAPES = ("box", "cylinder", "sphere", "capsule", "mesh")
+THINNEST = 1e-6  # m: what is thinner is a mistake
+
+
+def read_bodies(urdf: Urdf, model: pin.Model, without: tuple[str, ...]) -> tuple[tuple[Body, ...], ...]:
+    """Bodies by the joint of the model that carries them (0: none does), in that joint's frame.
+
+    A link's body bears its name, with the shape's own in brackets where it has one. Meshes become their convex hulls.
+    Links `without`, and what hangs on them, are left out. Raises InputError for shapes that cannot be read.
+    """
+    bodies: list[list[Body]] = [[] for _ in range(model.njoints)]
+    absent = hanging_on(urdf, without)
+    for name, link in urdf.links().items():
+        if name in absent:
+            continue
+        frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
+        for element in link.findall("collision"):
+            own = element.get("name")
+            body = _link_body(urdf, element, f"{name} ({own})" if own else name, f"link {name}", frame.placement)
+            bodies[frame.parentJoint].append(body)
+    return tuple(map(tuple, bodies))
+
+
+def _link_body(urdf: Urdf, element: ET.Element, name: str, field: str, place: pin.SE3) -> Body:
+    geometry = element.find("geometry")
+    shapes = [] if geometry is None else list(geometry)
+    if len(shapes) != 1:
+        raise urdf.error(element, field, "a collision needs one shape", f"one of {', '.join(SHAPES)}")
+    solid, shift = _solid(urdf, shapes[0], field)
+    xyz, rpy = origin_of(urdf, element, field)
+    T = place.homogeneous @ pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz)).homogeneous
+    T[:3, 3] -= shift * T[:3, 2]
+    return Body(name, solid, T)
+
+
+def _solid(urdf: Urdf, shape: ET.Element, field: str) -> tuple[ConvexSolid, float]:
+    """The solid, and how far below the shape's origin its own lies along z [m]."""
+    if shape.tag == "mesh":
+        return _link_hull(urdf, shape, field), 0.0
+    keys = {"box": ("size",), "sphere": ("radius",)}.get(shape.tag, ("radius", "length"))
+    if shape.tag not in SHAPES:
+        raise urdf.error(shape, field, f"unknown shape <{shape.tag}>", f"one of {', '.join(SHAPES)}")
+    values = [value for key in keys for value in urdf.numbers(shape, key, field, 3 if key == "size" else 1)]
+    if min(values) < THINNEST:
+        raise urdf.error(shape, field, f"the {shape.tag} has a size of {min(values):g} m", "sizes are metres, above 0")
+    if max(values) > FARTHEST:
+        raise urdf.error(shape, field, f"the {shape.tag} has a size of {max(values):g} m", "sizes are metres")
+    if shape.tag == "box":
+        return Box((values[0], values[1], values[2])), 0.0
+    if shape.tag == "sphere":
+        return Capsule(values[0], 0.0), 0.0
+    if shape.tag == "capsule":
+        return Capsule(values[0], values[1]), 0.0
+    return Frustum(values[0], values[0], values[1]), 0.5 * values[1]
+
+
+def _link_hull(urdf: Urdf, shape: ET.Element, field: str) -> Hull:
+    path = _mesh_path(urdf, shape, field)
+    scale = np.array(urdf.numbers(shape, "scale", field, 3, "1 1 1"))
+    try:
+        vertices = np.asarray(coal.MeshLoader().load(str(path), scale).vertices(), dtype=np.float64)
+    except ValueError as error:
+        told = [
+            line for line in str(error).splitlines() if line and not line.startswith(("From", "in func", "at line"))
+        ]
+        hint = told[1] if len(told) > 1 else None
+        raise urdf.error(shape, field, f"mesh {path.name} cannot be read", hint) from None
+    if not np.isfinite(vertices).all():
+        raise urdf.error(shape, field, f"mesh {path.name} holds numbers that are not finite")
+    if (size := float(np.ptp(vertices, axis=0).max(initial=0.0))) > FARTHEST:
+        hint = 'sizes are metres; of a file in mm, scale="0.001 0.001 0.001"'
+        raise urdf.error(shape, field, f"mesh {path.name} is {size:g} m large", hint)
+    try:
+        return Hull(vertices[ConvexHull(vertices).vertices])
+    except (QhullError, ValueError):
+        raise urdf.error(
+            shape, field, f"mesh {path.name} encloses nothing", "all its points lie in one plane"
+        ) from None
+
+
+def _mesh_path(urdf: Urdf, shape: ET.Element, field: str) -> Path:
+    """Where a mesh is: beside the URDF, or in the package that a folder around the URDF holds."""
+    name = shape.get("filename")
+    if not name:
+        raise urdf.error(shape, field, "<mesh> has no filename")
+    address = urlparse(name)
+    if address.scheme == "package":
+        inside = unquote(address.netloc + address.path)
+        for folder in urdf.path.resolve().parents:
+            if (folder / inside).is_file():
+                return folder / inside
+        hint = f"looked for {inside} in all folders around {urdf.path.name}"
+        raise urdf.error(shape, field, f"no mesh {name}", hint)
+    path = Path(unquote(address.path)) if address.scheme == "file" else urdf.path.parent / name
+    if not path.is_file():
+        raise urdf.error(shape, field, f"no mesh {name}", f"looked for {path}")
+    return path
+
+
+# ----------------------------------------------------------------------------------------------------
+# Bodies of the print head and of fixtures, as the problem gives them; a head of its own where it gives none.
 
 # Of a nozzle whose outline is not given: long and slender, as they are sold for printing beside walls.
 _CONE = np.radians(30.0)  # half angle above the face, whose radius is the bore's diameter
@@ -51,8 +162,8 @@ def head_bodies(problem: Problem, T_flange_nozzle: Array) -> tuple[Body, ...]:
         bodies += _tube(np.array([0.0, 0.0, -profile[-1][0]]), T_nozzle_flange[:3, 3])
     for name, own in (spec.head or {}).items():
         where = partial(problem.error, f"cell.nozzle.head.{name}")
-        body = _body(f"head {name}", own, where)
-        solid = _hull(body.solid, where) if isinstance(body.solid, Mesh) else body.solid
+        body = _solid_body(f"head {name}", own, where)
+        solid = _mesh_hull(body.solid, where) if isinstance(body.solid, Mesh) else body.solid
         bodies.append(Body(body.name, solid, T_nozzle_flange @ body.T_frame_solid))
     return tuple(bodies)
 
@@ -76,13 +187,13 @@ def _tube(low: Array, flange: Array) -> list[Body]:
 def fixture_bodies(problem: Problem, carrier: str) -> tuple[Body, ...]:
     """Fixtures that `carrier` carries, "world" or "part", in its frame. Raises InputError for a mesh that cannot be read."""
     return tuple(
-        _body(name, spec, partial(problem.error, f"cell.fixtures.{name}"))
+        _solid_body(name, spec, partial(problem.error, f"cell.fixtures.{name}"))
         for name, spec in problem.cell.fixtures.items()
         if spec.on == carrier
     )
 
 
-def _body(name: str, spec: SolidSpec, where: Complaint) -> Body:
+def _solid_body(name: str, spec: BodySpec, where: Complaint) -> Body:
     T = np.eye(4)
     T[:3, :3] = Rotation.from_euler("xyz", spec.rpy).as_matrix()
     T[:3, 3] = spec.centre
@@ -98,7 +209,7 @@ def _body(name: str, spec: SolidSpec, where: Complaint) -> Body:
     return Body(name, solid, T)
 
 
-def _hull(mesh: Mesh, where: Complaint) -> Hull:
+def _mesh_hull(mesh: Mesh, where: Complaint) -> Hull:
     if np.linalg.matrix_rank(mesh.vertices - mesh.vertices[0], tol=_FLAT) < 3:
         raise where("its facets lie in one plane", hint="a body has a volume")
     return Hull(mesh.vertices)

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from planner.base.arrays import Array
+from planner.base.errors import Refusal, nearest_name
 from planner.cell.bodies import fixture_bodies, head_bodies
-from planner.errors import Refusal, nearest_name
-from planner.kinematics.chain import Chain
-from planner.kinematics.inverse import InverseKinematics, with_rest
-from planner.kinematics.spherical_wrist import SphericalWrist
+from planner.cell.kinematics.chain import Chain
+from planner.cell.kinematics.inverse import InverseKinematics, with_rest
+from planner.cell.kinematics.spherical_wrist import SphericalWrist
+from planner.cell.robot import Robot, chain_of, load_robot
+from planner.cell.solids import Body
 from planner.problem import Problem
 from planner.problem.cell import CellSpec, PositionerSpec
-from planner.readonly import Array
-from planner.robot.robot import Robot, chain_of, load_robot
-from planner.solids import Body
 
 _ROUNDING = 1e-9  # rad: an angle at the end of its range is inside, though degrees became radians
 

@@ -6,15 +6,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from planner.export.axes.able import unsaid_in_axes
-from planner.export.krl.able import unsaid_in_krl
-from planner.export.rapid.able import unsaid_in_rapid
+from planner.export.program import ProblemSetup, Setup
 from planner.export.rapid.text import module_name
-from planner.export.setup import Given, Setup
-from planner.export.urscript.able import unsaid_in_urscript
+from planner.export.support import unsaid_in_axes, unsaid_in_krl, unsaid_in_rapid, unsaid_in_urscript
 
 if TYPE_CHECKING:
-    from planner.cell import Cell
+    from planner.cell.cell import Cell
     from planner.plan import Plan
     from planner.problem import Problem
 
@@ -44,7 +41,7 @@ def _rapid(plan: Plan) -> dict[str, str]:
 
 
 def _rapid_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    from planner.export.rapid.check import demand_complaints, line_complaints
+    from planner.export.rapid.extruder import demand_complaints, line_complaints
     from planner.export.rapid.reader import read_rapid_files
     from planner.export.readback import readback
 
@@ -59,62 +56,61 @@ def _rapid_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
 
 
 def _urscript(plan: Plan) -> dict[str, str]:
-    from planner.export.urscript.writer import script_name, urscript
+    from planner.export.urscript import script_name, urscript
 
     return {script_name(plan): urscript(plan)}
 
 
 def _urscript_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    from planner.export.urscript.check import urscript_complaints
+    from planner.export.urscript import urscript_complaints
 
     return urscript_complaints(plan, files)
 
 
 def _krl(plan: Plan) -> dict[str, str]:
-    from planner.export.krl.writer import krl_files
+    from planner.export.krl import krl_files
 
     return krl_files(plan)
 
 
 def _krl_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    from planner.export.krl.check import krl_complaints
+    from planner.export.krl import krl_complaints
 
     return krl_complaints(plan, files)
 
 
 def _joint_trajectory(plan: Plan) -> dict[str, str]:
-    from planner.export.joint_trajectory.writer import joint_trajectory, switches, switches_name, trajectory_name
+    from planner.export.joint_trajectory import joint_trajectory, switches, switches_name, trajectory_name
 
     return {trajectory_name(plan): joint_trajectory(plan), switches_name(plan): switches(plan)}
 
 
 def _joint_trajectory_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    from planner.export.joint_trajectory.check import trajectory_complaints
+    from planner.export.joint_trajectory import trajectory_complaints
 
     return trajectory_complaints(plan, files)
 
 
 def _axes(plan: Plan) -> dict[str, str]:
-    from planner.export.axes.writer import axes_gcode, file_name
+    from planner.export.axes.gcode import axes_gcode, file_name
 
     return {file_name(plan): axes_gcode(plan)}
 
 
 def _axes_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    from planner.export.axes.check import axes_complaints
-    from planner.export.axes.writer import file_name
+    from planner.export.axes.gcode import axes_complaints, file_name
 
     return axes_complaints(plan, files[file_name(plan)])
 
 
 def _extruder(plan: Plan) -> dict[str, str]:
-    from planner.export.extruder.writer import gcode
+    from planner.export.extruder import gcode
 
     return {"extrusion.gcode": gcode(plan)}
 
 
 def _extruder_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    from planner.export.extruder.check import gcode_complaints
+    from planner.export.extruder import gcode_complaints
 
     return gcode_complaints(plan, files["extrusion.gcode"])
 
@@ -180,4 +176,4 @@ def _usual(setup: Setup) -> Chosen:
 
 def check_languages(problem: Problem, cell: Cell) -> None:
     """Raise InputError for a language that was asked for and cannot say what the cell does, before all is planned."""
-    chosen(Given(problem, cell))
+    chosen(ProblemSetup(problem, cell))

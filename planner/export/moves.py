@@ -1,23 +1,226 @@
-"""From samples to moves: which targets a controller needs, and how each is approached."""
+"""From samples to moves: which targets a controller needs, how each is approached, and where the robot rests."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from planner.export.beside import chosen_targets
-from planner.export.fit import Poses, Way
-from planner.export.reached import reached
-from planner.export.rests import Rests, Wait, rests_of
-from planner.export.rotations import angle, continuous
-from planner.export.thinning import Indices, by_samples
-from planner.readonly import Array, Flags
+from planner.base.arrays import Array, Flags, Indices
+from planner.export.fit import Poses, SampledWay, angle, by_samples, chosen_targets, continuous, to_matrix
 
 if TYPE_CHECKING:
-    from planner.plan import Plan, Trajectory
+    from planner.export.program import RobotProgram
+    from planner.plan import Event, Plan, Trajectory
 
+# ----------------------------------------------------------------------------------------------------
+# How fast a controller may go where a plan does not say it move by move: as fast as the plan ever does.
+
+
+def tip_acceleration(trajectory: Trajectory) -> float:
+    """Greatest acceleration of the tip along its path [m/s^2], rounded up to a tenth."""
+    return rounded_up(float(np.abs(np.diff(trajectory.speed)).max(initial=0.0)) / trajectory.dt)
+
+
+def rounded_up(value: float) -> float:
+    """The next tenth, at least one."""
+    return max(1.0, float(np.ceil(10.0 * value))) / 10.0
+
+
+def greatest_until_stop(moves: Moves, rates: Array) -> Array:
+    """Greatest of the rates (n - 1), one for each step between samples, between the stops around each move (m).
+
+    One speed for moves that are blended into each other: a blend between different ones leaves its lines. Joint and
+    linear moves are not blended.
+    """
+    first = np.concatenate([[0], moves.sample[:-1]])
+    peaks = np.maximum.reduceat(np.append(rates, 0.0), first)
+    run = np.concatenate([[0], np.cumsum(moves.fine[:-1] | (moves.linear[1:] != moves.linear[:-1]))])
+    highest = np.zeros(run[-1] + 1)
+    np.maximum.at(highest, run, peaks)
+    out: Array = highest[run]
+    return out
+
+
+# ----------------------------------------------------------------------------------------------------
+# Where the robot stands still, for how long, and what for.
+
+LEAST_WAIT = 0.05  # [s]; a shorter rest is no more than the turn of a motion
+STILL = 1e-9  # rad that a joint moves in a sample, at most, where the robot stands still
+ON_TIME = 1e-9  # s: by which an event may miss a sample and still fall on it
+SLOW, SHARE = 5e-3, 0.05  # rad/s, and of the speed around: below both a motion comes to rest
+AROUND = 0.1  # s
+AT_HOME = ("heat", "purge", "change")  # events for which the robot rests at home
+NEAR_EVENT = 2.0  # samples by which a rest may seem to begin behind its event
+
+
+class Wait(NamedTuple):
+    """One reason to stand still, in words, and for how long [s]."""
+
+    why: str
+    time: float
+
+
+@dataclass(frozen=True)
+class Rests:
+    """Where a trajectory (n samples) stands still.
+
+    fine   (n,)  the motion comes to rest at this sample
+    waits        sample → what it waits for there, one after the other
+    inside (n,)  the robot stands still from the sample before to this one, in a wait
+    clock  (n,)  time without waits [s]
+    """
+
+    fine: Flags
+    waits: dict[int, tuple[Wait, ...]]
+    inside: Flags
+    clock: Array
+
+
+def rests_of(trajectory: Trajectory, first: Indices, last: Indices) -> Rests:
+    """Rests between beads as the samples show them, and those that events ask for in beads and at home.
+
+    first, last: samples between which material is laid. Within a bead the nozzle rests only where its fibre is cut.
+    """
+    fine, found = _between_beads(trajectory, first, last)
+    waits: dict[int, tuple[Wait, ...]] = {}
+    inside = np.zeros(len(trajectory), dtype=bool)
+    clock = trajectory.t - trajectory.t[0]
+    for at, a, b in found:
+        own = [Wait(event.words, event.duration) for event in rested_for(trajectory, a, b)]
+        spare = (b - a) * trajectory.dt - sum(wait.time for wait in own)
+        if spare >= LEAST_WAIT:
+            own.append(Wait(_meanwhile(trajectory, a, b), spare))
+        if own:
+            fine[[at, a]] = False, True
+            waits[a] = tuple(own)
+            inside[a + 1 : b + 1] = True
+            clock[a + 1 :] -= np.minimum(np.arange(1, len(clock) - a), b - a) * trajectory.dt
+    for event in cuts(trajectory):
+        a, b = samples_of_rest(trajectory, event)
+        fine[a] = True
+        waits[a] = (Wait(event.words, event.duration),)
+        inside[a + 1 : b + 1] = True
+        clock -= np.clip(trajectory.t - event.start, 0.0, event.duration)
+    return Rests(fine, waits, inside, clock)
+
+
+def cuts(trajectory: Trajectory) -> list[Event]:
+    """The events for which the nozzle rests on a bead."""
+    return [event for event in trajectory.events if event.kind == "cut"]
+
+
+def samples_of_rest(trajectory: Trajectory, event: Event) -> tuple[int, int]:
+    """First and last sample of an event that rests; the nearest one, twice, where it passes between two samples."""
+    end = event.start + event.duration
+    a, b = np.searchsorted(trajectory.t, [event.start - ON_TIME, end + ON_TIME])
+    if a >= b:
+        a = int(np.argmin(np.abs(trajectory.t - event.start)))
+        return a, a
+    return int(a), int(b) - 1
+
+
+def rested_for(trajectory: Trajectory, a: int, b: int) -> list[Event]:
+    """The events that take time for which the robot rests at home from sample a to b."""
+    since, until = trajectory.t[a] - NEAR_EVENT * trajectory.dt, trajectory.t[b]
+    return [
+        event
+        for event in trajectory.events
+        if event.kind in AT_HOME and event.duration > 0.0 and since <= event.start < until
+    ]
+
+
+def _meanwhile(trajectory: Trajectory, a: int, b: int) -> str:
+    """What the extruder does while the robot stands still from sample a to b, beside what it stands still for."""
+    start, end = trajectory.t[a], trajectory.t[b]
+    during = [
+        event.words
+        for event in trajectory.events
+        if event.kind not in AT_HOME and event.start < end and event.start + event.duration > start
+    ]
+    return "; ".join(during)
+
+
+def _between_beads(trajectory: Trajectory, first: Indices, last: Indices) -> tuple[Flags, list[tuple[int, int, int]]]:
+    """Samples (n) at which the robot comes to rest outside of beads; each with first and last sample of standing still.
+
+    The exact moment of rest lies between two samples, so rest shows as a speed that is small against the speed
+    0.1 s around it: a slow bead is slow everywhere, and is not mistaken for it.
+    """
+    n = len(trajectory)
+    change = np.abs(np.diff(trajectory.q, axis=0)).max(axis=1)
+    rate = np.empty(n)
+    rate[1:-1] = np.abs(trajectory.q[2:] - trajectory.q[:-2]).max(axis=1) / (2.0 * trajectory.dt)
+    rate[[0, -1]] = 0.0
+    half = max(1, round(AROUND / trajectory.dt))
+    around = _sliding_maximum(np.pad(rate, half, mode="edge"), 2 * half + 1)
+    slow = (rate < SLOW) & (rate <= SHARE * around)
+    edge = np.zeros(n, dtype=bool)
+    edge[first], edge[last] = True, True
+    slow &= edge | ~trajectory.deposit
+
+    fine: Flags = np.zeros(n, dtype=bool)
+    found: list[tuple[int, int, int]] = []
+    bounds = np.diff(np.concatenate([[False], slow, [False]]).astype(np.int8))
+    for a, b in zip(np.flatnonzero(bounds > 0), np.flatnonzero(bounds < 0), strict=True):
+        # a bead's own end is the better place for the stop, where there is one
+        at = a + int(np.argmin(np.where(edge[a:b], -1.0, rate[a:b])))
+        fine[at] = True
+        still = a + np.flatnonzero(change[a : b - 1] < STILL)
+        if len(still):  # and nothing is switched in between
+            parts = np.concatenate([still[:1], a + np.flatnonzero(edge[a:b]), still[-1:] + 1])
+            parts = np.unique(np.clip(parts, still[0], still[-1] + 1))
+            longest = int(np.argmax(np.diff(parts)))
+            found.append((int(at), int(parts[longest]), int(parts[longest + 1])))
+    fine[[0, n - 1]] = True
+    return fine, found
+
+
+def _sliding_maximum(values: Array, width: int) -> Array:
+    """Largest of each `width` neighbouring values (n), n - width + 1 of them."""
+    out, covered = values, 1
+    while covered < width:  # each step joins two windows, which may overlap
+        step = min(covered, width - covered)
+        out, covered = np.maximum(out[:-step], out[step:]), covered + step
+    return out
+
+
+# ----------------------------------------------------------------------------------------------------
+# Postures of targets beside the path: near those of the samples, but at the border of a configuration perhaps beyond.
+
+BLOCK = 20_000  # poses whose postures are sought at once: bounds the memory
+REVOLUTION = 2.0 * np.pi
+
+
+def reached(plan: Plan, sample: Indices, targets: Poses, moved: Flags) -> Array:
+    """Joints (m, n) [rad] that hold the nozzle at targets (m): the samples' own, but where the target was moved (m).
+
+    There they are of the same branch, in the nearest turn. Arms whose poses do not say a posture keep the samples'.
+    """
+    cell, t = plan.cell, plan.trajectory
+    na = len(cell.arm)
+    out: Array = t.q[sample]
+    if cell.inverse.redundant_joint is not None:
+        return out
+    T_world_base, T_nozzle_flange = np.linalg.inv(cell.T_world_base), np.linalg.inv(cell.T_flange_nozzle)
+    which = np.flatnonzero(moved)
+    for rows in np.array_split(which, 1 + len(which) // BLOCK):
+        T = np.tile(np.eye(4), (len(rows), 1, 1))
+        T[:, :3, :3], T[:, :3, 3] = to_matrix(targets.quat[rows]), targets.position[rows]
+        station = np.ascontiguousarray(targets.station[rows])
+        postures, exist = cell.inverse.solve(T_world_base @ cell.holder.poses(station) @ T @ T_nozzle_flange)
+        each, branch = np.arange(len(rows)), t.branch[sample[rows]].astype(np.intp)
+        off = postures[each, branch] - out[rows, :na]
+        off -= REVOLUTION * np.round(off / REVOLUTION)
+        out[rows, :na] += np.where(exist[each, branch, None], off, 0.0)
+        out[rows, na:] = station
+    return out
+
+
+# ----------------------------------------------------------------------------------------------------
+# From samples to moves: which targets a controller needs, and how each is approached.
 
 ROUNDING = 1e-6  # [m]; what the numbers in the file take of the tolerance of the path
 ANGLE_TOLERANCE = np.radians(0.045)  # orientation and the part's axes [rad]; likewise of 0.05 deg
@@ -145,7 +348,7 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
     )
 
 
-def way_of(plan: Plan, rests: Rests, fed: Array | None = None) -> Way:
+def way_of(plan: Plan, rests: Rests, fed: Array | None = None) -> SampledWay:
     """What the lines of a program follow, and how nearly; rests and filament are those of `plan_moves`."""
     t, program = plan.trajectory, plan.problem.program
     fed = np.zeros(len(t)) if fed is None else fed
@@ -154,7 +357,7 @@ def way_of(plan: Plan, rests: Rests, fed: Array | None = None) -> Way:
     tolerance = np.array([chord, turned, turned, TIME_TOLERANCE, program.tangent, amount, LONGEST])
     path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(t.tip, axis=0), axis=1))])
     poses = Poses(np.column_stack([t.tip, continuous(t.quat), t.q[:, len(plan.cell.arm) :]]))
-    return Way(poses, rests.clock, path, fed, t.deposit.copy(), tolerance)
+    return SampledWay(poses, rests.clock, path, fed, t.deposit.copy(), tolerance)
 
 
 class _Joint:
@@ -199,3 +402,69 @@ def _flown(path: Array, first: Indices, last: Indices, rests: Indices, run_in: f
         leave[k] = after[0] if len(after) else leave[k]
     leave[:-1] = np.minimum(leave[:-1], first[1:])
     return np.minimum(approach, first), np.maximum(leave, last)
+
+
+# ----------------------------------------------------------------------------------------------------
+# How far controllers may round the corners between targets: never into each other, never beyond a tolerance.
+#
+# A blend leaves the line to a target, and joins the next one, at its radius from the target. Whether it is an arc or a
+# parabola, it passes the target at r tan(a / 4), to first order in the angle a by which the lines turn. With half a
+# segment of a polygon that was inscribed in a curve, that is as much as the polygon's middles are off on the other side.
+# Targets beside the path lie on the outer side of its bends, so that what is cut off there leads back towards it.
+
+STEP = 1e-6  # [m] to which radii are rounded down
+NEAR_REST = 0.05e-3  # [m] between the place of a rest and a target where the program stops
+
+
+def blend_radii(position: Array, stops: Flags, tolerance: Array) -> Array:
+    """Largest radii (m) [m] at targets (m, 3) that share no part of a line and leave each by at most its tolerance (m).
+
+    0 at `stops` (m), and at the first and the last target, where the motion comes to rest.
+    """
+    reach, bend = _corners(position)
+    radius = np.minimum(0.5 * reach, tolerance / np.maximum(np.tan(0.25 * bend), 1e-9))
+    out: Array = np.where(stops | (reach == 0.0), 0.0, np.floor(radius / STEP * (1.0 + 1e-9)) * STEP)
+    return out
+
+
+def move_radii(plan: Plan, moves: Moves) -> Array:
+    """Radii (m) [m] at the ends of moves: 0 at rests, and where joint and linear moves meet."""
+    tip = np.round(moves.targets.position, 6)
+    following = np.append(moves.linear[1:], not moves.linear[-1])
+    stops = np.concatenate([[True], moves.fine | (following != moves.linear)])
+    tolerance = np.concatenate([[0.0], np.where(moves.linear, plan.problem.program.chord, TRAVEL_TOLERANCE)])
+    return blend_radii(tip, stops, tolerance)[1:]
+
+
+def blend_complaints(plan: Plan, program: RobotProgram) -> list[str]:
+    """What is wrong with a program's blends and stops, in words; targets of joint moves may be left by more."""
+    reach, bend = _corners(program.position)
+    lines = program.linear & np.append(program.linear[1:], False)
+    allowed = np.where(lines, plan.problem.program.chord, TRAVEL_TOLERANCE)
+    found = []
+    overlap = program.zone - 0.5 * reach
+    if (overlap > 2.0 * STEP).any():
+        found.append(f"blends reach {overlap.max():.3g} m beyond the middle of a line")
+    beyond = program.zone * np.tan(0.25 * bend) - allowed
+    if (beyond > 2.0 * STEP).any():
+        found.append(f"blends leave their targets by {beyond.max():.3g} m more than the tolerance")
+    stops = lines & program.fine
+    if stops.any():
+        t = plan.trajectory
+        rests = t.tip[rests_of(t, *deposits(t)).fine]
+        off = cKDTree(rests).query(program.position[stops])[0]
+        if off.max() > NEAR_REST:
+            found.append(f"it stops {np.count_nonzero(off > NEAR_REST)} times where the plan does not")
+    return found
+
+
+def _corners(position: Array) -> tuple[Array, Array]:
+    """Shorter of both lines at each target (m) [m], 0 at both ends, and by how much they turn there (m) [rad]."""
+    lines = np.diff(position, axis=0)
+    length = np.linalg.norm(lines, axis=1)
+    reach, bend = np.zeros(len(position)), np.zeros(len(position))
+    if len(position) > 2:
+        a, b = lines[:-1], lines[1:]
+        reach[1:-1] = np.minimum(length[:-1], length[1:])
+        bend[1:-1] = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.einsum("ij,ij->i", a, b))
+    return reach, bend

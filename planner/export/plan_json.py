@@ -10,16 +10,90 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from planner.export.headroom_json import headroom_json
-from planner.plan.materials import used
+from planner.plan.plan import used
 
 if TYPE_CHECKING:
-    from planner.cell import Cell
-    from planner.errors import Refusal
+    from planner.base.errors import Refusal
+    from planner.cell.cell import Cell
     from planner.plan import Dip, Plan
+    from planner.plan.robustness import Bound, Displacement, Robustness, TriedDisplacement
     from planner.problem import Problem
 
-PLACES = 5  # decimals of what is said of dips
+# ----------------------------------------------------------------------------------------------------
+# The section `tolerance` of plan.json: whether the plan holds where the part stands a little elsewhere.
+
+ROBUSTNESS_DECIMALS = 6  # decimals of millimetres and degrees
+
+
+def robustness_json(room: Robustness) -> dict[str, Any]:
+    """The section, in the units that its names say."""
+    return {
+        "shift_mm": round(room.tolerance.shift * 1e3, ROBUSTNESS_DECIMALS),
+        "turn_deg": round(math.degrees(room.tolerance.turn), ROBUSTNESS_DECIMALS),
+        "holds": room.holds,
+        "middle_mm": _mm(room.middle),
+        "first_order": [_bound(bound) for bound in room.bounds],
+        "worst": {
+            name: {"value": value, "placement": where.name} for name, (value, where) in room.worst_metrics.items()
+        },
+        "checks": [
+            {
+                "name": check.name,
+                "worst": check.worst,
+                "limit": check.limit,
+                "unit": check.unit,
+                "ok": check.ok,
+                "where": check.where,
+                "placement": where.name,
+            }
+            for check, where in room.worst_checks
+        ],
+        "placements": [_tried(each) for each in room.tried],
+    }
+
+
+def _mm(values: tuple[float, ...]) -> list[float]:
+    return [round(value * 1e3, ROBUSTNESS_DECIMALS) for value in values]
+
+
+def _displacement(each: Displacement) -> dict[str, Any]:
+    return {
+        "shift_mm": _mm(each.shift),
+        "turn_deg": [round(math.degrees(angle), ROBUSTNESS_DECIMALS) for angle in each.turn],
+    }
+
+
+def _bound(bound: Bound) -> dict[str, Any]:
+    """A bound; of joints room and change are degrees, of sigma the number itself."""
+    unit = math.degrees(1.0) if bound.joint else 1.0
+    return {
+        "what": bound.what,
+        "joint": bound.joint or None,
+        "times_tolerance": bound.factor,
+        "room": bound.room * unit,
+        "change": bound.change * unit,
+        "unit": "deg" if bound.joint else "",
+        "bead": bound.bead,
+        "layer": bound.layer,
+        "at_mm": round(bound.s * 1e3, ROBUSTNESS_DECIMALS),
+        **_displacement(bound.worst),
+    }
+
+
+def _tried(each: TriedDisplacement) -> dict[str, Any]:
+    return {
+        "name": each.displacement.name,
+        **_displacement(each.displacement),
+        "verified": each.verified,
+        "failures": each.failures,
+        "metrics": each.metrics,
+    }
+
+
+# ----------------------------------------------------------------------------------------------------
+# plan.json: the plan's results, and the cell as screws, so that anyone can recompute every pose without this code.
+
+DIP_DECIMALS = 5  # decimals of what is said of dips
 # What the file holds, in its order.
 KEYS = {
     "problem": "name of the problem",
@@ -84,7 +158,7 @@ def plan_json(plan: Plan) -> str:
             for event in plan.trajectory.events
         ],
         **_materials(plan),
-        **({} if plan.headroom is None else {"tolerance": headroom_json(plan.headroom)}),
+        **({} if plan.headroom is None else {"tolerance": robustness_json(plan.headroom)}),
         "cell": cell_screws(plan.cell),
         "timing_s": plan.timing_s,
         "versions": plan.versions,
@@ -99,15 +173,15 @@ def _dip(dip: Dip) -> dict[str, Any]:
     return {
         "bead": dip.bead,
         "layer": dip.layer,
-        "from_mm": round(dip.from_s * 1e3, PLACES),
-        "to_mm": round(dip.to_s * 1e3, PLACES),
-        "at_mm": round(dip.at_s * 1e3, PLACES),
-        "t_s": round(dip.t, PLACES),
-        "speed_min_mm_s": round(dip.speed * 1e3, PLACES),
-        "lost_s": round(dip.lost, PLACES),
+        "from_mm": round(dip.from_s * 1e3, DIP_DECIMALS),
+        "to_mm": round(dip.to_s * 1e3, DIP_DECIMALS),
+        "at_mm": round(dip.at_s * 1e3, DIP_DECIMALS),
+        "t_s": round(dip.t, DIP_DECIMALS),
+        "speed_min_mm_s": round(dip.speed * 1e3, DIP_DECIMALS),
+        "lost_s": round(dip.lost, DIP_DECIMALS),
         "joint": dip.joint or None,
         "limit": dip.limit,
-        "over_extruded_mm3": round(dip.over_extruded * 1e9, PLACES),
+        "over_extruded_mm3": round(dip.over_extruded * 1e9, DIP_DECIMALS),
         "avoid": {remedy.kind: {"exact": remedy.exact, "change": dict(remedy.changes)} for remedy in dip.remedies},
     }
 

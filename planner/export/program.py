@@ -1,13 +1,78 @@
-"""What a robot program does once it is read back, whatever its language."""
+"""What a robot program does once it is read back, whatever its language; and what every program says of itself."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.readonly import Array
+from planner.base.arrays import Array, Indices
+from planner.export.fit import continuous, slerp
+
+if TYPE_CHECKING:
+    from planner.cell.cell import Cell
+    from planner.plan import Plan
+    from planner.problem import Problem
+
+# ----------------------------------------------------------------------------------------------------
+# What decides whether a language can say a plan, known before there is one: the problem and its cell.
+
+
+class Setup(Protocol):
+    """Problem and cell; every Plan is one."""
+
+    @property
+    def problem(self) -> Problem:
+        """What was asked for."""
+        ...
+
+    @property
+    def cell(self) -> Cell:
+        """The robots that it is asked of."""
+        ...
+
+
+@dataclass(frozen=True)
+class ProblemSetup:
+    """Problem and cell, before they are planned with."""
+
+    problem: Problem
+    cell: Cell
+
+
+# ----------------------------------------------------------------------------------------------------
+# What every program says of itself at its head.
+
+
+def about(plan: Plan) -> list[str]:
+    """Problem, versions, size, where it resumes, and what was verified, a line each."""
+    m = plan.metrics
+    return [
+        f"Problem {plan.name}, strategy {plan.strategy}",
+        ", ".join(f"{name} {version}" for name, version in sorted(plan.versions.items())),
+        f"{len(plan.beads)} beads in {plan.layers} layers, "
+        f"{m['deposited_length_mm']:.1f} mm deposited, {m['print_time_s']:.1f} s",
+        *resumed(plan),
+        "Verified before it was written:",
+        *verified(plan),
+    ]
+
+
+def resumed(plan: Plan) -> list[str]:
+    """A line that says where the rest of a print begins; none for a whole one."""
+    return [f"Resumes at bead {plan.first_bead}: those before it must be there"] if plan.first_bead else []
+
+
+def verified(plan: Plan) -> list[str]:
+    """A line for each check."""
+    return [f"  {c.name}: {c.worst:.6g} {c.unit} (limit {c.limit:.6g})" for c in plan.checks]
+
+
+# ----------------------------------------------------------------------------------------------------
+# What a robot program does once it is read back, whatever its language.
 
 UNSAID = -128  # in place of a part of a configuration
 
@@ -23,7 +88,7 @@ class Trigger:
 
 
 @dataclass(frozen=True)
-class Program:
+class RobotProgram:
     """What a program does, in the order in which it runs (m moves; SI units, radians).
 
     tool, uframe, oframe       (7,) x y z [m], quaternion x y z w
@@ -64,3 +129,111 @@ class Program:
     send_rests: dict[int, tuple[float, ...]] = field(default_factory=dict)
     demands: dict[int, tuple[tuple[float, float], ...]] = field(default_factory=dict)
     joints: Array | None = None
+
+
+# ----------------------------------------------------------------------------------------------------
+# A program that was read back, cut where the extruder is switched, and its path between.
+
+
+@dataclass(frozen=True)
+class Replay:
+    """One stretch between extruder on and off: tip (k, 3) [m], orientation (k, 4), part's axes (k, 6) [rad]."""
+
+    position: Array
+    quat: Array
+    external: Array
+
+
+@dataclass(frozen=True)
+class ProgramPiece:
+    """Targets between two extruder events, both included; `linear`, `speed` (m - 1,) are those of the move to the next."""
+
+    position: Array
+    quat: Array
+    external: Array
+    conf: Indices
+    linear: NDArray[np.bool_]
+    speed: Array
+    known: NDArray[np.bool_]  # a target of the program, not a point where a trigger cuts a move
+
+
+def replay(program: RobotProgram, step: float = 0.5e-3) -> tuple[Replay, ...]:
+    """Dense path of every stretch with the extruder on, at most `step` [m] between its points."""
+    out = []
+    for piece in [piece for on, piece in pieces_of(program) if on]:
+        parts = np.maximum(1, np.ceil(np.linalg.norm(np.diff(piece.position, axis=0), axis=1) / step)).astype(np.intp)
+        a = np.append(np.repeat(np.arange(len(parts)), parts), len(parts) - 1)
+        u = np.append((np.arange(len(a) - 1) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[a[:-1]], 1.0)
+        between = u[:, None]
+        out.append(
+            Replay(
+                position=piece.position[a] + between * (piece.position[a + 1] - piece.position[a]),
+                quat=slerp(piece.quat[a], piece.quat[a + 1], u),
+                external=piece.external[a] + between * (piece.external[a + 1] - piece.external[a]),
+            )
+        )
+    return tuple(out)
+
+
+def pieces_of(program: RobotProgram) -> Iterator[tuple[bool, ProgramPiece]]:
+    """The program's targets, cut at the points where the extruder is switched: (extruder on, piece)."""
+    rows = np.column_stack([program.position, program.quat, program.external, program.conf])
+    m = len(rows)
+    begun: list[Array] = [rows[:1]]
+    by: list[Indices] = []  # the move that goes from each target to the next
+    known: list[NDArray[np.bool_]] = [np.array([True])]
+    on, done = False, 1  # rows before `done` have been dealt with
+
+    def take(last: int) -> None:
+        begun.append(rows[done:last])
+        by.append(np.arange(done, last))
+        known.append(np.ones(last - done, dtype=bool))
+
+    def piece() -> ProgramPiece:
+        table = np.concatenate(begun)
+        moves = np.concatenate([np.empty(0, dtype=np.intp), *by])
+        return ProgramPiece(
+            position=table[:, :3],
+            quat=continuous(table[:, 3:7]),
+            external=table[:, 7:13],
+            conf=table[:, 13:].astype(np.intp),
+            linear=program.linear[moves],
+            speed=program.speed[moves, 0],
+            known=np.concatenate(known),
+        )
+
+    for i in sorted(move for move in program.triggers if 0 < move < m):
+        take(i)
+        length = float(np.linalg.norm(program.position[i] - program.position[i - 1]))
+        events = []
+        for trigger in program.triggers[i]:
+            at = trigger.distance if trigger.from_start else length - trigger.distance
+            events.append((min(max(at / length, 0.0), 1.0) if length else float(not trigger.from_start), trigger.value))
+        for u, value in sorted(events, key=lambda event: event[0]):
+            cut = rows[i - 1] + u * (rows[i] - rows[i - 1])
+            cut[3:7] = slerp(rows[i - 1 : i, 3:7], rows[i : i + 1, 3:7], np.array([u]))[0]
+            if u > 0.0:
+                begun.append((rows[i] if u == 1.0 else cut)[None])
+                by.append(np.array([i]))
+                known.append(np.array([u == 1.0]))
+            if sum(len(part) for part in begun) > 1 or on != value:
+                yield on, piece()
+            begun, by, known, on = [begun[-1][-1:]], [], [known[-1][-1:]], value
+        done = i
+        if not events or events[-1][0] < 1.0:
+            take(i + 1)
+        done = i + 1
+    take(m)
+    yield on, piece()
+
+
+def named(program: RobotProgram, numbers: dict[str, int]) -> RobotProgram:
+    """The program with signals in place of their outputs' numbers; a number that is none of theirs stays."""
+    names = {str(number): signal for signal, number in numbers.items()}
+    return replace(
+        program,
+        triggers={
+            move: tuple(replace(each, signal=names.get(each.signal, each.signal)) for each in group)
+            for move, group in program.triggers.items()
+        },
+    )

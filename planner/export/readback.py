@@ -1,23 +1,422 @@
-"""Whether a program, read back and played, does what its plan does: where it goes, how fast, and what it switches."""
+"""Whether a program, read back and played, does what its plan does: path, pace, switches and waits."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from planner.errors import InputError
-from planner.export.compare import Agreement, compare
-from planner.export.moves import deposits
-from planner.export.player import Played, play
-from planner.export.player.laying import laid_spans, laid_targets
-from planner.export.program import Program
-from planner.readonly import Array
+from planner.base.arrays import Array, Indices
+from planner.base.errors import InputError
+from planner.export.fit import angle, continuous, slerp, to_matrix
+from planner.export.moves import (
+    LEAST_WAIT,
+    ON_TIME,
+    STILL,
+    cuts,
+    deposits,
+    nearest_fraction,
+    rested_for,
+    samples_of_rest,
+)
+from planner.export.player.play import play
+from planner.export.player.played import Played, laid_spans, laid_targets
+from planner.export.program import UNSAID, ProgramPiece, RobotProgram, pieces_of
+from planner.export.rapid.writer import external_degrees, quadrants
+from planner.plan.plan import materials_of
 
 if TYPE_CHECKING:
-    from planner.plan import Plan
+    from planner.export.moves import Moves
+    from planner.plan import Plan, Trajectory
 
+# ----------------------------------------------------------------------------------------------------
+# Whether a program that was read back stands still where its plan does, and for as long.
+
+PLACE = 0.05e-3  # m between the nozzle's tip and the target at which it waits
+DOUBT = 2.0  # samples: so well do they tell how long a rest lasts, where no event does
+
+
+def waits_differ(plan: Plan, program: RobotProgram) -> float:
+    """Longest time [s] by which a wait of the program is longer or shorter than the plan's.
+
+    inf where the number of waits, their order or their places differ, where the robot would not come to rest for one,
+    or where it does not come to rest on a straight line where fibre is cut.
+    """
+    t = plan.trajectory
+    rests = [*_before_and_between_beads(t), *((event.start, event.duration, 0.0) for event in cuts(t))]
+    planned = sorted(rest for rest in rests if rest[1] > 0.0)
+    written = np.flatnonzero(program.wait > 0.0)
+    if len(planned) != len(written) or not program.fine[written].all():
+        return float("inf")
+    worst = 0.0
+    for (start, duration, doubt), i in zip(planned, written.tolist(), strict=True):
+        tip = t.tip[min(int(np.searchsorted(t.t, start - ON_TIME)), len(t) - 1)]
+        if np.linalg.norm(program.position[i] - tip) > PLACE:
+            return float("inf")
+        worst = max(worst, abs(float(program.wait[i]) - duration) - doubt)
+    for event in cuts(t):
+        tip = t.tip[samples_of_rest(t, event)[0]]
+        there = np.linalg.norm(program.position - tip, axis=1) <= PLACE
+        if not (there & program.fine & program.linear).any():
+            return float("inf")
+    return worst
+
+
+def moving_time(t: Trajectory) -> Array:
+    """Time (n) [s] of every sample without the rests within beads."""
+    clock = t.t - t.t[0]
+    for event in cuts(t):
+        clock -= np.clip(t.t - event.start, 0.0, event.duration)
+    return clock
+
+
+def _before_and_between_beads(t: Trajectory) -> list[tuple[float, float, float]]:
+    """Start, duration and doubt [s] of each time that the robot stands still while nothing is laid."""
+    still = (np.abs(np.diff(t.q, axis=0)).max(axis=1) < STILL) & ~(t.deposit[1:] & t.deposit[:-1])
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
+    found = []
+    for a, b in edges.reshape(-1, 2).tolist():
+        lasts = (b - a) * t.dt
+        known = sum(event.duration for event in rested_for(t, a, b))
+        if known > 0.0 and abs(lasts - known) < LEAST_WAIT:
+            found.append((float(t.t[a] - t.t[0]), known, 0.0))
+        elif lasts >= LEAST_WAIT:
+            found.append((float(t.t[a]), lasts, DOUBT * t.dt))
+    return found
+
+
+# ----------------------------------------------------------------------------------------------------
+# What was written, read back: is the path that the program describes the plan's path?
+
+CLOSE = 3e-5  # [m] between samples, which rounding and played targets do not tell apart
+OTHERS = 4.0  # samples to a side that may be taken for a target's own there, at most
+LEVER = 0.05  # [m/rad]: turning counts as path where the tip stands still
+WINDOWS = (6, 64)  # samples to either side within which a target's own sample is sought, the second if need be
+FOUND = 1e-6  # m, between a target and its sample: the right one, be it at the edge of its window
+ASTRAY = 4e-5  # m: beyond, the whole piece is searched; targets beside the path are nearer, with angle and lever
+BORDER = 0.01  # rad of a joint from the end of a quarter turn, within which a target beside the path may be beyond it
+BLOCK = 200_000  # samples looked at, and
+PIECES = 64  # pieces compared at once: bounds the memory
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """The worst differences between a program and its plan (m, rad); inf where they cannot be compared.
+
+    chord     how far the program's lines were allowed to leave the path
+    path      linear moves: targets off the planned path, and the path off the lines between targets
+    travel    joint moves: the planned tip path off the one that straight joint motion makes
+    angle     orientation along linear moves, and of every target; also tool and work object
+    external  the part's axes, likewise
+    event     where the extruder is switched, against the sample where deposit begins or ends
+    frames    positions of tool and work object; the first posture, times 1 m/rad
+    speed     moves that lay material: programmed speed against the mean of the samples [m/s]
+    wait      how long the robot stands still, wherever it does [s]
+    conf      targets whose configuration is not that of the plan's posture
+    output    times that another output is switched than that of the bead's material
+    """
+
+    chord: float
+    path: float
+    travel: float
+    angle: float
+    external: float
+    event: float
+    frames: float
+    speed: float
+    wait: float
+    conf: int
+    output: int
+
+    def complaints(self) -> list[str]:
+        """Every difference beyond what rounding and thinning may cause, in words."""
+        limits = {
+            "path": (self.chord + 0.03e-3, "m"),
+            "travel": (1e-3, "m"),
+            "angle": (np.radians(0.1), "rad"),
+            "external": (np.radians(0.1), "rad"),
+            "event": (0.05e-3, "m"),
+            "frames": (2e-6, "m"),
+            "speed": (1e-3, "m/s"),
+            "wait": (2e-3, "s"),
+            "conf": (0, "targets"),
+            "output": (0, "times"),
+        }
+        return [
+            f"{name} differs by {getattr(self, name):.3g} {unit} (limit {limit:.3g})"
+            for name, (limit, unit) in limits.items()
+            if not getattr(self, name) <= limit
+        ]
+
+
+def compare(plan: Plan, program: RobotProgram) -> Agreement:
+    """Worst differences between the plan and a program that was read back."""
+    trajectory = plan.trajectory
+    first, last = deposits(trajectory)
+    pieces = list(pieces_of(program))
+    cuts = np.concatenate([[0], np.column_stack([first, last]).ravel(), [len(trajectory) - 1]])
+    expected_on = [k % 2 == 1 for k in range(len(cuts) - 1)]
+    if [on for on, _ in pieces] != expected_on:
+        chord, far = plan.problem.program.chord, np.inf
+        return Agreement(chord, far, far, far, far, far, far, far, far, len(program.conf), len(program.triggers))
+    match = _matched(plan, [piece for _, piece in pieces], cuts)
+    starts = match.targets[1:-1]
+    event = np.linalg.norm(match.all.position[starts] - trajectory.tip[cuts[1:-1]], axis=1).max(initial=0.0)
+    worst = np.maximum(_targets(plan, match), _lines(plan, match))
+    frames, turned = _frames(plan, program)
+    return Agreement(
+        chord=plan.problem.program.chord,
+        path=float(worst[0]),
+        travel=float(worst[1]),
+        angle=max(float(worst[2]), turned),
+        external=float(worst[3]),
+        event=float(event),
+        frames=frames,
+        speed=_speed(plan, match, np.array(expected_on)),
+        wait=waits_differ(plan, program),
+        conf=_wrong_configurations(plan, match),
+        output=_wrong_outputs(plan, program, first),
+    )
+
+
+@dataclass(frozen=True)
+class _Match:
+    """All pieces in one row (m targets), and which samples they stand for.
+
+    all               the pieces' targets, one after the other; `linear` and `speed` have a last one too many per piece
+    targets, cuts     (p + 1) first target of each piece, first sample of each piece; a piece's last sample is the
+                      first one of the next
+    piece, at         (m) piece of each target, and its own sample
+    """
+
+    all: ProgramPiece
+    targets: Indices
+    cuts: Indices
+    piece: Indices
+    at: Indices
+
+
+def _matched(plan: Plan, pieces: Sequence[ProgramPiece], cuts: Indices) -> _Match:
+    """Pieces against the samples between the extruder's events `cuts`."""
+    trajectory = plan.trajectory
+    rows = ProgramPiece(
+        position=np.concatenate([piece.position for piece in pieces]),
+        quat=np.concatenate([piece.quat for piece in pieces]),
+        external=np.concatenate([piece.external for piece in pieces]),
+        conf=np.concatenate([piece.conf for piece in pieces]),
+        linear=np.concatenate([np.append(piece.linear, False) for piece in pieces]),
+        speed=np.concatenate([np.append(piece.speed, 0.0) for piece in pieces]),
+        known=np.concatenate([piece.known for piece in pieces]),
+    )
+    counts = [len(piece.position) for piece in pieces]
+    targets = np.concatenate([[0], np.cumsum(counts)])
+    owner = np.repeat(np.arange(len(pieces)), counts)
+    at = _own_samples(rows.position, rows.quat, trajectory.tip, continuous(trajectory.quat), targets, cuts)
+    return _Match(rows, targets, cuts, owner, at)
+
+
+def _external(plan: Plan, samples: Indices) -> Array:
+    """The station's axes (n, k) [rad] at samples."""
+    return np.radians(external_degrees(plan.cell, plan.trajectory.q[samples, len(plan.cell.arm) :]))
+
+
+def _targets(plan: Plan, match: _Match) -> Array:
+    """Worst (path, travel, angle, external) of the targets against the planned path around their samples."""
+    tip, rows = plan.trajectory.tip, match.all
+    least, most = match.cuts[match.piece], match.cuts[match.piece + 1]
+    off, turned, shifted = [], [], []
+    for nearer in (np.maximum(match.at - 1, least), match.at):  # the piece of path before and after the sample
+        after = np.minimum(nearer + 1, most)
+        u = nearest_fraction(tip[nearer], tip[after], rows.position, np.zeros(len(nearer)))
+        off.append(np.linalg.norm(tip[nearer] + u[:, None] * (tip[after] - tip[nearer]) - rows.position, axis=1))
+        quat_a, quat_b = _unit(plan.trajectory.quat[nearer]), _unit(plan.trajectory.quat[after])
+        turned.append(angle(slerp(quat_a, quat_b, u), rows.quat))
+        a, b = _external(plan, nearer), _external(plan, after)
+        k = a.shape[1]
+        between = a + u[:, None] * (b - a)
+        shifted.append(np.abs(between - rows.external[:, :k]).max(axis=1, initial=0.0))
+    best = np.argmin(off, axis=0)[None]
+    unused = np.isnan(rows.external[:, k:]).all() and not np.isnan(rows.external[:, :k]).any()
+    worst = [np.take_along_axis(np.array(values), best, axis=0).max() for values in (off, turned, shifted)]
+    return np.array([worst[0], 0.0, worst[1], worst[2] if unused else np.inf])
+
+
+def _lines(plan: Plan, match: _Match) -> Array:
+    """Worst (path, travel, angle, external) of the planned samples against the lines between targets."""
+    worst = np.zeros(4)
+    for first in range(0, len(match.cuts) - 1, PIECES):
+        pieces = np.arange(first, min(first + PIECES, len(match.cuts) - 1))
+        pieces = pieces[np.diff(match.targets)[pieces] > 1]
+        counts = match.cuts[pieces + 1] - match.cuts[pieces] + 1
+        inner = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+        sample = inner + np.repeat(match.cuts[pieces], counts)
+        piece = np.repeat(pieces, counts)
+        owner = np.searchsorted(match.at, sample, side="right") - 1
+        owner = np.clip(owner, match.targets[piece], match.targets[piece + 1] - 2)
+        line = match.all.linear[owner]
+        if line.any():
+            worst = np.maximum(worst, _straight(plan, match, owner[line], sample[line]))
+        if not line.all():
+            worst[1] = max(worst[1], _joint(plan, match, owner[~line], sample[~line]))
+    return worst
+
+
+def _straight(plan: Plan, match: _Match, a: Indices, s: Indices) -> Array:
+    """Worst (path, travel, angle, external) of samples s (n) against the lines from targets a (n) to the next ones."""
+    rows, tip = match.all, plan.trajectory.tip
+    p, external = rows.position, _external(plan, s)
+    u = nearest_fraction(p[a], p[a + 1], tip[s], _share(match.at, a, s))
+    off = np.linalg.norm(p[a] + u[:, None] * (p[a + 1] - p[a]) - tip[s], axis=1).max()
+    turned = angle(slerp(rows.quat[a], rows.quat[a + 1], u), _unit(plan.trajectory.quat[s])).max()
+    k = external.shape[1]
+    between = rows.external[a, :k] + u[:, None] * (rows.external[a + 1, :k] - rows.external[a, :k])
+    return np.array([off, 0.0, turned, np.abs(between - external).max(initial=0.0)])
+
+
+def _joint(plan: Plan, match: _Match, a: Indices, s: Indices) -> float:
+    """Worst distance of samples s (n) from the tip paths of joint moves from targets a (n) to the next ones."""
+    q = plan.trajectory.q
+    qa, qb = q[match.at[a]], q[match.at[a + 1]]
+    u = nearest_fraction(qa, qb, q[s], _share(match.at, a, s))
+    T = plan.cell.T_part_nozzle(qa + u[:, None] * (qb - qa))
+    return float(np.linalg.norm(T[:, :3, 3] - plan.trajectory.tip[s], axis=1).max())
+
+
+def _speed(plan: Plan, match: _Match, on: NDArray[np.bool_]) -> float:
+    """Worst difference between programmed speed and what moves that lay material need to arrive when planned.
+
+    Where samples stand close at an end, as before a rest, its target may come from one beside its own, as far away as
+    the target is beside the path: what that changes is not counted.
+    """
+    trajectory, at = plan.trajectory, match.at
+    lines = np.linalg.norm(np.diff(match.all.position, axis=0), axis=1)
+    took = np.maximum(np.diff(moving_time(trajectory)[at]), 0.5 * trajectory.dt)
+    real = lines / took
+    steps = np.linalg.norm(np.diff(trajectory.tip, axis=0), axis=1)
+    beside = np.minimum(np.append(steps, np.inf), np.append(np.inf, steps))[at]
+    away = np.linalg.norm(trajectory.tip[at] - match.all.position, axis=1) / np.maximum(beside, 1e-9)
+    others = np.where(beside < CLOSE, np.clip(away, 1.0, OTHERS), 0.0)
+    off = np.abs(real - match.all.speed[:-1]) - (others[:-1] + others[1:]) * real * trajectory.dt / took
+    inside = on[match.piece[:-1]] & (np.diff(match.piece) == 0)
+    return float(np.maximum(off, 0.0)[inside].max(initial=0.0))
+
+
+def _wrong_configurations(plan: Plan, match: _Match) -> int:
+    """How many targets have another configuration than the plan's postures have around them, or hardly miss.
+
+    Targets beside the path may lie beyond the border of a quarter turn: whether they do, the player knows.
+    """
+    trajectory = plan.trajectory
+    least, most = match.cuts[match.piece], match.cuts[match.piece + 1]
+    conf, right = match.all.conf, np.zeros(len(match.at), dtype=bool)
+    for d in (-1, 0, 1):  # a target rounded across a quarter turn belongs to its neighbour sample
+        near = np.clip(match.at + d, least, most)
+        q, branch = trajectory.q[near], trajectory.branch[near]
+        within = (quadrants(q - BORDER) <= conf[:, :3]) & (conf[:, :3] <= quadrants(q + BORDER))
+        right |= (within | (conf[:, :3] == UNSAID)).all(axis=1) & ((conf[:, 3] == branch) | (conf[:, 3] == UNSAID))
+    return int(np.count_nonzero(match.all.known & ~right))
+
+
+def _wrong_outputs(plan: Plan, program: RobotProgram, first: Indices) -> int:
+    """How many times another output is switched than that of the bead that begins at, or ends after, sample first (b)."""
+    outputs = {each.name: each.signal for each in materials_of(plan.problem)}
+    usual = plan.problem.program.extruder_signal
+    beads = plan.toolpath.beads
+    own = [outputs[beads[k].material] if outputs else usual for k in plan.trajectory.bead[first].tolist()]
+    wrong = 0
+    for on in (True, False):
+        switched = [
+            trigger.signal for _, group in sorted(program.triggers.items()) for trigger in group if trigger.value == on
+        ]
+        wrong += abs(len(switched) - len(own)) + sum(a != b for a, b in zip(switched, own, strict=False))
+    return wrong
+
+
+def _share(at: Indices, a: Indices, s: Indices) -> Array:
+    out: Array = (s - at[a]) / np.maximum(at[a + 1] - at[a], 1)
+    return out
+
+
+def _unit(quat: Array) -> Array:
+    out: Array = quat / np.linalg.norm(quat, axis=1, keepdims=True)
+    return out
+
+
+def _own_samples(
+    position: Array, quat: Array, tip: Array, sample_quat: Array, targets: Indices, cuts: Indices
+) -> Indices:
+    """Sample of each target, ascending: the nearest one, around the place that the way travelled so far points to.
+
+    targets, cuts (p + 1) are the first target and the first sample of each piece (see `_Match`).
+    """
+
+    def way(p: Array, o: Array) -> Array:
+        steps = np.linalg.norm(np.diff(p, axis=0), axis=1) + LEVER * angle(o[1:], o[:-1])
+        return np.concatenate([[0.0], np.cumsum(steps)])
+
+    planned, written = way(tip, sample_quat), way(position, quat)
+    counts = np.diff(targets)
+    begin, end = written[targets[:-1]], written[targets[1:] - 1]
+    length = end - begin
+    stretch = np.where(length > 0.0, np.diff(planned[cuts]) / np.where(length > 0.0, length, 1.0), 0.0)
+    guess = np.repeat(planned[cuts[:-1]], counts) + np.repeat(stretch, counts) * (written - np.repeat(begin, counts))
+    least, most = np.repeat(cuts[:-1], counts), np.repeat(cuts[1:], counts)
+    centre = np.clip(np.searchsorted(planned, guess), least, most)
+
+    def nearest(i: Indices, near: Indices) -> tuple[Indices, Array]:
+        gap = tip[near] - position[i, None]
+        cost = np.sqrt(np.einsum("ijk,ijk->ij", gap, gap))
+        same = np.minimum(np.abs(np.einsum("ijk,ik->ij", sample_quat[near], quat[i])), 1.0)
+        cost += LEVER * np.sqrt(8.0 * (1.0 - same))  # the angle, to third order
+        # the last term only decides where the path meets itself
+        best = np.argmin(cost + 1e-3 * np.abs(planned[near] - guess[i, None]), axis=1)
+        row = np.arange(len(i))
+        return near[row, best], cost[row, best]
+
+    at, cost = np.empty(len(position), dtype=np.intp), np.empty(len(position))
+    wanted = np.arange(len(position))
+    for window in WINDOWS:
+        reach = np.arange(-window, window + 1)
+        for block in np.array_split(wanted, 1 + len(wanted) * len(reach) // BLOCK):
+            near = np.clip(centre[block, None] + reach, least[block, None], most[block, None])
+            at[block], cost[block] = nearest(block, near)
+        edge = (np.abs(at - centre) >= window) & (at > least) & (at < most)
+        wanted = np.flatnonzero((cost > FOUND) & (edge | (cost > ASTRAY)))
+    for i in np.flatnonzero(cost > ASTRAY):  # joint moves cut wide turns short, and the guess is then far off
+        at[i] = nearest(np.array([i]), np.arange(least[i], most[i] + 1)[None])[0][0]
+    # ends are known: on a closed path the nearest sample to one may be the other
+    at[targets[:-1]], at[targets[1:] - 1] = cuts[:-1], cuts[1:]
+    return np.maximum.accumulate(at)
+
+
+def _frames(plan: Plan, program: RobotProgram) -> tuple[float, float]:
+    """Worst difference of tool, work object and first posture: position [m], orientation [rad]."""
+    cell = plan.cell
+    identity = np.eye(4)
+    moving = cell.holder_robot is not None
+    far, turned = [], []
+    for written, T in (
+        (program.tool, cell.T_flange_nozzle),
+        (program.uframe, identity if moving else cell.T_world_holder),
+        (program.oframe, cell.T_plate_part if moving else identity),
+    ):
+        far.append(float(np.linalg.norm(written[:3] - T[:3, 3])))
+        cosine = 0.5 * (np.trace(to_matrix(written[None, 3:])[0].T @ T[:3, :3]) - 1.0)
+        turned.append(float(np.arccos(min(1.0, cosine))) if cosine < 1.0 - 1e-9 else 0.0)
+    na = len(cell.arm)
+    start = plan.trajectory.q[:1]
+    posture = np.concatenate([start[0, :na], np.radians(external_degrees(cell, start[:, na:]))[0]])
+    difference = np.abs(program.start[: len(posture)] - posture).max()
+    if moving != bool(program.station) or np.isnan(difference) or not np.isnan(program.start[len(posture) :]).all():
+        return float("inf"), max(turned)
+    return max(*far, float(difference)), max(turned)
+
+
+# ----------------------------------------------------------------------------------------------------
+# Whether a program, read back and played, does what its plan does: where it goes, how fast, and what it switches.
 
 # of the time in which material is laid: wide, for it is a model's, which small prints full of corners stretch by 5 per
 # cent; shipped problems stay within half a per cent (`python -m benchmarks.programs`)
@@ -67,7 +466,7 @@ class Readback:
         return found
 
 
-def readback(plan: Plan, program: Program) -> list[str]:
+def readback(plan: Plan, program: RobotProgram) -> list[str]:
     """What a program that was read back does otherwise than its plan, in words; none if it does the same."""
     try:
         played = play(program, plan.cell)
@@ -76,7 +475,7 @@ def readback(plan: Plan, program: Program) -> list[str]:
     return judge(plan, program, played).complaints()
 
 
-def judge(plan: Plan, program: Program, played: Played) -> Readback:
+def judge(plan: Plan, program: RobotProgram, played: Played) -> Readback:
     """A program against its plan, as it was played in the plan's cell."""
     nozzle = replace(program, position=played.position[played.target], quat=played.quat[played.target])
     spans = laid_spans(played)
@@ -100,7 +499,7 @@ def judge(plan: Plan, program: Program, played: Played) -> Readback:
     )
 
 
-def _cut(program: Program, played: Played) -> Array:
+def _cut(program: RobotProgram, played: Played) -> Array:
     """How far the parabola within a target's zone passes inside of the target (m) [m]; 0 where the robot rests."""
     steps = np.diff(played.position, axis=0)
     size = np.linalg.norm(steps, axis=1)
@@ -111,3 +510,28 @@ def _cut(program: Program, played: Played) -> Array:
     # the middle of a parabola whose tangents reach so far to both sides
     cut = 0.25 * reach * np.linalg.norm(unit[knot] - unit[knot - 1], axis=1)
     return np.append(np.where(program.fine[:-1], 0.0, cut), 0.0)
+
+
+# ----------------------------------------------------------------------------------------------------
+# Programs of languages that leave postures and speeds open, played with those of the plan in their place.
+
+FAST = 100.0  # m/s, rad/s: what is not said does not slow the robot down; its joints do
+
+
+def played_complaints(plan: Plan, moves: Moves, program: RobotProgram) -> list[str]:
+    """What a program that was read back does otherwise than its plan, in words.
+
+    Configurations that its targets do not name are those of the planned postures, which is what the controller must
+    come to by itself: it is told by joints where each line begins, and keeps its configuration along lines.
+    """
+    at = np.concatenate([[0], moves.sample])
+    if len(program.linear) != len(at):
+        return [*compare(plan, program).complaints(), f"it has {len(program.linear)} moves, not {len(at)}"]
+    planned = np.column_stack([quadrants(moves.q), plan.trajectory.branch[at]])
+    filled = replace(
+        program,
+        conf=np.where(program.conf == UNSAID, planned, program.conf),
+        speed=np.where(np.isnan(program.speed), FAST, program.speed),
+        zone=np.nan_to_num(program.zone),  # of travel: by how much it is rounded is the controller's to choose
+    )
+    return readback(plan, filled)

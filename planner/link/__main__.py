@@ -1,8 +1,13 @@
-"""python -m planner.link PROGRAM.mod --controller HOST --head HOST"""
+"""A program to its controller, watched while it runs.
+
+python -m planner.link PROGRAM.mod --controller HOST --head HOST
+"""
+
+from __future__ import annotations
 
 import sys
 
-from planner.link.command import main
+from planner.base.launch import launch
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(launch("link"))

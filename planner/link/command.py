@@ -11,22 +11,157 @@ from contextlib import ExitStack, closing, contextmanager
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from types import TracebackType
 
 from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
 
-from planner.command import Command, exit_code
-from planner.errors import EXIT_INTERRUPTED, EXIT_NOT_VERIFIED, EXIT_VERIFIED
-from planner.link.board import open_board
-from planner.link.effects import Note, Outcome, Side
-from planner.link.log import Log
-from planner.link.program_lines import ProgramLines, read_program_lines
-from planner.link.relay import Relay
-from planner.link.robot import Robot, bring, check_ready, check_together, program_files
-from planner.link.run import INTERRUPTED, Requests, run_relay, signals_as
-from planner.link.rws import DIALECTS, USER, Rws
-from planner.link.secret import Secret, password
-from planner.link.show import Show, ending
-from planner.link.sockets import LinkError, connect, parse_address
+from planner.base.command_line import Command, exit_code
+from planner.base.errors import EXIT_INTERRUPTED, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError
+from planner.export.rapid.reader import read_rapid_files
+from planner.link.connections import Address, LinkError, Secret, connect, parse_address, password
+from planner.link.program_lines import NO_BEAD, ProgramLines, read_program_lines
+from planner.link.relay import LogNote, Relay, RelaySide, RunOutcome
+from planner.link.run import INTERRUPTED, Log, Requests, open_board, run_relay, signals_as
+from planner.link.rws import DIALECTS, USER, RobotWatch, Rws, bring, check_ready, check_together, program_files
+from planner.planning.solve_command import main as solve
+from planner.simulate.start import start
+
+# ----------------------------------------------------------------------------------------------------
+# What the user sees of a run: how far it is, and how it ended.
+
+SETTLED = 10.0  # s of the run after which its own pace says how long the rest takes
+
+
+class Show:
+    """A bar with bead, layer, line and time left; nothing where the console is None."""
+
+    def __init__(self, lines: ProgramLines, console: Console | None) -> None:
+        self._lines = lines
+        self._first: float | None = None  # when the first line was acknowledged [s of a steady clock]
+        self._progress = None if console is None else Progress(
+            TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>5.1f} %"),
+            TextColumn("{task.fields[left]}"), console=console, auto_refresh=False,
+        )  # fmt: skip
+        self._bar = None if self._progress is None else self._progress.add_task("waiting", total=1.0, left="")
+
+    def __enter__(self) -> Show:
+        if self._progress is not None:
+            self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._progress is not None:
+            self._progress.stop()
+
+    def __call__(self, acknowledged: int) -> None:
+        """Draw how far the run is after a line."""
+        if self._progress is None or self._bar is None or not acknowledged:
+            return
+        now = time.monotonic()
+        if self._first is None:
+            self._first = now
+        share, left = progress(self._lines, acknowledged, now - self._first)
+        words = f"{place(self._lines, acknowledged)}, line {acknowledged} of {len(self._lines)}"
+        self._progress.update(self._bar, completed=share, description=words, left=f"{duration(left)} left")
+        self._progress.refresh()
+
+
+def progress(lines: ProgramLines, acknowledged: int, since: float) -> tuple[float, float]:
+    """Share of the planned time that is over, and the time that the rest takes [s] at the pace so far.
+
+    since  time from the first ack [s]
+    """
+    first, last, here = lines[1].t, lines[len(lines)].t, lines[acknowledged].t
+    if acknowledged == len(lines) or last <= first:
+        return acknowledged / len(lines), 0.0
+    pace = since / (here - first) if here - first >= SETTLED and since > 0.0 else 1.0
+    return (here - first) / (last - first), (last - here) * pace
+
+
+def place(lines: ProgramLines, n: int) -> str:
+    """Bead and layer of a line in words, numbered as everywhere; of the one before where it belongs to no bead."""
+    line = next((lines[k] for k in range(n, 0, -1) if lines[k].bead != NO_BEAD), None)
+    return "before the first bead" if line is None else f"bead {line.bead}, layer {line.layer}"
+
+
+def duration(seconds: float) -> str:
+    """A time as people say it: 1:02:03 or 2:03."""
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}" if minutes >= 60 else f"{minutes}:{rest:02d}"
+
+
+def ending(lines: ProgramLines, outcome: RunOutcome, problem: str) -> list[str]:
+    """How a run ended, in lines: why, where it stands, what the user should look at, and how to go on."""
+    total, n = len(lines), outcome.position.n
+    if outcome.reason is None:
+        return [f"done: all {total} lines were acknowledged"]
+    where = f"last acknowledged line {n} of {total} ({place(lines, n)})" if n else "no line was acknowledged"
+    said = [f"stopped: {outcome.reason}; {where}"]
+    if outcome.sent > n:
+        said.append(
+            f"line {outcome.sent} ({lines[outcome.sent].text}) went to the board, which may have carried it out"
+        )
+    if not outcome.safe:
+        said.append(
+            "the board did not confirm that it is safe: look at its heaters, its cutter, and what it still extrudes"
+        )
+    resume = outcome.position.resume
+    if resume is None:
+        return [*said, "all beads were printed"]
+    return [
+        *said,
+        f"to go on: python -m planner.solve {problem} --from-bead {resume}, with the same --set and --strategy",
+    ]
+
+
+# ----------------------------------------------------------------------------------------------------
+# `--demo`: a print on simulators of the controller and the board, from its problem to its last line.
+#
+# The only module of the link that knows of the simulators, and of them only where they listen.
+
+PROBLEM = "cylinder_logo"
+CHANGES = ("layers.count=1", "program.style=socket")
+SIMULATED_PASSWORD = "simulated"  # of a controller that listens on this computer only, for as long as the demo takes
+FOLDER = Path("out/demo")
+
+
+def demo_program(say: Callable[[str], None]) -> Path:
+    """The demo's program, solved unless it was before; InputError where that fails."""
+    found = _found()
+    if found is None:
+        say(f"solving {PROBLEM} with one layer into {FOLDER}, which takes half a minute")
+        changes = [word for change in CHANGES for word in ("--set", change)]
+        code = solve([PROBLEM, *changes, "--out", str(FOLDER)])
+        found = _found()
+        if code != EXIT_VERIFIED or found is None:
+            raise InputError(f"{PROBLEM} was not solved (exit code {code})")
+    return found
+
+
+@contextmanager
+def simulated(pace: float) -> Iterator[tuple[Address, Address, Address]]:
+    """Both simulators: where the controller's web services, its program and the board listen."""
+    with start(pace=pace, rws_password=SIMULATED_PASSWORD) as made:
+        yield Address(*made.rws), Address(*made.program), Address(*made.board)
+
+
+def _found() -> Path | None:
+    """The program that is there; none where another version wrote it otherwise than the simulator reads it."""
+    tables = sorted(FOLDER.glob("*_lines.csv"))
+    if not tables:
+        return None
+    try:
+        read_rapid_files({path.name: path.read_text(encoding="utf-8") for path in FOLDER.glob("*.mod")})
+    except (InputError, OSError, UnicodeDecodeError):
+        return None
+    return tables[0].with_name(tables[0].name.removesuffix("_lines.csv") + ".mod")
+
+
+# ----------------------------------------------------------------------------------------------------
+# The command line of the link: a program to the controller, its lines to the board, both watched.
 
 PASSWORD, HEAD_PASSWORD = "BEADWISE_RWS_PASSWORD", "BEADWISE_HEAD_PASSWORD"
 SOCKET_PORT = 1025  # of the program, unless the problem says otherwise
@@ -48,7 +183,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _demo(options: argparse.Namespace, say: Callable[[str], None]) -> int:
-    from planner.link.demo import PASSWORD, demo_program, simulated  # the planner takes seconds to be imported
 
     options.program = options.program or demo_program(say)
     options.secret = Secret(PASSWORD)
@@ -71,15 +205,15 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
         if options.dry_run:
             return EXIT_VERIFIED
         log = stack.enter_context(closing(Log(options.log or _log_path(options.program))))
-        log.write([Note("board", 0, text) for text in greeting])
+        log.write([LogNote("board", 0, text) for text in greeting])
         bring(rws, files, say)
         with _stopping(rws) as started:
             program = stack.enter_context(connect(options.socket, "the program on the controller", JOIN_TIME))
             requests = stack.enter_context(closing(Requests()))
             relay = Relay(lines, time.monotonic(), options.cold)
             with signals_as(requests), Show(lines, None if options.quiet else Console(stderr=True)) as show:
-                robot = Robot(rws, requests.ask, lambda: relay.ended)
-                sockets = {Side.CONTROLLER: program, Side.BOARD: board}
+                robot = RobotWatch(rws, requests.ask, lambda: relay.ended)
+                sockets = {RelaySide.CONTROLLER: program, RelaySide.BOARD: board}
                 outcome = run_relay(relay, sockets, requests, log, robot.stop, show)
                 trouble = robot.close()
                 started.over = True
@@ -108,7 +242,7 @@ def _stopping(rws: Rws) -> Iterator[_Started]:
 
 
 def _told(
-    lines: ProgramLines, outcome: Outcome, trouble: str | None, problem: str, log: Log, say: Callable[[str], None]
+    lines: ProgramLines, outcome: RunOutcome, trouble: str | None, problem: str, log: Log, say: Callable[[str], None]
 ) -> int:
     for text in ending(lines, outcome, problem):
         say(text)

@@ -7,8 +7,8 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from planner.errors import InputError
-from planner.input_file import read_text
+from planner.base.errors import InputError
+from planner.base.files import read_text
 from planner.link.messages import LONGEST_GCODE, MOST_LINES, is_gcode
 
 COLUMNS = "n,bead,layer,t_s,text"

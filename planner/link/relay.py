@@ -1,21 +1,110 @@
-"""The relay between a program's socket and the board, without sockets or clocks: bytes and times in, effects out.
-
-A line goes to the board once, in order, one at a time: RepRapFirmware drops a line whose checksum is wrong without a
-word and answers the next with a bare `ok`, so with several under way a lost one could not be told. Whatever is not as
-it should be ends the run: the controller is told to stop, the board gets what makes it safe, and where the print
-stands is part of the outcome.
-"""
+"""The relay between a program's socket and the board, without sockets or clocks: bytes and times in, effects out."""
 
 from __future__ import annotations
 
+import re
 from collections import deque
+from dataclasses import dataclass
 from enum import Enum
 
 from planner.link import messages as say
-from planner.link.effects import Effect, Note, Outcome, Side, StopRobot, Write
-from planner.link.framing import Framer, Garbage
-from planner.link.patience import Patience
-from planner.link.program_lines import ProgramLines
+from planner.link.messages import Framer, Garbage
+from planner.link.program_lines import Position, ProgramLines
+
+# ----------------------------------------------------------------------------------------------------
+# How long the board may take over a line before it counts as lost.
+
+ACK_TIME = 5.0  # s; a board answers within milliseconds, a busy one within some tenths of a second
+HEAT_TIME = 900.0  # s; a heavy bed takes a quarter of an hour
+QUEUED = 40  # moves that RepRapFirmware keeps; a line that waits for standstill waits for all of them
+LONGEST_MOVE = 600.0  # s; a move that claims to take longer is not believed
+_WORD = re.compile(r"([A-Z])(-?[0-9]+(?:\.[0-9]*)?|-?\.[0-9]+)")
+_WAITING = {"G4", "M109", "M190", "M191", "M116", "M400"}  # answered when they are over
+
+
+class Patience:
+    """Follows the lines that are sent and says how long each may wait for its ack [s]."""
+
+    def __init__(self) -> None:
+        self._feed = 0.0  # mm/min, as F was last given
+        self._moves: deque[float] = deque(maxlen=QUEUED)
+
+    def of(self, gcode: str) -> float:
+        """The longest time to wait for the ack of the next line [s]."""
+        code = gcode.split(" ", 1)[0]
+        if code in _WAITING:
+            return HEAT_TIME
+        if code in ("G0", "G1"):
+            words = {letter: float(value) for letter, value in _WORD.findall(gcode[len(code) :])}
+            self._feed = words.get("F", self._feed)
+            takes = 60.0 * abs(words.get("E", 0.0)) / self._feed if self._feed > 0.0 else 0.0
+            self._moves.append(min(takes, LONGEST_MOVE))
+            # a full queue takes the line once its oldest move is done
+            return ACK_TIME + max(self._moves)
+        return ACK_TIME + sum(self._moves)
+
+
+# ----------------------------------------------------------------------------------------------------
+# What the relay wants done: values that whoever runs it carries out in order.
+
+
+class RelaySide(Enum):
+    """The two ends of the relay."""
+
+    __hash__ = object.__hash__  # an enumeration's own is slow, and sides are looked up for every line
+
+    CONTROLLER = "controller"
+    BOARD = "board"
+
+
+@dataclass(frozen=True)
+class Write:
+    """Bytes to send to a side."""
+
+    side: RelaySide
+    data: bytes
+
+
+@dataclass(frozen=True)
+class LogNote:
+    """A record for the log: what happened, to which line (0: to none), and the words."""
+
+    what: str
+    n: int
+    text: str
+
+
+@dataclass(frozen=True)
+class StopRobot:
+    """The robot is to be stopped by every other way there is, at once."""
+
+    reason: str
+
+
+@dataclass(frozen=True)
+class RunOutcome:
+    """How a run ended: with all lines done (no reason), or stopped, and where the print stands.
+
+    sent  lines that went to the board; it may have carried out the last one without having said so
+    safe  the board answered all that makes it safe, or had no reason to
+    """
+
+    reason: str | None
+    position: Position
+    sent: int
+    safe: bool
+
+
+Effect = Write | LogNote | StopRobot | RunOutcome
+
+
+# ----------------------------------------------------------------------------------------------------
+# The relay between a program's socket and the board, without sockets or clocks: bytes and times in, effects out.
+#
+# A line goes to the board once, in order, one at a time: RepRapFirmware drops a line whose checksum is wrong without a
+# word and answers the next with a bare `ok`, so with several under way a lost one could not be told. Whatever is not as
+# it should be ends the run: the controller is told to stop, the board gets what makes it safe, and where the print
+# stands is part of the outcome.
 
 WINDOW = 16  # lines that a controller may send ahead of what was acknowledged
 HELLO_TIME = 10.0  # s from the connection to the program's first word
@@ -44,8 +133,8 @@ class Relay:
 
     def __init__(self, program: ProgramLines, now: float, cold: bool = False) -> None:
         self._program, self._safe = program, SAFE + (COLD if cold else ())
-        self._framers = {side: Framer() for side in Side}
-        self._gone: set[Side] = set()
+        self._framers = {side: Framer() for side in RelaySide}
+        self._gone: set[RelaySide] = set()
         self._state = _State.HELLO
         self._waiting: deque[say.Line] = deque()  # came, and not yet sent to the board
         self._received = self._sent = self._acknowledged = 0
@@ -64,17 +153,17 @@ class Relay:
         return self._acknowledged
 
     @property
-    def last_words(self) -> dict[Side, bytes]:
+    def last_words(self) -> dict[RelaySide, bytes]:
         """What stops the program and makes the board safe, whatever state the run is in."""
         board = b"".join(say.to_board_plain(gcode) for gcode in self._safe)
-        return {Side.CONTROLLER: say.stop(FAILED), Side.BOARD: board}
+        return {RelaySide.CONTROLLER: say.stop(FAILED), RelaySide.BOARD: board}
 
     @property
     def ended(self) -> bool:
         """The program said that it is through, so that the robot's standing still means nothing."""
         return self._ended
 
-    def received(self, side: Side, data: bytes, now: float) -> list[Effect]:
+    def received(self, side: RelaySide, data: bytes, now: float) -> list[Effect]:
         """Bytes came from a side."""
         if self._deaf(side):
             return []
@@ -82,7 +171,7 @@ class Relay:
         lines, garbage = self._framers[side].lines(data)
         for text in lines:
             try:
-                out += (self._controller_said if side is Side.CONTROLLER else self._board_said)(text, now)
+                out += (self._controller_said if side is RelaySide.CONTROLLER else self._board_said)(text, now)
             except Garbage as error:
                 out += self._not_understood(side, error, now)
             if self._deaf(side):
@@ -91,14 +180,14 @@ class Relay:
             out += self._not_understood(side, garbage, now)
         return out
 
-    def lost(self, side: Side, reason: str, now: float) -> list[Effect]:
+    def lost(self, side: RelaySide, reason: str, now: float) -> list[Effect]:
         """A side's connection is no more."""
         if self._deaf(side):
             return []
         self._gone.add(side)
-        if side is Side.CONTROLLER and self._ended and self._state is _State.RUNNING:
-            return [Note("closed", 0, side.value)]  # its part is done; the board's may not be
-        out: list[Effect] = [Note("lost", 0, f"{side.value}: {reason}")]
+        if side is RelaySide.CONTROLLER and self._ended and self._state is _State.RUNNING:
+            return [LogNote("closed", 0, side.value)]  # its part is done; the board's may not be
+        out: list[Effect] = [LogNote("lost", 0, f"{side.value}: {reason}")]
         return out + self._stop(f"the {side.value}'s connection was lost ({reason})", now)
 
     def tick(self, now: float) -> list[Effect]:
@@ -108,7 +197,7 @@ class Relay:
         if self._state is _State.HELLO:
             return self._stop(f"the program said nothing for {HELLO_TIME:g} s", now)
         if self._state is _State.STOPPING:
-            return [Note("unanswered", 0, "the board did not answer what makes it safe"), *self._over()]
+            return [LogNote("unanswered", 0, "the board did not answer what makes it safe"), *self._over()]
         if self._under_way:
             return self._stop(f"the board did not acknowledge line {self._sent} in time", now)
         return self._stop(f"the controller sent nothing after line {self._received} in time", now)
@@ -117,22 +206,22 @@ class Relay:
         """Someone wants the run to end."""
         return [] if self._state is _State.OVER else self._stop(reason, now)
 
-    def _deaf(self, side: Side) -> bool:
+    def _deaf(self, side: RelaySide) -> bool:
         """Nothing that a side says counts any more."""
         return self._state is _State.OVER or side in self._gone
 
-    def _not_understood(self, side: Side, error: Garbage, now: float) -> list[Effect]:
+    def _not_understood(self, side: RelaySide, error: Garbage, now: float) -> list[Effect]:
         """Nothing that follows garbage is listened to."""
         self._gone.add(side)
-        return [Note("garbage", 0, f"{side.value}: {error}"), *self._stop(f"the {side.value} sent {error}", now)]
+        return [LogNote("garbage", 0, f"{side.value}: {error}"), *self._stop(f"the {side.value} sent {error}", now)]
 
     def _controller_said(self, text: str, now: float) -> list[Effect]:
         if self._state is _State.STOPPING:
-            return [Note("ignored", 0, text)] if text.startswith("X ") else []
+            return [LogNote("ignored", 0, text)] if text.startswith("X ") else []
         message = say.from_controller(text)
         if isinstance(message, say.Stopped):
             stopped = self._stop(f"the controller stopped: {message.reason}", now)
-            return [Note("stopped", message.n, message.reason), *stopped]
+            return [LogNote("stopped", message.n, message.reason), *stopped]
         if isinstance(message, say.Hello):
             return self._hello(message, now)
         if self._state is _State.HELLO or self._ended:
@@ -145,7 +234,7 @@ class Relay:
             return self._stop(wrong, now)
         self._received = message.n
         self._waiting.append(message)
-        return [Note("received", message.n, message.gcode), *self._pump(now)]
+        return [LogNote("received", message.n, message.gcode), *self._pump(now)]
 
     def _wrong(self, line: say.Line) -> str | None:
         """What is wrong with a line of the program, in words."""
@@ -169,14 +258,14 @@ class Relay:
             return self._stop(f"the controller runs {said}, not {program.module} with {len(program)}", now)
         self._state = _State.RUNNING
         self._await_line(now)
-        return [Note("hello", 0, hello.module), Write(Side.CONTROLLER, say.go(1))]
+        return [LogNote("hello", 0, hello.module), Write(RelaySide.CONTROLLER, say.go(1))]
 
     def _end(self, end: say.End, now: float) -> list[Effect]:
         if not end.n == self._received == len(self._program):
             sent = f"the controller ended after line {end.n}, and had sent {self._received} of {len(self._program)}"
             return self._stop(sent, now)
         self._ended = True
-        return [Note("end", end.n, ""), *(self._over() if self._acknowledged == end.n else [])]
+        return [LogNote("end", end.n, ""), *(self._over() if self._acknowledged == end.n else [])]
 
     def _board_said(self, text: str, now: float) -> list[Effect]:
         message = say.from_board(text)
@@ -184,10 +273,10 @@ class Relay:
             self._remarks += 1
             if self._remarks > MOST_REMARKS:
                 raise Garbage(f"more than {MOST_REMARKS} lines that acknowledge nothing")
-            return [Note("board", 0, text)]
+            return [LogNote("board", 0, text)]
         if isinstance(message, say.Trouble):
             self._in_doubt = True
-            return [Note("error", self._sent, text), *self._stop(f"the board reports {text!r}", now)]
+            return [LogNote("error", self._sent, text), *self._stop(f"the board reports {text!r}", now)]
         if isinstance(message, say.Resend):
             return self._again(message.n, now)
         self._remarks = 0
@@ -206,13 +295,13 @@ class Relay:
             return self._stop(f"the board's bare ok after it asked for line {self._sent} again may be of either", now)
         self._under_way, self._resends = False, 0
         if self._in_doubt:
-            return [Note("answered", self._sent, "")]
+            return [LogNote("answered", self._sent, "")]
         self._acknowledged = self._sent
-        out: list[Effect] = [Note("acknowledged", self._sent, "")]
+        out: list[Effect] = [LogNote("acknowledged", self._sent, "")]
         if self._state is _State.STOPPING:
             return out
-        if Side.CONTROLLER not in self._gone:
-            out.append(Write(Side.CONTROLLER, say.acknowledged(self._sent)))
+        if RelaySide.CONTROLLER not in self._gone:
+            out.append(Write(RelaySide.CONTROLLER, say.acknowledged(self._sent)))
         if self._ended and self._acknowledged == len(self._program):
             return out + self._over()
         self._await_line(now)
@@ -225,7 +314,7 @@ class Relay:
         self._resends += 1
         if self._resends > MOST_RESENDS:
             return self._stop(f"the board asked for line {n} more than {MOST_RESENDS} times", now)
-        return [Note("resent", n, ""), Write(Side.BOARD, say.to_board(n, self._program[n].text))]
+        return [LogNote("resent", n, ""), Write(RelaySide.BOARD, say.to_board(n, self._program[n].text))]
 
     def _pump(self, now: float) -> list[Effect]:
         """The next line to the board, if it has none under way."""
@@ -234,7 +323,7 @@ class Relay:
         line = self._waiting.popleft()
         self._sent, self._under_way = line.n, True
         self.deadline = now + self._patience.of(line.gcode)
-        return [Note("sent", line.n, ""), Write(Side.BOARD, say.to_board(line.n, line.gcode))]
+        return [LogNote("sent", line.n, ""), Write(RelaySide.BOARD, say.to_board(line.n, line.gcode))]
 
     def _await_line(self, now: float) -> None:
         """The controller's next line is due when the program plans it, or much later."""
@@ -250,19 +339,19 @@ class Relay:
         if self._state is not _State.STOPPING:
             self._state, self._reason, self.deadline = _State.STOPPING, reason, now + STOP_TIME
             out += [
-                Note("stop", self._acknowledged, reason),
-                Write(Side.CONTROLLER, say.stop(reason)),
+                LogNote("stop", self._acknowledged, reason),
+                Write(RelaySide.CONTROLLER, say.stop(reason)),
                 StopRobot(reason),
             ]
-            out += [Write(Side.BOARD, say.to_board_plain(gcode)) for gcode in self._safe]
-            out += [Note("safe", 0, gcode) for gcode in self._safe]
+            out += [Write(RelaySide.BOARD, say.to_board_plain(gcode)) for gcode in self._safe]
+            out += [LogNote("safe", 0, gcode) for gcode in self._safe]
             self._unanswered = len(self._safe)
         else:
-            out.append(Note("also", 0, reason))
-        return out + (self._over() if Side.BOARD in self._gone else [])
+            out.append(LogNote("also", 0, reason))
+        return out + (self._over() if RelaySide.BOARD in self._gone else [])
 
     def _over(self) -> list[Effect]:
         self._state = _State.OVER
         asked = self._received + (1 if self._ended else 0)
         position = self._program.position(self._acknowledged, asked)
-        return [Outcome(self._reason, position, self._sent, not self._unanswered)]
+        return [RunOutcome(self._reason, position, self._sent, not self._unanswered)]

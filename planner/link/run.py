@@ -1,20 +1,133 @@
-"""Runs the relay's core on two sockets: reads, writes, keeps time, logs, and carries out what the core wants."""
+"""Runs the relay's core on two sockets: greets the board, reads, writes, keeps time, logs, carries out what is wanted."""
 
 from __future__ import annotations
 
+import json
+import os
 import selectors
 import signal
 import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
 
-from planner.link.effects import Effect, Note, Outcome, Side, StopRobot, Write
-from planner.link.log import Log
-from planner.link.relay import FAILED, Relay
-from planner.link.sockets import PIECE
+from planner.base.errors import InputError, OutputError
+from planner.link.connections import PIECE, Address, LinkError, connect, password
+from planner.link.messages import LONGEST_LINE, Framer, Ok, Trouble, from_board, to_board_plain
+from planner.link.relay import FAILED, Effect, LogNote, Relay, RelaySide, RunOutcome, StopRobot, Write
+
+# ----------------------------------------------------------------------------------------------------
+# The log of a run: one JSON object a line, written at once.
+
+
+class Log:
+    """Records with UTC and a steady clock [ms]. Each is with the system before anything follows from it, so that a crash
+    of this program loses none; `close` waits until they are on the disk.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
+        except FileExistsError:
+            raise OutputError(f"{path} is there already, and stays as it is: name another with --log") from None
+        except OSError as error:
+            raise OutputError(f"cannot write {path}: {error.strerror}") from None
+
+    def write(self, notes: Iterable[LogNote]) -> None:
+        """Append records; OSError where the disk does not take them."""
+        now, clock = datetime.now(UTC).isoformat(timespec="milliseconds"), round(1e3 * time.monotonic(), 3)
+        begin = f'{{"utc": "{now}", "ms": {clock}, '  # by hand, for a line of the program makes three records
+        texts = [f'{begin}"what": "{note.what}", "n": {note.n}, "text": {json.dumps(note.text)}}}\n' for note in notes]
+        left = memoryview("".join(texts).encode("ascii"))
+        while left:
+            left = left[os.write(self._file, left) :]
+
+    def close(self) -> None:
+        """Nothing more is written."""
+        os.fsync(self._file)
+        os.close(self._file)
+
+
+# ----------------------------------------------------------------------------------------------------
+# Coming to terms with the extruder's board before a run: RepRapFirmware's telnet.
+
+PASSWORD = "BEADWISE_HEAD_PASSWORD"
+SETTLE_TIME = (
+    0.7  # s; what comes in the first moments is discarded by the board, and a password is asked for after them
+)
+ANSWER_TIME = 5.0  # s
+QUIET_TIME = 0.1  # s without a word, after which the board has said all
+PROBE = "M115"  # which firmware it has
+MOST_READ = 16 * 1024  # bytes of greeting
+
+
+def open_board(address: Address) -> tuple[socket.socket, list[str]]:
+    """A connection to a board that answers, and what it said of itself.
+
+    Raises InputError for a wrong password or host, LinkError for a board that does not answer as one.
+    """
+    with ExitStack() as unless_agreed:
+        made = unless_agreed.enter_context(connect(address, "the board"))
+        try:
+            said = _agree(made, address)
+        except OSError as error:
+            raise LinkError(f"the board at {address}: {error.strerror or error}") from None
+        unless_agreed.pop_all()
+        return made, said
+
+
+def _agree(made: socket.socket, address: Address) -> list[str]:
+    greeting = _read(made, SETTLE_TIME)
+    if b"password" in greeting.lower():
+        secret = password(PASSWORD, f"the board at {address}")
+        made.sendall(secret.reveal().encode("utf-8") + b"\n")
+        answer = _read(made, ANSWER_TIME, until=b"\n")
+        if b"success" not in answer:
+            raise InputError(f"the board at {address} does not take the password", hint=f"see {PASSWORD}")
+        _read(made, QUIET_TIME)
+    made.sendall(to_board_plain(PROBE))
+    said: list[str] = []
+    framer, end = Framer(), time.monotonic() + ANSWER_TIME
+    while time.monotonic() < end:
+        lines, garbage = framer.lines(_read(made, end - time.monotonic(), until=b"\n"))
+        for text in lines:
+            message = from_board(text)
+            if isinstance(message, Ok):
+                if _read(made, QUIET_TIME):
+                    raise LinkError(f"the board at {address} says more than it was asked")
+                return said
+            if isinstance(message, Trouble):
+                raise LinkError(f"the board at {address} reports {text!r}")
+            said.append(text)
+        if garbage is not None or len(said) > LONGEST_LINE:
+            raise LinkError(f"what answers at {address} is no board of RepRapFirmware")
+    raise LinkError(f"the board at {address} does not answer {PROBE}")
+
+
+def _read(made: socket.socket, seconds: float, until: bytes | None = None) -> bytes:
+    """What comes within a time, or until a byte that ends it."""
+    out, end = b"", time.monotonic() + seconds
+    while len(out) < MOST_READ and (left := end - time.monotonic()) > 0.0:
+        made.settimeout(left)
+        try:
+            piece = made.recv(PIECE)
+        except TimeoutError:
+            break
+        if not piece:
+            raise LinkError("the board closed the connection")
+        out += piece
+        if until is not None and until in piece:
+            break
+    return out
+
+
+# ----------------------------------------------------------------------------------------------------
+# Runs the relay's core on two sockets: reads, writes, keeps time, logs, and carries out what the core wants.
 
 MOST_UNREAD = 4096  # bytes that a side may leave unread before it counts as lost
 LINGER_TIME = 1.0  # s that the last words have to arrive
@@ -74,12 +187,12 @@ def signals_as(requests: Requests) -> Iterator[None]:
 
 def run_relay(
     relay: Relay,
-    sockets: Mapping[Side, socket.socket],
+    sockets: Mapping[RelaySide, socket.socket],
     requests: Requests,
     log: Log,
     stop_robot: Callable[[str], None],
     show: Callable[[int], None],
-) -> Outcome:
+) -> RunOutcome:
     """Relay until the run is over, one way or the other; the sockets are closed then.
 
     stop_robot  stops the robot on another way than the program's socket, without waiting for it
@@ -92,7 +205,7 @@ class _Runner:
     def __init__(
         self,
         relay: Relay,
-        sockets: Mapping[Side, socket.socket],
+        sockets: Mapping[RelaySide, socket.socket],
         requests: Requests,
         log: Log,
         stop_robot: Callable[[str], None],
@@ -100,13 +213,13 @@ class _Runner:
     ) -> None:
         self._relay, self._sockets, self._requests, self._log = relay, dict(sockets), requests, log
         self._stop_robot, self._show = stop_robot, show
-        self._unsent = {side: bytearray() for side in Side}
-        self._lost: deque[tuple[Side, str]] = deque()  # to be told to the relay
-        self._outcome: Outcome | None = None
+        self._unsent = {side: bytearray() for side in RelaySide}
+        self._lost: deque[tuple[RelaySide, str]] = deque()  # to be told to the relay
+        self._outcome: RunOutcome | None = None
         self._log_works = True
         self._changed = False  # a socket is closed, or has or had no room for what is to be sent
 
-    def run(self) -> Outcome:
+    def run(self) -> RunOutcome:
         try:
             return self._run()
         finally:
@@ -116,14 +229,14 @@ class _Runner:
     def _abandon(self) -> None:
         """Stop both sides without the relay."""
         try:
-            self._write_log([Note("stop", self._relay.acknowledged, FAILED)])
+            self._write_log([LogNote("stop", self._relay.acknowledged, FAILED)])
             self._stop_robot(FAILED)
         finally:
             for side in list(self._sockets):
                 self._unsent[side] += self._relay.last_words[side]
                 self._part(side)
 
-    def _run(self) -> Outcome:
+    def _run(self) -> RunOutcome:
         with selectors.DefaultSelector() as selector:
             for side, made in self._sockets.items():
                 made.setblocking(False)
@@ -148,7 +261,7 @@ class _Runner:
             self._part(side)
         return self._outcome
 
-    def _ready(self, side: Side | None, mask: int) -> None:
+    def _ready(self, side: RelaySide | None, mask: int) -> None:
         if self._outcome is not None:
             return
         if side is None:
@@ -171,7 +284,7 @@ class _Runner:
                 self._lose(side, "closed by the other end")
 
     def _carry_out(self, effects: list[Effect]) -> None:
-        notes = [effect for effect in effects if isinstance(effect, Note)]
+        notes = [effect for effect in effects if isinstance(effect, LogNote)]
         if notes:
             self._write_log(notes)  # before it happens, so that nothing happens without a record
         for effect in effects:
@@ -179,13 +292,13 @@ class _Runner:
                 self._unsent[effect.side] += effect.data
             elif isinstance(effect, StopRobot):
                 self._stop_robot(effect.reason)
-            elif isinstance(effect, Outcome):
+            elif isinstance(effect, RunOutcome):
                 self._outcome = effect
         for side, unsent in self._unsent.items():
             if unsent:
                 self._flush(side)
 
-    def _write_log(self, notes: list[Note]) -> None:
+    def _write_log(self, notes: list[LogNote]) -> None:
         if not self._log_works:
             return
         try:
@@ -194,7 +307,7 @@ class _Runner:
             self._log_works = False  # first, for stopping is noted, too
             self._requests.ask(f"the log cannot be written: {error.strerror}")
 
-    def _flush(self, side: Side) -> None:
+    def _flush(self, side: RelaySide) -> None:
         unsent = self._unsent[side]
         if side not in self._sockets:
             unsent.clear()
@@ -210,7 +323,7 @@ class _Runner:
         except OSError as error:
             self._lose(side, error.strerror or "error")
 
-    def _lose(self, side: Side, reason: str) -> None:
+    def _lose(self, side: RelaySide, reason: str) -> None:
         if side in self._sockets:
             self._sockets.pop(side).close()
             self._unsent[side].clear()
@@ -230,7 +343,7 @@ class _Runner:
                 selector.modify(key.fileobj, wanted, key.data)
         self._changed = any(self._unsent.values())
 
-    def _part(self, side: Side) -> None:
+    def _part(self, side: RelaySide) -> None:
         """Close a connection so that the last words still arrive: what is unread would take them with it."""
         made, end = self._sockets.pop(side), time.monotonic() + LINGER_TIME
         with made:

@@ -1,26 +1,294 @@
-"""Sends a plan's moves to a controller while it runs them, in place of a program that is loaded whole.
-
-python -m planner.link.stream OUT_DIR --controller HOST
-"""
+"""Sends a plan's moves to a controller while it runs them, in place of a program that is loaded whole."""
 
 from __future__ import annotations
 
 import argparse
+import re
 import select
 import socket
+import struct
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
 from ipaddress import AddressValueError, IPv4Address
 from pathlib import Path
 
-from planner.command import Command, exit_code
-from planner.errors import EXIT_VERIFIED, InputError, OutputError
-from planner.export.program import Program
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.base.arrays import Array
+from planner.base.command_line import Command, exit_code
+from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, OutputError, PlannerError
+from planner.export.program import RobotProgram, Trigger
 from planner.export.rapid.reader import read_rapid_files
-from planner.link.stream_frames import Stream, stream_of
-from planner.link.stream_sender import Sender, StreamStopped
-from planner.link.stream_server import MODULE, server_module
+
+# ----------------------------------------------------------------------------------------------------
+# A program's moves as the frames that go to a controller while it runs them (see BeadwiseStream.mod).
+#
+# A frame is 96 bytes, little-endian: number, kind, flags of the triggers, tool, place [mm], orientation w x y z,
+# configuration, external axes [deg], speeds [mm/s, deg/s], wait [s], zone [mm], how many frames there are up to and with
+# the next rest, and two sums over all that.
+
+BODY = struct.Struct("<IBBBx3f4f4b6f4fffHxx")
+SUMS = struct.Struct("<HH")
+LENGTH = BODY.size + SUMS.size
+LINEAR, JOINT, ABSOLUTE, END, STOP, ALIVE = range(1, 7)
+ON_AT_START, ON_AT_END, OFF_AT_END = 1, 2, 4
+COMBINED = {0, ON_AT_START, ON_AT_END, OFF_AT_END, ON_AT_START | OFF_AT_END}
+MOST_LEFT = 65535
+MOST_TOOLS = 8
+UNUSED = 9e9  # of external axes, as in RAPID
+_WORDS = struct.Struct(f"<{BODY.size // 2}H")
+
+
+@dataclass(frozen=True)
+class Stream:
+    """What is sent of a program: frames 1 … total, the last one the end.
+
+    signals   outputs of the extruders, by the frames' tool
+    longest   time of the longest single move or wait [s], at the programmed speeds
+    """
+
+    total: int
+    signals: tuple[str, ...]
+    longest: float
+    _values: Array
+    _codes: NDArray[np.int64]
+
+    def frames(self) -> Iterator[bytes]:
+        """All frames in order."""
+        for n in range(1, self.total):
+            kind, flags, tool, *conf, left = self._codes[n - 1].tolist()
+            yield packed(n, kind, flags, tool, self._values[n - 1].tolist(), conf, left)
+        yield packed(self.total, END, left=1)
+
+
+def packed(
+    number: int,
+    kind: int,
+    flags: int = 0,
+    tool: int = 0,
+    values: list[float] | None = None,
+    conf: list[int] | None = None,
+    left: int = 0,
+) -> bytes:
+    """One frame; values: place, orientation, external axes, speeds, wait and zone (19)."""
+    v = values or [0.0] * 19
+    body = BODY.pack(number, kind, flags, tool, *v[:7], *(conf or [0] * 4), *v[7:], left)
+    first = second = 0
+    for word in _WORDS.unpack(body):
+        first = (first + word) % 65535
+        second = (second + first) % 65535
+    return body + SUMS.pack(first, second)
+
+
+def stream_of(program: RobotProgram) -> Stream:
+    """The frames of a program. Raises InputError for what only the program itself can do."""
+    if program.sends or program.demands:
+        raise InputError("only programs of style output are streamed", field="program.style")
+    m = len(program.position)
+    signals: list[str] = []
+    codes = np.zeros((m + 1, 8), np.int64)
+    codes[1:, 0] = np.where(program.linear, LINEAR, JOINT)
+    codes[0, 0] = ABSOLUTE
+    for move, triggers in program.triggers.items():
+        codes[move + 1, 1:3] = _flags(triggers, signals)
+    codes[1:, 3:7] = program.conf
+    rests = np.append(True, program.zone == 0.0)
+    ahead = np.append(np.flatnonzero(rests), m + 1)  # the end stops whatever still moves
+    index = np.arange(m + 1)
+    codes[:, 7] = np.minimum(ahead[np.searchsorted(ahead, index)] - index + 1, MOST_LEFT)
+    values = np.zeros((m + 1, 19))
+    values[0, :6] = _degrees(program.start[:6])
+    values[0, 7:13] = _degrees(program.start[6:])
+    values[1:, :3] = program.position * 1e3
+    values[1:, 3:7] = program.quat[:, [3, 0, 1, 2]]
+    values[1:, 7:13] = _degrees(program.external)
+    speed = np.vstack([program.speed[:1], program.speed])
+    values[:, 13:17] = speed * [1e3, 180.0 / np.pi, 1e3, 180.0 / np.pi]
+    values[1:, 17] = program.wait
+    values[1:, 18] = program.zone * 1e3
+    return Stream(m + 2, tuple(signals), _longest(program), values, codes)
+
+
+def _degrees(radians: Array) -> Array:
+    return np.where(np.isnan(radians), UNUSED, np.degrees(radians))
+
+
+def _flags(triggers: tuple[Trigger, ...], signals: list[str]) -> tuple[int, int]:
+    """Flags and tool of a move's triggers; a signal that is new joins the signals."""
+    flags, names = 0, {trigger.signal for trigger in triggers}
+    for trigger in triggers:
+        if trigger.distance != 0.0 or (trigger.from_start and not trigger.value):
+            raise InputError("only switching at the ends of moves is streamed", field="program.style")
+        flags |= ON_AT_START if trigger.from_start else ON_AT_END if trigger.value else OFF_AT_END
+    if flags not in COMBINED or len(names) != 1:
+        raise InputError("a move switches in a way that is not streamed", field="program.style")
+    name = names.pop()
+    if name not in signals:
+        signals.append(name)
+    if len(signals) > MOST_TOOLS:
+        raise InputError(f"more than {MOST_TOOLS} extruders are not streamed", field="process.materials")
+    return flags, signals.index(name)
+
+
+def _longest(program: RobotProgram) -> float:
+    """Time of the longest single move or wait [s]."""
+    step = np.linalg.norm(np.diff(program.position, axis=0), axis=1) / program.speed[1:, 0]
+    same = np.abs(np.einsum("ij,ij->i", program.quat[1:], program.quat[:-1])).clip(0.0, 1.0)
+    turn = 2.0 * np.arccos(same) / program.speed[1:, 1]
+    axes = np.nan_to_num(np.abs(np.diff(program.external, axis=0))).max(axis=1, initial=0.0) / program.speed[1:, 3]
+    return float(max(np.max([step, turn, axes], initial=0.0), program.wait.max(initial=0.0)))
+
+
+# ----------------------------------------------------------------------------------------------------
+# The sending side of a stream, without sockets: what to send when, by what the controller has said.
+
+VERSION = 1
+LONGEST_LINE = 80  # characters, as RAPID's strings
+ALIVE_EVERY = 0.5  # s; the controller stops after 2 s of silence
+AT_ONCE = 64  # frames sent before looking at what comes back
+PATIENCE = 30.0  # s without a word of the controller, beside its longest move
+SLOWEST = 10.0  # times as long as programmed: an operator may lower the speed that far
+_WORD = re.compile(r"([BCE]) (0|[1-9][0-9]{0,8}) (0|[1-9][0-9]{0,8})|X (0|[1-9][0-9]{0,8}) (.{1,70})")
+
+
+class StreamStopped(PlannerError):
+    """The stream has ended before its time; says why and after how many moves."""
+
+    exit_code = EXIT_NOT_VERIFIED
+
+
+class Sender:
+    """Hands out frames as far as the controller has room, and one to say that it is there where there are none.
+
+    done, starved   moves handed to the motion, and times the robot waited within a bead (known at the end)
+    """
+
+    def __init__(self, stream: Stream, now: float) -> None:
+        self.total, self.sent, self.taken, self.done, self.starved = stream.total, 0, 0, 0, 0
+        self.finished = False
+        self._frames = stream.frames()
+        self._patience = PATIENCE + SLOWEST * stream.longest
+        self._capacity: int | None = None
+        self._partial = b""
+        self._said, self._heard = now, now
+
+    def hear(self, data: bytes, now: float) -> None:
+        """Take what the controller sent. Raises StreamStopped where it stopped, or says what makes no sense."""
+        *whole, self._partial = (self._partial + data).split(b"\n")
+        if max(len(each) for each in (*whole, self._partial)) > LONGEST_LINE:
+            raise self._stopped("the controller sent a line that is too long")
+        for raw in whole:
+            self._take(raw.decode("ascii", errors="replace"))
+        self._heard = now
+
+    def due(self, now: float) -> bytes:
+        """What is to be sent now. Raises StreamStopped where the controller has been silent for too long."""
+        if self.finished:
+            return b""
+        if now - self._heard > self._patience:
+            raise self._stopped(f"the controller has said nothing for {self._patience:.0f} s")
+        out = b""
+        if self._capacity is not None:
+            last = min(self.total, self.done + self._capacity, self.sent + AT_ONCE)
+            out = b"".join(next(self._frames) for _ in range(last - self.sent))
+            self.sent = max(last, self.sent)
+        if not out and now - self._said >= ALIVE_EVERY:
+            out = packed(self.sent, ALIVE)
+        if out:
+            self._said = now
+        return out
+
+    def stop(self, unsent: bytes) -> bytes:
+        """What stops the robot, after what is left unsent of a frame that has partly gone."""
+        return unsent[: len(unsent) % LENGTH] + packed(self.sent, STOP)
+
+    def lost(self) -> StreamStopped:
+        """The connection has ended."""
+        return self._stopped("the connection to the controller is lost")
+
+    def _take(self, text: str) -> None:
+        match = _WORD.fullmatch(text)
+        if match is None:
+            raise self._stopped(f"the controller sent {text[:20]!r}, which means nothing")
+        word, one, two, _, reason = match.groups()
+        if reason is not None:
+            raise self._stopped(f"the controller stopped: {reason}")
+        first, second = int(one), int(two)
+        if word == "B" and self._capacity is None and first == VERSION and second > 0:
+            self._capacity = second
+        elif word == "C" and self.taken <= first <= self.sent and self.done <= second <= first:
+            self.taken, self.done = first, second
+        elif word == "E" and self.sent == self.total and first == self.total - 1:
+            self.done, self.starved, self.finished = self.total, second, True
+        else:
+            raise self._stopped(f"the controller sent {text!r}, which cannot be")
+
+    def _stopped(self, reason: str) -> StreamStopped:
+        return StreamStopped(f"{reason}; {self.done} of {self.total} moves were begun")
+
+
+# ----------------------------------------------------------------------------------------------------
+# The controller's side of a stream: our RAPID module with a plan's tool, work object, station and outputs in it.
+
+MODULE = "BeadwiseStream"
+_PARTS = re.compile(r"( *! --- of the plan ---\n).*?(?= *! --- of every plan ---\n)", re.DOTALL)
+
+
+def server_module(program: RobotProgram, signals: Sequence[str], address: str, port: int) -> str:
+    """Text of the RAPID module that serves a program's stream at an address of the controller."""
+    text = files("planner.link").joinpath(f"{MODULE}.mod").read_text("ascii")
+    moved = "FALSE" if program.station else "TRUE"
+    frames = f'[FALSE,{moved},"{program.station}",{_pose(program.uframe)},{_pose(program.oframe)}]'
+    load = "[1,[0,0,50],[1,0,0,0],0,0,0]"
+    data = [
+        f'CONST string bsAddress:="{address}";',
+        f"CONST num bsPort:={port};",
+        "! The load below is a placeholder: identify it on the robot before the first run.",
+        f"PERS tooldata tBeadwise:=[TRUE,{_pose(program.tool)},{load}];",
+        f"PERS wobjdata wobjBeadwise:={frames};",
+    ]
+    outputs, off = [], []
+    for k, name in enumerate(signals, 1):
+        outputs.append(f"TriggIO bsOn{{{k}}},0\\DOp:={name},1;")
+        outputs.append(f"TriggIO bsOff{{{k}}},0\\DOp:={name},0;")
+        outputs.append(f"TriggIO bsOnStart{{{k}}},0\\Start\\DOp:={name},1;")
+        off.append(f"SetDO {name},0;")
+    units = ["! No station: the part stands still."]
+    if program.station:
+        units = [
+            "IF active THEN",
+            f"    ActUnit {program.station};",
+            "ELSE",
+            f"    DeactUnit {program.station};",
+            "ENDIF",
+        ]
+    procedures = [
+        *_procedure("BsOutputs()", outputs),
+        *_procedure("BsAllOff()", off),
+        *_procedure("BsUnits(bool active)", units),
+    ]
+    new = iter(("\n".join(f"    {line}" for line in data) + "\n", "\n".join(procedures) + "\n"))
+    return _PARTS.sub(lambda match: match[1] + next(new), text)
+
+
+def _procedure(head: str, lines: Sequence[str]) -> list[str]:
+    return [f"    PROC {head}", *(f"        {line}" for line in lines), "    ENDPROC", ""]
+
+
+def _pose(pose: Array) -> str:
+    x, y, z = (f"{value * 1e3:.3f}" for value in pose[:3])
+    q = ",".join(f"{value:.7f}" for value in pose[[6, 3, 4, 5]])
+    return f"[[{x},{y},{z}],[{q}]]"
+
+
+# ----------------------------------------------------------------------------------------------------
+# Sends a plan's moves to a controller while it runs them, in place of a program that is loaded whole.
+#
+# python -m planner.link.stream OUT_DIR --controller HOST
 
 PORT = 1026
 CONNECTING = 10.0  # s
@@ -94,7 +362,7 @@ def _check_own(path: Path) -> None:
                 raise InputError(f"holds something else than {MODULE}.mod, and stays as it is", file=path)
 
 
-def program_in(folder: Path) -> Program:
+def program_in(folder: Path) -> RobotProgram:
     """The RAPID program in a folder of results. Raises InputError where there is none, or it cannot be read."""
     paths = [path for path in sorted(folder.glob("*.mod")) if path.stem != MODULE]
     if not paths:

@@ -1,8 +1,13 @@
-"""python -m planner.new my_print.yaml"""
+"""A problem file of one's own, from a few questions or from a problem that ships.
+
+python -m planner.new my_print.yaml
+"""
+
+from __future__ import annotations
 
 import sys
 
-from planner.new.command import main
+from planner.base.launch import launch
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(launch("new"))

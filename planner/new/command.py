@@ -1,9 +1,10 @@
-"""The command line of `python -m planner.new`."""
+"""The command line of `python -m planner.new`, and problems that exist as the start of one's own."""
 
 from __future__ import annotations
 
 import argparse
 import os
+import re
 import tempfile
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -11,14 +12,60 @@ from pathlib import Path
 
 from rich.console import Console
 
-from planner.check import examine
-from planner.command import Command, exit_code
-from planner.errors import EXIT_VERIFIED, InputError, OutputError
-from planner.new.ask import Asker, name_of
-from planner.new.copying import copied, name_from
-from planner.new.questions import Answers, answers_to
-from planner.new.text import problem_text
-from planner.problem import load_problem, parse_problem
+from planner.base.command_line import Command, exit_code
+from planner.base.errors import EXIT_VERIFIED, InputError, OutputError
+from planner.new.problem_file import modeline, problem_text
+from planner.new.questions import Answers, Asker, answers_to, name_of
+from planner.planning.check_command import examine
+from planner.problem import Problem, load_problem
+from planner.problem.describe import MODELINE
+from planner.problem.fields import LONGEST_NAME
+from planner.problem.problem import parse_problem
+from planner.problem.rewrite import changed_text, paths_in
+
+# ----------------------------------------------------------------------------------------------------
+# A problem that exists, as the start of one's own: its file and all files that it names, side by side.
+
+_MODELINE = re.compile(rf"{re.escape(MODELINE)}[^\n]*\n")
+ROBOTS = {("cell", "arm"), ("cell", "positioner", "robot")}  # files that name others again: they stay where they are
+
+
+def copied(problem: Problem, file: Path) -> dict[Path, bytes]:
+    """What is to be written for a copy of a problem: path → content, the problem file itself last.
+
+    Comments stay. Raises OutputError where another file of the same name stands already, InputError for one that
+    cannot be read.
+    """
+    folder = file.parent
+    changes: dict[str, float | list[float] | str] = {}
+    contents: dict[Path, bytes] = {}
+    for keys, path in paths_in(problem):
+        if keys in ROBOTS:
+            continue
+        target = folder / path.name
+        changes[".".join(map(str, keys))] = path.name
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise problem.error(".".join(map(str, keys)), f"cannot read {path}: {error.strerror}") from error
+        if target.resolve() == path.resolve() or contents.get(target) == content:
+            continue
+        if target in contents or (target.exists() and target.read_bytes() != content):
+            raise OutputError(f"{target} is there already, and is another file than {path}: choose another folder")
+        contents[target] = content
+    text = changed_text(problem, {**changes, "name": name_from(file)}, folder)
+    text = modeline(folder) + _MODELINE.sub("", text, count=1)
+    return {**contents, file: text.encode()}
+
+
+def name_from(file: Path) -> str:
+    """A problem's name from that of its file: letters, digits and _, a letter first."""
+    name = re.sub(r"[^A-Za-z0-9_]+", "_", file.stem).strip("_")[:LONGEST_NAME]
+    return name if name[:1].isalpha() else f"print_{name}"[:LONGEST_NAME].rstrip("_")
+
+
+# ----------------------------------------------------------------------------------------------------
+# The command line of `python -m planner.new`.
 
 USUAL_FILE = Path("my_print.yaml")
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.cell import frame_from_z
-from planner.readonly import Array
-from planner.robot.robot import Robot, chain_of
+from planner.base.arrays import Array
+from planner.cell.cell import frame_from_z
+from planner.cell.robot import Robot, chain_of
 
 ROLLS = 24  # tried rotations about the nozzle's axis
 REDUNDANT = 9  # tried angles of a redundant joint, over the middle half of its range

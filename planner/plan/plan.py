@@ -1,25 +1,110 @@
-"""The Plan: everything that is known at the end, as one frozen value."""
+"""The Plan: everything that is known at the end, as one frozen value; its columns, materials, and a few words."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.cell import Cell
-from planner.plan.columns import table_of
-from planner.plan.trajectory import Trajectory
-from planner.plan.words import plan_html, plan_line, plan_words
+from planner.base.arrays import Array, ReadOnlyArrays
+from planner.cell.cell import Cell
+from planner.plan.trajectory import Event, Trajectory
 from planner.problem import Problem
-from planner.readonly import Array, ReadOnlyArrays
+from planner.problem.process import signals
 from planner.toolpath.bead import Bead, Toolpath
 
 if TYPE_CHECKING:
-    from planner.plan.tolerance import Headroom
-    from planner.resolve.jointpath import JointPath
+    from planner.plan.robustness import Robustness
+    from planner.resolve.joint_path import JointPath
     from planner.resolve.roll_map import RollMap
+
+# ----------------------------------------------------------------------------------------------------
+# Columns of a trajectory, named and in the units of trajectory.csv: defined once for the file and for `Plan.table`.
+
+EVERY_ROW = slice(None)
+
+
+def columns_of(trajectory: Trajectory, rows: slice = EVERY_ROW) -> dict[str, NDArray[Any]]:
+    """All columns (n) by name, but for the joints, of some rows: mm, mm/s, mm^3/s; `e_mm` is filament."""
+    t = trajectory
+    return {
+        "t_s": t.t[rows],
+        "bead": t.bead[rows],
+        "layer": t.layer[rows],
+        "deposit": t.deposit[rows],
+        "s_mm": t.s[rows] * 1e3,
+        **dict(zip(("x_mm", "y_mm", "z_mm"), t.tip[rows].T * 1e3, strict=True)),
+        **dict(zip(("ax", "ay", "az"), t.axis[rows].T, strict=True)),
+        "speed_mm_s": t.speed[rows] * 1e3,
+        "flow_mm3_s": t.flow[rows] * 1e9,
+        "e_mm": t.feed[rows] * 1e3,
+    }
+
+
+def table_of(trajectory: Trajectory, joint_names: Sequence[str]) -> NDArray[np.void]:
+    """A structured array (n) of all columns and then the joints [rad]."""
+    columns = columns_of(trajectory) | dict(zip(joint_names, trajectory.q.T, strict=True))
+    table = np.empty(len(trajectory), dtype=[(name, column.dtype) for name, column in columns.items()])
+    for name, column in columns.items():
+        table[name] = column
+    return table
+
+
+# ----------------------------------------------------------------------------------------------------
+# A plan in a few words, for who has it in Python: a line, a short text, a small table.
+
+# metric → what it is, unit, factor, decimals
+ROWS = {
+    "at_speed_fraction": ("of the length at the commanded speed", "%", 100.0, 1),
+    "speed_min_mm_s": ("slowest while depositing", "mm/s", 1.0, 1),
+    "print_time_s": ("whole print, travel included", "s", 1.0, 1),
+    "sigma_min": ("least singular value of the arm's Jacobian", "", 1.0, 3),
+    "joint_limit_margin_deg": ("least distance from an end stop", "deg", 1.0, 1),
+    "clearance_min_mm": ("least clearance beyond the tip", "mm", 1.0, 1),
+}
+
+
+def plan_line(plan: Plan) -> str:
+    """Name, strategy and verdict."""
+    verdict = "verified" if plan.verified else "not verified"
+    return f"{plan.name} by {plan.strategy}: {verdict}, {plan.t[-1]:.1f} s, {len(plan.beads)} beads"
+
+
+def plan_words(plan: Plan) -> str:
+    """The line, a line for each metric that there is, and one for each check that fails."""
+    rows = [f"{value:>12}  {label}" for value, label in _rows(plan)]
+    return "\n".join([plan_line(plan), *rows, *(f"FAILED {text}" for text in _failed(plan))])
+
+
+def plan_html(plan: Plan) -> str:
+    """The same as a table."""
+    rows = "".join(f"<tr><td>{escape(value)}</td><td>{escape(label)}</td></tr>" for value, label in _rows(plan))
+    failed = "".join(f"<tr><td>FAILED</td><td>{escape(text)}</td></tr>" for text in _failed(plan))
+    return f"<table><caption>{escape(plan_line(plan))}</caption><tbody>{rows}{failed}</tbody></table>"
+
+
+def _rows(plan: Plan) -> list[tuple[str, str]]:
+    return [
+        (f"{plan.metrics[key] * factor:.{decimals}f} {unit}".strip(), label)
+        for key, (label, unit, factor, decimals) in ROWS.items()
+        if key in plan.metrics
+    ]
+
+
+def _failed(plan: Plan) -> list[str]:
+    return [
+        f"{check.name}: {check.worst:.4g} {check.unit}, limit {check.limit:.4g} ({check.where})"
+        for check in plan.checks
+        if not check.ok
+    ]
+
+
+# ----------------------------------------------------------------------------------------------------
+# The Plan: everything that is known at the end, as one frozen value.
 
 RAPID_EXTERNAL_AXES = 6
 MOST_SHOWN = 2  # changes of a remedy in words
@@ -175,7 +260,7 @@ class Plan:
     baseline: dict[str, dict[str, float]]
     settings: dict[str, Any]
     dips: tuple[Dip, ...] = ()
-    headroom: Headroom | None = None
+    headroom: Robustness | None = None
     approaches: tuple[Approach, ...] = ()
     view: CellView | None = None
     paths: tuple[JointPath, ...] = ()
@@ -275,3 +360,71 @@ class Plan:
 
     def _repr_html_(self) -> str:
         return plan_html(self)
+
+
+# ----------------------------------------------------------------------------------------------------
+# The materials of a plan: who feeds them, and how much each of them takes.
+
+SELECTS = ("select", "change")  # kinds of events after which another tool feeds
+NONE = -1  # in place of a material before the first one is selected
+
+
+@dataclass(frozen=True)
+class Material:
+    """A material: name, number of its tool in G-code, digital output of its extruder in RAPID, temperature [°C]."""
+
+    name: str
+    tool: int
+    signal: str
+    nozzle_c: float | None
+
+
+@dataclass(frozen=True)
+class Used:
+    """What a print takes of a material: beads and their length [m], volume laid down [m^3], filament fed [m]."""
+
+    material: Material
+    beads: int
+    length: float
+    volume: float
+    filament: float
+
+
+def materials_of(problem: Problem) -> tuple[Material, ...]:
+    """All materials that have names, in the problem's order."""
+    process = problem.process
+    return tuple(
+        Material(name, process.tool(name), signal, process.nozzle_c(name)) for name, signal in signals(problem).items()
+    )
+
+
+def selected(materials: Sequence[str], events: Sequence[Event], t: Array) -> NDArray[np.intp]:
+    """Index of the material whose tool is selected at instants t (n), as the events say; NONE before the first."""
+    chosen = sorted((event for event in events if event.kind in SELECTS), key=lambda event: event.start)
+    which = [materials.index(event.material) if event.material in materials else NONE for event in chosen]
+    return np.array([NONE, *which])[np.searchsorted([event.start for event in chosen], t, side="right")]
+
+
+def filament_areas(problem: Problem, events: Sequence[Event], t: Array) -> Array | float:
+    """Cross-section [m^2] of the filament that is fed: one, or (n) of the tool that is selected at instants t (n)."""
+    process = problem.process
+    if not process.materials:
+        return float(np.pi * (0.5 * process.filament_diameter) ** 2)
+    names = list(process.materials)
+    areas = [np.pi * (0.5 * process.of(name).filament_diameter) ** 2 for name in names]
+    return np.array([*areas, 0.0])[selected(names, events, t)]  # the last one where none is selected: nothing comes out
+
+
+def used(plan: Plan) -> tuple[Used, ...]:
+    """What the print takes of each material that has a name; what is laid counts to the tool that is selected."""
+    t, process, found = plan.trajectory, plan.problem.process, []
+    materials = materials_of(plan.problem)
+    own = selected([material.name for material in materials], t.events, t.t)
+    laid = np.diff(t.extruded, prepend=0.0)
+    for k, material in enumerate(materials):
+        beads = [bead for bead in plan.beads if bead.material == material.name]
+        volume = float(laid[own == k].sum())
+        moved = sum(event.amount for event in t.events if event.material == material.name)
+        filament = volume / (0.25 * np.pi * process.of(material.name).filament_diameter ** 2) + moved
+        found.append(Used(material, len(beads), sum(bead.length for bead in beads), volume, filament))
+    return tuple(found)

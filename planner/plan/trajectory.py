@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.readonly import Array, ReadOnlyArrays
+from planner.base.arrays import Array, ReadOnlyArrays
 
 TRAVEL = -1  # index of the bead where there is none
 

@@ -2,22 +2,384 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
-from typing import Annotated, Any, cast
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, cast, get_args
 
-from pydantic import Discriminator, Tag
+from pydantic import Discriminator, Tag, model_validator
 
-from planner.errors import nearest_name
-from planner.problem.cores import CoreLayersSpec
-from planner.problem.curves import ProjectedCurvesSpec
-from planner.problem.drawings import LayersSpec, ProjectedDrawingSpec, ProjectedLayersSpec, ProjectedPatternSpec
-from planner.problem.faces import FaceLayersSpec
-from planner.problem.fields import Section, refusal
-from planner.problem.gcode import GcodeLayersSpec
-from planner.problem.part import PartSpec
-from planner.problem.volume import VolumeLayersSpec
-from planner.problem.waypoints import WaypointLayersSpec
-from planner.problem.wing import AerofoilLayersSpec
+from planner.base.errors import nearest_name
+from planner.problem.drawings import (
+    LayersSpec,
+    OnPartSpec,
+    PatternSpec,
+    ProjectedCurvesSpec,
+    ProjectedDrawingSpec,
+    ProjectedLayersSpec,
+    ProjectedPatternSpec,
+    SourceSection,
+)
+from planner.problem.fields import (
+    PATH,
+    Form,
+    Position,
+    Quantity,
+    Section,
+    Thickness,
+    Vector,
+    exactly_one,
+    key,
+    one_of,
+    refusal,
+)
+from planner.problem.part import ANY_FACES, Faces, MeshSpec, PartSpec
+from planner.problem.process import MaterialName, material_key
+from planner.problem.yaml_file import describe, shorten
+
+# ----------------------------------------------------------------------------------------------------
+# Faces of a STEP file: the body `part.step`, and the section `layers` where its source is faces that are covered.
+
+CoverName = Literal["rows", "weighted_greedy", "greedy", "tour"]
+COVER_NAMES: tuple[str, ...] = get_args(CoverName)
+
+
+class FacesSpec(SourceSection):
+    """Faces that are covered with beads at a distance from each other."""
+
+    faces: Faces = key("faces", f"the faces that are covered: {ANY_FACES}; of those of part.step")
+    spacing: Annotated[float, Quantity("mm", 0.1, 1000)] = key(
+        "spacing_mm", "distance between samples of a face, and between neighbouring rows [mm]"
+    )
+    path: Annotated[CoverName, one_of(COVER_NAMES)] = key(
+        "path", f"how samples are joined: {', '.join(COVER_NAMES)}", "weighted_greedy"
+    )
+
+
+class FaceLayersSpec(Section):
+    """What is printed, and how often: beads that cover faces."""
+
+    bodies: ClassVar[tuple[str, ...]] = ("step",)
+
+    source: FacesSpec = key("source", "which faces are covered, and how")
+    count: Annotated[int, Quantity("", 1, 10_000, whole=True)] = key("count", "number of layers")
+    height: Thickness = key("height_mm", "height of a layer [mm], along the faces' normals")
+    material: MaterialName | None = material_key("all beads")
+
+
+# ----------------------------------------------------------------------------------------------------
+# Toolpaths that a slicer made for a printer with a level bed: the section `layers`, where its source is G-code.
+
+
+class GcodeSpec(SourceSection):
+    """A file of planar G-code, whose extruding moves become beads."""
+
+    gcode: Annotated[Path, PATH] = key("gcode", "the file, counted from the folder of the problem file")
+    filament_diameter: Annotated[float, Quantity("mm", 0.5, 10)] | None = key(
+        "filament_diameter_mm",
+        "of the filament that the file was sliced for [mm]; default: process.filament_diameter_mm",
+        None,
+    )
+    origin: Position = key("origin_mm", "the file's origin in the part frame, whose z = 0 is the bed [mm]", (0, 0, 0))
+
+
+class GcodeLayersSpec(Section):
+    """What is printed, if a slicer says it: all layers, and the beads' widths and heights, stand in the file."""
+
+    bodies: ClassVar[tuple[str, ...]] = ()
+
+    source: GcodeSpec = key("source", "where the G-code comes from")
+    material: MaterialName | None = material_key("all beads")
+
+
+# ----------------------------------------------------------------------------------------------------
+# Toolpaths that a file says point by point: the section `layers`, where its source is a file of waypoints.
+
+
+class WaypointsSpec(SourceSection):
+    """A file of waypoints, each with its normal, that become beads."""
+
+    waypoints: Annotated[Path, PATH] = key(
+        "waypoints",
+        "the file, counted from the folder of the problem file: CSV or text, lines x y z nx ny nz, or NPZ with arrays "
+        "of these names; columns layer, bead, width and height too, where they are named",
+    )
+    unit: Annotated[Literal["mm", "m"], one_of(("mm", "m"))] = key(
+        "unit", "of the file's points, widths and heights: mm or m", "mm"
+    )
+    up: Annotated[Literal["z", "y"], one_of(("z", "y"))] = key(
+        "up", "the file's axis that is the part frame's z; y turns (x, y, z) to (x, -z, y)", "z"
+    )
+    normals: Annotated[Literal["outward", "inward"], one_of(("outward", "inward"))] = key(
+        "normals", "where the file's normals point: outward, against the nozzle, or inward, along it", "outward"
+    )
+    origin: Position = key("origin_mm", "the file's origin in the part frame, its axes turned [mm]", (0, 0, 0))
+    split: Annotated[float, Quantity("mm", 0.01, 10_000)] | None = key(
+        "split_mm",
+        "a step longer than this begins a new bead [mm]; default: three median steps, or no step with a column bead",
+        None,
+    )
+    smoothing: Annotated[float, Quantity("deg", 0, 30)] = key(
+        "smooth_normals_deg",
+        "how far a normal may be turned to smooth them along a bead [deg]; 0 takes them as they are",
+        0,
+    )
+
+
+class WaypointLayersSpec(Section):
+    """What is printed, if a file says it point by point: all layers stand in the file."""
+
+    bodies: ClassVar[tuple[str, ...]] = ()
+
+    source: WaypointsSpec = key("source", "where the waypoints come from")
+    material: MaterialName | None = material_key("all beads")
+
+
+# ----------------------------------------------------------------------------------------------------
+# A wing in layers parallel to its surfaces: the section `layers` of the problem file, where its source is an aerofoil.
+
+
+def _naca(value: Any) -> str:
+    if not isinstance(value, str):
+        raise refusal(f"must be four digits in quotes, not {describe(value)}", 'for example naca: "0015"')
+    if not re.fullmatch(r"[0-9]{4}", value):
+        raise refusal(f"{shorten(value)!r} is no section of four digits", 'for example naca: "0015"')
+    if value[2:] == "00":
+        raise refusal(f"section {value} has no thickness", 'the last two digits, for example naca: "0015"')
+    if (value[0] == "0") != (value[1] == "0"):
+        reason = f"section {value} has camber without its place, or a place without camber"
+        raise refusal(reason, "the first two digits are both 0, or neither is")
+    return value
+
+
+_NACA = Form(_naca, schema={"pattern": "^[0-9]{4}$"})
+
+
+METHODS = ("curved", "planar")
+_POINTS = "file of the section's points, counted from the folder of the problem file"
+
+
+class TipSpec(Section):
+    """A wing's section where its span ends; straight lines lead to it from the section where the span begins."""
+
+    aerofoil: Annotated[Path, PATH] | None = key("aerofoil", f"{_POINTS}; default: none", None)
+    naca: Annotated[str, _NACA] | None = key(
+        "naca", "the section by its four digits, in quotes; default: that where the span begins", None
+    )
+    chord: Annotated[float, Quantity("mm", 1, 10_000)] = key("chord_mm", "length of the chord [mm]")
+    sweep: Annotated[float, Quantity("mm", -10_000, 10_000)] = key(
+        "sweep_mm", "how far its leading edge lies behind that where the span begins [mm]", 0
+    )
+    washout: Annotated[float, Quantity("deg", -30, 30)] = key(
+        "washout_deg", "how far it is turned nose down, about a quarter of its chord [deg]", 0
+    )
+
+    @model_validator(mode="after")
+    def _one_section(self) -> TipSpec:
+        if self.aerofoil is not None and self.naca is not None:
+            raise refusal("both aerofoil and naca are given", "give one of them, or none", fields=["aerofoil", "naca"])
+        return self
+
+
+class AerofoilSpec(Section):
+    """A wing: a section along a span. The part frame's x runs along the chord, y along the span."""
+
+    model_config = exactly_one("aerofoil", "naca")
+
+    aerofoil: Annotated[Path, PATH] | None = key("aerofoil", f"{_POINTS}; default: none, but naca", None)
+    naca: Annotated[str, _NACA] | None = key(
+        "naca", "the section by its four digits, in quotes; default: none, but aerofoil", None
+    )
+    chord: Annotated[float, Quantity("mm", 1, 10_000)] = key("chord_mm", "length of the chord [mm]")
+    span: Annotated[float, Quantity("mm", 1, 10_000)] = key("span_mm", "length along the span [mm]")
+    origin: Position = key("origin_mm", "leading edge in the part frame, where the span begins [mm]", (0, 0, 0))
+    tilt: Annotated[float, Quantity("deg", 5, 90)] = key(
+        "tilt_deg", "greatest tilt of a layer [deg]; where a layer is steeper, it is left out", 45
+    )
+    tip: TipSpec | None = key("tip", "the section where the span ends; default: the same all along the span", None)
+    method: Annotated[str, one_of(METHODS)] = key(
+        "method", "curved: layers parallel to the wing's surfaces; planar: level ones, for comparison", "curved"
+    )
+
+    @model_validator(mode="after")
+    def _one_section(self) -> AerofoilSpec:
+        if (self.aerofoil is None) == (self.naca is None):
+            found = "neither aerofoil nor naca is" if self.naca is None else "both aerofoil and naca are"
+            raise refusal(f"{found} given", "give exactly one of them", fields=["aerofoil", "naca"])
+        return self
+
+
+class SupportSpec(Section):
+    """What is printed under a wing: level layers, loosely filled, and curved ones on them that follow its surface."""
+
+    length: Annotated[float, Quantity("mm", 1, 10_000)] = key(
+        "length_mm", "length of the level layers along the chord, as much before the wing as behind it [mm]"
+    )
+    height: Annotated[float, Quantity("mm", 0, 10_000)] = key(
+        "height_mm", "height of the level layers before and behind the wing [mm]"
+    )
+    infill: Annotated[float, Quantity("", 0.1, 1)] = key("infill", "share of the level layers that is filled", 0.5)
+    curved: Annotated[int, Quantity("", 0, 20, whole=True)] = key("curved", "number of curved layers", 2)
+    material: MaterialName | None = material_key("the support", "the wing's")
+
+
+class AerofoilLayersSpec(Section):
+    """What is printed, if it is a wing: layers parallel to its lower and its upper surface."""
+
+    bodies: ClassVar[tuple[str, ...]] = ()  # a wing is its own
+
+    source: AerofoilSpec = key("source", "where the wing's section comes from")
+    count: Annotated[int, Quantity("", 1, 10_000, whole=True)] | None = key(
+        "count", "number of layers, from the first; default: all of support and wing", None
+    )
+    height: Thickness = key("height_mm", "height of a layer [mm]")
+    support: SupportSpec | None = key("support", "what is printed under the wing; default: none, it is there", None)
+    material: MaterialName | None = material_key("the wing")
+
+
+# ----------------------------------------------------------------------------------------------------
+# An aerofoil core: the section `layers` of the problem file, where layers fill what is between a body and a middle.
+
+
+class MiddleSpec(Section):
+    """What the lower half of a core reaches up to, and is reflected at: one of these."""
+
+    model_config = exactly_one("z_mm", "mesh")
+
+    z: Annotated[float, Quantity("mm", -100_000, 100_000)] | None = key(
+        "z_mm", "height of a level plane in the part frame [mm]; default: none, but mesh", None
+    )
+    mesh: MeshSpec | None = key(
+        "mesh", "a file of facets, of which counts what is seen from above; default: none", None
+    )
+
+    @model_validator(mode="after")
+    def _one_middle(self) -> MiddleSpec:
+        if (self.z is None) == (self.mesh is None):
+            found = "neither z_mm nor mesh is" if self.z is None else "both z_mm and mesh are"
+            raise refusal(f"{found} given", "give exactly one of them", fields=["z_mm", "mesh"])
+        return self
+
+
+class CoreLayersSpec(OnPartSpec):
+    """What is printed, if it is a core: a pattern in layers from the part up to a middle, and the reflection on them."""
+
+    bodies: ClassVar[tuple[str, ...]] = ("mesh",)
+
+    source: PatternSpec = key("source", "where the curves come from")
+    up_to: MiddleSpec = key("up_to", "the middle of the core: z_mm or mesh")
+    halves: Annotated[Literal["both", "lower"], one_of(("both", "lower"))] = key(
+        "halves", "what is printed: both halves, or the lower one", "both"
+    )
+    heights: Annotated[Literal["even", "varying"], one_of(("even", "varying"))] = key(
+        "heights",
+        "even: each layer height_mm above the one before, left out beyond the middle; "
+        "varying: all layers from end to end, as high as their place asks",
+        "even",
+    )
+    height: Thickness = key("height_mm", "vertical height of a layer; where heights vary, the greatest [mm]")
+    least_height: Thickness | None = key(
+        "least_height_mm",
+        "where layers of varying height were less high than this, they are left out [mm]; default: a fifth of height_mm",
+        None,
+    )
+    tilt: Annotated[float, Quantity("deg", 5, 75)] = key(
+        "tilt_deg", "greatest tilt of a layer [deg]; where a layer is steeper, it is left out", 45
+    )
+    count: Annotated[int, Quantity("", 1, 10_000, whole=True)] | None = key(
+        "count", "number of layers, from the first; default: all", None
+    )
+    material: MaterialName | None = material_key("all beads")
+
+    @model_validator(mode="after")
+    def _heights_in_order(self) -> CoreLayersSpec:
+        if self.least_height is None:
+            return self
+        if self.heights == "even":
+            raise refusal("heights are even", "leave out least_height_mm, or heights: varying", item="least_height_mm")
+        if self.least_height > self.height:
+            least, most = self.least_height * 1e3, self.height * 1e3
+            reason = f"the least height, {least:g} mm, is more than the greatest, {most:g} mm"
+            raise refusal(reason, "at most height_mm", item="least_height_mm")
+        return self
+
+
+# ----------------------------------------------------------------------------------------------------
+# A closed mesh filled with layers between two surfaces: the section `layers` of the problem file, where it names one.
+
+_LEAST = 0.5  # of height_mm: thinner layers press the nozzle into those beneath
+
+
+class SolidSpec(SourceSection):
+    """The body that is printed."""
+
+    mesh: Annotated[Path, PATH] = key("mesh", "a closed STL file, in mm, counted from the folder of the problem file")
+    origin: Position = key("origin_mm", "the file's origin in the part frame, once the file is turned [mm]", (0, 0, 0))
+    rpy: Annotated[Vector, Quantity("deg", -360, 360, count=3)] = key(
+        "rpy_deg", "the file turned about x, then y, then z of the part frame [deg]", (0, 0, 0)
+    )
+
+    @property
+    def file(self) -> MeshSpec:
+        """The same as any file of facets."""
+        return MeshSpec.model_construct(file=self.mesh, origin=self.origin, rpy=self.rpy)
+
+
+class GuideSpec(MiddleSpec):
+    """A surface that the layers begin at, or come to: a level plane, or the upper side of a mesh."""
+
+
+class InfillSpec(Section):
+    """What fills a layer between its walls: lines that go to and fro."""
+
+    density: Annotated[float, Quantity("", 0.02, 1)] = key("density", "share of the inside that is filled", 1)
+    angle: Annotated[float, Quantity("deg", -360, 360)] = key(
+        "angle_deg", "direction of the lines, counted from x; every second layer lies across [deg]", 45
+    )
+    material: MaterialName | None = material_key("the infill", "the layers'")
+
+
+class VolumeLayersSpec(Section):
+    """What is printed, if it is a closed mesh: layers that change from its lower surface to its upper one."""
+
+    bodies: ClassVar[tuple[str, ...]] = ()
+
+    source: SolidSpec = key("source", "the body that is printed")
+    lower: GuideSpec | None = key(
+        "lower", "the surface that the layers begin at: z_mm or mesh; default: level with the body's lowest point", None
+    )
+    upper: GuideSpec | None = key(
+        "upper", "the surface that the layers come to: z_mm or mesh; default: the body's own top", None
+    )
+    height: Thickness = key("height_mm", "vertical height of a layer where it is greatest [mm]")
+    least_height: Thickness | None = key(
+        "least_height_mm",
+        "least vertical height [mm]: where layers would be thinner, fewer of them are laid; default: half of height_mm",
+        None,
+    )
+    perimeters: Annotated[int, Quantity("", 0, 20, whole=True)] = key("perimeters", "how many beads run along walls", 1)
+    infill: InfillSpec = key("infill", "what fills a layer between its walls; each of its keys has a default", {})
+    tilt: Annotated[float, Quantity("deg", 1, 60)] = key("tilt_deg", "greatest tilt of a layer [deg]", 30)
+    material: MaterialName | None = material_key("the layers")
+
+    @model_validator(mode="after")
+    def _heights_in_order(self) -> VolumeLayersSpec:
+        if self.least_height is not None and self.least_height >= self.height:
+            least, most = self.least_height * 1e3, self.height * 1e3
+            reason = f"the least height, {least:g} mm, is not less than the greatest, {most:g} mm"
+            raise refusal(
+                reason, "less than height_mm, so that layers can follow both surfaces", item="least_height_mm"
+            )
+        return self
+
+    @property
+    def thinnest(self) -> float:
+        """Least vertical height of a layer [m]."""
+        return _LEAST * self.height if self.least_height is None else self.least_height
+
+
+# ----------------------------------------------------------------------------------------------------
+# What is printed: the kinds of the section `layers` of the problem file, told apart by their keys.
 
 
 @dataclass(frozen=True)

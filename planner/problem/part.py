@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, model_validator
 
 from planner.problem.fields import PATH, Position, Quantity, Section, Vector, exactly_one, key, one_of, refusal
-from planner.problem.file import describe
+from planner.problem.yaml_file import describe
 
 
 class CylinderSpec(Section):

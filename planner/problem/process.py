@@ -1,19 +1,226 @@
-"""What happens around a bead: sections of `process` in the problem file.
-
-Temperatures stay in degrees Celsius, which every printer's board takes; so their names carry the unit.
-"""
+"""What happens along and around a bead: the section `process` of the problem file."""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, get_args
+import re
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
-from pydantic import model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
-from planner.problem.board import CutCode, FanSpec, time_of, usual_cut
-from planner.problem.extrusion import BeadSpec, ExtruderSpec, SectionName
-from planner.problem.fields import Quantity, Section, key, one_of, refusal
-from planner.problem.materials import ChangeSpec, FilamentMoveSpec, MaterialName, MaterialSpec
+from planner.base.errors import nearest_name
+from planner.problem.fields import IDENTIFIER, LONGEST_NAME, Form, Quantity, Section, Thickness, key, one_of, refusal
+from planner.problem.yaml_file import describe
+
+if TYPE_CHECKING:
+    from planner.problem.problem import Problem
+
+# ----------------------------------------------------------------------------------------------------
+# What is laid down and what pushes it: the sections `bead` and `extruder` of `process` in the problem file.
+
+SectionName = Literal["rectangle", "rounded", "fibre"]
+MotorName = Literal["e_axis", "speed_demand", "on_off"]
+SECTIONS: tuple[str, ...] = get_args(SectionName)
+MOTORS: tuple[str, ...] = get_args(MotorName)
+
+
+class BeadSpec(Section):
+    """Cross-section of a bead."""
+
+    width: Thickness = key("width_mm", "width [mm]")
+    # NaN only until Process is complete and the layers' height is put in its place.
+    height: Thickness = Field(
+        default_factory=lambda: math.nan,
+        validate_default=False,
+        alias="height_mm",
+        description="height [mm]; default layers.height_mm, where that is given",
+    )
+    section: Annotated[SectionName, one_of(SECTIONS)] | None = key(
+        "section",
+        "shape: rectangle, width times height; rounded, half a circle at both sides; "
+        "fibre, as thick as the filament, which is fed as fast as it is laid; default rectangle, or fibre with fibre",
+        None,
+    )
+
+
+class ExtruderSpec(Section):
+    """What pushes the filament."""
+
+    motor: Annotated[MotorName, one_of(MOTORS)] = key(
+        "motor",
+        "how it is driven: e_axis, an axis of its own; speed_demand, in proportion to the nozzle's real speed; "
+        "on_off, at the commanded speed's rate as long as a bead is laid",
+        "e_axis",
+    )
+    lag: Annotated[float, Quantity("s", 0, 2)] = key(
+        "lag_s", "time by which flow lags the motor, which then runs ahead (pressure advance) [s]", 0
+    )
+
+    @model_validator(mode="after")
+    def _only_what_can_be_driven(self) -> ExtruderSpec:
+        if self.motor == "on_off" and self.lag > 0.0:
+            reason = "a motor that is only on or off cannot make up for lag_s"
+            raise refusal(reason, "leave out lag_s, or take another motor", fields=["motor", "lag_s"])
+        return self
+
+
+# ----------------------------------------------------------------------------------------------------
+# Several materials in one print: sections `materials` and `change` of `process` in the problem file.
+
+MaterialName = Annotated[str, IDENTIFIER]
+LEAST_WAIT = 0.1  # s: five of the coarsest samples, so that filament of two materials never moves in the same one
+
+
+def material_key(whose: str, default: str = "the first one there") -> MaterialName | None:
+    """The field of a section of `layers` that names a material."""
+    text = f"material of {whose}, by its name in process.materials; default: {default}"
+    field: MaterialName | None = key("material", text, None)
+    return field
+
+
+class FilamentMoveSpec(Section):
+    """Filament that the extruder pushes or pulls while nothing is deposited."""
+
+    length: Annotated[float, Quantity("mm", 0, 100)] = key("length_mm", "of filament [mm]; 0 is none", 0)
+    speed: Annotated[float, Quantity("mm/s", 0.1, 200)] = key("speed_mm_s", "of the filament [mm/s]", 25)
+
+    @property
+    def time(self) -> float:
+        """How long it takes [s]."""
+        return self.length / self.speed
+
+
+class MaterialSpec(Section):
+    """One of several materials: the tool that feeds it, and what it needs otherwise than `process` says."""
+
+    tool: Annotated[int, Quantity("", 0, 99, whole=True)] | None = key(
+        "tool", "number of its tool in the G-code; default: its place in the list, from 0", None
+    )
+    extruder_signal: Annotated[str, IDENTIFIER] | None = key(
+        "extruder_signal",
+        "the digital output of its extruder in RAPID; default: program.extruder_signal, with the tool's number behind "
+        "it but for the first one",
+        None,
+    )
+    filament_diameter: Annotated[float, Quantity("mm", 0.5, 10)] | None = key(
+        "filament_diameter_mm", "diameter of its filament [mm]; default: process.filament_diameter_mm", None
+    )
+    nozzle_c: Annotated[float, Quantity("°C", 20, 500)] | None = key(
+        "nozzle_c", "temperature of its nozzle [°C]; default: process.start.nozzle_c", None
+    )
+    prime: FilamentMoveSpec | None = key("prime", "filament pushed until a bead starts; default: process.prime", None)
+    retract: FilamentMoveSpec | None = key(
+        "retract", "filament pulled back from a bead's end on; default: process.retract", None
+    )
+
+
+class ChangeSpec(Section):
+    """What happens at home between beads of two materials."""
+
+    wait: Annotated[float, Quantity("s", LEAST_WAIT, 3600)] = key(
+        "wait_s", "time that the robot rests at home while tools are changed [s]", 1
+    )
+    purge: Annotated[float, Quantity("mm", 0, 1000)] = key(
+        "purge_mm", "filament of the new material pushed out then [mm]; 0 is none", 0
+    )
+    purge_speed: Annotated[float, Quantity("mm/s", 0.1, 200)] = key(
+        "purge_speed_mm_s", "speed of the filament in it [mm/s]", 5
+    )
+
+    @property
+    def time(self) -> float:
+        """How long the robot rests at home for a change [s]."""
+        return self.wait + self.purge / self.purge_speed
+
+
+def signals(problem: Problem) -> dict[str, str]:
+    """The digital output in RAPID that switches the extruder of each material, by its name."""
+    process, found = problem.process, {}
+    for i, (name, spec) in enumerate(process.materials.items()):
+        usual = problem.program.extruder_signal
+        found[name] = spec.extruder_signal or (f"{usual}{process.tool(name)}" if i else usual)
+    return found
+
+
+def check_materials(problem: Problem) -> None:
+    """Raise the InputError of a name that is no material's, and of a digital output that has two names or two uses."""
+    names = list(problem.process.materials)
+    parts = [(f"layers.{part}", getattr(problem.layers, part, None)) for part in ("support", "infill")]
+    for field, section in (("layers", problem.layers), *parts):
+        name = getattr(section, "material", None)
+        if name is not None and name not in names:
+            near = nearest_name(name, names)
+            hint = f"choices: {', '.join(names)}" if names else "give process.materials, or leave it out"
+            reason = f"there is no material {name!r} in process.materials"
+            raise problem.error(f"{field}.material", reason, f"did you mean {near}? {hint}" if near else hint)
+    program = problem.program
+    taken = {getattr(program, use).lower(): f"program.{use}" for use in ("tool", "work_object", "station")}
+    for name, signal in signals(problem).items():
+        field = f"process.materials.{name}.extruder_signal"
+        if len(signal) > LONGEST_NAME:
+            raise problem.error(field, f"{signal!r} is too long for RAPID", f"at most {LONGEST_NAME} characters")
+        first = taken.setdefault(signal.lower(), name)  # RAPID does not tell capitals from small letters
+        if first != name:
+            raise problem.error(field, f"{signal!r} is already the name of {first}", "give each its own name")
+
+
+# ----------------------------------------------------------------------------------------------------
+# What the extruder's board does beside pushing filament: the sections `fan` and `fibre.cut_code` of `process`.
+
+CUT_PAUSE = 0.5  # s; Tawfik et al., section III.B: the cutter, on a fan's output, closes and opens in so long each
+MOST_LINES = 20
+_ORDER = re.compile(r"M(42|106|107|280)( [A-Z]-?\d{1,6}(\.\d{1,4})?)*|G4 P\d{1,6}")
+
+
+def _order(value: Any) -> str:
+    """One line of a board's macro: an output (M42, M106, M107), a servo (M280), or a pause in milliseconds."""
+    if not isinstance(value, str):
+        raise refusal(f"must be a line of G-code, not {describe(value)}", "quote it, for example 'M106 P0 S1'")
+    if not _ORDER.fullmatch(value):
+        raise refusal(
+            f"{describe(value)} cannot stand here",
+            "M42, M106, M107 or M280 with their words, or a pause such as G4 P500",
+        )
+    return value
+
+
+def _few(value: Any) -> Any:
+    if isinstance(value, tuple) and not 1 <= len(value) <= MOST_LINES:
+        raise refusal(f"must be 1 to {MOST_LINES} lines, not {len(value)}", "for example [M106 P0 S1, G4 P500]")
+    return value
+
+
+CutCode = Annotated[
+    tuple[Annotated[str, Form(_order, schema={"pattern": f"^({_ORDER.pattern})$"})], ...], BeforeValidator(_few)
+]
+
+
+def usual_cut(wait: float) -> tuple[str, ...]:
+    """The published macro of a cut, its two pauses no longer than a wait [s] together."""
+    ms = int(min(CUT_PAUSE, 0.5 * wait) * 1e3)
+    pause = (f"G4 P{ms}",) if ms else ()
+    return ("M106 P0 S1", *pause, "M106 P0 S0", *pause)
+
+
+def time_of(code: tuple[str, ...]) -> float:
+    """How long the pauses of a macro take together [s]."""
+    return sum(int(line[len("G4 P") :]) for line in code if line.startswith("G4")) * 1e-3
+
+
+class FanSpec(Section):
+    """The fan that cools what is printed."""
+
+    speed: Annotated[float, Quantity("", 0.01, 1)] = key("speed", "share of its full speed", 1)
+    from_layer: Annotated[int, Quantity("", 1, 100_000, whole=True)] = key(
+        "from_layer", "the first layer that it cools, counted from 1", 2
+    )
+    number: Annotated[int, Quantity("", 0, 31, whole=True)] = key("number", "of its output (P of M106)", 0)
+
+
+# ----------------------------------------------------------------------------------------------------
+# What happens around a bead: sections of `process` in the problem file.
+#
+# Temperatures stay in degrees Celsius, which every printer's board takes; so their names carry the unit.
 
 FIBRE_RAMP_DEG = 30  # Tawfik et al., section III.A.2: laid down at this angle, the end of the fibre sticks
 Wait = Annotated[float, Quantity("s", 0, 3600)]  # an hour heats any bed

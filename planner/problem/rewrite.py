@@ -11,9 +11,9 @@ from pydantic import BaseModel
 from ruamel.yaml import YAML
 from ruamel.yaml.nodes import MappingNode, Node, SequenceNode
 
-from planner.errors import InputError, OutputError
-from planner.problem import Problem
-from planner.problem.file import Keys, parse_yaml
+from planner.base.errors import InputError, OutputError
+from planner.problem.problem import Problem
+from planner.problem.yaml_file import Keys, parse_yaml
 
 Value = float | list[float] | str
 

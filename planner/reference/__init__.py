@@ -1,1 +1,1 @@
-"""References that are generated: the schema of files for editors, and pages of every field, metric and command."""
+"""References that are generated: schemas of files for editors, and pages of every field, metric and command."""

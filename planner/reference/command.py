@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from planner.command import Command, one_of
+from planner.base.command_line import Command, one_of
 
 # What can be asked for → its file below docs/.
 FILES = {

@@ -3,6 +3,8 @@
 By key, for all sections that have it, or by `Section.key` for one of them.
 """
 
+from __future__ import annotations
+
 EXAMPLES: dict[str, str] = {
     "acceleration_rad_s2": "15",
     "address": "192.168.125.1",

@@ -7,16 +7,14 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from planner.problem import Problem, shipped_problems
-from planner.problem.described import Described, Model, described
-from planner.problem.fields import Section
-from planner.problem.file import find_problem, read_problem_file
+from planner.cell.robot_file import KEYS
+from planner.problem import Problem, find_problem, shipped_problems
+from planner.problem.fields import Described, Model, Section, described
 from planner.problem.layers import KINDS
-from planner.problem.written import yaml_text
+from planner.problem.yaml_file import read_problem_file, yaml_text
 from planner.reference.examples import EXAMPLES
 from planner.reference.markdown import table
 from planner.reference.schema import TOLD_BY
-from planner.robot.file import KEYS
 
 LONGEST_EXAMPLE = 70  # characters
 _HEAD = """\

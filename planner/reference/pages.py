@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from planner.check import check_command
-from planner.command import Command, solve_command
+from planner.base.command_line import Command
+from planner.cell.robots_command import robots_command
 from planner.export.plan_json import DIP_KEYS, KEYS
 from planner.link.command import link_command
 from planner.link.egm import egm_command
 from planner.link.stream import stream_command
-from planner.measures import CHECKS, COLUMNS, METRICS, Measure
 from planner.new.command import new_command
-from planner.place import place_command
+from planner.place.command import place_command
+from planner.plan.measures import CHECKS, COLUMNS, METRICS, Measure
+from planner.planning.check_command import check_command
+from planner.planning.options import solve_command
 from planner.reference.command import reference_command
 from planner.reference.markdown import table
-from planner.register import register_command
-from planner.robots import robots_command
-from planner.simulate.__main__ import simulate_command
+from planner.register.command import register_command
+from planner.simulate.command import simulate_command
 from planner.view.command import view_command
 
 _METRICS_HEAD = """\

@@ -9,10 +9,10 @@ from __future__ import annotations
 import json
 from typing import Any
 
+from planner.cell.robot import robot_names, shipped_robots
+from planner.cell.robot_file import KEYS
 from planner.problem import Problem
 from planner.problem.layers import KINDS
-from planner.robot.file import KEYS
-from planner.robot.robot import robot_names, shipped_robots
 
 Schema = dict[str, Any]
 DRAFT = "http://json-schema.org/draft-07/schema#"

@@ -1,1 +1,1 @@
-"""What people look at: report.html and a picture."""
+"""What people look at: report.html, pictures and plots."""

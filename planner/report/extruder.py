@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planner.plan.materials import filament_areas, used
-from planner.readonly import Array
+from planner.base.arrays import Array
+from planner.plan.plan import filament_areas, used
 from planner.report.thinning import stretches
 from planner.report.wording import MISSING, counted, number
 
 if TYPE_CHECKING:
     from planner.plan import Event, Plan, Trajectory
-
 
 WORDS = {
     "heat": "heat up, at home",

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from planner.report import page as frame
-from planner.report.first_screen import places_list, stage
-from planner.report.places import Place
+from planner.report.html import places_list, stage
+from planner.report.places import ReportPlace
 from planner.report.scene import failed_scene
 
 if TYPE_CHECKING:
-    from planner.cell import Cell
+    from planner.cell.cell import Cell
     from planner.plan import CellView
     from planner.toolpath.bead import Bead, Toolpath
 
@@ -82,7 +82,7 @@ def write_failure_report(
     if toolpath is not None:
         places = _places(beads, failed, point_mm, [*([advice] if advice else []), *hints])
         scene = failed_scene(toolpath.shape, beads, failed, places, cell, view)
-        marked = [Place(each["letter"], "fail", each["what"], each["where"], -1) for each in places]
+        marked = [ReportPlace(each["letter"], "fail", each["what"], each["where"], -1) for each in places]
         shown = stage(name=problem.name, moves=False, layers=0, dips=False, marks=bool(places))
         body = (
             f"<div class=first><div class=decides>{about}</div>{shown}<div class=goto>"

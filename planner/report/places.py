@@ -1,17 +1,168 @@
-"""Places to go to in the scene: failed checks, the worst of the plan, and where bodies come near; and dips beside them."""
+"""Places to go to in the scene: failed checks, the worst of the plan, near bodies, and dips with what would avoid them."""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from planner.report.wording import CHECK_NAMES, significant
+from planner.report.wording import CHECK_NAMES, counted, number, significant
 
 if TYPE_CHECKING:
-    from planner.plan import Approach, Check, Plan
+    from planner.plan import Approach, Check, Dip, Plan, Trajectory
+
+# ----------------------------------------------------------------------------------------------------
+# Where bodies come nearest to each other: a table whose rows bring the scene there.
+
+
+def approaches_section(plan: Plan, places: Sequence[ReportPlace]) -> str:
+    """Table of the pairs that come nearest; nothing where no bodies come near. `places` hold them, in the same order."""
+    if not plan.approaches:
+        return ""
+    t = plan.trajectory
+    numbers = [k for k, place in enumerate(places) if place.kind == "near"]
+    rows = []
+    for each, k in zip(plan.approaches, numbers, strict=True):
+        bead = int(t.bead[each.sample])
+        where = f"bead {bead}, {t.s[each.sample] * 1e3:.1f} mm along it" if bead >= 0 else "travel"
+        bad = each.distance < each.need
+        pair = f"{escape(each.a)} – {escape(each.b)}"
+        show = f"<button type=button data-place={k} aria-pressed=false>show<span class=unseen> {pair}</span></button>"
+        rows.append(
+            f"<tr{' class=bad' if bad else ''}><th scope=row>{pair}</th><td class=n>{number(each.distance * 1e3, 1)}</td>"
+            f"<td class=n>{number(each.need * 1e3, 1)}</td><td class=n>{t.t[each.sample]:.2f}</td>"
+            f"<td class=where>{where}</td><td>{show}</td></tr>"
+        )
+    return (
+        "<h2>What comes near</h2><p class=note>Pairs of bodies that come nearest to each other anywhere in the motion, "
+        "those with the least to spare first. “Show” brings the scene to that moment, the pair in orange and blue. "
+        "Bodies are the simple ones that the checks use. Near its tip the nozzle has to touch the print: that zone is "
+        "judged by the check “nozzle clear of part and print”, and left out here where it holds.</p>"
+        "<div class=wide><table><thead><tr><th class=left>pair</th><th>distance, mm</th><th>to be kept, mm</th>"
+        "<th>time, s</th><th class=left>where</th><th class=left>in the scene</th></tr></thead>"
+        f"<tbody>{''.join(rows)}</tbody></table></div>"
+    )
+
+
+# ----------------------------------------------------------------------------------------------------
+# Dips in the report: marks on the part, a table of those that cost most, and what would avoid them.
+
+MOST_ROWS = 30
+MOST_MARKS = 800  # each carries some 300 bytes of words
+
+
+def worst_first(dips: Sequence[Dip]) -> list[Dip]:
+    """Dips by the time that they cost, most first."""
+    return sorted(dips, key=lambda dip: -dip.lost)
+
+
+def without_stops(dips: Sequence[Dip]) -> list[Dip]:
+    """Dips but for those where the nozzle has to rest on its bead."""
+    return [dip for dip in dips if dip.limit != "stop"]
+
+
+def samples_of(trajectory: Trajectory, dips: Sequence[Dip]) -> NDArray[np.intp]:
+    """Sample at which each dip is slowest."""
+    return np.rint(np.array([dip.t for dip in dips]) / trajectory.dt).astype(np.intp)
+
+
+def dip_marks(plan: Plan) -> dict[str, Any] | None:
+    """Marks of the dips that cost most: `point` and `normal` (part frame, m), `sample`, `layer`, `words`; None without any."""
+    if not plan.dips:
+        return None
+    shown = sorted(worst_first(plan.dips)[:MOST_MARKS], key=lambda dip: dip.t)
+    traj = plan.trajectory
+    at = samples_of(traj, shown)
+    return {
+        "point": traj.tip[at].astype(np.float32).ravel(),
+        "normal": (-traj.axis[at]).astype(np.float32).ravel(),
+        "sample": at.astype(np.int32),
+        "layer": np.array([dip.layer for dip in shown], dtype=np.int32),
+        "words": [_lines(dip, plan.problem.process.speed) for dip in shown],
+    }
+
+
+def dips_section(plan: Plan) -> str:
+    """HTML of the dips: how many, what they cost, by cause, and the worst of them with what would avoid each."""
+    head = "<h2>Dips in speed</h2>"
+    dips = without_stops(plan.dips)
+    rests = [dip for dip in plan.dips if dip.limit == "stop"]
+    took = number(sum(dip.lost for dip in rests), 2)
+    many = counted(len(rests), "time")
+    stops = f" Where fibre is cut the nozzle stops on its bead: {many}, {took} s in all." if rests else ""
+    if not dips:
+        return f"{head}<p class=note>None: all beads are printed at the commanded speed, within 2 %.{stops}</p>"
+    shown = worst_first(dips)[:MOST_ROWS]
+    count, lost = len(dips), sum(dip.lost for dip in dips)
+    many = f"The {len(shown)} of {number(count, 0)} that cost most" if count > len(shown) else "Most costly first"
+    flows = any(dip.over_extruded for dip in dips)
+    all_marked = len(plan.dips) <= MOST_MARKS
+    marked = "each is a white mark" if all_marked else f"the {MOST_MARKS} that cost most are white marks"
+    rows = "".join(_row(dip, plan.problem.process.speed, flows) for dip in shown)
+    extra = "<th>too much material, mm³</th>" if flows else ""
+    return (
+        f"{head}<p class=note>{number(count, 0)} {'dips cost' if count > 1 else 'dip costs'} {number(lost, 2)} s. In the "
+        f"print above {marked}, to be clicked.{stops}</p>"
+        f"{_causes(dips)}<h3>{many}</h3>"
+        "<p class=note>What would avoid a dip, each by itself: the speed and the limits follow exactly from this motion "
+        "held at constant speed; what is “about” is an estimate. The search sees a change too, so that a new plan may "
+        "come out better or worse.</p>"
+        "<div class=wide><table class=stack><thead><tr><th class=left>where</th><th>lowest, mm/s</th><th>lost, s</th>"
+        f"<th class=left>why</th>{extra}<th class=left>what would avoid it</th></tr></thead>"
+        f"<tbody>{rows}</tbody></table></div>"
+    )
+
+
+def place_words(dip: Dip) -> str:
+    """Where a dip is, in words."""
+    return f"bead {dip.bead}, layer {dip.layer + 1}, {dip.from_s * 1e3:.1f} to {dip.to_s * 1e3:.1f} mm along it"
+
+
+def _causes(dips: Sequence[Dip]) -> str:
+    """A table: how many dips each joint's limit asks for, and what they cost."""
+    groups: dict[str, list[Dip]] = defaultdict(list)
+    for dip in dips:
+        groups[dip.cause].append(dip)
+    ordered = sorted(groups.items(), key=lambda item: -sum(dip.lost for dip in item[1]))
+    rows = "".join(
+        f"<tr><th scope=row>{escape(cause)}</th><td class=n>{number(len(group), 0)}</td>"
+        f"<td class=n>{number(sum(dip.lost for dip in group), 2)}</td>"
+        f"<td class=n>{number(min(dip.speed for dip in group) * 1e3, 1)}</td></tr>"
+        for cause, group in ordered
+    )
+    return (
+        "<div class=wide><table><thead><tr><th class=left>why</th><th>dips</th><th>lost, s</th><th>lowest, mm/s</th>"
+        f"</tr></thead><tbody>{rows}</tbody></table></div>"
+    )
+
+
+def _row(dip: Dip, commanded: float, flows: bool) -> str:
+    extra = f"<td class=n data-unit='mm³ too much'>{number(dip.over_extruded * 1e9, 3)}</td>" if flows else ""
+    remedies = "<br>".join(escape(remedy.words) for remedy in dip.remedies) or "–"
+    return (
+        f"<tr><td class=where>{escape(place_words(dip))}</td><td class=n data-unit='mm/s'>{number(dip.speed * 1e3, 1)} of "
+        f"{commanded * 1e3:g}</td><td class=n data-unit='s lost'>{number(dip.lost, 3)}</td><td>{escape(dip.cause)}</td>{extra}"
+        f"<td class=where>{remedies}</td></tr>"
+    )
+
+
+def _lines(dip: Dip, commanded: float) -> list[str]:
+    return [
+        place_words(dip),
+        f"{dip.speed * 1e3:.1f} of {commanded * 1e3:g} mm/s, {dip.lost:.3f} s lost",
+        f"why: {dip.cause}",
+        *([f"too much material: {dip.over_extruded * 1e9:.3g} mm³"] if dip.over_extruded else []),
+        *(f"{'or' if k else 'would avoid it:'} {remedy.words}" for k, remedy in enumerate(dip.remedies)),
+    ]
+
+
+# ----------------------------------------------------------------------------------------------------
+# Places to go to in the scene: failed checks, the worst of the plan, and where bodies come near; and dips beside them.
 
 AT_SPEED = 0.98
 NEAREST = 3  # approaches in the list; the table has all
@@ -26,7 +177,7 @@ NEAR = f"More room: {PLACEMENT}; collision.nozzle_mm and collision.arm_mm say wh
 
 
 @dataclass(frozen=True)
-class Place:
+class ReportPlace:
     """A place to go to: what is there, its value in words, the sample, and what would help.
 
     kind  "fail", "worst" or "near"
@@ -42,14 +193,14 @@ class Place:
     pair: tuple[str, ...] = ()
 
 
-def places_of(plan: Plan) -> list[Place]:
+def places_of(plan: Plan) -> list[ReportPlace]:
     """All places, those of failed checks first; those of the list have letters, in this order, the others none."""
     near = [_near(each) for each in plan.approaches]
     listed = [*_failed(plan), *worst_places(plan), *near[:NEAREST]]
     return [replace(place, letter=_letter(k)) for k, place in enumerate(listed)] + near[NEAREST:]
 
 
-def worst_places(plan: Plan) -> list[Place]:
+def worst_places(plan: Plan) -> list[ReportPlace]:
     """The worst places, with the values that the metrics tell.
 
     While depositing: slowest, nearest to a singularity, leaning most. In the whole motion: nearest to an end stop, hardest
@@ -90,7 +241,9 @@ def worst_places(plan: Plan) -> list[Place]:
     if "tilt_deg" in series:
         i = int(printing[series["tilt_deg"][printing].argmax()])
         found.append(("Nozzle leans most", f"{series['tilt_deg'][i]:.2f}° from the normal", i, LEANS))
-    return [Place(_letter(k), "worst", what, value, i, advice) for k, (what, value, i, advice) in enumerate(found)]
+    return [
+        ReportPlace(_letter(k), "worst", what, value, i, advice) for k, (what, value, i, advice) in enumerate(found)
+    ]
 
 
 def where_words(plan: Plan, sample: int) -> str:
@@ -102,7 +255,7 @@ def where_words(plan: Plan, sample: int) -> str:
     return f"{line}; x {x:.1f}, y {y:.1f}, z {z:.1f} mm".replace("-", "−")
 
 
-def places_data(plan: Plan, places: Sequence[Place]) -> list[dict[str, Any]]:
+def places_data(plan: Plan, places: Sequence[ReportPlace]) -> list[dict[str, Any]]:
     """The same for the page: time, point [m] and outward normal in the part frame, and the words of its card."""
     traj = plan.trajectory
     return [
@@ -127,10 +280,10 @@ def drawn(name: str) -> str:
     return "print" if name.startswith("bead ") else name
 
 
-def _failed(plan: Plan) -> list[Place]:
+def _failed(plan: Plan) -> list[ReportPlace]:
     """The places of checks that fail, where they have one."""
     return [
-        Place("", "fail", check.name.translate(CHECK_NAMES), _value(check), check.sample, _advice(check))
+        ReportPlace("", "fail", check.name.translate(CHECK_NAMES), _value(check), check.sample, _advice(check))
         for check in plan.checks
         if not check.ok and check.sample >= 0
     ]
@@ -148,9 +301,9 @@ def _advice(check: Check) -> str:
     return BUSY if "joint" in check.name else ""
 
 
-def _near(each: Approach) -> Place:
+def _near(each: Approach) -> ReportPlace:
     value = f"{each.distance * 1e3:.1f} mm apart, {each.need * 1e3:g} mm to be kept"
-    return Place("", "near", f"{each.a} – {each.b}", value, each.sample, NEAR, (each.a, each.b))
+    return ReportPlace("", "near", f"{each.a} – {each.b}", value, each.sample, NEAR, (each.a, each.b))
 
 
 def _of_dip(plan: Plan, sample: int) -> str:

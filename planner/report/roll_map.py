@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_cdt, label
 
-from planner.readonly import Array
+from planner.base.arrays import Array
 from planner.report.scene import COLOURS, INK, PAPER
 from planner.report.wording import counted
 
 if TYPE_CHECKING:
     from planner.plan import Plan
     from planner.resolve.roll_map import RollMap
-
 
 LETTERS = ("", "R", "L", "S", "C")  # by the number of the reason
 STEPS = 249  # of a measure from 0 to its greatest; numbers from CODE on stand for reasons

@@ -6,20 +6,259 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from planner.report.dips import dip_marks
-from planner.report.lines import bead_lines, plan_lines
-from planner.report.part import part_data
-from planner.report.places import Place, places_data
-from planner.report.robot import cell_data, postures
-from planner.report.thinning import SCENE_BUDGET
+from planner.base.arrays import Array, Indices
+from planner.report.extruder import even_flow, surplus
+from planner.report.page import coarse
+from planner.report.places import ReportPlace, dip_marks, places_data
+from planner.report.thinning import SCENE_BUDGET, keep_minima, stretches, turning
 
 if TYPE_CHECKING:
-    from planner.cell import Cell
-    from planner.plan import CellView, Plan
-    from planner.toolpath.bead import Bead
-    from planner.toolpath.shape import Shape
+    from planner.cell.cell import Cell
+    from planner.plan import CellView, Plan, Trajectory
+    from planner.toolpath.bead import Bead, Shape
 
+# ----------------------------------------------------------------------------------------------------
+# What lies under the print, for the scene: the part's surface.
+
+SUNK = 0.15e-3  # m: the part is drawn this much smaller, so that the first layer is not half sunk into it
+
+
+def part_data(shape: Shape | None) -> dict[str, Any] | None:
+    """Points and normals (part frame, m) and corners of the part's surface, one after the other; None without a shape."""
+    if shape is None:
+        return None
+    points = shape.vertices - SUNK * shape.normals
+    return {
+        "points": points.astype(np.float32).ravel(),
+        "normals": shape.normals.astype(np.float32).ravel(),
+        "corners": shape.triangles.astype(np.uint16 if len(points) <= np.iinfo(np.uint16).max else np.uint32).ravel(),
+    }
+
+
+# ----------------------------------------------------------------------------------------------------
+# Lines of beads for the scene: points and normals in the part frame, thinned, with what they can be coloured by.
+
+EVEN = 127  # steps of a component of a unit vector
+# What series of the verifier say, and in which unit; where these are small it gets tight.
+TIGHT = (
+    ("sigma", "Distance from singularity, σ", "", 4),
+    ("wrist_deg", "Wrist: joint 5 from straight", "°", 1),
+    ("limit_margin_deg", "Distance from the nearest end stop", "°", 1),
+    ("clearance_mm", "Least distance of two bodies beyond the tip", "mm", 1),
+)
+
+
+def plan_lines(plan: Plan) -> dict[str, Any]:
+    """What is laid, by time: `point`, `normal`, `sample` and `along` of the points; `first`, `bead`, `layer` of the lines."""
+    traj = plan.trajectory
+    kept, starts = _kept_samples(plan)
+    first = np.flatnonzero(starts)
+    return {
+        **_geometry(traj.tip[kept], -traj.axis[kept], first),
+        "sample": kept.astype(np.int32),
+        "along": coarse(traj.s[kept] * 1e3),
+        "bead": traj.bead[kept[first]].astype(np.int32),
+        "layer": traj.layer[kept[first]].astype(np.int32),
+        "channels": _channels(plan, kept),
+    }
+
+
+def bead_lines(beads: Sequence[Bead], budget: int) -> dict[str, Any]:
+    """Beads as they are planned, of which no motion is shown: `point`, `normal` and `first`."""
+    points = np.concatenate([bead.points for bead in beads] or [np.zeros((0, 3))])
+    normals = np.concatenate([bead.normals for bead in beads] or [np.zeros((0, 3))])
+    last = np.cumsum([len(bead.points) for bead in beads], dtype=np.intp) - 1
+    first = last + 1 - np.array([len(bead.points) for bead in beads], dtype=np.intp)
+    if not len(points):
+        return _geometry(points, normals, first)
+    sharp = turning(points, first, last)
+    kept = keep_minima([-sharp, np.zeros(len(points))], budget, np.union1d(first, last))
+    return _geometry(points[kept], normals[kept], np.flatnonzero(np.isin(kept, first)))
+
+
+def _geometry(points: Array, normals: Array, first: NDArray[np.intp]) -> dict[str, Any]:
+    return {
+        "point": [coarse(points[:, k]) for k in range(3)],
+        "normal": np.round(normals * EVEN).astype(np.int8).ravel(),
+        "first": first.astype(np.int32),
+    }
+
+
+def _kept_samples(plan: Plan) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Samples of deposition to draw, in order, and which of them start a new line."""
+    traj = plan.trajectory
+    index, begin, end = stretches(traj.deposit, traj.bead)
+    if not len(index):
+        return index, np.empty(0, dtype=bool)
+    sharp = turning(traj.tip[index], begin, end)
+    signals = [traj.speed[index], -sharp, np.zeros(len(index))]
+    signals += [
+        plan.series[name][index] for name in ("sigma", "limit_margin_deg", "clearance_mm") if name in plan.series
+    ]
+    kept = keep_minima(signals, SCENE_BUDGET, np.union1d(begin, end))
+    starts = np.zeros(len(index), dtype=bool)
+    starts[begin] = True
+    return index[kept], starts[kept]
+
+
+def _channels(plan: Plan, kept: NDArray[np.intp]) -> list[dict[str, Any]]:
+    """What beads can be coloured by, with the ends of the scale; `bad` says at which of them it gets tight."""
+    if not len(kept):
+        return []
+    traj = plan.trajectory
+    commanded = plan.problem.process.speed * 1e3
+    speed = traj.speed[kept] * 1e3
+    low, high = min(float(speed.min()), 0.9 * commanded), max(float(speed.max()), commanded)
+    out: list[dict[str, Any]] = [_channel("speed", "Tip speed", "mm/s", speed, "low", low, high, 1)]
+    for name, label, unit, digits in TIGHT:
+        values = plan.series[name][kept] if name in plan.series else np.empty(0)
+        if np.isfinite(values).any():
+            out.append(_channel(name, label, unit, values, "low", digits=digits))
+    if "tilt_deg" in plan.series:
+        lean = plan.series["tilt_deg"][kept]
+        out.append(_channel("tilt_deg", "Nozzle off the surface normal", "°", lean, "high", 0.0, digits=2))
+    over = surplus(plan)
+    if over is not None:
+        share, most = over[kept], max(float(over[kept].max()), 1.0)
+        out.append(_channel("surplus", "Too much material, share of what flows", "%", share, "high", 0.0, most, 1))
+    flow = even_flow(traj)[kept] * 1e9
+    if np.ptp(flow) > 0:
+        out.append(_channel("flow", "Flow of material", "mm³/s", flow, "low", digits=2))
+    if np.ptp(traj.layer[kept]):
+        out.append(_channel("layer", "Layer", "", traj.layer[kept] + 1.0, "high", digits=0))
+    return out
+
+
+def _channel(
+    key: str,
+    label: str,
+    unit: str,
+    values: NDArray[np.floating[Any]],
+    bad: str,
+    low: float | None = None,
+    high: float | None = None,
+    digits: int = 1,
+) -> dict[str, Any]:
+    finite = values[np.isfinite(values)]
+    least = float(finite.min()) if low is None else low
+    most = max(float(finite.max()) if high is None else high, least + 1e-6)
+    return {
+        "key": key,
+        "label": label,
+        "unit": unit,
+        "values": coarse(np.asarray(values, dtype=np.float64)),
+        "min": least,
+        "max": most,
+        "bad": bad,
+        "digits": digits,
+    }
+
+
+# ----------------------------------------------------------------------------------------------------
+# The robots of the scene: their bodies, the screws that move them, and their posture over time.
+
+TOLERANCE = 0.5e-3  # m: how far off the tip may be between postures that the page has
+MOST_POSTURES = 60_000
+FIRST = 250  # samples between the first postures looked at
+LOOKS = 7  # places within a stretch where the first looks are taken
+BLOCK = 65_536  # postures at once
+GROWTH = 2.0  # of the tolerance, where there would be too many postures
+
+
+def cell_data(cell: Cell, view: CellView | None) -> dict[str, Any] | None:
+    """Bodies where all joints are 0 (m, world), the joints' screws, and the two end frames there; None without bodies.
+
+    A pose is the product of exponentials of the screws that move it, in the order given, times its frame at 0.
+    """
+    if view is None:
+        return None
+    bodies = [
+        {
+            "name": name,
+            "kind": kind,
+            "joints": joints.tolist(),
+            "points": vertices.astype(np.float32).ravel(),
+            "corners": triangles.astype(np.uint16 if len(vertices) <= np.iinfo(np.uint16).max else np.uint32).ravel(),
+        }
+        for name, kind, joints, vertices, triangles in zip(
+            view.names, view.kinds, view.joints, view.vertices, view.triangles, strict=True
+        )
+    ]
+    na, nh = len(cell.arm), len(cell.holder)
+    return {
+        "bodies": bodies,
+        "screws": np.concatenate([cell.arm.screws, cell.holder.screws]).ravel(),
+        "arm": na,
+        "joints": list(cell.joint_names),
+        "nozzle": cell.arm.poses(np.zeros((1, na)))[0].ravel(),
+        "part": cell.holder.poses(np.zeros((1, nh)))[0].ravel(),
+    }
+
+
+def postures(cell: Cell, trajectory: Trajectory) -> dict[str, Any]:
+    """Postures at so many samples that between them, joints taken as moving evenly, the tip is no further off than told.
+
+    `sample` (k), `q` (k, nj) row by row, and `off_mm`, the furthest that the tip is off at any sample.
+    """
+    tolerance = TOLERANCE
+    kept, off = _kept(cell, trajectory, tolerance)
+    while len(kept) > MOST_POSTURES:
+        tolerance *= GROWTH
+        kept, off = _kept(cell, trajectory, tolerance)
+    return {
+        "sample": kept.astype(np.int32),
+        "q": trajectory.q[kept].astype(np.float32).ravel(),
+        "off_mm": round(off * 1e3, 3),
+    }
+
+
+def _kept(cell: Cell, trajectory: Trajectory, tolerance: float) -> tuple[Indices, float]:
+    """Samples to keep, and how far off the tip is at most at all others [m]."""
+    n = len(trajectory)
+    done: list[Indices] = []
+    knots = np.unique(np.append(np.arange(0, n, FIRST), n - 1))
+    a, b = knots[:-1], knots[1:]
+    while len(a):  # first only a few looks at each stretch
+        shares = np.arange(1, LOOKS + 1) / (LOOKS + 1)
+        between = a[:, None] + np.round(shares * (b - a)[:, None]).astype(np.intp)
+        off = _off(cell, trajectory, between.ravel(), np.repeat(a, LOOKS), np.repeat(b, LOOKS))
+        far = (off.reshape(-1, LOOKS).max(axis=1) > tolerance) & (b - a > 1)
+        done.append(a[~far])
+        middle = (a[far] + b[far]) // 2
+        a, b = np.concatenate([a[far], middle]), np.concatenate([middle, b[far]])
+    kept = np.sort(np.append(np.concatenate(done) if done else np.empty(0, dtype=np.intp), n - 1))
+    worst, open_ = 0.0, np.ones(len(kept) - 1, dtype=bool)
+    while open_.any():  # then every sample of the stretches that were not looked at whole
+        stretch = np.searchsorted(kept, np.arange(n), side="right") - 1
+        looked = np.flatnonzero(open_[np.minimum(stretch, len(open_) - 1)] & (stretch < len(open_)))
+        k = stretch[looked]
+        off = _off(cell, trajectory, looked, kept[k], kept[k + 1])
+        bad = off > tolerance
+        settled = ~np.isin(k, k[bad])  # what is halved is looked at again
+        worst = max(worst, float(off[settled].max(initial=0.0)))
+        middles = np.unique((kept[k[bad]] + kept[k[bad] + 1]) // 2)
+        halved = np.union1d(kept, middles)
+        fresh = np.isin(halved[:-1], middles) | np.isin(halved[1:], middles)
+        kept, open_ = halved, fresh
+    return np.unique(kept), worst
+
+
+def _off(cell: Cell, trajectory: Trajectory, at: Indices, a: Indices, b: Indices) -> Array:
+    """How far the tip is off at samples `at` if joints move evenly from samples a to b [m]."""
+    out = np.empty(len(at))
+    for start in range(0, len(at), BLOCK):
+        rows = slice(start, start + BLOCK)
+        first, last = trajectory.q[a[rows]], trajectory.q[b[rows]]
+        share = ((at[rows] - a[rows]) / np.maximum(b[rows] - a[rows], 1))[:, None]
+        tip = cell.T_part_nozzle(first + share * (last - first))[:, :3, 3]
+        out[rows] = np.linalg.norm(tip - trajectory.tip[at[rows]], axis=1)
+    return out
+
+
+# ----------------------------------------------------------------------------------------------------
+# What the page draws the scene from: cell, part and beads in metres, the motion, and the places to go to.
 
 EARLIER_BUDGET = 10_000  # points of beads that are there before the motion
 # Cividis, reversed and without its palest end: the ordinary is dark and calm, the exceptional is light.
@@ -39,7 +278,7 @@ EARLIER = "#b9c4cf"  # beads of which no motion is shown: they were there before
 DEFAULT_WIDTH = 0.6e-3  # m: of a bead whose width nobody tells
 
 
-def plan_scene(plan: Plan, places: Sequence[Place]) -> dict[str, Any]:
+def plan_scene(plan: Plan, places: Sequence[ReportPlace]) -> dict[str, Any]:
     """Scene of a plan: `cell`, `part`, `motion`, `lines`, `earlier`, `places`, `dips`, `colours`, times in seconds."""
     traj = plan.trajectory
     cell = cell_data(plan.cell, plan.view)

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
-from planner.report.dips import place_words, without_stops, worst_first
 from planner.report.extruder import events_words, materials_words
-from planner.report.headroom import headroom_words
+from planner.report.places import place_words, without_stops, worst_first
+from planner.report.robustness import robustness_words
 from planner.report.wording import OVER_BOUND, OVER_IDEAL, counted, resumed_words, with_ratios
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def print_summary(plan: Plan, folder: Path, programs: str = "", program_notes: S
         _dips(plan),
         *materials_words(plan),
         events_words(plan.trajectory.events),
-        *headroom_words(plan),
+        *robustness_words(plan),
     ):
         if line:
             out.print(line, markup=False, soft_wrap=True)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.readonly import Array, Indices
+from planner.base.arrays import Array, Indices
 
 CURVE_BUDGET = 4_000
 SCENE_BUDGET = 40_000

@@ -16,7 +16,7 @@ FARTHEST = 50.0  # mm: the verifier looks no farther for what comes near, so tha
 
 
 @dataclass(frozen=True)
-class Metric:
+class MetricLabel:
     """A row of the summary: `scale` turns the metric's value into `unit`; `better` is up, down or empty."""
 
     key: str
@@ -30,38 +30,38 @@ class Metric:
 
 OVER_IDEAL, OVER_BOUND = "deposition_over_ideal", "deposition_over_bound"  # ratios made here, of metrics
 METRICS = (
-    Metric("at_speed_fraction", "Length printed at the commanded speed (±2 %)", "%", 2, 100, "up"),
-    Metric("speed_min_mm_s", "Slowest tip speed while depositing", "mm/s", 2, better="up"),
-    Metric("speed_max_mm_s", "Fastest tip speed while depositing", "mm/s", 2),
-    Metric("deposition_time_s", "Time spent depositing", "s", 1, better="down"),
-    Metric("ideal_deposition_time_s", "Time if the speed never dipped", "s", 1),
-    Metric(OVER_IDEAL, "  that is, times that", "×", 3, better="down"),
-    Metric("bound_deposition_time_s", "Time that joint speed and acceleration alone would allow", "s", 1),
-    Metric(OVER_BOUND, "  that is, times that", "×", 3, better="down"),
-    Metric("print_time_s", "Whole print, travel included", "s", 1, better="down"),
-    Metric("sigma_min", "Distance from singularity: least singular value σ", "", 4, better="up"),
-    Metric("wrist_margin_deg", "Wrist: least angle of joint 5 from straight", "°", 1, better="up"),
-    Metric("joint_limit_margin_deg", "Least distance from a joint's end stop", "°", 1, better="up"),
-    Metric("velocity_ratio_max", "Joint speed, worst share of its limit", "%", 1, 100, "down", 100),
-    Metric("acceleration_ratio_max", "Joint acceleration, worst share of its limit", "%", 1, 100, "down", 100),
-    Metric("jerk_ratio_max", "Joint jerk, worst share of its limit", "%", 1, 100, "down", 100),
-    Metric("position_error_max_mm", "Tip off the planned line, worst", "mm", 4, better="down"),
-    Metric("axis_error_max_deg", "Nozzle axis off the surface normal, worst", "°", 4, better="down"),
-    Metric("tilt_max_deg", "Nozzle leans from the surface normal, at most", "°", 2, better="down"),
-    Metric("tilt_bead_error_max_mm", "  that leaves a bead's edges off its height by", "mm", 4, better="down"),
-    Metric("path_deviation_max_mm", "Rounded corners: off the drawn path, worst", "mm", 3, better="down"),
-    Metric("clearance_min_mm", "Least distance of anything from anything, beyond the tip", "mm", 1, better="up"),
-    Metric("nozzle_clearance_min_mm", "  of nozzle and print head from part and print", "mm", 1, better="up"),
-    Metric("arm_clearance_min_mm", "  of the robots’ links from part and print", "mm", 1, better="up"),
-    Metric("robot_clearance_min_mm", "  of robots and fixtures from each other", "mm", 1, better="up"),
-    Metric("tip_clearance_min_mm", "Nozzle tip above the bare part, least", "mm", 1, better="up"),
-    Metric("branch_changes_in_deposition", "Changes of the arm's branch while depositing", "", 0, better="down"),
-    Metric("deposited_length_mm", "Length deposited", "m", 2, 1e-3),
-    Metric("flow_error_max", "Material in a millimetre of a bead: off by at most", "%", 2, 100, "down"),
-    Metric("over_extruded_mm3", "Too much material, where speed dips", "mm³", 2, better="down"),
-    Metric("lag_zone_mm", "Length not judged by that, where pressure rises or falls", "mm", 0),
-    Metric("extruded_mm", "Filament used", "m", 2, 1e-3),
-    Metric("extruded_volume_mm3", "Material deposited", "cm³", 2, 1e-3),
+    MetricLabel("at_speed_fraction", "Length printed at the commanded speed (±2 %)", "%", 2, 100, "up"),
+    MetricLabel("speed_min_mm_s", "Slowest tip speed while depositing", "mm/s", 2, better="up"),
+    MetricLabel("speed_max_mm_s", "Fastest tip speed while depositing", "mm/s", 2),
+    MetricLabel("deposition_time_s", "Time spent depositing", "s", 1, better="down"),
+    MetricLabel("ideal_deposition_time_s", "Time if the speed never dipped", "s", 1),
+    MetricLabel(OVER_IDEAL, "  that is, times that", "×", 3, better="down"),
+    MetricLabel("bound_deposition_time_s", "Time that joint speed and acceleration alone would allow", "s", 1),
+    MetricLabel(OVER_BOUND, "  that is, times that", "×", 3, better="down"),
+    MetricLabel("print_time_s", "Whole print, travel included", "s", 1, better="down"),
+    MetricLabel("sigma_min", "Distance from singularity: least singular value σ", "", 4, better="up"),
+    MetricLabel("wrist_margin_deg", "Wrist: least angle of joint 5 from straight", "°", 1, better="up"),
+    MetricLabel("joint_limit_margin_deg", "Least distance from a joint's end stop", "°", 1, better="up"),
+    MetricLabel("velocity_ratio_max", "Joint speed, worst share of its limit", "%", 1, 100, "down", 100),
+    MetricLabel("acceleration_ratio_max", "Joint acceleration, worst share of its limit", "%", 1, 100, "down", 100),
+    MetricLabel("jerk_ratio_max", "Joint jerk, worst share of its limit", "%", 1, 100, "down", 100),
+    MetricLabel("position_error_max_mm", "Tip off the planned line, worst", "mm", 4, better="down"),
+    MetricLabel("axis_error_max_deg", "Nozzle axis off the surface normal, worst", "°", 4, better="down"),
+    MetricLabel("tilt_max_deg", "Nozzle leans from the surface normal, at most", "°", 2, better="down"),
+    MetricLabel("tilt_bead_error_max_mm", "  that leaves a bead's edges off its height by", "mm", 4, better="down"),
+    MetricLabel("path_deviation_max_mm", "Rounded corners: off the drawn path, worst", "mm", 3, better="down"),
+    MetricLabel("clearance_min_mm", "Least distance of anything from anything, beyond the tip", "mm", 1, better="up"),
+    MetricLabel("nozzle_clearance_min_mm", "  of nozzle and print head from part and print", "mm", 1, better="up"),
+    MetricLabel("arm_clearance_min_mm", "  of the robots’ links from part and print", "mm", 1, better="up"),
+    MetricLabel("robot_clearance_min_mm", "  of robots and fixtures from each other", "mm", 1, better="up"),
+    MetricLabel("tip_clearance_min_mm", "Nozzle tip above the bare part, least", "mm", 1, better="up"),
+    MetricLabel("branch_changes_in_deposition", "Changes of the arm's branch while depositing", "", 0, better="down"),
+    MetricLabel("deposited_length_mm", "Length deposited", "m", 2, 1e-3),
+    MetricLabel("flow_error_max", "Material in a millimetre of a bead: off by at most", "%", 2, 100, "down"),
+    MetricLabel("over_extruded_mm3", "Too much material, where speed dips", "mm³", 2, better="down"),
+    MetricLabel("lag_zone_mm", "Length not judged by that, where pressure rises or falls", "mm", 0),
+    MetricLabel("extruded_mm", "Filament used", "m", 2, 1e-3),
+    MetricLabel("extruded_volume_mm3", "Material deposited", "cm³", 2, 1e-3),
 )
 # metric → its name where there is little room; the long one stands in METRICS
 SHORT = {
@@ -165,11 +165,11 @@ def summary_table(strategy: str, metrics: Mapping[str, float], baseline: Mapping
     )
 
 
-def _scaled(value: float | None, metric: Metric) -> float | None:
+def _scaled(value: float | None, metric: MetricLabel) -> float | None:
     return None if value is None or math.isnan(value) else float(value) * metric.scale
 
 
-def _best(values: list[float | None], metric: Metric) -> set[int]:
+def _best(values: list[float | None], metric: MetricLabel) -> set[int]:
     """Columns that show the best value, unless all show the same."""
     shown = {i: round(value, metric.digits) for i, value in enumerate(values) if value is not None}
     if not metric.better or len(set(shown.values())) < 2:
@@ -178,7 +178,7 @@ def _best(values: list[float | None], metric: Metric) -> set[int]:
     return {i for i, value in shown.items() if value == best}
 
 
-def _cell(value: float | None, metric: Metric, best: bool) -> str:
+def _cell(value: float | None, metric: MetricLabel, best: bool) -> str:
     text = MISSING if value is None else distance(metric.key, value, metric.digits)
     if value is not None and round(value, 6) > metric.limit:
         text = f"<span class=bad>✗ over {text}</span>"

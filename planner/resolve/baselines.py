@@ -6,20 +6,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from planner.cell import Cell, Limits, rigid_inverse
-from planner.errors import Refusal
-from planner.kinematics.chain import Chain
+from planner.base.arrays import Array
+from planner.base.errors import Refusal
+from planner.cell.cell import Cell, Limits, rigid_inverse
+from planner.cell.kinematics.chain import Chain
 from planner.problem.settings import ResolveSpec
-from planner.readonly import Array
-from planner.resolve.demand import Demand
-from planner.resolve.found import Found
-from planner.resolve.jointpath import JointPath, choose_turns, postures, upright
+from planner.resolve.infeasible import refuse_rung
+from planner.resolve.joint_path import JointPath, SampledTasks, choose_turns, postures, upright
 from planner.resolve.ladder import coarse_nodes, first_of_each_name, paths_of
 from planner.resolve.nodes import Nodes
-from planner.resolve.search import greedy_route, joint_limits
-from planner.resolve.search_kernel import SPEED_SHARE
-from planner.resolve.unreachable import refuse_rung
-from planner.task import NozzleTask
+from planner.resolve.search import SPEED_SHARE, LadderRoute, greedy_route, joint_limits
+from planner.toolpath.task import NozzleTask
 
 
 def as_published(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[JointPath, ...]:
@@ -100,7 +97,7 @@ def fixed(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tup
     return choose_turns(cell, paths)
 
 
-def _held_price(nodes: Nodes, demand: Demand, limits: Limits, task: int) -> Array:
+def _held_price(nodes: Nodes, demand: SampledTasks, limits: Limits, task: int) -> Array:
     """Price (rolls, holders, branches) [s] of holding each node all along a task; infinite where a joint cannot."""
     rungs = demand.rungs_of(task)
     total = nodes.price[rungs].sum(axis=0)
@@ -118,4 +115,4 @@ def greedy(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tu
     route, stuck = greedy_route(nodes, demand, cell.limits)
     if route is None:
         refuse_rung(cell, tasks, demand, nodes, stuck, settings.min_sigma)
-    return paths_of(cell, tasks, Found(demand, nodes, route))
+    return paths_of(cell, tasks, LadderRoute(demand, nodes, route))

@@ -14,33 +14,41 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.readonly import Array, Flags, Ints
-from planner.resolve.clearance import clearance_rows, clearances, shortage
-from planner.resolve.cone_kernel import FACETS, watch_leans, watch_missed_leans
-from planner.resolve.follow_kernel import follow
-from planner.resolve.interior_point import QuadraticProgram, solve_qp
-from planner.resolve.price_kernel import HARD_PRICE, differentiate, peak_price, price_of
-from planner.resolve.refine_kernel import (
+from planner.base.arrays import Array, Flags, Ints
+from planner.resolve.cone_kernels import FACETS, watch_leans, watch_missed_leans
+from planner.resolve.follow import follow
+from planner.resolve.price_kernels import (
+    HARD_PRICE,
     bound_rows,
     count_rows,
+    differentiate,
     foreseen,
+    peak_price,
+    price_of,
     price_tilt,
     rate_slopes,
     smooth_price,
+    watch_missed,
+    watch_missed_ends,
+    watch_near,
+    watch_near_ends,
 )
-from planner.resolve.splines import spline_values
-from planner.resolve.stretch import (
+from planner.resolve.quadratic import QuadraticProgram, solve_qp
+from planner.resolve.segment import (
     HOLDER,
     TILT,
     Model,
-    State,
-    Stretch,
+    PathSegment,
+    PathState,
     Watch,
+    clearance_rows,
+    clearances,
     near_sides,
+    shortage,
     side_normals,
     side_room,
 )
-from planner.resolve.watch_kernel import watch_missed, watch_missed_ends, watch_near, watch_near_ends
+from planner.resolve.splines import spline_values
 
 QPSolver = Callable[[QuadraticProgram], tuple[Array, int]]
 
@@ -59,7 +67,7 @@ ANCHOR = 0.1  # s per square radian that an end of a bead moves: what the search
 CONE_ROOM = 1e-3  # rad kept from the cones about gravity: between waypoints normals are known no better
 
 
-def evaluate(model: Model, stretch: Stretch, c: Array, q_near: Array, least_sigma: float) -> State | None:
+def evaluate(model: Model, stretch: PathSegment, c: Array, q_near: Array, least_sigma: float) -> PathState | None:
     """The path that control values c (k, m) make, starting Newton's method from q_near; None if there is none."""
     active = model.active(stretch.cones)
     z = np.zeros((len(stretch.tip), model.columns))
@@ -68,8 +76,8 @@ def evaluate(model: Model, stretch: Stretch, c: Array, q_near: Array, least_sigm
 
 
 def evaluate_samples(
-    model: Model, stretch: Stretch, c: Array, z: Array, q_near: Array, least_sigma: float
-) -> State | None:
+    model: Model, stretch: PathSegment, c: Array, z: Array, q_near: Array, least_sigma: float
+) -> PathState | None:
     """The same for free variables z (n, columns) given at every sample."""
     active = model.active(stretch.cones)
     n, nj, m = len(stretch.tip), q_near.shape[1], len(active)
@@ -100,10 +108,10 @@ def evaluate_samples(
     price += TILT_PRICE * float(stretch.step @ (tilt**2).sum(axis=1))
     if c.shape[1]:
         price += ANCHOR * float(stretch.hold @ ((c - stretch.anchor) ** 2).sum(axis=1))
-    return State(c, q, G, sigma, sigma_slope, rates, slack, lean, lean_slope, cones, tilt, near, float(price))
+    return PathState(c, q, G, sigma, sigma_slope, rates, slack, lean, lean_slope, cones, tilt, near, float(price))
 
 
-def calmed(stretch: Stretch, state: State) -> tuple[Stretch, State]:
+def calmed(stretch: PathSegment, state: PathState) -> tuple[PathSegment, PathState]:
     """Both with a price on peaks of the joints' speed, if no time is lost there: lost time is dearer."""
     counted = stretch.step > 0.0
     if state.slack[counted & (stretch.deposits > 0.0)].any():
@@ -112,7 +120,7 @@ def calmed(stretch: Stretch, state: State) -> tuple[Stretch, State]:
     return replace(stretch, peak=peak), replace(state, price=state.price + peak_price(state.rates, stretch.step, peak))
 
 
-def watched(model: Model, stretch: Stretch, state: State, trust: float) -> Watch:
+def watched(model: Model, stretch: PathSegment, state: PathState, trust: float) -> Watch:
     """What a program watches from the start, whose steps are at most `trust` [rad]."""
     rates = np.zeros((*state.rates.shape, 2), dtype=np.bool_)
     watch_near(state.rates, model.limits, stretch.deposits, state.slack, rates)
@@ -136,7 +144,7 @@ class Expansion:
     slopes: Array
 
 
-def expand(model: Model, stretch: Stretch, state: State) -> Expansion:
+def expand(model: Model, stretch: PathSegment, state: PathState) -> Expansion:
     """The price around a state, see `Expansion`."""
     low, high = model.arm_range
     (n, nj, m), k, width = state.G.shape, len(state.c), stretch.B.shape[2]
@@ -156,7 +164,13 @@ def expand(model: Model, stretch: Stretch, state: State) -> Expansion:
 
 
 def program_around(
-    model: Model, stretch: Stretch, state: State, around: Expansion, least_sigma: float, trust: float, watch: Watch
+    model: Model,
+    stretch: PathSegment,
+    state: PathState,
+    around: Expansion,
+    least_sigma: float,
+    trust: float,
+    watch: Watch,
 ) -> QuadraticProgram:
     """The quadratic program whose solution moves the control values of a state, at most by `trust` [rad].
 
@@ -186,7 +200,7 @@ def program_around(
 
 
 def _further_rows(
-    model: Model, stretch: Stretch, state: State, width: int, trust: float, watch: Watch
+    model: Model, stretch: PathSegment, state: PathState, width: int, trust: float, watch: Watch
 ) -> tuple[Array, Array, Ints, Array]:
     """Rows of control values and of clearances, and the time that each stands for [s], as the solver wants them."""
     A, b, at = _control_rows(model, stretch, state, width, trust, watch)
@@ -199,7 +213,7 @@ def _further_rows(
 
 
 def _control_rows(
-    model: Model, stretch: Stretch, state: State, width: int, trust: float, watch: Watch
+    model: Model, stretch: PathSegment, state: PathState, width: int, trust: float, watch: Watch
 ) -> tuple[Array, Array, Ints]:
     """Bounds of single control values that a step within `trust` may reach: chosen joints' ranges, and what is watched
     of a polygon inside the tilt's cone.
@@ -236,7 +250,7 @@ def _control_rows(
 
 
 def _best_step(
-    model: Model, stretch: Stretch, state: State, around: Expansion, least_sigma: float, trust: float, watch: Watch,
+    model: Model, stretch: PathSegment, state: PathState, around: Expansion, least_sigma: float, trust: float, watch: Watch,
     solver: QPSolver,
 ) -> tuple[Array, Array, float]:  # fmt: skip
     """The step x that lowers the model's price most, the joints (n, nj) that it leads to, to first order, and by how much
@@ -262,8 +276,8 @@ def _best_step(
 
 
 def refine_stretch(
-    model: Model, stretch: Stretch, state: State, least_sigma: float, solver: QPSolver = solve_qp
-) -> State:
+    model: Model, stretch: PathSegment, state: PathState, least_sigma: float, solver: QPSolver = solve_qp
+) -> PathState:
     """Lower the price of a state step by step; what comes back never costs more than what was given."""
     trust = _TRUST
     enough = _NEGLIGIBLE * float(stretch.step.sum())

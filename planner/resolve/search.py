@@ -1,21 +1,308 @@
-"""The search through the ladder graph: dynamic programming over rungs and over all beads.
-
-Within a bead a path may keep its roll and holder index from rung to rung or change either by one step; the
-branch stays. Between beads any end may be followed by any start, at the price of the travel between them.
-"""
+"""The search through the ladder graph: dynamic programming over rungs and over all beads, and the routes it finds."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from planner.cell import Limits
-from planner.readonly import Array
-from planner.resolve.demand import Demand
-from planner.resolve.nodes import Nodes
-from planner.resolve.search_kernel import search_best, search_greedy
+from planner.base.arrays import Array
+from planner.cell.cell import Limits
+from planner.resolve.joint_path import SampledTasks
+from planner.resolve.nodes import Grid, Nodes
+
+# ----------------------------------------------------------------------------------------------------
+# Compiled body of the search through the ladder graph.
+
+SPEED_SHARE = 0.9  # of a joint's speed that an edge may use: the rest is for what happens between rungs
+TRAVEL_PRICE = 0.02  # seconds a second of travel: a dip spoils the bead, travel only takes time
+_ORDER = (4, 0, 1, 2, 3, 5, 6, 7, 8)  # of the nine neighbours, that of the same roll and holder first
+TURN_PRICE = 50.0  # seconds a second, for a change of roll or holder that needs a joint's whole acceleration
+
+
+@njit(cache=True)
+def travel_price(
+    qa: NDArray[np.float32], qb: NDArray[np.float32], turn: float, v: Array, a: Array, wraps: NDArray[np.bool_]
+) -> float:
+    """Price [s] of travel between postures (na) and over `turn` of the holder: rest to rest, the slowest joint counts."""
+    worst = 0.0
+    na = wraps.size
+    for j in range(na + 1):
+        d = abs(turn) if j == na else abs(float(qa[j]) - float(qb[j]))
+        if j < na and wraps[j]:
+            d = abs(d - 2.0 * np.pi * np.rint(d / (2.0 * np.pi)))
+        if d * a[j] < v[j] * v[j]:
+            worst = max(worst, 2.0 * np.sqrt(d / a[j]))
+        else:
+            worst = max(worst, d / v[j] + v[j] / a[j])
+    return TRAVEL_PRICE * worst
+
+
+@njit(cache=True)
+def edge_price(q0, q1, q1_straight, turn: float, time: float, v: Array, a: Array, wraps) -> float:
+    """Price [s] of the edge from q0 to q1 (na) in `time`, where keeping roll and holder would lead to q1_straight.
+
+    Infinite if a joint had to be faster than it may.
+    """
+    if abs(turn) > SPEED_SHARE * v[wraps.size] * time:
+        return np.inf
+    need = abs(turn) / (time * time * a[wraps.size])
+    for j in range(wraps.size):
+        d = float(q1[j]) - float(q0[j])
+        e = float(q1[j]) - float(q1_straight[j])
+        if wraps[j]:
+            d -= 2.0 * np.pi * np.rint(d / (2.0 * np.pi))
+            e -= 2.0 * np.pi * np.rint(e / (2.0 * np.pi))
+        if abs(d) > SPEED_SHARE * v[j] * time:
+            return np.inf
+        need = max(need, abs(e) / (time * time * a[j]))
+    return TURN_PRICE * time * need * need
+
+
+@njit(cache=True)
+def _shift(index: int, window: int, periodic: bool) -> int:
+    """Index in a window, round the circle if it is one; -1 outside."""
+    if periodic:
+        return index % window
+    return index if 0 <= index < window else -1
+
+
+@njit(cache=True)
+def _turn(holder_from, r1: int, b1: int, r0: int, b0: int, holder_step: float) -> float:
+    """Holder's turn from node b0 at rung r0 to node b1 at rung r1, the short way round."""
+    turn = ((holder_from[r1] + b1) - (holder_from[r0] + b0)) * holder_step
+    return turn - 2.0 * np.pi * np.rint(turn / (2.0 * np.pi))
+
+
+@njit(cache=True)
+def _from_travel(q, price, r: int, arrived, holder_from, holder_step: float, v, a, wraps, cost, back) -> None:
+    """Start a bead at rung r: each node's cheapest predecessor among all ends (at rung r - 1) of the bead before.
+
+    The price of travel is a metric, so an end that is reached more cheaply through another end can be left out: few
+    remain. They are tried in the order of their cost, until an end alone costs more than the best way found.
+    """
+    _, A, B, C = price.shape
+    flat = arrived.ravel()
+    kept = np.empty(flat.size, dtype=np.int64)
+    n_kept = 0
+    for k in np.argsort(flat):
+        if flat[k] == np.inf:
+            break
+        i1, b1, c1 = k // (C * B), (k // C) % B, k % C
+        dominated = False
+        for m in range(n_kept):
+            j = kept[m]
+            i0, b0, c0 = j // (C * B), (j // C) % B, j % C
+            turn = _turn(holder_from, r - 1, b1, r - 1, b0, holder_step)
+            if flat[j] + travel_price(q[r - 1, i0, b0, c0], q[r - 1, i1, b1, c1], turn, v, a, wraps) <= flat[k]:
+                dominated = True
+                break
+        if not dominated:
+            kept[n_kept] = k
+            n_kept += 1
+    for i in range(A):
+        for b in range(B):
+            for c in range(C):
+                if price[r, i, b, c] == np.inf:
+                    continue
+                best, best_k = np.inf, -1
+                for m in range(n_kept):
+                    k = kept[m]
+                    if flat[k] >= best:
+                        break
+                    i0, b0, c0 = k // (C * B), (k // C) % B, k % C
+                    turn = _turn(holder_from, r, b, r - 1, b0, holder_step)
+                    t = flat[k] + travel_price(q[r - 1, i0, b0, c0], q[r, i, b, c], turn, v, a, wraps)
+                    if t < best:
+                        best, best_k = t, k
+                if best_k >= 0:
+                    cost[i, b, c] = best + price[r, i, b, c]
+                    back[r, i, b, c] = best_k
+
+
+@njit(cache=True)
+def _neighbours(window: int, shift: int, periodic: bool):
+    """Indices (window, 3) in the window before, which stands `shift` further back, and in this one, of what is one step
+    less, the same, and one step more; -1 outside."""
+    before, here = np.empty((window, 3), dtype=np.int64), np.empty((window, 3), dtype=np.int64)
+    for i in range(window):
+        for m in range(3):
+            before[i, m], here[i, m] = _shift(i + shift + m - 1, window, periodic), _shift(i + m - 1, window, periodic)
+    return before, here
+
+
+@njit(cache=True)
+def _from_rung(
+    q, price, r: int, arrived, roll_from, holder_from, periodic, holder_step: float, time: float, v, a, wraps, cost, back
+) -> None:  # fmt: skip
+    """Each node's cheapest predecessor among its nine neighbours at rung r - 1; of equal ones the first in their order.
+
+    Who keeps to roll and holder pays no edge, so it is asked first: what costs more without its edge is left out.
+    """
+    _, A, B, C = price.shape
+    from_a, straight_a = _neighbours(A, roll_from[r] - roll_from[r - 1], periodic)
+    from_b, straight_b = _neighbours(B, holder_from[r] - holder_from[r - 1], periodic)
+    for i in range(A):
+        for b in range(B):
+            for c in range(C):
+                own = price[r, i, b, c]
+                if own == np.inf:
+                    continue
+                best, best_k, straight_k = np.inf, -1, -1
+                for which in range(9):
+                    turn = _ORDER[which]
+                    m, n = turn // 3, turn % 3
+                    i0, b0 = from_a[i, m], from_b[b, n]
+                    if i0 < 0 or b0 < 0 or straight_a[i, m] < 0 or straight_b[b, n] < 0 or (n != 1 and B == 1):
+                        continue
+                    before = arrived[i0, b0, c]
+                    if before == np.inf or before + own > best:
+                        continue
+                    if price[r, straight_a[i, m], straight_b[b, n], c] == np.inf:
+                        continue
+                    t = before + edge_price(
+                        q[r - 1, i0, b0, c], q[r, i, b, c], q[r, straight_a[i, m], straight_b[b, n], c],
+                        (n - 1) * holder_step, time, v, a, wraps,
+                    ) + own  # fmt: skip
+                    if t < best or (t == best and turn < 4 and best_k == straight_k and t < np.inf):
+                        best, best_k = t, (i0 * B + b0) * C + c
+                    if turn == 4:
+                        straight_k = best_k
+                if best_k >= 0:
+                    cost[i, b, c] = best
+                    back[r, i, b, c] = best_k
+
+
+@njit(cache=True)
+def search_best(q, price, roll_from, holder_from, periodic, holder_step, task_rungs, time, v, a, wraps, out, back_home):
+    """Cheapest route: picked (R, 3) window indices and branch column, its price, and -1; or where it got stuck.
+
+    out, back_home (A, B, C): prices of the ways to the first rung's nodes and from the last one's.
+    """
+    R, A, B, C = price.shape
+    back = np.full((R, A, B, C), -1, dtype=np.int32)
+    picked = np.full((R, 3), -1, dtype=np.int64)
+    cost = np.full((A, B, C), np.inf)
+    for task in range(len(task_rungs) - 1):
+        for r in range(task_rungs[task], task_rungs[task + 1]):
+            arrived = cost
+            cost = np.full((A, B, C), np.inf)
+            if r == 0:
+                cost = price[0] + out
+            elif r == task_rungs[task]:
+                _from_travel(q, price, r, arrived, holder_from, holder_step, v, a, wraps, cost, back)
+            else:
+                _from_rung(
+                    q,
+                    price,
+                    r,
+                    arrived,
+                    roll_from,
+                    holder_from,
+                    periodic,
+                    holder_step,
+                    time[r],
+                    v,
+                    a,
+                    wraps,
+                    cost,
+                    back,
+                )
+            if not np.isfinite(cost.min()):
+                return picked, np.inf, r
+    cost += back_home
+    k = cost.argmin()
+    total = cost.min()
+    for r in range(R - 1, -1, -1):
+        picked[r, 0], picked[r, 1], picked[r, 2] = k // (C * B), (k // C) % B, k % C
+        k = back[r, picked[r, 0], picked[r, 1], picked[r, 2]]
+    return picked, total, -1
+
+
+@njit(cache=True)
+def search_greedy(q, price, roll_from, holder_from, periodic, holder_step, task_rungs, time, v, a, wraps):
+    """Greedy route, bead by bead; same returns as `search_best`."""
+    R, A, B, C = price.shape
+    picked = np.full((R, 3), -1, dtype=np.int64)
+    total = 0.0
+    for task in range(len(task_rungs) - 1):
+        r0 = task_rungs[task]
+        starts = price[r0].copy()
+        if r0 > 0:
+            p = picked[r0 - 1]
+            for i in range(A):
+                for b in range(B):
+                    turn = _turn(holder_from, r0, b, r0 - 1, p[1], holder_step)
+                    for c in range(C):
+                        starts[i, b, c] += travel_price(q[r0 - 1, p[0], p[1], p[2]], q[r0, i, b, c], turn, v, a, wraps)
+        flat = starts.ravel()
+        furthest, done = r0, False
+        for k in np.argsort(flat):  # the next best start, if this one leads into a dead end
+            if flat[k] == np.inf:
+                break
+            picked[r0, 0], picked[r0, 1], picked[r0, 2] = k // (C * B), (k // C) % B, k % C
+            spent, stuck = _follow(
+                q,
+                price,
+                roll_from,
+                holder_from,
+                periodic,
+                holder_step,
+                task_rungs[task + 1],
+                r0,
+                time,
+                v,
+                a,
+                wraps,
+                picked,
+            )
+            if stuck < 0:
+                total += flat[k] + spent
+                done = True
+                break
+            furthest = max(furthest, stuck)
+        if not done:
+            return picked, np.inf, furthest
+    return picked, total, -1
+
+
+@njit(cache=True)
+def _follow(q, price, roll_from, holder_from, periodic, holder_step, stop: int, r0: int, time, v, a, wraps, picked):
+    """Walk from the node picked at rung r0, always to the cheapest next one; the rung of a dead end, or -1."""
+    A, B = price.shape[1], price.shape[2]
+    total = 0.0
+    for r in range(r0 + 1, stop):
+        i0, b0, c = picked[r - 1]
+        straight_a = _shift(i0 + roll_from[r - 1] - roll_from[r], A, periodic)
+        straight_b = _shift(b0 + holder_from[r - 1] - holder_from[r], B, periodic)
+        best = np.inf
+        if straight_a >= 0 and straight_b >= 0 and price[r, straight_a, straight_b, c] < np.inf:
+            for da in range(-1, 2):
+                i = _shift(straight_a + da, A, periodic)
+                for db in range(-1, 2):
+                    b = _shift(straight_b + db, B, periodic)
+                    if i < 0 or b < 0 or (db != 0 and B == 1) or price[r, i, b, c] == np.inf:
+                        continue
+                    t = price[r, i, b, c] + edge_price(
+                        q[r - 1, i0, b0, c], q[r, i, b, c], q[r, straight_a, straight_b, c],
+                        db * holder_step, time[r], v, a, wraps,
+                    )  # fmt: skip
+                    if t < best:
+                        best = t
+                        picked[r, 0], picked[r, 1], picked[r, 2] = i, b, c
+        if best == np.inf:
+            return np.inf, r
+        total += best
+    return total, -1
+
+
+# ----------------------------------------------------------------------------------------------------
+# The search through the ladder graph: dynamic programming over rungs and over all beads.
+#
+# Within a bead a path may keep its roll and holder index from rung to rung or change either by one step; the
+# branch stays. Between beads any end may be followed by any start, at the price of the travel between them.
 
 ROUND = np.radians(600.0)  # range of a joint that is as good as unbounded along one bead
 
@@ -32,7 +319,7 @@ class Route:
 
 
 def best_route(
-    nodes: Nodes, demand: Demand, limits: Limits, home: tuple[Array, Array] | None = None
+    nodes: Nodes, demand: SampledTasks, limits: Limits, home: tuple[Array, Array] | None = None
 ) -> tuple[Route | None, int]:
     """The cheapest route over all beads, and -1; or None and the rung at which the last way ended.
 
@@ -47,7 +334,7 @@ def best_route(
     return _route(nodes, picked, price) if stuck < 0 else None, int(stuck)
 
 
-def greedy_route(nodes: Nodes, demand: Demand, limits: Limits) -> tuple[Route | None, int]:
+def greedy_route(nodes: Nodes, demand: SampledTasks, limits: Limits) -> tuple[Route | None, int]:
     """Always the next best candidate, never looking further; the next best start where that leads into a dead end.
 
     Same returns as `best_route`; the rung is the furthest that any start led to.
@@ -76,3 +363,32 @@ def _route(nodes: Nodes, picked: NDArray[np.int64], price: float) -> Route:
     grid = nodes.grid
     r = np.arange(len(picked))
     return Route(grid.roll_from + picked[:, 0], grid.holder_from + picked[:, 1], grid.branch[r, picked[:, 2]], price)
+
+
+# ----------------------------------------------------------------------------------------------------
+# Found: a route through the ladder's graph with what it was found on, and its angles.
+
+
+@dataclass(frozen=True)
+class LadderRoute:
+    """A route over some tasks' rungs, with what it was found on."""
+
+    demand: SampledTasks
+    nodes: Nodes
+    route: Route
+
+    def chosen(self, k: int) -> Array:
+        """Angles (r, k) of the cell's chosen joints along the route, continuous along each task."""
+        grid = self.nodes.grid
+        angles = grid.chosen(len(self.demand.rung), k).copy()
+        if k and grid.swept is not None:
+            for i in range(len(self.demand.task_rungs) - 1):
+                rungs = self.demand.rungs_of(i)
+                angles[rungs, grid.swept] = angles_along(grid, self.route.holder[rungs], grid.holders, grid.holder_step)
+        return angles
+
+
+def angles_along(grid: Grid, index: NDArray[np.int64], period: int, step: float) -> Array:
+    """Angles [rad] of grid indices along a task, continuous round the circle where the grid is the whole of it."""
+    along = index.astype(float)
+    return (np.unwrap(along, period=period) if grid.periodic and period > 1 else along) * step

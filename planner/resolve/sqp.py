@@ -1,32 +1,115 @@
-"""Strategy `sqp`: the ladder's paths, refined continuously over all free variables."""
+"""Strategy `sqp`: the ladder's paths, refined continuously over all free variables, in windows that overlap."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
+from threading import Lock
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solveh_banded
 
-from planner.background import Job, cores, in_turn
-from planner.cell import Cell
-from planner.obstacles import NOTHING, Obstacles
+from planner.base.arrays import Array
+from planner.base.processes import Job, cores, in_turn
+from planner.cell.cell import Cell
+from planner.collision.scene import NOTHING, Obstacles
 from planner.problem.settings import ResolveSpec
-from planner.readonly import Array
-from planner.resolve.clearance import ROOM
-from planner.resolve.interior_point import solve_qp
-from planner.resolve.jointpath import MARGIN, JointPath, choose_turns
+from planner.resolve.infeasible import SLIGHT
+from planner.resolve.joint_path import MARGIN, JointPath, choose_turns
 from planner.resolve.ladder import ladder, runs_backwards
+from planner.resolve.quadratic import solve_qp
 from planner.resolve.refine import CONE_ROOM, QPSolver, calmed, evaluate, evaluate_samples, refine_stretch
-from planner.resolve.spacing import knots_along
-from planner.resolve.splines import LEAST_SAMPLES, Basis, Clock, basis_over, clock_of
-from planner.resolve.stretch import HOLDER, ROLL, TILT, Model, Stretch, model_of
-from planner.resolve.unreachable import SLIGHT
-from planner.resolve.windows import Piece, Track, Windowed
-from planner.task import NozzleTask
+from planner.resolve.segment import HOLDER, ROLL, ROOM, TILT, Model, PathSegment, PathState, model_of
+from planner.resolve.splines import LEAST_SAMPLES, Basis, Clock, basis_over, clock_of, knots_along
+from planner.toolpath.task import NozzleTask
+
+# ----------------------------------------------------------------------------------------------------
+# A long bead in windows of control values that overlap: each second one first, then those between them.
+
+WINDOW = 240  # control values that move at once: fewer, and their seams cost more; more, and cores wait for each other
+OVERLAP = 40  # of a window with each neighbour
+
+
+@dataclass(frozen=True)
+class SplinePath:
+    """A path as splines: its task, clock and basis, control values c (k, m), where they
+    were given (anchor), joints q (n, nj), and price [s]."""
+
+    task: NozzleTask
+    branch: int
+    clock: Clock
+    basis: Basis
+    c: Array
+    q: Array
+    anchor: Array
+    price: float
+
+
+@dataclass(frozen=True)
+class RefinedWindow:
+    """A refined window: the state over some samples and control values of a track."""
+
+    samples: slice
+    controls: slice
+    state: PathState
+
+
+def windows(controls: int) -> list[tuple[int, int]]:
+    """Ranges of control values that move together; each second one is apart from the others."""
+    if controls <= WINDOW + OVERLAP:
+        return [(0, controls)]
+    stride = WINDOW - OVERLAP
+    count = -(-(controls - OVERLAP) // stride)
+    return [(k * stride, min(k * stride + WINDOW, controls)) for k in range(count)]
+
+
+class Windowed:
+    """A track whose windows are refined by several threads: which may begin, and what each begins with.
+
+    A window that lies between two others waits for these alone, so what comes out does not depend on the threads.
+    """
+
+    def __init__(self, track: SplinePath) -> None:
+        self._track = track
+        self.edges = windows(track.basis.controls)
+        self._pieces: dict[int, RefinedWindow | None] = {}
+        self._lock = Lock()
+
+    @property
+    def first(self) -> range:
+        """Numbers of the windows that may begin at once."""
+        return range(0, len(self.edges), 2)
+
+    def before(self, k: int) -> SplinePath:
+        """The track that window k is refined on."""
+        return self._with(() if k % 2 == 0 else (k - 1, k + 1))
+
+    def done(self, k: int, piece: RefinedWindow | None) -> tuple[list[int], bool]:
+        """Take a refined window, or None where there is nothing to refine; windows that may begin now, and whether this
+        was the last one."""
+        n = len(self.edges)
+        with self._lock:
+            self._pieces[k] = piece
+            between = [j for j in (k - 1, k + 1) if j % 2 and 0 < j < n]
+            ready = [j for j in between if j - 1 in self._pieces and (j + 1 in self._pieces or j + 1 == n)]
+            return ready, len(self._pieces) == n
+
+    def after(self) -> SplinePath:
+        """The track with all windows in their places."""
+        return self._with((*self.first, *range(1, len(self.edges), 2)))
+
+    def _with(self, numbers: Iterable[int]) -> SplinePath:
+        c, q = self._track.c.copy(), self._track.q.copy()
+        for piece in filter(None, (self._pieces.get(k) for k in numbers)):
+            c[piece.controls], q[piece.samples] = piece.state.c, piece.state.q
+        return replace(self._track, c=c, q=q)
+
+
+# ----------------------------------------------------------------------------------------------------
+# Strategy `sqp`: the ladder's paths, refined continuously over all free variables.
 
 SAMPLES_PER_CONTROL = 4  # at least: what moves between control values must be resolved by the samples
 _TURN = 2.0 * np.pi
@@ -68,7 +151,7 @@ def refine_beads(
     model, solver = model_of(cell, obstacles), qp_solver(settings.qp)
     done = list(paths)
 
-    def start(chain: Sequence[int], below: Track | None) -> Sequence[Job]:
+    def start(chain: Sequence[int], below: SplinePath | None) -> Sequence[Job]:
         bead = Windowed(start_track(model, settings.knot, floor, paths[chain[0]], below))
         return [partial(refine, chain, bead, k) for k in bead.first]
 
@@ -81,7 +164,7 @@ def refine_beads(
         track = bead.after()
         return [partial(start, above, track)] * bool(above) + [partial(keep, i, track)]
 
-    def keep(i: int, track: Track) -> Sequence[Job]:
+    def keep(i: int, track: SplinePath) -> Sequence[Job]:
         done[i] = cheaper(cell, paths[i], given[i], track, floor, obstacles)
         return []
 
@@ -92,7 +175,7 @@ def refine_beads(
 def qp_solver(name: str) -> QPSolver:
     """The solver of quadratic programs that the settings name."""
     if name == "osqp":
-        from planner.resolve.osqp_reference import solve_with_osqp  # loaded for who asks for it only
+        from planner.resolve.reference.osqp import solve_with_osqp
 
         return solve_with_osqp
     return solve_qp
@@ -115,7 +198,7 @@ def cheaper(
     cell: Cell,
     path: JointPath,
     given: Priced,
-    track: Track,
+    track: SplinePath,
     floor: float,
     obstacles: Obstacles = NOTHING,
 ) -> JointPath:
@@ -166,13 +249,13 @@ def free_variables(model: Model, path: JointPath) -> Array:
     return z
 
 
-def whole(task: NozzleTask, clock: Clock, basis: Basis, anchor: Array) -> Stretch:
+def whole(task: NozzleTask, clock: Clock, basis: Basis, anchor: Array) -> PathSegment:
     """The stretch of a whole task."""
     deposits = np.zeros(len(task))
     deposits[task.first : task.last + 1] = 1.0
     hold = np.zeros(basis.controls)
     hold[[0, -1]] = 1.0
-    return Stretch(
+    return PathSegment(
         task.tip, task.frames, task.cones, clock.step, deposits, clock.centre, clock.D,
         basis.first, basis.B, np.ones(basis.controls), anchor, hold, task.moments,
     )  # fmt: skip
@@ -199,7 +282,7 @@ def given_price(model: Model, path: JointPath, least_sigma: float) -> Priced:
     return Priced(state.price, float(state.sigma[laid].min()), float(over.max(initial=-np.inf)))
 
 
-def start_track(model: Model, knot: float, floor: float, path: JointPath, below: Track | None) -> Track:
+def start_track(model: Model, knot: float, floor: float, path: JointPath, below: SplinePath | None) -> SplinePath:
     """The path as splines, or the refined path of the bead below it on this task, whichever costs less."""
     task = path.task
     n = len(task)
@@ -219,8 +302,8 @@ def start_track(model: Model, knot: float, floor: float, path: JointPath, below:
         if other is not None and (best is None or other.price < best.price):
             best = other
     if best is None:
-        return Track(task, path.branch, clock, basis, c, path.q, c, np.inf)
-    return Track(task, path.branch, clock, basis, best.c, best.q, c, best.price)
+        return SplinePath(task, path.branch, clock, basis, c, path.q, c, np.inf)
+    return SplinePath(task, path.branch, clock, basis, best.c, best.q, c, best.price)
 
 
 def fit(basis: Basis, values: Array) -> Array:
@@ -235,8 +318,8 @@ def fit(basis: Basis, values: Array) -> Array:
 
 
 def _refine_window(
-    model: Model, floor: float, track: Track, window: tuple[int, int], solver: QPSolver = solve_qp
-) -> Piece | None:
+    model: Model, floor: float, track: SplinePath, window: tuple[int, int], solver: QPSolver = solve_qp
+) -> RefinedWindow | None:
     """Refine the control values of a window, the others held; None where the track itself cannot be followed."""
     if not np.isfinite(track.price):
         return None
@@ -253,7 +336,7 @@ def _refine_window(
             step[edge] = deposits[edge] = 0.0
     free = np.zeros(controls.stop - controls.start)
     free[k0 - controls.start : k1 - controls.start] = 1.0
-    stretch = Stretch(
+    stretch = PathSegment(
         all_of_it.tip[samples], all_of_it.frames[samples], all_of_it.cones, step, deposits,
         np.clip(track.clock.centre[samples] - a, 2, b - a - 3), track.clock.D[samples],
         first[samples] - controls.start, track.basis.B[samples], free,
@@ -262,10 +345,10 @@ def _refine_window(
     state = evaluate(model, stretch, track.c[controls], track.q[samples], floor)
     if state is None:
         return None
-    return Piece(samples, controls, refine_stretch(model, *calmed(stretch, state), floor, solver))
+    return RefinedWindow(samples, controls, refine_stretch(model, *calmed(stretch, state), floor, solver))
 
 
-def path_of(cell: Cell, track: Track) -> JointPath:
+def path_of(cell: Cell, track: SplinePath) -> JointPath:
     """The joint path of a track."""
     model = model_of(cell)
     z = np.zeros((len(track.task), model.columns))

@@ -13,11 +13,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planner.cell import Cell
-from planner.readonly import Array
-from planner.resolve.demand import Demand
-from planner.resolve.node_kernel import LIMIT_ROOM
-from planner.task import NozzleTask
+from planner.base.arrays import Array
+from planner.cell.cell import Cell
+from planner.resolve.joint_path import SampledTasks
+from planner.resolve.nodes import LIMIT_ROOM
+from planner.toolpath.task import NozzleTask
 
 _SHARE = 0.6  # of the cone that is aimed at: splines cut what is found on the lattice
 _STEPS_IN_CONE = 2.0  # lattice steps in that share
@@ -31,7 +31,7 @@ MOVE = 1.0  # seconds a second, for an axis at its full speed
 RETURN = 0.02  # s per rad between the end of a bead and the start of the next
 
 
-def upright_table(cell: Cell, tasks: Sequence[NozzleTask], demand: Demand) -> Array:
+def upright_table(cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks) -> Array:
     """Angles (r, k) of the cell's chosen joints at the rungs: the holder's last two axes found, the others at home."""
     nh = len(cell.holder)
     a, b = nh - 2, nh - 1
@@ -69,7 +69,7 @@ def upright_table(cell: Cell, tasks: Sequence[NozzleTask], demand: Demand) -> Ar
     return out
 
 
-def slowed(cell: Cell, demand: Demand, held: Array, share: float) -> Demand:
+def slowed(cell: Cell, demand: SampledTasks, held: Array, share: float) -> SampledTasks:
     """The demand with more time between rungs where the held angles (r, k) need it: the print slows down there.
 
     share: times the table's own time that its move is given, one of ARM_SHARES; a greater one slows down earlier, too.

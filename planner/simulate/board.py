@@ -1,18 +1,143 @@
-"""An extruder's board as RepRapFirmware is one: bytes in, lines out, all in its own time. No sockets here.
-
-Lines that move, heat or switch wait in a queue and are acknowledged when they enter it; G4, M109, M116 and M190 are
-acknowledged when they are over, and nothing is taken meanwhile.
-"""
+"""An extruder's board as RepRapFirmware is one: bytes in, lines out, all in its own time; and its faults."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
-from planner.simulate.faults import Faults
-from planner.simulate.heaters import BED, NOZZLE, Heater
+from planner.base.errors import InputError, nearest_name
+
+# ----------------------------------------------------------------------------------------------------
+# Faults that a simulator makes on demand: `kind@line`, or `kind@line:value`.
+
+BOARD_FAULTS = {
+    "error": "answers a line with an error instead of doing it",
+    "delay": "holds back a line's ok, and all after it, for so many seconds (1 unless said)",
+    "jam": "the filament jams when the line is begun: nothing is accepted any more once the queue is full",
+    "drop": "closes the connection when the line's ok is due: the line is done, its ok is lost",
+    "garbage": "sends bytes that mean nothing instead of a line's ok",
+    "resend": "takes a line's checksum for wrong, once",
+    "fatal": "says !! when the line comes, and does nothing more",
+}
+CONTROLLER_FAULTS = {
+    "drop": "closes the program's connection after the line",
+    "restart": "the controller restarts after the line: the program is lost, its network silent for a while",
+    "stop": "stops by itself after the line, as for a stop button, and says so",
+    "garbage": "sends bytes that mean nothing instead of the line",
+    "skip": "leaves the line out and goes on with the next one",
+}
+STREAM_FAULTS = {
+    "drop": "closes the connection after the frame",
+    "mute": "says nothing more after the frame",
+    "stop": "stops by itself after the frame",
+    "garbage": "sends bytes that mean nothing after the frame",
+}
+EGM_FAULTS = {
+    "mute": "says nothing more after the message",
+    "stop": "the program stops after the message",
+    "stray": "the first axis strays by so many degrees from the message on",
+    "gap": "says nothing for so many hundredths of a second after the message",
+    "garbage": "sends bytes that mean nothing instead of the message",
+}
+_FORM = re.compile(r"([a-z]+)@([1-9][0-9]{0,8})(?::([0-9]{1,6}(?:\.[0-9]{1,3})?))?")
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault of a kind at a line, which counts from 1; value in the kind's unit, 1 unless said."""
+
+    kind: str
+    line: int
+    value: float = 1.0
+
+
+class Faults:
+    """Faults that have yet to happen; each happens once."""
+
+    def __init__(self, faults: Iterable[Fault] = ()) -> None:
+        self._left = list(faults)
+
+    def take(self, kind: str, line: int | None) -> Fault | None:
+        """The fault of a kind that is due at a line, which then is past; None if there is none."""
+        for fault in self._left:
+            if fault.kind == kind and fault.line == line:
+                self._left.remove(fault)
+                return fault
+        return None
+
+
+def faults_of(words: Sequence[str], kinds: Iterable[str]) -> tuple[Fault, ...]:
+    """Faults from words such as `delay@10:1.5`. Raises InputError for what is no fault of these kinds."""
+    known = tuple(kinds)
+    out = []
+    for word in words:
+        match = _FORM.fullmatch(word)
+        if match is None:
+            raise InputError(f"{word!r} is no fault", field="--fault", hint="KIND@LINE or KIND@LINE:VALUE")
+        kind, line, value = match.groups()
+        if kind not in known:
+            near = nearest_name(kind, known)
+            hint = f"did you mean {near}?" if near else f"one of {', '.join(known)}"
+            raise InputError(f"unknown fault {kind!r}", field="--fault", hint=hint)
+        out.append(Fault(kind, int(line), 1.0 if value is None else float(value)))
+    return tuple(out)
+
+
+# ----------------------------------------------------------------------------------------------------
+# A heater and its temperature over time.
+
+AMBIENT_C = 22.0
+
+
+@dataclass(frozen=True)
+class Heater:
+    """Full power until the target is reached, then held; cools by itself. Temperatures in °C, times in s.
+
+    limit   where it would end at full power; time_constant of both heating and cooling
+    start, since   temperature at a time, from which the present one follows
+    """
+
+    limit: float
+    time_constant: float
+    target: float = 0.0
+    start: float = AMBIENT_C
+    since: float = 0.0
+
+    def at(self, time: float) -> float:
+        """Temperature at a time, not before `since`."""
+        goal = max(self.target, AMBIENT_C)
+        towards = self.limit if goal > self.start else AMBIENT_C
+        there = towards + (self.start - towards) * math.exp(-(time - self.since) / self.time_constant)
+        return min(there, goal) if goal > self.start else max(there, goal)
+
+    def set(self, target: float, time: float) -> Heater:
+        """The heater with another target from a time on."""
+        return replace(self, target=target, start=self.at(time), since=time)
+
+    def reached(self, cooling: bool) -> float:
+        """When the target is reached; at once where it would have to cool and that is not waited for."""
+        goal = max(self.target, AMBIENT_C)
+        if goal > self.start:
+            return self.since + self.time_constant * math.log((self.limit - self.start) / (self.limit - goal))
+        if not cooling or goal == self.start:
+            return self.since
+        near = max(goal, AMBIENT_C + 1.0)  # ambient itself is never quite reached
+        return self.since + self.time_constant * max(0.0, math.log((self.start - AMBIENT_C) / (near - AMBIENT_C)))
+
+
+# Typical of a 40 W cartridge in a nozzle and of a mains bed: 200 °C after 95 s, 60 °C after 118 s.
+NOZZLE = Heater(limit=350.0, time_constant=120.0)
+BED = Heater(limit=140.0, time_constant=300.0)
+
+
+# ----------------------------------------------------------------------------------------------------
+# An extruder's board as RepRapFirmware is one: bytes in, lines out, all in its own time. No sockets here.
+#
+# Lines that move, heat or switch wait in a queue and are acknowledged when they enter it; G4, M109, M116 and M190 are
+# acknowledged when they are over, and nothing is taken meanwhile.
 
 QUEUE = 4  # lines accepted and not yet done
 LONGEST_LINE = 256  # bytes, RepRapFirmware's GCODE_LENGTH
@@ -34,7 +159,7 @@ class Reply:
 
 
 @dataclass(frozen=True)
-class Line:
+class ReceivedLine:
     """A line that came: its number as sent, or None, and the G-code without it."""
 
     number: int | None
@@ -59,7 +184,7 @@ class Record:
 
 @dataclass(frozen=True)
 class _Job:
-    line: Line
+    line: ReceivedLine
     code: str
     words: dict[str, float]
     end: float
@@ -76,7 +201,7 @@ class Board:
         self._time = 0.0
         self._partial = b""
         self._overlong = False
-        self._waiting: deque[Line] = deque()
+        self._waiting: deque[ReceivedLine] = deque()
         self._queue: deque[_Job] = deque()
         self._blocked: _Job | None = None
         self._relative, self._position, self._feed = False, 0.0, DEFAULT_FEED
@@ -171,7 +296,7 @@ class Board:
         if len(self._waiting) >= MOST_WAITING:
             out.append(self._warn("Error: input overrun, line lost"))
             return
-        self._waiting.append(Line(number, code))
+        self._waiting.append(ReceivedLine(number, code))
 
     def _accept(self, out: list[Reply]) -> None:
         """Take waiting lines as far as the queue allows."""
@@ -196,7 +321,7 @@ class Board:
             if self._blocked is None:
                 out.append(_ok(line))
 
-    def _enqueue(self, line: Line, code: str, words: dict[str, float], out: list[Reply]) -> str | None:
+    def _enqueue(self, line: ReceivedLine, code: str, words: dict[str, float], out: list[Reply]) -> str | None:
         """Queue a line, or say why not."""
         if code in ("G0", "G1"):
             if {"X", "Y", "Z"} & set(words):
@@ -239,7 +364,7 @@ class Board:
         else:
             self.record.fans[int(words.get("P", 0))] = words.get("S", 0.0) if job.code == "M106" else 0.0
 
-    def _start_wait(self, line: Line, code: str, words: dict[str, float]) -> str | None:
+    def _start_wait(self, line: ReceivedLine, code: str, words: dict[str, float]) -> str | None:
         """Begin a line that is acknowledged when it is over, or say why not."""
         if code == "T":
             if not 0 <= words["T"] < TOOLS:
@@ -282,7 +407,7 @@ class Board:
         return None
 
 
-def _ok(line: Line) -> Reply:
+def _ok(line: ReceivedLine) -> Reply:
     return Reply("ok" if line.number is None else f"ok N{line.number}", line.number or 0)
 
 

@@ -1,21 +1,363 @@
-"""A robot controller's inside: files, loaded modules, the program that runs, and what may be done when."""
+"""A robot controller's inside: files, loaded modules, the program that runs, and its motion in time."""
 
 from __future__ import annotations
 
 import re
 import shutil
+import socket
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Protocol
 
-from planner.errors import InputError
-from planner.export.program import Program
+import numpy as np
+
+from planner.base.arrays import Array
+from planner.base.errors import InputError
+from planner.cell.cell import Cell
+from planner.export.player.play import play
+from planner.export.player.played import Played
+from planner.export.program import RobotProgram
 from planner.export.rapid.reader import read_rapid_files
-from planner.simulate.faults import Fault
-from planner.simulate.motion import Motion, own_clock
-from planner.simulate.run import Run, RunState
+from planner.simulate.board import Fault, Faults
+from planner.simulate.servers import LATEST, TIMEOUT, Ended, ProgramSocket, bound_socket
+
+# ----------------------------------------------------------------------------------------------------
+# What a program's motion looks like over time, as a controller's simulator needs it.
+
+ORDER = OUTPUT, SEND, SETTLE = "output", "send", "settle"
+# lines that the board acknowledges only when they are over
+SLOW = ("G4", "M109", "M116", "M190")
+
+
+@dataclass(frozen=True)
+class MotionEvent:
+    """Something that a program does at a time [s], with a move.
+
+    Sets an output (`signal=0`, `signal=1`); sends a line; or waits, at the end of a rest, until all lines are taken.
+    """
+
+    time: float
+    move: int
+    kind: str
+    text: str = ""
+
+
+class ProgramMotion(Protocol):
+    """A program's motion. Times [s] count from its first move."""
+
+    @property
+    def duration(self) -> float: ...
+
+    @property
+    def happenings(self) -> tuple[MotionEvent, ...]:
+        """In order of time."""
+
+    def at(self, time: float) -> tuple[int, Array]:
+        """The move that runs at a time, and the tip in the part frame (3,) [m]."""
+
+
+@dataclass(frozen=True)
+class OwnClock:
+    """Motion at the programmed speeds, without acceleration: each move takes as long as its slowest part.
+
+    ends (m,) when each move ends, its wait not counted; starts (m,); position (m, 3) of the targets
+    """
+
+    starts: Array
+    ends: Array
+    position: Array
+    duration: float
+    happenings: tuple[MotionEvent, ...]
+
+    def at(self, time: float) -> tuple[int, Array]:
+        """The move that runs at a time, and the tip in the part frame (3,) [m]."""
+        i = min(int(np.searchsorted(self.ends, time)), len(self.ends) - 1)
+        lasts = self.ends[i] - self.starts[i]
+        share = 1.0 if lasts <= 0.0 else float(np.clip((time - self.starts[i]) / lasts, 0.0, 1.0))
+        before = self.position[max(0, i - 1)]
+        return i, before + share * (self.position[i] - before)
+
+
+def own_clock(program: RobotProgram) -> OwnClock:
+    """The motion of a program by its own speeds and lengths."""
+    step = np.linalg.norm(np.diff(program.position, axis=0), axis=1)
+    same = np.abs(np.einsum("ij,ij->i", program.quat[1:], program.quat[:-1])).clip(0.0, 1.0)
+    turn = 2.0 * np.arccos(same)
+    axes = np.nan_to_num(np.abs(np.diff(program.external, axis=0))).max(axis=1, initial=0.0)
+    tip, reorient, _, rotate = program.speed[1:].T
+    # the first move goes to where the robot stands already
+    lasts = np.concatenate([[0.0], np.maximum(np.maximum(step / tip, turn / reorient), axes / rotate)])
+    after = np.cumsum(lasts + program.wait)
+    starts = np.concatenate([[0.0], after[:-1]])
+    ends = starts + lasts
+    length = np.concatenate([[0.0], step])
+    happenings = (*_outputs(program, starts, lasts, length), *lines(program, ends, after))
+    return OwnClock(starts, ends, program.position, float(after[-1]), in_order(happenings))
+
+
+def in_order(happenings: Iterable[MotionEvent]) -> tuple[MotionEvent, ...]:
+    """By time and move; with the same move outputs come before lines, and these before what waits for them."""
+    return tuple(sorted(happenings, key=lambda each: (each.time, each.move, ORDER.index(each.kind))))
+
+
+def lines(program: RobotProgram, ends: Array, after: Array) -> Iterator[MotionEvent]:
+    """The lines that a program sends, and its waits for the board; ends, after (m) of each move, and of its rest [s]."""
+    for move in sorted(program.sends):
+        texts = program.sends[move]
+        arrive, leave = (0.0, 0.0) if move < 0 else (float(ends[move]), float(after[move]))
+        rests = program.send_rests.get(move, (0.0,) * len(texts))
+        for text, rest in zip(texts, rests, strict=True):
+            yield MotionEvent(min(arrive + rest, leave), move, SEND, text)
+        if any(text.split(" ")[0] in SLOW for text in texts):
+            yield MotionEvent(leave, move, SETTLE)
+
+
+def _outputs(program: RobotProgram, starts: Array, lasts: Array, length: Array) -> Iterator[MotionEvent]:
+    for i in range(len(starts)):
+        for trigger in program.triggers.get(i, ()):
+            share = min(1.0, trigger.distance / length[i]) if length[i] > 0.0 else 0.0
+            when = starts[i] + lasts[i] * (share if trigger.from_start else 1.0 - share)
+            yield MotionEvent(float(when), i, OUTPUT, f"{trigger.signal}={int(trigger.value)}")
+
+
+# ----------------------------------------------------------------------------------------------------
+# A program's motion as the player of programs has it: with accelerations, corners and joint limits of its cell.
+
+
+@dataclass(frozen=True)
+class PlayedMotion:
+    """A program that was played."""
+
+    played: Played
+    duration: float
+    happenings: tuple[MotionEvent, ...]
+
+    def at(self, time: float) -> tuple[int, Array]:
+        """The move that runs at a time, and the tip in the part frame (3,) [m]."""
+        moment = self.played.at(time)
+        return int(moment.move), np.asarray(moment.position)
+
+
+def played_motion(program: RobotProgram, cell: Cell) -> PlayedMotion:
+    """The motion of a program in its cell. Raises InputError for what cannot be reached."""
+    played = play(program, cell)
+    outputs = [
+        MotionEvent(each.t, each.move, OUTPUT, f"{each.text}={int(each.value)}")
+        for each in played.events
+        if each.kind == "output"
+    ]
+    leave = played.leave[played.target]
+    return PlayedMotion(played, played.duration, in_order([*outputs, *lines(program, played.arrive, leave)]))
+
+
+# ----------------------------------------------------------------------------------------------------
+# A program that runs: its motion in the program's time, its outputs, and its lines over the socket.
+
+ACCEPT_TIMEOUT = 60.0  # s in which somebody must connect
+LOOK = 0.02  # s between looks at whether to pause or end
+GARBAGE = b"\x80L ?\x07\n"
+FINISHED = "finished"
+
+
+@dataclass(frozen=True)
+class RunState:
+    """Where a run is. time [s] of the program; move from 0; lines out and acknowledged; reason once it has ended."""
+
+    module: str
+    lines: int
+    time: float = 0.0
+    move: int = 0
+    tip: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    sent: int = 0
+    acknowledged: int = 0
+    outputs: dict[str, bool] = field(default_factory=dict)
+    reason: str = ""
+
+
+class ProgramRun:
+    """A program in a thread of its own; runs once `resume` is called, until its end, `end` or a fault.
+
+    address   where it listens for who takes its lines, if it has any
+    """
+
+    def __init__(
+        self, module: str, motion: ProgramMotion, pace: float, address: tuple[str, int], faults: Sequence[Fault]
+    ) -> None:
+        self._motion, self._pace, self._address, self._faults = motion, pace, address, Faults(faults)
+        self._state = RunState(module, sum(each.kind == SEND for each in motion.happenings))
+        self._lock = threading.Lock()
+        self._going, self._ending = threading.Event(), threading.Event()
+        self.restarted = threading.Event()
+        self._time, self._since = 0.0, time.monotonic()
+        self._thread = threading.Thread(target=self._run, name="program", daemon=True)
+        self._thread.start()
+
+    def state(self) -> RunState:
+        """Where it is now."""
+        with self._lock:
+            return replace(self._state, outputs=dict(self._state.outputs))
+
+    @property
+    def over(self) -> bool:
+        return bool(self.state().reason)
+
+    @property
+    def going(self) -> bool:
+        return self._going.is_set() and not self.over
+
+    def resume(self) -> None:
+        """Go on, or begin."""
+        self._going.set()
+
+    def pause(self) -> None:
+        """Stand still; sockets stay as they are."""
+        self._going.clear()
+
+    def end(self) -> None:
+        """End for good, and wait for that."""
+        self._ending.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        lines: ProgramSocket | None = None
+        connection: socket.socket | None = None
+        try:
+            while not self._going.is_set():
+                self._check()
+                time.sleep(LOOK / 4)
+            if self._state.lines:
+                connection = self._accepted()
+                lines = ProgramSocket(connection)
+                self._greet(lines)
+            self._since = time.monotonic()
+            for happening in self._motion.happenings:
+                self._wait(happening.time, lines)
+                self._do(happening, lines)
+            self._wait(self._motion.duration, lines)
+            self._settle(lines)
+            if lines is not None:
+                lines.say(f"E {lines.sent}")
+            reason = FINISHED
+        except (Ended, InputError) as ended:
+            reason = str(ended)
+            self._last_word(lines, reason)
+        finally:
+            if connection is not None:
+                connection.close()
+        self._note(lines)
+        with self._lock:
+            off = dict.fromkeys(self._state.outputs, False)
+            self._state = replace(self._state, reason=reason, outputs=off)
+
+    def _last_word(self, lines: ProgramSocket | None, reason: str) -> None:
+        if lines is None or self.restarted.is_set() or reason == "connection lost":
+            return
+        try:
+            lines.say(f"X {lines.sent} {reason}"[:80])
+        except Ended:
+            return  # nobody is left who could be told
+
+    def _check(self) -> None:
+        if self._ending.is_set():
+            raise Ended("ended at the controller")
+
+    def _accepted(self) -> socket.socket:
+        since = time.monotonic()
+        with bound_socket(*self._address) as listener:
+            listener.listen(1)
+            listener.settimeout(LOOK)
+            while time.monotonic() - since < ACCEPT_TIMEOUT:
+                self._check()
+                try:
+                    return listener.accept()[0]
+                except TimeoutError:
+                    continue
+        raise Ended(f"nobody connected within {ACCEPT_TIMEOUT:g} s")
+
+    def _greet(self, lines: ProgramSocket) -> None:
+        lines.say(f"H {self._state.module} {self._state.lines}")
+        since = time.monotonic()
+        while not lines.begun:
+            if time.monotonic() - since > TIMEOUT:
+                raise Ended(f"no answer for {TIMEOUT:g} s")
+            self._listen(lines)
+
+    def _listen(self, lines: ProgramSocket, most: float = LOOK) -> None:
+        self._check()
+        lines.listen(min(most, LOOK))
+        self._note(lines)
+
+    def _note(self, lines: ProgramSocket | None) -> None:
+        move, tip = self._motion.at(self._time)
+        with self._lock:
+            out = (0, 0) if lines is None else (lines.sent, lines.acknowledged)
+            place = (float(tip[0]), float(tip[1]), float(tip[2]))
+            self._state = replace(self._state, time=self._time, move=move, tip=place, sent=out[0], acknowledged=out[1])
+
+    def _wait(self, until: float, lines: ProgramSocket | None) -> None:
+        """Let the program's time pass."""
+        while True:
+            now = time.monotonic()
+            if self._going.is_set():
+                self._time = min(until, self._time + (now - self._since) * self._pace)
+            self._since = now
+            left = LOOK if not self._going.is_set() else (until - self._time) / self._pace
+            if left <= 0.0:
+                return
+            if lines is not None:
+                self._listen(lines, left)
+            else:
+                self._check()
+                time.sleep(min(left, LOOK))
+                self._note(None)
+
+    def _do(self, happening: MotionEvent, lines: ProgramSocket | None) -> None:
+        if happening.kind == OUTPUT:
+            signal, value = happening.text.split("=")
+            with self._lock:
+                self._state = replace(self._state, outputs={**self._state.outputs, signal: value == "1"})
+        elif happening.kind == SETTLE:
+            self._settle(lines)
+        elif lines is not None:
+            self._listen(lines, 0.0)
+            while lines.full:
+                lines.need()
+                self._listen(lines)
+            self._since = time.monotonic()  # the robot stood meanwhile
+            self._send(happening.text, lines)
+            self._note(lines)
+
+    def _settle(self, lines: ProgramSocket | None) -> None:
+        """Stand until every line was taken."""
+        while lines is not None and not lines.quiet:
+            lines.need(LATEST)
+            self._listen(lines)
+        self._since = time.monotonic()
+
+    def _send(self, text: str, lines: ProgramSocket) -> None:
+        n = lines.sent + 1
+        if self._faults.take("skip", n):
+            lines.sent += 1
+        elif self._faults.take("garbage", n):
+            lines.raw(GARBAGE)
+            lines.sent += 1
+        else:
+            lines.line(text)
+        if self._faults.take("drop", n):
+            raise Ended("connection lost")
+        if self._faults.take("restart", n):
+            self.restarted.set()
+            raise Ended("the controller restarted")
+        if self._faults.take("stop", n):
+            raise Ended("stopped at the controller")
+
+
+# ----------------------------------------------------------------------------------------------------
+# A robot controller's inside: files, loaded modules, the program that runs, and what may be done when.
 
 LARGEST_FILE = 64 << 20  # bytes
 MOST_FILES = 1000
@@ -25,7 +367,7 @@ _PLAIN = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
 _HOME = re.compile(r"(?i)(?:\$home|home:)/?")
 _MODULE = re.compile(r"(?im)^\s*MODULE\s+([A-Za-z]\w{0,31})")
 
-Reader = Callable[[Mapping[str, str]], Program]
+Reader = Callable[[Mapping[str, str]], RobotProgram]
 
 
 class Denied(Exception):
@@ -50,14 +392,14 @@ class Controller:
         pace: float = 1.0,
         faults: Sequence[Fault] = (),
         read: Reader | None = None,
-        move: Callable[[Program], Motion] = own_clock,
+        move: Callable[[RobotProgram], ProgramMotion] = own_clock,
     ) -> None:
         self._address, self._pace, self._faults = address, pace, tuple(faults)
         self._read, self._move = read or read_modules, move
         self._home = Path(tempfile.mkdtemp(prefix="beadwise-controller-"))
         self._lock = threading.RLock()
         self._modules: dict[str, str] = {}
-        self._run: Run | None = None
+        self._run: ProgramRun | None = None
         self._silent_until = 0.0
         self.motors, self.mode = "motoron", "AUTO"
 
@@ -158,7 +500,7 @@ class Controller:
             except InputError as error:
                 raise Denied(400, f"the program has errors: {error}") from error
             self._end_run()
-            self._run = Run(program.module, motion, self._pace, self._address, self._faults)
+            self._run = ProgramRun(program.module, motion, self._pace, self._address, self._faults)
 
     def start(self) -> None:
         """Run, or go on."""
@@ -204,6 +546,6 @@ class Controller:
         return self._home / name
 
 
-def read_modules(modules: Mapping[str, str]) -> Program:
+def read_modules(modules: Mapping[str, str]) -> RobotProgram:
     """The program of modules (name → text), one of which has the main procedure."""
     return read_rapid_files({f"{name}.mod": text for name, text in modules.items()})

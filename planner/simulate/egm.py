@@ -11,9 +11,9 @@ from types import ModuleType
 
 import numpy as np
 
-from planner.errors import InputError
-from planner.readonly import Array
-from planner.simulate.faults import Fault, Faults
+from planner.base.arrays import Array
+from planner.base.errors import InputError
+from planner.simulate.board import Fault, Faults
 
 PERIOD = 0.004  # s
 TIME_CONSTANT = 0.03  # s of the first-order lag with which the robot follows

@@ -24,7 +24,7 @@ from typing import Any
 from urllib.parse import parse_qs, unquote, urlsplit
 from urllib.request import parse_http_list, parse_keqv_list
 
-from planner.errors import InputError
+from planner.base.errors import InputError
 from planner.simulate.controller import LARGEST_FILE, TASK, Controller, Denied
 
 REALM = "validusers@robapi.abb"

@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from planner.readonly import Array
-from planner.simulate.faults import Fault, Faults
-from planner.simulate.lines import BLOCK, bound_socket
+from planner.base.arrays import Array
+from planner.simulate.board import Fault, Faults
+from planner.simulate.servers import BLOCK, bound_socket
 
 FRAME = 96  # bytes
 CAPACITY = 256  # frames
@@ -30,7 +30,7 @@ LOOK = 0.005  # s
 _FIELDS = struct.Struct("<I4B3f4f4b6f4f2fH2x")
 
 
-class Stopped(Exception):
+class StreamEnded(Exception):
     """The stream cannot go on; says why."""
 
 
@@ -66,7 +66,7 @@ def frame_of(data: bytes) -> Frame:
     running = np.cumsum(body)
     # sums modulo 65535 of running sums that are themselves taken modulo 65535
     if running[-1] % 65535 != sums[0] or int(np.sum(running % 65535)) % 65535 != sums[1]:
-        raise Stopped("wrong checksum")
+        raise StreamEnded("wrong checksum")
     number, kind, flags, tool, _, *rest = _FIELDS.unpack(data[:-4])
     numbers, conf, left = (*rest[:7], *rest[11:23]), tuple(rest[7:11]), rest[23]
     return Frame(number, kind, flags, tool, numbers, conf, left)
@@ -91,11 +91,11 @@ class Buffer:
         if frame.kind == 6:
             return
         if frame.kind == 5:
-            raise Stopped("the PC asked for it")
+            raise StreamEnded("the PC asked for it")
         if frame.number != len(self._frames) + 1 or not 1 <= frame.kind <= 4 or frame.tool > 7:
-            raise Stopped("a frame out of order")
+            raise StreamEnded("a frame out of order")
         if len(self._held) >= self._capacity:
-            raise Stopped("more frames than fit")
+            raise StreamEnded("more frames than fit")
         self._frames.append(frame)
         self._held.append(frame)
         self.state = replace(self.state, fullest=max(self.state.fullest, len(self._held)))
@@ -125,7 +125,7 @@ class Buffer:
                     self._hungry_since = now
                     self.state = replace(self.state, starved=self.state.starved + 1)
                 elif now - self._hungry_since > STARVING:
-                    raise Stopped("no frames within a bead")
+                    raise StreamEnded("no frames within a bead")
             return False
         self._hungry_since = None
         if len(self._running) > AHEAD or (self._resting and self._running):
@@ -198,7 +198,7 @@ class StreamServer:
                 self._run(connection)
                 self._say(f"E {self._buffer.state.done} {self._buffer.state.starved}")
                 reason = "finished"
-            except Stopped as stopped:
+            except StreamEnded as stopped:
                 reason = str(stopped)
                 self._say(f"X {self._buffer.state.done} {reason}")
             with self._lock:
@@ -226,17 +226,17 @@ class StreamServer:
             selector.register(connection, selectors.EVENT_READ)
             while not self._buffer.finished:
                 if self._ending.is_set():
-                    raise Stopped("ended at the controller")
+                    raise StreamEnded("ended at the controller")
                 if selector.select(LOOK):
                     try:
                         data = connection.recv(BLOCK * 4)
                     except OSError as error:
-                        raise Stopped("connection lost") from error
+                        raise StreamEnded("connection lost") from error
                     if not data:
-                        raise Stopped("connection lost")
+                        raise StreamEnded("connection lost")
                     partial, heard = self._take(partial + data), time.monotonic()
                 if time.monotonic() - heard > SILENCE:
-                    raise Stopped("silence of the PC")
+                    raise StreamEnded("silence of the PC")
                 with self._lock:
                     handed = self._buffer.advance(time.monotonic())
                 if handed and not self._buffer.finished:
@@ -258,10 +258,10 @@ class StreamServer:
 
     def _fault(self, number: int) -> None:
         if self._faults.take("stop", number):
-            raise Stopped("stopped at the controller")
+            raise StreamEnded("stopped at the controller")
         if self._faults.take("drop", number):
             self._mute = True
-            raise Stopped("connection lost")
+            raise StreamEnded("connection lost")
         if self._faults.take("mute", number):
             self._mute = True
         if self._faults.take("garbage", number):

@@ -1,12 +1,92 @@
-"""Bead and Toolpath: what is to be printed, in the part frame, before any robot is thought of."""
+"""Bead and Toolpath: what is to be printed, in the part frame; and bodies as triangles, for pictures."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from planner.readonly import Array, ReadOnlyArrays
-from planner.toolpath.shape import Shape
+import numpy as np
+
+from planner.base.arrays import Array, Ints, ReadOnlyArrays
+
+# ----------------------------------------------------------------------------------------------------
+# Bodies as triangles, for pictures: nothing is planned or checked with them.
+
+_AROUND = 96  # corners of a circle
+_DOWN = 24  # rings of a dome
+_ACROSS = 80  # squares of a skin along its longer side
+MOST_TRIANGLES = 20_000  # of a picture that a browser turns at ease
+
+
+@dataclass(frozen=True)
+class Shape(ReadOnlyArrays):
+    """Triangles of a body's surface, counter-clockwise seen from outside.
+
+    vertices (n, 3) [m], part frame; normals (n, 3) outward, of unit length; triangles (m, 3) indices of vertices
+    """
+
+    vertices: Array
+    normals: Array
+    triangles: Ints
+
+
+def cylinder_shape(radius: float, height: float, centre: Array) -> Shape:
+    """An upright cylinder on z = 0, its axis at centre (2), with its lid."""
+    a = np.linspace(0.0, 2.0 * np.pi, _AROUND + 1)
+    out = np.column_stack([np.cos(a), np.sin(a), np.zeros(_AROUND + 1)])
+    bottom = radius * out + [*centre, 0.0]
+    top = bottom + [0.0, 0.0, height]
+    up = np.tile([0.0, 0.0, 1.0], (_AROUND + 2, 1))
+    wall = _squares(2, _AROUND + 1)
+    rim = 2 * (_AROUND + 1) + np.arange(_AROUND)
+    lid = np.column_stack([rim, rim + 1, np.full(_AROUND, 3 * (_AROUND + 1))])
+    vertices = np.vstack([bottom, top, top, [[*centre, height]]])
+    return Shape(vertices, np.vstack([out, out, up]), np.vstack([wall, lid]))
+
+
+def dome_shape(radius: float, centre: Array) -> Shape:
+    """The part of a ball above its own middle and above z = 0; centre (3)."""
+    lowest = np.arccos(np.clip(-centre[2] / radius, 0.0, 1.0))
+    down, around = np.meshgrid(
+        np.linspace(0.0, lowest, _DOWN + 1), np.linspace(0.0, 2.0 * np.pi, _AROUND + 1), indexing="ij"
+    )
+    normals = np.stack([np.sin(down) * np.cos(around), np.sin(down) * np.sin(around), np.cos(down)], axis=-1)
+    normals = normals.reshape(-1, 3)
+    return Shape(centre + radius * normals, normals, _squares(_DOWN + 1, _AROUND + 1)[:, ::-1])
+
+
+def facets_shape(corners: Array) -> Shape | None:
+    """Facets (n, 3, 3) as they are; None for more than a picture bears."""
+    if len(corners) > MOST_TRIANGLES:
+        return None
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.repeat(across / np.linalg.norm(across, axis=1)[:, None], 3, axis=0)
+    return Shape(corners.reshape(-1, 3), normals, np.arange(3 * len(corners)).reshape(-1, 3))
+
+
+def skin_shape(at: Callable[[Array], tuple[Array, Array]], low: Array, high: Array) -> Shape:
+    """A surface over the rectangle from low (2) to high (2), where it is: `at` gives points and normals at x, y (n, 2)."""
+    step = float((high - low).max()) / _ACROSS
+    axes = [np.linspace(a, b, max(2, int(np.ceil((b - a) / step)) + 1)) for a, b in zip(low, high, strict=True)]
+    points, normals = at(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2))
+    there = np.asarray(np.isfinite(points).all(axis=1))
+    number = np.cumsum(there) - 1
+    squares = _squares(len(axes[0]), len(axes[1]))
+    return Shape(
+        points[there], normals[there], number[squares[there[squares].all(axis=1)]][:, ::-1]
+    )  # rows run along x
+
+
+def _squares(rows: int, columns: int) -> Ints:
+    """Triangles of a grid of vertices that is counter-clockwise where columns run to the right and rows up."""
+    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    right, above = corner + 1, corner + columns
+    return np.vstack([np.column_stack([corner, right, above]), np.column_stack([right, above + 1, above])])
+
+
+# ----------------------------------------------------------------------------------------------------
+# Bead and Toolpath: what is to be printed, in the part frame, before any robot is thought of.
 
 
 class Surface(Protocol):

@@ -8,14 +8,15 @@ from importlib import import_module
 from typing import Any
 
 from planner.problem import Problem
-from planner.problem.cores import CoreLayersSpec
-from planner.problem.curves import ProjectedCurvesSpec
-from planner.problem.drawings import LayersSpec, ProjectedDrawingSpec, ProjectedPatternSpec
-from planner.problem.faces import FaceLayersSpec
-from planner.problem.gcode import GcodeLayersSpec
-from planner.problem.volume import VolumeLayersSpec
-from planner.problem.waypoints import WaypointLayersSpec
-from planner.problem.wing import AerofoilLayersSpec
+from planner.problem.drawings import LayersSpec, ProjectedCurvesSpec, ProjectedDrawingSpec, ProjectedPatternSpec
+from planner.problem.layers import (
+    AerofoilLayersSpec,
+    CoreLayersSpec,
+    FaceLayersSpec,
+    GcodeLayersSpec,
+    VolumeLayersSpec,
+    WaypointLayersSpec,
+)
 from planner.toolpath.bead import Toolpath
 
 # Module and function of each source. Only that of the problem is loaded: what reads drawings, meshes and CAD files takes a
@@ -26,10 +27,10 @@ SOURCES: dict[type, tuple[str, str]] = {
     ProjectedPatternSpec: ("substrate.projection", "project_curves"),
     ProjectedCurvesSpec: ("substrate.projection", "project_curves"),
     CoreLayersSpec: ("substrate.cores", "lay_core"),
-    WaypointLayersSpec: ("waypoints.through", "through_waypoints"),
-    GcodeLayersSpec: ("gcode.level", "slicer_print"),
+    WaypointLayersSpec: ("waypoints.beads", "through_waypoints"),
+    GcodeLayersSpec: ("gcode.layers", "slicer_print"),
     VolumeLayersSpec: ("volume.layers", "fill_mesh"),
-    AerofoilLayersSpec: ("wing.layers", "wing"),
+    AerofoilLayersSpec: ("wing.wing", "wing"),
     FaceLayersSpec: ("step.cover", "cover_faces"),
 }
 

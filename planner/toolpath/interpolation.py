@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import convolve1d, maximum_filter1d
 
-from planner.readonly import Array
-from planner.toolpath.density import SampleDensity
+from planner.base.arrays import Array
+from planner.toolpath.plane_paths import SampleDensity
 
 CORNER_TURN = np.radians(30.0)  # at one waypoint: a circle with fewer than twelve of them has corners
 _DEGREE = 5

@@ -9,8 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planner.readonly import Array
-from planner.toolpath.rounding import PlaneCurve
+from planner.base.arrays import Array
+from planner.toolpath.plane_paths import PlaneCurve
 
 
 def shorten_travel(curves: Sequence[PlaneCurve], start: Array | None = None) -> list[PlaneCurve]:

@@ -9,11 +9,11 @@ from functools import cached_property
 import coal
 import numpy as np
 
-from planner.cell import Cell
-from planner.readonly import Array
-from planner.replay import joint_poses
-from planner.robot.robot import Robot
-from planner.solids import Body, Box, Capsule, Frustum, Mesh, Solid, triangles_of
+from planner.base.arrays import Array
+from planner.cell.cell import Cell
+from planner.cell.robot import Robot
+from planner.cell.solids import Body, Box, Capsule, Frustum, Mesh, Solid, triangles_of
+from planner.verify.executed import joint_poses
 
 ARM, HEAD, HOLDER, CARRIED, FIXTURE = "arm", "head", "holder", "carried", "fixture"
 _TRIED = 64  # postures in which two bodies of one robot must all be too near, to count as joined
@@ -21,7 +21,7 @@ _CORNERS = 48  # of the polygon around a circle
 
 
 @dataclass(frozen=True)
-class Thing:
+class CheckedBody:
     """One body of the cell.
 
     carrier   what carries it: a row of `CellBodies.poses`
@@ -61,7 +61,7 @@ class CellBodies:
     """Bodies of a cell; carriers are the world, the arm's joints, then the holder's."""
 
     cell: Cell
-    things: tuple[Thing, ...]
+    things: tuple[CheckedBody, ...]
 
     @classmethod
     def of(cls, cell: Cell) -> CellBodies:
@@ -117,14 +117,14 @@ class CellBodies:
         robot = self.cell.holder_robot
         return () if robot is None else tuple(1 + robot.joint_names.index(name) for name in self.cell.holder.names)
 
-    def moved_by(self, thing: Thing) -> tuple[int, int]:
+    def moved_by(self, thing: CheckedBody) -> tuple[int, int]:
         """Joints of the posture that carry a thing: the first of them, and the one after the last."""
         if thing.kind not in (HOLDER, CARRIED):
             return 0, thing.joints
         na = len(self.cell.arm)
         return na, na + sum(joint <= thing.joints for joint in self.free)
 
-    def swing(self, thing: Thing, above: int = 0) -> Array:
+    def swing(self, thing: CheckedBody, above: int = 0) -> Array:
         """How far a place of the thing can move for each radian of the cell's joints (nq), those above one of its robot."""
         na, nq = len(self.cell.arm), len(self.cell.joint_names)
         out = np.zeros(nq)
@@ -141,7 +141,7 @@ class CellBodies:
             far += float(np.linalg.norm(robot.model.jointPlacements[i].translation))
         return out
 
-    def name(self, thing: Thing) -> str:
+    def name(self, thing: CheckedBody) -> str:
         """Its name, with the robot's where both robots have such a body."""
         alike = {other.kind for other in self.things if other.name == thing.name}
         return thing.name if len(alike) == 1 else f"{thing.kind} {thing.name}"
@@ -175,7 +175,7 @@ def all_at_home(bodies: CellBodies, found: Sequence[Pair], nozzle: float) -> tup
     return (*found, *more)
 
 
-def stands_with_part(bodies: CellBodies, thing: Thing) -> bool:
+def stands_with_part(bodies: CellBodies, thing: CheckedBody) -> bool:
     """Whether a thing does not move in the part frame."""
     free = bodies.free
     if thing.kind == CARRIED:
@@ -185,7 +185,7 @@ def stands_with_part(bodies: CellBodies, thing: Thing) -> bool:
     return thing.kind == FIXTURE and not free
 
 
-def _same(a: Thing, b: Thing) -> bool:
+def _same(a: CheckedBody, b: CheckedBody) -> bool:
     """Whether two things belong to one robot."""
     arms, holders = (ARM, HEAD), (HOLDER, CARRIED)
     return {a.kind, b.kind} <= set(arms) or {a.kind, b.kind} <= set(holders)
@@ -287,14 +287,14 @@ def _mesh(mesh: Mesh) -> coal.CollisionGeometry:
     return out
 
 
-def _thing(body: Body, kind: str, carrier: int, joints: int, T_carrier_frame: Array) -> Thing:
+def _thing(body: Body, kind: str, carrier: int, joints: int, T_carrier_frame: Array) -> CheckedBody:
     geometry, shift = coal_geometry(body.solid)
     T = T_carrier_frame @ body.T_frame_solid
     vertices = triangles_of(body.solid)[0]
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     reach = float(np.linalg.norm(vertices - middle, axis=1).max()) / float(np.cos(np.pi / _CORNERS))
     centre = T[:3, :3] @ middle + T[:3, 3]
-    return Thing(body.name, kind, carrier, joints, body.solid, T, geometry, T @ shift, centre, reach)
+    return CheckedBody(body.name, kind, carrier, joints, body.solid, T, geometry, T @ shift, centre, reach)
 
 
 def _joint_poses(robot: Robot, q: Array, T_world_base: Array) -> Array:

@@ -1,28 +1,323 @@
-"""Independent check that nozzle and print head keep clear of part and print, as these are at every instant.
-
-Nobody can keep a distance where the nozzle lays a bead beside another: a point at distance r from the tip is to be
-TIP_SLOPE * r away, less what face and bead take, until that is the whole distance; from there on, beyond the tip's zone,
-the whole distance is kept. All samples are looked at, and instants between them, as far as motion since the last look
-could have brought anything too near.
-"""
+"""Independent check that nozzle and print head keep clear of part and print, as these are at every instant."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numba import njit
 
-from planner.cell import Cell
+from planner.base.arrays import Array, Ints
+from planner.cell.cell import Cell
+from planner.cell.solids import Packed, packed
+from planner.collision.point_tree import PointTree, nearest_point, point_value, search_room, solid_distance
+from planner.collision.print_body import TIP_SLOPE, PrintBody, tip_slack
 from planner.plan import Check, Trajectory
-from planner.point_tree import PointTree, search_room
-from planner.print_body import TIP_SLOPE, PrintBody, tip_slack
 from planner.problem import Problem
-from planner.readonly import Array, Ints
-from planner.replay import Motion
-from planner.solids import Packed, packed
 from planner.toolpath.bead import Toolpath
 from planner.verify.checks import DIGITS, place
-from planner.verify.nozzle_kernel import FAR, least_along, margins_along
+from planner.verify.executed import ExecutedMotion
+
+# ----------------------------------------------------------------------------------------------------
+# Compiled loops over the samples of a motion: how near bodies that move with the nozzle come to part and print.
+#
+# A value changes by no more than the motion takes a body past a point, so that samples, points and instants between
+# samples are passed over as long as this cannot matter.
+
+FAR = 50e-3  # m: what is farther away is that far away
+TOLERANCE = 1e-4  # m: no distance is missed that is less than the least that is found by more
+_ZERO: Any = np.int64(0)  # a plain 0 is a type of its own, for which kernels would be compiled once more
+_OFTEN = 25  # samples after which every body is looked at again, wherever it is
+_BLOCK = 1e-3  # m of the tip's way, on which points are looked at together: the longer, the more of them may matter
+_MOST_PARTS = 64  # of the time between two samples
+_RATE = 1.0 + TIP_SLOPE  # of a motion, by which a margin beyond the tip's zone changes at most
+_DEEPEST = 64  # intervals that wait at once: more than the samples of a block can make
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def least_along(
+    points, radius, time, centre, reach, since, left, right,
+    kind, size, planes, T_solid_frame,
+    tip, rotation, path, turned, now, slack, clearance, slope, ahead, stack,
+):  # fmt: skip
+    """The least value of `nearest_point` along a motion, FAR at most; its sample, body and point, or -1.
+
+    Block by block of samples: every point that could matter in it is followed through it by itself.
+    """
+    n = len(now)
+    least, where, whose, which = _here_and_there(
+        points, radius, time, centre, reach, since, left, right, kind, size, planes, T_solid_frame,
+        tip, rotation, now, slack, clearance, slope, ahead, stack,
+    )  # fmt: skip
+    poses = np.empty((_OFTEN + 1, 4, 4))
+    room = np.empty((_DEEPEST, 2), np.int64), np.empty((_DEEPEST, 2))
+    for j in range(len(kind)):
+        a = _ZERO
+        while a < n - 1:
+            b = a + 1
+            while b < min(n - 1, a + _OFTEN) and slack[b + 1] == slack[b] and path[b + 1] - path[a] < _BLOCK:
+                b += 1
+            c = (a + b) // 2
+            T, p, seeing, posed = poses[c - a], tip[c], now[ahead[b]], False
+            _pose(T_solid_frame[j], rotation[c], p, T)
+            gone = max(path[c] - path[a], path[b] - path[c])
+            turn = max(turned[c] - turned[a], turned[b] - turned[c])
+            waiting, stack[0] = 1, 0
+            while waiting:
+                waiting -= 1
+                node = stack[waiting]
+                if since[node] >= seeing:
+                    continue
+                x, y, z = centre[node, 0], centre[node, 1], centre[node, 2]
+                away = np.sqrt((x - p[0]) ** 2 + (y - p[1]) ** 2 + (z - p[2]) ** 2) + reach[node]
+                d = solid_distance(
+                    kind[j], size[j], planes,
+                    T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3],
+                    T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3],
+                    T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3],
+                )  # fmt: skip
+                most = min(clearance, slope * away - slack[b])
+                moved = (1.0 + slope) * gone + (away + gone) * turn
+                if d - reach[node] - most - moved >= least - TOLERANCE:
+                    continue
+                if left[node] >= 0:
+                    stack[waiting], stack[waiting + 1] = left[node], right[node]
+                    waiting += 2
+                    continue
+                for i in range(-1 - left[node], -1 - left[node] + right[node]):
+                    if time[i] >= seeing:
+                        continue
+                    value = point_value(
+                        points[i], radius[i], kind[j], size[j], planes, T, clearance, p, slope, slack[b]
+                    )
+                    x, y, z = points[i, 0], points[i, 1], points[i, 2]
+                    away = np.sqrt((x - p[0]) ** 2 + (y - p[1]) ** 2 + (z - p[2]) ** 2)
+                    if value - (1.0 + slope) * gone - (away + gone) * turn >= least - TOLERANCE:
+                        continue
+                    for k in range(a, a if posed else b + 1):
+                        _pose(T_solid_frame[j], rotation[k], tip[k], poses[k - a])
+                    posed = True
+                    value, k = _least_of_point(
+                        points[i], radius[i], time[i], kind[j], size[j], planes, T_solid_frame[j], poses,
+                        a, b, tip, rotation, path, turned, now, ahead, slack[b], clearance, slope, least, room,
+                    )  # fmt: skip
+                    if value < least:
+                        least, where, whose, which = value, k, j, i
+            a = b
+    return least, where, whose, which
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _here_and_there(
+    points, radius, time, centre, reach, since, left, right, kind, size, planes, T_solid_frame,
+    tip, rotation, now, slack, clearance, slope, ahead, stack,
+):  # fmt: skip
+    """The least value at some samples, its sample, body and point: it spares many of the looks that follow."""
+    least, where, whose, which = FAR, 0, 0, -1
+    T = np.empty((4, 4))
+    for j in range(len(kind)):
+        for k in range(0, len(now), _OFTEN):
+            _pose(T_solid_frame[j], rotation[k], tip[k], T)
+            value, point = nearest_point(
+                points, radius, time, centre, reach, since, left, right, kind[j], size[j], planes, T,
+                now[ahead[k]], least, clearance, tip[k], slope, slack[k], stack,
+            )  # fmt: skip
+            if value < least:
+                least, where, whose, which = value, k, j, point
+    return least, where, whose, which
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _least_of_point(
+    point, radius, time, kind, size, planes, T_solid_nozzle, poses,
+    a, b, tip, rotation, path, turned, now, ahead, slack, clearance, slope, least, room,
+):  # fmt: skip
+    """The least value of one point in samples a .. b, in which a body is at poses, if it is less; and its sample.
+
+    A point that is laid in the meantime counts from the first sample that sees it, and in the instants before that.
+    """
+    samples, values = room
+    first = a
+    while time >= now[ahead[first]]:
+        first += 1
+    begin = max(a, first - 1)
+    c = max(begin, (a + b) // 2)
+    target, where = least - TOLERANCE, c
+    middle = point_value(point, radius, kind, size, planes, poses[c - a], clearance, tip[c], slope, slack)
+    if c >= first and middle < least:
+        least, where = middle, c
+    away = np.sqrt((point[0] - tip[c, 0]) ** 2 + (point[1] - tip[c, 1]) ** 2 + (point[2] - tip[c, 2]) ** 2)
+    away += max(path[c] - path[begin], path[b] - path[c])
+    waiting = 0
+    for end in (begin, b):
+        moved = (1.0 + slope) * abs(path[end] - path[c]) + away * abs(turned[end] - turned[c])
+        if end == c or middle - moved >= target:
+            continue
+        value = point_value(point, radius, kind, size, planes, poses[end - a], clearance, tip[end], slope, slack)
+        if end >= first and value < least:
+            least, where = value, end
+        samples[waiting, 0], samples[waiting, 1] = min(end, c), max(end, c)
+        values[waiting, 0], values[waiting, 1] = (value, middle) if end < c else (middle, value)
+        waiting += 1
+    while waiting:
+        waiting -= 1
+        i, k = samples[waiting]
+        vi, vk = values[waiting]
+        moved = (1.0 + slope) * (path[k] - path[i]) + away * (turned[k] - turned[i])
+        if 0.5 * (vi + vk - moved) >= target:
+            continue
+        if k == i + 1:
+            value = _least_between(
+                point, radius, kind, size, planes, T_solid_nozzle, tip[i], tip[k], rotation[i], rotation[k],
+                vi + vk, moved, target, clearance, slope, slack,
+            )  # fmt: skip
+            if value < least:
+                least, where = value, k
+            continue
+        m = (i + k) // 2
+        value = point_value(point, radius, kind, size, planes, poses[m - a], clearance, tip[m], slope, slack)
+        if m >= first and value < least:
+            least, where = value, m
+        samples[waiting, 0], samples[waiting, 1], samples[waiting + 1, 0], samples[waiting + 1, 1] = i, m, m, k
+        values[waiting, 0], values[waiting, 1], values[waiting + 1, 0], values[waiting + 1, 1] = vi, value, value, vk
+        waiting += 2
+    return least, where
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _least_between(
+    point, radius, kind, size, planes, T_solid_nozzle, pa, pb, Ra, Rb, both, moved, target, clearance, slope, slack
+):  # fmt: skip
+    """The least value of a point at instants between two samples, so many that none below the target lies between."""
+    parts, least = 1, np.inf
+    while 0.5 * (both - moved / parts) < target and parts < _MOST_PARTS:
+        parts *= 2
+    R, p, T = np.empty((3, 3)), np.empty(3), np.empty((4, 4))
+    for i in range(1, parts):
+        _between(Ra, Rb, pa, pb, i / parts, R, p)
+        _pose(T_solid_nozzle, R, p, T)
+        least = min(least, point_value(point, radius, kind, size, planes, T, clearance, p, slope, slack))
+    return least
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def margins_along(
+    points, radius, time, centre, reach, since, left, right,
+    kind, size, planes, T_solid_frame, body_centre, body_reach,
+    tip, rotation, path, turned, now, slack, clearance, slope, ahead, margin, stack,
+):  # fmt: skip
+    """Fill margin, between looks interpolated; returns the least, its sample, body and point.
+
+    The slope is so steep that only points beyond the tip's zone count, slack / slope away. Of what these have to spare
+    the least is found only so far that none is missed that lacks. A search begins with the point that was nearest before.
+    """
+    n = len(now)
+    least, where, whose, which = _here_and_there(
+        points, radius, time, centre, reach, since, left, right, kind, size, planes, T_solid_frame,
+        tip, rotation, now, slack, clearance, slope, ahead, stack,
+    )  # fmt: skip
+    T, R, p = np.empty((4, 4)), np.empty((3, 3)), np.empty(3)
+    for j in range(len(kind)):
+        c = body_centre[j]
+        arm = np.sqrt(c[0] ** 2 + c[1] ** 2 + c[2] ** 2) + body_reach[j]
+        own = T_solid_frame[j]
+        tip_away = solid_distance(kind[j], size[j], planes, own[0, 3], own[1, 3], own[2, 3])
+        k, before, value_before, known = 0, -1, 0.0, -1
+        while True:
+            seeing = now[ahead[k]]
+            _pose(own, rotation[k], tip[k], T)
+            enough, found = FAR, -1
+            if known >= 0 and time[known] < seeing:
+                value = point_value(
+                    points[known], radius[known], kind[j], size[j], planes, T, clearance, tip[k], slope, slack[k]
+                )
+                if value < enough:
+                    enough, found = value, known
+            value, point = nearest_point(
+                points, radius, time, centre, reach, since, left, right, kind[j], size[j], planes, T,
+                seeing, enough, clearance, tip[k], slope, slack[k], stack,
+            )  # fmt: skip
+            point = found if point < 0 else point
+            known = point if point >= 0 else known
+            if value < least:
+                least, where, whose, which = value, k, j, point
+            if k == before + 1 and k > 0:
+                moved = _RATE * (path[k] - path[before] + arm * (turned[k] - turned[before]))
+                parts = 1
+                while (
+                    0.5 * (value + value_before - moved / parts) < min(least - TOLERANCE, 0.0) and parts < _MOST_PARTS
+                ):
+                    parts *= 2
+                for i in range(1, parts):
+                    _between(rotation[before], rotation[k], tip[before], tip[k], i / parts, R, p)
+                    _pose(own, R, p, T)
+                    inside, found = nearest_point(
+                        points, radius, time, centre, reach, since, left, right, kind[j], size[j], planes, T,
+                        seeing, least, clearance, p, slope, slack[k], stack,
+                    )  # fmt: skip
+                    if inside < least:
+                        least, where, whose, which = inside, k, j, found
+            for i in range(max(before, 0), k + 1):
+                done = (i - before) / max(k - before, 1)
+                margin[i] = min(margin[i], (1.0 - done) * value_before + done * value if before >= 0 else value)
+            if k == n - 1:
+                break
+            target = min(least - TOLERANCE, 0.0)
+            m = k + 1
+            while m < min(n - 1, k + _OFTEN):
+                moved = path[m + 1] - path[k] + arm * (turned[m + 1] - turned[k])
+                if value - _RATE * moved < target:
+                    break
+                # what is laid in the meantime lies where the tip has been: far within its zone, if only what is beyond counts
+                far = path[m + 1] - path[k]
+                counts = 2.0 * far > slack[k] / slope
+                if now[m + 1] > seeing and counts and tip_away - far - slack[k] / TIP_SLOPE - clearance < target:
+                    break
+                m += 1
+            before, value_before, k = k, value, m
+    return least, where, whose, which
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _pose(T_solid_nozzle, R, p, T):
+    """T_solid_part (4, 4) of a solid in the nozzle frame, whose axes in the part frame are R and whose origin is p."""
+    for i in range(3):
+        for k in range(3):
+            T[i, k] = T_solid_nozzle[i, 0] * R[k, 0] + T_solid_nozzle[i, 1] * R[k, 1] + T_solid_nozzle[i, 2] * R[k, 2]
+        T[i, 3] = T_solid_nozzle[i, 3] - T[i, 0] * p[0] - T[i, 1] * p[1] - T[i, 2] * p[2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _between(Ra, Rb, pa, pb, share, R, p):
+    """The pose at a share of the way between two that differ little."""
+    for k in range(3):
+        p[k] = (1.0 - share) * pa[k] + share * pb[k]
+    for column in (2, 0):  # z as it lies between, x at right angles to it
+        length, along = 0.0, 0.0
+        for i in range(3):
+            R[i, column] = (1.0 - share) * Ra[i, column] + share * Rb[i, column]
+        if column == 0:
+            for i in range(3):
+                along += R[i, 0] * R[i, 2]
+            for i in range(3):
+                R[i, 0] -= along * R[i, 2]
+        for i in range(3):
+            length += R[i, column] ** 2
+        for i in range(3):
+            R[i, column] /= np.sqrt(length)
+    R[0, 1] = R[1, 2] * R[2, 0] - R[2, 2] * R[1, 0]
+    R[1, 1] = R[2, 2] * R[0, 0] - R[0, 2] * R[2, 0]
+    R[2, 1] = R[0, 2] * R[1, 0] - R[1, 2] * R[0, 0]
+
+
+# ----------------------------------------------------------------------------------------------------
+# Independent check that nozzle and print head keep clear of part and print, as these are at every instant.
+#
+# Nobody can keep a distance where the nozzle lays a bead beside another: a point at distance r from the tip is to be
+# TIP_SLOPE * r away, less what face and bead take, until that is the whole distance; from there on, beyond the tip's zone,
+# the whole distance is kept. All samples are looked at, and instants between them, as far as motion since the last look
+# could have brought anything too near.
 
 _STEEP = 1e3  # slope that lets nothing within the tip's zone count
 
@@ -63,7 +358,7 @@ def slack_along(problem: Problem, toolpath: Toolpath, trajectory: Trajectory) ->
 
 
 def nozzle_nearness(
-    tree: PointTree, bodies: Packed, motion: Motion, now: Array, slack: Array, clearance: float
+    tree: PointTree, bodies: Packed, motion: ExecutedMotion, now: Array, slack: Array, clearance: float
 ) -> Nearness:
     """The least of distance - min(clearance, TIP_SLOPE * distance from the tip - slack) along a motion (see
     `nearest_point`), to TOLERANCE, also between samples."""
@@ -76,7 +371,7 @@ def nozzle_nearness(
 
 
 def beyond_the_tip(
-    tree: PointTree, bodies: Packed, motion: Motion, now: Array, slack: Array, clearance: float
+    tree: PointTree, bodies: Packed, motion: ExecutedMotion, now: Array, slack: Array, clearance: float
 ) -> Nearness:
     """The same of true distances, less the clearance, from points beyond the tip's zone; with the margins, and the least
     only so far that none is missed that lacks."""
@@ -95,14 +390,14 @@ def _points(tree: PointTree) -> tuple[Array, Array, Array, Array, Array, Array, 
     return tree.points, tree.radius, tree.time, tree.centre, tree.reach, tree.since, tree.left, tree.right
 
 
-def _ways(motion: Motion) -> tuple[Array, Array, Array, Array]:
+def _ways(motion: ExecutedMotion) -> tuple[Array, Array, Array, Array]:
     """Where tip and axes are, and how far (n) they have moved [m] and turned [rad] since the first sample."""
     tip, rotation = np.ascontiguousarray(motion.tip), np.ascontiguousarray(motion.rotation)
     return tip, rotation, *_path_lengths(tip, rotation)
 
 
 def by_the_tip(
-    problem: Problem, cell: Cell, toolpath: Toolpath, t: Trajectory, motion: Motion, body: PrintBody
+    problem: Problem, cell: Cell, toolpath: Toolpath, t: Trajectory, motion: ExecutedMotion, body: PrintBody
 ) -> Nearness:
     """How near nozzle and head come, by the rule for the tip."""
     now, slack = print_times(toolpath, t), slack_along(problem, toolpath, t)
@@ -110,7 +405,7 @@ def by_the_tip(
 
 
 def beyond(
-    problem: Problem, cell: Cell, toolpath: Toolpath, t: Trajectory, motion: Motion, body: PrintBody
+    problem: Problem, cell: Cell, toolpath: Toolpath, t: Trajectory, motion: ExecutedMotion, body: PrintBody
 ) -> Nearness:
     """How near they come beyond the tip's zone."""
     now, slack = print_times(toolpath, t), slack_along(problem, toolpath, t)

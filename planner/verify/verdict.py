@@ -11,19 +11,18 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from planner.cell import Cell
-from planner.nearest import distance_to_polyline
+from planner.base.arrays import Array
+from planner.base.nearest import distance_to_polyline
+from planner.cell.cell import Cell
+from planner.collision.print_body import PrintBody, print_body, standing
 from planner.plan import Approach, CellView, Check, Trajectory
-from planner.print_body import PrintBody, print_body, standing
 from planner.problem import Problem
-from planner.readonly import Array
-from planner.replay import replay
 from planner.toolpath.bead import Toolpath
-from planner.verify.checks import DIGITS, SPEED_TOLERANCE, check_least, check_most, place, samples_of
-from planner.verify.clear import keep_apart, sweep_cell
-from planner.verify.extrusion import extrusion
+from planner.verify.checks import DIGITS, SPEED_TOLERANCE, bead_errors, check_least, check_most, place, samples_of
+from planner.verify.collision import keep_apart, sweep_cell
+from planner.verify.executed import executed_motion
+from planner.verify.material import extrusion
 from planner.verify.nozzle import beyond, by_the_tip
-from planner.verify.tilt import bead_errors
 
 POSITION_TOLERANCE = 2e-5  # m, tip against the rounded path: no more than interpolation between waypoints may add
 AXIS_TOLERANCE = np.radians(0.05)  # rad, nozzle axis against the true normal
@@ -63,7 +62,7 @@ def verify(
     series: dict[str, Array] = {}
     with ThreadPoolExecutor() as pool:
         apart = pool.submit(sweep_cell, problem, cell, toolpath, trajectory, body)
-        motion = replay(cell, trajectory)
+        motion = executed_motion(cell, trajectory)
         near = [pool.submit(each, problem, cell, toolpath, trajectory, motion, body) for each in (by_the_tip, beyond)]
         for part in (_records, _limits, _geometry, _coverage, _singularity, _speed, extrusion, _clearance):
             part(problem, cell, toolpath, trajectory, motion, checks, metrics, series)

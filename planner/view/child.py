@@ -16,18 +16,16 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from planner.errors import PlannerError, Refusal
-from planner.garbage import look_again
-from planner.interrupts import end_in_order
-from planner.planning import solve
+from planner.base.errors import PlannerError, Refusal
+from planner.base.progress import Stages
+from planner.planning.pipeline import solve
+from planner.planning.solve_command import report_refusal
 from planner.problem import Problem, load_problem
-from planner.progress import Stages
 from planner.report.html import write_report
 from planner.report.wording import counted
-from planner.solve import report_refusal
 from planner.toolpath.build import build_toolpath
 from planner.view.content import mistake_of
-from planner.view.figures import figures_of
+from planner.view.machine import figures_of
 
 DRAFT_FROM = 3_000  # waypoints from which a draft of one layer comes first: below, the whole takes but some seconds
 # Read past sys.stdin: a thread that waits in it holds its lock, and a forked worker, which closes it, would wait for ever.
@@ -37,8 +35,6 @@ Say = Callable[..., None]
 
 def main() -> int:
     """Wait for a job, do it, and tell."""
-    end_in_order()
-    look_again()
     line = _first_line()
     if not line.strip():
         return 0

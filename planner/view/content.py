@@ -11,10 +11,10 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from planner.errors import InputError, PlannerError
+from planner.base.errors import InputError, PlannerError
+from planner.cell.robot_file import read_robot_file
 from planner.problem import Problem, load_problem
-from planner.problem.file import read_problem_file, shorten
-from planner.robot.file import read_robot_file
+from planner.problem.yaml_file import read_problem_file, shorten
 
 LONGEST_TEXT = 60  # characters of a value that are shown
 MOST_MISTAKES = 20  # that are shown below the first

@@ -1,35 +1,273 @@
-"""The live view without files, clocks, processes or sockets: what happened goes in, what is to be done comes out.
-
-A burst of saves is one reading of the files, and one solve: they are read when they have been quiet for a moment. A
-save that says nothing new changes nothing; one that does ends the solve that runs. What cannot be read, or planned,
-leaves the last good results where they are.
-"""
+"""The live view without files, clocks, processes or sockets: what happened goes in, what is to be done comes out."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
+from planner.report.wording import METRICS, SHORT, MetricLabel
 from planner.view.content import Content, Mistake, changes
-from planner.view.events import (
-    Again,
-    Beside,
-    Broke,
-    Cancel,
-    Choose,
-    Drafts,
-    Effect,
-    Event,
-    Read,
-    ReadFiles,
-    Remove,
-    Shown,
-    Solved,
-    Staged,
-    Start,
-    Tick,
-    Touched,
-)
-from planner.view.state import Entry, Job, Outcome, Result, View, key_of
+
+# ----------------------------------------------------------------------------------------------------
+# Key figures of a plan: those that decide between two, and which of two is the better one.
+
+ROWS: tuple[MetricLabel, ...] = tuple(metric for key in SHORT for metric in METRICS if metric.key == key)
+NONE = "–"
+
+Figures = tuple[tuple[str, float], ...]  # (name of the metric, value), of those in SHORT that a plan has
+
+
+def figures_of(metrics: Mapping[str, float]) -> Figures:
+    """Those of a plan's metrics that are shown; no value that is no number."""
+    return tuple((row.key, float(metrics[row.key])) for row in ROWS if math.isfinite(metrics.get(row.key, math.nan)))
+
+
+def heading(row: MetricLabel) -> dict[str, str]:
+    """What a figure is called, in short with its unit and in full."""
+    unit = f", {row.unit}" if row.unit else ""
+    return {"label": SHORT[row.key] + unit, "full": row.label.strip()}
+
+
+def written(row: MetricLabel, value: float | None) -> str:
+    """A figure in its unit's digits."""
+    return NONE if value is None else f"{value * row.scale:.{row.digits}f}"
+
+
+def verdict(row: MetricLabel, value: float | None, other: float | None) -> str:
+    """How a value compares with another: "better", "worse", "same" to the digits shown, or "" where that says nothing."""
+    if value is None or other is None:
+        return ""
+    if written(row, value) == written(row, other):
+        return "same"
+    if not row.better:
+        return ""
+    return "better" if (value > other) == (row.better == "up") else "worse"
+
+
+def difference(row: MetricLabel, value: float | None, other: float | None) -> str:
+    """How much a value lies above another, with its sign."""
+    if value is None or other is None:
+        return NONE
+    if written(row, value) == written(row, other):
+        return "0"
+    return f"{(value - other) * row.scale:+.{row.digits}f}".replace("-", "\u2212")
+
+
+# ----------------------------------------------------------------------------------------------------
+# What the live view knows at one time.
+
+
+@dataclass(frozen=True)
+class SolveOutcome:
+    """What came of a solve.
+
+    kind   "verified", "failed" (a plan with failed checks) or "refused" (no plan)
+    words  one line for people
+    draft  what of the print was left out, in words; empty for all of it
+    """
+
+    kind: str
+    words: str
+    figures: Figures = ()
+    draft: str = ""
+
+
+@dataclass(frozen=True)
+class Result:
+    """A report that can be shown; `turn` tells which content of the files it is of."""
+
+    key: str
+    turn: int
+    strategy: str
+    outcome: SolveOutcome
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A row of the history: what was changed since the strategy's last row (None: there is none), and what came of it."""
+
+    number: int
+    at: str
+    strategy: str
+    changes: tuple[str, ...] | None
+    outcome: SolveOutcome
+    before: Figures = ()
+
+
+@dataclass(frozen=True)
+class SolveJob:
+    """A solve that runs: its number, what it plans with, and how far it is."""
+
+    number: int
+    strategy: str
+    drafts: bool
+    stage: str = "start"
+    draft: str = ""
+
+
+@dataclass(frozen=True)
+class View:
+    """All that the view knows.
+
+    panes     the strategy of each pane, left to right
+    solving   whether this view solves, or only shows what is written elsewhere
+    tried     strategies that need no solve of the present content (any more)
+    mistake   of the files as they stand; `trouble` of the solver with files that could be read
+    results   the newest by strategy
+    solved    what the files said at each strategy's last row of the history
+    touched   when the first change came that has not been read [s], and when to read it
+    """
+
+    panes: tuple[str, ...]
+    solving: bool = True
+    drafts: bool = True
+    content: Content | None = None
+    turn: int = 0
+    note: str = ""
+    mistake: Mistake | None = None
+    trouble: Mistake | None = None
+    running: SolveJob | None = None
+    jobs: int = 0
+    tried: frozenset[str] = frozenset()
+    results: Mapping[str, Result] = field(default_factory=dict)
+    history: tuple[Entry, ...] = ()
+    entries: int = 0
+    solved: Mapping[str, Content] = field(default_factory=dict)
+    touched: tuple[float, float] | None = None
+    reading: bool = False
+
+
+def key_of(job: int, draft: str) -> str:
+    """The name of a report: of a solve's draft, or of all."""
+    return f"{job}-{'draft' if draft else 'whole'}"
+
+
+# ----------------------------------------------------------------------------------------------------
+# What can happen to the live view, and what it then wants done.
+
+
+@dataclass(frozen=True)
+class Touched:
+    """A file that counts has changed, come or gone, at a time [s] of a steady clock."""
+
+    now: float
+
+
+@dataclass(frozen=True)
+class Tick:
+    """Time has passed."""
+
+    now: float
+
+
+@dataclass(frozen=True)
+class Read:
+    """The files were read, at a time of the day: what they say, or what is wrong with them."""
+
+    found: Content | Mistake
+    at: str
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A folder of results was read: what it holds, of which strategy, and the settings that it was made with."""
+
+    strategy: str
+    outcome: SolveOutcome
+    settings: Content
+    at: str
+
+
+@dataclass(frozen=True)
+class Staged:
+    """A solve has come to a stage; of a draft, if that is not empty."""
+
+    job: int
+    stage: str
+    draft: str = ""
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A solve has a report, of a draft or of all."""
+
+    job: int
+    outcome: SolveOutcome
+    at: str
+
+
+@dataclass(frozen=True)
+class Broke:
+    """A solve ended without any report."""
+
+    job: int
+    mistake: Mistake
+
+
+@dataclass(frozen=True)
+class Choose:
+    """The user wants another strategy in a pane."""
+
+    pane: int
+    strategy: str
+
+
+@dataclass(frozen=True)
+class Beside:
+    """The user wants a second pane with a strategy, or none."""
+
+    strategy: str | None
+
+
+@dataclass(frozen=True)
+class Drafts:
+    """The user wants drafts of large prints first, or not."""
+
+    wanted: bool
+
+
+@dataclass(frozen=True)
+class Again:
+    """The user wants all panes solved anew."""
+
+
+Event = Touched | Tick | Read | Shown | Staged | Solved | Broke | Choose | Beside | Drafts | Again
+
+
+@dataclass(frozen=True)
+class ReadFiles:
+    """The files are to be read; a Read or Shown follows."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """A solve is to be started."""
+
+    job: SolveJob
+
+
+@dataclass(frozen=True)
+class Cancel:
+    """The solve that runs is to be ended; nothing more that it says counts."""
+
+
+@dataclass(frozen=True)
+class Remove:
+    """A report that nobody will see again."""
+
+    key: str
+
+
+Effect = ReadFiles | Start | Cancel | Remove
+
+
+# ----------------------------------------------------------------------------------------------------
+# The live view without files, clocks, processes or sockets: what happened goes in, what is to be done comes out.
+#
+# A burst of saves is one reading of the files, and one solve: they are read when they have been quiet for a moment. A
+# save that says nothing new changes nothing; one that does ends the solve that runs. What cannot be read, or planned,
+# leaves the last good results where they are.
 
 QUIET_TIME = 0.15  # s without another change before files are read: editors write in several steps
 LONGEST_WAIT = 2.0  # s after which a file that never rests is read all the same
@@ -105,11 +343,11 @@ def _go_on(view: View) -> Step:
     ready = view.solving and view.running is None and view.content is not None and view.mistake is None
     if not ready or due is None:
         return view, ()
-    job = Job(view.jobs + 1, due, view.drafts)
+    job = SolveJob(view.jobs + 1, due, view.drafts)
     return replace(view, jobs=job.number, running=job), (Start(job),)
 
 
-def _solved(view: View, number: int, outcome: Outcome, at: str) -> Step:
+def _solved(view: View, number: int, outcome: SolveOutcome, at: str) -> Step:
     job, content = view.running, view.content
     if job is None or content is None or job.number != number:
         return view, (Remove(key_of(number, outcome.draft)),)
@@ -124,7 +362,7 @@ def _solved(view: View, number: int, outcome: Outcome, at: str) -> Step:
     return view, (*removed, *effects)
 
 
-def _noted(view: View, strategy: str, outcome: Outcome, content: Content, at: str) -> View:
+def _noted(view: View, strategy: str, outcome: SolveOutcome, content: Content, at: str) -> View:
     """The view with another row in its history."""
     last = next((entry for entry in reversed(view.history) if entry.strategy == strategy), None)
     known = view.solved.get(strategy)

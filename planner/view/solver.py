@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from planner.view.content import Mistake
-from planner.view.events import Broke, Event, Solved, Staged
-from planner.view.state import Job, Outcome
+from planner.view.machine import Broke, Event, Solved, SolveJob, SolveOutcome, Staged
 
 SPARE_TIME = 3.0  # s into a solve after which the next process gets ready, so that it does not hold up a short one
 LONGEST_LINE = 1_000_000  # bytes of a message
@@ -44,7 +43,7 @@ class Solver:
         if self._spare is None:
             self._spare = asyncio.create_task(_new_process())
 
-    def start(self, job: Job) -> None:
+    def start(self, job: SolveJob) -> None:
         """Begin a job; none may run."""
         self._listening = asyncio.create_task(self._run(job))
 
@@ -77,7 +76,7 @@ class Solver:
             self._spare = None
         await asyncio.gather(*self._ending)
 
-    async def _run(self, job: Job) -> None:
+    async def _run(self, job: SolveJob) -> None:
         self.warm_up()
         spare = self._spare
         if spare is None:
@@ -116,14 +115,14 @@ class Solver:
             self._take(Broke(job.number, Mistake(ENDED_EARLY, hint=hint)))
 
 
-def event_of(job: Job, message: dict[str, Any], at: str) -> Event:
+def event_of(job: SolveJob, message: dict[str, Any], at: str) -> Event:
     """What a message of the solver's process means."""
     if "mistake" in message:
         return Broke(job.number, Mistake(**message["mistake"]))
     if "stage" in message:
         return Staged(job.number, message["stage"], message["draft"])
     figures = tuple((name, float(value)) for name, value in message["figures"])
-    return Solved(job.number, Outcome(message["kind"], message["words"], figures, message["draft"]), at)
+    return Solved(job.number, SolveOutcome(message["kind"], message["words"], figures, message["draft"]), at)
 
 
 async def _new_process() -> Process:

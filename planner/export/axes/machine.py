@@ -1,24 +1,29 @@
-"""Machines that G-code moves: what their axes make of the nozzle's pose in the part, and back.
-
-A machine of five axes has X, Y, Z and two that turn. Whatever the two turn, head or table, the nozzle's direction at
-zero angles, n, becomes R(u, a) R(w, b) n in the part as it lies then: u is the axis next to the part, w the one next
-to the nozzle, and a, b are their angles, with the sign turned of those that turn the table. Two rotations reach a
-direction in two ways (Paden and Kahan's second subproblem); where it lies along u, a is free.
-"""
+"""Machines that G-code moves: what their axes make of the nozzle's pose in the part, chosen over the whole print."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from numba import njit
 
-from planner.export.rotations import angle, from_matrix, to_matrix
-from planner.readonly import Array, Flags
+from planner.base.arrays import Array, Flags, Indices
+from planner.export.fit import angle, continuous, from_matrix, slerp, to_matrix
 
 if TYPE_CHECKING:
-    from planner.problem.machine import MachineSpec
+    from planner.plan import Plan
+    from planner.problem.settings import MachineSpec
 
+# ----------------------------------------------------------------------------------------------------
+# Machines that G-code moves: what their axes make of the nozzle's pose in the part, and back.
+#
+# A machine of five axes has X, Y, Z and two that turn. Whatever the two turn, head or table, the nozzle's direction at
+# zero angles, n, becomes R(u, a) R(w, b) n in the part as it lies then: u is the axis next to the part, w the one next
+# to the nozzle, and a, b are their angles, with the sign turned of those that turn the table. Two rotations reach a
+# direction in two ways (Paden and Kahan's second subproblem); where it lies along u, a is free.
 
 FREE = np.radians(0.02)  # from a direction that leaves an axis free: nearer counts as there, of 0.1 deg allowed
 BEYOND = 1e-9  # by which a square may be negative from rounding
@@ -190,7 +195,7 @@ class FiveAxes:
 
 
 @dataclass(frozen=True)
-class Robot:
+class PoseMachine:
     """Six axes whose controller takes poses: R = Rz(C) Ry(B) Rx(A), as LinuxCNC's genserkins has it."""
 
     letters: tuple[str, ...] = ("A", "B", "C")
@@ -234,7 +239,7 @@ class Robot:
 def machine_of(spec: MachineSpec) -> Machine:
     """The machine that a problem describes."""
     if spec.type == "robot":
-        return Robot()
+        return PoseMachine()
     roll, pitch, yaw = (np.array([each]) for each in spec.part_rpy)
     x, y, z = np.eye(3)
     head, table = spec.type.split("_")
@@ -250,3 +255,272 @@ def machine_of(spec: MachineSpec) -> Machine:
         least=np.array((-np.inf,) * 3 if spec.least is None else spec.least),
         greatest=np.array((np.inf,) * 3 if spec.greatest is None else spec.greatest),
     )
+
+
+# ----------------------------------------------------------------------------------------------------
+# Which of both ways, and of all whole turns, an orientation is reached by: chosen over the whole print at once.
+
+TURN = 2.0 * np.pi
+JUMP = np.radians(10.0)  # between two samples: more than that is another way, not a motion
+DEAR = 1000.0  # times its angle a jump costs while material is laid
+FROM_ZERO = 1e-3  # rad of motion that a radian from zero costs at the start
+
+
+def candidates(angles: Array, ranges: Sequence[tuple[float, float] | None]) -> Array:
+    """Angles (n, c, k) within the ranges that stand for both ways (n, 2, k), NaN where there is none."""
+    found = []
+    turns = [range(1 if each is None else int((each[1] - each[0]) / TURN) + 1) for each in ranges]
+    for way, *turn in itertools.product((0, 1), *turns):
+        own = angles[:, way].copy()
+        for j, within in enumerate(ranges):
+            if within is not None:
+                own[:, j] += TURN * (np.ceil((within[0] - own[:, j]) / TURN) + turn[j])
+                own[own[:, j] > within[1], j] = np.nan
+        own[np.isnan(own).any(axis=1)] = np.nan
+        found.append(own)
+    return np.stack(found, axis=1)
+
+
+def missing(ways: Ways, machine: Machine) -> Indices:
+    """Samples that no angles within the machine's ranges give."""
+    reachable = ~np.isnan(candidates(ways.angles, machine.ranges)[:, :, 0]).all(axis=1)
+    # where an axis is free it need not stand where the formula has it, but the others must
+    bound = tuple(None if j == machine.loose else each for j, each in enumerate(machine.ranges))
+    loosely = ~np.isnan(candidates(ways.angles, bound)[:, :, 0]).all(axis=1)
+    return np.flatnonzero(~(ways.reached & np.where(ways.free, loosely, reachable)))
+
+
+def chosen(ways: Ways, machine: Machine, t: Array, laid: Flags, quat: Array) -> Array:
+    """Angles (n, k) of the machine's axes that turn least over samples at times t (n), none of them missing.
+
+    Whole turns are kept: no angle leaps from one end of a turn to the other. While material is laid, axes change
+    their way only where nothing else is left. Where an axis is free it moves evenly from what is asked before to what
+    is asked after.
+    """
+    bound = np.flatnonzero(~ways.free)
+    angles = np.zeros((len(t), len(machine.letters)))
+    if len(bound):
+        table = candidates(ways.angles[bound], machine.ranges)
+        endless = np.array([each is None for each in machine.ranges])
+        pick = _cheapest(np.ascontiguousarray(table), endless, laid[bound])
+        own = table[np.arange(len(bound)), pick]
+        own[:, endless] = np.unwrap(own[:, endless], axis=0)
+        for j in range(angles.shape[1]):
+            angles[:, j] = np.interp(t, t[bound], own[:, j])
+    else:
+        for j, within in enumerate(machine.ranges):
+            angles[:, j] = 0.0 if within is None else np.clip(0.0, *within)
+    free = np.flatnonzero(ways.free)
+    if len(free):
+        settled = machine.settled(angles[free], quat[free])
+        settled += TURN * np.round((angles[free] - settled) / TURN)
+        angles[free] = settled
+    return angles
+
+
+@njit(cache=True)
+def _cheapest(table: Array, endless: Flags, laid: Flags) -> Indices:
+    """Which candidate (n) of each sample lies on the way that turns least."""
+    n, count, axes = table.shape
+    before = np.full((n, count), -1, dtype=np.int16)
+    cost = np.full(count, np.inf)
+    for s in range(count):
+        if not np.isnan(table[0, s, 0]):
+            cost[s] = 0.0
+            for j in range(axes):
+                cost[s] += FROM_ZERO * abs(table[0, s, j])
+    for i in range(1, n):
+        best = np.full(count, np.inf)
+        for s in range(count):
+            if np.isnan(table[i, s, 0]):
+                continue
+            for r in range(count):
+                if not cost[r] < best[s]:
+                    continue
+                step, largest = 0.0, 0.0
+                for j in range(axes):
+                    d = table[i, s, j] - table[i - 1, r, j]
+                    if endless[j]:
+                        d -= TURN * np.rint(d / TURN)
+                    step += abs(d)
+                    largest = max(largest, abs(d))
+                if largest > JUMP and laid[i] and laid[i - 1]:
+                    step *= DEAR
+                if cost[r] + step < best[s]:
+                    best[s] = cost[r] + step
+                    before[i, s] = r
+        cost = best
+    out = np.empty(n, dtype=np.intp)
+    out[n - 1] = np.argmin(cost)
+    for i in range(n - 1, 0, -1):
+        out[i - 1] = before[i, out[i]]
+    return out
+
+
+# ----------------------------------------------------------------------------------------------------
+# The plan's motion as a machine makes it: its axes at every sample, or where and why it cannot.
+
+FINEST = np.radians(2.0)  # that an axis turns between two samples: poses between them are added where it turns more
+MOST_ADDED = 60  # between two samples, each time
+ROUNDS = 2  # of adding
+OFF, LEANING = 0.05e-3, np.radians(0.1)  # m, rad by which the tip may miss its path between two samples
+
+
+@dataclass(frozen=True)
+class Followed:
+    """Motion of a machine (n samples, at least the plan's).
+
+    t                   (n)     since the trajectory began [s]
+    tip, quat           (n, 3), (n, 4) in the part
+    feed                (n)     filament pushed since the start [m]
+    laid                (n)     material flows
+    straight, angles    (n, 3), (n, k) X Y Z [m] and the axes that turn [rad], all turns kept
+    station             (n, e)  what moves a robot's part [rad]
+    sample              (n)     the plan's own sample, or the last one before it
+    """
+
+    machine: Machine
+    t: Array
+    tip: Array
+    quat: Array
+    feed: Array
+    laid: Flags
+    straight: Array
+    angles: Array
+    station: Array
+    sample: Indices
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+
+def spec_of(plan: Plan) -> MachineSpec:
+    """The machine that the problem describes; ValueError where it describes none, a mistake of the caller's."""
+    spec = plan.problem.program.machine
+    if spec is None:
+        raise ValueError("the problem describes no machine")
+    return spec
+
+
+def follow(plan: Plan) -> Followed:
+    """A plan as the machine of `program.machine` makes it; InputError with bead and place where it cannot.
+
+    A machine of five axes has another home than the robot: it stands still above the first bead while the robot
+    comes from home, and above the last one while it goes there.
+    """
+    t, spec = plan.trajectory, spec_of(plan)
+    machine = machine_of(spec)
+    tip, quat = t.tip.copy(), continuous(t.quat)
+    station = np.empty((len(t), 0))
+    if isinstance(machine, PoseMachine):
+        station = t.q[:, len(plan.cell.arm) :]
+    else:
+        first, last = above(plan)
+        tip[:first], quat[:first], tip[last:], quat[last:] = tip[first], quat[first], tip[last], quat[last]
+    empty = np.empty((len(t), 0))
+    now = Followed(
+        machine, t.t - t.t[0], tip, quat, t.feed - t.feed[0], t.deposit, empty, empty, station, np.arange(len(t))
+    )
+    for _ in range(ROUNDS):
+        now = _turned(plan, now)
+        most = np.abs(np.diff(now.angles, axis=0)).max(axis=1)
+        parts = np.clip(np.ceil(most / FINEST), 1, MOST_ADDED).astype(np.intp)
+        if (parts == 1).all():
+            break
+        now = _finer(now, parts)
+    else:
+        now = _turned(plan, now)
+    now = replace(now, straight=machine.straight(now.tip, now.angles))
+    _check_slides(plan, now)
+    _check_between(plan, now)
+    return now
+
+
+def above(plan: Plan) -> tuple[int, int]:
+    """Samples where the nozzle first, and last, is as high above the print as it travels."""
+    t, process = plan.trajectory, plan.problem.process
+    laid = np.flatnonzero(t.deposit)
+    high = process.lift + process.run_in
+    before = np.flatnonzero(np.linalg.norm(t.tip[: laid[0]] - t.tip[laid[0]], axis=1) >= high)
+    after = np.flatnonzero(np.linalg.norm(t.tip[laid[-1] :] - t.tip[laid[-1]], axis=1) >= high)
+    first = int(before[-1]) if len(before) else 0
+    return first, int(laid[-1] + after[0]) if len(after) else len(t) - 1
+
+
+def _turned(plan: Plan, now: Followed) -> Followed:
+    """The same with its axes' angles chosen."""
+    ways = now.machine.ways(now.quat)
+    if len(lost := missing(ways, now.machine)):
+        i = int(lost[0])
+        why = "no angles of its axes give the nozzle's direction"
+        if ways.reached[i]:
+            both = ["/".join(f"{np.degrees(v):.2f}" for v in way) for way in ways.angles[i]]
+            why = (
+                f"{'/'.join(now.machine.letters)} would have to stand at {' or '.join(both)} degrees, beyond range_deg"
+            )
+        raise plan.problem.error("program.machine", f"{where(plan, int(now.sample[i]))}: {why}")
+    return replace(now, angles=chosen(ways, now.machine, now.t, now.laid, now.quat))
+
+
+def _finer(now: Followed, parts: Indices) -> Followed:
+    """Poses added, so that each interval becomes `parts` (n - 1) of them."""
+    a = np.append(np.repeat(np.arange(len(parts)), parts), len(parts))
+    u = np.append((np.arange(len(a) - 1) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[a[:-1]], 0.0)
+    b = np.minimum(a + 1, len(parts))
+
+    def between(values: Array) -> Array:
+        w = u if values.ndim == 1 else u[:, None]
+        out: Array = np.where(w == 0.0, values[a], values[a] + w * (values[b] - values[a]))
+        return out
+
+    return replace(
+        now,
+        t=between(now.t),
+        tip=between(now.tip),
+        quat=np.where(u[:, None] == 0.0, now.quat[a], slerp(now.quat[a], now.quat[b], u)),
+        feed=between(now.feed),
+        laid=now.laid[a] & (now.laid[b] | (u == 0.0)),
+        station=between(now.station),
+        sample=now.sample[a],
+    )
+
+
+def _check_slides(plan: Plan, now: Followed) -> None:
+    """Raise the InputError of a place where X, Y or Z would have to go beyond the machine's limits."""
+    machine = now.machine
+    if not isinstance(machine, FiveAxes):
+        return
+    slides = machine.slides(now.tip, now.angles)
+    beyond = (slides < machine.least) | (slides > machine.greatest)
+    wrong = np.flatnonzero(beyond.any(axis=1))
+    if len(wrong):
+        i = int(wrong[0])
+        j = int(np.argmax(beyond[i]))
+        low, high = machine.least[j] * 1e3, machine.greatest[j] * 1e3
+        reason = f"{'XYZ'[j]} would have to stand at {slides[i, j] * 1e3:.2f} mm, its limits are {low:g} and {high:g}"
+        raise plan.problem.error("program.machine", f"{where(plan, int(now.sample[i]))}: {reason}")
+
+
+def _check_between(plan: Plan, now: Followed) -> None:
+    """Raise the InputError of a place where the axes, moving evenly, take the nozzle elsewhere between two samples."""
+    halves = [0.5 * (values[1:] + values[:-1]) for values in (now.straight, now.angles, now.tip)]
+    off = np.linalg.norm(now.machine.tip(halves[0], halves[1]) - halves[2], axis=1)
+    quat = slerp(now.quat[:-1], now.quat[1:], np.full(len(off), 0.5))
+    lean = now.machine.leaning(halves[1], quat)
+    wrong = np.flatnonzero((off > OFF) | (lean > LEANING))
+    if len(wrong):
+        i = int(wrong[0])
+        j = int(np.argmax(np.abs(now.angles[i + 1] - now.angles[i])))
+        a, b = np.degrees(now.angles[i : i + 2, j])
+        reason = f"{now.machine.letters[j]} would have to turn from {a:.1f} to {b:.1f} degrees at one place"
+        hint = "another part_rpy_deg takes the print away from where the axis is free; a wider range_deg may do"
+        raise plan.problem.error("program.machine", f"{where(plan, int(now.sample[i]))}: {reason}", hint)
+
+
+def where(plan: Plan, sample: int) -> str:
+    """A sample's place in words."""
+    t = plan.trajectory
+    if t.bead[sample] >= 0:
+        return f"bead {t.bead[sample]}, {t.s[sample] * 1e3:.1f} mm along it"
+    later = t.bead[sample:][t.bead[sample:] >= 0]
+    return f"on the way to bead {later[0]}" if len(later) else "on the way from the last bead"

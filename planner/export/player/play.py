@@ -1,38 +1,98 @@
-"""A player of programs: what a controller would make of one, as far as that can be known without one.
-
-The model. Lines are followed exactly in the part, joint moves exactly in joints. The speed on every stretch is that of
-the slowest of the tip, reorientation and the station's axes, each as programmed, and of the joints with their own
-limits (ABB, RAPID reference: MoveL, speeddata). Speed changes as quickly as the cell's joint acceleration limits allow.
-At `fine` targets and in waits the robot stands still; corners are taken within their zones at the speed at which joints
-can turn from one line to the next (zonedata: a parabola, no longer than half of the neighbouring lines).
-
-What it leaves out: jerk and the lag of servos; loads; how a controller itself shares acceleration between joints, and
-its speed-up in corners; the parabola's place (a corner is passed at its target, where the true one passes inside by at
-most a quarter of the zone's radius times the angle). Logic after a fly-by target happens as the target is passed, where a
-controller runs ahead of the motion by a fraction of a second. Deposition times follow from programmed speeds and
-hold well; travel times are optimistic by the ramps of jerk.
-"""
+"""A player of programs: what a controller would make of one, and what limits its pace."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from planner.export.player.pacing import pace
-from planner.export.player.played import Happening, Played
-from planner.export.player.postures import Knots, knots_of
-from planner.export.program import Program
-from planner.export.rotations import continuous, from_matrix
+from planner.export.fit import continuous, from_matrix
+from planner.export.player.controller import TIP, PostureKnots, knots_of, pace
+from planner.export.player.played import TIMES, Played, ProgramEvent, laid_moves
+from planner.export.program import RobotProgram
 
 if TYPE_CHECKING:
-    from planner.cell import Cell
+    from planner.cell.cell import Cell
+
+# ----------------------------------------------------------------------------------------------------
+# Where a program is slower than it says: what else than the tip's speed sets the pace while material is laid.
+
+ACCELERATION = "accelerations of the joints"
+SHORT = 0.05  # of the programmed speed: less is not told
+
+
+@dataclass(frozen=True)
+class Limited:
+    """Moves that lay material more slowly than programmed, all for one reason.
+
+    by       what sets the pace instead of the tip: reorientation, an axis of the station, the speed limit of a joint, or
+             the joints' accelerations, which slow down before and after
+    moves    how many; first: the first of them; worst: the one that falls short most
+    reached  by that one, of its programmed speed
+    """
+
+    by: str
+    moves: int
+    first: int
+    worst: int
+    reached: float
+
+    @property
+    def words(self) -> str:
+        """One line for the notes of a program."""
+        moves = f"{self.moves} moves on beads are" if self.moves > 1 else "1 move on a bead is"
+        return f"{moves} slowed by {self.by}, the worst to {100 * self.reached:.0f} % of its speed"
+
+
+def limited(program: RobotProgram, played: Played) -> tuple[Limited, ...]:
+    """Why material is laid more slowly than programmed by more than 5 %, most moves first; nothing where it is not."""
+    m = len(program.linear)
+    steps = np.linalg.norm(np.diff(played.position, axis=0), axis=1)
+    took = np.bincount(played.move, played.phases[:, TIMES].sum(axis=1), minlength=m)
+    meant = np.bincount(played.move, steps, minlength=m) / program.speed[:, 0]
+    reached = np.where(took > 0.0, meant / np.where(took > 0.0, took, 1.0), 1.0)
+    late = laid_moves(played) & (reached < 1.0 - SHORT)
+    # of each move, what limits the longest of its ways that the tip does not limit
+    other = np.where(played.limit != TIP, played.length, 0.0)
+    reason = np.full(m, TIP)
+    order = np.argsort(other, kind="stable")
+    order = order[other[order] > 0.0]
+    reason[played.move[order]] = played.limit[order]
+    return _sorted([_group(played, late & (reason == each), each, reached) for each in np.unique(reason[late])])
+
+
+def _group(played: Played, chosen: NDArray[np.bool_], reason: int, reached: NDArray[np.float64]) -> Limited:
+    moves = np.flatnonzero(chosen)
+    worst = int(moves[np.argmin(reached[moves])])
+    by = ACCELERATION if reason == TIP else played.limits[reason]
+    return Limited(by, len(moves), int(moves[0]), worst, float(reached[worst]))
+
+
+def _sorted(found: list[Limited]) -> tuple[Limited, ...]:
+    return tuple(sorted(found, key=lambda each: -each.moves))
+
+
+# ----------------------------------------------------------------------------------------------------
+# A player of programs: what a controller would make of one, as far as that can be known without one.
+#
+# The model. Lines are followed exactly in the part, joint moves exactly in joints. The speed on every stretch is that of
+# the slowest of the tip, reorientation and the station's axes, each as programmed, and of the joints with their own
+# limits (ABB, RAPID reference: MoveL, speeddata). Speed changes as quickly as the cell's joint acceleration limits allow.
+# At `fine` targets and in waits the robot stands still; corners are taken within their zones at the speed at which joints
+# can turn from one line to the next (zonedata: a parabola, no longer than half of the neighbouring lines).
+#
+# What it leaves out: jerk and the lag of servos; loads; how a controller itself shares acceleration between joints, and
+# its speed-up in corners; the parabola's place (a corner is passed at its target, where the true one passes inside by at
+# most a quarter of the zone's radius times the angle). Logic after a fly-by target happens as the target is passed, where a
+# controller runs ahead of the motion by a fraction of a second. Deposition times follow from programmed speeds and
+# hold well; travel times are optimistic by the ramps of jerk.
 
 ORDER = {"output": 0, "demand": 1, "send": 2, "wait": 3}  # of what happens at the same time
 
 
-def play(program: Program, cell: Cell) -> Played:
+def play(program: RobotProgram, cell: Cell) -> Played:
     """A program over time, from its start posture at t = 0 to its last target; in time linear in its moves.
 
     The path is that of the cell's own nozzle, in the cell's own part frame, when the joints go where the program's
@@ -60,7 +120,7 @@ def play(program: Program, cell: Cell) -> Played:
     return replace(played, events=_events(program, knots, played))
 
 
-def _events(program: Program, knots: Knots, played: Played) -> tuple[Happening, ...]:
+def _events(program: RobotProgram, knots: PostureKnots, played: Played) -> tuple[ProgramEvent, ...]:
     """All that the program switches, says and waits for, in order of time."""
     found: list[tuple[float, int, int, str, float, str]] = []
     for i, group in program.triggers.items():
@@ -80,12 +140,12 @@ def _events(program: Program, knots: Knots, played: Played) -> tuple[Happening, 
     found.sort(key=lambda event: event[:3])  # stable: lines of one place keep their order
     places = played.at(np.array([event[0] for event in found])).position.tolist() if found else []
     return tuple(
-        Happening(t, kind, move, (x, y, z), value, text)
+        ProgramEvent(t, kind, move, (x, y, z), value, text)
         for (t, move, _, kind, value, text), (x, y, z) in zip(found, places, strict=True)
     )
 
 
-def _passed(knots: Knots, played: Played, i: int, distance: float, from_start: bool) -> float:
+def _passed(knots: PostureKnots, played: Played, i: int, distance: float, from_start: bool) -> float:
     """When the tip has a distance [m] from the start, or from the end, of move i: never outside of it [s]."""
     last = int(knots.target[i])
     first = int(knots.target[i - 1]) if i else 0

@@ -6,8 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.export.rotations import slerp
-from planner.readonly import Array, Indices
+from planner.base.arrays import Array, Flags, Indices
+from planner.export.fit import slerp
+
+# ----------------------------------------------------------------------------------------------------
+# What a program has done once it has been played: where everything is at any time, and what happened when.
 
 # A way has three parts: from its first speed to the one that is then kept, and on to that of the next way.
 PHASES = ("speed", "first acceleration", "its time", "time of even speed", "last acceleration", "its time")
@@ -15,7 +18,7 @@ TIMES = [2, 3, 5]
 
 
 @dataclass(frozen=True)
-class Happening:
+class ProgramEvent:
     """One thing that a program does beside moving.
 
     t         when it does it [s]
@@ -75,7 +78,7 @@ class Played:
     target: Indices
     arrive: Array
     strays: tuple[int, ...]
-    events: tuple[Happening, ...]
+    events: tuple[ProgramEvent, ...]
 
     @property
     def duration(self) -> float:
@@ -132,3 +135,49 @@ def _time(v: Array, a: Array, way: Array) -> Array:
     """How long (n) a way (n) [m] takes from the speed v [m/s] on with the acceleration a [m/s^2]."""
     out: Array = 2.0 * way / np.maximum(v + np.sqrt(np.maximum(v * v + 2.0 * a * way, 0.0)), TINY)
     return out
+
+
+# ----------------------------------------------------------------------------------------------------
+# When a played program lays material, and which of its moves and targets belong to that.
+
+AT_ONCE = 1e-9  # s by which what happens at a target may miss it
+
+
+def laid_spans(played: Played) -> Array:
+    """When the extruder goes on, and off again (b, 2) [s], whatever its outputs."""
+    spans, on = [], float("nan")
+    for event in played.events:
+        if event.kind == "output" and event.value and np.isnan(on):
+            on = event.t
+        elif event.kind == "output" and not event.value and not np.isnan(on):
+            spans.append((on, event.t))
+            on = float("nan")
+    return np.array(spans).reshape(-1, 2)
+
+
+def laid_targets(played: Played) -> tuple[Flags, Flags]:
+    """Targets (m) within beads, and those at which beads begin or end."""
+    on, off = _around(played)
+    arrive, leave = played.arrive, played.leave[played.target]
+    edges = np.zeros(len(arrive), dtype=bool)
+    for switched in laid_spans(played).T:
+        for passed in (arrive, leave):
+            near = np.searchsorted(passed, switched - AT_ONCE)
+            near = near[near < len(passed)]
+            edges[near[np.isin(near, np.searchsorted(passed, switched + AT_ONCE, side="right") - 1)]] = True
+    return (arrive > on + AT_ONCE) & (arrive < off - AT_ONCE) & ~edges, edges
+
+
+def laid_moves(played: Played) -> Flags:
+    """Moves (m) on which material is laid from beginning to end."""
+    on, off = _around(played)
+    began = np.append(0.0, played.leave[played.target[:-1]])
+    out: Flags = (began >= on - AT_ONCE) & (played.arrive > on + AT_ONCE) & (played.arrive <= off + AT_ONCE)
+    return out
+
+
+def _around(played: Played) -> tuple[Array, Array]:
+    """For each target (m) when the extruder last went on before the robot came there, and when it goes off after that."""
+    spans = np.vstack([[-np.inf, -np.inf], laid_spans(played)])
+    k = np.searchsorted(spans[:, 0], played.arrive - AT_ONCE) - 1
+    return spans[k, 0], spans[k, 1]

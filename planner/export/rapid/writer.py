@@ -1,35 +1,469 @@
-"""RAPID for ABB controllers (IRC5 and OmniCore): modules with their targets written in the moves.
-
-Targets stand inline in the moves, in one procedure per bead, because that is what an IRC5 takes without trouble: every
-line is one statement, so a load error names its line, the operator can put the pointer on any target, and look-ahead
-runs through procedure calls without a stop. Arrays of targets would be one statement of thousands of lines each, which
-the loader must hold at once, and a loop over them puts logic between fly-by points.
-"""
+"""RAPID for ABB controllers (IRC5 and OmniCore): modules with their targets written in the moves."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from planner.export.moves import Moves, plan_moves
-from planner.export.rapid.able import unsaid_in_rapid
-from planner.export.rapid.declarations import extruders, frames, header, speeds
-from planner.export.rapid.demand import demand_of
-from planner.export.rapid.fed import event_samples, laid_filament
-from planner.export.rapid.lines import lines_of, table
-from planner.export.rapid.modules import NOT_LOADED, batches_of, running, unloading
-from planner.export.rapid.notes import note_lines, notes_of
-from planner.export.rapid.procedures import procedures_of
+from planner.base.arrays import Array
+from planner.export.fit import continuous, from_matrix
+from planner.export.moves import Moves, Wait, deposits, plan_moves
+from planner.export.player.play import limited, play
+from planner.export.program import RobotProgram, about
+from planner.export.rapid.extruder import (
+    END,
+    HEATS,
+    LATEST,
+    LINE,
+    OPEN,
+    SETTLE,
+    WAITS,
+    FlowDemand,
+    SocketLine,
+    demand_of,
+    event_samples,
+    laid_filament,
+    lines_of,
+    server,
+    server_declarations,
+    table,
+)
 from planner.export.rapid.reader import read_rapid_files
-from planner.export.rapid.server import END, OPEN, server, server_declarations
-from planner.export.rapid.targets import external_degrees, external_text
-from planner.export.rapid.text import LONGEST_STRING, comment, module_name, number
-from planner.export.rapid.triggers import triggers_of
+from planner.export.rapid.text import (
+    LONGEST_STRING,
+    NOT_LOADED,
+    NOTE,
+    ZONES,
+    batches_of,
+    comment,
+    module_name,
+    number,
+    running,
+    unloading,
+)
+from planner.export.support import unsaid_in_rapid
+from planner.plan import RAPID_EXTERNAL_AXES
+from planner.plan.plan import materials_of
 
 if TYPE_CHECKING:
+    from planner.cell.cell import Cell
     from planner.plan import Plan
+
+# ----------------------------------------------------------------------------------------------------
+# Targets of RAPID: poses, configurations and external axes of a plan's samples.
+
+UNUSED = "9E9"
+
+
+def external_degrees(cell: Cell, external: Array) -> Array:
+    """The station's axes (m, k) [deg] in the robot's own order: free ones from (m, f) [rad], held ones as held."""
+    if cell.holder_robot is None:
+        return np.empty((len(external), 0))
+    free = list(cell.holder.names)
+    columns = [
+        external[:, free.index(name)] if name in free else np.full(len(external), cell.held[name])
+        for name in list(cell.holder_robot.model.names)[1:]
+    ]
+    out: Array = np.degrees(np.column_stack(columns))
+    return out
+
+
+def quadrants(q: Array) -> NDArray[np.intp]:
+    """cf1, cf4, cf6 (m, 3): the quarter turns of joints 1, 4 and 6 of postures (m, >= 6) [rad]."""
+    return np.floor(np.round(np.degrees(q[:, [0, 3, 5]]) / 90.0, 9)).astype(np.intp)
+
+
+def external_text(degrees: Array) -> list[str]:
+    """`eax_a,..,eax_f` of each row."""
+    unused = ",".join([UNUSED] * (RAPID_EXTERNAL_AXES - degrees.shape[1]))
+    if not degrees.shape[1]:
+        return [unused] * len(degrees)
+    degrees = np.round(degrees, 4) + 0.0  # turns minus nought into nought
+    pattern = ",".join(["%.4f"] * degrees.shape[1]) + ("," + unused if unused else "")
+    return [pattern % tuple(row) for row in degrees.tolist()]
+
+
+def targets(plan: Plan, moves: Moves) -> list[str]:
+    """Robtargets of the first sample and of every move."""
+    trajectory = plan.trajectory
+    k = np.concatenate([[0], moves.sample])
+    quat = continuous(moves.targets.quat)[:, [3, 0, 1, 2]]
+    numbers = np.column_stack(
+        [
+            np.round(moves.targets.position * 1e3, 3) + 0.0,
+            np.round(quat, 7) + 0.0,
+            quadrants(moves.q),
+            trajectory.branch[k],
+        ]
+    )
+    external = external_text(external_degrees(plan.cell, moves.targets.station))
+    pattern = "[[%.3f,%.3f,%.3f],[%.7f,%.7f,%.7f,%.7f],[%d,%d,%d,%d],[%s]]"
+    return [pattern % (*row, ext) for row, ext in zip(numbers.tolist(), external, strict=True)]
+
+
+# ----------------------------------------------------------------------------------------------------
+# What stands before the procedures of a module: header, tool and work object, speeds, triggers.
+
+HEAD_ROOM = 1.5  # of reorientation and axis speeds over what the plan needs, so that the tip's speed alone governs
+SECOND_ARM = (
+    "NOTE: what holds the part is an arm. A controller runs two arms as two tasks (MultiMove), not as external axes:",
+    "this program says what both arms do, but runs only where the second one is set up as a mechanical unit of this",
+    "task, as in a simulation. On two real arms, start from trajectory.csv.",
+)
+TOOL_LOAD = "[1,[0,0,50],[1,0,0,0],0,0,0]"
+
+
+def header(plan: Plan) -> list[str]:
+    texts = about(plan)
+    for each in materials_of(plan.problem):
+        texts.append(f"Material {each.name}: tool T{each.tool} of the extruder's board, output {each.signal}")
+    return [comment(text) for text in texts]
+
+
+def _pose(T: Array) -> str:
+    p = ",".join(number(v, 3) for v in T[:3, 3] * 1e3)
+    x, y, z, w = from_matrix(T[None, :3, :3])[0]
+    return f"[[{p}],[{','.join(number(v, 7) for v in (w, x, y, z))}]]"
+
+
+def frames(plan: Plan) -> list[str]:
+    """Tool and work object, and what the controller's own configuration must say for them to be right."""
+    names, cell = plan.problem.program, plan.cell
+    lines = [
+        comment("The load below is a placeholder: identify it on the robot before the first run."),
+        f"    PERS tooldata {names.tool}:=[TRUE,{_pose(cell.T_flange_nozzle)},{TOOL_LOAD}];",
+        comment("Poses in the world that the controller's configuration must have. The robot's base:"),
+        comment("  " + _pose(cell.T_world_base)),
+    ]
+    identity, on_plate = _pose(np.eye(4)), _pose(cell.T_plate_part)
+    if cell.holder_robot is None:
+        frames = f'TRUE,"",{_pose(cell.T_world_holder)},{identity}'
+    else:
+        axes = [
+            f"eax_{letter} {name}" + (" (held)" if name in cell.held else "")
+            for letter, name in zip("abcdef", cell.holder_robot.joint_names, strict=False)
+        ]
+        lines += [
+            comment(f"The base of station {names.station}:"),
+            comment("  " + _pose(cell.T_world_holder_base)),
+            comment(f"Its axes: {', '.join(axes[:3])}."),
+            *([comment(f"  {', '.join(axes[3:])}.")] if len(axes) > 3 else []),
+            comment("Its user frame comes from the system parameters; the part frame stands in it, on the plate."),
+        ]
+        if cell.holder_robot.inverse is not None:
+            lines += [comment(text) for text in SECOND_ARM]
+        # ABB, RAPID reference, wobjdata: with ufprog FALSE the system parameters define the user frame
+        frames = f'FALSE,"{names.station}",{identity},{on_plate}'
+    return [*lines, f"    PERS wobjdata {names.work_object}:=[FALSE,{frames}];"]
+
+
+def _quantised(speed: Array) -> Array:
+    """Speeds to 1 mm/s, below 10 mm/s to 0.1 mm/s, never 0 [mm/s]."""
+    return np.where(speed >= 9.95, np.round(speed), np.maximum(np.round(speed, 1), 0.1))
+
+
+def speeds(plan: Plan, moves: Moves) -> tuple[list[str], list[str]]:
+    """Declarations of all speeds, and the name of each move's speed; the first one is for the way to the start."""
+    top = plan.problem.process.travel_speed * 1e3
+    tip = _quantised(np.where(moves.laid, moves.speed * 1e3, np.minimum(np.ceil(moves.speed * 1e3), top)))
+    turn, axis = np.degrees(moves.turn), np.degrees(moves.axis)
+    turn_max = _rounded_up(HEAD_ROOM * float(turn.max()), 10.0)
+    axis_max = _rounded_up(HEAD_ROOM * float(axis.max(initial=0.0)), 10.0)
+    # where the tip hardly moves it cannot set the pace: there the turning does, at its real rate
+    slow = (moves.speed < 1e-3) & (np.maximum(turn, axis) > 1.0)
+    own_turn = np.where(slow, np.maximum(1.0, np.ceil(turn)), turn_max)
+    own_axis = np.where(slow, np.maximum(1.0, np.ceil(axis)), axis_max)
+    keys = [(top, turn_max, axis_max), *zip(tip.tolist(), own_turn.tolist(), own_axis.tolist(), strict=True)]
+    table = {}
+    for key in sorted(set(keys)):
+        own = "" if key[1:] == (turn_max, axis_max) else f"o{key[1]:.0f}a{key[2]:.0f}"
+        table[key] = f"vel{key[0]:g}".replace(".", "_") + own
+    lines = [f"    CONST speeddata {name}:=[{v:g},{o:g},1000,{a:g}];" for (v, o, a), name in table.items()]
+    return lines, [table[key] for key in keys]
+
+
+def _rounded_up(value: float, step: float) -> float:
+    return max(100.0, step * float(np.ceil(value / step)))
+
+
+def extruders(plan: Plan) -> dict[str, str]:
+    """The digital output of each extruder, by what its triggers end with: nothing for the first, then 2, 3, …"""
+    outputs = [each.signal for each in materials_of(plan.problem)] or [plan.problem.program.extruder_signal]
+    return {str(k) if k > 1 else "": signal for k, signal in enumerate(outputs, 1)}
+
+
+# ----------------------------------------------------------------------------------------------------
+# Outputs that are switched in motion: which triggers a program declares, and which of them each move has.
+
+
+@dataclass(frozen=True)
+class Triggers:
+    """names: all there are; settings: their statements; of: move → names of its triggers, in order."""
+
+    names: tuple[str, ...]
+    settings: tuple[str, ...]
+    of: dict[int, tuple[str, ...]]
+
+
+def triggers_of(plan: Plan, moves: Moves, demand: FlowDemand | None) -> Triggers:
+    """Triggers of a plan: digital outputs on and off at a bead's ends, and with a demand, the flow of what follows."""
+    switches = {
+        f"{name}{k}": f"TriggIO {name}{k},0{where}\\DOp:={signal},{value};"
+        for k, signal in extruders(plan).items()
+        for name, where, value in (("trgOn", "", 1), ("trgOff", "", 0), ("trgOnStart", "\\Start", 1))
+    }
+    of = _switching(plan, moves)
+    flows: dict[str, str] = {}
+    if demand is not None:
+        signal = plan.problem.program.demand_signal
+        for move, levels in _asking(moves, demand).items():
+            for percent, at_start in levels:
+                name = f"trgFlow{percent:03d}{'Start' if at_start else ''}"
+                where = "\\Start" if at_start else ""
+                value = number(demand.value(percent), 4)
+                flows[name] = f"TriggIO {name},0{where}\\AOp:={signal},{value};"
+                of.setdefault(move, []).append(name)
+    declared = switches | dict(sorted(flows.items()))
+    return Triggers(tuple(declared), tuple(declared.values()), {move: tuple(names) for move, names in of.items()})
+
+
+def _switching(plan: Plan, moves: Moves) -> dict[int, list[str]]:
+    """Move → triggers of the digital outputs."""
+    names = [each.name for each in materials_of(plan.problem)]
+    endings = list(extruders(plan))
+    own = [endings[names.index(bead.material)] if names else endings[0] for bead in plan.toolpath.beads]
+    bead = plan.trajectory.bead
+    of: dict[int, list[str]] = {}
+    for name, flags, at in (
+        ("trgOnStart", moves.on_start, moves.start),
+        ("trgOn", moves.on_end, moves.sample),
+        ("trgOff", moves.off_end, moves.sample),
+    ):
+        for i in flags.nonzero()[0].tolist():
+            of.setdefault(i, []).append(name + own[bead[at[i]]])
+    return of
+
+
+def _asking(moves: Moves, demand: FlowDemand) -> dict[int, list[tuple[int, bool]]]:
+    """Move → (percent of the largest flow, at its start) that it sets: at its end, for what follows."""
+    of: dict[int, list[tuple[int, bool]]] = {}
+    now = 0
+    for i in (moves.laid | moves.on_end | moves.on_start | moves.off_end).nonzero()[0].tolist():
+        if moves.on_start[i] and demand.percent[i] != now:
+            now = int(demand.percent[i])
+            of.setdefault(i, []).append((now, True))
+        follows = i + 1 < len(moves) and moves.laid[i + 1] and not moves.on_start[i + 1]
+        then = int(demand.percent[i + 1]) if follows else 0
+        if then != now:
+            now = then
+            of.setdefault(i, []).append((now, False))
+    return of
+
+
+# ----------------------------------------------------------------------------------------------------
+# The procedures of a program: the start, one for each bead with the way to it, and the way home.
+
+
+@dataclass(frozen=True)
+class Procedure:
+    """A procedure without parameters.
+
+    about  comments before all else
+    steps  statements of each move: what it is, and what is done when it has ended
+    rests  the robot is at rest when it ends
+    """
+
+    name: str
+    about: tuple[str, ...]
+    steps: tuple[tuple[str, ...], ...]
+    rests: bool
+
+    @property
+    def text(self) -> list[str]:
+        """Its lines, and an empty one."""
+        inner = [statement for step in self.steps for statement in step]
+        return [f"    PROC {self.name}()", *self.about, *inner, "    ENDPROC", ""]
+
+    def resting(self) -> Procedure:
+        """The same, with the robot at rest when it ends."""
+        if self.rests:
+            return self
+        move, *rest = self.steps[-1]
+        for zone in (",z0,", ",z1,"):
+            move = move.replace(zone, ",fine,")
+        return replace(self, steps=(*self.steps[:-1], (move, *rest)), rests=True)
+
+    def parts(self, most: int) -> list[Procedure]:
+        """The same motion in procedures of at most so many moves, to be called one after the other without a stop."""
+        count = -(-len(self.steps) // most)
+        if count <= 1:
+            return [self]
+        bounds = np.linspace(0, len(self.steps), count + 1).astype(int).tolist()
+        return [
+            replace(
+                self,
+                name=f"{self.name}Part{k + 1}",
+                about=self.about if k == 0 else (comment(f"{self.name}, part {k + 1} of {count}", 8),),
+                steps=self.steps[a:b],
+                rests=self.rests and k == count - 1,
+            )
+            for k, (a, b) in enumerate(zip(bounds[:-1], bounds[1:], strict=True))
+        ]
+
+
+def procedures_of(
+    plan: Plan, moves: Moves, speeds: list[str], triggers: dict[int, tuple[str, ...]], lines: tuple[SocketLine, ...]
+) -> list[Procedure]:
+    """All procedures with moves, in the order of calling; speeds: names, of the way to the start and of every move."""
+    names, places = plan.problem.program, targets(plan, moves)
+    frames = f"{names.tool}\\WObj:={names.work_object};"
+    first, last = deposits(plan.trajectory)
+    sent = _numbered(lines)
+    about = "The planned start as a target: the robot must not move here, if tool and work object are right."
+    start = f"        MoveJ {places[0]},{speeds[0]},fine,{frames}"
+    there = _resting(moves.waits.get(-1, ()), sent.get(-1, ()))
+    found = [Procedure("Start", (comment(about, 8),), ((start, *there),), True)]
+    linear, fine, wide = moves.linear.tolist(), moves.fine.tolist(), (~moves.linear & _roomy(plan, moves)).tolist()
+
+    def step(i: int) -> tuple[str, ...]:
+        own = triggers.get(i, ())
+        zone = "fine" if fine[i] else "z1" if wide[i] else "z0"
+        word = "TriggL" if own else "MoveL" if linear[i] else "MoveJ"
+        what = "".join(f"\\T{k}:={name}" if k > 1 else f",{name}" for k, name in enumerate(own, 1))
+        move = f"        {word} {places[i + 1]},{speeds[i + 1]}{what},{zone},{frames}"
+        return (move, *_resting(moves.waits.get(i, ()), sent.get(i, ())))
+
+    bounds = np.searchsorted(moves.after, np.arange(len(first) + 2)).tolist()
+    for k, (a, b) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
+        if a < b:
+            name = f"Bead{plan.first_bead + k + 1:04d}" if k < len(first) else "Finish"
+            words = (_about(plan, int(first[k]), int(last[k])),) if k < len(first) else ()
+            found.append(Procedure(name, words, tuple(map(step, range(a, b))), fine[b - 1]))
+    return found
+
+
+def _roomy(plan: Plan, moves: Moves) -> NDArray[np.bool_]:
+    """Whether the wider zone takes no more than half of a move (m) and of the next."""
+    roomy = moves.length >= 2.0 * ZONES["z1"]
+    out: NDArray[np.bool_] = roomy & np.append(roomy[1:], True)
+    return out
+
+
+def _numbered(lines: Sequence[SocketLine]) -> dict[int, list[tuple[int, SocketLine]]]:
+    """Move → the lines that are sent behind it, with their numbers."""
+    out: dict[int, list[tuple[int, SocketLine]]] = {}
+    for n, line in enumerate(lines, 1):
+        out.setdefault(line.move, []).append((n, line))
+    return out
+
+
+def _resting(waits: Sequence[Wait], sent: Sequence[tuple[int, SocketLine]]) -> list[str]:
+    """Statements behind a move: what the robot stands still for, each with a comment that says why, and what is sent."""
+    steps: list[tuple[float, int, list[str]]] = []
+    clock = 0.0
+    for wait in waits:
+        steps.append((clock, 0, [comment(wait.why, 8)] if wait.why else []))
+        clock += round(wait.time, 3)
+        steps.append((clock, -1, []))
+    settle = f"        {SETTLE} {LATEST};"
+    heats = False
+    for n, line in sent:
+        before = [settle] if heats and not line.text.startswith(HEATS) else []
+        heats = line.text.startswith(HEATS)
+        steps.append((min(line.after, clock), 1, [*before, f'        {LINE} {n},"{line.text}";']))
+    if any(line.text.startswith(WAITS) for _, line in sent):
+        steps.append((clock, 2, [settle]))
+    out: list[str] = []
+    now = 0.0
+    for at, _, statements in sorted(steps, key=lambda step: step[:2]):
+        pause = round(at - now, 3)
+        out += [f"        WaitTime {pause:.3f};"] if pause > 0.0 else []
+        out += statements
+        now += pause
+    return out
+
+
+def _about(plan: Plan, first: int, last: int) -> str:
+    """Comment on what a procedure prints between two samples."""
+    t = plan.trajectory
+    bead = t.bead[first]
+    of = plan.toolpath.beads[bead].material
+    length = f"{1e3 * (t.s[last] - t.s[first]):.1f} mm" + (f" of {of}" if of else "")
+    return comment(f"Bead {bead}, layer {t.layer[first]}: {length}", 8)
+
+
+# ----------------------------------------------------------------------------------------------------
+# What users of a program should know before it runs: notes in its header, each with the first place that it is about.
+
+_MOVE = re.compile(r" {8}(?:MoveJ|MoveL|TriggL) ")
+
+
+@dataclass(frozen=True)
+class ProgramNote:
+    """What is to be known, and the first move of the program that it is about, from 0."""
+
+    words: str
+    move: int
+
+
+def notes_of(plan: Plan, moves: Moves, program: RobotProgram) -> tuple[ProgramNote, ...]:
+    """All notes on a program that was read back."""
+    return tuple(note for note in (_zones(plan, moves), _sends(program), *_paces(plan, program)) if note is not None)
+
+
+def _zones(plan: Plan, moves: Moves) -> ProgramNote | None:
+    length = moves.length
+    flown = moves.linear & ~moves.fine
+    narrow = np.flatnonzero(flown & (np.minimum(length, np.append(length[1:], np.inf)) < 2.0 * ZONES["z0"]))
+    if not len(narrow):
+        return None
+    words = f"{len(narrow)} zones of 0.3 mm are cut by the controller to half of a move, the shortest is"
+    return ProgramNote(f"{words} {length[moves.linear].min() * 1e3:.2f} mm", int(narrow[0]) + 1)
+
+
+def _sends(program: RobotProgram) -> ProgramNote | None:
+    flown = [move for move in sorted(program.sends) if not program.fine[move]]
+    if not flown:
+        return None
+    count = sum(len(program.sends[move]) for move in flown)
+    return ProgramNote(f"{count} lines are sent at fly-by points, as early as the controller reads ahead", flown[0])
+
+
+def _paces(plan: Plan, program: RobotProgram) -> list[ProgramNote]:
+    return [ProgramNote(each.words, each.first) for each in limited(program, play(program, plan.cell))]
+
+
+def note_lines(notes: tuple[ProgramNote, ...], plan: Plan, moves: Moves, files: Mapping[str, str]) -> list[str]:
+    """Two comments for each note, to stand in the header of the first of the files, which have none so far."""
+    main, places, wanted = next(iter(files)), {}, {note.move for note in notes}
+    k = 0
+    for name, text in files.items():
+        for line, statement in enumerate(text.split("\n"), 1):
+            if _MOVE.match(statement):
+                if k in wanted:
+                    places[k] = f"line {line + 2 * len(notes) * (name == main)} of {name}"
+                k += 1
+    bead = plan.trajectory.bead
+    out = []
+    for note in notes:
+        at = int(bead[moves.sample[max(note.move - 1, 0)]])
+        where = f"bead {at}" if at >= 0 else "between beads"
+        out += [comment(NOTE + note.words), comment(f"  first {where}, {places[note.move]}")]
+    return out
+
+
+# ----------------------------------------------------------------------------------------------------
+# RAPID for ABB controllers (IRC5 and OmniCore): modules with their targets written in the moves.
+#
+# Targets stand inline in the moves, in one procedure per bead, because that is what an IRC5 takes without trouble: every
+# line is one statement, so a load error names its line, the operator can put the pointer on any target, and look-ahead
+# runs through procedure calls without a stop. Arrays of targets would be one statement of thousands of lines each, which
+# the loader must hold at once, and a loop over them puts logic between fly-by points.
 
 
 def pgf(plan: Plan) -> str:

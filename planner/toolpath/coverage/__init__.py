@@ -1,0 +1,1 @@
+"""Beads that cover faces."""

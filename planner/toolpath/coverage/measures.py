@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.toolpath.coverage.patches import Array, Ints
-from planner.toolpath.coverage.sampled import SampledSurface
+from planner.base.arrays import Array, Ints
+from planner.toolpath.coverage.tours import SampledSurface
 
 TURN = np.radians(30.0)  # a bend of more than that within half a spacing is a turn
 _TOUCH = 1e-6  # m: lines that come nearer than this meet
@@ -23,7 +23,7 @@ _TRAVEL = 0.2  # m/s, in between
 
 
 @dataclass(frozen=True)
-class Line:
+class SurfaceLine:
     """A path as a fine polyline on the face: points and unit normals (n, 3) [m]; closed: back to the first point."""
 
     points: Array
@@ -42,7 +42,7 @@ def visits_each_once(order: Ints, count: int) -> bool:
     return len(order) == count and bool(np.array_equal(np.sort(order), np.arange(count)))
 
 
-def laid(surface: SampledSurface, order: Ints) -> Line:
+def laid(surface: SampledSurface, order: Ints) -> SurfaceLine:
     """The chords between successive samples, laid onto the face.
 
     A point of a chord moves along the normal onto the tangent planes of the samples nearest to it, so that where it
@@ -62,10 +62,10 @@ def laid(surface: SampledSurface, order: Ints) -> Line:
     normals = np.einsum("ik,ikj->ij", weight, surface.normals[near])
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     above = np.einsum("ikj,ikj->ik", line[:, None] - surface.points[near], surface.normals[near])
-    return Line(line - np.einsum("ik,ik->i", weight, above)[:, None] * normals, normals)
+    return SurfaceLine(line - np.einsum("ik,ik->i", weight, above)[:, None] * normals, normals)
 
 
-def crossings(lines: Sequence[Line]) -> Array:
+def crossings(lines: Sequence[SurfaceLine]) -> Array:
     """Places (k, 3) [m] where lines on a face cross or touch one another or themselves, seen along the face's normal.
 
     All pairs of pieces near each other are looked at in the plane between them, but for pieces that follow each other,
@@ -120,12 +120,12 @@ def _meet(a: Array, b: Array, c: Array, d: Array, normal: Array) -> Array:
     return across | (near < _TOUCH)
 
 
-def length(lines: Sequence[Line]) -> float:
+def length(lines: Sequence[SurfaceLine]) -> float:
     """Length of the lines, without what is travelled between them [m]."""
     return sum(float(np.linalg.norm(np.diff(line.opened()[0], axis=0), axis=1).sum()) for line in lines)
 
 
-def turns(lines: Sequence[Line], spacing: float) -> tuple[int, float]:
+def turns(lines: Sequence[SurfaceLine], spacing: float) -> tuple[int, float]:
     """How often the lines turn, and by how much in all [rad], within the face: its own curvature is no turn."""
     count, total = 0, 0.0
     for line in lines:
@@ -145,7 +145,7 @@ def turns(lines: Sequence[Line], spacing: float) -> tuple[int, float]:
     return count, total
 
 
-def seconds(lines: Sequence[Line], speed: float, tolerance: float) -> float:
+def seconds(lines: Sequence[SurfaceLine], speed: float, tolerance: float) -> float:
     """About how long the lines take at `speed` [m/s]: corners, rounded within `tolerance` [m], slow the tool down as
     its acceleration and jerk require, and lifting from one line to the next costs its time. No arm is asked."""
     total = length(lines) / speed
@@ -174,7 +174,7 @@ def seconds(lines: Sequence[Line], speed: float, tolerance: float) -> float:
     return total
 
 
-def farthest(lines: Sequence[Line], points: Array) -> float:
+def farthest(lines: Sequence[SurfaceLine], points: Array) -> float:
     """The greatest distance of points (n, 3) of a face from the lines [m]."""
     return float(distances([line.opened()[0] for line in lines], points).max())
 
@@ -199,7 +199,7 @@ def distances(opened: Sequence[Array], points: Array) -> Array:
     return best
 
 
-def _bends(line: Line) -> tuple[Array, Array]:
+def _bends(line: SurfaceLine) -> tuple[Array, Array]:
     """Signed turn [rad] at each inner point of a line, within the face (n - 2,), and the steps between points (n - 1,)."""
     points, normals = line.opened()
     step = np.diff(points, axis=0)

@@ -1,18 +1,136 @@
-"""Faces as one net of triangles: seams sewn, holes filled, every corner knowing where on its face it is.
-
-Holes are filled so that rows run straight on behind them; the triangles in them are no material.
-"""
+"""Faces as one net of triangles, distances along it (fast marching), and lines of equal distance."""
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, cKDTree
 
-from planner.toolpath.coverage.patches import Array, Ints, Patch
+from planner.base.arrays import Array, Ints
+
+# ----------------------------------------------------------------------------------------------------
+# Faces as `rows` sees them, and the strokes that cover them.
+
+
+class Patch(Protocol):
+    """One face: a surface over (u, v), and the closed curves that trim it.
+
+    loops: closed polylines (m, 2) in (u, v), the first point not repeated; the outer one first, then holes. Their points
+    are at most a quarter of the spacing of rows apart on the surface. Where two faces meet (or a face meets itself, as
+    a cylinder does), both list the same points in space: that is how a seam is known. points and normals must answer
+    in holes too, and a little beyond the outer loop.
+    """
+
+    @property
+    def loops(self) -> tuple[Array, ...]: ...
+
+    def points(self, uv: Array) -> Array:
+        """Points (n, 3) at parameters (n, 2) [m]."""
+        ...
+
+    def normals(self, uv: Array) -> Array:
+        """Unit outward normals (n, 3) at parameters (n, 2)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """A curve on the faces, printed without a break: points (n, 3) and unit normals (n, 3) on the true surface [m],
+    patch (n,), the number of the face each stands on, and parameters (n, 2) there; closed: the last point is joined to
+    the first (which is not repeated)."""
+
+    points: Array
+    normals: Array
+    patch: Ints
+    parameters: Array
+    closed: bool = False
+
+
+# ----------------------------------------------------------------------------------------------------
+# Distance along a net of triangles from given points: fast marching (Kimmel and Sethian 1998).
+
+
+def march(points: Array, triangles: Ints, start: Array) -> Array:
+    """Distances (n,) [m] of points (n, 3): start (n,) where it is finite, from there on along triangles (m, 3).
+
+    Exact in the plane for a straight source; elsewhere of first order in the triangles' size. Infinite where no
+    triangle leads.
+    """
+    corner = triangles.ravel()
+    order = np.argsort(corner, kind="stable")
+    first = np.searchsorted(corner[order], np.arange(len(points) + 1))
+    return _march(points, triangles, order // 3, first, start)
+
+
+@njit(cache=True)
+def _march(points: Array, triangles: Ints, around: Ints, first: Ints, start: Array) -> Array:
+    value = start.copy()
+    done = np.zeros(len(points), dtype=np.bool_)
+    front = [(np.inf, -1)]
+    for i in range(len(points)):
+        if np.isfinite(value[i]):
+            heapq.heappush(front, (value[i], i))
+    while len(front) > 0:
+        price, here = heapq.heappop(front)
+        if here < 0:
+            break
+        if done[here] or price > value[here]:
+            continue
+        done[here] = True
+        for k in range(first[here], first[here + 1]):
+            triangle = triangles[around[k]]
+            for i in range(3):
+                there, other = triangle[i], triangle[(i + 1) % 3]
+                if there == here or done[there]:
+                    continue
+                if other == here:
+                    other = triangle[(i + 2) % 3]
+                new = value[here] + np.sqrt(np.sum((points[there] - points[here]) ** 2))
+                if done[other]:
+                    new = min(
+                        new,
+                        _through(
+                            points[here] - points[there], points[other] - points[there], value[here], value[other]
+                        ),
+                    )
+                if new < value[there]:
+                    value[there] = new
+                    heapq.heappush(front, (new, there))
+    return value
+
+
+@njit(cache=True)
+def _through(a: Array, b: Array, at_a: float, at_b: float) -> float:
+    """When a straight front that passes two corners at given distances reaches the third (a, b: the two from there);
+    infinite where it does not come through the triangle."""
+    aa, ab, bb = np.sum(a * a), np.sum(a * b), np.sum(b * b)
+    det = aa * bb - ab * ab
+    if det <= 0.0:
+        return np.inf
+    # inverse of the Gram matrix: |gradient|^2 = (T - p)' Q (T - p) = 1
+    qaa, qab, qbb = bb / det, -ab / det, aa / det
+    x = qaa + 2.0 * qab + qbb
+    y = at_a * (qaa + qab) + at_b * (qab + qbb)
+    z = at_a * at_a * qaa + 2.0 * at_a * at_b * qab + at_b * at_b * qbb - 1.0
+    root = y * y - x * z
+    if root < 0.0:
+        return np.inf
+    p = (y + np.sqrt(root)) / x
+    if qaa * (at_a - p) + qab * (at_b - p) > 0.0 or qab * (at_a - p) + qbb * (at_b - p) > 0.0:
+        return np.inf
+    return p
+
+
+# ----------------------------------------------------------------------------------------------------
+# Faces as one net of triangles: seams sewn, holes filled, every corner knowing where on its face it is.
+#
+# Holes are filled so that rows run straight on behind them; the triangles in them are no material.
 
 _SEWN = 2e-5  # m: points of two faces' edges that are nearer than this are one
 _CLEAR = 0.6  # mesh sizes: nearer to the edge, no point is put
@@ -21,7 +139,7 @@ _LOOKS = 33  # lines of u and of v along which a face is measured
 
 
 @dataclass(frozen=True)
-class Sheet:
+class FaceMesh:
     """points (n, 3) [m]; triangles (m, 3), indices of points; patch (m,), the face of each; corners (m, 3, 2), the
     (u, v) of each triangle's corners on it; material (m,), false in holes; size: the distance of points, about [m]."""
 
@@ -59,7 +177,7 @@ class Sheet:
         return np.vstack([self.points[np.unique(net)], corners.mean(axis=1), closely])
 
 
-def sheet_of(patches: Sequence[Patch], size: float) -> Sheet:
+def sheet_of(patches: Sequence[Patch], size: float) -> FaceMesh:
     """Triangulate faces with points about `size` [m] apart, and those of their loops as they are."""
     points, triangles, owner, corners, material = [], [], [], [], []
     count = 0
@@ -77,7 +195,7 @@ def sheet_of(patches: Sequence[Patch], size: float) -> Sheet:
     net = compact[np.concatenate(triangles)]
     # a triangle of a pole, where a whole edge of the face is one point, may have two corners there
     kept = (net[:, 0] != net[:, 1]) & (net[:, 1] != net[:, 2]) & (net[:, 2] != net[:, 0])
-    return Sheet(
+    return FaceMesh(
         tuple(patches),
         joined[used],
         net[kept],
@@ -145,3 +263,207 @@ def _sew(points: Array) -> Ints:
         if np.array_equal(name, before):
             break
     return name
+
+
+# ----------------------------------------------------------------------------------------------------
+# Lines of equal distance on a net of triangles, cut where the material ends.
+
+
+@dataclass(frozen=True)
+class Rim:
+    """The edges of the material: closed curves; loop (e,) and arc (e,), at the start of each edge [m], of edges (e, 2)
+    with the material on one side only; edge_of: from an edge's points, the lower first, to its number; around: length
+    of each curve [m]; vertices: its points in order."""
+
+    edges: Ints
+    edge_of: dict[tuple[int, int], int]
+    loop: Ints
+    arc: Array
+    around: Array
+    vertices: tuple[Ints, ...]
+
+    @staticmethod
+    def of(sheet: FaceMesh) -> Rim:
+        """Chain the edges that have material on one side; the triangles' own sense is kept where they agree."""
+        edges = sheet.edges().reshape(-1, 3, 2)[sheet.material].reshape(-1, 2)
+        _, first, count = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
+        rim = edges[np.sort(first[count == 1])]
+        at: dict[int, list[int]] = {}
+        for k, (a, b) in enumerate(rim):
+            at.setdefault(int(a), []).append(k)
+            at.setdefault(int(b), []).append(k)
+        used = np.zeros(len(rim), dtype=np.bool_)
+        ordered: list[tuple[int, int]] = []
+        loop: list[int] = []
+        vertices: list[Ints] = []
+        for seed in range(len(rim)):
+            if used[seed]:
+                continue
+            used[seed] = True
+            start, here = (int(i) for i in rim[seed])
+            chain = [start, here]
+            while here != start:
+                on = next((k for k in at[here] if not used[k]), None)
+                if on is None:
+                    break
+                used[on] = True
+                a, b = (int(i) for i in rim[on])
+                here = b if a == here else a
+                chain.append(here)
+            ordered += list(zip(chain[:-1], chain[1:], strict=True))
+            loop += [len(vertices)] * (len(chain) - 1)
+            vertices.append(np.array(chain[:-1], dtype=np.int64))
+        pairs = np.array(ordered, dtype=np.int64).reshape(-1, 2)
+        names = np.array(loop, dtype=np.int64)
+        length = np.linalg.norm(sheet.points[pairs[:, 1]] - sheet.points[pairs[:, 0]], axis=1)
+        around: Array = np.bincount(names, weights=length, minlength=len(vertices)).astype(np.float64)
+        before = np.concatenate([[0.0], np.cumsum(length)[:-1]])
+        arc = before - np.concatenate([[0.0], np.cumsum(around)])[names]
+        edge_of = {(min(pair), max(pair)): k for k, pair in enumerate(ordered)}
+        return Rim(pairs, edge_of, names, arc, around, tuple(vertices))
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of equal distance on the material: points (n, 3) [m], level: its number. ends: (loop of the rim, arc
+    there [m]) at which it starts and ends; none: it is closed, the first point not repeated."""
+
+    points: Array
+    level: float
+    ends: tuple[tuple[int, float], tuple[int, float]] | None
+
+    @property
+    def length(self) -> float:
+        """[m], closed rows without the last side."""
+        return float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
+
+
+def rows_at(sheet: FaceMesh, rim: Rim, field: Array, height: float, level: float) -> list[Row]:
+    """All pieces of the line on which `field` (n,) is `height`."""
+    net = sheet.triangles[sheet.material]
+    above = field >= height
+    cut = net[above[net].any(axis=1) & ~above[net].all(axis=1)]
+    if not len(cut):
+        return []
+    edges = np.stack([cut, np.roll(cut, -1, axis=1)], axis=2)
+    crossed = above[edges[..., 0]] != above[edges[..., 1]]
+    pairs = np.sort(edges[crossed], axis=1)  # two of each triangle, in a row
+    nodes, node = np.unique(pairs, axis=0, return_inverse=True)
+    links = node.reshape(-1, 2)
+    share = (height - field[nodes[:, 0]]) / (field[nodes[:, 1]] - field[nodes[:, 0]])
+    points = sheet.points[nodes[:, 0]] + share[:, None] * (sheet.points[nodes[:, 1]] - sheet.points[nodes[:, 0]])
+
+    def end(k: int) -> tuple[int, float] | None:
+        on = rim.edge_of.get((int(nodes[k, 0]), int(nodes[k, 1])))
+        if on is None:
+            return None
+        return int(rim.loop[on]), float(rim.arc[on] + np.linalg.norm(points[k] - sheet.points[rim.edges[on, 0]]))
+
+    out = []
+    for chain, closed in _chains(links, len(nodes)):
+        first, last = (None, None) if closed else (end(chain[0]), end(chain[-1]))
+        both = (first, last) if first is not None and last is not None else None
+        line = points[chain]
+        step = np.linalg.norm(np.diff(line, axis=0), axis=1)
+        line = line[np.concatenate([[True], step > 0.0])]
+        if len(line) > 1:
+            out.append(Row(line, level, both))
+    return out
+
+
+def _chains(links: Ints, count: int) -> list[tuple[list[int], bool]]:
+    """Paths and cycles of a graph whose nodes have at most two links; (nodes, is a cycle)."""
+    beside: list[list[int]] = [[] for _ in range(count)]
+    for a, b in links:
+        beside[int(a)].append(int(b))
+        beside[int(b)].append(int(a))
+    seen = np.zeros(count, dtype=np.bool_)
+    out = []
+    for ends_only in (True, False):
+        for seed in range(count):
+            if seen[seed] or (ends_only and len(beside[seed]) != 1):
+                continue
+            chain = [seed]
+            seen[seed] = True
+            while True:
+                on = next((k for k in beside[chain[-1]] if not seen[k]), None)
+                if on is None:
+                    break
+                seen[on] = True
+                chain.append(on)
+            out.append((chain, not ends_only))
+    return out
+
+
+# ----------------------------------------------------------------------------------------------------
+# Sources from which distances along faces are measured: sides of their edges, and lines through their middle.
+
+_CORNER = np.radians(30.0)  # of an edge, within a spacing: there one side ends and the next begins
+_SIDES = 4  # the longest sides are tried as sources
+_DIRECTIONS = 6  # and so many lines through the middle
+
+
+def fields_of(sheet: FaceMesh, rim: Rim, spacing: float) -> list[Array]:
+    """Distances of the net's points from each source (n,) [m], with a sign where the source has two sides."""
+    out = []
+    sides = [side for loop in rim.vertices for side in _sides(sheet, loop, spacing)]
+    sides.sort(key=lambda side: -float(np.linalg.norm(np.diff(sheet.points[side], axis=0), axis=1).sum()))
+    for side in sides[:_SIDES]:
+        start = np.full(len(sheet.points), np.inf)
+        start[side] = 0.0
+        out.append(march(sheet.points, sheet.triangles, start))
+    corners = sheet.points[sheet.triangles[sheet.material]]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    middle = np.average(corners.mean(axis=1), axis=0, weights=area)
+    centre = int(np.argmin(np.linalg.norm(sheet.points - middle, axis=1)))
+    spread = sheet.points - sheet.points[centre]
+    axes = np.linalg.svd(sheet.points - middle, full_matrices=False)[2]
+    for k in range(_DIRECTIONS):
+        angle = np.pi * k / _DIRECTIONS
+        out.append(_from_section(sheet, spread @ (np.cos(angle) * axes[0] + np.sin(angle) * axes[1])))
+    return [field for field in out if np.isfinite(field[sheet.triangles]).all()]
+
+
+def _sides(sheet: FaceMesh, loop: Ints, spacing: float) -> list[Ints]:
+    """Pieces of a rim between its corners; none where it has fewer than two."""
+    points = sheet.points[loop]
+    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(np.vstack([points, points[:1]]), axis=0), axis=1))])
+    n = len(loop)
+    ahead = np.array([_at(points, s, s[i] + 0.5 * spacing) for i in range(n)])
+    behind = np.array([_at(points, s, s[i] - 0.5 * spacing) for i in range(n)])
+    one, two = points - behind, ahead - points
+    cosine = np.einsum("ij,ij->i", one, two) / np.maximum(
+        np.linalg.norm(one, axis=1) * np.linalg.norm(two, axis=1), np.finfo(float).tiny
+    )
+    bent = cosine < np.cos(_CORNER)
+    if not bent.any() or bent.all():
+        return []
+    # of the points beside a corner, the one where the edge turns most
+    shift = int(np.flatnonzero(~bent)[0])
+    bent, cosine, order = np.roll(bent, -shift), np.roll(cosine, -shift), np.roll(loop, -shift)
+    runs = np.flatnonzero(np.diff(bent.astype(np.int64)) == 1) + 1
+    stops = np.flatnonzero(np.diff(np.append(bent, False).astype(np.int64)) == -1) + 1
+    corner = [a + int(np.argmin(cosine[a:b])) for a, b in zip(runs, stops, strict=True)]
+    if len(corner) < 2:
+        return []
+    twice = np.concatenate([order, order])
+    return [twice[a : b + 1] for a, b in zip(corner, [*corner[1:], corner[0] + n], strict=True)]
+
+
+def _at(points: Array, s: Array, where: float) -> Array:
+    """The point of a closed polyline at arc `where` [m], any turn."""
+    closed = np.vstack([points, points[:1]])
+    return np.array([np.interp(where % s[-1], s, closed[:, i]) for i in range(3)])
+
+
+def _from_section(sheet: FaceMesh, height: Array) -> Array:
+    """Signed distance along the net from the line where `height` (n,) is nought."""
+    corners, values = sheet.points[sheet.triangles], height[sheet.triangles]
+    cut = (values > 0.0).any(axis=1) & (values <= 0.0).any(axis=1)
+    e, f = corners[cut, 1] - corners[cut, 0], corners[cut, 2] - corners[cut, 0]
+    de, df = values[cut, 1] - values[cut, 0], values[cut, 2] - values[cut, 0]
+    ee, ef, ff = (np.einsum("ij,ij->i", x, y) for x, y in ((e, e), (e, f), (f, f)))
+    slope = np.sqrt((de * de * ff - 2.0 * de * df * ef + df * df * ee) / (ee * ff - ef * ef))
+    start = np.full(len(height), np.inf)
+    np.minimum.at(start, sheet.triangles[cut], np.abs(values[cut]) / slope[:, None])
+    return np.where(height > 0.0, 1.0, -1.0) * march(sheet.points, sheet.triangles, start)

@@ -1,8 +1,4 @@
-"""Rows and the joints between them as one line, which reaches into the corners that rows leave at a slanting edge.
-
-Where the edge leans away from a row's end, towards the next row, points of the edge are out of reach of both. Such an
-end overshoots: the row bends a little towards the next one, and the joint comes back along the edge.
-"""
+"""Rows joined end to end along the edge of the material, so that few strokes are left."""
 
 from __future__ import annotations
 
@@ -11,11 +7,221 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import convolve1d
+from scipy.optimize import Bounds, LinearConstraint, milp
+from scipy.sparse import csr_array
 
-from planner.toolpath.coverage.edge import InsetEdge
-from planner.toolpath.coverage.joints import End, Joint
-from planner.toolpath.coverage.levels import Row
-from planner.toolpath.coverage.patches import Array
+from planner.base.arrays import Array
+from planner.toolpath.coverage.sheet import FaceMesh, Rim, Row
+
+# ----------------------------------------------------------------------------------------------------
+# The edge of the material, a little inside: there joints run from row to row.
+
+
+@dataclass(frozen=True)
+class InsetEdge:
+    """For each loop of the rim: arcs (k,) of its points [m], and these points moved onto the material (k, 3)."""
+
+    arcs: tuple[Array, ...]
+    points: tuple[Array, ...]
+    around: Array
+
+    @staticmethod
+    def of(sheet: FaceMesh, rim: Rim, inset: float) -> InsetEdge:
+        """inset: by how much they are moved [m]."""
+        inward = _inward(sheet, rim)
+        arcs, points = [], []
+        for loop in range(len(rim.vertices)):
+            on = rim.loop == loop
+            sides = inward[on] + np.roll(inward[on], 1, axis=0)
+            sides /= np.maximum(np.linalg.norm(sides, axis=1), np.finfo(float).tiny)[:, None]
+            arcs.append(rim.arc[on])
+            points.append(sheet.points[rim.edges[on, 0]] + inset * sides)
+        return InsetEdge(tuple(arcs), tuple(points), rim.around)
+
+    def between(self, loop: int, start: float, stop: float) -> Array:
+        """Points (k, 3) strictly between two arcs of a loop [m], either of which may be beyond the loop's ends."""
+        arcs, points = self._thrice(loop)
+        return points[(arcs > start) & (arcs < stop)]
+
+    def at(self, loop: int, arc: float) -> Array:
+        """The point (3,) at an arc of a loop [m], at most once round beyond its ends."""
+        arcs, points = self._thrice(loop)
+        return np.array([np.interp(arc, arcs, points[:, i]) for i in range(3)])
+
+    def _thrice(self, loop: int) -> tuple[Array, Array]:
+        around = float(self.around[loop]) * np.arange(-1.0, 2.0)
+        return np.concatenate([self.arcs[loop] + turn for turn in around]), np.tile(self.points[loop], (3, 1))
+
+
+def _inward(sheet: FaceMesh, rim: Rim) -> Array:
+    """Unit vectors (e, 3) from each edge of the rim into its triangle."""
+    edges = np.sort(sheet.edges(), axis=1).reshape(-1, 3, 2)[sheet.material]
+    net = sheet.triangles[sheet.material]
+    n = len(sheet.points)
+    key = (edges[..., 0] * n + edges[..., 1]).ravel()
+    order = np.argsort(key, kind="stable")
+    wanted = np.sort(rim.edges, axis=1)
+    at = order[np.searchsorted(key[order], wanted[:, 0] * n + wanted[:, 1])]
+    opposite = net[at // 3, (at % 3 + 2) % 3]  # edge 0 joins corners 0 and 1, so that 2 is opposite, and so on
+    a, b, c = sheet.points[rim.edges[:, 0]], sheet.points[rim.edges[:, 1]], sheet.points[opposite]
+    along = (b - a) / np.linalg.norm(b - a, axis=1)[:, None]
+    into = (c - a) - np.einsum("ij,ij->i", c - a, along)[:, None] * along
+    return into / np.linalg.norm(into, axis=1)[:, None]
+
+
+# ----------------------------------------------------------------------------------------------------
+# A polyline averaged along itself, so that it turns as a tool can.
+
+_POWER = 4  # of the kernel (1 - x^2)^4: four times differentiable
+
+
+def evenly(line: Array, step: float, closed: bool) -> Array:
+    """Points (m, 3) of a polyline (n, 3), about `step` apart; a closed one does not repeat its first point."""
+    if closed:
+        line = np.vstack([line, line[:1]])
+    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    count = max(round(s[-1] / step), 2)
+    at = np.linspace(0.0, s[-1], count + 1)[: count + (not closed)]
+    return np.stack([np.interp(at, s, line[:, i]) for i in range(line.shape[1])], axis=1)
+
+
+def smooth(line: Array, half_width: float, step: float, closed: bool) -> Array:
+    """A polyline (n, 3) averaged over `half_width` to both sides, points about `step` apart; open ends stay."""
+    even = evenly(line, step, closed)
+    reach = min(max(round(half_width / step), 1), len(even) - 1)
+    x = np.arange(-reach, reach + 1) / (reach + 1.0)
+    kernel = (1.0 - x**2) ** _POWER
+    kernel /= kernel.sum()
+    if closed:
+        return convolve1d(even, kernel, axis=0, mode="wrap")
+    # the line goes on beyond its ends as its own mirror image in the end point
+    before = 2.0 * even[0] - even[reach:0:-1]
+    after = 2.0 * even[-1] - even[-2 : -2 - reach : -1]
+    return convolve1d(np.vstack([before, even, after]), kernel, axis=0)[reach : reach + len(even)]
+
+
+# ----------------------------------------------------------------------------------------------------
+# Which rows are joined end to end, along the edge of the material, so that few strokes are left.
+#
+# A joint runs along the edge from the end of one row to the next end there. Joints have pieces of the edge of their own,
+# so that none crosses another, or a row. Which of them are taken is an integer program: each end at most once, no ring.
+
+End = tuple[int, int]  # row, and 0 for its first point or 1 for its last
+
+_LONGEST = 4.0  # spacings along the edge: where it is nearly parallel to the rows, a joint would lie on them
+_NEXT = 1.01  # levels apart, of rows that are next to each other
+
+
+@dataclass(frozen=True)
+class Joint:
+    """From one end along the loop's edge, in its sense, from arc `start` to `stop` [m] (past its end: all round)."""
+
+    first: End
+    second: End
+    loop: int
+    start: float
+    stop: float
+
+    @property
+    def length(self) -> float:
+        return self.stop - self.start
+
+
+def possible(rows: Sequence[Row], around: Array, spacing: float) -> list[Joint]:
+    """Joints between ends that follow each other along a loop of the rim (lengths `around`), rows next to each other."""
+    ends: dict[int, list[tuple[float, End]]] = {}
+    for k, row in enumerate(rows):
+        if row.ends is not None:
+            for side, (loop, arc) in enumerate(row.ends):
+                ends.setdefault(loop, []).append((arc, (k, side)))
+    out = []
+    for loop, found in sorted(ends.items()):
+        found.sort()
+        for (start, one), (stop, two) in zip(found, found[1:] + found[:1], strict=True):
+            if stop < start or len(found) == 1:
+                stop += float(around[loop])
+            beside = one[0] != two[0] and abs(rows[one[0]].level - rows[two[0]].level) < _NEXT
+            if beside and stop - start < _LONGEST * spacing:
+                out.append(Joint(one, two, loop, start, stop))
+    return out
+
+
+def chosen(joints: Sequence[Joint], spacing: float) -> list[Joint]:
+    """As many of them as can be without an end used twice or a ring; of equally many, the shortest."""
+    if not joints:
+        return []
+    rows: list[tuple[dict[int, float], float]] = []
+    used: dict[End, dict[int, float]] = {}
+    for k, joint in enumerate(joints):
+        for end in (joint.first, joint.second):
+            used.setdefault(end, {})[k] = 1.0
+    rows += [(row, 1.0) for row in used.values() if len(row) > 1]
+    # one joint more is worth more than all their lengths
+    total = sum(joint.length for joint in joints) + spacing
+    price = np.array([joint.length / total for joint in joints]) - 1.0
+    while True:
+        limits = []
+        if rows:
+            at = [(i, k, value) for i, (row, _) in enumerate(rows) for k, value in row.items()]
+            i, j, value = (np.array(column) for column in zip(*at, strict=True))
+            matrix = csr_array((value, (i, j)), shape=(len(rows), len(joints)))
+            limits = [LinearConstraint(matrix, ub=np.array([most for _, most in rows]))]
+        found = milp(price, integrality=np.ones(len(joints)), bounds=Bounds(0.0, 1.0), constraints=limits)
+        taken = [int(k) for k in np.flatnonzero(found.x > 0.5)]
+        rings = _rings([joints[k] for k in taken])
+        if not rings:
+            return [joints[k] for k in taken]
+        rows += [({taken[k]: 1.0 for k in ring}, len(ring) - 1.0) for ring in rings]
+
+
+def _rings(joints: Sequence[Joint]) -> list[list[int]]:
+    """Sets of joints that close a ring of rows."""
+    parent: dict[int, int] = {}
+
+    def root(row: int) -> int:
+        while parent.setdefault(row, row) != row:
+            row = parent[row]
+        return row
+
+    closing = set()
+    for joint in joints:
+        a, b = root(joint.first[0]), root(joint.second[0])
+        if a == b:
+            closing.add(a)
+        else:
+            parent[b] = a
+    closing = {root(row) for row in closing}
+    return [[k for k, joint in enumerate(joints) if root(joint.first[0]) == ring] for ring in sorted(closing)]
+
+
+def chains(count: int, joints: Sequence[Joint]) -> list[list[End]]:
+    """Strokes as the ends at which each of their rows is entered, every one of `count` rows in one stroke."""
+    beside: dict[End, End] = {}
+    for joint in joints:
+        beside[joint.first] = joint.second
+        beside[joint.second] = joint.first
+    seen: set[int] = set()
+    out = []
+    for row in range(count):
+        free = [side for side in (0, 1) if (row, side) not in beside]
+        if row in seen or not free:
+            continue
+        here: End | None = (row, free[0])
+        chain = []
+        while here is not None:
+            chain.append(here)
+            seen.add(here[0])
+            here = beside.get((here[0], 1 - here[1]))
+        out.append(chain)
+    return out
+
+
+# ----------------------------------------------------------------------------------------------------
+# Rows and the joints between them as one line, which reaches into the corners that rows leave at a slanting edge.
+#
+# Where the edge leans away from a row's end, towards the next row, points of the edge are out of reach of both. Such an
+# end overshoots: the row bends a little towards the next one, and the joint comes back along the edge.
 
 _WITHIN = 0.51  # spacings: how near the line comes to all points of the edge
 _STEEPEST = 4.0  # 1 / sine of the angle between row and edge that is still made up for

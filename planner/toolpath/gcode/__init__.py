@@ -1,0 +1,1 @@
+"""Toolpaths that a slicer made for a level bed."""

@@ -6,23 +6,315 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from planner.readonly import Array, Ints, ReadOnlyArrays, read_only
-from planner.toolpath.step.face import Face
-from planner.toolpath.step.nearest import settle, signed
-from planner.toolpath.step.splines import SplineSet
-from planner.toolpath.step.trim import all_inside, normals_met, raster_of, shared
+from planner.base.arrays import Array, Ints, ReadOnlyArrays, read_only
+from planner.toolpath.step.files import Face
+from planner.toolpath.step.splines import SplineSet, fill_normal, foot_of
+
+# ----------------------------------------------------------------------------------------------------
+# Inside or outside of the loops that trim faces, and what is known along their rims.
+
+Raster = NDArray[np.int8]
+
+ON_THE_RIM = 5e-6  # m: so near a face's rim a place counts as on it; its edges are known to 2 um
+CELLS = 64  # of a raster of each face, along both sides, which tells most places inside from those outside
+_MIXED = 2
+_SAME = 1.0 - 1e-6  # cosine between normals that count as one
+
+
+def shared(loops: Sequence[Ints], points: Array, following: Ints) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Whether the edges of loops, by their numbers, stand in another loop too, or twice in one, or are a pole (m); and
+    whether they are a pole (m), which has no length."""
+    edge = np.concatenate(loops)
+    offsets = np.concatenate([[0], np.cumsum([len(on) for on in loops])[:-1]])
+    begins = np.concatenate(
+        [
+            offset + (np.flatnonzero(on != np.roll(on, 1)) if (on != on[0]).any() else np.array([0]))
+            for offset, on in zip(offsets, loops, strict=True)
+        ]
+    )
+    numbers, runs = np.unique(edge[begins], return_counts=True)
+    lengths = np.zeros(int(edge.max()) + 1)
+    np.add.at(lengths, edge, np.linalg.norm(points[following] - points, axis=1))
+    pole = lengths[edge] < ON_THE_RIM
+    joined = np.isin(edge, numbers[runs > 1]) | pole
+    if pole.any():  # the edges that end there stand there too
+        pole = cKDTree(points[pole]).query(points)[0] <= ON_THE_RIM
+    return joined, pole
+
+
+def normals_met(points: Array, normals: Array) -> Array:
+    """For points (m, 3) of rims the sum (m, 3) of the normals at the same place, each direction once.
+
+    Each once, for of two nearly opposite ones the sum points out of the material only if they weigh the same.
+    """
+    pairs = cKDTree(points).query_pairs(2.0 * ON_THE_RIM, output_type="ndarray")
+    pairs = pairs[(normals[pairs[:, 0]] * normals[pairs[:, 1]]).sum(axis=1) < _SAME]
+    met: dict[int, list[Array]] = {}
+    for i, j in np.vstack([pairs, pairs[:, ::-1]]):
+        known = met.setdefault(int(i), [normals[i]])
+        if all(other @ normals[j] < _SAME for other in known):
+            known.append(normals[j])
+    total = normals.copy()
+    for i, known in met.items():
+        total[i] = np.sum(known, axis=0)
+    return total
+
+
+def raster_of(uv: Array, following: Ints, first: int, last: int, low: Array, high: Array) -> Raster:
+    """Cells (64, 64) of a face's box: 0 outside, 1 inside, 2 where its rim runs."""
+    step = (high - low) / CELLS
+    a, b = (uv[first:last] - low) / step, (uv[following[first:last]] - low) / step
+    cells = np.zeros((CELLS, CELLS), dtype=np.int8)
+    pieces = np.maximum(np.ceil(4.0 * np.abs(b - a).max(axis=1)).astype(int), 1)
+    index = np.repeat(np.arange(len(a)), pieces + 1)
+    t = (np.arange(len(index)) - np.repeat(np.cumsum(pieces + 1) - pieces - 1, pieces + 1)) / pieces[index]
+    run = a[index] + t[:, None] * (b - a)[index]
+    near = np.floor(run[:, None, :] + np.array([[x, y] for x in (-0.3, 0.3) for y in (-0.3, 0.3)])).astype(int)
+    near = np.clip(near.reshape(-1, 2), 0, CELLS - 1)
+    cells[near[:, 0], near[:, 1]] = _MIXED
+    clear = np.argwhere(cells != _MIXED)
+    middles = low + (clear + 0.5) * step
+    cells[clear[:, 0], clear[:, 1]] = _within(middles, uv, following, first, last)
+    return cells
+
+
+@njit(cache=True)
+def _crossings(u: float, v: float, uv: Array, following: Ints, first: int, last: int) -> bool:
+    """Even-odd rule."""
+    odd = False
+    for i in range(first, last):
+        j = following[i]
+        if (uv[i, 1] > v) != (uv[j, 1] > v):
+            at = uv[i, 0] + (v - uv[i, 1]) / (uv[j, 1] - uv[i, 1]) * (uv[j, 0] - uv[i, 0])
+            if u < at:
+                odd = not odd
+    return odd
+
+
+@njit(cache=True)
+def _within(places: Array, uv: Array, following: Ints, first: int, last: int) -> Raster:
+    out = np.zeros(len(places), dtype=np.int8)
+    for i in range(len(places)):
+        if _crossings(places[i, 0], places[i, 1], uv, following, first, last):
+            out[i] = 1
+    return out
+
+
+@njit(cache=True)
+def is_inside(
+    face: int,
+    u: float,
+    v: float,
+    raster: Raster,
+    low: Array,
+    high: Array,
+    rim_uv: Array,
+    rim_next: Ints,
+    rim_first: Ints,
+) -> bool:
+    """Whether a place lies within the loops of a face; its raster answers, or the even-odd rule."""
+    if u < low[face, 0] or u > high[face, 0] or v < low[face, 1] or v > high[face, 1]:
+        return False
+    i = min(int((u - low[face, 0]) / (high[face, 0] - low[face, 0]) * CELLS), CELLS - 1)
+    j = min(int((v - low[face, 1]) / (high[face, 1] - low[face, 1]) * CELLS), CELLS - 1)
+    if raster[face, i, j] != _MIXED:
+        return raster[face, i, j] == 1
+    return _crossings(u, v, rim_uv, rim_next, rim_first[face], rim_first[face + 1])
+
+
+@njit(cache=True)
+def all_inside(
+    face: Ints,
+    uv: Array,
+    raster: Raster,
+    low: Array,
+    high: Array,
+    rim_uv: Array,
+    rim_next: Ints,
+    rim_first: Ints,
+) -> NDArray[np.bool_]:
+    """The same for parameters (n, 2) of faces (n)."""
+    out = np.zeros(len(uv), dtype=np.bool_)
+    for i in range(len(uv)):
+        out[i] = is_inside(face[i], uv[i, 0], uv[i, 1], raster, low, high, rim_uv, rim_next, rim_first)
+    return out
+
+
+# ----------------------------------------------------------------------------------------------------
+# The search for the nearest place on faces, point by point, compiled.
+
+SHELL = 10e-3  # m of material beneath open faces: nothing else is known of it
+_ASIDE = 1e-8  # m, by which a perpendicular may miss a point
+_TINY = 1e-300
+
+
+@njit(cache=True)
+def _perpendicular(x: Array, d: Array) -> bool:
+    """Whether a place with derivatives d (6, 3) is the foot of a perpendicular from x (3), and not where a search ended."""
+    gu = gv = a = b = 0.0
+    for k in range(3):
+        e = d[0, k] - x[k]
+        gu += e * d[1, k]
+        gv += e * d[2, k]
+        a += d[1, k] ** 2
+        b += d[2, k] ** 2
+    return abs(gu) <= _ASIDE * np.sqrt(a) and abs(gv) <= _ASIDE * np.sqrt(b)
+
+
+@njit(cache=True)
+def settle(
+    points: Array,
+    faces: Ints,
+    starts: Array,
+    knots: Array,
+    poles: Array,
+    table: Ints,
+    domain: Array,
+    raster: NDArray[np.int8],
+    low: Array,
+    high: Array,
+    rim_uv: Array,
+    rim_next: Ints,
+    rim_first: Ints,
+) -> tuple[Ints, Array]:
+    """Face (n) and parameters (n, 2) of the nearest foot that is inside its face; where none is, of the nearest one."""
+    found, place = np.empty(len(points), dtype=np.int64), np.empty((len(points), 2))
+    d = np.empty((6, 3))
+    hit = np.empty(faces.shape[1], dtype=np.bool_)
+    for i in range(len(points)):
+        best, best_in = np.inf, False
+        for c in range(faces.shape[1]):
+            face = faces[i, c]
+            hit[c] = False
+            tried = False
+            for earlier in range(c):
+                tried = tried or (hit[earlier] and faces[i, earlier] == face)
+            if tried:
+                continue
+            u, v = foot_of(points[i], face, starts[i, c, 0], starts[i, c, 1], knots, poles, table, domain, d)
+            gap = 0.0
+            for k in range(3):
+                gap += (d[0, k] - points[i, k]) ** 2
+            within = _perpendicular(points[i], d) and is_inside(
+                face, u, v, raster, low, high, rim_uv, rim_next, rim_first
+            )
+            hit[c] = within
+            if (within and not best_in) or (within == best_in and gap < best):
+                best, best_in = gap, within
+                found[i], place[i, 0], place[i, 1] = face, u, v
+    return found, place
+
+
+@njit(cache=True)
+def signed(
+    points: Array,
+    near: Ints,
+    sample_face: Ints,
+    sample_uv: Array,
+    sample_points: Array,
+    knots: Array,
+    poles: Array,
+    table: Ints,
+    domain: Array,
+    side: Ints,
+    raster: NDArray[np.int8],
+    low: Array,
+    high: Array,
+    rim_uv: Array,
+    rim_points: Array,
+    rim_normals: Array,
+    rim_shared: NDArray[np.bool_],
+    rim_next: Ints,
+    rim_first: Ints,
+    closed: bool,
+) -> tuple[Array, Array]:
+    """Signed distances (n,) and the normals (n, 3) at the nearest places."""
+    out, normals = np.empty(len(points)), np.empty((len(points), 3))
+    d, normal, foot = np.empty((6, 3)), np.empty(3), np.empty(3)
+    hit = np.empty(near.shape[1], dtype=np.bool_)
+    for i in range(len(points)):
+        best, above, straight = np.inf, 1.0, True
+        at_sample = 0.0  # squared distance of the nearest sample: a foot farther away is another place's
+        for k in range(3):
+            at_sample += (points[i, k] - sample_points[near[i, 0], k]) ** 2
+        for c in range(near.shape[1]):
+            face = sample_face[near[i, c]]
+            hit[c] = tried = known = False
+            for earlier in range(c):
+                if sample_face[near[i, earlier]] == face:
+                    known = True
+                    tried = tried or hit[earlier]
+            if tried and best <= at_sample:
+                continue
+            start = sample_uv[near[i, c]]
+            u, v = foot_of(points[i], face, start[0], start[1], knots, poles, table, domain, d)
+            if _perpendicular(points[i], d) and is_inside(face, u, v, raster, low, high, rim_uv, rim_next, rim_first):
+                hit[c] = True
+                gap = 0.0
+                for k in range(3):
+                    gap += (d[0, k] - points[i, k]) ** 2
+                if gap < best:
+                    best, straight = gap, True
+                    fill_normal(face, u, v, knots, poles, table, domain, normal)
+                    above = 0.0
+                    for k in range(3):
+                        normals[i, k] = side[face] * normal[k]
+                        above += normals[i, k] * (points[i, k] - d[0, k])
+                continue
+            if known:  # its rim has been searched
+                continue
+            for a in range(rim_first[face], rim_first[face + 1]):
+                b = rim_next[a]
+                length = ahead = 0.0
+                for k in range(3):
+                    way = rim_points[b, k] - rim_points[a, k]
+                    length += way * way
+                    ahead += way * (points[i, k] - rim_points[a, k])
+                t = min(max(ahead / max(length, _TINY), 0.0), 1.0)
+                gap = 0.0
+                for k in range(3):
+                    foot[k] = rim_points[a, k] + t * (rim_points[b, k] - rim_points[a, k])
+                    gap += (foot[k] - points[i, k]) ** 2
+                if gap < best:
+                    best, straight = gap, rim_shared[a]
+                    size = above = 0.0
+                    for k in range(3):
+                        normals[i, k] = (1.0 - t) * rim_normals[a, k] + t * rim_normals[b, k]
+                        size += normals[i, k] ** 2
+                        above += normals[i, k] * (points[i, k] - foot[k])
+                    for k in range(3):
+                        normals[i, k] /= np.sqrt(max(size, _TINY))
+        if best > at_sample:  # far away, where perpendiculars meet: the nearest sample will do
+            best, straight, above = at_sample, True, 0.0
+            face, start = sample_face[near[i, 0]], sample_uv[near[i, 0]]
+            fill_normal(face, start[0], start[1], knots, poles, table, domain, normal)
+            for k in range(3):
+                normals[i, k] = side[face] * normal[k]
+                above += normals[i, k] * (points[i, k] - sample_points[near[i, 0], k])
+        gap = np.sqrt(best)
+        if above >= 0.0 or not straight:
+            out[i] = gap
+        elif closed:
+            out[i] = -gap
+        else:
+            out[i] = max(-gap, gap - SHELL)
+    return out, normals
+
+
+# ----------------------------------------------------------------------------------------------------
+# Faces that make up a body: the nearest place on them, exactly, and on which side of them a point is.
 
 _COARSEST, _FINEST, _SHARE = 5e-3, 1e-3, 0.01  # m between samples of a face, as a share of its size
 _MOST_ACROSS = 400  # samples of a face along u or v
 _CANDIDATES = 8  # samples near a point whose faces are looked at
-_TINY = 1e-300
 
 
 @dataclass(frozen=True)
-class Places(ReadOnlyArrays):
+class FacePlaces(ReadOnlyArrays):
     """Places on faces: points and unit outward normals (n, 3) [m]; face (n), its position in the body; uv (n, 2)."""
 
     points: Array
@@ -143,23 +435,23 @@ class FaceBody:
             out[on] = np.minimum(_to_segments(p, a, b), _to_segments(p, b, c))
         return out
 
-    def at(self, face: Ints, uv: Array) -> Places:
+    def at(self, face: Ints, uv: Array) -> FacePlaces:
         """The places at parameters (n, 2) of faces (n)."""
         normals = self.side[face, None] * self.splines.normals(face, uv)
-        return Places(self.splines.points(face, uv), normals, np.asarray(face, dtype=np.int64), uv)
+        return FacePlaces(self.splines.points(face, uv), normals, np.asarray(face, dtype=np.int64), uv)
 
-    def beneath(self, points: Array) -> Places:
+    def beneath(self, points: Array) -> FacePlaces:
         """Feet of perpendiculars from points (n, 3) close to the faces; a little beyond an open rim, feet on the surface
         that goes on there."""
         _, near = self.tree.query(points, k=min(_CANDIDATES, self.tree.n))
         near = near.reshape(len(points), min(_CANDIDATES, self.tree.n))
         return self._feet(points, self.sample_face[near], self.sample_uv[near])
 
-    def followed(self, points: Array, face: Ints, uv: Array) -> Places:
+    def followed(self, points: Array, face: Ints, uv: Array) -> FacePlaces:
         """The same, begun from places on faces (n, c) with parameters (n, c, 2), c to try for each."""
         return self._feet(points, face, uv)
 
-    def _feet(self, points: Array, face: Ints, uv: Array) -> Places:
+    def _feet(self, points: Array, face: Ints, uv: Array) -> FacePlaces:
         s = self.splines
         found, place = settle(
             read_only(points),

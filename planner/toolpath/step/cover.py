@@ -1,30 +1,224 @@
-"""From the problem to beads that cover faces of a STEP file."""
+"""From the problem to beads that cover faces of a STEP file, in layers along the faces' normals."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
+from planner.base.arrays import Array, Ints, ReadOnlyArrays
 from planner.problem import Problem
-from planner.problem.faces import FaceLayersSpec
-from planner.readonly import Array
-from planner.toolpath.bead import Toolpath
-from planner.toolpath.coverage.registry import ORDERS
+from planner.problem.layers import FaceLayersSpec
+from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.coverage.rows import NotCoveredError, TooSmallError, cover
-from planner.toolpath.coverage.tour import TooManySamplesError
-from planner.toolpath.interpolation import TooRough
-from planner.toolpath.paths import check_size, length
-from planner.toolpath.step.body import FaceBody
-from planner.toolpath.step.choice import Damaged, choose_faces
-from planner.toolpath.step.curves import FaceCurve, lay, pieces_on_faces, spread
-from planner.toolpath.step.face import Face
-from planner.toolpath.step.files import read_step
-from planner.toolpath.step.layers import FaceLayers, laid
-from planner.toolpath.step.regions import smooth_regions
+from planner.toolpath.coverage.tours import ORDERS, TooManySamplesError
+from planner.toolpath.interpolation import TooRough, calm_path, interpolate
+from planner.toolpath.plane_paths import arc_length, check_size, length
+from planner.toolpath.step.body import ON_THE_RIM, FaceBody, FacePlaces
+from planner.toolpath.step.files import Damaged, Face, choose_faces, read_step
 from planner.toolpath.step.sampling import TooMany, sample_faces
-from planner.toolpath.step.shape import faces_shape
+from planner.toolpath.step.top import faces_shape
+from planner.toolpath.task import roll_zeros
+
+# ----------------------------------------------------------------------------------------------------
+# Faces that a bead may run across: those that meet without an edge to be felt.
+
+SMOOTH = np.radians(0.04)  # between normals along a shared edge: half of what the nozzle's axis may be off the normal
+
+
+def smooth_regions(faces: Sequence[Face]) -> list[list[Face]]:
+    """Groups of faces, in their order, that are joined by edges where the normal turns by less than SMOOTH.
+
+    Over any other edge a nozzle on the normal would have to turn at one place: a bead ends there.
+    """
+    points = [np.vstack([face.points(loop) for loop in face.loops]) for face in faces]
+    normals = [np.vstack([face.normals(loop) for loop in face.loops]) for face in faces]
+    edges = [np.concatenate(face.edges) for face in faces]
+    joined = []
+    for i in range(len(faces)):
+        for j in range(i + 1, len(faces)):
+            if np.isin(edges[i], edges[j]).any() and _smooth(i, j, points, normals, edges):
+                joined.append((i, j))
+    a, b = np.array(joined, dtype=np.int64).reshape(-1, 2).T
+    links = coo_array((np.ones(len(a)), (a, b)), shape=(len(faces), len(faces)))
+    _, label = connected_components(links, directed=False)
+    return [[face for face, own in zip(faces, label, strict=True) if own == k] for k in range(int(label.max()) + 1)]
+
+
+def _smooth(i: int, j: int, points: list[Array], normals: list[Array], edges: list[NDArray[np.int64]]) -> bool:
+    """Whether two faces meet smoothly along one of the edges that they share."""
+    for edge in np.intersect1d(edges[i], edges[j]):
+        a, b = edges[i] == edge, edges[j] == edge
+        away, near = cKDTree(points[j][b]).query(points[i][a])
+        same = away <= 2.0 * ON_THE_RIM
+        cosine = (normals[i][a] * normals[j][b][near]).sum(axis=1)[same]
+        if same.any() and cosine.min() >= np.cos(SMOOTH):
+            return True
+    return False
+
+
+# ----------------------------------------------------------------------------------------------------
+# From waypoints on faces to a smooth curve on them: points and normals exactly the faces' own.
+
+_STEP = 2e-3  # m between the places on the faces that the curve is laid through
+_FEWEST = 12  # steps of a curve
+_AHEAD = 0.25  # of a step between waypoints, by which a curve may leave the faces' rim
+
+
+@dataclass(frozen=True)
+class FaceCurve(ReadOnlyArrays):
+    """A curve on faces, sampled uniformly in its parameter: places, and those of the input path before rounding."""
+
+    places: FacePlaces
+    source: FacePlaces
+
+    def reversed(self) -> FaceCurve:
+        """The same curve, run backwards."""
+        return FaceCurve(
+            *(FacePlaces(*(value[::-1] for value in vars(p).values())) for p in (self.places, self.source))
+        )
+
+
+def pieces_on_faces(body: FaceBody, waypoints: Array) -> list[Array]:
+    """Places (n, 3) along straight lines or smooth curves through waypoints (m, 3), cut where these leave the faces."""
+    if len(waypoints) < 2:
+        return []
+    path, chord = calm_path(waypoints)
+    step = np.diff(chord)
+    pieces = np.maximum(np.ceil(step / _STEP), 1.0).astype(int)
+    index = np.repeat(np.arange(len(pieces)), pieces)
+    within = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    c = np.append(chord[index] + step[index] * (within / pieces[index]), chord[-1])
+    at = body.beneath(np.asarray(path(c)[:, :3]))
+    there = body.inside(at.face, at.uv)
+    if not there.all():
+        there[~there] = body.rim_distance(at.face[~there], at.points[~there]) <= _AHEAD * float(np.median(step))
+    owner = np.append(index, len(pieces) - 1)
+    whole = np.ones(len(pieces), dtype=bool)
+    whole[owner[~there]] = False  # a step with a place beside the faces is left out
+    out = []
+    starts = np.concatenate([[0], np.cumsum(pieces)])
+    k = 0
+    while k < len(pieces):
+        if not whole[k]:
+            k += 1
+            continue
+        first = k
+        while k < len(pieces) and whole[k]:
+            k += 1
+        out.append(at.points[starts[first] : starts[k] + 1])
+    return out
+
+
+def spread(points: Array) -> Array:
+    """Fewer places (k, 3) on the smooth curve through places (n, 3) that lie close together."""
+    path, chord = calm_path(points)
+    return np.asarray(path(np.linspace(0.0, chord[-1], max(int(np.ceil(chord[-1] / _STEP)), _FEWEST) + 1))[:, :3])
+
+
+def lay(body: FaceBody, points: Array, tolerance: float, apart: float, ends: float) -> FaceCurve:
+    """The smooth curve through places (n, 3) on faces: corners rounded within `tolerance`, all of it on the faces.
+
+    apart: greatest distance of the source's points; ends: of samples at the ends [m]. Raises TooRough (interpolation)
+    where no smooth curve keeps the tolerance.
+    """
+    at = body.beneath(points)
+    curve = interpolate(at.points, at.normals, tolerance, apart, ends)
+    return FaceCurve(body.beneath(curve.points), body.beneath(curve.source))
+
+
+# ----------------------------------------------------------------------------------------------------
+# Layers of beads over faces: each along the faces' normals above the one before, and the body as it grows.
+
+_CLOSED = 1e-6  # m between the ends of a closed curve
+
+
+@dataclass(frozen=True)
+class FaceTrack:
+    """Where a bead runs: arc lengths s (n) [m] of its samples, and the faces (n), uv (n, 2) of a body beneath them."""
+
+    layer: int
+    s: Array
+    body: FaceBody
+    face: Ints
+    uv: Array
+
+
+@dataclass(frozen=True)
+class FaceLayers:
+    """The body, and the layers on it, each `height` [m] above the one before along the normals.
+
+    tracks   of all beads in print order
+    solid    how many layers count as there; beneath the layer that is printed the body has grown everywhere
+    """
+
+    body: FaceBody
+    height: float
+    tracks: tuple[FaceTrack, ...]
+    solid: int = 0
+
+    def before(self, bead: int) -> FaceLayers:
+        """The surface when the first `bead` beads have been printed: the last one's layer lies on it."""
+        return replace(self, solid=self.tracks[bead - 1].layer if bead > 0 else 0)
+
+    def signed_distance(self, points: Array) -> Array:
+        """Distance (n,) of points (n, 3) from the body with its solid layers; negative inside."""
+        return self.body.signed_distance(points) - self.solid * self.height
+
+    def normals(self, points: Array) -> Array:
+        """Outward unit normals (n, 3) of the layer through points (n, 3)."""
+        return self.body.normals(points)
+
+    def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
+        """Outward unit normals (n, 3) of the true faces where perpendiculars from tips (n, 3) meet them, found from the
+        places of the bead's samples around arc lengths s (n)."""
+        track = self.tracks[bead]
+        after = np.clip(np.searchsorted(track.s, s), 1, len(track.s) - 1)
+        around = np.stack([after - 1, after], axis=1)
+        return track.body.followed(tips, track.face[around], track.uv[around]).normals
+
+
+def laid(
+    curves: Sequence[tuple[FaceBody, FaceCurve, str]], count: int, layer_height: float, width: float, height: float
+) -> tuple[list[Bead], list[FaceTrack]]:
+    """Beads `width` and `height` [m] along curves, `count` layers of them: each begins where the one before ended."""
+    placed = []
+    row = list(curves)
+    for layer in range(count):
+        placed += [(layer, *one) for one in row]
+        row = [(body, curve.reversed(), name) for body, curve, name in reversed(row)]
+    zeros = roll_zeros([curve.places.normals for _, _, curve, _ in placed])
+    beads, tracks = [], []
+    for (layer, body, curve, name), zero in zip(placed, zeros, strict=True):
+        rise = (layer + 1) * layer_height
+        points = curve.places.points + rise * curve.places.normals
+        s = arc_length(points)
+        beads.append(
+            Bead(
+                name=name,
+                layer=layer,
+                s=s,
+                points=points,
+                normals=curve.places.normals,
+                roll_zero=zero,
+                source=curve.source.points + rise * curve.source.normals,
+                width=np.full(len(points), width),
+                height=np.full(len(points), height),
+                closed=bool(np.linalg.norm(points[-1] - points[0]) < _CLOSED),
+            )
+        )
+        tracks.append(FaceTrack(layer, s, body, curve.places.face, curve.places.uv))
+    return beads, tracks
+
+
+# ----------------------------------------------------------------------------------------------------
+# From the problem to beads that cover faces of a STEP file.
 
 _QUARTER = 0.25  # of the spacing between points along the faces' edges
 _APART = 0.5  # of the spacing: so far apart are the source's points at most

@@ -1,4 +1,4 @@
-"""Faces of a STEP file, in the part frame: read by another process, which a damaged file may end."""
+"""Faces of a STEP file, in the part frame: read by another process, and chosen by name or number."""
 
 from __future__ import annotations
 
@@ -7,17 +7,96 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from planner.errors import Complaint
-from planner.input_file import read_bytes
-from planner.problem.faces import StepSpec
-from planner.toolpath.step.face import Face
+from planner.base.arrays import Array, Ints, ReadOnlyArrays
+from planner.base.errors import Complaint
+from planner.base.files import read_bytes
+from planner.problem.part import StepSpec
 from planner.toolpath.step.splines import SplineSet, SplineSurface
+
+# ----------------------------------------------------------------------------------------------------
+# A face of a STEP file: a surface, the closed curves that trim it, and which side of it is out of the material.
+
+
+@dataclass(frozen=True)
+class Face(ReadOnlyArrays):
+    """One face (metres, part frame), as algorithms that cover faces see it.
+
+    number    in the file, from 1; name as it stands there, often empty
+    loops     closed curves (m, 2) in u and v that trim it, the first point not repeated; the outer one first
+    edges     for each loop, the number of the edge that each point stands on (the first of the two where edges meet);
+              faces that share an edge share its number, and the places of its points
+    side      1 where du x dv points out of the material, -1 where it points into it
+    """
+
+    number: int
+    name: str
+    surface: SplineSurface
+    loops: tuple[Array, ...]
+    edges: tuple[Ints, ...]
+    side: int
+    alone: SplineSet = field(repr=False)
+
+    @property
+    def title(self) -> str:
+        """What a message calls it."""
+        return f"face {self.number} {self.name!r}" if self.name else f"face {self.number}"
+
+    def points(self, uv: Array) -> Array:
+        """Points (n, 3) at parameters (n, 2) [m]."""
+        return self.alone.points(np.zeros(len(uv), dtype=np.int64), uv)
+
+    def normals(self, uv: Array) -> Array:
+        """Unit outward normals (n, 3) at parameters (n, 2)."""
+        return self.side * self.alone.normals(np.zeros(len(uv), dtype=np.int64), uv)
+
+
+# ----------------------------------------------------------------------------------------------------
+# Which faces of a STEP file are meant by their names and numbers, and the refusal of what a file does not hold.
+
+Wanted = Sequence[int | str] | str
+
+_SHOWN = 12  # names of faces in a message
+
+
+class Damaged(ValueError):
+    """What is wrong with a file, or with what is wanted of it, and what to do about it."""
+
+    def __init__(self, reason: str, hint: str | None = None) -> None:
+        self.reason, self.hint = reason, hint
+        super().__init__(reason)
+
+
+def choose_faces(wanted: Wanted, known: Sequence[tuple[int, str]], what: str) -> list[int]:
+    """Numbers of the faces that are wanted, in the order of `known` (their numbers and names); a name may be several's.
+
+    Raises Damaged for a face that is not there, with those that are.
+    """
+    if isinstance(wanted, str):  # all
+        return [number for number, _ in known]
+    chosen = set()
+    for face in wanted:
+        found = [number for number, name in known if face in (number, name)]
+        if not found:
+            names = sorted({name for _, name in known if name})
+            shown = ", ".join(names[:_SHOWN]) + (", ..." if len(names) > _SHOWN else "")
+            numbers = f"numbers {known[0][0]} to {known[-1][0]}" if known else "none"
+            raise Damaged(
+                f"there is no face {face!r} in {what}", hint=f"faces: {numbers}; names: {shown}" if names else numbers
+            )
+        chosen.update(found)
+    return [number for number, _ in known if number in chosen]
+
+
+# ----------------------------------------------------------------------------------------------------
+# Faces of a STEP file, in the part frame: read by another process, which a damaged file may end.
 
 LARGEST_FILE = 100_000_000  # bytes
 FARTHEST = 100.0  # m from the origin: a hall

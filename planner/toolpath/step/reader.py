@@ -27,9 +27,8 @@ from OCP.TopAbs import TopAbs_Orientation, TopAbs_ShapeEnum
 from OCP.TopExp import TopExp, TopExp_Explorer
 from OCP.TopoDS import TopoDS, TopoDS_Compound
 
-from planner.garbage import look_again
-from planner.readonly import Array
-from planner.toolpath.step.choice import Damaged, choose_faces
+from planner.base.arrays import Array
+from planner.toolpath.step.files import Damaged, choose_faces
 
 MOST_FACES = 5000  # read and converted in some 20 s
 _FEWEST = 3  # points of a loop
@@ -254,7 +253,6 @@ def _flips(count: int, senses: dict[int, list[tuple[int, int]]]) -> list[int]:
 
 def main() -> int:
     """Answer a request, JSON on standard input (file, faces, apart_mm), with arrays as NPZ on standard output."""
-    look_again()
     request = json.load(sys.stdin)
     try:
         answer = read(request)

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from planner.readonly import Array, Ints
-from planner.toolpath.coverage.sampled import SampledSurface
-from planner.toolpath.step.body import FaceBody
-from planner.toolpath.step.trim import ON_THE_RIM
+from planner.base.arrays import Array, Ints
+from planner.toolpath.coverage.tours import SampledSurface
+from planner.toolpath.step.body import ON_THE_RIM, FaceBody
 
 TOLERANCE = 1e-6  # m: the paper's t, by which a distance may miss the desired one
 MOST_SAMPLES = 200_000

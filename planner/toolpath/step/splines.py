@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from planner.readonly import Array, Ints, ReadOnlyArrays
+from planner.base.arrays import Array, Ints, ReadOnlyArrays
 
 BEYOND = 0.02  # of the domain's width: so far a surface is followed beyond its rim
 _POLE = 1e-7  # m: a shorter side of a surface is a pole

@@ -1,4 +1,4 @@
-"""Faces of a STEP file seen from above: what plane curves are projected onto."""
+"""Faces of a STEP file seen from above: what plane curves are projected onto; and as triangles, for pictures."""
 
 from __future__ import annotations
 
@@ -6,15 +6,52 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from planner.readonly import Array, Ints
-from planner.toolpath.shape import Shape, skin_shape
-from planner.toolpath.step.body import FaceBody, Places
-from planner.toolpath.step.face import Face
-from planner.toolpath.step.trim import ON_THE_RIM
-from planner.toolpath.substrate.height_field import HeightField, fit
+from planner.base.arrays import Array, Ints
+from planner.toolpath.bead import Shape, skin_shape
+from planner.toolpath.step.body import ON_THE_RIM, FaceBody, FacePlaces
+from planner.toolpath.step.files import Face
+from planner.toolpath.substrate.mesh_surface import HeightField, fit
+
+# ----------------------------------------------------------------------------------------------------
+# Faces of a STEP file as triangles, for pictures.
+
+_CELLS = 10  # along either parameter of a face
+
+
+def faces_shape(faces: Sequence[Face]) -> Shape:
+    """Triangles of faces: cells of their parameters, cut where the faces are trimmed."""
+    vertices, normals = [], []
+    for face in faces:
+        uv = _triangles(face)
+        points, out = face.points(uv), face.normals(uv)
+        across = np.cross(points[1::3] - points[::3], points[2::3] - points[::3])
+        turned = (across * out[::3]).sum(axis=1) < 0.0
+        order = np.arange(len(uv)).reshape(-1, 3)
+        order[turned] = order[turned][:, ::-1]
+        vertices.append(points[order.ravel()])
+        normals.append(out[order.ravel()])
+    return Shape(np.vstack(vertices), np.vstack(normals), np.arange(sum(map(len, vertices))).reshape(-1, 3))
+
+
+def _triangles(face: Face) -> np.ndarray:
+    """Corners (3 k, 2) of k triangles in u and v."""
+    outer, *holes = face.loops
+    area = shapely.make_valid(shapely.Polygon(outer, holes))
+    low, high = np.array(area.bounds).reshape(2, 2)
+    u, v = (np.linspace(a, b, _CELLS + 1) for a, b in zip(low, high, strict=True))
+    cells = shapely.box(*(edge.ravel() for edge in (*np.meshgrid(u[:-1], v[:-1]), *np.meshgrid(u[1:], v[1:]))))
+    pieces = shapely.intersection(cells, area)
+    triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(pieces))
+    corners = shapely.get_coordinates(triangles[shapely.area(triangles) > 0.0]).reshape(-1, 4, 2)
+    return corners[:, :3].reshape(-1, 2)
+
+
+# ----------------------------------------------------------------------------------------------------
+# Faces of a STEP file seen from above: what plane curves are projected onto.
 
 CLOSE = 5e-7  # m: near enough to the faces; normals are then within some hundredths of a degree
 FARTHEST = 2e-5  # m, of the smooth surface from the faces at the curves
@@ -43,7 +80,7 @@ class UpperFaces:
     """Faces that look upwards somewhere: samples of them, and the tree of their x and y."""
 
     body: FaceBody
-    samples: Places
+    samples: FacePlaces
     tree: cKDTree
 
     @classmethod
@@ -57,7 +94,7 @@ class UpperFaces:
         up = (places.normals[:, 2] > _STEEPEST) & use
         if not up.any():
             return None
-        samples = Places(places.points[up], places.normals[up], places.face[up], places.uv[up])
+        samples = FacePlaces(places.points[up], places.normals[up], places.face[up], places.uv[up])
         return cls(body, samples, cKDTree(samples.points[:, :2]))
 
     def top(self, plane: Array) -> tuple[Array, Array]:
@@ -82,7 +119,7 @@ class UpperFaces:
             z[left[here]], up[left[here]] = height[here], places.normals[here, 2]
         return z, up
 
-    def _risen(self, plane: Array, start: Ints, near: Ints) -> tuple[Array, Places]:
+    def _risen(self, plane: Array, start: Ints, near: Ints) -> tuple[Array, FacePlaces]:
         """Heights (n,) above x, y (n, 2) at which the foot is the place itself, or beyond a rim changes no more; and feet.
 
         start (n,) and near (n, c): samples to begin with, and to look for feet from.
@@ -103,9 +140,9 @@ class UpperFaces:
             places = self.body.followed(there, known.face[near[busy]], known.uv[near[busy]])
             foot[busy], normal[busy], face[busy], uv[busy] = places.points, places.normals, places.face, places.uv
             busy = busy[np.linalg.norm(places.points - there, axis=1) > _FOUND]
-        return height, Places(foot, normal, face, uv)
+        return height, FacePlaces(foot, normal, face, uv)
 
-    def beneath(self, points: Array) -> Places:
+    def beneath(self, points: Array) -> FacePlaces:
         """Feet of perpendiculars from points (n, 3) close above the faces."""
         near = self.tree.query(points[:, :2], k=min(_STARTS, self.tree.n))[1].reshape(len(points), -1)
         return self.body.followed(points, self.samples.face[near], self.samples.uv[near])

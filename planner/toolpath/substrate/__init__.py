@@ -1,0 +1,1 @@
+"""Plane curves projected onto a body."""

@@ -10,9 +10,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.problem.drawings import PatternSpec
-from planner.readonly import Array
-from planner.toolpath.svg import PlanePath
+from planner.toolpath.svg.outlines import PlanePath
 
 Inside = Callable[[Array], NDArray[np.bool_]]
 

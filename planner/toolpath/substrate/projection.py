@@ -1,42 +1,225 @@
-"""From a drawing or a pattern to plane curves that fit a body, and their layers on it."""
+"""Plane curves trimmed to a region, projected along z onto a body, layer on layer (Pollard et al., section 4.1)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.errors import Complaint
-from planner.facets import read_facets
+from planner.base.arrays import Array, Flags
+from planner.base.errors import Complaint
 from planner.problem import Problem
-from planner.problem.curves import CurvesSpec, ProjectedCurvesSpec
 from planner.problem.drawings import (
+    CurvesSpec,
     OnPartSpec,
     PatternSpec,
+    ProjectedCurvesSpec,
     ProjectedDrawingSpec,
     ProjectedPatternSpec,
     SvgSpec,
 )
-from planner.problem.faces import StepSpec
-from planner.problem.part import MeshSpec, PartSpec
-from planner.readonly import Array
-from planner.toolpath.bead import Toolpath
-from planner.toolpath.laying import densify
+from planner.problem.part import MeshSpec, PartSpec, StepSpec
+from planner.problem.stl import read_facets
+from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.nurbs import nurbs_paths
 from planner.toolpath.ordering import reverse, shorten_travel
-from planner.toolpath.paths import check_length, check_size, length, seam_on_smooth_part
-from planner.toolpath.rounding import PlaneCurve, round_corners
+from planner.toolpath.plane_paths import (
+    PlaneCurve,
+    arc_length,
+    check_length,
+    check_size,
+    densify,
+    length,
+    round_corners,
+    seam_on_smooth_part,
+)
 from planner.toolpath.step.files import read_step
 from planner.toolpath.step.top import FaceTop, NotSmooth, UpperFaces
-from planner.toolpath.substrate.analytic import exact_body
-from planner.toolpath.substrate.bodies import Body, MeshTop, Part, TooRough, reach_beside
-from planner.toolpath.substrate.facet_tree import FacetTree
-from planner.toolpath.substrate.layers import Substrate
+from planner.toolpath.substrate.bodies import (
+    Facing,
+    MeshTop,
+    Part,
+    SubstrateBody,
+    TooRoughMesh,
+    exact_body,
+    reach_beside,
+)
+from planner.toolpath.substrate.mesh_surface import FacetTree
 from planner.toolpath.substrate.patterns import NoPattern, pattern
-from planner.toolpath.svg import PlanePath, read_svg
+from planner.toolpath.svg.outlines import PlanePath, read_svg
+from planner.toolpath.task import roll_zeros
+
+# ----------------------------------------------------------------------------------------------------
+# Plane curves projected along z onto a body, layer on layer (Pollard et al., section 4.1), and the body as it grows.
+
+_ASIDE = 1e-5  # m, to either side, for the slope of what a plane point is mapped to
+
+
+@dataclass(frozen=True)
+class Substrate:
+    """A body and the layers on it, each `height` [m] above the one before: along the normal, or along z.
+
+    layers   of all beads in print order
+    solid    how many layers count as there; beneath the layer that is printed the body has grown everywhere
+    facings  what the nozzle is normal to along each bead, where that is not the layer itself
+    """
+
+    body: SubstrateBody
+    height: float
+    along_z: bool
+    layers: tuple[int, ...] = ()
+    solid: int = 0
+    facings: tuple[Facing, ...] = ()
+
+    def before(self, bead: int) -> Substrate:
+        """The surface when the first `bead` beads have been printed: the last one's layer lies on it."""
+        return replace(self, solid=self.layers[bead - 1] if bead > 0 else 0)
+
+    def signed_distance(self, points: Array) -> Array:
+        """Distance (n,) of points (n, 3) from the body with its solid layers; negative inside."""
+        rise = self.solid * self.height
+        if self.along_z:
+            return self.body.signed_distance(points - [0.0, 0.0, rise])
+        return self.body.signed_distance(points) - rise
+
+    def normals(self, points: Array) -> Array:
+        """Outward unit normals (n, 3) of the layer through points (n, 3)."""
+        if self.along_z:
+            normals = self.body.at(points[:, :2])[1]
+            beside = np.isnan(normals[:, 0])
+            if beside.any():
+                normals[beside] = self.body.normals(points[beside])
+            return normals
+        return self.body.normals(points)
+
+    def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
+        """The layer's at the tips (n, 3), or those that a bead follows instead, at arc lengths s (n)."""
+        return self.facings[bead].at(s) if self.facings else self.normals(tips)
+
+    def project(self, plane: Array, layer: int) -> tuple[Array, Array]:
+        """Nozzle tip and normals (n, 3) above plane points (n, 2): layer k's runs k + 1 layer heights above the body."""
+        points, normals = self.body.at(plane)
+        way = np.array([0.0, 0.0, 1.0]) if self.along_z else normals
+        return points + (layer + 1) * self.height * way, normals
+
+    def stretch(self, plane: Array, layer: int) -> tuple[Array, Array]:
+        """How much longer a short line at plane points (n, 2) is in a layer, at most (n); and by how much less the
+        layer is bent than would fold it (n): 0 or less where it is folded, 1 on the body itself."""
+        steps = np.array([[_ASIDE, 0.0], [0.0, _ASIDE]])
+        slope = [
+            (self.project(plane + d, layer)[0] - self.project(plane - d, layer)[0]) / (2.0 * _ASIDE) for d in steps
+        ]
+        E, F, G = ((slope[i] * slope[j]).sum(axis=1) for i, j in ((0, 0), (0, 1), (1, 1)))
+        greatest = np.sqrt(0.5 * (E + G) + np.sqrt(0.25 * (E - G) ** 2 + F**2))
+        normals = self.body.at(plane)[1]
+        area = (np.cross(slope[0], slope[1]) * normals).sum(axis=1)
+        return greatest, area * normals[:, 2]
+
+    def facing(self, curves: Sequence[Sequence[PlaneCurve]], blend: float, facets: FacetTree) -> Substrate:
+        """The same where the nozzle is normal to facets along plane curves, those of one layer after another."""
+        facings = []
+        for layer, row in enumerate(curves):
+            for curve in row:
+                s = arc_length(self.project(curve.points, layer)[0])
+                normals = facets.normals[facets.top(curve.points)[1]]
+                facings.append(Facing.along(s, normals, blend, curve.closed))
+        return replace(self, facings=tuple(facings))
+
+    def lay(self, curves: Sequence[Sequence[PlaneCurve]], width: float, height: float) -> list[Bead]:
+        """Beads `width` and `height` [m] along plane curves, those of one layer after another, in print order."""
+        placed = [
+            (layer, curve, *self.project(curve.points, layer)) for layer, row in enumerate(curves) for curve in row
+        ]
+        arcs = [arc_length(points) for _, _, points, _ in placed]
+        axes = [normals for _, _, _, normals in placed]
+        if self.facings:
+            axes = [facing.at(s) for facing, s in zip(self.facings, arcs, strict=True)]
+        return [
+            Bead(
+                name=curve.name,
+                layer=layer,
+                s=s,
+                points=points,
+                normals=axis,
+                roll_zero=zero,
+                source=self.project(densify(curve.source), layer)[0],
+                width=np.full(len(points), width),
+                height=height * (normals[:, 2] if self.along_z else np.ones(len(points))),
+                closed=curve.closed,
+            )
+            for (layer, curve, points, normals), s, axis, zero in zip(placed, arcs, axes, roll_zeros(axes), strict=True)
+        ]
+
+
+# ----------------------------------------------------------------------------------------------------
+# Plane curves cut where they leave a region, with the input paths that they stand for.
+
+_SAME = 1e-9  # m: vertices nearer than this to a cut are the cut
+
+
+def trim_path(path: PlanePath, dense: Array, keep: Flags) -> list[PlanePath]:
+    """The pieces of a polyline where its dense points (n, 2) are kept (n); closed if all of a closed one are."""
+    if keep.all():
+        return [path]
+    arc = _arc(dense)
+    return [
+        PlanePath(path.name, _between(path.points, *ends), False)
+        for ends in (_unrolled(arc, *run) for run in _runs(keep, path.closed))
+        if ends[1] - ends[0] > _SAME
+    ]
+
+
+def trim_curve(curve: PlaneCurve, keep: Flags) -> list[PlaneCurve]:
+    """The pieces of a rounded curve whose samples are kept (n), from sample to sample; at least two samples each."""
+    if keep.all():
+        return [curve]
+    last = len(keep) - 1
+    total = length(curve.source)
+    pieces = []
+    for first, end in _runs(keep, curve.closed):
+        if end == first:
+            continue
+        index = np.arange(first, end + 1)
+        index = np.where(index > last, index - last, index)  # past the seam of a closed curve
+        source = _between(curve.source, first * total / last, end * total / last)
+        pieces.append(replace(curve, points=curve.points[index], source=source, closed=False))
+    return pieces
+
+
+def _runs(keep: Flags, closed: bool) -> list[tuple[int, int]]:
+    """First and last place of each run of kept places (n), not all of them; past n - 1 where it crosses the seam."""
+    change = np.flatnonzero(np.diff(np.concatenate([[0], keep.astype(np.int8), [0]])))
+    runs = [(int(first), int(end) - 1) for first, end in change.reshape(-1, 2)]
+    if closed and len(runs) > 1 and runs[0][0] == 0 and runs[-1][1] == len(keep) - 1:
+        runs = [*runs[1:-1], (runs[-1][0], len(keep) - 1 + runs[0][1])]
+    return runs
+
+
+def _arc(points: Array) -> Array:
+    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+
+
+def _unrolled(arc: Array, first: int, end: int) -> tuple[float, float]:
+    """Arc lengths of the places `first` and `end`, the latter past the seam where it is no place of its own."""
+    last = len(arc) - 1
+    return float(arc[first]), float(arc[end]) if end <= last else float(arc[-1] + arc[end - last])
+
+
+def _between(points: Array, low: float, high: float) -> Array:
+    """A polyline (n, 2) from one arc length to another [m], which may lie a round further on a closed one."""
+    arc = _arc(points)
+    if high > arc[-1] + _SAME:
+        points, arc = np.vstack([points, points[1:]]), np.concatenate([arc, arc[-1] + arc[1:]])
+    inner = points[(arc > low + _SAME) & (arc < high - _SAME)]
+    ends = np.column_stack([np.interp([low, high], arc, points[:, k]) for k in range(2)])
+    return np.vstack([ends[:1], inner, ends[1:]])
+
+
+# ----------------------------------------------------------------------------------------------------
+# From a drawing or a pattern to plane curves that fit a body, and their layers on it.
 
 STEEPEST = 75.0  # deg from the horizontal: beyond, a hair's breadth aside is a long way down, and the nozzle lies flat
 REACH = 2.0  # bead widths beside a curve within which the surface counts
@@ -115,7 +298,7 @@ def placed(path: PlanePath, spec: OnPartSpec) -> PlanePath:
     return replace(path, points=points)
 
 
-def _body(problem: Problem, part: PartSpec, paths: Sequence[PlanePath], outline: Sequence[Array]) -> Body:
+def _body(problem: Problem, part: PartSpec, paths: Sequence[PlanePath], outline: Sequence[Array]) -> SubstrateBody:
     """The body, once it is known that all paths fall onto it."""
     exact = exact_body(part)
     if exact is not None:
@@ -144,7 +327,7 @@ def smooth_top(facets: FacetTree, curves: Array, reach: float, where: Complaint,
     """The mesh with a smooth surface near curves (n, 2), else InputError; for `reach` and `part` see MeshTop.near."""
     try:
         return MeshTop.near(facets, curves, reach, part)
-    except TooRough as error:
+    except TooRoughMesh as error:
         x, y = error.place * 1e3
         raise where(
             f"the smooth surface through the facets is {error.gap * 1e3:.3f} mm off them at x {x:.1f}, y {y:.1f} mm",
@@ -152,7 +335,7 @@ def smooth_top(facets: FacetTree, curves: Array, reach: float, where: Complaint,
         ) from None
 
 
-def _step_body(problem: Problem, spec: StepSpec, paths: Sequence[PlanePath], outline: Sequence[Array]) -> Body:
+def _step_body(problem: Problem, spec: StepSpec, paths: Sequence[PlanePath], outline: Sequence[Array]) -> SubstrateBody:
     """The upper faces of a STEP file with a smooth surface on them, once it is known that all paths fall onto them."""
     complain = partial(problem.error, "part.step.file")
     upper = UpperFaces.of(read_step(spec, _EDGES, complain))
@@ -170,7 +353,7 @@ def _step_body(problem: Problem, spec: StepSpec, paths: Sequence[PlanePath], out
 
 
 def _check_all(
-    problem: Problem, body: Body | FacetTree | UpperFaces, paths: Sequence[PlanePath], outline: Sequence[Array]
+    problem: Problem, body: SubstrateBody | FacetTree | UpperFaces, paths: Sequence[PlanePath], outline: Sequence[Array]
 ) -> None:
     if not any(np.isfinite(body.upward(points)).any() for points in outline):
         raise problem.error(
@@ -180,7 +363,7 @@ def _check_all(
         _check_there(problem, body, path.name, points)
 
 
-def _check_there(problem: Problem, body: FacetTree | UpperFaces | Body, name: str, plane: Array) -> None:
+def _check_there(problem: Problem, body: FacetTree | UpperFaces | SubstrateBody, name: str, plane: Array) -> None:
     """Raise InputError where a curve leaves the part, or where this is too steep."""
     up = body.upward(plane)
     off = ~(up >= np.cos(np.radians(STEEPEST)))

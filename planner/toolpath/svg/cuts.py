@@ -13,11 +13,10 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from planner.readonly import Array
-from planner.toolpath.svg.document import MAX_POINTS
+from planner.base.arrays import Array
+from planner.toolpath.svg.document import BLACK, MAX_POINTS, OPAQUE
 from planner.toolpath.svg.drawing import Outline, Region
-from planner.toolpath.svg.pieces import Piece
-from planner.toolpath.svg.style import BLACK, OPAQUE
+from planner.toolpath.svg.shapes import OutlinePiece
 
 _LEAST_OF_AREA = 3  # vertices: two points are a line, whatever it is filled with
 _COARSE = 1e-4  # of the drawing's size: tolerance with which the size of what is left is found
@@ -75,7 +74,7 @@ def _left(shape: list[Outline], seen: shapely.Geometry, near: shapely.Geometry, 
             shape[0],
             name=f"{shape[0].element}.{k}" if len(found) > 1 else shape[0].element,
             part=f"part {k} of what is seen of it" if len(found) > 1 else "what is seen of it",
-            pieces=(Piece("lines", points),),
+            pieces=(OutlinePiece("lines", points),),
             closed=closed,
             cuts=(),
         )

@@ -7,33 +7,33 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from planner.errors import InputError, nearest_name
-from planner.readonly import Array
+from planner.base.arrays import Array
+from planner.base.errors import InputError, nearest_name
 from planner.toolpath.svg.document import (
+    BLACK,
+    CUTS,
     MAX_COORDINATE,
     MAX_DEPTH,
     MAX_ELEMENTS,
     MAX_POINTS,
     NOT_DRAWN,
-    SHAPES,
-    XLINK_HREF,
-    Node,
-)
-from planner.toolpath.svg.pieces import Piece, Subpath
-from planner.toolpath.svg.shapes import subpaths_of
-from planner.toolpath.svg.style import (
-    BLACK,
-    CUTS,
     OPACITY,
     OPAQUE,
     PAINT,
     READ,
+    SHAPES,
     SHAPING,
+    XLINK_HREF,
+    Node,
     Rule,
+    Size,
+    mask_box,
     style_properties,
     style_rules,
+    transform_matrix,
+    viewport_matrix,
 )
-from planner.toolpath.svg.transform import Size, mask_box, transform_matrix, viewport_matrix
+from planner.toolpath.svg.shapes import OutlinePiece, Subpath, subpaths_of
 
 # Attributes that would move or hide an outline and are not supported; style.py has the properties.
 REFERENCE = re.compile(r"url\(\s*[\"']?\s*#([^\s\"')]*)\s*[\"']?\s*\)", re.IGNORECASE)
@@ -52,7 +52,7 @@ class Outline:
     node: Node
     name: str
     part: str
-    pieces: tuple[Piece, ...]
+    pieces: tuple[OutlinePiece, ...]
     closed: bool
     shape: int
     element: str
@@ -75,7 +75,7 @@ class Region:
 
 
 @dataclass(frozen=True)
-class Place:
+class ElementContext:
     """Where an element is drawn: transform (3, 3) into the root, visibility, viewport, the <use>s that led here, and
     what it inherits of paint and cuts."""
 
@@ -113,7 +113,7 @@ class Drawing:
     def outlines(self) -> list[Outline]:
         """Return every visible subpath in drawing order."""
         self._count(self._root, False, 0)
-        self._draw(self._root, Place(np.eye(3)), None)
+        self._draw(self._root, ElementContext(np.eye(3)), None)
         return self._drawn
 
     def _count(self, node: Node, used: bool, depth: int) -> int:
@@ -134,7 +134,7 @@ class Drawing:
             self._counts[id(node)] = count
         return self._counts[id(node)]
 
-    def _draw(self, node: Node, place: Place, user: Node | None) -> None:
+    def _draw(self, node: Node, place: ElementContext, user: Node | None) -> None:
         """Draw an element; `user` is the <use> that names it, where that is why it is drawn."""
         self._elements += 1
         if self._elements > MAX_ELEMENTS or place.depth > MAX_DEPTH:
@@ -157,7 +157,7 @@ class Drawing:
             matrix = matrix @ inner
         if not np.abs(matrix).max() <= 1e15:
             raise node.error("its transforms together are too large")
-        inside = Place(matrix, visible, viewport, place.uses, place.depth + 1, paint, cuts)
+        inside = ElementContext(matrix, visible, viewport, place.uses, place.depth + 1, paint, cuts)
         if node.tag == "use":
             self._follow(node, inside)
         elif node.tag not in SHAPES:
@@ -167,7 +167,7 @@ class Drawing:
             opacity = {name: style[name] for name in (*OPACITY, "unread") if name in style}
             self._add(node, replace(inside, paint=paint | opacity))
 
-    def _follow(self, node: Node, place: Place) -> None:
+    def _follow(self, node: Node, place: ElementContext) -> None:
         """Draw what a <use> names."""
         name = _name_used(node)
         found = self._named(node, name)
@@ -188,7 +188,7 @@ class Drawing:
             raise node.error(f"the id '{name}' is given {len(found)} times, last in line {found[-1].line}")
         return found[0]
 
-    def _cuts(self, node: Node, style: dict[str, str], place: Place) -> tuple[Region, ...]:
+    def _cuts(self, node: Node, style: dict[str, str], place: ElementContext) -> tuple[Region, ...]:
         """Return what the element's own clip path and mask let be seen."""
         regions = []
         for name in CUTS:
@@ -207,7 +207,7 @@ class Drawing:
             regions.append(self._region(found, replace(place, visible=True, cuts=(), uses=(*place.uses, found))))
         return tuple(regions)
 
-    def _region(self, node: Node, place: Place) -> Region:
+    def _region(self, node: Node, place: ElementContext) -> Region:
         """Return what a <clipPath> or <mask> lets be seen of an element in whose user units `place` is."""
         style = self._style(node)
         units = "clipPathUnits" if node.tag == "clipPath" else "maskContentUnits"
@@ -246,7 +246,7 @@ class Drawing:
         plain = plain and bool(stops) and not {"stop-opacity", "style", "class"} & given
         return outline.paint | {"fill": "white"} if plain else outline.paint
 
-    def _add(self, node: Node, place: Place) -> None:
+    def _add(self, node: Node, place: ElementContext) -> None:
         """Add the subpaths of a shape."""
         if id(node) not in self._subpaths:
             self._subpaths[id(node)] = subpaths_of(node)

@@ -1,15 +1,95 @@
-"""The pieces of one SVG shape. Path data is checked here, because svgelements skips in silence what it cannot read."""
+"""The pieces of one SVG shape: lines, cubics and arcs, and how they become chords."""
 
 from __future__ import annotations
 
+import math
 import re
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import svgelements
 
-from planner.readonly import Array
+from planner.base.arrays import Array
 from planner.toolpath.svg.document import COMMA, MAX_COORDINATE, MAX_POINTS, NUMBER, SPACE, Node
-from planner.toolpath.svg.pieces import Piece, Subpath
+
+# ----------------------------------------------------------------------------------------------------
+# Lines, cubics and arcs: what every SVG command and shape comes down to, and how they become chords.
+
+
+@dataclass(frozen=True)
+class OutlinePiece:
+    """A part of an outline, in user units; an affine map of its points maps the piece.
+
+    lines: points (k, 2), vertices | cubic: points (4, 2), Bézier controls
+    arc:   points (5, 2), start, end, centre c, c + u, c + v: the curve c + u cos θ + v sin θ, from θ = first over sweep
+    """
+
+    kind: Literal["lines", "cubic", "arc"]
+    points: Array
+    first: float = 0.0
+    sweep: float = 0.0
+
+    @property
+    def ends(self) -> Array:
+        """First and last point (2, 2)."""
+        return self.points[:2] if self.kind == "arc" else self.points[[0, -1]]
+
+    def at(self, t: Array) -> Array:
+        """Points (n, 2) of a curve at parameters t (n,) in 0 … 1."""
+        t = t[:, None]
+        if self.kind == "cubic":
+            a, b, c, d = self.points
+            s = 1 - t
+            return s * s * s * a + 3 * s * s * t * b + 3 * s * t * t * c + t * t * t * d
+        angle, centre = self.first + self.sweep * t, self.points[2]
+        return centre + (self.points[3] - centre) * np.cos(angle) + (self.points[4] - centre) * np.sin(angle)
+
+    def extremes(self) -> Array:
+        """Points (m, 2) that have the same bounding box as the piece."""
+        if self.kind == "lines":
+            return self.points
+        if self.kind == "cubic":
+            a, b, c = np.diff(self.points, axis=0)
+            with np.errstate(all="ignore"):  # no root, or one at infinity: NaN and inf fall out below
+                p, q = a - 2 * b + c, 2 * (b - a)  # B'(t) = 3 (p t² + q t + a)
+                half = -0.5 * (q + np.where(q < 0, -1, 1) * np.sqrt(q * q - 4 * p * a))
+                t = np.concatenate([half / p, a / half])
+        else:
+            u, v = self.points[3:] - self.points[2]
+            angles = np.arctan2(v, u)[:, None] + np.arange(-8, 9) * np.pi
+            t = (angles.ravel() - self.first) / (self.sweep or 1.0)
+        return np.vstack([self.ends, self.at(t[(t > 0) & (t < 1)])])
+
+    def count(self, tolerance: float) -> int:
+        """Number of equal steps in t whose chords stay within the tolerance: error <= max |B''| h² / 8."""
+        p = self.points
+        if self.kind == "lines":
+            return len(p) - 1
+        if self.kind == "cubic":
+            along = p[3] - p[0]
+            t = np.clip((p[1:3] - p[0]) @ along / max(float(along @ along), 1e-300), 0, 1)
+            if np.hypot(*(p[0] + t[:, None] * along - p[1:3]).T).max() <= 1e-3 * tolerance:
+                return 1  # straight: a curve lies in the hull of its controls
+            bend, span = 6 * float(np.hypot(*np.diff(p, n=2, axis=0).T).max()), 1.0
+        else:
+            bend, span = float(np.linalg.norm(p[3:] - p[2], 2)), abs(self.sweep)
+        return max(1, math.ceil(min(span * math.sqrt(bend / (8 * tolerance)), 2.0 * MAX_POINTS)))
+
+    def flat(self, count: int) -> Array:
+        """Vertices of the piece: a curve's `count` chords, with its ends exactly."""
+        if self.kind == "lines":
+            return self.points
+        points = self.at(np.linspace(0, 1, count + 1))
+        points[[0, -1]] = self.ends
+        return points
+
+
+Subpath = tuple[tuple[OutlinePiece, ...], bool]  # and whether it is closed
+
+
+# ----------------------------------------------------------------------------------------------------
+# The pieces of one SVG shape. Path data is checked here, because svgelements skips in silence what it cannot read.
 
 NUMBER_COUNTS = {"M": 2, "L": 2, "T": 2, "H": 1, "V": 1, "C": 6, "S": 4, "Q": 4}
 ARGUMENTS = {letter: COMMA.join([f"({NUMBER})"] * count) for letter, count in NUMBER_COUNTS.items()}
@@ -26,11 +106,11 @@ def subpaths_of(node: Node) -> list[Subpath]:
     """Return the subpaths of a shape in its own user units."""
     if node.tag == "line":
         ends = np.reshape([node.length(name) or 0.0 for name in ("x1", "y1", "x2", "y2")], (2, 2))
-        return [((Piece("lines", ends),), False)]
+        return [((OutlinePiece("lines", ends),), False)]
     if node.tag in ("polyline", "polygon"):
         points = _listed_points(node)
         closed = node.tag == "polygon"
-        return [((Piece("lines", np.vstack([points, points[:1]]) if closed else points),), closed)]
+        return [((OutlinePiece("lines", np.vstack([points, points[:1]]) if closed else points),), closed)]
     if node.tag == "path":
         letters, data = path_commands(node)
         segments = list(svgelements.Path(data))
@@ -100,12 +180,12 @@ def _mend_smooth(letters: str, segments: list[svgelements.PathSegment]) -> None:
 def _pieces(node: Node, segments: list[svgelements.PathSegment]) -> list[Subpath]:
     """Return the pieces of each subpath; straight segments that follow each other make one piece."""
     subpaths: list[Subpath] = []
-    pieces: list[Piece] = []
+    pieces: list[OutlinePiece] = []
     line: list[tuple[float, float]] = []
 
     def end_line() -> None:
         if len(line) > 1 or not pieces:
-            pieces.append(Piece("lines", np.array(line)))
+            pieces.append(OutlinePiece("lines", np.array(line)))
         line.clear()
 
     def end_subpath(closed: bool) -> None:
@@ -133,17 +213,17 @@ def _pieces(node: Node, segments: list[svgelements.PathSegment]) -> list[Subpath
     return subpaths
 
 
-def _curve(node: Node, segment: svgelements.PathSegment) -> Piece | None:
+def _curve(node: Node, segment: svgelements.PathSegment) -> OutlinePiece | None:
     """Return the piece of a curved segment; None for a straight one, which includes an arc without a radius."""
     if isinstance(segment, svgelements.CubicBezier):
-        return Piece("cubic", _array(segment.start, segment.control1, segment.control2, segment.end))
+        return OutlinePiece("cubic", _array(segment.start, segment.control1, segment.control2, segment.end))
     if isinstance(segment, svgelements.QuadraticBezier):
         a, b, c = _array(segment.start, segment.control, segment.end)
-        return Piece("cubic", np.array([a, (a + 2 * b) / 3, (2 * b + c) / 3, c]))
+        return OutlinePiece("cubic", np.array([a, (a + 2 * b) / 3, (2 * b + c) / 3, c]))
     if not isinstance(segment, svgelements.Arc) or segment.rx == 0 or segment.ry == 0:
         return None
     points = _array(segment.start, segment.end, segment.center, segment.prx, segment.pry)
-    arc = Piece("arc", points, float(segment.get_start_t()), float(segment.sweep))
+    arc = OutlinePiece("arc", points, float(segment.get_start_t()), float(segment.sweep))
     gap = arc.at(np.array([0.0, 1.0])) - arc.ends
     if not np.abs(gap).max() <= 1e-6 * float(np.hypot(*(points[1] - points[0]))) + 1e-9:
         raise node.error(f"an arc at {points[0].tolist()} is too flat to be computed", "draw a line")

@@ -1,0 +1,1 @@
+"""Closed meshes filled with curved layers."""

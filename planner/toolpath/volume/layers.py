@@ -1,34 +1,189 @@
-"""From a closed mesh to curved layers between two surfaces: walls and infill, each layer on the one before."""
+"""From a closed mesh to curved layers between two surfaces: guides, walls and infill, each layer on the one before."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 import shapely
+import shapely.affinity
 
-from planner.errors import Complaint
-from planner.facets import read_facets
+from planner.base.arrays import Array
+from planner.base.errors import Complaint
 from planner.problem import Problem
-from planner.problem.volume import VolumeLayersSpec
-from planner.readonly import Array
+from planner.problem.layers import GuideSpec, VolumeLayersSpec
+from planner.problem.stl import read_facets
 from planner.toolpath.bead import Bead, Toolpath
-from planner.toolpath.laying import bead_along, densify
 from planner.toolpath.ordering import shorten_travel
-from planner.toolpath.paths import length, seam_on_smooth_part
-from planner.toolpath.rounding import PlaneCurve, round_corners
-from planner.toolpath.substrate.facet_tree import FacetTree
-from planner.toolpath.substrate.height_field import HeightField
-from planner.toolpath.svg import PlanePath
-from planner.toolpath.transport import roll_zeros
-from planner.toolpath.volume.fill import walls, zigzag
-from planner.toolpath.volume.guides import stack_of
-from planner.toolpath.volume.morph import Morph, MorphedLayers
-from planner.toolpath.volume.solid import NotClosed, Solid, TooFine
+from planner.toolpath.plane_paths import PlaneCurve, bead_along, densify, length, round_corners, seam_on_smooth_part
+from planner.toolpath.substrate.bodies import MeshTop, TooRoughMesh, reach_beside
+from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField
+from planner.toolpath.svg.outlines import PlanePath
+from planner.toolpath.task import roll_zeros
+from planner.toolpath.volume.sections import Heights, Morph, MorphedLayers, NotClosed, Solid, TooFine, polygons
 
-_GRID = 120  # places along the body's longer side at which the tilt is looked at
+# ----------------------------------------------------------------------------------------------------
+# The two surfaces that layers change between: levels, meshes, or a body's own top.
+
+_GUIDE_GRID = 120  # places along the body's longer side at which its surfaces are looked at
+_REACH = 2.0  # bead widths beside the body within which its surfaces count
+
+
+def stack_of(problem: Problem, spec: VolumeLayersSpec, solid: Solid, tree: FacetTree) -> tuple[Morph, MeshTop | None]:
+    """The stack of layers between a body's surfaces, and the mesh that it begins at if it does; the body's facets.
+
+    Raises InputError for surfaces that are not one above the other, or have edges.
+    """
+    low, high = solid.vertices[:, :2].min(axis=0), solid.vertices[:, :2].max(axis=0)
+    axes = [np.linspace(a, b, _GUIDE_GRID) for a, b in zip(low, high, strict=True)]
+    plane = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    plane = plane[tree.top(plane)[1] >= 0]
+    reach = _REACH * problem.process.bead.width
+    lowest = GuideSpec.model_construct(z=float(solid.vertices[:, 2].min()), mesh=None)
+    lower, base = _heights(problem, spec.lower or lowest, "layers.lower", plane, reach)
+    if spec.upper is None:
+        top = _smooth(tree, plane, reach, spec.source.mesh.name, partial(problem.error, "layers.source.mesh"))
+        upper = _over(top)
+    else:
+        upper, _ = _heights(problem, spec.upper, "layers.upper", plane, reach)
+    room = float((upper(plane) - lower(plane)).max())
+    if room <= 0.0:
+        field = "layers.upper" if spec.upper is not None else "layers.lower"
+        reason = f"the upper surface is nowhere above the lower one: {room * 1e3:.3f} mm at most"
+        raise problem.error(field, reason, "the upper surface must lie above the lower one, within the body's outline")
+    return Morph.between(lower, upper, spec.height, spec.thinnest, room, low - reach, high + reach), base
+
+
+def _heights(
+    problem: Problem, guide: GuideSpec, field: str, plane: Array, reach: float
+) -> tuple[Heights, MeshTop | None]:
+    """The heights of a surface that is given, over all of plane (n, 2), and its mesh if it is one."""
+    if guide.mesh is None:
+        z = guide.z or 0.0
+        return (lambda places: np.full(len(places), z)), None
+    complain = partial(problem.error, f"{field}.mesh.file")
+    facets = FacetTree.of(read_facets(guide.mesh, complain))
+    found = facets.top(plane)[1] >= 0
+    if not found.all():
+        x, y = plane[int(np.argmin(found))] * 1e3
+        raise complain(
+            f"{guide.mesh.file.name} does not reach over the whole body: nothing at x {x:.1f}, y {y:.1f} mm",
+            f"a larger surface, or move it by {field}.mesh.origin_mm",
+        )
+    top = _smooth(facets, plane, reach, guide.mesh.file.name, complain)
+    return _over(top), top
+
+
+def _over(top: MeshTop) -> Heights:
+    return lambda places: top.surface.at(places)[0][:, 2]
+
+
+def _smooth(facets: FacetTree, plane: Array, reach: float, name: str, complain: Complaint) -> MeshTop:
+    try:
+        return MeshTop.near(facets, plane, reach_beside(facets, plane, reach))
+    except TooRoughMesh as error:
+        x, y = error.place * 1e3
+        raise complain(
+            f"the smooth surface through the top of {name} is {error.gap * 1e3:.3f} mm off it at x {x:.1f}, y {y:.1f} mm",
+            "there is an edge or a wall, or facets are too large: give layers.upper a smooth surface above the body's top",
+        ) from None
+
+
+# ----------------------------------------------------------------------------------------------------
+# What fills a region of the plane: beads along its outlines, and zig-zag lines in what they leave.
+
+_FARTHEST = 3.0  # line distances, to the next line's end: farther, the zig-zag ends
+_BESIDE = 0.1  # bead widths by which the way from line to line may leave the region: the bead at the wall takes it
+_SPECK = 0.1  # bead widths: a line shorter than this only touches the region
+_TRIES = 3  # distances of lines that are tried
+_HAIR = 1e-6  # m: the outermost lines lie so far inside, else they are found or not by chance
+
+
+def walls(region: shapely.MultiPolygon, width: float, count: int, chord: float, name: str) -> list[PlanePath]:
+    """Closed paths of `count` beads along all outlines, side by side from the outside in; chord: of outlines [m]."""
+    found: list[PlanePath] = []
+    for number in range(count):
+        inside = _inset(region, (number + 0.5) * width)
+        for polygon in inside.geoms:
+            for ring in (polygon.exterior, *polygon.interiors):
+                points = np.asarray(ring.simplify(chord).coords)[:, :2]
+                found.append(PlanePath(f"{name} wall {len(found) + 1}", points, True))
+    return found
+
+
+def zigzag(
+    region: shapely.MultiPolygon, width: float, beside: int, density: float, angle: float, name: str
+) -> list[PlanePath]:
+    """Lines that fill a share `density` of what `beside` beads along the outlines leave, joined from end to end.
+
+    angle: of the lines against x [rad]. The outermost lines lie half a bead from the outermost walls.
+    """
+    inside = shapely.affinity.rotate(_inset(region, (beside + 0.5) * width), -angle, (0.0, 0.0), use_radians=True)
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    found: list[PlanePath] = []
+    for polygon in inside.geoms:
+        for chain in _filling(polygon, width, density):
+            found.append(PlanePath(f"{name} infill {len(found) + 1}", chain @ turn, False))
+    return found
+
+
+def _inset(region: shapely.MultiPolygon, by: float) -> shapely.MultiPolygon:
+    return polygons(region.buffer(-by, join_style="mitre"))
+
+
+def _filling(polygon: shapely.Polygon, width: float, density: float) -> list[Array]:
+    """Zig-zags (k, 2) whose length comes nearest to that share: their turns count, and there are whole lines only."""
+    wanted = density * polygon.buffer(0.5 * width, join_style="mitre").area / width
+    apart, best, least = width / density, [], np.inf
+    for _ in range(_TRIES):
+        chains = list(_chains(polygon, width, max(apart, width)))
+        total = sum(length(chain) for chain in chains)
+        if abs(total - wanted) < least:
+            best, least = chains, abs(total - wanted)
+        apart *= total / wanted
+    return best
+
+
+def _chains(polygon: shapely.Polygon, width: float, apart: float) -> Iterator[Array]:
+    """Zig-zags (k, 2) along x through a polygon, their lines `apart` [m] or a little more or less."""
+    rows = _zigzag_rows(polygon, apart, _SPECK * width)
+    near = shapely.prepared.prep(polygon.buffer(_BESIDE * width))
+    while any(rows):
+        first = next(i for i, row in enumerate(rows) if row)
+        line = rows[first].pop(0)
+        chain = [line]
+        for row in rows[first + 1 :]:
+            ways = [
+                (float(np.hypot(*(end[0] - chain[-1][1]))), k, end)
+                for k, piece in enumerate(row)
+                for end in (piece, piece[::-1])
+            ]
+            size, k, following = min(ways, key=lambda way: way[0], default=(np.inf, -1, chain[-1]))
+            if size > _FARTHEST * apart or not near.covers(shapely.LineString([chain[-1][1], following[0]])):
+                break
+            row.pop(k)
+            chain.append(following)
+        yield np.vstack(chain)
+
+
+def _zigzag_rows(polygon: shapely.Polygon, apart: float, least: float) -> list[list[Array]]:
+    """Lines (2, 2) within a polygon, row by row upwards, each from left to right; longer than `least` [m]."""
+    left, low, right, high = polygon.bounds
+    count = max(round((high - low) / apart), 1) + 1
+    rows = []
+    for y in np.linspace(low + _HAIR, high - _HAIR, count):
+        across = shapely.LineString([(left - apart, y), (right + apart, y)]).intersection(polygon)
+        pieces = [np.asarray(part.coords) for part in shapely.get_parts(across) if part.length > least]
+        rows.append(sorted(pieces, key=lambda piece: float(piece[0, 0])))
+    return rows
+
+
+# ----------------------------------------------------------------------------------------------------
+# From a closed mesh to curved layers between two surfaces: walls and infill, each layer on the one before.
+
+_TILT_GRID = 120  # places along the body's longer side at which the tilt is looked at
 _CUT = 1e-3  # m: longest edge of the facets that are bent with the layers; 1.3 um off them where 100 mm is their radius
 _SHORTEST = 3.0  # bead widths: a shorter path is left out
 _RESERVE = 1.02  # the stretch varies within a tolerance
@@ -62,7 +217,7 @@ def fill_mesh(problem: Problem, spec: VolumeLayersSpec) -> Toolpath:
         raise complain(f"{name} takes {error} to be cut finely", "a mesh of fewer facets") from None
     regions = _regions(problem, spec, morph, fine)
     _check_tilt(problem, spec, morph, regions)
-    rows, left_out = _rows(problem, spec, morph, regions)
+    rows, left_out = _layer_rows(problem, spec, morph, regions)
     if not rows:
         reason = (
             f"nothing in {name} is long enough to be printed with a bead {problem.process.bead.width * 1e3:g} mm wide"
@@ -115,7 +270,7 @@ def _check_tilt(
 ) -> None:
     """Raise InputError where a layer is steeper than is allowed."""
     low, high = morph.lower.span
-    axes = [np.linspace(a, b, _GRID) for a, b in zip(low, high, strict=True)]
+    axes = [np.linspace(a, b, _TILT_GRID) for a, b in zip(low, high, strict=True)]
     plane = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     for layer, region in enumerate(regions):
         there = plane[shapely.contains_xy(region, plane[:, 0], plane[:, 1])]
@@ -133,7 +288,7 @@ def _check_tilt(
             )
 
 
-def _rows(
+def _layer_rows(
     problem: Problem, spec: VolumeLayersSpec, morph: Morph, regions: Sequence[shapely.MultiPolygon]
 ) -> tuple[list[list[_Line]], list[float]]:
     """The rounded paths of each layer in print order, and the lengths of those that are too short [m]."""

@@ -1,0 +1,1 @@
+"""Toolpaths that a file says point by point."""

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
 
-from planner.readonly import Array, Ints, read_only
+from planner.base.arrays import Array, Ints, read_only
 from planner.toolpath.bead import Bead
 
 FAR = 50e-3  # m: what is farther away than this is that far away

@@ -1,0 +1,1 @@
+"""Wings in layers parallel to their surfaces."""

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.readonly import Array
+from planner.base.arrays import Array
 from planner.toolpath.bead import Bead
 from planner.toolpath.interpolation import interpolate
-from planner.toolpath.laying import arc_length
-from planner.toolpath.transport import roll_zeros
-from planner.toolpath.wing.placing import SHORTEST
-from planner.toolpath.wing.sheets import Sheet
-from planner.toolpath.wing.zigzag import APART, PER_RUN, STEP, TURN, Filling
+from planner.toolpath.plane_paths import arc_length
+from planner.toolpath.task import roll_zeros
+from planner.toolpath.wing.section import SHORTEST
+from planner.toolpath.wing.sheets import WingSheet
+from planner.toolpath.wing.strips import APART, PER_RUN, STEP, TURN, Filling
 
 Segment = tuple[int, float, float]  # a row, and where on it a pass begins and ends
 
@@ -27,7 +27,7 @@ _DIFFERENCE = 1e-5  # m, over which
 
 
 @dataclass(frozen=True)
-class Stretch:
+class PassSpacing:
     """How far apart passes a metre apart in the rolled-out sheet are on the true one: mean, least and greatest; and the
     greatest stretch in any direction."""
 
@@ -37,7 +37,7 @@ class Stretch:
     any: float
 
 
-def stretch_of(sheet: Sheet, across: bool) -> Stretch:
+def stretch_of(sheet: WingSheet, across: bool) -> PassSpacing:
     """What rolling a sheet out does to the distances of its passes, which run across the wing or along it."""
     there = np.flatnonzero(~np.isnan(sheet.area.edges[:, 0]).any(axis=1))
     rows = np.unique(np.linspace(there[0], there[-1], _LOOKS[1]).astype(int))
@@ -55,16 +55,16 @@ def stretch_of(sheet: Sheet, across: bool) -> Stretch:
     apart = size / np.linalg.norm(pass_direction, axis=1) * (1.0 if across else np.hypot(1.0, sheet.slope))
     squares = np.array([[(a * b).sum(axis=1) for a in by] for b in by]).transpose(2, 0, 1)
     most = float(np.sqrt(np.linalg.eigvalsh(squares)[:, -1].max()))
-    return Stretch(float(apart.mean()), float(apart.min()), float(apart.max()), most)
+    return PassSpacing(float(apart.mean()), float(apart.min()), float(apart.max()), most)
 
 
-def on_sheet(sheet: Sheet, plane: Array) -> tuple[Array, Array]:
+def on_sheet(sheet: WingSheet, plane: Array) -> tuple[Array, Array]:
     """Points and outward unit normals (n, 3) of places (n, 2) on a sheet rolled out."""
     return sheet.tips(sheet.rolled(plane[:, 0], plane[:, 1]), plane[:, 1])
 
 
 def lay(
-    sheet: Sheet, across: bool, filling: Filling, name: str, layer: int, start: Array | None, stretch: Stretch
+    sheet: WingSheet, across: bool, filling: Filling, name: str, layer: int, start: Array | None, stretch: PassSpacing
 ) -> list[Bead]:
     """Beads that fill a sheet in passes across the wing or along it; the first begins near `start` (3), if given.
 
@@ -87,7 +87,7 @@ def lay(
     return beads
 
 
-def _across(sheet: Sheet, filling: Filling, stretch: Stretch) -> tuple[list[list[Array]], float]:
+def _across(sheet: WingSheet, filling: Filling, stretch: PassSpacing) -> tuple[list[list[Array]], float]:
     """Chains of passes at even distances along the span, each pass its two ends (2, 2); and the width of a bead."""
     area, half = sheet.area, 0.5 * filling.width
     low, high = float(area.y[0]), float(area.y[-1])
@@ -106,7 +106,7 @@ def _across(sheet: Sheet, filling: Filling, stretch: Stretch) -> tuple[list[list
     return chains, pitch * stretch.mean / filling.spacing
 
 
-def _along(sheet: Sheet, filling: Filling, stretch: Stretch) -> tuple[list[list[Array]], float]:
+def _along(sheet: WingSheet, filling: Filling, stretch: PassSpacing) -> tuple[list[list[Array]], float]:
     """Chains of passes at even distances across the wing, parallel to its middle line, and the width of a bead."""
     area, half = sheet.area, 0.5 * filling.width
     first, last = float(area.y[0]) + half, float(area.y[-1]) - half
@@ -187,7 +187,14 @@ def _ways(chain: list[Array]) -> list[Array]:
 
 
 def _bead(
-    sheet: Sheet, across: bool, way: Array, width: float, filling: Filling, stretch: Stretch, name: str, layer: int
+    sheet: WingSheet,
+    across: bool,
+    way: Array,
+    width: float,
+    filling: Filling,
+    stretch: PassSpacing,
+    name: str,
+    layer: int,
 ) -> Bead:
     step = min(STEP, TURN / max(sheet.bend, 1e-9)) if across else STEP
     plane = _dense(way, step)

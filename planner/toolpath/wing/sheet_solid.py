@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.readonly import Array, Flags
-from planner.toolpath.wing.sheets import Places, Sheet
+from planner.base.arrays import Array, Flags
+from planner.toolpath.wing.sheets import WingPlaces, WingSheet
 
 _Piece = tuple[Array, Array, Array]  # places, outward normals and grain (n, 3)
 
@@ -45,7 +45,7 @@ class SheetSolid:
     skins            of the sheets that are there, by level; filled in when it is asked for
     """
 
-    sheets: tuple[Sheet, ...]
+    sheets: tuple[WingSheet, ...]
     levels: tuple[int, ...]
     laid: tuple[int, ...]
     span: tuple[float, float]
@@ -112,7 +112,7 @@ class SheetSolid:
             covered[near] = _inside(self._there(self.level), points[near])
         return covered
 
-    def _there(self, level: int) -> list[Sheet]:
+    def _there(self, level: int) -> list[WingSheet]:
         return [sheet for sheet, at in zip(self.sheets, self.levels, strict=True) if at < level]
 
     def _skin(self, level: int) -> _Skin:
@@ -131,22 +131,22 @@ class SheetSolid:
         return self.skins[level]
 
 
-def _bare(piece: _Piece, sheets: list[Sheet]) -> _Piece:
+def _bare(piece: _Piece, sheets: list[WingSheet]) -> _Piece:
     """What of a face lies on no sheet."""
     points, normals, grain = piece
     bare = ~_inside(sheets, points + _NUDGE * normals)
     return points[bare], normals[bare], grain[bare]
 
 
-def _inside(sheets: list[Sheet], points: Array) -> Flags:
+def _inside(sheets: list[WingSheet], points: Array) -> Flags:
     """Which points (n, 3) lie in any of the sheets."""
-    places, covered = Places(points), np.zeros(len(points), dtype=bool)
+    places, covered = WingPlaces(points), np.zeros(len(points), dtype=bool)
     for sheet in sheets:
         covered |= sheet.covers(places)
     return covered
 
 
-def _faces(sheet: Sheet, span: tuple[float, float]) -> list[_Piece]:
+def _faces(sheet: WingSheet, span: tuple[float, float]) -> list[_Piece]:
     """Places on the top, the bottom and the edges of a sheet, with their outward normals and grain."""
     y = np.linspace(*span, int(np.ceil((span[1] - span[0]) / _ALONG)) + 1)
     ahead = np.where(y + _AHEAD > span[1], y - _AHEAD, y + _AHEAD)

@@ -1,26 +1,266 @@
-"""Layers of a wing whose section changes along its span: sheets parallel to its sides, and level ones."""
+"""Layers of a wing whose section changes along its span: sheets of a ruled surface, and where they are worth printing."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, RectBivariateSpline
+from scipy.spatial import cKDTree
 
-from planner.readonly import Array, Flags
-from planner.toolpath.wing.areas import STATION, Area
-from planner.toolpath.wing.loft import LoftedSide
+from planner.base.arrays import Array, Flags
+from planner.toolpath.wing.section import AerofoilSection, SectionSide
+
+# ----------------------------------------------------------------------------------------------------
+# The surface of a wing whose section changes along its span: straight lines from the section at one end to the other's.
+#
+# Points are (x, y, z) in the part frame [m]: x along the chord, y along the span, z upwards. A place on a side is u, from
+# 0 to 1 along both sections at once, and v, from 0 to 1 along the span; the lines go on straight beyond both ends, so
+# that layers inside the wing, which lean along the span, are parallel to a surface up to its ends.
+
+_GRID = (400, 17)  # places along u and v where the search for the nearest one begins
+_BEYOND = 0.25  # of the span, by which the search goes on at either end
+_LOFT_STEPS = 4  # from a place some tenths of a millimetre away
+_TURNS = 60  # of the iteration for the place that a given y is above: contracts some thirty times each on a usual wing
+_STILL = 1e-13  # of the span: that iteration ends
+
+
+@dataclass(frozen=True)
+class LoftedSide:
+    """One side of a wing, from a side of the section at y = `start` to one of that at y = `start` + `span` [m]."""
+
+    root: SectionSide
+    tip: SectionSide
+    start: float
+    span: float
+
+    def points(self, u: Array, v: Array) -> Array:
+        """Points (n, 3) at places u, v (n)."""
+        flat = (1.0 - v)[:, None] * self._ends(u, 0)[0] + v[:, None] * self._ends(u, 0)[1]
+        return np.column_stack([flat[:, 0], self.start + self.span * v, flat[:, 1]])
+
+    def inward(self, u: Array, v: Array) -> Array:
+        """Unit normals (n, 3) into the wing."""
+        (root, tip), (along_root, along_tip) = self._ends(u, 0), self._ends(u, 1)
+        along = (1.0 - v)[:, None] * along_root + v[:, None] * along_tip
+        return self._normals(along, tip - root)
+
+    def parallel(self, u: Array, y: Array, distance: float) -> tuple[Array, Array]:
+        """Points of the surface parallel to this one, `distance` [m] inside it, at u and y (n); unit normals inwards (n, 3).
+
+        The points are exact: `distance` from this side along its normal.
+        """
+        (root, tip), (along_root, along_tip) = self._ends(u, 0), self._ends(u, 1)
+        goal = (y - self.start) / self.span
+        v = goal
+        for _ in range(_TURNS):
+            inward = self._normals(along_root + v[:, None] * (along_tip - along_root), tip - root)
+            step = goal - distance / self.span * inward[:, 1] - v
+            v = v + step
+            if np.abs(step).max(initial=0.0) < _STILL:
+                break
+        inward = self._normals(along_root + v[:, None] * (along_tip - along_root), tip - root)
+        flat = root + v[:, None] * (tip - root) + distance * inward[:, ::2]
+        return np.column_stack([flat[:, 0], y, flat[:, 1]]), inward
+
+    def nearest(self, points: Array) -> tuple[Array, Array]:
+        """Places u, v (n) of this side that are nearest to points (n, 3): where their normal meets it, if it does."""
+        u_grid, v_grid, tree = self._search
+        _, k = tree.query(points)
+        u, v = u_grid[k], v_grid[k]
+        most_u, most_v = 2.0 / _GRID[0], 2.0 * (1.0 + 2.0 * _BEYOND) / _GRID[1]
+        for _ in range(_LOFT_STEPS):
+            (root, tip), (root_u, tip_u), (root_uu, tip_uu) = (self._ends(u, order) for order in range(3))
+            w = v[:, None]
+            off = root + w * (tip - root) - points[:, ::2]
+            off_y = self.start + self.span * v - points[:, 1]
+            to_u, to_v, bend = root_u + w * (tip_u - root_u), tip - root, root_uu + w * (tip_uu - root_uu)
+            twist = tip_u - root_u
+            pull_u = (off * to_u).sum(axis=1)
+            pull_v = (off * to_v).sum(axis=1) + off_y * self.span
+            a, c = (to_u * to_u).sum(axis=1), (to_v * to_v).sum(axis=1) + self.span**2
+            b = (to_u * to_v).sum(axis=1)
+            # Newton's second derivatives where they keep a minimum, else those of the distance from a tangent plane
+            full_a, full_b = a + (off * bend).sum(axis=1), b + (off * twist).sum(axis=1)
+            good = (full_a > 0.0) & (full_a * c > full_b**2)
+            a, b = np.where(good, full_a, a), np.where(good, full_b, b)
+            scale = a * c - b * b
+            u = np.clip(u + np.clip((b * pull_v - c * pull_u) / scale, -most_u, most_u), 0.0, 1.0)
+            v = np.clip(v + np.clip((b * pull_u - a * pull_v) / scale, -most_v, most_v), -_BEYOND, 1.0 + _BEYOND)
+        return u, v
+
+    def distance(self, points: Array) -> Array:
+        """Distances (n) of points (n, 3) from this side."""
+        return np.asarray(np.linalg.norm(points - self.points(*self.nearest(points)), axis=1))
+
+    def _ends(self, u: Array, order: int) -> tuple[Array, Array]:
+        """Points (n, 2) of both sections at u (n), or their derivatives."""
+        found = []
+        for side in (self.root, self.tip):
+            length = side.last - side.first
+            found.append(np.asarray(side.curve(side.first + u * length, order)) * length**order)
+        return found[0], found[1]
+
+    def _normals(self, along: Array, across: Array) -> Array:
+        """Unit normals (n, 3) from derivatives (n, 2) by u and by v; that by v is `span` along y."""
+        x, z = along.T
+        normals = np.column_stack([-z * self.span, z * across[:, 0] - x * across[:, 1], x * self.span])
+        return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])
+
+    @cached_property
+    def _search(self) -> tuple[Array, Array, cKDTree]:
+        grid = np.meshgrid(np.linspace(0.0, 1.0, _GRID[0]), np.linspace(-_BEYOND, 1.0 + _BEYOND, _GRID[1]))
+        u, v = (each.ravel() for each in grid)
+        return u, v, cKDTree(self.points(u, v))
+
+
+@dataclass(frozen=True)
+class Loft:
+    """A wing between the sections at the two ends of its span."""
+
+    root: AerofoilSection
+    tip: AerofoilSection
+    start: float
+    span: float
+
+    @cached_property
+    def upper(self) -> LoftedSide:
+        """The upper side."""
+        return LoftedSide(self.root.upper, self.tip.upper, self.start, self.span)
+
+    @cached_property
+    def lower(self) -> LoftedSide:
+        """The lower side."""
+        return LoftedSide(self.root.lower, self.tip.lower, self.start, self.span)
+
+
+# ----------------------------------------------------------------------------------------------------
+# Where along and across a wing a layer is worth printing: intervals across, at stations along the span.
+
+Intervals = Sequence[tuple[float, float]]
+
+STATION = 0.5e-3  # m between stations; between them edges are straight
+_CELLS = 240  # across a side, in which edges are looked for
+_CROSSES = 1e-8  # m by which a parallel may come closer to its own side than its distance
+_HALVINGS = 12  # of a cell of some 0.3 mm, each by a secant's guess
+_FEWEST = 8  # stations
+
+
+def stations_of(start: float, span: float) -> Array:
+    """y of the stations of a wing [m], both ends among them."""
+    return np.linspace(start, start + span, max(round(span / STATION), _FEWEST) + 1)
+
+
+@dataclass(frozen=True)
+class Area:
+    """Intervals of c, a coordinate across the wing, at stations along its span.
+
+    y      (m,) of the stations [m]
+    edges  (m, k, 2) ends of the intervals there, in order; NaN where there are fewer than k
+    """
+
+    y: Array
+    edges: Array
+
+    @classmethod
+    def of(cls, y: Array, intervals: Sequence[Intervals]) -> Area:
+        """From a list of intervals at each station."""
+        most = max((len(each) for each in intervals), default=0)
+        edges = np.full((len(y), max(most, 1), 2), np.nan)
+        for station, each in enumerate(intervals):
+            for k, ends in enumerate(each):
+                edges[station, k] = ends
+        return cls(y, edges)
+
+    @property
+    def empty(self) -> bool:
+        """Whether there is no interval at all."""
+        return bool(np.isnan(self.edges).all())
+
+    def at(self, y: Array) -> Array:
+        """Edges (n, k, 2) at y (n): between those of the two stations, or of the nearest if these differ in number."""
+        y = np.clip(y, self.y[0], self.y[-1])
+        k = np.clip(np.searchsorted(self.y, y, side="right") - 1, 0, len(self.y) - 2)
+        share = (y - self.y[k]) / (self.y[k + 1] - self.y[k])
+        before, after = self.edges[k], self.edges[k + 1]
+        between = before + share[:, None, None] * (after - before)
+        differs = (np.isnan(before) != np.isnan(after)).any(axis=(1, 2))
+        nearest = np.where(share[:, None, None] < 0.5, before, after)
+        return np.asarray(np.where(differs[:, None, None], nearest, between))
+
+    def holds(self, c: Array, y: Array) -> Flags:
+        """Which places (n) lie inside."""
+        edges = self.at(y)
+        return np.asarray(((c[:, None] >= edges[:, :, 0]) & (c[:, None] <= edges[:, :, 1])).any(axis=1))
+
+
+def parallel_area(
+    side: LoftedSide, other: LoftedSide, distance: float, apart: float, tilt: float, stations: Array
+) -> Area:
+    """Where a surface parallel to `side`, so far inside (or outside, if negative) [m], is worth printing: intervals of u.
+
+    It ends where the other side is less than `apart` [m] away, where it would cross itself, and where it is steeper than
+    `tilt` [rad].
+    """
+
+    def room(u: Array, y: Array) -> Array:
+        points, inward = side.parallel(u, y, distance)
+        least = np.abs(inward[:, 2]) - np.cos(tilt)
+        at = np.flatnonzero(least >= 0.0)
+        least[at] = np.minimum(least[at], other.distance(points[at]) - apart)
+        if distance != 0.0:
+            at = np.flatnonzero(least >= 0.0)
+            least[at] = np.minimum(least[at], side.distance(points[at]) - abs(distance) + _CROSSES)
+        return least
+
+    u = np.linspace(0.0, 1.0, _CELLS + 1)
+    grid = np.broadcast_to(u, (len(stations), len(u)))
+    rooms = room(grid.ravel(), np.repeat(stations, len(u))).reshape(grid.shape)
+    inside = np.pad(rooms >= 0.0, ((0, 0), (1, 1)))
+    row, start = np.nonzero(inside[:, 1:] & ~inside[:, :-1])
+    _, end = np.nonzero(inside[:, :-1] & ~inside[:, 1:])
+    start, end = start, end - 1
+    low = _edges(room, u, stations[row], rooms[row], start, np.maximum(start - 1, 0))
+    high = _edges(room, u, stations[row], rooms[row], end, np.minimum(end + 1, _CELLS))
+    return Area.of(stations, [list(zip(low[row == k], high[row == k], strict=True)) for k in range(len(stations))])
+
+
+def _edges(
+    room: Callable[[Array, Array], Array],
+    u: Array,
+    y: Array,
+    rooms: Array,
+    good: NDArray[np.intp],
+    bad: NDArray[np.intp],
+) -> Array:
+    """Where between cells `good` and `bad` (n) of u, at y (n), there begins to be room."""
+    k = np.arange(len(y))
+    inner, outer, has, lacks = u[good], u[bad], rooms[k, good], np.minimum(rooms[k, bad], -1e-15)
+    for _ in range(_HALVINGS if len(y) else 0):
+        share = np.clip(has / (has - lacks), 0.1, 0.9)
+        middle = inner + share * (outer - inner)
+        found = room(middle, y)
+        ok = found >= 0.0
+        inner, has = np.where(ok, middle, inner), np.where(ok, found, has)
+        outer, lacks = np.where(ok, outer, middle), np.where(ok, lacks, np.minimum(found, -1e-15))
+    return np.asarray(inner)
+
+
+# ----------------------------------------------------------------------------------------------------
+# Layers of a wing whose section changes along its span: sheets parallel to its sides, and level ones.
 
 _NUDGE = 1e-6  # m by which a place beyond the ends of a side is off its normal there
 _ACROSS, _ALONG = 161, 9  # places of the table by which a sheet is unrolled
 _MARGIN = 0.02  # of a sheet's breadth, by which that table is wider
 _FLATTEST = 0.02  # least length of the unrolled sheet, per length of the side: outside the sheet it may fold over
-_NEWTON_STEPS = 6  # from straight interpolation, to nanometres along the sheet
+_SHEET_STEPS = 6  # from straight interpolation, to nanometres along the sheet
 
 
-class Places:
+class WingPlaces:
     """Points (n, 3), and where they lie beside sides of a wing; each side is searched once."""
 
     def __init__(self, points: Array) -> None:
@@ -38,7 +278,7 @@ class Places:
         return self._beside[id(side)]
 
 
-class Sheet(Protocol):
+class WingSheet(Protocol):
     """One layer: what lies under its tip surface. A place on it is c across the wing and y along the span."""
 
     @property
@@ -69,7 +309,7 @@ class Sheet(Protocol):
         """Outward unit normals (n, 3) of the true surface at its places nearest to points (n, 3)."""
         ...
 
-    def covers(self, places: Places) -> Flags:
+    def covers(self, places: WingPlaces) -> Flags:
         """Which places (n) lie inside."""
         ...
 
@@ -130,7 +370,7 @@ class CurvedSheet:
         """Outward unit normals (n, 3) of the true surface at its places nearest to points (n, 3)."""
         return self._outward * self.side.inward(*self.side.nearest(points))
 
-    def covers(self, places: Places) -> Flags:
+    def covers(self, places: WingPlaces) -> Flags:
         """Which places (n) lie inside."""
         u, depth = places.beside(self.side)
         low, high = sorted((self.tip, self.base))
@@ -148,7 +388,7 @@ class CurvedSheet:
         """c (n) of places x, y (n) of the sheet rolled out."""
         table, _, low, high = self._table
         c = np.full(len(x), 0.5 * (low + high))
-        for _ in range(_NEWTON_STEPS):
+        for _ in range(_SHEET_STEPS):
             c = np.clip(c + (x - table.ev(c, y)) / table.ev(c, y, dx=1), low, high)
         return np.asarray(c)
 
@@ -218,7 +458,7 @@ class FlatSheet:
         """Upwards (n, 3)."""
         return np.tile([0.0, 0.0, 1.0], (len(points), 1))
 
-    def covers(self, places: Places) -> Flags:
+    def covers(self, places: WingPlaces) -> Flags:
         """Which places (n) lie inside."""
         x, y, z = places.points.T
         covered = (z > self.base) & (z < self.tip)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from planner.base.arrays import Array
 from planner.problem import Problem
-from planner.problem.wing import AerofoilLayersSpec, SupportSpec
-from planner.readonly import Array
-from planner.toolpath.wing.section import Section, parallels
+from planner.problem.layers import AerofoilLayersSpec, SupportSpec
+from planner.toolpath.wing.section import AerofoilSection, parallels
 from planner.toolpath.wing.strips import CurvedStrip, FlatStrip, Strip
 
 _SAMPLES = 4000  # of the section's underside, between which level layers end
@@ -35,7 +35,7 @@ def check_support(problem: Problem, spec: AerofoilLayersSpec, support: SupportSp
         raise problem.error(f"{field}.height_mm", reason, f"at most {spec.source.origin[2] * 1e3:g}")
 
 
-def curved_layers(section: Section, spec: AerofoilLayersSpec, support: SupportSpec) -> list[list[CurvedStrip]]:
+def curved_layers(section: AerofoilSection, spec: AerofoilLayersSpec, support: SupportSpec) -> list[list[CurvedStrip]]:
     """The pieces of each curved layer, in print order; the last one's tip is the wing's lower surface."""
     height = spec.height
     layers = []
@@ -47,7 +47,7 @@ def curved_layers(section: Section, spec: AerofoilLayersSpec, support: SupportSp
 
 
 def level_layers(
-    section: Section, spec: AerofoilLayersSpec, support: SupportSpec, shortest: float
+    section: AerofoilSection, spec: AerofoilLayersSpec, support: SupportSpec, shortest: float
 ) -> list[list[FlatStrip]]:
     """The pieces of each level layer, in print order, none of them shorter than `shortest` [m].
 
@@ -84,7 +84,7 @@ def below(under: Array, top: float, ends: tuple[float, float]) -> list[tuple[flo
     return [(float(x[a]), float(x[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def _underside(section: Section, spec: AerofoilLayersSpec, support: SupportSpec) -> Array:
+def _underside(section: AerofoilSection, spec: AerofoilLayersSpec, support: SupportSpec) -> Array:
     """Points (n, 2), by x, above which there is wing or curved support."""
     depth = support.curved * spec.height
     side = section.lower
@@ -100,7 +100,9 @@ def widened(points: Array, spec: AerofoilLayersSpec) -> Array:
     return points[np.argsort(points[:, 0], kind="stable")]
 
 
-def strips_of(section: Section, spec: AerofoilLayersSpec, support: SupportSpec, shortest: float) -> list[list[Strip]]:
+def strips_of(
+    section: AerofoilSection, spec: AerofoilLayersSpec, support: SupportSpec, shortest: float
+) -> list[list[Strip]]:
     """The pieces of all layers of the support, in print order."""
     level: list[list[Strip]] = [list(pieces) for pieces in level_layers(section, spec, support, shortest)]
     curved: list[list[Strip]] = [

@@ -1,0 +1,113 @@
+"""What commands share: how their help looks, what their arguments may be, and how they end."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from importlib.metadata import version
+from typing import Any, NoReturn
+
+from planner.base.errors import EXIT_INTERRUPTED, PlannerError, Refusal, nearest_name
+
+HELP_WIDTH = 78  # columns of a help, however wide the terminal is
+CONTINUED = " \\"  # ends a line of a command that goes on in the next one
+HELP_COLUMN = 26  # where the text of an option begins, so that most names stand beside theirs at 80 columns
+
+
+def exit_code(run: Callable[[], int], say: Callable[[str], None], interrupted: str = "nothing was written") -> int:
+    """The exit code of a command; whatever ends it before its time is said, an error with what would help."""
+    try:
+        return run()
+    except KeyboardInterrupt:
+        say(f"interrupted: {interrupted}")
+        return EXIT_INTERRUPTED
+    except PlannerError as error:
+        say(f"error: {error}")
+        for hint in error.hints if isinstance(error, Refusal) else ():
+            say(f"try: {hint}")
+        return error.exit_code
+
+
+class _Help(argparse.HelpFormatter):
+    """Paragraphs are wrapped, lines that are indented stay as they are: examples and exit codes."""
+
+    def __init__(self, prog: str, width: int | None = None) -> None:
+        wide = min(HELP_WIDTH, shutil.get_terminal_size().columns - 2) if width is None else width
+        super().__init__(prog, max_help_position=HELP_COLUMN, width=wide)
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        lines = text.splitlines()
+        return "\n".join(line if line.startswith(" ") else textwrap.fill(line, width) for line in lines)
+
+
+class Command(argparse.ArgumentParser):
+    """The parser of a command: description, options, examples and exit codes in one style, and `--version`.
+
+    examples  what somebody may type after `python -m planner.<name>` → what it does
+    codes     exit code → when
+    notes     paragraphs below
+    """
+
+    def __init__(
+        self,
+        name: str,
+        description: str,
+        examples: Mapping[str, str],
+        codes: Mapping[int, str],
+        notes: Sequence[str] = (),
+    ) -> None:
+        prog = f"python -m planner.{name}"
+        self.examples = {f"{prog} {given}".rstrip(): what for given, what in examples.items()}
+        self.codes, self.notes = codes, notes
+        shown = [_lines(typed, 2, CONTINUED) + "\n" + _lines(what, 6) for typed, what in self.examples.items()]
+        ends = [_lines(f"{code:<4} {when}", 2, later=7) for code, when in codes.items()]
+        epilog = "\n".join(["examples:", *shown, "", "exit codes:", *ends, *(f"\n{note}" for note in notes)])
+        super().__init__(prog=prog, description=description, epilog=epilog, formatter_class=_Help)
+        told = f"beadwise {version('beadwise')}"
+        self.add_argument("--version", action="version", version=told, help="tell the version, and stop")
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """As every parser; an option that there is not is told with the one that was probably meant."""
+        options, unknown = self.parse_known_args(args, namespace)
+        if unknown:
+            known = [name for action in self._actions for name in action.option_strings]
+            near = nearest_name(unknown[0].partition("=")[0], known) if unknown[0].startswith("-") else None
+            hint = f" (did you mean {near}?)" if near else ""
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
+        return options
+
+    def page(self) -> str:
+        """The help as it is printed, whatever the terminal's width."""
+        formatter, self.formatter_class = self.formatter_class, partial(_Help, width=HELP_WIDTH)
+        try:
+            return self.format_help()
+        finally:
+            self.formatter_class = formatter
+
+    def error(self, message: str) -> NoReturn:
+        """As every parser, with the way to the help."""
+        super().error(f"{message}; --help shows what can be given")
+
+
+def _lines(text: str, indent: int, glue: str = "", later: int = 6) -> str:
+    """Text in lines that are indented, the later ones as far as `later`; `glue` ends those that go on."""
+    wide = HELP_WIDTH - len(glue)
+    return f"{glue}\n".join(
+        textwrap.wrap(text, wide, initial_indent=" " * indent, subsequent_indent=" " * later, break_on_hyphens=False)
+    )
+
+
+def one_of(names: Sequence[str]) -> Callable[[str], str]:
+    """The type of an argument that is one of some names; the nearest is suggested for any other."""
+
+    def check(text: str) -> str:
+        if text in names:
+            return text
+        near = nearest_name(text, names)
+        meant = f"did you mean {near}? " if near else ""
+        raise argparse.ArgumentTypeError(f"{text!r} is unknown: {meant}choices: {', '.join(names)}")
+
+    return check

@@ -1,0 +1,305 @@
+"""The same function for many items: in this process, in processes of this computer, or on a dask cluster."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import multiprocessing
+import re
+import sys
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from dataclasses import dataclass
+from functools import cache, partial
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
+from pathlib import Path
+from typing import Any, TypeVar
+
+from planner.base.errors import InputError, PlannerError
+from planner.base.processes import ignored_interrupts
+from planner.base.versions import versions
+
+# ----------------------------------------------------------------------------------------------------
+# Functions as other processes find them, and what comes of calling them there.
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+# function, items → (index, result or error that is the user's to mend) of each item, as they are done
+Spread = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[tuple[int, Any]]]
+
+_DIGITS = 12  # of the digest of sources: enough that two programs never share them
+
+
+class Lost(PlannerError):
+    """An item has no result, because every process that worked on it died (out of memory, or killed)."""
+
+
+def lost(index: int, times: int, how: str) -> Lost:
+    """The error of an item whose processes died so many times, the last one so."""
+    return Lost(f"item {index} has no result: {times} processes that worked on it died ({how})")
+
+
+def name_of(function: Callable[..., Any]) -> tuple[str, str]:
+    """Module and name by which another process finds a function. Raises TypeError where it cannot."""
+    module, name = function.__module__, function.__qualname__
+    if module == "__main__":
+        spec = getattr(sys.modules[module], "__spec__", None)
+        module = "" if spec is None else spec.name
+    if not module or not name.isidentifier():
+        raise TypeError(f"{name} cannot be found by its name from another process")
+    return module, name
+
+
+def by_name(module: str, name: str) -> Callable[[Any], Any]:
+    """The function of that name."""
+    found: Callable[[Any], Any] = getattr(importlib.import_module(module), name)
+    return found
+
+
+def outcome(function: Callable[[Item], Result], item: Item) -> Result | PlannerError:
+    """A function's result, or the error that is the user's to mend."""
+    try:
+        return function(item)
+    except PlannerError as error:
+        return error
+
+
+@cache
+def program_of(module: str) -> str:
+    """What a result may depend on besides its item, told in a line: versions, and a digest of the sources.
+
+    The sources are those of this program and of the package that holds the module.
+    """
+    digest = hashlib.sha256()
+    for top in sorted({"planner", module.partition(".")[0]}):
+        file = importlib.import_module(top).__file__
+        if file is None:
+            raise TypeError(f"{top} has no sources that could be compared")
+        path = Path(file)
+        sources = sorted(path.parent.rglob("*.py")) if path.name == "__init__.py" else [path]
+        for source in sources:
+            digest.update(source.relative_to(path.parent).as_posix().encode() + b"\0" + source.read_bytes())
+    told = ", ".join(f"{package} {version}" for package, version in versions().items())
+    return f"{told}, sources {digest.hexdigest()[:_DIGITS]}"
+
+
+# ----------------------------------------------------------------------------------------------------
+# Items in processes of this computer, each started afresh: a copy of this one would have its threads' locks.
+
+TRIES = 3  # of an item whose process dies: once may be bad luck, three times is the item
+_BUG = 1  # exit code of a process that an exception ended
+
+
+@contextmanager
+def local_crew(jobs: int) -> Iterator[Spread]:
+    """What spreads items over so many processes, which stay until the block ends."""
+    processes: dict[Connection, SpawnProcess] = {}
+    try:
+        yield partial(_in_processes, processes, jobs)
+    finally:
+        for pipe in list(processes):
+            _end(processes, pipe)
+
+
+def _in_processes(
+    processes: dict[Connection, SpawnProcess], jobs: int, function: Callable[[Any], Any], items: Sequence[Any]
+) -> Iterator[tuple[int, Any]]:
+    """An item at a time for each process; whichever dies is replaced."""
+    name = name_of(function)
+    todo = deque(range(len(items)))
+    tries = [0] * len(items)
+    working: dict[Connection, int] = {}
+    try:
+        while todo or working:
+            idle = [pipe for pipe in processes if pipe not in working]
+            for _ in range(min(len(todo), jobs - len(working))):
+                pipe = idle.pop() if idle else _start(processes)
+                working[pipe] = todo.popleft()
+                with suppress(OSError):  # of one that died while it was idle: its pipe tells so below
+                    pipe.send((name, items[working[pipe]]))
+            ready = wait(list(working))
+            for pipe in [each for each in working if each in ready]:
+                i = working.pop(pipe)
+                try:
+                    result = pipe.recv()
+                except (EOFError, OSError):
+                    processes[pipe].join()  # it is about to end, with an exit code of its own
+                    code = _end(processes, pipe)
+                    if code == _BUG:
+                        raise RuntimeError(f"{'.'.join(name)} failed in its own process, as told above") from None
+                    tries[i] += 1
+                    if tries[i] < TRIES:
+                        todo.appendleft(i)
+                    else:
+                        yield i, lost(i, TRIES, f"exit code {code}")
+                else:
+                    yield i, result
+    finally:
+        for pipe in working:  # what they would answer, nobody waits for
+            _end(processes, pipe)
+
+
+def _start(processes: dict[Connection, SpawnProcess]) -> Connection:
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe()
+    processes[here] = context.Process(target=_serve, args=(there,), daemon=True)
+    with ignored_interrupts():  # Ctrl-C is for who started it, who ends it
+        processes[here].start()
+    there.close()
+    return here
+
+
+def _end(processes: dict[Connection, SpawnProcess], pipe: Connection) -> int | None:
+    """End a process and forget it; its exit code."""
+    process = processes.pop(pipe)
+    pipe.close()
+    process.terminate()
+    process.join()
+    return process.exitcode
+
+
+def _serve(pipe: Connection) -> None:
+    """Answer every item with its outcome, until the other end is gone; a bug ends the process with its traceback."""
+    while True:
+        try:
+            name, item = pipe.recv()
+        except EOFError:
+            return
+        pipe.send(outcome(by_name(*name), item))
+
+
+# ----------------------------------------------------------------------------------------------------
+# Items on the workers of a dask scheduler.
+#
+# Only data and names go over the wire: workers import the function, and so must have the program. That it is the same
+# program is looked at with every item, for workers may come and go at any time.
+
+PATIENCE = 10.0  # s for the scheduler to answer, and then for a first worker to be there
+_ADDRESS = re.compile(r"(tcp|tls)://([^/\s:\[\]]+|\[[0-9a-fA-F:]+\]):\d{1,5}")
+_FIELD = "--scheduler"
+
+
+@dataclass(frozen=True)
+class Stranger:
+    """What a worker answers whose program is not the one that asks."""
+
+    program: str
+
+
+@contextmanager
+def cluster_crew(scheduler: str) -> Iterator[Spread]:
+    """What spreads items over the workers of a scheduler; what a dead one had, dask itself gives to others."""
+    if not _ADDRESS.fullmatch(scheduler):
+        raise InputError(f"{scheduler!r} is no address", field=_FIELD, hint="such as tcp://192.168.0.10:8786")
+    try:
+        import distributed
+    except ModuleNotFoundError:
+        raise InputError("dask is not installed", field=_FIELD, hint="the extra `cluster` has it") from None
+    try:
+        client = distributed.Client(scheduler, timeout=PATIENCE, set_as_default=False)
+    except (OSError, ValueError):
+        hint = "start one: dask scheduler --port 8786"
+        raise InputError(f"no scheduler answers at {scheduler}", field=_FIELD, hint=hint) from None
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE)
+        except TimeoutError:
+            hint = f"start one: dask worker {scheduler} --nthreads 1"
+            raise InputError(f"the scheduler at {scheduler} has no worker", field=_FIELD, hint=hint) from None
+        yield partial(_on_workers, client, scheduler)
+
+
+def _on_workers(
+    client: Any, scheduler: str, function: Callable[[Any], Any], items: Sequence[Any]
+) -> Iterator[tuple[int, Any]]:
+    import distributed
+
+    name = name_of(function)
+    program = program_of(name[0])
+    # not pure: a result of an earlier run with the same items is not this run's
+    futures = [client.submit(_work, program, *name, item, pure=False) for item in items]
+    index = {future.key: i for i, future in enumerate(futures)}
+    finished = distributed.as_completed(futures, loop=client.loop)
+    futures.clear()  # so that results that were taken do not stay on the workers
+    for future in finished:
+        i = index[future.key]
+        yield i, _result(future, i, name, program, scheduler)
+
+
+def _result(future: Any, i: int, name: tuple[str, str], program: str, scheduler: str) -> Any:
+    """What a future came to. Raises InputError for a worker without this program, RuntimeError for a bug."""
+    from distributed import KilledWorker
+
+    if future.cancelled():
+        raise InputError(f"the scheduler at {scheduler} went away", field=_FIELD)
+    error = future.exception()
+    if isinstance(error, KilledWorker):
+        return lost(i, error.allowed_failures + 1, f"last on {error.last_worker.address}")
+    if isinstance(error, ModuleNotFoundError) and error.name in ("planner", name[0].partition(".")[0]):
+        hint = "workers run in an environment with the same program"
+        raise InputError(f"a worker of {scheduler} has no module {error.name}", field=_FIELD, hint=hint)
+    if error is not None:
+        raise RuntimeError(f"{'.'.join(name)} failed on a worker: {error!r}") from error
+    result = future.result()
+    if isinstance(result, Stranger):
+        reason = f"a worker of {scheduler} has another program: {_difference(result.program, program)}"
+        raise InputError(reason, field=_FIELD, hint="the same commit and requirements.txt everywhere")
+    return result
+
+
+def _difference(there: str, here: str) -> str:
+    """What of two programs differs, in words."""
+    pairs = zip(there.split(", "), here.split(", "), strict=True)
+    return ", ".join(f"{one} instead of {other}" for one, other in pairs if one != other)
+
+
+def _work(program: str, module: str, name: str, item: Any) -> Any:
+    """On a worker: the outcome of an item, or a Stranger."""
+    own = program_of(module)
+    return outcome(by_name(module, name), item) if own == program else Stranger(own)
+
+
+# ----------------------------------------------------------------------------------------------------
+# The same function for many items: in this process, in processes of this computer, or on a dask cluster.
+#
+# What comes back depends on the items alone, not on where or in which order they were done. A process that dies costs
+# its item another try, not the rest of the work.
+
+MOST_JOBS = 256  # processes; each takes some 200 MB for what it imports
+
+
+def spread(
+    function: Callable[[Item], Result], items: Sequence[Item], jobs: int = 1, scheduler: str | None = None
+) -> Iterator[tuple[int, Result | PlannerError]]:
+    """Yield (index, `function(item)`) of every item, in the order in which they are done.
+
+    function    of a module, known by its name there, as is the type of all that goes in and out
+    jobs        processes; with one, everything is done here, in order, and nothing is tried again
+    scheduler   address of a dask scheduler, such as "tcp://host:8786", whose workers do it instead
+
+    A PlannerError that an item raises is its result, and so is `Lost`. Any other exception is a bug: it ends all, as
+    RuntimeError if it came from another process. The processes end with the iteration.
+    Raises InputError where there is no such scheduler, or its workers do not have the program that this one is.
+    """
+    with crew(jobs, scheduler) as over:
+        yield from over(function, items)
+
+
+def crew(jobs: int = 1, scheduler: str | None = None) -> AbstractContextManager[Spread]:
+    """What spreads as `spread` does, called with function and items, with processes that stay until the block ends.
+
+    So what a function keeps in its process (a cache) is still there for later items.
+    """
+    if not 1 <= jobs <= MOST_JOBS:
+        raise InputError(f"{jobs} is not a number of processes", field="--jobs", hint=f"1 to {MOST_JOBS}")
+    if scheduler is not None:
+        return cluster_crew(scheduler)
+    return local_crew(jobs) if jobs > 1 else nullcontext(_here)
+
+
+def _here(function: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+    for i, item in enumerate(items):
+        yield i, outcome(function, item)

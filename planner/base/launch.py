@@ -1,0 +1,95 @@
+"""Commands by name: each is imported only once it is asked for, and Ctrl-C while that lasts ends it at once."""
+
+from __future__ import annotations
+
+import gc
+import importlib
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
+from typing import NamedTuple
+
+from planner.base.errors import EXIT_INPUT, EXIT_INTERRUPTED, EXIT_VERIFIED, nearest_name
+
+
+class CommandModule(NamedTuple):
+    """Where a command's `main` is, and what the command does, in a few words."""
+
+    module: str
+    does: str
+
+
+COMMANDS = {
+    "solve": CommandModule("planner.planning.solve_command", "plan a print: from a problem file to a robot program"),
+    "check": CommandModule("planner.planning.check_command", "read a problem and its files without planning it"),
+    "new": CommandModule("planner.new.command", "make a problem file of your own"),
+    "robots": CommandModule("planner.cell.robots_command", "the robots that ship, or one of them in detail"),
+    "place": CommandModule("planner.place.command", "search for the place from which a part is printed best"),
+    "register": CommandModule("planner.register.command", "find where the part really is, from touched places"),
+    "view": CommandModule("planner.view.command", "a report in the browser, made anew when its problem is saved"),
+    "link": CommandModule("planner.link.command", "send a program to its controller, and watch it run"),
+    "simulate": CommandModule("planner.simulate.command", "simulators of controllers and extruder boards"),
+    "reference": CommandModule("planner.reference.generate", "JSON schemas and reference pages, made from the code"),
+}
+
+
+def main() -> int:
+    """The console script `beadwise NAME …`; returns the exit code."""
+    name, arguments = (sys.argv[1], sys.argv[2:]) if len(sys.argv) > 1 else ("--help", [])
+    if name in COMMANDS:
+        return launch(name, arguments)
+    if name == "--version":
+        from importlib.metadata import version
+
+        print(f"beadwise {version('beadwise')}")
+        return EXIT_VERIFIED
+    if name in ("--help", "-h", "help"):
+        print(usage())
+        return EXIT_VERIFIED
+    near = nearest_name(name, COMMANDS)
+    hint = f"did you mean {near}?" if near else f"commands: {', '.join(COMMANDS)}"
+    print(f"error: there is no command {name!r} ({hint})", file=sys.stderr)
+    return EXIT_INPUT
+
+
+def usage() -> str:
+    """The help of `beadwise`: a line for each command."""
+    rows = [f"  {name:<10} {command.does}" for name, command in COMMANDS.items()]
+    head = ["usage: beadwise COMMAND [ARGUMENTS]", "", "Plans curved-layer prints for robot arms.", "", "commands:"]
+    return "\n".join([*head, *rows, "", "beadwise COMMAND --help tells more; beadwise --version, the version."])
+
+
+def launch(name: str, arguments: Sequence[str] | None = None) -> int:
+    """Import a command and run it with arguments, the process's own if there are none; returns its exit code."""
+    with _importing():
+        run = importlib.import_module(COMMANDS[name].module).main
+    code: int = run(arguments)
+    return code
+
+
+@contextmanager
+def _importing() -> Iterator[None]:
+    """Imports take seconds in which nothing needs to be put in order: Ctrl-C ends the process without a traceback.
+
+    Garbage is not collected meanwhile: imports leave next to none, and looking for it takes a quarter of a second.
+    """
+    main_thread = threading.current_thread() is threading.main_thread()
+    quiet = main_thread and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if quiet:
+        signal.signal(signal.SIGINT, _end)
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        gc.enable()
+        if quiet:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    os._exit(EXIT_INTERRUPTED)

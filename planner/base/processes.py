@@ -1,0 +1,160 @@
+"""A second core, and Ctrl-C: functions in processes or threads of their own, and interrupts held off."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+
+from planner.base.errors import PlannerError
+
+# ----------------------------------------------------------------------------------------------------
+# Ctrl-C where it must not strike.
+
+
+@contextmanager
+def ignored_interrupts() -> Iterator[None]:
+    """Ctrl-C is ignored in the block, and by processes that are started in it from their first instant on."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread may set signal handlers, and only it gets Ctrl-C
+        return
+    previous = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, previous)
+
+
+# ----------------------------------------------------------------------------------------------------
+# A function in a process of its own, or in threads, so that the second core works too.
+
+Job = Callable[[], Iterable["Job"]]
+
+_PARTS_A_CORE = 4  # so that a core that was given easy parts has some left to take
+
+
+def spare_core() -> bool:
+    """True where a second process helps: on Linux, where one may be forked safely, if more than one core is ours, and
+    this is no process of `spread` or of a cluster, which has others beside it."""
+    return sys.platform == "linux" and cores() > 1 and not multiprocessing.current_process().daemon
+
+
+def cores() -> int:
+    """How many cores this process may use: those it was confined to, such as by `taskset`."""
+    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+
+
+@contextmanager
+def in_background(function: Callable[..., Any], *arguments: Any) -> Iterator[Callable[[], Any]]:
+    """Run `function(*arguments)` beside the block, which gets what waits for its result; only where `spare_core`.
+
+    The process is a copy of this one: it starts in a hundredth of a second, has everything, and shares the memory
+    of whatever neither of them changes. It ends with the block, finished or not. Ctrl-C is the block's to handle:
+    the process does not see it. A PlannerError there is raised where the result is asked for; any other exception
+    shows its traceback and raises RuntimeError there.
+    """
+    context = multiprocessing.get_context("fork")
+    receiver, sender = context.Pipe(duplex=False)
+    child = context.Process(target=_send_result, args=(sender, function, arguments), daemon=True)
+    with ignored_interrupts():
+        child.start()
+    sender.close()
+
+    def wait() -> Any:
+        try:
+            result, error = receiver.recv()
+        except EOFError:
+            child.join()
+            raise RuntimeError(f"{function.__name__} failed in its own process (exit code {child.exitcode})") from None
+        if error is not None:
+            raise error
+        return result
+
+    try:
+        yield wait
+    finally:
+        child.terminate()
+        child.join()
+        receiver.close()
+
+
+@contextmanager
+def beside(second_process: bool, function: Callable[..., Any], *arguments: Any) -> Iterator[Callable[[], Any]]:
+    """`in_background` where a second process is wanted and there is a core for it, else what calls the function here."""
+    if second_process and spare_core():
+        with in_background(function, *arguments) as wait:
+            yield wait
+    else:
+        yield lambda: function(*arguments)
+
+
+def in_halves(
+    function: Callable[[int, int], Any], count: int, second_process: bool, middle: int | None = None
+) -> list[Any]:
+    """Results of `function(first, last)` for the halves of range(count) side by side, or for all of it here.
+
+    The second half begins at `middle`, if that is not count // 2.
+    """
+    half = count // 2 if middle is None else middle
+    if not second_process or not 0 < half < count or not spare_core():
+        return [function(0, count)]
+    with in_background(function, half, count) as wait:
+        return [function(0, half), wait()]
+
+
+def in_threads(function: Callable[[int, int], None], count: int) -> None:
+    """Call a function that leaves Python to others with (first, last) of parts of range(count), in as many threads as
+    there are cores.
+
+    Compiled loops that share their work themselves take several times as long to compile.
+    """
+    edges = np.unique(np.linspace(0, count, min(cores() * _PARTS_A_CORE, count) + 1).astype(int)).tolist()
+    with ThreadPoolExecutor(cores()) as pool:
+        for _ in pool.map(function, edges[:-1], edges[1:]):
+            pass
+
+
+def in_blocks(function: Callable[[slice], None], count: int, block: int, few: int = 1) -> None:
+    """Call a function that leaves Python to others with slices of range(count), `block` long, in as many threads as there
+    are cores if these are more than `few`: what it does may depend on the block, which is the same for any number of
+    cores."""
+    blocks = -(-count // block)
+
+    def part(first: int, last: int) -> None:
+        for k in range(first, last):
+            function(slice(k * block, min((k + 1) * block, count)))
+
+    if blocks > few:
+        in_threads(part, blocks)
+    else:
+        part(0, blocks)
+
+
+def in_turn(jobs: Iterable[Job]) -> None:
+    """Call jobs that leave Python to others in as many threads as there are cores, and the jobs that each of them gives
+    because they may begin once it is done."""
+    with ThreadPoolExecutor(cores()) as pool:
+        running = {pool.submit(job) for job in jobs}
+        try:
+            while running:
+                done, running = wait(running, return_when=FIRST_COMPLETED)
+                running |= {pool.submit(job) for each in done for job in each.result()}
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _send_result(sender: Connection, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+    try:
+        result, error = function(*arguments), None
+    except PlannerError as refused:
+        result, error = None, refused
+    sender.send((result, error))

@@ -1,0 +1,1 @@
+"""Kinematics of arms: forward and inverse, in closed form where there is one, compiled."""

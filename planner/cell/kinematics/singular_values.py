@@ -1,0 +1,132 @@
+"""The smallest singular value of many small matrices, compiled: LAPACK spends most of its time on being called.
+
+A matrix is made bidiagonal by reflections (Golub and Kahan 1965). Of B^T B, which is tridiagonal, Laguerre's method from
+0 comes to the smallest eigenvalue from below, three times as many digits with each step (Parlett, The Symmetric
+Eigenvalue Problem, section 7.5); B^T B - x is factored from B's own elements (Fernando and Parlett 1994, dstqds).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from planner.base.arrays import Array
+
+_STEPS = 200  # at most; three to six are usual
+_DONE = 1e-15  # relative: a step that no longer changes a value
+# Of the step before: where a step falls below that share, the next one's share is the third power of its own, so that it is
+# known without being made; nearer by, rounding may carry beyond, which costs many more
+_FALLING = 1e-2
+
+
+def least_singular_values(matrices: Array) -> Array:
+    """Smallest singular values (n) of matrices (n, r, c); NaN of a matrix with a number that is not finite."""
+    tall = matrices if matrices.shape[1] >= matrices.shape[2] else np.swapaxes(matrices, 1, 2)
+    out = np.empty(len(tall))
+    _fill(np.ascontiguousarray(tall, dtype=float), out)
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill(matrices: Array, out: Array) -> None:
+    """Of each tall matrix (n, r, c)."""
+    n, r, c = matrices.shape
+    A, q, e = np.empty((r, c)), np.empty(c), np.empty(c)
+    for i in range(n):
+        for a in range(r):
+            for b in range(c):
+                A[a, b] = matrices[i, a, b]
+        out[i] = least_singular_value(A, q, e)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def least_singular_value(A: Array, q: Array, e: Array) -> float:
+    """Of one tall matrix A (r, c), which is lost; NaN if a number in it is not finite. q and e (c) are room."""
+    r, c = A.shape
+    largest = 0.0
+    for a in range(r):
+        for b in range(c):
+            largest = max(largest, abs(A[a, b])) if np.isfinite(A[a, b]) else np.inf
+    if not 0.0 < largest < np.inf:
+        return 0.0 if largest == 0.0 else np.nan
+    _bidiagonal(A, q, e)
+    return np.sqrt(_least_eigenvalue(q, e))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _bidiagonal(A: Array, q: Array, e: Array) -> None:
+    """Turn a tall A (r, c) into a bidiagonal matrix with the same singular values; A is lost.
+
+    Fills q (c) with the squares of its diagonal and e with those beside it, the last of which is 0.
+    """
+    r, c = A.shape
+    for k in range(c):
+        square = 0.0
+        for i in range(k, r):
+            square += A[i, k] * A[i, k]
+        q[k] = square
+        if square > 0.0 and k < r - 1:
+            A[k, k] += np.copysign(np.sqrt(square), A[k, k])
+            scale = 0.0
+            for i in range(k, r):
+                scale += A[i, k] * A[i, k]
+            for j in range(k + 1, c):
+                along = 0.0
+                for i in range(k, r):
+                    along += A[i, k] * A[i, j]
+                along *= 2.0 / scale
+                for i in range(k, r):
+                    A[i, j] -= along * A[i, k]
+        square = 0.0
+        for j in range(k + 1, c):
+            square += A[k, j] * A[k, j]
+        e[k] = square
+        if square > 0.0 and k < c - 2:
+            A[k, k + 1] += np.copysign(np.sqrt(square), A[k, k + 1])
+            scale = 0.0
+            for j in range(k + 1, c):
+                scale += A[k, j] * A[k, j]
+            for i in range(k + 1, r):
+                along = 0.0
+                for j in range(k + 1, c):
+                    along += A[k, j] * A[i, j]
+                along *= 2.0 / scale
+                for j in range(k + 1, c):
+                    A[i, j] -= along * A[k, j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _least_eigenvalue(q: Array, e: Array) -> float:
+    """Smallest eigenvalue of B^T B, where q (c) are the squares of B's diagonal and e (c) of those beside it."""
+    c, x, low, high = q.size, 0.0, 0.0, np.inf
+    before, share = 0.0, np.inf
+    for _ in range(_STEPS):
+        # d are the pivots of B^T B - x, s what the one before leaves of x; by x once and twice: s1, s2
+        s, s1, s2, d, first, second = -x, -1.0, 0.0, 0.0, 0.0, 0.0
+        for i in range(c):
+            d = q[i] + s
+            if d <= 0.0:
+                break
+            inverse = 1.0 / d
+            ratio = s1 * inverse
+            first -= ratio
+            second += ratio * ratio - s2 * inverse
+            left, slope = e[i] * inverse, q[i] * inverse
+            s, s1, s2 = left * s - x, left * slope * s1 - 1.0, left * slope * (s2 - 2.0 * s1 * ratio)
+        if d > 0.0:
+            # first and second are the sums of 1 / (eigenvalue - x), and of its square
+            step = c / (first + np.sqrt(max((c - 1) * (c * second - first * first), 0.0)))
+            if step <= _DONE * x:
+                break
+            low, x = x, x + step
+            share, last = step / before, share
+            if high == np.inf and last <= 1.0 and share <= _FALLING and step * share**3 <= _DONE * x:
+                break
+            before = step
+        else:  # beyond, by rounding: far enough to be seen only if all eigenvalues are close together
+            high = x
+        if x >= high:
+            x = 0.5 * (low + high)
+            if not low < x < high:
+                return low
+    return x

@@ -1,0 +1,250 @@
+"""robots/*.yaml and the URDF that each names -> Robot. The URDF may come from an installed package."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from planner.base.arrays import Array
+from planner.base.errors import nearest_name
+from planner.cell.bodies import read_bodies
+from planner.cell.kinematics.axes import OtherGeometry
+from planner.cell.kinematics.chain import Chain
+from planner.cell.kinematics.inverse import Corrected, InverseKinematics
+from planner.cell.kinematics.offset_wrist import OffsetWrist, read_offset_wrist
+from planner.cell.kinematics.seven_axes import SevenAxes, read_seven_axes
+from planner.cell.kinematics.spherical_wrist import SphericalWrist
+from planner.cell.robot_file import KINDS, LENGTHS, RobotFile, is_number, read_robot_file
+from planner.cell.solids import Body
+from planner.cell.urdf import Urdf, model_of, read_urdf, turning_joints
+from planner.problem import Problem
+from planner.problem.settings import LANGUAGE_NAMES, USUAL_LANGUAGE
+
+ROBOTS = Path(__file__).resolve().parents[2] / "robots"
+_INVERSE = ("spherical_wrist", "inverse_kinematics")  # keys, one of which an arm has
+_SAME_POSE = 1e-9  # m: closed form and URDF are one arm
+_POSTURES = 20
+
+
+@dataclass(frozen=True)
+class Robot:
+    """One robot as its files describe it: a Pinocchio model of the joints from base to tip, its tip frame, and what
+    a URDF cannot say; no inverse kinematics if it is not an arm.
+
+    language what its controller is programmed in: one of LANGUAGE_NAMES
+    bodies   one tuple for each joint index of the model (0: what does not move), in the joint's frame; all empty if
+             the URDF has no collision shapes
+    """
+
+    key: str
+    name: str
+    model: pin.Model
+    tip: str
+    acceleration: Array
+    jerk: Array
+    inverse: InverseKinematics | None
+    assumed: tuple[str, ...]
+    language: str
+    bodies: tuple[tuple[Body, ...], ...]
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names in joint order, base first."""
+        return tuple(self.model.names[1:])
+
+
+def robot_names(folder: Path = ROBOTS) -> list[str]:
+    """Keys of the robots that ship."""
+    return sorted(path.stem for path in folder.glob("*.yaml"))
+
+
+def shipped_robots(arms: bool) -> dict[str, str]:
+    """Robots that ship, by key: maker and type; those that are arms, or those that are none and only hold parts.
+
+    Only their YAML files are read.
+    """
+    return {
+        file.path.stem: file.text("name")
+        for file in _shipped_files()
+        if any(key in file.data for key in _INVERSE) == arms
+    }
+
+
+@cache
+def _shipped_files() -> tuple[RobotFile, ...]:
+    return tuple(read_robot_file(ROBOTS / f"{key}.yaml") for key in robot_names())
+
+
+def load_robot(robot: str | Path, problem: Problem, field: str) -> Robot:
+    """Read a robot that ships, by its key, or the user's own, by its file.
+
+    Raises InputError, of the problem's field, where there is none, and for whatever is wrong with its files.
+    """
+    if isinstance(robot, Path):
+        if not robot.is_file():
+            hint = "counted from the problem file's folder; robots that ship go by name"
+            raise problem.error(field, f"no file {robot}", hint)
+        return read_robot(robot)
+    if robot not in robot_names():
+        raise problem.error(field, f"unknown robot {robot!r}", names_meant(robot))
+    return read_robot(ROBOTS / f"{robot}.yaml")
+
+
+def names_meant(key: str) -> str:
+    """What somebody may have meant who named a robot that there is not."""
+    near = nearest_name(key, robot_names())
+    own = "a robot of your own is a file: my_robot.yaml"
+    return f"did you mean {near}?" if near else f"known: {', '.join(robot_names())}; {own}"
+
+
+def read_robot(path: Path) -> Robot:
+    """Read a robot's YAML file and its URDF. Raises InputError for whatever is wrong with them."""
+    file = read_robot_file(path)
+    urdf = read_urdf(file.urdf())
+    model = _model(file, urdf)
+    n = model.njoints - 1
+    return Robot(
+        key=path.stem,
+        name=file.text("name"),
+        model=model,
+        tip=file.text("tip"),
+        acceleration=file.numbers("acceleration_rad_s2", n),
+        jerk=file.numbers("jerk_rad_s3", n),
+        inverse=_inverse(file, model),
+        assumed=file.texts("assumed"),
+        language=_language(file),
+        bodies=read_bodies(urdf, model, file.of_these("without", "link", urdf.links())),
+    )
+
+
+def _language(file: RobotFile) -> str:
+    name = file.data.get("language", USUAL_LANGUAGE)
+    file.known("language", "language", name, LANGUAGE_NAMES)
+    return str(name)
+
+
+def _model(file: RobotFile, urdf: Urdf) -> pin.Model:
+    """Pinocchio's model of the joints from base to tip, with the ranges and speeds that the robot's file knows."""
+    tip = file.text("tip")
+    file.known("tip", "link", tip, urdf.links())
+    joints = turning_joints(urdf, tip)
+    if not joints:
+        raise file.error("tip", f"no joint turns between the base and {tip}")
+    model = model_of(urdf, tip, file.ranges(joints), "speed_rad_s" in file.data)
+    if "speed_rad_s" in file.data:
+        model.velocityLimit = file.numbers("speed_rad_s", len(joints))
+    return model
+
+
+def _inverse(file: RobotFile, model: pin.Model) -> InverseKinematics | None:
+    """The closed form that the file names, held to the URDF; corrected where an arm is nearly of its kind."""
+    data = file.data
+    given = [key for key in _INVERSE if key in data]
+    if not given:
+        return None
+    if len(given) > 1:
+        raise file.error(given[1], "spherical_wrist is given as well", "an arm has one inverse kinematics")
+    field = given[0]
+    chain = _fold(model, data["tip"], np.eye(4), np.eye(4), tuple(model.names[1:]), {})
+    inverse = _spherical(file, chain) if field == "spherical_wrist" else _read_off(file, chain)
+    q = np.random.default_rng(1).uniform(-np.pi, np.pi, (_POSTURES, len(chain)))
+    seen, own = chain.poses(q), inverse.poses(q)
+    if np.allclose(seen, own, rtol=0.0, atol=_SAME_POSE):
+        return inverse
+    if not isinstance(inverse, SphericalWrist):
+        return Corrected(inverse, chain)
+    worst = int(np.argmax(np.abs(seen - own).max(axis=(1, 2))))
+    raise file.error(
+        field,
+        "these lengths and the URDF disagree about the flange",
+        f"URDF says {np.round(seen[worst, :3, 3] * 1e3, 3)} mm, the lengths {np.round(own[worst, :3, 3] * 1e3, 3)} mm",
+    )
+
+
+def _spherical(file: RobotFile, chain: Chain) -> SphericalWrist:
+    lengths = file.data["spherical_wrist"]
+    if not isinstance(lengths, Mapping) or set(lengths) != set(LENGTHS):
+        raise file.error("spherical_wrist", "must give the seven OPW lengths", ", ".join(LENGTHS))
+    if not all(is_number(value) for value in lengths.values()):
+        raise file.error("spherical_wrist", "the lengths must be numbers", "millimetres")
+    if len(chain) != 6:
+        raise file.error("spherical_wrist", f"an arm with a spherical wrist has 6 joints, not {len(chain)}")
+    return SphericalWrist(*(float(lengths[key]) * 1e-3 for key in LENGTHS))
+
+
+def _read_off(file: RobotFile, chain: Chain) -> OffsetWrist | SevenAxes:
+    kind = file.data["inverse_kinematics"]
+    if kind not in KINDS:
+        raise file.error("inverse_kinematics", f"unknown kind {kind!r}", f"known: {', '.join(KINDS)}")
+    redundant = file.data.get("redundant_joint")
+    if (redundant is None) == (kind == "seven_axes"):
+        field = "inverse_kinematics" if redundant is None else "redundant_joint"
+        raise file.error(field, "an arm of seven axes, and no other, names its redundant_joint", "one of its joints")
+    try:
+        if kind == "offset_wrist":
+            return read_offset_wrist(chain)
+        file.known("redundant_joint", "joint", redundant, chain.names)
+        return read_seven_axes(chain, chain.names.index(str(redundant)))
+    except OtherGeometry as error:
+        raise file.error("inverse_kinematics", f"not an arm of the kind {kind}: {error}") from None
+
+
+def chain_of(
+    robot: Robot, T_world_base: Array, T_tip_tool: Array, free: Collection[str], held: Mapping[str, float]
+) -> Chain:
+    """Chain from the world to a tool over a robot's free joints; held ones (angles by name [rad]) are folded in."""
+    return _fold(robot.model, robot.tip, T_world_base, T_tip_tool, free, held)
+
+
+def _fold(
+    model: pin.Model,
+    tip: str,
+    T_world_base: Array,
+    T_tip_tool: Array,
+    free: Collection[str],
+    held: Mapping[str, float],
+) -> Chain:
+    placements, axes, names = [], [], []
+    T = T_world_base.copy()
+    for i in range(1, model.njoints):
+        T = T @ model.jointPlacements[i].homogeneous
+        axis = joint_axis(model, i)
+        name = model.names[i]
+        if name in free:
+            placements.append(T)
+            axes.append(axis)
+            names.append(name)
+            T = np.eye(4)
+        else:
+            T = T @ pin.SE3(pin.AngleAxis(held[name], axis).toRotationMatrix(), np.zeros(3)).homogeneous
+    frame = model.frames[model.getFrameId(tip)]
+    T = T @ frame.placement.homogeneous @ T_tip_tool
+    n = len(names)
+    return Chain(tuple(names), np.array(placements).reshape(n, 4, 4), np.array(axes).reshape(n, 3), T)
+
+
+def bodies_with_tip(robot: Robot, free: Collection[str], held: Mapping[str, float]) -> tuple[Body, ...]:
+    """Bodies that do not move against a robot's tip while its free joints do, in the tip's frame; held ones: as `chain_of`."""
+    model, data = robot.model, robot.model.createData()
+    q = np.array([held.get(name, 0.0) for name in robot.joint_names])
+    pin.forwardKinematics(model, data, q)
+    T_tip_base = pin.updateFramePlacement(model, data, model.getFrameId(robot.tip)).inverse()
+    first = max((1 + robot.joint_names.index(name) for name in free), default=0)
+    return tuple(
+        Body(body.name, body.solid, (T_tip_base * data.oMi[i]).homogeneous @ body.T_frame_solid)
+        for i in range(first, model.njoints)
+        for body in robot.bodies[i]
+    )
+
+
+def joint_axis(model: pin.Model, i: int) -> Array:
+    """Unit axis of a revolute joint in its own frame, read off the joint's own motion subspace."""
+    q = pin.neutral(model)
+    data = model.createData()
+    J = pin.computeJointJacobians(model, data, q)
+    return np.asarray(data.oMi[i].rotation.T @ J[3:, model.joints[i].idx_v])

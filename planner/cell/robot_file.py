@@ -1,0 +1,211 @@
+"""robots/*.yaml, or the user's own: what a URDF cannot say, each value with its place in the file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planner.base.arrays import Array
+from planner.base.errors import InputError, nearest_name
+from planner.problem.settings import LANGUAGE_NAMES, USUAL_LANGUAGE
+from planner.problem.yaml_file import Keys, ValueSources, read_yaml_file
+
+LENGTHS = tuple(f"{name}_mm" for name in ("a1", "a2", "b", "c1", "c2", "c3", "c4"))  # of a spherical wrist's arm
+KINDS = ("offset_wrist", "seven_axes")  # spherical wrists have a section of their own, with their lengths
+
+
+@dataclass(frozen=True)
+class RobotKey:
+    """A key of a robot's file: what it is, its default in words (none where it is required), and an example."""
+
+    text: str
+    example: str
+    default: str = ""
+    schema: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def required(self) -> bool:
+        """Whether every robot has it."""
+        return not self.default
+
+
+_POSITIVE = {"type": "array", "items": {"type": "number", "exclusiveMinimum": 0}, "minItems": 1}
+_NAMES = {"type": "array", "items": {"type": "string"}}
+_TEXT = {"type": "string", "minLength": 1}
+KEYS = {
+    "name": RobotKey("maker and type, as reports call it", "ABB IRB 140-6/0.8", schema=_TEXT),
+    "urdf": RobotKey(
+        "the URDF: a file beside this one, or a package and a path in its shared files",
+        "irb140.urdf",
+        schema={
+            "anyOf": [
+                _TEXT,
+                {
+                    "type": "object",
+                    "properties": {"package": _TEXT, "path": _TEXT},
+                    "required": ["package", "path"],
+                    "additionalProperties": False,
+                },
+            ]
+        },
+    ),
+    "tip": RobotKey("link of the URDF that is the flange: its z points out of it", "tool0", schema=_TEXT),
+    "acceleration_rad_s2": RobotKey(
+        "greatest acceleration of each joint, base first [rad/s²]", "[15, 15, 15, 25, 25, 30]", schema=_POSITIVE
+    ),
+    "jerk_rad_s3": RobotKey(
+        "greatest jerk of each joint, base first [rad/s³]", "[750, 750, 750, 1250, 1250, 1500]", schema=_POSITIVE
+    ),
+    "language": RobotKey(
+        "what its controller is programmed in", "rapid", USUAL_LANGUAGE, {"enum": list(LANGUAGE_NAMES)}
+    ),
+    "speed_rad_s": RobotKey(
+        "greatest speed of each joint, base first [rad/s]", "[3.5, 3.5, 4.5, 6, 6, 7]", "the URDF's", _POSITIVE
+    ),
+    "range_deg": RobotKey(
+        "least and greatest angle of joints by name, in place of the URDF's [deg]",
+        "{joint_6: [-400, 400]}",
+        "the URDF's",
+        {
+            "type": "object",
+            "additionalProperties": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2},
+        },
+    ),
+    "without": RobotKey("links of the URDF whose collision shapes do not count", "[hand]", "none", _NAMES),
+    "assumed": RobotKey(
+        "what of this file nobody has published; listings and the checks say so", "[jerk_rad_s3]", "nothing", _NAMES
+    ),
+    "spherical_wrist": RobotKey(
+        "of an arm whose last three axes meet: its seven lengths [mm], as Brandstötter et al. name them (OPW)",
+        "{a1_mm: 70, a2_mm: 0, b_mm: 0, c1_mm: 352, c2_mm: 360, c3_mm: 380, c4_mm: 65}",
+        "none",
+        {
+            "type": "object",
+            "properties": {name: {"type": "number"} for name in LENGTHS},
+            "required": list(LENGTHS),
+            "additionalProperties": False,
+        },
+    ),
+    "inverse_kinematics": RobotKey(
+        f"of another arm, what it is like: {' or '.join(KINDS)}; a robot without this and spherical_wrist only holds parts",
+        "offset_wrist",
+        "none",
+        {"enum": list(KINDS)},
+    ),
+    "redundant_joint": RobotKey(
+        "of seven_axes: the joint whose angle is chosen, and for which the other six follow", "joint_3", "none", _TEXT
+    ),
+}
+REQUIRED = tuple(name for name, key in KEYS.items() if key.required)
+OPTIONAL = tuple(name for name, key in KEYS.items() if not key.required)
+
+
+@dataclass(frozen=True)
+class RobotFile:
+    """A robot's YAML file, read: its values, and where they stand."""
+
+    path: Path
+    data: Mapping[str, Any]
+    source: ValueSources
+
+    def error(self, field: str, reason: str, hint: str | None = None) -> InputError:
+        """Return the error of a field, with file and line."""
+        keys: Keys = (field,)
+        line = self.source.line(keys) if field in self.data else None
+        return InputError(reason, file=self.path, line=line, field=field, hint=hint)
+
+    def text(self, field: str) -> str:
+        """The text of a field."""
+        value = self.data[field]
+        if not isinstance(value, str) or not value.strip():
+            raise self.error(field, "must be a text", "quote it if it looks like a number")
+        return value
+
+    def texts(self, field: str) -> tuple[str, ...]:
+        """The list of texts of a field; none if it is left out."""
+        value = self.data.get(field, ())
+        if not isinstance(value, tuple) or not all(isinstance(item, str) for item in value):
+            raise self.error(field, "must be a list of names", "for example [hand]")
+        return value
+
+    def known(self, field: str, kind: str, name: object, names: Collection[str]) -> None:
+        """Raise InputError if `name` is none of the `names`, which are those of a `kind`."""
+        if name not in names:
+            near = nearest_name(str(name), names)
+            hint = f"did you mean {near}?" if near else f"{kind}s: {', '.join(names)}"
+            raise self.error(field, f"no {kind} {name!r}", hint)
+
+    def of_these(self, field: str, kind: str, names: Collection[str]) -> tuple[str, ...]:
+        """The list of a field, all of them among the `names` of a `kind`; none if it is left out."""
+        given = self.texts(field)
+        for name in given:
+            self.known(field, kind, name, names)
+        return given
+
+    def numbers(self, field: str, count: int) -> Array:
+        """The positive numbers (count) of a field."""
+        value = self.data[field]
+        right = isinstance(value, tuple) and all(is_number(v) and 0.0 < v < math.inf for v in value)
+        if not right or len(value) != count:
+            raise self.error(field, f"must be a list of {count} positive numbers", "one for each joint, base first")
+        return np.array([float(v) for v in value])
+
+    def ranges(self, joints: Collection[str]) -> dict[str, tuple[float, float]]:
+        """Ranges [rad] by joint that stand in place of the URDF's."""
+        given = self.data.get("range_deg", {})
+        if not isinstance(given, dict):
+            raise self.error("range_deg", "must be ranges by joint", "for example {joint_6: [-400, 400]}")
+        for name, pair in given.items():
+            self.known("range_deg", "joint", name, joints)
+            right = isinstance(pair, tuple) and len(pair) == 2 and all(is_number(v) and math.isfinite(v) for v in pair)
+            if not right or not pair[0] < pair[1]:
+                reason = f"{name} must have a least and a greatest angle"
+                raise self.error("range_deg", reason, "for example [-400, 400]")
+        return {name: (math.radians(low), math.radians(high)) for name, (low, high) in given.items()}
+
+    def urdf(self) -> Path:
+        """Where the robot's URDF is: beside its YAML file, or `path` in the shared files of an installed `package`."""
+        urdf = self.data["urdf"]
+        if isinstance(urdf, str):
+            path, hint = self.path.parent / urdf, "counted from the robot's file"
+        elif isinstance(urdf, Mapping) and set(urdf) == {"package", "path"}:
+            package = str(urdf["package"])
+            try:
+                found = metadata.distribution(package)
+            except metadata.PackageNotFoundError:
+                hint = f"pip install -r requirements.txt, or pip install {package}"
+                raise self.error("urdf", f"package {package} is not installed", hint) from None
+            # wheels made by cmeel keep what would be below /usr in a folder of their own, and have no module to import
+            path = Path(str(found.locate_file("cmeel.prefix"))) / "share" / package / str(urdf["path"])
+            hint = f"counted from share/{package} of {package} {found.version}"
+        else:
+            raise self.error("urdf", "must be a file name, or a package and a path", "for example arm.urdf")
+        if not path.is_file():
+            raise self.error("urdf", f"no file {path.name}", hint)
+        return path
+
+
+def read_robot_file(path: Path) -> RobotFile:
+    """Read a robot's YAML file. Raises InputError for unknown and missing keys, and for what is no YAML."""
+    data, source = read_yaml_file(path, "a robot has name, urdf and tip; see robots/irb140.yaml")
+    file = RobotFile(path, data, source)
+    for key in data:
+        if key not in REQUIRED + OPTIONAL:
+            near = nearest_name(key, REQUIRED + OPTIONAL)
+            hint = f"did you mean {near}?" if near else f"known keys: {', '.join(REQUIRED + OPTIONAL)}"
+            raise file.error(key, "unknown key", hint)
+    for key in REQUIRED:
+        if key not in data:
+            raise file.error(key, "is missing")
+    return file
+
+
+def is_number(value: object) -> bool:
+    """Whether a value is a number, and no yes or no."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool)

@@ -1,0 +1,204 @@
+"""The robots that ship, or one of them or of the user's own, in detail: reach, limits, bodies, and what is assumed.
+
+python -m planner.robots [NAME or my_robot.yaml]
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from scipy.optimize import minimize
+
+from planner.base.arrays import Array
+from planner.base.command_line import Command, exit_code
+from planner.base.errors import EXIT_VERIFIED, InputError
+from planner.cell.kinematics.inverse import Corrected, InverseKinematics
+from planner.cell.kinematics.offset_wrist import OffsetWrist
+from planner.cell.kinematics.spherical_wrist import SphericalWrist
+from planner.cell.robot import ROBOTS, Robot, chain_of, names_meant, read_robot, robot_names
+from planner.cell.robot_file import read_robot_file
+from planner.cell.solids import Box, Capsule, Frustum, Solid
+
+_TRIED = 500  # random postures, of which the farthest few are bettered until they are as far as can be
+_BETTERED = 3
+_TURN = 2.0 * np.pi
+
+
+def reach(robot: Robot) -> float | None:
+    """The farthest that an arm's wrist comes from axis 1, joints within their ranges [m]; None if it is no arm.
+
+    The wrist is where the last three axes meet, which makers mean, and the flange's centre where they do not.
+    """
+    inverse = robot.inverse
+    if inverse is None:
+        return None
+    back = inverse.c4 if isinstance(inverse, SphericalWrist) else 0.0
+    chain = chain_of(robot, np.eye(4), np.eye(4), robot.joint_names, {})
+    at, axis = chain.placements[0, :3, 3], chain.placements[0, :3, :3] @ chain.axes[0]
+
+    def away(q: Array) -> Array:
+        T = chain.poses(np.atleast_2d(q))
+        return np.asarray(np.linalg.norm(np.cross(T[:, :3, 3] - back * T[:, :3, 2] - at, axis), axis=1))
+
+    low = np.maximum(robot.model.lowerPositionLimit, -np.pi)
+    high = np.minimum(robot.model.upperPositionLimit, np.pi)
+    tried = np.random.default_rng(0).uniform(low, high, (_TRIED, len(low)))
+    starts = tried[np.argsort(-away(tried))[:_BETTERED]]
+    ends = list(zip(low, high, strict=True))
+    return max(-float(minimize(lambda q: -away(q)[0], start, bounds=ends).fun) for start in starts)
+
+
+def kind(inverse: InverseKinematics | None, joints: Sequence[str]) -> str:
+    """What kind of inverse kinematics a robot has, in words."""
+    if inverse is None:
+        return "no arm: it holds the part"
+    if isinstance(inverse, Corrected):
+        return f"{kind(inverse.nominal, joints)}, refined to the URDF"
+    if isinstance(inverse, SphericalWrist):
+        return "spherical wrist, 8 branches"
+    if isinstance(inverse, OffsetWrist):
+        return "offset wrist, 8 branches"
+    given = inverse.redundant_joint
+    return f"seven axes, {'' if given is None else joints[given]} chosen, {inverse.branch_count} branches"
+
+
+def overview(robots: Sequence[tuple[Path, Robot]]) -> Table:
+    """A table of robots: what each is, its limits, and where they come from."""
+    table = Table(title="* assumed", title_justify="left", show_lines=True)
+    table.add_column("robot")
+    table.add_column("joints, base first")
+    for path, robot in robots:
+        table.add_row("\n".join([robot.key, *_facts(robot)]), "\n".join([*_limits(robot), f"URDF: {_source(path)}"]))
+    return table
+
+
+def details(path: Path, robot: Robot) -> list[Table | str]:
+    """All that is known of one robot: facts, a table of its joints, and one of its bodies."""
+    joints = Table(title="joints", title_justify="left")
+    marks = _marks(robot)
+    heads = ("range, deg", "speed, deg/s", "acceleration, rad/s²", "jerk, rad/s³")
+    joints.add_column("joint")
+    for head, mark in zip(heads, marks, strict=True):
+        joints.add_column(head + mark, justify="right")
+    model = robot.model
+    for i, name in enumerate(robot.joint_names):
+        range_ = _range(model.lowerPositionLimit[i], model.upperPositionLimit[i])
+        speed = f"{np.degrees(model.velocityLimit[i]):.4g}"
+        joints.add_row(name, range_, speed, f"{robot.acceleration[i]:g}", f"{robot.jerk[i]:g}")
+    bodies = Table(title="bodies that collisions are looked for with", title_justify="left")
+    bodies.add_column("carried by")
+    bodies.add_column("body")
+    bodies.add_column("shape")
+    for i, own in enumerate(robot.bodies):
+        for body in own:
+            bodies.add_row(robot.joint_names[i - 1] if i else "the base", body.name, _shape(body.solid))
+    facts = [f"{robot.name} ({robot.key})", *_facts(robot)[1:], f"URDF: {_source(path)}", f"tip: {robot.tip}"]
+    if robot.assumed:
+        facts.append(f"* assumed: {', '.join(robot.assumed)}")
+    return ["\n".join(facts), joints, *([bodies] if any(robot.bodies) else [])]
+
+
+def _facts(robot: Robot) -> list[str]:
+    farthest = reach(robot)
+    point = "wrist" if isinstance(robot.inverse, SphericalWrist) else "flange"
+    count = sum(map(len, robot.bodies))
+    mark = "*" if any("links" in word for word in robot.assumed) else ""
+    return [
+        robot.name,
+        kind(robot.inverse, robot.joint_names),
+        *([] if farthest is None else [f"reach {farthest * 1e3:.0f} mm (axis 1 to {point})"]),
+        f"bodies{mark}: {' '.join(str(len(own)) for own in robot.bodies)}"
+        if count
+        else "no bodies: its collisions are not checked",
+    ]
+
+
+def _limits(robot: Robot) -> list[str]:
+    model = robot.model
+    ranges = " ".join(map(_range, model.lowerPositionLimit, model.upperPositionLimit))
+    speeds = " ".join(f"{value:.4g}" for value in np.degrees(model.velocityLimit))
+    acceleration, jerk = (" ".join(f"{value:g}" for value in values) for values in (robot.acceleration, robot.jerk))
+    rows = ((ranges, "deg"), (speeds, "deg/s"), (acceleration, "rad/s²"), (jerk, "rad/s³"))
+    return [f"{text} {unit}{mark}" for (text, unit), mark in zip(rows, _marks(robot), strict=True)]
+
+
+def _marks(robot: Robot) -> list[str]:
+    """A star for each of range, speed, acceleration and jerk of which something is assumed."""
+    return ["*" if any(word in told for told in robot.assumed) else "" for word in ("range", "speed", "accel", "jerk")]
+
+
+def _range(low: float, high: float) -> str:
+    if high - low > 20 * _TURN:
+        return f"{(high - low) / _TURN:.0f} turns"
+    a, b = np.degrees([low, high])
+    return f"±{b:.4g}" if abs(a + b) < 1e-6 else f"{a:.4g}…{b:.4g}"
+
+
+def _source(path: Path) -> str:
+    urdf = read_robot_file(path).data["urdf"]
+    return str(urdf) if isinstance(urdf, str) else f"{urdf['path']} of the package {urdf['package']}"
+
+
+def _shape(solid: Solid) -> str:
+    """A solid in words [mm]."""
+    if isinstance(solid, Box):
+        return "box " + " x ".join(f"{1e3 * size:.4g}" for size in solid.size)
+    if isinstance(solid, Frustum):
+        return f"cylinder, radius {1e3 * solid.bottom:.4g}, length {1e3 * solid.height:.4g}"
+    if isinstance(solid, Capsule):
+        return (
+            f"ball, radius {1e3 * solid.radius:.4g}"
+            if solid.length == 0
+            else (f"capsule, radius {1e3 * solid.radius:.4g}, length {1e3 * solid.length:.4g}")
+        )
+    size = 1e3 * np.ptp(solid.vertices, axis=0)
+    return f"convex hull of a mesh, {' x '.join(f'{value:.0f}' for value in size)}, {len(solid.vertices)} corners"
+
+
+def _path_of(name: str) -> Path:
+    """The file of a robot that ships, by its key, or of the user's own, by its path."""
+    if name in robot_names():
+        return ROBOTS / f"{name}.yaml"
+    if name.endswith((".yaml", ".yml")):
+        return Path(name)
+    raise InputError(f"unknown robot {name!r}", hint=names_meant(name))
+
+
+def robots_command() -> Command:
+    """The parser of `python -m planner.robots`."""
+    parser = Command(
+        "robots",
+        "List the robots that ship, or tell all of one robot.",
+        {
+            "": "all that ship: joints, reach, limits",
+            "irb1600_145": "one of them: every joint's limits, every body, what is assumed",
+            "my_robot.yaml": "whether a robot's file of your own is read as you mean it",
+        },
+        {0: "told", 2: "wrong input"},
+    )
+    parser.add_argument(
+        "robot", nargs="?", metavar="NAME", help="a robot that ships, or a robot's own file, my_robot.yaml"
+    )
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    options = robots_command().parse_args(arguments)
+    out, errors = Console(highlight=False), Console(stderr=True, highlight=False)
+
+    def show() -> int:
+        if options.robot is None:
+            out.print(overview([(path, read_robot(path)) for path in map(_path_of, robot_names())]))
+            return EXIT_VERIFIED
+        path = _path_of(options.robot)
+        for part in details(path, read_robot(path)):
+            out.print(part, markup=False, soft_wrap=True) if isinstance(part, str) else out.print(part)
+        return EXIT_VERIFIED
+
+    return exit_code(show, partial(errors.print, markup=False, soft_wrap=True))

@@ -1,0 +1,285 @@
+"""Points in a tree of balls, and how near convex solids come to them: obstacles that grow in the order of print.
+
+A point stands for the ball of its own radius about it. It is there from its time on, so that one tree holds a part
+at all stages of its print. Distances to solids are signed (negative inside) and change by no more than a point moves,
+so that a ball of points is passed over as soon as its middle is far enough.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from planner.base.arrays import Array, Ints, ReadOnlyArrays
+from planner.cell.solids import BOX, CAPSULE, FRUSTUM
+
+_ZERO: Any = np.int64(0)  # a plain 0 is a type of its own, for which kernels would be compiled once more
+_LEAF = 8  # points of a leaf
+_DEEP = 128  # nodes that wait at once: twice the depth of a tree of as many points as an index can count
+FROM_THE_START = -np.inf  # the time of what is there before the print
+
+
+@dataclass(frozen=True)
+class PointTree(ReadOnlyArrays):
+    """A tree over n points; build it with `point_tree`.
+
+    points (n, 3) [m], radius (n) [m], time (n)   in the tree's order; number (n) as they were given
+    centre (m, 3), reach (m), since (m)           of the nodes: a ball around all of a node's balls, and the first time
+    left, right (m)                               children, or in a leaf: -1 - first point, and the number of points
+    """
+
+    points: Array
+    radius: Array
+    time: Array
+    number: Ints
+    centre: Array
+    reach: Array
+    since: Array
+    left: Ints
+    right: Ints
+
+
+def point_tree(points: Array, radius: Array | float = 0.0, time: Array | float = FROM_THE_START) -> PointTree:
+    """A tree of points (n, 3) [m] with radius (n) [m] that are there from time (n) on; n may be 0."""
+    n = len(points)
+    points = np.ascontiguousarray(points, dtype=float)
+    radius = np.ascontiguousarray(np.broadcast_to(np.asarray(radius, dtype=float), (n,)))
+    time = np.ascontiguousarray(np.broadcast_to(np.asarray(time, dtype=float), (n,)))
+    order = np.arange(n)
+    most = max(1, 4 * (n // _LEAF + 1))
+    centre, reach, since = np.zeros((most, 3)), np.zeros(most), np.full(most, np.inf)
+    left, right = np.full(most, -1, dtype=np.int64), np.zeros(most, dtype=np.int64)
+    count = _build(points, radius, time, order, centre, reach, since, left, right)
+    return PointTree(
+        points[order], radius[order], time[order], order,
+        centre[:count].copy(), reach[:count].copy(), since[:count].copy(), left[:count].copy(), right[:count].copy(),
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def _build(points, radius, time, order, centre, reach, since, left, right):
+    """Fill the nodes and sort `order`; returns the number of nodes. Halved across the longest side of the points' box."""
+    n = order.size
+    todo = [(0, 0, n)]
+    count = 1
+    while todo:
+        node, a, b = todo.pop()
+        if a == b:
+            left[node], right[node] = -1 - a, 0
+            continue
+        widest, axis = -1.0, _ZERO
+        for k in range(3):
+            low, high = points[order[a], k], points[order[a], k]
+            for i in range(a, b):
+                low, high = min(low, points[order[i], k]), max(high, points[order[i], k])
+            centre[node, k] = 0.5 * (low + high)
+            if high - low > widest:
+                widest, axis = high - low, k
+        for i in range(a, b):
+            since[node] = min(since[node], time[order[i]])
+            p = points[order[i]]
+            x, y, z = p[0] - centre[node, 0], p[1] - centre[node, 1], p[2] - centre[node, 2]
+            reach[node] = max(reach[node], np.sqrt(x * x + y * y + z * z) + radius[order[i]])
+        if b - a <= _LEAF:
+            left[node], right[node] = -1 - a, b - a
+            continue
+        middle = (a + b) // 2
+        _halve(points, axis, order, a, b, middle)
+        left[node], right[node] = count, count + 1
+        todo.append((count, a, middle))
+        todo.append((count + 1, middle, b))
+        count += 2
+    return count
+
+
+@njit(cache=True)
+def _halve(points, axis, order, a, b, middle):
+    """Sort order[a:b] so far that no point before `middle` lies beyond any from there on, along an axis (quickselect)."""
+    low, high = a, b - 1
+    while low < high:
+        pivot = points[order[(low + high) // 2], axis]
+        i, j = low, high
+        while i <= j:
+            while points[order[i], axis] < pivot:
+                i += 1
+            while points[order[j], axis] > pivot:
+                j -= 1
+            if i <= j:
+                order[i], order[j] = order[j], order[i]
+                i += 1
+                j -= 1
+        if middle <= j:
+            high = j
+        elif middle >= i:
+            low = i
+        else:
+            break
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="never")
+def solid_distance(kind, size, planes, x, y, z):
+    """Signed distance [m] of a point in a solid's own frame from it (see `Packed`); of a hull it is a lower bound."""
+    if kind == BOX:
+        dx, dy, dz = abs(x) - size[0], abs(y) - size[1], abs(z) - size[2]
+        ox, oy, oz = max(dx, 0.0), max(dy, 0.0), max(dz, 0.0)
+        return np.sqrt(ox * ox + oy * oy + oz * oz) + min(max(dx, max(dy, dz)), 0.0)
+    if kind == CAPSULE:
+        dz = max(abs(z) - size[1], 0.0)
+        return np.sqrt(x * x + y * y + dz * dz) - size[0]
+    if kind == FRUSTUM:
+        r = np.sqrt(x * x + y * y)
+        bottom, top, height = size[0], size[1], size[2]
+        ux, uz, along = size[3], size[4], size[5]  # the side from (bottom, 0) to (top, height)
+        side = (r - bottom) * uz - z * ux
+        inside = max(side, max(-z, z - height))
+        if inside <= 0.0:
+            return inside
+        t = min(max((r - bottom) * ux + z * uz, 0.0), along)
+        sx, sz = r - bottom - t * ux, z - t * uz
+        best = sx * sx + sz * sz
+        for lid in range(2):
+            lr, lz = max(r - (bottom if lid == 0 else top), 0.0), z - (0.0 if lid == 0 else height)
+            best = min(best, lr * lr + lz * lz)
+        return np.sqrt(best)
+    worst = -np.inf
+    first = int(size[0])
+    for k in range(first, first + int(size[1])):
+        worst = max(worst, planes[k, 0] * x + planes[k, 1] * y + planes[k, 2] * z + planes[k, 3])
+    return worst
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def point_value(p, radius, kind, size, planes, T_solid_tree, clearance, tip, slope, slack):
+    """The value of one point p (3) that `nearest_point` looks for the least of."""
+    T = T_solid_tree
+    d = solid_distance(
+        kind, size, planes,
+        T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3],
+        T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3],
+        T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3],
+    )  # fmt: skip
+    away = np.sqrt((p[0] - tip[0]) ** 2 + (p[1] - tip[1]) ** 2 + (p[2] - tip[2]) ** 2)
+    return d - radius - min(clearance, slope * away - slack)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def nearest_point(
+    tree_points, tree_radius, tree_time, centre, reach, since, left, right,
+    kind, size, planes, T_solid_tree, now, enough, clearance, tip, slope, slack, stack,
+):  # fmt: skip
+    """Least value over the points that are there before time `now` of
+
+        distance(solid, ball of the point) - min(clearance, slope * (distance of the point from the tip) - slack)
+
+    if that is less than `enough`; and the point, in the tree's order, or -1. tip (3) in the tree's frame; to ask for
+    the clearance everywhere, let the slope be 0 and the slack -clearance. T_solid_tree (4, 4) takes points of the
+    tree's frame into the solid's. The stack (_DEEP) is room.
+    """
+    best, found = enough, -1
+    T = T_solid_tree
+    waiting = 1
+    stack[0] = 0
+    while waiting:
+        waiting -= 1
+        node = stack[waiting]
+        if since[node] >= now:
+            continue
+        cx, cy, cz = centre[node, 0], centre[node, 1], centre[node, 2]
+        away = np.sqrt((cx - tip[0]) ** 2 + (cy - tip[1]) ** 2 + (cz - tip[2]) ** 2)
+        most = min(clearance, slope * (away + reach[node]) - slack)
+        d = solid_distance(
+            kind, size, planes,
+            T[0, 0] * cx + T[0, 1] * cy + T[0, 2] * cz + T[0, 3],
+            T[1, 0] * cx + T[1, 1] * cy + T[1, 2] * cz + T[1, 3],
+            T[2, 0] * cx + T[2, 1] * cy + T[2, 2] * cz + T[2, 3],
+        )  # fmt: skip
+        if d - reach[node] - most >= best:
+            continue
+        if left[node] < 0:
+            for i in range(-1 - left[node], -1 - left[node] + right[node]):
+                if tree_time[i] >= now:
+                    continue
+                x, y, z = tree_points[i, 0], tree_points[i, 1], tree_points[i, 2]
+                d = solid_distance(
+                    kind, size, planes,
+                    T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3],
+                    T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3],
+                    T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3],
+                )  # fmt: skip
+                away = np.sqrt((x - tip[0]) ** 2 + (y - tip[1]) ** 2 + (z - tip[2]) ** 2)
+                value = d - tree_radius[i] - min(clearance, slope * away - slack)
+                if value < best:
+                    best, found = value, i
+            continue
+        a, b = left[node], right[node]
+        # the nearer child comes first: it is put on top
+        da = (centre[a, 0] - tip[0]) ** 2 + (centre[a, 1] - tip[1]) ** 2 + (centre[a, 2] - tip[2]) ** 2
+        db = (centre[b, 0] - tip[0]) ** 2 + (centre[b, 1] - tip[1]) ** 2 + (centre[b, 2] - tip[2]) ** 2
+        stack[waiting], stack[waiting + 1] = (b, a) if da <= db else (a, b)
+        waiting += 2
+    return best, found
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def least_distances(
+    points, radius, time, centre, reach, since, left, right,
+    kind, size, planes, T_solid_tree, now, exact, most, share, stack, distance, point,
+):  # fmt: skip
+    """Distances (n) of a solid at poses (n, 4, 4) from the points that are there before times now (n), `most` at most,
+    and the points (n) that have them, or -1; beyond `exact` any that is about as far.
+
+    A distance beyond `exact` may be too small, and is `share` of the true one or more: of many points that are about as
+    far, none is then looked for that is a little nearer. A search begins with the point that was nearest before.
+    """
+    known, lows = -1, np.empty(len(stack))  # of the nodes on the stack
+    for i in range(len(now)):
+        T, best, found, passed = T_solid_tree[i], most, -1, np.inf
+        if known >= 0 and time[known] < now[i]:
+            best, found = _apart(points[known], kind, size, planes, T) - radius[known], known
+            if best >= most:
+                best, found = most, -1
+        stack[0], lows[0], waiting = 0, -np.inf, 1
+        while waiting:
+            waiting -= 1
+            node, low = stack[waiting], lows[waiting]
+            if since[node] >= now[i] or low >= best:
+                continue
+            if low >= exact and low >= share * best:
+                passed = min(passed, low)
+                continue
+            if left[node] < 0:
+                for k in range(-1 - left[node], -1 - left[node] + right[node]):
+                    if time[k] < now[i]:
+                        value = _apart(points[k], kind, size, planes, T) - radius[k]
+                        if value < best:
+                            best, found = value, k
+                continue
+            a, b = left[node], right[node]
+            low_a = _apart(centre[a], kind, size, planes, T) - reach[a]
+            low_b = _apart(centre[b], kind, size, planes, T) - reach[b]
+            if low_a > low_b:  # the nearer child comes first: it is put on top
+                a, b, low_a, low_b = b, a, low_b, low_a
+            stack[waiting], lows[waiting] = b, low_b
+            stack[waiting + 1], lows[waiting + 1] = a, low_a
+            waiting += 2
+        distance[i], point[i] = min(best, passed), found
+        known = found if found >= 0 else known
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _apart(p, kind, size, planes, T):
+    """Signed distance of a point p (3) from a solid in whose frame it is brought by T (4, 4)."""
+    return solid_distance(
+        kind, size, planes,
+        T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3],
+        T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3],
+        T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3],
+    )  # fmt: skip
+
+
+def search_room() -> Ints:
+    """Room that `nearest_point` needs for its search; one for each thread."""
+    return np.empty(_DEEP, dtype=np.int64)

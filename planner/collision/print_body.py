@@ -1,0 +1,310 @@
+"""What takes room of part and print, as points in print order: for the nozzle, and whatever else comes near."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numba import njit
+from scipy.spatial import cKDTree
+
+from planner.base.arrays import Array, Flags, Ints, ReadOnlyArrays
+from planner.cell.bodies import nozzle_profile
+from planner.cell.cell import Cell, rigid_inverse
+from planner.cell.robot import bodies_with_tip
+from planner.cell.solids import Body, triangles_of
+from planner.collision.point_tree import FROM_THE_START, PointTree, point_tree
+from planner.problem.cell import NozzleSpec
+from planner.toolpath.bead import Bead, Toolpath
+
+# ----------------------------------------------------------------------------------------------------
+# Points all over a surface of triangles, compiled: small triangles first, then one of the corners that nearly coincide.
+
+_MIXES = 0x9E3779B97F4A7C15  # odd, and of 2**64 the golden ratio's part: keys in a row land far apart
+
+
+@njit(cache=True, error_model="numpy")
+def split(triangles, longest):
+    """The same surface (n, 3, 3) in triangles without a longer side: each is halved across its longest one."""
+    done, count = np.empty((max(4 * len(triangles), 16), 3, 3)), 0
+    now = triangles
+    while len(now):
+        across, long = np.full(len(now), -1), 0
+        for i in range(len(now)):
+            side, k = 0.0, 0
+            for j in range(3):
+                length = _apart(now[i, j], now[i, (j + 1) % 3])
+                if length > side:
+                    side, k = length, j
+            if side > longest:
+                across[i] = k
+                long += 1
+        if count + len(now) - long > len(done):
+            more = np.empty((2 * (count + len(now)), 3, 3))
+            for i in range(count):
+                _copy(done[i], more[i])
+            done = more
+        halves, j = np.empty((2 * long, 3, 3)), 0
+        for i in range(len(now)):
+            if across[i] < 0:
+                _copy(now[i], done[count])
+                count += 1
+                continue
+            for x in range(3):
+                a, b, c = now[i, across[i], x], now[i, (across[i] + 1) % 3, x], now[i, (across[i] + 2) % 3, x]
+                middle = 0.5 * (a + b)
+                halves[j, 0, x], halves[j, 1, x], halves[j, 2, x] = a, middle, c
+                halves[long + j, 0, x], halves[long + j, 1, x], halves[long + j, 2, x] = middle, b, c
+            j += 1
+        now = halves
+    return done[:count].copy()
+
+
+@njit(cache=True, error_model="numpy")
+def _copy(triangle, out):
+    for k in range(3):
+        for x in range(3):
+            out[k, x] = triangle[k, x]
+
+
+@njit(cache=True, error_model="numpy")
+def merged(triangles, size):
+    """One of the corners of triangles (n, 3, 3) in each cube of a grid with cubes of that size: points (m, 3), and the
+    distance (m) from which no place of the surface that is theirs is farther."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for i in range(len(triangles)):
+        for k in range(3):
+            for x in range(3):
+                low[x], high[x] = min(low[x], triangles[i, k, x]), max(high[x], triangles[i, k, x])
+    wide = np.floor((high - low) / size).astype(np.int64) + 1
+    bits = 4
+    while 1 << bits < 4 * len(triangles):
+        bits += 1
+    place = np.full(1 << bits, -1, dtype=np.int32)  # a table of cubes by their keys: open addressing
+    last = (1 << bits) - 1
+    keys, kept = np.empty(3 * len(triangles), np.int64), np.empty((3 * len(triangles), 3))
+    far, count = np.zeros(3 * len(triangles)), 0
+    for i in range(len(triangles)):
+        spread = _farthest(triangles[i])
+        for k in range(3):
+            p = triangles[i, k]
+            key = np.int64(0)
+            for x in range(3):
+                key = key * wide[x] + np.int64(np.floor((p[x] - low[x]) / size))
+            at = np.int64((np.uint64(key) * np.uint64(_MIXES)) >> np.uint64(64 - bits))
+            while place[at] >= 0 and keys[place[at]] != key:
+                at = (at + 1) & last
+            if place[at] < 0:
+                place[at] = count
+                keys[count] = key
+                kept[count] = p
+                count += 1
+            m = place[at]
+            far[m] = max(far[m], spread + _apart(p, kept[m]))
+    order = np.argsort(keys[:count])  # what lies near in the grid lies near in the list
+    return kept[order], far[order]
+
+
+@njit(cache=True, error_model="numpy")
+def _apart(a, b):
+    x, y, z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    return np.sqrt(x * x + y * y + z * z)
+
+
+@njit(cache=True, error_model="numpy")
+def _farthest(t):
+    """Distance that no place of a triangle (3, 3) exceeds from the nearest of its corners."""
+    a, b, c = _apart(t[0], t[1]), _apart(t[1], t[2]), _apart(t[2], t[0])
+    a, b = min(a, b), max(a, b)
+    b, c = min(b, c), max(b, c)
+    a, b = min(a, b), max(a, b)
+    if a * a + b * b <= c * c:
+        return 0.5 * c
+    ux, uy, uz = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2]
+    vx, vy, vz = t[2, 0] - t[0, 0], t[2, 1] - t[0, 1], t[2, 2] - t[0, 2]
+    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    return a * b * c / max(2.0 * np.sqrt(x * x + y * y + z * z), 1e-30)
+
+
+# ----------------------------------------------------------------------------------------------------
+# What takes room of part and print, as points in print order: for the nozzle, and whatever else comes near.
+#
+# The substrate, what it stands on, and the beads as rows of balls. Time counts in beads: what is laid at share x of the
+# length of bead i is there from i + x on, and a travel that leads to bead i takes place at i.
+
+# Nobody can keep a whole clearance where the nozzle lays a bead beside another: a point of part or print needs this share
+# of its distance from the nozzle's tip, less what the share is where nozzle's face and bead end.
+TIP_SLOPE = 0.25
+CLEARANCE = 2e-3  # m: at this distance from the points nothing between them is nearer
+_NEAR = 20e-3  # m from a bead: here surfaces are known finely
+_FINE, _COARSE = 1.4e-3, 4e-3  # m, longest side of a triangle whose corners stand for it: near beads, and elsewhere
+_MOST = 100_000  # points of either kind, about: more and they stand farther apart
+_CORNER_AREA = 0.3  # of the square of that side, of the surface that falls to one corner
+_MERGED = 0.125  # of that side: corners nearer to each other count as one
+_OVERHANG = 0.25  # of the height by which a bead may be wider than its balls
+_CHORD = 2e-3  # m that a picture's triangles may leave the true surface
+_ON = 1e-5  # m: as near is on the surface
+_PART = "part"
+
+
+@dataclass(frozen=True)
+class PrintBody(ReadOnlyArrays):
+    """Points of part and print, in the part frame.
+
+    tree    of all of them; its `number` counts bodies, substrate, then beads
+    first   (k + 1) number of the first point of each thing; names (k) of the things
+    bodies  how many of them are bodies of the cell
+    """
+
+    tree: PointTree
+    first: Ints
+    names: tuple[str, ...]
+    bodies: int = 0
+
+    @cached_property
+    def without_bodies(self) -> PrintBody:
+        """Part and print alone."""
+        if not self.bodies:
+            return self
+        start, tree = int(self.first[self.bodies]), self.tree
+        kept = np.argsort(tree.number)[start:]
+        alone = point_tree(tree.points[kept], tree.radius[kept], tree.time[kept])
+        return PrintBody(alone, self.first[self.bodies :] - start, self.names[self.bodies :])
+
+    def name_of(self, point: int) -> str:
+        """What a point belongs to, given in the tree's order."""
+        number = self.tree.number[point]
+        return self.names[int(np.searchsorted(self.first, number, side="right")) - 1]
+
+
+def print_body(toolpath: Toolpath, bodies: Sequence[Body] = ()) -> PrintBody:
+    """Part and print of a toolpath, with bodies that do not move in the part frame: see `standing`."""
+    beads = toolpath.beads
+    corners = _substrate(toolpath)
+    surfaces = [(body.name, _corners(body)) for body in bodies]
+    surfaces += [(_PART, corners)] if corners is not None else []
+    tips = cKDTree(np.concatenate([bead.points[:: max(1, len(bead.s) // 1000)] for bead in beads]))
+    pieces = [split(np.ascontiguousarray(triangles, dtype=float), _NEAR) for _, triangles in surfaces]
+    near = [_is_near(each, tips) for each in pieces]
+    sides = _sides(pieces, near)
+    names, points, radius, time = [], [], [], []
+    for k, ((name, _), piece, by) in enumerate(zip(surfaces, pieces, near, strict=True)):
+        at, spread = _spread(piece, by, sides)
+        if k == len(bodies) and toolpath.solid is None:
+            at = _onto(toolpath, at)
+        names.append(name)
+        points.append(at)
+        radius.append(np.hypot(CLEARANCE, spread) - CLEARANCE)
+        time.append(np.full(len(at), FROM_THE_START))
+    if corners is None:
+        first = [_rows(bead, 1.0)[0] for bead in beads if bead.layer == 0]
+        names.append(_PART)
+        points.append(np.concatenate(first))
+        radius.append(np.zeros(len(points[-1])))
+        time.append(np.full(len(points[-1]), FROM_THE_START))
+    for i, bead in enumerate(beads):
+        at, share, thick = _rows(bead, 0.5)
+        names.append(f"bead {i}")
+        points.append(at)
+        radius.append(thick)
+        time.append(np.minimum(i + share, np.nextafter(i + 1.0, 0.0)))  # its last ball is there before bead i + 1
+    first_of = np.concatenate([[0], np.cumsum([len(each) for each in points])]).astype(np.int64)
+    tree = point_tree(np.concatenate(points), np.concatenate(radius), np.concatenate(time))
+    return PrintBody(tree, first_of, tuple(names), len(bodies))
+
+
+def standing(cell: Cell) -> tuple[Body, ...]:
+    """Bodies that do not move in the part frame, in it: the plate, what it carries, and all that stands if nothing turns."""
+    found = list(cell.carried)
+    if cell.holder_robot is not None:
+        T_part_plate = rigid_inverse(cell.T_plate_part)
+        plate = bodies_with_tip(cell.holder_robot, cell.holder.names, cell.held)
+        found += [Body(b.name, b.solid, T_part_plate @ b.T_frame_solid) for b in plate]
+    if not len(cell.holder):
+        T_part_world = rigid_inverse(cell.T_world_holder)
+        found += [Body(b.name, b.solid, T_part_world @ b.T_frame_solid) for b in cell.fixtures]
+    return tuple(found)
+
+
+def tip_slack(nozzle: NozzleSpec, toolpath: Toolpath) -> Array:
+    """By how much less than TIP_SLOPE times the distance from the tip is kept beside each bead (n beads) [m]."""
+    face = nozzle_profile(nozzle)[0][1]
+    return TIP_SLOPE * (face + np.array([float((bead.height + bead.width).max()) for bead in toolpath.beads]))
+
+
+def _substrate(toolpath: Toolpath) -> Array | None:
+    """Triangles (n, 3, 3) of the part's surface, if they are known."""
+    if toolpath.solid is not None:
+        return toolpath.solid
+    shape = toolpath.shape
+    return None if shape is None else np.asarray(shape.vertices[shape.triangles])
+
+
+def _corners(body: Body) -> Array:
+    vertices, triangles = triangles_of(body.solid)
+    T = body.T_frame_solid
+    return np.asarray((vertices @ T[:3, :3].T + T[:3, 3])[triangles])
+
+
+def _sides(surfaces: Sequence[Array], near: Sequence[Flags]) -> tuple[float, float]:
+    """Longest sides of triangles near beads and elsewhere [m], for which the points do not become too many."""
+    areas = np.zeros(2)
+    for pieces, by in zip(surfaces, near, strict=True):
+        area = 0.5 * np.linalg.norm(np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1)
+        areas += [float(area[by].sum()), float(area[~by].sum())]
+    fine, coarse = np.sqrt(areas / (_MOST * _CORNER_AREA)).tolist()
+    return max(_FINE, fine), max(_COARSE, fine, coarse)
+
+
+def _spread(pieces: Array, near: Flags, sides: tuple[float, float]) -> tuple[Array, Array]:
+    """Points (n, 3) all over triangles (m, 3, 3), and the distance (n) from which no place of the surface is farther."""
+    points, spread = [np.zeros((0, 3))], [np.zeros(0)]
+    for which, side in ((near, sides[0]), (~near, sides[1])):
+        if which.any():
+            at, far = merged(split(pieces[which], side), _MERGED * side)
+            points.append(at)
+            spread.append(far)
+    return np.concatenate(points), np.concatenate(spread)
+
+
+def _is_near(pieces: Array, tips: cKDTree) -> Flags:
+    """Which triangles (n, 3, 3), no longer than _NEAR, have a place that is near a bead."""
+    away, _ = tips.query(pieces.mean(axis=1), distance_upper_bound=2.0 * _NEAR)
+    return np.asarray(np.isfinite(away))
+
+
+def _onto(toolpath: Toolpath, points: Array) -> Array:
+    """Points (n, 3) of a picture's triangles, brought onto the surface where they are near it."""
+    surface = toolpath.surface.before(0)
+    off = surface.signed_distance(points)
+    near = np.flatnonzero((np.abs(off) <= _CHORD) & (np.abs(off) > _ON))
+    out = points.copy()
+    out[near] -= off[near, None] * surface.normals(points[near])
+    return out
+
+
+def _rows(bead: Bead, depth: float) -> tuple[Array, Array, Array]:
+    """Centres (n, 3), shares (n) of the bead's length and radii (n) of the balls that stand for a bead.
+
+    depth: of the centres below the nozzle's tip, in heights of the bead.
+    """
+    thick = np.minimum(bead.height, bead.width)
+    count = max(2, int(np.ceil(bead.length / float(thick.min()))) + 1)
+    s = np.linspace(0.0, bead.length, count)
+    point, normal = (_along(bead.s, values, s) for values in (bead.points, bead.normals))
+    width, height = (np.interp(s, bead.s, values) for values in (bead.width, bead.height))
+    radius = 0.5 * np.minimum(width, height)
+    side = np.cross(normal, np.gradient(point, axis=0))
+    side /= np.maximum(np.linalg.norm(side, axis=1), 1e-12)[:, None]
+    beside = int(np.ceil((0.5 * width / radius - 1.0 - _OVERHANG).max(initial=0.0))) + 1
+    room = np.maximum(0.5 * width - radius, 0.0) if beside > 1 else np.zeros(count)
+    across = np.linspace(-1.0, 1.0, beside) if beside > 1 else np.zeros(1)
+    middle = point - depth * height[:, None] * normal
+    balls = middle[:, None] + across[:, None] * (room[:, None] * side)[:, None]
+    return balls.reshape(-1, 3), np.repeat(s / bead.length, beside), np.repeat(radius, beside)
+
+
+def _along(s: Array, values: Array, at: Array) -> Array:
+    return np.column_stack([np.interp(at, s, values[:, k]) for k in range(3)])

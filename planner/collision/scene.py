@@ -1,0 +1,397 @@
+"""Obstacles: every body that may touch in a cell, the distances kept there, and all of it as numbers for kernels."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.base.arrays import Array, Ints
+from planner.base.processes import in_blocks
+from planner.cell.cell import Cell, rigid_inverse
+from planner.cell.kinematics.chain import Chain, rotate_about
+from planner.cell.robot import Robot, joint_axis
+from planner.cell.solids import SIZES, Body, Capsule, Frustum, Hull, Mesh, packed
+from planner.collision.margins import hit_along, lacking_at, least_margins
+from planner.collision.point_tree import PointTree, point_tree
+from planner.collision.print_body import TIP_SLOPE, PrintBody, print_body, standing, tip_slack
+from planner.collision.table import Table, with_fields
+from planner.problem import Problem
+from planner.toolpath.bead import Toolpath
+
+# ----------------------------------------------------------------------------------------------------
+# Points that stand for a surface: no solid that keeps its clearance from them comes nearer to the surface.
+
+_SPACING = 2e-3  # m
+_MOST = 100_000  # points, about: larger surfaces have them farther apart
+_AREA = 0.5  # of the square of the spacing, about, that falls to one point
+
+
+def surface_points(corners: Array, clearance: float) -> tuple[Array, float]:
+    """Points (n, 3) all over triangles (m, 3, 3) [m], and the radius that makes up for what is between them.
+
+    clearance: the least distance that is asked of them [m]; at less the surface may be nearer than they say.
+    """
+    across = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    spacing = max(_SPACING, float(np.sqrt(0.5 * across.sum() / (_MOST * _AREA))))
+    longest = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).max(axis=1)
+    parts = np.maximum(np.ceil(longest / spacing), 1.0).astype(np.int64)
+    points = []
+    for n in np.unique(parts):
+        i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij")
+        inside = i + j <= n
+        u, v = i[inside] / n, j[inside] / n
+        share = np.column_stack([1.0 - u - v, u, v])
+        points.append(np.einsum("kc,mcx->mkx", share, corners[parts == n]).reshape(-1, 3))
+    # no place of a triangle is farther than this from one of its corners
+    away = spacing / np.sqrt(3.0)
+    return np.concatenate(points), float(np.hypot(clearance, away) - clearance)
+
+
+# ----------------------------------------------------------------------------------------------------
+# Bodies of a cell as obstacles: in which frame each moves, whose it is, and which may touch.
+
+_FILLED = 1e-6  # of its hull's volume that a mesh may lack to be that hull
+_ON_AXIS = 1e-9  # m, and of a direction's length: so near to an axis is on it
+ARM, HEAD, HOLDER, FIXTURE, CARRIED = range(5)
+
+
+@dataclass(frozen=True)
+class CollisionBody:
+    """A body, its pose in its frame's coordinates, and whose it is; link: of the arm, 0 for its base."""
+
+    body: Body
+    frame: int
+    whose: int
+    link: int = 0
+
+
+def collision_bodies(cell: Cell) -> list[CollisionBody]:
+    """All bodies of a cell; meshes that are convex as hulls."""
+    na, nh = len(cell.arm), len(cell.holder)
+    out = []
+    for i, (frame, body) in enumerate(_carried_by(cell.arm_robot, cell.arm, cell.T_world_base, {}, 0)):
+        out += [CollisionBody(each, frame, ARM, i) for each in body]
+    out += [CollisionBody(_moved(body, cell.arm.T_last_tip), na, HEAD, na) for body in cell.head]
+    if cell.holder_robot is not None:
+        for frame, body in _carried_by(cell.holder_robot, cell.holder, cell.T_world_holder_base, cell.held, na):
+            out += [CollisionBody(each, frame, HOLDER) for each in body]
+    out += [CollisionBody(body, 0, FIXTURE) for body in cell.fixtures]
+    out += [CollisionBody(_moved(body, cell.holder.T_last_tip), na + nh if nh else 0, CARRIED) for body in cell.carried]
+    return [replace(thing, body=_filled(thing.body)) for thing in out]
+
+
+def _carried_by(
+    robot: Robot, chain: Chain, T_world_base: Array, held: dict[str, float], before: int
+) -> list[tuple[int, list[Body]]]:
+    """For each joint of a robot's model, its base first, the frame that carries its bodies, and these in that frame."""
+    model, bodies = robot.model, robot.bodies
+    frame, T = 0, T_world_base
+    out = [(0, [_moved(body, T) for body in bodies[0]])]
+    found = 0
+    for i in range(1, model.njoints):
+        name = model.names[i]
+        if name in chain.names:
+            found += 1
+            frame, T = before + found, np.eye(4)
+        else:
+            turn = np.eye(4)
+            rotate_about(joint_axis(model, i), held[name], turn)
+            T = T @ model.jointPlacements[i].homogeneous @ turn
+        out.append((frame, [_moved(body, T) for body in bodies[i]]))
+    return out
+
+
+def _moved(body: Body, T: Array) -> Body:
+    return replace(body, T_frame_solid=T @ body.T_frame_solid)
+
+
+def corners(body: Body) -> Array:
+    """Triangles (m, 3, 3) of a mesh in its frame."""
+    mesh, T = body.solid, body.T_frame_solid
+    if not isinstance(mesh, Mesh):
+        raise TypeError(f"{body.name} is no mesh")
+    return np.asarray((mesh.vertices @ T[:3, :3].T + T[:3, 3])[mesh.triangles])
+
+
+def _filled(body: Body) -> Body:
+    """The body, as a hull if it is a mesh that fills its hull."""
+    if not isinstance(body.solid, Mesh):
+        return body
+    own = body.solid.vertices[body.solid.triangles]
+    volume = float(np.einsum("ni,ni->", own[:, 0], np.cross(own[:, 1], own[:, 2]))) / 6.0
+    hull = Hull(body.solid.vertices)
+    try:
+        whole = hull.volume
+    except ValueError:  # it is flat
+        return body
+    return replace(body, solid=hull) if volume >= (1.0 - _FILLED) * whole else body
+
+
+def may_touch(a: CollisionBody, b: CollisionBody, last: int) -> bool:
+    """Whether two things may touch that ought not to: what moves together, and links beside each other, do not count."""
+    if a.frame == b.frame:
+        return False
+    whose = {a.whose, b.whose}
+    if whose == {ARM}:
+        return abs(a.link - b.link) > 1
+    if whose == {ARM, HEAD}:
+        return min(a.link, b.link) < last
+    if whose & {ARM, HEAD}:
+        return True
+    return FIXTURE in whose
+
+
+def is_round(body: Body, T_frame_nozzle: Array) -> bool:
+    """Whether a body looks the same however it is turned about the nozzle's axis."""
+    T = rigid_inverse(T_frame_nozzle) @ body.T_frame_solid
+    on_axis = np.allclose(T[:2, 2:], 0.0, rtol=0.0, atol=_ON_AXIS)
+    return isinstance(body.solid, Capsule | Frustum) and bool(on_axis)
+
+
+def looked_at(a: CollisionBody, b: CollisionBody, part_frame: int) -> bool:
+    """Whether a pair is that of the head with what does not move in the part frame: it is among the part's points."""
+    other = b if a.whose == HEAD else a
+    return HEAD in (a.whose, b.whose) and other.frame == part_frame and other.whose != ARM
+
+
+# ----------------------------------------------------------------------------------------------------
+# Obstacles: everything that may touch in a cell, and the distances that are kept there.
+
+PART = "part or print"
+BLOCK = 1024  # postures along which what was far enough is remembered
+_FAR = 0.2  # m: greater margins are not told apart along a motion
+_POSTURES = 64  # a pair of an arm's own bodies that touches at all of so many belongs together
+
+
+@dataclass(frozen=True)
+class Around:
+    """What obstacles are made of besides the cell: clearances of head and robots [m], the slack of the head's near the
+    tip (n beads, see `nearest_point`), and the points of part and print in the part frame, with what does not move there."""
+
+    nozzle: float
+    arm: float
+    slack: Array
+    part: PointTree
+
+
+@dataclass(frozen=True)
+class Obstacles:
+    """Everything that may touch: numbers for the kernels, and names of its bodies and of its trees of points."""
+
+    table: Table
+    bodies: tuple[str, ...]
+    trees: tuple[str, ...]
+    around: Around | None
+
+    @property
+    def any(self) -> bool:
+        """Whether anything may touch."""
+        return len(self.table.pair) + len(self.table.look) > 0
+
+    @property
+    def but_head_on_part(self) -> Obstacles:
+        """Less the head's clearance from part and print, which tilt may give where the search cannot."""
+        return self._looking(~self.table.head_on_part)
+
+    @cached_property
+    def but_round_on_part(self) -> Obstacles:
+        """Less what is round about the nozzle's axis against part and print, which only tilt can change."""
+        return self._looking(~self.table.round_on_part)
+
+    def _looking(self, kept: NDArray[np.bool_]) -> Obstacles:
+        fields = ("look", "keep", "head_on_part", "round_on_part")
+        return replace(
+            self, table=with_fields(self.table, **{name: getattr(self.table, name)[kept] for name in fields})
+        )
+
+    def of(self, cell: Cell) -> Obstacles:
+        """The same obstacles where the cell's holder or part stand elsewhere."""
+        return self if self.around is None else _assembled(cell, self.around)
+
+    def margins(self, q: Array, now: Array, enough: float, more: float = 0.0) -> tuple[Array, Ints]:
+        """Least clearance (n) beyond what is needed at postures q (n, nj) at times of the print now (n), if below
+        `enough` [m]; and which pair (n) has it, or -1. `more` [m] is asked for between bodies besides."""
+        margin, which = np.full(len(q), enough), np.full(len(q), -1, dtype=np.int64)
+        if self.any:
+            q, now = np.ascontiguousarray(q), np.ascontiguousarray(now)
+            in_blocks(
+                lambda at: least_margins(self.table, q[at], now[at], enough, more, margin[at], which[at]), len(q), BLOCK
+            )
+        return margin, which
+
+    def hit(self, q: Array, now: float, allowed: float) -> int:
+        """The first pair found whose margin falls below `allowed` [m] along postures q (n, nj) at a time of the print,
+        or -1; between postures as well, as far as their steps are small."""
+        if not self.any:
+            return -1
+        steps = np.abs(np.diff(q, axis=0)) @ self.swing
+        gone = np.concatenate([np.zeros(1), np.cumsum(steps)])
+        return int(hit_along(self.table, np.ascontiguousarray(q), gone, now, allowed, allowed + _FAR))
+
+    @property
+    def swing(self) -> Array:
+        """How far anything moves at most for each radian of the joints (nj) [m]."""
+        table, na = self.table, int(self.table.arm[0])
+        nj = len(table.axes)
+        length = np.linalg.norm(table.placements[:, :3, 3], axis=1)
+        own = np.zeros(nj + 1)  # of what a frame itself carries
+        np.maximum.at(own, table.frame, np.linalg.norm(table.ball[:, :3], axis=1) + table.ball[:, 3])
+        for t, frame in enumerate(table.tree_frame):
+            if table.first[t, 1]:
+                root = (
+                    table.T_frame_tree[t, :3, :3] @ table.node_centre[table.first[t, 2]] + table.T_frame_tree[t, :3, 3]
+                )
+                own[frame] = max(own[frame], float(np.linalg.norm(root)) + float(table.node_reach[table.first[t, 2]]))
+        out = np.zeros(nj)
+        for last, first in ((na, 0), (nj, na)):
+            far = 0.0
+            for j in range(last - 1, first - 1, -1):
+                far = max(own[j + 1], far + (float(length[j + 1]) if j + 1 < last else 0.0))
+                out[j] = far
+        return out
+
+    def names(self, which: int) -> tuple[str, str]:
+        """The two things of a pair, as `margins` counts them."""
+        pairs = len(self.table.pair)
+        if which < pairs:
+            a, b = self.table.pair[which]
+            return self.bodies[a], self.bodies[b]
+        body, tree = self.table.look[which - pairs]
+        return self.bodies[body], self.trees[tree]
+
+
+def _empty() -> Table:
+    """A table of nothing."""
+    none, no_index, no_poses = np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros((0, 4, 4))
+    no_points, no_pairs = np.zeros((0, 3)), np.zeros((0, 2), dtype=np.int64)
+    table = Table(
+        placements=no_poses, axes=no_points, arm=np.zeros(1, dtype=np.int64), tip=np.zeros(3),
+        frame=no_index, kind=no_index, size=np.zeros((0, SIZES)), planes=np.zeros((0, 4)), vertices=no_points, span=no_pairs,
+        T_frame_solid=no_poses, ball=np.zeros((0, 4)), pair=no_pairs, needed=none,
+        points=no_points, radius=none, time=none, node_centre=no_points, node_reach=none, since=none,
+        left=no_index, right=no_index, first=np.zeros((0, 4), dtype=np.int64), tree_frame=no_index,
+        T_frame_tree=no_poses, look=no_pairs, keep=no_points, slack=none,
+        head_on_part=np.zeros(0, dtype=np.bool_), round_on_part=np.zeros(0, dtype=np.bool_),
+    )  # fmt: skip
+    return with_fields(table, **table._asdict())
+
+
+NOTHING = Obstacles(_empty(), (), (), None)
+
+
+def obstacles_of(problem: Problem, cell: Cell, toolpath: Toolpath, body: PrintBody | None = None) -> Obstacles:
+    """What may touch in a problem's cell while a toolpath is printed; body: as for `verify`."""
+    body = body or print_body(toolpath, standing(cell))
+    keep = problem.collision
+    return _assembled(cell, Around(keep.nozzle, keep.arm, tip_slack(problem.cell.nozzle, toolpath), body.tree))
+
+
+def _assembled(cell: Cell, around: Around) -> Obstacles:
+    things = collision_bodies(cell)
+    meshes = [thing for thing in things if isinstance(thing.body.solid, Mesh)]
+    solid = [thing for thing in things if not isinstance(thing.body.solid, Mesh)]
+    nh = len(cell.holder)
+    part_frame = len(cell.arm) + nh if nh else 0
+    pairs = [
+        (a, b)
+        for a, b in itertools.combinations(range(len(solid)), 2)
+        if may_touch(solid[a], solid[b], len(cell.arm)) and not looked_at(solid[a], solid[b], part_frame)
+    ]
+    needed = [around.nozzle if HEAD in (solid[a].whose, solid[b].whose) else around.arm for a, b in pairs]
+    trees, frames, poses = [around.part], [part_frame], [cell.holder.T_last_tip]
+    look = [(k, 0) for k, thing in enumerate(solid) if thing.whose == HEAD or (thing.whose == ARM and thing.link)]
+    clearance = [around.nozzle if solid[k].whose == HEAD else around.arm for k, _ in look]
+    for mesh in meshes:
+        points, radius = surface_points(corners(mesh.body), min(around.nozzle, around.arm))
+        look_at = [
+            k
+            for k, thing in enumerate(solid)
+            if may_touch(thing, mesh, len(cell.arm)) and not looked_at(thing, mesh, part_frame)
+        ]
+        look += [(k, len(trees)) for k in look_at]
+        clearance += [around.nozzle if solid[k].whose == HEAD else around.arm for k in look_at]
+        trees.append(point_tree(points, radius))
+        frames.append(mesh.frame)
+        poses.append(np.eye(4))
+    on_part = np.array([tree == 0 and solid[k].whose == HEAD for k, tree in look], dtype=np.bool_)
+    round_ = np.array([is_round(solid[k].body, cell.arm.T_last_tip) for k, _ in look], dtype=np.bool_)
+    keep = np.array(clearance, dtype=float)
+    table = with_fields(
+        _table(cell, [thing.body for thing in solid], [thing.frame for thing in solid]),
+        pair=np.array(pairs, dtype=np.int64).reshape(-1, 2),
+        needed=np.array(needed, dtype=float),
+        tree_frame=np.array(frames, dtype=np.int64),
+        T_frame_tree=np.array(poses),
+        look=np.array(look, dtype=np.int64).reshape(-1, 2),
+        keep=np.column_stack([keep, np.where(on_part, TIP_SLOPE, 0.0), -keep]),
+        slack=around.slack,
+        head_on_part=on_part,
+        round_on_part=on_part & round_,
+        **_joined(trees),
+    )
+    names = tuple(thing.body.name for thing in solid)
+    made = Obstacles(table, names, (PART, *(mesh.body.name for mesh in meshes)), around)
+    return replace(made, table=_without_joined(cell, made.table, solid))
+
+
+def _table(cell: Cell, bodies: Sequence[Body], frames: Sequence[int]) -> Table:
+    """Bodies in their frames, without anything that they may touch."""
+    numbers = packed(bodies)
+    vertices, span = [np.zeros((0, 3))], np.zeros((len(bodies), 2), dtype=np.int64)
+    for k, body in enumerate(bodies):
+        if isinstance(body.solid, Hull):
+            own = body.solid.corners
+            span[k] = sum(map(len, vertices)), len(own)
+            vertices.append(own)
+    poses = np.array([body.T_frame_solid for body in bodies]).reshape(-1, 4, 4)
+    arm, holder = cell.arm, cell.holder
+    return with_fields(
+        _empty(),
+        placements=np.concatenate([arm.placements, holder.placements]),
+        axes=np.concatenate([arm.axes, holder.axes]),
+        arm=np.array([len(arm)]),
+        tip=arm.T_last_tip[:3, 3].copy(),
+        frame=np.array(frames, dtype=np.int64),
+        kind=numbers.kind,
+        size=numbers.size,
+        planes=numbers.planes,
+        vertices=np.concatenate(vertices),
+        span=span,
+        T_frame_solid=poses,
+        ball=np.column_stack([numbers.centre, numbers.reach]),
+    )
+
+
+def _joined(trees: Sequence[PointTree]) -> dict[str, Any]:
+    """Trees end to end, as fields of the table."""
+    points, nodes = [len(tree.points) for tree in trees], [len(tree.centre) for tree in trees]
+    first = np.column_stack([np.cumsum([0, *points[:-1]]), points, np.cumsum([0, *nodes[:-1]]), nodes])
+    return {
+        "points": np.concatenate([tree.points for tree in trees]),
+        "radius": np.concatenate([tree.radius for tree in trees]),
+        "time": np.concatenate([tree.time for tree in trees]),
+        "node_centre": np.concatenate([tree.centre for tree in trees]),
+        "node_reach": np.concatenate([tree.reach for tree in trees]),
+        "since": np.concatenate([tree.since for tree in trees]),
+        "left": np.concatenate([tree.left for tree in trees]),
+        "right": np.concatenate([tree.right for tree in trees]),
+        "first": first.astype(np.int64),
+    }
+
+
+def _without_joined(cell: Cell, table: Table, things: Sequence[CollisionBody]) -> Table:
+    """The table without pairs of the arm's own bodies that touch whatever the posture: they are built that way."""
+    limits = cell.limits
+    low, high = np.maximum(limits.q_min, -np.pi), np.minimum(limits.q_max, np.pi)
+    q = np.random.default_rng(0).uniform(low, high, (_POSTURES, len(low)))
+    lacking = np.zeros((_POSTURES, len(table.pair)), dtype=np.bool_)
+    lacking_at(table, q, lacking)
+    own = np.array([things[a].whose in (ARM, HEAD) and things[b].whose in (ARM, HEAD) for a, b in table.pair])
+    kept = ~(lacking.all(axis=0) & own.astype(np.bool_).reshape(-1))
+    return with_fields(table, pair=table.pair[kept], needed=table.needed[kept])

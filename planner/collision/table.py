@@ -1,0 +1,104 @@
+"""Everything that may touch, as numbers for the compiled kernels, and the room that a thread of theirs needs."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from planner.base.arrays import Array, Flags, Ints, read_only
+
+DEEP = 128  # nodes of a tree that wait at once, see `search_room`
+
+
+class Table(NamedTuple):
+    """Everything that may touch, as numbers (nj joints, b bodies, p pairs of them, t trees, k bodies looked at by trees).
+
+    placements (nj, 4, 4), axes (nj, 3)   as in Chain, of the arm and then the holder; arm (1): how many are the arm's
+    tip (3)                               of the nozzle in the arm's last frame
+    frame, kind (b), size (b, SIZES), planes, vertices, span (b, 2)   solids as in Packed; span: first vertex and how many
+    T_frame_solid (b, 4, 4), ball (b, 4)  middle and reach of a ball around each, in its frame
+    pair (p, 2), needed (p)               bodies that may touch, the distance that they keep [m]
+    points .. right                       the trees of `PointTree` end to end
+    first (t, 4)                          of each tree: first point, points, first node, nodes
+    tree_frame (t), T_frame_tree (t, 4, 4)
+    look (k, 2)                           body and tree
+    keep (k, 3)                           clearance, slope and slack, see `nearest_point`
+    slack (n beads)                       in the place of the third where head and part are, by the bead that is printed
+    head_on_part (k)                      head and part: a nozzle's pose in the part alone says how they are
+    round_on_part (k)                     of these, where the head's body is round about the nozzle's axis: roll changes nothing
+    """
+
+    placements: Array
+    axes: Array
+    arm: Ints
+    tip: Array
+    frame: Ints
+    kind: Ints
+    size: Array
+    planes: Array
+    vertices: Array
+    span: Ints
+    T_frame_solid: Array
+    ball: Array
+    pair: Ints
+    needed: Array
+    points: Array
+    radius: Array
+    time: Array
+    node_centre: Array
+    node_reach: Array
+    since: Array
+    left: Ints
+    right: Ints
+    first: Ints
+    tree_frame: Ints
+    T_frame_tree: Array
+    look: Ints
+    keep: Array
+    slack: Array
+    head_on_part: Flags
+    round_on_part: Flags
+
+
+def with_fields(table: Table, **fields: NDArray[Any]) -> Table:
+    """The table with other arrays in it, all of them read-only: so are those that verification has, and kernels that both
+    call are compiled once."""
+    return table._replace(**{name: read_only(values) for name, values in fields.items()})
+
+
+class Workspace(NamedTuple):
+    """Room for one thread: frames (nf, 4, 4), joints' origins and directions (nj, 6), bodies' middles (b, 3) and poses
+    of solids (b, 4, 4) in the world, which of these are known, directions that parted pairs (p, 3), simplex (4, 9)."""
+
+    frames: Array
+    lines: Array
+    middle: Array
+    pose: Array
+    known: Flags
+    way: Array
+    simplex: Array
+    few: Array
+    T_solid_tree: Array
+    stack: Ints
+    last: Ints
+
+
+@njit(cache=True, nogil=True)
+def workspace_for(table):
+    """A thread's room."""
+    nj, b = len(table.axes), len(table.frame)
+    frames = np.zeros((1 + nj, 4, 4))
+    frames[:, 3, 3] = 1.0
+    for k in range(3):
+        frames[0, k, k] = 1.0
+    pose = np.zeros((b, 4, 4))
+    pose[:, 3, 3] = 1.0
+    into = np.zeros((4, 4))
+    into[3, 3] = 1.0
+    return Workspace(
+        frames, np.zeros((nj, 6)), np.zeros((b, 3)), pose, np.zeros(b, dtype=np.bool_), np.ones((len(table.pair), 3)),
+        np.zeros((4, 9)), np.zeros((4, 3)), into, np.zeros(DEEP, dtype=np.int64), np.zeros(1, dtype=np.int64),
+    )  # fmt: skip

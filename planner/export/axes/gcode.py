@@ -1,0 +1,548 @@
+"""G-code of machines with five or six axes: written, read back, and held against its plan."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.base.arrays import Array, Indices
+from planner.base.errors import InputError
+from planner.export.axes.machine import FiveAxes, Followed, Machine, PoseMachine, above, follow, machine_of, spec_of
+from planner.export.extruder import Order, orders
+from planner.export.fit import by_samples, continuous, thin
+from planner.export.moves import ANGLE_TOLERANCE, ON_TIME, ROUNDING, TIME_TOLERANCE, nearest_fraction
+from planner.export.program import resumed, verified
+from planner.export.support import STATION
+
+if TYPE_CHECKING:
+    from planner.plan import Plan
+    from planner.problem.settings import MachineSpec
+
+# ----------------------------------------------------------------------------------------------------
+# How controllers differ in what is not motion: pauses, feed modes, and what an extruder's board is told.
+#
+# LinuxCNC knows no heaters and fans. Its M100 to M199 run programs of the user's with two numbers, P and Q, so the
+# codes of printers within these keep their number there: S becomes Q, and what is numbered (P, T) P.
+
+USERS_OWN = range(100, 200)  # M-codes of LinuxCNC that run a program of the user's
+
+
+@dataclass(frozen=True)
+class Flavour:
+    """A controller's way with G-code.
+
+    suffix     of the file's name
+    relative   filament is told by line, not in all
+    unit       of a pause's P [s]
+    pauses     how they are written
+    begin, end lines of the program
+    order      a line for a RepRapFirmware board, said to this controller; None where that cannot be
+    """
+
+    suffix: str
+    relative: bool
+    unit: float
+    pause: str
+    begin: tuple[str, ...]
+    end: tuple[str, ...]
+    order: Callable[[str], str | None]
+
+
+def _linuxcnc_order(line: str) -> str | None:
+    """The line for LinuxCNC, where tool 0 is none."""
+    words = line.split(" ")
+    if re.fullmatch(r"T\d+", words[0]):
+        return f"{words[0]} M6" if words[0] != "T0" else None
+    letters = ["Q" if word[0] == "S" else "P" for word in words[1:] if word[0] in "PST"]
+    if int(words[0][1:]) not in USERS_OWN or len(set(letters)) < len(words) - 1:
+        return None
+    return " ".join([words[0], *(letter + word[1:] for letter, word in zip(letters, words[1:], strict=True))])
+
+
+FLAVOURS = {
+    "linuxcnc": Flavour(
+        suffix="ngc",
+        relative=False,
+        unit=1.0,
+        pause="G4 P{:.3f}",
+        begin=("G17 G21 G40 G49 G80 G90",),
+        end=("M2",),
+        order=_linuxcnc_order,
+    ),
+    "reprap": Flavour(
+        suffix="gcode",
+        relative=True,
+        unit=1e-3,
+        pause="G4 P{:.0f}",
+        begin=("G21", "G90", "M83"),
+        end=("M400",),
+        order=lambda line: line,
+    ),
+}
+
+
+def feed_length(flavour: str, moved: Mapping[str, float]) -> float:
+    """What F counts per minute on a line that moves axes by so much [mm, deg], by letter: the controller's own rule.
+
+    Both count X, Y and Z alone where these move. Where they rest, LinuxCNC counts U, V, W, and only then A, B, C;
+    RepRapFirmware all that turn, and only then filament.
+    """
+    groups = ("XYZ", "UVW", "ABC") if flavour == "linuxcnc" else ("XYZ", "ABCUVW", "E")
+    lengths = (math.hypot(*(moved.get(letter, 0.0) for letter in group)) for group in groups)
+    return next((length for length in lengths if length > 0.0), 0.0)
+
+
+# ----------------------------------------------------------------------------------------------------
+# From samples to lines of G-code: the fewest targets between which axes that move evenly keep the tip on its path.
+
+FILAMENT_TOLERANCE = 5e-6  # m of filament that a line may be ahead or behind
+STILL = 1e-7  # m, rad by which nothing moves
+
+
+def kept(plan: Plan, motion: Followed, due: Array) -> Indices:
+    """Samples of the motion that become targets, the first and the last among them.
+
+    due: times [s] at which something else is said between lines.
+    """
+    n = len(motion)
+    must = np.zeros(n, dtype=bool)
+    must[[0, n - 1]] = True
+    edge = np.flatnonzero(np.diff(motion.laid.astype(np.int8)))
+    must[edge] = must[edge + 1] = True
+    bead = plan.trajectory.bead[motion.sample]
+    must[1:] |= (np.diff(bead) != 0) & motion.laid[1:] & motion.laid[:-1]
+    moved = np.column_stack([motion.tip, motion.straight, motion.angles, motion.station])
+    still = (np.abs(np.diff(moved, axis=0)) < STILL).all(axis=1)
+    change = np.flatnonzero(np.diff(still.astype(np.int8))) + 1
+    must[change] = True
+    must[np.minimum(np.searchsorted(motion.t, due - ON_TIME), n - 1)] = True
+    for event in plan.trajectory.events:
+        if event.amount:
+            ends = np.array([event.start, event.start + event.duration]) - plan.trajectory.t[0]
+            must[np.minimum(np.searchsorted(motion.t, ends - ON_TIME), n - 1)] = True
+    return thin(np.flatnonzero(must), by_samples(_Misfit(plan, motion)))
+
+
+class _Misfit:
+    """How far even motion of all axes between two samples misses a third, in tolerances."""
+
+    def __init__(self, plan: Plan, motion: Followed) -> None:
+        self._m = motion
+        self._chord = plan.problem.program.chord - ROUNDING
+
+    def __call__(self, a: Indices, b: Indices, k: Indices) -> Array:
+        m = self._m
+        share = (m.t[k] - m.t[a]) / (m.t[b] - m.t[a])
+        u = nearest_fraction(m.tip[a], m.tip[b], m.tip[k], share)
+
+        def between(values: Array, w: Array) -> Array:
+            w = w if values.ndim == 1 else w[:, None]
+            out: Array = values[a] + w * (values[b] - values[a])
+            return out
+
+        angles = between(m.angles, u)
+        tip = m.machine.tip(between(m.straight, u), angles)
+        worst = np.linalg.norm(tip - m.tip[k], axis=1) / self._chord
+        worst = np.maximum(worst, m.machine.leaning(angles, m.quat[k]) / ANGLE_TOLERANCE)
+        worst = np.maximum(worst, np.abs(between(m.feed, u) - m.feed[k]) / FILAMENT_TOLERANCE)
+        late = np.where(m.laid[k], np.abs(share - u) * (m.t[b] - m.t[a]) / TIME_TOLERANCE, 0.0)
+        worst = np.maximum(worst, late)
+        for e in m.station.T:
+            worst = np.maximum(worst, np.abs(between(e, u) - e[k]) / ANGLE_TOLERANCE)
+        return worst
+
+
+# ----------------------------------------------------------------------------------------------------
+# G-code for a machine that moves nozzle and filament itself: every line all axes at once, in the time of the plan.
+
+DECIMALS = 4  # of mm and of degrees: 0.1 um, and as little at a metre's distance
+FILAMENT_DECIMALS = 5  # mm
+LEAST_PAUSE = 1e-3  # s
+SHORTEST = 1e-5  # s of a move: near a direction that leaves an axis free it may turn as far as it can in no time
+FAST = 60.0  # s per minute
+
+
+def file_name(plan: Plan) -> str:
+    """Name of the file."""
+    return f"{plan.name}.{FLAVOURS[spec_of(plan).flavour].suffix}"
+
+
+def axes_gcode(plan: Plan) -> str:
+    """The whole print for the machine of `program.machine`; InputError where it cannot make the motion."""
+    spec = spec_of(plan)
+    flavour = FLAVOURS[spec.flavour]
+    motion = follow(plan)
+    said = orders(plan)
+    at = kept(plan, motion, np.array([order.start for order in said]))
+    lines = [*_header(plan, motion, len(at)), *_start_lines(plan, spec, flavour, motion)]
+    lines += _lines(plan, spec, flavour, motion, at, list(said))
+    lines += ["G94"] if spec.feed == "inverse_time" else []
+    lines += [spec.tcp_off] if spec.tcp else []
+    return "\n".join([*lines, *flavour.end]) + "\n"
+
+
+def letters_of(plan: Plan, motion: Followed) -> tuple[str, ...]:
+    """Letters of all axes but the filament's, in the order in which they are written."""
+    return ("X", "Y", "Z", *motion.machine.letters, *STATION[: motion.station.shape[1]])
+
+
+def _header(plan: Plan, motion: Followed, targets: int) -> list[str]:
+    spec, cell = spec_of(plan), plan.cell
+    size = f"{len(plan.beads)} beads in {plan.layers} layers"
+    said = [
+        f"{plan.name} for {spec.flavour}, {spec.type}, strategy {plan.strategy}",
+        ", ".join(f"{name} {version}" for name, version in sorted(plan.versions.items())),
+        f"{size}, {targets} targets, {plan.trajectory.t[-1] - plan.trajectory.t[0]:.3f} s",
+        *resumed(plan),
+        "Verified for the robot before it was written:",
+        *verified(plan),
+    ]
+    if isinstance(motion.machine, FiveAxes):
+        reach = [
+            f"{letter} {_number(np.degrees(low), 1)} to {_number(np.degrees(high), 1)} deg"
+            for letter, low, high in zip(
+                motion.machine.letters, motion.angles.min(axis=0), motion.angles.max(axis=0), strict=True
+            )
+        ]
+        low, high = motion.straight.min(axis=0) * 1e3, motion.straight.max(axis=0) * 1e3
+        reach += [f"{letter} {a:.1f} to {b:.1f}" for letter, a, b in zip("XYZ", low, high, strict=True)]
+        what = "the tip in the part as it lies at zero angles" if spec.tcp else "on the machine"
+        said += [f"X Y Z are {what}. How far it goes:", f"  {', '.join(reach)}", _fastest(motion)]
+        said += ["The robot's clearances hold for its own head and ways: look at those of this machine."]
+    else:
+        home = ", ".join(f"{v:.4f}" for v in np.degrees(plan.trajectory.q[0]))
+        said += [f"Joints at the start, from which the controller's iteration follows: {home} deg"]
+        frame = "on the turning part" if cell.holder_robot is not None else "in the part frame"
+        said += [f"X Y Z A B C are the nozzle's pose {frame}: A, B, C are roll, pitch and yaw, yaw last"]
+    return [f"; {re.sub(r'[^ -~]', '?', text)[:150].rstrip()}" for text in said]
+
+
+def _fastest(motion: Followed) -> str:
+    """How fast the axes would have to turn for the planned times to hold."""
+    lasts = np.maximum(np.diff(motion.t), SHORTEST)
+    rates = np.degrees((np.abs(np.diff(motion.angles, axis=0)) / lasts[:, None]).max(axis=0, initial=0.0))
+    names = (f"{letter} up to {rate:.0f} deg/s" for letter, rate in zip(motion.machine.letters, rates, strict=True))
+    return f"To keep the planned times: {', '.join(names)}; where it turns more slowly all of it slows down."
+
+
+def _start_lines(plan: Plan, spec: MachineSpec, flavour: Flavour, motion: Followed) -> list[str]:
+    """Modes, and the way to the first target: up, across, and down where the axes turn otherwise than the robot."""
+    lines = list(flavour.begin)
+    if spec.flavour == "linuxcnc":
+        lines.append(f"G64 P{plan.problem.program.chord * 1e3:.4f}")
+        lines.append(f"G92 {spec.filament}0")
+    lines += [spec.tcp_on] if spec.tcp else []
+    first = dict(zip(letters_of(plan, motion), _rows(motion, np.array([0]))[0].tolist(), strict=True))
+    if isinstance(motion.machine, FiveAxes):
+        high = (float(motion.straight[:, 2].max()) + plan.problem.process.lift) * 1e3
+        across = " ".join(f"{name}{_number(value, DECIMALS)}" for name, value in first.items() if name != "Z")
+        lines += [f"G0 Z{_number(high, DECIMALS)}", f"G0 {across}", f"G0 Z{_number(first['Z'], DECIMALS)}"]
+    else:
+        lines.append("G0 " + " ".join(f"{name}{_number(value, DECIMALS)}" for name, value in first.items()))
+    return [*lines, "G93" if spec.feed == "inverse_time" else "G94"]
+
+
+def _rows(motion: Followed, at: NDArray[np.intp]) -> Array:
+    """All axes but the filament's at samples, rounded as written [mm, deg]."""
+    turning = np.degrees(np.column_stack([motion.angles[at], motion.station[at]]))
+    return np.round(np.column_stack([motion.straight[at] * 1e3, turning]), DECIMALS) + 0.0
+
+
+def _lines(
+    plan: Plan, spec: MachineSpec, flavour: Flavour, motion: Followed, at: NDArray[np.intp], waiting: list[Order]
+) -> list[str]:
+    """Moves and pauses to all targets, and what else is said between them."""
+    names, rows = letters_of(plan, motion), _rows(motion, at)
+    fed = np.round(motion.feed[at] * 1e3, FILAMENT_DECIMALS)
+    bead, layer, laid = (values[motion.sample] for values in (plan.trajectory.bead, plan.trajectory.layer, motion.laid))
+    lines: list[str] = []
+    now, last = 0.0, -1
+    ends = motion.t[at].tolist()
+    for i in range(1, len(at)):
+        while waiting and waiting[0].start - ON_TIME <= ends[i - 1]:
+            said, took = _order(flavour, waiting.pop(0))
+            lines += said
+            now += took
+        a, b = rows[i - 1], rows[i]
+        own = int(bead[at[i]])
+        if laid[at[i]] and own != last:
+            lines.append(f"; bead {own}, layer {layer[at[i]]}")
+            last = own
+        filament = float(fed[i] - fed[i - 1])
+        words = [f"{name}{_number(v, DECIMALS)}" for name, u, v in zip(names, a, b, strict=True) if u != v]
+        if filament:
+            told = filament if flavour.relative else float(fed[i])
+            words.append(f"{spec.filament}{_number(told, FILAMENT_DECIMALS)}")
+        lasts = ends[i] - now
+        if not words:
+            pause = round(lasts / LEAST_PAUSE) * LEAST_PAUSE
+            if pause > 0.0:
+                lines.append(flavour.pause.format(pause / flavour.unit))
+                now += pause
+            continue
+        lasts = max(lasts, SHORTEST)
+        moved = dict(zip(names, (b - a).tolist(), strict=True)) | {spec.filament: filament}
+        length = feed_length(spec.flavour, moved)
+        rate = round(FAST / lasts if spec.feed == "inverse_time" else FAST * length / lasts, 4)
+        rate = max(rate, 1e-4)
+        lines.append(f"G1 {' '.join(words)} F{rate:.4f}")
+        now += FAST / rate if spec.feed == "inverse_time" else FAST * length / rate
+    for order in waiting:
+        lines += _order(flavour, order)[0]
+    return lines
+
+
+def _order(flavour: Flavour, order: Order) -> tuple[list[str], float]:
+    """What an order is to this controller, and how long its pauses take [s]; ValueError where it cannot be said."""
+    lines = [f"; {order.words}"]
+    for line in order.lines:
+        if line.startswith(";"):
+            continue
+        if line.startswith("G4 P"):
+            lines.append(flavour.pause.format(int(line[len("G4 P") :]) * 1e-3 / flavour.unit))
+            continue
+        said = flavour.order(line)
+        if said is None:
+            raise ValueError(f"{line} cannot be said to this controller")
+        lines.append(said)
+    return lines, order.time
+
+
+def _number(value: float, decimals: int) -> str:
+    """Fixed-point number without minus nought."""
+    text = f"{value:.{decimals}f}"
+    return text[1:] if text.startswith("-") and not text.strip("-0.") else text
+
+
+# ----------------------------------------------------------------------------------------------------
+# G-code of multi-axis machines, read back: exactly what `writer` writes, and nothing else.
+
+MOST_CHARACTERS = 256  # of a line; LinuxCNC takes no more
+_MOVE = re.compile(r"G([01])((?: [A-Z]-?\d{1,7}\.\d{4,5})+)")
+_PAUSE = re.compile(r"G4 P(\d{1,8}(?:\.\d{3})?)")
+_ORDER = re.compile(r"M(?:42|104|106|107|109|116|140|190|280)(?: [A-Z]-?\d{1,6}(?:\.\d{1,4})?)*|T\d{1,2}(?: M6)?")
+_BLEND = re.compile(r"G64 P\d\.\d{4}")
+_MODES = {"inverse_time": "G93", "per_minute": "G94"}
+
+
+@dataclass(frozen=True)
+class AxesProgram:
+    """What a program does (m places, the first one where it begins; SI units, radians).
+
+    straight, turning   (m, 3), (m, k + e) X Y Z and all others but the filament's, in the order of the letters
+    filament            (m)  pushed so far [m]
+    time                (m)  since the first place [s]; two places are the same where the machine pauses
+    told                (time, line) of what else is said
+    """
+
+    straight: Array
+    turning: Array
+    filament: Array
+    time: Array
+    told: tuple[tuple[float, str], ...]
+
+
+def read_axes(text: str, spec: MachineSpec, letters: Sequence[str]) -> AxesProgram:
+    """The program for a machine with these letters (X, Y, Z, then what turns); InputError with the line of all else."""
+    lines = text.splitlines()
+    mode = _MODES[spec.feed]
+    if mode not in lines:
+        raise InputError(f"{mode} is missing", file="G-code")
+    start = lines.index(mode)
+    place = _read_start(lines[:start], spec, letters)
+    flavour = FLAVOURS[spec.flavour]
+    end = [*(["G94"] if spec.feed == "inverse_time" else []), *([spec.tcp_off] if spec.tcp else []), *flavour.end]
+    if lines[-len(end) :] != end:
+        raise InputError(f"it does not end with {', '.join(end)}", file="G-code", line=len(lines))
+    places, filament, time = [list(place.values())], [0.0], [0.0]
+    told: list[tuple[float, str]] = []
+    now, pushed = 0.0, 0.0
+    for number, line in enumerate(lines[start + 1 : -len(end)], start + 2):
+        if line.startswith(";") and len(line) <= MOST_CHARACTERS:
+            continue
+        if pause := _PAUSE.fullmatch(line):
+            now += float(pause[1]) * flavour.unit
+        elif _ORDER.fullmatch(line):
+            told.append((now, line))
+            continue
+        else:
+            words = _words(line, "1", number)
+            rate = words.pop("F", 0.0)
+            own = words.pop(spec.filament, None)
+            if not rate > 0.0 or not words.keys() <= place.keys() or not (words or own is not None):
+                raise _unknown(line, number)
+            moved = 0.0 if own is None else own if flavour.relative else own - pushed
+            steps = {letter: value - place[letter] for letter, value in words.items()} | {spec.filament: moved}
+            place |= words
+            length = 1.0 if mode == "G93" else feed_length(spec.flavour, steps)
+            now += 60.0 * length / rate
+            pushed = pushed + moved
+        places.append(list(place.values()))
+        filament.append(pushed)
+        time.append(now)
+    table = np.array(places)
+    return AxesProgram(
+        table[:, :3] * 1e-3, np.radians(table[:, 3:]), np.array(filament) * 1e-3, np.array(time), tuple(told)
+    )
+
+
+def _read_start(lines: Sequence[str], spec: MachineSpec, letters: Sequence[str]) -> dict[str, float]:
+    """Where the modes and the way to the first place leave the machine, by letter."""
+    must = [*FLAVOURS[spec.flavour].begin]
+    if spec.flavour == "linuxcnc":
+        must.append(f"G92 {spec.filament}0")
+    must += [spec.tcp_on] if spec.tcp else []
+    place: dict[str, float] = {}
+    for number, line in enumerate(lines, 1):
+        if line.startswith(";") and len(line) <= MOST_CHARACTERS:
+            continue
+        if line in must and not place:
+            must.remove(line)
+        elif not (spec.flavour == "linuxcnc" and _BLEND.fullmatch(line)):
+            words = _words(line, "0", number)
+            if not words.keys() <= set(letters):
+                raise _unknown(line, number)
+            place |= words
+    if must or set(place) != set(letters):
+        missing = ", ".join([*must, *(name for name in letters if name not in place)])
+        raise InputError(f"{missing} is missing before the first move", file="G-code", line=len(lines) + 1)
+    return {name: place[name] for name in letters}
+
+
+def _words(line: str, motion: str, number: int) -> dict[str, float]:
+    match = _MOVE.fullmatch(line)
+    if match is None or match[1] != motion or len(line) > MOST_CHARACTERS:
+        raise _unknown(line, number)
+    found = [(word[0], float(word[1:])) for word in match[2].split()]
+    if len({letter for letter, _ in found}) != len(found):
+        raise _unknown(line, number)
+    return dict(found)
+
+
+def _unknown(line: str, number: int) -> InputError:
+    return InputError(f"unknown line {line[:60]!r}", file="G-code", line=number)
+
+
+# ----------------------------------------------------------------------------------------------------
+# A multi-axis program that was read back: does it move nozzle and filament as the plan does, and in its time?
+
+PATH = 0.05e-3  # m
+LEAN = np.radians(0.1)
+ROUNDED = 1e-6  # m
+STANDS = 1e-6  # m; a shorter line is rounding, and does not tell where on it the tip is
+LATE = 15e-3  # s by which the tip is early or late on a bead
+FILAMENT = 0.02e-3  # m too much or too little where a bead begins or ends
+SPOKEN = 3e-3  # s, and a sample: by which the rest is said behind or before its time
+DURATION = 3e-3  # s
+
+
+def axes_complaints(plan: Plan, text: str) -> list[str]:
+    """Every difference between a program and its plan beyond rounding and thinning, in words."""
+    spec = spec_of(plan)
+    machine = machine_of(spec)
+    t = plan.trajectory
+    station = t.q[:, len(plan.cell.arm) :] if isinstance(machine, PoseMachine) else np.empty((len(t), 0))
+    program = read_axes(text, spec, ("X", "Y", "Z", *machine.letters, *STATION[: station.shape[1]]))
+    tip, quat = t.tip.copy(), continuous(t.quat)
+    if not isinstance(machine, PoseMachine):
+        first, last = above(plan)
+        tip[:first], quat[:first], tip[last:], quat[last:] = tip[first], quat[first], tip[last], quat[last]
+    found = _moved(machine, program, tip, quat, station, t.t - t.t[0], t.deposit)
+    found += _beyond(machine, program)
+    found += _fed(plan, program)
+    found += _told(plan, program)
+    if not abs(program.time[-1] - (t.t[-1] - t.t[0])) <= DURATION:
+        found.append(f"it lasts {program.time[-1]:.3f} s")
+    return found
+
+
+def _moved(
+    machine: Machine,
+    program: AxesProgram,
+    tip: Array,
+    quat: Array,
+    station: Array,
+    clock: Array,
+    laid: NDArray[np.bool_],
+) -> list[str]:
+    """Where the program's lines leave the path, its directions, its times or the part's axes."""
+    k = len(machine.letters)
+    places = machine.tip(program.straight, program.turning[:, :k])
+    best = np.full(len(tip), np.inf)
+    lean, late, shifted = np.full(len(tip), np.inf), np.full(len(tip), np.inf), np.zeros(len(tip))
+    own = np.searchsorted(program.time, clock) - 1
+    for by in (-1, 0, 1):  # a sample beside a target may belong to the line before or after it
+        a = np.clip(own + by, 0, len(places) - 2)
+        lasts = program.time[a + 1] - program.time[a]
+        share = np.clip((clock - program.time[a]) / np.where(lasts > 0.0, lasts, 1.0), 0.0, 1.0)
+        u = nearest_fraction(places[a], places[a + 1], tip, share)
+        u = np.where(np.linalg.norm(places[a + 1] - places[a], axis=1) < STANDS, share, u)
+        turning = program.turning[a] + u[:, None] * (program.turning[a + 1] - program.turning[a])
+        straight = program.straight[a] + u[:, None] * (program.straight[a + 1] - program.straight[a])
+        off = np.linalg.norm(machine.tip(straight, turning[:, :k]) - tip, axis=1)
+        nearer = off < best - 1e-9
+        best = np.where(nearer, off, best)
+        lean = np.where(nearer, machine.leaning(turning[:, :k], quat), lean)
+        late = np.where(off <= PATH, np.minimum(late, np.abs(program.time[a] + u * lasts - clock)), late)
+        off_station = np.abs(turning[:, k:] - station).max(axis=1, initial=0.0)
+        shifted = np.where(nearer, off_station, shifted)
+    at = np.clip(np.searchsorted(clock, program.time), 1, len(clock) - 1)
+    astray = np.full(len(places), np.inf)
+    for by in (-1, 0, 1):
+        b = np.clip(at + by, 1, len(clock) - 1)
+        u = nearest_fraction(tip[b - 1], tip[b], places, np.zeros(len(places)))
+        astray = np.minimum(astray, np.linalg.norm(tip[b - 1] + u[:, None] * (tip[b] - tip[b - 1]) - places, axis=1))
+    worst = {
+        "the tip is {:.3g} m off its path": (float(best.max()), PATH),
+        "a target is {:.3g} m off the path": (float(astray.max()), PATH),
+        "the nozzle leans {:.3g} rad from its direction": (float(lean.max()), LEAN),
+        "what moves the part is {:.3g} rad off": (float(shifted.max()), LEAN),
+        "the tip is {:.3g} s off its time": (float(late[laid].max(initial=0.0)), LATE),
+    }
+    return [words.format(value) for words, (value, limit) in worst.items() if not value <= limit]
+
+
+def _beyond(machine: Machine, program: AxesProgram) -> list[str]:
+    """Axes that turn beyond their range, or go beyond their limits."""
+    found = []
+    for letter, within, turning in zip(machine.letters, machine.ranges, program.turning.T, strict=False):
+        if within is not None and not (within[0] - 1e-6 <= turning.min() and turning.max() <= within[1] + 1e-6):
+            found.append(f"{letter} turns beyond its range")
+    if isinstance(machine, FiveAxes):
+        slides = machine.slides(machine.tip(program.straight, program.turning), program.turning)
+        inside = (slides >= machine.least - ROUNDED) & (slides <= machine.greatest + ROUNDED)
+        for name, ok in zip("XYZ", inside.T, strict=True):
+            found += [] if ok.all() else [f"{name} goes beyond its limits"]
+    return found
+
+
+def _fed(plan: Plan, program: AxesProgram) -> list[str]:
+    """Filament at both ends of every bead, and in all."""
+    t = plan.trajectory
+    edge = np.flatnonzero(np.diff(t.deposit.astype(np.int8), prepend=0, append=0))
+    ends = np.unique(np.concatenate([np.clip(edge, 0, len(t) - 1), np.clip(edge - 1, 0, len(t) - 1), [len(t) - 1]]))
+    fed = np.interp(t.t[ends] - t.t[0], program.time, program.filament)
+    off = np.abs(fed - (t.feed[ends] - t.feed[0]))
+    # a bead of another tool ends where the next one begins; what a millisecond pushes is rounding
+    most = FILAMENT + SPOKEN * float(np.abs(np.diff(t.feed)).max(initial=0.0)) / t.dt
+    worst = int(np.argmax(off))
+    if off[worst] <= most:
+        return []
+    return [f"{off[worst] * 1e3:.3g} mm of filament too much or too little by {t.t[ends[worst]] - t.t[0]:.3f} s"]
+
+
+def _told(plan: Plan, program: AxesProgram) -> list[str]:
+    """What else is said, and when."""
+    flavour = FLAVOURS[spec_of(plan).flavour]
+    planned = [(due, flavour.order(line)) for order in orders(plan) for due, line in order.due]
+    if [line for _, line in planned] != [line for _, line in program.told]:
+        return ["other things are said of heat, tools, fan and cutter than the plan's, or in another order"]
+    late = [(abs(at - due), line) for (at, line), (due, _) in zip(program.told, planned, strict=True)]
+    worst, line = max(late, default=(0.0, ""))
+    return [] if worst <= SPOKEN + plan.trajectory.dt else [f"{line} is said {worst:.3g} s off its time"]

@@ -1,0 +1,288 @@
+"""G-code of the extruder's own board, in time with the robot: written, read back, and held against its plan."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.base.arrays import Indices
+from planner.base.errors import InputError
+from planner.plan.plan import SELECTS, materials_of, used
+
+if TYPE_CHECKING:
+    from planner.plan import Event, Plan, Trajectory
+    from planner.problem.process import FanSpec
+
+# ----------------------------------------------------------------------------------------------------
+# What an extruder's board is told besides moving filament: heating, tools, fan and cutter.
+
+PAUSE = "G4 P"  # and milliseconds
+FULL = 255  # of S in M106
+AHEAD = 3.0  # samples by which the fan is switched before filament moves: never behind a command that has begun
+
+
+@dataclass(frozen=True)
+class Order:
+    """Lines of G-code that are due `start` [s] after the trajectory's, and take `time` [s]; why, in words."""
+
+    start: float
+    words: str
+    lines: tuple[str, ...]
+    time: float = 0.0
+
+    @property
+    def due(self) -> tuple[tuple[float, str], ...]:
+        """Its lines but for pauses and comments, each with its own instant [s]."""
+        found, now = [], self.start
+        for line in self.lines:
+            if line.startswith(PAUSE):
+                now += int(line[len(PAUSE) :]) * 1e-3
+            elif not line.startswith(";"):
+                found.append((now, line))
+        return tuple(found)
+
+
+def orders(plan: Plan) -> tuple[Order, ...]:
+    """All that the board is told besides moving filament, in order of time; lines are empty where it need do nothing.
+
+    Temperatures are set and not waited for, but with `heat: wait` before any time has passed: only what takes a known
+    time keeps pace with the robot.
+    """
+    t = plan.trajectory
+    found = [_of_event(plan, event) for event in t.events if event.amount == 0.0]
+    if plan.problem.process.fan is not None:
+        found += _of_fan(plan.problem.process.fan, t, plan.problem.process.extruder.lag)
+    return tuple(sorted(found, key=lambda order: order.start))
+
+
+def _of_event(plan: Plan, event: Event) -> Order:
+    process = plan.problem.process
+    if event.kind == "heat":
+        return Order(event.start, event.words, _heating(plan))
+    if event.kind == "cut" and process.fibre is not None:
+        return Order(event.start, event.words, process.fibre.code, process.fibre.code_time)
+    named = materials_of(plan.problem)
+    tools = tuple(f"T{each.tool}" for each in named if event.kind in SELECTS and each.name == event.material)
+    return Order(event.start, event.words, tools)
+
+
+def _heating(plan: Plan) -> tuple[str, ...]:
+    start = plan.problem.process.start
+    named = materials_of(plan.problem)
+    nozzles = [(f" T{each.tool}", each.nozzle_c) for each in named] or [("", start.nozzle_c)]
+    lines = [] if start.bed_c is None else [f"M140 S{start.bed_c:g}"]
+    lines += [f"M104{tool} S{celsius:g}" for tool, celsius in nozzles if celsius is not None]
+    if start.heat == "wait":
+        if start.bed_c is not None:
+            lines.append(f"M190 S{start.bed_c:g}")
+        if named:
+            lines.append("M116")  # M109 of several tools would select them, one after the other
+        elif start.nozzle_c is not None:
+            lines.append(f"M109 S{start.nozzle_c:g}")
+        lines.append("; all is hot: the robot's program starts now")
+    return tuple(lines)
+
+
+def _of_fan(fan: FanSpec, t: Trajectory, lag: float) -> list[Order]:
+    """On or off before beads whose layer is, or is not, cooled, before filament moves for them; off at the end."""
+    first = np.flatnonzero((t.bead >= 0) & (np.diff(t.bead, prepend=-1) != 0))
+    wanted = t.layer[first] + 1 >= fan.from_layer
+    on, off = f"M106 P{fan.number} S{max(1, round(FULL * fan.speed))}", f"M106 P{fan.number} S0"
+    primes = {event.bead: event.start for event in t.events if event.kind == "prime"}
+    found = []
+    for k in np.flatnonzero(np.diff(wanted.astype(np.int8), prepend=0)).tolist():
+        moves = float(t.t[first[k]]) - lag
+        start = min(moves, primes.get(int(t.bead[first[k]]), moves)) - AHEAD * t.dt - float(t.t[0])
+        found.append(Order(max(0.0, start), f"fan {'on' if wanted[k] else 'off'}", (on if wanted[k] else off,)))
+    if len(first) and wanted[-1]:
+        found.append(Order(float(t.t[-1] - t.t[0]), "fan off", (off,)))
+    return found
+
+
+# ----------------------------------------------------------------------------------------------------
+# extrusion.gcode for RepRapFirmware: the extruder alone, in the time of the robot's motion.
+
+Labels = NDArray[np.int64]
+
+BLOCK_S = 0.02  # shortest command [s]: a board that is fed faster than 50 lines/s may stutter
+FLOW_STEP = 0.01  # blocks whose flow is equal to this share of the largest flow become one command
+NOTHING = -1  # label of what belongs neither to a bead nor to an event
+FIRST_EVENT = -2  # label of the first event; those of later ones count down
+
+
+def gcode(plan: Plan) -> str:
+    """G-code of the extruder: G1 E F while filament moves, G4 P in between; E is relative, mm of filament.
+
+    What else the board is told, `orders` says. The robot waits at home for as long as its problem says.
+    """
+    t = plan.trajectory
+    cuts, label = _chunks(t)
+    fed = t.feed * 1e3
+    # differences of rounded totals: rounding never adds up, neither in filament nor in time
+    amount = np.diff(np.round(fed[cuts] - fed[0], 5))
+    clock = t.t[cuts] - t.t[0]
+    # a G1 lasts E / F, which a rounded E sets only nearly: what is lost or gained goes into the pauses
+    rate = np.round(np.abs(amount) / np.diff(clock) * 60.0, 3)
+    lasts = np.where(rate > 0.0, np.abs(amount) / np.where(rate > 0.0, rate, 1.0) * 60.0, 0.0)
+    what = [(order.start, order.time, [f"; {order.words}", *order.lines]) for order in orders(plan)]
+    last = NOTHING
+    for e, f, took, end, who, layer in zip(
+        amount.tolist(),
+        rate.tolist(),
+        lasts.tolist(),
+        clock[1:].tolist(),
+        label.tolist(),
+        t.layer[(cuts[:-1] + cuts[1:] + 1) // 2].tolist(),
+        strict=True,
+    ):
+        if f <= 0.0:
+            continue
+        said = [f"; {t.events[FIRST_EVENT - who].words}"] if who <= FIRST_EVENT else [f"; bead {who}, layer {layer}"]
+        what.append((end - took, took, [*(said if who not in (last, NOTHING) else []), f"G1 E{e:.5f} F{f:.3f}"]))
+        last = last if who == NOTHING else who
+
+    name = re.sub(r"[^\x20-\x7e]", "?", plan.name)
+    size = f"{len(plan.beads)} beads in {plan.layers} layers"
+    total, seconds = fed[-1] - fed[0], t.t[-1] - t.t[0]
+    lines = [
+        f"; {name}: extrusion in time with the robot, strategy {plan.strategy}",
+        f"; {size}, {total:.3f} mm of filament, {seconds:.3f} s from the robot's first motion",
+        "M83",
+    ]
+    now = 0.0
+    for start, took, said in sorted(what, key=lambda each: each[0]):
+        lines += _pause(start - now)
+        now += _pause_length(start - now) + took
+        lines += said
+    lines += _pause(float(clock[-1]) - now)
+    return "\n".join(lines) + "\n"
+
+
+def _pause_length(seconds: float) -> float:
+    """Whole milliseconds, which is what G4 P takes; below one there is no pause."""
+    return max(0, round(seconds * 1e3)) * 1e-3
+
+
+def _pause(seconds: float) -> list[str]:
+    ms = round(_pause_length(seconds) * 1e3)
+    return [f"G4 P{ms}"] if ms else []
+
+
+def _chunks(t: Trajectory) -> tuple[Indices, Labels]:
+    """Samples (m + 1) between which filament moves at a constant rate, and what each chunk (m) belongs to.
+
+    That is the index of a bead, FIRST_EVENT less the index of an event, or NOTHING.
+    """
+    moved = np.diff(t.feed)
+    # a bead's first or last part sample belongs to the bead beside it
+    label = np.where(np.diff(t.extruded) > 0.0, np.maximum(t.bead[:-1], t.bead[1:]), NOTHING)
+    for k, event in enumerate(t.events):
+        if event.amount != 0.0:  # which moves more filament than the part of a bead in the same sample
+            since = int(np.searchsorted(t.t, event.start, side="right")) - 1
+            label[since : np.searchsorted(t.t, event.start + event.duration)] = FIRST_EVENT - k
+    edge = np.flatnonzero(np.diff(label)) + 1
+    starts = np.concatenate([[0], edge])
+    ends = np.concatenate([edge, [len(moved)]])
+    block = max(1, round(BLOCK_S / t.dt))
+    # blocks count from each run's own start, so that no block spans two runs; an event is one block
+    first = np.repeat(starts, ends - starts)
+    at = np.arange(len(moved))
+    heads = np.flatnonzero((at == first) | (((at - first) % block == 0) & (label > FIRST_EVENT)))
+    mean = np.add.reduceat(moved, heads) / np.diff(np.append(heads, len(moved)))
+    level = np.round(mean / max(float(np.abs(mean[label[heads] >= 0]).max(initial=0.0)), 1e-300) / FLOW_STEP)
+    changes = np.concatenate([[True], (np.diff(level) != 0) | (np.diff(label[heads]) != 0)])
+    cuts = heads[changes]
+    return np.append(cuts, len(moved)), label[cuts]
+
+
+# ----------------------------------------------------------------------------------------------------
+# The extruder's G-code, read back: does each tool get the filament that the plan has for it, and in time?
+
+AMOUNT = 1e-5  # m of filament that a tool may get too much or too little, in all
+LATE = 2e-3  # s, and a sample: by which what is said may stand behind or before its instant
+_LINE = re.compile(
+    r"(?P<comment>;.*)|(?P<mode>M83)|(?P<wait>M116|M1(?:09|90) S[\d.]+)|(?P<order>M(?:42|104|106|107|140|280)(?: [A-Z]-?[\d.]+)*)"
+    r"|T(?P<tool>\d+)|G4 P(?P<pause>\d+)|G1 E(?P<amount>-?\d+\.\d+) F(?P<rate>\d+\.\d+)"
+)
+
+
+@dataclass(frozen=True)
+class Extrusion:
+    """What the program does: filament in all [m] by tool (None before any is selected), when tools are selected [s],
+    when other lines are said to the board, and how long it lasts [s]."""
+
+    filament: dict[int | None, float]
+    selections: tuple[tuple[float, int], ...]
+    told: tuple[tuple[float, str], ...]
+    duration: float
+
+
+def read_gcode(text: str) -> Extrusion:
+    """Extrusion of a program as `writer.gcode` writes it. Raises InputError with the line of anything else.
+
+    Relative filament is asked for before all else, and temperatures are waited for only before time has passed.
+    """
+    filament: dict[int | None, float] = {}
+    selections: list[tuple[float, int]] = []
+    told: list[tuple[float, str]] = []
+    now, tool, relative = 0.0, None, False
+    for number, line in enumerate(text.splitlines(), 1):
+        match = _LINE.fullmatch(line)
+        if match is None:
+            raise InputError(f"unknown line {line[:60]!r}", file="G-code", line=number)
+        if match["comment"] is None and not relative and not match["mode"]:
+            raise InputError(f"{line[:60]!r} stands before M83", file="G-code", line=number)
+        if match["mode"]:
+            relative = True
+        elif match["wait"] and now > 0.0:
+            raise InputError(f"{line!r} would lose the robot, which waits by time", file="G-code", line=number)
+        elif match["wait"] or match["order"]:
+            told.append((now, line))
+        elif match["tool"]:
+            tool = int(match["tool"])
+            selections.append((now, tool))
+        elif match["pause"]:
+            now += int(match["pause"]) * 1e-3
+        elif match["amount"]:
+            amount = float(match["amount"]) * 1e-3
+            filament[tool] = filament.get(tool, 0.0) + amount
+            now += abs(amount) / (float(match["rate"]) * 1e-3 / 60.0)
+    return Extrusion(filament, tuple(selections), tuple(told), now)
+
+
+def gcode_complaints(plan: Plan, text: str) -> list[str]:
+    """Every difference between a program and its plan beyond rounding, in words."""
+    t, written = plan.trajectory, read_gcode(text)
+    takes: dict[int | None, float] = {each.material.tool: each.filament for each in used(plan) if each.beads}
+    takes = takes or {None: float(t.feed[-1] - t.feed[0])}
+    found = []
+    for tool in sorted({*takes, *written.filament}, key=str):
+        off = written.filament.get(tool, 0.0) - takes.get(tool, 0.0)
+        if not abs(off) <= AMOUNT:
+            found.append(f"{'the extruder' if tool is None else f'tool T{tool}'} gets {off * 1e3:+.3g} mm of filament")
+    tools = {each.name: each.tool for each in materials_of(plan.problem)}
+    planned = [(event.start, tools[event.material]) for event in t.events if event.kind in SELECTS]
+    if [tool for _, tool in planned] != [tool for _, tool in written.selections]:
+        found.append("other tools are selected than the plan's")
+    else:
+        late = [abs(at - start) for (at, _), (start, _) in zip(written.selections, planned, strict=True)]
+        if not max(late, default=0.0) <= LATE + t.dt:
+            found.append(f"a tool is selected {max(late):.3g} s off its time")
+    found += _told_otherwise(plan, written)
+    if not abs(written.duration - float(t.t[-1] - t.t[0])) <= LATE + t.dt:
+        found.append(f"it lasts {written.duration:.3f} s")
+    return found
+
+
+def _told_otherwise(plan: Plan, written: Extrusion) -> list[str]:
+    """What the board is told of heating, fan and cutter otherwise than planned, or at another time."""
+    planned = [(due, line) for order in orders(plan) for due, line in order.due if line.startswith("M")]
+    if [line for _, line in planned] != [line for _, line in written.told]:
+        return ["the board is told other things than the plan's, or in another order"]
+    late = [(abs(at - due), line) for (at, line), (due, _) in zip(written.told, planned, strict=True)]
+    worst, line = max(late, default=(0.0, ""))
+    return [] if worst <= LATE + plan.trajectory.dt else [f"{line} is said {worst:.3g} s off its time"]

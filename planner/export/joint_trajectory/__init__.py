@@ -1,1 +1,0 @@
-"""ROS trajectory_msgs/JointTrajectory as JSON: written, and read back."""

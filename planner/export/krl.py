@@ -1,0 +1,656 @@
+"""KUKA Robot Language for KR C controllers (KSS): written, read back, and held against its plan."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from planner.base.arrays import Array, Indices
+from planner.base.errors import InputError
+from planner.export.fit import from_matrix, to_matrix
+from planner.export.moves import (
+    Moves,
+    Wait,
+    blend_complaints,
+    deposits,
+    greatest_until_stop,
+    move_radii,
+    plan_moves,
+    tip_acceleration,
+)
+from planner.export.program import UNSAID, RobotProgram, Trigger, about, named
+from planner.export.rapid.text import module_name, number
+from planner.export.rapid.writer import external_degrees
+from planner.export.readback import played_complaints
+from planner.export.support import output_numbers, unsaid_in_krl
+from planner.plan.plan import materials_of
+
+if TYPE_CHECKING:
+    from planner.plan import Plan
+
+# ----------------------------------------------------------------------------------------------------
+# KUKA's way to count: axes A1 to A6, angles A B C, Status and Turn.
+#
+# Axes: at KUKA's zero the arm lies stretched out forwards, and A1, A4, A6 turn against our joints (ROS-Industrial,
+# kuka_experimental, whose URDF files follow the controllers). Angles: R = Rz(A) Ry(B) Rx(C).
+#
+# Status: bit 0 is set where the wrist's centre lies behind axis 1, bit 1 where A3 is beyond the stretched arm (0 without
+# an offset between axes 3 and 4, else less by as much as that offset turns the forearm), bit 2 where A5 is negative
+# (Siemens, SINUMERIK ONE programming manual 6FC5398-2EP40, STAT, which has KUKA's bits). ISG has bit 2 the other way
+# round; a controller that reads it so finds A5's sign in Turn as well. Turn: bit i - 1 is set where axis i is negative.
+# LIN ignores both; they decide how a program is entered at a target, and PTP targets are axis angles here.
+
+SIGNS = np.array([-1.0, 1.0, 1.0, -1.0, 1.0, -1.0])
+OFFSETS = np.radians([0.0, -90.0, 90.0, 0.0, 0.0, 0.0])
+# bits of a branch, which are those of ABB's cfx (`Trajectory.branch`)
+BEHIND_AXIS_1, BEHIND_LOWER_ARM, AXIS_5_NEGATIVE = 4, 2, 1
+
+
+def to_kuka(q: Array) -> Array:
+    """A1 to A6 (m, 6) [rad] of our joints (m, 6)."""
+    out: Array = SIGNS * q + OFFSETS
+    return out
+
+
+def from_kuka(axes: Array) -> Array:
+    """Our joints (m, 6) of A1 to A6 (m, 6) [rad]."""
+    out: Array = SIGNS * (axes - OFFSETS)
+    return out
+
+
+def status(branch: Indices) -> Indices:
+    """Status (m) of branches (m)."""
+    behind, below, flipped = (branch & bit > 0 for bit in (BEHIND_AXIS_1, BEHIND_LOWER_ARM, AXIS_5_NEGATIVE))
+    out: Indices = behind * 1 + ~below * 2 + flipped * 4
+    return out
+
+
+def branch_of(status_: Indices) -> Indices:
+    """Branches (m) of Status (m)."""
+    out: Indices = (
+        (status_ & 1 > 0) * BEHIND_AXIS_1 + (status_ & 2 == 0) * BEHIND_LOWER_ARM + (status_ & 4 > 0) * AXIS_5_NEGATIVE
+    )
+    return out
+
+
+def turn(q: Array) -> Indices:
+    """Turn (m) of our joints (m, 6)."""
+    out: Indices = (np.round(to_kuka(q), 9) < 0.0) @ (1 << np.arange(6))
+    return out
+
+
+def angles(R: Array) -> Array:
+    """A B C (m, 3) [rad] of rotations (m, 3, 3); C is 0 where B is a right angle, and A and C are one."""
+    level = np.hypot(R[:, 0, 0], R[:, 1, 0])
+    upright = level < 1e-9
+    a = np.where(upright, np.arctan2(-R[:, 0, 1], R[:, 1, 1]), np.arctan2(R[:, 1, 0], R[:, 0, 0]))
+    c = np.where(upright, 0.0, np.arctan2(R[:, 2, 1], R[:, 2, 2]))
+    return np.column_stack([a, np.arctan2(-R[:, 2, 0], level), c])
+
+
+def quaternions(abc: Array) -> Array:
+    """Unit quaternions (m, 4) x y z w of A B C (m, 3) [rad]."""
+    (ca, cb, cc), (sa, sb, sc) = np.cos(0.5 * abc).T, np.sin(0.5 * abc).T
+    return np.column_stack(
+        [
+            ca * cb * sc - sa * sb * cc,
+            ca * sb * cc + sa * cb * sc,
+            sa * cb * cc - ca * sb * sc,
+            ca * cb * cc + sa * sb * sc,
+        ]
+    )
+
+
+# ----------------------------------------------------------------------------------------------------
+# Names, numbers and comments as KRL takes them.
+
+LONGEST_NAME = 24
+LONGEST_COMMENT = 100
+MM, DEGREES = 3, 4  # decimals of targets; frames have
+FRAME_DEGREES = 6
+# KUKA, reserved words of KRL that a name in CamelCase could be
+RESERVED = """BRAKE CASE CAST_FROM CAST_TO CHANNEL CIRC CONFIRM CONST CONTINUE DECL DEF DEFAULT DEFDAT DEFFCT DELAY DISABLE
+    ELSE ENABLE END ENDDAT ENDFCT ENDFOR ENDIF ENDLOOP ENDSWITCH ENDWHILE ENUM EXIT EXT EXTFCT FALSE FOR FRAME GLOBAL
+    GOTO HALT IF IMPORT INTERRUPT IS LIN LOOP MAXIMUM MINIMUM NOT OFF ON OR POS PRIO PTP PUBLIC PULSE REAL REPEAT RESUME
+    RETURN SEC SIGNAL SPLINE STRUC SWITCH THEN TO TOOL BASE TRIGGER TRUE UNTIL WAIT WHEN WHILE FINISH FPART FTOOL"""
+
+
+def krl_name(name: str) -> str:
+    """CamelCase name, at most 24 letters and digits, of a problem's name; small letters and capitals are one to KRL."""
+    joined = module_name(name, LONGEST_NAME)
+    return "Print" + joined if joined.upper() in RESERVED.split() else joined
+
+
+def comment(text: str, indent: int = 2) -> str:
+    """One comment line, ASCII, of bounded length."""
+    text = re.sub(r"[^\x20-\x7e]", "?", text)
+    return f"{'':{indent}}; {text[:LONGEST_COMMENT].rstrip()}"
+
+
+def frame(T: Array) -> str:
+    """Components of a FRAME (mm, degrees) of a pose (4, 4)."""
+    values = [*(T[:3, 3] * 1e3), *np.degrees(angles(T[None, :3, :3])[0])]
+    decimals = [MM] * 3 + [FRAME_DEGREES] * 3
+    return ",".join(f"{name} {number(v, d)}" for name, v, d in zip("XYZABC", values, decimals, strict=True))
+
+
+def axes(degrees: Array, external: Array) -> str:
+    """Components of an E6AXIS of one posture: A1 to A6 (6) and the external axes (k), all in degrees."""
+    named = [(f"A{i}", v) for i, v in enumerate(degrees, 1)] + [(f"E{i}", v) for i, v in enumerate(external, 1)]
+    return ",".join(f"{name} {number(v, DEGREES)}" for name, v in named)
+
+
+# ----------------------------------------------------------------------------------------------------
+# KRL for KR C controllers (KSS): a .src with a subprogram for each bead, and a .dat with the frames.
+#
+# Targets stand inline in the moves, as they do in programs of offline systems: E6AXIS for travel, which leaves no doubt
+# about the posture, and E6POS in the part's frame for lines. Subprograms are local to the file, so that a bead is one
+# thing to select and the file still one to copy.
+
+SPEED = 4  # decimals of m/s
+LEAST_SPEED = 10.0**-SPEED
+STATION = "MACHINE_DEF[2]"  # KUKA's usual place of an external kinematic system; the robot itself is the first one
+ADVANCE = 3  # moves that the interpreter is ahead, KUKA's default: what blending needs
+HEAD_ROOM = 1.5  # of reorientation over what the plan needs, so that the tip's speed alone governs
+LEAST_TURNING = 100.0  # deg/s
+# Radii of blends [mm]: few values, so that few lines are taken to set them
+LEVELS = np.array([a * 10.0**k for k in range(-3, 2) for a in (1.0, 2.0, 5.0)])
+
+
+def krl_files(plan: Plan) -> dict[str, str]:
+    """Source and data file of a verified plan (ASCII, mm, degrees); ValueError if it is not, or has no form in KRL."""
+    if not plan.verified:
+        raise ValueError("robot code is written for verified plans only")
+    if (reason := unsaid_in_krl(plan)) is not None:
+        raise ValueError(reason)
+    name, moves = krl_name(plan.name), plan_moves(plan)
+    subprograms, calls = _subprograms(plan, moves)
+    off = [f"  $OUT[{k}]=FALSE" for k in output_numbers(plan.problem).values()]
+    source = [
+        "&ACCESS RVP",
+        "&REL 1",
+        f"DEF {name}()",
+        *_header(plan),
+        "  BAS(#INITMOV,0)",
+        *(f"  {key}={value}" for key, value in settings(plan, moves).items()),
+        *off,
+        f"  BAS(#VEL_PTP,{percent(plan, moves)[0]})",
+        "  PTP XSTART",
+        *_waiting(moves.waits.get(-1, ())),
+        *(f"  {call}()" for call in calls),
+        *off,
+        "END",
+        *subprograms,
+        "",
+    ]
+    na = len(plan.cell.arm)
+    start = plan.trajectory.q[:1]
+    degrees, external = np.degrees(to_kuka(start[:, :na]))[0], external_degrees(plan.cell, start[:, na:])[0]
+    on = plan.cell.T_world_holder if plan.cell.holder_robot is None else plan.cell.T_plate_part
+    data = [
+        "&ACCESS RVP",
+        "&REL 1",
+        f"DEFDAT {name}",
+        f"  DECL FRAME FTOOL={{{frame(plan.cell.T_flange_nozzle)}}}",
+        f"  DECL FRAME FPART={{{frame(on)}}}",
+        f"  DECL E6AXIS XSTART={{{axes(degrees, external)}}}",
+        "ENDDAT",
+        "",
+    ]
+    return {f"{name}.src": "\n".join(source), f"{name}.dat": "\n".join(data)}
+
+
+def settings(plan: Plan, moves: Moves) -> dict[str, str]:
+    """System variables that are set once, in their order."""
+    turning = max(LEAST_TURNING, 10.0 * float(np.ceil(HEAD_ROOM * np.degrees(moves.turn.max()) / 10.0)))
+    station = plan.cell.holder_robot
+    base = "FPART" if station is None else f"EK({STATION}.ROOT,{STATION}.MECH_TYPE,FPART)"
+    return {
+        "$TOOL": "FTOOL",
+        "$BASE": base,
+        "$IPO_MODE": "#BASE",
+        "$ORI_TYPE": "#VAR",
+        "$ADVANCE": f"{ADVANCE}",
+        "$APO.CPTP": "50",
+        "$VEL.ORI1": f"{turning:.1f}",
+        "$VEL.ORI2": f"{turning:.1f}",
+        "$ACC.CP": f"{tip_acceleration(plan.trajectory):.1f}",
+    }
+
+
+def percent(plan: Plan, moves: Moves) -> list[int]:
+    """Speed of axes (m) [percent of their greatest] for each move, the plan's greatest until the next stop."""
+    t, na = plan.trajectory, len(plan.cell.arm)
+    limits = [plan.cell.arm_robot.model.velocityLimit]
+    if (station := plan.cell.holder_robot) is not None:
+        free = [station.joint_names.index(name) for name in plan.cell.holder.names]
+        limits.append(station.model.velocityLimit[free])
+    share = (np.abs(np.diff(t.q, axis=0)) / t.dt / np.concatenate(limits)[: na + len(plan.cell.holder)]).max(axis=1)
+    return [int(value) for value in np.clip(np.ceil(100.0 * greatest_until_stop(moves, share)), 1, 100)]
+
+
+def radii_of(plan: Plan, moves: Moves) -> Array:
+    """Approximation distance (m) [m] at the end of each move: the next smaller of LEVELS; 0 where the robot stops."""
+    radius = move_radii(plan, moves) * 1e3 * (1.0 + 1e-9)
+    below = np.searchsorted(LEVELS, radius, side="right")
+    # smaller than the smallest is still no reason to stop
+    out: Array = np.where(radius > 0.0, LEVELS[np.maximum(below - 1, 0)], 0.0) * 1e-3
+    return out
+
+
+def _header(plan: Plan) -> list[str]:
+    cell = plan.cell
+    texts = [
+        *about(plan),
+        *(f"Output {k}: {signal}" for signal, k in output_numbers(plan.problem).items()),
+        *(f"Material {each.name}: tool T{each.tool}, {each.signal}" for each in materials_of(plan.problem)),
+        "The tool's load is that of the controller: set it there before the first run.",
+        f"$ROBROOT in $WORLD must be {frame(cell.T_world_base)}",
+    ]
+    if cell.holder_robot is not None:
+        held = [
+            f"E{i} {name}" + (" (held)" if name in cell.held else "")
+            for i, name in enumerate(cell.holder_robot.joint_names, 1)
+        ]
+        texts += [
+            f"External axes of {STATION}, {cell.holder_robot.name}: {', '.join(held)}",
+            f"  its root in $WORLD must be {frame(cell.T_world_holder_base)}",
+        ]
+    return [comment(text) for text in texts]
+
+
+def _targets(plan: Plan, moves: Moves) -> list[str]:
+    """The aggregate of each move's target."""
+    t, na, k = plan.trajectory, len(plan.cell.arm), moves.sample
+    external = np.round(external_degrees(plan.cell, moves.targets.station[1:]), DEGREES) + 0.0
+    joints = np.round(np.degrees(to_kuka(t.q[k, :na])), DEGREES) + 0.0
+    abc = np.degrees(angles(to_matrix(moves.targets.quat[1:])))
+    lines = np.column_stack([np.round(moves.targets.position[1:] * 1e3, MM) + 0.0, np.round(abc, DEGREES) + 0.0])
+    states, turns = status(t.branch[k].astype(np.intp)).tolist(), turn(moves.q[1:, :na]).tolist()
+    extra = "".join(f",E{i} %.{DEGREES}f" for i in range(1, external.shape[1] + 1))
+    axis = "{E6AXIS: " + ",".join(f"A{i} %.{DEGREES}f" for i in range(1, 7)) + extra + "}"
+    line = (
+        "{E6POS: " + ",".join(f"{n} %.{MM if n in 'XYZ' else DEGREES}f" for n in "XYZABC") + ",S %d,T %d" + extra + "}"
+    )
+    return [
+        line % (*p, s, w, *e) if linear else axis % (*q, *e)
+        for linear, p, q, s, w, e in zip(
+            moves.linear.tolist(), lines.tolist(), joints.tolist(), states, turns, external.tolist(), strict=True
+        )
+    ]
+
+
+def _subprograms(plan: Plan, moves: Moves) -> tuple[list[str], list[str]]:
+    """All subprograms with moves, and their names in the order of calling."""
+    t = plan.trajectory
+    first, last = deposits(t)
+    numbers = list(output_numbers(plan.problem).values())
+    names = [each.name for each in materials_of(plan.problem)]
+    own = [numbers[names.index(bead.material)] if names else numbers[0] for bead in plan.toolpath.beads]
+    targets, shares = _targets(plan, moves), percent(plan, moves)
+    speeds = np.maximum(np.round(moves.speed, SPEED), LEAST_SPEED).tolist()
+    radii = radii_of(plan, moves).tolist()
+    share, speed, radius = shares[0], -1.0, -1.0
+    bounds = np.searchsorted(moves.after, np.arange(len(first) + 2)).tolist()
+    lines, calls = [], []
+    for k, (a, b) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
+        if a == b:
+            continue
+        calls.append(f"Bead{plan.first_bead + k + 1:04d}" if k < len(first) else "Finish")
+        lines += ["", f"DEF {calls[-1]}()"]
+        if k < len(first):
+            bead = int(t.bead[first[k]])
+            of = plan.toolpath.beads[bead].material
+            length = f"{1e3 * (t.s[last[k]] - t.s[first[k]]):.1f} mm" + (f" of {of}" if of else "")
+            lines.append(comment(f"Bead {bead}, layer {t.layer[first[k]]}: {length}"))
+        for i in range(a, b):
+            if not moves.linear[i]:
+                if shares[i] != share:
+                    share = shares[i]
+                    lines.append(f"  BAS(#VEL_PTP,{share})")
+                lines.append(f"  PTP {targets[i]}" + (" C_PTP" if radii[i] > 0.0 else ""))
+            else:
+                if speeds[i] != speed:
+                    speed = speeds[i]
+                    lines.append(f"  $VEL.CP={speed:.{SPEED}f}")
+                if radii[i] not in (0.0, radius):
+                    radius = radii[i]
+                    lines.append(f"  $APO.CDIS={radius * 1e3:.3f}")
+                begins, ends = (own[int(t.bead[at])] for at in (moves.sample[i - 1] if i else 0, moves.sample[i]))
+                for said, where, output, value in (
+                    (moves.on_start[i], "DISTANCE", begins, "TRUE"),
+                    (moves.on_end[i], "PATH", ends, "TRUE"),
+                    (moves.off_end[i], "PATH", ends, "FALSE"),
+                ):
+                    if said:
+                        lines.append(f"  TRIGGER WHEN {where}=0 DELAY=0 DO $OUT[{output}]={value}")
+                lines.append(f"  LIN {targets[i]}" + (" C_DIS" if radii[i] > 0.0 else ""))
+            lines += _waiting(moves.waits.get(i, ()))
+        lines.append("END")
+    return lines, calls
+
+
+def _waiting(waits: tuple[Wait, ...]) -> list[str]:
+    lines = []
+    for wait in waits:
+        lines += [comment(wait.why)] if wait.why else []
+        lines += [f"  WAIT SEC {wait.time:.3f}"] if wait.time > 0.0 else []
+    return lines
+
+
+# ----------------------------------------------------------------------------------------------------
+# Reads the KRL that `krl_files` writes back into numbers: a strict subset, where anything unknown is an error.
+
+Forward = Callable[[Array], Array]
+
+NUMBER = r"-?[0-9]+(?:\.[0-9]+)?"
+NAME = r"[A-Za-z][A-Za-z0-9_]{0,23}"
+FRAME = ",".join(rf"{name} ({NUMBER})" for name in "XYZABC")
+EXTERNAL = rf"((?:,E[1-6] {NUMBER}){{0,6}})"
+AXES = ",".join(rf"A{i} ({NUMBER})" for i in range(1, 7)) + EXTERNAL
+PATTERNS = {
+    word: re.compile(pattern)
+    for word, pattern in {
+        "line": rf"LIN \{{E6POS: {FRAME},S ([0-9]{{1,2}}),T ([0-9]{{1,2}}){EXTERNAL}\}}( C_DIS)?",
+        "point": rf"PTP \{{E6AXIS: {AXES}\}}( C_PTP)?",
+        "speed": rf"\$VEL\.CP=({NUMBER})",
+        "radius": rf"\$APO\.CDIS=({NUMBER})",
+        "share": r"BAS\(#VEL_PTP,([0-9]{1,3})\)",
+        "trigger": r"TRIGGER WHEN (PATH|DISTANCE)=0 DELAY=0 DO \$OUT\[([0-9]{1,4})\]=(TRUE|FALSE)",
+        "output": r"\$OUT\[([0-9]{1,4})\]=FALSE",
+        "wait": rf"WAIT SEC ({NUMBER})",
+        "call": rf"({NAME})\(\)",
+        "start": r"PTP XSTART",
+        "defaults": r"BAS\(#INITMOV,0\)",
+        "setting": r"(\$[A-Z_0-9.]{1,24})=([#A-Z0-9_.(),\[\]]{1,60})",
+        "define": rf"DEF ({NAME})\(\)",
+        "end": r"END",
+        "attribute": r"&(?:ACCESS RVP|REL 1)",
+    }.items()
+}
+DATA = {
+    word: re.compile(pattern)
+    for word, pattern in {
+        "attribute": PATTERNS["attribute"].pattern,
+        "define": rf"DEFDAT ({NAME})",
+        "frame": rf"DECL FRAME (FTOOL|FPART)=\{{{FRAME}\}}",
+        "start": rf"DECL E6AXIS XSTART=\{{{AXES}\}}",
+        "end": r"ENDDAT",
+    }.items()
+}
+COUPLED = re.compile(r"EK\((MACHINE_DEF\[[1-9]\])\.ROOT,\1\.MECH_TYPE,FPART\)")
+Statement = tuple[str, int, tuple[str | None, ...]]
+
+
+@dataclass(frozen=True)
+class KrlProgram:
+    """A program (m moves) that was read.
+
+    program   triggers name outputs by their numbers; joints are counted as KUKA does; the zone of an approximated PTP
+              is NaN, for it has no distance
+    axes      (m, 6) A1 to A6 of PTP targets [rad]; NaN for others
+    turn      (m) Turn of LIN targets; UNSAID for others
+    share     (m) speed of the axes [percent]
+    settings  system variables and what they are set to
+    """
+
+    program: RobotProgram
+    axes: Array
+    turn: Indices
+    share: Indices
+    settings: dict[str, str]
+
+
+def read_krl(source: str, data: str, forward: Forward) -> KrlProgram:
+    """Program of the texts of .src and .dat as `krl_files` writes them.
+
+    forward: A1 to A6 and external axes (m, 12) [rad], NaN where unused → T_part_nozzle (m, 4, 4). Raises InputError
+    with the line for a statement or name that is not known, or that stands where it must not.
+    """
+    title, frames, start = _data(data)
+    reader = _Reader(title)
+    for line, statement in _statements(source):
+        reader.take(statement, line)
+    return reader.source(frames, start, forward)
+
+
+def _error(line: int | None, reason: str, file: str = "KRL") -> InputError:
+    return InputError(reason, line=line, file=file)
+
+
+def _statements(text: str) -> list[tuple[int, str]]:
+    found = ((line, raw.strip()) for line, raw in enumerate(text.split("\n"), start=1))
+    return [(line, statement) for line, statement in found if statement and not statement.startswith(";")]
+
+
+def _known(patterns: dict[str, re.Pattern[str]], statement: str, line: int, file: str) -> tuple[str, re.Match[str]]:
+    for word, pattern in patterns.items():
+        if match := pattern.fullmatch(statement):
+            return word, match
+    raise _error(line, f"unknown statement {statement[:60]!r}", file)
+
+
+def _posture(parts: tuple[str | None, ...], line: int) -> list[float]:
+    """Twelve axes [rad] of six numbers and the text of external axes; NaN where unused."""
+    external = [item.split(" ") for item in str(parts[6]).split(",")[1:]]
+    if [name for name, _ in external] != [f"E{i}" for i in range(1, len(external) + 1)]:
+        raise _error(line, "external axes must stand in their order, each once")
+    degrees = [float(str(value)) for value in parts[:6]] + [float(value) for _, value in external]
+    return [*np.radians(degrees).tolist(), *[float("nan")] * (12 - len(degrees))]
+
+
+def _pose(parts: tuple[str | None, ...]) -> Array:
+    values = [float(str(value)) for value in parts[:6]]
+    return np.concatenate([np.array(values[:3]) * 1e-3, quaternions(np.radians([values[3:]]))[0]])
+
+
+def _data(text: str) -> tuple[str, dict[str, Array], list[float]]:
+    title, frames, start, closed = "", {}, [], False
+    for line, statement in _statements(text):
+        word, match = _known(DATA, statement, line, "KRL data")
+        if word != "attribute" and (closed or (word == "define") == bool(title)):
+            raise _error(line, f"{statement[:60]!r} stands outside the data list, or twice", "KRL data")
+        if word == "define":
+            title = match[1]
+        elif word == "frame":
+            frames[match[1]] = _pose(match.groups()[1:])
+        elif word == "start":
+            start = _posture(match.groups(), line)
+        closed = closed or word == "end"
+    if not closed or len(frames) != 2 or not start:
+        raise _error(None, "no complete data list with FTOOL, FPART and XSTART", "KRL data")
+    return title, frames, start
+
+
+class _Reader:
+    def __init__(self, title: str) -> None:
+        self.title = title
+        self.bodies: dict[str, list[Statement]] = {}
+        self.current = ""
+
+    def take(self, statement: str, line: int) -> None:
+        word, match = _known(PATTERNS, statement, line, "KRL")
+        if word == "attribute":
+            return
+        if (word == "define") == bool(self.current):
+            raise _error(line, f"{statement[:60]!r} stands {'inside' if self.current else 'outside'} a program")
+        if word == "define":
+            if match[1].upper() in (name.upper() for name in self.bodies):
+                raise _error(line, f"program {match[1]} stands there twice")
+            self.current = match[1]
+            self.bodies[match[1]] = []
+        elif word == "end":
+            self.current = ""
+        else:
+            self.bodies[self.current].append((word, line, match.groups()))
+
+    def _run(self, name: str, depth: int) -> list[Statement]:
+        out: list[Statement] = []
+        for word, line, parts in self.bodies[name]:
+            if word != "call":
+                out.append((word, line, parts))
+            elif depth or str(parts[0]) not in self.bodies or parts[0] == self.title:
+                raise _error(line, f"{parts[0]} is no program that may be called here")
+            else:
+                out += self._run(str(parts[0]), depth + 1)
+        return out
+
+    def source(self, frames: dict[str, Array], start: list[float], forward: Forward) -> KrlProgram:
+        if self.current or next(iter(self.bodies), "") != self.title:
+            raise _error(None, f"no complete program {self.title}, which its data list is of")
+        run = _Run(start)
+        for word, line, parts in self._run(self.title, 0):
+            run.take(word, line, parts)
+        return run.source(self.title, frames, forward)
+
+
+class _Run:
+    """What the statements of a program do, one after the other."""
+
+    def __init__(self, start: list[float]) -> None:
+        self.start = start
+        self.points: list[list[float]] = []  # twelve axes of each move; NaN for a line's first six
+        self.lines: list[tuple[str | None, ...]] = []
+        self.linear: list[bool] = []
+        self.fly: list[bool] = []
+        self.paces: list[tuple[float, float, int]] = []  # speed, radius, percent
+        self.triggers: dict[int, tuple[Trigger, ...]] = {}
+        self.waiting: tuple[Trigger, ...] = ()
+        self.waits: dict[int, float] = {}
+        self.off: list[tuple[int, int]] = []  # moves after which an output is set, and lines
+        self.settings: dict[str, str] = {}
+        self.speed, self.radius, self.share = np.nan, np.nan, 100
+
+    def take(self, word: str, line: int, parts: tuple[str | None, ...]) -> None:
+        at = len(self.points) - 1
+        if word in ("start", "line", "point", "wait", "trigger") and (word == "start") == (at >= 0):
+            raise _error(line, "the program begins with PTP XSTART, and goes there once")
+        first = str(parts[0]) if parts else ""
+        if word == "speed":
+            self.speed = float(first)
+        elif word == "radius":
+            self.radius = float(first) * 1e-3
+        elif word == "share":
+            self.share = int(first)
+        elif word == "setting":
+            self.settings[first] = str(parts[1])
+        elif word == "wait":
+            self.waits[at] = self.waits.get(at, 0.0) + float(first)
+        elif word == "output":
+            self.off.append((at, line))
+        elif word == "trigger":
+            self.waiting += (Trigger(0.0, first == "DISTANCE", parts[2] == "TRUE", str(parts[1])),)
+        elif word == "line":
+            if not (self.speed > 0.0 and (self.radius > 0.0 or parts[9] is None)):
+                raise _error(line, "a line without a speed, or approximated without a distance")
+            external = _posture((*["0"] * 6, parts[8]), line)[6:]
+            self._move(parts, [np.nan] * 6 + external, parts[9] is not None)
+        elif word in ("start", "point"):
+            if self.waiting:
+                raise _error(line, "a trigger belongs to a line")
+            self._move((), _posture(parts, line) if parts else self.start, bool(parts) and parts[7] is not None)
+
+    def _move(self, pose: tuple[str | None, ...], axes: list[float], fly: bool) -> None:
+        if self.waiting:
+            self.triggers[len(self.points)] = self.waiting
+            self.waiting = ()
+        self.lines.append(pose)
+        self.points.append(axes)
+        self.linear.append(bool(pose))
+        self.fly.append(fly)
+        self.paces.append((self.speed if pose else np.nan, self.radius if pose else np.nan, self.share))
+
+    def source(self, title: str, frames: dict[str, Array], forward: Forward) -> KrlProgram:
+        if not any(self.linear) or self.waiting:
+            raise _error(None, "no lines, or a trigger without one")
+        m = len(self.points)
+        for at, line in self.off:
+            if at not in (-1, m - 1):
+                raise _error(line, "an output is switched beside the path")
+        linear, stops = np.array(self.linear), ~np.array(self.fly)
+        axes, paces = np.array(self.points), np.array(self.paces)
+        pose, conf, turn = np.empty((m, 7)), np.full((m, 4), UNSAID, dtype=np.intp), np.full(m, UNSAID, dtype=np.intp)
+        rows = np.array([[float(str(value)) for value in parts[:8]] for parts in self.lines if parts])
+        pose[linear] = np.column_stack([rows[:, :3] * 1e-3, quaternions(np.radians(rows[:, 3:6]))])
+        conf[linear, 3], turn[linear] = branch_of(rows[:, 6].astype(np.intp)), rows[:, 7]
+        T = forward(axes[~linear])
+        pose[~linear] = np.column_stack([T[:, :3, 3], from_matrix(T[:, :3, :3])])
+        base = COUPLED.fullmatch(self.settings.get("$BASE", ""))
+        if (base is None and self.settings.get("$BASE") != "FPART") or self.settings.get("$TOOL") != "FTOOL":
+            raise _error(None, "$BASE and $TOOL are not set to FPART and FTOOL")
+        still = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+        program = RobotProgram(
+            module=title,
+            tool=frames["FTOOL"],
+            uframe=frames["FPART"] if base is None else still,
+            oframe=still if base is None else frames["FPART"],
+            station="" if base is None else base[1],
+            start=np.array(self.start),
+            linear=linear,
+            fine=stops,
+            position=pose[:, :3],
+            quat=pose[:, 3:],
+            conf=conf,
+            external=axes[:, 6:],
+            zone=np.where(stops, 0.0, paces[:, 1]),
+            speed=np.column_stack([paces[:, 0], np.full((m, 3), np.nan)]),
+            wait=np.array([self.waits.get(i, 0.0) for i in range(m)]),
+            triggers=self.triggers,
+            sends={},
+        )
+        return KrlProgram(program, axes[:, :6], turn, paces[:, 2].astype(np.intp), self.settings)
+
+
+# ----------------------------------------------------------------------------------------------------
+# Whether a KRL program that was read back does what its plan does.
+
+ROUNDING = np.radians(1.01e-4)  # of axes
+
+
+def krl_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
+    """What source and data file say otherwise than the plan, beyond rounding and thinning, in words."""
+    name, cell = krl_name(plan.name), plan.cell
+    na, station = len(cell.arm), cell.holder_robot
+    free = [] if station is None else [station.joint_names.index(joint) for joint in cell.holder.names]
+
+    def forward(axes: Array) -> Array:
+        return cell.T_part_nozzle(np.column_stack([from_kuka(axes[:, :na]), axes[:, na:][:, free]]))
+
+    source = read_krl(files[f"{name}.src"], files[f"{name}.dat"], forward)
+    program = named(source.program, output_numbers(plan.problem))
+    start = program.start.copy()
+    start[:na] = from_kuka(start[None, :na])[0]
+    moves = plan_moves(plan)
+    program = replace(program, start=start, joints=from_kuka(source.axes))
+    return [*played_complaints(plan, moves, program), *blend_complaints(plan, program), *_moves(plan, moves, source)]
+
+
+def _moves(plan: Plan, moves: Moves, source: KrlProgram) -> list[str]:
+    """Postures, Turn, speeds of axes and settings, one by one against those that the plan's moves have."""
+    na = len(plan.cell.arm)
+    linear = np.concatenate([[False], moves.linear])
+    if not np.array_equal(linear, source.program.linear):
+        return ["moves are not of the planned kinds"]
+    q, found = moves.q[:, :na], []
+    off = np.abs(source.axes - to_kuka(q))[~linear].max()
+    if off > ROUNDING:
+        found.append(f"axes differ by {off:.3g} rad")
+    wrong = np.count_nonzero(source.turn[linear] != turn(q[linear]))
+    if wrong:
+        found.append(f"Turn differs at {wrong} targets")
+    shares = np.array(percent(plan, moves))
+    if not np.array_equal(source.share[~linear], np.concatenate([shares[:1], shares[~moves.linear]])):
+        found.append("speeds of axes are not the planned ones")
+    lines = np.maximum(np.round(moves.speed[moves.linear], SPEED), LEAST_SPEED)
+    if np.abs(source.program.speed[linear, 0] - lines).max() > 0.5 * LEAST_SPEED:
+        found.append("speeds of lines are not the planned ones")
+    if not np.array_equal(source.program.fine[1:], radii_of(plan, moves) == 0.0):
+        found.append("it stops elsewhere than planned")
+    expected = settings(plan, moves)
+    found += [f"{key} is not {value}" for key, value in expected.items() if source.settings.get(key) != value]
+    found += [f"{key} is set as well" for key in source.settings if key not in expected]
+    return found

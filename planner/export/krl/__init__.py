@@ -1,1 +1,0 @@
-"""KUKA Robot Language for KR C controllers: written, and read back."""

@@ -1,0 +1,411 @@
+"""What a controller makes of targets: postures by each target's configuration, and the pace at which it follows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from planner.base.arrays import Array, Flags, Indices
+from planner.base.errors import InputError
+from planner.export.fit import angle, from_matrix, slerp, to_matrix
+from planner.export.player.played import PHASES, TIMES
+from planner.export.program import RobotProgram
+
+if TYPE_CHECKING:
+    from planner.cell.cell import Cell
+
+# ----------------------------------------------------------------------------------------------------
+# From targets to joints: the postures through which a controller goes, by the configuration of each target.
+
+# Between two knots joints are interpolated: on an arm of 0.3 m a line of this length leaves its chord by 4 um,
+# and the tip of a nozzle of 0.15 m, where the nozzle turns by this angle, by 6 um.
+STEP = 3e-3  # m
+TURN = np.radians(1.0)
+JUMP = 0.3  # rad between neighbouring knots of a line: beyond, another configuration may be the nearer one
+QUARTER = 0.5 * np.pi
+BORDER = 1e-4  # rad by which a joint may lie beyond the quarter that a target names: targets are rounded
+ROUNDED = 1e-6  # rad by which targets are turned in rounding: over the sine of axis 5, it is what axes 4 and 6 turn by
+STRAIGHT = 1e-5  # rad of axis 5: below, targets do not tell axis 4 from axis 6
+HELD = np.radians(0.01)  # by which a held axis of the station may be said to stand elsewhere
+BLOCK = 20_000  # poses whose postures are sought at once: bounds the memory
+SAME = 1e-6  # rad between one posture and itself, computed anew
+REVOLUTION = 2.0 * np.pi
+
+
+@dataclass(frozen=True)
+class PostureKnots:
+    """k postures that the robot goes through, joints straight between each and the next.
+
+    q         (k, n) joints in the cell's order
+    position, quat  (k, 3) [m], (k, 4) x y z w: pose of the program's tool in its work object
+    move      (k - 1) the move to which the way to the next knot belongs
+    target    (m) the knot that is the target of each move
+    strays    moves at whose end the posture is not of the configuration that the target names
+    """
+
+    q: Array
+    position: Array
+    quat: Array
+    move: Indices
+    target: Indices
+    strays: tuple[int, ...]
+
+
+def _check(program: RobotProgram, cell: Cell) -> None:
+    """Raise InputError for configurations that the arm has not, and for moves without a speed."""
+    if cell.inverse.redundant_joint is not None:
+        raise _error(
+            program, f"targets do not say the posture of {cell.arm_robot.name}, which has {len(cell.arm)} joints"
+        )
+    outside = np.flatnonzero((program.conf[:, 3] < 0) | (program.conf[:, 3] >= cell.inverse.branch_count))
+    if len(outside):
+        raise _error(program, f"move {outside[0]} names configuration {program.conf[outside[0], 3]}, which is none")
+    speeds = program.speed[:, [0, 1, 3]]
+    without = np.flatnonzero(~(np.isfinite(speeds) & (speeds > 0.0)).all(axis=1))
+    if len(without):
+        raise _error(program, f"move {without[0]} has no speed")
+
+
+def knots_of(program: RobotProgram, cell: Cell) -> PostureKnots:
+    """Postures along a program.
+
+    Lines are followed in the work object by the configuration of their target, continuously, as `ConfL\\Off` has it:
+    where the named configuration is not reached continuously the nearest one is taken. Joint moves go straight
+    to the configuration and the quarter turns of their target, as `ConfJ\\On` has it.
+
+    Raises InputError where a target cannot be reached in its configuration, for axes that the cell has not and for moves
+    without a speed.
+    """
+    na, m = len(cell.arm), len(program.linear)
+    _check(program, cell)
+    frames = _Frames(program, cell)
+    begin = np.concatenate([program.start[:na], frames.free(program.start[None, na:])[0]])
+    if not np.isfinite(begin).all():
+        raise _error(program, "the start does not say where all joints stand")
+    p0, quat0 = frames.pose(begin[None])
+    ends = np.vstack([begin[None, na:], frames.free(program.external)])
+    position, quat = np.vstack([p0, program.position]), np.vstack([quat0, program.quat])
+
+    length = np.linalg.norm(np.diff(position, axis=0), axis=1) / STEP
+    turned = np.maximum(angle(quat[1:], quat[:-1]), np.abs(np.diff(ends, axis=0)).max(axis=1, initial=0.0)) / TURN
+    parts = np.where(program.linear, np.ceil(np.maximum(length, turned) - 1e-9), 1).clip(1).astype(np.intp)
+    move = np.repeat(np.arange(m), parts)
+    target = np.cumsum(parts)
+    u = (np.arange(len(move)) - np.repeat(target - parts, parts) + 1) / parts[move]
+    knots = _Poses(
+        position[move] + u[:, None] * (position[move + 1] - position[move]),
+        slerp(quat[move], quat[move + 1], u),
+        ends[move] + u[:, None] * (ends[move + 1] - ends[move]),
+    )
+    q = _followed(program, cell, frames, knots, move, begin)
+    all_p, all_quat = np.vstack([p0, knots.position]), np.vstack([quat0, knots.quat])
+    strays = _strays(program, cell, q[target])
+    return _with_joint_moves(program, frames, PostureKnots(q, all_p, all_quat, move, target, strays))
+
+
+class _Frames:
+    """Where a program's targets lie for the arm."""
+
+    def __init__(self, program: RobotProgram, cell: Cell) -> None:
+        self._program, self._cell = program, cell
+        on_plate = np.linalg.inv(cell.T_plate_part) if program.station else np.linalg.inv(cell.T_world_holder)
+        self._T_part_object = on_plate @ _matrix(program.uframe) @ _matrix(program.oframe)
+        self._T_tool_flange = np.linalg.inv(_matrix(program.tool))
+
+    def free(self, external: Array) -> Array:
+        """The station's free axes (m, f) of all its axes (m, 6); those that are held must stand where they are held."""
+        cell = self._cell
+        if cell.holder_robot is None:
+            return np.empty((len(external), 0))
+        names = list(cell.holder_robot.joint_names)
+        table = external[:, : len(names)]
+        missing = np.flatnonzero(~np.isfinite(table).all(axis=1))
+        if len(missing):
+            raise _error(self._program, f"target {missing[0]} does not say where all axes of the station stand")
+        for name, angle_ in cell.held.items():
+            if (np.abs(table[:, names.index(name)] - angle_) > HELD).any():
+                raise _error(self._program, f"axis {name} of the station is held, and the program moves it")
+        return table[:, [names.index(name) for name in cell.holder.names]]
+
+    def flange(self, poses: _Poses) -> Array:
+        """Flange poses T_base_flange (k, 4, 4)."""
+        T = np.zeros((len(poses.position), 4, 4))
+        T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = to_matrix(poses.quat), poses.position, 1.0
+        T_base_part = np.linalg.inv(self._cell.T_world_base) @ self._cell.holder.poses(poses.external)
+        out: Array = T_base_part @ (self._T_part_object @ T @ self._T_tool_flange)
+        return out
+
+    def pose(self, q: Array) -> tuple[Array, Array]:
+        """Position (k, 3) and orientation (k, 4) of the program's tool in its work object."""
+        T_nozzle_tool = np.linalg.inv(self._T_tool_flange @ self._cell.T_flange_nozzle)
+        T = np.linalg.inv(self._T_part_object) @ self._cell.T_part_nozzle(np.ascontiguousarray(q)) @ T_nozzle_tool
+        return T[:, :3, 3], from_matrix(T[:, :3, :3])
+
+
+@dataclass(frozen=True)
+class _Poses:
+    """k poses of the tool in the work object, and the station's free axes there."""
+
+    position: Array
+    quat: Array
+    external: Array
+
+    def rows(self, rows: slice) -> _Poses:
+        return _Poses(self.position[rows], self.quat[rows], self.external[rows])
+
+
+def _followed(program: RobotProgram, cell: Cell, frames: _Frames, knots: _Poses, move: Indices, begin: Array) -> Array:
+    """Joints (k + 1, n) of the start and of all knots on lines and at targets."""
+    na, k = len(cell.arm), len(move)
+    raw = np.empty((k, na))
+    branch = program.conf[move, 3]
+    for first in range(0, k, BLOCK):
+        rows = slice(first, first + BLOCK)
+        solutions, exists = cell.inverse.solve(frames.flange(knots.rows(rows)))
+        raw[rows] = _chosen(program, solutions, exists, branch[rows], move[rows])
+    raw = np.vstack([begin[:na], raw])
+    line = np.concatenate([[False], program.linear[move]])  # the way to this knot is a line
+    if cell.spherical:
+        _share_straight_wrists(program, raw, np.flatnonzero(~line[1:]) + 1, move)
+    _keep_continuous(raw, line, lambda i: cell.inverse.solve(frames.flange(knots.rows(slice(i - 1, i)))))
+    turns = np.zeros_like(raw)
+    turns[1:] = -np.round(np.diff(raw, axis=0) / REVOLUTION)
+    turns[~line] = 0.0
+    since = np.maximum.accumulate(np.where(line, 0, np.arange(k + 1)))  # the knot from which lines go on to this one
+    added = np.cumsum(turns, axis=0)
+    absolute = np.zeros_like(raw)
+    at = np.flatnonzero(~line)
+    absolute[at[1:]] = _named_turns(program, cell, raw[at[1:]], move[at[1:] - 1])
+    q = raw + REVOLUTION * (absolute[since] + added - added[since])
+    return np.column_stack([q, np.vstack([begin[None, na:], knots.external])])
+
+
+def _chosen(program: RobotProgram, solutions: Array, exists: Flags, branch: Indices, move: Indices) -> Array:
+    """The solutions (k, n) of the branches that targets name."""
+    row = np.arange(len(branch))
+    missing = np.flatnonzero(~exists[row, branch])
+    if len(missing):
+        i = missing[0]
+        raise _error(program, f"move {move[i]} is out of reach in configuration {branch[i]}")
+    out: Array = solutions[row, branch]
+    return out
+
+
+def _share_straight_wrists(program: RobotProgram, raw: Array, ends: Indices, move: Indices) -> None:
+    """Where the wrist is straight at the ends of joint moves, axis 4 as at the start, as far as the named quarter goes.
+
+    Only the sum of axes 4 and 6 follows from such a target, of which home is the usual one.
+    """
+    straight = ends[np.abs(raw[ends, 4]) < STRAIGHT]
+    low = program.conf[move[straight - 1], 1] * QUARTER
+    fourth = np.clip(raw[0, 3], low, low + QUARTER)
+    raw[straight, 5] = _wrapped(raw[straight, 3] + raw[straight, 5] - fourth)
+    raw[straight, 3] = fourth
+
+
+def _keep_continuous(raw: Array, line: Flags, solve: Callable[[int], tuple[Array, Flags]]) -> None:
+    """Where joints jump on a line, take the nearest posture instead, until that is the named one again."""
+    jumps = np.abs(_wrapped(np.diff(raw, axis=0))).max(axis=1) > JUMP
+    done = 0
+    for first in (np.flatnonzero(line[1:] & jumps) + 1).tolist():
+        i = max(first, done)
+        while i < len(raw) and line[i]:
+            solutions, exists = solve(i)
+            far = np.abs(_wrapped(solutions[0] - raw[i - 1])).max(axis=1)
+            nearest = solutions[0, int(np.argmin(np.where(exists[0], far, np.inf)))]
+            if np.abs(nearest - raw[i]).max() < SAME:
+                break
+            raw[i] = nearest
+            i += 1
+        done = i
+
+
+def _wrapped(angles: Array) -> Array:
+    out: Array = angles - REVOLUTION * np.round(angles / REVOLUTION)
+    return out
+
+
+def _named_turns(program: RobotProgram, cell: Cell, raw: Array, move: Indices) -> Array:
+    """Whole turns (k, n) to add to joints in (-pi, pi]: as targets say, by joints or by quarters, else by the ranges."""
+    limits, na = cell.limits, raw.shape[1]
+    if program.joints is not None:
+        said: Array = np.round((program.joints[move] - raw) / REVOLUTION)
+        return said
+    middle = np.tile(0.5 * (limits.q_min + limits.q_max)[:na], (len(raw), 1))
+    if cell.spherical:
+        middle[:, [0, 3, 5]] = (program.conf[move, :3] + 0.5) * QUARTER
+    out: Array = np.round((middle - raw) / REVOLUTION)
+    return out
+
+
+def _strays(program: RobotProgram, cell: Cell, q: Array) -> tuple[int, ...]:
+    """Moves whose target's posture, of all targets' postures q (m, n), is not the one that the target names."""
+    if not cell.spherical:
+        return ()
+    bent = np.abs(q[:, 4])
+    wrong = (cell.inverse.branches(q[:, : len(cell.arm)]) != program.conf[:, 3]) & (bent > BORDER)
+    low = program.conf[:, :3] * QUARTER
+    over = np.maximum(low - q[:, [0, 3, 5]], q[:, [0, 3, 5]] - low - QUARTER)
+    unsure = np.minimum(BORDER + ROUNDED / np.maximum(np.sin(bent), STRAIGHT), QUARTER)
+    wrong |= (over[:, 0] > BORDER) | (over[:, 1:] > unsure[:, None]).any(axis=1)
+    return tuple(np.flatnonzero(wrong).tolist())
+
+
+def _with_joint_moves(program: RobotProgram, frames: _Frames, ends: PostureKnots) -> PostureKnots:
+    """The same knots and, between those that joint moves connect, knots on the straight line of joints."""
+    change = np.abs(np.diff(ends.q, axis=0)).max(axis=1)
+    parts = np.where(program.linear[ends.move], 1, np.ceil(change / TURN).clip(1)).astype(np.intp)
+    owner = np.repeat(np.arange(len(parts)), parts)
+    after = np.cumsum(parts)
+    u = (np.arange(len(owner)) - np.repeat(after - parts, parts) + 1) / parts[owner]
+
+    def spread(values: Array) -> Array:
+        between = values[owner] + u[:, None] * (values[owner + 1] - values[owner])
+        return np.vstack([values[:1], between])
+
+    q, position, quat = spread(ends.q), spread(ends.position), np.vstack([ends.quat[:1], ends.quat[owner + 1]])
+    inner = np.flatnonzero(u < 1.0) + 1
+    position[inner], quat[inner] = frames.pose(q[inner])
+    return PostureKnots(q, position, quat, ends.move[owner], after[ends.target - 1], ends.strays)
+
+
+def _matrix(frame: Array) -> Array:
+    """Pose (4, 4) of x y z [m] and a quaternion x y z w (7)."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = to_matrix(frame[None, 3:])[0], frame[:3]
+    return T
+
+
+def _error(program: RobotProgram, reason: str) -> InputError:
+    return InputError(reason, file=program.module)
+
+
+# ----------------------------------------------------------------------------------------------------
+# How fast a controller follows knots: the slowest of tip, reorientation, axes and joints, with ramps and corners.
+
+# Metres of path that a joint's way counts as, by the second that it would take at its own speed limit: where the tip
+# hardly moves, or stands, joints measure the path. A printing tip moves faster than this.
+METRES_PER_SECOND = 0.02
+NO_WAY = 1e-9  # m of path between knots: less is none
+TIP, TURNING, AXIS = 0, 1, 2  # what a speed follows from; joints follow
+
+
+@dataclass(frozen=True)
+class PlayedPace:
+    """`leave`, `length`, `phases`, `limit` and `arrive` of `Played`, and the names of the limits."""
+
+    leave: Array
+    length: Array
+    phases: Array
+    limit: Indices
+    limits: tuple[str, ...]
+    arrive: Array
+
+
+def pace(program: RobotProgram, cell: Cell, knots: PostureKnots) -> PlayedPace:
+    """When the robot passes every knot.
+
+    On each way between knots the top speed is what the slowest of five allows: the programmed speed of the tip in the
+    work object, of reorientation there, of the station's axes, and the speed limits of the joints. Speed changes with
+    the greatest acceleration along the path that the limits of all joints allow on that way, from one programmed speed
+    to the next within the zone of the target between. At `fine` targets the robot comes to rest. At others it turns
+    along a parabola within the zone, cut to half of the lines beside it, at a speed at which the joints can change from
+    one line to the next within it.
+    """
+    external = knots.q[:, len(cell.arm) :]
+    change = np.abs(np.diff(knots.q, axis=0))
+    tip = np.linalg.norm(np.diff(knots.position, axis=0), axis=1)
+    programmed = program.speed[knots.move]
+    times = np.column_stack(
+        [
+            tip / programmed[:, 0],
+            angle(knots.quat[1:], knots.quat[:-1]) / programmed[:, 1],
+            np.abs(np.diff(external, axis=0)).max(axis=1, initial=0.0) / programmed[:, 3],
+            change / cell.limits.velocity,
+        ]
+    )
+    limit = np.argmax(times, axis=1)
+    length = np.maximum(tip, METRES_PER_SECOND * times[:, AXIS + 1 :].max(axis=1))
+    length[length < NO_WAY] = 0.0
+    phases = np.zeros((len(length), len(PHASES)))
+    goes = np.flatnonzero(length > 0.0)
+    if len(goes):
+        way, rate = length[goes], np.diff(knots.q, axis=0)[goes] / length[goes, None]
+        with np.errstate(divide="ignore"):
+            steepest = (cell.limits.acceleration / np.abs(rate)).min(axis=1)
+            hard = (way / times[goes, AXIS + 1 :].max(axis=1)) ** 2
+        top = (way / times[goes].max(axis=1)) ** 2
+        phases[goes] = _phases(program, cell, knots, _Ways(goes, way, rate, steepest, top, hard))
+    took = phases[:, TIMES].sum(axis=1)
+    waits = np.zeros(len(knots.q))
+    waits[knots.target] += program.wait  # targets are at different knots, even where they are at the same place
+    leave = np.concatenate([[0.0], np.cumsum(took + waits[1:])])
+    joints = (f"the speed limit of {name}" for name in cell.joint_names)
+    names = ("the tip", "reorientation", "an axis of the station", *joints)
+    return PlayedPace(leave, length, phases, limit, names, leave[knots.target] - program.wait)
+
+
+@dataclass(frozen=True)
+class _Ways:
+    """The ways that are longer than none (w) and what bounds the speed on them.
+
+    index, length  which they are; metres of path
+    rate           (w, n) of the joints, by metre of path
+    steepest       acceleration along the path that the joints allow [m/s^2]
+    top, hard      squares of the speeds that program and joints allow, and joints alone [m^2/s^2]
+    """
+
+    index: Indices
+    length: Array
+    rate: Array
+    steepest: Array
+    top: Array
+    hard: Array
+
+
+def _phases(program: RobotProgram, cell: Cell, knots: PostureKnots, ways: _Ways) -> Array:
+    """`Played.phases` (w, 6) of ways."""
+    square = np.zeros(len(ways.index) + 1)  # of the speed at the ends of ways; at rest at the first and the last
+    square[1:-1] = _between(program, cell, knots, ways)
+    # the least of all earlier bounds, each raised by what can be gained since: a running minimum, both ways
+    gain = np.concatenate([[0.0], np.cumsum(2.0 * ways.steepest * ways.length)])
+    square = np.minimum(square, gain + np.minimum.accumulate(square - gain))
+    square = np.minimum(square, np.minimum.accumulate((square + gain)[::-1])[::-1] - gain)
+    square = np.maximum(square, 0.0)
+    v0, v1 = np.sqrt(square[:-1]), np.sqrt(square[1:])
+    middle = np.sqrt(np.minimum(ways.top, 0.5 * (square[:-1] + square[1:]) + ways.steepest * ways.length))
+    begin, end = np.abs(middle - v0) / ways.steepest, np.abs(middle - v1) / ways.steepest
+    even = ways.length - 0.5 * (v0 + middle) * begin - 0.5 * (v1 + middle) * end
+    rise, fall = np.copysign(ways.steepest, middle - v0), np.copysign(ways.steepest, v1 - middle)
+    return np.column_stack([v0, rise, begin, np.maximum(even, 0.0) / middle, fall, end])
+
+
+def _between(program: RobotProgram, cell: Cell, knots: PostureKnots, ways: _Ways) -> Array:
+    """Square of the speed (w - 1) [m^2/s^2] at which the robot may go from one way to the next: 0 where it rests."""
+    k = len(knots.q)
+    zone, fine = np.full(k, np.inf), np.zeros(k, dtype=bool)
+    zone[knots.target] = program.zone
+    fine[knots.target] = program.fine
+    # all knots that stand at one place, between the end of a way and the beginning of the next, count together
+    first, after = ways.index[:-1] + 1, ways.index[1:] + 1
+    stops = np.concatenate([[0], np.cumsum(fine)])
+    rests = stops[after] > stops[first]
+    zone = np.minimum.reduceat(np.append(zone, np.inf), np.column_stack([first, after]).ravel())[::2]
+    is_target = np.isfinite(zone)
+    half = 0.5 * np.minimum(ways.length[1:], ways.length[:-1])
+    # within the zone of a target the speed goes over from one that is programmed to the next, half of it at the target
+    low, high = np.minimum(ways.top[1:], ways.top[:-1]), np.maximum(ways.top[1:], ways.top[:-1])
+    gain = 2.0 * np.minimum(ways.steepest[1:], ways.steepest[:-1]) * np.minimum(zone, half)
+    change = np.where(is_target, np.minimum(0.5 * (low + high), low + gain), low)
+    # and joints from one direction to the next: there the zone may take half of the whole line, elsewhere there is none
+    move = knots.move[ways.index]
+    lines = np.bincount(move, ways.length)[move]
+    reach = np.where(is_target, np.minimum(zone, 0.5 * np.minimum(lines[1:], lines[:-1])), half)
+    with np.errstate(divide="ignore"):
+        turn = 2.0 * reach * (cell.limits.acceleration / np.abs(np.diff(ways.rate, axis=0))).min(axis=1)
+    allowed = np.minimum(np.minimum(change, turn), np.minimum(ways.hard[1:], ways.hard[:-1]))
+    out: Array = np.where(rests, 0.0, allowed)
+    return out

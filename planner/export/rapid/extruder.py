@@ -1,0 +1,529 @@
+"""How a RAPID program drives the extruder: styles `socket` and `demand`, written and read back."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.base.arrays import Array, Indices
+from planner.base.errors import InputError
+from planner.export.extruder import AMOUNT, orders
+from planner.export.moves import Moves, deposits
+from planner.export.program import RobotProgram
+from planner.plan.plan import filament_areas, used
+
+if TYPE_CHECKING:
+    from planner.plan import Event, Plan, Trajectory
+
+# ----------------------------------------------------------------------------------------------------
+# What the extruder feeds while it lays beads, and what besides.
+
+
+def event_samples(trajectory: Trajectory) -> Indices:
+    """Samples at which the extruder begins or ends to move filament besides depositing: lines begin or end there."""
+    edges = [_samples(trajectory, event) for event in trajectory.events if event.amount != 0.0]
+    return np.unique(np.array(edges, dtype=np.intp))
+
+
+def laid_filament(trajectory: Trajectory) -> Array:
+    """Filament (n) [m] that was fed until each sample, without what events move: primes, retracts and purges."""
+    fed: Array = trajectory.feed - trajectory.feed[0]
+    for event in trajectory.events:
+        if event.amount != 0.0:
+            fed = fed - event.amount * np.clip((trajectory.t - event.start) / event.duration, 0.0, 1.0)
+    return fed
+
+
+def _samples(t: Trajectory, event: Event) -> tuple[int, int]:
+    """First and last sample between which an event moves its filament."""
+    since = int(np.searchsorted(t.t, event.start, side="right")) - 1
+    until = int(np.searchsorted(t.t, event.start + event.duration))
+    return max(since, 0), min(until, len(t) - 1)
+
+
+# ----------------------------------------------------------------------------------------------------
+# Style `demand`: the flow that the extruder is asked for, on an analog output, as in Pollard et al.
+
+PERCENT = 0.01  # of the largest flow: the step of the demand
+OUTPUT_DECIMALS = 4  # of the output's value
+
+
+@dataclass(frozen=True)
+class FlowDemand:
+    """What moves (m) ask for.
+
+    percent  (m,) of the largest flow; 0 where no material is laid
+    top      output at the largest flow, in the output's own unit
+    """
+
+    percent: NDArray[np.intp]
+    top: float
+
+    def value(self, percent: int) -> float:
+        """The output at a share of the largest flow."""
+        return round(self.top * PERCENT * percent, OUTPUT_DECIMALS)
+
+
+def flow(plan: Plan) -> Array:
+    """Volume of filament (n - 1) [m^3/s] that the motor feeds in each sample, for beads alone."""
+    t = plan.trajectory
+    area = np.broadcast_to(np.asarray(filament_areas(plan.problem, t.events, t.t)), t.t.shape)
+    out: Array = np.maximum(np.diff(laid_filament(t)) / t.dt * area[1:], 0.0)
+    return out
+
+
+def demand_of(plan: Plan, moves: Moves) -> FlowDemand:
+    """Demand of each move: its mean flow. InputError where the largest one is beyond the output's range."""
+    t, program = plan.trajectory, plan.problem.program
+    volume = np.concatenate([[0.0], np.cumsum(flow(plan)) * t.dt])
+    a, b = moves.start, moves.sample
+    mean = np.where(moves.laid, (volume[b] - volume[a]) / (t.t[b] - t.t[a]), 0.0)
+    largest = float(mean.max(initial=0.0))
+    top = largest * 1e9 * program.demand_scale
+    if top > program.demand_most:
+        asked = f"{largest * 1e9:.3g} mm3/s ask for {top:.4g}, and the output goes to {program.demand_most:g}"
+        hint = f"program.demand_scale of at most {program.demand_most / (largest * 1e9):.3g}"
+        raise InputError(asked, field="program.demand_scale", hint=hint, file=plan.problem.file)
+    percent = np.round(mean / largest / PERCENT) if largest > 0.0 else np.zeros(len(mean))
+    return FlowDemand(percent.astype(np.intp), top)
+
+
+# ----------------------------------------------------------------------------------------------------
+# Style `socket`: the G-code lines that the program sends to the extruder's board, each at its own place.
+#
+# As in Tawfik et al.: a line for every segment between two targets, sent before the robot sets out on it, with the filament
+# of that segment and the rate that takes as long as the robot does; and lines for what the extruder does at rest.
+
+SHORTEST = 0.02  # s that a line lasts, as in extruder.writer: a board that gets more than 50 lines/s may stutter
+LONGEST_LINE = 60  # characters: with number and line end it fits into a string of RAPID
+RELATIVE = "M83"
+HEATS = ("M109", "M116", "M190")  # lines that the board acknowledges when all is hot,
+WAITS = (*HEATS, "G4 ")  # or when they are over, which may be late
+FILAMENT_DECIMALS = 5  # of filament [mm]
+LEAST_RATE = 1e-3  # mm/min, the least that is written
+COLUMNS = "n,bead,layer,t_s,text"
+
+
+@dataclass(frozen=True)
+class SocketLine:
+    """One line: `text`, sent `after` seconds of rest behind move `move` (-1: the start), planned at time t [s].
+
+    bead, layer  that it belongs to; bead -1 where it belongs to none
+    """
+
+    move: int
+    after: float
+    t: float
+    bead: int
+    layer: int
+    text: str
+
+
+def lines_of(plan: Plan, moves: Moves) -> tuple[SocketLine, ...]:
+    """All lines of a plan, in the order in which they are sent. Filament sums up to what the plan feeds, to 0.01 um.
+
+    Raises InputError for a line of the problem's own that no string of RAPID can hold.
+    """
+    t = plan.trajectory
+    said = [(0.0, RELATIVE, -1, 0)]
+    said += _ordered(plan)
+    said += _feeding(t, moves)
+    arrivals = np.concatenate([[0.0], t.t[moves.sample] - t.t[0]])
+    leaves = np.append(t.t[moves.start] - t.t[0], np.inf)
+    found = []
+    for at, text, bead, layer in sorted(said, key=lambda each: each[0]):
+        place = int(np.searchsorted(arrivals, at + 0.5 * t.dt, side="right")) - 1
+        if len(text) > LONGEST_LINE:
+            raise InputError(
+                f"{text[:LONGEST_LINE]}… is too long for a string of RAPID", hint=f"{LONGEST_LINE} characters"
+            )
+        after = min(max(at - arrivals[place], 0.0), leaves[place] - arrivals[place])
+        found.append(SocketLine(place - 1, float(after), at, bead, layer, text))
+    return tuple(found)
+
+
+def table(lines: tuple[SocketLine, ...]) -> str:
+    """CSV of the lines by their numbers from 1, for whoever relays them: bead, layer and planned time [s] of each."""
+    out = io.StringIO()
+    out.write(COLUMNS + "\n")
+    for n, line in enumerate(lines, 1):
+        out.write(f"{n},{line.bead},{line.layer},{line.t:.3f},{line.text}\n")
+    return out.getvalue()
+
+
+def _ordered(plan: Plan) -> list[tuple[float, str, int, int]]:
+    """Lines of what the board is told besides moving filament: (time [s], text, bead, layer)."""
+    t, fibre = plan.trajectory, plan.problem.process.fibre
+    begin = float(t.t[0])
+    cuts = {event.start: event.duration for event in t.events if event.kind == "cut"}
+    found = []
+    for order in orders(plan):
+        at = order.start
+        if fibre is not None and at in cuts:
+            at += 0.5 * (cuts[at] - order.time)  # as long before the cutter moves as after it, as published
+        here = min(int(np.searchsorted(t.t, at)), len(t) - 1)
+        found += [(at - begin, text, int(t.bead[here]), int(t.layer[here])) for text in order.lines if text[0] != ";"]
+    return found
+
+
+def _layer(t: Trajectory, at: float) -> int:
+    return int(t.layer[min(int(np.searchsorted(t.t, at)), len(t) - 1)])
+
+
+def _feeding(t: Trajectory, moves: Moves) -> list[tuple[float, str, int, int]]:
+    """`G1 E F` for every segment and event in which filament moves: (time [s], text, bead, layer)."""
+    found = []
+    for event in t.events:
+        if event.amount != 0.0:
+            text = _extrude(event.amount * 1e3, event.duration)
+            found.append((event.start - float(t.t[0]), text, event.bead, _layer(t, event.start)))
+    cuts, bead = _segments(t, moves)
+    fed = np.round(laid_filament(t)[_whole(t)[cuts]] * 1e3, FILAMENT_DECIMALS)
+    amount = np.diff(fed)  # differences of rounded totals: rounding never adds up
+    clock = t.t[cuts] - t.t[0]
+    layer = t.layer[(cuts[:-1] + cuts[1:] + 1) // 2]
+    for k in np.flatnonzero(np.abs(amount) > 0.5 * 10.0**-FILAMENT_DECIMALS).tolist():
+        text = _extrude(float(amount[k]), float(clock[k + 1] - clock[k]))
+        found.append((float(clock[k]), text, int(bead[k]), int(layer[k])))
+    return found
+
+
+def _extrude(amount: float, lasts: float) -> str:
+    """The line that moves filament [mm] in a time [s]."""
+    return f"G1 E{amount:.{FILAMENT_DECIMALS}f} F{max(abs(amount) / lasts * 60.0, LEAST_RATE):.3f}"
+
+
+def _whole(t: Trajectory) -> Indices:
+    """For every sample (n) the one whose filament counts there: a bead begins and ends up to a sample outside of those
+    that deposit, and has its filament to itself."""
+    own = np.arange(len(t))
+    first, last = deposits(t)
+    apart = np.diff(np.column_stack([first, last]).ravel())[1::2] > 2
+    own[first[np.append(True, apart) & (first > 0)]] -= 1
+    own[last[np.append(apart, True) & (last < len(t) - 1)]] += 1
+    return own
+
+
+def _segments(t: Trajectory, moves: Moves) -> tuple[Indices, NDArray[np.int64]]:
+    """Samples (m + 1) between which a line lasts, and the bead (m) that it belongs to, or -1.
+
+    They are the targets; a segment that is too short for a line of its own goes with a neighbour of the same bead.
+    """
+    cuts = np.unique(np.concatenate([[0, len(t) - 1], moves.start, moves.sample]))
+    a, b = cuts[:-1], cuts[1:]
+    bead = np.where(t.deposit[a] & t.deposit[b], np.minimum(t.bead[a], t.bead[b]), -1).astype(np.int64)
+    at = t.t[cuts]
+    runs = np.flatnonzero(np.append(bead[1:] != bead[:-1], True))  # the last segment of each bead
+    left = at[runs[np.searchsorted(runs, np.arange(len(bead)))] + 1] - at[:-1]  # until its end
+    enough, begun, keep = SHORTEST - 0.5 * t.dt, 0, [0]
+    for i in range(1, len(bead)):
+        if bead[i] != bead[i - 1] or (at[i] - at[begun] >= enough and left[i] >= enough):
+            begun = i
+            keep.append(i)
+    return np.append(cuts[keep], cuts[-1]), bead[keep]
+
+
+# ----------------------------------------------------------------------------------------------------
+# Style `socket`: the part of the program that hands lines to a relay, and stops the robot when nobody takes them.
+#
+# The controller is the server of one connection. Lines of ASCII, ended by LF, at most 80 characters:
+# `H module lines`, answered by `G 1`; `L n gcode`, n = 1, 2, 3 …; `E n` at the end; `X n reason` where it stops by itself.
+# The relay says `A n`: every line up to n was taken; and `S reason`: stop. See docs/rapid.md.
+
+WINDOW = 16  # lines that may be on their way
+PATIENCE = 2  # s without an answer, after which the robot stops
+JOINING = 600  # s that the program waits for the relay to connect
+LATEST = 900  # s that it waits for lines that the board acknowledges when they are over, such as heating
+FIRST_PORT, LAST_PORT = 1025, 4999  # that a problem may ask for
+PIECE = 38  # bytes read at once, and longest line of the relay's: both together fit into a string of 80
+# procedures of the server that the program calls
+OPEN, LINE, SETTLE, END = "BwOpen", "BwLine", "BwSettle", "BwEnd"
+
+_DECLARATIONS = r"""
+    VAR socketdev bwServer;
+    VAR socketdev bwClient;
+    VAR string bwHeard:="";
+    VAR num bwSent:=0;
+    VAR num bwTaken:=0;
+    VAR bool bwGo:=FALSE;
+"""
+_PROCEDURES = r"""
+    PROC BwOpen()
+        ! Waits for the relay that takes the extruder's lines.
+        bwHeard:="";
+        bwSent:=0;
+        bwTaken:=0;
+        bwGo:=FALSE;
+        SocketClose bwClient;
+        SocketClose bwServer;
+        SocketCreate bwServer;
+        SocketBind bwServer,"{address}",{port};
+        SocketListen bwServer;
+        TPWrite "Waiting for the relay at port {port}";
+        SocketAccept bwServer,bwClient\Time:={joining};
+        SocketSend bwClient\Str:="H {module} {lines}\0A";
+        WHILE NOT bwGo DO
+            BwHear {patience};
+        ENDWHILE
+    ERROR
+        BwStop "no connection to a relay";
+    ENDPROC
+
+    PROC BwLine(num n,string gcode)
+        ! Sends line n; waits while too many are on their way.
+        IF n<>bwSent+1 THEN
+            BwStop "lines out of order in the program";
+        ENDIF
+        BwHear 0;
+        WHILE bwSent-bwTaken>={window} DO
+            BwHear {patience};
+        ENDWHILE
+        SocketSend bwClient\Str:="L "+NumToStr(n,0)+" "+gcode+"\0A";
+        bwSent:=n;
+    ERROR
+        BwStop "connection lost";
+    ENDPROC
+
+    PROC BwSettle(num patience)
+        ! Waits until every line is taken.
+        WHILE bwTaken<bwSent DO
+            BwHear patience;
+        ENDWHILE
+    ENDPROC
+
+    PROC BwHear(num patience)
+        ! Takes what the relay has said; where that is nothing, waits for it, unless patience is 0 s.
+        VAR num here;
+        VAR num at;
+        VAR string part;
+        here:=SocketPeek(bwClient);
+        IF here=0 AND patience=0 THEN
+            RETURN;
+        ENDIF
+        IF patience=0 THEN
+            patience:={patience};
+        ENDIF
+        IF here=0 THEN
+            here:=1;
+        ELSEIF here>{piece} THEN
+            here:={piece};
+        ENDIF
+        SocketReceive bwClient\Str:=part\ReadNoOfBytes:=here\Time:=patience;
+        ! behind all that was heard there is always one more character: no place in an empty string may be asked for
+        bwHeard:=bwHeard+part+" ";
+        at:=StrFind(bwHeard,1,"\0A");
+        WHILE at<StrLen(bwHeard) DO
+            IF at<4 THEN
+                BwStop "unknown words of the relay";
+            ENDIF
+            BwTake StrPart(bwHeard,1,at-1);
+            bwHeard:=StrPart(bwHeard,at+1,StrLen(bwHeard)-at);
+            at:=StrFind(bwHeard,1,"\0A");
+        ENDWHILE
+        IF StrLen(bwHeard)=1 THEN
+            bwHeard:="";
+        ELSE
+            bwHeard:=StrPart(bwHeard,1,StrLen(bwHeard)-1);
+        ENDIF
+        IF StrLen(bwHeard)>{piece} THEN
+            BwStop "unknown words of the relay";
+        ENDIF
+    ERROR
+        IF ERRNO=ERR_SOCK_TIMEOUT THEN
+            BwStop "no answer of the relay";
+        ENDIF
+        BwStop "connection lost";
+    ENDPROC
+
+    PROC BwTake(string said)
+        ! One line of the relay: its first letter, a blank, and a number or a reason.
+        VAR num n:=-1;
+        VAR bool whole;
+        IF StrPart(said,1,2)="S " THEN
+            BwStop "the relay asked for it";
+        ENDIF
+        whole:=StrToVal(StrPart(said,3,StrLen(said)-2),n);
+        IF whole AND StrPart(said,1,2)="G " AND n=1 AND NOT bwGo THEN
+            bwGo:=TRUE;
+        ELSEIF whole AND StrPart(said,1,2)="A " AND n>=bwTaken AND n<=bwSent AND n=Trunc(n) THEN
+            bwTaken:=n;
+        ELSE
+            BwStop "unknown words of the relay";
+        ENDIF
+    ENDPROC
+
+    PROC BwEnd()
+        ! Everything was sent: says so when all of it is taken.
+        BwSettle {latest};
+        SocketSend bwClient\Str:="E "+NumToStr(bwSent,0)+"\0A";
+        SocketClose bwClient;
+        SocketClose bwServer;
+    ERROR
+        BwStop "connection lost";
+    ENDPROC
+
+    PROC BwStop(string reason)
+        ! Robot and extruder come to rest, both sides read why, and the program ends; it may start from main again.
+        StopMove;
+{outputs}
+        TPWrite "Stopped after line "+NumToStr(bwSent,0)+":";
+        TPWrite reason;
+        IF SocketGetStatus(bwClient)=SOCKET_CONNECTED THEN
+            SocketSend bwClient\Str:="X "+NumToStr(bwSent,0)+" "+reason+"\0A";
+        ENDIF
+        SocketClose bwClient;
+        SocketClose bwServer;
+        WaitRob\ZeroSpeed;
+        ! the robot may have passed a trigger before it stood
+{outputs}
+        ClearPath;
+        StartMove;
+        EXIT;
+    ERROR
+        ! nobody may be there to be told
+        TRYNEXT;
+    ENDPROC
+"""
+
+
+def server_declarations() -> list[str]:
+    """Variables of the server, which stand before the first procedure."""
+    return _DECLARATIONS.strip("\n").split("\n")
+
+
+def server(module: str, lines: int, address: str, port: int, outputs: Iterable[str]) -> list[str]:
+    """Procedures of the server of a program that sends so many lines; `outputs` are switched off where it stops."""
+    said = {
+        "module": module,
+        "lines": lines,
+        "address": address,
+        "port": port,
+        "outputs": "\n".join(f"        SetDO {name},0;" for name in outputs),
+        "window": WINDOW,
+        "patience": PATIENCE,
+        "joining": JOINING,
+        "latest": LATEST,
+        "piece": PIECE,
+    }
+    return _PROCEDURES.format(**said).strip("\n").split("\n")
+
+
+# ----------------------------------------------------------------------------------------------------
+# Styles `socket` and `demand`, read back: is the filament moved that the plan has, by the right tool and in place?
+
+SHIFTS = (-1, 0, 1)  # samples by which a target may be mistaken for its neighbour
+LONGER = (
+    20e-6  # m by which lines may be longer than their path from a bead's beginning, beside what both are as a whole
+)
+ROUNDING = 2e-6  # m; a trigger nearer to a move's end, or start, stands there
+_EXTRUDES = re.compile(r"G1 E(-?\d+\.\d+) F(\d+\.\d+)", re.ASCII)
+_SELECTS = re.compile(r"T(\d+)", re.ASCII)
+
+
+def line_complaints(plan: Plan, program: RobotProgram, table: str) -> list[str]:
+    """Every difference, in words, between the lines of a program and its plan, or the table that goes with them."""
+    sent = [text for move in sorted(program.sends) for text in program.sends[move]]
+    said = [text for order in orders(plan) for text in order.lines if not text.startswith(";")]
+    found = [] if _listed(table) == list(enumerate(sent, 1)) else ["the table of lines lists others than are sent"]
+    if [text for text in sent if not _EXTRUDES.fullmatch(text)] != [RELATIVE, *said]:
+        found.append("the board is told other things than the plan's, or in another order")
+    return found + _fed_otherwise(plan, sent) + _fed_elsewhere(plan, program)
+
+
+def _listed(table: str) -> list[tuple[int, str]]:
+    rows = list(csv.DictReader(io.StringIO(table)))
+    if not rows or list(rows[0]) != COLUMNS.split(",") or any(None in row or None in row.values() for row in rows):
+        return []
+    return [(int(row["n"]) if row["n"].isdecimal() else 0, row["text"]) for row in rows]
+
+
+def _fed_otherwise(plan: Plan, sent: list[str]) -> list[str]:
+    """Tools that get another amount of filament than planned."""
+    filament: dict[int | None, float] = {}
+    tool = None
+    for text in sent:
+        if selects := _SELECTS.fullmatch(text):
+            tool = int(selects[1])
+        elif extrudes := _EXTRUDES.fullmatch(text):
+            filament[tool] = filament.get(tool, 0.0) + float(extrudes[1]) * 1e-3
+    t = plan.trajectory
+    takes: dict[int | None, float] = {each.material.tool: each.filament for each in used(plan) if each.beads}
+    takes = takes or {None: float(t.feed[-1] - t.feed[0])}
+    off = {tool: filament.get(tool, 0.0) - takes.get(tool, 0.0) for tool in {*takes, *filament}}
+    return [
+        f"{'the extruder' if tool is None else f'tool T{tool}'} gets {amount * 1e3:+.3g} mm of filament"
+        for tool, amount in sorted(off.items(), key=str)
+        if not abs(amount) <= AMOUNT
+    ]
+
+
+def _fed_elsewhere(plan: Plan, program: RobotProgram) -> list[str]:
+    """Whether what was sent until a bead begins, or ends, is what the plan has fed by then, to a sample and a bit."""
+    t = plan.trajectory
+    amounts = np.zeros(len(program.linear) + 1)  # sent behind each move; the last one before all moves
+    for move, texts in program.sends.items():
+        amounts[move] += sum(float(match[1]) * 1e-3 for match in map(_EXTRUDES.fullmatch, texts) if match)
+    sent = np.concatenate([[0.0], np.cumsum(amounts[:-1])])
+    first, last = deposits(t)
+    places = {True: iter(first), False: iter(last)}
+    near = 2.0 * float(np.abs(np.diff(t.feed)).max(initial=0.0)) + AMOUNT
+    worst = 0.0
+    for move, triggers in sorted(program.triggers.items()):
+        for trigger in triggers:
+            sample = int(next(places[trigger.value], len(t) - 1))
+            if not trigger.from_start:  # at a start the line for the bead may have been sent, or not
+                worst = max(worst, abs(float(sent[move] - (t.feed[sample] - t.feed[0]))))
+    words = f"where a bead begins or ends, {worst * 1e3:.3g} mm of filament are fed too early or too late"
+    return [] if worst <= near else [words]
+
+
+def demand_complaints(plan: Plan, program: RobotProgram) -> list[str]:
+    """Whether each move in a bead asks for a flow that the plan has there, and nothing is asked for elsewhere."""
+    t, scale = plan.trajectory, plan.problem.program.demand_scale * 1e9
+    planned = flow(plan) * scale
+    total = np.concatenate([[0.0], np.cumsum(planned)])
+    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(t.tip, axis=0), axis=1))])
+    lengths = np.linalg.norm(np.diff(program.position, axis=0, prepend=program.position[:1]), axis=1)
+    way = np.cumsum(lengths)
+    asked = _asked(program, lengths)
+    switched = [(move, trigger) for move in sorted(program.triggers) for trigger in program.triggers[move]]
+    edges = [move if not trigger.from_start else move - 1 for move, trigger in switched]
+    first, last = deposits(t)
+    if len(edges) != 2 * len(first):
+        return ["the extruder is not switched on and off once for each bead"]
+    step = PERCENT * float(planned.max(initial=0.0))
+    worst, wrong = 0.0, np.nan_to_num(asked, nan=1.0)
+    for a, b, begin, end in zip(first.tolist(), last.tolist(), edges[::2], edges[1::2], strict=True):
+        along = (way[begin : end + 1] - way[begin]) * ((path[b] - path[a]) / max(way[end] - way[begin], 1e-12))
+        gone = path[a : b + 1] - path[a]
+        near = [np.searchsorted(gone, along - LONGER), np.searchsorted(gone, along + LONGER)]  # before or after a rest
+        places = [np.clip(a + at + d, a, b) for at in near for d in SHIFTS]
+        own = np.unique(np.array(places), axis=0).T.tolist()
+        for i, (since, until) in enumerate(zip(own[:-1], own[1:], strict=True), begin + 1):
+            ends = [(j, min(max(k, j + 1), b)) for j in set(since) for k in set(until)]
+            means = [float(total[k] - total[j]) / max(k - j, 1) for j, k in ends]
+            off = max(min(means) - asked[i], asked[i] - max(means))
+            worst = np.inf if np.isnan(off) else max(worst, off)
+        wrong[begin + 1 : end + 1] = 0.0
+    found = [] if worst <= 1.01 * step else [f"a flow is asked for that is off by {worst / step:.3g} % of the largest"]
+    return found + (["a flow is asked for outside of beads"] if wrong.any() else [])
+
+
+def _asked(program: RobotProgram, lengths: Array) -> Array:
+    """Value of the analog output along each move (m); NaN where it changes within one."""
+    out, now = np.empty(len(program.linear)), 0.0
+    for i in range(len(out)):
+        levels = program.demands.get(i, ())
+        at_start = [value for far, value in levels if far >= lengths[i] - ROUNDING]
+        at_end = [value for far, value in levels if far <= ROUNDING and len(at_start) < len(levels)]
+        now = at_start[-1] if at_start else now
+        out[i] = now if len(at_start) + len(at_end) >= len(levels) else np.nan
+        now = at_end[-1] if at_end else now
+    return out

@@ -1,0 +1,83 @@
+"""Which cells each language can speak of, and the numbers of the outputs that switch extruders."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from planner.plan import RAPID_EXTERNAL_AXES
+from planner.plan.plan import materials_of
+
+if TYPE_CHECKING:
+    from planner.export.program import Setup
+    from planner.problem import Problem
+    from planner.problem.settings import MachineSpec
+
+EXTERNAL_AXES = 6  # of KRL: E1 to E6
+STANDARD_OUTPUTS = 8  # of a UR control box, numbered from 0
+STATION = ("U", "V")  # letters of what moves a robot's part: genserkins hands them on to further joints
+
+
+def output_numbers(problem: Problem) -> dict[str, int]:
+    """Number of each extruder's output by its signal: the problem's own, and those after it for further materials."""
+    signals = [each.signal for each in materials_of(problem)] or [problem.program.extruder_signal]
+    return {signal: problem.program.extruder_output + k for k, signal in enumerate(signals)}
+
+
+def unsaid_in_rapid(setup: Setup) -> str | None:
+    """Why no RAPID program can say what a cell does; None if one can."""
+    arm, holder = setup.cell.arm_robot, setup.cell.holder_robot
+    if not setup.cell.spherical:
+        return f"the configuration of a target is that of a spherical wrist, which {arm.name} has not"
+    if holder is not None and len(holder.joint_names) > RAPID_EXTERNAL_AXES:
+        return f"{holder.name} has more axes than RAPID's {RAPID_EXTERNAL_AXES} external ones"
+    return None
+
+
+def unsaid_in_krl(setup: Setup) -> str | None:
+    """Why no KRL program can say what a cell does; None if one can."""
+    arm, holder = setup.cell.arm_robot, setup.cell.holder_robot
+    if not setup.cell.spherical:
+        return f"KR C controllers move arms with six axes and a spherical wrist, which {arm.name} is not"
+    if holder is not None and holder.inverse is not None:
+        return f"the part is held by an arm, {holder.name}, and external axes are those of a positioner"
+    if holder is not None and len(holder.joint_names) > EXTERNAL_AXES:
+        return f"{holder.name} has more axes than KRL's {EXTERNAL_AXES} external ones"
+    if min(output_numbers(setup.problem).values()) < 1:
+        return "outputs count from 1, and program.extruder_output is 0"
+    return None
+
+
+def unsaid_in_urscript(setup: Setup) -> str | None:
+    """Why no URScript program can say what a cell does; None if one can."""
+    arm, holder = setup.cell.arm_robot, setup.cell.holder_robot
+    if arm.language != "urscript":
+        return f"{arm.name} is no arm of Universal Robots, by the language in its file"
+    if holder is not None:
+        return f"it moves the arm alone, and here {holder.name} moves the part"
+    last = max(output_numbers(setup.problem).values())
+    if last >= STANDARD_OUTPUTS:
+        return f"an extruder has the output {last}, and the last one is {STANDARD_OUTPUTS - 1}"
+    return None
+
+
+def unsaid_in_axes(setup: Setup) -> str | None:
+    """Why there is no such program of what a cell does; None if there is one."""
+    from planner.export.axes.gcode import FLAVOURS
+
+    spec: MachineSpec | None = setup.problem.program.machine
+    if spec is None:
+        return "program.machine describes no machine"
+    carrying = len(setup.cell.holder) if spec.type == "robot" else 0
+    if carrying > len(STATION):
+        return f"what moves the part has {carrying} axes, and {len(STATION)} letters are left for them"
+    if spec.filament in STATION[:carrying]:
+        return f"{spec.filament} pushes filament, and moves the part"
+    fibre = setup.problem.process.fibre
+    orders = [f"T{each.tool}" for each in materials_of(setup.problem)]
+    orders += [line for line in fibre.code if line.startswith("M")] if fibre is not None else []
+    for line in orders:
+        if FLAVOURS[spec.flavour].order(line) is None:
+            return (
+                f"{line} cannot be said to {spec.flavour}, which numbers tools from 1 and has M100 to M199 with P and S"
+            )
+    return None

@@ -1,0 +1,469 @@
+"""URScript for Universal Robots' controllers (CB3 and e-Series): written, read back, and held against its plan."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from planner.base.arrays import Array
+from planner.base.errors import InputError
+from planner.export.fit import from_matrix, to_matrix
+from planner.export.moves import (
+    STEP,
+    Moves,
+    Wait,
+    blend_complaints,
+    deposits,
+    greatest_until_stop,
+    move_radii,
+    plan_moves,
+    rounded_up,
+    tip_acceleration,
+)
+from planner.export.program import UNSAID, RobotProgram, Trigger, about, named
+from planner.export.rapid.text import module_name, number
+from planner.export.readback import played_complaints
+from planner.export.support import output_numbers, unsaid_in_urscript
+from planner.plan.plan import materials_of
+
+if TYPE_CHECKING:
+    from planner.cell.cell import Cell
+    from planner.export.program import RobotProgram
+    from planner.plan import Plan
+
+# ----------------------------------------------------------------------------------------------------
+# The frame in which a Universal Robots controller counts, and its rotation vectors.
+
+
+def world_controller(cell: Cell) -> Array:
+    """T_world_controller (4, 4): z along joint 1, y against joint 2's axis at zero, as the maker's DH table has it.
+
+    URDF files differ: ROS's base_link is turned by half a turn against the controller's base. Both have one origin.
+    """
+    first, second = cell.arm.placements[0], cell.arm.placements[0] @ cell.arm.placements[1]
+    z = first[:3, :3] @ cell.arm.axes[0]
+    y = -second[:3, :3] @ cell.arm.axes[1]
+    T = np.eye(4)
+    T[:3, :3] = np.column_stack([np.cross(y, z), y, z])
+    T[:3, 3] = cell.T_world_base[:3, 3]
+    return T
+
+
+def rotation_vectors(quat: Array) -> Array:
+    """Axis times angle (m, 3) [rad], at most half a turn, of unit quaternions (m, 4) x y z w."""
+    quat = np.where(quat[:, 3:] < 0.0, -quat, quat)
+    sine = np.linalg.norm(quat[:, :3], axis=1, keepdims=True)
+    # for small angles angle / sine tends to 2
+    scale = np.where(sine > 1e-12, 2.0 * np.arctan2(sine, quat[:, 3:]) / np.maximum(sine, 1e-12), 2.0)
+    out: Array = scale * quat[:, :3]
+    return out
+
+
+def quaternions(vectors: Array) -> Array:
+    """Unit quaternions (m, 4) x y z w of rotation vectors (m, 3) [rad]."""
+    angle = np.linalg.norm(vectors, axis=1, keepdims=True)
+    out: Array = np.column_stack([0.5 * np.sinc(0.5 * angle / np.pi) * vectors, np.cos(0.5 * angle)])
+    return out
+
+
+# ----------------------------------------------------------------------------------------------------
+# URScript for Universal Robots' controllers (CB3 and e-Series): one program with a function for each bead.
+#
+# Material is laid by movep, which keeps the tip's speed through circular blends, where movel was seen to speed up. The
+# maker describes no blend of movep with other moves, so run-in and run-out are movep too, and where it meets the movej of
+# travel the arm stops. Poses are those of the nozzle in the part frame, `part`, which stands in the controller's base frame: a
+# part that was moved needs that one line changed.
+
+LONGEST_COMMENT = 100
+LENGTH, ANGLE = 6, 6  # decimals of metres and radians
+SPEED = 4  # decimals of m/s and rad/s
+# A program goes on when a blend begins, so an output is switched that much before its place. Small enough to be no
+# error, and on a straight run-in, where it needs no room, large enough to be a blend.
+SWITCH_BLEND = 0.04e-3  # m
+
+
+@dataclass(frozen=True)
+class MoveAccelerations:
+    """Acceleration of the tip [m/s^2] and of the leading joint [rad/s^2], the plan's greatest, rounded up; and the
+    leading joint's speed (m) [rad/s] of each move, the greatest until the next stop.
+    """
+
+    tip: float
+    joint: float
+    speed: Array
+
+
+def script_name(plan: Plan) -> str:
+    """File of the program."""
+    return f"{module_name(plan.name)}.script"
+
+
+def urscript(plan: Plan) -> str:
+    """Program of a verified plan (ASCII, m, rad). ValueError if it is not verified, or has no form in URScript."""
+    if not plan.verified:
+        raise ValueError("robot code is written for verified plans only")
+    if (reason := unsaid_in_urscript(plan)) is not None:
+        raise ValueError(reason)
+    moves = plan_moves(plan)
+    T_controller_part = np.linalg.inv(world_controller(plan.cell)) @ plan.cell.T_world_holder
+    functions, calls = _functions(plan, moves)
+    off = [f"  set_standard_digital_out({k}, False)" for k in output_numbers(plan.problem).values()]
+    start = _joint_text(plan.trajectory.q[0])
+    pace = pace_of(plan, moves)
+    lines = [
+        *_header(plan),
+        f"def {module_name(plan.name)}():",
+        f"  set_tcp({_pose(plan.cell.T_flange_nozzle)})",
+        f"  global part = {_pose(T_controller_part)}",
+        *functions,
+        *off,
+        f"  movej({start}, a={number(pace.joint, 1)}, v={number(pace.speed[0], SPEED)}, r=0)",
+        *_waiting(moves.waits.get(-1, ()), 2),
+        *(f"  {name}()" for name in calls),
+        *off,
+        "end",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def pace_of(plan: Plan, moves: Moves) -> MoveAccelerations:
+    """How fast the controller may go where the plan does not say it move by move."""
+    t = plan.trajectory
+    rate = np.abs(np.diff(t.q[:, :6], axis=0)).max(axis=1) / t.dt
+    turning = float(np.abs(np.diff(t.q[:, :6], 2, axis=0)).max(initial=0.0)) / t.dt**2
+    speed = np.maximum(np.ceil(greatest_until_stop(moves, rate) * 10**SPEED), 1.0) / 10**SPEED
+    return MoveAccelerations(tip_acceleration(t), rounded_up(turning), speed)
+
+
+def radii_of(plan: Plan, moves: Moves) -> Array:
+    """Blend radius (m) [m] at the end of each move."""
+    radius = move_radii(plan, moves)
+    switches = moves.on_end | moves.off_end | np.append(moves.on_start[1:], False)
+    out: Array = np.where(switches, np.minimum(radius, SWITCH_BLEND), radius)
+    return out
+
+
+def _header(plan: Plan) -> list[str]:
+    t = plan.trajectory
+    fastest = float(t.speed[t.deposit].max())
+    texts = [
+        *about(plan),
+        "Payload and centre of gravity are those of the installation: set them there.",
+        f"Outputs are switched where a blend begins, {SWITCH_BLEND * 1e3:.2f} mm early, and within a cycle of the",
+        f"controller: {fastest * 8.0:.2f} mm of way in the 8 ms of a CB3, {fastest * 2.0:.2f} mm in an e-Series' 2 ms.",
+        *(f"Output {k}: {signal}" for signal, k in output_numbers(plan.problem).items()),
+        *(f"Material {each.name}: tool T{each.tool}, {each.signal}" for each in materials_of(plan.problem)),
+    ]
+    return [comment(text, 0) for text in texts]
+
+
+def comment(text: str, indent: int) -> str:
+    """One comment line, ASCII, of bounded length."""
+    text = re.sub(r"[^\x20-\x7e]", "?", text)
+    return f"{'':{indent}}# {text[:LONGEST_COMMENT].rstrip()}"
+
+
+def _pose(T: Array) -> str:
+    values = np.concatenate([T[:3, 3], rotation_vectors(from_matrix(T[None, :3, :3]))[0]])
+    return "p[" + ", ".join(number(v, LENGTH) for v in values) + "]"
+
+
+def _joint_text(q: Array) -> str:
+    return "[" + ", ".join(number(v, ANGLE) for v in q) + "]"
+
+
+def _functions(plan: Plan, moves: Moves) -> tuple[list[str], list[str]]:
+    """All functions with moves, and their names in the order of calling."""
+    t, pace = plan.trajectory, pace_of(plan, moves)
+    first, last = deposits(t)
+    numbers = list(output_numbers(plan.problem).values())
+    names = [each.name for each in materials_of(plan.problem)]
+    own = [numbers[names.index(bead.material)] if names else numbers[0] for bead in plan.toolpath.beads]
+    texts = _moves(plan, moves, pace)
+    bounds = np.searchsorted(moves.after, np.arange(len(first) + 2)).tolist()
+    lines, calls = [], []
+    for k, (a, b) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
+        if a == b:
+            continue
+        calls.append(f"bead_{plan.first_bead + k + 1:04d}" if k < len(first) else "finish")
+        lines.append(f"  def {calls[-1]}():")
+        if k < len(first):
+            bead = int(t.bead[first[k]])
+            of = plan.toolpath.beads[bead].material
+            length = f"{1e3 * (t.s[last[k]] - t.s[first[k]]):.1f} mm" + (f" of {of}" if of else "")
+            lines.append(comment(f"Bead {bead}, layer {t.layer[first[k]]}: {length}", 4))
+        for i in range(a, b):
+            ends = own[int(t.bead[moves.sample[i]])]
+            if moves.on_start[i]:
+                begins = own[int(t.bead[moves.sample[i - 1] if i else 0])]
+                lines.append(f"    set_standard_digital_out({begins}, True)")
+            lines.append(texts[i])
+            if moves.on_end[i]:
+                lines.append(f"    set_standard_digital_out({ends}, True)")
+            if moves.off_end[i]:
+                lines.append(f"    set_standard_digital_out({ends}, False)")
+            lines += _waiting(moves.waits.get(i, ()), 4)
+        lines.append("  end")
+    return lines, calls
+
+
+def _moves(plan: Plan, moves: Moves, pace: MoveAccelerations) -> list[str]:
+    """One statement for each move."""
+    t = plan.trajectory
+    k = moves.sample
+    targets = np.column_stack([moves.targets.position[1:], rotation_vectors(moves.targets.quat[1:])])
+    rows = np.where(moves.linear[:, None], np.round(targets, LENGTH), np.round(t.q[k, :6], ANGLE)) + 0.0
+    six = ", ".join([f"%.{LENGTH}f"] * 6)
+    speeds = np.where(moves.linear, np.maximum(np.round(moves.speed, SPEED), 10.0**-SPEED), pace.speed).tolist()
+    radii = radii_of(plan, moves).tolist()
+    out = []
+    for row, linear, v, r in zip(rows.tolist(), moves.linear.tolist(), speeds, radii, strict=True):
+        what = f"movep(pose_trans(part, p[{six}])" if linear else f"movej([{six}]"
+        a = pace.tip if linear else pace.joint
+        out.append(f"    {what % tuple(row)}, a={a:.1f}, v={v:.{SPEED}f}, r={number(r, LENGTH) if r else 0})")
+    return out
+
+
+def _waiting(waits: tuple[Wait, ...], indent: int) -> list[str]:
+    lines = []
+    for wait in waits:
+        lines += [comment(wait.why, indent)] if wait.why else []
+        lines += [f"{'':{indent}}sleep({wait.time:.3f})"] if wait.time > 0.0 else []
+    return lines
+
+
+# ----------------------------------------------------------------------------------------------------
+# Reads the URScript that `urscript` writes back into numbers: a strict subset, where anything unknown is an error.
+
+Forward = Callable[[Array], Array]
+
+NUMBER = r"-?[0-9]+(?:\.[0-9]+)?"
+NAME = r"[A-Za-z][A-Za-z0-9_]{0,63}"
+SIX = rf"({NUMBER}(?:, {NUMBER}){{5}})"
+HOW = rf"a=({NUMBER}), v=({NUMBER}), r=({NUMBER})"
+PATTERNS = {
+    word: re.compile(pattern)
+    for word, pattern in {
+        "movep": rf"movep\(pose_trans\(part, p\[{SIX}\]\), {HOW}\)",
+        "movej": rf"movej\(\[{SIX}\], {HOW}\)",
+        "output": r"set_standard_digital_out\(([0-7]), (True|False)\)",
+        "wait": rf"sleep\(({NUMBER})\)",
+        "call": rf"({NAME})\(\)",
+        "define": rf"def ({NAME})\(\):",
+        "end": r"end",
+        "tool": rf"set_tcp\(p\[{SIX}\]\)",
+        "part": rf"global part = p\[{SIX}\]",
+    }.items()
+}
+MOVES = ("movep", "movej")
+Statement = tuple[str, int, tuple[str, ...]]
+
+
+@dataclass(frozen=True)
+class Script:
+    """A program (m moves) that was read.
+
+    program     its work object is the part in the controller's base frame; triggers name outputs by their numbers
+    joints      (m, 6) targets of joint moves [rad]; NaN for others
+    pace        (m, 2) acceleration [m/s^2 or rad/s^2] and speed [m/s or rad/s] of each move
+    """
+
+    program: RobotProgram
+    joints: Array
+    pace: Array
+
+
+def read_urscript(text: str, forward: Forward) -> Script:
+    """Program of URScript text as `urscript.urscript` writes it; forward: joints (k, 6) → T_part_nozzle (k, 4, 4).
+
+    Raises InputError with the line for a statement or name that is not known, or that stands where it must not.
+    """
+    reader = _Reader()
+    for line, raw in enumerate(text.split("\n"), start=1):
+        statement = raw.strip()
+        if statement and not statement.startswith("#"):
+            reader.take(statement, line)
+    return reader.script(forward)
+
+
+def _error(line: int | None, reason: str) -> InputError:
+    return InputError(reason, line=line, file="URScript")
+
+
+def _six(text: str) -> list[float]:
+    return [float(value) for value in text.split(", ")]
+
+
+class _Reader:
+    def __init__(self) -> None:
+        self.open: list[str] = []  # functions that have begun and not ended, the program first
+        self.title = ""
+        self.bodies: dict[str, list[Statement]] = {}
+        self.frames: dict[str, Array] = {}
+
+    def take(self, statement: str, line: int) -> None:
+        known = ((word, pattern.fullmatch(statement)) for word, pattern in PATTERNS.items())
+        word, match = next((pair for pair in known if pair[1]), ("", None))
+        if match is None:
+            raise _error(line, f"unknown statement {statement[:60]!r}")
+        if not self.open and (self.title or word != "define"):
+            raise _error(line, f"{statement[:60]!r} stands outside the program")
+        if word == "define":
+            if len(self.open) > 1 or match[1] in self.bodies:
+                raise _error(line, f"function {match[1]} stands there twice, or in another one")
+            self.title = self.title or match[1]
+            self.open.append(match[1])
+            self.bodies[match[1]] = []
+        elif word == "end":
+            self.open.pop()
+        elif word in ("tool", "part"):
+            if word in self.frames or len(self.open) > 1:
+                raise _error(line, f"the {word} stands there twice, or in a function")
+            self.frames[word] = np.array(_six(match[1]))
+        else:
+            self.bodies[self.open[-1]].append((word, line, match.groups()))
+
+    def script(self, forward: Forward) -> Script:
+        if self.open or not self.title or len(self.frames) != 2:
+            raise _error(None, "no complete program with tool and part")
+        moves: list[Statement] = []
+        waits: dict[int, float] = {}
+        switched: list[tuple[int, str, bool]] = []
+        for word, line, parts in self._run(self.title, 0):
+            at = len(moves) - 1
+            if word in MOVES:
+                moves.append((word, line, parts))
+            elif word == "output":
+                if at < 0 and parts[1] == "True":
+                    raise _error(line, "an output goes on before the first target")
+                switched.append((at, parts[0], parts[1] == "True"))
+            elif at < 0:
+                raise _error(line, "a wait before the first target")
+            else:
+                waits[at] = waits.get(at, 0.0) + float(parts[0])
+        if len(moves) < 2 or moves[0][0] != "movej":
+            raise _error(None, "it does not begin with a movej, and go on")
+        return self._arrays(moves, waits, switched, forward)
+
+    def _run(self, name: str, depth: int) -> list[Statement]:
+        out: list[Statement] = []
+        for word, line, parts in self.bodies[name]:
+            if word != "call":
+                out.append((word, line, parts))
+            elif depth or parts[0] not in self.bodies or parts[0] == self.title:
+                raise _error(line, f"{parts[0]} is no function that the program may call here")
+            else:
+                out += self._run(parts[0], depth + 1)
+        return out
+
+    def _arrays(
+        self,
+        moves: list[Statement],
+        waits: dict[int, float],
+        switched: list[tuple[int, str, bool]],
+        forward: Forward,
+    ) -> Script:
+        m = len(moves)
+        rows = np.array([_six(parts[0]) for _, _, parts in moves])
+        how = np.array([[float(value) for value in parts[1:]] for _, _, parts in moves])
+        for (_, line, _), (a, v, r) in zip(moves, how.tolist(), strict=True):
+            if a <= 0.0 or v <= 0.0 or r < 0.0:
+                raise _error(line, "acceleration and speed must be positive, the blend not negative")
+        linear = np.array([word == "movep" for word, _, _ in moves])
+        poses = forward(rows[~linear])
+        position, quat = np.empty((m, 3)), np.empty((m, 4))
+        position[linear], quat[linear] = rows[linear, :3], quaternions(rows[linear, 3:])
+        position[~linear], quat[~linear] = poses[:, :3, 3], from_matrix(poses[:, :3, :3])
+        program = RobotProgram(
+            module=self.title,
+            tool=_frame(self.frames["tool"]),
+            uframe=_frame(self.frames["part"]),
+            oframe=np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
+            station="",
+            start=np.concatenate([rows[0], np.full(6, np.nan)]),
+            linear=linear,
+            fine=how[:, 2] == 0.0,
+            position=position,
+            quat=quat,
+            conf=np.full((m, 4), UNSAID, dtype=np.intp),
+            external=np.full((m, 6), np.nan),
+            zone=how[:, 2],
+            speed=np.column_stack([np.where(linear, how[:, 1], np.nan), np.full((m, 3), np.nan)]),
+            wait=np.array([waits.get(i, 0.0) for i in range(m)]),
+            triggers=_triggers(switched, m),
+            sends={},
+        )
+        return Script(program, np.where(linear[:, None], np.nan, rows), how[:, :2])
+
+
+def _frame(pose: Array) -> Array:
+    return np.concatenate([pose[:3], quaternions(pose[None, 3:])[0]])
+
+
+def _triggers(switched: list[tuple[int, str, bool]], m: int) -> dict[int, tuple[Trigger, ...]]:
+    """Outputs that are switched after one of m moves, as if at its end: its blend says how much before that it is.
+
+    Before the first move they are set to where they should be; after the last one they are switched off once more.
+    """
+    found: dict[int, tuple[Trigger, ...]] = {}
+    for at, output, value in switched:
+        if at == 0 and value:
+            found[1] = (*found.get(1, ()), Trigger(0.0, True, value, output))
+        elif 0 < at < m - 1 or (at == m - 1 and value):
+            found[at] = (*found.get(at, ()), Trigger(0.0, False, value, output))
+    return found
+
+
+# ----------------------------------------------------------------------------------------------------
+# Whether a URScript program that was read back does what its plan does.
+
+
+def urscript_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
+    """What the program says otherwise than the plan, beyond rounding and thinning, in words."""
+    script = read_urscript(files[script_name(plan)], plan.cell.T_part_nozzle)
+    program = named(script.program, output_numbers(plan.problem))
+    T_controller_part = np.eye(4)
+    T_controller_part[:3, :3], T_controller_part[:3, 3] = to_matrix(program.uframe[None, 3:])[0], program.uframe[:3]
+    T_world_part = world_controller(plan.cell) @ T_controller_part
+    uframe = np.concatenate([T_world_part[:3, 3], from_matrix(T_world_part[None, :3, :3])[0]])
+    program = replace(program, uframe=uframe, joints=script.joints)
+    moves = plan_moves(plan)
+    return [
+        *played_complaints(plan, moves, program),
+        *blend_complaints(plan, program),
+        *_early(program),
+        *_joint_moves(plan, moves, script),
+    ]
+
+
+def _early(program: RobotProgram) -> list[str]:
+    """Outputs that are switched too far before their place, since the blend there is too large."""
+    at = [move for move, group in program.triggers.items() if not all(each.from_start for each in group)]
+    early = float(program.zone[at].max(initial=0.0))
+    return [f"an output is switched {early:.3g} m early"] if early > SWITCH_BLEND + STEP else []
+
+
+def _joint_moves(plan: Plan, moves: Moves, script: Script) -> list[str]:
+    """Joint targets that no sample of the plan has; moves that are quicker, or reach their speed later, than planned."""
+    found = []
+    joint = ~script.program.linear
+    off = cKDTree(plan.trajectory.q[:, :6]).query(script.joints[joint])[0].max()
+    if off > 3.0 * 10.0**-ANGLE:  # rounding, over six joints
+        found.append(f"joints differ by {off:.3g} rad")
+    pace = pace_of(plan, moves)
+    for words, chosen, planned in (("tip", ~joint, pace.tip), ("joint", joint, pace.joint)):
+        if np.abs(script.pace[chosen, 0] - planned).max(initial=0.0) > 0.051:
+            found.append(f"acceleration of a {words} differs from {planned:.1f}")
+    lines = np.maximum(np.round(moves.speed[moves.linear], SPEED), 10.0**-SPEED)
+    if len(lines) != np.count_nonzero(~joint) or np.abs(script.pace[~joint, 1] - lines).max() > 0.5 * 10.0**-SPEED:
+        found.append("speeds of linear moves are not the planned ones")
+    planned_speed = np.concatenate([pace.speed[:1], pace.speed[~moves.linear]])
+    if joint.sum() != len(planned_speed) or np.abs(script.pace[joint, 1] - planned_speed).max() > 10.0**-SPEED:
+        found.append("speeds of joint moves are not the planned ones")
+    return found

@@ -1,1 +1,0 @@
-"""URScript for Universal Robots' controllers: written, and read back."""

@@ -1,0 +1,90 @@
+"""Files that leave the house: tables for everybody, robot code only of verified plans."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from planner.base.errors import OutputError, Refusal
+from planner.export.languages import LANGUAGES, chosen
+from planner.export.plan_json import plan_json, refusal_json
+from planner.export.rapid.text import module_name, written_notes
+from planner.export.tables import part_stl, write_table
+
+if TYPE_CHECKING:
+    from planner.plan import Plan
+    from planner.problem import Problem
+
+LONGEST_HEADER = 20_000  # characters
+
+
+def write_trajectory(plan: Plan, folder: Path) -> Path:
+    """Write trajectory.csv of any plan; returns its path. OutputError where that is impossible."""
+    return _write(folder / "trajectory.csv", lambda stream: write_table(plan, stream))
+
+
+def write_plan(plan: Plan, folder: Path) -> Path:
+    """Write plan.json of any plan; returns its path. OutputError where that is impossible."""
+    return _write_text(folder / "plan.json", plan_json(plan))
+
+
+def write_part(plan: Plan, folder: Path) -> None:
+    """Write report_part.stl where the part has a shape of its own. OutputError where that is impossible."""
+    shape = plan.toolpath.shape
+    if shape is not None:
+        _write(folder / "report_part.stl", lambda stream: stream.write(part_stl(shape)), binary=True)
+
+
+def write_refusal(problem: Problem, strategy: str, refusal: Refusal, folder: Path) -> Path:
+    """Write the plan.json of a problem that has no plan: not verified, and where and why."""
+    return _write_text(folder / "plan.json", refusal_json(problem, strategy, refusal))
+
+
+def write_robot_code(plan: Plan, folder: Path) -> tuple[Path, ...]:
+    """Write a verified plan in the languages that were chosen for it; returns the paths.
+
+    All programs are read back and held against the plan before anything is written. ValueError if the plan is not
+    verified, RuntimeError if a program does not say what the plan says (both mistakes of this code or its caller),
+    InputError for a language that was asked for and cannot say it, OutputError where the files cannot be written.
+    """
+    if not plan.verified:
+        raise ValueError("robot code is written for verified plans only")
+    texts: dict[str, str] = {}
+    for name in chosen(plan).names:
+        language = LANGUAGES[name]
+        own = language.write(plan)
+        if complaints := language.complaints(plan, own):
+            raise RuntimeError(f"{language.title} does not repeat the plan: " + "; ".join(complaints))
+        texts |= own
+    return tuple(_write_text(folder / name, text) for name, text in texts.items())
+
+
+def program_notes(plan: Plan, folder: Path) -> tuple[str, ...]:
+    """What the header of the RAPID program in a folder says that its users should know; nothing without one."""
+    path = folder / f"{module_name(plan.name)}.mod"
+    if not path.exists():
+        return ()
+    with path.open(encoding="utf-8") as stream:
+        return written_notes(stream.read(LONGEST_HEADER))
+
+
+def _write_text(path: Path, text: str) -> Path:
+    return _write(path, lambda stream: stream.write(text))
+
+
+def _write(path: Path, fill: Callable[[Any], object], binary: bool = False) -> Path:
+    """Fill a file beside its place and move it there whole: an interruption leaves no half of one."""
+    part = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with part.open("wb") if binary else part.open("w", encoding="utf-8", newline="\n") as stream:
+                fill(stream)
+            os.replace(part, path)
+        finally:
+            part.unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error.strerror}") from error
+    return path

@@ -1,0 +1,108 @@
+"""Connections to the controller's program and to the board, and the passwords that they take."""
+
+from __future__ import annotations
+
+import getpass
+import os
+import re
+import socket
+import sys
+import time
+from dataclasses import dataclass
+
+from planner.base.errors import EXIT_NOT_VERIFIED, InputError, PlannerError
+
+# ----------------------------------------------------------------------------------------------------
+# Connections to the controller's program and to the board.
+
+CONNECT_TIME = 5.0  # s for a connection
+PIECE = 4096  # bytes read at once
+LABEL = "[A-Za-z0-9_](?:[A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?"  # what stands between two dots of a host's name
+LONGEST_HOST = 253  # characters
+# A cable that is pulled says nothing: the other end is asked every second, and is lost after three without an answer.
+ASK_TIME, ASKED = 1, 3  # s, times
+
+
+class LinkError(PlannerError):
+    """The machine is not as a run needs it; nothing was started."""
+
+    exit_code = EXIT_NOT_VERIFIED
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where something listens."""
+
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        return f"{self.host}:{self.port}"
+
+
+def parse_address(text: str, port: int) -> Address:
+    """HOST or HOST:PORT; raises ValueError with the reason."""
+    found = re.fullmatch(rf"({LABEL}(?:\.{LABEL})*\.?)(?::([0-9]{{1,5}}))?", text, re.ASCII)
+    if found is None or len(found[1]) > LONGEST_HOST:
+        raise ValueError(f"{text!r} is not HOST or HOST:PORT")
+    chosen = port if found[2] is None else int(found[2])
+    if not 1 <= chosen <= 65535:
+        raise ValueError(f"{text!r}: a port is 1 to 65535")
+    return Address(found[1], chosen)
+
+
+def connect(address: Address, what: str, patience: float = 0.0) -> socket.socket:
+    """A connection that notices within seconds when the other end is gone.
+
+    patience  how long to try again while nobody listens there yet [s]. Raises InputError for an unknown host, LinkError
+    where nobody answers.
+    """
+    end = time.monotonic() + patience
+    while True:
+        try:
+            made = socket.create_connection((address.host, address.port), timeout=CONNECT_TIME)
+            break
+        except socket.gaierror as error:
+            raise InputError(f"{what}: there is no host {address.host}", hint=error.strerror) from None
+        except OSError as error:
+            if time.monotonic() >= end:
+                raise LinkError(f"{what} at {address} does not answer: {error.strerror or error}") from None
+            time.sleep(0.05)
+    made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    made.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    timing = (("TCP_KEEPIDLE", ASK_TIME), ("TCP_KEEPINTVL", ASK_TIME), ("TCP_KEEPCNT", ASKED))
+    for name, value in (*timing, ("TCP_USER_TIMEOUT", 1000 * ASK_TIME * ASKED)):
+        if hasattr(socket, name):  # not every system has all of these
+            made.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+    return made
+
+
+# ----------------------------------------------------------------------------------------------------
+# Passwords: from the environment or a prompt, and never shown.
+
+
+class Secret:
+    """Text that neither `str` nor `repr` gives away."""
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+
+    def __repr__(self) -> str:
+        return "Secret(…)"
+
+    def reveal(self) -> str:
+        """The text, to be handed on to where it is needed and nowhere else."""
+        return self._text
+
+
+def password(variable: str, whose: str) -> Secret:
+    """The password in an environment variable, or what the user types; InputError where neither can be had."""
+    found = os.environ.get(variable)
+    if found is not None:
+        return Secret(found)
+    if not sys.stdin.isatty():
+        raise InputError(f"there is no password for {whose}", hint=f"set {variable}")
+    try:
+        return Secret(getpass.getpass(f"password for {whose}: "))
+    except EOFError:  # Ctrl-D
+        raise InputError(f"no password was given for {whose}", hint=f"type it, or set {variable}") from None

@@ -1,0 +1,1 @@
+"""From joint paths to one sampled trajectory: timing, travel, extrusion, and the dips that are left."""

@@ -1,0 +1,243 @@
+"""Dips: where a bead is printed slower than commanded, which joint's limit asks for it, and what would avoid it.
+
+At a constant speed v along the path a joint moves at q' v, q'' v^2, q''' v^3, with derivatives by arc length. So each
+place has a greatest constant speed, and the limit that sets the least one within a dip is its cause. What speed or
+limits would do follows exactly, on the same joint path. What corner tolerance would do is an estimate: a rounded
+corner grows with the tolerance, so that second derivatives fall with it and third ones with its square.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline
+from scipy.spatial import cKDTree
+
+from planner.base.arrays import Array
+from planner.cell.cell import Cell
+from planner.motion.extrusion import bead_area, deposited_volume
+from planner.motion.timing.profile import HEADROOM
+from planner.plan import Dip, Remedy, Trajectory
+from planner.problem import Problem
+from planner.problem.process import ProcessSpec
+from planner.resolve.joint_path import ORDERS, JointPath, by_arc_length, spline_of
+from planner.toolpath.bead import Bead, Toolpath
+
+AT_SPEED = 0.98  # of the commanded speed: a sample below is in a dip
+MERGE = 5  # samples at speed between two dips that still count as one
+LIMITS = ("velocity", "acceleration", "jerk")
+# Of a joint in the problem file: its key, its unit in SI, the greatest value that the file may hold.
+KEYS = (("speed_deg_s", np.pi / 180.0, 1e4), ("acceleration_rad_s2", 1.0, 1e4), ("jerk_rad_s3", 1.0, 1e7))
+WIDEST_TOLERANCE, LONGEST_RUN = 5e-3, 0.1  # m, that the problem file may hold
+_CORNER_LENGTH = 10.0  # tolerances that a rounded corner is long: it has to fit into the bead
+SLOWEST = 1e-4  # m/s, that it may hold
+MOST_TIMES = 100.0  # by which a limit may have to be raised to be told: no robot is so much better than its file says
+CORNER = np.radians(20.0)  # by which the drawn path turns over two tolerances, where rounding shapes it
+_BESIDE = 2.0  # tolerances from there to the bead, at most
+REFINE = 4  # places looked at between two samples of the task
+DIGITS = 3  # of a value that is told
+_ROUNDING = 1e-12  # relative
+_NEGLIGIBLE = 5e-3  # of a dip's volume: less is not told as over-extrusion
+
+
+@dataclass(frozen=True)
+class _Line:
+    """What all dips of a bead share: the task's geometry by its samples' index, and the drawn path's corners (k, 3),
+    joints' names and their velocity, acceleration and jerk limits (nj, 3)."""
+
+    path: JointPath
+    bead: Bead
+    spline: BSpline
+    corners: Array
+    names: tuple[str, ...]
+    limits: Array
+
+    def ceilings(self, low: float, high: float) -> tuple[Array, Array]:
+        """Greatest constant speed (k, nj, 3) that each limit allows at places between two arc lengths, which are
+        (k) too. A place where samples coincide has no direction and is left out."""
+        found = by_arc_length(self.path, self.spline, low, high, REFINE)
+        rates = np.abs(found.rates)
+        with np.errstate(divide="ignore", over="ignore"):
+            return (HEADROOM * self.limits / rates) ** (1.0 / ORDERS), found.s
+
+    def corner(self, low: float, high: float, tolerance: float) -> bool:
+        """Whether the drawn path has a corner beside the bead between two arc lengths."""
+        points = self.bead.points[(self.bead.s >= low) & (self.bead.s <= high)]
+        if len(points) == 0 or len(self.corners) == 0:
+            return False
+        return bool(cKDTree(self.corners).query(points)[0].min() <= _BESIDE * tolerance)
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """A dip between two arc lengths, whether these are the bead's own ends, where it is slowest, and how slow [m/s]."""
+
+    low: float
+    high: float
+    begins: bool
+    ends: bool
+    at: float
+    lowest: float
+
+
+def find_dips(
+    problem: Problem, cell: Cell, toolpath: Toolpath, paths: Sequence[JointPath], trajectory: Trajectory
+) -> tuple[Dip, ...]:
+    """All dips of a trajectory along its joint paths, in order of time, each with its cause and remedies."""
+    t, speed = trajectory, problem.process.speed
+    slow = np.flatnonzero(t.deposit & (t.speed < AT_SPEED * speed))
+    if len(slow) == 0:
+        return ()
+    cut = np.flatnonzero((np.diff(slow) > MERGE + 1) | (np.diff(t.bead[slow]) != 0)) + 1
+    dips = []
+    line: _Line | None = None
+    for first, last in zip(slow[np.append(0, cut)], slow[np.append(cut - 1, -1)], strict=True):
+        i = int(t.bead[first])
+        if line is None or line.path.task.bead != i:
+            line = _line(cell, toolpath.beads[i], paths[i], problem.process.corner_tolerance)
+        dips.append(_dip(problem, line, t, int(first), int(last)))
+    return tuple(dips)
+
+
+def _line(cell: Cell, bead: Bead, path: JointPath, tolerance: float) -> _Line:
+    limits = np.column_stack([cell.limits.velocity, cell.limits.acceleration, cell.limits.jerk])
+    corners = bead.source[_turns(bead.source, tolerance) > CORNER]
+    return _Line(path, bead, spline_of(path), corners, cell.joint_names, limits)
+
+
+def _turns(path: Array, reach: float) -> Array:
+    """Angle [rad] between the ways by which a polyline (m, 3) comes to and leaves each vertex, over `reach` [m]."""
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+
+    def at(s: Array) -> Array:
+        return np.column_stack([np.interp(s, arc, column) for column in path.T])
+
+    come, leave = path - at(arc - reach), at(arc + reach) - path
+    return np.arctan2(np.linalg.norm(np.cross(come, leave), axis=1), (come * leave).sum(axis=1))
+
+
+def _dip(problem: Problem, line: _Line, t: Trajectory, first: int, last: int) -> Dip:
+    """The dip between two samples, both included."""
+    rows = slice(first, last + 1)
+    at = first + int(np.argmin(t.speed[rows]))
+    begins = first == 0 or bool(t.bead[first - 1] != t.bead[first])
+    ends = last + 1 == len(t) or bool(t.bead[last + 1] != t.bead[last])
+    low = 0.0 if begins else 0.5 * float(t.s[first - 1] + t.s[first])
+    high = line.bead.length if ends else 0.5 * float(t.s[last] + t.s[last + 1])
+    stretch = _Stretch(low, high, begins, ends, float(t.s[at]), float(t.speed[at]))
+    joint, limit, remedies = _cause(problem, line, stretch)
+    return Dip(
+        bead=line.path.task.bead,
+        layer=int(t.layer[at]),
+        from_s=low,
+        to_s=high,
+        at_s=stretch.at,
+        t=float(t.t[at]),
+        speed=stretch.lowest,
+        lost=float((1.0 - t.speed[rows] / problem.process.speed).sum()) * t.dt,
+        joint=joint,
+        limit=limit,
+        # the first and the last sample of a bead stand for what flows around them too
+        over_extruded=_over_extruded(problem.process, line.bead, t, slice(first + begins, last + 1 - ends), low, high),
+        remedies=remedies,
+    )
+
+
+def _over_extruded(process: ProcessSpec, bead: Bead, t: Trajectory, rows: slice, low: float, high: float) -> float:
+    """Material [m^3] that flows in some samples beyond what the bead holds where they pass, from low to high [m]."""
+    if high <= low:  # at rest all along: there the bead's mean has to do
+        low, high = 0.0, bead.length
+    volume = deposited_volume(bead, bead_area(bead, process), np.array([low, high]))
+    area = float(volume[1] - volume[0]) / (high - low)
+    held = area * float(t.speed[rows].sum()) * t.dt
+    over = float(t.flow[rows].sum()) * t.dt - held
+    return over if abs(over) > _NEGLIGIBLE * held else 0.0
+
+
+def _cause(problem: Problem, line: _Line, dip: _Stretch) -> tuple[str, str, tuple[Remedy, ...]]:
+    """Joint, limit and remedies of a dip."""
+    task = line.path.task
+    if any(dip.low <= stop.s <= dip.high for stop in task.stops):
+        return "", "stop", ()
+    # what asks for a low speed at a bead's end may stand in its run
+    ceilings, places = line.ceilings(task.s[0] if dip.begins else dip.low, task.s[-1] if dip.ends else dip.high)
+    if len(places) == 0:
+        return "", "shape", ()
+    _, joint, order = np.unravel_index(int(np.argmin(ceilings)), ceilings.shape)
+    if ceilings.min() < AT_SPEED * problem.process.speed:
+        return line.names[joint], LIMITS[order], _remedies(problem, line, dip, ceilings, places)
+    if dip.begins or dip.ends:
+        start = dip.begins and (not dip.ends or dip.at < 0.5 * line.bead.length)
+        more = dip.high if start else line.bead.length - dip.low
+        return "", "start" if start else "end", _longer_run(problem, problem.process.run_in + more)
+    return line.names[joint], LIMITS[order], ()  # no limit asks for it: the one that is nearest is named
+
+
+def _remedies(problem: Problem, line: _Line, dip: _Stretch, ceilings: Array, places: Array) -> tuple[Remedy, ...]:
+    """What would let the commanded speed be held where ceilings (k, nj, 3) are below it: speed, limits, geometry."""
+    speed = problem.process.speed
+    slowest = ceilings.min(axis=(1, 2))
+    # in a run the speed need not be held all along, so that a little less would do
+    exact = bool(0.0 <= places[np.argmin(slowest)] <= line.bead.length)
+    out = []
+    slower = float(slowest.min())
+    if slower >= SLOWEST:
+        out.append(Remedy("speed", (("process.speed_mm_s", _down(slower * 1e3)),), exact))
+    each = ceilings.min(axis=0)
+    needed = line.limits * (speed / each) ** ORDERS
+    short = np.argwhere(each < speed)
+    short = short[np.argsort(each[each < speed], kind="stable")]  # the one that sets the speed comes first
+    values = [float(needed[j, k]) / KEYS[k][1] for j, k in short]
+    told = (needed / line.limits).max() <= MOST_TIMES
+    if told and all(value <= KEYS[k][2] for value, (_, k) in zip(values, short, strict=True)):
+        names = [f"cell.limits.{line.names[j]}.{KEYS[k][0]}" for j, k in short]
+        out.append(Remedy("limits", tuple(zip(names, map(_up, values), strict=True)), exact))
+    return (*out, *_larger_shape(problem, line, dip, ceilings, places))
+
+
+def _larger_shape(problem: Problem, line: _Line, dip: _Stretch, ceilings: Array, places: Array) -> tuple[Remedy, ...]:
+    """The run or the corner tolerance at which the commanded speed may be held, where these shape the path.
+
+    Along a larger run all speeds grow, with its square root where accelerations limit them. In a larger corner the
+    commanded speed has to be held all along.
+    """
+    process, length = problem.process, line.bead.length
+    tight = places[(ceilings < AT_SPEED * process.speed).any(axis=(1, 2))]
+    if np.minimum(tight, length - tight).max() < process.corner_tolerance:  # all in a run, or just before it
+        return _longer_run(problem, process.run_in * (process.speed / dip.lowest) ** 2 if dip.lowest > 0.0 else np.inf)
+    wider = process.corner_tolerance * _growth(ceilings, process.speed)
+    if wider > min(WIDEST_TOLERANCE, length / _CORNER_LENGTH) or not line.corner(
+        float(tight[0]), float(tight[-1]), process.corner_tolerance
+    ):
+        return ()
+    return (Remedy("corner_tolerance", (("process.corner_tolerance_mm", _up(wider * 1e3, 2)),), False),)
+
+
+def _longer_run(problem: Problem, length: float) -> tuple[Remedy, ...]:
+    if not problem.process.run_in < length <= LONGEST_RUN:
+        return ()
+    return (Remedy("run_in", (("process.run_in_mm", _up(length * 1e3, 2)),), False),)
+
+
+def _growth(ceilings: Array, speed: float) -> float:
+    """How much larger a shape must be for a speed to be held along it: inf where a joint's velocity is short of it,
+    since a larger shape turns a joint no less per length."""
+    lowest = ceilings.min(axis=(0, 1))
+    if lowest[0] < speed:
+        return np.inf
+    return float(((speed / lowest[1:]) ** (ORDERS[1:] / (ORDERS[1:] - 1.0))).max())
+
+
+def _down(value: float, digits: int = DIGITS) -> float:
+    """A positive value rounded down to so many digits that count."""
+    places = digits - 1 - math.floor(math.log10(value))
+    return round(math.floor(value * 10.0**places * (1.0 + _ROUNDING)) / 10.0**places, max(places, 0))
+
+
+def _up(value: float, digits: int = DIGITS) -> float:
+    """A positive value rounded up to so many digits that count."""
+    places = digits - 1 - math.floor(math.log10(value))
+    return round(math.ceil(value * 10.0**places * (1.0 - _ROUNDING)) / 10.0**places, max(places, 0))

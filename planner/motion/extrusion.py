@@ -1,0 +1,253 @@
+"""Extrusion: cross-sections, flow, how far motors push, and what the extruder does besides depositing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from planner.base.arrays import Array
+from planner.base.errors import InputError
+from planner.plan import TRAVEL, Event
+from planner.problem.process import ProcessSpec
+from planner.toolpath.bead import Bead
+from planner.toolpath.runs import prime_time
+
+# ----------------------------------------------------------------------------------------------------
+# What the extruder does besides depositing, in time: heat, select, purge, prime, retract, cut and change.
+
+_ROUNDING = 1e-9  # s
+
+
+@dataclass(frozen=True)
+class Span:
+    """When a bead is laid down: from start to end, and when the nozzle comes to rest at its stops [s].
+
+    material of the bead, by its name; change: when the robot comes to rest at home before it, to change to that, if so
+    """
+
+    bead: int
+    start: float
+    end: float
+    stops: tuple[float, ...] = ()
+    material: str = ""
+    change: float | None = None
+
+
+def events(process: ProcessSpec, spans: Sequence[Span]) -> tuple[Event, ...]:
+    """All events of a print whose beads are laid down at `spans`, in order of time; none overlaps another.
+
+    A prime ends as its bead starts, a retract begins as it ends. The print begins at 0 s with the rest at home that
+    `process.start.time` asks for. Fibre is fed from its prime to its cut; after the cut it is drawn, not fed, to the
+    end of its bead. Materials with names are selected at home, the first one when all is hot, any other in the rest
+    that `process.change` asks for. Raises ValueError where the beads leave less time than that and
+    `process.least_travel_time` ask for.
+    """
+    first = spans[0].material if spans else ""
+    found = _at_start(process, first)
+    for span in spans:
+        own, name = process.of(span.material), span.material
+        if span.change is not None:
+            change = process.change
+            found.append(Event("change", span.bead, span.change, change.wait, 0.0, name))
+            if change.purge > 0.0:
+                time = change.purge / change.purge_speed
+                found.append(Event("purge", span.bead, span.change + change.wait, time, change.purge, name))
+        prime = prime_time(own)
+        if own.prime_length > 0.0:
+            found.append(Event("prime", span.bead, span.start - prime, prime, own.prime_length, name))
+        if own.fibre is not None:
+            found += [Event("cut", span.bead, stop, own.fibre.cut_wait, 0.0, name) for stop in span.stops]
+        if own.retract.length > 0.0:
+            found.append(Event("retract", span.bead, span.end, own.retract.time, -own.retract.length, name))
+    for before, after in zip(found[:-1], found[1:], strict=True):
+        late = before.start + before.duration - after.start
+        if late > _ROUNDING:
+            raise ValueError(
+                f"{after.kind} of bead {after.bead} begins {late:.3g} s before {before.kind} of bead {before.bead} ends"
+            )
+    return tuple(found)
+
+
+def _at_start(process: ProcessSpec, material: str) -> list[Event]:
+    """Heating, selection of the first material, if it has a name, and purge, at home."""
+    start = process.start
+    found = []
+    hot = [start.bed_c, start.nozzle_c, *(process.nozzle_c(name) for name in process.materials)]
+    if start.heat_wait > 0.0 or any(celsius is not None for celsius in hot):
+        found.append(Event("heat", TRAVEL, 0.0, start.heat_wait, 0.0, material))
+    if material:
+        found.append(Event("select", TRAVEL, start.heat_wait, 0.0, 0.0, material))
+    if start.purge > 0.0:
+        found.append(Event("purge", TRAVEL, start.heat_wait, start.purge / start.purge_speed, start.purge, material))
+    return found
+
+
+# ----------------------------------------------------------------------------------------------------
+# Extrusion: the bead's cross-section, what flows at each instant, and how far the extruder's motor pushes for it.
+
+ADVANCE_RAMP = 0.4  # share of the lag over which pressure is built up at a bead's start and let off at its end,
+LONGEST_RAMP = 0.04  # s, and at most this long: what is left of the error a lag later is below 0.3 %
+
+
+def filament_area(process: ProcessSpec) -> float:
+    """Cross-section of the filament [m^2]."""
+    return float(np.pi * process.filament_diameter**2 / 4.0)
+
+
+def cross_section(section: str, width: Array, height: Array, filament_diameter: float) -> Array:
+    """Area (n) [m^2] of a bead of width and height (n) [m].
+
+    A rectangle; rounded: with half a circle at both sides; or a fibre, which is as thick as it comes.
+    Raises InputError where a rounded bead is higher than wide.
+    """
+    if section == "rectangle":
+        return width * height
+    if section == "rounded":
+        if np.any(width < height):
+            i = int(np.argmax(height - width))
+            narrow = f"{width[i] * 1e3:g} mm wide and {height[i] * 1e3:g} mm high"
+            raise InputError(f"a rounded bead cannot be {narrow}", hint="at least as wide as high")
+        return (width - height) * height + 0.25 * np.pi * height**2
+    return np.full(len(width), 0.25 * np.pi * filament_diameter**2)
+
+
+def bead_area(bead: Bead, process: ProcessSpec) -> Array:
+    """Area (n) [m^2] of the bead's cross-section at its samples."""
+    return cross_section(process.section, bead.width, bead.height, process.filament_diameter)
+
+
+def deposited_volume(bead: Bead, area: Array, s: Array) -> Array:
+    """Volume (k) [m^3] of the bead from its start to arc length s (k) [m]: nothing before 0 or past the end.
+
+    The area (n) [m^2] is linear between the bead's samples; its integral is exact.
+    """
+    # what varies apart from what does not: a constant area gives area times length to the last digit
+    extra = area - area[0]
+    before = np.concatenate([[0.0], np.cumsum(0.5 * (extra[1:] + extra[:-1]) * np.diff(bead.s))])
+    s = np.clip(s, 0.0, bead.length)
+    k = np.clip(np.searchsorted(bead.s, s, side="right") - 1, 0, len(bead.s) - 2)
+    within = s - bead.s[k]
+    slope = (extra[k + 1] - extra[k]) / (bead.s[k + 1] - bead.s[k])
+    return area[0] * s + (before[k] + within * (extra[k] + 0.5 * slope * within))
+
+
+def extruded_volume(bead: Bead, process: ProcessSpec, t: Array, s: Array) -> Array:
+    """Volume (k) [m^3] that has left the nozzle in this bead at the instants t (k) [s], when the nozzle is at s (k) [m].
+
+    Both never fall, and last from before the bead to behind it. A motor that is only on or off runs at the rate of the
+    commanded speed as long as the bead is laid; any other follows the real speed.
+    """
+    area = bead_area(bead, process)
+    if process.extruder.motor != "on_off":
+        return deposited_volume(bead, area, s)
+    mean = deposited_volume(bead, area, bead.s[-1:])[0] / bead.length
+    start, end = np.interp([0.0, bead.length], s, t)
+    return mean * process.speed * np.clip(t - start, 0.0, end - start)
+
+
+def flow(volume_at_edges: Array, dt: float) -> Array:
+    """Mean flow (n) [m^3/s] over each sample's own dt, from the volume at its two edges (n + 1)."""
+    return np.diff(volume_at_edges) / dt
+
+
+def feed(
+    t: Array,
+    bead: NDArray[np.int32],
+    extruded: Array,
+    flow: Array,
+    events: Sequence[Event],
+    filament_area: float,
+    lag: float,
+) -> Array:
+    """How far the motor has pushed the filament (n) [m] at the instants t (n) [s], uniform.
+
+    extruded (n) [m^3] and flow (n) [m^3/s] in beads (n), -1 in travel. From a cut to the end of its bead fibre is drawn,
+    not pushed; events with an amount push it evenly over their duration. With a lag [s] the filament runs ahead by lag
+    times its rate: flow that follows the motor with that lag is then the bead's.
+    """
+    fed = (extruded - _drawn(t, bead, extruded, events)) / filament_area + _pushed(t, events)
+    if lag > 0.0:
+        fed = fed + lag / filament_area * _advance(bead, extruded, flow, lag, float(t[1] - t[0]))
+    return fed
+
+
+def feed_of_materials(
+    process: ProcessSpec,
+    materials: Sequence[str],
+    begun: NDArray[np.int32],
+    t: Array,
+    bead: NDArray[np.int32],
+    extruded: Array,
+    flow: Array,
+    events: Sequence[Event],
+) -> Array:
+    """Filament (n) [m] that all motors together have pushed, each its own material, as `feed` has it of one.
+
+    materials: of the beads, by name; begun (n): the last bead that was begun, whose material is laid if any is.
+    """
+    lag, names = process.extruder.lag, list(dict.fromkeys(materials))
+    if len(names) == 1:
+        return feed(t, bead, extruded, flow, events, filament_area(process.of(names[0])), lag)
+    fed, laid = np.zeros(len(t)), np.diff(extruded, prepend=0.0)
+    own = np.array([names.index(material) for material in materials])[begun]
+    for k, name in enumerate(names):
+        mine = own == k
+        volume = np.cumsum(np.where(mine, laid, 0.0))
+        moved = [event for event in events if event.material == name]
+        area = filament_area(process.of(name))
+        fed += feed(t, np.where(mine, bead, -1), volume, np.where(mine, flow, 0.0), moved, area, lag)
+    return fed
+
+
+def _drawn(t: Array, bead: NDArray[np.int32], extruded: Array, events: Sequence[Event]) -> Array:
+    """Volume (n) [m^3] laid down behind cuts, which nobody pushes."""
+    cuts = [event for event in events if event.kind == "cut"]
+    if not cuts:
+        return np.zeros(len(t))
+    last = np.flatnonzero((bead >= 0) & (np.append(bead[1:], -1) != bead))  # of each bead; the next holds all of it
+    ends = last[np.searchsorted(bead[last], [event.bead for event in cuts])] + 1
+    begin = np.interp([event.start for event in cuts], t, extruded)
+    resting = np.searchsorted(t, [event.start for event in cuts]).clip(max=len(t) - 1)  # where a sample tells, exactly
+    rests = t[resting] <= [event.start + event.duration for event in cuts]
+    begin = np.where(rests, extruded[resting], begin)
+    end = extruded[np.minimum(ends, len(t) - 1)]
+    total = np.cumsum(end - begin)
+    drawn = np.column_stack([np.append(0.0, total[:-1]), total]).ravel()
+    return np.interp(extruded, np.column_stack([begin, end]).ravel(), drawn)
+
+
+def _pushed(t: Array, events: Sequence[Event]) -> Array:
+    """Filament (n) [m] pushed by events, which come one after the other."""
+    pushes = [event for event in events if event.amount != 0.0]
+    if not pushes:
+        return np.zeros(len(t))
+    times = np.maximum.accumulate(np.array([[event.start, event.start + event.duration] for event in pushes]).ravel())
+    total = np.cumsum([event.amount for event in pushes])
+    return np.interp(t, times, np.column_stack([np.append(0.0, total[:-1]), total]).ravel())
+
+
+def _advance(bead: NDArray[np.int32], extruded: Array, flow: Array, lag: float, dt: float) -> Array:
+    """The flow (n) that pressure is kept for: that of the sample, coming and going smoothly at the ends of a bead."""
+    laid = np.flatnonzero(bead >= 0)
+    if len(laid) == 0:
+        return np.zeros(len(flow))
+    edges = np.flatnonzero(np.diff(bead[laid])) + 1
+    first, last = np.append(0, edges), np.append(edges, len(laid)) - 1
+    # the rate at a sample's own instant: means over its dt and over twice that tell what lies between (Richardson)
+    rate = flow[laid] + (flow - np.gradient(extruded, dt))[laid] / 3.0
+    # a bead's first and last sample also carry what flows in the part sample beside them
+    rate[first] = rate[np.minimum(first + 1, last)]
+    rate[last] = rate[np.maximum(last - 1, first)]
+    share = (bead >= 0).astype(np.float64)
+    for end in (first, last):
+        share[laid[end]] = flow[laid[end]] / np.where(rate[end] > 0.0, rate[end], 1.0)
+    share = uniform_filter1d(share, 2 * int(0.5 * min(ADVANCE_RAMP * lag, LONGEST_RAMP) / dt) + 1, mode="constant")
+    samples = np.arange(len(flow))
+    after = np.clip(np.searchsorted(laid, samples), 0, len(laid) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(samples - laid[before] < laid[after] - samples, before, after)
+    return share * rate[nearest]

@@ -1,0 +1,297 @@
+"""Ways round the part and round obstacles: an arc at constant distance, and a search of joint space (RRT-connect)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
+
+from planner.base.arrays import Array
+from planner.cell.cell import Cell
+from planner.collision.scene import Obstacles
+from planner.motion.cubics import Cubics, chain
+from planner.motion.travel.clearance import SLOPE, SWEPT, TravelClearance, nozzle_points, track
+from planner.motion.travel.moves import Bounds, between, stopped
+from planner.motion.travel.ways import Built, Ends, lifted, reaching
+
+# ----------------------------------------------------------------------------------------------------
+# A way round the part: the tip along an arc at constant distance from it, its joints a spline of time.
+#
+# Where the wrist turns far, a straight move of the joints swings the nozzle about, and the speed of its tip keeps the
+# travel slow. Here the tip goes the shortest way round the part, and the first joints make up for what the wrist does.
+
+_STEPS = 30  # of the walk round the part, if it were straight
+_GROWTH = 0.3  # of the distance from the nearer end: how long steps may be
+_LEAST_STEP = 1e-3  # m
+_MOST_STEPS = 4 * _STEPS
+FITS = ((1.4, 1.2), (1.7, 1.4), (1.95, 1.7))  # steeper than the cones above which a travel stays, and higher than the
+# lift, that an arc may start from, so that it still stays above them when it is rounded: tried in turn
+_ROUNDS = 3  # of smoothing of the walk
+_PIECES = 32  # of the spline of time
+_RAMP = 0.5  # of the acceleration and jerk limits that speeding up may take; the rest bends the way
+_LEAST_RAMP = 1e-6  # s
+_ROUNDS_OF_TIME = 10  # in which times settle between the limits
+_CAUTION = 0.5  # exponent of the change of each
+_RESCALINGS = 12
+_NEAR = 1.005  # of the time that the limits ask for: near enough
+
+
+def arc(cell: Cell, ends: Ends, room: TravelClearance, speed: float, fit: tuple[float, float]) -> Built | None:
+    """Round the part from state to state, the tip no faster than `speed` [m/s]; None if time does not help."""
+    if not ends.resting:
+        return _from_motion(cell, ends, room, speed, fit)
+    return along_tips(cell, ends, _walk(room, *fit), speed)
+
+
+def along_tips(cell: Cell, ends: Ends, tips: Array, speed: float) -> Built | None:
+    """From rest to rest with the tip close to positions (k, 3) of the part frame, no faster than `speed` [m/s].
+
+    None if time does not help.
+    """
+    q = _postures(cell, ends, tips)
+    if not np.isfinite(q).all():  # the part has no normal on its axis
+        return None
+    times = _times(cell, q, ends.bounds, speed)
+    times = max(1.0, ends.least / float(times[-1])) * times
+    for _ in range(_ROUNDS_OF_TIME):
+        motion = _spline(times, q)
+        # time passes more slowly where a limit is overrun, and more quickly where none is near
+        rate = maximum_filter1d(_hurry(cell, motion, ends.bounds, speed), 3)
+        rate = uniform_filter1d(rate, 5) ** _CAUTION
+        times = np.interp(times, motion.times, np.concatenate([[0.0], np.cumsum(rate * np.diff(motion.times))]))
+        times = max(1.0, ends.least / float(times[-1])) * times
+    for _ in range(_RESCALINGS):
+        motion = _spline(times, q)
+        over = max(float(_hurry(cell, motion, ends.bounds, speed).max()), track(cell, motion).tip_speed / speed)
+        if over <= 1.0:
+            return Built(motion)
+        times = over * _NEAR * times
+    return None
+
+
+def _hurry(cell: Cell, motion: Cubics, bounds: Bounds, speed: float) -> Array:
+    """How much longer each piece (m) should last to keep joint limits and the tip's speed [m/s]."""
+    c3, c2, c1, _ = motion.coefficients
+    h = np.diff(motion.times)[:, None]
+    tip = cell.T_part_nozzle(motion.joints(motion.times))[:, :3, 3]
+    over = np.stack(
+        [
+            np.abs(np.stack([c1, c1 + h * c2, c1 + h * (2.0 * c2 + 3.0 * h * c3)])).max(axis=0) / bounds.velocity,
+            np.sqrt(np.abs(np.stack([2.0 * c2, 2.0 * c2 + 6.0 * h * c3])).max(axis=0) / bounds.acceleration),
+            np.cbrt(np.abs(6.0 * c3) / bounds.jerk),
+        ]
+    )
+    return np.maximum(over.max(axis=(0, 2)), np.linalg.norm(np.diff(tip, axis=0), axis=1) / (h[:, 0] * speed))
+
+
+def _from_motion(cell: Cell, ends: Ends, room: TravelClearance, speed: float, fit: tuple[float, float]) -> Built | None:
+    """The same between states in motion: an arc from where the joints can be at rest soon to where they were."""
+    start, end = stopped(ends.bounds, ends.start, 1.0), stopped(ends.bounds, ends.end, -1.0)
+    before, after = between(ends.bounds, ends.start, start), between(ends.bounds, end, ends.end)
+    if before is None or after is None:
+        return None
+    least = max(ends.least - before.duration - after.duration, 0.0)
+    tips = cell.T_part_nozzle(np.stack([start.q, end.q]))[:, :3, 3]
+    middle = arc(cell, replace(ends, start=start, end=end, least=least), replace(room, tips=tips), speed, fit)
+    return None if middle is None else Built(chain([before, middle.motion, after]))
+
+
+def _walk(room: TravelClearance, steeper: float, higher: float) -> Array:
+    """Tip positions (k, 3) from the start's to the end's, over the part as far as is needed; closer to the ends closer together."""
+    p, goal = room.tips
+    step = max(math.dist(p, goal) / _STEPS, _LEAST_STEP)
+    full = higher * room.full
+    points = [p]
+    left, gap, normal = math.dist(p, goal), float(room.gaps[0, 0]), room.surface.normals(p[None])[0]
+    while len(points) < _MOST_STEPS and left > _LEAST_STEP:
+        ahead = goal - p
+        inwards = float(ahead @ normal)
+        if inwards < 0.0 and gap < 2.0 * full:
+            sideways = ahead - inwards * normal
+            if math.hypot(*sideways) > _LEAST_STEP:
+                ahead = sideways
+        near = min(math.dist(p, room.tips[0]), left)
+        p = p + min(step, max(_LEAST_STEP, _GROWTH * near)) / math.hypot(*ahead) * ahead
+        left, normal = math.dist(p, goal), room.surface.normals(p[None])[0]
+        start, end = room.gaps[:, 0] + steeper * SLOPE * np.array([math.dist(p, room.tips[0]), left])
+        gap = float(room.surface.signed_distance(p[None])[0])
+        lacking = min(full, start, end) - gap
+        if lacking > 0.0:
+            p, gap = p + lacking * normal, gap + lacking
+        points.append(p)
+    way = np.vstack([*points, goal])
+    for _ in range(_ROUNDS):
+        way[1:-1] = 0.25 * way[:-2] + 0.5 * way[1:-1] + 0.25 * way[2:]
+    if len(way) > _STEPS:
+        return way
+    return np.asarray(make_interp_spline(np.arange(len(way)), way, k=1)(np.linspace(0.0, len(way) - 1.0, _STEPS + 1)))
+
+
+def _postures(cell: Cell, ends: Ends, tips: Array) -> Array:
+    """Postures (k, nj) along tip positions (k, 3); the wrist and the holder turn from the start's to the end's."""
+    steps = np.linalg.norm(np.diff(tips, axis=0), axis=1) + _LEAST_STEP / _STEPS
+    u = (np.concatenate([[0.0], np.cumsum(steps)]) / steps.sum())[:, None]
+    q = (1.0 - u) * ends.start.q + u * ends.end.q
+    q[:, : len(cell.arm)] = reaching(cell, q, tips)
+    q[0], q[-1] = ends.start.q, ends.end.q
+    return q
+
+
+def _times(cell: Cell, q: Array, bounds: Bounds, speed: float) -> Array:
+    """Times (k) at which postures (k, nj) are passed: as fast as velocities allow, with ramps at both ends."""
+    tip = cell.T_part_nozzle(q)[:, :3, 3]
+    least = np.maximum(
+        np.linalg.norm(np.diff(tip, axis=0), axis=1) / speed, (np.abs(np.diff(q, axis=0)) / bounds.velocity).max(axis=1)
+    )
+    least = np.maximum(least, 1e-3 * least.max() + 1e-6)
+    least[1:-1] = np.maximum(least[1:-1], 0.25 * least[:-2] + 0.5 * least[1:-1] + 0.25 * least[2:])
+    rates = np.abs(np.diff(q, axis=0)) / least[:, None]  # at full speed
+    edge = np.maximum(rates[: len(q) // 4].max(axis=0), rates[-(len(q) // 4) :].max(axis=0))
+    ramp = float((edge / (_RAMP * bounds.acceleration) + np.sqrt(edge / (_RAMP * bounds.jerk))).max())
+    # the time t at which a smooth ramp of length `ramp` from rest, and the same to rest, has come to u
+    total = float(least.sum())
+    ramp = min(max(ramp, _LEAST_RAMP), total)
+    fine = np.linspace(0.0, total + ramp, 40 * len(q))
+    rate = np.minimum(_smooth(fine / ramp), _smooth((total + ramp - fine) / ramp))
+    gone = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(fine))])
+    return np.interp(np.concatenate([[0.0], np.cumsum(least)]) * (gone[-1] / total), gone, fine)
+
+
+def _smooth(x: Array) -> Array:
+    x = np.clip(x, 0.0, 1.0)
+    return x * x * (3.0 - 2.0 * x)
+
+
+def _spline(times: Array, q: Array) -> Cubics:
+    """A uniform B-spline of degree 3 controlled by postures q (k, nj) at times (k), from rest to rest.
+
+    It does not overshoot its control values, so that it is as far from the part as these are, but for the roundings.
+    """
+    step = float(times[-1]) / (_PIECES + 2)
+    at = np.arange(2, _PIECES + 1) * step
+    inner = np.column_stack([np.interp(at, times, each) for each in q.T])
+    P = np.vstack([np.repeat(q[:1], 3, axis=0), inner, np.repeat(q[-1:], 3, axis=0)])  # thrice the same: at rest there
+    a, b, c, d = P[:-3], P[1:-2], P[2:-1], P[3:]
+    coefficients = np.stack(
+        [
+            (d - a + 3.0 * (b - c)) / (6.0 * step**3),
+            (a - 2.0 * b + c) / (2.0 * step**2),
+            (c - a) / (2.0 * step),
+            (a + 4.0 * b + c) / 6.0,
+        ]
+    )
+    return Cubics(np.arange(len(P) - 2, dtype=np.float64) * step, coefficients)
+
+
+# ----------------------------------------------------------------------------------------------------
+# A way round obstacles where none of the usual ones is clear: a search of joint space from both ends (RRT-connect).
+#
+# Kuffner and LaValle, RRT-Connect, ICRA 2000. Two trees of postures grow from above the ends towards random postures and
+# towards each other until they meet; what is found is then made shorter. The same numbers are drawn each time.
+
+_LIFTS = (1.0, 4.0, 16.0)  # of the least lift, from which it starts, in turn
+_DRAWN = 1500  # postures, at most
+_STEP = 0.25  # m that anything moves at most along one branch of a tree
+_SHORTCUTS = 200
+_COARSE = 5.0 * SWEPT  # m of a step at which branches are looked at; the way itself is looked at finely
+
+
+@dataclass(frozen=True)
+class _Space:
+    cell: Cell
+    room: TravelClearance
+    obstacles: Obstacles
+    now: float
+    margin: float
+    swing: Array
+    low: Array
+    high: Array
+
+    def clear(self, a: Array, b: Array) -> bool:
+        """Whether the straight move between two postures (nj) is clear of part and obstacles."""
+        steps = max(int(np.ceil(float(np.abs(b - a) @ self.swing) / _COARSE)), 1)
+        q = a + np.linspace(0.0, 1.0, steps + 1)[:, None] * (b - a)
+        if self.room.lacking(nozzle_points(self.cell, q)) > 0.0:
+            return False
+        return self.obstacles.hit(q, self.now, self.margin) < 0
+
+    def towards(self, a: Array, b: Array) -> Array:
+        """The posture a step from a towards b, or b if it is no farther."""
+        far = float(np.abs(b - a) @ self.swing)
+        return b if far <= _STEP else a + _STEP / far * (b - a)
+
+
+class _Tree:
+    def __init__(self, root: Array) -> None:
+        self.q, self.parent = [root], [-1]
+
+    def nearest(self, q: Array, swing: Array) -> int:
+        return int(np.argmin(np.abs(np.array(self.q) - q) @ swing))
+
+    def add(self, q: Array, parent: int) -> int:
+        self.q.append(q)
+        self.parent.append(parent)
+        return len(self.q) - 1
+
+    def to_root(self, k: int) -> list[Array]:
+        way = []
+        while k >= 0:
+            way.append(self.q[k])
+            k = self.parent[k]
+        return way
+
+
+def around(
+    cell: Cell, ends: Ends, room: TravelClearance, obstacles: Obstacles, now: float, margin: float
+) -> Iterator[list[Array]]:
+    """Postures (nj) at which a way round everything rests, from above the start to above the end; none if none is found."""
+    limits = cell.limits
+    both = np.stack([ends.start.q, ends.end.q])
+    low = np.maximum(limits.q_min, both.min(axis=0) - np.pi)
+    high = np.minimum(limits.q_max, both.max(axis=0) + np.pi)
+    space = _Space(cell, room, obstacles, now, margin, obstacles.swing, low, high)
+    for factor in _LIFTS:
+        a, b = np.hstack([lifted(cell, both, room, factor * room.lift), both[:, len(cell.arm) :]])
+        if space.clear(a, a) and space.clear(b, b):
+            way = _connect(space, a, b)
+            if way is not None:
+                yield _shortened(space, way)
+                return
+
+
+def _connect(space: _Space, a: Array, b: Array) -> list[Array] | None:
+    rng = np.random.default_rng(0)
+    here, there, turned = _Tree(a), _Tree(b), False
+    for k in range(_DRAWN):
+        goal = there.q[0] if k == 0 else rng.uniform(space.low, space.high)
+        near = here.nearest(goal, space.swing)
+        new = space.towards(here.q[near], goal)
+        if space.clear(here.q[near], new):
+            own = here.add(new, near)
+            other = there.nearest(new, space.swing)
+            while True:  # the other tree goes on as far as it can
+                step = space.towards(there.q[other], new)
+                if not space.clear(there.q[other], step):
+                    break
+                other = there.add(step, other)
+                if np.array_equal(step, new):
+                    way = here.to_root(own)[::-1] + there.to_root(other)[1:]
+                    return way[::-1] if turned else way
+        here, there, turned = there, here, not turned
+    return None
+
+
+def _shortened(space: _Space, way: list[Array]) -> list[Array]:
+    """The way with straight moves in place of detours, where these are clear."""
+    rng = np.random.default_rng(0)
+    for _ in range(_SHORTCUTS):
+        if len(way) < 3:
+            break
+        i, j = sorted(int(k) for k in rng.choice(len(way), 2, replace=False))
+        if j - i > 1 and space.clear(way[i], way[j]):
+            way = [*way[: i + 1], *way[j:]]
+    return way

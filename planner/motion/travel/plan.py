@@ -1,0 +1,437 @@
+"""Travel between beads: the quickest way that is clear of the part and within all limits."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from planner.base.arrays import Array
+from planner.base.errors import Refusal
+from planner.cell.cell import Cell
+from planner.collision.scene import NOTHING, Obstacles
+from planner.motion.cubics import Cubics, JointState, add, extremes, rest
+from planner.motion.timing.profile import HEADROOM
+from planner.motion.timing.timed_path import TimedPath
+from planner.motion.travel import ways
+from planner.motion.travel.clearance import TravelClearance, fine, glance, track, travel_clearance
+from planner.motion.travel.detours import FITS, along_tips, arc, around
+from planner.motion.travel.moves import between
+from planner.motion.travel.ways import Built, Caps, Ends, at_rest, reaching
+from planner.problem.process import ProcessSpec
+from planner.toolpath.bead import Toolpath
+from planner.toolpath.runs import least_travel_time
+
+# ----------------------------------------------------------------------------------------------------
+# Off the part along its normal, and down to it again: how cut fibre asks a bead to be left and reached.
+
+_PLACES = 31  # along the normal, that the tip keeps to
+_LEAST = 1e-6  # m: a lower lift is none
+
+
+def above(cell: Cell, ends: Ends, room: TravelClearance, raised: float) -> tuple[JointState, JointState]:
+    """At rest `raised` [m] above both ends, along the part's normal; an end that is so high itself, as home, stays."""
+    near = room.gaps[:, 0] < room.gaps[:, 0].min() + raised
+    tips = room.tips + np.where(near, raised, 0.0)[:, None] * room.surface.normals(room.tips)
+    q = np.stack([ends.start.q, ends.end.q])
+    q[near, : len(cell.arm)] = reaching(cell, q[near], tips[near])
+    return at_rest(q[0]), at_rest(q[1])
+
+
+def along_normal(cell: Cell, ends: Ends, speed: float) -> Cubics | None:
+    """From one end to the other, both at rest, the tip on the straight line between them, no faster than `speed` [m/s]."""
+    tips = cell.T_part_nozzle(np.stack([ends.start.q, ends.end.q]))[:, :3, 3]
+    if np.linalg.norm(tips[1] - tips[0]) < _LEAST:
+        return rest(ends.start.q, 0.0)
+    built = along_tips(cell, replace(ends, least=0.0), np.linspace(tips[0], tips[1], _PLACES), speed)
+    return None if built is None else built.motion
+
+
+# ----------------------------------------------------------------------------------------------------
+# Travel between beads: the quickest way that is clear of the part and within all limits.
+
+LOW_HUMPS = (0.6, 0.35)  # of the least lift, by which the nozzle is raised where little is enough: beads close by
+HIGH_HUMPS = (1.6, 2.5)  # where the lift alone is not enough
+LIFTS = (1.0, 2.0, 4.0, 8.0, 16.0)  # of the least lift, for ways that rest when they are lifted
+_SLIGHT = 1e-4  # m of clearance that a travel may lack, since it is looked at in steps
+_SLOWER_TRIES = 12  # each brings the tip's speed down to the limit or close to it
+_AIM, _FAST = 0.98, 0.995  # of the tip's greatest speed: what is aimed at, and what is slow enough between instants
+_SLOWEST = 1e-3  # rad/s that a joint may always move, so that a cap never stops it
+_ARC = 1.5  # of a straight move's time, that an arc hardly beats
+_EQUAL = 1e-3  # s by which a way may be slower than one that is less preferred
+_ROUNDING = 1e-6  # s that a travel lasts longer than it has to
+_LIMIT_ROUNDING = 1e-9  # of a limit
+
+
+@dataclass(frozen=True)
+class Task:
+    """One travel: its ends, what it keeps clear of, how fast the tip may move over the part [m/s].
+
+    obstacles, now   what bodies keep clear of, when the print has come so far [beads]; margin: how much of their
+                     clearance they must keep [m]: all of it, unless an end of the travel itself lacks some
+    """
+
+    cell: Cell
+    ends: Ends
+    room: TravelClearance
+    speed: float
+    obstacles: Obstacles = NOTHING
+    now: float = 0.0
+    margin: float = 0.0
+
+    def hit(self, motion: Cubics) -> int:
+        """Which pair of bodies comes too near along a motion, or -1."""
+        if not self.obstacles.any:
+            return -1
+        return self.obstacles.hit(fine(motion, self.obstacles.swing), self.now, self.margin)
+
+
+@dataclass(frozen=True)
+class ViaHome:
+    """Travel by way of home: to there and from there, at rest in between."""
+
+    out: Cubics
+    back: Cubics
+
+
+Travel = Cubics | ViaHome
+
+
+def plan_travels(
+    cell: Cell,
+    timed: Sequence[TimedPath],
+    toolpath: Toolpath,
+    process: ProcessSpec,
+    which: range | None = None,
+    obstacles: Obstacles = NOTHING,
+) -> list[Travel]:
+    """The way from home to the first bead, between beads, and home: one more than are timed; or `which` of them.
+
+    timed: all beads of the toolpath, or the last ones, where those before are there from the beginning.
+
+    With the runs beside it each leaves the extruder the time to retract and prime. Between beads of two materials it
+    goes by way of home. Raises Refusal if no way is clear of the part, of what is printed, and of obstacles.
+    """
+    beads, before = toolpath.beads, len(toolpath.beads) - len(timed)
+    surfaces = [toolpath.surface.before(i) for i in range(len(beads) + 1)]
+    heights = [
+        float(surface.signed_distance(bead.points).max()) for surface, bead in zip(surfaces[1:], beads, strict=True)
+    ]
+    printed = list(itertools.accumulate(heights, max, initial=0.0))  # how far the part has grown before each bead
+    travels: list[Travel] = []
+    bounds = ways.bounds_of(cell)
+
+    def way(i: int, start: JointState, end: JointState, leave: TimedPath | None, reach: TimedPath | None) -> Cubics:
+        space = travel_clearance(cell, surfaces[i], printed[i], process.lift, start, end)
+        ends = Ends(start, end, _least(process, toolpath, leave, reach), bounds)
+        find = with_time if process.fibre is None else upright
+        margins, _ = obstacles.margins(np.stack([start.q, end.q]), np.full(2, float(i)), 0.0)
+        margin = float(margins.min(initial=0.0)) - _SLIGHT
+        task = Task(cell, ends, space, process.travel_speed, obstacles, float(i), margin)
+        motion = find(task)
+        if motion is None:
+            beside = leave if reach is None else reach
+            raise Refusal(no_way(task, find), bead=None if beside is None else beside.path.task.bead)
+        return motion
+
+    for k in range(len(timed) + 1) if which is None else which:
+        i = before + k
+        leave = timed[k - 1] if k > 0 else None
+        reach = timed[k] if k < len(timed) else None
+        start = _home_beside(cell, None if reach is None else reach.start) if leave is None else leave.end
+        end = _home_beside(cell, None if leave is None else leave.end) if reach is None else reach.start
+        if leave is None or reach is None or beads[i - 1].material == beads[i].material:
+            travels.append(way(i, start, end, leave, reach))
+        else:
+            home = _home_beside(cell, start)
+            travels.append(ViaHome(way(i, start, home, leave, None), way(i, home, end, None, reach)))
+    return travels
+
+
+def no_way(task: Task, find: Callable[[Task], Cubics | None]) -> str:
+    """Why there is no way: what the one would run into that knows of no obstacles, if there is one."""
+    motion = find(replace(task, obstacles=NOTHING)) if task.obstacles.any else None
+    if motion is None:
+        return "no way to or from this bead is clear of the part, and within the limits of joints and travel speed"
+    one, other = task.obstacles.names(task.hit(motion))
+    return f"collision of {one} with {other} on the way to or from this bead, and no way round was found"
+
+
+def _least(process: ProcessSpec, toolpath: Toolpath, leave: TimedPath | None, reach: TimedPath | None) -> float:
+    """How long the travel between two beads lasts at least [s]: what the runs leave of the time that the extruder needs."""
+    left, reached = (None if end is None else toolpath.beads[end.path.task.bead].material for end in (leave, reach))
+    least = least_travel_time(process, left, reached)
+    if least > 0.0 and leave is not None:
+        task = leave.path.task
+        least -= leave.duration - leave.when(float(task.s[task.last]))
+    if least > 0.0 and reach is not None:
+        least -= reach.when(0.0)
+    return least + _ROUNDING if least > 0.0 else 0.0
+
+
+def _home_beside(cell: Cell, state: JointState | None) -> JointState:
+    """At rest at home, the arm's; the holder stays where the bead's end has it."""
+    home = cell.home.copy()
+    if state is not None:
+        home[len(cell.arm) :] = state.q[len(cell.arm) :]
+    return JointState(home, np.zeros_like(home), np.zeros_like(home))
+
+
+@dataclass(frozen=True)
+class TravelWay:
+    """One way to travel: how it is built below caps of velocity, and a time [s] that it cannot beat, or hardly.
+
+    instead: what to try where it is not clear of the part
+    """
+
+    build: Callable[[Caps], Built | None]
+    bound: float
+    instead: tuple[TravelWay, ...] = ()
+
+
+def quickest(task: Task) -> Cubics | None:
+    """The quickest of all ways that is clear and within limits; None if none is.
+
+    To know a way's duration costs little, to see whether it is clear costs more. So ways are built in the order of
+    the times that they cannot beat, and looked at in the order of their durations; one that is too fast for the tip
+    goes back into the queue, slowed down, unless a glance shows that it is not clear.
+    """
+    cell = task.cell
+    free = Caps(np.full(len(cell.home), np.inf), np.full(len(cell.arm), np.inf))
+    number = itertools.count()
+    queue: list[tuple[float, int, TravelWay, Caps, Built | None, int]] = []
+
+    def push(bound: float, way: TravelWay, caps: Caps, built: Built | None = None, tries: int = 0) -> None:
+        heapq.heappush(queue, (bound, next(number), way, caps, built, tries))
+
+    for way in _ways(task, free):
+        push(way.bound, way, free)
+    roundabout = task.obstacles.any
+    while queue or roundabout:
+        if not queue:
+            roundabout = False
+            for vias in around(cell, task.ends, task.room, task.obstacles, task.now, task.margin):
+                push(0.0, TravelWay(partial(ways.resting_at, cell, task.ends, vias), 0.0), free)
+            continue
+        bound, _, way, caps, built, tries = heapq.heappop(queue)
+        if built is None:
+            built = way.build(caps)
+            if built is not None and queue and built.motion.duration > queue[0][0] + _EQUAL:
+                push(built.motion.duration, way, caps, built, tries)
+                continue
+        clear = built is not None and within_limits(cell, built.motion)
+        if built is not None and clear:
+            clear, tip_speed = _look(task, built.motion)
+            if clear and tip_speed <= _FAST * task.speed:
+                return built.motion
+            if clear and tries < _SLOWER_TRIES:
+                slower = _slower(built, _AIM * task.speed / tip_speed)
+                push(built.motion.duration, way, slower, tries=tries + 1)
+        if not clear:
+            for other in way.instead:
+                push(max(bound, other.bound), other, free)
+    return None
+
+
+def _look(task: Task, motion: Cubics) -> tuple[bool, float]:
+    """Whether a motion is clear, and how fast its tip is [m/s].
+
+    One that is too fast is only glanced at, which shows what runs into the part: it will be looked at when it is slowed
+    down, if it is still the quickest then.
+    """
+    rough = glance(task.cell, motion)
+    if task.room.lacking(rough.points) > 0.0:
+        return False, rough.tip_speed
+    if rough.tip_speed > _FAST * task.speed:
+        return True, rough.tip_speed
+    looked = track(task.cell, motion, rough)
+    return task.room.lacking(looked.points) <= 0.0 and task.hit(motion) < 0, looked.tip_speed
+
+
+def with_time(task: Task) -> Cubics | None:
+    """The quickest way; if it has to last longer, what is to spare is waited where the nozzle is lifted, or at home.
+
+    Where it has to last only a little longer, less than lifting takes, it is a slower one.
+    """
+    ends, space = task.ends, task.room
+    motion = quickest(replace(task, ends=replace(ends, least=0.0)))
+    if motion is None or motion.duration >= ends.least:
+        return motion
+    a, _ = above(task.cell, ends, space, space.lift)
+    up = between(ends.bounds, ends.start, a)
+    if up is not None and _is_clear(task, up):
+        after = travel_clearance(task.cell, space.surface, space.height, space.lift, a, ends.end)
+        onward = quickest(replace(task, ends=replace(ends, start=a, least=0.0), room=after))
+        if onward is not None and up.duration + onward.duration <= ends.least:
+            return ways.waiting([up, onward], ends.least)
+    return quickest(task)
+
+
+def upright(task: Task) -> Cubics | None:
+    """Up along the normal, the quickest way across, and down along the normal, at rest in between; None if none is clear.
+
+    The way across keeps clear by the whole lift; time to spare is waited above the start. Both ends are at rest.
+    """
+    cell, ends, space = task.cell, task.ends, task.room
+    for factor in LIFTS:
+        a, b = above(cell, ends, space, factor * space.lift)
+        climbs = [
+            along_normal(cell, replace(ends, start=start, end=end), _AIM * task.speed)
+            for start, end in ((ends.start, a), (b, ends.end))
+        ]
+        if not all(climb is not None and _is_clear(task, climb) for climb in climbs):
+            continue
+        across = Ends(a, b, 0.0, ends.bounds)
+        high = travel_clearance(cell, space.surface, space.height, space.lift, a, b)
+        motion = ways.waiting([climbs[0], quickest(replace(task, ends=across, room=high)), climbs[1]], ends.least)
+        if motion is not None:
+            return motion
+    return None
+
+
+def _is_clear(task: Task, motion: Cubics) -> bool:
+    """Whether a motion is clear of the part, and within the limits of joints and tip."""
+    if not within_limits(task.cell, motion):
+        return False
+    looked = track(task.cell, motion)
+    slow = looked.tip_speed <= _FAST * task.speed
+    return slow and task.room.lacking(looked.points) <= 0.0 and task.hit(motion) < 0
+
+
+def _ways(task: Task, free: Caps) -> Iterator[TravelWay]:
+    """All ways; among those that take as long, the one that is preferred comes first."""
+    cell, ends, room = task.cell, task.ends, task.room
+    lift = room.lift
+    direct = ways.straight(cell, ends, free)
+    least = ends.least if direct is None else direct.motion.duration
+    yield TravelWay(partial(ways.straight, cell, ends), least)
+    higher: tuple[TravelWay, ...] = ()
+    for factor in reversed(HIGH_HUMPS):
+        higher = (TravelWay(partial(ways.hump, cell, ends, room, factor * lift, 3), least, higher),)
+    yield TravelWay(partial(ways.hump, cell, ends, room, lift, 1), least)
+    yield TravelWay(partial(ways.hump, cell, ends, room, lift, 3), least, higher)
+    for factor in LOW_HUMPS:
+        yield TravelWay(partial(ways.hump, cell, ends, room, factor * lift, 1), least)
+    chord = float(np.linalg.norm(room.tips[1] - room.tips[0]))
+    other: tuple[TravelWay, ...] = ()
+    for fit in reversed(FITS):
+        build = partial(_uncapped, partial(arc, cell, ends, room, _AIM * task.speed, fit))
+        other = (TravelWay(build, max(_ARC * least, chord / task.speed), other),)
+    yield from other
+    resting = ways.by_way_of(cell, ends, room, lift, "straight", free)
+    least = least if resting is None else resting.motion.duration
+    other = ()
+    for factor in reversed(LIFTS):
+        heights = [partial(ways.by_way_of, cell, ends, room, factor * lift, name) for name in ways.POSTURES]
+        other = tuple(TravelWay(build, least, other if build is heights[-1] else ()) for build in heights)
+    yield from other
+
+
+def _uncapped(build: Callable[[], Built | None], caps: Caps) -> Built | None:
+    """A way that keeps the tip's speed by itself."""
+    return build()
+
+
+def _slower(built: Built, factor: float) -> Caps:
+    """Caps that bring the velocities of a way's parts down to a share of what they reached."""
+    along = built.motion if built.along is None else built.along
+    caps = np.maximum(factor * extremes(along).velocity, _SLOWEST)
+    over = np.inf * np.ones(0) if built.over is None else np.maximum(factor * extremes(built.over).velocity, _SLOWEST)
+    return Caps(caps, over)
+
+
+def within_limits(cell: Cell, motion: Cubics) -> bool:
+    """Whether a motion keeps all joint limits, between its breakpoints too."""
+    found, limits, wide = extremes(motion), cell.limits, 1.0 + _LIMIT_ROUNDING
+    return bool(
+        (found.low >= limits.q_min).all()
+        and (found.high <= limits.q_max).all()
+        and (found.velocity <= limits.velocity * wide).all()
+        and (found.acceleration <= limits.acceleration * wide).all()
+        and (found.jerk <= limits.jerk * wide).all()
+    )
+
+
+# ----------------------------------------------------------------------------------------------------
+# Travel that is carried along: the same ways between beads whose ends stand a little elsewhere.
+#
+# A controller goes through the targets of its program wherever the work object stands, and joins them as it did before.
+# So the joints of a travel change from what they change by at its one end to what they change by at the other.
+
+_SLOW_ENOUGH = 0.995  # of the tip's greatest speed: what is slow enough between instants
+# Position, velocity and acceleration at the end of three equal spells of jerk, for each jerk in turn (cf. h^3, h^2, h).
+_REACHED = np.array([[19.0 / 6.0, 7.0 / 6.0, 1.0 / 6.0], [2.5, 1.5, 0.5], [1.0, 1.0, 1.0]])
+_LONGER = 1.0 + 1e-9  # of what it takes to keep a limit, for rounding
+
+
+def carried_travels(
+    cell: Cell, travels: Sequence[Travel], timed: Sequence[TimedPath], speed: float
+) -> list[Travel | None]:
+    """Travel as planned, but between the ends of these beads, the tip no faster than speed [m/s]; home stays at home.
+
+    Where it would be too fast for a joint or for the tip it takes longer; None if it cannot, for a bead's end moves.
+    """
+    out: list[Travel | None] = []
+    for i, travel in enumerate(travels):
+        start = None if i == 0 else timed[i - 1].end
+        end = None if i == len(timed) else timed[i].start
+        if not isinstance(travel, ViaHome):
+            out.append(_carried(cell, travel, start, end, speed))
+            continue
+        away, back = _carried(cell, travel.out, start, None, speed), _carried(cell, travel.back, None, end, speed)
+        out.append(None if away is None or back is None else ViaHome(away, back))
+    return out
+
+
+def _carried(cell: Cell, way: Cubics, start: JointState | None, end: JointState | None, speed: float) -> Cubics | None:
+    """One way between other ends, its own where they are None; None where it would have to be slower, but cannot."""
+    start, end = start or _resting(way.start.q), end or _resting(way.end.q)
+    moved = between_ends(way, start, end)
+    found, limits = extremes(moved), cell.limits
+    times = max(
+        1.0,
+        float((found.velocity / limits.velocity).max()) / HEADROOM,
+        float(np.sqrt((found.acceleration / limits.acceleration).max() / HEADROOM)),
+        float(np.cbrt((found.jerk / limits.jerk).max() / HEADROOM)),
+        track(cell, moved).tip_speed / (_SLOW_ENOUGH * speed),
+    )
+    if start.resting and end.resting:
+        return moved if times <= _LONGER else slower(moved, times * _LONGER)
+    return moved if within_limits(cell, moved) and track(cell, moved).tip_speed <= speed else None
+
+
+def _resting(q: Array) -> JointState:
+    return JointState(q, np.zeros_like(q), np.zeros_like(q))
+
+
+def between_ends(way: Cubics, start: JointState, end: JointState) -> Cubics:
+    """A motion changed so that it leads from one state to another, in the same time, as smoothly as it did.
+
+    The change has constant jerk in each third of the time: six conditions at the ends determine it. A motion that
+    takes no time stays as it is.
+    """
+    if way.duration == 0.0:
+        return way
+    T = way.duration
+    h = T / 3.0
+    q0, v0, a0 = (ours - theirs for ours, theirs in zip(start, way.start, strict=True))
+    q1, v1, a1 = (ours - theirs for ours, theirs in zip(end, way.end, strict=True))
+    left = np.stack([(q1 - q0 - T * (v0 + 0.5 * T * a0)) / h**3, (v1 - v0 - T * a0) / h**2, (a1 - a0) / h])
+    jerks = np.linalg.solve(_REACHED, left)
+    coefficients = np.empty((4, 3, len(q0)))
+    for k, jerk in enumerate(jerks):
+        coefficients[:, k] = jerk / 6.0, a0 / 2.0, v0, q0
+        q0 = q0 + h * (v0 + h * (a0 / 2.0 + h * jerk / 6.0))
+        v0 = v0 + h * (a0 + h * jerk / 2.0)
+        a0 = a0 + h * jerk
+    return add(way, Cubics(np.array([0.0, h, 2.0 * h, T]), coefficients))
+
+
+def slower(motion: Cubics, times: float) -> Cubics:
+    """The same motion, taking so many times as long."""
+    powers = times ** np.arange(3.0, -1.0, -1.0)
+    return Cubics(motion.times * times, motion.coefficients / powers[:, None, None])

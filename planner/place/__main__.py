@@ -1,0 +1,13 @@
+"""Where the part should stand: a map, and the best places, solved and verified.
+
+python -m planner.place hemisphere_honeycomb.yaml
+"""
+
+from __future__ import annotations
+
+import sys
+
+from planner.base.launch import launch
+
+if __name__ == "__main__":
+    sys.exit(launch("place"))

@@ -1,0 +1,461 @@
+"""How well a part stands: the margin that the best way over the whole path never falls below."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from planner.base.arrays import Array
+from planner.base.processes import in_threads
+from planner.cell.cell import Cell, rigid_inverse
+from planner.cell.kinematics.chain import (
+    chain_state,
+    invert6,
+    jacobian_at,
+    largest_singular_value,
+    mul4,
+    pose_of,
+    rotate_about,
+    turn,
+)
+from planner.cell.kinematics.inverse import SPHERICAL_WRIST, kind_of, solve_one
+from planner.collision.margins import FIRST, NO, first_lacking, head_lacking
+from planner.collision.scene import NOTHING, Obstacles
+from planner.collision.table import workspace_for
+from planner.motion.timing.timed_path import bound_time
+from planner.resolve.joint_path import JointPath, SampledTasks, sample_tasks
+from planner.resolve.nodes import (
+    BRANCHES,
+    CLEAR_ROOM,
+    LIMIT_ROOM,
+    SIGMA_COMFORT,
+    full_grid,
+    holder_around,
+    into_part,
+    nearest_turn,
+    nearest_turns,
+)
+from planner.resolve.search import ROUND, SPEED_SHARE
+from planner.toolpath.task import NozzleTask
+
+# ----------------------------------------------------------------------------------------------------
+# Compiled bodies of a placement's score: the margin of every posture, and the best worst case of any way through them.
+
+NO_WRIST, SPHERICAL, OFFSET = 0, 1, 2  # how joint 5 tells how near the wrist is to its singularity
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _speed_share(Ji, solved, twist, rate, weight, samples, v_max, a_max) -> float:
+    """Mean share of the commanded speed that speeds and accelerations of the joints allow over some samples.
+
+    Ji (6, 6) the Jacobian's inverse at one posture; samples are indices, -1 where there are fewer.
+    """
+    time, needed = 0.0, 0.0
+    for i in samples:
+        if i < 0 or weight[i] == 0.0:
+            continue
+        most = 1.0  # of the squared commanded speed
+        for k in range(6):
+            j = solved[k]
+            speed, acceleration = 0.0, 0.0
+            for m in range(6):
+                speed += Ji[k, m] * twist[i, m]
+                acceleration += Ji[k, m] * rate[i, m]
+            if speed * speed * most > v_max[j] * v_max[j]:
+                most = (v_max[j] / speed) ** 2
+            if abs(acceleration) * most > a_max[j]:
+                most = a_max[j] / abs(acceleration)
+        time += weight[i]
+        needed += weight[i] / np.sqrt(most)
+    return time / needed if time > 0.0 else 1.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def evaluate_margins(
+    first, last, kind, p, solved, redundant, wrist_kind, T_base_world, T_nozzle_flange, arm_placements, arm_axes, arm_tip,
+    T_before, axis, T_after, sweeps, swept_joint, held_holder, swept_low, swept_high, held_redundant, least_upright,
+    q_min, q_max, v_max, a_max, table, now, tip, frames, twist, rate, weight, rung, samples,
+    roll_step, holder_step, comfort, floor, lacking, q_out, terms,
+):  # fmt: skip
+    """Fill q_out (r, rolls, holders, 8, na) and terms (r, rolls, holders, 8, 4) of every posture of rungs first .. last.
+
+    terms are sigma, the least angle to a joint's limit, the wrist's angle [rad], and the share of the commanded speed.
+    Where there is no posture, or one that is not clear of obstacles, or whose first three terms over comfort (3) are
+    not above floor, sigma stays 0.
+    lacking (r, rolls): whether the head lacks clearance from part and print, which only roll decides: -1 where that is
+    not known yet, which is filled. Angles are as in the ladder's nodes (`resolve.node_kernel`), so are the arguments; samples (r, m) are those whose
+    rates a rung answers for.
+    """
+    n_rolls, n_holders, na = q_out.shape[1], q_out.shape[2], q_out.shape[4]
+    middle = 0.5 * (q_min + q_max)
+    crowded = len(table.pair) + len(table.look) > 0
+    for r in range(first, last):
+        R = np.empty((3, 3))
+        eight = np.empty((8, na))
+        ok = np.empty(8, dtype=np.bool_)
+        known = np.empty(8, dtype=np.bool_)
+        sigmas, shares = np.empty(8), np.empty(8)
+        J, J6, Jp, Ji = np.empty((6, na)), np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+        T_held, T_world_part, T_world_task = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
+        T_rolled, T_base_nozzle, T_base_flange = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
+        origins, directions = np.empty((na, 3)), np.empty((na, 3))
+        z_axis = np.array((0.0, 0.0, 1.0))
+        posture, bodies = np.empty((1, na + held_holder.shape[1])), workspace_for(table)
+        for h in range(held_holder.shape[1]):
+            posture[0, na + h] = held_holder[r, h]
+        T_part_task = np.empty((4, 4))
+        pose_of(frames[rung[r]], tip[rung[r]], T_part_task)
+        for b in range(n_holders):
+            swept = b * holder_step
+            if sweeps > 0 and swept_high - swept_low < 2.0 * np.pi:
+                swept = nearest_turn(swept, 0.5 * (swept_low + swept_high))
+                if min(swept - swept_low, swept_high - swept) < LIMIT_ROOM:
+                    continue
+            if sweeps == 1:
+                posture[0, swept_joint] = swept
+            rotate_about(axis, swept if sweeps == 1 else 0.0, R)
+            turn(T_before[r], R, T_held)
+            mul4(T_held, T_after[r], T_world_part)
+            mul4(T_world_part, T_part_task, T_world_task)
+            if -T_world_task[2, 2] < least_upright:
+                continue
+            for a in range(n_rolls):
+                rotate_about(z_axis, a * roll_step, R)
+                turn(T_world_task, R, T_rolled)
+                mul4(T_base_world, T_rolled, T_base_nozzle)
+                mul4(T_base_nozzle, T_nozzle_flange, T_base_flange)
+                given = swept if sweeps == 2 else held_redundant[r]
+                solve_one(kind, p, given, T_base_flange[:3, :3], T_base_flange[:3, 3], eight, ok)
+                known[:] = False
+                for c in range(8):
+                    if not ok[c]:
+                        continue
+                    room = nearest_turns(eight[c], middle, q_min, q_max)
+                    wrist = np.inf
+                    if wrist_kind == SPHERICAL:
+                        wrist = abs(eight[c, 4])
+                    elif wrist_kind == OFFSET:
+                        wrist = np.arcsin(abs(np.sin(eight[c, 4])))
+                    if room < LIMIT_ROOM or room <= floor * comfort[1] or wrist <= floor * comfort[2]:
+                        continue
+                    # a spherical wrist turned over has the same axes, one of them reversed: the same rates and sigma
+                    pair = c // 2 if kind == SPHERICAL_WRIST else c
+                    if not known[pair]:
+                        chain_state(arm_placements, arm_axes, arm_tip, eight[c], origins, directions, T_held)
+                        jacobian_at(origins, directions, T_world_task[:3, 3], J)
+                        into_part(J, solved, T_world_part, Jp)
+                        sigmas[pair], shares[pair] = 0.0, 0.0
+                        if invert6(Jp, Ji):
+                            sigmas[pair] = 1.0 / largest_singular_value(Ji, J6, Jp)
+                        if sigmas[pair] > floor * comfort[0]:
+                            shares[pair] = _speed_share(Ji, solved, twist, rate, weight, samples[r], v_max, a_max)
+                        known[pair] = True
+                    if sigmas[pair] <= floor * comfort[0]:
+                        continue
+                    if crowded:
+                        for j in range(na):
+                            posture[0, j] = eight[c, j]
+                        if lacking[r, a] < 0:
+                            lacking[r, a] = 1 if head_lacking(table, bodies, posture, FIRST, now[rung[r]]) >= 0 else 0
+                        if (
+                            lacking[r, a]
+                            or first_lacking(table, bodies, posture, FIRST, now[rung[r]], CLEAR_ROOM, NO) >= 0
+                        ):
+                            continue
+                    terms[r, a, b, c] = (sigmas[pair], room, wrist, shares[pair])
+                    for j in range(na):
+                        q_out[r, a, b, c, j] = eight[c, j]
+
+
+@njit(cache=True)
+def _reachable_in(q0, q1, turn: float, time: float, v: Array, wraps: NDArray[np.bool_]) -> bool:
+    """Whether the joints, and the swept one by `turn`, can go from q0 to q1 (na) in a time [s] at speeds v (na + 1)."""
+    if abs(turn) > v[wraps.size] * time:
+        return False
+    for j in range(wraps.size):
+        d = abs(float(q1[j]) - float(q0[j]))
+        if wraps[j]:
+            d = abs(d - 2.0 * np.pi * np.rint(d / (2.0 * np.pi)))
+        if d > v[j] * time:
+            return False
+    return True
+
+
+@njit(cache=True)
+def bottleneck(q, margin, holder_step, task_rungs, time, v, wraps, floor, came):
+    """Greatest margin that some way along each task never falls below (tasks), 0 where there is no way.
+
+    margin (r, rolls, holders, 8), 0 or less where there is no posture. A way keeps its branch and changes roll and
+    holder by one step at most from rung to rung, both round the circle, as fast as the joints can. The search ends at
+    the first task whose margin is not above floor. came (like margin)
+    is filled with the step that each node was reached by: 3 (roll step + 1) + holder step + 1.
+    """
+    A, B, C = margin.shape[1], margin.shape[2], margin.shape[3]
+    n = task_rungs.size - 1
+    out = np.zeros(n)
+    ends = np.full(n, -1, dtype=np.int64)
+    for task in range(n):
+        first = task_rungs[task]
+        best = margin[first].copy()
+        for r in range(first + 1, task_rungs[task + 1]):
+            arrived = best
+            best = np.zeros((A, B, C), dtype=np.float32)
+            for a in range(A):
+                for b in range(B):
+                    for c in range(C):
+                        own = margin[r, a, b, c]
+                        if own <= 0.0:
+                            continue
+                        least = np.float32(0.0)
+                        for step in (4, 1, 7, 3, 5, 0, 2, 6, 8):  # straight on first: of equals the calmest
+                            da, db = step // 3 - 1, step % 3 - 1
+                            if (db != 0 and B == 1) or (da != 0 and A == 1):
+                                continue
+                            a0, b0 = (a - da) % A, (b - db) % B
+                            through = min(arrived[a0, b0, c], own)
+                            if through <= least:
+                                continue
+                            if _reachable_in(q[r - 1, a0, b0, c], q[r, a, b, c], db * holder_step, time[r], v, wraps):
+                                least = through
+                                came[r, a, b, c] = step
+                        best[a, b, c] = least
+        ends[task] = best.argmax()
+        out[task] = best.max()
+        if out[task] <= floor:
+            break
+    return out, ends
+
+
+@njit(cache=True)
+def way_back(ends, came, task_rungs):
+    """Nodes (r, 3) roll, holder and branch of the ways that `bottleneck` found."""
+    A, B, C = came.shape[1], came.shape[2], came.shape[3]
+    picked = np.empty((task_rungs[-1], 3), dtype=np.int64)
+    for task in range(ends.size):
+        k = ends[task]
+        a, b, c = k // (B * C), (k // C) % B, k % C
+        for r in range(task_rungs[task + 1] - 1, task_rungs[task] - 1, -1):
+            picked[r] = (a, b, c)
+            if r > task_rungs[task]:
+                step = came[r, a, b, c]
+                a, b = (a - (step // 3 - 1)) % A, (b - (step % 3 - 1)) % B
+    return picked
+
+
+# ----------------------------------------------------------------------------------------------------
+# How well a part stands: the margin that the best way over the whole path never falls below.
+#
+# A posture's margin is the least of its distances from a singularity, from joint limits and from the wrist's flip, each
+# over the distance that is comfortable, times the share of the commanded speed that joints allow there. A way is as good
+# as its worst posture, and a placement as good as the best of all ways on a grid of roll, holder angle and branch, which
+# is found exactly: a greatest least margin can be found rung by rung.
+
+ROOM_COMFORT = 0.175  # rad, 10 degrees, from joint limits and the wrist's flip: what a part 2 mm off takes is a tenth
+COMFORT = np.array([SIGMA_COMFORT, ROOM_COMFORT, ROOM_COMFORT])
+_SAMPLES = 16  # whose rates a rung answers for, at most
+_SHARES = 0.9, 0.6, 0.0  # of the score without obstacles, above which the score with them is looked for
+_PROBES = 12  # rungs that are tried first: where one of them is out of reach, so is the part
+_SHARE_OF_BEADS = 4  # a bead has two rungs at least, so no more beads than this part of the rungs
+
+
+@dataclass(frozen=True)
+class Course:
+    """What is looked at of a print, at one fineness (r rungs).
+
+    demand             of some of the tasks, with its rungs
+    samples (r, m)     whose rates a rung answers for, -1 where there are fewer
+    probes (p)         rungs at the ends of the path, in every direction
+    roll_step, holder_step   of the grid [rad]
+    lacking (r, rolls)   at which rolls the head lacks clearance from part and print, wherever the part stands: 1 or 0, and
+                         -1 where nobody has asked yet; of one cell's obstacles, which score and rate must be given
+    """
+
+    demand: SampledTasks
+    samples: NDArray[np.int64]
+    probes: NDArray[np.int64]
+    roll_step: float
+    holder_step: float
+    lacking: NDArray[np.int8]
+
+    @property
+    def at_probes(self) -> Course:
+        """The probes alone, as one path."""
+        at = self.probes
+        return replace(
+            self, demand=self.demand.only(at, [0, len(at)]), samples=self.samples[at], lacking=self.lacking[at]
+        )
+
+
+@dataclass(frozen=True)
+class Rating:
+    """A placement's score, and the worst of each of its terms along the way that has it.
+
+    score          1 is comfortable everywhere, 0 out of reach
+    sigma          smallest singular value of the arm's Jacobian
+    limit, wrist   angles from joint limits and from the wrist's flip [rad]; wrist infinite for arms that have none
+    share          of the commanded speed, where it is least
+    place (3)      where the margin is least: nozzle tip on the part [m]
+    """
+
+    score: float
+    sigma: float
+    limit: float
+    wrist: float
+    share: float
+    place: tuple[float, float, float]
+
+
+def course_of(tasks: Sequence[NozzleTask], rungs: int, step: float, spacing: float) -> Course:
+    """The path of some tasks, seen at about so many rungs `spacing` [m] apart at least, on a grid of `step` [rad]."""
+    beads = _far_apart(tasks, max(rungs // _SHARE_OF_BEADS, 1))
+    length = sum(float(task.s[-1] - task.s[0]) for task in beads)
+    demand = sample_tasks(beads, max(length / max(rungs - len(beads), 1), spacing))
+    widest = min(int((demand.stop - demand.start).max()), _SAMPLES)
+    share = np.linspace(0.0, 1.0, widest)
+    samples = np.round(demand.start[:, None] + share * (demand.stop - 1 - demand.start)[:, None]).astype(np.int64)
+    samples[:, 1:][np.diff(samples, axis=1) == 0] = -1
+    tip, z = demand.tip[demand.rung], demand.frames[demand.rung][:, :, 2]
+    ends = np.concatenate([each.argmin(axis=0) for each in (tip, -tip, z, -z)])
+    lacking = np.full((len(demand.rung), int(np.ceil(2.0 * np.pi / step - 1e-9))), -1, dtype=np.int8)
+    return Course(demand, samples, np.unique(ends)[:_PROBES], step, step, lacking)
+
+
+def _far_apart(tasks: Sequence[NozzleTask], count: int) -> list[NozzleTask]:
+    """At most `count` tasks, in their order: the one farthest out, then always the one farthest from those taken."""
+    if len(tasks) <= count:
+        return list(tasks)
+    middle = np.array([np.concatenate([task.tip.mean(axis=0), task.frames[:, :, 2].mean(axis=0)]) for task in tasks])
+    scale = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])  # a radian counts as 0.1 m: that far the tip is from the wrist
+    middle = middle * scale
+    taken = [int(np.linalg.norm(middle - middle.mean(axis=0), axis=1).argmax())]
+    away = np.linalg.norm(middle - middle[taken[0]], axis=1)
+    while len(taken) < count:
+        taken.append(int(away.argmax()))
+        away = np.minimum(away, np.linalg.norm(middle - middle[taken[-1]], axis=1))
+    return [tasks[i] for i in sorted(taken)]
+
+
+def score(cell: Cell, course: Course, min_sigma: float, floor: float = 0.0, obstacles: Obstacles = NOTHING) -> float:
+    """The margin that the best way over a course never falls below; 0 where there is no way above a floor.
+
+    The higher the floor, the sooner it is known that a placement is not above it. Postures that lack clearance from
+    obstacles do not count; these are given for any place of the part.
+    """
+    free = _score(cell, course, min_sigma, floor, NOTHING)
+    if free <= floor or not obstacles.any:
+        return free
+    here = obstacles.of(cell)
+    for share in _SHARES:  # most placements are clear, and few postures have so much margin: only they are looked at
+        above = max(floor, share * free)
+        found = _score(cell, course, min_sigma, above, here)
+        if found > 0.0 or above == floor:
+            return found
+    return 0.0
+
+
+def _score(cell: Cell, course: Course, min_sigma: float, floor: float, obstacles: Obstacles) -> float:
+    _, terms, _, _ = _postures(cell, course.at_probes, floor, obstacles)
+    if not (_margins(terms, min_sigma).max(axis=(1, 2, 3)) > floor).all():
+        return 0.0
+    worst, _, _ = best_worst(cell, course, min_sigma, floor, obstacles)
+    return float(worst.min()) if worst.min() > floor else 0.0
+
+
+def rate(cell: Cell, course: Course, min_sigma: float, obstacles: Obstacles = NOTHING) -> Rating:
+    """The score of `score`, and the worst of each term along the way that has it."""
+    above = (1.0 - 1e-6) * score(cell, course, min_sigma, 0.0, obstacles)
+    worst, terms, picked = best_worst(cell, course, min_sigma, above, obstacles.of(cell))
+    if worst.min() <= above:
+        return Rating(0.0, 0.0, 0.0, 0.0, 0.0, (np.nan, np.nan, np.nan))
+    along = terms[np.arange(len(picked)), picked[:, 0], picked[:, 1], picked[:, 2]].astype(float)
+    sigma, limit, wrist, share = (float(term) for term in along.min(axis=0))
+    at = course.demand.tip[course.demand.rung[_margins(along, min_sigma).argmin()]]
+    return Rating(float(worst.min()), sigma, limit, wrist, share, (float(at[0]), float(at[1]), float(at[2])))
+
+
+def score_of_paths(cell: Cell, paths: Sequence[JointPath]) -> float:
+    """The score of joint paths that a strategy found: their least margin, times the share of the commanded speed that
+    joints' speeds and accelerations allow over all of them."""
+    na, least = len(cell.arm), np.inf
+    ideal = bound = 0.0
+    for path in paths:
+        task = path.task
+        laid = slice(task.first, task.last + 1)
+        q = path.q[laid]
+        jacobians = cell.arm.jacobians(q[:, :na])[:, :, list(cell.solved)]
+        sigma = float(np.linalg.svd(jacobians, compute_uv=False)[:, -1].min())
+        limit = float(np.minimum(q - cell.limits.q_min, cell.limits.q_max - q).min())
+        wrist = float(np.abs(np.arcsin(np.sin(q[:, 4]))).min()) if na == 6 else np.inf
+        least = min(least, float((np.array([sigma, limit, wrist]) / COMFORT).min()))
+        ideal += float(task.s[task.last] - task.s[task.first]) / task.speed
+        bound += bound_time(cell, path)
+    return least * min(ideal / bound, 1.0)
+
+
+def best_worst(
+    cell: Cell, course: Course, min_sigma: float, floor: float, obstacles: Obstacles
+) -> tuple[Array, NDArray[np.float32], NDArray[np.int64]]:
+    """Best worst margin of each task, every posture's terms, and the nodes (r, 3) of the ways."""
+    demand, limits, na = course.demand, cell.limits, len(cell.arm)
+    q, terms, joint, holder_step = _postures(cell, course, floor, obstacles)
+    speed = np.ones(na + 1)
+    speed[:na] = limits.velocity[:na]
+    if joint is not None:
+        speed[na] = limits.velocity[joint]
+    wraps = (limits.q_max - limits.q_min)[:na] >= ROUND
+    margins = _margins(terms, min_sigma)
+    came = np.full(margins.shape, 4, dtype=np.int8)
+    worst, ends = bottleneck(
+        q, margins, holder_step, demand.task_rungs, demand.time, SPEED_SHARE * speed, wraps, floor, came
+    )
+    picked = way_back(ends, came, demand.task_rungs) if worst.min() > floor else np.zeros((0, 3), dtype=np.int64)
+    return worst, terms, picked
+
+
+def _margins(terms: NDArray[np.float32], min_sigma: float) -> NDArray[np.float32]:
+    """Margins (...) of postures with these terms (..., 4); 0 where sigma is too small or there is no posture."""
+    least = (terms[..., :3] / COMFORT.astype(np.float32)).min(axis=-1) * terms[..., 3]
+    return np.where(terms[..., 0] > min_sigma, least, np.float32(0.0))
+
+
+def _postures(
+    cell: Cell, course: Course, floor: float, obstacles: Obstacles
+) -> tuple[NDArray[np.float32], NDArray[np.float32], int | None, float]:
+    """Joints and terms of every posture (see `evaluate_margins`), the joint that is swept, and by what step [rad].
+
+    Of several chosen joints the one next to the part is swept, the others rest at home.
+    """
+    demand = course.demand
+    if demand.cones.tilt > 0.0:  # a lean may give the head its clearance from part and print
+        obstacles = obstacles.but_head_on_part
+    limits, na, nh = cell.limits, len(cell.arm), len(cell.holder)
+    r = len(demand.rung)
+    held = np.tile(cell.home[list(cell.chosen)], (r, 1))
+    swept = max(nh - 1, 0) if cell.chosen else None
+    grid = full_grid(demand, course.roll_step, course.holder_step, swept is not None, swept, held)
+    sweeps = 0 if swept is None else (1 if swept < nh else 2)
+    joint = None if swept is None else cell.chosen[swept]
+    low, high = (-np.inf, np.inf) if joint is None else (limits.q_min[joint], limits.q_max[joint])
+    T_before, axis, T_after = holder_around(cell, nh if swept is None else swept, held[:, :nh])
+    redundant = cell.inverse.redundant_joint
+    wrist = NO_WRIST if na != 6 else (SPHERICAL if cell.spherical else OFFSET)
+    cone = min(demand.cones.layer_gravity, demand.cones.tilt + demand.cones.nozzle_gravity)
+    q = np.zeros((r, grid.rolls, grid.holders, BRANCHES, na), dtype=np.float32)
+    terms = np.zeros((r, grid.rolls, grid.holders, BRANCHES, 4), dtype=np.float32)
+    arguments = (
+        kind_of(cell.inverse), cell.inverse.parameters, np.array(cell.solved), -1 if redundant is None else redundant,
+        wrist, rigid_inverse(cell.T_world_base), rigid_inverse(cell.T_flange_nozzle),
+        cell.arm.placements, cell.arm.axes, cell.arm.T_last_tip,
+        T_before, axis, T_after, sweeps, -1 if joint is None else joint, held[:, :nh].copy(), low, high,
+        np.zeros(r) if redundant is None else held[:, nh].copy(),
+        np.cos(min(cone, np.pi)) - 1e-9,
+        limits.q_min[:na], limits.q_max[:na], limits.velocity[:na], limits.acceleration[:na],
+        obstacles.table, demand.now, demand.tip, demand.frames, demand.twist, demand.rate, demand.weight, demand.rung, course.samples,
+        grid.roll_step, grid.holder_step, COMFORT, floor, course.lacking, q, terms,
+    )  # fmt: skip
+    in_threads(lambda first, last: evaluate_margins(first, last, *arguments), r)
+    return q, terms, joint, grid.holder_step

@@ -1,0 +1,270 @@
+"""The study of a problem's placement: the score over the whole range, slices of it, and the best places."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from planner.base.arrays import Array
+from planner.base.distribution import Spread
+from planner.base.errors import PlannerError, Refusal
+from planner.cell.cell import Cell
+from planner.place.rating import COMFORT, Rating, rate, score_of_paths
+from planner.place.search import Axis, Point, ScoredPoint, lattice, one_by_one, polish, well_apart
+from planner.place.site import ANGLES, Asked, PartPlace, Site, changed_fields, own_site, reach
+from planner.planning.pipeline import try_out
+from planner.problem import load_problem
+from planner.resolve.strategies import STRATEGIES
+
+# ----------------------------------------------------------------------------------------------------
+# The pieces of work of a study, each done for itself: here, or by who is spread over processes and machines.
+
+# kind, pieces, what counts pieces that are done → their results in order
+Crew = Callable[[str, Sequence[Any], Callable[[], None]], list[Any]]
+
+
+@dataclass(frozen=True)
+class PlaceOutcome:
+    """What solving at a place came to: the plan's metrics, and why it is no plan to print, if it is none."""
+
+    place: PartPlace
+    predicted: float
+    metrics: dict[str, float]
+    failure: str | None
+
+    @property
+    def score(self) -> float:
+        """The placement's score as `rating` counts it, from the verified plan; 0 without one."""
+        if self.failure is not None:
+            return 0.0
+        m = self.metrics
+        limits, wrist = np.radians(m["joint_limit_margin_deg"]), np.radians(m.get("wrist_margin_deg", 180.0))
+        least = float((np.array([m["sigma_min"], limits, wrist]) / COMFORT).min())
+        return least * m["ideal_deposition_time_s"] / m["deposition_time_s"]
+
+
+def crew_of(asked: Asked, site: Site, over: Spread, beside: bool) -> Crew:
+    """Who does the pieces of a site's study; `beside`: in other processes, which read the site's files themselves.
+
+    An error of a piece is raised once it comes.
+    """
+
+    def crew(kind: str, pieces: Sequence[Any], tick: Callable[[], None]) -> list[Any]:
+        results: list[Any] = [None] * len(pieces)
+        items = [(asked, site.digest, kind, piece) for piece in pieces]
+        done = over(_elsewhere, items) if beside else ((i, WORK[kind](site, piece)) for i, piece in enumerate(pieces))
+        for i, result in done:
+            if isinstance(result, PlannerError):
+                raise result
+            results[i] = result
+            for _ in range(len(pieces[i]) if kind == "score" else 1):
+                tick()
+        return results
+
+    return crew
+
+
+def _elsewhere(item: tuple[Asked, str, str, Any]) -> Any:
+    asked, digest, kind, piece = item
+    return WORK[kind](own_site(asked, digest), piece)
+
+
+def _score(site: Site, places: Sequence[PartPlace]) -> list[float]:
+    """Scores of places, as lattice and map see them."""
+    return [site.scored(site.coarse, place, 0.0) for place in places]
+
+
+def _polish(site: Site, start: Point) -> list[ScoredPoint]:
+    """Ever better points from a start on."""
+    return polish(site.axes, one_by_one(lambda point, floor: site.scored(site.fine, site.at(point), floor)), start)
+
+
+def _follow(site: Site, point: Point) -> float:
+    """The score of the paths that the strategy finds at a point; 0 where it finds none."""
+    cell, settings = site.moved(point), site.problem.resolve
+    try:
+        return score_of_paths(cell, STRATEGIES[site.strategy](cell, site.guides, settings, site.around.exactly(cell)))
+    except Refusal:
+        return 0.0
+
+
+def _solve(site: Site, piece: tuple[PartPlace, float]) -> PlaceOutcome:
+    """The whole plan at a place, verified, whose score was predicted."""
+    place, predicted = piece
+    problem = site.problem
+    settings = [f"{field}={value}" for field, value in changed_fields(problem, place).items()]
+    moved = load_problem(problem.file, [*problem.overrides, *settings])
+    try:
+        report = try_out(moved, site.toolpath, site.strategy, True)
+    except Refusal as refusal:
+        return PlaceOutcome(place, predicted, {}, f"no plan: {refusal}")
+    failed = [check.name for check in report.checks if not check.ok]
+    return PlaceOutcome(place, predicted, report.metrics, f"not verified: {failed[0]}" if failed else None)
+
+
+WORK: dict[str, Callable[[Site, Any], Any]] = {"score": _score, "polish": _polish, "follow": _follow, "solve": _solve}
+
+
+# ----------------------------------------------------------------------------------------------------
+# The study of a problem's placement: the score over the whole range, slices of it for a map, and the best places.
+
+Progress = Callable[[str, int], AbstractContextManager[Callable[[], None]]]  # stage, steps → what counts them
+
+_SAMPLES_RESOLVED = 200_000  # waypoints, over all places that are tried with the strategy: a minute or two
+_RESOLVED = 6, 30  # such places, at least and at most
+_NEAR = 0.1  # of the lattice's step: around the best of them as many more are tried
+_STARTS = {False: 10, True: 6}  # that are polished
+_MAP = {False: 21, True: 17}  # places to a side of a map
+_APART = 0.1  # of the reach: placements that are nearer to each other are one
+_APART_TURNED = math.radians(30.0)  # likewise, where nothing but the turn is free
+_CHUNK = 24  # places of the lattice or of a map that are scored as one piece of work
+
+
+@dataclass(frozen=True)
+class Slice:
+    """Scores over the first two coordinates that are searched, the others held.
+
+    others   the place whose other coordinates are held
+    u, v     (m), (k) values of the first and of the second coordinate [m or rad]; v has one without a second
+    scores   (m, k)
+    """
+
+    title: str
+    others: PartPlace
+    u: Array
+    v: Array
+    scores: Array
+
+
+@dataclass(frozen=True)
+class Study:
+    """What is known of a problem's placements.
+
+    axes      coordinates that were searched
+    now, now_rating   where the problem puts its part, and how good that is
+    tried     every place that was scored, coarsely, with its score
+    resolved  places from which the strategy was asked for its joint paths, with their scores
+    slices    maps through the best place, and through the present one if it is another slice
+    best      places whose joint paths are best, and their ratings, best first, pairwise apart
+    """
+
+    axes: tuple[Axis, ...]
+    now: PartPlace
+    now_rating: Rating
+    tried: tuple[tuple[PartPlace, float], ...]
+    resolved: tuple[tuple[PartPlace, float], ...]
+    slices: tuple[Slice, ...]
+    best: tuple[tuple[PartPlace, Rating], ...]
+
+
+def study(site: Site, crew: Crew, count: int, progress: Progress) -> Study:
+    """Search the places of a site's part for the `count` best; the crew does the work, in whatever order.
+
+    A strategy does not go the way of the greatest margin, which is what the grid tells; so the best places of the grid
+    are tried with the strategy, and their own paths count.
+    Raises Refusal where no place in the range reaches the whole part.
+    """
+    axes, cell, now = site.axes, site.cell, site.now
+    table, far = len(cell.chosen) > 0, reach(cell)
+    points = lattice(axes)
+    with progress("lattice", len(points)) as tick:
+        seen = [
+            ScoredPoint(point, value) for point, value in zip(points, _scores(site, crew, points, tick), strict=True)
+        ]
+    starts = [each.point for each in well_apart(seen, _STARTS[table], lambda a, b: _apart(axes, a, b, far))]
+    here = tuple(axis.put(getattr(now, axis.name)) for axis in axes)
+    if site.scored(site.coarse, site.at(here), 0.0) > 0.0:
+        starts.append(here)
+    if not starts:
+        raise Refusal(f"none of {len(points)} places in the range reaches the whole part", hints=_hints(axes, cell))
+    with progress("polish", len(starts)) as tick:
+        trails: list[list[ScoredPoint]] = crew("polish", starts, tick)
+    resolved = _resolved(site, crew, trails, progress)
+    best = well_apart(resolved, count, lambda a, b: _apart(axes, a, b, far))
+    if not best:
+        raise Refusal("no place in the range reaches the whole part without a break", hints=_hints(axes, cell))
+    top_place = site.at(best[0].point)
+    planes = [("through the best place", top_place)]
+    if any(getattr(top_place, axis.name) != getattr(now, axis.name) for axis in axes[2:]):
+        planes.append(("through the present place", now))
+    side = [min(_MAP[table], max(2 * axis.count, 2)) for axis in axes[:2]]
+    with progress("map", len(planes) * math.prod(side)) as tick:
+        slices = tuple(_slice(site, crew, title, others, side, tick) for title, others in planes)
+    min_sigma, nearly = site.problem.resolve.min_sigma, site.around.nearly
+    return Study(
+        axes,
+        now,
+        rate(cell, site.fine, min_sigma, nearly),
+        tuple((site.at(each.point), each.score) for each in seen),
+        tuple((site.at(each.point), each.score) for each in resolved),
+        slices,
+        tuple((site.at(each.point), rate(site.moved(each.point), site.fine, min_sigma, nearly)) for each in best),
+    )
+
+
+def _scores(site: Site, crew: Crew, points: Sequence[Point], tick: Callable[[], None]) -> list[float]:
+    """Scores of points of the search, coarsely."""
+    return _place_scores(crew, [site.at(point) for point in points], tick)
+
+
+def _place_scores(crew: Crew, places: Sequence[PartPlace], tick: Callable[[], None]) -> list[float]:
+    chunks = [tuple(places[i : i + _CHUNK]) for i in range(0, len(places), _CHUNK)]
+    return [value for chunk in crew("score", chunks, tick) for value in chunk]
+
+
+def _resolved(site: Site, crew: Crew, trails: Sequence[Sequence[ScoredPoint]], progress: Progress) -> list[ScoredPoint]:
+    """Places along the trails with the score of the strategy's own paths, and as many around the best of them."""
+    ends = sorted((trail[-1] for trail in trails), key=lambda tried: -tried.score)
+    steps = sorted((tried for trail in trails for tried in trail[:-1]), key=lambda tried: -tried.score)
+    most = int(np.clip(_SAMPLES_RESOLVED // sum(len(task) for task in site.guides), *_RESOLVED))
+    points = list(dict.fromkeys(tried.point for tried in (*ends, *steps) if tried.score > 0.0))[:most]
+    resolved: list[ScoredPoint] = []
+    with progress("resolve", 2 * len(points)) as tick:
+
+        def followed(around: Sequence[Point], floor: float) -> list[float]:
+            scores: list[float] = crew("follow", around, tick)
+            resolved.extend(ScoredPoint(point, value) for point, value in zip(around, scores, strict=True))
+            return scores
+
+        followed(points, 0.0)
+        top = max(resolved, key=lambda tried: tried.score, default=None)
+        if top is not None and top.score > 0.0:
+            polish(site.axes, followed, top.point, _NEAR, len(points))
+    return resolved
+
+
+def _slice(
+    site: Site, crew: Crew, title: str, others: PartPlace, side: Sequence[int], tick: Callable[[], None]
+) -> Slice:
+    axes = site.axes[:2]
+    u = np.linspace(axes[0].low, axes[0].high, side[0])
+    v = np.linspace(axes[1].low, axes[1].high, side[1]) if len(axes) > 1 else np.zeros(1)
+    places = []
+    for i, j in np.ndindex(len(u), len(v)):
+        place = replace(others, **{axes[0].name: float(u[i])})
+        if len(axes) > 1:
+            place = replace(place, **{axes[1].name: float(v[j])})
+        places.append(place)
+    return Slice(title, others, u, v, np.array(_place_scores(crew, places, tick)).reshape(len(u), len(v)))
+
+
+def _apart(axes: Sequence[Axis], a: Point, b: Point, far: float) -> bool:
+    """Whether two placements count as two: by their places if these are searched, else by their turn."""
+    lengths = [abs(x - y) for axis, x, y in zip(axes, a, b, strict=True) if axis.name not in ANGLES]
+    if lengths:
+        return math.hypot(*lengths) >= _APART * far
+    gap = abs(a[0] - b[0]) % (2.0 * math.pi)
+    return min(gap, 2.0 * math.pi - gap) >= _APART_TURNED
+
+
+def _hints(axes: Sequence[Axis], cell: Cell) -> tuple[str, ...]:
+    base = cell.T_world_base[:3, 3] * 1e3
+    return (
+        f"a range nearer to the arm, whose nozzle reaches {reach(cell) * 1e3:.0f} mm at most "
+        f"around {base[0]:.0f} {base[1]:.0f} {base[2]:.0f} mm (searched: {', '.join(axis.name for axis in axes)})",
+    )

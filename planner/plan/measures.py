@@ -1,0 +1,326 @@
+"""What a plan tells, word by word: metrics, columns and checks, each with unit, meaning, and how it is found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+# ----------------------------------------------------------------------------------------------------
+# What a plan tells, word by word: its metrics and columns, each with unit, meaning, and how it is found.
+#
+# The verifier finds metrics and checks from the joints of the trajectory alone (`planner.verify`), the planner the bound.
+# Whatever a plan has stands here or in `checks`, and nothing else does (held by tests/test_measures.py).
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A metric, a check (see checks) or a column: unit, what it is, how it is found, and when it is there.
+
+    unit  empty for a number without one
+    only  when a plan has it; empty for all
+    """
+
+    unit: str
+    text: str
+    how: str
+    only: str = ""
+
+
+ONLY_LEAN = "process.cones.nozzle_normal_deg is not 0"
+ONLY_SWITCHED = "process.extruder.motor is on_off"
+ONLY_MOTOR = "process.extruder.motor is not on_off"
+
+METRICS: dict[str, Measure] = {
+    "beads": Measure("", "beads that are laid", "counted; of a resumed print from its first bead on"),
+    "layers": Measure("", "layers that they belong to", "counted"),
+    "waypoints": Measure("", "points that the beads are described by", "counted"),
+    "deposited_length_mm": Measure("mm", "length of all beads", "sum of their arc lengths, run-in and run-out aside"),
+    "print_time_s": Measure("s", "time of the whole print", "time of the last sample: travel, waits and cuts included"),
+    "deposition_time_s": Measure("s", "time in which material is laid", "samples that deposit, times their spacing"),
+    "ideal_deposition_time_s": Measure(
+        "s", "that time if the speed never dipped", "length of the beads over the commanded speed"
+    ),
+    "bound_deposition_time_s": Measure(
+        "s",
+        "time in which joint speed and acceleration alone would let these joint paths be followed",
+        "the quickest speed profile at most at the commanded speed, without jerk limits, found by the planner",
+    ),
+    "at_speed_fraction": Measure(
+        "",
+        "share of the length that is printed at the commanded speed, within 2 %",
+        "length of the samples within 0.98 and 1.02 of the speed, over the length of all that deposit",
+    ),
+    "speed_min_mm_s": Measure(
+        "mm/s",
+        "slowest speed of the tip along the part while material is laid",
+        "from the tip's places a sample before and after, or the recorded speed where that is less",
+    ),
+    "speed_max_mm_s": Measure(
+        "mm/s",
+        "fastest speed of the tip along the part while material is laid",
+        "likewise, the recorded speed where that is greater",
+    ),
+    "sigma_min": Measure(
+        "",
+        "distance from singularities: least singular value of the arm's Jacobian while material is laid",
+        "of the geometric Jacobian of the nozzle's tip, lengths in metres and angles in radians",
+    ),
+    "sigma_p01": Measure("", "the same, at its worst hundredth", "1 % quantile over the samples that deposit"),
+    "wrist_margin_deg": Measure(
+        "deg",
+        "least angle of joint 5 from where joints 4 and 6 are in line",
+        "from its angle, while material is laid",
+        "the arm has six joints",
+    ),
+    "joint_limit_margin_deg": Measure(
+        "deg", "least distance of any joint from an end of its range", "over all samples, travel included"
+    ),
+    "velocity_ratio_max": Measure(
+        "",
+        "greatest joint speed, as a share of that joint's limit",
+        "central differences of the samples, at rest before the first and after the last",
+    ),
+    "acceleration_ratio_max": Measure("", "greatest joint acceleration, as a share of its limit", "second differences"),
+    "jerk_ratio_max": Measure(
+        "", "greatest joint jerk, as a share of its limit", "third differences, over four samples"
+    ),
+    "position_error_max_mm": Measure(
+        "mm",
+        "how far the tip is off its bead at most",
+        "tip by forward kinematics, from the spline through the bead's points at that length",
+    ),
+    "axis_error_max_deg": Measure(
+        "deg",
+        "how far the nozzle's axis is off the surface normal, or leaves its cone about it",
+        "axis by forward kinematics, normal of the input surface there",
+    ),
+    "tilt_max_deg": Measure(
+        "deg",
+        "how far the nozzle leans from the surface normal at most",
+        "the same angle, cone not taken off",
+        ONLY_LEAN,
+    ),
+    "tilt_bead_error_max_mm": Measure(
+        "mm",
+        "by how much that leaves a bead's edges too high or too low",
+        "half the bead's width times the sine of the lean",
+        ONLY_LEAN,
+    ),
+    "path_deviation_max_mm": Measure(
+        "mm",
+        "how far what is printed and the drawn path are from each other at most",
+        "tip to the input polyline, and the input's points to the rounded path; the greater of the two",
+    ),
+    "branch_changes_in_deposition": Measure(
+        "",
+        "how often the arm changes its branch while material is laid",
+        "changes of sign of the Jacobian's determinant, and of sin(joint 5) of six joints",
+    ),
+    "tip_clearance_min_mm": Measure(
+        "mm",
+        "least height of the nozzle's tip above the part as far as it is printed",
+        "signed distance of the tip from the part's surface",
+    ),
+    "nozzle_clearance_min_mm": Measure(
+        "mm",
+        "least distance of nozzle and print head from part and print, beyond the zone at the tip",
+        "bodies of the head, moved by forward kinematics, against points of part and print; at most 50",
+    ),
+    "arm_clearance_min_mm": Measure(
+        "mm",
+        "least distance of the robots' links from part and print",
+        "convex bodies against the same points; at most 50",
+    ),
+    "robot_clearance_min_mm": Measure(
+        "mm", "least distance of robots, head and fixtures from each other", "convex bodies by coal; at most 50"
+    ),
+    "clearance_min_mm": Measure("mm", "the least of these three", "their minimum"),
+    "flow_error_max": Measure(
+        "",
+        "how far the material in a millimetre of a bead is off what it holds, at most",
+        "what leaves the nozzle, lag included, over each millimetre, as a share; not in the lag zone",
+    ),
+    "extruded_volume_mm3": Measure("mm3", "material that is laid", "sum of flow over time"),
+    "extruded_mm": Measure(
+        "mm", "filament that the motor has pushed at the end", "primes and purges included, retracts taken off"
+    ),
+    "over_extruded_mm3": Measure(
+        "mm3",
+        "material too much, where speed dips and the motor does not",
+        "flow beyond what the bead holds, summed",
+        ONLY_SWITCHED,
+    ),
+    "lag_zone_mm": Measure(
+        "mm",
+        "length not judged by flow_error_max, where pressure rises or falls",
+        "length within the lag of where flow begins or ends",
+        "process.extruder.lag_s is not 0",
+    ),
+}
+
+COLUMNS: dict[str, Measure] = {
+    "t_s": Measure("s", "time since the start", "the samples are evenly spaced"),
+    "bead": Measure("", "index of the bead, from 0; -1 in travel", "run-in and run-out count as travel"),
+    "layer": Measure("", "index of its layer, from 0", "of the bead; in travel of the one that comes next"),
+    "deposit": Measure("", "1 where material is laid", "0 elsewhere"),
+    "s_mm": Measure("mm", "arc length along the bead", "0 in travel"),
+    "x_mm": Measure("mm", "nozzle tip in the part frame, x", "forward kinematics of the joints"),
+    "y_mm": Measure("mm", "nozzle tip in the part frame, y", "likewise"),
+    "z_mm": Measure("mm", "nozzle tip in the part frame, z", "likewise"),
+    "ax": Measure("", "nozzle axis in the part frame, x: a unit vector from the nozzle into the part", "likewise"),
+    "ay": Measure("", "nozzle axis in the part frame, y", "likewise"),
+    "az": Measure("", "nozzle axis in the part frame, z", "likewise"),
+    "speed_mm_s": Measure("mm/s", "speed of the tip along the part", "mean over the sample"),
+    "flow_mm3_s": Measure("mm3/s", "material that is laid", "mean over the sample"),
+    "e_mm": Measure(
+        "mm", "filament that the motor has pushed since the start", "ahead of what is laid by the extruder's lag"
+    ),
+}
+
+
+# ----------------------------------------------------------------------------------------------------
+# The verifier's checks, word by word: unit of the worst value, what holds, and how it is found.
+
+CHECKS: dict[str, Measure] = {
+    "all numbers finite": Measure("that are not", "no number of the trajectory is infinite or undefined", "counted"),
+    "recorded poses": Measure(
+        "mm",
+        "tip and orientation that programs are written from are those of the joints",
+        "forward kinematics of the URDF by Pinocchio",
+    ),
+    "recorded branch": Measure(
+        "",
+        "the configuration that programs name is that of the joints",
+        "from the joints",
+        "the arm has a spherical wrist",
+    ),
+    "recorded times and beads": Measure(
+        "", "samples are evenly spaced, and deposit where they belong to a bead", "counted"
+    ),
+    "joint range": Measure(
+        "deg", "every joint stays within its range", "distance from the nearer end, over all samples"
+    ),
+    "joint velocity": Measure(
+        "of limit", "every joint stays within its speed limit", "central differences of the samples"
+    ),
+    "joint acceleration": Measure("of limit", "every joint stays within its acceleration limit", "second differences"),
+    "joint jerk": Measure(
+        "of limit", "every joint stays within its jerk limit", "third differences, over four samples"
+    ),
+    "continuity": Measure(
+        "of a sample's travel at full speed",
+        "no joint jumps from one sample to the next",
+        "its step over what its greatest speed allows",
+    ),
+    "tip on the path": Measure("mm", "the tip is on its bead", "see position_error_max_mm"),
+    "axis on the normal": Measure(
+        "deg", "the nozzle is normal to the surface, or within its cone about the normal", "see axis_error_max_deg"
+    ),
+    "nozzle to gravity": Measure(
+        "deg",
+        "the nozzle keeps within its cone about straight down",
+        "its axis by forward kinematics, while material is laid",
+        "process.cones.nozzle_gravity_deg is not 180",
+    ),
+    "layer to gravity": Measure(
+        "deg",
+        "the layer keeps within its cone about straight up",
+        "the surface normal, as the table holds the part",
+        "process.cones.layer_gravity_deg is not 180",
+    ),
+    "path within corner tolerance": Measure(
+        "mm",
+        "what is printed stays near the drawn path",
+        "tip to the input polyline; the limit is process.corner_tolerance_mm",
+    ),
+    "input path reached everywhere": Measure(
+        "mm", "the drawn path is printed everywhere", "its points to the rounded path; the same limit"
+    ),
+    "every bead complete": Measure(
+        "mm between samples",
+        "every bead is laid once, in order, from its start to its end, forwards",
+        "greatest gap between samples along it",
+    ),
+    "singularity margin": Measure(
+        "",
+        "the arm keeps away from singularities while material is laid",
+        "see sigma_min; the limit is resolve.min_sigma",
+    ),
+    "branch changes in deposition": Measure(
+        "", "the arm does not change its branch while material is laid", "see branch_changes_in_deposition"
+    ),
+    "speed in deposition": Measure(
+        "mm/s",
+        "the tip is nowhere faster than commanded, within 2 %",
+        "see speed_max_mm_s; slower is a dip, and no failure",
+    ),
+    "recorded speed": Measure(
+        "mm/s", "the speed that programs are written from is that of the tip", "from the tip's places"
+    ),
+    "speed in travel": Measure(
+        "mm/s", "travel keeps to its speed", "of the tip; the limit is process.travel_speed_mm_s"
+    ),
+    "material keeps pace": Measure(
+        "of what one sample lays down",
+        "at every sample as much material has flowed as the beads hold up to there",
+        "volume of the bead's section along its length",
+    ),
+    "extrusion balance": Measure(
+        "of a bead's volume",
+        "each bead has as much material as it holds, and none flows elsewhere",
+        "sum of flow over each bead",
+        ONLY_MOTOR,
+    ),
+    "flow per millimetre": Measure(
+        "of what a millimetre holds",
+        "every millimetre of a bead has the material that it holds",
+        "see flow_error_max",
+        ONLY_MOTOR,
+    ),
+    "filament fed": Measure(
+        "of what one sample lays down",
+        "the motor pushes what is laid, ahead by the extruder's lag, beside primes, retracts and purges",
+        "filament times its section against the volume laid",
+    ),
+    "fibre as long as its bead": Measure(
+        "of a bead's length",
+        "as much fibre is fed for a bead as the bead is long",
+        "filament from the end of one bead to that of the next",
+        "process.fibre is given",
+    ),
+    "motor runs while a bead is laid": Measure(
+        "of its rate",
+        "a motor that is only on or off runs exactly while a bead is laid",
+        "flow against the commanded speed's rate",
+        ONLY_SWITCHED,
+    ),
+    "material fed by its own tool": Measure(
+        "samples and events",
+        "each bead is fed by the tool of its material",
+        "tool selected at each sample and event",
+        "process.materials are several",
+    ),
+    "rest for a change of material": Measure(
+        "s missing",
+        "robot and extruder rest for each change, and purge",
+        "time without motion; the limit is two samples",
+        "process.materials are several",
+    ),
+    "nozzle tip outside the part": Measure(
+        "mm", "the tip never enters the part as far as it is printed", "see tip_clearance_min_mm"
+    ),
+    "nozzle clear of part and print": Measure(
+        "mm",
+        "nozzle and print head keep their distance from part and print; near the tip, where they must touch, less and less",
+        "see nozzle_clearance_min_mm; the limit is collision.nozzle_mm",
+    ),
+    "arm clear of part and print": Measure(
+        "mm",
+        "the robots' links keep their distance from part and print",
+        "see arm_clearance_min_mm; the limit is collision.arm_mm",
+    ),
+    "robots clear of each other and of fixtures": Measure(
+        "mm",
+        "robots, head and fixtures keep their distance from each other",
+        "see robot_clearance_min_mm; the limit is collision.arm_mm, of the head collision.nozzle_mm",
+    ),
+}

@@ -1,0 +1,193 @@
+"""Read a problem and all that it names, without planning it: what it says, and what is wrong with it.
+
+python -m planner.check cylinder_logo.yaml
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from planner.base.command_line import Command, exit_code
+from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED, Complaint, InputError
+from planner.planning.options import add_problem, add_set
+from planner.problem import Problem, load_problem
+from planner.problem.drawings import LayersSpec, ProjectedLayersSpec
+from planner.problem.layers import FaceLayersSpec, GcodeLayersSpec, WaypointLayersSpec
+from planner.problem.rewrite import paths_in
+
+if TYPE_CHECKING:
+    from planner.cell.cell import Cell
+    from planner.toolpath.bead import Toolpath
+
+# Numba, Pinocchio and what reads files take most of a second to be imported: only once the problem itself is right.
+
+
+@dataclass(frozen=True)
+class Examination:
+    """What was found: the cell and the toolpath, as far as they could be made, and all mistakes.
+
+    first_layer  the toolpath is that of the first layer alone
+    """
+
+    cell: Cell | None
+    toolpath: Toolpath | None
+    first_layer: bool
+    mistakes: tuple[InputError, ...]
+
+
+def examine(problem: Problem, whole: bool = False) -> Examination:
+    """Read every file that a problem names, and make its cell and, where that is quick or `whole` asks for it, its toolpath.
+
+    Quick are curves and files of points; of those in equal layers the first layer is made. Each of these is looked at
+    even where another one has a mistake.
+    """
+    mistakes: list[InputError] = []
+    cell = _tried(mistakes, lambda: _cell(problem))
+    if cell is not None:
+        _tried(mistakes, lambda: _check_cell(problem, cell))
+    elif problem.cell.positioner is not None:  # what is wrong with the arm is told first
+        robot = problem.cell.positioner.robot
+        _tried(mistakes, lambda: _robot(problem, "cell.positioner.robot", robot))
+    quick = is_quick(problem)
+    first = quick and not whole and getattr(problem.layers, "count", 1) > 1
+    toolpath = None
+    if quick or whole:
+        toolpath = _tried(mistakes, lambda: _toolpath(one_layer(problem) if first else problem))
+    else:
+        for keys, path in paths_in(problem):
+            if keys[0] != "cell":  # whose files the cell has read
+                _tried(mistakes, partial(_read, problem, ".".join(map(str, keys)), path))
+    return Examination(cell, toolpath, first, tuple(mistakes))
+
+
+def is_quick(problem: Problem) -> bool:
+    """Whether one layer of a problem's toolpath is made in a fraction of a second."""
+    layers, body = problem.layers, None if problem.part is None else problem.part.body
+    if isinstance(layers, (WaypointLayersSpec, GcodeLayersSpec, LayersSpec)):
+        return True
+    return isinstance(layers, ProjectedLayersSpec) and body not in ("mesh", "step")
+
+
+def one_layer(problem: Problem) -> Problem:
+    """The problem with its first layer alone."""
+    return problem.model_copy(update={"layers": problem.layers.model_copy(update={"count": 1})})
+
+
+def _tried(mistakes: list[InputError], make: Callable[[], Any]) -> Any:
+    """What is made; None, with the mistake noted, where that cannot be."""
+    try:
+        return make()
+    except InputError as error:
+        if str(error) not in map(str, mistakes):
+            mistakes += error.all or (error,)
+        return None
+
+
+def _robot(problem: Problem, field: str, robot: str | Path) -> None:
+    from planner.cell.robot import load_robot
+
+    load_robot(robot, problem, field)
+
+
+def _cell(problem: Problem) -> Cell:
+    from planner.cell.cell import build_cell
+
+    return build_cell(problem)
+
+
+def _check_cell(problem: Problem, cell: Cell) -> None:
+    from planner.export.languages import check_languages
+    from planner.verify.collision import check_start
+
+    check_languages(problem, cell)
+    check_start(problem, cell)
+
+
+def _toolpath(problem: Problem) -> Toolpath:
+    from planner.toolpath.build import build_toolpath
+    from planner.toolpath.task import tasks_of
+
+    toolpath = build_toolpath(problem)
+    if problem.process.fibre is not None:  # which asks for beads of some length
+        tasks_of(problem, toolpath)
+    return toolpath
+
+
+def _read(problem: Problem, field: str, path: Path) -> None:
+    """Read one file that `layers` or `part` names. Raises InputError where it cannot be read."""
+    where: Complaint = partial(problem.error, field)
+    in_step = field.startswith("part.step") or isinstance(problem.layers, FaceLayersSpec)
+    if field.endswith("aerofoil"):
+        from planner.toolpath.wing.section import read_section
+
+        read_section(path, where)
+    elif in_step:
+        from planner.toolpath.step.files import check_step
+
+        check_step(path, where)
+    elif field.endswith((".mesh", ".file")):
+        from planner.problem.stl import read_corners
+
+        read_corners(path, where)
+    else:
+        from planner.toolpath.svg.document import read_document
+
+        read_document(path, where)
+
+
+def check_command() -> Command:
+    """The parser of `python -m planner.check`."""
+    parser = Command(
+        "check",
+        "Read a problem file and all files that it names, without planning anything: tell what it says, and what is "
+        "wrong with it.",
+        {
+            "cylinder_logo": "what a problem says: cell, part, layers, length, time",
+            "my_part.yaml": "whether a problem of your own can be read; every mistake that can be told",
+            "my_part.yaml --set process.speed_mm_s=30": "with fields changed",
+            "my_part.yaml --toolpath": "lay all beads, too: of meshes, wings and faces that takes seconds",
+        },
+        {0: "it can be read; whether it can be printed, planner.solve finds out", 2: "wrong input", 130: "interrupted"},
+    )
+    add_problem(parser)
+    add_set(parser)
+    parser.add_argument("--toolpath", action="store_true", help="lay the beads of all layers, whatever that takes")
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    options = check_command().parse_args(arguments)
+    return exit_code(lambda: _run(options), _complain)
+
+
+def _complain(text: str) -> None:
+    print(text, file=sys.stderr)
+
+
+def _run(options: argparse.Namespace) -> int:
+    try:
+        problem = load_problem(options.problem, options.set)
+    except InputError as error:
+        return _told(error.all or (error,))
+    found = examine(problem, options.toolpath)
+    if found.mistakes or found.cell is None:
+        return _told(found.mistakes)
+    from planner.problem.describe import lines_of
+
+    print("\n".join(lines_of(problem, found.cell, found.toolpath, found.first_layer)))
+    return EXIT_VERIFIED
+
+
+def _told(mistakes: Sequence[InputError]) -> int:
+    for mistake in mistakes:
+        _complain(f"error: {mistake}")
+    if len(mistakes) > 1:
+        _complain(f"{len(mistakes)} mistakes")
+    return EXIT_INPUT

@@ -1,0 +1,74 @@
+"""What every strategy plans with, and how another process comes by the same: by reading the files itself."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from planner.base.errors import InputError
+from planner.cell.cell import Cell, build_cell
+from planner.collision.print_body import PrintBody, print_body, standing
+from planner.collision.scene import Obstacles, obstacles_of
+from planner.problem import Problem, load_problem
+from planner.problem.yaml_file import PROBLEMS
+from planner.toolpath.bead import Toolpath
+from planner.toolpath.build import build_toolpath
+from planner.toolpath.task import NozzleTask, tasks_of
+
+
+@dataclass(frozen=True)
+class PlanningContext:
+    """What every strategy plans with, and is verified with; of the tasks only those from `first_bead` on are printed."""
+
+    problem: Problem
+    cell: Cell
+    toolpath: Toolpath
+    tasks: tuple[NozzleTask, ...]
+    body: PrintBody
+    obstacles: Obstacles
+    first_bead: int
+
+
+def context_of(problem: Problem, cell: Cell, toolpath: Toolpath, first_bead: int = 0) -> PlanningContext:
+    """Raises InputError for a bead that is too short for the problem's fibre."""
+    body = print_body(toolpath, standing(cell))
+    tasks, obstacles = tasks_of(problem, toolpath), obstacles_of(problem, cell, toolpath, body)
+    return PlanningContext(problem, cell, toolpath, tasks, body, obstacles, first_bead)
+
+
+@lru_cache(maxsize=1)
+def context_elsewhere(name: str, overrides: tuple[str, ...], digest: str) -> PlanningContext:
+    """The same in another process: of the problem that `found_anywhere` names. Raises InputError where it is another
+    one there, as `digest_of` tells."""
+    problem = load_problem(name, overrides)
+    given = context_of(problem, build_cell(problem), build_toolpath(problem))
+    check_same(problem, digest_of(given.cell, given.tasks), digest)
+    return given
+
+
+def found_anywhere(problem: Problem) -> str:
+    """How another process names a problem: as it ships, or by its file's path from the root."""
+    file = problem.file.resolve()
+    return file.stem if file.parent == PROBLEMS else str(file)
+
+
+def digest_of(cell: Cell, tasks: Sequence[NozzleTask]) -> str:
+    """Of what the files say of a cell and of what is printed: where two differ, so do the problems."""
+    limits = cell.limits
+    arrays = [cell.arm.placements, cell.T_world_holder, limits.q_min, limits.q_max, limits.velocity]
+    arrays += [each for task in tasks for each in (task.tip, task.frames, task.s)]
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def check_same(problem: Problem, here: str, there: str) -> None:
+    """Raise InputError where the digests of a problem in two processes differ."""
+    if here != there:
+        hint = "put them in a folder that all machines share"
+        raise InputError("is not the same for a worker, or a file that it names", file=problem.file, hint=hint)

@@ -1,0 +1,76 @@
+"""A large print refined in other processes: beads that lie on each other are a chain, and chains know nothing of others.
+
+Each bead starts from the refined one below it, so the layers of a chain are refined in turn; but what is beside it does
+not count, once the ladder has chosen for all beads. Pieces of work are whole chains, a few short ones together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from planner.base.arrays import Array
+from planner.base.distribution import Spread
+from planner.base.errors import PlannerError
+from planner.planning.context import PlanningContext, context_elsewhere, digest_of, found_anywhere
+from planner.resolve.joint_path import JointPath, choose_turns
+from planner.resolve.ladder import ladder
+from planner.resolve.segment import model_of
+from planner.resolve.sqp import Priced, given_prices, refine_beads, sigma_floor
+
+Joints = tuple[Array, Array, Array, int]  # roll, tilt, joints and branch of a JointPath
+# name and overrides of the problem, its digest, prices of a piece's beads, what they must keep; beads by their index
+WorkPiece = tuple[tuple[str, tuple[str, ...], str], list[Priced | None], float, list[int], list[Joints]]
+
+LEAST = 4000  # samples of a piece: less takes longer to send than to refine
+
+
+def sqp_over(over: Spread, given: PlanningContext) -> tuple[JointPath, ...]:
+    """The joint paths of strategy `sqp`, bit for bit, refined where `over` spreads them. Raises Refusal as `sqp` does."""
+    problem, cell, settings = given.problem, given.cell, given.problem.resolve
+    paths = ladder(cell, given.tasks, settings, given.obstacles)
+    prices = given_prices(model_of(cell, given.obstacles), paths, settings)
+    floor = sigma_floor(prices, settings)
+    where = found_anywhere(problem), problem.overrides, digest_of(cell, given.tasks)
+    pieces: list[WorkPiece] = [
+        (where, [prices.get(i) for i in piece], floor, piece, [_joints(paths[i]) for i in piece])
+        for piece in pieces_of(paths)
+    ]
+    done = list(paths)
+    for k, refined in over(_refined, pieces):
+        if isinstance(refined, PlannerError):
+            raise refined
+        for i, joints in zip(pieces[k][3], refined, strict=True):
+            done[i] = JointPath(paths[i].task, *joints)
+    return choose_turns(cell, done)
+
+
+def pieces_of(paths: Sequence[JointPath]) -> list[list[int]]:
+    """Indices of the beads of each piece, in their order: chains, the long ones first, several short ones together."""
+    chains: dict[str, list[int]] = {}
+    for i, path in enumerate(paths):
+        chains.setdefault(path.task.name, []).append(i)
+    size = {name: sum(len(paths[i].task) for i in chain) for name, chain in chains.items()}
+    pieces: list[list[int]] = []
+    room = 0
+    for name in sorted(chains, key=lambda name: -size[name]):
+        if room <= 0:
+            pieces.append([])
+            room = LEAST
+        pieces[-1] += chains[name]
+        room -= size[name]
+    return [sorted(piece) for piece in pieces]
+
+
+def _refined(piece: WorkPiece) -> list[Joints]:
+    """On a worker: the beads of a piece, refined."""
+    where, prices, floor, beads, joints = piece
+    given = context_elsewhere(*where)
+    paths = [JointPath(given.tasks[i], *each) for i, each in zip(beads, joints, strict=True)]
+    known = {k: price for k, price in enumerate(prices) if price is not None}
+    return [
+        _joints(path) for path in refine_beads(given.cell, paths, given.problem.resolve, given.obstacles, known, floor)
+    ]
+
+
+def _joints(path: JointPath) -> Joints:
+    return path.roll, path.tilt, path.q, path.branch

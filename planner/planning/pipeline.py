@@ -1,0 +1,325 @@
+"""From a problem to a verified plan, and its files: the table of contents of all that is done."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from planner.base.distribution import Spread
+from planner.base.errors import InputError, Refusal, nearest_name
+from planner.base.files import results_folder
+from planner.base.processes import beside, in_background, in_halves, spare_core
+from planner.base.progress import Stages
+from planner.base.versions import versions
+from planner.cell.cell import Cell, build_cell
+from planner.collision.scene import NOTHING, Obstacles
+from planner.export.languages import check_languages
+from planner.export.write import write_part, write_plan, write_robot_code, write_trajectory
+from planner.motion.dips import find_dips
+from planner.motion.timing.timed_path import TimedPath, bound_time, time_path
+from planner.motion.trajectory import join
+from planner.motion.travel.plan import Travel, carried_travels, plan_travels
+from planner.plan import Plan, Trajectory
+from planner.plan.robustness import Robustness, Tolerance, parse_tolerance
+from planner.planning.context import PlanningContext, context_of
+from planner.planning.distributed import sqp_over
+from planner.planning.options import DEFAULT_DT, MAX_DT, MIN_DT
+from planner.planning.robustness import assess_robustness
+from planner.problem import Problem, load_problem
+from planner.report.html import write_report
+from planner.resolve.joint_path import JointPath
+from planner.resolve.roll_map import roll_maps
+from planner.resolve.strategies import STRATEGIES, UNAWARE
+from planner.toolpath.bead import Toolpath
+from planner.toolpath.build import build_toolpath
+from planner.verify.collision import check_start
+from planner.verify.verdict import Report, verify
+
+BASELINE = "as_published"
+SPREADS = "sqp"  # the strategy whose work other processes can share
+WORTH_A_FORK = 5_000  # waypoints above which sharing the work takes less time than copying the process for it
+
+
+def load(problem: str | Path, *overrides: str) -> Problem:
+    """Read a problem file, or a shipped problem by its name, such as `load("cylinder_logo", "layers.count=1")`.
+
+    overrides: `dotted.key=value` as after `--set`, applied before anything is checked.
+    Raises InputError for whatever is wrong, with its file, line and field. What the problem names (a drawing, a mesh)
+    is not opened yet.
+    """
+    return load_problem(problem, overrides)
+
+
+def solve(
+    problem: Problem | str | Path,
+    strategy: str | None = None,
+    dt: float = DEFAULT_DT,
+    stages: Stages | None = None,
+    second_process: bool = False,
+    tolerance: Tolerance | str | None = None,
+    first_bead: int = 0,
+    baseline: bool = True,
+    over: Spread | None = None,
+) -> Plan:
+    """Plan a problem, or what `load` takes, and verify the plan.
+
+    strategy        one of `STRATEGIES`; the problem's own, if none is given
+    dt              time between samples [s]
+    tolerance       such as "2mm,1deg": the plan is judged for parts too that stand elsewhere by as much
+    first_bead      if not 0 the rest of an interrupted print is planned: the same joint paths as of the whole one,
+                    what lies before is there already
+    second_process  the same comes sooner, where the print is large
+    stages          shows and times the stages
+    baseline        whether the baseline strategy is planned as well; its metrics are in `Plan.baseline`
+    over            what spreads the beads that strategy sqp refines over processes or machines (`planner.base.distribution.crew`)
+
+    The plan that comes back may have failed checks: see `Plan.verified`. Nothing is written: see `write`.
+    Raises InputError for wrong input, Refusal where there is no plan at all.
+    """
+    problem = problem if isinstance(problem, Problem) else load(problem)
+    tolerance = _tolerance(tolerance) if isinstance(tolerance, str) else tolerance
+    strategy = _known(strategy or problem.strategy)
+    if not MIN_DT <= dt <= MAX_DT:
+        raise InputError(f"{dt!r} is not a time between {MIN_DT} and {MAX_DT} s", field="dt")
+    stages = stages or Stages()
+    with stages.stage("load"):
+        cell = build_cell(problem)
+        check_languages(problem, cell)
+        check_start(problem, cell)
+    with stages.stage("toolpath"):
+        toolpath = build_toolpath(problem)
+    with stages.stage("obstacles"):
+        given = context_of(problem, cell, toolpath, _within(first_bead, toolpath))
+    with _baseline_beside(baseline and strategy != BASELINE, given, dt, second_process) as baseline_metrics:
+        paths = _paths_of(strategy, given, stages, over)
+        rest, shared = paths[first_bead:], second_process and _waypoints(toolpath) >= WORTH_A_FORK
+        with beside(shared, roll_maps, cell, rest, given.obstacles, problem.resolve.min_sigma) as mapped:
+            trajectory, report, travels = _plan_along(paths, strategy, given, dt, stages, shared)
+            with stages.stage("dips"):
+                dips = find_dips(problem, cell, toolpath, paths, trajectory)
+            with stages.stage("map"):
+                maps = mapped()
+        with stages.stage("baseline"):
+            compared = baseline_metrics()
+    judged = None
+    if tolerance is not None:
+        with stages.stage("tolerance"):
+            judged = _headroom(tolerance, problem, cell, toolpath, rest, travels, report, dt, second_process)
+    return Plan(
+        problem=problem,
+        cell=cell,
+        toolpath=toolpath,
+        strategy=strategy,
+        trajectory=trajectory,
+        checks=report.checks,
+        metrics=report.metrics,
+        series=report.series,
+        timing_s=dict(stages.seconds),
+        versions=versions(),
+        baseline=compared,
+        settings={"dt": dt, "overrides": list(problem.overrides)},
+        dips=dips,
+        approaches=report.approaches,
+        view=report.view,
+        headroom=judged,
+        paths=tuple(rest),
+        roll_maps=maps,
+    )
+
+
+def try_out(problem: Problem, toolpath: Toolpath, strategy: str, second_process: bool = False) -> Report:
+    """What verification says of the plan that `solve` would make, without dips and baseline.
+
+    toolpath: the problem's own, which does not depend on its cell. Raises Refusal where there is no plan at all.
+    """
+    given = context_of(problem, build_cell(problem), toolpath)
+    return _report_of(strategy, given, DEFAULT_DT, second_process and _waypoints(toolpath) >= WORTH_A_FORK)
+
+
+def _known(strategy: str) -> str:
+    """Raises InputError where there is no such strategy."""
+    if strategy in STRATEGIES:
+        return strategy
+    near = nearest_name(strategy, STRATEGIES)
+    hint = f"did you mean {near}?" if near else f"strategies: {', '.join(STRATEGIES)}"
+    raise InputError(f"there is no strategy {strategy!r}", hint=hint)
+
+
+def _tolerance(text: str) -> Tolerance:
+    """Raises InputError for what is no tolerance."""
+    try:
+        return parse_tolerance(text)
+    except ValueError as error:
+        raise InputError(str(error), field="tolerance") from error
+
+
+def _within(first_bead: int, toolpath: Toolpath) -> int:
+    """The index of the first bead to print. Raises InputError where there is no such bead."""
+    last = len(toolpath.beads) - 1
+    if not 0 <= first_bead <= last:
+        raise InputError(f"there is no bead {first_bead} to begin with", hint=f"a number from 0 to {last}")
+    return first_bead
+
+
+def _paths_of(strategy: str, given: PlanningContext, stages: Stages, over: Spread | None = None) -> Sequence[JointPath]:
+    """Resolve all beads with one strategy."""
+    with stages.stage("resolve"):
+        if over is not None and strategy == SPREADS:
+            return sqp_over(over, given)
+        return STRATEGIES[strategy](given.cell, given.tasks, given.problem.resolve, given.obstacles)
+
+
+def _plan_along(
+    paths: Sequence[JointPath], strategy: str, given: PlanningContext, dt: float, stages: Stages, second_process: bool
+) -> tuple[Trajectory, Report, Sequence[Travel]]:
+    """Time, join and verify the paths of all beads; the bound on the deposition time joins the metrics.
+
+    Travels are only those around what is printed.
+    """
+    problem, cell, toolpath = given.problem, given.cell, given.toolpath
+    obstacles = NOTHING if strategy in UNAWARE else given.obstacles
+    rest = paths[given.first_bead :]
+    trajectory, travels = trajectory_of(problem, cell, toolpath, rest, obstacles, dt, second_process, stages)
+    with stages.stage("verify"):
+        report = verify(problem, cell, toolpath, trajectory, given.body)
+    with stages.stage("dips"):
+        bound = {"bound_deposition_time_s": sum(bound_time(cell, path) for path in rest)}
+    return trajectory, replace(report, metrics=report.metrics | bound), travels
+
+
+def _report_of(strategy: str, given: PlanningContext, dt: float, second_process: bool = False) -> Report:
+    """What verification says of a strategy's plan."""
+    stages = Stages()
+    return _plan_along(_paths_of(strategy, given, stages), strategy, given, dt, stages, second_process)[1]
+
+
+def trajectory_of(
+    problem: Problem,
+    cell: Cell,
+    toolpath: Toolpath,
+    paths: Sequence[JointPath],
+    obstacles: Obstacles,
+    dt: float,
+    second_process: bool,
+    stages: Stages | None = None,
+) -> tuple[Trajectory, Sequence[Travel]]:
+    """Time the beads' paths and plan the travel between them, half of both in a second process if that is wanted.
+
+    The travels in the trajectory come back with it.
+    """
+    n, moving = len(paths), problem.process.hand_over == "motion"
+    stages = stages or Stages()
+
+    def part(first: int, last: int) -> list[TimedPath]:
+        return [time_path(cell, path, (moving, moving)) for path in paths[first:last]]
+
+    def ways(first: int, last: int) -> list[Travel]:
+        which = range(first, last + (last == n))  # the way home comes after the last bead
+        return plan_travels(cell, timed, toolpath, problem.process, which, obstacles)
+
+    done = np.cumsum([len(path.q) for path in paths])
+    middle = 1 + int(np.searchsorted(done, 0.5 * done[-1]))
+    with stages.stage("timing"):
+        timed = [each for half in in_halves(part, n, second_process, middle) for each in half]
+    with stages.stage("travel"):
+        travels = [each for half in in_halves(ways, n, second_process) for each in half]
+        trajectory = join(cell, toolpath, problem.process, timed, travels, dt)
+    return trajectory, travels
+
+
+def _elsewhere(
+    problem: Problem, cell: Cell, toolpath: Toolpath, paths: Sequence[JointPath], travels: Sequence[Travel], dt: float
+) -> Trajectory:
+    """The trajectory in a cell whose part stands elsewhere: paths that were followed there, travel carried along."""
+    process, moving = problem.process, problem.process.hand_over == "motion"
+    timed = [time_path(cell, path, (moving, moving)) for path in paths]
+    carried = [
+        plan_travels(cell, timed, toolpath, process, range(i, i + 1))[0] if way is None else way
+        for i, way in enumerate(carried_travels(cell, travels, timed, process.travel_speed))
+    ]
+    return join(cell, toolpath, process, timed, carried, dt)
+
+
+def _waypoints(toolpath: Toolpath) -> int:
+    return sum(len(bead.s) for bead in toolpath.beads)
+
+
+def _headroom(
+    tolerance: Tolerance,
+    problem: Problem,
+    cell: Cell,
+    toolpath: Toolpath,
+    paths: Sequence[JointPath],
+    travels: Sequence[Travel],
+    planned: Report,
+    dt: float,
+    second_process: bool,
+) -> Robustness:
+    """Judge the plan over a tolerance: the same choices along the beads, the same travel between them."""
+
+    def again(elsewhere: Cell, followed: Sequence[JointPath]) -> Report:
+        return verify(problem, elsewhere, toolpath, _elsewhere(problem, elsewhere, toolpath, followed, travels, dt))
+
+    return assess_robustness(tolerance, problem, cell, toolpath, paths, planned, again, second_process)
+
+
+@contextmanager
+def _baseline_beside(
+    wanted: bool, given: PlanningContext, dt: float, second_process: bool
+) -> Iterator[Callable[[], dict[str, dict[str, float]]]]:
+    """What gives the baseline's metrics by strategy, planned beside the block where that is worth a process."""
+    if not wanted:
+        yield dict
+        return
+    with beside(second_process and _waypoints(given.toolpath) >= WORTH_A_FORK, _baseline, given, dt) as wait:
+        yield wait
+
+
+def _baseline(given: PlanningContext, dt: float) -> dict[str, dict[str, float]]:
+    """Metrics of the published way of moving; empty ones if it cannot be planned here."""
+    try:
+        return {BASELINE: _report_of(BASELINE, given, dt).metrics}
+    except Refusal:
+        return {BASELINE: {}}
+
+
+def write(plan: Plan, folder: str | Path) -> Plan:
+    """Write a plan's files into a folder, as the command does, in place of earlier results there: all or none of them.
+
+    plan.json, trajectory.csv, report.html and report_part.stl of any plan, robot code only of a verified one.
+    Returns the plan with the times that this took. Raises OutputError where the folder cannot be written.
+    """
+    with results_folder(Path(folder)) as fresh:
+        return write_files(plan, fresh)
+
+
+def write_files(plan: Plan, folder: Path, stages: Stages | None = None, second_process: bool = False) -> Plan:
+    """Write a plan's files into a folder, robot code only if the plan is verified; returns it with all timings.
+
+    Robot code, which is read back and compared, takes as long as all else: a second process may write it meanwhile.
+    """
+    stages = stages or Stages()
+    with stages.stage("export"):
+        if not plan.verified:
+            _write_tables(plan, folder)
+        elif second_process and _waypoints(plan.toolpath) >= WORTH_A_FORK and spare_core():
+            with in_background(write_robot_code, plan, folder) as wait:
+                _write_tables(plan, folder)
+                wait()
+        else:
+            write_robot_code(plan, folder)
+            _write_tables(plan, folder)
+    seconds = {**plan.timing_s, **stages.seconds}
+    plan = replace(plan, timing_s={**seconds, "total": sum(seconds.values())})
+    write_plan(plan, folder)
+    return plan
+
+
+def _write_tables(plan: Plan, folder: Path) -> None:
+    write_report(plan, folder / "report.html")
+    write_trajectory(plan, folder)
+    write_part(plan, folder)

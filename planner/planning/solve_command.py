@@ -1,0 +1,91 @@
+"""Solve a problem: from its file to a verified plan in a folder, on the command line.
+
+python -m planner.solve cylinder_logo.yaml
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from rich.console import Console
+
+from planner.base.command_line import exit_code
+from planner.base.distribution import crew
+from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, Refusal
+from planner.base.files import results_folder
+from planner.base.progress import Stages
+from planner.cell.cell import build_cell
+from planner.export.languages import chosen
+from planner.export.write import program_notes, write_refusal
+from planner.plan import resumed_name
+from planner.planning.options import options_of
+from planner.planning.pipeline import solve, write_files
+from planner.problem import Problem, load_problem
+from planner.problem.describe import print_shipped
+from planner.report import page as libraries
+from planner.report.failure import write_failure_report
+from planner.report.summary import print_summary
+from planner.toolpath.build import build_toolpath
+from planner.verify.collision import cell_view
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    options = options_of(arguments)
+    errors = Console(stderr=True, highlight=False)
+    if options.list:
+        print_shipped()
+        return EXIT_VERIFIED
+    return exit_code(lambda: _run(options, errors), partial(errors.print, markup=False, soft_wrap=True))
+
+
+def _run(options: argparse.Namespace, errors: Console) -> int:
+    with Stages(None if options.quiet else errors) as stages:
+        with stages.stage("load"):
+            problem = load_problem(options.problem, options.set)
+        strategy = options.strategy or problem.strategy
+        folder = options.out or Path("out") / resumed_name(problem.name, options.from_bead)
+        # first of all: a folder that cannot be written, and a scheduler that does not answer, are told at once
+        with results_folder(folder) as fresh, crew(options.jobs, options.scheduler) as over:
+            libraries.begin()  # one core has nothing else to do before the search
+            shared = over if options.jobs > 1 or options.scheduler is not None else None
+            try:
+                plan = solve(
+                    problem, strategy, options.dt, stages, True, options.tolerance, options.from_bead, over=shared
+                )
+            except Refusal as refusal:
+                write_refusal(problem, strategy, refusal, fresh)
+                report_refusal(problem, strategy, refusal, fresh / "report.html")
+                reason: Refusal | None = refusal
+            else:
+                plan = write_files(plan, fresh, stages, second_process=True)
+                reason = None
+    if reason is not None:
+        errors.print(f"no plan: {reason}", markup=False, soft_wrap=True)
+        for hint in reason.hints:
+            errors.print(f"try: {hint}", markup=False, soft_wrap=True)
+        errors.print(f"see {folder / 'report.html'}", markup=False, soft_wrap=True)
+        return EXIT_NOT_VERIFIED
+    print_summary(plan, folder, chosen(plan).words, program_notes(plan, folder))
+    return EXIT_VERIFIED if plan.verified else EXIT_NOT_VERIFIED
+
+
+def report_refusal(problem: Problem, strategy: str, refusal: Refusal, path: Path) -> None:
+    """Write the report of a refusal: it shows the beads again, and the place among them."""
+    cell = build_cell(problem)
+    write_failure_report(
+        path,
+        problem=problem,
+        strategy=strategy,
+        message=str(refusal),
+        toolpath=build_toolpath(problem),
+        bead=refusal.bead,
+        point_mm=refusal.point_mm,
+        facts={},
+        hints=refusal.hints,
+        cell=cell,
+        view=cell_view(cell),
+    )

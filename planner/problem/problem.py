@@ -1,0 +1,254 @@
+"""The problem: cell, part, layers, process and strategy, from one YAML file into frozen SI values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, get_args, get_origin
+
+from pydantic import BaseModel, PrivateAttr, Tag, ValidationError, ValidationInfo, field_validator
+from pydantic_core import ErrorDetails, PydanticKnownError
+
+from planner.base.errors import InputError, nearest_name
+from planner.problem.cell import CellSpec, CollisionSpec
+from planner.problem.fields import IDENTIFIER, Section, key, one_of, refusal
+from planner.problem.layers import KINDS, AnyLayersSpec, GcodeLayersSpec, WaypointLayersSpec, check_body
+from planner.problem.part import PartSpec
+from planner.problem.process import ProcessSpec, check_materials
+from planner.problem.settings import STRATEGY_NAMES, ProgramSpec, ResolveSpec, StrategyName
+from planner.problem.yaml_file import (
+    Keys,
+    ValueSources,
+    apply_overrides,
+    describe,
+    find_problem,
+    parse_yaml,
+    read_problem_file,
+)
+
+# ----------------------------------------------------------------------------------------------------
+# What validation found wrong with a problem, told as one error with place, reason and hint.
+
+Mistake = tuple[Keys, str, str | None]  # path, reason, hint
+Model = type[BaseModel]
+_NOT_IN_THE_FILE = (
+    "[key]",
+    *(kind.tag for kind in KINDS),
+)  # Pydantic's marks in a path: of a key, of a kind of section
+
+
+def first_mistake(details: Sequence[ErrorDetails], source: ValueSources, model: Model) -> InputError:
+    """Turn Pydantic's findings about a `model` into one error: those of `--set` first, then by line."""
+    unknown = [detail["loc"] for detail in details if detail["type"] == "extra_forbidden"]
+    meant = {(*loc[:-1], nearest_name(str(loc[-1]), _keys(model, loc[:-1]))) for loc in unknown}
+    # A misspelt key is one mistake, not also a missing one.
+    real = [detail for detail in details if detail["type"] != "missing" or detail["loc"] not in meant]
+    mistakes = [_mistake(detail, source, model) for detail in real]
+
+    def place(mistake: Mistake) -> int:
+        return 0 if source.override(mistake[0]) is not None else source.line(mistake[0]) or 0
+
+    every = tuple(source.error(*mistake) for mistake in sorted(mistakes, key=place))
+    more = len(every) - 1
+    if not more:
+        return every[0]
+    first = every[0]
+    hint = f"{first.hint}; " if first.hint else ""
+    hint += f"{more} more mistake{'s' if more > 1 else ''} in this problem"
+    return InputError(first.reason, file=first.file, line=first.line, field=first.field, hint=hint, all=every)
+
+
+def _mistake(detail: ErrorDetails, source: ValueSources, model: Model) -> Mistake:
+    """Path, reason and hint of one of Pydantic's findings."""
+    loc, value = detail["loc"], detail["input"]
+    path = tuple(key for key in loc if key not in _NOT_IN_THE_FILE)
+    match detail["type"]:
+        case "problem":
+            context = detail["ctx"]
+            if "item" in context:
+                path = (*path, context["item"])
+            if "fields" in context:
+                path = _culprit(path, context["fields"], source)
+            return path, context["reason"], context["hint"]
+        case "missing":
+            return path, "is missing", _description(model, loc)
+        case "extra_forbidden":
+            keys = _keys(model, loc[:-1])
+            near = nearest_name(str(path[-1]), keys)
+            return path, "unknown key", f"did you mean {near}?" if near else f"known keys: {', '.join(keys)}"
+        case "model_type":
+            return path, f"must be a section, not {describe(value)}", f"its keys: {', '.join(_keys(model, loc))}"
+        case "dict_type":
+            return (
+                path,
+                f"must be a section, not {describe(value)}",
+                "its keys are names of your own choice, or of axes and joints",
+            )
+        case "tuple_type":
+            return path, f"must be a list, not {describe(value)}", _description(model, loc)
+    return path, detail["msg"], None
+
+
+def _culprit(section: Keys, fields: Sequence[str], source: ValueSources) -> Keys:
+    """Of fields that contradict each other, the one that came last; the section itself if none is there."""
+    there = [path for path in ((*section, field) for field in fields) if path in source.lines or source.override(path)]
+    return max(there, key=lambda path: (source.override(path) is not None, source.line(path) or 0), default=section)
+
+
+def _section(model: Model, path: Keys) -> Model:
+    """The model of the section at `path`; names that the user chose, such as joints, are passed over."""
+    section = model
+    for i, step in enumerate(path):
+        for name, field in section.model_fields.items():
+            if step == (field.alias or name):
+                models = _models(field.annotation)
+                kind = path[i + 1] if i + 1 < len(path) else None
+                section = models.get(kind, next(iter(models.values()), section))
+                break
+    return section
+
+
+def _models(annotation: Any) -> dict[Any, Model]:
+    """The sections that a field may hold, by their tag where there are several kinds."""
+    found: dict[Any, Model] = {}
+    for choice in (annotation, *get_args(annotation)):
+        tags: list[Any] = [None]
+        if get_origin(choice) is Annotated:
+            choice, *marks = get_args(choice)
+            tags = [mark.tag for mark in marks if isinstance(mark, Tag)]
+        if isinstance(choice, type) and issubclass(choice, BaseModel):
+            found.update(dict.fromkeys(tags, choice))
+        elif choice is not annotation and get_origin(choice) is dict:  # sections by names of the user's, or none
+            found.update(_models(choice))
+    return found
+
+
+def _keys(model: Model, path: Keys) -> list[str]:
+    """The keys that a section may have."""
+    return [field.alias or name for name, field in _section(model, path).model_fields.items()]
+
+
+def _description(model: Model, path: Keys) -> str | None:
+    """What the field at `path` is, in words."""
+    fields = _section(model, path[:-1]).model_fields.values()
+    return next((field.description for field in fields if field.alias == path[-1]), None)
+
+
+# ----------------------------------------------------------------------------------------------------
+# The problem: cell, part, layers, process and strategy, from one YAML file into frozen SI values.
+#
+# The keys of the file are the aliases, in mm and degrees; the names of the attributes carry no unit because they are SI
+# (m, s, rad). What a value may be, and why, stands with its field.
+
+Identifier = Annotated[str, IDENTIFIER]
+
+
+class Problem(Section):
+    """One print: everything that the planner is told.
+
+    In SI units; made by `load_problem`.
+    """
+
+    name: Identifier = key("name", "name of the problem: of its results' folder and of the robot program")
+    cell: CellSpec = key("cell", "arm, nozzle, and what carries the part")
+    layers: AnyLayersSpec = key("layers", "what is printed")
+    part: PartSpec | None = key(
+        "part", "the body to print on, where curves are wrapped or projected; default: none", None
+    )
+    process: ProcessSpec = key("process", "how material is laid down")
+    strategy: Annotated[StrategyName, one_of(STRATEGY_NAMES)] = key(
+        "strategy", f"how the free motion is decided: {', '.join(STRATEGY_NAMES)}", "sqp"
+    )
+    resolve: ResolveSpec = key("resolve", "settings of the search; each has a default", {})
+    collision: CollisionSpec = key("collision", "how far everything keeps apart; each has a default", {})
+    program: ProgramSpec = key("program", "names in the robot program, and how fine it is; each has a default", {})
+    _source: ValueSources = PrivateAttr()
+
+    @field_validator("part")
+    @classmethod
+    def _body_for_drawings(cls, part: PartSpec | None, info: ValidationInfo) -> PartSpec | None:
+        layers = info.data.get("layers")
+        if layers is None:
+            return part
+        if part is None and layers.bodies:
+            raise PydanticKnownError("missing")
+        if part is not None:
+            check_body(part, layers)
+        return part
+
+    @field_validator("process")
+    @classmethod
+    def _bead_as_high_as_its_layer(cls, process: ProcessSpec, info: ValidationInfo) -> ProcessSpec:
+        layers, given = info.data.get("layers"), "height" in process.bead.model_fields_set
+        if isinstance(layers, GcodeLayersSpec):
+            if given:
+                raise refusal("height_mm stands in the G-code", "leave it out", item="bead")
+            return process
+        if given or layers is None:
+            return process
+        if isinstance(layers, WaypointLayersSpec):
+            raise refusal("height_mm is missing", "height of a bead [mm]; a file of waypoints has none", item="bead")
+        bead = process.bead.model_copy(update={"height": layers.height})
+        return process.model_copy(update={"bead": bead})
+
+    @field_validator("process")
+    @classmethod
+    def _rounded_bead_as_wide_as_high(cls, process: ProcessSpec) -> ProcessSpec:
+        bead = process.bead
+        if process.section == "rounded" and bead.width < bead.height:
+            size = f"{bead.width * 1e3:g} mm wide and {bead.height * 1e3:g} mm high"
+            raise refusal(f"a rounded bead cannot be {size}", "at least as wide as high", item="bead")
+        return process
+
+    def model_post_init(self, context: Any) -> None:
+        """Keep the places of the values, which come as the validation's context."""
+        self._source = context
+
+    @property
+    def file(self) -> Path:
+        """The problem file, as the user gave it."""
+        return self._source.file
+
+    @property
+    def overrides(self) -> tuple[str, ...]:
+        """The `dotted.key=value` that were applied to the file."""
+        return self._source.overrides
+
+    def error(self, field: str, reason: str, hint: str | None = None) -> InputError:
+        """Return the error of a field, dotted as in the file (`cell.arm`), with its file and line, or its `--set`.
+
+        A whole number in it counts items of a list from 0.
+        """
+        path = tuple(int(key) if key.isdecimal() else key for key in field.split("."))
+        return self._source.error(path, reason, hint)
+
+
+def load_problem(path: str | Path, overrides: Sequence[str] = ()) -> Problem:
+    """Read a problem file, or a shipped problem by name, with `dotted.key=value` overrides applied before validation.
+
+    Raises one InputError for whatever is wrong: the first mistake by line, and how many more there are. The drawing
+    that the problem names is not opened.
+    """
+    data, source = read_problem_file(find_problem(path))
+    data, source = apply_overrides(data, source, overrides)
+    return _validated(data, source)
+
+
+def parse_problem(text: str, file: Path) -> Problem:
+    """Read a problem from its text, as if it stood in a file that need not be there yet; raises InputError."""
+
+    def complain(reason: str, line: int | None, hint: str | None) -> InputError:
+        return InputError(reason, file=file, line=line, hint=hint)
+
+    lines: dict[Keys, int] = {}
+    data = parse_yaml(text, complain, lines)
+    return _validated(data, ValueSources(file, lines))
+
+
+def _validated(data: dict[str, Any], source: ValueSources) -> Problem:
+    try:
+        problem = Problem.model_validate(data, context=source)
+    except ValidationError as error:
+        raise first_mistake(error.errors(include_url=False), source, Problem) from None
+    check_materials(problem)
+    return problem

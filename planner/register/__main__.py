@@ -1,0 +1,13 @@
+"""Where the part really is, from places that the nozzle touched.
+
+python -m planner.register contacts.csv fibre_bowl
+"""
+
+from __future__ import annotations
+
+import sys
+
+from planner.base.launch import launch
+
+if __name__ == "__main__":
+    sys.exit(launch("register"))

@@ -1,0 +1,158 @@
+"""Where the part really is: its placement from places that the nozzle touched, written into a copy of the problem.
+
+python -m planner.register contacts.csv fibre_bowl
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from planner.base.command_line import Command, exit_code
+from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, OutputError
+from planner.planning.options import add_problem
+from planner.problem import load_problem
+from planner.problem.rewrite import write_changed
+from planner.register.finding import Ask, freedoms_of, plan_contacts, register, scene_of, suggest_next
+from planner.register.fitting import FREEDOMS
+from planner.register.telling import KINDS, changes_of, lines_of, place_words, verdict, write_picture
+
+TOLERANCE_MM = 0.1  # a fifth of the thinnest layers that ship
+MOST_SUGGESTED = 100
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    options = _options(arguments)
+    run = partial(_run if options.contacts is not None else _suggest, options)
+    return exit_code(run, partial(print, file=sys.stderr))
+
+
+def _run(options: argparse.Namespace) -> int:
+    problem = load_problem(options.problem)
+    target = options.out or Path(f"{problem.file.stem}_registered.yaml")
+    _check_target(target)
+    scene = scene_of(problem)
+    ask = _ask(options)
+    found = register(scene, options.contacts, ask)
+    fit = found.fit
+    changes = changes_of(problem, fit.placement, scene.start, freedoms_of(problem, ask))
+    write_changed(problem, changes, target)
+    load_problem(target)  # which tells what no problem may have, such as a part that is nowhere
+    lines = lines_of(found, changes, suggest_next(found))
+    good, sentence = verdict(found, options.tolerance)
+    print("\n".join([*lines, sentence, f"written to {target}"]))
+    if options.report is not None:
+        write_picture(found, options.tolerance, sentence, lines, options.report)
+    return EXIT_VERIFIED if good else EXIT_NOT_VERIFIED
+
+
+def _suggest(options: argparse.Namespace) -> int:
+    """Where to touch before anything was touched."""
+    scene = scene_of(load_problem(options.problem))
+    places, chosen = plan_contacts(scene, _ask(options), options.suggest)
+    print("\n".join(f"{i}: {place_words(scene, places, k, scene.start)}" for i, k in enumerate(chosen, 1)))
+    return EXIT_VERIFIED
+
+
+def _check_target(target: Path) -> None:
+    """Before anything is computed: a target that is there is not written over."""
+    if target.exists():
+        raise OutputError(f"{target} is there already, and stays as it is: name another with --out")
+
+
+def _ask(options: argparse.Namespace) -> Ask:
+    return Ask(
+        free=options.free, table=options.table, size=options.size, ball=options.ball_mm * 1e-3, noise=options.noise
+    )
+
+
+def register_command() -> Command:
+    """The parser of `python -m planner.register`."""
+    parser = Command(
+        "register",
+        "Find where the part is from places that the nozzle touched, and write a problem file that says so.",
+        {
+            "my_part.yaml --suggest 8": "where to touch first",
+            "contacts.csv my_part.yaml": "place the part; writes my_part_registered.yaml",
+            "contacts.csv my_part.yaml --free x,y,z --report fit.html": "only shifts, with a figure of the residuals",
+        },
+        {
+            0: "placed, and the nozzle's height keeps the tolerance",
+            2: "wrong input; nothing written",
+            3: "placed and written, but the nozzle's height may not keep the tolerance",
+            130: "interrupted",
+        },
+    )
+    parser.add_argument("contacts", nargs="?", type=Path, metavar="CONTACTS.csv", help="readings of the touched places")
+    add_problem(parser)
+    parser.add_argument("--out", type=Path, metavar="NEW.yaml", help="default: <problem>_registered.yaml, here")
+    parser.add_argument(
+        "--report", type=_picture, metavar="FILE", help="a figure, .html or .png, of residuals and certainty"
+    )
+    parser.add_argument(
+        "--tolerance-mm",
+        metavar="MM",
+        dest="tolerance",
+        type=_millimetres,
+        default=TOLERANCE_MM * 1e-3,
+        help=f"of the nozzle's height over the part (default {TOLERANCE_MM})",
+    )
+    parser.add_argument(
+        "--free",
+        type=_freedoms,
+        metavar="NAMES",
+        help="freedoms of the part, of x,y,z,rx,ry,rz (default all; of a cylinder x,y)",
+    )
+    parser.add_argument("--table", action="store_true", help="find the table's axis, too: touch at several angles")
+    parser.add_argument("--size", action="store_true", help="find the radius of a cylinder or a sphere, too")
+    parser.add_argument(
+        "--ball-mm", metavar="MM", type=float, default=0.0, help="radius of what touches, at the tip (default 0)"
+    )
+    parser.add_argument(
+        "--noise-mm", metavar="MM", dest="noise", type=_millimetres, help="of one touch, if known (standard deviation)"
+    )
+    parser.add_argument("--suggest", type=int, metavar="N", help="without contacts: where to touch first, N places")
+    return parser
+
+
+def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = register_command()
+    options: argparse.Namespace = parser.parse_args(arguments)
+    if (options.contacts is None) != (options.suggest is not None):
+        parser.error("give CONTACTS.csv and PROBLEM, or --suggest N and PROBLEM")
+    if options.suggest is not None and not 1 <= options.suggest <= MOST_SUGGESTED:
+        parser.error(f"--suggest: 1 to {MOST_SUGGESTED}")
+    if not 0.0 <= options.ball_mm <= 50.0:
+        parser.error("--ball-mm: 0 to 50")
+    return options
+
+
+def _millimetres(text: str) -> float:
+    """A positive length in mm as metres."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value <= 100.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a length between 0 and 100 mm")
+    return value * 1e-3
+
+
+def _freedoms(text: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    wrong = [name for name in names if name not in FREEDOMS]
+    if wrong or len(set(names)) < len(names):
+        raise argparse.ArgumentTypeError(f"{text!r}: each of {','.join(FREEDOMS)} once at most")
+    return names
+
+
+def _picture(text: str) -> Path:
+    path = Path(text)
+    if path.suffix not in KINDS:
+        raise argparse.ArgumentTypeError(f"{text!r} ends neither in {' nor in '.join(KINDS)}")
+    return path

@@ -1,0 +1,290 @@
+"""Files of contacts: where the nozzle's tip was when it touched the part; and Pollard's turntable from them."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+
+from planner.base.arrays import Array, ReadOnlyArrays
+from planner.base.errors import Complaint, InputError, nearest_name
+from planner.base.files import read_text
+from planner.cell.cell import Cell
+
+# ----------------------------------------------------------------------------------------------------
+# Files of contacts: where the nozzle's tip was when it touched the part, as the robot's display tells it.
+
+TIP, AXIS = ("x", "y", "z"), ("ax", "ay", "az")
+NAMES = ("name", "contact")
+LARGEST_FILE = 2_000_000  # bytes
+MOST_CONTACTS = 2_000  # touched one by one; more are a scan, and take minutes
+FARTHEST = {"mm": 1e5, "deg": 3600.0, "": 1e6}  # a hall of 100 m, ten turns, any length of a direction
+LENGTHS = {"mm": 1e-3, "m": 1.0, "inches": 25.4e-3, "cm": 1e-2}
+ANGLES = {"degrees": math.pi / 180.0, "radians": 1.0}
+_BRACKETS = re.compile(r"\s*[\[(]\s*([a-z°]+)\s*[\])]")
+_UNIT = re.compile(r"(.+)_(mm|cm|m|in|inch|inches|deg|rad)")
+
+
+@dataclass(frozen=True)
+class Readings(ReadOnlyArrays):
+    """What a file of contacts says (n of them), in its own units.
+
+    file, lines (n), names (n)   where each stands, from line 1, and what it is called
+    tips (n, 3)      the tip in the world [mm]; or else
+    joints (n, a)    the arm's joints [deg]
+    axes (n, 3)      directions in which the nozzle points, if the file tells them
+    holder (n, k)    free axes of what holds the part [deg]
+    """
+
+    file: Path
+    lines: NDArray[np.int64]
+    names: tuple[str, ...]
+    tips: Array | None
+    joints: Array | None
+    axes: Array | None
+    holder: Array
+
+
+@dataclass(frozen=True)
+class Contacts(ReadOnlyArrays):
+    """Places (n) that the nozzle touched.
+
+    tips (n, 3)    in the world [m];  T_world_plate (n, 4, 4) what the part stands on then, as the problem has it
+    axes (n, 3)    unit directions of the nozzle in the world, if known
+    """
+
+    names: tuple[str, ...]
+    lines: NDArray[np.int64]
+    file: Path
+    tips: Array
+    axes: Array | None
+    T_world_plate: Array
+
+    def __len__(self) -> int:
+        return len(self.tips)
+
+
+def read_readings(file: Path, cell: Cell) -> Readings:
+    """Read a CSV file of contacts made in this cell.
+
+    A header names the columns: x_mm y_mm z_mm, or the arm's joints by name in degrees; the free axes of what holds the
+    part; if wanted name, and ax ay az, the nozzle's direction. Between columns stand commas, semicolons, tabs or blanks.
+    Raises InputError with file, line and column for whatever is wrong.
+    """
+    lines = read_text(file, LARGEST_FILE, partial(InputError, file=file))
+    rows = [(i, line) for i, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
+    if not rows:
+        raise InputError("holds no contacts", file=file, hint=_expected(cell))
+    head_line, head = rows[0]
+    separator = next((mark for mark in (",", ";", "\t") if mark in head), None)
+    wrong = partial(InputError, file=file, line=head_line)
+    words = _split(head, separator, wrong)
+    if all(_is_number(word) for word in words):
+        raise wrong("a header that names the columns is missing", hint=_expected(cell))
+    places = _places(words, cell, wrong)
+    if len(rows) == 1:
+        raise InputError("holds no contacts below its header", file=file, line=head_line)
+    if len(rows) - 1 > MOST_CONTACTS:
+        raise InputError(f"holds {len(rows) - 1} contacts", file=file, hint=f"at most {MOST_CONTACTS}")
+    name_at = next((places.pop(name) for name in NAMES if name in places), None)
+    names, table = [], []
+    for line, text in rows[1:]:
+        cells = _split(text, separator, partial(InputError, file=file, line=line))
+        if len(cells) != len(words):
+            count = f"{len(cells)} value{'s' if len(cells) != 1 else ''}"
+            hint = "a decimal point, not a comma, between columns as in the header"
+            raise InputError(
+                f"the header names {len(words)} columns; here are {count}", file=file, line=line, hint=hint
+            )
+        table.append([_number(cells[k], column, file, line) for column, k in places.items()])
+        names.append(str(len(table)) if name_at is None else cells[name_at][:20])
+    columns = dict(zip(places, np.array(table).T, strict=True))
+    numbers = np.array([line for line, _ in rows[1:]], dtype=np.int64)
+    return _readings(file, numbers, tuple(names), columns, cell)
+
+
+def _readings(
+    file: Path, lines: NDArray[np.int64], names: tuple[str, ...], columns: dict[str, Array], cell: Cell
+) -> Readings:
+    def group(keys: tuple[str, ...]) -> Array | None:
+        return np.column_stack([columns[key] for key in keys]) if keys and keys[0] in columns else None
+
+    axes = group(AXIS)
+    if axes is not None:
+        length = np.linalg.norm(axes, axis=1)
+        if (length < 1e-6).any():
+            line = int(lines[int(np.argmin(length))])
+            raise InputError("ax ay az has no direction", file=file, line=line, hint="for example 0, 0, -1")
+        axes = axes / length[:, None]
+    na = len(cell.arm)
+    holder = group(cell.joint_names[na:])
+    return Readings(
+        file=file,
+        lines=lines,
+        names=names,
+        tips=group(TIP),
+        joints=group(cell.joint_names[:na]),
+        axes=axes,
+        holder=np.empty((len(lines), 0)) if holder is None else holder,
+    )
+
+
+def contacts_of(cell: Cell, readings: Readings, length: str = "mm", angle: str = "degrees") -> Contacts:
+    """The contacts that readings stand for, were their lengths and angles in these units (LENGTHS, ANGLES)."""
+    tips, axes = readings.tips, readings.axes
+    if readings.joints is not None:
+        T_world_nozzle = cell.arm.poses(readings.joints * ANGLES[angle])
+        tips, axes = T_world_nozzle[:, :3, 3], T_world_nozzle[:, :3, 2]
+    elif tips is not None:
+        tips = tips * LENGTHS[length]
+    else:
+        raise ValueError("readings without tips and joints")
+    return Contacts(
+        names=readings.names,
+        lines=readings.lines,
+        file=readings.file,
+        tips=tips,
+        axes=axes,
+        T_world_plate=plate_poses(cell, readings.holder * ANGLES[angle]),
+    )
+
+
+def plate_poses(cell: Cell, q: Array) -> Array:
+    """What the part stands on (m, 4, 4) in the world, at angles q (m, k) [rad] of its free axes; of a bed, the world."""
+    if cell.holder_robot is None:
+        return np.tile(np.eye(4), (len(q), 1, 1))
+    return np.asarray(cell.holder.poses(q) @ np.linalg.inv(cell.T_plate_part))
+
+
+def other_units(readings: Readings) -> list[tuple[str, str]]:
+    """Pairs of length and angle that the file might be in instead of mm and degrees."""
+    lengths = ["mm"] if readings.joints is not None else list(LENGTHS)
+    angles = ["degrees"] if readings.joints is None and readings.holder.shape[1] == 0 else list(ANGLES)
+    return [(length, angle) for length in lengths for angle in angles][1:]
+
+
+def _expected(cell: Cell) -> str:
+    na = len(cell.arm)
+    free = cell.joint_names[na:]
+    also = f", and {', '.join(free)}" if free else ""
+    return (
+        f"columns x_mm, y_mm, z_mm, or {', '.join(cell.joint_names[:na])} in degrees{also}; if wanted name, ax, ay, az"
+    )
+
+
+def _split(line: str, separator: str | None, wrong: Complaint) -> list[str]:
+    if separator is None:
+        return line.split()
+    try:
+        return [word.strip() for word in next(csv.reader([line], delimiter=separator))]
+    except csv.Error as error:
+        raise wrong(f"is not CSV: {error}") from None
+
+
+def _places(words: list[str], cell: Cell, wrong: Complaint) -> dict[str, int]:
+    """Where the columns stand that are known; InputError for one that is missing, unknown, or in another unit."""
+    joints, na = cell.joint_names, len(cell.arm)
+    known = {name.lower(): name for name in (*TIP, *AXIS, *NAMES, *joints)}
+    places: dict[str, int] = {}
+    for k, word in enumerate(words):
+        plain = _BRACKETS.sub(r"_\1", word.strip("\"' ").lower()).replace("°", "deg")
+        match = None if plain in known else _UNIT.fullmatch(plain)
+        plain, unit = (plain, "") if match is None else (match[1], match[2])
+        if plain not in known:
+            near = nearest_name(plain, known)
+            raise wrong(f"unknown column {word[:40]!r}", hint=f"did you mean {near}?" if near else _expected(cell))
+        name = known[plain]
+        if name in places:
+            raise wrong(f"column {name} is there twice")
+        right = "mm" if name in TIP else "deg" if name in joints else ""
+        if unit not in ("", right):
+            raise wrong(f"column {word[:40]!r} is in {unit}", hint=f"lengths in mm, angles in degrees: {name}_{right}")
+        places[name] = k
+    arm = joints[:na]
+    if any(name in places for name in TIP) and any(name in places for name in arm):
+        raise wrong("both the tip's place and the arm's joints are there", hint="leave one of them out")
+    needed = (arm if any(name in places for name in arm) else TIP) + joints[na:]
+    if any(name in places for name in AXIS):
+        needed += AXIS
+    missing = [name for name in needed if name not in places]
+    if missing:
+        columns = f"columns {', '.join(missing)} are" if len(missing) > 1 else f"column {missing[0]} is"
+        raise wrong(f"{columns} missing", hint=_expected(cell))
+    if all(name in places for name in NAMES):
+        raise wrong("both name and contact are there", hint="leave one of them out")
+    # groups stand together, so that a group is there if its first column is
+    return {name: places[name] for name in (*NAMES, *TIP, *AXIS, *joints) if name in places}
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _number(word: str, column: str, file: Path, line: int) -> float:
+    wrong = partial(InputError, file=file, line=line, field=column)
+    if not word:
+        raise wrong("is missing")
+    if not _is_number(word) or "_" in word:
+        hint = "a decimal point, not a comma" if "," in word else None
+        raise wrong(f"{word[:40]!r} is not a number", hint=hint)
+    value, unit = float(word), "mm" if column in TIP else "" if column in AXIS else "deg"
+    if not abs(value) <= FARTHEST[unit]:
+        why = "is too large" if abs(value) < math.inf else "is not a finite number"
+        raise wrong(f"{word[:40]} {why}", hint=f"at most {FARTHEST[unit]:g} {unit}".rstrip())
+    return value
+
+
+# ----------------------------------------------------------------------------------------------------
+# The turntable and a cylinder on it from contacts at several angles, as published (Pollard et al., eq. 1).
+
+
+@dataclass(frozen=True)
+class Turntable(ReadOnlyArrays):
+    """Where a table turns and what is on it, seen from above.
+
+    axis (2)    of the table in the world [m];  cylinder (2) the cylinder's own axis on the plate [m]
+    off (n, 2)  measured minus estimated places [m];  their absolute values add up to the least that is possible
+    """
+
+    axis: Array
+    cylinder: Array
+    off: Array
+
+    @property
+    def cost(self) -> float:
+        """Eq. (1b): the mean over contacts of |x| + |y| [m]."""
+        return float(np.abs(self.off).sum(axis=1).mean())
+
+
+def locate(tips: Array, turns: Array, reach: Array) -> Turntable:
+    """The axes that bring estimated and measured places closest in the sum of absolute differences.
+
+    tips (n, 2) of the nozzle in the world; turns (n, 2, 2) of the plate; reach (n, 2) from the cylinder's axis to the
+    tip, which the paper, whose nozzle always points the same way, counts to the table's axis. A linear program: its
+    optimum is exact, where the paper's routine searches for it. Raises ValueError where the angles are all alike.
+    """
+    n = len(tips)
+    A = np.concatenate([np.tile(np.eye(2), (n, 1, 1)), turns], axis=2).reshape(2 * n, 4)
+    if np.linalg.matrix_rank(A, tol=1e-3) < 4:
+        raise ValueError("the table stands at one angle only")
+    b = (tips - reach).ravel()
+    least = np.eye(2 * n)
+    solved = linprog(
+        np.append(np.zeros(4), np.ones(2 * n)),
+        A_ub=np.block([[A, -least], [-A, -least]]),
+        b_ub=np.append(b, -b),
+        bounds=[(None, None)] * 4 + [(0.0, None)] * (2 * n),
+    )
+    z = solved.x[:4]
+    return Turntable(z[:2], z[2:], (b - A @ z).reshape(n, 2))

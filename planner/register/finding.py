@@ -1,0 +1,326 @@
+"""From a problem and its contacts to the placement of the part, or to what is wrong with the contacts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.base.arrays import Array
+from planner.base.errors import InputError
+from planner.cell.cell import Cell, build_cell
+from planner.problem import Problem
+from planner.register.contacts import (
+    Contacts,
+    Readings,
+    Turntable,
+    contacts_of,
+    locate,
+    other_units,
+    plate_poses,
+    read_readings,
+)
+from planner.register.fitting import (
+    FREEDOMS,
+    BeadWaypoints,
+    Fit,
+    Placement,
+    Touch,
+    Uncertainty,
+    Unknowns,
+    fit,
+    looked_for,
+    split,
+    table_ways,
+    uncertainty_of,
+    waypoints_of,
+    words,
+)
+from planner.register.places import (
+    Clearance,
+    Tangents,
+    TouchPlaces,
+    most_telling,
+    next_place,
+    reachable,
+    surface_places,
+)
+from planner.toolpath.bead import Surface, Toolpath
+from planner.toolpath.build import build_toolpath
+
+MISFIT = 1e-3  # m: contacts that agree no better are not those of this part, or not in these units
+FAR_OFF = 0.3  # m: nobody places a part so far from where the problem has it
+_MUCH_BETTER = 0.1  # as far off: then the file is in that unit
+
+
+@dataclass(frozen=True)
+class Ask:
+    """What is asked for: freedoms of the part that are looked for (none given: what suits it), whether the table's
+    axis and the size are; radius of what touches and standard deviation of a touch, if known [m]."""
+
+    free: tuple[str, ...] | None = None
+    table: bool = False
+    size: bool = False
+    ball: float = 0.0
+    noise: float | None = None
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A problem with what registration asks of it: its cell, beads, bare surface, and where the part should be.
+
+    points, normals (n, 3) on the surface, where it may be touched;  tangents there, a rough stand-in for the surface
+    """
+
+    problem: Problem
+    cell: Cell
+    toolpath: Toolpath
+    surface: Surface
+    start: Placement
+    waypoints: BeadWaypoints
+    points: Array
+    normals: Array
+    tangents: Tangents
+
+    @property
+    def home_plates(self) -> Array:
+        """What the part stands on (k, 4, 4) with the holder at home, and turned all around if it turns."""
+        na = len(self.cell.arm)
+        home = self.cell.home[na:]
+        q = np.tile(home, (1 if len(home) == 0 else 12, 1))
+        if len(home):
+            q[:, -1] = np.clip(
+                home[-1] + np.linspace(-np.pi, np.pi, len(q)), self.cell.limits.q_min[-1], self.cell.limits.q_max[-1]
+            )
+        return plate_poses(self.cell, q)
+
+
+@dataclass(frozen=True)
+class Registration:
+    """What contacts say.
+
+    held      freedoms that the contacts do not see and the nozzle's height does not ask for, in words
+    turntable the table as published, where it can be found from these contacts
+    """
+
+    scene: Scene
+    ask: Ask
+    fit: Fit
+    held: tuple[str, ...]
+    uncertainty: Uncertainty
+    turntable: Turntable | None
+
+
+def scene_of(problem: Problem) -> Scene:
+    """All that is needed of a problem. Raises InputError for what is wrong with it."""
+    cell = build_cell(problem)
+    toolpath = build_toolpath(problem)
+    surface = toolpath.surface.before(0)
+    T = cell.T_world_holder if cell.holder_robot is None else cell.T_plate_part
+    points, normals = surface_places(toolpath, surface)
+    return Scene(
+        problem,
+        cell,
+        toolpath,
+        surface,
+        Placement(T, np.zeros(3)),
+        waypoints_of(toolpath),
+        points,
+        normals,
+        Tangents.of(toolpath, surface, points, normals),
+    )
+
+
+def freedoms_of(problem: Problem, ask: Ask) -> tuple[str, ...]:
+    """The freedoms of the part that are looked for: all, but of an upright cylinder only where it stands."""
+    if ask.free is not None:
+        return ask.free
+    return ("x", "y") if problem.part is not None and problem.part.cylinder is not None else FREEDOMS
+
+
+def unknowns_of(scene: Scene, ask: Ask, T_world_plate: Array) -> Unknowns:
+    """What is looked for, with the plate at (n, 4, 4). Raises InputError for what cannot be asked of this problem."""
+    part, problem = scene.problem.part, scene.problem
+    free = freedoms_of(problem, ask)
+    if ask.size and (part is None or (part.cylinder is None and part.sphere is None)):
+        raise problem.error("part", "has no radius", "--size is for a cylinder or a sphere")
+    ways = np.zeros((3, 0))
+    if ask.table:
+        if problem.cell.positioner is None or len(scene.cell.holder) == 0:
+            raise problem.error("cell", "has no table that turns", "--table is for a positioner with a free axis")
+        ways = table_ways(T_world_plate)
+    places = scene.points if len(scene.points) else scene.waypoints.points
+    if not free and ways.shape[1] == 0 and not ask.size:
+        raise InputError("there is nothing to look for", field="--free", hint=f"any of {','.join(FREEDOMS)}")
+    return looked_for(free, ways, ask.size, places)
+
+
+def register(scene: Scene, file: Path, ask: Ask) -> Registration:
+    """Find the part from a file of contacts.
+
+    Raises InputError for contacts that cannot be read, that are too few or badly spread for what is looked for, or that
+    are not those of this part.
+    """
+    readings = read_readings(file, scene.cell)
+    contacts = contacts_of(scene.cell, readings)
+    if ask.table and len(readings.holder) and table_ways(contacts.T_world_plate).shape[1] == 0:
+        raise InputError(
+            "the table stands at one angle in all contacts, so its axis cannot be found",
+            file=file,
+            hint="touch at three angles or more, far apart",
+        )
+    unknowns = unknowns_of(scene, ask, contacts.T_world_plate)
+    plates = _plates(scene, ask, contacts)
+    _enough(scene, unknowns, contacts, plates)
+    touch = Touch(scene.surface, scene.tangents, contacts, unknowns, ask.ball)
+    found = fit(touch, scene.start, ask.noise)
+    _fits(scene, readings, found, ask)
+    held = _determined(scene, found, plates)
+    return Registration(
+        scene=scene,
+        ask=ask,
+        fit=found,
+        held=tuple(held),
+        uncertainty=uncertainty_of(found, scene.waypoints, plates, ask.noise),
+        turntable=_turntable(scene, contacts),
+    )
+
+
+def suggest_next(found: Registration) -> tuple[TouchPlaces, int, float] | None:
+    """The place to touch next, as a row of places, and what share of the worst error in height it would leave; None
+    where the arm touches no place along its normal and is clear of everything else."""
+    scene, fit = found.scene, found.fit
+    places = reachable(scene.cell, fit.placement, scene.points, scene.normals)
+    contacts, unknowns = fit.touch.contacts, fit.touch.unknowns
+    H = scene.waypoints.heights(unknowns, fit.placement, _plates(scene, found.ask, contacts))
+    touched = fit.placement.seen(contacts.tips, contacts.T_world_plate)[fit.kept]
+    clearance = Clearance.of(scene.problem, scene.cell, scene.surface)
+    while len(places):
+        k, left = next_place(places, touched, unknowns, fit.placement, fit.columns, H)
+        hit = _hit(clearance, fit.placement, places, k)
+        if not hit.any():
+            return places, k, left
+        places = places.only(~hit)
+    return None
+
+
+def _hit(clearance: Clearance, placement: Placement, places: TouchPlaces, k: int) -> NDArray[np.bool_]:
+    """Which places fall away because something is hit at the k-th: all at its point if the part is, or only itself."""
+    poses = clearance.fits(places.points[k], places.normals[k])
+    if not poses:
+        return np.asarray((places.points == places.points[k]).all(axis=1))
+    return (np.arange(len(places)) == k) & (not clearance.at(placement, poses, places.q[k]))
+
+
+def plan_contacts(scene: Scene, ask: Ask, count: int) -> tuple[TouchPlaces, list[int]]:
+    """Where to touch before anything was touched: places, and which of them (count).
+
+    Raises InputError where the arm reaches none of them and is clear of everything else.
+    """
+    places = reachable(scene.cell, scene.start, scene.points, scene.normals)
+    clearance = Clearance.of(scene.problem, scene.cell, scene.surface)
+    while len(places):
+        unknowns = unknowns_of(scene, ask, places.T_world_plate)
+        chosen = most_telling(places, unknowns, scene.start, count)
+        hit = np.any([_hit(clearance, scene.start, places, k) for k in set(chosen)], axis=0)
+        if not hit.any():
+            return places, chosen
+        places = places.only(~hit)
+    raise InputError("the arm can touch no place of the surface along its normal", file=scene.problem.file)
+
+
+def _plates(scene: Scene, ask: Ask, contacts: Contacts) -> Array:
+    """What the part stands on (k, 4, 4) while it is printed, as far as the nozzle's height depends on it."""
+    return scene.home_plates if ask.table else contacts.T_world_plate[:1]
+
+
+def _enough(scene: Scene, unknowns: Unknowns, contacts: Contacts, plates: Array) -> None:
+    """At least as many contacts as the height of the nozzle has unknowns."""
+    asked = split(scene.waypoints.heights(unknowns, scene.start, plates))[0].shape[1]
+    if len(contacts) < asked:
+        raise InputError(
+            f"{len(contacts)} contact{'s' if len(contacts) != 1 else ''} cannot fix {asked} freedoms of the part",
+            file=contacts.file,
+            hint=f"{asked + 3} or more, or fewer freedoms with --free",
+        )
+
+
+def _fits(scene: Scene, readings: Readings, found: Fit, ask: Ask) -> None:
+    """Raise InputError where contacts are not on this surface: in which unit they would be, or how far they are off."""
+    off = _off(found)
+    before = float(np.median(np.abs(found.touch.residuals(scene.start))))
+    if off <= MISFIT and before <= FAR_OFF:
+        return
+    for length, angle in other_units(readings):
+        contacts = contacts_of(scene.cell, readings, length, angle)
+        other = fit(
+            Touch(scene.surface, scene.tangents, contacts, found.touch.unknowns, ask.ball), scene.start, ask.noise
+        )
+        nearer = float(np.median(np.abs(other.touch.residuals(scene.start))))
+        right = _off(other) <= MISFIT and nearer <= FAR_OFF
+        if right and (off <= MISFIT or _off(other) <= _MUCH_BETTER * off):
+            unit = length if readings.joints is None and length != "mm" else angle
+            raise InputError(
+                f"the readings seem to be in {unit}: as such they fit the part to {_off(other) * 1e3:.2f} mm, "
+                f"as they should be to {off * 1e3:.1f} mm",
+                file=readings.file,
+                hint="lengths in mm, angles in degrees",
+            )
+    if off > MISFIT:
+        k = int(np.argmax(np.where(found.kept, np.abs(found.residuals), -1.0)))
+        raise InputError(
+            f"the contacts do not lie on this part: wherever it is, they are {off * 1e3:.1f} mm off",
+            file=readings.file,
+            line=int(readings.lines[k]),
+            hint="this contact is the farthest; is it this problem's part, and its nozzle's tip?",
+        )
+    raise InputError(
+        f"the contacts are {before * 1e3:.0f} mm from where the problem has the part",
+        file=readings.file,
+        hint="lengths in mm in the world, whose origin is the arm's base unless cell.base_mm says otherwise",
+    )
+
+
+def _off(found: Fit) -> float:
+    """Root mean square of the residuals of the contacts that were kept [m]."""
+    return float(np.sqrt((found.residuals[found.kept] ** 2).mean()))
+
+
+def _determined(scene: Scene, found: Fit, plates: Array) -> list[str]:
+    """What contacts do not see, in words; InputError where the nozzle's height depends on it."""
+    unknowns = found.touch.unknowns
+    hidden = split(found.columns)[1]
+    H = scene.waypoints.heights(unknowns, found.placement, plates)
+    matters = hidden @ split(H @ hidden)[0]
+    if matters.shape[1]:
+        free = "; ".join(words(unknowns, matters))
+        contacts = found.touch.contacts
+        raise InputError(
+            f"the contacts leave free what changes the nozzle's height: {free}",
+            file=contacts.file,
+            hint="touch places whose normals point other ways, far apart and not in one line; --suggest names them",
+        )
+    return words(unknowns, hidden)
+
+
+def _turntable(scene: Scene, contacts: Contacts) -> Turntable | None:
+    """The table as published, if the part is a cylinder on an upright table that stood at several angles."""
+    part = scene.problem.part
+    R = contacts.T_world_plate[:, :3, :3]
+    upright = bool((R[:, 2, 2] > math.cos(1e-6)).all())
+    if part is None or part.cylinder is None or scene.cell.holder_robot is None or not upright:
+        return None
+    reach = np.zeros((len(contacts), 2))
+    if contacts.axes is not None:
+        level = contacts.axes[:, :2]
+        length = np.linalg.norm(level, axis=1)[:, None]
+        if (length < 0.5).any():
+            return None  # the nozzle points down, and says nothing of the side from which it came
+        reach = -part.cylinder.radius * level / length
+    try:
+        return locate(contacts.tips[:, :2], R[:, :2, :2], reach)
+    except ValueError:
+        return None

@@ -1,0 +1,375 @@
+"""Plots of plans, for notebooks and papers: each takes matplotlib's axes, draws, and returns them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib.patheffects as effects
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+
+from planner.base.arrays import Array
+from planner.base.errors import InputError, nearest_name
+from planner.plan import Plan
+from planner.report.scene import COLOURS as COLOURS_OF_SCENES
+from planner.resolve.joint_path import ORDERS, ByArcLength, by_arc_length, spline_of
+from planner.resolve.roll_map import COLLISION, LIMITS, REACH, SINGULAR, RollMap
+
+# ----------------------------------------------------------------------------------------------------
+# What the plots share: colours that any eye tells apart, and axes where none are given.
+
+# Okabe and Ito, without their yellow, which is hard to see on white.
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
+STYLES = ("-", "--", "-.", ":")
+INK, SOFT, FAINT, ALARM = "#1b2733", "#5b6b7b", "#d9e0e7", "#b5402f"
+MAP = LinearSegmentedColormap.from_list("calm", COLOURS_OF_SCENES)  # as in the report: light is where it gets tight
+
+
+def axes_of(ax: Axes | None, **figure: Any) -> Axes:
+    """The axes given, or those of a new figure (`figure`: as for matplotlib.pyplot.subplots)."""
+    if ax is not None:
+        return ax
+    return plt.subplots(layout="constrained", **figure)[1]
+
+
+def legend_above(ax: Axes) -> None:
+    """A legend in one row above the axes, where nothing is drawn."""
+    count = len(ax.get_legend_handles_labels()[0])
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=count, frameon=False, fontsize=8)
+
+
+def tidy(ax: Axes) -> Axes:
+    """Without a box around it."""
+    ax.spines[["top", "right"]].set_visible(False)
+    return ax
+
+
+# ----------------------------------------------------------------------------------------------------
+# What happens along a print: speed and its ceilings, path derivatives, joints within their ranges.
+
+NAMES = ("velocity", "acceleration", "jerk")
+RATES = ("|q′| v", "|q″| v²", "|q‴| v³")
+MOST_NAMED = 3  # dips whose cause is written beside them
+_APART, _LATE = 0.2, 0.75  # of the width: between two names; where names stand to the left of their places
+_HIGHEST = 20.0  # times the commanded speed: higher ceilings are not drawn
+_LEAST_SHARE = 1e-2  # of a limit: less is not drawn
+_ENDLESS = 720.0  # deg: a range beyond it has no end, for a picture
+_PER_SAMPLE = 4  # places that are looked at between two samples of a task
+
+
+def speed(plan: Plan, ax: Axes | None = None, bead: int | None = None) -> Axes:
+    """The tip's speed while material flows, over time, or along one bead; its dips marked, the worst ones named."""
+    laid = plan.deposit if bead is None else plan.deposit & (plan.bead == _known(plan, bead))
+    ax = tidy(axes_of(ax, figsize=(9.0, 2.8)))
+    x = plan.t if bead is None else plan.s * 1e3
+    y = np.where(laid, plan.speed * 1e3, np.nan)
+    rows = np.flatnonzero(laid)
+    window = slice(rows[0], rows[-1] + 1)
+    ax.axhline(plan.problem.process.speed * 1e3, color=SOFT, linestyle="--", linewidth=1.0, label="commanded")
+    ax.plot(x[window], y[window], color=COLOURS[0], linewidth=1.2, label="reached")
+    dips = sorted((dip for dip in plan.dips if bead is None or dip.bead == bead), key=lambda dip: -dip.lost)
+    at = np.array([(dip.t if bead is None else dip.at_s * 1e3, dip.speed * 1e3) for dip in dips]).reshape(-1, 2)
+    ax.scatter(at[:, 0], at[:, 1], s=22, color="white", edgecolor=ALARM, zorder=3, label=f"dips: {len(dips)}")
+    _name_worst(ax, [(where, low, dip.cause) for dip, (where, low) in zip(dips, at.tolist(), strict=True)], x[window])
+    ax.set_ylim(0.0, 1.15 * float(np.nanmax(y)))
+    ax.set_xlabel("time, s" if bead is None else f"arc length along bead {bead}, mm")
+    ax.set_ylabel("speed, mm/s")
+    legend_above(ax)
+    return ax
+
+
+def _name_worst(ax: Axes, dips: Sequence[tuple[float, float, str]], x: Array) -> None:
+    """Write the cause beside the first few dips (x, y, cause), none beside a neighbour of one that is named."""
+    first, last = float(x[0]), float(x[-1])
+    named: list[float] = []
+    for where, low, cause in dips:
+        if len(named) == MOST_NAMED:
+            return
+        if any(abs(where - other) < _APART * (last - first) for other in named):
+            continue
+        named.append(where)
+        right = where > first + _LATE * (last - first)
+        ax.annotate(
+            cause, (where, low), xytext=(-5 if right else 5, -3), textcoords="offset points", ha="right" if right else "left",
+            color=ALARM, fontsize=8, va="top",
+        )  # fmt: skip
+
+
+def path_derivatives(plan: Plan, bead: int, order: int, ax: Axes | None = None) -> Axes:
+    """What a bead asks of each joint at the commanded, constant speed: |q′| v, |q″| v² or |q‴| v³ over its limit.
+
+    order: 1 velocity, 2 acceleration, 3 jerk. Where a curve is above 1, the speed has to dip.
+    """
+    if order not in ORDERS:
+        raise InputError(f"there is no derivative of order {order!r}", hint="1 velocity, 2 acceleration, 3 jerk")
+    found, limits = _along_bead(plan, bead), _limits(plan)
+    ax = tidy(axes_of(ax, figsize=(9.0, 2.8)))
+    shares = np.abs(found.rates[:, :, order - 1]) * plan.problem.process.speed**order / limits[:, order - 1]
+    for j, name in enumerate(plan.joint_names):
+        style = STYLES[j // len(COLOURS) % len(STYLES)]
+        ax.plot(found.s * 1e3, shares[:, j], style, color=COLOURS[j % len(COLOURS)], linewidth=1.2, label=name)
+    ax.axhline(1.0, color=INK, linestyle="--", linewidth=1.0)
+    ax.set_yscale("log")
+    ax.set_ylim(_LEAST_SHARE, 2.0 * max(float(shares.max()), 1.0))
+    ax.set_xlabel(f"arc length along bead {bead}, mm")
+    ax.set_ylabel(f"{RATES[order - 1]} over the {NAMES[order - 1]} limit")
+    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=8)
+    return ax
+
+
+def speed_ceilings(plan: Plan, bead: int, ax: Axes | None = None) -> Axes:
+    """The greatest constant speed that the limits of velocity, acceleration and jerk allow at each place of a bead.
+
+    Beside them the commanded speed and the one that is reached: it dips where a ceiling does, and gains and loses
+    speed around that.
+    """
+    found, limits = _along_bead(plan, bead), _limits(plan)
+    ax = tidy(axes_of(ax, figsize=(9.0, 3.2)))
+    with np.errstate(divide="ignore"):
+        each = (limits / np.abs(found.rates)) ** (1.0 / ORDERS)
+    commanded = plan.problem.process.speed
+    for k, name in enumerate(NAMES):
+        ceiling = np.minimum(each[:, :, k].min(axis=1), _HIGHEST * commanded)
+        ax.plot(
+            found.s * 1e3, ceiling * 1e3, STYLES[k + 1], color=COLOURS[k + 1], linewidth=1.2, label=f"{name} limits"
+        )
+    rows = plan.deposit & (plan.bead == bead)
+    ax.plot(plan.s[rows] * 1e3, plan.speed[rows] * 1e3, color=COLOURS[0], linewidth=2.0, label="reached")
+    ax.axhline(commanded * 1e3, color=SOFT, linestyle="--", linewidth=1.0, label="commanded")
+    ax.set_yscale("log")
+    ax.set_xlabel(f"arc length along bead {bead}, mm")
+    ax.set_ylabel("speed, mm/s")
+    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=8)
+    return ax
+
+
+def joint_ranges(plan: Plan, ax: Axes | None = None) -> Axes:
+    """The range of each joint, what of it is used while material flows, and what in all."""
+    names = plan.joint_names
+    ax = tidy(axes_of(ax, figsize=(9.0, 0.6 + 0.38 * len(names))))
+    low, high = np.degrees(plan.cell.limits.q_min), np.degrees(plan.cell.limits.q_max)
+    q = np.degrees(plan.q)
+    told = np.abs(np.concatenate([low, high]))
+    widest = 1.1 * max(float(np.abs(q).max()), float(told[told <= _ENDLESS].max(initial=180.0)))
+    rows = np.arange(len(names))[::-1]
+    ends = np.clip(low, -widest, widest), np.clip(high, -widest, widest)
+    ax.barh(rows, ends[1] - ends[0], left=ends[0], height=0.7, color=FAINT, label="range")
+    for used, height, colour, label in (
+        (q, 0.26, COLOURS[4], "used, travel included"),
+        (q[plan.deposit], 0.5, COLOURS[0], "used while depositing"),
+    ):
+        ax.barh(rows, np.ptp(used, axis=0), left=used.min(axis=0), height=height, color=colour, label=label)
+    ax.set_yticks(rows, names)
+    ax.set_xlim(-widest, widest)
+    ax.set_xlabel("angle, deg")
+    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=8)
+    return ax
+
+
+def _known(plan: Plan, bead: int) -> int:
+    """Raises InputError for a bead that is not laid."""
+    first, last = plan.first_bead, plan.first_bead + len(plan.beads) - 1
+    if not first <= bead <= last:
+        raise InputError(f"there is no bead {bead!r} in this plan", hint=f"a number from {first} to {last}")
+    return bead
+
+
+def _along_bead(plan: Plan, bead: int) -> ByArcLength:
+    """Derivatives along what is deposited of a bead; s from its start."""
+    path = plan.paths[_known(plan, bead) - plan.first_bead]
+    low, high = float(path.task.s[path.task.first]), float(path.task.s[path.task.last])
+    found = by_arc_length(path, spline_of(path), low, high, _PER_SAMPLE)
+    return ByArcLength(found.s - low, found.rates)
+
+
+def _limits(plan: Plan) -> Array:
+    """Limits (nj, 3) of the joints' velocity, acceleration and jerk."""
+    limits = plan.cell.limits
+    return np.column_stack([limits.velocity, limits.acceleration, limits.jerk])
+
+
+# ----------------------------------------------------------------------------------------------------
+# Plans beside each other.
+
+
+def compare(plans: Mapping[str, Plan], metric: str, ax: Axes | None = None, label: str = "") -> Axes:
+    """One metric of several plans as bars; hatched where a plan is not verified.
+
+    plans: by the names that are written beside the bars; metric: a name in `Plan.metrics`, in the unit that it says.
+    """
+    known = sorted({name for plan in plans.values() for name in plan.metrics})
+    if metric not in known:
+        near = nearest_name(metric, known)
+        raise InputError(f"no plan has a metric {metric!r}", hint=f"did you mean {near}?" if near else None)
+    ax = tidy(axes_of(ax, figsize=(4.0, 0.6 + 0.4 * len(plans))))
+    rows = np.arange(len(plans))[::-1]
+    values = [plan.metrics.get(metric, np.nan) for plan in plans.values()]
+    bars = ax.barh(rows, np.nan_to_num(values), height=0.65, color=COLOURS[0])
+    for bar, value, plan in zip(bars, values, plans.values(), strict=True):
+        text = "none" if np.isnan(value) else f"{value:.3g}"
+        ax.annotate(f" {text}", (max(bar.get_width(), 0.0), bar.get_y() + bar.get_height() / 2), va="center", color=INK)
+        if not plan.verified:
+            bar.set(facecolor="white", edgecolor=COLOURS[1], hatch="///")
+    ax.set_yticks(rows, list(plans))
+    ax.margins(x=0.22)
+    ax.set_title(label or metric, loc="left", fontsize=10)
+    return ax
+
+
+# ----------------------------------------------------------------------------------------------------
+# The roll × path map as a picture.
+
+# measure → label, factor
+ROLL_MEASURES = {
+    "sigma": ("least singular value σ", 1.0),
+    "limit": ("angle from an end stop, deg", 180.0 / np.pi),
+    "clearance": ("clearance beyond need, mm", 1e3),
+}
+# reason → grey, hatch: told apart without colour
+AREAS = {
+    REACH: ("#f4f6f9", "."),
+    LIMITS: ("#e3e8ee", "///"),
+    SINGULAR: ("#cdd5dd", "xxx"),
+    COLLISION: ("#f3d9d2", "\\\\\\"),
+}
+
+
+def redundancy_map(roll_map: RollMap, ax: Axes | None = None, measure: str = "sigma") -> Axes:
+    """Draw what the roll may be along the path, coloured by a measure (light is tight), hatched where it may not be.
+
+    measure: "sigma", "limit" or "clearance". The line is the roll that was chosen, if there is one.
+    """
+    if measure not in ROLL_MEASURES:
+        near = nearest_name(measure, ROLL_MEASURES)
+        hint = f"did you mean {near}?" if near else f"one of {', '.join(ROLL_MEASURES)}"
+        raise InputError(f"there is no measure {measure!r}", hint=hint)
+    label, factor = ROLL_MEASURES[measure]
+    ax = axes_of(ax, figsize=(9.0, 3.6))
+    x = _edges(roll_map.along * 1e3)
+    step = np.degrees(roll_map.roll[1] - roll_map.roll[0])
+    y = np.degrees(roll_map.roll[0]) + step * (np.arange(len(roll_map.roll) + 1) - 0.5)
+    values = np.where(roll_map.free, getattr(roll_map, measure) * factor, np.nan)
+    shown = ax.pcolormesh(x, y, values.T, cmap=MAP, rasterized=True)
+    if np.isfinite(values).any():
+        ax.figure.colorbar(shown, ax=ax, label=label, pad=0.02)
+    legend = []
+    for why, (grey, hatch) in AREAS.items():
+        here = roll_map.why == why
+        if not here.any():
+            continue
+        area = np.concatenate([here, here[:, :1]], axis=1)  # once round the circle
+        rolls = np.append(np.degrees(roll_map.roll), np.degrees(roll_map.roll[0]) + 360.0)
+        ax.contourf(roll_map.along * 1e3, rolls, area.T, levels=[0.5, 1.5], colors=[grey], hatches=[hatch])
+        legend.append(Patch(facecolor=grey, edgecolor=SOFT, hatch=hatch, label=roll_map.reasons[why]))
+    _draw_chosen(ax, roll_map)
+    ax.set_xlim(x[0], x[-1])
+    ax.set_ylim(-180.0, 180.0)
+    ax.set_yticks(range(-180, 181, 90))
+    ax.set_xlabel("deposited length, mm")
+    ax.set_ylabel("roll about the nozzle, deg")
+    if legend:
+        ax.legend(handles=legend, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(legend), frameon=False)
+    return ax
+
+
+def _edges(at: Array) -> Array:
+    """Edges of columns (m + 1) that stand at ascending places (m)."""
+    middle = 0.5 * (at[1:] + at[:-1])
+    return np.concatenate([at[:1], middle, at[-1:]])
+
+
+def _draw_chosen(ax: Axes, roll_map: RollMap) -> None:
+    """The chosen roll, broken where it goes round the circle and between beads."""
+    roll = np.degrees(roll_map.chosen)
+    if np.isnan(roll).all():
+        return
+    broken = np.flatnonzero((np.abs(np.diff(roll)) > 180.0) | (np.diff(roll_map.bead) != 0)) + 1
+    x, y = np.insert(roll_map.along * 1e3, broken, np.nan), np.insert(roll, broken, np.nan)
+    outline = [effects.Stroke(linewidth=4.0, foreground=INK), effects.Normal()]
+    ax.plot(x, y, color="white", linewidth=2.0, path_effects=outline, solid_capstyle="round", label="chosen roll")
+
+
+# ----------------------------------------------------------------------------------------------------
+# The print on its part, in three dimensions.
+
+PATH_MEASURES = {"speed": "speed, mm/s", "sigma": "singular value σ", "layer": "layer", "bead": "bead"}
+MOST_SEGMENTS = 12_000  # more is slow to draw, and no finer to look at
+MOST_TRIANGLES = 6_000  # of the part: a finer one is not drawn
+_SLOWER = 0.9  # of the commanded speed: the colours reach down to there at least
+_PART_ALPHA = 0.25
+_LARGEST_PART = 4.0  # times the print: a larger part would leave it no room
+_FLATTEST = 0.3  # of its greatest extent, that is left for each side of a print
+
+
+def toolpath(plan: Plan, ax: Any = None, measure: str = "speed") -> Any:
+    """What is deposited, in the part frame, coloured by a measure: "speed", "sigma", "layer" or "bead".
+
+    ax: axes with projection="3d"; new ones, if none are given.
+    """
+    if measure not in PATH_MEASURES:
+        near = nearest_name(measure, PATH_MEASURES)
+        hint = f"did you mean {near}?" if near else f"one of {', '.join(PATH_MEASURES)}"
+        raise InputError(f"there is no measure {measure!r}", hint=hint)
+    if ax is None:
+        ax = plt.figure(figsize=(7.0, 5.5), layout="constrained").add_subplot(projection="3d")
+    values = _values(plan, measure)
+    every = max(1, int(np.ceil(plan.deposit.sum() / MOST_SEGMENTS)))
+    rows = np.flatnonzero(plan.deposit)[::every]
+    points = plan.tip[rows] * 1e3
+    joined = plan.bead[rows][1:] == plan.bead[rows][:-1]
+    segments = np.stack([points[:-1], points[1:]], axis=1)[joined]
+    lines = Line3DCollection(list(segments), cmap=MAP, linewidths=1.6)
+    lines.set_array(np.minimum(values[rows][1:], values[rows][:-1])[joined])
+    if measure == "speed":  # else rounding would be stretched over all colours
+        commanded = plan.problem.process.speed * 1e3
+        lines.set_clim(min(float(values[rows].min()), _SLOWER * commanded), commanded)
+    part = _part(plan, points)
+    if len(part):
+        ax.add_collection3d(Poly3DCollection(list(part), facecolor=FAINT, edgecolor="none", alpha=_PART_ALPHA))
+    ax.add_collection3d(lines)
+    shown = np.concatenate([points, part.reshape(-1, 3)])
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    room = np.maximum(high - low, _FLATTEST * float((high - low).max()))
+    for k, name in enumerate("xyz"):
+        middle = 0.5 * (low[k] + high[k])
+        getattr(ax, f"set_{name}lim")(middle - 0.55 * room[k], middle + 0.55 * room[k])
+        getattr(ax, f"set_{name}label")(f"{name}, mm")
+        getattr(ax, f"{name}axis").set_major_locator(MaxNLocator(3))
+        getattr(ax, f"{name}axis").pane.set_visible(False)
+    ax.grid(False)
+    ax.set_box_aspect(room)
+    _look_at(ax, -plan.axis[rows].mean(axis=0))
+    ax.figure.colorbar(lines, ax=ax, label=PATH_MEASURES[measure], shrink=0.6, pad=0.1)
+    return ax
+
+
+def _values(plan: Plan, measure: str) -> Array:
+    if measure == "sigma":
+        return plan.series["sigma"]
+    by_name = {"speed": plan.speed * 1e3, "layer": plan.trajectory.layer, "bead": plan.bead}
+    return np.asarray(by_name[measure], dtype=float)
+
+
+def _part(plan: Plan, points: Array) -> Array:
+    """The part's triangles (n, 3, 3) [mm], if it has a shape of its own: neither too fine nor far larger than the print."""
+    shape = plan.toolpath.shape
+    if shape is None or len(shape.triangles) > MOST_TRIANGLES:
+        return np.empty((0, 3, 3))
+    corners = np.asarray(shape.vertices)[np.asarray(shape.triangles)] * 1e3
+    large = np.linalg.norm(np.ptp(corners.reshape(-1, 3), axis=0)) > _LARGEST_PART * np.linalg.norm(
+        np.ptp(points, axis=0)
+    )
+    return np.empty((0, 3, 3)) if large else corners
+
+
+def _look_at(ax: Any, normal: Array) -> None:
+    """From outside, where most of the print faces."""
+    across = float(np.hypot(normal[0], normal[1]))
+    azimuth = np.degrees(np.arctan2(normal[1], normal[0])) if across > 0.15 else -60.0
+    ax.view_init(elev=20.0 if abs(normal[2]) < 0.5 else 45.0, azim=azimuth + 14.0)

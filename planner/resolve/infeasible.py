@@ -1,0 +1,465 @@
+"""Why there is no path, and what would help: the rung that ran out of candidates, and changes that were tried."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from planner.base.arrays import Array
+from planner.base.errors import Refusal
+from planner.base.processes import cores
+from planner.cell.cell import Cell, translation
+from planner.cell.robot import chain_of
+from planner.collision.scene import NOTHING, Obstacles
+from planner.resolve.joint_path import JointPath, SampledTasks, flange_poses, postures, refuse_at, spread, upright
+from planner.resolve.nodes import CLEAR_ROOM, LIMIT_ROOM, Grid, Nodes, evaluate, full_grid
+from planner.resolve.search import LadderRoute, Route, angles_along, best_route
+from planner.toolpath.task import NozzleTask
+
+# ----------------------------------------------------------------------------------------------------
+# What would help where there is no path: other speeds, tilts, positioner angles and places of the part, each tried.
+#
+# Nothing here is guessed: a change is only named after the same nodes and the same search have been tried with it.
+
+TILTS = (5.0, 10.0, 20.0)  # deg from the surface normal
+_AZIMUTHS = 12  # directions in which the nozzle is tilted
+_TURN_STEP, _MOST_TURN = 15.0, 180.0  # deg, of a held axis from where it is
+_MOVES = (0.025, 0.05, 0.1, 0.2, 0.4, 0.8)  # m, of the part; beyond what is missing, where that is known
+_MORE, _ROUND_MM = 0.01, 5.0  # m, mm: what such a move is enlarged by and rounded up to
+_HALVINGS = 3  # of the last step of such a move
+_FINER, _FINEST = 2.0, 2.0  # what finer steps are divided by; deg that they may have
+_SLOWEST = 1e-4  # m/s that a problem may ask for
+_SPEEDS = 1.03  # two speeds nearer than this ratio are not told apart
+_FEW = 24  # rungs that a change must serve before a whole search is worth its time
+_ENOUGH = 8  # changes of one kind that give postures, but no path: no further one is tried
+_HERE, _ALONG = 1, 2  # what a change gives: a posture at the place, or a path through everything
+
+
+@dataclass(frozen=True)
+class Stuck:
+    """Where a search ended: its tasks, demand and grid, the rung, the least singular value that it asked for, and what
+    was in its way."""
+
+    cell: Cell
+    tasks: tuple[NozzleTask, ...]
+    demand: SampledTasks
+    grid: Grid
+    rung: int
+    min_sigma: float
+    obstacles: Obstacles = NOTHING
+
+    def serves(self, cell: Cell) -> int:
+        """What a changed cell gives with the same search: 0 nothing, _HERE or _ALONG."""
+        if not np.isfinite(self._prices(cell, self.demand, np.array([self.rung]))).any():
+            return 0
+        r = len(self.demand.rung)
+        some = np.unique(np.linspace(0, r - 1, min(r, _FEW)).round().astype(np.int64))
+        if not np.isfinite(self._prices(cell, self.demand, some)).any(axis=(1, 2, 3)).all():
+            return _HERE
+        nodes = evaluate(
+            cell, self.demand, self._grid(self.demand, slice(None)), self.min_sigma, self.obstacles.of(cell)
+        )
+        route, _ = best_route(nodes, self.demand, cell.limits)
+        return _HERE if route is None or not self._holds_between(cell, nodes, route) else _ALONG
+
+    def _holds_between(self, cell: Cell, nodes: Nodes, route: Route) -> bool:
+        """Whether the arm reaches the samples between a route's rungs too."""
+        grid = nodes.grid
+        chosen = LadderRoute(self.demand, nodes, route).chosen(len(cell.chosen))
+        for k, task in enumerate(self.tasks):
+            rungs = self.demand.rungs_of(k)
+            roll = angles_along(grid, route.roll[rungs], grid.rolls, grid.roll_step)
+            n, places, branch = len(task), self.demand.place[rungs], int(route.branch[rungs][0])
+            try:
+                postures(cell, task, spread(roll, n, places), spread(chosen[rungs], n, places), branch)
+            except Refusal:
+                return False
+        return True
+
+    def serves_tilted(self, tilt: float) -> bool:
+        """Whether the cell has a posture at the place, its nozzle this far [rad] off the normal in some direction."""
+        sample = self.demand.rung[self.rung]
+        for azimuth in np.linspace(0.0, 2.0 * np.pi, _AZIMUTHS, endpoint=False):
+            frames = self.demand.frames.copy()
+            turn = Rotation.from_rotvec(tilt * np.array([np.cos(azimuth), np.sin(azimuth), 0.0])).as_matrix()
+            frames[sample] = frames[sample] @ turn
+            prices = self._prices(self.cell, replace(self.demand, frames=frames), np.array([self.rung]))
+            if np.isfinite(prices).any():
+                return True
+        return False
+
+    def _prices(self, cell: Cell, demand: SampledTasks, rungs: NDArray[np.int64]) -> Array:
+        few = demand.only(rungs, [0, len(rungs)])
+        return evaluate(cell, few, self._grid(few, rungs), self.min_sigma, self.obstacles.of(cell)).price
+
+    def _grid(self, demand: SampledTasks, rungs: NDArray[np.int64] | slice) -> Grid:
+        grid = self.grid
+        held = None if grid.held is None else grid.held[rungs]
+        has_holder = len(self.cell.chosen) > 0 and grid.swept is not None
+        return full_grid(demand, grid.roll_step, grid.holder_step, has_holder, grid.swept, held)
+
+
+def stuck_at(
+    cell: Cell,
+    tasks: Sequence[NozzleTask],
+    demand: SampledTasks,
+    grid: Grid,
+    rung: int,
+    min_sigma: float,
+    obstacles: Obstacles = NOTHING,
+) -> Stuck:
+    """Where a search over these tasks ended, less the tasks that repeat another one in a higher layer."""
+    at = int(np.searchsorted(demand.task_rungs, rung, side="right") - 1)
+    named: dict[str, int] = {tasks[at].name: at}
+    for k, task in enumerate(tasks):
+        named.setdefault(task.name, k)
+    kept = sorted(named.values())
+    rungs = np.concatenate([np.arange(demand.task_rungs[k], demand.task_rungs[k + 1]) for k in kept])
+    counts = [demand.task_rungs[k + 1] - demand.task_rungs[k] for k in kept]
+    fewer = demand.only(rungs, [0, *np.cumsum(counts).tolist()])
+    here = int(np.searchsorted(rungs, rung))
+    held = None if grid.held is None else grid.held[rungs]
+    return Stuck(cell, tuple(tasks[k] for k in kept), fewer, replace(grid, held=held), here, min_sigma, obstacles)
+
+
+def speed_hints(cell: Cell, nodes: Nodes, demand: SampledTasks, speed: float) -> tuple[str, ...]:
+    """The highest speed at which these nodes have a route, found by halving; `speed` [m/s] is the commanded one.
+
+    Speed decides only over edges, and slower is never worse there. Says so where a route exists as it is.
+    """
+
+    def passes(v: float) -> bool:
+        return best_route(nodes, replace(demand, time=speed / v * demand.time), cell.limits)[0] is not None
+
+    if passes(speed):
+        return ("strategy: ladder has a path at this speed",)
+    high, low = speed, 0.5 * speed
+    while not passes(low):
+        high, low = low, 0.5 * low
+        if low < _SLOWEST:
+            return ()
+    while high / low > _SPEEDS:
+        middle = float(np.sqrt(low * high))
+        low, high = (middle, high) if passes(middle) else (low, middle)
+    told = _two_digits_down(low * 1e3)
+    if told < _SLOWEST * 1e3 or not passes(told * 1e-3):
+        return ()
+    return (f"process.speed_mm_s: {told:g} would do, a path exists then",)
+
+
+def place_hints(stuck: Stuck, point: Array, missing: float | None = None) -> tuple[str, ...]:
+    """What would give the cell a posture at the place, or better a path: least changes, of each kind one.
+
+    point (3) in the part frame [m]; missing [m] is by how much it is out of reach, where it is.
+    """
+    return (*_turn_hints(stuck, _HERE), *_move_hints(stuck, point, missing, _HERE), *_tilt_hints(stuck))
+
+
+def path_hints(stuck: Stuck, point: Array) -> tuple[str, ...]:
+    """What would give the cell a path, where it lacks no posture at the place, or none but on a finer grid."""
+    return (*_finer_hints(stuck), *_turn_hints(stuck, _ALONG), *_move_hints(stuck, point, None, _ALONG))
+
+
+def _finer_hints(stuck: Stuck) -> tuple[str, ...]:
+    roll, table = stuck.grid.roll_step / _FINER, stuck.grid.holder_step / _FINER
+    if min(np.degrees(roll), np.degrees(table)) < _FINEST:
+        return ()
+    if replace(stuck, grid=replace(stuck.grid, roll_step=roll, holder_step=table)).serves(stuck.cell) != _ALONG:
+        return ()
+    swept = len(stuck.cell.chosen) > 0 and stuck.grid.swept is not None
+    steps = f"roll_step_deg: {np.degrees(roll):g}" + (f", table_step_deg: {np.degrees(table):g}" if swept else "")
+    return (f"resolve: {{{steps}}} {_GIVES[_ALONG]}",)
+
+
+def _tilt_hints(stuck: Stuck) -> tuple[str, ...]:
+    for tilt in TILTS:
+        if stuck.serves_tilted(np.radians(tilt)):
+            return (
+                f"a nozzle tilted {tilt:g} deg from the surface normal has a posture here; the search keeps it on the "
+                "normal (process.cones.nozzle_normal_deg is for the refinement after it), so turn the part or normals",
+            )
+    return ()
+
+
+def _turn_hints(stuck: Stuck, wanted: int) -> tuple[str, ...]:
+    """For each held axis of the positioner the nearest angle that helps."""
+    hints = []
+    for name, now in stuck.cell.held.items():
+        found: tuple[int, float] = (0, 0.0)
+        no_path = 0
+        for angle in _angles_around(stuck.cell, name, now):
+            gives = stuck.serves(_turned(stuck.cell, name, angle))
+            if gives > found[0]:
+                found = gives, angle
+            no_path += gives == _HERE
+            if gives == _ALONG or no_path == _ENOUGH:
+                break
+        if found[0] >= wanted:
+            hints.append(f"cell.positioner.held_deg: {{{name}: {np.degrees(found[1]):g}}} {_GIVES[found[0]]}")
+    return tuple(hints)
+
+
+def _angles_around(cell: Cell, name: str, now: float) -> Iterator[float]:
+    robot = cell.holder_robot
+    if robot is None:
+        return
+    i = robot.joint_names.index(name)
+    low, high = robot.model.lowerPositionLimit[i], robot.model.upperPositionLimit[i]
+    for away in np.arange(_TURN_STEP, _MOST_TURN + 1e-9, _TURN_STEP):
+        for sign in (-1.0, 1.0):
+            if low <= now + sign * np.radians(away) <= high:
+                yield now + sign * float(np.radians(away))
+
+
+def _turned(cell: Cell, name: str, angle: float) -> Cell:
+    """The cell with a held axis of its positioner at another angle [rad]."""
+    if cell.holder_robot is None:
+        return cell
+    held = {**cell.held, name: angle}
+    holder = chain_of(cell.holder_robot, cell.T_world_holder_base, np.eye(4), cell.holder.names, held)
+    return replace(cell, holder=holder, held=held, T_world_holder=holder.poses(np.zeros((1, len(holder))))[0])
+
+
+def _move_hints(stuck: Stuck, point: Array, missing: float | None, wanted: int) -> tuple[str, ...]:
+    """The least move of the part that helps: towards the base first, then the other ways."""
+    least = missing or 0.0
+    steps = [*([least] if least else []), *(least + d for d in _MOVES)]
+    ways = _directions(stuck.cell, point)
+    found: tuple[int, str, float] = (0, "", 0.0)
+    below, no_path = 0.0, 0
+    for k, (way, direction) in itertools.product(range(len(steps)), ways.items()):
+        gives = stuck.serves(_moved(stuck.cell, steps[k] * direction))
+        if gives > found[0]:
+            found, below = (gives, way, steps[k]), steps[k - 1] if k else 0.0
+        no_path += gives == _HERE
+        if gives == _ALONG or no_path == _ENOUGH:
+            break
+    if found[0] < wanted:
+        return ()
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (below + found[2])
+        if stuck.serves(_moved(stuck.cell, middle * ways[found[1]])) >= found[0]:
+            found = found[0], found[1], middle
+        else:
+            below = middle
+    gives, way, distance = found
+    # rungs are not the whole path: told is a little more than the least, where that serves as well
+    mm = _ROUND_MM * np.ceil((distance + _MORE) * 1e3 / _ROUND_MM)
+    if stuck.serves(_moved(stuck.cell, mm * 1e-3 * ways[way])) < gives:
+        mm = round(distance * 1e3, 1)
+    field = "cell.bed_mm" if stuck.cell.holder_robot is None else "cell.positioner.origin_mm"
+    x, y, z = (round(float(v), 1) + 0.0 for v in mm * ways[way])
+    return (f"{field}: the part moved {mm:g} mm {way}, by [{x:g}, {y:g}, {z:g}], {_GIVES[gives]}",)
+
+
+def _directions(cell: Cell, point: Array) -> dict[str, Array]:
+    """Unit vectors (3) in the world by name, as seen from a point of the part with the holder at home."""
+    T_world_part = cell.holder.poses(cell.home[None, len(cell.arm) :])[0]
+    to_base = cell.T_world_base[:3, 3] - (T_world_part[:3, :3] @ point + T_world_part[:3, 3])
+    level = np.array([to_base[0], to_base[1], 0.0])
+    length = float(np.linalg.norm(level))
+    nearer = level / length if length > 1e-9 else np.array([1.0, 0.0, 0.0])
+    up = np.array([0.0, 0.0, 1.0])
+    side = np.cross(up, nearer)
+    return {
+        "towards the arm's base": nearer,
+        "away from the arm's base": -nearer,
+        "up": up,
+        "down": -up,
+        "sideways": side,
+        "sideways, the other way": -side,
+    }
+
+
+def _moved(cell: Cell, by: Array) -> Cell:
+    """The cell with all that holds the part moved in the world by a vector (3) [m]."""
+    T = translation(by)
+    holder = cell.holder
+    if len(holder):
+        placements = holder.placements.copy()
+        placements[0] = T @ placements[0]
+        holder = replace(holder, placements=placements)
+    else:
+        holder = replace(holder, T_last_tip=T @ holder.T_last_tip)
+    return replace(
+        cell,
+        holder=holder,
+        T_world_holder=T @ cell.T_world_holder,
+        T_world_holder_base=T @ cell.T_world_holder_base,
+    )
+
+
+_GIVES = {_HERE: "gives postures here, though no path all along", _ALONG: "gives a path in the coarse search"}
+
+
+def _two_digits_down(x: float) -> float:
+    """x rounded down to two digits that count."""
+    unit = 10.0 ** (np.floor(np.log10(x)) - 1)
+    return float(np.round(np.floor(x / unit + 1e-9) * unit, 6))
+
+
+# ----------------------------------------------------------------------------------------------------
+# Why there is no path: which rung ran out of candidates, and for what reason.
+
+_UNHURRIED = 1e4  # times as long on the way: if this opens one, joint speed was the reason
+SLIGHT = 1e-4  # m of clearance that a path between rungs may lack
+_TRIED = 72  # rolls and holder angles that the diagnosis looks at
+
+
+def refuse_rung(
+    cell: Cell,
+    tasks: Sequence[NozzleTask],
+    demand: SampledTasks,
+    nodes: Nodes,
+    rung: int,
+    min_sigma: float,
+    obstacles: Obstacles = NOTHING,
+) -> NoReturn:
+    """Raise the Refusal that says why no way leads to this rung: reach, limits, singularity, collision, or joint speed.
+
+    With it come hints: changes that were tried and would help.
+    """
+    if demand.cones.tilt > 0.0:
+        obstacles = obstacles.but_head_on_part
+    k = int(np.searchsorted(demand.task_rungs, rung, side="right") - 1)
+    task = tasks[k]
+    i = int(demand.rung[rung]) - sum(len(t) for t in tasks[:k])
+    na, nh = len(cell.arm), len(cell.holder)
+    grid = nodes.grid
+
+    stuck = stuck_at(cell, tasks, demand, grid, rung, min_sigma, obstacles)
+
+    def refuse(reason: str, missing: float | None = None) -> NoReturn:
+        refuse_at(task, i, reason, missing, place_hints(stuck, task.tip[i], missing))
+
+    angles = np.linspace(0.0, 2.0 * np.pi, _TRIED, endpoint=False)
+    roll, swept = (x.ravel() for x in np.meshgrid(angles, angles if cell.chosen else angles[:1], indexing="ij"))
+    chosen = np.tile(grid.chosen(len(demand.rung), len(cell.chosen))[rung], (len(roll), 1))
+    if cell.chosen and grid.swept is not None:
+        chosen[:, grid.swept] = swept
+    spot = _repeat(task, i, len(roll))
+    T = flange_poses(cell, spot, roll, upright(spot), chosen[:, :nh])
+    redundant = None if cell.inverse.redundant_joint is None else chosen[:, nh]
+    q, ok = cell.inverse.solve(T, redundant)
+    if not ok.any():
+        refuse("out of the arm's reach", float(cell.inverse.out_of_reach(T, redundant).min()))
+    middle = 0.5 * (cell.limits.q_min[:na] + cell.limits.q_max[:na])
+    q = middle + np.remainder(q - middle + np.pi, 2 * np.pi) - np.pi
+    inside = ok & ((q >= cell.limits.q_min[:na]) & (q <= cell.limits.q_max[:na])).all(axis=2)
+    if not inside.any():
+        over = np.maximum(cell.limits.q_min[:na] - q, q - cell.limits.q_max[:na])
+        over[~ok] = np.inf
+        worst = over.max(axis=2)
+        a, b = np.unravel_index(np.argmin(worst), worst.shape)
+        joint = cell.arm.names[int(np.argmax(over[a, b]))]
+        reason = f"no posture within the joints' ranges; the nearest one leaves that of {joint}"
+        refuse(f"{reason} by {np.degrees(worst[a, b]):.1f} deg")
+    if not np.isfinite(nodes.price[rung]).any():
+        away = (np.minimum(q - cell.limits.q_min[:na], cell.limits.q_max[:na] - q) >= LIMIT_ROOM).all(axis=2) & ok
+        if not away.any():
+            near = f"every posture is within {np.degrees(LIMIT_ROOM):.0f} deg of the end of a joint's range"
+            refuse(near)
+        sigma = np.linalg.svd(cell.arm.jacobians(q[away]), compute_uv=False)[:, -1]
+        if sigma.max() < min_sigma:
+            reason = f"every posture is too close to a singularity: sigma at most {sigma.max():.4f}"
+            refuse(f"{reason}, resolve.min_sigma is {min_sigma:g}")
+        tried = _postures_at(cell, demand, grid, rung, min_sigma) if obstacles.any else np.zeros((0, na + nh))
+        if len(tried):
+            now = np.full(len(tried), demand.now[demand.rung[rung]])
+            margin, which = obstacles.margins(tried, now, np.inf, CLEAR_ROOM)
+            k = int(np.argmax(margin))
+            refuse(_collision(obstacles, int(which[k]), float(margin[k]), "every posture of the search here"))
+        reason = "no posture on the search's grid, though there are some between its steps: search finer"
+        refuse_at(task, i, reason, hints=path_hints(stuck, task.tip[i]))
+    if obstacles.any:
+        free = evaluate(cell, demand, grid, min_sigma)
+        without, _ = best_route(free, demand, cell.limits)
+        if without is not None:
+            worst, pair, lacking = _hit(cell, LadderRoute(demand, free, without), obstacles)
+            k = int(np.searchsorted(demand.task_rungs, worst, side="right") - 1)
+            i = int(demand.rung[worst]) - sum(len(t) for t in tasks[:k])
+            way = "no way leads past, and the one that would be taken"
+            refuse_at(tasks[k], i, _collision(obstacles, pair, lacking, way), hints=path_hints(stuck, task.tip[i]))
+    unhurried, _ = best_route(nodes, replace(demand, time=_UNHURRIED * demand.time), cell.limits)
+    if unhurried is not None:
+        reason = "no branch can follow the path up to here at the commanded speed: a joint would be too slow"
+        refuse_at(task, i, reason, hints=speed_hints(cell, nodes, demand, task.speed))
+    reason = "no branch leads up to here: each ends at a joint's range, a singularity or the arm's reach"
+    refuse_at(task, i, reason, hints=path_hints(stuck, task.tip[i]))
+
+
+def refuse_collision(cell: Cell, paths: Sequence[JointPath], obstacles: Obstacles) -> None:
+    """Raise the Refusal that names what a path comes too near to, and where; the worst place of all.
+
+    Where the nozzle may tilt, its clearance from part and print is not looked at: tilt may still give it.
+    """
+    if paths[0].task.cones.tilt > 0.0:
+        obstacles = obstacles.but_head_on_part
+    if not obstacles.any:
+        return
+    with ThreadPoolExecutor(cores()) as pool:
+        margins = list(pool.map(lambda path: obstacles.margins(path.q, path.task.moments, 0.0), paths))
+    worst = int(np.argmin([margin.min() for margin, _ in margins]))
+    margin, which = margins[worst]
+    i = int(np.argmin(margin))
+    if margin[i] < -SLIGHT:
+        what = _collision(obstacles, int(which[i]), float(margin[i]), "the best way found")
+        refuse_at(paths[worst].task, i, what)
+
+
+def _collision(obstacles: Obstacles, which: int, margin: float, subject: str) -> str:
+    one, other = obstacles.names(which)
+    return f"collision of {one} with {other}: {subject} lacks {-margin * 1e3:.1f} mm of clearance"
+
+
+def _postures_at(cell: Cell, demand: SampledTasks, grid: Grid, rung: int, min_sigma: float) -> Array:
+    """Postures (m, nj) that a rung's nodes have where nothing is in the way."""
+    one = [rung]
+    few = demand.only(np.array(one), [0, 1])
+    held = grid.chosen(len(demand.rung), len(cell.chosen))[one]
+    own = replace(
+        grid, roll_from=grid.roll_from[one], holder_from=grid.holder_from[one], branch=grid.branch[one], held=held
+    )
+    nodes = evaluate(cell, few, own, min_sigma)
+    found = np.nonzero(np.isfinite(nodes.price))
+    chosen = np.repeat(held, len(found[0]), axis=0)
+    if cell.chosen and grid.swept is not None:
+        chosen[:, grid.swept] = (own.holder_from[0] + found[2]) * grid.holder_step
+    return np.hstack([nodes.q[found].astype(float), chosen[:, : len(cell.holder)]])
+
+
+def _hit(cell: Cell, found: LadderRoute, obstacles: Obstacles) -> tuple[int, int, float]:
+    """The rung at which a route comes nearest to obstacles, which pair does, and its margin [m]."""
+    nodes, route, demand = found.nodes, found.route, found.demand
+    grid = nodes.grid
+    r = np.arange(len(route.roll))
+    roll, holder = route.roll - grid.roll_from, route.holder - grid.holder_from
+    column = np.argmax(grid.branch == route.branch[:, None], axis=1)
+    arm = nodes.q[r, roll, holder, column].astype(float)
+    q = np.hstack([arm, found.chosen(len(cell.chosen))[:, : len(cell.holder)]])
+    margin, which = obstacles.margins(q, demand.now[demand.rung], np.inf, CLEAR_ROOM)
+    worst = int(np.argmin(margin))
+    return worst, int(which[worst]), float(margin[worst])
+
+
+def _repeat(task: NozzleTask, i: int, n: int) -> NozzleTask:
+    """A task that stays n times at sample i of another."""
+    one = [i] * n
+    return NozzleTask(
+        task.bead,
+        task.name,
+        task.layer,
+        task.tip[one],
+        task.frames[one],
+        np.arange(n, dtype=float),
+        0,
+        n - 1,
+        task.speed,
+    )

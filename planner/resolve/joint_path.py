@@ -1,0 +1,329 @@
+"""What a task demands of the joints, a path of joints that meets it, and its derivatives by arc length."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline, make_interp_spline
+from scipy.spatial.transform import Rotation
+
+from planner.base.arrays import Array
+from planner.base.errors import Refusal
+from planner.cell.cell import Cell, Limits, rigid_inverse
+from planner.resolve.splines import places_along
+from planner.toolpath.task import FREE, Cones, NozzleTask
+
+# ----------------------------------------------------------------------------------------------------
+# What a nozzle task demands of the joints at the commanded speed: twists, their rates, and rungs.
+
+SAMPLES_PER_RUNG = 8  # at least: what roll and holder do between rungs must be resolved by the samples
+
+
+@dataclass(frozen=True)
+class SampledTasks:
+    """All tasks' samples and rungs in one row, ready for compiled kernels (n samples, r rungs).
+
+    tip (n, 3), frames (n, 3, 3)   as in the tasks
+    twist, rate (n, 6)             velocity of the nozzle in the part frame with roll and holder at rest, at the
+                                   commanded speed, linear rows first [m/s, rad/s], and its time derivative
+    now (n)                        when a sample is reached, in beads: see `NozzleTask.moments`
+    weight (n)                     time that a sample stands for at that speed [s]; 0 where nothing is deposited
+    rung (r)                       sample of each rung
+    place (r)                      where along its task a rung stands, from 0 to 1, in shares of the task's samples
+    start, stop (r)                samples that a rung answers for
+    time (r)                       time from the rung before it at the commanded speed [s]
+    task_rungs (b + 1)             rungs of task i are task_rungs[i] .. task_rungs[i + 1]
+    cones                          of the tasks, the same for all
+    """
+
+    tip: Array
+    frames: Array
+    twist: Array
+    rate: Array
+    now: Array
+    weight: Array
+    rung: NDArray[np.int64]
+    place: Array
+    start: NDArray[np.int64]
+    stop: NDArray[np.int64]
+    time: Array
+    task_rungs: NDArray[np.int64]
+    cones: Cones = FREE
+
+    def rungs_of(self, task: int) -> slice:
+        """Rungs of the task at this index."""
+        return slice(int(self.task_rungs[task]), int(self.task_rungs[task + 1]))
+
+    def only(self, rungs: NDArray[np.int64], task_rungs: Sequence[int]) -> SampledTasks:
+        """The same samples with some of the rungs (indices), which `task_rungs` divides anew into tasks."""
+        return replace(
+            self,
+            rung=self.rung[rungs],
+            place=self.place[rungs],
+            start=self.start[rungs],
+            stop=self.stop[rungs],
+            time=self.time[rungs],
+            task_rungs=np.array(task_rungs),
+        )
+
+
+def sample_tasks(tasks: Sequence[NozzleTask], spacing: float) -> SampledTasks:
+    """Differentiate the tasks' paths at the commanded speed and set rungs `spacing` [m] apart, see `places_along`."""
+    twists, rates, weights, rungs, places, starts, stops, times = [], [], [], [], [], [], [], []
+    offset = 0
+    counts = [0]
+    for task in tasks:
+        t = task.s / task.speed
+        linear = np.gradient(task.tip, t, axis=0)
+        # omega = 1/2 sum of e_k x e_k' over the frame's axes
+        spin = np.gradient(task.frames, t, axis=0)
+        angular = 0.5 * np.cross(task.frames, spin, axisa=1, axisb=1).sum(axis=1)
+        twist = np.concatenate([linear, angular], axis=1)
+        weight = np.gradient(t)
+        weight[: task.first] = weight[task.last + 1 :] = 0.0
+        twists.append(twist)
+        rates.append(np.gradient(twist, t, axis=0))
+        weights.append(weight)
+        n = len(task)
+        place = places_along(task, spacing, SAMPLES_PER_RUNG)
+        at = np.round(place * (n - 1)).astype(np.int64)
+        edges = np.concatenate([[0], (at[1:] + at[:-1]) // 2, [n]])
+        rungs.append(at + offset)
+        places.append(place)
+        starts.append(edges[:-1] + offset)
+        stops.append(edges[1:] + offset)
+        times.append(np.concatenate([[0.0], np.diff(t[at])]))
+        counts.append(counts[-1] + len(at))
+        offset += n
+    return SampledTasks(
+        tip=np.concatenate([task.tip for task in tasks]),
+        frames=np.ascontiguousarray(np.concatenate([task.frames for task in tasks])),
+        twist=np.concatenate(twists),
+        rate=np.concatenate(rates),
+        now=np.concatenate([task.moments for task in tasks]),
+        weight=np.concatenate(weights),
+        rung=np.concatenate(rungs),
+        place=np.concatenate(places),
+        start=np.concatenate(starts),
+        stop=np.concatenate(stops),
+        time=np.concatenate(times),
+        task_rungs=np.array(counts),
+        cones=tasks[0].cones,
+    )
+
+
+# ----------------------------------------------------------------------------------------------------
+# JointPath: the joints along one task, from a choice of roll, holder angle and branch.
+
+_TURN = 2.0 * np.pi
+TURNS = 5  # of a joint that are tried along a bead
+COMBINATIONS = 128  # of joints' turns that are tried along a bead
+WOUND = 1e-3  # of the time from home to where a joint is: with equal travel cables are not wound up without need
+MARGIN = 1e-6  # rad kept from a joint's limit, so that rounding cannot cross it
+
+
+@dataclass(frozen=True)
+class JointPath:
+    """Joints q (n, nj) at the task's samples, arm then holder, continuous in whole turns; one branch all along.
+
+    roll (n) about the nozzle axis; tilt (n, 2) rotation vector of the axis in the task's frames [rad]
+    """
+
+    task: NozzleTask
+    roll: Array
+    tilt: Array
+    q: Array
+    branch: int
+
+
+def spread(values: Array, n: int, places: Array) -> Array:
+    """n samples of a smooth curve that rung values (m) or (m, k) control: a clamped B-spline of degree 5.
+
+    places (m): where the rungs stand, from 0 to 1, in shares of the samples. The curve has four continuous derivatives,
+    does not overshoot its control values, and starts and ends at the first and last of them; with fewer than six rungs
+    the degree is one less than their number.
+    """
+    m = len(values)
+    degree = min(5, m - 1)
+    if degree == 0:
+        return np.repeat(values, n, axis=0)
+    # inner knots at the rungs themselves, so that each value is felt where its rung stands, near the ends too
+    knots = np.concatenate([np.zeros(degree + 1), places[3 : m - 3], np.ones(degree + 1)])
+    return np.asarray(BSpline(knots, values, degree)(np.linspace(0.0, 1.0, n)))
+
+
+def upright(task: NozzleTask) -> Array:
+    """No tilt (n, 2): the nozzle axis stands on the surface."""
+    return np.zeros((len(task), 2))
+
+
+def postures(cell: Cell, task: NozzleTask, roll: Array, chosen: Array, branch: int) -> Array:
+    """Joints (n, nj) that hold the task exactly, for roll (n) and the cell's chosen joints (n, k) on one branch.
+
+    The nozzle is not tilted.
+
+    Joints are continuous along the path; whole turns are chosen later, by `choose_turns`.
+    Raises Refusal, with the place, where a pose is out of reach or outside a joint's range.
+    """
+    na, nh = len(cell.arm), len(cell.holder)
+    holder, redundant = chosen[:, :nh], chosen[:, nh] if cell.inverse.redundant_joint is not None else None
+    T_base_flange = flange_poses(cell, task, roll, upright(task), holder)
+    q_all, ok_all = cell.inverse.solve(T_base_flange, redundant)
+    q, ok = q_all[:, branch], ok_all[:, branch]
+    if not ok.all():
+        i = int(np.argmin(ok))
+        given = None if redundant is None else redundant[i : i + 1]
+        missing = float(cell.inverse.out_of_reach(T_base_flange[i : i + 1], given)[0])
+        refuse_at(task, i, "out of the arm's reach", missing)
+    middle = 0.5 * (cell.limits.q_min[:na] + cell.limits.q_max[:na])
+    q = middle + np.remainder(q - middle + np.pi, _TURN) - np.pi
+    q = np.unwrap(q, axis=0)
+    span = cell.limits.q_max[:na] - cell.limits.q_min[:na]
+    for j in np.flatnonzero(np.ptp(q, axis=0) > span):
+        i = int(np.argmax(np.abs(q[:, j] - middle[j])))
+        refuse_at(task, i, f"{cell.arm.names[j]} would turn further than its range along this bead")
+    return np.hstack([q, holder])
+
+
+def flange_poses(cell: Cell, task: NozzleTask, roll: Array, tilt: Array, holder: Array) -> Array:
+    """Flange poses in the arm's base frame (n, 4, 4) that the task asks for: frames Exp(tilt) Rz(roll)."""
+    c, s = np.cos(roll), np.sin(roll)
+    T_part_nozzle = np.zeros((len(task), 4, 4))
+    turned = task.frames
+    if tilt.any():
+        turned = turned @ Rotation.from_rotvec(np.column_stack([tilt, np.zeros(len(tilt))])).as_matrix()
+    x, y = turned[:, :, 0], turned[:, :, 1]
+    T_part_nozzle[:, :3, 0] = c[:, None] * x + s[:, None] * y
+    T_part_nozzle[:, :3, 1] = -s[:, None] * x + c[:, None] * y
+    T_part_nozzle[:, :3, 2] = turned[:, :, 2]
+    T_part_nozzle[:, :3, 3] = task.tip
+    T_part_nozzle[:, 3, 3] = 1.0
+    T_world_part = cell.holder.poses(holder)
+    before, after = rigid_inverse(cell.T_world_base), rigid_inverse(cell.T_flange_nozzle)
+    return before @ T_world_part @ T_part_nozzle @ after
+
+
+def choose_turns(cell: Cell, paths: Sequence[JointPath]) -> tuple[JointPath, ...]:
+    """Add whole turns to joints, bead by bead, so that all stay within limits and travel takes the least time.
+
+    Turns change in travel alone, never within a bead: that is where a joint unwinds when a limit nears. They are
+    chosen by dynamic programming over the beads, for all joints together, since a travel takes as long as its slowest
+    joint. Raises Refusal for a bead along which a joint leaves its range however it is turned.
+    """
+    options = [_turns(cell, path) for path in paths]
+    limits, na = cell.limits, len(cell.arm)
+    home, rate = cell.home, WOUND / limits.velocity
+    # the holder waits where the first bead begins, and stays where the last one ends
+    arm = slice(0, na)
+    cost = _slowest(paths[0].q[0, arm] + options[0][:, arm] - home[arm], limits, arm)
+    cost = cost + np.abs(paths[0].q[0] + options[0] - home) @ rate
+    back = []
+    for a, b, oa, ob in zip(paths[:-1], paths[1:], options[:-1], options[1:], strict=True):
+        begin = b.q[0] + ob
+        step = _slowest(begin[None] - (a.q[-1] + oa)[:, None], limits, slice(None))
+        total = cost[:, None] + step + np.abs(begin - home) @ rate
+        back.append(np.argmin(total, axis=0))
+        cost = total.min(axis=0)
+    pick = int(np.argmin(cost + _slowest(home[arm] - paths[-1].q[-1, arm] - options[-1][:, arm], limits, arm)))
+    turned = []
+    for i in range(len(paths) - 1, -1, -1):
+        turned.append(replace(paths[i], q=paths[i].q + options[i][pick]))
+        if i:
+            pick = int(back[i - 1][pick])
+    return tuple(turned[::-1])
+
+
+def _turns(cell: Cell, path: JointPath) -> Array:
+    """Whole turns (k, nj) [rad] that keep a path within the joints' ranges, those nearest to home."""
+    low, high = cell.limits.q_min + MARGIN, cell.limits.q_max - MARGIN
+    least, most = path.q.min(axis=0), path.q.max(axis=0)
+    each = []
+    for j in range(len(low)):
+        k = np.arange(np.ceil((low[j] - least[j]) / _TURN), np.floor((high[j] - most[j]) / _TURN) + 1)
+        if len(k) == 0:
+            worst = int(np.argmax(np.maximum(low[j] - path.q[:, j], path.q[:, j] - high[j])))
+            refuse_at(path.task, worst, f"{cell.joint_names[j]} leaves its range here")
+        nearest = np.argsort(np.abs(0.5 * (least[j] + most[j]) + k * _TURN - cell.home[j]), kind="stable")
+        each.append(k[nearest[:TURNS]] * _TURN)
+    together = np.stack(np.meshgrid(*each, indexing="ij"), axis=-1).reshape(-1, len(low))
+    away = np.abs(0.5 * (least + most) + together - cell.home) @ (1.0 / cell.limits.velocity)
+    return np.asarray(together[np.sort(np.argsort(away, kind="stable")[:COMBINATIONS])])
+
+
+def _slowest(way: Array, limits: Limits, joints: slice) -> Array:
+    """Time [s] that joints need from rest to rest over ways (..., n), the slowest of them."""
+    v, a, jerk = limits.velocity[joints], limits.acceleration[joints], limits.jerk[joints]
+    way = np.abs(way)
+    rise = np.minimum(a / jerk, np.sqrt(v / jerk))  # of the acceleration, which then is held, and falls again
+    held = v / (jerk * rise) - rise
+    full = way / v + 2.0 * rise + held
+    less = np.maximum(np.minimum(a / jerk, np.cbrt(0.5 * way / jerk)), 1e-12)  # where full speed is not reached
+    short = 4.0 * less + 2.0 * np.maximum(np.sqrt(0.25 * less**2 + way / (jerk * less)) - 1.5 * less, 0.0)
+    return np.asarray(np.where(way >= v * (2.0 * rise + held), full, short).max(axis=-1))
+
+
+def refuse_at(
+    task: NozzleTask, i: int, reason: str, missing: float | None = None, hints: tuple[str, ...] = ()
+) -> NoReturn:
+    """Raise a Refusal that names the task's bead, sample and point; places in a run count as the bead's end."""
+    mm = task.tip[i] * 1e3
+    if missing is not None:
+        reason += f" by {missing * 1e3:.1f} mm"
+    run = ", in the run-in" if i < task.first else ", in the run-out" if i > task.last else ""
+    nearest = min(max(i, task.first), task.last)
+    raise Refusal(
+        f"{reason} (layer {task.layer + 1}, path {task.name!r}{run}, "
+        f"point {mm[0]:.1f} {mm[1]:.1f} {mm[2]:.1f} mm on the part)",
+        bead=task.bead,
+        waypoint=nearest - task.first,
+        s_mm=float(task.s[nearest] * 1e3),
+        point_mm=(float(mm[0]), float(mm[1]), float(mm[2])),
+        missing_mm=None if missing is None else missing * 1e3,
+        hints=hints,
+    )
+
+
+# ----------------------------------------------------------------------------------------------------
+# A joint path by arc length: its derivatives, which at a constant speed are the joints' rates.
+#
+# At speed v along the path a joint moves at q' v, accelerates at q'' v^2 and jerks at q''' v^3, with derivatives by arc
+# length: a limit of the joint is a limit on a derivative of the path.
+
+ORDERS = np.array([1, 2, 3])
+_STILL = 1e-6  # of a sample's mean length: where less is moved from sample to sample, a path has no direction
+
+
+@dataclass(frozen=True)
+class ByArcLength:
+    """Derivatives (k, nj, 3) of a joint path by arc length at places s (k) [m]: q', q'', q''' in rad and m."""
+
+    s: Array
+    rates: Array
+
+
+def spline_of(path: JointPath) -> BSpline:
+    """Joints and arc length (nj + 1) by the number of the sample, with four continuous derivatives."""
+    n = len(path.task)
+    return make_interp_spline(np.arange(n, dtype=float), np.column_stack([path.q, path.task.s]), k=min(5, n - 1))
+
+
+def by_arc_length(path: JointPath, spline: BSpline, low: float, high: float, per_sample: int) -> ByArcLength:
+    """Derivatives between two arc lengths of the task [m], at so many places a sample of it.
+
+    A place where samples coincide has no direction and is left out.
+    """
+    s = path.task.s
+    k = np.interp([low, high], s, np.arange(len(s), dtype=float))
+    u = np.linspace(k[0], k[1], max(int(np.ceil(per_sample * (k[1] - k[0]))), 1) + 1)
+    first, second, third = (np.asarray(spline(u, order)) for order in ORDERS)
+    moving = first[:, -1] > _STILL * (s[-1] - s[0]) / len(s)
+    u, first, second, third = u[moving], first[moving], second[moving], third[moving]
+    s1, s2, s3 = (each[:, -1:] for each in (first, second, third))
+    by_s = first[:, :-1] / s1
+    by_ss = (second[:, :-1] - by_s * s2) / s1**2
+    by_sss = (third[:, :-1] - 3.0 * by_ss * s1 * s2 - by_s * s3) / s1**3
+    return ByArcLength(np.asarray(spline(u))[:, -1], np.stack([by_s, by_ss, by_sss], axis=-1))

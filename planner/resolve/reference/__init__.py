@@ -1,0 +1,1 @@
+"""Slow solvers that check the fast ones; loaded only when asked for."""

@@ -1,0 +1,82 @@
+"""Simulators of what a print runs on: a robot's controller and an extruder's board, on the network of this computer.
+
+They speak what the real ones speak on the wire, and know nothing of the programs that talk to them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from types import TracebackType
+
+from planner.cell.cell import Cell
+from planner.simulate.board import BOARD_FAULTS, CONTROLLER_FAULTS, Record, faults_of
+from planner.simulate.controller import Controller, Reader, RunState, own_clock, played_motion
+from planner.simulate.rws import Access, RwsServer
+from planner.simulate.servers import HOST, BoardServer, bound_socket
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """Both simulators, running until `close` or the end of a with block.
+
+    rws       (host, port) of the controller's web services, 1.0, user "Default User"
+    program   (host, port) where its program listens once it was started
+    board     (host, port)
+    """
+
+    rws: tuple[str, int]
+    program: tuple[str, int]
+    board: tuple[str, int]
+    controller: Controller
+    _servers: tuple[RwsServer, BoardServer]
+
+    def state(self) -> RunState | None:
+        """Where the controller's program is; None before there is one."""
+        return self.controller.state()
+
+    def board_record(self) -> Record:
+        """What the board has done."""
+        return self._servers[1].record()
+
+    def close(self) -> None:
+        """End both."""
+        self._servers[0].close()
+        self.controller.close()
+        self._servers[1].close()
+
+    def __enter__(self) -> Simulated:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def start(
+    *,
+    pace: float = 1.0,
+    host: str = HOST,
+    controller_faults: Sequence[str] = (),
+    board_faults: Sequence[str] = (),
+    rws_password: str = "robotics",
+    board_password: str = "",
+    read: Reader | None = None,
+    cell: Cell | None = None,
+) -> Simulated:
+    """Start both simulators on free ports; faults as words such as `drop@25` (see `faults`).
+
+    read: modules (name → text) → program, in place of our own reader of RAPID; cell: whose limits the motion keeps,
+    where programmed speeds alone are not enough. Raises InputError for what is no fault.
+    """
+    of_controller = faults_of(controller_faults, CONTROLLER_FAULTS)
+    of_board = faults_of(board_faults, BOARD_FAULTS)
+    with bound_socket(host, 0) as free:
+        program: tuple[str, int] = free.getsockname()
+    move = own_clock if cell is None else partial(played_motion, cell=cell)
+    controller = Controller(program, pace, of_controller, read, move)
+    rws = RwsServer(host, 0, controller, Access(password=rws_password))
+    board = BoardServer(host, 0, pace, of_board, board_password)
+    return Simulated(rws.address, program, board.address, controller, (rws, board))

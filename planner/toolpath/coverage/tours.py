@@ -1,0 +1,243 @@
+"""Orders in which to visit the samples of a face: greedy, weighted greedy, and a travelling salesman's tour."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import pyvrp
+from numba import njit
+from numpy.typing import NDArray
+from pyvrp.stop import MaxIterations
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
+
+from planner.base.arrays import Array, Ints
+
+# ----------------------------------------------------------------------------------------------------
+# What path algorithms see of a face: the points that it was sampled at, and how far apart they are along it.
+
+# Samples nearer than this many spacings are neighbours. With a knight's move (2.24) among them, the shortest way over
+# neighbours is at most 3 % longer than the straight one.
+_REACH = 2.3
+# Cosine of the angle between normals from which on two samples are on sheets that only lie close to each other.
+_OTHER_SHEET = 0.0
+
+
+@dataclass(frozen=True)
+class SampledSurface:
+    """points (n, 3) of faces and their unit outward normals (n, 3) [m, part frame]; parameters (n, 2), the u and v of
+    each on its face; face (n,), its number; row (n,), the line of constant u (of constant v, where faces were sampled
+    the other way) on which it stands, no number used twice; spacing: the desired distance along u and along v [m].
+    """
+
+    points: Array
+    normals: Array
+    parameters: Array
+    face: Ints
+    row: Ints
+    spacing: tuple[float, float]
+
+    def links(self) -> csr_array:
+        """Chords between neighbours [m], (n, n) sparse and symmetric: the distance along the surface, near enough."""
+        pairs = cKDTree(self.points).query_pairs(_REACH * max(self.spacing), output_type="ndarray")
+        a, b = pairs[:, 0], pairs[:, 1]
+        same = np.einsum("ij,ij->i", self.normals[a], self.normals[b]) > _OTHER_SHEET
+        a, b = a[same], b[same]
+        # a chord of length zero would be no link: samples at one place (a pole) are a hair apart
+        chord = np.maximum(np.linalg.norm(self.points[a] - self.points[b], axis=1), np.finfo(float).tiny)
+        n = len(self.points)
+        return csr_array(
+            (np.concatenate([chord, chord]), (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(n, n)
+        )
+
+
+def along_surface(surface: SampledSurface, links: csr_array, start: Ints) -> Array:
+    """Distances (len(start), n) along the surface [m]: over the links; where none lead there, the chord through the
+    air, longer than any way along the surface."""
+    way = np.atleast_2d(dijkstra(links, indices=start))
+    if np.isinf(way).any():
+        longest = float(links.data.sum()) if links.nnz else 0.0
+        chord = np.linalg.norm(surface.points[start][:, None] - surface.points, axis=2)
+        way = np.where(np.isinf(way), longest + chord, way)
+    return way
+
+
+# ----------------------------------------------------------------------------------------------------
+# Local search on an open tour: turn a piece round, or move a short piece, for as long as that shortens the way.
+
+_LONGEST_MOVED = 3  # samples in a piece that is moved (Or-opt)
+_GAIN = 1e-9  # of the mean distance: less is rounding
+
+
+@njit(cache=True)
+def improve(order: Ints, distance: Array) -> Ints:
+    """The order (n,) of an open tour, improved until no such move shortens it; distance (n, n) symmetric.
+
+    No two chords of the result cross where distance is that of a plane: turning the piece between them round would
+    shorten the tour.
+    """
+    tour = order.copy()
+    n = len(tour)
+    total = 0.0
+    for k in range(n - 1):
+        total += distance[tour[k], tour[k + 1]]
+    least = _GAIN * total / max(n - 1, 1)
+    better = True
+    while better:
+        better = False
+        for i in range(n - 1):
+            for j in range(i + 1, n):
+                # tour[i..j] turned round: the chords before i and after j change, where there are any
+                change = 0.0
+                if i > 0:
+                    change += distance[tour[i - 1], tour[j]] - distance[tour[i - 1], tour[i]]
+                if j < n - 1:
+                    change += distance[tour[i], tour[j + 1]] - distance[tour[j], tour[j + 1]]
+                if change < -least:
+                    for k in range((j - i + 1) // 2):
+                        tour[i + k], tour[j - k] = tour[j - k], tour[i + k]
+                    better = True
+        for size in range(1, _LONGEST_MOVED + 1):
+            for i in range(n - size + 1):
+                better = _move(tour, distance, i, size, least) or better
+    return tour
+
+
+@njit(cache=True)
+def _move(tour: Ints, distance: Array, i: int, size: int, least: float) -> bool:
+    """Move tour[i : i + size] to where it costs least, either way round, if that shortens the tour."""
+    n = len(tour)
+    last = i + size - 1
+    freed = 0.0
+    if i > 0:
+        freed += distance[tour[i - 1], tour[i]]
+    if last < n - 1:
+        freed += distance[tour[last], tour[last + 1]]
+    if i > 0 and last < n - 1:
+        freed -= distance[tour[i - 1], tour[last + 1]]
+    rest = np.concatenate((tour[:i], tour[last + 1 :]))
+    best, place, back = -least, -1, False
+    for p in range(len(rest) + 1):
+        for turned in (False, True):
+            head, tail = (tour[last], tour[i]) if turned else (tour[i], tour[last])
+            price = -freed
+            if p > 0:
+                price += distance[rest[p - 1], head]
+            if p < len(rest):
+                price += distance[tail, rest[p]]
+            if 0 < p < len(rest):
+                price -= distance[rest[p - 1], rest[p]]
+            if price < best:
+                best, place, back = price, p, turned
+    if place < 0:
+        return False
+    piece = tour[i : last + 1].copy()
+    for k in range(n):
+        if k < place:
+            tour[k] = rest[k]
+        elif k < place + size:
+            tour[k] = piece[place + size - 1 - k] if back else piece[k - place]
+        else:
+            tour[k] = rest[k - size]
+    return True
+
+
+# ----------------------------------------------------------------------------------------------------
+# The paper's orders in which to visit the samples of a face, each once: greedy and weighted greedy choice.
+#
+# Onstein et al., algorithms 3 and 4. Both may leave samples behind and come back for them across what is printed.
+
+# What it costs to leave the row, in spacings: more than the next sample of the row is farther than the next row.
+ROW_WEIGHT = 1.0
+
+
+def greedy(surface: SampledSurface) -> Ints:
+    """Go to the nearest sample that has not been visited (n,); of equally near ones, to the one with the lowest index."""
+    return _nearest_first(surface, 0.0)
+
+
+def weighted_greedy(surface: SampledSurface) -> Ints:
+    """As greedy, but samples off the row cost ROW_WEIGHT spacings more (n,): from side to side, row by row."""
+    return _nearest_first(surface, ROW_WEIGHT * max(surface.spacing))
+
+
+def _nearest_first(surface: SampledSurface, weight: float) -> Ints:
+    """Start at the first sample; always go where distance plus weight is least."""
+    links = surface.links()
+    n = len(surface.points)
+    order = np.zeros(n, dtype=np.int64)
+    left = np.ones(n, dtype=np.bool_)
+    left[0] = False
+    for k in range(1, n):
+        here = int(order[k - 1])
+        span = slice(links.indptr[here], links.indptr[here + 1])
+        near: NDArray[np.int64] = np.sort(links.indices[span][left[links.indices[span]]]).astype(np.int64)
+        if near.size:
+            way: Array = np.linalg.norm(surface.points[near] - surface.points[here], axis=1)
+        else:
+            near = np.flatnonzero(left)
+            way = along_surface(surface, links, order[k - 1 : k])[0, near]
+        # rounded, so that equally near ones are equal whatever the last digit says
+        price = np.round((way + weight * (surface.row[near] != surface.row[here])) / max(surface.spacing), 9)
+        order[k] = near[np.argmin(price)]
+        left[order[k]] = False
+    return order
+
+
+# ----------------------------------------------------------------------------------------------------
+# The travelling salesman's order of a face's samples: an open tour, searched locally from the greedy one.
+#
+# Onstein et al., algorithm 5. PyVRP searches (one vehicle, a depot next door to everywhere), stopped by a count of
+# iterations, never by a clock, so that the same tour comes out on any machine. It does not turn pieces of a tour round:
+# `two_opt` does, which takes away the last crossings.
+
+MOST_SAMPLES = 4000  # of a tour: distances between all pairs are held at once, 128 MB
+ITERATIONS = 2000  # 4 s for 1,000 samples
+_UNIT = 1e-6  # spacings: PyVRP counts in whole numbers
+_SEED = 1
+
+
+class TooManySamplesError(ValueError):
+    """A tour over more samples than MOST_SAMPLES."""
+
+
+def tour(surface: SampledSurface) -> Ints:
+    """A short open tour over the samples (n,), from near the greedy one. Raises TooManySamplesError."""
+    n = len(surface.points)
+    if n > MOST_SAMPLES:
+        raise TooManySamplesError(f"a tour over {n} samples: at most {MOST_SAMPLES}")
+    start = greedy(surface)
+    if n < 3:
+        return start
+    distance = along_surface(surface, surface.links(), np.arange(n, dtype=np.int64))
+    distance = 0.5 * (distance + distance.T)
+    unit = _UNIT * max(surface.spacing)
+    whole: Any = np.zeros((n + 1, n + 1), dtype=np.int64)  # the first is the depot
+    whole[1:, 1:] = np.rint(distance / unit)
+    np.fill_diagonal(whole, 0)
+    places = [pyvrp.Location(0.0, 0.0), *(pyvrp.Location(*xy) for xy in surface.points[:, :2].tolist())]
+    data = pyvrp.ProblemData(
+        places,
+        [pyvrp.Client(place) for place in range(1, n + 1)],
+        [pyvrp.Depot(0)],
+        [pyvrp.VehicleType()],
+        [whole],
+        [0 * whole],
+    )
+    first = pyvrp.Solution(data, [[int(i) for i in improve(start, distance)]])
+    found = pyvrp.solve(data, MaxIterations(ITERATIONS), seed=_SEED, collect_stats=False, initial_solution=first)
+    visited = [step.idx for route in found.best.routes() for step in route if step.is_client()]
+    return improve(np.array(visited, dtype=np.int64), distance)
+
+
+# ----------------------------------------------------------------------------------------------------
+# Names of the ways to visit the samples of a face; `rows` (rows.py) makes points of its own instead.
+
+ORDERS: MappingProxyType[str, Callable[[SampledSurface], Ints]] = MappingProxyType(
+    {"greedy": greedy, "weighted_greedy": weighted_greedy, "tour": tour}
+)

@@ -1,0 +1,128 @@
+"""NURBS curves as plane paths: evaluated in homogeneous coordinates, divided as finely as they bend."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from planner.base.arrays import Array
+from planner.problem import Problem
+from planner.problem.drawings import CurveSpec, CurvesSpec
+from planner.toolpath.svg.outlines import PlanePath
+
+# ----------------------------------------------------------------------------------------------------
+# NURBS curves as plane paths: evaluated in homogeneous coordinates, divided as finely as they bend.
+
+FLATNESS = 1e-6  # m, between chords and curve: far below any tolerance, and some 200 points for a curve of 100 mm
+_PIECES = 8  # of each span between knots at first
+_LOOKS = (0.25, 0.5, 0.75)  # of a piece, where its chord is judged
+_FINEST = 1e-12  # of the whole parameter range: a piece as short as this is divided no further
+_SAME = 1e-9  # m: points nearer than this are one
+_CUSP = 1e-5  # m: a curve that turns back within this length has a point no bead can follow
+_BACK = np.radians(165.0)  # turned within it
+
+
+class Cusp(ValueError):
+    """A curve turns back on itself at `place` (2) [m]."""
+
+    def __init__(self, place: Array) -> None:
+        self.place = place
+        super().__init__(f"turns back on itself at {place}")
+
+
+@dataclass(frozen=True)
+class NurbsCurve:
+    """A rational B-spline curve of the plane, its parameter from 0 to 1.
+
+    spline of weight times x and y, and of the weight [m]; knots: the distinct ones.
+    """
+
+    spline: BSpline
+    knots: Array
+
+    @classmethod
+    def of(cls, spec: CurveSpec) -> NurbsCurve:
+        """The curve of a specification that was found to be one; evenly spaced, clamped knots where it has none."""
+        points, p = np.asarray(spec.points), spec.degree
+        weights = np.ones(len(points)) if spec.weights is None else np.asarray(spec.weights)
+        if spec.knots is None:
+            inner = np.linspace(0.0, 1.0, len(points) - p + 1)
+            knots = np.concatenate([np.zeros(p), inner, np.ones(p)])
+        else:
+            knots = np.asarray(spec.knots)
+            knots = (knots - knots[0]) / (knots[-1] - knots[0])
+        spline = BSpline(knots, np.column_stack([weights[:, None] * points, weights]), p)
+        return cls(spline, np.unique(knots))
+
+    def at(self, u: Array) -> Array:
+        """Points (n, 2) [m] at parameters u (n)."""
+        rows = np.asarray(self.spline(u))
+        return np.asarray(rows[:, :2] / rows[:, 2:])
+
+
+def flatten(curve: NurbsCurve, name: str) -> PlanePath:
+    """The curve as a polyline whose chords leave it by FLATNESS at most; every knot is a vertex.
+
+    Closed where it ends where it begins. Raises Cusp where it turns back on itself.
+    """
+    steps = np.arange(_PIECES) / _PIECES
+    u = np.append((curve.knots[:-1, None] + np.diff(curve.knots)[:, None] * steps).ravel(), 1.0)
+    while True:
+        points = curve.at(u)
+        step = np.diff(u)
+        off = np.max([_off_chord(points, curve.at(u[:-1] + look * step)) for look in _LOOKS], axis=0)
+        bad = np.flatnonzero((off > FLATNESS) & (step > _FINEST))
+        if len(bad) == 0:
+            break
+        u = np.insert(u, bad + 1, u[bad] + 0.5 * step[bad])
+    points = points[np.append(True, np.hypot(*np.diff(points, axis=0).T) > _SAME)]
+    _refuse_cusp(points)
+    closed = len(points) > 2 and bool(np.hypot(*(points[-1] - points[0])) <= FLATNESS)
+    if closed:
+        points[-1] = points[0]
+    return PlanePath(name, points, closed)
+
+
+def _off_chord(points: Array, between: Array) -> Array:
+    """Distances (n - 1) of points between two successive ones (n, 2) from their chord."""
+    chord = np.diff(points, axis=0)
+    away = between - points[:-1]
+    square = np.maximum((chord * chord).sum(axis=1), _SAME**2)
+    share = np.clip((away * chord).sum(axis=1) / square, 0.0, 1.0)
+    return np.asarray(np.linalg.norm(away - share[:, None] * chord, axis=1))
+
+
+def _refuse_cusp(points: Array) -> None:
+    """Raise Cusp where a polyline (n, 2) turns by _BACK within _CUSP."""
+    step = np.diff(points, axis=0)
+    if len(step) < 2:
+        return
+    a, b = step[:-1], step[1:]
+    turn = np.abs(np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1)))
+    arc = np.cumsum(np.hypot(*step.T))[:-1]  # of the vertices that turn
+    total = np.concatenate([[0.0], np.cumsum(turn)])
+    turned = total[np.searchsorted(arc, arc + _CUSP, side="right")] - total[:-1]
+    if turned.max() >= _BACK:
+        raise Cusp(points[1 + int(np.argmax(turned))])
+
+
+# ----------------------------------------------------------------------------------------------------
+# NURBS curves as plane paths.
+
+
+def nurbs_paths(problem: Problem, source: CurvesSpec) -> tuple[PlanePath, ...]:
+    """The curves in the order of the file, as polylines in metres. Raises InputError for one that has a cusp."""
+    paths = []
+    for i, spec in enumerate(source.curves):
+        try:
+            paths.append(flatten(NurbsCurve.of(spec), f"curve {i + 1}"))
+        except Cusp as error:
+            x, y = error.place * 1e3
+            raise problem.error(
+                f"layers.source.curves.{i}",
+                f"curve {i + 1} turns back on itself at x {x:.2f}, y {y:.2f} mm",
+                "no bead follows a cusp: move its control points, or make two curves of it",
+            ) from None
+    return tuple(paths)

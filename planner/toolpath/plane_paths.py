@@ -1,0 +1,394 @@
+"""Plane paths: lengths, seams, corners rounded within a tolerance, and the bead that a curve becomes in space."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline, make_interp_spline
+from scipy.linalg import solveh_banded
+from scipy.ndimage import gaussian_filter1d
+
+from planner.base.arrays import Array
+from planner.problem import Problem
+from planner.toolpath.bead import Bead
+
+if TYPE_CHECKING:
+    from planner.toolpath.svg.outlines import PlanePath
+
+# ----------------------------------------------------------------------------------------------------
+# Where to sample a curve: as densely as its waypoints stand, more densely at corners, smoothly in between.
+
+_SMOOTHING = 8.0  # mean steps over which the waypoints' own density is averaged
+_REACH = 30.0  # widths around a corner up to which samples draw together
+_DENSITY_STEPS = 4
+
+
+@dataclass(frozen=True)
+class SampleDensity:
+    """Samples per metre along a curve of chord length `length` [m].
+
+    counted   (spline) how many waypoints' steps lie up to a chord length
+    corners   chord lengths (k) around which samples draw together, spacing (k) there, and over what width (k)
+    """
+
+    length: float
+    counted: Any
+    corners: Array
+    spacing: Array
+    width: Array
+
+    @classmethod
+    def of_steps(cls, chord: Array, samples: Array) -> SampleDensity:
+        """The density of waypoints at chord lengths (m), evened out; each step is worth so many samples (m - 1)."""
+        cells = max(len(chord) - 1, 4)
+        grid = np.linspace(0.0, chord[-1], cells + 1)
+        steps = np.diff(np.interp(grid, chord, np.concatenate([[0.0], np.cumsum(samples)])))
+        even = gaussian_filter1d(steps, _SMOOTHING, mode="nearest") / (chord[-1] / cells)
+        middle = 0.5 * (grid[1:] + grid[:-1])
+        x, y = np.concatenate([grid[:1], middle, grid[-1:]]), np.concatenate([even[:1], even, even[-1:]])
+        none = np.zeros(0)
+        return cls(float(chord[-1]), CubicSpline(x, y).antiderivative(), none, none, none)
+
+    def denser(self, corners: Array, spacing: float, width: float) -> SampleDensity:
+        """The same with samples `spacing` [m] apart at corners (chord lengths), over some `width` [m]."""
+        k = np.ones(len(corners))
+        return replace(
+            self,
+            corners=np.concatenate([self.corners, corners]),
+            spacing=np.concatenate([self.spacing, k * spacing]),
+            width=np.concatenate([self.width, k * width]),
+        )
+
+    def spacing_at(self, c: Array) -> Array:
+        """Distance (k) between samples at chord lengths c (k) [m]."""
+        return 1.0 / self._density(c)
+
+    def samples(self, fewest: int) -> Array:
+        """Chord lengths (n) of the samples, the two ends among them, n at least `fewest`."""
+        rough = np.linspace(0.0, self.length, max(8, int(self.counted(self.length)) + 1))
+        offsets = np.sinh(np.linspace(-4.0, 4.0, 65))
+        around = (self.corners[:, None] + self.width[:, None] * offsets).ravel()
+        rough = np.unique(np.clip(np.concatenate([rough, around]), 0.0, self.length))
+        total = self._count(rough)
+        n = max(round(float(total[-1])), fewest - 1)
+        target = np.linspace(0.0, total[-1], n + 1)
+        c = np.interp(target, total, rough)
+        for _ in range(_DENSITY_STEPS):
+            c = np.clip(c - (self._count(c) - target) / self._density(c), 0.0, self.length)
+            c = np.maximum.accumulate(c)
+        c[[0, -1]] = 0.0, self.length
+        return c
+
+    def _count(self, c: Array) -> Array:
+        """Samples up to chord lengths c (n), which increase."""
+        count = np.asarray(self.counted(c))
+        bump = _bump().antiderivative()
+        for corner, spacing, width in zip(self.corners, self.spacing, self.width, strict=True):
+            first, last = np.searchsorted(c, [corner - _REACH * width, corner + _REACH * width])
+            here = width / spacing
+            start = float(bump(np.clip(-corner / width, -_REACH, 0.0)))  # counted from the curve's start
+            count[first:last] += here * (bump((c[first:last] - corner) / width) - start)
+            count[last:] += here * (bump(_REACH) - start)
+        return count
+
+    def _density(self, c: Array) -> Array:
+        density = np.asarray(self.counted(c, 1))
+        bump = _bump()
+        for corner, spacing, width in zip(self.corners, self.spacing, self.width, strict=True):
+            near = slice(*np.searchsorted(c, [corner - _REACH * width, corner + _REACH * width]))
+            density[near] += bump((c[near] - corner) / width) / spacing
+        return density
+
+
+@cache
+def _bump() -> CubicSpline:
+    """1 / (1 + x^2) on [-REACH, REACH], faded to 0 at both ends: neighbouring spacings grow by a fifth at most."""
+    x = np.sinh(np.linspace(-1.0, 1.0, 1601) * np.arcsinh(_REACH))
+    return CubicSpline(x, (1.0 - (x / _REACH) ** 2) ** 3 / (1.0 + x * x))
+
+
+# ----------------------------------------------------------------------------------------------------
+# Corner rounding: the smoothest curve that stays within a tolerance of a plane polyline.
+#
+# A corner cut by a blend uses the tolerance on one side only. Here every sample may move anywhere in a disc
+# around its place on the input path, and the curve's third derivative, which is what drives joint jerk, is
+# made as small as the discs allow:
+#
+#     minimise  sum |l^3 x'''|^2 + |x - p|^2   subject to  |x_i - p_i| <= tolerance
+#
+# with l the rounding length: far from corners the second term holds the curve to the input. The problem is
+# convex; a log-barrier Newton method with a banded Cholesky factorisation solves it in time linear in samples.
+
+SAMPLES_PER_TOLERANCE = 2.0  # sample spacing = tolerance / 2: a rounded corner is some 10 tolerances long
+ROUNDING_LENGTH = 12.5  # l in tolerances: long enough that a right angle uses its whole disc
+OVERLAP = 16.0  # in l: how far a closed path is unrolled past its seam; the ends' influence is e^-8 there
+_BARRIERS = (1e4, 1e3, 1e2, 1e1)  # against an objective of some 6,000 a sample at a corner
+_NEWTON_STEPS = 20
+_KEPT_ROOM = 0.01  # of the squared distance to a disc's rim that a step must leave: numbers stay finite
+_FINEST = 0.5  # of the tolerance: where less of it is used, samples draw no closer together
+_LEAST = 0.1  # of the tolerance, radius of any disc: where the tolerance is shared out, few samples see a corner
+_SHRINK = 0.98  # of the tolerance: leaves room for what the curve does between samples
+
+
+@dataclass(frozen=True)
+class PlaneCurve:
+    """A rounded path, sampled uniformly in the arc length u of its input path.
+
+    points (n, 2) on the curve, source (m, 2) the input polyline [m]; closed: the last point is the first.
+    The samples draw together where the curve turns sharply.
+    """
+
+    name: str
+    points: Array
+    source: Array
+    closed: bool
+
+
+def round_corners(path: PlanePath, tolerance: float, share: Callable[[Array], Array] | None = None) -> PlaneCurve:
+    """Smooth a polyline within `tolerance` [m] of itself, sample by sample (so in Fréchet distance too).
+
+    Open paths keep their end points; closed ones are smooth across the seam. Where `share` is given, only that part
+    (n) of the tolerance is used at points (n, 2) of the path.
+    """
+    length = ROUNDING_LENGTH * tolerance
+    arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points, axis=0).T))])
+    finest = tolerance if share is None else tolerance * max(float(share(path.points).min()), _FINEST)
+    n = max(int(np.ceil(arc[-1] / finest * SAMPLES_PER_TOLERANCE)), 8)
+    step = arc[-1] / n
+    if path.closed:
+        extra = int(np.ceil(OVERLAP * length / step))
+        u = np.arange(-extra, n + extra + 1) * step
+        p = _along(path.points, arc, np.mod(u, arc[-1]))
+        radius = _disc_radii(path, arc, u, p, _rooms(p, tolerance, share))
+        x = _smooth(p, radius, length / step)[extra : extra + n + 1]
+        gap = x[0] - x[-1]  # some nanometres: spread it, so that the curve closes exactly
+        x = x + np.linspace(-0.5, 0.5, n + 1)[:, None] * gap
+        x[-1] = x[0]
+    else:
+        u = np.arange(n + 1) * step
+        p = _along(path.points, arc, u)
+        x = _smooth(p, _disc_radii(path, arc, u, p, _rooms(p, tolerance, share)), length / step)
+    return PlaneCurve(path.name, x, path.points, path.closed)
+
+
+def _along(points: Array, arc: Array, u: Array) -> Array:
+    return np.column_stack([np.interp(u, arc, points[:, k]) for k in range(2)])
+
+
+def _rooms(p: Array, tolerance: float, share: Callable[[Array], Array] | None) -> Array:
+    """The tolerance (n) at each sample."""
+    return np.full(len(p), tolerance) if share is None else tolerance * share(p)
+
+
+def _disc_radii(path: PlanePath, arc: Array, u: Array, p: Array, tolerance: Array) -> Array:
+    """Radius (n) of each sample's disc [m], within its tolerance (n): smaller beside corners between samples.
+
+    A corner at a distance h from the chord of its two samples p is within radius + h of the curve.
+    """
+    radius = tolerance * _SHRINK
+    corner = path.points[:-1] if path.closed else path.points[1:-1]
+    at = arc[:-1] if path.closed else arc[1:-1]
+    if path.closed:
+        loops = np.arange(np.floor(u[0] / arc[-1]), np.ceil(u[-1] / arc[-1]) + 1)
+        at = (at[None, :] + loops[:, None] * arc[-1]).ravel()
+        corner = np.tile(corner, (len(loops), 1))
+    k = np.floor((at - u[0]) / (u[1] - u[0])).astype(int)
+    inside = (k >= 0) & (k < len(u) - 1)
+    k, corner = k[inside], corner[inside]
+    chord = p[k + 1] - p[k]
+    t = ((corner - p[k]) * chord).sum(axis=1) / np.maximum((chord * chord).sum(axis=1), 1e-30)
+    h = np.linalg.norm(corner - p[k] - np.clip(t, 0.0, 1.0)[:, None] * chord, axis=1)
+    for beside in (k, k + 1):
+        np.minimum.at(radius, beside, tolerance[beside] * _SHRINK - h)
+    return np.maximum(radius, _LEAST * tolerance)
+
+
+def _smooth(p: Array, radius: Array, stiffness: float) -> Array:
+    """Solve the problem above for samples p (n, 2) with discs of `radius` (n); `stiffness` is l in sample steps.
+
+    End points are kept.
+    """
+    n = len(p)
+    third = _third_difference_bands(n, stiffness**6)
+    scale = float(radius.max())
+    P = p / scale
+    r2 = (radius / scale) ** 2
+    X = P.copy()
+    held = np.ones(n)
+    held[[0, -1]] = 1e12  # weight of |x - p|^2 that pins the ends
+    for barrier in _BARRIERS:
+        for _ in range(_NEWTON_STEPS):
+            e = X - P
+            room = r2 - (e * e).sum(axis=1)
+            pull = held + 2.0 * barrier / room
+            bend = 4.0 * barrier / room**2
+            gradient = _apply(third, X) + e * pull[:, None]
+            bands = np.zeros((7, 2 * n))
+            for k in range(4):
+                bands[2 * k, 0::2] = bands[2 * k, 1::2] = third[k]
+            bands[0, 0::2] += pull + bend * e[:, 0] ** 2
+            bands[0, 1::2] += pull + bend * e[:, 1] ** 2
+            bands[1, 0::2] = bend * e[:, 0] * e[:, 1]
+            step = -solveh_banded(bands, gradient.ravel(), lower=True, overwrite_ab=True, check_finite=False)
+            step = step.reshape(n, 2)
+            decrement = -float((gradient * step).sum())
+            X = _line_search(X, step, decrement, P, r2, third, held, barrier)
+            if decrement < 0.1 * barrier:
+                break
+    return X * scale
+
+
+def _line_search(
+    X: Array, step: Array, decrement: float, P: Array, r2: Array, third: Array, held: Array, barrier: float
+) -> Array:
+    """Largest halving of a Newton step that stays inside every disc and lowers the barrier function."""
+
+    def value(Y: Array) -> float:
+        e = Y - P
+        e2 = (e * e).sum(axis=1)
+        if np.any(r2 - e2 < _KEPT_ROOM * room):
+            return np.inf
+        return float(0.5 * (Y * _apply(third, Y)).sum() + 0.5 * held @ e2 - barrier * np.log(r2 - e2).sum())
+
+    room = r2 - ((X - P) ** 2).sum(axis=1)
+    start, scale = value(X), 1.0
+    while scale > 1e-6 and value(X + scale * step) > start - 0.1 * scale * decrement:
+        scale *= 0.5
+    return X + scale * step if scale > 1e-6 else X
+
+
+def _third_difference_bands(n: int, weight: float) -> Array:
+    """Lower bands (4, n) of weight * D^T D, D the third difference."""
+    d = np.array([-1.0, 3.0, -3.0, 1.0])
+    bands = np.zeros((4, n))
+    for a in range(4):
+        for b in range(a + 1):
+            bands[a - b, b : b + n - 3] += weight * d[a] * d[b]
+    return bands
+
+
+def _apply(bands: Array, x: Array) -> Array:
+    """Product of a symmetric matrix given by its lower bands with x (n, 2)."""
+    n = len(x)
+    y = bands[0][:, None] * x
+    for k in range(1, len(bands)):
+        y[k:] += bands[k, : n - k, None] * x[:-k]
+        y[:-k] += bands[k, : n - k, None] * x[k:]
+    return y
+
+
+# ----------------------------------------------------------------------------------------------------
+# What every source of plane paths needs: lengths, where a closed one begins, and whether it is large enough.
+
+_SHRUNK = 0.5  # share of its length that a path must keep when its corners are rounded
+_KINK = np.radians(10.0)  # a turn above this at one vertex counts as a corner when a seam is looked for
+
+
+def seam_on_smooth_part(path: PlanePath) -> PlanePath:
+    """Start a closed path as far from its corners as it can, so that run-in and run-out are smooth."""
+    loop = path.points[:-1]
+    before, after = loop - np.roll(loop, 1, axis=0), np.roll(loop, -1, axis=0) - loop
+    turn = np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], (before * after).sum(axis=1))
+    arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points, axis=0).T))])
+    corners = arc[:-1][np.abs(turn) > _KINK]
+    if len(corners) == 0:
+        return path
+    gaps = np.diff(np.concatenate([corners, [corners[0] + arc[-1]]]))
+    start = float(np.mod(corners[np.argmax(gaps)] + 0.5 * gaps.max(), arc[-1]))
+    k = int(np.searchsorted(arc, start, side="right"))
+    t = (start - arc[k - 1]) / (arc[k] - arc[k - 1])
+    seam = path.points[k - 1] + t * (path.points[k] - path.points[k - 1])
+    around = np.vstack([seam[None], path.points[k:-1], path.points[:k], seam[None]])
+    step = np.hypot(*np.diff(around, axis=0).T)
+    keep = np.concatenate([[True], step > 1e-12])  # a seam on a vertex stands there twice
+    points = around[keep]
+    points[-1] = seam
+    return replace(path, points=points)
+
+
+def length(points: Array) -> float:
+    """Length of a polyline (n, d) [m]."""
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+
+
+def check_length(problem: Problem, path: PlanePath, size_key: str = "layers.source.width_mm") -> None:
+    """A path must be a line: at least as long as its bead is wide."""
+    drawn, width = length(path.points), problem.process.bead.width
+    if drawn < width:
+        raise problem.error(
+            size_key,
+            f"path {path.name!r} is only {drawn * 1e3:.3f} mm long at this size",
+            f"at least as long as the bead is wide, {width * 1e3:g} mm",
+        )
+
+
+def check_size(problem: Problem, name: str, drawn: float, rounded: float, hint: str) -> None:
+    """A path must not vanish in the corner tolerance; lengths drawn and rounded [m]."""
+    if rounded < _SHRUNK * drawn:
+        raise problem.error(
+            "process.corner_tolerance_mm",
+            f"rounding its corners shrinks path {name!r} from {drawn * 1e3:.2f} to {rounded * 1e3:.2f} mm",
+            hint,
+        )
+
+
+# ----------------------------------------------------------------------------------------------------
+# From a plane curve and where it comes to lie in space to its bead.
+
+_SOURCE_STEP = 1e-4  # m: an input polyline is laid this densely, 0.04 um from the true helix at 34 mm
+
+
+def bead_along(
+    curve: PlaneCurve,
+    layer: int,
+    points: Array,
+    normals: Array,
+    roll_zero: Array,
+    source: Array,
+    width: Array | float,
+    height: Array | float,
+    material: str = "",
+) -> Bead:
+    """The bead of a curve whose points lie at points (n, 3) [m], its input at source (m, 3), for the rest see Bead.
+
+    width and height [m] are those of every place (n,), or of the whole bead.
+    """
+    return Bead(
+        name=curve.name,
+        layer=layer,
+        s=arc_length(points),
+        points=points,
+        normals=normals,
+        roll_zero=roll_zero,
+        source=source,
+        width=np.full(len(points), width),
+        height=np.full(len(points), height),
+        closed=curve.closed,
+        material=material,
+    )
+
+
+def arc_length(points: Array) -> Array:
+    """Arc length (n,) along the smooth curve through points (n, 3) that are uniform in its parameter."""
+    u = np.arange(len(points), dtype=float)
+    spline = make_interp_spline(u, points, k=5)
+    # Gauss-Legendre, three points an interval: exact to 1e-12 m where the spline is resolved at all
+    nodes, weights = np.polynomial.legendre.leggauss(3)
+    mid = u[:-1, None] + 0.5 * (nodes[None, :] + 1.0)
+    speed = np.linalg.norm(spline(mid.ravel(), 1), axis=1).reshape(mid.shape)
+    return np.concatenate([[0.0], np.cumsum(0.5 * speed @ weights)])
+
+
+def densify(polyline: Array) -> Array:
+    """The same polyline with no segment longer than `_SOURCE_STEP`; its vertices are kept."""
+    lengths = np.hypot(*np.diff(polyline, axis=0).T)
+    pieces = np.maximum(np.ceil(lengths / _SOURCE_STEP).astype(int), 1)
+    index = np.repeat(np.arange(len(pieces)), pieces)
+    within = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    t = within / pieces[index]
+    dense = polyline[index] + t[:, None] * np.diff(polyline, axis=0)[index]
+    return np.vstack([dense, polyline[-1]])

@@ -1,0 +1,313 @@
+"""What happens around a bead: run-in and run-out, how its ends would go on, and where its fibre is cut."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+from scipy.spatial.transform import Rotation
+
+from planner.base.arrays import Array
+from planner.base.errors import Complaint, InputError
+from planner.problem.process import FibreSpec, ProcessSpec
+from planner.toolpath.bead import Bead
+
+# ----------------------------------------------------------------------------------------------------
+# The end of a bead: how its curve and its frame would go on from there.
+
+_SAMPLES = 12  # enough for the end's derivatives
+_DEGREE = 5
+_SMOOTH = 0.4  # rad or e-folds a sample: what turns or stretches more is too coarse for a polynomial
+_AGREES = 2.0  # times what neighbouring samples turn: no smooth end turns more
+_STEEPEST_TURN = 1.0  # rad a sample that a coarse bead's end goes on with
+_WHOLE = 3.0  # rad: beyond pi a rotation vector points the other way
+_ROUNDING = 1e-9  # rad a sample
+
+
+@dataclass(frozen=True)
+class BeadEnd:
+    """An end of a bead, seen by who walks off it; derivatives are by the arc length walked, part frame.
+
+    point, tangent (3)  [m, unit]
+    bend      (3)       curvature, perpendicular to the tangent [1/m]
+    frame     (3, 3)    columns: roll zero, normal x roll zero, normal
+    spin      (2, 3)    first and second derivative of the frame's rotation vector [rad/m, rad/m^2]
+    step                distance of samples [m]
+    growth              its logarithm's derivative by the sample number
+    """
+
+    point: Array
+    tangent: Array
+    bend: Array
+    frame: Array
+    spin: Array
+    step: float
+    growth: float
+
+    @property
+    def turning(self) -> tuple[float, float]:
+        """Sizes of the frame's derivatives [rad/m, rad/m^2]."""
+        first, second = np.linalg.norm(self.spin, axis=1)
+        return float(first), float(second)
+
+    def turned(self, far: Array, within: float) -> Array:
+        """Frames (m, 3, 3) at distances (m), if the turning fades until `within` [m] (see process._fade)."""
+        y = np.clip(far / within, 0.0, 1.0)
+        first = within * (y - y**4 * (2.5 - 3.0 * y + y**2))
+        second = within**2 * y**2 * (0.5 - y**3 * (2.0 - 2.5 * y + 6.0 / 7.0 * y**2))
+        turn = first[:, None] * self.spin[0] + second[:, None] * self.spin[1]
+        return np.asarray(Rotation.from_rotvec(turn).as_matrix() @ self.frame)
+
+
+def end_of(bead: Bead, at_end: bool) -> BeadEnd:
+    """The end of a bead, or its start walked off backwards.
+
+    A polynomial of degree 5 gives it where that agrees with the samples themselves; else, on a bead of few or coarse
+    samples, the arc through the last three of them.
+    """
+    take = slice(-1, -_SAMPLES - 1, -1) if at_end else slice(0, _SAMPLES)
+    points, normals, roll = bead.points[take], bead.normals[take], bead.roll_zero[take]
+    frames = np.stack([roll, np.cross(normals, roll), normals], axis=-1)
+    turns = Rotation.from_matrix(frames @ frames[0].T).as_rotvec()
+    fine = _smooth_end(points, turns, frames[0]) if len(points) > _DEGREE else None
+    return _by_arc(points, turns, frames[0]) if fine is None else fine
+
+
+def _smooth_end(points: Array, turns: Array, frame: Array) -> BeadEnd | None:
+    """The end by a polynomial, if the samples beside it are smooth and turn and stretch as it says."""
+    chords = np.diff(points[: _DEGREE + 1], axis=0)
+    sizes = np.linalg.norm(chords, axis=1)
+    turn = float(_angles(chords[1:], chords[:-1]).max())
+    stretch = float(np.abs(np.diff(np.log(sizes))).max())
+    spin = float(np.linalg.norm(np.diff(turns[: _DEGREE + 1], axis=0), axis=1).max())
+    if max(turn, stretch, spin) > _SMOOTH or np.linalg.norm(turns, axis=1).max() > _WHOLE:
+        return None
+    fine = _by_polynomial(points, turns, frame)
+    measured = (
+        (float(_angles(fine.tangent, -chords[0])), turn),
+        (float(np.linalg.norm(fine.bend)) * fine.step, turn),
+        (abs(fine.growth), stretch),
+        (fine.turning[0] * fine.step, spin),
+        (fine.turning[1] * fine.step**2, spin + turn),
+    )
+    return fine if all(value <= _AGREES * seen + _ROUNDING for value, seen in measured) else None
+
+
+def _by_polynomial(points: Array, turns: Array, frame: Array) -> BeadEnd:
+    """From points and rotation vectors (k, 3), k more than _DEGREE, the end first."""
+    spline = make_interp_spline(np.arange(len(points), dtype=float), np.hstack([points, turns]), k=_DEGREE)
+    (slope, spin), (bend, spun) = np.split(-spline(0.0, 1), 2), np.split(spline(0.0, 2), 2)
+    step = float(np.linalg.norm(slope))
+    tangent = slope / step
+    growth = float(bend @ tangent) / step
+    across = bend - (bend @ tangent) * tangent
+    first = spin / step
+    second = (spun - growth * spin) / step**2
+    return BeadEnd(points[0], tangent, across / step**2, frame, np.stack([first, second]), step, growth)
+
+
+def _by_arc(points: Array, turns: Array, frame: Array) -> BeadEnd:
+    """From points and rotation vectors (k, 3), k at least 2, the end first: the arc through three of them."""
+    chord = points[0] - points[1]
+    size = float(np.linalg.norm(chord))
+    tangent, bend, growth = chord / size, np.zeros(3), 0.0
+    spin = np.stack([-turns[1], np.zeros(3)])
+    if len(points) > 2:
+        inner = points[1] - points[2]
+        before = float(np.linalg.norm(inner))
+        growth = float(np.clip(np.log(size / before), -_SMOOTH, _SMOOTH))
+        across = (tangent @ inner) * tangent - inner
+        angle = min(
+            float(_angles(chord, inner)), _STEEPEST_TURN * np.exp(-max(growth, 0.0))
+        )  # the next chord is longer
+        sideways = float(np.linalg.norm(across))
+        if sideways > _ROUNDING * before:
+            # the arc turns by as much from the middle of its last chord to the end as from the middle to the sample before
+            toward = across / sideways
+            tangent, toward = (
+                np.cos(0.5 * angle) * tangent + np.sin(0.5 * angle) * toward,
+                np.cos(0.5 * angle) * toward - np.sin(0.5 * angle) * tangent,
+            )
+            bend = angle / size * toward
+    turned = float(np.linalg.norm(spin[0]))
+    spin[0] *= min(1.0, _STEEPEST_TURN / turned) / size if turned > 0.0 else 0.0
+    return BeadEnd(points[0], tangent, bend, frame, spin, size, growth)
+
+
+def _angles(a: Array, b: Array) -> Array:
+    """Angles (...) between vectors a and b (..., 3)."""
+    return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1)))
+
+
+# ----------------------------------------------------------------------------------------------------
+# What happens around a bead: run-in and run-out, where the nozzle moves and nothing is deposited; where fibre is cut;
+# how long the extruder needs between beads.
+
+RISE_PER_LENGTH = 0.5  # height of the far end of a run over its length: clears a bead within the run's last half
+_STRAIGHTEN = 0.4  # greatest share of a run in which the bead's curvature fades to a straight line
+_SETTLE = 1.0  # likewise in which the nozzle stops turning: quicker asks more jerk of the wrist than the bead does
+_BENT = 0.5  # share of a run in which it bends up to its ramp, which is straight from there on
+_TURN = 1.0  # rad; twice what a run turns at most before it is straight, where the samples allow it
+_GROWTH = 0.7  # twice the logarithm of how far the samples' distance changes along a run
+_FADE = 3.0  # samples in which anything fades at least: quicker would be a step to whoever reads the samples
+_FEWEST = 8.0  # samples of a run at least: fewer cannot show its shape, so a coarse bead has longer runs
+_MOST = 500.0  # samples of a run, about: a bead that begins with closer ones has runs that thin them out
+_THINNING = 10.0  # samples in which their distance grows e-fold
+_UPRIGHT = 1e-6  # sine of the angle between a bead and its normal: below, it stands upright on its surface
+_STEEP = 0.5  # cosine of a bead's elevation above its surface: a steeper one is not a bead on it
+_STEEPEST_RUN = 1.0  # rad; elevation with which a run goes on
+_SUBSTEPS = 8  # of the integration of a run, per sample
+
+
+@dataclass(frozen=True)
+class BeadRun:
+    """A bead with its run-in and run-out: what the nozzle follows from rest to rest.
+
+    points, normals, roll_zero (n, 3) part frame [m, unit]; s (n,) arc length [m], 0 where the bead starts,
+    negative in the run-in; deposit lasts from sample `first` to sample `last`, both included.
+    """
+
+    points: Array
+    normals: Array
+    roll_zero: Array
+    s: Array
+    first: int
+    last: int
+
+
+def with_runs(bead: Bead, length: float, ramp: float | None = None) -> BeadRun:
+    """Extend a bead by a run-in and a run-out of `length` [m] each, or of eight of its samples if these are longer.
+
+    A run leaves along the bead's tangent with its curvature (continuous to the second derivative) and becomes
+    straight. Without a `ramp` it rises from the surface with the cube of the distance, which is then counted along
+    the surface; else its far half is straight and stands at the angle `ramp` [rad] to the bead's surface at that end.
+    """
+    before, s_before = _leave(end_of(bead, at_end=False), length, ramp)
+    after, s_after = _leave(end_of(bead, at_end=True), length, ramp)
+    points, normals, roll_zero = (
+        np.vstack([a[::-1], here, b])
+        for a, here, b in zip(before, (bead.points, bead.normals, bead.roll_zero), after, strict=True)
+    )
+    s = np.concatenate([-s_before[::-1], bead.s, bead.length + s_after])
+    normals = normals / np.linalg.norm(normals, axis=1)[:, None]
+    roll_zero = roll_zero - (roll_zero * normals).sum(axis=1)[:, None] * normals
+    roll_zero = roll_zero / np.linalg.norm(roll_zero, axis=1)[:, None]
+    first = len(s_before)
+    return BeadRun(points, normals, roll_zero, s, first, first + len(bead.points) - 1)
+
+
+def _leave(end: BeadEnd, length: float, ramp: float | None) -> tuple[tuple[Array, Array, Array], Array]:
+    """Samples (m, 3) of points, normals and roll directions beyond one end, walking away from the bead, and the
+    arc length (m) from that end."""
+    length = max(length, _FEWEST * end.step)
+    far = _distances(end, length)
+
+    along = _directions(end, far, length, ramp)
+    points = end.point + _integral(along, far)
+    if ramp is None:
+        points = points + (RISE_PER_LENGTH * length * (far / length) ** 3)[:, None] * end.frame[:, 2]
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+
+    keep = slice(_SUBSTEPS, None, _SUBSTEPS)
+    frames = end.turned(far[keep], _within(end, length, _SETTLE, *end.turning))
+    return (points[keep], frames[:, :, 2], frames[:, :, 0]), arc[keep]
+
+
+def _distances(end: BeadEnd, length: float) -> Array:
+    """Distances (m) from a bead's end along a run until `length` is reached, _SUBSTEPS of them a sample, from 0 on.
+
+    They begin as the bead's samples go on, and become even.
+    """
+    usual = length / end.step
+    fade = float(np.clip(_GROWTH / max(abs(end.growth), 1e-9), _FADE, _STRAIGHTEN * usual))
+    thin = np.log(max(usual / _MOST, 1.0))
+    over = max(_THINNING * thin, 1.0)
+    fewer = float(np.exp(-0.5 * abs(end.growth) * fade))  # samples may draw together, hence more of them
+    m = int(np.ceil(min(usual, _MOST) / fewer + over)) + 1
+    u = np.arange(m * _SUBSTEPS + 1) / _SUBSTEPS
+    step = end.step * np.exp(end.growth * _faded(u, fade) + thin * (1.0 - _fade(u / over)))
+    far = _integral(step, u)
+    samples = np.searchsorted(far[::_SUBSTEPS], (1.0 - 1e-9) * length)
+    return far[: samples * _SUBSTEPS + 1]
+
+
+def _within(end: BeadEnd, length: float, share: float, *rates: float) -> float:
+    """Distance [m] in which the rates of an end's n-th derivatives (n = 1, 2; [rad/m^n]) fade: a share of the run."""
+    turns = [(_TURN / rate) ** (1.0 / (n + 1)) for n, rate in enumerate(rates) if rate > 0.0]
+    return float(np.clip(min(turns, default=np.inf), _FADE * end.step, share * length))
+
+
+def _directions(end: BeadEnd, far: Array, length: float, ramp: float | None) -> Array:
+    """Directions (m, 3) of a run at distances (m), by heading in the bead's surface and elevation above it.
+
+    Both go on as the bead does, by less and less. From _BENT of the run on, the elevation is the ramp; without one it
+    is the bead's own, but never down into the surface.
+    """
+    normal = end.frame[:, 2]
+    up = float(end.tangent @ normal)
+    level = end.tangent - up * normal
+    size = float(np.linalg.norm(level))
+    # a bead along its own normal has no heading: any will do
+    level = level / size if size > _UPRIGHT else end.frame[:, 0]
+    aside = np.cross(normal, level)
+    lifted = float(np.arctan2(up, size))
+    heads = float(end.bend @ aside) / max(size, _STEEP)
+    climbs = float(end.bend @ (np.cos(lifted) * normal - np.sin(lifted) * level))
+
+    faded = _faded(far, _within(end, length, _STRAIGHTEN, float(np.linalg.norm(end.bend))))
+    heading, elevation = heads * faded, lifted + climbs * faded
+    risen = float(np.clip(elevation[-1], 0.0, _STEEPEST_RUN)) if ramp is None else ramp
+    elevation = elevation + (risen - elevation[-1]) * (1.0 - _fade(far / (_BENT * length)))
+    flat = np.cos(heading)[:, None] * level + np.sin(heading)[:, None] * aside
+    return np.asarray(np.cos(elevation)[:, None] * flat + np.sin(elevation)[:, None] * normal)
+
+
+def _fade(x: Array) -> Array:
+    """From 1 at x = 0 to 0 at x = 1 and beyond, with two flat derivatives at both ends."""
+    x = np.clip(x, 0.0, 1.0)
+    return 1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+
+
+def _faded(x: Array, end: float) -> Array:
+    """Integral from 0 to x (m) of what is 1 at 0 and fades until `end`: half of `end` there and beyond."""
+    y = np.clip(x / end, 0.0, 1.0)
+    return end * (y - y**4 * (2.5 - 3.0 * y + y**2))
+
+
+def _integral(f: Array, u: Array) -> Array:
+    """Integral of f (m, ...) over u (m) from u[0], by the trapezoidal rule."""
+    mid = 0.5 * (f[1:] + f[:-1])
+    steps = np.diff(u).reshape((-1,) + (1,) * (f.ndim - 1))
+    return np.concatenate([np.zeros_like(f[:1]), np.cumsum(mid * steps, axis=0)])
+
+
+def cut_place(bead: Bead, fibre: FibreSpec, where: Complaint | None = None) -> float:
+    """Arc length [m] at which the fibre is cut, so that its end is laid down at the end of the bead.
+
+    `where(reason, hint)` makes the InputError for a bead that is too short, in which the fibre would not hold.
+    """
+    if bead.length >= fibre.least_length:
+        return bead.length - fibre.cut_length
+    complain = InputError if where is None else where
+    cut, laid, least = fibre.cut_length * 1e3, fibre.least_laid * 1e3, fibre.least_length * 1e3
+    raise complain(
+        f"path {bead.name!r} in layer {bead.layer + 1} is {bead.length * 1e3:.2f} mm long, too short to be cut fibre",
+        hint=f"at least {least:g} mm: {laid:g} laid before the cut (least_laid_mm), {cut:g} after it (cut_length_mm)",
+    )
+
+
+def least_travel_time(process: ProcessSpec, leaves: str | None = "", reaches: str | None = "") -> float:
+    """Least time [s] between the end of a bead and the start of the next: what retract and prime take.
+
+    The runs count to it, a change of material does not. leaves, reaches: the materials of the two beads by name; None
+    before the first bead and after the last.
+    """
+    return (0.0 if leaves is None else process.of(leaves).retract.time) + (
+        0.0 if reaches is None else prime_time(process.of(reaches))
+    )
+
+
+def prime_time(process: ProcessSpec) -> float:
+    """How long the extruder pushes filament before a bead [s]."""
+    return process.prime_length / process.prime.speed

@@ -1,0 +1,98 @@
+"""Reads the outlines of an SVG drawing as plane paths in metres; what it cannot print exactly, it refuses by name."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from planner.base.arrays import Array
+from planner.base.errors import InputError
+from planner.toolpath.svg.cuts import cut, extremes
+from planner.toolpath.svg.document import MAX_POINTS, read_document
+from planner.toolpath.svg.drawing import Drawing
+
+SAME_POINT = 0.01  # of the flatness: points nearer than this are one, or rounding in the file makes false corners
+
+
+@dataclass(frozen=True)
+class PlanePath:
+    """One line of the drawing, without interruption.
+
+    points (n, 2) metres, x to the right and y up, origin at the drawing's centre; no repeated consecutive points
+    closed        the last point is the first one again (both are kept)
+    """
+
+    name: str
+    points: Array
+    closed: bool
+
+
+def read_svg(
+    path: Path, width: float, flatness: float, where: Callable[..., InputError] | None = None
+) -> tuple[PlanePath, ...]:
+    """Read the outlines of a drawing, scaled so that their bounding box is `width` metres wide, in drawing order.
+
+    The outline is what is printed: fill, stroke, dashes, opacity, markers and filters are ignored, and the page's edge
+    cuts nothing off. Clip paths and masks do: of a filled shape the outline of what is left is printed, of a line what
+    is left. The origin is the centre of the bounding box and y points up. Curves become chords whose error is
+    at most `flatness` metres; every vertex of the drawing stays a vertex (but for points nearer than 1 % of `flatness`,
+    which are one); straight lines are not divided. Each subpath becomes a path of its own.
+
+    `where(reason, hint=...)` makes the InputError for what is wrong with the file as a whole, naming the field that
+    asked for it. Raises InputError, with line and element, for whatever cannot be read or printed exactly.
+    """
+    complain = partial(InputError, file=path) if where is None else where
+    for name, value in (("width", width), ("flatness", flatness)):
+        if not (math.isfinite(value) and value > 0):
+            raise complain(f"the {name} of the drawing must be positive, not {value:g} m")
+    share = (1 - SAME_POINT) * flatness / width
+    outlines = cut(Drawing(read_document(path, complain)).outlines(), share)
+    if not outlines:
+        raise complain(f"{path.name} draws nothing", hint="no visible path or basic shape is in it")
+    corners = extremes(outlines)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    if high[0] - low[0] <= 1e-9 * max(1.0, float(np.abs(corners).max())):
+        raise complain(f"{path.name} has no width, so it cannot be made {1e3 * width:g} mm wide")
+    scale = width / float(high[0] - low[0])
+    centre, to_metres, same = (low + high) / 2, np.array([scale, -scale]), SAME_POINT * flatness
+
+    paths, room, names = [], MAX_POINTS, Counter[str]()
+    for outline in outlines:
+        counts = [piece.count(share * width / scale) for piece in outline.pieces]
+        room -= sum(counts) + 1
+        if room < 0:
+            raise outline.node.error(f"from here on there are more than {MAX_POINTS} points", "use a larger tolerance")
+        parts = [piece.flat(count) for piece, count in zip(outline.pieces, counts, strict=True)]
+        points = (np.vstack([parts[0][:1], *(part[1:] for part in parts)]) - centre) * to_metres
+        closed = outline.closed or bool(np.hypot(*(points[-1] - points[0])) <= same)
+        if closed:
+            points[-1] = points[0]
+        points = _distinct(points, same)
+        if len(points) < (3 if closed else 2):
+            raise outline.node.error(f"{outline.part} is a single point (at a width of {1e3 * width:g} mm)")
+        points.flags.writeable = False
+        names[outline.name] += 1
+        copy = f" ({names[outline.name]})" if names[outline.name] > 1 else ""
+        paths.append(PlanePath(outline.name + copy, points, closed))
+    return tuple(paths)
+
+
+def _distinct(points: Array, same: float) -> Array:
+    """Return the points without those within `same` of the one kept before; the first and the last stay."""
+    if (np.hypot(*np.diff(points, axis=0).T) > same).all():
+        return points
+    kept = [0]
+    for i, point in enumerate(points.tolist()):  # each decision depends on the one before
+        if math.dist(point, points[kept[-1]]) > same:
+            kept.append(i)
+    while len(kept) > 1 and math.dist(points[kept[-1]], points[-1]) <= same:
+        kept.pop()
+    if math.dist(points[kept[-1]], points[-1]) > same:
+        kept.append(len(points) - 1)
+    return points[kept]

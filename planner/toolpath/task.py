@@ -1,0 +1,183 @@
+"""NozzleTask: what a bead fixes for the robot, and what it leaves free."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numba import njit
+
+from planner.base.arrays import Array, ReadOnlyArrays
+from planner.base.errors import Complaint
+from planner.problem import Problem
+from planner.problem.process import ConesSpec, FibreSpec
+from planner.toolpath.bead import Toolpath
+from planner.toolpath.runs import cut_place, with_runs
+
+# ----------------------------------------------------------------------------------------------------
+# Directions in the tangent plane from which roll is counted: smooth along a bead, without spin.
+
+_CLEAR = 0.3  # least sine of the angle between normals and an axis that is projected onto the tangent plane
+
+
+def roll_zeros(normals: Sequence[Array]) -> list[Array]:
+    """Unit tangents (n, 3) for each bead's unit normals (n, 3).
+
+    Where one axis of the part frame keeps clear of all normals, it is its projection, the same on all beads. Else
+    the nearest to that at each bead's start, carried along without turning about the normal (parallel transport).
+    """
+    sines = [np.sqrt(np.maximum(1.0 - n**2, 0.0)).min(axis=0) for n in normals]
+    least = np.min(sines, axis=0)
+    if least.max() >= _CLEAR:
+        axis = np.eye(3)[int(np.argmax(least))]
+        return [_projected(axis, n) for n in normals]
+    starts = (np.eye(3)[int(np.argmin(np.abs(n[0])))] for n in normals)
+    return [
+        _transport(np.ascontiguousarray(n), _projected(axis, n[:1])[0]) for axis, n in zip(starts, normals, strict=True)
+    ]
+
+
+def _projected(axis: Array, normals: Array) -> Array:
+    tangent = axis - (normals @ axis)[:, None] * normals
+    return np.asarray(tangent / np.linalg.norm(tangent, axis=1)[:, None])
+
+
+@njit(cache=True)
+def _transport(normals: Array, start: Array) -> Array:
+    """Carry a tangent from sample to sample by the smallest rotation that takes one normal to the next."""
+    out = np.empty_like(normals)
+    out[0] = start
+    for i in range(1, len(normals)):
+        a, b, r = normals[i - 1], normals[i], out[i - 1]
+        cosine = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+        share = (r[0] * b[0] + r[1] * b[1] + r[2] * b[2]) / max(1.0 + cosine, 1e-9)
+        for k in range(3):
+            out[i, k] = r[k] - share * (a[k] + b[k])
+        # rounding, and nothing else, makes it leave the plane
+        lean = out[i, 0] * b[0] + out[i, 1] * b[1] + out[i, 2] * b[2]
+        size = 0.0
+        for k in range(3):
+            out[i, k] -= lean * b[k]
+            size += out[i, k] ** 2
+        for k in range(3):
+            out[i, k] /= np.sqrt(size)
+    return out
+
+
+# ----------------------------------------------------------------------------------------------------
+# NozzleTask: what a bead fixes for the robot, and what it leaves free.
+
+
+@dataclass(frozen=True)
+class Cones:
+    """Half angles [rad] that bound the nozzle's and the layer's directions; pi where there is no bound.
+
+    tilt            between nozzle axis and surface normal; 0: the axis stands on the surface exactly
+    nozzle_gravity  between nozzle axis and gravity
+    layer_gravity   between surface normal and the vertical
+    """
+
+    tilt: float = 0.0
+    nozzle_gravity: float = math.pi
+    layer_gravity: float = math.pi
+
+
+FREE = Cones()
+
+
+def cones_of(spec: ConesSpec) -> Cones:
+    """The cones of a problem's process."""
+    return Cones(spec.tilt, spec.nozzle_gravity, spec.layer_gravity)
+
+
+@dataclass(frozen=True)
+class Stop:
+    """A place where the nozzle comes to rest within a bead: arc length s [m], wait [s], and what it does there."""
+
+    s: float
+    wait: float
+    kind: str
+
+
+@dataclass(frozen=True)
+class NozzleTask(ReadOnlyArrays):
+    """The nozzle's path along one bead with its runs, sampled uniformly in the path parameter (n samples).
+
+    tip        (n, 3)    nozzle tip, part frame [m]
+    frames     (n, 3, 3) orientation R_part_nozzle at roll 0: z is the nozzle axis, x the zero of roll
+    s          (n,)      arc length, 0 at the bead's start [m]
+    first, last          samples between which material is deposited
+    speed                commanded [m/s]
+
+    cones                what the nozzle's axis may do
+    stops                where it comes to rest while material is deposited, in order of s
+    travel_speed         the tip's at most between beads and from and to home [m/s]
+
+    Fixed is the tip, and the axis up to its cones; free are roll about the axis (periodic), tilt within the cone,
+    and the holder's joints.
+    """
+
+    bead: int
+    name: str
+    layer: int
+    tip: Array
+    frames: Array
+    s: Array
+    first: int
+    last: int
+    speed: float
+    cones: Cones = FREE
+    stops: tuple[Stop, ...] = ()
+    travel_speed: float = math.inf
+
+    def __len__(self) -> int:
+        return len(self.s)
+
+    @property
+    def moments(self) -> Array:
+        """When (n) the nozzle is at its samples, in beads: the number of this one and the share of it that is laid."""
+        laid = (self.s - self.s[self.first]) / (self.s[self.last] - self.s[self.first])
+        return np.asarray(self.bead + np.clip(laid, 0.0, 1.0))
+
+
+def make_tasks(
+    toolpath: Toolpath,
+    speed: float,
+    run_length: float,
+    cones: Cones = FREE,
+    ramp: float | None = None,
+    fibre: FibreSpec | None = None,
+    where: Complaint | None = None,
+    travel_speed: float = math.inf,
+) -> tuple[NozzleTask, ...]:
+    """One task a bead, in print order; speeds [m/s], length of run-in and run-out [m], their ramp as in `with_runs`.
+
+    Raises InputError, made by `where`, for the shortest bead if that is too short to be laid with this fibre.
+    """
+    if fibre is not None:
+        cut_place(min(toolpath.beads, key=lambda bead: bead.length), fibre, where)
+    tasks = []
+    for i, bead in enumerate(toolpath.beads):
+        stops = () if fibre is None else (Stop(cut_place(bead, fibre), fibre.cut_wait, "cut"),)
+        run = with_runs(bead, run_length, ramp)
+        z = -run.normals
+        frames = np.stack([run.roll_zero, np.cross(z, run.roll_zero), z], axis=-1)
+        samples = (run.points, frames, run.s, run.first, run.last)
+        tasks.append(NozzleTask(i, bead.name, bead.layer, *samples, speed, cones, stops, travel_speed))
+    return tuple(tasks)
+
+
+def tasks_of(problem: Problem, toolpath: Toolpath) -> tuple[NozzleTask, ...]:
+    """The tasks that a problem makes of its toolpath.
+
+    Raises InputError for a bead that is too short for the problem's fibre.
+    """
+    process = problem.process
+    where = partial(problem.error, "process.fibre.cut_length_mm")
+    cones = cones_of(process.cones)
+    return make_tasks(
+        toolpath, process.speed, process.run_in, cones, process.ramp, process.fibre, where, process.travel_speed
+    )

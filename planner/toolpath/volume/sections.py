@@ -1,0 +1,295 @@
+"""A closed mesh and its sections by layers that change from one surface into another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
+
+from planner.base.arrays import Array, Ints, ReadOnlyArrays
+from planner.toolpath.substrate.bodies import MeshTop
+from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField, fit
+
+# ----------------------------------------------------------------------------------------------------
+# Layers that change from one surface into another: all of them lower + k * thickness, over x and y.
+#
+# The thickness is the gap between the two surfaces shared out evenly, but never less than a bound: where it is held there,
+# layers run parallel to the lower surface and end where they reach the upper one.
+
+Heights = Callable[[Array], Array]  # of places x, y (n, 2): z (n) [m]
+
+_BEND = 0.2  # of the way from the least to the greatest height, over which the thickness bends towards the least
+_KNOTS = 40  # of the layers, along the longer side
+_SAMPLES = 3  # of the surfaces, from knot to knot
+_PITCH = 1e-3  # m between corners of the facets that stand for what is printed
+_MOST_PITCHES = 300  # along the longer side
+_WHOLE = 1e-6  # layers: so little more than a whole number is that number
+
+
+@dataclass(frozen=True)
+class Morph:
+    """A stack of layers: the k-th begins at lower + k * thickness [m], both with the same knots."""
+
+    lower: HeightField
+    thickness: HeightField
+
+    @classmethod
+    def between(
+        cls, lower: Heights, upper: Heights, greatest: float, least: float, room: float, low: Array, high: Array
+    ) -> Morph:
+        """Layers at most `greatest` and at least `least` high [m], over the rectangle from low (2) to high (2).
+
+        room  greatest height of the upper surface above the lower one [m]
+        """
+        count = np.ceil(room / greatest - _WHOLE)
+        step = float((high - low).max()) / _KNOTS
+        cells = np.ceil((high - low) / step - 1e-9)
+        axes = [np.linspace(a, a + n * step, int(n) * _SAMPLES + 1) for a, n in zip(low, cells, strict=True)]
+        plane = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+        base = lower(plane)
+        share = (upper(plane) - base) / count
+        high_enough = least + _ramp(share - least, _BEND * (greatest - least))
+        weights = np.ones(len(plane))
+        end = low + cells * step
+        fields = [fit(np.column_stack([plane, z]), weights, low, end, step) for z in (base, high_enough)]
+        return cls(*fields)
+
+    def field(self, level: float) -> HeightField:
+        """The surface `level` layers up."""
+        heights = self.lower.coefficients + level * self.thickness.coefficients
+        return HeightField(self.lower.corner, self.lower.step, heights)
+
+    def levels(self, points: Array) -> Array:
+        """How many layers up points (n, 3) are."""
+        lower, thickness = (surface.at(points[:, :2])[0][:, 2] for surface in (self.lower, self.thickness))
+        return np.asarray((points[:, 2] - lower) / thickness)
+
+    def normals(self, points: Array) -> Array:
+        """Upward unit normals (n, 3) of the surfaces that run through points (n, 3)."""
+        slopes = []
+        for surface in (self.lower, self.thickness):
+            n = surface.at(points[:, :2])[1]
+            slopes.append(n[:, :2] / n[:, 2:])
+        across = slopes[0] + self.levels(points)[:, None] * slopes[1]
+        normals = np.column_stack([across, np.ones(len(points))])
+        return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])
+
+
+def _ramp(x: Array, reach: float) -> Array:
+    """The greater of x and 0, bent within `reach` of 0, with three continuous derivatives."""
+    t = np.clip((x + reach) / (2.0 * reach), 0.0, 1.0)
+    return np.where(x >= reach, x, 2.0 * reach * t**4 * (2.5 - 3.0 * t + t**2))
+
+
+@dataclass(frozen=True)
+class MorphedLayers:
+    """What carries the layers, and the layers as they are printed, solid down to the bed (metres, part frame).
+
+    base     what the layers begin at, where it is a mesh
+    regions  what each layer covers in the plane
+    layers   of all beads in print order
+    solid    how many layers are there
+    grown    their upper side as facets, by their number; filled in when it is asked for
+    """
+
+    morph: Morph
+    base: MeshTop | None
+    regions: tuple[shapely.MultiPolygon, ...]
+    layers: tuple[int, ...]
+    solid: int = 0
+    grown: dict[int, FacetTree | None] = field(default_factory=dict, compare=False)
+
+    def before(self, bead: int) -> MorphedLayers:
+        """The surface when the first `bead` beads have been printed: without the layer of the last of them."""
+        return replace(self, solid=self.layers[bead - 1] if bead > 0 else 0)
+
+    def signed_distance(self, points: Array) -> Array:
+        """Distance (n,) of points (n, 3) from bed, base and layers; negative inside."""
+        nearest = points[:, 2].copy()
+        if self.base is not None:
+            nearest = np.minimum(nearest, self.base.signed_distance(points))
+        grown = self._grown()
+        if grown is None:
+            return nearest
+        top, _ = grown.top(points[:, :2])
+        return np.asarray(np.minimum(nearest, np.where(points[:, 2] < top, -1.0, 1.0) * grown.distance(points)))
+
+    def normals(self, points: Array) -> Array:
+        """Upward unit normals (n, 3) of the layers' surfaces through points (n, 3), of the first or last beyond them."""
+        held = points.copy()
+        level = np.clip(self.morph.levels(points), 0.0, len(self.regions))
+        lower, thickness = (s.at(points[:, :2])[0][:, 2] for s in (self.morph.lower, self.morph.thickness))
+        held[:, 2] = lower + level * thickness
+        return self.morph.normals(held)
+
+    def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
+        """Upward unit normals (n, 3) of the bead's layer, above or below the tips (n, 3)."""
+        return self.morph.field(self.layers[bead] + 1).at(tips[:, :2])[1]
+
+    def _grown(self) -> FacetTree | None:
+        if self.solid not in self.grown:
+            self.grown[self.solid] = self._facets() if self.solid else None
+        return self.grown[self.solid]
+
+    def _facets(self) -> FacetTree | None:
+        """Facets over a grid, at the top of the uppermost layer that covers its corners."""
+        low, high = self.morph.lower.span
+        pitch = max(_PITCH, float((high - low).max()) / _MOST_PITCHES)
+        axes = [np.arange(a, b, pitch) for a, b in zip(low, high, strict=True)]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        plane = grid.reshape(-1, 2)
+        top = np.full(len(plane), np.nan)
+        for layer, region in enumerate(self.regions[: self.solid]):
+            there = shapely.contains_xy(region, plane[:, 0], plane[:, 1]).reshape(grid.shape[:2])
+            covered = binary_dilation(there).ravel()  # so that the rim is not cut off
+            top[covered] = self.morph.field(layer + 1).at(plane[covered])[0][:, 2]
+        p = np.column_stack([plane, top]).reshape(*grid.shape[:2], 3)
+        a, b, c, d = p[:-1, :-1], p[1:, :-1], p[1:, 1:], p[:-1, 1:]
+        facets = np.concatenate([np.stack(each, axis=-2).reshape(-1, 3, 3) for each in ((a, b, c), (a, c, d))])
+        facets = facets[np.isfinite(facets).all(axis=(1, 2))]
+        return FacetTree.of(facets) if len(facets) else None
+
+
+# ----------------------------------------------------------------------------------------------------
+# A closed mesh and its sections by curved layers: the mesh is bent so that layers become level, then cut by planes.
+
+MOST_FACETS = 2_000_000  # once they are
+_DECIMALS = 9  # of a metre: corners that are one corner differ by rounding, once the file is turned
+_AREA = 1e-12  # m^2: an outline around less is none
+
+
+class NotClosed(ValueError):
+    """A body with a hole in its skin, or with skins that meet in one edge, at `place` (3) [m]."""
+
+    def __init__(self, place: Array) -> None:
+        self.place = place
+        super().__init__("the mesh is not closed")
+
+
+class TooFine(ValueError):
+    """More facets than can be cut."""
+
+
+@dataclass(frozen=True)
+class Solid(ReadOnlyArrays):
+    """A closed body: vertices (n, 3) [m], part frame, and facets (m, 3), counter-clockwise seen from outside."""
+
+    vertices: Array
+    facets: Ints
+
+    @classmethod
+    def of(cls, corners: Array) -> Solid:
+        """The body with facets (m, 3, 3). Raises NotClosed where an edge has not exactly one facet to either side."""
+        vertices, number = np.unique(np.round(corners.reshape(-1, 3), _DECIMALS), axis=0, return_inverse=True)
+        facets = number.reshape(-1, 3).astype(np.int64)
+        edges = np.stack([facets, np.roll(facets, -1, axis=1)], axis=-1).reshape(-1, 2)
+        key = edges[:, 0] * len(vertices) + edges[:, 1]
+        back = edges[:, 1] * len(vertices) + edges[:, 0]
+        once, count = np.unique(key, return_counts=True)
+        alone = ~np.isin(back, key) | (count[np.searchsorted(once, key)] > 1)
+        if alone.any():
+            raise NotClosed(vertices[edges[np.argmax(alone)]].mean(axis=0))
+        return cls(vertices, facets)
+
+    @property
+    def volume(self) -> float:
+        """What it holds [m^3]."""
+        a, b, c = (self.vertices[self.facets[:, k]] for k in range(3))
+        return float((a * np.cross(b, c)).sum() / 6.0)
+
+    def finer(self, longest: float) -> Solid:
+        """The same body with edges halved until none is longer than `longest` [m] in the plane.
+
+        Raises TooFine where that would take too many facets.
+        """
+        solid = self
+        while len(solid.facets) <= MOST_FACETS:
+            finer = solid._halved(longest)
+            if finer is solid:
+                return solid
+            solid = finer
+        raise TooFine(f"more than {MOST_FACETS} facets")
+
+    def _halved(self, longest: float) -> Solid:
+        """Every edge longer than `longest` [m] in the plane cut in its middle, and facets as its halves ask; itself if none."""
+        edges = np.sort(np.stack([self.facets, np.roll(self.facets, -1, axis=1)], axis=-1), axis=2)
+        once, number = np.unique(edges.reshape(-1, 2), axis=0, return_inverse=True)
+        ends = self.vertices[once]
+        long = np.linalg.norm((ends[:, 1] - ends[:, 0])[:, :2], axis=1) > longest
+        if not long.any():
+            return self
+        middle = (len(self.vertices) + np.cumsum(long) - 1)[number].reshape(-1, 3)
+        cut = long[number].reshape(-1, 3)
+        count = cut.sum(axis=1)
+        # Turned so that the cut edges come first: ab of one, ab and bc of two.
+        first = np.where(count == 2, (np.argmin(cut, axis=1) + 1) % 3, np.argmax(cut, axis=1))
+        turn = (first[:, None] + np.arange(3)) % 3
+        a, b, c = np.take_along_axis(self.facets, turn, axis=1).T
+        ab, bc, ca = np.take_along_axis(middle, turn, axis=1).T
+        pieces = {
+            0: ((a, b, c),),
+            1: ((a, ab, c), (ab, b, c)),
+            2: ((ab, b, bc), (a, ab, bc), (a, bc, c)),
+            3: ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)),
+        }
+        facets = [np.column_stack(each)[count == k] for k, many in pieces.items() for each in many]
+        return Solid(np.vstack([self.vertices, ends[long].mean(axis=1)]), np.concatenate(facets))
+
+    def section(self, heights: Array, level: float) -> shapely.MultiPolygon:
+        """The region in the plane that belongs to the body where the vertices' `heights` (n) come to `level`."""
+        return _region(list(self._outlines(heights, level)))
+
+    def _outlines(self, heights: Array, level: float) -> Iterator[Array]:
+        """Closed outlines (k, 2) of that region, x and y."""
+        above = heights >= level
+        corner_above = above[self.facets]
+        cut = np.flatnonzero(corner_above.any(axis=1) & ~corner_above.all(axis=1))
+        facets, up = self.facets[cut], corner_above[cut]
+        following = np.roll(up, -1, axis=1)
+        n = np.int64(len(self.vertices))
+
+        def crossing(where: NDArray[np.bool_]) -> tuple[Ints, Array]:
+            """Of the one edge a facet is crossed at: a number that both its facets know it by, and the place (2)."""
+            k = np.argmax(where, axis=1)
+            row = np.arange(len(facets))
+            ends = np.sort(np.column_stack([facets[row, k], facets[row, (k + 1) % 3]]), axis=1)
+            a, b = heights[ends[:, 0]], heights[ends[:, 1]]
+            t = ((level - a) / (b - a))[:, None]
+            places = (1.0 - t) * self.vertices[ends[:, 0], :2] + t * self.vertices[ends[:, 1], :2]
+            return ends[:, 0] * n + ends[:, 1], places
+
+        enter, _ = crossing(up & ~following)
+        leave, places = crossing(~up & following)
+        follows = dict(zip(enter.tolist(), range(len(enter)), strict=True))
+        left = leave.tolist()
+        done = np.zeros(len(cut), dtype=bool)
+        for first in range(len(cut)):
+            loop = []
+            k = first
+            while not done[k]:
+                done[k] = True
+                loop.append(k)
+                k = follows[left[k]]
+            if len(loop) > 2:
+                yield places[loop]
+
+
+def _region(outlines: list[Array]) -> shapely.MultiPolygon:
+    """What outlines enclose, counted even and odd, so that it does not matter which way they run."""
+    whole: shapely.Geometry = shapely.MultiPolygon()
+    rings = [polygons(shapely.make_valid(shapely.Polygon(outline))) for outline in outlines]
+    for ring in sorted(rings, key=lambda ring: -ring.area):
+        if ring.area > _AREA:
+            whole = whole.symmetric_difference(ring)
+    return polygons(whole)
+
+
+def polygons(found: shapely.Geometry) -> shapely.MultiPolygon:
+    """The areas of what an operation gave, without its lines and points."""
+    parts = shapely.get_parts(found, return_index=False)
+    flat = [inner for part in parts for inner in shapely.get_parts(part)]
+    return shapely.MultiPolygon([part for part in flat if isinstance(part, shapely.Polygon) and part.area > _AREA])

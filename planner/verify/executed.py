@@ -1,0 +1,241 @@
+"""What the joints of a trajectory really do: Pinocchio on q(t), from the robots' own URDF models."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numba import njit
+from numpy.typing import NDArray
+
+from planner.base.arrays import Array, read_only
+from planner.cell.cell import Cell
+from planner.cell.kinematics.singular_values import least_singular_value
+from planner.cell.robot import Robot
+from planner.plan import Trajectory
+
+UNKNOWN = -1  # branch that is numbered by no convention but that of the inverse kinematics itself
+BLOCK = 8192  # samples at once: bounds the memory, since a Jacobian takes more than all that is kept of a sample
+
+
+@dataclass(frozen=True)
+class ExecutedMotion:
+    """The samples of a trajectory as its joints have them (n samples).
+
+    tip, axis (n, 3) and rotation (n, 3, 3) of the nozzle in the part frame, where up (n, 3) is the world's
+    vertical; of the arm's Jacobian at the tip the
+    smallest singular value sigma (NaN in travel, where no limit stands on it) and the determinant, of seven axes
+    without the redundant one; branch (n), ABB's cfx, or UNKNOWN without a spherical wrist
+    """
+
+    tip: Array
+    axis: Array
+    rotation: Array
+    up: Array
+    sigma: Array
+    det: Array
+    branch: NDArray[np.int8]
+
+
+def executed_motion(cell: Cell, trajectory: Trajectory) -> ExecutedMotion:
+    """Forward kinematics and Jacobians of every sample by Pinocchio, and beside it in a thread what follows from them."""
+    n = len(trajectory)
+    rotation = np.empty((n, 3, 3))
+    whole = ExecutedMotion(
+        tip=np.empty((n, 3)),
+        axis=rotation[:, :, 2],
+        rotation=rotation,
+        up=np.empty((n, 3)),
+        sigma=np.empty(n),
+        det=np.empty(n),
+        branch=np.full(n, UNKNOWN, dtype=np.int8),
+    )
+    with ThreadPoolExecutor(1) as pool:
+        found = []
+        for start in range(0, n, BLOCK):
+            rows = slice(start, min(start + BLOCK, n))
+            q, block = np.ascontiguousarray(trajectory.q[rows]), _rows(whole, rows)
+            found.append(pool.submit(_fill, block, cell, q, trajectory.deposit[rows], *_nozzle(cell, q)))
+        for each in found:
+            each.result()
+    return whole
+
+
+def _rows(motion: ExecutedMotion, rows: slice) -> ExecutedMotion:
+    """Some samples of a motion, in its own memory."""
+    return ExecutedMotion(**{name: values[rows] for name, values in vars(motion).items()})
+
+
+def _fill(
+    motion: ExecutedMotion, cell: Cell, q: Array, deposit: NDArray[np.bool_], T_base_nozzle: Array, J: Array
+) -> None:
+    """Fill in the motion of postures q (n, nj) from nozzle poses (n, 4, 4) and Jacobians (n, 6, na): see `_nozzle`."""
+    T_world_part = read_only(_part(cell, q[:, len(cell.arm) :]))
+    _judge(
+        T_base_nozzle, J, deposit, cell.T_world_base, T_world_part, np.array(cell.solved),
+        motion.tip, motion.rotation, motion.up, motion.sigma, motion.det,
+    )  # fmt: skip
+    if cell.spherical:
+        T_base_flange = T_base_nozzle @ np.linalg.inv(cell.T_flange_nozzle)
+        motion.branch[:] = _branch(cell.arm_robot, T_base_flange, q[:, : len(cell.arm)], motion.det)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _judge(
+    T_base_nozzle: Array, J: Array, deposit: NDArray[np.bool_], T_world_base: Array, T_world_part: Array,
+    solved: NDArray[np.int64], tip: Array, rotation: Array, up: Array, sigma: Array, det: Array,
+) -> None:  # fmt: skip
+    """Fill in the fields of `Motion` but the branch."""
+    na = J.shape[2]
+    A, square, q, e = np.empty((max(6, na), min(6, na))), np.empty((6, 6)), np.empty(min(6, na)), np.empty(min(6, na))
+    R, p = np.empty((3, 3)), np.empty(3)
+    for i in range(len(J)):
+        for a in range(3):
+            p[a] = T_world_base[a, 3] - T_world_part[i, a, 3]
+            for b in range(3):
+                p[a] += T_world_base[a, b] * T_base_nozzle[i, b, 3]
+                R[a, b] = 0.0
+                for c in range(3):
+                    R[a, b] += T_world_base[a, c] * T_base_nozzle[i, c, b]
+        for a in range(3):
+            tip[i, a], up[i, a] = 0.0, T_world_part[i, 2, a]
+            for b in range(3):
+                tip[i, a] += T_world_part[i, b, a] * p[b]
+                rotation[i, a, b] = 0.0
+                for c in range(3):
+                    rotation[i, a, b] += T_world_part[i, c, a] * R[c, b]
+        sigma[i] = np.nan
+        if deposit[i]:
+            for a in range(6):
+                for b in range(na):
+                    A[(b, a) if na > 6 else (a, b)] = J[i, a, b]
+            sigma[i] = least_singular_value(A, q, e)
+        for a in range(6):
+            for b in range(6):
+                square[a, b] = J[i, a, solved[b]]
+        det[i] = _determinant(square)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _determinant(A: Array) -> float:
+    """Determinant of a square matrix, which is lost: by elimination, the largest of each column first."""
+    n, out = len(A), 1.0
+    for k in range(n):
+        pivot = k
+        for i in range(k + 1, n):
+            if abs(A[i, k]) > abs(A[pivot, k]):
+                pivot = i
+        if A[pivot, k] == 0.0:
+            return 0.0
+        if pivot != k:
+            out = -out
+            for j in range(k, n):
+                A[k, j], A[pivot, j] = A[pivot, j], A[k, j]
+        out *= A[k, k]
+        for i in range(k + 1, n):
+            share = A[i, k] / A[k, k]
+            for j in range(k + 1, n):
+                A[i, j] -= share * A[k, j]
+    return out
+
+
+def _branch(arm: Robot, T_base_flange: Array, q: Array, det: Array) -> NDArray[np.int8]:
+    """ABB's cfx (n): 4 wrist centre behind axis 1, 2 behind the lower arm, 1 axis 5 negative.
+
+    The sign of the Jacobian's determinant changes with each of the three: the second one follows from the others.
+    """
+    model, data = arm.model, arm.model.createData()
+    flange = model.getFrameId(arm.tip)
+
+    def wrist_to_flange(posture: Array) -> tuple[float, float]:
+        J = pin.computeFrameJacobian(model, data, posture, flange, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+        pin.updateFramePlacement(model, data, flange)
+        return float(np.linalg.norm(data.oMf[flange].translation - data.oMi[5].translation)), float(np.linalg.det(J))
+
+    # forearm horizontal forwards, axis 5 bent: no bit is set here
+    length, reference = wrist_to_flange(np.array([0.0, 0.0, 0.0, 0.0, 0.5, 0.0]))
+    centre = T_base_flange[:, :3, 3] - length * T_base_flange[:, :3, 2]
+    shoulder = centre[:, 0] * np.cos(q[:, 0]) + centre[:, 1] * np.sin(q[:, 0]) < 0.0
+    wrist = np.sin(q[:, 4]) < 0.0
+    elbow = (det * reference < 0.0) ^ shoulder ^ wrist
+    return (4 * shoulder + 2 * elbow + wrist).astype(np.int8)
+
+
+def _nozzle(cell: Cell, q: Array) -> tuple[Array, Array]:
+    """Nozzle poses in the arm's base (n, 4, 4) and Jacobians at the nozzle tip (n, 6, na) there, at postures q (n, nj)."""
+    arm, model = cell.arm_robot, cell.arm_robot.model
+    data = model.createData()
+    flange = model.frames[model.getFrameId(arm.tip)]
+    last, turning = _pose_memory([data.oMi[flange.parentJoint]]), data.J.T.reshape(-1)
+    poses, J = np.empty((len(q), 12)), np.empty((len(q), model.nv * 6))
+    jacobians = pin.computeJointJacobians  # of what lies in the base's origin, and moves with the last joint
+    for i, row in enumerate(np.ascontiguousarray(q[:, : model.nq])):
+        jacobians(model, data, row)
+        poses[i], J[i] = last, turning
+    T = _matrices(poses) @ (flange.placement.homogeneous @ cell.T_flange_nozzle)
+    J = np.swapaxes(J.reshape(len(q), model.nv, 6), 1, 2)
+    _shift(J, np.ascontiguousarray(T[:, :3, 3]))
+    return T, J
+
+
+@njit(cache=True, nogil=True)
+def _shift(J: Array, p: Array) -> None:
+    """Jacobians J (n, 6, nv) of the origin, made those of places p (n, 3) that move with the same body."""
+    for i in range(len(J)):
+        x, y, z = p[i, 0], p[i, 1], p[i, 2]
+        for k in range(J.shape[2]):
+            J[i, 0, k] += J[i, 4, k] * z - J[i, 5, k] * y
+            J[i, 1, k] += J[i, 5, k] * x - J[i, 3, k] * z
+            J[i, 2, k] += J[i, 3, k] * y - J[i, 4, k] * x
+
+
+def _part(cell: Cell, q_free: Array) -> Array:
+    """Part poses in the world (n, 4, 4), from the holder's URDF model with its held axes at their angles."""
+    if cell.holder_robot is None:
+        return np.broadcast_to(cell.T_world_holder, (len(q_free), 4, 4))
+    model = cell.holder_robot.model
+    names = list(model.names[1:])
+    free = [names.index(name) for name in cell.holder.names]
+    turned = np.append(True, (np.diff(q_free, axis=0) != 0.0).any(axis=1))  # a table often rests
+    held = np.array([cell.held.get(name, 0.0) for name in names])
+    q = np.tile(held, (int(np.count_nonzero(turned)), 1))
+    q[:, free] = q_free[turned]
+    tip = model.frames[model.getFrameId(cell.holder_robot.tip)]
+    T = joint_poses(model, q)[:, tip.parentJoint - 1] @ tip.placement.homogeneous
+    return (cell.T_world_holder_base @ T @ cell.T_plate_part)[np.cumsum(turned) - 1]
+
+
+def joint_poses(model: pin.Model, q: Array) -> Array:
+    """Poses (n, joints, 4, 4) of all joints after their turns, in the frame of the robot's base, at postures q (n, nq)."""
+    data, n = model.createData(), model.njoints - 1
+    placed = _pose_memory([data.oMi[k] for k in range(1, n + 1)])
+    poses = np.empty((len(q), 12 * n))
+    forward = pin.forwardKinematics
+    for i, row in enumerate(np.ascontiguousarray(q)):
+        forward(model, data, row)
+        poses[i] = placed
+    return _matrices(poses.reshape(len(q), n, 12))
+
+
+def _pose_memory(poses: list[pin.SE3]) -> Array:
+    """The numbers of poses that Pinocchio keeps one behind the other, as one flat view that changes as they do.
+
+    Of each its rotation, column by column, and its translation; see `_matrices`. Each by itself takes far longer to
+    ask for than to compute, and a flat view is copied far sooner than one of matrices.
+    """
+    address = [array.__array_interface__["data"][0] for each in poses for array in (each.rotation, each.translation)]
+    first = poses[0].rotation
+    wanted = address[0] + first.itemsize * np.cumsum([0, *(9, 3) * len(poses)])[:-1]
+    if first.strides != (first.itemsize, 3 * first.itemsize) or not np.array_equal(address, wanted):
+        raise ValueError("the poses do not lie one behind the other")
+    return np.lib.stride_tricks.as_strided(first, (12 * len(poses),), (first.itemsize,), writeable=False)
+
+
+def _matrices(poses: Array) -> Array:
+    """Poses (..., 4, 4) from their numbers (..., 12): a rotation column by column, and a translation."""
+    T = np.zeros((*poses.shape[:-1], 4, 4))
+    T[..., :3, :] = np.swapaxes(poses.reshape(*poses.shape[:-1], 4, 3), -1, -2)
+    T[..., 3, 3] = 1.0
+    return T
