@@ -16,7 +16,8 @@ import pinocchio as pin
 import trimesh
 from numpy.typing import NDArray
 
-from planner.cell.robot import ROBOTS, Robot, read_robot, robot_names
+from planner.base.shipped import ROBOTS
+from planner.cell.robot import Robot, read_robot, robot_names
 from planner.cell.robot_file import read_robot_file
 from planner.cell.solids import triangles_of
 

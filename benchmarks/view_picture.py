@@ -17,7 +17,7 @@ from pathlib import Path
 from PIL import Image
 from playwright.sync_api import Page, sync_playwright
 
-from planner.problem.yaml_file import PROBLEMS
+from planner.base.shipped import PROBLEMS
 
 PROBLEM, FILES = "cylinder_logo", ("cylinder_logo.yaml", "logo.svg")
 OPTIONS = ("--no-browser", "--set", "layers.count=1", "--strategy", "ladder", "--beside", "as_published")

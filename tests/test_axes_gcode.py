@@ -23,7 +23,8 @@ from tree_sitter import Parser
 
 from planner.base.errors import InputError
 from planner.cell.cell import build_cell
-from planner.export.axes.gcode import axes_complaints, axes_gcode, feed_length, read_axes
+from planner.export.axes.flavours import feed_length
+from planner.export.axes.gcode import axes_complaints, axes_gcode, read_axes
 from planner.export.axes.machine import FROM_ZERO, JUMP, FiveAxes, Machine, PoseMachine, chosen, machine_of, missing
 from planner.export.fit import from_matrix
 from planner.export.languages import check_languages

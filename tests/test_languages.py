@@ -14,8 +14,9 @@ from export_fixtures import make_plan
 from solved import line_of, write_small
 
 from planner.base.errors import InputError
+from planner.base.shipped import ROBOTS
 from planner.cell.cell import build_cell
-from planner.cell.robot import ROBOTS, read_robot, robot_names
+from planner.cell.robot import read_robot, robot_names
 from planner.export.languages import ALWAYS, LANGUAGES, check_languages, chosen
 from planner.export.write import write_robot_code
 from planner.plan import Plan

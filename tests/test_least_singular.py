@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planner.cell.kinematics.singular_values import least_singular_values
+from planner.base.singular_values import least_singular_values
 
 
 @pytest.mark.parametrize("shape", [(6, 6), (6, 7), (7, 6), (3, 3), (6, 1), (1, 6)])

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner.cell.robot import ROBOTS, read_robot, robot_names, shipped_robots
+from planner.base.shipped import PROBLEMS, ROBOTS
+from planner.cell.robot import read_robot, robot_names, shipped_robots
 from planner.new.command import main
 from planner.new.posture import reached
 from planner.new.questions import DOWN, WHAT
 from planner.planning.check_command import examine
 from planner.planning.pipeline import solve
 from planner.problem import load_problem
-from planner.problem.yaml_file import PROBLEMS
 
 SQUARE = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 20 20"><path d="M0 0h20v20H0z"/></svg>'
 DEFAULTS = 20  # empty answers: more than there are questions

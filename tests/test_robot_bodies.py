@@ -11,8 +11,9 @@ import pytest
 from coal_bodies import distance, nearest_links, placed
 from numpy.typing import NDArray
 
+from planner.base.shipped import ROBOTS
 from planner.cell.cell import Cell, build_cell
-from planner.cell.robot import ROBOTS, Robot, joint_axis, read_robot, robot_names
+from planner.cell.robot import Robot, joint_axis, read_robot, robot_names
 from planner.problem import load_problem
 
 Array = NDArray[np.float64]

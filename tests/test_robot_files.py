@@ -11,7 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from planner.base.errors import InputError
-from planner.cell.robot import ROBOTS, read_robot
+from planner.base.shipped import ROBOTS
+from planner.cell.robot import read_robot
 from planner.cell.solids import Body, Box, Capsule, Frustum, Hull, triangles_of
 from planner.cell.urdf import read_urdf
 

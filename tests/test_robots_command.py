@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner.cell.robot import ROBOTS, read_robot, robot_names
+from planner.base.shipped import ROBOTS
+from planner.cell.robot import read_robot, robot_names
 from planner.cell.robots_command import main, reach
 
 MAKERS_REACH = {  # m: to the wrist, product specifications of ABB

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -11,156 +10,35 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ROOT / "planner"
-LONGEST_MODULE = 350  # lines: beyond, a module is two ideas
-
-# From left to right. A module sees its own room and those to the left.
-ROOMS = (
-    "errors",
-    "readonly",
-    "interrupts",
-    "garbage",
-    "background",
-    "problem",
-    "input_file",
-    "facets",
-    "solids",
-    "point_tree",
-    "least_singular",
-    "kinematics",
-    "robot",
-    "cell",
-    "toolpath",
-    "surface_points",
-    "print_body",
-    "run_ends",
-    "process",
-    "task",
-    "obstacles",
-    "given",
-    "resolve",
-    "cubics",
-    "timing",
-    "travel",
-    "plan",
-    "extrusion",
-    "events",
-    "nearest",
-    "motion",
-    "dips",
-    "replay",
-    "verify",
-    "headroom",
-    "export",
-    "measures",
-    "report",
-    "plots",
-    "versions",
-    "spread",
-    "chains",
-    "progress",
-    "output",
-    "listing",
-    "command",
-    "problem_words",
-    "check",
-    "robots",
-    "new",
-    "planning",
-    "solve",
-    "placement",
-    "place",
-    "registration",
-    "register",
-    "view",
-    "simulate",
-    "link",
-    "reference",
-)
-EVERYWHERE = {"errors"}
-# Rooms that see less than what is to their left, when the program runs.
-NARROW = {
-    "": {"garbage", "interrupts"},
-    "garbage": {"errors"},
-    "readonly": {"errors"},
-    "nearest": {"errors", "readonly"},
-    "versions": {"errors"},
-    "spread": {"errors", "interrupts", "versions"},
-    "progress": {"errors"},
-    "interrupts": {"errors"},
-    "robot": {"errors", "problem", "solids", "kinematics"},
-    "surface_points": set(),
-    "run_ends": {"toolpath"},
-    "listing": {"problem"},
-    "problem_words": {"problem"},
-    "output": {"errors", "interrupts"},
-    "command": {"errors", "garbage", "interrupts", "problem", "plan", "spread"},
-    "background": {"errors", "interrupts"},
-    "export": {"errors", "plan"},
-    "measures": set(),
-    "report": {"errors", "plan", "measures"},
-    "simulate": {"errors", "command", "problem", "cell", "export"},
-}
-FORBIDDEN = {
-    name: {"resolve", "timing", "travel", "extrusion", "motion", "dips", "kinematics"} for name in ("replay", "verify")
-}
-# Modules that may import a heavy package; a room stands for all its modules.
+# Rooms of planner/ in layers: a room imports from those in layers before its own, and from itself.
+LAYERS = (
+    "base", "problem", "cell", "toolpath", "collision", "resolve", "plan", "motion", "verify", "export report", "planning",
+    "solve check robots new place register view link simulate reference",
+)  # fmt: skip
+# Packages that only some commands or problems need, or that are slow to import: the modules that may name them.
 HEAVY = {
-    "numba": {
-        "point_tree",
-        "least_singular",
-        "replay",
-        "surface_points",
-        "verify.nozzle_kernel",
-        "kinematics",
-        "toolpath.substrate.facet_tree",
-        "toolpath.substrate.height_field",
-        "toolpath.ordering",
-        "toolpath.step.splines",
-        "toolpath.step.trim",
-        "toolpath.step.nearest",
-        "toolpath.coverage.marching",
-        "toolpath.coverage.two_opt",
-        "toolpath.waypoints.surfels",
-        "toolpath.transport",
-        "resolve",
-        "cubics",
-        "timing",
-        "travel",
-        "nearest",
-        "obstacles",
-        "export.digits",
-        "export.axes.choice",
-        "export.beside",
-        "export.fit",
-        "placement.margin_kernel",
-    },
-    "ruckig": {"travel"},
-    "pinocchio": {"robot.bodies", "robot.robot", "robot.urdf", "cell.cell", "replay"},
-    "coal": {"robot.bodies", "verify.bodies"},
-    "shapely": {
-        "toolpath.step.shape",
-        "toolpath.svg.cuts",
-        "toolpath.volume.fill",
-        "toolpath.volume.layers",
-        "toolpath.volume.morph",
-        "toolpath.volume.solid",
-    },
+    "numba": {"base.compiled"},
+    "pinocchio": {"cell.bodies", "cell.cell", "cell.robot", "cell.urdf", "verify.executed"},
+    "coal": {"cell.bodies", "verify.bodies"},
+    "ruckig": {"motion.travel"},
+    "shapely": {"toolpath.step", "toolpath.svg", "toolpath.volume"},
     "svgelements": {"toolpath"},
     "OCP": {"toolpath.step.reader"},
-    "tornado": {"view.server"},
-    "trimesh": {"facets", "export.part_stl", "report.finished"},
-    "matplotlib": {"report", "placement.chart", "plots", "registration.picture"},
-    "plotly": set(),
-    "rich": {"link.command", "link.show", "new", "place", "progress", "report.summary", "robots", "solve"},
+    "trimesh": {"problem.stl", "export.tables", "report.picture"},
+    "pyvrp": {"toolpath.coverage.tours"},
     "pydantic": {"problem", "view.content"},
-    "pydantic_core": {"problem"},
     "ruamel": {"problem"},
+    "casadi": {"resolve.reference"},
+    "osqp": {"resolve.reference"},
     "toppra": set(),
-    "casadi": {"kinematics.symbolic", "resolve.nlp_program"},
-    "osqp": {"resolve.osqp_reference"},
-    "distributed": {"spread.cluster"},
-    "pyvrp": {"toolpath.coverage.tour"},
+    "matplotlib": {"report", "place.command", "register.telling"},
+    "plotly": set(),
+    "tornado": {"view.server"},
+    "distributed": {"base.distribution"},
+    "requests": {"link"},
 }
+# What the verifier must not see, so that it judges the planner with none of the planner's own code.
+JUDGED = {"resolve", "motion", "cell.kinematics", "planning"}
 NEVER = {"pickle", "cPickle", "dill", "shelve", "marshal", "joblib", "cloudpickle", "importlib.util", "runpy"}
 NEVER_CALLED = {"eval", "exec", "compile", "__import__", "execfile"}
 
@@ -180,11 +58,6 @@ def dotted(path: Path) -> str:
     """Name of a module below planner: `toolpath.bead`; a package is its folder's name."""
     parts = path.relative_to(SOURCES).with_suffix("").parts
     return ".".join(part for part in parts if part != "__init__")
-
-
-def room_of(module: str) -> str:
-    """What stands in the folder planner/ is a room: a module, or a package."""
-    return module.split(".")[0]
 
 
 @cache
@@ -228,48 +101,57 @@ def imports_of(path: Path) -> list[Import]:
     return out
 
 
-def own_imports(path: Path) -> Iterator[tuple[str, Import]]:
-    """(room, import) of what a file imports from the project."""
+def own_imports(path: Path) -> Iterator[Import]:
+    """What a file imports from the project, as `Import`s below planner."""
     for found in imports_of(path):
-        parts = found.module.split(".")
-        if parts[0] == "planner" and len(parts) > 1:
-            yield room_of(parts[1]), found
+        if found.module.startswith("planner."):
+            yield Import(found.module.removeprefix("planner."), found.line, found.typing_only)
+
+
+def within(module: str, places: set[str]) -> bool:
+    """Whether a module is one of some places, or in one of them."""
+    return any(module == place or module.startswith(f"{place}.") for place in places)
 
 
 def test_there_is_something_to_read() -> None:
     assert len(FILES) > 30
-    assert len(list(own_imports(SOURCES / "planning.py"))) > 10
+    assert len(list(own_imports(SOURCES / "planning" / "pipeline.py"))) > 10
     assert sum(found.typing_only for path in FILES for found in imports_of(path)) > 5
 
 
-def test_every_module_has_a_room() -> None:
-    homeless = {dotted(path) for path in FILES if dotted(path) and room_of(dotted(path)) not in ROOMS}
-    assert not homeless, "give these a place in the order of the rooms"
-    assert {room_of(dotted(path)) for path in FILES if dotted(path)} == set(ROOMS), "a room that is no more"
-
-
-def test_the_table_of_rooms_has_them_all() -> None:
-    table = re.findall(r"^\| (`.+?) \|", (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8"), re.MULTILINE)
-    told = [name.removesuffix("/").removesuffix(".py") for cell in table for name in re.findall(r"`(.+?)`", cell)]
-    assert sorted(told) == sorted([*ROOMS, "__init__"])
-
-
-def test_imports_point_one_way() -> None:
-    wrong = []
+def test_layers() -> None:
+    """Every room has a layer, and imports only from itself and from layers before its own; commands from each other."""
+    layer = {room: k for k, rooms in enumerate(LAYERS) for room in rooms.split()}
+    entries = {path.stem for path in SOURCES.iterdir() if path.suffix == ".py" or path.is_dir()}
+    assert entries - {"__pycache__", "__init__"} == set(layer)
+    commands, wrong = len(LAYERS) - 1, []
     for path in FILES:
-        here = room_of(dotted(path))  # empty: the package itself
-        left = set(ROOMS[: ROOMS.index(here) + 1] if here else ROOMS) | EVERYWHERE
-        for room, found in own_imports(path):
-            seen = left if found.typing_only else NARROW.get(here, left) | {here} | EVERYWHERE
-            if room not in seen or room in FORBIDDEN.get(here, ()):
+        room = dotted(path).partition(".")[0]
+        for found in own_imports(path):
+            other = found.module.partition(".")[0]
+            ends = room in ("", other) or found.typing_only or layer[room] == layer[other] == commands
+            if not ends and layer[other] >= layer[room]:
                 wrong.append(f"{dotted(path)}:{found.line}: {found.module}")
-    assert not wrong, "these look into a room that they must not see"
+    assert not wrong
+
+
+def test_the_verifier_sees_nothing_of_what_it_judges() -> None:
+    seen = [(dotted(p), found.module) for p in FILES if dotted(p).startswith("verify") for found in own_imports(p)]
+    assert not [(here, module) for here, module in seen if within(module, JUDGED)]
+
+
+def test_export_and_report_see_only_the_plan() -> None:
+    """But for the plots of notebooks, which also draw what was not chosen."""
+    for path in FILES:
+        if dotted(path).startswith(("export", "report")) and dotted(path) != "report.plots":
+            rooms = {found.module.partition(".")[0] for found in own_imports(path) if not found.typing_only}
+            assert rooms <= {"base", "plan", "export" if dotted(path).startswith("export") else "report"}, path
 
 
 def test_modules_do_not_import_each_other_in_circles() -> None:
     edges: dict[str, set[str]] = {}
     for path in FILES:
-        seen = {found.module.removeprefix("planner.") for _, found in own_imports(path) if not found.typing_only}
+        seen = {found.module for found in own_imports(path) if not found.typing_only}
         edges[dotted(path)] = seen - {dotted(path)}
     done: set[str] = set()
 
@@ -286,28 +168,17 @@ def test_modules_do_not_import_each_other_in_circles() -> None:
 
 
 def test_heavy_packages_stay_in_their_rooms() -> None:
-    wrong = []
-    for path in FILES:
-        module = dotted(path)
-        for found in imports_of(path):
-            allowed = HEAVY.get(found.module.split(".")[0])
-            if allowed is not None and not {module, room_of(module)} & allowed:
-                wrong.append(f"{module}:{found.line} imports {found.module}")
+    named = [(dotted(path), found) for path in FILES for found in imports_of(path)]
+    heavy = [(module, found) for module, found in named if found.module.split(".")[0] in HEAVY]
+    wrong = [(m, f.line, f.module) for m, f in heavy if not within(m, HEAVY[f.module.split(".")[0]])]
     assert not wrong
-
-
-def test_every_permission_is_used() -> None:
-    """A permission that nobody needs any more is taken back."""
-    used: dict[str, set[str]] = {package: set() for package in HEAVY}
-    for path in FILES:
-        for found in imports_of(path):
-            used.get(found.module.split(".")[0], set()).update({dotted(path), room_of(dotted(path))})
-    assert not {(package, room) for package, rooms in HEAVY.items() for room in rooms if room not in used[package]}
-
-
-def test_a_module_is_one_idea() -> None:
-    lines = {dotted(path): len(path.read_text(encoding="utf-8").splitlines()) for path in FILES}
-    assert not {name: count for name, count in lines.items() if count > LONGEST_MODULE}
+    unused = {(package, place) for package, places in HEAVY.items() for place in places} - {
+        (f.module.split(".")[0], place)
+        for m, f in heavy
+        for place in HEAVY[f.module.split(".")[0]]
+        if within(m, {place})
+    }
+    assert not unused, "permissions that nobody needs any more"
 
 
 def test_nothing_is_executed_swallowed_or_asserted() -> None:

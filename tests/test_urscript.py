@@ -18,8 +18,9 @@ from scipy.spatial.transform import Rotation
 from solved import BED, POSITIONER, solve_alone, write_small
 
 from planner.base.errors import InputError
+from planner.base.shipped import ROBOTS
 from planner.cell.cell import build_cell
-from planner.cell.robot import ROBOTS, chain_of, read_robot
+from planner.cell.robot import chain_of, read_robot
 from planner.export.fit import OFF
 from planner.export.languages import chosen
 from planner.export.moves import ANGLE_TOLERANCE

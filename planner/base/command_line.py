@@ -11,6 +11,7 @@ from importlib.metadata import version
 from typing import Any, NoReturn
 
 from planner.base.errors import EXIT_INTERRUPTED, PlannerError, Refusal, nearest_name
+from planner.base.extras import missing_extra
 
 HELP_WIDTH = 78  # columns of a help, however wide the terminal is
 CONTINUED = " \\"  # ends a line of a command that goes on in the next one
@@ -24,6 +25,12 @@ def exit_code(run: Callable[[], int], say: Callable[[str], None], interrupted: s
     except KeyboardInterrupt:
         say(f"interrupted: {interrupted}")
         return EXIT_INTERRUPTED
+    except ImportError as error:
+        missing = missing_extra(error, "this command")
+        if missing is None:
+            raise
+        say(f"error: {missing}")
+        return missing.exit_code
     except PlannerError as error:
         say(f"error: {error}")
         for hint in error.hints if isinstance(error, Refusal) else ():

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from planner.base.errors import InputError, PlannerError
+from planner.base.extras import missing_extra
 from planner.base.processes import ignored_interrupts
 from planner.base.versions import versions
 
@@ -196,8 +197,8 @@ def cluster_crew(scheduler: str) -> Iterator[Spread]:
         raise InputError(f"{scheduler!r} is no address", field=_FIELD, hint="such as tcp://192.168.0.10:8786")
     try:
         import distributed
-    except ModuleNotFoundError:
-        raise InputError("dask is not installed", field=_FIELD, hint="the extra `cluster` has it") from None
+    except ImportError as error:
+        raise missing_extra(error, _FIELD) or error from None
     try:
         client = distributed.Client(scheduler, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError):
@@ -246,7 +247,7 @@ def _result(future: Any, i: int, name: tuple[str, str], program: str, scheduler:
     result = future.result()
     if isinstance(result, Stranger):
         reason = f"a worker of {scheduler} has another program: {_difference(result.program, program)}"
-        raise InputError(reason, field=_FIELD, hint="the same commit and requirements.txt everywhere")
+        raise InputError(reason, field=_FIELD, hint="the same version and packages everywhere")
     return result
 
 

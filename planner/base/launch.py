@@ -14,6 +14,7 @@ from types import FrameType
 from typing import NamedTuple
 
 from planner.base.errors import EXIT_INPUT, EXIT_INTERRUPTED, EXIT_VERIFIED, nearest_name
+from planner.base.extras import missing_extra
 
 
 class CommandModule(NamedTuple):
@@ -65,8 +66,15 @@ def usage() -> str:
 
 def launch(name: str, arguments: Sequence[str] | None = None) -> int:
     """Import a command and run it with arguments, the process's own if there are none; returns its exit code."""
-    with _importing():
-        run = importlib.import_module(COMMANDS[name].module).main
+    try:
+        with _importing():
+            run = importlib.import_module(COMMANDS[name].module).main
+    except ImportError as error:
+        missing = missing_extra(error, f"beadwise {name}")
+        if missing is None:
+            raise
+        print(f"error: {missing}", file=sys.stderr)
+        return missing.exit_code
     code: int = run(arguments)
     return code
 

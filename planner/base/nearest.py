@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, read_only
+from planner.base.compiled import njit
 
 
 def distance_to_polyline(points: Array, polyline: Array) -> Array:

@@ -12,6 +12,7 @@ import pinocchio as pin
 
 from planner.base.arrays import Array
 from planner.base.errors import nearest_name
+from planner.base.shipped import ROBOTS
 from planner.cell.bodies import read_bodies
 from planner.cell.kinematics.axes import OtherGeometry
 from planner.cell.kinematics.chain import Chain
@@ -25,7 +26,6 @@ from planner.cell.urdf import Urdf, model_of, read_urdf, turning_joints
 from planner.problem import Problem
 from planner.problem.settings import LANGUAGE_NAMES, USUAL_LANGUAGE
 
-ROBOTS = Path(__file__).resolve().parents[2] / "robots"
 _INVERSE = ("spherical_wrist", "inverse_kinematics")  # keys, one of which an arm has
 _SAME_POSE = 1e-9  # m: closed form and URDF are one arm
 _POSTURES = 20
@@ -98,8 +98,10 @@ def load_robot(robot: str | Path, problem: Problem, field: str) -> Robot:
 def names_meant(key: str) -> str:
     """What somebody may have meant who named a robot that there is not."""
     near = nearest_name(key, robot_names())
-    own = "a robot of your own is a file: my_robot.yaml"
-    return f"did you mean {near}?" if near else f"known: {', '.join(robot_names())}; {own}"
+    if near:
+        return f"did you mean {near}?"
+    known = ", ".join(robot_names()) or "none"
+    return f"in {ROBOTS}: {known}; a robot of your own is a file: my_robot.yaml"
 
 
 def read_robot(path: Path) -> Robot:

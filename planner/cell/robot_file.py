@@ -179,7 +179,7 @@ class RobotFile:
             try:
                 found = metadata.distribution(package)
             except metadata.PackageNotFoundError:
-                hint = f"pip install -r requirements.txt, or pip install {package}"
+                hint = f"pip install {package}"
                 raise self.error("urdf", f"package {package} is not installed", hint) from None
             # wheels made by cmeel keep what would be below /usr in a folder of their own, and have no module to import
             path = Path(str(found.locate_file("cmeel.prefix"))) / "share" / package / str(urdf["path"])

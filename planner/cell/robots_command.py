@@ -17,10 +17,11 @@ from scipy.optimize import minimize
 from planner.base.arrays import Array
 from planner.base.command_line import Command, exit_code
 from planner.base.errors import EXIT_VERIFIED, InputError
+from planner.base.shipped import ROBOTS
 from planner.cell.kinematics.inverse import Corrected, InverseKinematics
 from planner.cell.kinematics.offset_wrist import OffsetWrist
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
-from planner.cell.robot import ROBOTS, Robot, chain_of, names_meant, read_robot, robot_names
+from planner.cell.robot import Robot, chain_of, names_meant, read_robot, robot_names
 from planner.cell.robot_file import read_robot_file
 from planner.cell.solids import Box, Capsule, Frustum, Solid
 

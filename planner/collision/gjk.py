@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from planner.base.compiled import njit
 from planner.cell.solids import BOX, CAPSULE, FRUSTUM
 
 _ROUNDS = 40

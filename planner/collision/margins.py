@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from planner.base.compiled import njit
 from planner.cell.solids import BOX, CAPSULE, HULL
 from planner.collision.gjk import solids_distance
 from planner.collision.point_tree import nearest_point, solid_distance

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
+from planner.base.compiled import njit
 from planner.cell.solids import BOX, CAPSULE, FRUSTUM
 
 _ZERO: Any = np.int64(0)  # a plain 0 is a type of its own, for which kernels would be compiled once more

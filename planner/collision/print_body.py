@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Flags, Ints, ReadOnlyArrays
+from planner.base.compiled import njit
 from planner.cell.bodies import nozzle_profile
 from planner.cell.cell import Cell, rigid_inverse
 from planner.cell.robot import bodies_with_tip

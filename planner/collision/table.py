@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Flags, Ints, read_only
+from planner.base.compiled import njit
 
 DEEP = 128  # nodes of a tree that wait at once, see `search_room`
 

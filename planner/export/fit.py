@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Flags, Indices
+from planner.base.compiled import njit
 
 # ----------------------------------------------------------------------------------------------------
 # Unit quaternions, x y z w, in batches: what the exporters need and no more.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from planner.export.axes.flavours import FLAVOURS
 from planner.plan import RAPID_EXTERNAL_AXES
 from planner.plan.plan import materials_of
 
@@ -62,8 +63,6 @@ def unsaid_in_urscript(setup: Setup) -> str | None:
 
 def unsaid_in_axes(setup: Setup) -> str | None:
     """Why there is no such program of what a cell does; None if there is one."""
-    from planner.export.axes.gcode import FLAVOURS
-
     spec: MachineSpec | None = setup.problem.program.machine
     if spec is None:
         return "program.machine describes no machine"

@@ -21,6 +21,7 @@ from scipy.interpolate import CubicSpline
 from planner.base.arrays import Array
 from planner.base.command_line import Command, exit_code
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, PlannerError
+from planner.base.extras import missing_extra
 
 # ----------------------------------------------------------------------------------------------------
 # A limiter of joint references: however they jump, no step goes beyond the joints' speed and acceleration.
@@ -323,7 +324,7 @@ def egm_messages() -> ModuleType:
     try:
         from abb_robot_client._egm_protobuf import egm_pb2
     except ImportError as error:
-        raise InputError("EGM needs the package abb_robot_client", hint="pip install beadwise[link]") from error
+        raise missing_extra(error, "EGM") or error from None
     return egm_pb2
 
 

@@ -12,6 +12,7 @@ from typing import Any
 from urllib.parse import quote
 
 from planner.base.errors import InputError
+from planner.base.extras import missing_extra
 from planner.base.files import read_bytes
 from planner.link.connections import Address, LinkError, Secret
 
@@ -199,8 +200,8 @@ def _requests() -> tuple[Any, Any]:
     try:
         import requests
         import requests.auth
-    except ImportError:
-        raise InputError("the package requests is missing", hint="pip install 'beadwise[link]'") from None
+    except ImportError as error:
+        raise missing_extra(error, "the link") or error from None
     return requests, requests.auth
 
 

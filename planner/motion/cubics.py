@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from planner.base.arrays import Array, ReadOnlyArrays
+from planner.base.compiled import njit
 
 
 class JointState(NamedTuple):

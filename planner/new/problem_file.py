@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from planner.base.shipped import PROBLEM_SCHEMA
 from planner.new.questions import STAND_MM, WING_ABOVE_MM, Answers, extent_mm
 from planner.problem.describe import MODELINE
-from planner.problem.yaml_file import PROBLEMS, yaml_text
+from planner.problem.yaml_file import yaml_text
 
-SCHEMA = PROBLEMS.parent / "docs" / "problem.schema.json"
 BED_MM = 20.0  # thickness of the plate under a part on a bed
 AROUND_MM = 100.0  # how far it reaches beyond what is printed
 NARROW_MM = 20.0  # radius of the stand of a part on a positioner
@@ -19,9 +19,9 @@ NARROW_MM = 20.0  # radius of the stand of a part on a positioner
 
 def modeline(folder: Path) -> str:
     """The first line of a problem file in a folder, which tells editors where the schema is; empty without one."""
-    if not SCHEMA.is_file():
+    if not PROBLEM_SCHEMA.is_file():
         return ""
-    path = Path(os.path.relpath(SCHEMA.resolve(), folder.resolve())).as_posix()
+    path = Path(os.path.relpath(PROBLEM_SCHEMA.resolve(), folder.resolve())).as_posix()
     return f"{MODELINE} $schema={path}\n"
 
 

@@ -16,7 +16,8 @@ from rich.prompt import InvalidResponse, PromptBase
 from planner.base.arrays import Array
 from planner.base.errors import InputError, nearest_name
 from planner.base.files import read_text
-from planner.cell.robot import ROBOTS, Robot, read_robot, shipped_robots
+from planner.base.shipped import ROBOTS
+from planner.cell.robot import Robot, read_robot, shipped_robots
 from planner.cell.robots_command import reach
 from planner.new.posture import reached, usual_place
 from planner.problem import Problem

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array
+from planner.base.compiled import njit
 from planner.base.processes import in_threads
 from planner.cell.cell import Cell, rigid_inverse
 from planner.cell.kinematics.chain import (

@@ -10,11 +10,11 @@ from functools import lru_cache
 import numpy as np
 
 from planner.base.errors import InputError
+from planner.base.shipped import PROBLEMS
 from planner.cell.cell import Cell, build_cell
 from planner.collision.print_body import PrintBody, print_body, standing
 from planner.collision.scene import Obstacles, obstacles_of
 from planner.problem import Problem, load_problem
-from planner.problem.yaml_file import PROBLEMS
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import NozzleTask, tasks_of

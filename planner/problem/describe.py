@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from planner.base.shipped import PROBLEMS
 from planner.problem.fields import Section, described
 from planner.problem.problem import Problem, load_problem
-from planner.problem.yaml_file import PROBLEMS, shipped_problems
+from planner.problem.yaml_file import shipped_problems
 
 if TYPE_CHECKING:
     from planner.cell.cell import Cell

@@ -27,6 +27,7 @@ from ruamel.yaml.events import (
 from ruamel.yaml.reader import ReaderError
 
 from planner.base.errors import InputError, nearest_name
+from planner.base.shipped import PROBLEMS
 
 # ----------------------------------------------------------------------------------------------------
 # Values as one line of YAML.
@@ -62,7 +63,6 @@ LARGEST_FILE = 1_000_000  # bytes; a problem file is some 2 kB, its curves stand
 MOST_VALUES = 20_000  # a problem has about 100; a long list would only keep the user waiting
 DEEPEST_NESTING = 20  # the problem's own fields go 5 deep
 LONGEST_NUMBER = 300  # digits; beyond, an integer is read as a float, that is as infinite
-PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 
 Keys = tuple[str | int, ...]
 Complaint = Callable[[str, int | None, str | None], InputError]  # reason, line, hint → the error with its place
@@ -141,7 +141,9 @@ def find_problem(name_or_path: str | Path) -> Path:
     raise InputError(
         "there is no such problem file",
         file=shorten(str(given), 200),
-        hint=f"did you mean {near}?" if near else f"problems that ship: {', '.join(names)}",
+        hint=f"did you mean {near}?"
+        if near
+        else f"looked in {Path.cwd()} and {PROBLEMS}, which has {', '.join(names)}",
     )
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from planner.base.compiled import njit
 
 # ----------------------------------------------------------------------------------------------------
 # Compiled kernels on directions that must stay within a cone about the vertical.

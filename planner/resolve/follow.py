@@ -8,8 +8,8 @@ Jacobian in closed form, unless no posture of the branch is nearby.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from planner.base.compiled import njit
 from planner.cell.kinematics.chain import chain_state, invert6, jacobian_at, mul4, rotate_about
 from planner.cell.kinematics.inverse import SPHERICAL_WRIST
 from planner.cell.kinematics.spherical_wrist import (

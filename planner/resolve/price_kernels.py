@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from planner.base.compiled import njit
 from planner.resolve.cone_kernels import facet
 from planner.resolve.nodes import LIMIT_COMFORT, LIMIT_PRICE, SIGMA_COMFORT, SIGMA_PRICE
 from planner.resolve.quadratic import SUMS

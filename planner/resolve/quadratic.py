@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from planner.base.arrays import Array, Ints
+from planner.base.compiled import njit
 
 # ----------------------------------------------------------------------------------------------------
 # Compiled kernels on banded symmetric matrices: products, Cholesky, and sums of rows' outer products.

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array, ReadOnlyArrays
 from planner.base.processes import in_threads
+from planner.base.singular_values import least_singular_values
 from planner.cell.cell import Cell
-from planner.cell.kinematics.singular_values import least_singular_values
 from planner.collision.scene import NOTHING, Obstacles
 from planner.resolve.joint_path import JointPath, flange_poses
 from planner.toolpath.task import NozzleTask

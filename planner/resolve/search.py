@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array
+from planner.base.compiled import njit
 from planner.cell.cell import Limits
 from planner.resolve.joint_path import SampledTasks
 from planner.resolve.nodes import Grid, Nodes

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from math import factorial
 
 import numpy as np
-from numba import njit
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from planner.base.arrays import Array, Ints
+from planner.base.compiled import njit
 from planner.toolpath.task import NozzleTask
 
 # ----------------------------------------------------------------------------------------------------

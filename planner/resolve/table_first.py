@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array
+from planner.base.compiled import njit
 from planner.cell.cell import Cell
 from planner.resolve.joint_path import SampledTasks
 from planner.resolve.nodes import LIMIT_ROOM

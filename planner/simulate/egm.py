@@ -13,6 +13,7 @@ import numpy as np
 
 from planner.base.arrays import Array
 from planner.base.errors import InputError
+from planner.base.extras import missing_extra
 from planner.simulate.board import Fault, Faults
 
 PERIOD = 0.004  # s
@@ -147,5 +148,5 @@ def _egm_messages() -> ModuleType:
     try:
         from abb_robot_client._egm_protobuf import egm_pb2
     except ImportError as error:
-        raise InputError("EGM needs the package abb_robot_client", hint="pip install beadwise[link]") from error
+        raise missing_extra(error, "EGM") or error from None
     return egm_pb2

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numba import njit
 
 from planner.base.arrays import Array, ReadOnlyArrays
+from planner.base.compiled import njit
 from planner.base.errors import Complaint
 from planner.problem import Problem
 from planner.problem.process import ConesSpec, FibreSpec

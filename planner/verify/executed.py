@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array, read_only
+from planner.base.compiled import njit
+from planner.base.singular_values import least_singular_value
 from planner.cell.cell import Cell
-from planner.cell.kinematics.singular_values import least_singular_value
 from planner.cell.robot import Robot
 from planner.plan import Trajectory
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from planner.base.arrays import Array, Ints
+from planner.base.compiled import njit
 from planner.cell.cell import Cell
 from planner.cell.solids import Packed, packed
 from planner.collision.point_tree import PointTree, nearest_point, point_value, search_room, solid_distance

@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from planner.base.arrays import Array
+from planner.base.compiled import njit
 from planner.cell.kinematics.chain import Chain, mul4
 
 TURN = 2.0 * np.pi

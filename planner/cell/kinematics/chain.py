@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from planner.base.arrays import Array
+from planner.base.compiled import njit
 
 # ----------------------------------------------------------------------------------------------------
 # Six by six matrices, compiled: the inverse, and the largest singular value nearly.

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array
+from planner.base.compiled import njit
 from planner.cell.kinematics import offset_wrist, seven_axes_kernel, spherical_wrist
 from planner.cell.kinematics.axes import wrap
 from planner.cell.kinematics.chain import Chain, refine

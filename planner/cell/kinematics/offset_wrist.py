@@ -17,10 +17,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array
+from planner.base.compiled import njit
 from planner.cell.kinematics.axes import (
     REACH_ROUNDING,
     STRAIGHT,

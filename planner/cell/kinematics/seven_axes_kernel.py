@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Flags
+from planner.base.compiled import njit
 from planner.cell.kinematics.axes import REACH_ROUNDING, STRAIGHT, between, inverse_of, wrap
 from planner.cell.kinematics.chain import mul4
 

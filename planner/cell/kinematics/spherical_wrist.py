@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import astuple, dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array
+from planner.base.compiled import njit
 
 # ----------------------------------------------------------------------------------------------------
 # The Jacobian of a spherical-wrist arm, and its inverse, in closed form, compiled.

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from numba import njit
 
 from planner.base.arrays import Array, Flags, Indices
+from planner.base.compiled import njit
 from planner.export.fit import angle, continuous, from_matrix, slerp, to_matrix
 
 if TYPE_CHECKING:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array
+from planner.base.compiled import njit
 
 # ----------------------------------------------------------------------------------------------------
 # Least and mean of values around each place of a row of places: compiled.

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from planner.base.arrays import Array, ReadOnlyArrays
+from planner.base.compiled import njit
 from planner.base.processes import in_threads
 from planner.cell.cell import Limits
 from planner.motion.timing.kernels import APART, fastest, least_nearby, mean_nearby

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.interpolate import make_interp_spline
 from scipy.optimize import brentq
 
 from planner.base.arrays import Array
+from planner.base.compiled import njit
 from planner.cell.cell import Cell
 from planner.motion.cubics import JointState
 from planner.motion.timing.profile import Leg, PiecewiseCurve, Profile, curve_of, fastest_profile

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from planner.base.arrays import Array, Ints, ReadOnlyArrays, read_only
+from planner.base.compiled import njit
 from planner.cell.cell import Cell
 from planner.motion.cubics import Cubics, JointState
 from planner.toolpath.bead import Surface

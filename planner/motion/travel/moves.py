@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import ruckig
-from numba import njit
 
 from planner.base.arrays import Array
+from planner.base.compiled import njit
 from planner.motion.cubics import Cubics, JointState
 
 _REACHED = (ruckig.Result.Working, ruckig.Result.Finished)

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 
 from planner.base.arrays import Array
+from planner.base.compiled import njit
 from planner.cell.cell import Cell
 from planner.cell.kinematics.chain import chain_jacobians, chain_poses, solve_symmetric
 from planner.motion.cubics import Cubics, JointState, add, chain, extremes, rest

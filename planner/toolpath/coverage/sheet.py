@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, cKDTree
 
 from planner.base.arrays import Array, Ints
+from planner.base.compiled import njit
 
 # ----------------------------------------------------------------------------------------------------
 # Faces as `rows` sees them, and the strokes that cover them.

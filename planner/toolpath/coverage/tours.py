@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pyvrp
-from numba import njit
 from numpy.typing import NDArray
 from pyvrp.stop import MaxIterations
 from scipy.sparse import csr_array
@@ -17,6 +16,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Ints
+from planner.base.compiled import njit
 
 # ----------------------------------------------------------------------------------------------------
 # What path algorithms see of a face: the points that it was sampled at, and how far apart they are along it.

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Ints, ReadOnlyArrays, read_only
+from planner.base.compiled import njit
 from planner.toolpath.step.files import Face
 from planner.toolpath.step.splines import SplineSet, fill_normal, foot_of
 

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
+from planner.base.compiled import njit
 
 BEYOND = 0.02  # of the domain's width: so far a surface is followed beyond its rim
 _POLE = 1e-7  # m: a shorter side of a surface is a pole

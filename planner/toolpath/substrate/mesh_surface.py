@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from math import comb
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.sparse import coo_array, csr_array, diags_array, eye_array, kron
 from scipy.sparse.linalg import splu
 
 from planner.base.arrays import Array, Ints, ReadOnlyArrays, read_only
+from planner.base.compiled import njit
 
 # ----------------------------------------------------------------------------------------------------
 # Boxes within boxes around the facets of a mesh: the nearest facet to a point, and the highest one below the sky.

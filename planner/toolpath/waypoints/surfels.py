@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Ints, read_only
+from planner.base.compiled import njit
 from planner.toolpath.bead import Bead
 
 FAR = 50e-3  # m: what is farther away than this is that far away

@@ -8,9 +8,9 @@ Eigenvalue Problem, section 7.5); B^T B - x is factored from B's own elements (F
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from planner.base.arrays import Array
+from planner.base.compiled import njit
 
 _STEPS = 200  # at most; three to six are usual
 _DONE = 1e-15  # relative: a step that no longer changes a value

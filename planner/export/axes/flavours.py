@@ -1,0 +1,79 @@
+"""How controllers differ in what is not motion: pauses, feed modes, and what an extruder's board is told."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+#
+# LinuxCNC knows no heaters and fans. Its M100 to M199 run programs of the user's with two numbers, P and Q, so the
+# codes of printers within these keep their number there: S becomes Q, and what is numbered (P, T) P.
+
+USERS_OWN = range(100, 200)  # M-codes of LinuxCNC that run a program of the user's
+
+
+@dataclass(frozen=True)
+class Flavour:
+    """A controller's way with G-code.
+
+    suffix     of the file's name
+    relative   filament is told by line, not in all
+    unit       of a pause's P [s]
+    pauses     how they are written
+    begin, end lines of the program
+    order      a line for a RepRapFirmware board, said to this controller; None where that cannot be
+    """
+
+    suffix: str
+    relative: bool
+    unit: float
+    pause: str
+    begin: tuple[str, ...]
+    end: tuple[str, ...]
+    order: Callable[[str], str | None]
+
+
+def _linuxcnc_order(line: str) -> str | None:
+    """The line for LinuxCNC, where tool 0 is none."""
+    words = line.split(" ")
+    if re.fullmatch(r"T\d+", words[0]):
+        return f"{words[0]} M6" if words[0] != "T0" else None
+    letters = ["Q" if word[0] == "S" else "P" for word in words[1:] if word[0] in "PST"]
+    if int(words[0][1:]) not in USERS_OWN or len(set(letters)) < len(words) - 1:
+        return None
+    return " ".join([words[0], *(letter + word[1:] for letter, word in zip(letters, words[1:], strict=True))])
+
+
+FLAVOURS = {
+    "linuxcnc": Flavour(
+        suffix="ngc",
+        relative=False,
+        unit=1.0,
+        pause="G4 P{:.3f}",
+        begin=("G17 G21 G40 G49 G80 G90",),
+        end=("M2",),
+        order=_linuxcnc_order,
+    ),
+    "reprap": Flavour(
+        suffix="gcode",
+        relative=True,
+        unit=1e-3,
+        pause="G4 P{:.0f}",
+        begin=("G21", "G90", "M83"),
+        end=("M400",),
+        order=lambda line: line,
+    ),
+}
+
+
+def feed_length(flavour: str, moved: Mapping[str, float]) -> float:
+    """What F counts per minute on a line that moves axes by so much [mm, deg], by letter: the controller's own rule.
+
+    Both count X, Y and Z alone where these move. Where they rest, LinuxCNC counts U, V, W, and only then A, B, C;
+    RepRapFirmware all that turn, and only then filament.
+    """
+    groups = ("XYZ", "UVW", "ABC") if flavour == "linuxcnc" else ("XYZ", "ABCUVW", "E")
+    lengths = (math.hypot(*(moved.get(letter, 0.0) for letter in group)) for group in groups)
+    return next((length for length in lengths if length > 0.0), 0.0)
