@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 from solved import SVG, line_of, write_small
 
-import planner.planning
+import planner.planning.pipeline
 from planner.planning.solve_command import main
 from planner.problem import shipped_problems
 
@@ -34,6 +34,7 @@ VERIFIED = {
     "report.html",
 }
 REFUSED = {"plan.json", "report.html"}
+COMPILING = "compiling kernels, "  # said on stderr where numba's cache is empty
 OUT_OF_REACH = ("origin_mm: [633.5, 9.87, 380]", "origin_mm: [1500, 9.87, 380]")
 
 Change = tuple[str, str]
@@ -58,7 +59,9 @@ def run(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.M
             code = main([str(argument) for argument in arguments])
         except SystemExit as stop:  # argparse's own refusals
             code = int(stop.code or 0)
-        return Outcome(code, *capfd.readouterr())
+        out, err = capfd.readouterr()
+        told = [line for line in err.splitlines(keepends=True) if not line.startswith(COMPILING)]
+        return Outcome(code, out, "".join(told))
 
     return call
 
@@ -554,7 +557,7 @@ def test_exit_code_of_the_process(tmp_path: Path) -> None:
 HELD_UP = """
 import sys, time
 from pathlib import Path
-import planner.output, planner.planning
+import planner.base.files, planner.planning.pipeline
 from planner.planning.solve_command import main
 
 def hold(module, name, before):
@@ -618,9 +621,9 @@ def nothing_runs_in(folder: Path) -> None:
 
 PLACES = {
     "before the resolving": ("planner.planning.context", "tasks_of", True),
-    "before the verifying": ("planner.planning", "verify", True),
-    "between robot code and report": ("planner.planning", "write_robot_code", False),
-    "when all is written aside": ("planner.planning", "write_plan", False),
+    "before the verifying": ("planner.planning.pipeline", "verify", True),
+    "between robot code and report": ("planner.planning.pipeline", "write_robot_code", False),
+    "when all is written aside": ("planner.planning.pipeline", "write_plan", False),
 }
 
 
@@ -704,7 +707,7 @@ def test_a_bug_is_not_hidden(run: Callable[..., Outcome], tmp_path: Path, monkey
     def broken(*_: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr(planner.planning, "verify", broken)
+    monkeypatch.setattr(planner.planning.pipeline, "verify", broken)
     with pytest.raises(ZeroDivisionError):
         run("small.yaml", "--quiet")
     assert contents(tmp_path) == before

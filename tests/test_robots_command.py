@@ -74,7 +74,7 @@ def test_the_users_own_robot_without_bodies(tmp_path: Path, capsys: pytest.Captu
     ("name", "said"),
     [
         ("irb14", "did you mean irb140?"),
-        ("xyzzy", "known: iiwa, irb1200_07"),
+        ("xyzzy", "iiwa, irb1200_07"),
         ("nowhere.yaml", "nowhere.yaml: cannot be read"),
     ],
 )

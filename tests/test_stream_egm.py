@@ -347,12 +347,12 @@ def test_without_the_package_it_is_said_which_one(tmp_path, monkeypatch, capsys)
 
     def none(name: str, *rest: object) -> object:
         if name.startswith("abb_robot_client"):
-            raise ImportError(name)
+            raise ModuleNotFoundError(name, name=name)
         return real(name, *rest)
 
     monkeypatch.setattr(builtins, "__import__", none)
     assert egm.main([str(tmp_path)]) == 2
-    assert "pip install beadwise[link]" in capsys.readouterr().err
+    assert "pip install 'beadwise[link]'" in capsys.readouterr().err
 
 
 def test_the_command_says_what_is_wrong(tmp_path, capsys) -> None:

@@ -76,6 +76,7 @@ def launch(name: str, arguments: Sequence[str] | None = None) -> int:
         print(f"error: {missing}", file=sys.stderr)
         return missing.exit_code
     code: int = run(arguments)
+    gc.freeze()  # what is left goes back to the system as a whole
     return code
 
 
