@@ -1,18 +1,23 @@
 # The first call of any target sets up .venv from the pinned requirements.
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 PROBLEM ?= cylinder_logo
+PARALLEL := -n 2 --dist loadfile --no-loadscope-reorder
 BIN := .venv/bin
 READY := .venv/.ready
 DOCS := .venv-docs
 PEERS := .venv-peers
 
-.PHONY: solve test lint format docs docs-serve peers requirements clean
+.PHONY: solve test test-all lint format docs docs-serve peers requirements clean
 
 solve: $(READY)
 	$(BIN)/python -m planner.solve $(PROBLEM)
 
+# SLICE=3/8 adds a part of the slow tests, as continuous integration does.
 test: $(READY)
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest $(PARALLEL) $(if $(SLICE),--slice $(SLICE))
+
+test-all: $(READY)
+	$(BIN)/python -m pytest $(PARALLEL) --all-tests
 
 lint: $(READY)
 	$(BIN)/ruff check .

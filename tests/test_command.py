@@ -331,6 +331,7 @@ def test_cylinder_out_of_reach(run: Callable[..., Outcome], tmp_path: Path, stra
     assert refusal["missing_mm"] == pytest.approx(float(missing[1]), abs=0.06)
 
 
+@pytest.mark.slow
 def test_how_far_out_of_reach(run: Callable[..., Outcome], tmp_path: Path) -> None:
     """Where the arm is stretched towards the cylinder, 100 mm farther away is nearly 100 mm farther out of reach."""
     gaps = []
@@ -395,6 +396,7 @@ def test_plan_that_fails_a_check(run: Callable[..., Outcome], tmp_path: Path) ->
 # --- what was there before ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_no_plan_removes_stale_robot_code_and_nothing_else(run: Callable[..., Outcome], tmp_path: Path) -> None:
     file = write_small(tmp_path)
     folder = tmp_path / "results"
@@ -422,6 +424,7 @@ def test_plan_that_fails_a_check_removes_stale_robot_code(run: Callable[..., Out
     assert (folder / "plan.json").read_bytes() != old
 
 
+@pytest.mark.slow
 def test_robot_code_of_a_problem_that_was_renamed_goes(run: Callable[..., Outcome], tmp_path: Path) -> None:
     write_small(tmp_path)
     assert run("small.yaml", "--out", "results", "--quiet").code == 0
@@ -538,6 +541,7 @@ def test_same_input_same_bytes(tmp_path: Path) -> None:
     assert plans[0] == plans[1]
 
 
+@pytest.mark.slow
 def test_exit_code_of_the_process(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "planner.solve", "nowhere.yaml"],

@@ -169,4 +169,4 @@ def test_only_the_demo_knows_of_the_simulators() -> None:
             for word in ("planner.simulate", "planner.planning.solve_command")
             if f"from {word}" in path.read_text("utf-8")
         }
-        assert bool(known) == (path.name == "command.py"), path.name
+        assert bool(known) == (path.name == "demo.py"), path.name

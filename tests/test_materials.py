@@ -117,6 +117,7 @@ def test_layers_name_their_material_or_take_the_first(change: tuple[tuple[str, s
     assert {bead.material for bead in toolpath.beads} == {material}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("own", "expected"), [("pva", "pva"), (None, "pla")])
 def test_a_wing_and_its_support_are_of_two_materials(own: str | None, expected: str) -> None:
     changes = ["layers.source.span_mm=2", "process.materials={pva: {}, pla: {}}", "layers.material=pla"]

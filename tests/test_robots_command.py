@@ -39,6 +39,7 @@ def test_what_is_no_arm_has_no_reach() -> None:
     assert reach(read_robot(ROBOTS / "irbp_a250.yaml")) is None
 
 
+@pytest.mark.slow
 def test_all_robots_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 0
     out = capsys.readouterr().out

@@ -161,6 +161,7 @@ def _changing() -> Any:
     return lambda module: next(told)
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed(scheduler: tuple[str, Any], tmp_path: Path) -> None:
     """In a process of its own, for it kills itself; its nanny starts another."""
     address, cluster = scheduler

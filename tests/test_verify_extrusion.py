@@ -120,6 +120,7 @@ def test_measures_that_vary_along_a_bead(varying: Callable[..., Plan], section: 
 # --- flow --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_flow_that_pulses_along_the_bead() -> None:
     """Three in a hundred, to and fro every two millimetres: right by bead, by sample and in sum."""
     plan = small_plan()

@@ -382,6 +382,7 @@ sys.exit(command.main())
 """
 
 
+@pytest.mark.slow
 def test_life_of_the_command(tmp_path: Path) -> None:
     """A real problem, solved; its port is taken for others; Ctrl-C leaves no process and no file behind."""
     path = write_small(tmp_path)
