@@ -34,6 +34,7 @@ COMMANDS = {
     "view": CommandModule("planner.view.command", "a report in the browser, made anew when its problem is saved"),
     "link": CommandModule("planner.link.command", "send a program to its controller, and watch it run"),
     "simulate": CommandModule("planner.simulate.command", "simulators of controllers and extruder boards"),
+    "completion": CommandModule("planner.reference.completion", "a script with which a shell completes these commands"),
     "reference": CommandModule("planner.reference.generate", "JSON schemas and reference pages, made from the code"),
 }
 
