@@ -6,8 +6,9 @@ BIN := .venv/bin
 READY := .venv/.ready
 DOCS := .venv-docs
 PEERS := .venv-peers
+FLOORS := .venv-floors
 
-.PHONY: solve test test-all lint format docs docs-serve peers requirements clean
+.PHONY: solve test test-all test-floors lint format docs docs-serve peers requirements clean
 
 solve: $(READY)
 	$(BIN)/python -m planner.solve $(PROBLEM)
@@ -18,6 +19,10 @@ test: $(READY)
 
 test-all: $(READY)
 	$(BIN)/python -m pytest $(PARALLEL) --all-tests
+
+# The same with the oldest releases that pyproject.toml allows, in an environment of their own.
+test-floors: $(FLOORS)/.ready
+	$(FLOORS)/bin/python -m pytest $(PARALLEL)
 
 lint: $(READY)
 	$(BIN)/ruff check .
@@ -45,12 +50,12 @@ requirements: $(READY)
 	$(BIN)/pip freeze --exclude-editable > requirements.txt
 
 clean:
-	rm -rf .venv $(DOCS) $(PEERS) out site
+	rm -rf .venv $(DOCS) $(PEERS) $(FLOORS) out site
 
 $(READY): requirements.txt pyproject.toml
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --disable-pip-version-check --requirement requirements.txt
-	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --editable .
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $(READY)
 
 $(DOCS)/.ready: requirements-docs.txt
@@ -61,4 +66,11 @@ $(DOCS)/.ready: requirements-docs.txt
 $(PEERS)/.ready: requirements-peers.txt
 	$(PYTHON) -m venv $(PEERS)
 	$(PEERS)/bin/pip install --quiet --disable-pip-version-check --requirement requirements-peers.txt
+	touch $@
+
+$(FLOORS)/.ready: pyproject.toml
+	$(PYTHON) -m venv $(FLOORS)
+	$(PYTHON) -c "import tomllib; print(*(each.replace('>=', '==') for each in \
+	    tomllib.load(open('pyproject.toml', 'rb'))['project']['dependencies']), sep='\n')" > $(FLOORS)/floors.txt
+	$(FLOORS)/bin/pip install --quiet --disable-pip-version-check --constraint $(FLOORS)/floors.txt --editable ".[test]"
 	touch $@
