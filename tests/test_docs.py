@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
+from planner.base.launch import COMMANDS
 from planner.problem import load_problem, shipped_problems
 
 ROOT = Path(__file__).parent.parent
@@ -22,6 +23,7 @@ MOST_WORDS = 900  # of the README: who wants more finds a page
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 PICTURE = re.compile(r"!\[([^\]]*)\]\(")
 FENCED = re.compile(r"^```.*?^```|<!--.*?-->", re.MULTILINE | re.DOTALL)
+SCRIPT = re.compile(r"(?:^ {4}|`)beadwise ([a-z]+)([^`\n]*)", re.MULTILINE)
 COMMAND = re.compile(r"python(?:3\.11)? -m ((?:planner|benchmarks)(?:\.\w+)*)([^`\n]*)")
 
 
@@ -40,8 +42,9 @@ def headings(page: Path) -> set[str]:
 
 
 def commands(text: str) -> Iterator[tuple[str, list[str]]]:
-    """Modules and arguments of the commands that a page names."""
-    for module, rest in COMMAND.findall(text):
+    """Modules and arguments of the commands that a page names, as modules or as `beadwise NAME`."""
+    scripts = [(f"planner.{name}", rest) for name, rest in SCRIPT.findall(text)]
+    for module, rest in [*COMMAND.findall(text), *scripts]:
         line = re.split(r"\s+#\s|[|;>…]", rest)[0].strip().rstrip(").,:")
         try:
             yield module, shlex.split(line)
@@ -52,14 +55,18 @@ def commands(text: str) -> Iterator[tuple[str, list[str]]]:
 def source_of(module: str) -> str:
     """Source of a command and of what it takes options from; empty where there is no such module."""
     path = ROOT / Path(*module.split("."))
+    files = [ROOT / "planner" / "base" / "command_line.py", ROOT / "planner" / "planning" / "options.py"]
+    name = module.removeprefix("planner.")
     if path.is_dir():
-        files = [*sorted(path.glob("*.py")), ROOT / "planner" / "command.py"]
-        return "".join(file.read_text(encoding="utf-8") for file in files)
-    if not path.with_suffix(".py").is_file():
+        files += sorted(path.glob("*.py"))
+    elif path.with_suffix(".py").is_file():
+        files += [path.with_suffix(".py")]
+        files += sorted(path.parent.glob("*.py")) if path.parent.name not in ("planner", "benchmarks") else []
+    else:
         return ""
-    shared = [path.with_suffix(".py"), ROOT / "planner" / "command.py"]
-    room = path.parent if path.parent.name not in ("planner", "benchmarks") else ROOT / "planner" / "registration"
-    return "".join(file.read_text(encoding="utf-8") for file in [*shared, *sorted(room.glob("*.py"))])
+    if module.startswith("planner.") and name in COMMANDS:
+        files.append((ROOT / Path(*COMMANDS[name].module.split("."))).with_suffix(".py"))
+    return "".join(file.read_text(encoding="utf-8") for file in files)
 
 
 def menu() -> list[str]:
