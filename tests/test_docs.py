@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import shlex
 from collections.abc import Iterator
@@ -22,6 +23,8 @@ FROM_ROOT = {"architecture.md", "contributing.md", "changelog.md"}  # pages that
 MOST_WORDS = 900  # of the README: who wants more finds a page
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 PICTURE = re.compile(r"!\[([^\]]*)\]\(")
+FILE = re.compile(r"`((?:planner|benchmarks)/[\w/]+(?:\.\w+)?)`")
+API = re.compile(r"^::: ([\w.]+)\.(\w+)$", re.MULTILINE)
 FENCED = re.compile(r"^```.*?^```|<!--.*?-->", re.MULTILINE | re.DOTALL)
 SCRIPT = re.compile(r"(?:^ {4}|`)beadwise ([a-z]+)([^`\n]*)", re.MULTILINE)
 COMMAND = re.compile(r"python(?:3\.11)? -m ((?:planner|benchmarks)(?:\.\w+)*)([^`\n]*)")
@@ -93,6 +96,20 @@ def test_links_lead_somewhere(name: str) -> None:
         assert file.exists(), link
         if anchor and file.suffix == ".md":
             assert anchor in headings(file), link
+
+
+@pytest.mark.parametrize("name", names(PAGES))
+def test_files_of_the_code_that_pages_name_exist(name: str) -> None:
+    for file in FILE.findall((ROOT / name).read_text(encoding="utf-8")):
+        if name != "CHANGELOG.md" and file != "planner/shipped":  # the latter is in an installed package
+            assert (ROOT / file).exists(), file
+
+
+def test_the_page_of_python_names_what_there_is() -> None:
+    named = API.findall((DOCS / "reference" / "api.md").read_text(encoding="utf-8"))
+    assert len(named) > 15
+    for module, name in named:
+        assert hasattr(importlib.import_module(module), name), f"{module}.{name}"
 
 
 @pytest.mark.parametrize("name", names(PAGES))
