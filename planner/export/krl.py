@@ -12,6 +12,7 @@ import numpy as np
 from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
 from planner.export.fit import from_matrix, to_matrix
+from planner.export.grammar import Grammar, Parts, Statement, inlined
 from planner.export.moves import (
     Moves,
     Wait,
@@ -352,9 +353,11 @@ NAME = r"[A-Za-z][A-Za-z0-9_]{0,23}"
 FRAME = ",".join(rf"{name} ({NUMBER})" for name in "XYZABC")
 EXTERNAL = rf"((?:,E[1-6] {NUMBER}){{0,6}})"
 AXES = ",".join(rf"A{i} ({NUMBER})" for i in range(1, 7)) + EXTERNAL
-PATTERNS = {
-    word: re.compile(pattern)
-    for word, pattern in {
+ATTRIBUTE = r"&(?:ACCESS RVP|REL 1)"
+SOURCE = Grammar.of(
+    "KRL",
+    ";",
+    {
         "line": rf"LIN \{{E6POS: {FRAME},S ([0-9]{{1,2}}),T ([0-9]{{1,2}}){EXTERNAL}\}}( C_DIS)?",
         "point": rf"PTP \{{E6AXIS: {AXES}\}}( C_PTP)?",
         "speed": rf"\$VEL\.CP=({NUMBER})",
@@ -369,21 +372,21 @@ PATTERNS = {
         "setting": r"(\$[A-Z_0-9.]{1,24})=([#A-Z0-9_.(),\[\]]{1,60})",
         "define": rf"DEF ({NAME})\(\)",
         "end": r"END",
-        "attribute": r"&(?:ACCESS RVP|REL 1)",
-    }.items()
-}
-DATA = {
-    word: re.compile(pattern)
-    for word, pattern in {
-        "attribute": PATTERNS["attribute"].pattern,
+        "attribute": ATTRIBUTE,
+    },
+)
+DATA = Grammar.of(
+    "KRL data",
+    ";",
+    {
+        "attribute": ATTRIBUTE,
         "define": rf"DEFDAT ({NAME})",
         "frame": rf"DECL FRAME (FTOOL|FPART)=\{{{FRAME}\}}",
         "start": rf"DECL E6AXIS XSTART=\{{{AXES}\}}",
         "end": r"ENDDAT",
-    }.items()
-}
+    },
+)
 COUPLED = re.compile(r"EK\((MACHINE_DEF\[[1-9]\])\.ROOT,\1\.MECH_TYPE,FPART\)")
-Statement = tuple[str, int, tuple[str | None, ...]]
 
 
 @dataclass(frozen=True)
@@ -412,100 +415,66 @@ def read_krl(source: str, data: str, forward: Forward) -> KrlProgram:
     with the line for a statement or name that is not known, or that stands where it must not.
     """
     title, frames, start = _data(data)
-    reader = _Reader(title)
-    for line, statement in _statements(source):
-        reader.take(statement, line)
-    return reader.source(frames, start, forward)
+    run = _Run(start)
+    for statement in inlined(_subprogram_bodies(source, title), title, "program"):
+        run.take(statement)
+    return run.source(title, frames, forward)
 
 
-def _error(line: int | None, reason: str, file: str = "KRL") -> InputError:
-    return InputError(reason, line=line, file=file)
-
-
-def _statements(text: str) -> list[tuple[int, str]]:
-    found = ((line, raw.strip()) for line, raw in enumerate(text.split("\n"), start=1))
-    return [(line, statement) for line, statement in found if statement and not statement.startswith(";")]
-
-
-def _known(patterns: dict[str, re.Pattern[str]], statement: str, line: int, file: str) -> tuple[str, re.Match[str]]:
-    for word, pattern in patterns.items():
-        if match := pattern.fullmatch(statement):
-            return word, match
-    raise _error(line, f"unknown statement {statement[:60]!r}", file)
-
-
-def _posture(parts: tuple[str | None, ...], line: int) -> list[float]:
+def _posture(parts: Parts, statement: Statement) -> list[float]:
     """Twelve axes [rad] of six numbers and the text of external axes; NaN where unused."""
     external = [item.split(" ") for item in str(parts[6]).split(",")[1:]]
     if [name for name, _ in external] != [f"E{i}" for i in range(1, len(external) + 1)]:
-        raise _error(line, "external axes must stand in their order, each once")
+        raise statement.error("external axes must stand in their order, each once")
     degrees = [float(str(value)) for value in parts[:6]] + [float(value) for _, value in external]
     return [*np.radians(degrees).tolist(), *[float("nan")] * (12 - len(degrees))]
 
 
-def _pose(parts: tuple[str | None, ...]) -> Array:
+def _pose(parts: Parts) -> Array:
     values = [float(str(value)) for value in parts[:6]]
     return np.concatenate([np.array(values[:3]) * 1e-3, quaternions(np.radians([values[3:]]))[0]])
 
 
 def _data(text: str) -> tuple[str, dict[str, Array], list[float]]:
+    """Name, frames and start posture of a data list."""
     title, frames, start, closed = "", {}, [], False
-    for line, statement in _statements(text):
-        word, match = _known(DATA, statement, line, "KRL data")
+    for statement in DATA.statements(text.split("\n")):
+        word, parts = statement.word, statement.parts
         if word != "attribute" and (closed or (word == "define") == bool(title)):
-            raise _error(line, f"{statement[:60]!r} stands outside the data list, or twice", "KRL data")
+            raise statement.misplaced("outside the data list, or twice")
         if word == "define":
-            title = match[1]
+            title = str(parts[0])
         elif word == "frame":
-            frames[match[1]] = _pose(match.groups()[1:])
+            frames[str(parts[0])] = _pose(parts[1:])
         elif word == "start":
-            start = _posture(match.groups(), line)
+            start = _posture(parts, statement)
         closed = closed or word == "end"
     if not closed or len(frames) != 2 or not start:
-        raise _error(None, "no complete data list with FTOOL, FPART and XSTART", "KRL data")
+        raise InputError("no complete data list with FTOOL, FPART and XSTART", file=DATA.file)
     return title, frames, start
 
 
-class _Reader:
-    def __init__(self, title: str) -> None:
-        self.title = title
-        self.bodies: dict[str, list[Statement]] = {}
-        self.current = ""
-
-    def take(self, statement: str, line: int) -> None:
-        word, match = _known(PATTERNS, statement, line, "KRL")
-        if word == "attribute":
-            return
-        if (word == "define") == bool(self.current):
-            raise _error(line, f"{statement[:60]!r} stands {'inside' if self.current else 'outside'} a program")
-        if word == "define":
-            if match[1].upper() in (name.upper() for name in self.bodies):
-                raise _error(line, f"program {match[1]} stands there twice")
-            self.current = match[1]
-            self.bodies[match[1]] = []
-        elif word == "end":
-            self.current = ""
+def _subprogram_bodies(text: str, title: str) -> dict[str, list[Statement]]:
+    """Statements of each program of a source file, the first of which must be the one that its data list is of."""
+    bodies: dict[str, list[Statement]] = {}
+    current = ""
+    for statement in SOURCE.statements(text.split("\n")):
+        if statement.word == "attribute":
+            continue
+        if (statement.word == "define") == bool(current):
+            raise statement.misplaced(f"{'inside' if current else 'outside'} a program")
+        if statement.word == "define":
+            current = str(statement.parts[0])
+            if current.upper() in (name.upper() for name in bodies):
+                raise statement.error(f"program {current} stands there twice")
+            bodies[current] = []
+        elif statement.word == "end":
+            current = ""
         else:
-            self.bodies[self.current].append((word, line, match.groups()))
-
-    def _run(self, name: str, depth: int) -> list[Statement]:
-        out: list[Statement] = []
-        for word, line, parts in self.bodies[name]:
-            if word != "call":
-                out.append((word, line, parts))
-            elif depth or str(parts[0]) not in self.bodies or parts[0] == self.title:
-                raise _error(line, f"{parts[0]} is no program that may be called here")
-            else:
-                out += self._run(str(parts[0]), depth + 1)
-        return out
-
-    def source(self, frames: dict[str, Array], start: list[float], forward: Forward) -> KrlProgram:
-        if self.current or next(iter(self.bodies), "") != self.title:
-            raise _error(None, f"no complete program {self.title}, which its data list is of")
-        run = _Run(start)
-        for word, line, parts in self._run(self.title, 0):
-            run.take(word, line, parts)
-        return run.source(self.title, frames, forward)
+            bodies[current].append(statement)
+    if current or next(iter(bodies), "") != title:
+        raise InputError(f"no complete program {title}, which its data list is of", file=SOURCE.file)
+    return bodies
 
 
 class _Run:
@@ -514,21 +483,22 @@ class _Run:
     def __init__(self, start: list[float]) -> None:
         self.start = start
         self.points: list[list[float]] = []  # twelve axes of each move; NaN for a line's first six
-        self.lines: list[tuple[str | None, ...]] = []
+        self.lines: list[Parts] = []
         self.linear: list[bool] = []
         self.fly: list[bool] = []
         self.paces: list[tuple[float, float, int]] = []  # speed, radius, percent
         self.triggers: dict[int, tuple[Trigger, ...]] = {}
         self.waiting: tuple[Trigger, ...] = ()
         self.waits: dict[int, float] = {}
-        self.off: list[tuple[int, int]] = []  # moves after which an output is set, and lines
+        self.off: list[tuple[int, Statement]] = []  # moves after which an output is set, and by what
         self.settings: dict[str, str] = {}
         self.speed, self.radius, self.share = np.nan, np.nan, 100
 
-    def take(self, word: str, line: int, parts: tuple[str | None, ...]) -> None:
+    def take(self, statement: Statement) -> None:
+        word, parts = statement.word, statement.parts
         at = len(self.points) - 1
         if word in ("start", "line", "point", "wait", "trigger") and (word == "start") == (at >= 0):
-            raise _error(line, "the program begins with PTP XSTART, and goes there once")
+            raise statement.error("the program begins with PTP XSTART, and goes there once")
         first = str(parts[0]) if parts else ""
         if word == "speed":
             self.speed = float(first)
@@ -541,20 +511,20 @@ class _Run:
         elif word == "wait":
             self.waits[at] = self.waits.get(at, 0.0) + float(first)
         elif word == "output":
-            self.off.append((at, line))
+            self.off.append((at, statement))
         elif word == "trigger":
             self.waiting += (Trigger(0.0, first == "DISTANCE", parts[2] == "TRUE", str(parts[1])),)
         elif word == "line":
             if not (self.speed > 0.0 and (self.radius > 0.0 or parts[9] is None)):
-                raise _error(line, "a line without a speed, or approximated without a distance")
-            external = _posture((*["0"] * 6, parts[8]), line)[6:]
+                raise statement.error("a line without a speed, or approximated without a distance")
+            external = _posture((*["0"] * 6, parts[8]), statement)[6:]
             self._move(parts, [np.nan] * 6 + external, parts[9] is not None)
         elif word in ("start", "point"):
             if self.waiting:
-                raise _error(line, "a trigger belongs to a line")
-            self._move((), _posture(parts, line) if parts else self.start, bool(parts) and parts[7] is not None)
+                raise statement.error("a trigger belongs to a line")
+            self._move((), _posture(parts, statement) if parts else self.start, bool(parts) and parts[7] is not None)
 
-    def _move(self, pose: tuple[str | None, ...], axes: list[float], fly: bool) -> None:
+    def _move(self, pose: Parts, axes: list[float], fly: bool) -> None:
         if self.waiting:
             self.triggers[len(self.points)] = self.waiting
             self.waiting = ()
@@ -566,11 +536,11 @@ class _Run:
 
     def source(self, title: str, frames: dict[str, Array], forward: Forward) -> KrlProgram:
         if not any(self.linear) or self.waiting:
-            raise _error(None, "no lines, or a trigger without one")
+            raise InputError("no lines, or a trigger without one", file=SOURCE.file)
         m = len(self.points)
-        for at, line in self.off:
+        for at, statement in self.off:
             if at not in (-1, m - 1):
-                raise _error(line, "an output is switched beside the path")
+                raise statement.error("an output is switched beside the path")
         linear, stops = np.array(self.linear), ~np.array(self.fly)
         axes, paces = np.array(self.points), np.array(self.paces)
         pose, conf, turn = np.empty((m, 7)), np.full((m, 4), UNSAID, dtype=np.intp), np.full(m, UNSAID, dtype=np.intp)
@@ -581,7 +551,7 @@ class _Run:
         pose[~linear] = np.column_stack([T[:, :3, 3], from_matrix(T[:, :3, :3])])
         base = COUPLED.fullmatch(self.settings.get("$BASE", ""))
         if (base is None and self.settings.get("$BASE") != "FPART") or self.settings.get("$TOOL") != "FTOOL":
-            raise _error(None, "$BASE and $TOOL are not set to FPART and FTOOL")
+            raise InputError("$BASE and $TOOL are not set to FPART and FTOOL", file=SOURCE.file)
         still = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
         program = RobotProgram(
             module=title,
@@ -600,7 +570,6 @@ class _Run:
             speed=np.column_stack([paces[:, 0], np.full((m, 3), np.nan)]),
             wait=np.array([self.waits.get(i, 0.0) for i in range(m)]),
             triggers=self.triggers,
-            sends={},
         )
         return KrlProgram(program, axes[:, :6], turn, paces[:, 2].astype(np.intp), self.settings)
 

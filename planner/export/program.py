@@ -125,7 +125,7 @@ class RobotProgram:
     speed: Array
     wait: Array
     triggers: dict[int, tuple[Trigger, ...]]
-    sends: dict[int, tuple[str, ...]]
+    sends: dict[int, tuple[str, ...]] = field(default_factory=dict)
     send_rests: dict[int, tuple[float, ...]] = field(default_factory=dict)
     demands: dict[int, tuple[tuple[float, float], ...]] = field(default_factory=dict)
     joints: Array | None = None

@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.export.fit import from_matrix, to_matrix
+from planner.export.grammar import Grammar, Statement, inlined
 from planner.export.moves import (
     STEP,
     Moves,
@@ -247,9 +248,10 @@ NUMBER = r"-?[0-9]+(?:\.[0-9]+)?"
 NAME = r"[A-Za-z][A-Za-z0-9_]{0,63}"
 SIX = rf"({NUMBER}(?:, {NUMBER}){{5}})"
 HOW = rf"a=({NUMBER}), v=({NUMBER}), r=({NUMBER})"
-PATTERNS = {
-    word: re.compile(pattern)
-    for word, pattern in {
+GRAMMAR = Grammar.of(
+    "URScript",
+    "#",
+    {
         "movep": rf"movep\(pose_trans\(part, p\[{SIX}\]\), {HOW}\)",
         "movej": rf"movej\(\[{SIX}\], {HOW}\)",
         "output": r"set_standard_digital_out\(([0-7]), (True|False)\)",
@@ -259,10 +261,8 @@ PATTERNS = {
         "end": r"end",
         "tool": rf"set_tcp\(p\[{SIX}\]\)",
         "part": rf"global part = p\[{SIX}\]",
-    }.items()
-}
-MOVES = ("movep", "movej")
-Statement = tuple[str, int, tuple[str, ...]]
+    },
+)
 
 
 @dataclass(frozen=True)
@@ -284,122 +284,87 @@ def read_urscript(text: str, forward: Forward) -> Script:
 
     Raises InputError with the line for a statement or name that is not known, or that stands where it must not.
     """
-    reader = _Reader()
-    for line, raw in enumerate(text.split("\n"), start=1):
-        statement = raw.strip()
-        if statement and not statement.startswith("#"):
-            reader.take(statement, line)
-    return reader.script(forward)
-
-
-def _error(line: int | None, reason: str) -> InputError:
-    return InputError(reason, line=line, file="URScript")
-
-
-def _six(text: str) -> list[float]:
-    return [float(value) for value in text.split(", ")]
-
-
-class _Reader:
-    def __init__(self) -> None:
-        self.open: list[str] = []  # functions that have begun and not ended, the program first
-        self.title = ""
-        self.bodies: dict[str, list[Statement]] = {}
-        self.frames: dict[str, Array] = {}
-
-    def take(self, statement: str, line: int) -> None:
-        known = ((word, pattern.fullmatch(statement)) for word, pattern in PATTERNS.items())
-        word, match = next((pair for pair in known if pair[1]), ("", None))
-        if match is None:
-            raise _error(line, f"unknown statement {statement[:60]!r}")
-        if not self.open and (self.title or word != "define"):
-            raise _error(line, f"{statement[:60]!r} stands outside the program")
-        if word == "define":
-            if len(self.open) > 1 or match[1] in self.bodies:
-                raise _error(line, f"function {match[1]} stands there twice, or in another one")
-            self.title = self.title or match[1]
-            self.open.append(match[1])
-            self.bodies[match[1]] = []
-        elif word == "end":
-            self.open.pop()
-        elif word in ("tool", "part"):
-            if word in self.frames or len(self.open) > 1:
-                raise _error(line, f"the {word} stands there twice, or in a function")
-            self.frames[word] = np.array(_six(match[1]))
+    title, bodies, frames = _function_bodies(text)
+    moves: list[Statement] = []
+    waits: dict[int, float] = {}
+    switched: list[tuple[int, str, bool]] = []
+    for statement in inlined(bodies, title, "function"):
+        at, first = len(moves) - 1, str(statement.parts[0])
+        if statement.word in ("movep", "movej"):
+            moves.append(statement)
+        elif statement.word == "output":
+            value = statement.parts[1] == "True"
+            if at < 0 and value:
+                raise statement.error("an output goes on before the first target")
+            switched.append((at, first, value))
+        elif at < 0:
+            raise statement.error("a wait before the first target")
         else:
-            self.bodies[self.open[-1]].append((word, line, match.groups()))
+            waits[at] = waits.get(at, 0.0) + float(first)
+    if len(moves) < 2 or moves[0].word != "movej":
+        raise InputError("it does not begin with a movej, and go on", file=GRAMMAR.file)
+    m = len(moves)
+    rows = np.array([_six(move) for move in moves])
+    how = np.array([[float(str(value)) for value in move.parts[1:]] for move in moves])
+    for move, (a, v, r) in zip(moves, how.tolist(), strict=True):
+        if a <= 0.0 or v <= 0.0 or r < 0.0:
+            raise move.error("acceleration and speed must be positive, the blend not negative")
+    linear = np.array([move.word == "movep" for move in moves])
+    poses = forward(rows[~linear])
+    position, quat = np.empty((m, 3)), np.empty((m, 4))
+    position[linear], quat[linear] = rows[linear, :3], quaternions(rows[linear, 3:])
+    position[~linear], quat[~linear] = poses[:, :3, 3], from_matrix(poses[:, :3, :3])
+    program = RobotProgram(
+        module=title,
+        tool=_frame(frames["tool"]),
+        uframe=_frame(frames["part"]),
+        oframe=np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
+        station="",
+        start=np.concatenate([rows[0], np.full(6, np.nan)]),
+        linear=linear,
+        fine=how[:, 2] == 0.0,
+        position=position,
+        quat=quat,
+        conf=np.full((m, 4), UNSAID, dtype=np.intp),
+        external=np.full((m, 6), np.nan),
+        zone=how[:, 2],
+        speed=np.column_stack([np.where(linear, how[:, 1], np.nan), np.full((m, 3), np.nan)]),
+        wait=np.array([waits.get(i, 0.0) for i in range(m)]),
+        triggers=_triggers(switched, m),
+    )
+    return Script(program, np.where(linear[:, None], np.nan, rows), how[:, :2])
 
-    def script(self, forward: Forward) -> Script:
-        if self.open or not self.title or len(self.frames) != 2:
-            raise _error(None, "no complete program with tool and part")
-        moves: list[Statement] = []
-        waits: dict[int, float] = {}
-        switched: list[tuple[int, str, bool]] = []
-        for word, line, parts in self._run(self.title, 0):
-            at = len(moves) - 1
-            if word in MOVES:
-                moves.append((word, line, parts))
-            elif word == "output":
-                if at < 0 and parts[1] == "True":
-                    raise _error(line, "an output goes on before the first target")
-                switched.append((at, parts[0], parts[1] == "True"))
-            elif at < 0:
-                raise _error(line, "a wait before the first target")
-            else:
-                waits[at] = waits.get(at, 0.0) + float(parts[0])
-        if len(moves) < 2 or moves[0][0] != "movej":
-            raise _error(None, "it does not begin with a movej, and go on")
-        return self._arrays(moves, waits, switched, forward)
 
-    def _run(self, name: str, depth: int) -> list[Statement]:
-        out: list[Statement] = []
-        for word, line, parts in self.bodies[name]:
-            if word != "call":
-                out.append((word, line, parts))
-            elif depth or parts[0] not in self.bodies or parts[0] == self.title:
-                raise _error(line, f"{parts[0]} is no function that the program may call here")
-            else:
-                out += self._run(parts[0], depth + 1)
-        return out
+def _six(statement: Statement) -> list[float]:
+    return [float(value) for value in str(statement.parts[0]).split(", ")]
 
-    def _arrays(
-        self,
-        moves: list[Statement],
-        waits: dict[int, float],
-        switched: list[tuple[int, str, bool]],
-        forward: Forward,
-    ) -> Script:
-        m = len(moves)
-        rows = np.array([_six(parts[0]) for _, _, parts in moves])
-        how = np.array([[float(value) for value in parts[1:]] for _, _, parts in moves])
-        for (_, line, _), (a, v, r) in zip(moves, how.tolist(), strict=True):
-            if a <= 0.0 or v <= 0.0 or r < 0.0:
-                raise _error(line, "acceleration and speed must be positive, the blend not negative")
-        linear = np.array([word == "movep" for word, _, _ in moves])
-        poses = forward(rows[~linear])
-        position, quat = np.empty((m, 3)), np.empty((m, 4))
-        position[linear], quat[linear] = rows[linear, :3], quaternions(rows[linear, 3:])
-        position[~linear], quat[~linear] = poses[:, :3, 3], from_matrix(poses[:, :3, :3])
-        program = RobotProgram(
-            module=self.title,
-            tool=_frame(self.frames["tool"]),
-            uframe=_frame(self.frames["part"]),
-            oframe=np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
-            station="",
-            start=np.concatenate([rows[0], np.full(6, np.nan)]),
-            linear=linear,
-            fine=how[:, 2] == 0.0,
-            position=position,
-            quat=quat,
-            conf=np.full((m, 4), UNSAID, dtype=np.intp),
-            external=np.full((m, 6), np.nan),
-            zone=how[:, 2],
-            speed=np.column_stack([np.where(linear, how[:, 1], np.nan), np.full((m, 3), np.nan)]),
-            wait=np.array([waits.get(i, 0.0) for i in range(m)]),
-            triggers=_triggers(switched, m),
-            sends={},
-        )
-        return Script(program, np.where(linear[:, None], np.nan, rows), how[:, :2])
+
+def _function_bodies(text: str) -> tuple[str, dict[str, list[Statement]], dict[str, Array]]:
+    """Name of the program; statements of it and of each of its functions; its frames `tool` and `part`."""
+    open_: list[str] = []  # functions that have begun and not ended, the program first
+    bodies: dict[str, list[Statement]] = {}
+    frames: dict[str, Array] = {}
+    for statement in GRAMMAR.statements(text.split("\n")):
+        word = statement.word
+        if not open_ and (bodies or word != "define"):
+            raise statement.misplaced("outside the program")
+        if word == "define":
+            name = str(statement.parts[0])
+            if len(open_) > 1 or name in bodies:
+                raise statement.error(f"function {name} stands there twice, or in another one")
+            open_.append(name)
+            bodies[name] = []
+        elif word == "end":
+            open_.pop()
+        elif word in ("tool", "part"):
+            if word in frames or len(open_) > 1:
+                raise statement.error(f"the {word} stands there twice, or in a function")
+            frames[word] = np.array(_six(statement))
+        else:
+            bodies[open_[-1]].append(statement)
+    if open_ or not bodies or len(frames) != 2:
+        raise InputError("no complete program with tool and part", file=GRAMMAR.file)
+    return next(iter(bodies)), bodies, frames
 
 
 def _frame(pose: Array) -> Array:
