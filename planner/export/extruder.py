@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Indices
-from planner.base.errors import InputError
+from planner.export.grammar import Grammar
 from planner.plan.plan import SELECTS, materials_of, used
 
 if TYPE_CHECKING:
@@ -204,9 +205,18 @@ def _chunks(t: Trajectory) -> tuple[Indices, Labels]:
 
 AMOUNT = 1e-5  # m of filament that a tool may get too much or too little, in all
 LATE = 2e-3  # s, and a sample: by which what is said may stand behind or before its instant
-_LINE = re.compile(
-    r"(?P<comment>;.*)|(?P<mode>M83)|(?P<wait>M116|M1(?:09|90) S[\d.]+)|(?P<order>M(?:42|104|106|107|140|280)(?: [A-Z]-?[\d.]+)*)"
-    r"|T(?P<tool>\d+)|G4 P(?P<pause>\d+)|G1 E(?P<amount>-?\d+\.\d+) F(?P<rate>\d+\.\d+)"
+GRAMMAR = Grammar.of(
+    "G-code",
+    ";",
+    {
+        "feed": r"G1 E(-?\d+\.\d+) F(\d+\.\d+)",
+        "pause": r"G4 P(\d+)",
+        "tool": r"T(\d+)",
+        "wait": r"M116|M1(?:09|90) S[\d.]+",
+        "order": r"M(?:42|104|106|107|140|280)(?: [A-Z]-?[\d.]+)*",
+        "mode": r"M83",
+    },
+    called="line",
 )
 
 
@@ -230,40 +240,32 @@ def read_gcode(text: str) -> Extrusion:
     selections: list[tuple[float, int]] = []
     told: list[tuple[float, str]] = []
     now, tool, relative = 0.0, None, False
-    for number, line in enumerate(text.splitlines(), 1):
-        match = _LINE.fullmatch(line)
-        if match is None:
-            raise InputError(f"unknown line {line[:60]!r}", file="G-code", line=number)
-        if match["comment"] is None and not relative and not match["mode"]:
-            raise InputError(f"{line[:60]!r} stands before M83", file="G-code", line=number)
-        if match["mode"]:
+    for statement in GRAMMAR.statements(text.splitlines()):
+        word, parts = statement.word, statement.parts
+        if word == "mode":
             relative = True
-        elif match["wait"] and now > 0.0:
-            raise InputError(f"{line!r} would lose the robot, which waits by time", file="G-code", line=number)
-        elif match["wait"] or match["order"]:
-            told.append((now, line))
-        elif match["tool"]:
-            tool = int(match["tool"])
+        elif not relative:
+            raise statement.misplaced("before M83")
+        elif word == "wait" and now > 0.0:
+            raise statement.error(f"{statement.text!r} would lose the robot, which waits by time")
+        elif word in ("wait", "order"):
+            told.append((now, statement.text))
+        elif word == "tool":
+            tool = int(parts[0])
             selections.append((now, tool))
-        elif match["pause"]:
-            now += int(match["pause"]) * 1e-3
-        elif match["amount"]:
-            amount = float(match["amount"]) * 1e-3
+        elif word == "pause":
+            now += int(parts[0]) * 1e-3
+        else:
+            amount = float(parts[0]) * 1e-3
             filament[tool] = filament.get(tool, 0.0) + amount
-            now += abs(amount) / (float(match["rate"]) * 1e-3 / 60.0)
+            now += abs(amount) / (float(parts[1]) * 1e-3 / 60.0)
     return Extrusion(filament, tuple(selections), tuple(told), now)
 
 
 def gcode_complaints(plan: Plan, text: str) -> list[str]:
     """Every difference between a program and its plan beyond rounding, in words."""
     t, written = plan.trajectory, read_gcode(text)
-    takes: dict[int | None, float] = {each.material.tool: each.filament for each in used(plan) if each.beads}
-    takes = takes or {None: float(t.feed[-1] - t.feed[0])}
-    found = []
-    for tool in sorted({*takes, *written.filament}, key=str):
-        off = written.filament.get(tool, 0.0) - takes.get(tool, 0.0)
-        if not abs(off) <= AMOUNT:
-            found.append(f"{'the extruder' if tool is None else f'tool T{tool}'} gets {off * 1e3:+.3g} mm of filament")
+    found = filament_differences(plan, written.filament)
     tools = {each.name: each.tool for each in materials_of(plan.problem)}
     planned = [(event.start, tools[event.material]) for event in t.events if event.kind in SELECTS]
     if [tool for _, tool in planned] != [tool for _, tool in written.selections]:
@@ -272,17 +274,35 @@ def gcode_complaints(plan: Plan, text: str) -> list[str]:
         late = [abs(at - start) for (at, _), (start, _) in zip(written.selections, planned, strict=True)]
         if not max(late, default=0.0) <= LATE + t.dt:
             found.append(f"a tool is selected {max(late):.3g} s off its time")
-    found += _told_otherwise(plan, written)
+    planned_orders = [(due, line) for order in orders(plan) for due, line in order.due if line.startswith("M")]
+    found += order_differences(planned_orders, written.told, LATE + t.dt, "the board is told other things")
     if not abs(written.duration - float(t.t[-1] - t.t[0])) <= LATE + t.dt:
         found.append(f"it lasts {written.duration:.3f} s")
     return found
 
 
-def _told_otherwise(plan: Plan, written: Extrusion) -> list[str]:
-    """What the board is told of heating, fan and cutter otherwise than planned, or at another time."""
-    planned = [(due, line) for order in orders(plan) for due, line in order.due if line.startswith("M")]
-    if [line for _, line in planned] != [line for _, line in written.told]:
-        return ["the board is told other things than the plan's, or in another order"]
-    late = [(abs(at - due), line) for (at, line), (due, _) in zip(written.told, planned, strict=True)]
+def filament_differences(plan: Plan, filament: Mapping[int | None, float]) -> list[str]:
+    """Tools that get more or less filament [m] in all than planned; the tool is None where a plan has but one."""
+    t = plan.trajectory
+    planned: dict[int | None, float] = {each.material.tool: each.filament for each in used(plan) if each.beads}
+    planned = planned or {None: float(t.feed[-1] - t.feed[0])}
+    off = {tool: filament.get(tool, 0.0) - planned.get(tool, 0.0) for tool in {*planned, *filament}}
+    return [
+        f"{'the extruder' if tool is None else f'tool T{tool}'} gets {amount * 1e3:+.3g} mm of filament"
+        for tool, amount in sorted(off.items(), key=str)
+        if not abs(amount) <= AMOUNT
+    ]
+
+
+def order_differences(
+    planned: Sequence[tuple[float, str | None]], told: Sequence[tuple[float, str]], tolerance: float, others: str
+) -> list[str]:
+    """Whether a program tells the board the planned lines (time [s], text), within a tolerance [s] of their times.
+
+    others: how to begin where it tells others.
+    """
+    if [line for _, line in planned] != [line for _, line in told]:
+        return [f"{others} than the plan's, or in another order"]
+    late = [(abs(at - due), line) for (at, line), (due, _) in zip(told, planned, strict=True)]
     worst, line = max(late, default=(0.0, ""))
-    return [] if worst <= LATE + plan.trajectory.dt else [f"{line} is said {worst:.3g} s off its time"]
+    return [] if worst <= tolerance else [f"{line} is said {worst:.3g} s off its time"]

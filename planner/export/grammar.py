@@ -9,15 +9,14 @@ from typing import NamedTuple
 
 from planner.base.errors import InputError
 
-Parts = tuple[str | None, ...]
 SHOWN = 60  # characters of a line that an error quotes
 
 
 class Statement(NamedTuple):
-    """A line that was recognised: its key in the grammar, and the groups of its pattern."""
+    """A line that was recognised: its key in the grammar, and the groups of its pattern, empty where they are not there."""
 
     word: str
-    parts: Parts
+    parts: tuple[str, ...]
     text: str
     file: str
     line: int
@@ -59,7 +58,7 @@ class Grammar:
         """The statement of one line. Raises InputError where no pattern matches."""
         for word, pattern in self.patterns.items():
             if match := pattern.fullmatch(text):
-                return Statement(word, match.groups(), text, file or self.file, line)
+                return Statement(word, match.groups(""), text, file or self.file, line)
         raise self.unknown(text, line, file)
 
     def statements(self, lines: Sequence[str], first: int = 1, file: str = "") -> Iterator[Statement]:
@@ -81,7 +80,7 @@ def inlined(bodies: Mapping[str, Sequence[Statement]], main: str, called: str) -
             if statement.word != "call":
                 yield statement
                 continue
-            callee = str(statement.parts[0])
+            callee = statement.parts[0]
             if nested or callee not in bodies or callee == main:
                 raise statement.error(f"{callee} is no {called} that may be called here")
             yield from body(callee, True)

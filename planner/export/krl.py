@@ -12,7 +12,7 @@ import numpy as np
 from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
 from planner.export.fit import from_matrix, to_matrix
-from planner.export.grammar import Grammar, Parts, Statement, inlined
+from planner.export.grammar import Grammar, Statement, inlined
 from planner.export.moves import (
     Moves,
     Wait,
@@ -421,17 +421,17 @@ def read_krl(source: str, data: str, forward: Forward) -> KrlProgram:
     return run.source(title, frames, forward)
 
 
-def _posture(parts: Parts, statement: Statement) -> list[float]:
+def _posture(parts: tuple[str, ...], statement: Statement) -> list[float]:
     """Twelve axes [rad] of six numbers and the text of external axes; NaN where unused."""
-    external = [item.split(" ") for item in str(parts[6]).split(",")[1:]]
+    external = [item.split(" ") for item in parts[6].split(",")[1:]]
     if [name for name, _ in external] != [f"E{i}" for i in range(1, len(external) + 1)]:
         raise statement.error("external axes must stand in their order, each once")
-    degrees = [float(str(value)) for value in parts[:6]] + [float(value) for _, value in external]
+    degrees = [float(value) for value in parts[:6]] + [float(value) for _, value in external]
     return [*np.radians(degrees).tolist(), *[float("nan")] * (12 - len(degrees))]
 
 
-def _pose(parts: Parts) -> Array:
-    values = [float(str(value)) for value in parts[:6]]
+def _pose(parts: tuple[str, ...]) -> Array:
+    values = [float(value) for value in parts[:6]]
     return np.concatenate([np.array(values[:3]) * 1e-3, quaternions(np.radians([values[3:]]))[0]])
 
 
@@ -443,9 +443,9 @@ def _data(text: str) -> tuple[str, dict[str, Array], list[float]]:
         if word != "attribute" and (closed or (word == "define") == bool(title)):
             raise statement.misplaced("outside the data list, or twice")
         if word == "define":
-            title = str(parts[0])
+            title = parts[0]
         elif word == "frame":
-            frames[str(parts[0])] = _pose(parts[1:])
+            frames[parts[0]] = _pose(parts[1:])
         elif word == "start":
             start = _posture(parts, statement)
         closed = closed or word == "end"
@@ -464,7 +464,7 @@ def _subprogram_bodies(text: str, title: str) -> dict[str, list[Statement]]:
         if (statement.word == "define") == bool(current):
             raise statement.misplaced(f"{'inside' if current else 'outside'} a program")
         if statement.word == "define":
-            current = str(statement.parts[0])
+            current = statement.parts[0]
             if current.upper() in (name.upper() for name in bodies):
                 raise statement.error(f"program {current} stands there twice")
             bodies[current] = []
@@ -483,7 +483,7 @@ class _Run:
     def __init__(self, start: list[float]) -> None:
         self.start = start
         self.points: list[list[float]] = []  # twelve axes of each move; NaN for a line's first six
-        self.lines: list[Parts] = []
+        self.lines: list[tuple[str, ...]] = []
         self.linear: list[bool] = []
         self.fly: list[bool] = []
         self.paces: list[tuple[float, float, int]] = []  # speed, radius, percent
@@ -499,7 +499,7 @@ class _Run:
         at = len(self.points) - 1
         if word in ("start", "line", "point", "wait", "trigger") and (word == "start") == (at >= 0):
             raise statement.error("the program begins with PTP XSTART, and goes there once")
-        first = str(parts[0]) if parts else ""
+        first = parts[0] if parts else ""
         if word == "speed":
             self.speed = float(first)
         elif word == "radius":
@@ -507,24 +507,24 @@ class _Run:
         elif word == "share":
             self.share = int(first)
         elif word == "setting":
-            self.settings[first] = str(parts[1])
+            self.settings[first] = parts[1]
         elif word == "wait":
             self.waits[at] = self.waits.get(at, 0.0) + float(first)
         elif word == "output":
             self.off.append((at, statement))
         elif word == "trigger":
-            self.waiting += (Trigger(0.0, first == "DISTANCE", parts[2] == "TRUE", str(parts[1])),)
+            self.waiting += (Trigger(0.0, first == "DISTANCE", parts[2] == "TRUE", parts[1]),)
         elif word == "line":
-            if not (self.speed > 0.0 and (self.radius > 0.0 or parts[9] is None)):
+            if not (self.speed > 0.0 and (self.radius > 0.0 or not parts[9])):
                 raise statement.error("a line without a speed, or approximated without a distance")
             external = _posture((*["0"] * 6, parts[8]), statement)[6:]
-            self._move(parts, [np.nan] * 6 + external, parts[9] is not None)
+            self._move(parts, [np.nan] * 6 + external, bool(parts[9]))
         elif word in ("start", "point"):
             if self.waiting:
                 raise statement.error("a trigger belongs to a line")
-            self._move((), _posture(parts, statement) if parts else self.start, bool(parts) and parts[7] is not None)
+            self._move((), _posture(parts, statement) if parts else self.start, bool(parts) and bool(parts[7]))
 
-    def _move(self, pose: Parts, axes: list[float], fly: bool) -> None:
+    def _move(self, pose: tuple[str, ...], axes: list[float], fly: bool) -> None:
         if self.waiting:
             self.triggers[len(self.points)] = self.waiting
             self.waiting = ()
@@ -544,7 +544,7 @@ class _Run:
         linear, stops = np.array(self.linear), ~np.array(self.fly)
         axes, paces = np.array(self.points), np.array(self.paces)
         pose, conf, turn = np.empty((m, 7)), np.full((m, 4), UNSAID, dtype=np.intp), np.full(m, UNSAID, dtype=np.intp)
-        rows = np.array([[float(str(value)) for value in parts[:8]] for parts in self.lines if parts])
+        rows = np.array([[float(value) for value in parts[:8]] for parts in self.lines if parts])
         pose[linear] = np.column_stack([rows[:, :3] * 1e-3, quaternions(np.radians(rows[:, 3:6]))])
         conf[linear, 3], turn[linear] = branch_of(rows[:, 6].astype(np.intp)), rows[:, 7]
         T = forward(axes[~linear])

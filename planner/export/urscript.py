@@ -289,7 +289,7 @@ def read_urscript(text: str, forward: Forward) -> Script:
     waits: dict[int, float] = {}
     switched: list[tuple[int, str, bool]] = []
     for statement in inlined(bodies, title, "function"):
-        at, first = len(moves) - 1, str(statement.parts[0])
+        at, first = len(moves) - 1, statement.parts[0]
         if statement.word in ("movep", "movej"):
             moves.append(statement)
         elif statement.word == "output":
@@ -305,7 +305,7 @@ def read_urscript(text: str, forward: Forward) -> Script:
         raise InputError("it does not begin with a movej, and go on", file=GRAMMAR.file)
     m = len(moves)
     rows = np.array([_six(move) for move in moves])
-    how = np.array([[float(str(value)) for value in move.parts[1:]] for move in moves])
+    how = np.array([[float(value) for value in move.parts[1:]] for move in moves])
     for move, (a, v, r) in zip(moves, how.tolist(), strict=True):
         if a <= 0.0 or v <= 0.0 or r < 0.0:
             raise move.error("acceleration and speed must be positive, the blend not negative")
@@ -336,7 +336,7 @@ def read_urscript(text: str, forward: Forward) -> Script:
 
 
 def _six(statement: Statement) -> list[float]:
-    return [float(value) for value in str(statement.parts[0]).split(", ")]
+    return [float(value) for value in statement.parts[0].split(", ")]
 
 
 def _function_bodies(text: str) -> tuple[str, dict[str, list[Statement]], dict[str, Array]]:
@@ -349,7 +349,7 @@ def _function_bodies(text: str) -> tuple[str, dict[str, list[Statement]], dict[s
         if not open_ and (bodies or word != "define"):
             raise statement.misplaced("outside the program")
         if word == "define":
-            name = str(statement.parts[0])
+            name = statement.parts[0]
             if len(open_) > 1 or name in bodies:
                 raise statement.error(f"function {name} stands there twice, or in another one")
             open_.append(name)

@@ -14,8 +14,9 @@ from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
 from planner.export.axes.flavours import FLAVOURS, Flavour, feed_length
 from planner.export.axes.machine import FiveAxes, Followed, Machine, PoseMachine, above, follow, machine_of, spec_of
-from planner.export.extruder import Order, orders
+from planner.export.extruder import Order, order_differences, orders
 from planner.export.fit import by_samples, continuous, thin
+from planner.export.grammar import Grammar, Statement
 from planner.export.moves import ANGLE_TOLERANCE, ON_TIME, ROUNDING, TIME_TOLERANCE, nearest_fraction
 from planner.export.program import resumed, verified
 from planner.export.support import STATION
@@ -250,10 +251,17 @@ def _number(value: float, decimals: int) -> str:
 # G-code of multi-axis machines, read back: exactly what `writer` writes, and nothing else.
 
 MOST_CHARACTERS = 256  # of a line; LinuxCNC takes no more
-_MOVE = re.compile(r"G([01])((?: [A-Z]-?\d{1,7}\.\d{4,5})+)")
-_PAUSE = re.compile(r"G4 P(\d{1,8}(?:\.\d{3})?)")
-_ORDER = re.compile(r"M(?:42|104|106|107|109|116|140|190|280)(?: [A-Z]-?\d{1,6}(?:\.\d{1,4})?)*|T\d{1,2}(?: M6)?")
-_BLEND = re.compile(r"G64 P\d\.\d{4}")
+GRAMMAR = Grammar.of(
+    "G-code",
+    ";",
+    {
+        "move": r"G([01])((?: [A-Z]-?\d{1,7}\.\d{4,5})+)",
+        "pause": r"G4 P(\d{1,8}(?:\.\d{3})?)",
+        "order": r"M(?:42|104|106|107|109|116|140|190|280)(?: [A-Z]-?\d{1,6}(?:\.\d{1,4})?)*|T\d{1,2}(?: M6)?",
+        "blend": r"G64 P\d\.\d{4}",
+    },
+    called="line",
+)
 _MODES = {"inverse_time": "G93", "per_minute": "G94"}
 
 
@@ -277,32 +285,33 @@ class AxesProgram:
 def read_axes(text: str, spec: MachineSpec, letters: Sequence[str]) -> AxesProgram:
     """The program for a machine with these letters (X, Y, Z, then what turns); InputError with the line of all else."""
     lines = text.splitlines()
+    for number, line in enumerate(lines, 1):
+        if len(line) > MOST_CHARACTERS:
+            raise GRAMMAR.unknown(line, number)
     mode = _MODES[spec.feed]
     if mode not in lines:
-        raise InputError(f"{mode} is missing", file="G-code")
+        raise InputError(f"{mode} is missing", file=GRAMMAR.file)
     start = lines.index(mode)
     place = _read_start(lines[:start], spec, letters)
     flavour = FLAVOURS[spec.flavour]
     end = [*(["G94"] if spec.feed == "inverse_time" else []), *([spec.tcp_off] if spec.tcp else []), *flavour.end]
     if lines[-len(end) :] != end:
-        raise InputError(f"it does not end with {', '.join(end)}", file="G-code", line=len(lines))
+        raise InputError(f"it does not end with {', '.join(end)}", file=GRAMMAR.file, line=len(lines))
     places, filament, time = [list(place.values())], [0.0], [0.0]
     told: list[tuple[float, str]] = []
     now, pushed = 0.0, 0.0
-    for number, line in enumerate(lines[start + 1 : -len(end)], start + 2):
-        if line.startswith(";") and len(line) <= MOST_CHARACTERS:
+    for statement in GRAMMAR.statements(lines[start + 1 : -len(end)], start + 2):
+        if statement.word == "order":
+            told.append((now, statement.text))
             continue
-        if pause := _PAUSE.fullmatch(line):
-            now += float(pause[1]) * flavour.unit
-        elif _ORDER.fullmatch(line):
-            told.append((now, line))
-            continue
+        if statement.word == "pause":
+            now += float(statement.parts[0]) * flavour.unit
         else:
-            words = _words(line, "1", number)
+            words = _words(statement, "1")
             rate = words.pop("F", 0.0)
             own = words.pop(spec.filament, None)
             if not rate > 0.0 or not words.keys() <= place.keys() or not (words or own is not None):
-                raise _unknown(line, number)
+                raise GRAMMAR.unknown(statement.text, statement.line)
             moved = 0.0 if own is None else own if flavour.relative else own - pushed
             steps = {letter: value - place[letter] for letter, value in words.items()} | {spec.filament: moved}
             place |= words
@@ -326,33 +335,29 @@ def _read_start(lines: Sequence[str], spec: MachineSpec, letters: Sequence[str])
     must += [spec.tcp_on] if spec.tcp else []
     place: dict[str, float] = {}
     for number, line in enumerate(lines, 1):
-        if line.startswith(";") and len(line) <= MOST_CHARACTERS:
-            continue
         if line in must and not place:
             must.remove(line)
-        elif not (spec.flavour == "linuxcnc" and _BLEND.fullmatch(line)):
-            words = _words(line, "0", number)
+            continue
+        for statement in GRAMMAR.statements([line], number):
+            if spec.flavour == "linuxcnc" and statement.word == "blend":
+                continue
+            words = _words(statement, "0")
             if not words.keys() <= set(letters):
-                raise _unknown(line, number)
+                raise GRAMMAR.unknown(line, number)
             place |= words
     if must or set(place) != set(letters):
         missing = ", ".join([*must, *(name for name in letters if name not in place)])
-        raise InputError(f"{missing} is missing before the first move", file="G-code", line=len(lines) + 1)
+        raise InputError(f"{missing} is missing before the first move", file=GRAMMAR.file, line=len(lines) + 1)
     return {name: place[name] for name in letters}
 
 
-def _words(line: str, motion: str, number: int) -> dict[str, float]:
-    match = _MOVE.fullmatch(line)
-    if match is None or match[1] != motion or len(line) > MOST_CHARACTERS:
-        raise _unknown(line, number)
-    found = [(word[0], float(word[1:])) for word in match[2].split()]
-    if len({letter for letter, _ in found}) != len(found):
-        raise _unknown(line, number)
-    return dict(found)
-
-
-def _unknown(line: str, number: int) -> InputError:
-    return InputError(f"unknown line {line[:60]!r}", file="G-code", line=number)
+def _words(statement: Statement, motion: str) -> dict[str, float]:
+    """Values of a G0 or G1 by letter. Raises InputError for any other statement, and for a letter that comes twice."""
+    if statement.word == "move" and statement.parts[0] == motion:
+        found = [(word[0], float(word[1:])) for word in statement.parts[1].split()]
+        if len({letter for letter, _ in found}) == len(found):
+            return dict(found)
+    raise GRAMMAR.unknown(statement.text, statement.line)
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -467,8 +472,5 @@ def _told(plan: Plan, program: AxesProgram) -> list[str]:
     """What else is said, and when."""
     flavour = FLAVOURS[spec_of(plan).flavour]
     planned = [(due, flavour.order(line)) for order in orders(plan) for due, line in order.due]
-    if [line for _, line in planned] != [line for _, line in program.told]:
-        return ["other things are said of heat, tools, fan and cutter than the plan's, or in another order"]
-    late = [(abs(at - due), line) for (at, line), (due, _) in zip(program.told, planned, strict=True)]
-    worst, line = max(late, default=(0.0, ""))
-    return [] if worst <= SPOKEN + plan.trajectory.dt else [f"{line} is said {worst:.3g} s off its time"]
+    others = "other things are said of heat, tools, fan and cutter"
+    return order_differences(planned, program.told, SPOKEN + plan.trajectory.dt, others)

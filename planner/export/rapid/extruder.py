@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
-from planner.export.extruder import AMOUNT, orders
+from planner.export.extruder import AMOUNT, filament_differences, orders
 from planner.export.moves import Moves, deposits
 from planner.export.program import RobotProgram
-from planner.plan.plan import filament_areas, used
+from planner.plan.plan import filament_areas
 
 if TYPE_CHECKING:
     from planner.plan import Event, Plan, Trajectory
@@ -453,15 +453,7 @@ def _fed_otherwise(plan: Plan, sent: list[str]) -> list[str]:
             tool = int(selects[1])
         elif extrudes := _EXTRUDES.fullmatch(text):
             filament[tool] = filament.get(tool, 0.0) + float(extrudes[1]) * 1e-3
-    t = plan.trajectory
-    takes: dict[int | None, float] = {each.material.tool: each.filament for each in used(plan) if each.beads}
-    takes = takes or {None: float(t.feed[-1] - t.feed[0])}
-    off = {tool: filament.get(tool, 0.0) - takes.get(tool, 0.0) for tool in {*takes, *filament}}
-    return [
-        f"{'the extruder' if tool is None else f'tool T{tool}'} gets {amount * 1e3:+.3g} mm of filament"
-        for tool, amount in sorted(off.items(), key=str)
-        if not abs(amount) <= AMOUNT
-    ]
+    return filament_differences(plan, filament)
 
 
 def _fed_elsewhere(plan: Plan, program: RobotProgram) -> list[str]:
