@@ -109,10 +109,16 @@ def _of_fan(fan: FanSpec, t: Trajectory, lag: float) -> list[Order]:
 
 Labels = NDArray[np.int64]
 
+FILE = "extrusion.gcode"
 BLOCK_S = 0.02  # shortest command [s]: a board that is fed faster than 50 lines/s may stutter
 FLOW_STEP = 0.01  # blocks whose flow is equal to this share of the largest flow become one command
 NOTHING = -1  # label of what belongs neither to a bead nor to an event
 FIRST_EVENT = -2  # label of the first event; those of later ones count down
+
+
+def write(plan: Plan) -> dict[str, str]:
+    """The extruder's G-code, by the name of its file."""
+    return {FILE: gcode(plan)}
 
 
 def gcode(plan: Plan) -> str:
@@ -262,9 +268,9 @@ def read_gcode(text: str) -> Extrusion:
     return Extrusion(filament, tuple(selections), tuple(told), now)
 
 
-def gcode_complaints(plan: Plan, text: str) -> list[str]:
+def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """Every difference between a program and its plan beyond rounding, in words."""
-    t, written = plan.trajectory, read_gcode(text)
+    t, written = plan.trajectory, read_gcode(files[FILE])
     found = filament_differences(plan, written.filament)
     tools = {each.name: each.tool for each in materials_of(plan.problem)}
     planned = [(event.start, tools[event.material]) for event in t.events if event.kind in SELECTS]

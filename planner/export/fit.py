@@ -37,6 +37,12 @@ def slerp(a: Array, b: Array, u: Array) -> Array:
     return out
 
 
+def lerp(values: Array, a: Indices, b: Indices, u: Array) -> Array:
+    """Values (n, ...) at the fraction u (n) of the way from rows a (n) to rows b (n) of a table."""
+    out: Array = values[a] + u.reshape(-1, *[1] * (values.ndim - 1)) * (values[b] - values[a])
+    return out
+
+
 def angle(a: Array, b: Array) -> Array:
     """Angles (n) between orientations a and b (n, 4) [rad]."""
     sign = np.where(np.einsum("ij,ij->i", a, b) < 0.0, -1.0, 1.0)[:, None]

@@ -14,6 +14,7 @@ from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
 from planner.export.fit import by_samples, thin, to_matrix
 from planner.export.moves import ANGLE_TOLERANCE, ROUNDING, TRAVEL_TOLERANCE, deposits
+from planner.export.text import beyond, require_writable
 from planner.plan.plan import materials_of
 
 if TYPE_CHECKING:
@@ -175,8 +176,7 @@ def switches_name(plan: Plan) -> str:
 
 def joint_trajectory(plan: Plan) -> str:
     """JSON of the message, a line for each point. ValueError if the plan is not verified: the caller's mistake."""
-    if not plan.verified:
-        raise ValueError("robot code is written for verified plans only")
+    require_writable(plan)
     knots = plan_knots(plan)
     columns = zip(
         np.round(knots.q, DECIMALS["positions"]).tolist(),
@@ -201,6 +201,11 @@ def joint_trajectory(plan: Plan) -> str:
     head = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
     names = list(plan.cell.joint_names)
     return f'{{"header":{_line(head)},\n"joint_names":{_line(names)},\n"points":[\n' + ",\n".join(points) + "\n]}\n"
+
+
+def write(plan: Plan) -> dict[str, str]:
+    """Both files of a verified plan, by name."""
+    return {trajectory_name(plan): joint_trajectory(plan), switches_name(plan): switches(plan)}
 
 
 def switches(plan: Plan) -> str:
@@ -365,7 +370,7 @@ CHECKED_VELOCITY_SHARE = 0.01  # of a joint's limit
 CHECKED_ACCELERATION_SHARE = 0.06
 
 
-def trajectory_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
+def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """What the two files say otherwise than the plan, beyond rounding and thinning, in words."""
     found, held = read_switches(files[switches_name(plan)])
     return [
@@ -405,22 +410,18 @@ def _motion(plan: Plan, read: JointTrajectory) -> list[str]:
         "a joint's velocity differs by {:.3g} of its limit": CHECKED_VELOCITY_SHARE,
         "a joint's acceleration differs by {:.3g} of its limit": CHECKED_ACCELERATION_SHARE,
     }
-    return [
-        words.format(value) + f" (limit {limit:.3g})"
-        for (words, limit), value in zip(allowed.items(), worst.tolist(), strict=True)
-        if not value <= limit
-    ]
+    return beyond(zip(allowed, worst.tolist(), allowed.values(), strict=True))
 
 
 def _switching(plan: Plan, found: tuple[Switch, ...], held: Mapping[str, float]) -> list[str]:
-    planned, complaints = planned_switches(plan), []
+    planned, differences = planned_switches(plan), []
     if len(found) != len(planned):
-        complaints.append(f"outputs are switched {len(found)} times, not {len(planned)} times")
+        differences.append(f"outputs are switched {len(found)} times, not {len(planned)} times")
     for one, other in zip(found, planned, strict=False):
         if (one.output, one.value, one.bead) != (other.output, other.value, other.bead):
-            complaints.append(f"output {other.output} of bead {other.bead} is not switched as planned")
+            differences.append(f"output {other.output} of bead {other.bead} is not switched as planned")
         elif abs(one.time - other.time) > ON_TIME:
-            complaints.append(f"output {other.output} of bead {other.bead} is switched at {one.time:.6f} s")
+            differences.append(f"output {other.output} of bead {other.bead} is switched at {one.time:.6f} s")
     if dict(held) != plan.cell.held:
-        complaints.append("other axes are held, or at other angles")
-    return complaints
+        differences.append("other axes are held, or at other angles")
+    return differences

@@ -15,19 +15,19 @@ from planner.export.fit import from_matrix, to_matrix
 from planner.export.grammar import Grammar, Statement, inlined
 from planner.export.moves import (
     Moves,
-    Wait,
-    blend_complaints,
-    deposits,
+    blend_differences,
     greatest_until_stop,
     move_radii,
     plan_moves,
+    sections,
     tip_acceleration,
 )
 from planner.export.program import UNSAID, RobotProgram, Trigger, about, named
-from planner.export.rapid.text import module_name, number
+from planner.export.rapid.text import module_name
 from planner.export.rapid.writer import external_degrees
-from planner.export.readback import played_complaints
-from planner.export.support import output_numbers, unsaid_in_krl
+from planner.export.readback import played_differences
+from planner.export.support import by_bead, output_numbers, unsupported_in_krl
+from planner.export.text import ascii_comment, number, require_writable, resting
 from planner.plan.plan import materials_of
 
 if TYPE_CHECKING:
@@ -107,10 +107,11 @@ def quaternions(abc: Array) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Names, numbers and comments as KRL takes them.
+# Names, frames and axes as KRL takes them.
 
 LONGEST_NAME = 24
-LONGEST_COMMENT = 100
+MARK = ";"  # begins a comment
+WAIT = "WAIT SEC {:.3f}"
 MM, DEGREES = 3, 4  # decimals of targets; frames have
 FRAME_DEGREES = 6
 # KUKA, reserved words of KRL that a name in CamelCase could be
@@ -124,12 +125,6 @@ def krl_name(name: str) -> str:
     """CamelCase name, at most 24 letters and digits, of a problem's name; small letters and capitals are one to KRL."""
     joined = module_name(name, LONGEST_NAME)
     return "Print" + joined if joined.upper() in RESERVED.split() else joined
-
-
-def comment(text: str, indent: int = 2) -> str:
-    """One comment line, ASCII, of bounded length."""
-    text = re.sub(r"[^\x20-\x7e]", "?", text)
-    return f"{'':{indent}}; {text[:LONGEST_COMMENT].rstrip()}"
 
 
 def frame(T: Array) -> str:
@@ -162,12 +157,9 @@ LEAST_TURNING = 100.0  # deg/s
 LEVELS = np.array([a * 10.0**k for k in range(-3, 2) for a in (1.0, 2.0, 5.0)])
 
 
-def krl_files(plan: Plan) -> dict[str, str]:
+def write(plan: Plan) -> dict[str, str]:
     """Source and data file of a verified plan (ASCII, mm, degrees); ValueError if it is not, or has no form in KRL."""
-    if not plan.verified:
-        raise ValueError("robot code is written for verified plans only")
-    if (reason := unsaid_in_krl(plan)) is not None:
-        raise ValueError(reason)
+    require_writable(plan, unsupported_in_krl(plan))
     name, moves = krl_name(plan.name), plan_moves(plan)
     subprograms, calls = _subprograms(plan, moves)
     off = [f"  $OUT[{k}]=FALSE" for k in output_numbers(plan.problem).values()]
@@ -181,7 +173,7 @@ def krl_files(plan: Plan) -> dict[str, str]:
         *off,
         f"  BAS(#VEL_PTP,{percent(plan, moves)[0]})",
         "  PTP XSTART",
-        *_waiting(moves.waits.get(-1, ())),
+        *resting(moves.waits.get(-1, ()), MARK, WAIT, 2),
         *(f"  {call}()" for call in calls),
         *off,
         "END",
@@ -261,7 +253,7 @@ def _header(plan: Plan) -> list[str]:
             f"External axes of {STATION}, {cell.holder_robot.name}: {', '.join(held)}",
             f"  its root in $WORLD must be {frame(cell.T_world_holder_base)}",
         ]
-    return [comment(text) for text in texts]
+    return [ascii_comment(MARK, text, 2) for text in texts]
 
 
 def _targets(plan: Plan, moves: Moves) -> list[str]:
@@ -287,28 +279,18 @@ def _targets(plan: Plan, moves: Moves) -> list[str]:
 
 def _subprograms(plan: Plan, moves: Moves) -> tuple[list[str], list[str]]:
     """All subprograms with moves, and their names in the order of calling."""
-    t = plan.trajectory
-    first, last = deposits(t)
-    numbers = list(output_numbers(plan.problem).values())
-    names = [each.name for each in materials_of(plan.problem)]
-    own = [numbers[names.index(bead.material)] if names else numbers[0] for bead in plan.toolpath.beads]
+    bead = plan.trajectory.bead
+    outputs = by_bead(plan, list(output_numbers(plan.problem).values()))
     targets, shares = _targets(plan, moves), percent(plan, moves)
     speeds = np.maximum(np.round(moves.speed, SPEED), LEAST_SPEED).tolist()
     radii = radii_of(plan, moves).tolist()
     share, speed, radius = shares[0], -1.0, -1.0
-    bounds = np.searchsorted(moves.after, np.arange(len(first) + 2)).tolist()
     lines, calls = [], []
-    for k, (a, b) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
-        if a == b:
-            continue
-        calls.append(f"Bead{plan.first_bead + k + 1:04d}" if k < len(first) else "Finish")
+    for section in sections(plan, moves):
+        calls.append(f"Bead{section.number:04d}" if section.number else "Finish")
         lines += ["", f"DEF {calls[-1]}()"]
-        if k < len(first):
-            bead = int(t.bead[first[k]])
-            of = plan.toolpath.beads[bead].material
-            length = f"{1e3 * (t.s[last[k]] - t.s[first[k]]):.1f} mm" + (f" of {of}" if of else "")
-            lines.append(comment(f"Bead {bead}, layer {t.layer[first[k]]}: {length}"))
-        for i in range(a, b):
+        lines += [ascii_comment(MARK, section.about, 2)] if section.about else []
+        for i in section.moves:
             if not moves.linear[i]:
                 if shares[i] != share:
                     share = shares[i]
@@ -321,30 +303,22 @@ def _subprograms(plan: Plan, moves: Moves) -> tuple[list[str], list[str]]:
                 if radii[i] not in (0.0, radius):
                     radius = radii[i]
                     lines.append(f"  $APO.CDIS={radius * 1e3:.3f}")
-                begins, ends = (own[int(t.bead[at])] for at in (moves.sample[i - 1] if i else 0, moves.sample[i]))
-                for said, where, output, value in (
+                begins, ends = (outputs[bead[at]] for at in (moves.sample[i - 1] if i else 0, moves.sample[i]))
+                for switched, where, output, value in (
                     (moves.on_start[i], "DISTANCE", begins, "TRUE"),
                     (moves.on_end[i], "PATH", ends, "TRUE"),
                     (moves.off_end[i], "PATH", ends, "FALSE"),
                 ):
-                    if said:
+                    if switched:
                         lines.append(f"  TRIGGER WHEN {where}=0 DELAY=0 DO $OUT[{output}]={value}")
                 lines.append(f"  LIN {targets[i]}" + (" C_DIS" if radii[i] > 0.0 else ""))
-            lines += _waiting(moves.waits.get(i, ()))
+            lines += resting(moves.waits.get(i, ()), MARK, WAIT, 2)
         lines.append("END")
     return lines, calls
 
 
-def _waiting(waits: tuple[Wait, ...]) -> list[str]:
-    lines = []
-    for wait in waits:
-        lines += [comment(wait.why)] if wait.why else []
-        lines += [f"  WAIT SEC {wait.time:.3f}"] if wait.time > 0.0 else []
-    return lines
-
-
 # ----------------------------------------------------------------------------------------------------
-# Reads the KRL that `krl_files` writes back into numbers: a strict subset, where anything unknown is an error.
+# Reads the KRL that `write` writes back into numbers: a strict subset, where anything unknown is an error.
 
 Forward = Callable[[Array], Array]
 
@@ -356,7 +330,7 @@ AXES = ",".join(rf"A{i} ({NUMBER})" for i in range(1, 7)) + EXTERNAL
 ATTRIBUTE = r"&(?:ACCESS RVP|REL 1)"
 SOURCE = Grammar.of(
     "KRL",
-    ";",
+    MARK,
     {
         "line": rf"LIN \{{E6POS: {FRAME},S ([0-9]{{1,2}}),T ([0-9]{{1,2}}){EXTERNAL}\}}( C_DIS)?",
         "point": rf"PTP \{{E6AXIS: {AXES}\}}( C_PTP)?",
@@ -377,7 +351,7 @@ SOURCE = Grammar.of(
 )
 DATA = Grammar.of(
     "KRL data",
-    ";",
+    MARK,
     {
         "attribute": ATTRIBUTE,
         "define": rf"DEFDAT ({NAME})",
@@ -409,7 +383,7 @@ class KrlProgram:
 
 
 def read_krl(source: str, data: str, forward: Forward) -> KrlProgram:
-    """Program of the texts of .src and .dat as `krl_files` writes them.
+    """Program of the texts of .src and .dat as `write` writes them.
 
     forward: A1 to A6 and external axes (m, 12) [rad], NaN where unused → T_part_nozzle (m, 4, 4). Raises InputError
     with the line for a statement or name that is not known, or that stands where it must not.
@@ -580,7 +554,7 @@ class _Run:
 ROUNDING = np.radians(1.01e-4)  # of axes
 
 
-def krl_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
+def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """What source and data file say otherwise than the plan, beyond rounding and thinning, in words."""
     name, cell = krl_name(plan.name), plan.cell
     na, station = len(cell.arm), cell.holder_robot
@@ -595,7 +569,7 @@ def krl_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
     start[:na] = from_kuka(start[None, :na])[0]
     moves = plan_moves(plan)
     program = replace(program, start=start, joints=from_kuka(source.axes))
-    return [*played_complaints(plan, moves, program), *blend_complaints(plan, program), *_moves(plan, moves, source)]
+    return [*played_differences(plan, moves, program), *blend_differences(plan, program), *_moves(plan, moves, source)]
 
 
 def _moves(plan: Plan, moves: Moves, source: KrlProgram) -> list[str]:

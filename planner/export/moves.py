@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -9,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Flags, Indices
-from planner.export.fit import Poses, SampledWay, angle, by_samples, chosen_targets, continuous, to_matrix
+from planner.export.fit import Poses, SampledWay, angle, by_samples, chosen_targets, continuous, lerp, to_matrix
 
 if TYPE_CHECKING:
     from planner.export.program import RobotProgram
@@ -287,6 +288,34 @@ def deposits(trajectory: Trajectory) -> tuple[Indices, Indices]:
     return first, last
 
 
+class Section(NamedTuple):
+    """What a program has a subroutine for: a bead with the way to it, or the way home.
+
+    number  of the bead in the whole print, from 1; 0 for the way home
+    moves   its moves
+    about   bead, layer, length and material in words; empty for the way home
+    """
+
+    number: int
+    moves: range
+    about: str
+
+
+def sections(plan: Plan, moves: Moves) -> Iterator[Section]:
+    """All sections that have moves, in the order in which they run."""
+    t = plan.trajectory
+    first, last = deposits(t)
+    bounds = np.searchsorted(moves.after, np.arange(len(first) + 2)).tolist()
+    for k, own in enumerate(map(range, bounds[:-1], bounds[1:])):
+        if own and k == len(first):
+            yield Section(0, own, "")
+        elif own:
+            bead = int(t.bead[first[k]])
+            of = plan.toolpath.beads[bead].material
+            length = f"{1e3 * (t.s[last[k]] - t.s[first[k]]):.1f} mm" + (f" of {of}" if of else "")
+            yield Section(plan.first_bead + k + 1, own, f"Bead {bead}, layer {t.layer[first[k]]}: {length}")
+
+
 def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None) -> Moves:
     """Choose the targets of a plan and say how each is approached.
 
@@ -369,7 +398,7 @@ class _Joint:
     def __call__(self, a: Indices, b: Indices, k: Indices) -> Array:
         q, tip = self._trajectory.q, self._trajectory.tip
         u = nearest_fraction(q[a], q[b], q[k], (k - a) / (b - a))
-        T = self._cell.T_part_nozzle(q[a] + u[:, None] * (q[b] - q[a]))
+        T = self._cell.T_part_nozzle(lerp(q, a, b, u))
         off = np.linalg.norm(T[:, :3, 3] - tip[k], axis=1) / TRAVEL_TOLERANCE
         cosine = np.einsum("ij,ij->i", T[:, :3, 2], self._trajectory.axis[k])
         out: Array = np.maximum(off, np.arccos(np.clip(cosine, -1.0, 1.0)) / TRAVEL_ANGLE_TOLERANCE)
@@ -436,7 +465,7 @@ def move_radii(plan: Plan, moves: Moves) -> Array:
     return blend_radii(tip, stops, tolerance)[1:]
 
 
-def blend_complaints(plan: Plan, program: RobotProgram) -> list[str]:
+def blend_differences(plan: Plan, program: RobotProgram) -> list[str]:
     """What is wrong with a program's blends and stops, in words; targets of joint moves may be left by more."""
     reach, bend = _corners(program.position)
     lines = program.linear & np.append(program.linear[1:], False)

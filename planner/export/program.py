@@ -132,16 +132,7 @@ class RobotProgram:
 
 
 # ----------------------------------------------------------------------------------------------------
-# A program that was read back, cut where the extruder is switched, and its path between.
-
-
-@dataclass(frozen=True)
-class Replay:
-    """One stretch between extruder on and off: tip (k, 3) [m], orientation (k, 4), part's axes (k, 6) [rad]."""
-
-    position: Array
-    quat: Array
-    external: Array
+# A program that was read back, cut where the extruder is switched.
 
 
 @dataclass(frozen=True)
@@ -155,24 +146,6 @@ class ProgramPiece:
     linear: NDArray[np.bool_]
     speed: Array
     known: NDArray[np.bool_]  # a target of the program, not a point where a trigger cuts a move
-
-
-def replay(program: RobotProgram, step: float = 0.5e-3) -> tuple[Replay, ...]:
-    """Dense path of every stretch with the extruder on, at most `step` [m] between its points."""
-    out = []
-    for piece in [piece for on, piece in pieces_of(program) if on]:
-        parts = np.maximum(1, np.ceil(np.linalg.norm(np.diff(piece.position, axis=0), axis=1) / step)).astype(np.intp)
-        a = np.append(np.repeat(np.arange(len(parts)), parts), len(parts) - 1)
-        u = np.append((np.arange(len(a) - 1) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[a[:-1]], 1.0)
-        between = u[:, None]
-        out.append(
-            Replay(
-                position=piece.position[a] + between * (piece.position[a + 1] - piece.position[a]),
-                quat=slerp(piece.quat[a], piece.quat[a + 1], u),
-                external=piece.external[a] + between * (piece.external[a + 1] - piece.external[a]),
-            )
-        )
-    return tuple(out)
 
 
 def pieces_of(program: RobotProgram) -> Iterator[tuple[bool, ProgramPiece]]:

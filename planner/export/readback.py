@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
-from planner.export.fit import angle, continuous, slerp, to_matrix
+from planner.export.fit import angle, continuous, lerp, slerp, to_matrix
 from planner.export.moves import (
     LEAST_WAIT,
     ON_TIME,
@@ -26,7 +26,8 @@ from planner.export.player.play import play
 from planner.export.player.played import Played, laid_spans, laid_targets
 from planner.export.program import UNSAID, ProgramPiece, RobotProgram, pieces_of
 from planner.export.rapid.writer import external_degrees, quadrants
-from planner.plan.plan import materials_of
+from planner.export.support import by_bead, output_numbers
+from planner.export.text import beyond
 
 if TYPE_CHECKING:
     from planner.export.moves import Moves
@@ -131,7 +132,7 @@ class Agreement:
     conf: int
     output: int
 
-    def complaints(self) -> list[str]:
+    def differences(self) -> list[str]:
         """Every difference beyond what rounding and thinning may cause, in words."""
         limits = {
             "path": (self.chord + 0.03e-3, "m"),
@@ -145,11 +146,9 @@ class Agreement:
             "conf": (0, "targets"),
             "output": (0, "times"),
         }
-        return [
-            f"{name} differs by {getattr(self, name):.3g} {unit} (limit {limit:.3g})"
-            for name, (limit, unit) in limits.items()
-            if not getattr(self, name) <= limit
-        ]
+        return beyond(
+            (f"{name} differs by {{:.3g}} {unit}", getattr(self, name), limit) for name, (limit, unit) in limits.items()
+        )
 
 
 def compare(plan: Plan, program: RobotProgram) -> Agreement:
@@ -231,7 +230,7 @@ def _targets(plan: Plan, match: _Match) -> Array:
     for nearer in (np.maximum(match.at - 1, least), match.at):  # the piece of path before and after the sample
         after = np.minimum(nearer + 1, most)
         u = nearest_fraction(tip[nearer], tip[after], rows.position, np.zeros(len(nearer)))
-        off.append(np.linalg.norm(tip[nearer] + u[:, None] * (tip[after] - tip[nearer]) - rows.position, axis=1))
+        off.append(np.linalg.norm(lerp(tip, nearer, after, u) - rows.position, axis=1))
         quat_a, quat_b = _unit(plan.trajectory.quat[nearer]), _unit(plan.trajectory.quat[after])
         turned.append(angle(slerp(quat_a, quat_b, u), rows.quat))
         a, b = _external(plan, nearer), _external(plan, after)
@@ -269,19 +268,19 @@ def _straight(plan: Plan, match: _Match, a: Indices, s: Indices) -> Array:
     rows, tip = match.all, plan.trajectory.tip
     p, external = rows.position, _external(plan, s)
     u = nearest_fraction(p[a], p[a + 1], tip[s], _share(match.at, a, s))
-    off = np.linalg.norm(p[a] + u[:, None] * (p[a + 1] - p[a]) - tip[s], axis=1).max()
+    off = np.linalg.norm(lerp(p, a, a + 1, u) - tip[s], axis=1).max()
     turned = angle(slerp(rows.quat[a], rows.quat[a + 1], u), _unit(plan.trajectory.quat[s])).max()
     k = external.shape[1]
-    between = rows.external[a, :k] + u[:, None] * (rows.external[a + 1, :k] - rows.external[a, :k])
+    between = lerp(rows.external[:, :k], a, a + 1, u)
     return np.array([off, 0.0, turned, np.abs(between - external).max(initial=0.0)])
 
 
 def _joint(plan: Plan, match: _Match, a: Indices, s: Indices) -> float:
     """Worst distance of samples s (n) from the tip paths of joint moves from targets a (n) to the next ones."""
     q = plan.trajectory.q
-    qa, qb = q[match.at[a]], q[match.at[a + 1]]
-    u = nearest_fraction(qa, qb, q[s], _share(match.at, a, s))
-    T = plan.cell.T_part_nozzle(qa + u[:, None] * (qb - qa))
+    at_targets = q[match.at]
+    u = nearest_fraction(at_targets[a], at_targets[a + 1], q[s], _share(match.at, a, s))
+    T = plan.cell.T_part_nozzle(lerp(at_targets, a, a + 1, u))
     return float(np.linalg.norm(T[:, :3, 3] - plan.trajectory.tip[s], axis=1).max())
 
 
@@ -322,10 +321,8 @@ def _wrong_configurations(plan: Plan, match: _Match) -> int:
 
 def _wrong_outputs(plan: Plan, program: RobotProgram, first: Indices) -> int:
     """How many times another output is switched than that of the bead that begins at, or ends after, sample first (b)."""
-    outputs = {each.name: each.signal for each in materials_of(plan.problem)}
-    usual = plan.problem.program.extruder_signal
-    beads = plan.toolpath.beads
-    own = [outputs[beads[k].material] if outputs else usual for k in plan.trajectory.bead[first].tolist()]
+    outputs = by_bead(plan, list(output_numbers(plan.problem)))
+    own = [outputs[k] for k in plan.trajectory.bead[first].tolist()]
     wrong = 0
     for on in (True, False):
         switched = [
@@ -446,17 +443,13 @@ class Readback:
     stops: int
     strays: tuple[int, ...]
 
-    def complaints(self) -> list[str]:
+    def differences(self) -> list[str]:
         """Every difference beyond what rounding and thinning may cause, in words."""
-        found = self.agreement.complaints()
+        found = self.agreement.differences()
         if not abs(self.laid - 1.0) <= LATE:
             found.append(f"time of deposition is {self.laid:.4g} of the plan's (limit {LATE:g} from 1)")
-        for where, cut, limit in (
-            ("in a bead", self.corner, self.agreement.chord + ROUNDING),
-            ("in travel", self.swing, TRAVEL),
-        ):
-            if not cut <= limit:
-                found.append(f"a corner {where} is cut by {cut:.3g} m (limit {limit:.3g})")
+        in_bead = ("a corner in a bead is cut by {:.3g} m", self.corner, self.agreement.chord + ROUNDING)
+        found += beyond([in_bead, ("a corner in travel is cut by {:.3g} m", self.swing, TRAVEL)])
         if self.stops:
             found.append(f"the robot stops at {self.stops} targets within beads")
         if self.strays:
@@ -471,8 +464,8 @@ def readback(plan: Plan, program: RobotProgram) -> list[str]:
     try:
         played = play(program, plan.cell)
     except InputError as error:
-        return [*compare(plan, program).complaints(), f"cannot be played: {error.reason}"]
-    return judge(plan, program, played).complaints()
+        return [*compare(plan, program).differences(), f"cannot be played: {error.reason}"]
+    return judge(plan, program, played).differences()
 
 
 def judge(plan: Plan, program: RobotProgram, played: Played) -> Readback:
@@ -518,7 +511,7 @@ def _cut(program: RobotProgram, played: Played) -> Array:
 FAST = 100.0  # m/s, rad/s: what is not said does not slow the robot down; its joints do
 
 
-def played_complaints(plan: Plan, moves: Moves, program: RobotProgram) -> list[str]:
+def played_differences(plan: Plan, moves: Moves, program: RobotProgram) -> list[str]:
     """What a program that was read back does otherwise than its plan, in words.
 
     Configurations that its targets do not name are those of the planned postures, which is what the controller must
@@ -526,7 +519,7 @@ def played_complaints(plan: Plan, moves: Moves, program: RobotProgram) -> list[s
     """
     at = np.concatenate([[0], moves.sample])
     if len(program.linear) != len(at):
-        return [*compare(plan, program).complaints(), f"it has {len(program.linear)} moves, not {len(at)}"]
+        return [*compare(plan, program).differences(), f"it has {len(program.linear)} moves, not {len(at)}"]
     planned = np.column_stack([quadrants(moves.q), plan.trajectory.branch[at]])
     filled = replace(
         program,

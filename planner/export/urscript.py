@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -17,19 +16,19 @@ from planner.export.grammar import Grammar, Statement, inlined
 from planner.export.moves import (
     STEP,
     Moves,
-    Wait,
-    blend_complaints,
-    deposits,
+    blend_differences,
     greatest_until_stop,
     move_radii,
     plan_moves,
     rounded_up,
+    sections,
     tip_acceleration,
 )
 from planner.export.program import UNSAID, RobotProgram, Trigger, about, named
-from planner.export.rapid.text import module_name, number
-from planner.export.readback import played_complaints
-from planner.export.support import output_numbers, unsaid_in_urscript
+from planner.export.rapid.text import module_name
+from planner.export.readback import played_differences
+from planner.export.support import by_bead, output_numbers, unsupported_in_urscript
+from planner.export.text import ascii_comment, number, require_writable, resting
 from planner.plan.plan import materials_of
 
 if TYPE_CHECKING:
@@ -80,7 +79,8 @@ def quaternions(vectors: Array) -> Array:
 # travel the arm stops. Poses are those of the nozzle in the part frame, `part`, which stands in the controller's base frame: a
 # part that was moved needs that one line changed.
 
-LONGEST_COMMENT = 100
+MARK = "#"  # begins a comment
+SLEEP = "sleep({:.3f})"
 LENGTH, ANGLE = 6, 6  # decimals of metres and radians
 SPEED = 4  # decimals of m/s and rad/s
 # A program goes on when a blend begins, so an output is switched that much before its place. Small enough to be no
@@ -106,10 +106,7 @@ def script_name(plan: Plan) -> str:
 
 def urscript(plan: Plan) -> str:
     """Program of a verified plan (ASCII, m, rad). ValueError if it is not verified, or has no form in URScript."""
-    if not plan.verified:
-        raise ValueError("robot code is written for verified plans only")
-    if (reason := unsaid_in_urscript(plan)) is not None:
-        raise ValueError(reason)
+    require_writable(plan, unsupported_in_urscript(plan))
     moves = plan_moves(plan)
     T_controller_part = np.linalg.inv(world_controller(plan.cell)) @ plan.cell.T_world_holder
     functions, calls = _functions(plan, moves)
@@ -124,13 +121,18 @@ def urscript(plan: Plan) -> str:
         *functions,
         *off,
         f"  movej({start}, a={number(pace.joint, 1)}, v={number(pace.speed[0], SPEED)}, r=0)",
-        *_waiting(moves.waits.get(-1, ()), 2),
+        *resting(moves.waits.get(-1, ()), MARK, SLEEP, 2),
         *(f"  {name}()" for name in calls),
         *off,
         "end",
         "",
     ]
     return "\n".join(lines)
+
+
+def write(plan: Plan) -> dict[str, str]:
+    """The program of a verified plan, by the name of its file."""
+    return {script_name(plan): urscript(plan)}
 
 
 def pace_of(plan: Plan, moves: Moves) -> MoveAccelerations:
@@ -161,13 +163,7 @@ def _header(plan: Plan) -> list[str]:
         *(f"Output {k}: {signal}" for signal, k in output_numbers(plan.problem).items()),
         *(f"Material {each.name}: tool T{each.tool}, {each.signal}" for each in materials_of(plan.problem)),
     ]
-    return [comment(text, 0) for text in texts]
-
-
-def comment(text: str, indent: int) -> str:
-    """One comment line, ASCII, of bounded length."""
-    text = re.sub(r"[^\x20-\x7e]", "?", text)
-    return f"{'':{indent}}# {text[:LONGEST_COMMENT].rstrip()}"
+    return [ascii_comment(MARK, text) for text in texts]
 
 
 def _pose(T: Array) -> str:
@@ -181,35 +177,25 @@ def _joint_text(q: Array) -> str:
 
 def _functions(plan: Plan, moves: Moves) -> tuple[list[str], list[str]]:
     """All functions with moves, and their names in the order of calling."""
-    t, pace = plan.trajectory, pace_of(plan, moves)
-    first, last = deposits(t)
-    numbers = list(output_numbers(plan.problem).values())
-    names = [each.name for each in materials_of(plan.problem)]
-    own = [numbers[names.index(bead.material)] if names else numbers[0] for bead in plan.toolpath.beads]
-    texts = _moves(plan, moves, pace)
-    bounds = np.searchsorted(moves.after, np.arange(len(first) + 2)).tolist()
+    bead = plan.trajectory.bead
+    outputs = by_bead(plan, list(output_numbers(plan.problem).values()))
+    texts = _moves(plan, moves, pace_of(plan, moves))
     lines, calls = [], []
-    for k, (a, b) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
-        if a == b:
-            continue
-        calls.append(f"bead_{plan.first_bead + k + 1:04d}" if k < len(first) else "finish")
+    for section in sections(plan, moves):
+        calls.append(f"bead_{section.number:04d}" if section.number else "finish")
         lines.append(f"  def {calls[-1]}():")
-        if k < len(first):
-            bead = int(t.bead[first[k]])
-            of = plan.toolpath.beads[bead].material
-            length = f"{1e3 * (t.s[last[k]] - t.s[first[k]]):.1f} mm" + (f" of {of}" if of else "")
-            lines.append(comment(f"Bead {bead}, layer {t.layer[first[k]]}: {length}", 4))
-        for i in range(a, b):
-            ends = own[int(t.bead[moves.sample[i]])]
+        lines += [ascii_comment(MARK, section.about, 4)] if section.about else []
+        for i in section.moves:
+            ends = outputs[bead[moves.sample[i]]]
             if moves.on_start[i]:
-                begins = own[int(t.bead[moves.sample[i - 1] if i else 0])]
+                begins = outputs[bead[moves.sample[i - 1] if i else 0]]
                 lines.append(f"    set_standard_digital_out({begins}, True)")
             lines.append(texts[i])
             if moves.on_end[i]:
                 lines.append(f"    set_standard_digital_out({ends}, True)")
             if moves.off_end[i]:
                 lines.append(f"    set_standard_digital_out({ends}, False)")
-            lines += _waiting(moves.waits.get(i, ()), 4)
+            lines += resting(moves.waits.get(i, ()), MARK, SLEEP, 4)
         lines.append("  end")
     return lines, calls
 
@@ -231,14 +217,6 @@ def _moves(plan: Plan, moves: Moves, pace: MoveAccelerations) -> list[str]:
     return out
 
 
-def _waiting(waits: tuple[Wait, ...], indent: int) -> list[str]:
-    lines = []
-    for wait in waits:
-        lines += [comment(wait.why, indent)] if wait.why else []
-        lines += [f"{'':{indent}}sleep({wait.time:.3f})"] if wait.time > 0.0 else []
-    return lines
-
-
 # ----------------------------------------------------------------------------------------------------
 # Reads the URScript that `urscript` writes back into numbers: a strict subset, where anything unknown is an error.
 
@@ -250,7 +228,7 @@ SIX = rf"({NUMBER}(?:, {NUMBER}){{5}})"
 HOW = rf"a=({NUMBER}), v=({NUMBER}), r=({NUMBER})"
 GRAMMAR = Grammar.of(
     "URScript",
-    "#",
+    MARK,
     {
         "movep": rf"movep\(pose_trans\(part, p\[{SIX}\]\), {HOW}\)",
         "movej": rf"movej\(\[{SIX}\], {HOW}\)",
@@ -389,7 +367,7 @@ def _triggers(switched: list[tuple[int, str, bool]], m: int) -> dict[int, tuple[
 # Whether a URScript program that was read back does what its plan does.
 
 
-def urscript_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
+def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """What the program says otherwise than the plan, beyond rounding and thinning, in words."""
     script = read_urscript(files[script_name(plan)], plan.cell.T_part_nozzle)
     program = named(script.program, output_numbers(plan.problem))
@@ -400,8 +378,8 @@ def urscript_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
     program = replace(program, uframe=uframe, joints=script.joints)
     moves = plan_moves(plan)
     return [
-        *played_complaints(plan, moves, program),
-        *blend_complaints(plan, program),
+        *played_differences(plan, moves, program),
+        *blend_differences(plan, program),
         *_early(program),
         *_joint_moves(plan, moves, script),
     ]

@@ -12,6 +12,7 @@ from planner.export.languages import LANGUAGES, chosen
 from planner.export.plan_json import plan_json, refusal_json
 from planner.export.rapid.text import module_name, written_notes
 from planner.export.tables import part_stl, write_table
+from planner.export.text import require_writable
 
 if TYPE_CHECKING:
     from planner.plan import Plan
@@ -49,14 +50,13 @@ def write_robot_code(plan: Plan, folder: Path) -> tuple[Path, ...]:
     verified, RuntimeError if a program does not say what the plan says (both mistakes of this code or its caller),
     InputError for a language that was asked for and cannot say it, OutputError where the files cannot be written.
     """
-    if not plan.verified:
-        raise ValueError("robot code is written for verified plans only")
+    require_writable(plan)
     texts: dict[str, str] = {}
     for name in chosen(plan).names:
         language = LANGUAGES[name]
         own = language.write(plan)
-        if complaints := language.complaints(plan, own):
-            raise RuntimeError(f"{language.title} does not repeat the plan: " + "; ".join(complaints))
+        if differences := language.differences(plan, own):
+            raise RuntimeError(f"{language.title} does not repeat the plan: " + "; ".join(differences))
         texts |= own
     return tuple(_write_text(folder / name, text) for name, text in texts.items())
 

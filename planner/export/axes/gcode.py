@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -15,11 +14,12 @@ from planner.base.errors import InputError
 from planner.export.axes.flavours import FLAVOURS, Flavour, feed_length
 from planner.export.axes.machine import FiveAxes, Followed, Machine, PoseMachine, above, follow, machine_of, spec_of
 from planner.export.extruder import Order, order_differences, orders
-from planner.export.fit import by_samples, continuous, thin
+from planner.export.fit import by_samples, continuous, lerp, thin
 from planner.export.grammar import Grammar, Statement
 from planner.export.moves import ANGLE_TOLERANCE, ON_TIME, ROUNDING, TIME_TOLERANCE, nearest_fraction
 from planner.export.program import resumed, verified
 from planner.export.support import STATION
+from planner.export.text import ascii_comment, beyond, number
 
 if TYPE_CHECKING:
     from planner.plan import Plan
@@ -67,21 +67,15 @@ class _Misfit:
         m = self._m
         share = (m.t[k] - m.t[a]) / (m.t[b] - m.t[a])
         u = nearest_fraction(m.tip[a], m.tip[b], m.tip[k], share)
-
-        def between(values: Array, w: Array) -> Array:
-            w = w if values.ndim == 1 else w[:, None]
-            out: Array = values[a] + w * (values[b] - values[a])
-            return out
-
-        angles = between(m.angles, u)
-        tip = m.machine.tip(between(m.straight, u), angles)
+        angles = lerp(m.angles, a, b, u)
+        tip = m.machine.tip(lerp(m.straight, a, b, u), angles)
         worst = np.linalg.norm(tip - m.tip[k], axis=1) / self._chord
         worst = np.maximum(worst, m.machine.leaning(angles, m.quat[k]) / ANGLE_TOLERANCE)
-        worst = np.maximum(worst, np.abs(between(m.feed, u) - m.feed[k]) / FILAMENT_TOLERANCE)
+        worst = np.maximum(worst, np.abs(lerp(m.feed, a, b, u) - m.feed[k]) / FILAMENT_TOLERANCE)
         late = np.where(m.laid[k], np.abs(share - u) * (m.t[b] - m.t[a]) / TIME_TOLERANCE, 0.0)
         worst = np.maximum(worst, late)
         for e in m.station.T:
-            worst = np.maximum(worst, np.abs(between(e, u) - e[k]) / ANGLE_TOLERANCE)
+            worst = np.maximum(worst, np.abs(lerp(e, a, b, u) - e[k]) / ANGLE_TOLERANCE)
         return worst
 
 
@@ -114,6 +108,11 @@ def axes_gcode(plan: Plan) -> str:
     return "\n".join([*lines, *flavour.end]) + "\n"
 
 
+def write(plan: Plan) -> dict[str, str]:
+    """The program of a verified plan, by the name of its file."""
+    return {file_name(plan): axes_gcode(plan)}
+
+
 def letters_of(plan: Plan, motion: Followed) -> tuple[str, ...]:
     """Letters of all axes but the filament's, in the order in which they are written."""
     return ("X", "Y", "Z", *motion.machine.letters, *STATION[: motion.station.shape[1]])
@@ -132,7 +131,7 @@ def _header(plan: Plan, motion: Followed, targets: int) -> list[str]:
     ]
     if isinstance(motion.machine, FiveAxes):
         reach = [
-            f"{letter} {_number(np.degrees(low), 1)} to {_number(np.degrees(high), 1)} deg"
+            f"{letter} {number(np.degrees(low), 1)} to {number(np.degrees(high), 1)} deg"
             for letter, low, high in zip(
                 motion.machine.letters, motion.angles.min(axis=0), motion.angles.max(axis=0), strict=True
             )
@@ -147,7 +146,7 @@ def _header(plan: Plan, motion: Followed, targets: int) -> list[str]:
         said += [f"Joints at the start, from which the controller's iteration follows: {home} deg"]
         frame = "on the turning part" if cell.holder_robot is not None else "in the part frame"
         said += [f"X Y Z A B C are the nozzle's pose {frame}: A, B, C are roll, pitch and yaw, yaw last"]
-    return [f"; {re.sub(r'[^ -~]', '?', text)[:150].rstrip()}" for text in said]
+    return [ascii_comment(";", text, longest=150) for text in said]
 
 
 def _fastest(motion: Followed) -> str:
@@ -168,10 +167,10 @@ def _start_lines(plan: Plan, spec: MachineSpec, flavour: Flavour, motion: Follow
     first = dict(zip(letters_of(plan, motion), _rows(motion, np.array([0]))[0].tolist(), strict=True))
     if isinstance(motion.machine, FiveAxes):
         high = (float(motion.straight[:, 2].max()) + plan.problem.process.lift) * 1e3
-        across = " ".join(f"{name}{_number(value, DECIMALS)}" for name, value in first.items() if name != "Z")
-        lines += [f"G0 Z{_number(high, DECIMALS)}", f"G0 {across}", f"G0 Z{_number(first['Z'], DECIMALS)}"]
+        across = " ".join(f"{name}{number(value, DECIMALS)}" for name, value in first.items() if name != "Z")
+        lines += [f"G0 Z{number(high, DECIMALS)}", f"G0 {across}", f"G0 Z{number(first['Z'], DECIMALS)}"]
     else:
-        lines.append("G0 " + " ".join(f"{name}{_number(value, DECIMALS)}" for name, value in first.items()))
+        lines.append("G0 " + " ".join(f"{name}{number(value, DECIMALS)}" for name, value in first.items()))
     return [*lines, "G93" if spec.feed == "inverse_time" else "G94"]
 
 
@@ -202,10 +201,10 @@ def _lines(
             lines.append(f"; bead {own}, layer {layer[at[i]]}")
             last = own
         filament = float(fed[i] - fed[i - 1])
-        words = [f"{name}{_number(v, DECIMALS)}" for name, u, v in zip(names, a, b, strict=True) if u != v]
+        words = [f"{name}{number(v, DECIMALS)}" for name, u, v in zip(names, a, b, strict=True) if u != v]
         if filament:
             told = filament if flavour.relative else float(fed[i])
-            words.append(f"{spec.filament}{_number(told, FILAMENT_DECIMALS)}")
+            words.append(f"{spec.filament}{number(told, FILAMENT_DECIMALS)}")
         lasts = ends[i] - now
         if not words:
             pause = round(lasts / LEAST_PAUSE) * LEAST_PAUSE
@@ -239,12 +238,6 @@ def _order(flavour: Flavour, order: Order) -> tuple[list[str], float]:
             raise ValueError(f"{line} cannot be said to this controller")
         lines.append(said)
     return lines, order.time
-
-
-def _number(value: float, decimals: int) -> str:
-    """Fixed-point number without minus nought."""
-    text = f"{value:.{decimals}f}"
-    return text[1:] if text.startswith("-") and not text.strip("-0.") else text
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -285,9 +278,9 @@ class AxesProgram:
 def read_axes(text: str, spec: MachineSpec, letters: Sequence[str]) -> AxesProgram:
     """The program for a machine with these letters (X, Y, Z, then what turns); InputError with the line of all else."""
     lines = text.splitlines()
-    for number, line in enumerate(lines, 1):
+    for n, line in enumerate(lines, 1):
         if len(line) > MOST_CHARACTERS:
-            raise GRAMMAR.unknown(line, number)
+            raise GRAMMAR.unknown(line, n)
     mode = _MODES[spec.feed]
     if mode not in lines:
         raise InputError(f"{mode} is missing", file=GRAMMAR.file)
@@ -334,16 +327,16 @@ def _read_start(lines: Sequence[str], spec: MachineSpec, letters: Sequence[str])
         must.append(f"G92 {spec.filament}0")
     must += [spec.tcp_on] if spec.tcp else []
     place: dict[str, float] = {}
-    for number, line in enumerate(lines, 1):
+    for n, line in enumerate(lines, 1):
         if line in must and not place:
             must.remove(line)
             continue
-        for statement in GRAMMAR.statements([line], number):
+        for statement in GRAMMAR.statements([line], n):
             if spec.flavour == "linuxcnc" and statement.word == "blend":
                 continue
             words = _words(statement, "0")
             if not words.keys() <= set(letters):
-                raise GRAMMAR.unknown(line, number)
+                raise GRAMMAR.unknown(line, n)
             place |= words
     if must or set(place) != set(letters):
         missing = ", ".join([*must, *(name for name in letters if name not in place)])
@@ -373,19 +366,19 @@ SPOKEN = 3e-3  # s, and a sample: by which the rest is said behind or before its
 DURATION = 3e-3  # s
 
 
-def axes_complaints(plan: Plan, text: str) -> list[str]:
+def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """Every difference between a program and its plan beyond rounding and thinning, in words."""
     spec = spec_of(plan)
     machine = machine_of(spec)
     t = plan.trajectory
     station = t.q[:, len(plan.cell.arm) :] if isinstance(machine, PoseMachine) else np.empty((len(t), 0))
-    program = read_axes(text, spec, ("X", "Y", "Z", *machine.letters, *STATION[: station.shape[1]]))
+    program = read_axes(files[file_name(plan)], spec, ("X", "Y", "Z", *machine.letters, *STATION[: station.shape[1]]))
     tip, quat = t.tip.copy(), continuous(t.quat)
     if not isinstance(machine, PoseMachine):
         first, last = above(plan)
         tip[:first], quat[:first], tip[last:], quat[last:] = tip[first], quat[first], tip[last], quat[last]
     found = _moved(machine, program, tip, quat, station, t.t - t.t[0], t.deposit)
-    found += _beyond(machine, program)
+    found += _beyond_reach(machine, program)
     found += _fed(plan, program)
     found += _told(plan, program)
     if not abs(program.time[-1] - (t.t[-1] - t.t[0])) <= DURATION:
@@ -414,8 +407,8 @@ def _moved(
         share = np.clip((clock - program.time[a]) / np.where(lasts > 0.0, lasts, 1.0), 0.0, 1.0)
         u = nearest_fraction(places[a], places[a + 1], tip, share)
         u = np.where(np.linalg.norm(places[a + 1] - places[a], axis=1) < STANDS, share, u)
-        turning = program.turning[a] + u[:, None] * (program.turning[a + 1] - program.turning[a])
-        straight = program.straight[a] + u[:, None] * (program.straight[a + 1] - program.straight[a])
+        turning = lerp(program.turning, a, a + 1, u)
+        straight = lerp(program.straight, a, a + 1, u)
         off = np.linalg.norm(machine.tip(straight, turning[:, :k]) - tip, axis=1)
         nearer = off < best - 1e-9
         best = np.where(nearer, off, best)
@@ -428,18 +421,19 @@ def _moved(
     for by in (-1, 0, 1):
         b = np.clip(at + by, 1, len(clock) - 1)
         u = nearest_fraction(tip[b - 1], tip[b], places, np.zeros(len(places)))
-        astray = np.minimum(astray, np.linalg.norm(tip[b - 1] + u[:, None] * (tip[b] - tip[b - 1]) - places, axis=1))
-    worst = {
-        "the tip is {:.3g} m off its path": (float(best.max()), PATH),
-        "a target is {:.3g} m off the path": (float(astray.max()), PATH),
-        "the nozzle leans {:.3g} rad from its direction": (float(lean.max()), LEAN),
-        "what moves the part is {:.3g} rad off": (float(shifted.max()), LEAN),
-        "the tip is {:.3g} s off its time": (float(late[laid].max(initial=0.0)), LATE),
-    }
-    return [words.format(value) for words, (value, limit) in worst.items() if not value <= limit]
+        astray = np.minimum(astray, np.linalg.norm(lerp(tip, b - 1, b, u) - places, axis=1))
+    return beyond(
+        [
+            ("the tip is {:.3g} m off its path", float(best.max()), PATH),
+            ("a target is {:.3g} m off the path", float(astray.max()), PATH),
+            ("the nozzle leans {:.3g} rad from its direction", float(lean.max()), LEAN),
+            ("what moves the part is {:.3g} rad off", float(shifted.max()), LEAN),
+            ("the tip is {:.3g} s off its time", float(late[laid].max(initial=0.0)), LATE),
+        ]
+    )
 
 
-def _beyond(machine: Machine, program: AxesProgram) -> list[str]:
+def _beyond_reach(machine: Machine, program: AxesProgram) -> list[str]:
     """Axes that turn beyond their range, or go beyond their limits."""
     found = []
     for letter, within, turning in zip(machine.letters, machine.ranges, program.turning.T, strict=False):

@@ -11,7 +11,7 @@ import numpy as np
 
 from planner.base.arrays import Array, Flags, Indices
 from planner.base.compiled import njit
-from planner.export.fit import angle, continuous, from_matrix, slerp, to_matrix
+from planner.export.fit import angle, continuous, from_matrix, lerp, slerp, to_matrix
 
 if TYPE_CHECKING:
     from planner.plan import Plan
@@ -469,9 +469,7 @@ def _finer(now: Followed, parts: Indices) -> Followed:
     b = np.minimum(a + 1, len(parts))
 
     def between(values: Array) -> Array:
-        w = u if values.ndim == 1 else u[:, None]
-        out: Array = np.where(w == 0.0, values[a], values[a] + w * (values[b] - values[a]))
-        return out
+        return lerp(values, a, b, u)
 
     return replace(
         now,

@@ -10,7 +10,7 @@ import numpy as np
 
 from planner.base.arrays import Array, Flags, Indices
 from planner.base.errors import InputError
-from planner.export.fit import angle, from_matrix, slerp, to_matrix
+from planner.export.fit import angle, from_matrix, lerp, slerp, to_matrix
 from planner.export.player.played import PHASES, TIMES
 from planner.export.program import RobotProgram
 
@@ -96,9 +96,9 @@ def knots_of(program: RobotProgram, cell: Cell) -> PostureKnots:
     target = np.cumsum(parts)
     u = (np.arange(len(move)) - np.repeat(target - parts, parts) + 1) / parts[move]
     knots = _Poses(
-        position[move] + u[:, None] * (position[move + 1] - position[move]),
+        lerp(position, move, move + 1, u),
         slerp(quat[move], quat[move + 1], u),
-        ends[move] + u[:, None] * (ends[move + 1] - ends[move]),
+        lerp(ends, move, move + 1, u),
     )
     q = _followed(program, cell, frames, knots, move, begin)
     all_p, all_quat = np.vstack([p0, knots.position]), np.vstack([quat0, knots.quat])
@@ -263,8 +263,7 @@ def _with_joint_moves(program: RobotProgram, frames: _Frames, ends: PostureKnots
     u = (np.arange(len(owner)) - np.repeat(after - parts, parts) + 1) / parts[owner]
 
     def spread(values: Array) -> Array:
-        between = values[owner] + u[:, None] * (values[owner + 1] - values[owner])
-        return np.vstack([values[:1], between])
+        return np.vstack([values[:1], lerp(values, owner, owner + 1, u)])
 
     q, position, quat = spread(ends.q), spread(ends.position), np.vstack([ends.quat[:1], ends.quat[owner + 1]])
     inner = np.flatnonzero(u < 1.0) + 1

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.base.arrays import Array, Flags, Indices
-from planner.export.fit import slerp
+from planner.export.fit import lerp, slerp
 
 # ----------------------------------------------------------------------------------------------------
 # What a program has done once it has been played: where everything is at any time, and what happened when.
@@ -94,8 +94,8 @@ class Played:
         quat = slerp(self.quat[k], self.quat[k + 1], u)
         shape = times.shape
         return Moment(
-            q=_between(self.q, k, u).reshape(*shape, -1),
-            position=_between(self.position, k, u).reshape(*shape, 3),
+            q=lerp(self.q, k, k + 1, u).reshape(*shape, -1),
+            position=lerp(self.position, k, k + 1, u).reshape(*shape, 3),
             quat=(quat / np.linalg.norm(quat, axis=1, keepdims=True)).reshape(*shape, 4),
             move=self.move[k].reshape(shape),
         )
@@ -124,11 +124,6 @@ class Played:
 
 
 TINY = 1e-300  # keeps a division by no speed at all finite, where what is divided is 0 as well
-
-
-def _between(values: Array, k: Indices, u: Array) -> Array:
-    out: Array = values[k] + u[:, None] * (values[k + 1] - values[k])
-    return out
 
 
 def _time(v: Array, a: Array, way: Array) -> Array:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array
 from planner.export.fit import continuous, from_matrix
-from planner.export.moves import Moves, Wait, deposits, plan_moves
+from planner.export.moves import Moves, Wait, plan_moves, sections
 from planner.export.player.play import limited, play
 from planner.export.program import RobotProgram, about
 from planner.export.rapid.extruder import (
@@ -42,11 +42,11 @@ from planner.export.rapid.text import (
     batches_of,
     comment,
     module_name,
-    number,
     running,
     unloading,
 )
-from planner.export.support import unsaid_in_rapid
+from planner.export.support import by_bead, unsupported_in_rapid
+from planner.export.text import number, require_writable
 from planner.plan import RAPID_EXTERNAL_AXES
 from planner.plan.plan import materials_of
 
@@ -234,9 +234,7 @@ def triggers_of(plan: Plan, moves: Moves, demand: FlowDemand | None) -> Triggers
 
 def _switching(plan: Plan, moves: Moves) -> dict[int, list[str]]:
     """Move → triggers of the digital outputs."""
-    names = [each.name for each in materials_of(plan.problem)]
-    endings = list(extruders(plan))
-    own = [endings[names.index(bead.material)] if names else endings[0] for bead in plan.toolpath.beads]
+    own = by_bead(plan, list(extruders(plan)))
     bead = plan.trajectory.bead
     of: dict[int, list[str]] = {}
     for name, flags, at in (
@@ -322,7 +320,6 @@ def procedures_of(
     """All procedures with moves, in the order of calling; speeds: names, of the way to the start and of every move."""
     names, places = plan.problem.program, targets(plan, moves)
     frames = f"{names.tool}\\WObj:={names.work_object};"
-    first, last = deposits(plan.trajectory)
     sent = _numbered(lines)
     about = "The planned start as a target: the robot must not move here, if tool and work object are right."
     start = f"        MoveJ {places[0]},{speeds[0]},fine,{frames}"
@@ -338,12 +335,10 @@ def procedures_of(
         move = f"        {word} {places[i + 1]},{speeds[i + 1]}{what},{zone},{frames}"
         return (move, *_resting(moves.waits.get(i, ()), sent.get(i, ())))
 
-    bounds = np.searchsorted(moves.after, np.arange(len(first) + 2)).tolist()
-    for k, (a, b) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
-        if a < b:
-            name = f"Bead{plan.first_bead + k + 1:04d}" if k < len(first) else "Finish"
-            words = (_about(plan, int(first[k]), int(last[k])),) if k < len(first) else ()
-            found.append(Procedure(name, words, tuple(map(step, range(a, b))), fine[b - 1]))
+    for section in sections(plan, moves):
+        name = f"Bead{section.number:04d}" if section.number else "Finish"
+        words = (comment(section.about, 8),) if section.about else ()
+        found.append(Procedure(name, words, tuple(map(step, section.moves)), fine[section.moves[-1]]))
     return found
 
 
@@ -386,15 +381,6 @@ def _resting(waits: Sequence[Wait], sent: Sequence[tuple[int, SocketLine]]) -> l
         out += statements
         now += pause
     return out
-
-
-def _about(plan: Plan, first: int, last: int) -> str:
-    """Comment on what a procedure prints between two samples."""
-    t = plan.trajectory
-    bead = t.bead[first]
-    of = plan.toolpath.beads[bead].material
-    length = f"{1e3 * (t.s[last] - t.s[first]):.1f} mm" + (f" of {of}" if of else "")
-    return comment(f"Bead {bead}, layer {t.layer[first]}: {length}", 8)
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -484,10 +470,7 @@ def rapid_files(plan: Plan) -> dict[str, str]:
     Raises ValueError if the plan is not verified or has no form in RAPID, which is a mistake of the caller's, and
     InputError where the problem asks for a flow, or a line, that cannot be said.
     """
-    if not plan.verified:
-        raise ValueError("robot code is written for verified plans only")
-    if (reason := unsaid_in_rapid(plan)) is not None:
-        raise ValueError(reason)
+    require_writable(plan, unsupported_in_rapid(plan))
     name, t, spec = module_name(plan.name), plan.trajectory, plan.problem.program
     sends = spec.style == "socket"
     moves = plan_moves(plan, event_samples(t) if sends else None, laid_filament(t) if spec.style != "output" else None)
