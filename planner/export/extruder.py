@@ -1,4 +1,4 @@
-"""G-code of the extruder's own board, in time with the robot: written, read back, and held against its plan."""
+"""G-code of the extruder's own board, in time with the robot: writer, reader, and check against the plan."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from planner.problem.process import FanSpec
 
 # ----------------------------------------------------------------------------------------------------
-# What an extruder's board is told besides moving filament: heating, tools, fan and cutter.
+# Orders to the board besides moving filament: heating, tools, fan and cutter.
 
 PAUSE = "G4 P"  # and milliseconds
 FULL = 255  # of S in M106
@@ -48,7 +48,7 @@ class Order:
 
 
 def orders(plan: Plan) -> tuple[Order, ...]:
-    """All that the board is told besides moving filament, in order of time; lines are empty where it need do nothing.
+    """All orders by time; their lines are empty where the board need do nothing.
 
     Temperatures are set and not waited for, but with `heat: wait` before any time has passed: only what takes a known
     time keeps pace with the robot.
@@ -105,7 +105,7 @@ def _of_fan(fan: FanSpec, t: Trajectory, lag: float) -> list[Order]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# extrusion.gcode for RepRapFirmware: the extruder alone, in the time of the robot's motion.
+# Writer: extrusion.gcode for RepRapFirmware, the extruder alone.
 
 Labels = NDArray[np.int64]
 
@@ -124,7 +124,7 @@ def write(plan: Plan) -> dict[str, str]:
 def gcode(plan: Plan) -> str:
     """G-code of the extruder: G1 E F while filament moves, G4 P in between; E is relative, mm of filament.
 
-    What else the board is told, `orders` says. The robot waits at home for as long as its problem says.
+    Heating, tools, fan and cutter come from `orders`. The robot waits at home for as long as its problem says.
     """
     t = plan.trajectory
     cuts, label = _chunks(t)
@@ -148,8 +148,8 @@ def gcode(plan: Plan) -> str:
     ):
         if f <= 0.0:
             continue
-        said = [f"; {t.events[FIRST_EVENT - who].words}"] if who <= FIRST_EVENT else [f"; bead {who}, layer {layer}"]
-        what.append((end - took, took, [*(said if who not in (last, NOTHING) else []), f"G1 E{e:.5f} F{f:.3f}"]))
+        about = [f"; {t.events[FIRST_EVENT - who].words}"] if who <= FIRST_EVENT else [f"; bead {who}, layer {layer}"]
+        what.append((end - took, took, [*(about if who not in (last, NOTHING) else []), f"G1 E{e:.5f} F{f:.3f}"]))
         last = last if who == NOTHING else who
 
     name = re.sub(r"[^\x20-\x7e]", "?", plan.name)
@@ -161,10 +161,10 @@ def gcode(plan: Plan) -> str:
         "M83",
     ]
     now = 0.0
-    for start, took, said in sorted(what, key=lambda each: each[0]):
+    for start, took, own in sorted(what, key=lambda each: each[0]):
         lines += _pause(start - now)
         now += _pause_length(start - now) + took
-        lines += said
+        lines += own
     lines += _pause(float(clock[-1]) - now)
     return "\n".join(lines) + "\n"
 
@@ -207,10 +207,10 @@ def _chunks(t: Trajectory) -> tuple[Indices, Labels]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# The extruder's G-code, read back: does each tool get the filament that the plan has for it, and in time?
+# Reader and check: each tool gets the filament that the plan has for it, and in time.
 
 AMOUNT = 1e-5  # m of filament that a tool may get too much or too little, in all
-LATE = 2e-3  # s, and a sample: by which what is said may stand behind or before its instant
+LATE = 2e-3  # s, and a sample: by which an order may stand behind or before its instant
 GRAMMAR = Grammar.of(
     "G-code",
     ";",
@@ -229,11 +229,11 @@ GRAMMAR = Grammar.of(
 @dataclass(frozen=True)
 class Extrusion:
     """What the program does: filament in all [m] by tool (None before any is selected), when tools are selected [s],
-    when other lines are said to the board, and how long it lasts [s]."""
+    the other lines for the board with their times [s], and how long it lasts [s]."""
 
     filament: dict[int | None, float]
     selections: tuple[tuple[float, int], ...]
-    told: tuple[tuple[float, str], ...]
+    orders: tuple[tuple[float, str], ...]
     duration: float
 
 
@@ -244,7 +244,7 @@ def read_gcode(text: str) -> Extrusion:
     """
     filament: dict[int | None, float] = {}
     selections: list[tuple[float, int]] = []
-    told: list[tuple[float, str]] = []
+    ordered: list[tuple[float, str]] = []
     now, tool, relative = 0.0, None, False
     for statement in GRAMMAR.statements(text.splitlines()):
         word, parts = statement.word, statement.parts
@@ -255,7 +255,7 @@ def read_gcode(text: str) -> Extrusion:
         elif word == "wait" and now > 0.0:
             raise statement.error(f"{statement.text!r} would lose the robot, which waits by time")
         elif word in ("wait", "order"):
-            told.append((now, statement.text))
+            ordered.append((now, statement.text))
         elif word == "tool":
             tool = int(parts[0])
             selections.append((now, tool))
@@ -265,7 +265,7 @@ def read_gcode(text: str) -> Extrusion:
             amount = float(parts[0]) * 1e-3
             filament[tool] = filament.get(tool, 0.0) + amount
             now += abs(amount) / (float(parts[1]) * 1e-3 / 60.0)
-    return Extrusion(filament, tuple(selections), tuple(told), now)
+    return Extrusion(filament, tuple(selections), tuple(ordered), now)
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
@@ -281,7 +281,7 @@ def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
         if not max(late, default=0.0) <= LATE + t.dt:
             found.append(f"a tool is selected {max(late):.3g} s off its time")
     planned_orders = [(due, line) for order in orders(plan) for due, line in order.due if line.startswith("M")]
-    found += order_differences(planned_orders, written.told, LATE + t.dt, "the board is told other things")
+    found += order_differences(planned_orders, written.orders, LATE + t.dt, "the board is told other things")
     if not abs(written.duration - float(t.t[-1] - t.t[0])) <= LATE + t.dt:
         found.append(f"it lasts {written.duration:.3f} s")
     return found
@@ -301,14 +301,14 @@ def filament_differences(plan: Plan, filament: Mapping[int | None, float]) -> li
 
 
 def order_differences(
-    planned: Sequence[tuple[float, str | None]], told: Sequence[tuple[float, str]], tolerance: float, others: str
+    planned: Sequence[tuple[float, str | None]], found: Sequence[tuple[float, str]], tolerance: float, others: str
 ) -> list[str]:
     """Whether a program tells the board the planned lines (time [s], text), within a tolerance [s] of their times.
 
     others: how to begin where it tells others.
     """
-    if [line for _, line in planned] != [line for _, line in told]:
+    if [line for _, line in planned] != [line for _, line in found]:
         return [f"{others} than the plan's, or in another order"]
-    late = [(abs(at - due), line) for (at, line), (due, _) in zip(told, planned, strict=True)]
+    late = [(abs(at - due), line) for (at, line), (due, _) in zip(found, planned, strict=True)]
     worst, line = max(late, default=(0.0, ""))
     return [] if worst <= tolerance else [f"{line} is said {worst:.3g} s off its time"]

@@ -1,4 +1,4 @@
-"""Fewest targets that still say it all: lines between them fitted to a trajectory within all tolerances."""
+"""The fewest targets between which a controller's lines keep to a trajectory, within all tolerances."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from planner.base.arrays import Array, Flags, Indices
 from planner.base.compiled import njit
 
 # ----------------------------------------------------------------------------------------------------
-# Unit quaternions, x y z w, in batches: what the exporters need and no more.
+# Unit quaternions, x y z w, in batches.
 
 
 def continuous(quat: Array) -> Array:
@@ -81,7 +81,7 @@ def to_matrix(quat: Array) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Targets around sharp turns: near enough for a corner zone not to cut them off.
+# Sharp turns: targets near enough that a corner zone does not cut them off.
 
 ZONE = 0.3e-3  # m, of the targets of linear moves (RAPID's z0); controllers cut it to half of the neighbouring lines
 
@@ -107,7 +107,7 @@ def closer_at_turns(sample: Indices, tip: Array, target: Array, turns: Flags, mo
 
 
 # ----------------------------------------------------------------------------------------------------
-# How well a controller's lines between targets fit a trajectory: all tolerances of a line, over all its samples.
+# Misfits: all tolerances of a line between targets, over all its samples.
 
 TERMS = ("chord", "orientation", "station", "time", "tangent", "flow", "length")  # what can keep a line short
 LEAST_STEP = 1e-9  # [m] between samples: a shorter one, at rest, has no direction
@@ -274,7 +274,7 @@ def _lean(a: Array, b: Array, p: Array, q: Array) -> float:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Fewest targets that still say it all: split spans of samples until interpolation meets every sample between.
+# The fewest targets: spans of samples are split until interpolation meets every sample between.
 
 # (first, last, k) → how far interpolation between samples first and last misses sample k, in tolerances
 Misfit = Callable[[Indices, Indices, Indices], Array]

@@ -1,4 +1,4 @@
-"""ROS trajectory_msgs/JointTrajectory as JSON: written, read back, and held against its plan."""
+"""ROS trajectory_msgs/JointTrajectory as JSON: writer, reader, and check against the plan."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from planner.plan import Plan
 
 # ----------------------------------------------------------------------------------------------------
-# When the extruders' outputs go on and off, counted from the start of the motion.
+# Switching times of the extruders, from the start of the motion.
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def planned_switches(plan: Plan) -> tuple[Switch, ...]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Fewest points whose quintic splines repeat the planned joints.
+# The fewest points whose quintic splines repeat the planned joints.
 #
 # Of a point with position, velocity and acceleration, ROS's joint_trajectory_controller makes a polynomial of degree 5 to
 # the next one (ros2_controllers, "Trajectory Representation"), so that is what the points are chosen for.
@@ -154,7 +154,7 @@ def at_times(knots: SplineKnots, time: Array) -> tuple[Array, Array, Array]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# A plan as two JSON files: the message trajectory_msgs/JointTrajectory, and when extruders go on and off.
+# Writer: two JSON files, the message and the switching of the extruders.
 #
 # The message holds the whole print in one, since it may stop nowhere within a bead and travel between beads is timed as
 # well. Its times count from the robot's first motion, as those of the extruder's G-code do.
@@ -232,7 +232,7 @@ def _duration(seconds: float) -> dict[str, int]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Reads the two JSON files of a joint trajectory: exactly the fields that ROS's message has, and nothing else.
+# Reader: exactly the fields of ROS's message.
 
 LONGEST_FILE = 1_000_000_000  # characters; 180,000 points of eight joints have some 70 million
 MOST_JOINTS = 32
@@ -358,7 +358,7 @@ class _Reader:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Whether a joint trajectory that was read back moves as its plan does, between its points as well.
+# Check of what was read against the plan, between its points as well.
 
 BLOCK = 20_000  # samples compared at once: bounds the memory
 ON_TIME = 1e-6  # s

@@ -1,4 +1,4 @@
-"""KUKA Robot Language for KR C controllers (KSS): written, read back, and held against its plan."""
+"""KUKA Robot Language for KR C controllers (KSS): writer, reader, and check against the plan."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from planner.export.moves import (
     sections,
     tip_acceleration,
 )
-from planner.export.program import UNSAID, RobotProgram, Trigger, about, named
+from planner.export.program import UNSPECIFIED, RobotProgram, Trigger, about, named
 from planner.export.rapid.text import module_name
 from planner.export.rapid.writer import external_degrees
 from planner.export.readback import played_differences
@@ -34,9 +34,9 @@ if TYPE_CHECKING:
     from planner.plan import Plan
 
 # ----------------------------------------------------------------------------------------------------
-# KUKA's way to count: axes A1 to A6, angles A B C, Status and Turn.
+# KUKA's conventions: axes A1 to A6, angles A B C, Status and Turn.
 #
-# Axes: at KUKA's zero the arm lies stretched out forwards, and A1, A4, A6 turn against our joints (ROS-Industrial,
+# Axes: at KUKA's zero the arm points straight forward, and A1, A4, A6 turn against our joints (ROS-Industrial,
 # kuka_experimental, whose URDF files follow the controllers). Angles: R = Rz(A) Ry(B) Rx(C).
 #
 # Status: bit 0 is set where the wrist's centre lies behind axis 1, bit 1 where A3 is beyond the stretched arm (0 without
@@ -141,7 +141,7 @@ def axes(degrees: Array, external: Array) -> str:
 
 
 # ----------------------------------------------------------------------------------------------------
-# KRL for KR C controllers (KSS): a .src with a subprogram for each bead, and a .dat with the frames.
+# Writer: a .src with a subprogram for each bead, and a .dat with the frames.
 #
 # Targets stand inline in the moves, as they do in programs of offline systems: E6AXIS for travel, which leaves no doubt
 # about the posture, and E6POS in the part's frame for lines. Subprograms are local to the file, so that a bead is one
@@ -318,7 +318,7 @@ def _subprograms(plan: Plan, moves: Moves) -> tuple[list[str], list[str]]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Reads the KRL that `write` writes back into numbers: a strict subset, where anything unknown is an error.
+# Reader: exactly the subset that the writer uses.
 
 Forward = Callable[[Array], Array]
 
@@ -370,7 +370,7 @@ class KrlProgram:
     program   triggers name outputs by their numbers; joints are counted as KUKA does; the zone of an approximated PTP
               is NaN, for it has no distance
     axes      (m, 6) A1 to A6 of PTP targets [rad]; NaN for others
-    turn      (m) Turn of LIN targets; UNSAID for others
+    turn      (m) Turn of LIN targets; UNSPECIFIED for others
     share     (m) speed of the axes [percent]
     settings  system variables and what they are set to
     """
@@ -517,7 +517,11 @@ class _Run:
                 raise statement.error("an output is switched beside the path")
         linear, stops = np.array(self.linear), ~np.array(self.fly)
         axes, paces = np.array(self.points), np.array(self.paces)
-        pose, conf, turn = np.empty((m, 7)), np.full((m, 4), UNSAID, dtype=np.intp), np.full(m, UNSAID, dtype=np.intp)
+        pose, conf, turn = (
+            np.empty((m, 7)),
+            np.full((m, 4), UNSPECIFIED, dtype=np.intp),
+            np.full(m, UNSPECIFIED, dtype=np.intp),
+        )
         rows = np.array([[float(value) for value in parts[:8]] for parts in self.lines if parts])
         pose[linear] = np.column_stack([rows[:, :3] * 1e-3, quaternions(np.radians(rows[:, 3:6]))])
         conf[linear, 3], turn[linear] = branch_of(rows[:, 6].astype(np.intp)), rows[:, 7]
@@ -549,7 +553,7 @@ class _Run:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Whether a KRL program that was read back does what its plan does.
+# Check of what was read against the plan.
 
 ROUNDING = np.radians(1.01e-4)  # of axes
 

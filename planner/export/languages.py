@@ -29,11 +29,11 @@ class _LanguageModule(Protocol):
 
 @dataclass(frozen=True)
 class Language:
-    """How a plan is said to a controller.
+    """A language of robot controllers, or of extruders.
 
     module       below planner.export, with `write` and `differences`; loaded when it is first asked, for all of them
                  together take half a second
-    unsupported  why this language cannot say what a cell does; None if it can
+    unsupported  why a program of this cell cannot be written in it; None if it can
     """
 
     title: str
@@ -54,7 +54,7 @@ class Language:
 
 
 def _always(setup: Setup) -> None:
-    """Of a language that says what any cell does."""
+    """A language that supports every cell."""
 
 
 LANGUAGES: dict[str, Language] = {
@@ -86,7 +86,7 @@ def chosen(setup: Setup) -> Chosen:
     """The languages that the problem asks for; without that, the one that the arm's controller speaks.
 
     A machine that the problem describes has its G-code then, too. Raises InputError for a language that was asked for
-    and cannot say what the cell does.
+    and does not support the cell.
     """
     asked = setup.problem.program.languages
     if asked is None and setup.problem.program.machine is not None:
@@ -104,7 +104,7 @@ def chosen(setup: Setup) -> Chosen:
 
 
 def _usual(setup: Setup) -> Chosen:
-    """The language of the arm's controller, or a note where that cannot say what the cell does."""
+    """The language of the arm's controller, or a note where that does not support the cell."""
     own = setup.cell.arm_robot.language
     reason = LANGUAGES[own].unsupported(setup)
     if reason is not None:

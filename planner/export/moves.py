@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from planner.plan import Event, Plan, Trajectory
 
 # ----------------------------------------------------------------------------------------------------
-# How fast a controller may go where a plan does not say it move by move: as fast as the plan ever does.
+# How fast a controller may go where a plan gives no speed of single moves: as fast as the plan ever does.
 
 
 def tip_acceleration(trajectory: Trajectory) -> float:
@@ -46,7 +46,7 @@ def greatest_until_stop(moves: Moves, rates: Array) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Where the robot stands still, for how long, and what for.
+# Rests: where the robot stands still, for how long, and what for.
 
 LEAST_WAIT = 0.05  # [s]; a shorter rest is no more than the turn of a motion
 STILL = 1e-9  # rad that a joint moves in a sample, at most, where the robot stands still
@@ -189,7 +189,7 @@ def _sliding_maximum(values: Array, width: int) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Postures of targets beside the path: near those of the samples, but at the border of a configuration perhaps beyond.
+# Postures of targets beside the path, which may lie beyond the border of a configuration.
 
 BLOCK = 20_000  # poses whose postures are sought at once: bounds the memory
 REVOLUTION = 2.0 * np.pi
@@ -221,7 +221,7 @@ def reached(plan: Plan, sample: Indices, targets: Poses, moved: Flags) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# From samples to moves: which targets a controller needs, and how each is approached.
+# Moves: the targets that a controller needs, and how each is approached.
 
 ROUNDING = 1e-6  # [m]; what the numbers in the file take of the tolerance of the path
 ANGLE_TOLERANCE = np.radians(0.045)  # orientation and the part's axes [rad]; likewise of 0.05 deg
@@ -434,7 +434,7 @@ def _flown(path: Array, first: Indices, last: Indices, rests: Indices, run_in: f
 
 
 # ----------------------------------------------------------------------------------------------------
-# How far controllers may round the corners between targets: never into each other, never beyond a tolerance.
+# Blends: corners between targets are rounded never into each other, and never beyond a tolerance.
 #
 # A blend leaves the line to a target, and joins the next one, at its radius from the target. Whether it is an arc or a
 # parabola, it passes the target at r tan(a / 4), to first order in the angle a by which the lines turn. With half a

@@ -1,4 +1,4 @@
-"""What a robot program does once it is read back, whatever its language; and what every program says of itself."""
+"""A robot program as its reader gives it, whatever its language; and the header that every program has."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from planner.problem import Problem
 
 # ----------------------------------------------------------------------------------------------------
-# What decides whether a language can say a plan, known before there is one: the problem and its cell.
+# What decides whether a language supports a plan, known before there is one: the problem and its cell.
 
 
 class Setup(Protocol):
@@ -44,7 +44,7 @@ class ProblemSetup:
 
 
 # ----------------------------------------------------------------------------------------------------
-# What every program says of itself at its head.
+# The header of every program.
 
 
 def about(plan: Plan) -> list[str]:
@@ -72,9 +72,9 @@ def verified(plan: Plan) -> list[str]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# What a robot program does once it is read back, whatever its language.
+# A program that was read.
 
-UNSAID = -128  # in place of a part of a configuration
+UNSPECIFIED = -128  # in place of a part of a configuration that a language leaves open
 
 
 @dataclass(frozen=True)
@@ -96,14 +96,14 @@ class RobotProgram:
     start                      (12,) joints and station axes of the first move [rad], NaN where unused
     linear, fine               (m,) bool
     position, quat             (m, 3) [m], (m, 4) x y z w
-    conf                       (m, 4) cf1, cf4, cf6, cfx; UNSAID where the language has none
+    conf                       (m, 4) cf1, cf4, cf6, cfx; UNSPECIFIED where the language has none
     external                   (m, 6) station axes [rad], NaN where unused
     zone                       (m,) radius of the corner zone at the target [m]; 0 where the motion comes to rest,
-                               NaN where no distance says how large it is
+                               NaN where it has no distance
     speed                      (m, 4) tip [m/s], reorientation [rad/s], linear axes [m/s], rotating axes [rad/s]
     wait                       (m,) time at rest after the move [s]
     triggers                   move → its triggers, in order
-    joints                     (m, n) of the arm at targets of joint moves, where the language says them [rad]
+    joints                     (m, n) of the arm at targets of joint moves, where the language has them [rad]
     demands                    move → (distance [m] from its end, value that an analog output takes there), in order
     sends                      move → strings sent to the extruder's board after it, in order; -1: before the first
     send_rests                 move → for each of them, how long the robot has rested there when it is sent [s]
@@ -132,7 +132,7 @@ class RobotProgram:
 
 
 # ----------------------------------------------------------------------------------------------------
-# A program that was read back, cut where the extruder is switched.
+# The same cut where the extruder is switched.
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Whether a program, read back and played, does what its plan does: path, pace, switches and waits."""
+"""Check of a program that was read and played against its plan: path, pace, switches and waits."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from planner.export.moves import (
 )
 from planner.export.player.play import play
 from planner.export.player.played import Played, laid_spans, laid_targets
-from planner.export.program import UNSAID, ProgramPiece, RobotProgram, pieces_of
+from planner.export.program import UNSPECIFIED, ProgramPiece, RobotProgram, pieces_of
 from planner.export.rapid.writer import external_degrees, quadrants
 from planner.export.support import by_bead, output_numbers
 from planner.export.text import beyond
@@ -34,10 +34,10 @@ if TYPE_CHECKING:
     from planner.plan import Plan, Trajectory
 
 # ----------------------------------------------------------------------------------------------------
-# Whether a program that was read back stands still where its plan does, and for as long.
+# Waits: the program stands still where the plan does, and for as long.
 
 PLACE = 0.05e-3  # m between the nozzle's tip and the target at which it waits
-DOUBT = 2.0  # samples: so well do they tell how long a rest lasts, where no event does
+DOUBT = 2.0  # samples: to these a rest is known whose length no event gives
 
 
 def waits_differ(plan: Plan, program: RobotProgram) -> float:
@@ -90,9 +90,9 @@ def _before_and_between_beads(t: Trajectory) -> list[tuple[float, float, float]]
 
 
 # ----------------------------------------------------------------------------------------------------
-# What was written, read back: is the path that the program describes the plan's path?
+# Path: the lines of the program against the samples of the plan.
 
-CLOSE = 3e-5  # [m] between samples, which rounding and played targets do not tell apart
+CLOSE = 3e-5  # [m] between samples, which rounding and played targets confuse
 OTHERS = 4.0  # samples to a side that may be taken for a target's own there, at most
 LEVER = 0.05  # [m/rad]: turning counts as path where the tip stands still
 WINDOWS = (6, 64)  # samples to either side within which a target's own sample is sought, the second if need be
@@ -315,7 +315,9 @@ def _wrong_configurations(plan: Plan, match: _Match) -> int:
         near = np.clip(match.at + d, least, most)
         q, branch = trajectory.q[near], trajectory.branch[near]
         within = (quadrants(q - BORDER) <= conf[:, :3]) & (conf[:, :3] <= quadrants(q + BORDER))
-        right |= (within | (conf[:, :3] == UNSAID)).all(axis=1) & ((conf[:, 3] == branch) | (conf[:, 3] == UNSAID))
+        right |= (within | (conf[:, :3] == UNSPECIFIED)).all(axis=1) & (
+            (conf[:, 3] == branch) | (conf[:, 3] == UNSPECIFIED)
+        )
     return int(np.count_nonzero(match.all.known & ~right))
 
 
@@ -413,7 +415,7 @@ def _frames(plan: Plan, program: RobotProgram) -> tuple[float, float]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Whether a program, read back and played, does what its plan does: where it goes, how fast, and what it switches.
+# The program as it is played: pace, corners, stops and configurations.
 
 # of the time in which material is laid: wide, for it is a model's, which small prints full of corners stretch by 5 per
 # cent; shipped problems stay within half a per cent (`python -m benchmarks.programs`)
@@ -506,16 +508,16 @@ def _cut(program: RobotProgram, played: Played) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Programs of languages that leave postures and speeds open, played with those of the plan in their place.
+# Languages that leave postures and speeds open are played with those of the plan.
 
-FAST = 100.0  # m/s, rad/s: what is not said does not slow the robot down; its joints do
+FAST = 100.0  # m/s, rad/s: a speed that a program leaves open does not slow the robot down; its joints do
 
 
 def played_differences(plan: Plan, moves: Moves, program: RobotProgram) -> list[str]:
     """What a program that was read back does otherwise than its plan, in words.
 
     Configurations that its targets do not name are those of the planned postures, which is what the controller must
-    come to by itself: it is told by joints where each line begins, and keeps its configuration along lines.
+    come to by itself: it gets the joints where each line begins, and keeps its configuration along lines.
     """
     at = np.concatenate([[0], moves.sample])
     if len(program.linear) != len(at):
@@ -523,7 +525,7 @@ def played_differences(plan: Plan, moves: Moves, program: RobotProgram) -> list[
     planned = np.column_stack([quadrants(moves.q), plan.trajectory.branch[at]])
     filled = replace(
         program,
-        conf=np.where(program.conf == UNSAID, planned, program.conf),
+        conf=np.where(program.conf == UNSPECIFIED, planned, program.conf),
         speed=np.where(np.isnan(program.speed), FAST, program.speed),
         zone=np.nan_to_num(program.zone),  # of travel: by how much it is rounded is the controller's to choose
     )

@@ -1,4 +1,4 @@
-"""Which cells each language can speak of, and the numbers of the outputs that switch extruders."""
+"""Which cells each language supports, and the numbers of the outputs that switch extruders."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def by_bead(plan: Plan, outputs: Sequence[Output]) -> list[Output]:
 
 
 def unsupported_in_rapid(setup: Setup) -> str | None:
-    """Why no RAPID program can say what a cell does; None if one can."""
+    """Why RAPID does not support a cell; None if it does."""
     arm, holder = setup.cell.arm_robot, setup.cell.holder_robot
     if not setup.cell.spherical:
         return f"the configuration of a target is that of a spherical wrist, which {arm.name} has not"
@@ -45,7 +45,7 @@ def unsupported_in_rapid(setup: Setup) -> str | None:
 
 
 def unsupported_in_krl(setup: Setup) -> str | None:
-    """Why no KRL program can say what a cell does; None if one can."""
+    """Why KRL does not support a cell; None if it does."""
     arm, holder = setup.cell.arm_robot, setup.cell.holder_robot
     if not setup.cell.spherical:
         return f"KR C controllers move arms with six axes and a spherical wrist, which {arm.name} is not"
@@ -59,7 +59,7 @@ def unsupported_in_krl(setup: Setup) -> str | None:
 
 
 def unsupported_in_urscript(setup: Setup) -> str | None:
-    """Why no URScript program can say what a cell does; None if one can."""
+    """Why URScript does not support a cell; None if it does."""
     arm, holder = setup.cell.arm_robot, setup.cell.holder_robot
     if arm.language != "urscript":
         return f"{arm.name} is no arm of Universal Robots, by the language in its file"
@@ -72,7 +72,7 @@ def unsupported_in_urscript(setup: Setup) -> str | None:
 
 
 def unsupported_in_axes(setup: Setup) -> str | None:
-    """Why there is no such program of what a cell does; None if there is one."""
+    """Why G-code of a multi-axis machine does not support a cell; None if it does."""
     spec: MachineSpec | None = setup.problem.program.machine
     if spec is None:
         return "program.machine describes no machine"

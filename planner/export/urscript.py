@@ -1,4 +1,4 @@
-"""URScript for Universal Robots' controllers (CB3 and e-Series): written, read back, and held against its plan."""
+"""URScript for Universal Robots' controllers (CB3 and e-Series): writer, reader, and check against the plan."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from planner.export.moves import (
     sections,
     tip_acceleration,
 )
-from planner.export.program import UNSAID, RobotProgram, Trigger, about, named
+from planner.export.program import UNSPECIFIED, RobotProgram, Trigger, about, named
 from planner.export.rapid.text import module_name
 from planner.export.readback import played_differences
 from planner.export.support import by_bead, output_numbers, unsupported_in_urscript
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from planner.plan import Plan
 
 # ----------------------------------------------------------------------------------------------------
-# The frame in which a Universal Robots controller counts, and its rotation vectors.
+# The controller's base frame, and rotation vectors.
 
 
 def world_controller(cell: Cell) -> Array:
@@ -72,7 +72,7 @@ def quaternions(vectors: Array) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# URScript for Universal Robots' controllers (CB3 and e-Series): one program with a function for each bead.
+# Writer: one program with a function for each bead.
 #
 # Material is laid by movep, which keeps the tip's speed through circular blends, where movel was seen to speed up. The
 # maker describes no blend of movep with other moves, so run-in and run-out are movep too, and where it meets the movej of
@@ -218,7 +218,7 @@ def _moves(plan: Plan, moves: Moves, pace: MoveAccelerations) -> list[str]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Reads the URScript that `urscript` writes back into numbers: a strict subset, where anything unknown is an error.
+# Reader: exactly the subset that the writer uses.
 
 Forward = Callable[[Array], Array]
 
@@ -303,7 +303,7 @@ def read_urscript(text: str, forward: Forward) -> Script:
         fine=how[:, 2] == 0.0,
         position=position,
         quat=quat,
-        conf=np.full((m, 4), UNSAID, dtype=np.intp),
+        conf=np.full((m, 4), UNSPECIFIED, dtype=np.intp),
         external=np.full((m, 6), np.nan),
         zone=how[:, 2],
         speed=np.column_stack([np.where(linear, how[:, 1], np.nan), np.full((m, 3), np.nan)]),
@@ -364,7 +364,7 @@ def _triggers(switched: list[tuple[int, str, bool]], m: int) -> dict[int, tuple[
 
 
 # ----------------------------------------------------------------------------------------------------
-# Whether a URScript program that was read back does what its plan does.
+# Check of what was read against the plan.
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:

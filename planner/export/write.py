@@ -1,4 +1,4 @@
-"""Files that leave the house: tables for everybody, robot code only of verified plans."""
+"""Writes the results of a plan: tables of any, robot code of verified ones only."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ def write_robot_code(plan: Plan, folder: Path) -> tuple[Path, ...]:
     """Write a verified plan in the languages that were chosen for it; returns the paths.
 
     All programs are read back and held against the plan before anything is written. ValueError if the plan is not
-    verified, RuntimeError if a program does not say what the plan says (both mistakes of this code or its caller),
-    InputError for a language that was asked for and cannot say it, OutputError where the files cannot be written.
+    verified, RuntimeError if a program differs from the plan (both mistakes of this code or its caller),
+    InputError for a language that was asked for and does not support the cell, OutputError where the files cannot be written.
     """
     require_writable(plan)
     texts: dict[str, str] = {}

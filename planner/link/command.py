@@ -28,7 +28,7 @@ from planner.planning.solve_command import main as solve
 from planner.simulate.start import start
 
 # ----------------------------------------------------------------------------------------------------
-# What the user sees of a run: how far it is, and how it ended.
+# Progress, and how a run ended.
 
 SETTLED = 10.0  # s of the run after which its own pace says how long the rest takes
 
@@ -99,20 +99,18 @@ def ending(lines: ProgramLines, outcome: RunOutcome, problem: str) -> list[str]:
     if outcome.reason is None:
         return [f"done: all {total} lines were acknowledged"]
     where = f"last acknowledged line {n} of {total} ({place(lines, n)})" if n else "no line was acknowledged"
-    said = [f"stopped: {outcome.reason}; {where}"]
+    out = [f"stopped: {outcome.reason}; {where}"]
     if outcome.sent > n:
-        said.append(
-            f"line {outcome.sent} ({lines[outcome.sent].text}) went to the board, which may have carried it out"
-        )
+        out.append(f"line {outcome.sent} ({lines[outcome.sent].text}) went to the board, which may have carried it out")
     if not outcome.safe:
-        said.append(
+        out.append(
             "the board did not confirm that it is safe: look at its heaters, its cutter, and what it still extrudes"
         )
     resume = outcome.position.resume
     if resume is None:
-        return [*said, "all beads were printed"]
+        return [*out, "all beads were printed"]
     return [
-        *said,
+        *out,
         f"to go on: python -m planner.solve {problem} --from-bead {resume}, with the same --set and --strategy",
     ]
 
@@ -120,7 +118,7 @@ def ending(lines: ProgramLines, outcome: RunOutcome, problem: str) -> list[str]:
 # ----------------------------------------------------------------------------------------------------
 # `--demo`: a print on simulators of the controller and the board, from its problem to its last line.
 #
-# The only module of the link that knows of the simulators, and of them only where they listen.
+# This is the only file of the link that knows of the simulators, and of them only where they listen.
 
 PROBLEM = "cylinder_logo"
 CHANGES = ("layers.count=1", "program.style=socket")
@@ -161,7 +159,7 @@ def _found() -> Path | None:
 
 
 # ----------------------------------------------------------------------------------------------------
-# The command line of the link: a program to the controller, its lines to the board, both watched.
+# The command.
 
 PASSWORD, HEAD_PASSWORD = "BEADWISE_RWS_PASSWORD", "BEADWISE_HEAD_PASSWORD"
 SOCKET_PORT = 1025  # of the program, unless the problem says otherwise
@@ -183,9 +181,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _demo(options: argparse.Namespace, say: Callable[[str], None]) -> int:
-
     options.program = options.program or demo_program(say)
-    options.secret = Secret(PASSWORD)
+    options.secret = Secret(SIMULATED_PASSWORD)
     with simulated(options.pace) as (options.controller, options.socket, options.head):
         return _run(options, say)
 

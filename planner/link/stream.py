@@ -25,7 +25,7 @@ from planner.export.program import RobotProgram, Trigger
 from planner.export.rapid.reader import read_rapid_files
 
 # ----------------------------------------------------------------------------------------------------
-# A program's moves as the frames that go to a controller while it runs them (see BeadwiseStream.mod).
+# Frames: one for each move of a program (see BeadwiseStream.mod).
 #
 # A frame is 96 bytes, little-endian: number, kind, flags of the triggers, tool, place [mm], orientation w x y z,
 # configuration, external axes [deg], speeds [mm/s, deg/s], wait [s], zone [mm], how many frames there are up to and with
@@ -144,7 +144,7 @@ def _longest(program: RobotProgram) -> float:
 
 
 # ----------------------------------------------------------------------------------------------------
-# The sending side of a stream, without sockets: what to send when, by what the controller has said.
+# The sender, without sockets: answers of the controller in, bytes out.
 
 VERSION = 1
 LONGEST_LINE = 80  # characters, as RAPID's strings
@@ -232,7 +232,7 @@ class Sender:
 
 
 # ----------------------------------------------------------------------------------------------------
-# The controller's side of a stream: our RAPID module with a plan's tool, work object, station and outputs in it.
+# The module for the controller, with a plan's tool, work object, station and outputs.
 
 MODULE = "BeadwiseStream"
 _PARTS = re.compile(r"( *! --- of the plan ---\n).*?(?= *! --- of every plan ---\n)", re.DOTALL)
@@ -286,7 +286,7 @@ def _pose(pose: Array) -> str:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Sends a plan's moves to a controller while it runs them, in place of a program that is loaded whole.
+# The command.
 #
 # python -m planner.link.stream OUT_DIR --controller HOST
 
@@ -297,7 +297,7 @@ LOOK = 0.01  # s between looks at the clock
 LARGEST = 256 << 20  # bytes of all modules
 BLOCK = 4096  # bytes read at once
 LONGEST_NAME = 80  # bytes of a module's first line
-TOLD_EVERY = 0.1  # share of all moves
+REPORT_EVERY = 0.1  # share of all moves
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -401,7 +401,7 @@ def send(stream: Stream, host: str, port: int, say: Callable[[str], None]) -> Se
 
 
 def _pump(connection: socket.socket, sender: Sender, waiting: bytearray, say: Callable[[str], None]) -> None:
-    told = 0.0
+    reported = 0.0
     connection.setblocking(False)
     while not sender.finished:
         if not waiting:
@@ -417,9 +417,9 @@ def _pump(connection: socket.socket, sender: Sender, waiting: bytearray, say: Ca
                 del waiting[: connection.send(waiting)]
         except OSError as error:
             raise sender.lost() from error
-        if sender.done >= told * sender.total:
+        if sender.done >= reported * sender.total:
             say(f"{sender.done} of {sender.total} moves begun")
-            told = sender.done / sender.total + TOLD_EVERY
+            reported = sender.done / sender.total + REPORT_EVERY
 
 
 def _tell(connection: socket.socket, data: bytes) -> None:

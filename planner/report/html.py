@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from planner.plan import Plan
 
 # ----------------------------------------------------------------------------------------------------
-# The first screen of a report: the figures that decide beside the baseline's, the places to go to, the scene and its player.
+# The figures that decide, beside the baseline's, and the scene with its player.
 
 # metric, label, unit, factor, decimals, whether more is better
 DECIDING = (
@@ -91,7 +91,7 @@ def _cell(value: float | None, key: str, factor: float, digits: int) -> tuple[st
 
 
 # ----------------------------------------------------------------------------------------------------
-# report.html of a plan: verdict, summary, scene, checks, curves over time, and how it came about.
+# The whole report.
 
 DEFAULT_DT = 0.004
 

@@ -1,4 +1,4 @@
-"""The frame of every report: one self-contained file with styles, scripts and figures packed inside."""
+"""The page of every report: one self-contained file with styles, scripts and figures packed inside."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from planner.base.errors import OutputError
 from planner.report.templates import render
 
 # ----------------------------------------------------------------------------------------------------
-# Figures and libraries as the page carries them: numbers as they are, all of it compressed, in base64.
+# Packing of figures: numbers in binary, compressed, in base64.
 #
 # What is packed is four bytes with the length of a JSON text, the text, and the arrays that it refers to by
 # {"array": [kind, offset, count]}; everything little-endian, arrays on whole eight bytes from where they begin.
@@ -71,7 +71,7 @@ def coarse(values: Array) -> dict[str, Any]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# The scripts of other projects that a page carries, compressed: the same for every page, and half a second of work.
+# Scripts of other projects, compressed: the same for every page, and half a second of work.
 
 # By name: the distribution, and its file. The script alone is read; the package, if it is one, is not imported.
 LIBRARIES = {"k3d": "k3d/static/standalone.js", "plotly": "plotly/package_data/plotly.min.js"}
@@ -107,7 +107,7 @@ def _squeezed(name: str) -> str:
 
 
 # ----------------------------------------------------------------------------------------------------
-# The frame of every report: one self-contained file with styles, scripts and figures inside.
+# The page.
 
 SCRIPTS = (
     "unpack",

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from planner.plan import Approach, Check, Dip, Plan, Trajectory
 
 # ----------------------------------------------------------------------------------------------------
-# Where bodies come nearest to each other: a table whose rows bring the scene there.
+# Approaches: where bodies come nearest to each other.
 
 
 def approaches_section(plan: Plan, places: Sequence[ReportPlace]) -> Markup:
@@ -30,7 +30,7 @@ def approaches_section(plan: Plan, places: Sequence[ReportPlace]) -> Markup:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Dips in the report: marks on the part, a table of those that cost most, and what would avoid them.
+# Dips: marks on the part, a table of those that cost most, and what would avoid them.
 
 MOST_ROWS = 30
 MOST_MARKS = 800  # each carries some 300 bytes of words
@@ -103,7 +103,7 @@ def _lines(dip: Dip, commanded: float) -> list[str]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Places to go to in the scene: failed checks, the worst of the plan, and where bodies come near; and dips beside them.
+# The list of places: failed checks, the worst of the plan, and where bodies come near.
 
 AT_SPEED = 0.98
 NEAREST = 3  # approaches in the list; the table has all

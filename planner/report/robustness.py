@@ -1,4 +1,4 @@
-"""Head-room under uncertainty in words and tables: whether a plan holds where the part stands a little elsewhere."""
+"""Headroom in words and tables: whether a plan holds where the part stands a little elsewhere."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the report calls things: metrics with human labels and units, numbers as people read them."""
+"""Words of the report: metrics with human labels and units, numbers as people read them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The controller's side of externally guided motion: says every 4 ms where the robot is, and follows references late."""
+"""The controller's side of externally guided motion: sends its posture every 4 ms, and follows references with a lag."""
 
 from __future__ import annotations
 

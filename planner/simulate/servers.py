@@ -16,7 +16,7 @@ from planner.base.errors import InputError
 from planner.simulate.board import Board, Fault, Faults, Record, Reply
 
 # ----------------------------------------------------------------------------------------------------
-# What the simulators' sockets share: listening, and reading lines of bounded length.
+# Shared: listening, and reading lines of bounded length.
 
 HOST = "127.0.0.1"
 BLOCK = 4096  # bytes read at once
@@ -57,7 +57,7 @@ class LineReader:
 
 
 # ----------------------------------------------------------------------------------------------------
-# The board on TCP, as RepRapFirmware's telnet: one connection at a time, replies ended by CRLF.
+# The board on TCP, as in RepRapFirmware's telnet: one connection at a time, replies end with CRLF.
 
 DISCARDED = 0.5  # s after a connection, in which RepRapFirmware throws away what comes
 LOOK = 0.05  # s between looks at the clock and at whether to end
@@ -215,7 +215,7 @@ class _Client:
 
 
 # ----------------------------------------------------------------------------------------------------
-# The controller's end of the connection that carries a program's G-code: lines numbered, acknowledged, bounded.
+# The controller's end of the connection for G-code: lines numbered, acknowledged, bounded.
 
 WINDOW = 16  # lines sent and not acknowledged
 TIMEOUT = 2.0  # s without an acknowledgement while one is needed

@@ -1,6 +1,6 @@
 """The controller's side of a stream of moves: takes frames into a buffer of bounded size and lets them run in time.
 
-What goes over the wire is told in planner/link/BeadwiseStream.mod; this is a second telling of it, made without the
+The protocol is documented in planner/link/BeadwiseStream.mod; this is a second implementation, made without the
 first one's code.
 """
 
@@ -102,6 +102,7 @@ class Buffer:
 
     @property
     def taken(self) -> int:
+        """Frames that were received so far."""
         return len(self._frames)
 
     def advance(self, now: float) -> bool:

@@ -1,4 +1,4 @@
-"""G-code of machines with five or six axes: written, read back, and held against its plan."""
+"""G-code of machines with five or six axes: writer, reader, and check against the plan."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from planner.problem.settings import MachineSpec
 
 # ----------------------------------------------------------------------------------------------------
-# From samples to lines of G-code: the fewest targets between which axes that move evenly keep the tip on its path.
+# The fewest targets between which axes that move evenly keep the tip on its path.
 
 FILAMENT_TOLERANCE = 5e-6  # m of filament that a line may be ahead or behind
 STILL = 1e-7  # m, rad by which nothing moves
@@ -35,7 +35,7 @@ STILL = 1e-7  # m, rad by which nothing moves
 def kept(plan: Plan, motion: Followed, due: Array) -> Indices:
     """Samples of the motion that become targets, the first and the last among them.
 
-    due: times [s] at which something else is said between lines.
+    due: times [s] at which orders to the board stand between moves.
     """
     n = len(motion)
     must = np.zeros(n, dtype=bool)
@@ -80,7 +80,7 @@ class _Misfit:
 
 
 # ----------------------------------------------------------------------------------------------------
-# G-code for a machine that moves nozzle and filament itself: every line all axes at once, in the time of the plan.
+# Writer: every line moves all axes at once, in the time of the plan.
 
 DECIMALS = 4  # of mm and of degrees: 0.1 um, and as little at a metre's distance
 FILAMENT_DECIMALS = 5  # mm
@@ -99,10 +99,10 @@ def axes_gcode(plan: Plan) -> str:
     spec = spec_of(plan)
     flavour = FLAVOURS[spec.flavour]
     motion = follow(plan)
-    said = orders(plan)
-    at = kept(plan, motion, np.array([order.start for order in said]))
+    waiting = orders(plan)
+    at = kept(plan, motion, np.array([order.start for order in waiting]))
     lines = [*_header(plan, motion, len(at)), *_start_lines(plan, spec, flavour, motion)]
-    lines += _lines(plan, spec, flavour, motion, at, list(said))
+    lines += _lines(plan, spec, flavour, motion, at, list(waiting))
     lines += ["G94"] if spec.feed == "inverse_time" else []
     lines += [spec.tcp_off] if spec.tcp else []
     return "\n".join([*lines, *flavour.end]) + "\n"
@@ -121,7 +121,7 @@ def letters_of(plan: Plan, motion: Followed) -> tuple[str, ...]:
 def _header(plan: Plan, motion: Followed, targets: int) -> list[str]:
     spec, cell = spec_of(plan), plan.cell
     size = f"{len(plan.beads)} beads in {plan.layers} layers"
-    said = [
+    texts = [
         f"{plan.name} for {spec.flavour}, {spec.type}, strategy {plan.strategy}",
         ", ".join(f"{name} {version}" for name, version in sorted(plan.versions.items())),
         f"{size}, {targets} targets, {plan.trajectory.t[-1] - plan.trajectory.t[0]:.3f} s",
@@ -139,14 +139,14 @@ def _header(plan: Plan, motion: Followed, targets: int) -> list[str]:
         low, high = motion.straight.min(axis=0) * 1e3, motion.straight.max(axis=0) * 1e3
         reach += [f"{letter} {a:.1f} to {b:.1f}" for letter, a, b in zip("XYZ", low, high, strict=True)]
         what = "the tip in the part as it lies at zero angles" if spec.tcp else "on the machine"
-        said += [f"X Y Z are {what}. How far it goes:", f"  {', '.join(reach)}", _fastest(motion)]
-        said += ["The robot's clearances hold for its own head and ways: look at those of this machine."]
+        texts += [f"X Y Z are {what}. How far it goes:", f"  {', '.join(reach)}", _fastest(motion)]
+        texts += ["The robot's clearances hold for its own head and ways: look at those of this machine."]
     else:
         home = ", ".join(f"{v:.4f}" for v in np.degrees(plan.trajectory.q[0]))
-        said += [f"Joints at the start, from which the controller's iteration follows: {home} deg"]
+        texts += [f"Joints at the start, from which the controller's iteration follows: {home} deg"]
         frame = "on the turning part" if cell.holder_robot is not None else "in the part frame"
-        said += [f"X Y Z A B C are the nozzle's pose {frame}: A, B, C are roll, pitch and yaw, yaw last"]
-    return [ascii_comment(";", text, longest=150) for text in said]
+        texts += [f"X Y Z A B C are the nozzle's pose {frame}: A, B, C are roll, pitch and yaw, yaw last"]
+    return [ascii_comment(";", text, longest=150) for text in texts]
 
 
 def _fastest(motion: Followed) -> str:
@@ -183,7 +183,7 @@ def _rows(motion: Followed, at: NDArray[np.intp]) -> Array:
 def _lines(
     plan: Plan, spec: MachineSpec, flavour: Flavour, motion: Followed, at: NDArray[np.intp], waiting: list[Order]
 ) -> list[str]:
-    """Moves and pauses to all targets, and what else is said between them."""
+    """Moves and pauses to all targets, and the orders between them."""
     names, rows = letters_of(plan, motion), _rows(motion, at)
     fed = np.round(motion.feed[at] * 1e3, FILAMENT_DECIMALS)
     bead, layer, laid = (values[motion.sample] for values in (plan.trajectory.bead, plan.trajectory.layer, motion.laid))
@@ -192,8 +192,8 @@ def _lines(
     ends = motion.t[at].tolist()
     for i in range(1, len(at)):
         while waiting and waiting[0].start - ON_TIME <= ends[i - 1]:
-            said, took = _order(flavour, waiting.pop(0))
-            lines += said
+            written, took = _order(flavour, waiting.pop(0))
+            lines += written
             now += took
         a, b = rows[i - 1], rows[i]
         own = int(bead[at[i]])
@@ -203,8 +203,8 @@ def _lines(
         filament = float(fed[i] - fed[i - 1])
         words = [f"{name}{number(v, DECIMALS)}" for name, u, v in zip(names, a, b, strict=True) if u != v]
         if filament:
-            told = filament if flavour.relative else float(fed[i])
-            words.append(f"{spec.filament}{number(told, FILAMENT_DECIMALS)}")
+            amount = filament if flavour.relative else float(fed[i])
+            words.append(f"{spec.filament}{number(amount, FILAMENT_DECIMALS)}")
         lasts = ends[i] - now
         if not words:
             pause = round(lasts / LEAST_PAUSE) * LEAST_PAUSE
@@ -225,7 +225,7 @@ def _lines(
 
 
 def _order(flavour: Flavour, order: Order) -> tuple[list[str], float]:
-    """What an order is to this controller, and how long its pauses take [s]; ValueError where it cannot be said."""
+    """Lines of an order for this controller, and how long its pauses take [s]; ValueError where it has no such line."""
     lines = [f"; {order.words}"]
     for line in order.lines:
         if line.startswith(";"):
@@ -233,15 +233,15 @@ def _order(flavour: Flavour, order: Order) -> tuple[list[str], float]:
         if line.startswith("G4 P"):
             lines.append(flavour.pause.format(int(line[len("G4 P") :]) * 1e-3 / flavour.unit))
             continue
-        said = flavour.order(line)
-        if said is None:
+        own = flavour.order(line)
+        if own is None:
             raise ValueError(f"{line} cannot be said to this controller")
-        lines.append(said)
+        lines.append(own)
     return lines, order.time
 
 
 # ----------------------------------------------------------------------------------------------------
-# G-code of multi-axis machines, read back: exactly what `writer` writes, and nothing else.
+# Reader: exactly the subset that the writer uses.
 
 MOST_CHARACTERS = 256  # of a line; LinuxCNC takes no more
 GRAMMAR = Grammar.of(
@@ -265,14 +265,14 @@ class AxesProgram:
     straight, turning   (m, 3), (m, k + e) X Y Z and all others but the filament's, in the order of the letters
     filament            (m)  pushed so far [m]
     time                (m)  since the first place [s]; two places are the same where the machine pauses
-    told                (time, line) of what else is said
+    orders              (time, line) of all that is no motion
     """
 
     straight: Array
     turning: Array
     filament: Array
     time: Array
-    told: tuple[tuple[float, str], ...]
+    orders: tuple[tuple[float, str], ...]
 
 
 def read_axes(text: str, spec: MachineSpec, letters: Sequence[str]) -> AxesProgram:
@@ -291,11 +291,11 @@ def read_axes(text: str, spec: MachineSpec, letters: Sequence[str]) -> AxesProgr
     if lines[-len(end) :] != end:
         raise InputError(f"it does not end with {', '.join(end)}", file=GRAMMAR.file, line=len(lines))
     places, filament, time = [list(place.values())], [0.0], [0.0]
-    told: list[tuple[float, str]] = []
+    ordered: list[tuple[float, str]] = []
     now, pushed = 0.0, 0.0
     for statement in GRAMMAR.statements(lines[start + 1 : -len(end)], start + 2):
         if statement.word == "order":
-            told.append((now, statement.text))
+            ordered.append((now, statement.text))
             continue
         if statement.word == "pause":
             now += float(statement.parts[0]) * flavour.unit
@@ -316,7 +316,7 @@ def read_axes(text: str, spec: MachineSpec, letters: Sequence[str]) -> AxesProgr
         time.append(now)
     table = np.array(places)
     return AxesProgram(
-        table[:, :3] * 1e-3, np.radians(table[:, 3:]), np.array(filament) * 1e-3, np.array(time), tuple(told)
+        table[:, :3] * 1e-3, np.radians(table[:, 3:]), np.array(filament) * 1e-3, np.array(time), tuple(ordered)
     )
 
 
@@ -354,7 +354,7 @@ def _words(statement: Statement, motion: str) -> dict[str, float]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# A multi-axis program that was read back: does it move nozzle and filament as the plan does, and in its time?
+# Check of what was read against the plan: nozzle, filament, times and orders.
 
 PATH = 0.05e-3  # m
 LEAN = np.radians(0.1)
@@ -362,7 +362,7 @@ ROUNDED = 1e-6  # m
 STANDS = 1e-6  # m; a shorter line is rounding, and does not tell where on it the tip is
 LATE = 15e-3  # s by which the tip is early or late on a bead
 FILAMENT = 0.02e-3  # m too much or too little where a bead begins or ends
-SPOKEN = 3e-3  # s, and a sample: by which the rest is said behind or before its time
+ORDER_LATE = 3e-3  # s, and a sample: by which an order stands behind or before its time
 DURATION = 3e-3  # s
 
 
@@ -380,7 +380,7 @@ def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     found = _moved(machine, program, tip, quat, station, t.t - t.t[0], t.deposit)
     found += _beyond_reach(machine, program)
     found += _fed(plan, program)
-    found += _told(plan, program)
+    found += _order_differences(plan, program)
     if not abs(program.time[-1] - (t.t[-1] - t.t[0])) <= DURATION:
         found.append(f"it lasts {program.time[-1]:.3f} s")
     return found
@@ -455,16 +455,16 @@ def _fed(plan: Plan, program: AxesProgram) -> list[str]:
     fed = np.interp(t.t[ends] - t.t[0], program.time, program.filament)
     off = np.abs(fed - (t.feed[ends] - t.feed[0]))
     # a bead of another tool ends where the next one begins; what a millisecond pushes is rounding
-    most = FILAMENT + SPOKEN * float(np.abs(np.diff(t.feed)).max(initial=0.0)) / t.dt
+    most = FILAMENT + ORDER_LATE * float(np.abs(np.diff(t.feed)).max(initial=0.0)) / t.dt
     worst = int(np.argmax(off))
     if off[worst] <= most:
         return []
     return [f"{off[worst] * 1e3:.3g} mm of filament too much or too little by {t.t[ends[worst]] - t.t[0]:.3f} s"]
 
 
-def _told(plan: Plan, program: AxesProgram) -> list[str]:
-    """What else is said, and when."""
+def _order_differences(plan: Plan, program: AxesProgram) -> list[str]:
+    """Orders to the board, and their times."""
     flavour = FLAVOURS[spec_of(plan).flavour]
     planned = [(due, flavour.order(line)) for order in orders(plan) for due, line in order.due]
     others = "other things are said of heat, tools, fan and cutter"
-    return order_differences(planned, program.told, SPOKEN + plan.trajectory.dt, others)
+    return order_differences(planned, program.orders, ORDER_LATE + plan.trajectory.dt, others)

@@ -1,4 +1,4 @@
-"""What a program has done once it has been played: where everything is at any time, and what happened when."""
+"""A program that was played: where everything is at any time, and what happened when."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from planner.base.arrays import Array, Flags, Indices
 from planner.export.fit import lerp, slerp
 
 # ----------------------------------------------------------------------------------------------------
-# What a program has done once it has been played: where everything is at any time, and what happened when.
+# The motion over time.
 
 # A way has three parts: from its first speed to the one that is then kept, and on to that of the next way.
 PHASES = ("speed", "first acceleration", "its time", "time of even speed", "last acceleration", "its time")
@@ -133,7 +133,7 @@ def _time(v: Array, a: Array, way: Array) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# When a played program lays material, and which of its moves and targets belong to that.
+# Where it lays material: spans of time, moves and targets.
 
 AT_ONCE = 1e-9  # s by which what happens at a target may miss it
 

@@ -1,4 +1,4 @@
-"""How a RAPID program drives the extruder: styles `socket` and `demand`, written and read back."""
+"""How a RAPID program drives the extruder beyond switching an output: styles `socket` and `demand`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from planner.plan import Event, Plan, Trajectory
 
 # ----------------------------------------------------------------------------------------------------
-# What the extruder feeds while it lays beads, and what besides.
+# Filament that beads take, apart from primes, retracts and purges.
 
 
 def event_samples(trajectory: Trajectory) -> Indices:
@@ -46,7 +46,7 @@ def _samples(t: Trajectory, event: Event) -> tuple[int, int]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Style `demand`: the flow that the extruder is asked for, on an analog output, as in Pollard et al.
+# Style `demand`: the flow on an analog output, as in Pollard et al.
 
 PERCENT = 0.01  # of the largest flow: the step of the demand
 OUTPUT_DECIMALS = 4  # of the output's value
@@ -93,7 +93,7 @@ def demand_of(plan: Plan, moves: Moves) -> FlowDemand:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Style `socket`: the G-code lines that the program sends to the extruder's board, each at its own place.
+# Style `socket`: the lines of G-code that the program sends to the extruder's board, each at its place.
 #
 # As in Tawfik et al.: a line for every segment between two targets, sent before the robot sets out on it, with the filament
 # of that segment and the rate that takes as long as the robot does; and lines for what the extruder does at rest.
@@ -129,13 +129,11 @@ def lines_of(plan: Plan, moves: Moves) -> tuple[SocketLine, ...]:
     Raises InputError for a line of the problem's own that no string of RAPID can hold.
     """
     t = plan.trajectory
-    said = [(0.0, RELATIVE, -1, 0)]
-    said += _ordered(plan)
-    said += _feeding(t, moves)
+    due = [(0.0, RELATIVE, -1, 0), *_ordered(plan), *_feeding(t, moves)]
     arrivals = np.concatenate([[0.0], t.t[moves.sample] - t.t[0]])
     leaves = np.append(t.t[moves.start] - t.t[0], np.inf)
     found = []
-    for at, text, bead, layer in sorted(said, key=lambda each: each[0]):
+    for at, text, bead, layer in sorted(due, key=lambda each: each[0]):
         place = int(np.searchsorted(arrivals, at + 0.5 * t.dt, side="right")) - 1
         if len(text) > LONGEST_LINE:
             raise InputError(
@@ -228,7 +226,7 @@ def _segments(t: Trajectory, moves: Moves) -> tuple[Indices, NDArray[np.int64]]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Style `socket`: the part of the program that hands lines to a relay, and stops the robot when nobody takes them.
+# Style `socket`: procedures that hand lines to a relay, and stop the robot when nobody takes them.
 #
 # The controller is the server of one connection. Lines of ASCII, ended by LF, at most 80 characters:
 # `H module lines`, answered by `G 1`; `L n gcode`, n = 1, 2, 3 …; `E n` at the end; `X n reason` where it stops by itself.
@@ -397,7 +395,7 @@ def server_declarations() -> list[str]:
 
 def server(module: str, lines: int, address: str, port: int, outputs: Iterable[str]) -> list[str]:
     """Procedures of the server of a program that sends so many lines; `outputs` are switched off where it stops."""
-    said = {
+    values = {
         "module": module,
         "lines": lines,
         "address": address,
@@ -409,4 +407,4 @@ def server(module: str, lines: int, address: str, port: int, outputs: Iterable[s
         "latest": LATEST,
         "piece": PIECE,
     }
-    return _PROCEDURES.format(**said).strip("\n").split("\n")
+    return _PROCEDURES.format(**values).strip("\n").split("\n")

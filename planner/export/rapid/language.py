@@ -1,4 +1,4 @@
-"""Whether a RAPID program that was read back does what its plan does, its flow and the lines that it sends included."""
+"""RAPID as a language: its writer, and the check of a program against its plan, flow and lines to the board included."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
 def line_differences(plan: Plan, program: RobotProgram, table: str) -> list[str]:
     """Every difference, in words, between the lines of a program and its plan, or the table that goes with them."""
     sent = [text for move in sorted(program.sends) for text in program.sends[move]]
-    said = [text for order in orders(plan) for text in order.lines if not text.startswith(";")]
+    planned = [text for order in orders(plan) for text in order.lines if not text.startswith(";")]
     found = [] if _listed(table) == list(enumerate(sent, 1)) else ["the table of lines lists others than are sent"]
-    if [text for text in sent if not _EXTRUDES.fullmatch(text)] != [RELATIVE, *said]:
+    if [text for text in sent if not _EXTRUDES.fullmatch(text)] != [RELATIVE, *planned]:
         found.append("the board is told other things than the plan's, or in another order")
     return found + _fed_otherwise(plan, sent) + _fed_elsewhere(plan, program)
 

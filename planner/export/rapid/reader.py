@@ -1,4 +1,4 @@
-"""Reads the RAPID that `writer` writes back into numbers: a strict subset, where anything unknown is an error."""
+"""Reader of RAPID: exactly the subset that `writer` uses; anything else is an error with its line."""
 
 from __future__ import annotations
 
@@ -201,7 +201,7 @@ class _Parser:
 
 
 # ----------------------------------------------------------------------------------------------------
-# What modules do, in the order in which it runs.
+# Execution: the motion of all modules, in the order in which they run.
 
 # What stands around the motion, in main alone: it must all be there, before the start or behind the last move.
 AROUND = ("setting", "unit", "output", "demanded")
@@ -355,9 +355,9 @@ class _Run:
         off = {f"{signal} 0" for signal in (*self.outputs, *self.flows)}
         before = off | SETTINGS | ({f"ActUnit {station}"} if station else set())
         after = off | ({f"DeactUnit {station}"} if station else set())
-        for where, said, wanted in zip(("before", "behind"), self.around, (before, after), strict=True):
-            if said != wanted:
-                other = ", ".join(sorted(said ^ wanted))
+        for where, found, wanted in zip(("before", "behind"), self.around, (before, after), strict=True):
+            if found != wanted:
+                other = ", ".join(sorted(found ^ wanted))
                 raise InputError(
                     f"missing in main {where} all moves, or not known there: {other}", file=self.module.file
                 )

@@ -1,4 +1,4 @@
-"""Words, numbers and modules as RAPID takes them."""
+"""Names, comments and modules of RAPID."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Words and numbers as RAPID takes them.
+# Names and comments.
 
 # ABB, RAPID kernel reference, reserved words; and the names of our own procedures
 RESERVED = """ALIAS AND BACKWARD CASE CONNECT CONST DEFAULT DIV DO ELSE ELSEIF ENDFOR ENDFUNC ENDIF ENDMODULE ENDPROC ENDRECORD
@@ -55,7 +55,7 @@ def written_notes(text: str) -> tuple[str, ...]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Long programs in several modules, which the main one loads when it needs them.
+# Modules of a long program, which main loads when it needs them.
 
 HOME = "HOME:"  # the folder on the controller from which modules are loaded
 # What was loaded when a program was stopped may be older than the files: it is taken out before all motion, where it is.

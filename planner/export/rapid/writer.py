@@ -1,4 +1,4 @@
-"""RAPID for ABB controllers (IRC5 and OmniCore): modules with their targets written in the moves."""
+"""Writer of RAPID for ABB controllers (IRC5 and OmniCore): modules with their targets written in the moves."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from planner.plan import Plan
 
 # ----------------------------------------------------------------------------------------------------
-# Targets of RAPID: poses, configurations and external axes of a plan's samples.
+# Robtargets: poses, configurations and external axes.
 
 UNUSED = "9E9"
 
@@ -107,7 +107,7 @@ def targets(plan: Plan, moves: Moves) -> list[str]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# What stands before the procedures of a module: header, tool and work object, speeds, triggers.
+# Declarations: header, tool and work object, speeds.
 
 HEAD_ROOM = 1.5  # of reorientation and axis speeds over what the plan needs, so that the tip's speed alone governs
 SECOND_ARM = (
@@ -119,6 +119,7 @@ TOOL_LOAD = "[1,[0,0,50],[1,0,0,0],0,0,0]"
 
 
 def header(plan: Plan) -> list[str]:
+    """Comments at the head of the main module: the plan, its checks and its materials."""
     texts = about(plan)
     for each in materials_of(plan.problem):
         texts.append(f"Material {each.name}: tool T{each.tool} of the extruder's board, output {each.signal}")
@@ -198,7 +199,7 @@ def extruders(plan: Plan) -> dict[str, str]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Outputs that are switched in motion: which triggers a program declares, and which of them each move has.
+# Triggers: outputs that are switched in motion.
 
 
 @dataclass(frozen=True)
@@ -264,7 +265,7 @@ def _asking(moves: Moves, demand: FlowDemand) -> dict[int, list[tuple[int, bool]
 
 
 # ----------------------------------------------------------------------------------------------------
-# The procedures of a program: the start, one for each bead with the way to it, and the way home.
+# Procedures: the start, one for each bead with the way to it, and the way home.
 
 
 @dataclass(frozen=True)
@@ -384,7 +385,7 @@ def _resting(waits: Sequence[Wait], sent: Sequence[tuple[int, SocketLine]]) -> l
 
 
 # ----------------------------------------------------------------------------------------------------
-# What users of a program should know before it runs: notes in its header, each with the first place that it is about.
+# Notes in the header: what users should know before a program runs, each with its first place.
 
 _MOVE = re.compile(r" {8}(?:MoveJ|MoveL|TriggL) ")
 
@@ -444,9 +445,7 @@ def note_lines(notes: tuple[ProgramNote, ...], plan: Plan, moves: Moves, files: 
 
 
 # ----------------------------------------------------------------------------------------------------
-# RAPID for ABB controllers (IRC5 and OmniCore): modules with their targets written in the moves.
-#
-# Targets stand inline in the moves, in one procedure per bead, because that is what an IRC5 takes without trouble: every
+# The program. Targets stand inline in the moves, in one procedure per bead, because that is what an IRC5 takes without trouble: every
 # line is one statement, so a load error names its line, the operator can put the pointer on any target, and look-ahead
 # runs through procedure calls without a stop. Arrays of targets would be one statement of thousands of lines each, which
 # the loader must hold at once, and a loop over them puts logic between fly-by points.
@@ -468,7 +467,7 @@ def rapid_files(plan: Plan) -> dict[str, str]:
 
     They are the main module, the program file, the modules that a long program loads, and the lines of style `socket`.
     Raises ValueError if the plan is not verified or has no form in RAPID, which is a mistake of the caller's, and
-    InputError where the problem asks for a flow, or a line, that cannot be said.
+    InputError where the problem asks for a flow, or a line, that RAPID has no form for.
     """
     require_writable(plan, unsupported_in_rapid(plan))
     name, t, spec = module_name(plan.name), plan.trajectory, plan.problem.program
@@ -522,12 +521,12 @@ def _main(plan: Plan, cleared: list[str], calls: list[str], speed: str, triggers
     external = external_text(external_degrees(cell, start[:, na:]))[0]
     station = [] if cell.holder_robot is None else [names.station]
     sends = names.style == "socket"
-    said = f"{module_name(plan.name)}: {len(plan.beads)} beads"[:LONGEST_STRING]
+    title = f"{module_name(plan.name)}: {len(plan.beads)} beads"[:LONGEST_STRING]
     off = [f"        SetDO {signal},0;" for signal in extruders(plan).values()]
     off += [f"        SetAO {names.demand_signal},0;"] if names.style == "demand" else []
     return [
         "    PROC main()",
-        f'        TPWrite "{said}";',
+        f'        TPWrite "{title}";',
         *cleared,
         *(f"        ActUnit {name};" for name in station),
         "        SingArea\\Off;",
