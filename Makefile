@@ -1,18 +1,28 @@
 # The first call of any target sets up .venv from the pinned requirements.
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 PROBLEM ?= cylinder_logo
+PARALLEL := -n 2 --dist loadfile --no-loadscope-reorder
 BIN := .venv/bin
 READY := .venv/.ready
 DOCS := .venv-docs
 PEERS := .venv-peers
+FLOORS := .venv-floors
 
-.PHONY: solve test lint format docs docs-serve peers requirements clean
+.PHONY: solve test test-all test-floors lint format docs docs-serve peers requirements clean
 
 solve: $(READY)
 	$(BIN)/python -m planner.solve $(PROBLEM)
 
+# SLICE=3/8 adds a part of the slow tests, as continuous integration does.
 test: $(READY)
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest $(PARALLEL) $(if $(SLICE),--slice $(SLICE))
+
+test-all: $(READY)
+	$(BIN)/python -m pytest $(PARALLEL) --all-tests
+
+# The same with the oldest releases that pyproject.toml allows, in an environment of their own.
+test-floors: $(FLOORS)/.ready
+	$(FLOORS)/bin/python -m pytest $(PARALLEL)
 
 lint: $(READY)
 	$(BIN)/ruff check .
@@ -40,12 +50,12 @@ requirements: $(READY)
 	$(BIN)/pip freeze --exclude-editable > requirements.txt
 
 clean:
-	rm -rf .venv $(DOCS) $(PEERS) out site
+	rm -rf .venv $(DOCS) $(PEERS) $(FLOORS) out site
 
 $(READY): requirements.txt pyproject.toml
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --disable-pip-version-check --requirement requirements.txt
-	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --editable .
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $(READY)
 
 $(DOCS)/.ready: requirements-docs.txt
@@ -56,4 +66,11 @@ $(DOCS)/.ready: requirements-docs.txt
 $(PEERS)/.ready: requirements-peers.txt
 	$(PYTHON) -m venv $(PEERS)
 	$(PEERS)/bin/pip install --quiet --disable-pip-version-check --requirement requirements-peers.txt
+	touch $@
+
+$(FLOORS)/.ready: pyproject.toml
+	$(PYTHON) -m venv $(FLOORS)
+	$(PYTHON) -c "import tomllib; print(*(each.replace('>=', '==') for each in \
+	    tomllib.load(open('pyproject.toml', 'rb'))['project']['dependencies']), sep='\n')" > $(FLOORS)/floors.txt
+	$(FLOORS)/bin/pip install --quiet --disable-pip-version-check --constraint $(FLOORS)/floors.txt --editable ".[test]"
 	touch $@

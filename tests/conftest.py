@@ -7,6 +7,7 @@ import signal
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from zlib import crc32
 
 import pytest
 from compiling import take_turns
@@ -65,10 +66,32 @@ DRAWING = """\
 """
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files in the order of FIRST; all others after them, as they are."""
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--all-tests", action="store_true", help="slow tests, too")
+    parser.addoption(
+        "--slice", metavar="K/N", help="of the slow tests the K-th of N parts, K from 0, besides the others"
+    )
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Files in the order of FIRST, all others after them; slow tests only where they are asked for.
+
+    `@pytest.mark.slow` is for tests that take seconds; `keep` names cases of such a test that run all the same.
+    """
     rank = {f"test_{name}.py": i for i, name in enumerate(FIRST)}
     items.sort(key=lambda item: rank.get(item.path.name, len(rank)))
+    if config.getoption("--all-tests"):
+        return
+    part, parts = (int(each) for each in (config.getoption("--slice") or "-1/1").split("/"))
+    left_out = [item for item in items if _is_slow(item) and crc32(item.nodeid.encode()) % parts != part]
+    config.hook.pytest_deselected(items=left_out)
+    kept = set(map(id, items)) - set(map(id, left_out))
+    items[:] = [item for item in items if id(item) in kept]
+
+
+def _is_slow(item: pytest.Item) -> bool:
+    marker, case = item.get_closest_marker("slow"), getattr(item, "callspec", None)
+    return marker is not None and (case is None or case.id not in marker.kwargs.get("keep", ()))
 
 
 @pytest.fixture(scope="session")

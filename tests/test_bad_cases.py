@@ -63,6 +63,7 @@ def assert_clear(error: PlannerError) -> None:
 # Toolpaths
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "count"), [("waypoints", 250), ("drawing", 60)])
 def test_toolpaths_are_sound_or_refused(kind: str, count: int, tmp_path: Path) -> None:
     built = 0
@@ -225,6 +226,7 @@ def judge(plan: Plan) -> set[str]:
     return {check.name for check in plan.checks if not check.ok}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "count"), [("waypoints", 40), ("drawing", 10)])
 def test_bad_cases_all_the_way(kind: str, count: int, tmp_path: Path) -> None:
     """Each is a verified plan or a refusal that says where: the verifier has nothing left to find."""

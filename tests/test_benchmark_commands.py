@@ -54,6 +54,7 @@ def test_a_command_says_how_it_is_used(name: str, capsys: pytest.CaptureFixture[
     assert said.out.startswith("usage: ") and said.err == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SMALLEST)
 def test_a_command_runs(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main_of(name)(SMALLEST[name]) == 0

@@ -54,6 +54,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
     return read_rows(file)
 
 
+@pytest.mark.slow
 def test_a_row_for_each_run(whole: list[Row]) -> None:
     assert [(row["problem"], row["strategy"]) for row in whole] == [(p, s) for p in PROBLEMS for s in CHOSEN]
     for row in whole:
@@ -112,6 +113,7 @@ def test_a_crash_and_a_refusal_are_rows(monkeypatch: pytest.MonkeyPatch) -> None
     assert str(refused["reason"]).startswith("no plan: strategy nlp is a slow reference for small problems")
 
 
+@pytest.mark.slow
 def test_a_run_has_a_process_of_its_own() -> None:
     row = single.run_apart((Run("per_cap", "ladder"), None))
     assert row["reason"] == "refused: per_cap: there is no such problem file (did you mean peer_cap?)"

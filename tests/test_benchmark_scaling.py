@@ -44,6 +44,7 @@ def test_every_case_of_axes_is_a_problem_with_those_axes(tmp_path: Path) -> None
         assert cell.holder.names == case.table
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="Linux tells what a process holds")
 def test_memory_that_is_held_for_a_while_is_seen() -> None:
     before = held_mb(os.getpid())

@@ -71,6 +71,7 @@ def test_along_its_normal_a_point_is_as_far_from_the_body_as_it_went(name: str, 
     np.testing.assert_allclose(body.normals(moved), normals, atol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["corrugation", "ellipsoid", "flat ellipsoid"])
 def test_the_distance_is_the_least_there_is(name: str) -> None:
     """Against a general minimiser, from several places, for points above, beside and far away."""
@@ -163,6 +164,7 @@ def test_layers_are_spaced_along_the_true_normal(part: str) -> None:
         assert np.degrees(np.arccos(np.clip((exact * bead.normals).sum(axis=1), -1.0, 1.0))).max() <= 1e-5
 
 
+@pytest.mark.slow
 def test_a_bowl_from_a_file_of_facets_is_nearly_the_exact_one(tmp_path: Path) -> None:
     """As scanned: facets of 2 mm; the same curves lie within 0.05 mm of the true bowl, normals within 0.1 degrees."""
     mesh = trimesh.creation.icosphere(subdivisions=6, radius=1.0)

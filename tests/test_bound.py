@@ -30,6 +30,7 @@ def searched() -> tuple[Cell, LadderRoute, float, float]:
     return cell, found, sigma, best.price
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("piece", [1, 3, 1000])
 def test_no_route_on_the_fine_grid_costs_less_than_the_bound(
     searched: tuple[Cell, LadderRoute, float, float], piece: int

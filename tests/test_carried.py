@@ -71,6 +71,7 @@ def moving(request: pytest.FixtureRequest) -> bool:
     return bool(request.param == "in motion")
 
 
+@pytest.mark.slow
 def test_travel_is_carried_between_the_displaced_beads(
     cell: Cell, timed: tuple[TimedPath, ...], toolpath: Toolpath, drawing_problem: Problem, moving: bool
 ) -> None:

@@ -36,6 +36,7 @@ def test_pieces_are_whole_chains(tasks: Sequence[NozzleTask], monkeypatch: pytes
             assert piece == [i for i, task in enumerate(tasks) if task.name in names]
 
 
+@pytest.mark.slow
 def test_a_shared_print_is_the_print(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Pieces know the problem by its file alone; whatever order they come back in."""
     monkeypatch.setattr(chains, "LEAST", 1)

@@ -65,6 +65,7 @@ def test_least_distances_are_those_of_dense_sampling(tmp_path: Path, seed: int) 
     assert near > 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lift", [0.0, 2e-3, 8e-3])
 def test_the_nozzle_from_print_is_as_near_as_by_brute_force(tmp_path: Path, lift: float) -> None:
     """Every sample, every body, every point that is there; where it touches, and where it has much to spare."""

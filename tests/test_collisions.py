@@ -65,6 +65,7 @@ def swing(cell: Cell, a: list[float], b: list[float], step: float = 0.004) -> li
     return [Piece(between(np.radians(a), np.radians(b), step))]
 
 
+@pytest.mark.slow
 def test_1_an_arm_link_and_a_fixture(tmp_path: Path) -> None:
     a, hit, b = [-40.0, 20, 10, 0, 60, 0], [10.0, 20, 10, 0, 60, 0], [40.0, 20, 10, 0, 60, 0]
     _, cell = scene(tmp_path, ELSEWHERE)

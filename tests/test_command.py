@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 from solved import SVG, line_of, write_small
 
-import planner.planning
+import planner.planning.pipeline
 from planner.planning.solve_command import main
 from planner.problem import shipped_problems
 
@@ -34,6 +34,7 @@ VERIFIED = {
     "report.html",
 }
 REFUSED = {"plan.json", "report.html"}
+COMPILING = "compiling kernels, "  # said on stderr where numba's cache is empty
 OUT_OF_REACH = ("origin_mm: [633.5, 9.87, 380]", "origin_mm: [1500, 9.87, 380]")
 
 Change = tuple[str, str]
@@ -58,7 +59,9 @@ def run(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.M
             code = main([str(argument) for argument in arguments])
         except SystemExit as stop:  # argparse's own refusals
             code = int(stop.code or 0)
-        return Outcome(code, *capfd.readouterr())
+        out, err = capfd.readouterr()
+        told = [line for line in err.splitlines(keepends=True) if not line.startswith(COMPILING)]
+        return Outcome(code, out, "".join(told))
 
     return call
 
@@ -328,6 +331,7 @@ def test_cylinder_out_of_reach(run: Callable[..., Outcome], tmp_path: Path, stra
     assert refusal["missing_mm"] == pytest.approx(float(missing[1]), abs=0.06)
 
 
+@pytest.mark.slow
 def test_how_far_out_of_reach(run: Callable[..., Outcome], tmp_path: Path) -> None:
     """Where the arm is stretched towards the cylinder, 100 mm farther away is nearly 100 mm farther out of reach."""
     gaps = []
@@ -392,6 +396,7 @@ def test_plan_that_fails_a_check(run: Callable[..., Outcome], tmp_path: Path) ->
 # --- what was there before ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_no_plan_removes_stale_robot_code_and_nothing_else(run: Callable[..., Outcome], tmp_path: Path) -> None:
     file = write_small(tmp_path)
     folder = tmp_path / "results"
@@ -419,6 +424,7 @@ def test_plan_that_fails_a_check_removes_stale_robot_code(run: Callable[..., Out
     assert (folder / "plan.json").read_bytes() != old
 
 
+@pytest.mark.slow
 def test_robot_code_of_a_problem_that_was_renamed_goes(run: Callable[..., Outcome], tmp_path: Path) -> None:
     write_small(tmp_path)
     assert run("small.yaml", "--out", "results", "--quiet").code == 0
@@ -535,6 +541,7 @@ def test_same_input_same_bytes(tmp_path: Path) -> None:
     assert plans[0] == plans[1]
 
 
+@pytest.mark.slow
 def test_exit_code_of_the_process(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "planner.solve", "nowhere.yaml"],
@@ -554,7 +561,7 @@ def test_exit_code_of_the_process(tmp_path: Path) -> None:
 HELD_UP = """
 import sys, time
 from pathlib import Path
-import planner.output, planner.planning
+import planner.base.files, planner.planning.pipeline
 from planner.planning.solve_command import main
 
 def hold(module, name, before):
@@ -618,9 +625,9 @@ def nothing_runs_in(folder: Path) -> None:
 
 PLACES = {
     "before the resolving": ("planner.planning.context", "tasks_of", True),
-    "before the verifying": ("planner.planning", "verify", True),
-    "between robot code and report": ("planner.planning", "write_robot_code", False),
-    "when all is written aside": ("planner.planning", "write_plan", False),
+    "before the verifying": ("planner.planning.pipeline", "verify", True),
+    "between robot code and report": ("planner.planning.pipeline", "write_robot_code", False),
+    "when all is written aside": ("planner.planning.pipeline", "write_plan", False),
 }
 
 
@@ -704,7 +711,7 @@ def test_a_bug_is_not_hidden(run: Callable[..., Outcome], tmp_path: Path, monkey
     def broken(*_: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr(planner.planning, "verify", broken)
+    monkeypatch.setattr(planner.planning.pipeline, "verify", broken)
     with pytest.raises(ZeroDivisionError):
         run("small.yaml", "--quiet")
     assert contents(tmp_path) == before

@@ -61,6 +61,7 @@ def surface(toolpath: Toolpath) -> CoreSurface:
 # Layers against the drawn surfaces, not their meshes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_beads_lie_on_the_true_surfaces(name: str) -> None:
     toolpath = core(name)
@@ -97,6 +98,7 @@ def test_drawn_meshes_are_closed() -> None:
         assert mesh.is_watertight and mesh.volume > 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_layers_lie_as_far_apart_as_they_should(name: str) -> None:
     found = spacing(core(name, "layers.halves=lower"))
@@ -105,6 +107,7 @@ def test_layers_lie_as_far_apart_as_they_should(name: str) -> None:
     assert found.within >= 0.99
 
 
+@pytest.mark.slow
 def test_a_layer_ends_at_the_middle_and_the_halves_leave_less_than_a_layer_open() -> None:
     toolpath = core("aerofoil_core")
     top = max(bead.points[:, 2].max() for bead in toolpath.beads if not _above(toolpath, bead.layer))
@@ -153,6 +156,7 @@ def test_varying_layers_share_the_height_out(height: float, most: float, share: 
     assert levels[0].room == pytest.approx(0.2 * height / levels[0].share)
 
 
+@pytest.mark.slow
 def test_heights_vary_within_their_bounds() -> None:
     toolpath = core("aerofoil_core_tapered")
     heights = np.concatenate([bead.height / bead.normals[:, 2] for bead in toolpath.beads])
@@ -332,6 +336,7 @@ def test_the_command_ends_with_two_and_writes_nothing(tmp_path: Path, capsys: py
 # Whole prints
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not BRISTOL.exists(), reason="the authors' meshes are not part of the project")
 @pytest.mark.parametrize("name", NAMES)
 def test_the_published_meshes_are_solved(name: str) -> None:

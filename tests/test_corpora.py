@@ -22,6 +22,7 @@ SEED = 20
 LEAST_MADE = {"aerofoils": 0.95, "logos": 0.9}  # of a sample; of all, see README
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("corpus", sorted(ARCHIVES))
 def test_a_sample_is_printed_or_refused(corpus: str) -> None:
     try:

@@ -89,6 +89,7 @@ def test_weighted_greedy_runs_from_side_to_side() -> None:
     assert (count, total) == (6, pytest.approx(6 * np.pi / 2))
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=12)
 @given(st.lists(st.tuples(st.integers(0, 30), st.integers(0, 30)), min_size=2, max_size=7, unique=True))
 def test_a_tour_of_few_samples_is_the_shortest(places: list[tuple[int, int]]) -> None:

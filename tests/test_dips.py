@@ -338,6 +338,7 @@ def test_exact_remedies_avoid_the_dip_on_the_same_joint_path(kind: str) -> None:
     assert tried >= 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["corner_tolerance", "run_in"])
 def test_estimates_are_of_the_right_order(kind: str) -> None:
     """Solved anew with the estimate, the dip costs a third or less; with a tenth of the change it is still there."""

@@ -78,6 +78,7 @@ def test_a_closed_bead_turns_across_its_seam() -> None:
     assert turned(found[0], middle) < 0.3  # half of the turn between last and first facet
 
 
+@pytest.mark.slow
 def test_facets_are_followed_and_the_plan_verifies(tmp_path: Path) -> None:
     """The axis is off the true ball's normals by up to half a facet, ten times what the smooth surface is."""
     few = ("layers.source.size_mm=[24, 24]", *COARSE)

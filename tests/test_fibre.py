@@ -61,6 +61,7 @@ def chords(plan: Plan) -> tuple[Array, Array, Array]:
     return sizes, offs, leans
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FIBRES)
 def test_fibre_is_laid_on_the_true_surface_at_its_speed(name: str) -> None:
     plan = solved(name)

@@ -380,6 +380,7 @@ def beside_a_stop() -> tuple[Case, str]:
     return replace(case, cell=cell), name
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few")
 def test_beside_a_joint_limit_it_does_not_hold_and_names_the_joint(beside_a_stop: tuple[Case, str]) -> None:
     case, joint = beside_a_stop
@@ -395,6 +396,7 @@ def test_beside_a_joint_limit_it_does_not_hold_and_names_the_joint(beside_a_stop
     assert case.judged(AROUND.times(0.9 * room.bounds[0].factor)).holds, "within the head-room it does"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few")
 def test_the_command_refuses_what_does_not_hold_and_says_why(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     # as published, joints follow from the part alone: a range that ends beside them changes nothing of the plan
@@ -425,6 +427,7 @@ def test_the_command_refuses_what_does_not_hold_and_says_why(tmp_path: Path, cap
     assert "--tolerance 2mm,1deg" in report
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few")
 def test_the_command_says_that_it_holds(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     path = write_small(tmp_path)
@@ -449,6 +452,7 @@ def test_the_command_says_that_it_holds(tmp_path: Path, capfd: pytest.CaptureFix
     assert (tmp_path / "out" / "Small.mod").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few")
 def test_two_processes_say_the_same_as_one(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = small_problem()

@@ -54,6 +54,7 @@ def vector_in(hint: str) -> Array:
     return np.array([float(x) for x in found[1].split(",")])
 
 
+@pytest.mark.slow
 def test_the_speed_that_is_named_has_a_path_and_a_higher_one_has_not(toolpath: Toolpath) -> None:
     (hint,) = hints_of(toolpath, "process.speed_mm_s=400")
     found = re.match(r"process.speed_mm_s: ([\d.]+) would do", hint)

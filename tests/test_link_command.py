@@ -20,8 +20,7 @@ from simulate_fixtures import MODULE, program, reader
 
 from planner.base.errors import InputError
 from planner.export.rapid.writer import rapid_files
-from planner.link import command
-from planner.link import command as demo
+from planner.link import command, demo
 from planner.link import run as board
 from planner.link import rws as robot
 from planner.link.command import Show, duration, main, place, progress
@@ -97,6 +96,7 @@ def test_a_dry_run_starts_nothing(files: Path, machine: Simulated) -> None:
     assert not files.with_name("log.jsonl").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("machine", "words", "resume"),
     [

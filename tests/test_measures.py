@@ -23,7 +23,7 @@ NAMES_A_CHECK = {"Check": 0, "_check": 0, "check_most": 2, "check_least": 2, "_s
 def constants() -> set[str]:
     """Every text in the sources that find metrics and checks."""
     found = set()
-    for path in [*FOUND_IN, ROOT / "planner" / "planning.py", ROOT / "planner" / "solve.py"]:
+    for path in [*FOUND_IN, *(ROOT / "planner" / "planning").glob("*.py")]:
         nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         found |= {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
     return found

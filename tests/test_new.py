@@ -36,6 +36,7 @@ def run(monkeypatch: pytest.MonkeyPatch, file: Path, *answers: str, more: int = 
     return main([str(file)])
 
 
+@pytest.mark.slow
 def test_default_answers_are_accepted_and_solved(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -212,6 +212,7 @@ def test_derivatives_are_those_of_differences(cell: Cell, path: JointPath, cones
     np.testing.assert_allclose((upper + np.triu(upper, 1).T) @ along, second, rtol=1e-4, atol=max(1e-4, rounding))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cones", [Cones(), Cones(tilt=0.2)], ids=["axis fixed", "tilt"])
 def test_sqp_is_as_good_as_the_reference(cell: Cell, path: JointPath, cones: Cones) -> None:
     track, stretch, state, floor = started(cell, path, cones)

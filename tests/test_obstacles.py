@@ -55,6 +55,7 @@ def own_distance(a: Solid, b: Solid, T_a: np.ndarray, T_b: np.ndarray, enough: f
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_distances_of_solids_are_those_of_coal() -> None:
     rng = np.random.default_rng(0)
     apart = 0
@@ -240,6 +241,7 @@ def with_a_post_in_the_way(bare: Cell, unaware: tuple[JointPath, ...]) -> tuple[
     return replace(bare, fixtures=(post,)), post
 
 
+@pytest.mark.slow
 def test_looking_where_routes_lead_finds_the_route_among_clear_nodes(
     problem: Problem, tasks: tuple[NozzleTask, ...]
 ) -> None:
@@ -269,6 +271,7 @@ def test_the_ladder_keeps_clear_of_a_post(problem: Problem, tasks: tuple[NozzleT
     assert least(cell, post, aware) > problem.collision.nozzle - 2e-4
 
 
+@pytest.mark.slow
 def test_a_refusal_names_what_is_in_the_way(problem: Problem, tasks: tuple[NozzleTask, ...]) -> None:
     bare = with_bodies(build_cell(problem))
     T_world_part = bare.T_world_holder

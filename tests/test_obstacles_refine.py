@@ -77,6 +77,7 @@ def head_at(cell: Cell, q: np.ndarray) -> np.ndarray:
 # --- refinement -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_refined_paths_keep_clear_of_a_post(
     problem: Problem, bare: Cell, toolpath: Toolpath, tasks: tuple[NozzleTask, ...]
 ) -> None:

@@ -95,6 +95,7 @@ def every_way(margin: Array, q: Array, holder_step: float, time: Array, v: Array
     return float(best)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_best_worst_case_is_that_of_all_ways(seed: int) -> None:
     drawn = np.random.default_rng(seed)
@@ -150,6 +151,7 @@ def turned_round(task: NozzleTask) -> NozzleTask:
     )
 
 
+@pytest.mark.slow
 def test_score_does_not_depend_on_direction_or_order(bed: Problem, bed_tasks: tuple[NozzleTask, ...]) -> None:
     cell = build_cell(bed)
     forwards = score(cell, course(bed, bed_tasks), 0.05)
@@ -415,6 +417,7 @@ def test_ranges_default_to_the_arms_reach(bed: Problem, table: Problem) -> None:
 SMALL = ("--quiet", "--range", "x=-400:-380", "--range", "y=370:390")
 
 
+@pytest.mark.slow
 def test_command_finds_a_better_place(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """From a bad start: what it writes loads, is verified, and keeps further away from what is to be avoided."""
     bad = ("bed_mm: [-450, 450, 300]", "bed_mm: [-540, 540, 300]")
@@ -445,6 +448,7 @@ def test_command_finds_a_better_place(tmp_path: Path, capsys: pytest.CaptureFixt
     assert first == tuple((again / name).read_bytes() for name in (TABLE, PICTURE))
 
 
+@pytest.mark.slow
 def test_pieces_done_elsewhere_are_the_pieces_done_here(tmp_path: Path) -> None:
     """Another process has but the words of the command; it reads the files itself, and says so if they differ."""
     file = write_small(tmp_path, *BED)
@@ -465,6 +469,7 @@ def test_pieces_done_elsewhere_are_the_pieces_done_here(tmp_path: Path) -> None:
             there("score", [(now,)], lambda: None)
 
 
+@pytest.mark.slow
 def test_command_draws_the_map_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     problem = write_small(tmp_path)
     options = ["--out", str(tmp_path / "out"), "--best", "0", "--quiet", "--range", "z=370:390"]
@@ -502,6 +507,7 @@ def test_the_best_is_verified_and_better_than_it_was() -> None:
     assert best_of([replace(good, failure="no plan"), good, better]) == better
 
 
+@pytest.mark.slow
 def test_present_place_may_be_unreachable(bed: Problem, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     away = ("bed_mm: [-450, 450, 300]", "bed_mm: [-900, 900, 300]")
     problem = write_small(tmp_path, *BED, away)

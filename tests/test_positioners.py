@@ -196,6 +196,7 @@ def test_mistakes_are_told_with_their_field(folder: Path, override: str, field: 
 # Plans
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CELLS)
 def test_every_kind_of_cell_prints_a_verified_wave(folder: Path, name: str) -> None:
     plan = plan_of(folder, name)
@@ -275,6 +276,7 @@ def test_the_lattice_of_a_held_layer_keeps_off_the_ends_of_an_axis(folder: Path,
         assert np.diff(angles).max() <= np.radians(5.0) + 1e-12
 
 
+@pytest.mark.slow
 def test_a_second_arm_holds_the_layer_upright(folder: Path) -> None:
     free = plan_of(folder, "arm_all")
     assert lean_of(free) > 10.0

@@ -25,6 +25,7 @@ def _of(body: PrintBody, name: str) -> np.ndarray:
     return np.flatnonzero([body.name_of(i) == name for i in range(len(body.tree.points))])
 
 
+@pytest.mark.slow
 def test_the_substrate_is_there_from_the_start_and_dense_near_beads(logo: tuple[Toolpath, PrintBody]) -> None:
     toolpath, body = logo
     part = _of(body, "part")

@@ -81,6 +81,7 @@ SMALL = {
 }
 
 
+@pytest.mark.slow(keep=("peer_cap", "cylinder_logo", "hemisphere_honeycomb", "fibre_plane"))
 @pytest.mark.parametrize("name", sorted(set(shipped_problems()) - set(WHOLE)))
 def test_shipped_problem_is_solved_and_verified(name: str) -> None:
     plan = solve_alone(load_problem(name, (*COARSE, *SMALL.get(name, ()))), "ladder")
@@ -89,6 +90,7 @@ def test_shipped_problem_is_solved_and_verified(name: str) -> None:
     assert plan.metrics["deposited_length_mm"] > 100.0
 
 
+@pytest.mark.slow(keep=("ours",))
 def test_ladder_keeps_the_promises(logo: str) -> None:
     plan = solved(logo, "ladder")
     promises_kept(plan)
@@ -97,6 +99,7 @@ def test_ladder_keeps_the_promises(logo: str) -> None:
     assert m["deposition_time_s"] <= 1.15 * m["ideal_deposition_time_s"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("other", OTHERS)
 def test_ladder_beats(logo: str, other: str) -> None:
     ladder = solved(logo, "ladder").metrics

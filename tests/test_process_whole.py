@@ -106,6 +106,7 @@ def test_other_samples_are_those_of_another_solve(name: str) -> None:
         np.testing.assert_array_equal(getattr(plan.trajectory, field), values, err_msg=field)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "dt"), SAMPLED)
 def test_a_whole_solve_holds_and_is_written_as_it_is(name: str, dt: float) -> None:
     plan = solved(name, dt)
@@ -178,6 +179,7 @@ def test_heating_and_purge_are_waited_for_at_home() -> None:
     assert np.ptp(plan.trajectory.q[plan.trajectory.t <= 5.0], axis=0).max() == 0.0
 
 
+@pytest.mark.slow
 def test_heating_lasts_as_long_as_it_may() -> None:
     plan = solve_alone(load_problem(small_problem().file, ["process.start.heat_wait_s=3600"]), dt=COARSE)
     assert plan.verified

@@ -88,6 +88,7 @@ def test_rows_are_the_derivatives_of_residuals() -> None:
     assert np.abs(expected).max() > 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "count", "blind"),
     [
@@ -478,6 +479,7 @@ def scaled(path: Path, factor: float, columns: Sequence[int] = (0, 1, 2)) -> Pat
     return write_contacts(path, dict(zip(lines[0].split(","), table.T, strict=True)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("unit", "factor"), [("m", 1e-3), ("inches", 1 / 25.4), ("cm", 0.1)])
 def test_another_unit_is_told_by_the_residual(tmp_path: Path, unit: str, factor: float) -> None:
     here = scene("fibre_bowl")
@@ -493,6 +495,7 @@ def test_angles_in_radians_are_told(tmp_path: Path) -> None:
         register(here, scaled(file, np.pi / 180.0, (3,)), Ask())
 
 
+@pytest.mark.slow
 def test_contacts_of_another_part(tmp_path: Path) -> None:
     here = scene("fibre_bowl")
     random = np.random.default_rng(0)
@@ -504,6 +507,7 @@ def test_contacts_of_another_part(tmp_path: Path) -> None:
     assert caught.value.line is not None
 
 
+@pytest.mark.slow
 def test_contacts_far_from_the_part(tmp_path: Path) -> None:
     here = scene("fibre_bowl")
     file = contacts(tmp_path, "fibre_bowl", misplaced(here, (0.0, 0.0, 700.0)), 12)
@@ -631,6 +635,7 @@ def test_the_command_tells_when_the_tolerance_may_be_left(tmp_path: Path, monkey
     assert (tmp_path / "r.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_the_command_says_when_nothing_is_to_spare(tmp_path: Path) -> None:
     here = scene("cylinder_logo")
     points, q = chosen("cylinder_logo", 2)
@@ -649,6 +654,7 @@ def test_places_are_suggested_before_any_contact() -> None:
     assert "rotation" in text and "nozzle along (" in text
 
 
+@pytest.mark.slow
 def test_places_that_are_not_clear_are_not_suggested() -> None:
     """A post beside the dome is in the way of the head where the nozzle would come level from its side."""
     before, best = plan_contacts(scene("hemisphere_honeycomb"), PART, 8)

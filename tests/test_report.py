@@ -662,6 +662,7 @@ def test_picture_shows_the_lines_on_the_part(tmp_path: Path) -> None:
     assert grey.mean() > 0.15, "the shaded part"
 
 
+@pytest.mark.slow
 def test_picture_marks_dips_on_the_near_side(tmp_path: Path) -> None:
     plan = make_plan(6_000)
     pictures = []
@@ -732,6 +733,7 @@ def test_picture_refuses_what_is_not_a_plan(tmp_path: Path, capsys: pytest.Captu
     assert not (tmp_path / "p.png").exists()
 
 
+@pytest.mark.slow
 def test_picture_from_the_command_line(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "planner.report.picture", str(tmp_path / "none"), str(tmp_path / "p.png")]
     done = subprocess.run(

@@ -15,7 +15,7 @@ from report_page import points
 from scipy.interpolate import CubicSpline
 from solved import write_small
 
-import planner.planning
+import planner.planning.pipeline
 from planner.base.errors import EXIT_INPUT, InputError
 from planner.collision.print_body import print_body, standing
 from planner.collision.scene import NOTHING, obstacles_of
@@ -67,7 +67,7 @@ def layered() -> tuple[Problem, Toolpath]:
 def _solved(first_bead: int) -> Plan:
     problem, toolpath = layered()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(planner.planning, "build_toolpath", lambda problem: toolpath)
+        patch.setattr(planner.planning.pipeline, "build_toolpath", lambda problem: toolpath)
         return solve(problem, first_bead=first_bead)
 
 

@@ -70,6 +70,7 @@ def polylines(draw: st.DrawFn) -> tuple[Array, bool]:
 # --- tolerance --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @given(polylines())
 @settings(max_examples=60)
 def test_deviation_is_within_tolerance_both_ways(path: tuple[Array, bool]) -> None:

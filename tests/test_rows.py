@@ -95,6 +95,7 @@ def check(patches: tuple[FormulaFace, ...], strokes: list[Stroke]) -> None:
         assert step.min() > 0.0 and step.max() < 0.2 * SPACING
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ALL)
 def test_rows_reach_everything_and_cross_nothing(name: str) -> None:
     strokes = cover(ALL[name], SPACING, SPEED)
@@ -125,6 +126,7 @@ def test_a_face_too_small_for_a_row_is_refused() -> None:
         cover((face(plane, box((0.0, 0.001), (0.0, 0.001), 4, 4)),), SPACING, SPEED)
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=5)
 @given(
     st.floats(0.05, 0.1), st.floats(0.04, 0.08), st.floats(-6.0, 6.0), st.floats(0.25, 0.75), st.floats(0.004, 0.012)

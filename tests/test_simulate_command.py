@@ -17,6 +17,7 @@ from planner.simulate.command import main
 ROOT = Path(__file__).resolve().parents[1]
 
 
+@pytest.mark.slow
 def test_a_simulator_runs_until_it_is_interrupted() -> None:
     command = [sys.executable, "-m", "planner.simulate", "board", "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -31,6 +32,7 @@ def test_a_simulator_runs_until_it_is_interrupted() -> None:
             process.kill()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["planner.simulate", "planner.solve", "planner.link", "planner.link.stream"])
 def test_an_interrupt_while_it_is_being_imported_is_quiet(command: str, tmp_path) -> None:
     """Importing takes seconds; a package that is imported on the way and never ends stands in for them."""

@@ -141,6 +141,7 @@ def test_lines_come_numbered_in_time_and_acknowledged() -> None:
         assert simulated.state().acknowledged == len(LINES)
 
 
+@pytest.mark.slow
 def test_no_more_than_the_window_is_out_and_silence_stops_it() -> None:
     simulated, _ = started()
     with simulated, closing(Client(simulated.program)) as pc:
@@ -156,6 +157,7 @@ def test_no_more_than_the_window_is_out_and_silence_stops_it() -> None:
         assert until(lambda: simulated.state().outputs == {"doExtrude": False})
 
 
+@pytest.mark.slow
 def test_it_rests_until_heating_is_over() -> None:
     simulated, _ = started(lines=("M109 S200", *LINES))
     with simulated, closing(Client(simulated.program)) as pc:
@@ -278,6 +280,7 @@ def test_faults_of_the_controller(fault: str, end: list[str]) -> None:
         assert lines[-2:] == end or lines[-3:-1] == end
 
 
+@pytest.mark.slow
 def test_a_restart_loses_program_and_network() -> None:
     simulated, rws = started(controller_faults=("restart@3",))
     with simulated, closing(Client(simulated.program)) as pc:

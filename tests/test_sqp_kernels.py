@@ -444,6 +444,7 @@ def check_solution(qp: QuadraticProgram) -> None:
         assert mine - least > -1e-5 * room
 
 
+@pytest.mark.slow
 @given(
     seed=st.integers(0, 2**32 - 1),
     rows=st.integers(1, 8),

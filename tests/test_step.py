@@ -100,6 +100,7 @@ def test_surface_and_its_derivatives(degrees: tuple[int, int]) -> None:
 # Reading
 
 
+@pytest.mark.slow
 def test_normals_look_out_of_a_solid(tmp_path: Path) -> None:
     for face in faces_of(written(tmp_path, BRepPrimAPI_MakeBox(10.0, 20.0, 30.0).Shape())):
         middle = face.surface.domain.mean(axis=0)[None]
@@ -107,6 +108,7 @@ def test_normals_look_out_of_a_solid(tmp_path: Path) -> None:
         assert (away * face.normals(middle)).sum() > 0.0
 
 
+@pytest.mark.slow
 def test_units_turn_and_place(tmp_path: Path) -> None:
     path = written(tmp_path, BRepPrimAPI_MakeBox(1.0, 2.0, 3.0).Shape())
     millimetres = "(LENGTH_UNIT() NAMED_UNIT(*) SI_UNIT(.MILLI.,.METRE.))"
@@ -132,6 +134,7 @@ def test_units_turn_and_place(tmp_path: Path) -> None:
     assert np.allclose(corners()[1], 25.4 * np.array([1e-3, 2e-3, 3e-3]), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_faces_that_only_touch_become_one_sheet(tmp_path: Path) -> None:
     up, down = gp_Pln(gp_Pnt(0, 0, 0), gp_Dir(0, 0, 1)), gp_Pln(gp_Pnt(0, 0, 0), gp_Dir(0, 0, -1))
     one = BRepBuilderAPI_MakeFace(up, 0.0, 10.0, 0.0, 10.0).Face()
@@ -146,6 +149,7 @@ def test_faces_that_only_touch_become_one_sheet(tmp_path: Path) -> None:
     assert len(smooth_regions(faces)) == 1
 
 
+@pytest.mark.slow
 def test_seams_of_the_shoehorn_are_smooth_and_those_of_a_box_are_not(tmp_path: Path) -> None:
     assert len(smooth_regions(faces_of(PROBLEMS / "shoehorn.step"))) == 1
     assert len(smooth_regions(faces_of(written(tmp_path, BRepPrimAPI_MakeBox(9.0, 9.0, 9.0).Shape())))) == 6
@@ -165,6 +169,7 @@ def test_faces_by_number_and_name() -> None:
 # Distances
 
 
+@pytest.mark.slow
 def test_distances_from_bodies(tmp_path: Path) -> None:
     points = np.random.default_rng(0).uniform(-0.06, 0.06, size=(4000, 3))
     near_pole = np.random.default_rng(1).normal(size=(1000, 3)) * 3e-4 + [0.0, 0.0, 0.03]
@@ -184,6 +189,7 @@ def test_distances_from_bodies(tmp_path: Path) -> None:
     assert np.abs(block.signed_distance(points) - exact).max() < 1e-5
 
 
+@pytest.mark.slow
 def test_open_faces_have_a_shell_beneath(tmp_path: Path) -> None:
     sheet = BRepBuilderAPI_MakeFace(gp_Pln(gp_Pnt(0, 0, 0), gp_Dir(0, 0, 1)), 0.0, 50.0, 0.0, 50.0).Face()
     body = FaceBody.of(faces_of(written(tmp_path, sheet)))
@@ -196,6 +202,7 @@ def test_open_faces_have_a_shell_beneath(tmp_path: Path) -> None:
 # Samples
 
 
+@pytest.mark.slow
 def test_samples_stand_at_the_distance_and_off_the_hole(tmp_path: Path) -> None:
     top = [face for face in faces_of(holed(tmp_path)) if face.normals(face.loops[0][:1])[0, 2] > 0.9]
     samples = sample_faces(FaceBody.of(top), 5e-3)
@@ -214,6 +221,7 @@ def test_steps_on_a_curved_face_are_chords_of_the_distance() -> None:
         assert np.abs(steps - 10e-3).max() <= TOLERANCE
 
 
+@pytest.mark.slow
 def test_samples_across_seams_keep_their_distance() -> None:
     samples = sample_faces(FaceBody.of(faces_of(PROBLEMS / "shoehorn.step")), 10e-3)
     gaps = np.linalg.norm(samples.points[:, None] - samples.points, axis=2) + np.eye(len(samples.points))
@@ -224,6 +232,7 @@ def test_samples_across_seams_keep_their_distance() -> None:
 # Layers
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "path"), [("shoehorn", "rows"), ("shoehorn", "weighted_greedy"), ("curved_plate", "rows")]
 )
@@ -248,6 +257,7 @@ def test_layers_lie_on_the_true_faces(name: str, path: str) -> None:
         assert np.abs(distance[inside] - rise).max() < 0.02 * problem.layers.height
 
 
+@pytest.mark.slow
 def test_a_sharp_seam_ends_a_bead(tmp_path: Path) -> None:
     path = written(tmp_path, BRepPrimAPI_MakeBox(60.0, 60.0, 60.0).Shape())
     problem = load_problem(
@@ -266,6 +276,7 @@ def problem_with(path: Path, *changes: str) -> Problem:
     return load_problem("curved_plate", (f"part.step.file={path}", *changes))
 
 
+@pytest.mark.slow
 def test_wrong_files_are_refused(tmp_path: Path) -> None:
     good = (PROBLEMS / "shoehorn.step").read_bytes()
     curve_only = good.replace(b"ADVANCED_FACE", b"ADVANCED_FICE")
@@ -284,6 +295,7 @@ def test_wrong_files_are_refused(tmp_path: Path) -> None:
         assert str(tmp_path / name) in str(error.value) or "part.step.file" in str(error.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_damaged_files_never_end_the_planner(tmp_path: Path, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -298,6 +310,7 @@ def test_damaged_files_never_end_the_planner(tmp_path: Path, seed: int) -> None:
         assert faces
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -322,6 +335,7 @@ def test_wrong_fields_are_refused(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_layers_that_would_fold_are_refused() -> None:
     with pytest.raises(InputError, match="would fold"):
         build_toolpath(load_problem("shoehorn", ("layers.count=40", "layers.source.spacing_mm=15")))
@@ -333,6 +347,7 @@ def test_layers_that_would_fold_are_refused() -> None:
 NUMBER = r"[-+]?\d+\.\d*(?:E[-+]?\d+)?"
 
 
+@pytest.mark.slow
 def test_models_come_out_the_same(tmp_path: Path) -> None:
     script = tmp_path / "draw_step_models.py"
     script.write_bytes((PROBLEMS / "draw_step_models.py").read_bytes())
@@ -345,6 +360,7 @@ def test_models_come_out_the_same(tmp_path: Path) -> None:
         np.testing.assert_allclose(*values, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_faces_are_drawn_where_they_are() -> None:
     toolpath = build_toolpath(load_problem("shoehorn", ["layers.source.spacing_mm=20"]))
     assert toolpath.shape is not None

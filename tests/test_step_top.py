@@ -69,6 +69,7 @@ def upper(folder: Path, name: str) -> UpperFaces:
     return found
 
 
+@pytest.mark.slow
 def test_the_uppermost_place_is_found_on_the_whole_bowl(folder: Path) -> None:
     """Its pole and its seam too, which are places in u and v and nothing to be seen."""
     rng = np.random.default_rng(6)
@@ -83,6 +84,7 @@ def test_the_uppermost_place_is_found_on_the_whole_bowl(folder: Path) -> None:
     assert np.isnan(upper(folder, "bowl.step").top(beside)[0]).all()
 
 
+@pytest.mark.slow
 def test_the_upper_one_of_two_faces_counts(folder: Path) -> None:
     plane = np.random.default_rng(7).uniform(-0.09, 0.09, (100, 2))
     z, up = upper(folder, "roof.step").top(plane)
@@ -90,6 +92,7 @@ def test_the_upper_one_of_two_faces_counts(folder: Path) -> None:
     np.testing.assert_allclose(up, np.cos(np.arctan(0.4)), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_beads_lie_on_the_true_bowl(folder: Path) -> None:
     """Within a micrometre of the formula, and the nozzle within 0.02 degrees of its normal."""
     toolpath = build_toolpath(on(folder, "bowl.step"))
@@ -100,6 +103,7 @@ def test_beads_lie_on_the_true_bowl(folder: Path) -> None:
         np.testing.assert_allclose(toolpath.surface.normals_on(0, bead.s, bead.points), true, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_bowl_from_a_step_file_is_printed(folder: Path) -> None:
     one = "layers.source.curves=[{degree: 2, points_mm: [[-70, 0], [-25, -35], [25, 35], [70, 0]]}]"
     plan = solve_alone(on(folder, "bowl.step", "", one, "process.start.heat_wait_s=0", *COARSE))
@@ -108,6 +112,7 @@ def test_a_bowl_from_a_step_file_is_printed(folder: Path) -> None:
     assert np.abs(BOWL.signed_distance(t.tip[t.deposit]) - 0.3e-3).max() <= 0.05e-3
 
 
+@pytest.mark.slow
 def test_curves_along_one_slope_are_laid_and_over_the_ridge_refused(folder: Path) -> None:
     slope = "layers.source.curves=[{degree: 2, points_mm: [[20, -60], [40, 0], [20, 60]]}]"
     toolpath = build_toolpath(on(folder, "roof.step", "", slope))
@@ -120,6 +125,7 @@ def test_curves_along_one_slope_are_laid_and_over_the_ridge_refused(folder: Path
     assert str(caught.value.field).endswith("file") or "part" in str(caught.value.field)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "more", "words"),
     [

@@ -160,6 +160,7 @@ def test_rapid_unpacks_what_was_packed() -> None:
         assert whole == (frame.number, frame.kind, frame.flags, frame.tool, frame.left)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_foreign_parser_accepts_the_module(monkeypatch) -> None:
     config = pytest.importorskip("rapidchecker.config")
@@ -357,6 +358,7 @@ def test_an_interrupt_stops_the_robot() -> None:
         assert until_over(there) == "the PC asked for it"
 
 
+@pytest.mark.slow
 def test_silence_stops_the_robot() -> None:
     with closing(StreamServer("127.0.0.1", 0)) as there, closing(socket.create_connection(there.address)) as pc:
         since = time.monotonic()

@@ -347,7 +347,7 @@ def test_without_the_package_it_is_said_which_one(tmp_path, monkeypatch, capsys)
 
     def none(name: str, *rest: object) -> object:
         if name.startswith("abb_robot_client"):
-            raise ImportError(name=name)
+            raise ModuleNotFoundError(name, name=name)
         return real(name, *rest)
 
     monkeypatch.setattr(builtins, "__import__", none)

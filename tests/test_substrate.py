@@ -55,6 +55,7 @@ def on_mesh(path: Path, more: str = "origin_mm: [-10, -20, -20]") -> tuple[str, 
 # Patterns
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(
     st.sampled_from(SHAPES),
@@ -220,6 +221,7 @@ def test_distances_of_a_mesh_are_quick_and_signed() -> None:
 # Layers
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mesh", [False, True])
 @pytest.mark.parametrize("offset", ["normal", "z"])
 def test_layers_lie_on_each_other(tmp_path: Path, mesh: bool, offset: str) -> None:
@@ -265,6 +267,7 @@ def test_corners_are_rounded_within_the_tolerance_on_the_surface() -> None:
     assert min(bead.normals[:, 2].min() for bead in toolpath.beads) < 0.75
 
 
+@pytest.mark.slow
 def test_layers_that_fold_are_refused(tmp_path: Path) -> None:
     """A bowl of 12 mm radius has no layers 12 mm above it."""
     bowl = trimesh.creation.icosphere(subdivisions=5, radius=12.0)
@@ -290,6 +293,7 @@ def test_the_surface_grows_with_the_layers() -> None:
     np.testing.assert_allclose(found, [0.01, 0.01, 0.01, 0.0095, 0.009])
 
 
+@pytest.mark.slow
 def test_a_pattern_may_reach_to_the_edge(tmp_path: Path) -> None:
     """A zig-zag over all of a slab's top; where a rounded turn would swing over the edge, it is refused."""
     slab = trimesh.creation.box([40.0, 40.0, 20.0])
@@ -309,6 +313,7 @@ def test_a_pattern_may_reach_to_the_edge(tmp_path: Path) -> None:
 # Files
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ascii_", [False, True])
 def test_text_and_binary_files_are_read(tmp_path: Path, ascii_: bool) -> None:
     toolpath = build_toolpath(dome(tmp_path, "layers.count=1", ascii_=ascii_))
@@ -361,6 +366,7 @@ def test_bad_files_are_refused(tmp_path: Path, name: str) -> None:
     assert caught.value.exit_code == 2
 
 
+@pytest.mark.slow
 def test_facets_that_stand_there_twice_or_have_no_area_change_nothing(tmp_path: Path) -> None:
     ball = trimesh.creation.icosphere(subdivisions=4, radius=50.0)
     faces = ball.faces[[*range(len(ball.faces)), *range(0, len(ball.faces), 3)]]
@@ -444,6 +450,7 @@ def test_patterns_are_solved(name: str) -> None:
     assert plan.verified, [check for check in plan.checks if not check.ok]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("offset", ["normal", "z"])
 def test_a_mesh_is_solved(tmp_path: Path, offset: str) -> None:
     changes = (*COARSE, "layers.count=2", "layers.source.size_mm=[30, 30]", f"layers.offset={offset}")
@@ -460,6 +467,7 @@ def test_a_drawing_is_projected(drawing: Callable[..., Problem]) -> None:
     np.testing.assert_allclose(np.ptp(bead.points[:, :2], axis=0), [10e-3, 20e-3], rtol=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not PUBLISHED.exists(), reason="the authors' mesh is not part of the project")
 def test_the_published_mesh_is_solved() -> None:
     """The dome as its authors published it, y up: the ball of the shipped problem, to the facets' accuracy."""
@@ -490,6 +498,7 @@ def test_equation_3_is_exact_only_on_two_great_circles() -> None:
     assert (off > 1.0).all()
 
 
+@pytest.mark.slow
 def test_the_orientation_benchmark_tells_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert orientation([]) == 0
     assert "equation (3)" in capsys.readouterr().out

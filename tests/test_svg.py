@@ -636,6 +636,7 @@ def evaluated(start: tuple[float, float], commands: list[tuple[str, tuple[tuple[
     return np.vstack(rows)
 
 
+@pytest.mark.slow
 @settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(start=point, commands=st.lists(command, min_size=1, max_size=5), flatness=st.sampled_from([3e-5, 1e-3]))
 def test_random_paths_stay_within_the_flatness(

@@ -35,6 +35,7 @@ def price(way: list[tuple[int, int]], normals, up, time, step, speed, aim, most,
     return float(total)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_cheapest_way_against_all_ways(seed: int) -> None:
     rng = np.random.default_rng(seed)

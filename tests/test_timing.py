@@ -83,6 +83,7 @@ def paths(draw: st.DrawFn) -> JointPath:
     return path_of(spread(values, n, np.linspace(0.0, 1.0, len(values))), s * length / s[-1], speed)
 
 
+@pytest.mark.slow
 @given(paths())
 @settings(max_examples=80)
 def test_limits_hold_at_the_samples(cell: Cell, path: JointPath) -> None:

@@ -93,6 +93,7 @@ def by_ipopt(p: LegLimits) -> float:
     return float(opti.solve().value(total))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_as_fast_as_ipopt_finds(seed: int) -> None:
     p = program(seed)

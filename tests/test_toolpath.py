@@ -43,6 +43,7 @@ def line(start: tuple[float, float], end: tuple[float, float], n: int = 101) -> 
 # --- the cylinder and wrapping ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_signed_distance_against_points_of_the_surface() -> None:
     rng = np.random.default_rng(1)
     cylinder = Cylinder(0.03, 0.05, np.array([0.01, -0.02]))
@@ -200,6 +201,7 @@ def test_every_curve_is_printed_once_forwards_or_backwards(
             np.testing.assert_array_equal(curve.points[[0, -1]], curve.source[[0, -1]])
 
 
+@pytest.mark.slow
 def test_travel_against_brute_force(ordered: list[tuple[list[PlaneCurve], list[PlaneCurve]]]) -> None:
     """2-opt is a local search: the least travel of all in most cases, and never worse than where it started."""
     travels = []

@@ -827,6 +827,7 @@ def test_distance_to_any_polyline(points: Array, polyline: Array) -> None:
             assert distance == pytest.approx(true, abs=1e-12)
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None)
 @given(st.floats(0.5, 3.0), st.floats(0.0, 0.3), arrays(float, (20, 3), elements=coordinates))
 def test_distance_to_a_dense_curve_is_exact(turns: float, pitch: float, offsets: Array) -> None:

@@ -376,12 +376,13 @@ def test_wrong_arguments(
 SHARING = """\
 import sys
 from planner.view import command, solver
-child = "import sys, planner.planning as p, planner.view.child as c; p.WORTH_A_FORK = 1; sys.exit(c.main())"
+child = "import sys, planner.planning.pipeline as p, planner.view.child as c; p.WORTH_A_FORK = 1; sys.exit(c.main())"
 solver.CHILD = (sys.executable, "-c", child)
 sys.exit(command.main())
 """
 
 
+@pytest.mark.slow
 def test_life_of_the_command(tmp_path: Path) -> None:
     """A real problem, solved; its port is taken for others; Ctrl-C leaves no process and no file behind."""
     path = write_small(tmp_path)

@@ -154,6 +154,7 @@ def test_beads_stay_within_the_walls_and_keep_the_corner_tolerance() -> None:
         assert away.max() < OUTER - 0.3e-3 + 0.2e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("infill", [0.4, 1.0])
 def test_as_much_is_printed_as_the_ring_holds_times_what_is_filled(infill: float) -> None:
     problem = load_problem("saddle_ring", (f"layers.infill.density={infill}",))
@@ -281,6 +282,7 @@ def test_thin_layers_end_where_they_reach_the_top(tmp_path: Path) -> None:
     assert thin[0] < thin[1] == toolpath.layers == 6
 
 
+@pytest.mark.slow
 def test_a_turned_mesh_is_still_closed(tmp_path: Path) -> None:
     facets = block(lambda x, y: 3.0 + 0.05 * x)[..., [0, 2, 1]] * [1.0, 1.0, -1.0]  # y points up
     file = problem_file(tmp_path, facets)
@@ -304,6 +306,7 @@ def test_level_guides_give_level_layers(tmp_path: Path) -> None:
         assert (dome(x, y) * 1e-3 > (bead.layer + 0.5) * 0.5e-3 - 1e-6).all()
 
 
+@pytest.mark.slow
 def test_layers_may_begin_at_a_mesh(tmp_path: Path) -> None:
     """Two wedges, one on the other: layers begin along the lower one's top, parallel to it."""
 
@@ -365,6 +368,7 @@ BAD: dict[str, tuple[Array, str, str, str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BAD)
 def test_bad_input_is_refused(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     facets, more, field, words = BAD[name]

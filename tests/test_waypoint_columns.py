@@ -217,6 +217,7 @@ def test_nothing_is_written_for_a_bad_file(
     assert message.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_an_archive_that_unpacks_to_too_much_is_refused(spec: Callable[..., WaypointsSpec]) -> None:
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:

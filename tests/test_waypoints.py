@@ -206,6 +206,7 @@ def test_axes_normals_and_origin(spec: Callable[..., WaypointsSpec]) -> None:
     assert bead.normals[0] == pytest.approx(np.array([0, 1, 2]) / 5**0.5)
 
 
+@pytest.mark.slow
 def test_many_lines_are_read_fast(spec: Callable[..., WaypointsSpec]) -> None:
     import time
 

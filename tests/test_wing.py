@@ -50,6 +50,7 @@ def formula(x: Array) -> Array:
     return 0.75 * (0.2969 * np.sqrt(x) - 0.126 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1015 * x**4)
 
 
+@pytest.mark.slow
 def test_the_curve_through_the_papers_points_is_naca_0015(toolpath: Toolpath) -> None:
     """18 points a side: the curve between them stays within 0.01 mm of the formula, at the nose too."""
     outer = toolpath.beads[-1].points[:, ::2] * 1e3 - [15.0, 8.7016]
@@ -105,6 +106,7 @@ digits = st.builds(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(digits=digits, chord=st.floats(0.03, 1.0), share=st.floats(0.02, 0.98), tilt=st.floats(0.3, np.pi / 2))
 def test_parallels_neither_cross_nor_leave_their_half(digits: str, chord: float, share: float, tilt: float) -> None:
@@ -185,6 +187,7 @@ def test_types_alternate_and_outer_layers_run_along_the_curve(toolpath: Toolpath
     assert along[11:] == [k % 2 == 0 for k in range(12)][::-1]
 
 
+@pytest.mark.slow
 def test_each_layer_lies_on_what_is_printed(toolpath: Toolpath) -> None:
     """In the lower half exactly; the upper half fills the steps of the lower one, up to two heights deep."""
     for i, bead in enumerate(toolpath.beads):
@@ -199,6 +202,7 @@ def test_each_layer_lies_on_what_is_printed(toolpath: Toolpath) -> None:
         assert bead.points[:, 1].max() <= 4e-3
 
 
+@pytest.mark.slow
 def test_beads_fill_the_wing() -> None:
     """Volume of all beads against the section's area times the span: what is missing is nose, tail and half passes."""
     toolpath = build_toolpath(problem("layers.support=null"))
@@ -216,6 +220,7 @@ def test_a_layer_begins_at_the_corner_nearest_to_the_last_end(toolpath: Toolpath
         assert np.linalg.norm(bead.points[0, :2] - before.points[-1, :2]) <= nearest + 0.4e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("digits", ["0006", "2412", "6409", "4415"])
 def test_other_sections_are_laid(digits: str) -> None:
     text = problem().file.read_text("utf-8").replace("aerofoil: naca0015_arigela.dat", f'naca: "{digits}"')

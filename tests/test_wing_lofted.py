@@ -69,6 +69,7 @@ def sides_of(toolpath: Toolpath) -> dict[str, LoftedSide]:
     return {"lower": found[0].side, "upper": found[1].side}
 
 
+@pytest.mark.slow
 def test_the_wing_ends_in_the_two_sections(toolpath: Toolpath) -> None:
     """The tip's place, chord, sweep and washout by hand; the root is that of the straight wing."""
     tip = placed("2412", 70e-3, 19e-3, 1.0)
@@ -114,6 +115,7 @@ def test_normals_are_those_of_the_surface(toolpath: Toolpath) -> None:
     assert np.abs(side.inward(u, v)[:, 1]).max() > 0.05, "the taper leans along the span"
 
 
+@pytest.mark.slow
 def test_a_wing_without_taper_is_the_straight_one() -> None:
     """The lofted layers of the paper's wing lie on its straight ones: two ways to the same surfaces."""
     short = ("layers.support=null", "layers.source.span_mm=4")
@@ -141,6 +143,7 @@ def _even(curve: Array) -> Array:
 # Layers
 
 
+@pytest.mark.slow
 def test_layers_lie_at_their_depth_below_the_true_surface(toolpath: Toolpath) -> None:
     """Spacing along the normal: each layer one height further in, exactly, by the surface's own nearest places."""
     sides = sides_of(toolpath)
@@ -217,6 +220,7 @@ def test_types_alternate_and_outer_layers_run_across(toolpath: Toolpath) -> None
     assert np.count_nonzero(changes == 0) <= 1, "where the halves meet, two alike may follow each other"
 
 
+@pytest.mark.slow
 def test_each_layer_lies_on_what_is_printed() -> None:
     toolpath = build_toolpath(problem())
     for i, bead in enumerate(toolpath.beads):
@@ -230,6 +234,7 @@ def test_each_layer_lies_on_what_is_printed() -> None:
     assert len({float(bead.points[0, 2]) for bead in level}) == 16
 
 
+@pytest.mark.slow
 def test_the_solids_distance_agrees_with_brute_force(toolpath: Toolpath) -> None:
     """Against a fine grid of places that are inside by the sides' own distances."""
     solid = toolpath.surface.before(len(toolpath.beads))
@@ -255,6 +260,7 @@ def test_the_solids_distance_agrees_with_brute_force(toolpath: Toolpath) -> None
 # Level layers
 
 
+@pytest.mark.slow
 def test_level_layers_reach_as_far_as_the_wing_does_at_half_their_height(planar: Toolpath) -> None:
     section = section_through(placed("0015", 80e-3, 15e-3, 0.0), 79)
     for i, bead in enumerate(planar.beads):
@@ -349,6 +355,7 @@ UNPRINTABLE = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("change", "field", "reason"), UNPRINTABLE)
 def test_wings_that_cannot_be_printed_are_refused(change: str, field: str, reason: str) -> None:
     with pytest.raises(InputError) as caught:
@@ -358,6 +365,7 @@ def test_wings_that_cannot_be_printed_are_refused(change: str, field: str, reaso
     assert caught.value.hint or reason == "no file"
 
 
+@pytest.mark.slow
 def test_sides_that_never_meet_are_refused_at_once() -> None:
     with pytest.raises(InputError, match="lean so much") as caught:
         build_toolpath(load_problem("naca0015_wing_tapered", ["layers.source.tip.chord_mm=6"]))

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import shutil
+import sys
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any, NoReturn
 
 from planner.base.errors import EXIT_INTERRUPTED, PlannerError, Refusal, nearest_name
@@ -53,7 +55,7 @@ class _Help(argparse.HelpFormatter):
 class Command(argparse.ArgumentParser):
     """The parser of a command: description, options, examples and exit codes in one style, and `--version`.
 
-    examples  what somebody may type after `python -m planner.<name>` → what it does
+    examples  what somebody may type after `python -m planner.<name>`, or `beadwise <name>` → what it does
     codes     exit code → when
     notes     paragraphs below
     """
@@ -66,7 +68,7 @@ class Command(argparse.ArgumentParser):
         codes: Mapping[int, str],
         notes: Sequence[str] = (),
     ) -> None:
-        prog = f"python -m planner.{name}"
+        prog = f"beadwise {name}" if Path(sys.argv[0]).name == "beadwise" else f"python -m planner.{name}"
         self.examples = {f"{prog} {given}".rstrip(): what for given, what in examples.items()}
         self.codes, self.notes = codes, notes
         shown = [_lines(typed, 2, CONTINUED) + "\n" + _lines(what, 6) for typed, what in self.examples.items()]

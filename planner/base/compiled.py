@@ -1,13 +1,19 @@
-"""The decorator of compiled kernels: numba's, and kernels that are compiled anew where no cache can be written."""
+"""Compiled kernels: numba's decorator, which does without a cache where none can be written, and when it compiles."""
 
 from __future__ import annotations
 
+import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
 import numba
+from numba.core import event
+
+SECONDS_A_KERNEL = 0.5  # of compiling, on two cores of a server of 2024: some 250 kernels take two minutes
+WORTH_TELLING = 10  # kernels: fewer are there in a few seconds
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -35,3 +41,50 @@ def _tell_once() -> None:
         "set NUMBA_CACHE_DIR to a folder that can",
         file=sys.stderr,
     )
+
+
+@contextmanager
+def while_compiling(begun: Callable[[int, float], Callable[[], None]]) -> Iterator[None]:
+    """In the block, tell when kernels begin to be compiled that were not found in numba's cache.
+
+    begun: told how many kernels there are to compile, and about how long that takes [s]; what it returns is called after
+    each kernel. It is not told of a few.
+    """
+    with event.install_listener("numba:compile", _Listener(begun)):
+        yield
+
+
+class _Listener(event.Listener):
+    """Calls `begun` at the first kernel of ours that is compiled, and what that returns after every one."""
+
+    def __init__(self, begun: Callable[[int, float], Callable[[], None]]) -> None:
+        self._begun = begun
+        self._done: Callable[[], None] | None = None
+
+    def on_start(self, event: Any) -> None:
+        if self._done is None and _is_ours(event.data["dispatcher"]):
+            missing = kernels_to_compile()
+            told = missing >= WORTH_TELLING
+            self._done = self._begun(missing, missing * SECONDS_A_KERNEL) if told else lambda: None
+
+    def on_end(self, event: Any) -> None:
+        if self._done is not None and _is_ours(event.data["dispatcher"]):
+            self._done()
+
+
+def kernels_to_compile() -> int:
+    """How many kernels of the modules that are loaded have nothing in numba's cache."""
+    modules = [module for name, module in list(sys.modules.items()) if name.startswith("planner.")]
+    kernels = {id(value): value for module in modules for value in vars(module).values() if _is_ours(value)}
+    return sum(not os.path.exists(_index(kernel)) for kernel in kernels.values())
+
+
+def _is_ours(value: Any) -> bool:
+    function = getattr(value, "py_func", None)
+    return getattr(function, "__module__", "").startswith("planner.")
+
+
+def _index(kernel: Any) -> str:
+    """The file in which numba lists what it has compiled of a kernel; empty where it keeps nothing."""
+    file = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
+    return str(getattr(file, "_index_path", ""))

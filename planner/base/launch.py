@@ -34,6 +34,7 @@ COMMANDS = {
     "view": CommandModule("planner.view.command", "a report in the browser, made anew when its problem is saved"),
     "link": CommandModule("planner.link.command", "send a program to its controller, and watch it run"),
     "simulate": CommandModule("planner.simulate.command", "simulators of controllers and extruder boards"),
+    "completion": CommandModule("planner.reference.completion", "a script with which a shell completes these commands"),
     "reference": CommandModule("planner.reference.generate", "JSON schemas and reference pages, made from the code"),
 }
 
@@ -76,6 +77,7 @@ def launch(name: str, arguments: Sequence[str] | None = None) -> int:
         print(f"error: {missing}", file=sys.stderr)
         return missing.exit_code
     code: int = run(arguments)
+    gc.freeze()  # what is left goes back to the system as a whole
     return code
 
 

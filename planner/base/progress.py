@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
@@ -16,12 +16,14 @@ STAGES = ("load", "toolpath", "obstacles", "resolve", "timing", "travel", "verif
 class Stages:
     """Times named stages; with a console, draws a bar for each. `seconds` holds what has been measured so far.
 
-    A stage that is entered twice adds up. `entered` is told the name of each when it begins.
+    A stage that is entered twice adds up. `entered` is told the name of each when it begins. With a console, terminal or
+    not, it is said when kernels have to be compiled, which happens once after an installation and takes minutes.
     """
 
     def __init__(self, console: Console | None = None, entered: Callable[[str], None] | None = None) -> None:
         self.seconds: dict[str, float] = {}
         self._entered = entered
+        self._console, self._open = console, ExitStack()
         # what is no terminal would get an empty line
         self._progress = None if console is None or not console.is_terminal else Progress(
             SpinnerColumn(), TextColumn("{task.description:<10}"), BarColumn(), TimeElapsedColumn(),
@@ -31,11 +33,25 @@ class Stages:
     def __enter__(self) -> Stages:
         if self._progress is not None:
             self._progress.start()
+            self._open.callback(self._progress.stop)
+        if self._console is not None:
+            from planner.base.compiled import while_compiling  # and numba, which stages without a console do not need
+
+            self._open.enter_context(while_compiling(self._compiling))
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._progress is not None:
-            self._progress.stop()
+        self._open.close()
+
+    def _compiling(self, kernels: int, seconds: float) -> Callable[[], None]:
+        """Say that kernels are compiled, and roughly how long that takes; returns what is called after each."""
+        if self._console is not None:
+            self._console.print(f"compiling kernels, about {_minutes(seconds)}, once", markup=False)
+        progress = self._progress
+        if progress is None:
+            return lambda: None
+        bar = progress.add_task("compiling", total=kernels)
+        return lambda: progress.advance(bar)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -62,3 +78,11 @@ class Stages:
             self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
             if self._progress is not None and bar is not None:
                 self._progress.update(bar, total=steps or 1, completed=steps or 1)
+
+
+def _minutes(seconds: float) -> str:
+    """A time in words, no finer than it is known."""
+    if seconds < 45.0:
+        return "half a minute"
+    minutes = max(1, round(seconds / 60.0))
+    return "a minute" if minutes == 1 else f"{minutes} minutes"

@@ -17,15 +17,12 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
 from planner.base.command_line import Command, exit_code
-from planner.base.errors import EXIT_INTERRUPTED, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError
-from planner.export.rapid.reader import read_rapid_files
-from planner.link.connections import Address, LinkError, Secret, connect, parse_address, password
+from planner.base.errors import EXIT_INTERRUPTED, EXIT_NOT_VERIFIED, EXIT_VERIFIED
+from planner.link.connections import LinkError, Secret, connect, parse_address, password
 from planner.link.program_lines import NO_BEAD, ProgramLines, read_program_lines
 from planner.link.relay import LogNote, Relay, RelaySide, RunOutcome
 from planner.link.run import INTERRUPTED, Log, Requests, open_board, run_relay, signals_as
 from planner.link.rws import DIALECTS, USER, RobotWatch, Rws, bring, check_ready, check_together, program_files
-from planner.planning.solve_command import main as solve
-from planner.simulate.start import start
 
 # ----------------------------------------------------------------------------------------------------
 # Progress, and how a run ended.
@@ -116,49 +113,6 @@ def ending(lines: ProgramLines, outcome: RunOutcome, problem: str) -> list[str]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# `--demo`: a print on simulators of the controller and the board, from its problem to its last line.
-#
-# This is the only file of the link that knows of the simulators, and of them only where they listen.
-
-PROBLEM = "cylinder_logo"
-CHANGES = ("layers.count=1", "program.style=socket")
-SIMULATED_PASSWORD = "simulated"  # of a controller that listens on this computer only, for as long as the demo takes
-FOLDER = Path("out/demo")
-
-
-def demo_program(say: Callable[[str], None]) -> Path:
-    """The demo's program, solved unless it was before; InputError where that fails."""
-    found = _found()
-    if found is None:
-        say(f"solving {PROBLEM} with one layer into {FOLDER}, which takes half a minute")
-        changes = [word for change in CHANGES for word in ("--set", change)]
-        code = solve([PROBLEM, *changes, "--out", str(FOLDER)])
-        found = _found()
-        if code != EXIT_VERIFIED or found is None:
-            raise InputError(f"{PROBLEM} was not solved (exit code {code})")
-    return found
-
-
-@contextmanager
-def simulated(pace: float) -> Iterator[tuple[Address, Address, Address]]:
-    """Both simulators: where the controller's web services, its program and the board listen."""
-    with start(pace=pace, rws_password=SIMULATED_PASSWORD) as made:
-        yield Address(*made.rws), Address(*made.program), Address(*made.board)
-
-
-def _found() -> Path | None:
-    """The program that is there; none where another version wrote it otherwise than the simulator reads it."""
-    tables = sorted(FOLDER.glob("*_lines.csv"))
-    if not tables:
-        return None
-    try:
-        read_rapid_files({path.name: path.read_text(encoding="utf-8") for path in FOLDER.glob("*.mod")})
-    except (InputError, OSError, UnicodeDecodeError):
-        return None
-    return tables[0].with_name(tables[0].name.removesuffix("_lines.csv") + ".mod")
-
-
-# ----------------------------------------------------------------------------------------------------
 # The command.
 
 PASSWORD, HEAD_PASSWORD = "BEADWISE_RWS_PASSWORD", "BEADWISE_HEAD_PASSWORD"
@@ -181,8 +135,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _demo(options: argparse.Namespace, say: Callable[[str], None]) -> int:
+    from planner.link.demo import PASSWORD, demo_program, simulated  # the planner takes seconds to be imported
+
     options.program = options.program or demo_program(say)
-    options.secret = Secret(SIMULATED_PASSWORD)
+    options.secret = Secret(PASSWORD)
     with simulated(options.pace) as (options.controller, options.socket, options.head):
         return _run(options, say)
 

@@ -214,5 +214,5 @@ def _notes(cell: Cell, toolpath: Toolpath | None) -> list[str]:
 
 
 def _again(problem: Problem) -> str:
-    """How the problem is named on the command line."""
-    return str(problem.file)
+    """How the problem is named on the command line: as it ships, or by its file."""
+    return problem.name if problem.file.parent == PROBLEMS else str(problem.file)

@@ -1,0 +1,74 @@
+"""Scripts with which shells complete the commands, their options, examples and robots."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import shtab
+
+from planner.base.command_line import Command, exit_code, one_of
+from planner.base.errors import EXIT_VERIFIED
+from planner.base.launch import COMMANDS
+from planner.cell.robot import robot_names
+from planner.problem import shipped_problems
+from planner.reference.pages import commands
+
+SHELLS = ("bash", "zsh", "tcsh")
+NAMED = {"problem": shipped_problems, "robot": robot_names}  # what an argument may name, besides files
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    options = completion_command().parse_args(arguments)
+    return exit_code(lambda: _run(options), lambda text: print(text, file=sys.stderr))
+
+
+def completion_command() -> Command:
+    """The parser of `beadwise completion`."""
+    parser = Command(
+        "completion",
+        "Print a script with which a shell completes the commands of beadwise, their options, examples and robots.",
+        {
+            "bash > ~/.local/share/bash-completion/completions/beadwise": "for bash, from the next shell on",
+            "zsh > ~/.zfunc/_beadwise": "for zsh, where ~/.zfunc is in fpath",
+        },
+        {0: "printed", 2: "wrong input"},
+    )
+    parser.add_argument("shell", type=one_of(SHELLS), metavar="SHELL", help=f"one of {', '.join(SHELLS)}")
+    return parser
+
+
+def _run(options: argparse.Namespace) -> int:
+    print(script(options.shell))
+    return EXIT_VERIFIED
+
+
+def script(shell: str) -> str:
+    """The script for one of SHELLS."""
+    whole = argparse.ArgumentParser(prog="beadwise")
+    below = whole.add_subparsers()
+    for parser in commands():
+        name = parser.prog.rpartition(".")[2]
+        if name in COMMANDS:
+            one = below.add_parser(name, help=COMMANDS[name].does, add_help=False, parents=[_completed(parser)])
+            one.description = None
+    words = {name: " ".join(known()) for name, known in NAMED.items()}
+    preamble: Any = {
+        "bash": "\n".join(f"_beadwise_{n}() {{ compgen -W '{w}' -- $1; compgen -f -- $1; }}" for n, w in words.items()),
+        "zsh": "\n".join(f"_beadwise_{n}() {{ compadd {w}; _files }}" for n, w in words.items()),
+    }
+    return str(shtab.complete(whole, shell=shell, preamble=preamble))
+
+
+def _completed(parser: Command) -> Command:
+    """The parser, which says of its arguments how they are completed."""
+    for action in parser._actions:
+        if action.dest in NAMED:
+            own = f"_beadwise_{action.dest}"
+            action.complete = {"bash": own, "zsh": own, "tcsh": "f"}  # type: ignore[attr-defined]
+        elif action.dest in ("out", "folder", "contacts", "file", "program"):
+            action.complete = shtab.FILE  # type: ignore[attr-defined]
+    return parser
