@@ -20,7 +20,6 @@ import planner.export
 import planner.planning.pipeline
 from planner.base.errors import InputError
 from planner.export.extruder import FILE, differences, gcode, read_gcode
-from planner.export.languages import LANGUAGES
 from planner.export.plan_json import plan_json
 from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.writer import rapid
@@ -387,8 +386,7 @@ def test_gcode_of_one_material_is_held_against_its_plan_too(tmp_path: Path, monk
     assert gcode_differences(plan, spoilt)[0] == "the extruder gets +0.1 mm of filament"
     with pytest.raises(InputError, match="unknown line"):
         read_gcode(text + "M999\n")
-    own = LANGUAGES["extruder"]
-    monkeypatch.setitem(LANGUAGES, "extruder", replace(own, write=lambda plan: {"extrusion.gcode": spoilt}))
+    monkeypatch.setattr("planner.export.extruder.write", lambda plan: {FILE: spoilt})
     with pytest.raises(RuntimeError, match="the extruder's G-code does not repeat the plan"):
         write_robot_code(plan, tmp_path)
     assert list(tmp_path.iterdir()) == []

@@ -269,7 +269,7 @@ def read_gcode(text: str) -> Extrusion:
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    """Every difference between a program and its plan beyond rounding, in words."""
+    """Differences of the program from the plan, beyond rounding, in words. InputError for an unknown line."""
     t, written = plan.trajectory, read_gcode(files[FILE])
     found = filament_differences(plan, written.filament)
     tools = {each.name: each.tool for each in materials_of(plan.problem)}

@@ -406,7 +406,7 @@ def chosen_targets(
 ) -> tuple[Indices, Poses]:
     """Samples (m) that become targets, `kept` (sorted) among them, and the targets (m).
 
-    linear (n - 1) says which steps between samples belong to lines; `joint` judges spans of the others. At the samples
+    linear (n - 1) flags the steps between samples that belong to lines; `joint` judges spans of the others. At the samples
     `cornered` (n) no zone may cut off more than `chord` [m]. Kept samples have their targets on the path, and so have
     all between two of them where it takes no fewer to leave it. The count is near the least, by a few per cent: each
     line reaches as far as it can, but a target has one place beside the path, and not a choice of all.

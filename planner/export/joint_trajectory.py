@@ -371,7 +371,7 @@ CHECKED_ACCELERATION_SHARE = 0.06
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    """What the two files say otherwise than the plan, beyond rounding and thinning, in words."""
+    """Differences of both files from the plan, beyond rounding and thinning, in words. InputError for unknown fields."""
     found, held = read_switches(files[switches_name(plan)])
     return [
         *_motion(plan, read_joint_trajectory(files[trajectory_name(plan)])),

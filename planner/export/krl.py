@@ -559,7 +559,7 @@ ROUNDING = np.radians(1.01e-4)  # of axes
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    """What source and data file say otherwise than the plan, beyond rounding and thinning, in words."""
+    """Differences of both files from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
     name, cell = krl_name(plan.name), plan.cell
     na, station = len(cell.arm), cell.holder_robot
     free = [] if station is None else [station.joint_names.index(joint) for joint in cell.holder.names]

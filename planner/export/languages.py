@@ -45,7 +45,7 @@ class Language:
         return self._module.write(plan)
 
     def differences(self, plan: Plan, files: Mapping[str, str]) -> list[str]:
-        """What files say otherwise than the plan, beyond rounding, in words. InputError for what cannot be read."""
+        """Differences of files from the plan, beyond rounding, in words. InputError for what cannot be read."""
         return self._module.differences(plan, files)
 
     @property
@@ -83,7 +83,7 @@ class Chosen:
 
 
 def chosen(setup: Setup) -> Chosen:
-    """The languages that the problem asks for; without that, the one that the arm's controller speaks.
+    """The languages that the problem asks for; without that, the one of the arm's controller.
 
     A machine that the problem describes has its G-code then, too. Raises InputError for a language that was asked for
     and does not support the cell.
@@ -113,5 +113,5 @@ def _usual(setup: Setup) -> Chosen:
 
 
 def check_languages(problem: Problem, cell: Cell) -> None:
-    """Raise InputError for a language that was asked for and cannot say what the cell does, before all is planned."""
+    """Raise InputError for a language that was asked for and does not support the cell, before anything is planned."""
     chosen(ProblemSetup(problem, cell))

@@ -317,7 +317,7 @@ def sections(plan: Plan, moves: Moves) -> Iterator[Section]:
 
 
 def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None) -> Moves:
-    """Choose the targets of a plan and say how each is approached.
+    """Targets of a plan, and how each is approached.
 
     also  samples that are to be targets, too
     fed   (n) filament that is fed by each sample [m], for which every move that lays material has one rate

@@ -426,7 +426,7 @@ ROUNDING, TRAVEL = 0.03e-3, 1e-3
 
 @dataclass(frozen=True)
 class Readback:
-    """What a played program does otherwise than its plan.
+    """Differences of a played program from its plan.
 
     agreement  of the played nozzle, as the cell's joints carry it, with the plan
     laid       time in which the program lays material over that in which the plan does; worst: of the bead that differs
@@ -462,7 +462,7 @@ class Readback:
 
 
 def readback(plan: Plan, program: RobotProgram) -> list[str]:
-    """What a program that was read back does otherwise than its plan, in words; none if it does the same."""
+    """Differences of a program that was read from its plan, in words; none if it does the same."""
     try:
         played = play(program, plan.cell)
     except InputError as error:
@@ -514,7 +514,7 @@ FAST = 100.0  # m/s, rad/s: a speed that a program leaves open does not slow the
 
 
 def played_differences(plan: Plan, moves: Moves, program: RobotProgram) -> list[str]:
-    """What a program that was read back does otherwise than its plan, in words.
+    """Differences of a program that was read from its plan, in words.
 
     Configurations that its targets do not name are those of the planned postures, which is what the controller must
     come to by itself: it gets the joints where each line begins, and keeps its configuration along lines.

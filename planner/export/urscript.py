@@ -136,7 +136,7 @@ def write(plan: Plan) -> dict[str, str]:
 
 
 def pace_of(plan: Plan, moves: Moves) -> MoveAccelerations:
-    """How fast the controller may go where the plan does not say it move by move."""
+    """Accelerations, and speeds of joint moves: as fast as the plan ever goes, since it gives no speed of single moves."""
     t = plan.trajectory
     rate = np.abs(np.diff(t.q[:, :6], axis=0)).max(axis=1) / t.dt
     turning = float(np.abs(np.diff(t.q[:, :6], 2, axis=0)).max(initial=0.0)) / t.dt**2
@@ -350,7 +350,7 @@ def _frame(pose: Array) -> Array:
 
 
 def _triggers(switched: list[tuple[int, str, bool]], m: int) -> dict[int, tuple[Trigger, ...]]:
-    """Outputs that are switched after one of m moves, as if at its end: its blend says how much before that it is.
+    """Outputs that are switched after one of m moves, as if at its end; the blend there tells how much earlier it happens.
 
     Before the first move they are set to where they should be; after the last one they are switched off once more.
     """
@@ -368,7 +368,7 @@ def _triggers(switched: list[tuple[int, str, bool]], m: int) -> dict[int, tuple[
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    """What the program says otherwise than the plan, beyond rounding and thinning, in words."""
+    """Differences of the program from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
     script = read_urscript(files[script_name(plan)], plan.cell.T_part_nozzle)
     program = named(script.program, output_numbers(plan.problem))
     T_controller_part = np.eye(4)

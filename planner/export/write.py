@@ -62,7 +62,7 @@ def write_robot_code(plan: Plan, folder: Path) -> tuple[Path, ...]:
 
 
 def program_notes(plan: Plan, folder: Path) -> tuple[str, ...]:
-    """What the header of the RAPID program in a folder says that its users should know; nothing without one."""
+    """Notes for users in the header of the RAPID program of a folder; none without a program."""
     path = folder / f"{module_name(plan.name)}.mod"
     if not path.exists():
         return ()

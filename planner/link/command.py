@@ -27,7 +27,7 @@ from planner.link.rws import DIALECTS, USER, RobotWatch, Rws, bring, check_ready
 # ----------------------------------------------------------------------------------------------------
 # Progress, and how a run ended.
 
-SETTLED = 10.0  # s of the run after which its own pace says how long the rest takes
+SETTLED = 10.0  # s of the run after which its own pace gives the time that is left
 
 
 class Show:
@@ -85,7 +85,7 @@ def place(lines: ProgramLines, n: int) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A time as people say it: 1:02:03 or 2:03."""
+    """A time as 1:02:03 or 2:03."""
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}" if minutes >= 60 else f"{minutes}:{rest:02d}"
 

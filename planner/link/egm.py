@@ -355,16 +355,16 @@ def follow(plan: JointPlan, here: socket.socket, messages: ModuleType, say: Call
 def _loop(follower: Follower, here: socket.socket, messages: ModuleType, say: Callable[[str], None]) -> None:
     numbers, reported = 0, 0.0
     peer: tuple[str, int] | None = None
-    began = heard_at = time.monotonic()
+    began = received_at = time.monotonic()
     while not follower.over:
         data, peer = _newest(here, peer)
         now = time.monotonic()
         if not data:
             limit = SILENCE if follower.begun else JOINING
-            if now - heard_at > limit:
+            if now - received_at > limit:
                 raise EgmStopped(f"the controller has said nothing for {limit:g} s")
             continue
-        heard_at = now
+        received_at = now
         reference = follower.answer(read_state(data, messages))
         if reference is None:
             if now - began > JOINING:

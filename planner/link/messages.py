@@ -14,7 +14,7 @@ _TEXT = bytes((0x09, *range(0x20, 0x7F)))
 
 
 class Garbage(ValueError):
-    """What came is not of the protocol; `str()` says what it was."""
+    """A line that is not of the protocol; `str()` tells what it was."""
 
 
 class Framer:
@@ -106,7 +106,7 @@ class Ok:
 
 @dataclass(frozen=True)
 class Resend:
-    """The board wants line `n` again, for its checksum was wrong."""
+    """The board asks for line `n` again, since its checksum was wrong."""
 
     n: int
 

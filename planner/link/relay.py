@@ -23,7 +23,7 @@ _WAITING = {"G4", "M109", "M190", "M191", "M116", "M400"}  # answered when they 
 
 
 class Patience:
-    """Follows the lines that are sent and says how long each may wait for its ack [s]."""
+    """How long each line may wait for its ack [s], by the lines that were sent before."""
 
     def __init__(self) -> None:
         self._feed = 0.0  # mm/min, as F was last given
@@ -203,7 +203,7 @@ class Relay:
         return self._stop(f"the controller sent nothing after line {self._received} in time", now)
 
     def stop(self, reason: str, now: float) -> list[Effect]:
-        """Someone wants the run to end."""
+        """The run is to end."""
         return [] if self._state is _State.OVER else self._stop(reason, now)
 
     def _deaf(self, side: RelaySide) -> bool:

@@ -239,7 +239,7 @@ def program_files(program: Path) -> dict[str, bytes]:
 
 
 def check_together(program: Path, files: Mapping[str, bytes], lines: int) -> None:
-    """Raises InputError unless the program says that it will send as many lines as its table has."""
+    """Raises InputError unless the program sends as many lines as its table has."""
     hello = _HELLO.search(files[program.name])
     if hello is None:
         raise InputError("sends no lines", file=program, hint="the link runs programs of `program: style: socket`")

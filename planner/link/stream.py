@@ -162,7 +162,7 @@ class StreamStopped(PlannerError):
 
 
 class Sender:
-    """Hands out frames as far as the controller has room, and one to say that it is there where there are none.
+    """Hands out frames as far as the controller has room, and a sign of life where there are none.
 
     done, starved   moves handed to the motion, and times the robot waited within a bead (known at the end)
     """
@@ -174,32 +174,32 @@ class Sender:
         self._patience = PATIENCE + SLOWEST * stream.longest
         self._capacity: int | None = None
         self._partial = b""
-        self._said, self._heard = now, now
+        self._sent_at, self._received_at = now, now
 
-    def hear(self, data: bytes, now: float) -> None:
-        """Take what the controller sent. Raises StreamStopped where it stopped, or says what makes no sense."""
+    def receive(self, data: bytes, now: float) -> None:
+        """Take what the controller sent. Raises StreamStopped where it stopped, or sent what is not of the protocol."""
         *whole, self._partial = (self._partial + data).split(b"\n")
         if max(len(each) for each in (*whole, self._partial)) > LONGEST_LINE:
             raise self._stopped("the controller sent a line that is too long")
         for raw in whole:
             self._take(raw.decode("ascii", errors="replace"))
-        self._heard = now
+        self._received_at = now
 
     def due(self, now: float) -> bytes:
         """What is to be sent now. Raises StreamStopped where the controller has been silent for too long."""
         if self.finished:
             return b""
-        if now - self._heard > self._patience:
+        if now - self._received_at > self._patience:
             raise self._stopped(f"the controller has said nothing for {self._patience:.0f} s")
         out = b""
         if self._capacity is not None:
             last = min(self.total, self.done + self._capacity, self.sent + AT_ONCE)
             out = b"".join(next(self._frames) for _ in range(last - self.sent))
             self.sent = max(last, self.sent)
-        if not out and now - self._said >= ALIVE_EVERY:
+        if not out and now - self._sent_at >= ALIVE_EVERY:
             out = packed(self.sent, ALIVE)
         if out:
-            self._said = now
+            self._sent_at = now
         return out
 
     def stop(self, unsent: bytes) -> bytes:
@@ -412,7 +412,7 @@ def _pump(connection: socket.socket, sender: Sender, waiting: bytearray, say: Ca
                 data = connection.recv(BLOCK)
                 if not data:
                     raise sender.lost()
-                sender.hear(data, time.monotonic())
+                sender.receive(data, time.monotonic())
             if writable:
                 del waiting[: connection.send(waiting)]
         except OSError as error:

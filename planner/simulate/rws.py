@@ -253,7 +253,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._reply(204, b"")
 
     def _body(self, most: int) -> bytes:
-        """The body, which must say its length."""
+        """The body, whose length must be declared."""
         length = self.headers.get("Content-Length", "0")
         if not re.fullmatch(r"[0-9]{1,12}", length) or int(length) > most or "Transfer-Encoding" in self.headers:
             self.close_connection = True

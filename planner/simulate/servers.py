@@ -108,7 +108,7 @@ class BoardServer:
                     if key.fileobj is self._listener:
                         self._accept()
                     elif client is not None:
-                        self._hear(client)
+                        self._receive(client)
                 with self._lock:
                     replies = self._board.advance(self._now())
                 if self._client is not None:
@@ -153,7 +153,7 @@ class BoardServer:
         if self._password:
             self._client.send(b"Please enter your password:\r\n")
 
-    def _hear(self, client: _Client) -> None:
+    def _receive(self, client: _Client) -> None:
         try:
             data = client.socket.recv(BLOCK)
         except OSError:

@@ -221,7 +221,7 @@ class StreamServer:
         return None
 
     def _run(self, connection: socket.socket) -> None:
-        partial, heard = b"", time.monotonic()
+        partial, received_at = b"", time.monotonic()
         self._say(f"B 1 {self._capacity}")
         with selectors.DefaultSelector() as selector:
             selector.register(connection, selectors.EVENT_READ)
@@ -235,8 +235,8 @@ class StreamServer:
                         raise StreamEnded("connection lost") from error
                     if not data:
                         raise StreamEnded("connection lost")
-                    partial, heard = self._take(partial + data), time.monotonic()
-                if time.monotonic() - heard > SILENCE:
+                    partial, received_at = self._take(partial + data), time.monotonic()
+                if time.monotonic() - received_at > SILENCE:
                     raise StreamEnded("silence of the PC")
                 with self._lock:
                     handed = self._buffer.advance(time.monotonic())

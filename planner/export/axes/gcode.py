@@ -158,7 +158,7 @@ def _fastest(motion: Followed) -> str:
 
 
 def _start_lines(plan: Plan, spec: MachineSpec, flavour: Flavour, motion: Followed) -> list[str]:
-    """Modes, and the way to the first target: up, across, and down where the axes turn otherwise than the robot."""
+    """Modes, and the way to the first target: up, across, and down on machines whose axes are not the robot's."""
     lines = list(flavour.begin)
     if spec.flavour == "linuxcnc":
         lines.append(f"G64 P{plan.problem.program.chord * 1e3:.4f}")
@@ -367,7 +367,7 @@ DURATION = 3e-3  # s
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    """Every difference between a program and its plan beyond rounding and thinning, in words."""
+    """Differences of the program from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
     spec = spec_of(plan)
     machine = machine_of(spec)
     t = plan.trajectory

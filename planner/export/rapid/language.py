@@ -35,7 +35,7 @@ _SELECTS = re.compile(r"T(\d+)", re.ASCII)
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    """What the modules say otherwise than the plan, beyond rounding and thinning, in words."""
+    """Differences of the modules from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
     program = read_rapid_files(files)
     found = readback(plan, program)
     if plan.problem.program.style == "socket":
