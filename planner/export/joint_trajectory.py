@@ -14,8 +14,8 @@ from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
 from planner.export.fit import by_samples, thin, to_matrix
 from planner.export.moves import ANGLE_TOLERANCE, ROUNDING, TRAVEL_TOLERANCE, deposits
+from planner.export.support import by_bead, output_numbers
 from planner.export.text import beyond, require_writable
-from planner.plan.plan import materials_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -39,12 +39,11 @@ class Switch:
 def planned_switches(plan: Plan) -> tuple[Switch, ...]:
     """On at the first and off at the last sample of each stretch with material, in order of time."""
     t = plan.trajectory
-    outputs = {each.name: each.signal for each in materials_of(plan.problem)}
+    outputs = by_bead(plan, list(output_numbers(plan.problem)))
     found = []
     for a, b in zip(*(ends.tolist() for ends in deposits(t)), strict=True):
         bead = int(t.bead[a])
-        signal = outputs.get(plan.toolpath.beads[bead].material, plan.problem.program.extruder_signal)
-        found += [Switch(float(t.t[k] - t.t[0]), signal, value, bead) for k, value in ((a, True), (b, False))]
+        found += [Switch(float(t.t[k] - t.t[0]), outputs[bead], value, bead) for k, value in ((a, True), (b, False))]
     return tuple(found)
 
 

@@ -26,9 +26,8 @@ from planner.export.program import UNSPECIFIED, RobotProgram, Trigger, about, na
 from planner.export.rapid.text import module_name
 from planner.export.rapid.writer import external_degrees
 from planner.export.readback import played_differences
-from planner.export.support import by_bead, output_numbers, unsupported_in_krl
+from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_krl
 from planner.export.text import ascii_comment, number, require_writable, resting
-from planner.plan.plan import materials_of
 
 if TYPE_CHECKING:
     from planner.plan import Plan
@@ -239,8 +238,7 @@ def _header(plan: Plan) -> list[str]:
     cell = plan.cell
     texts = [
         *about(plan),
-        *(f"Output {k}: {signal}" for signal, k in output_numbers(plan.problem).items()),
-        *(f"Material {each.name}: tool T{each.tool}, {each.signal}" for each in materials_of(plan.problem)),
+        *outputs_about(plan.problem),
         "The tool's load is that of the controller: set it there before the first run.",
         f"$ROBROOT in $WORLD must be {frame(cell.T_world_base)}",
     ]

@@ -28,6 +28,14 @@ def output_numbers(problem: Problem) -> dict[str, int]:
     return {signal: problem.program.extruder_output + k for k, signal in enumerate(signals)}
 
 
+def outputs_about(problem: Problem) -> list[str]:
+    """A line for each output, and for each material that has a name."""
+    return [
+        *(f"Output {k}: {signal}" for signal, k in output_numbers(problem).items()),
+        *(f"Material {each.name}: tool T{each.tool}, {each.signal}" for each in materials_of(problem)),
+    ]
+
+
 def by_bead(plan: Plan, outputs: Sequence[Output]) -> list[Output]:
     """The output of each bead of the toolpath; `outputs` are those of the extruders, in the order of their materials."""
     names = [each.name for each in materials_of(plan.problem)]

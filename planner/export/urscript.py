@@ -27,9 +27,8 @@ from planner.export.moves import (
 from planner.export.program import UNSPECIFIED, RobotProgram, Trigger, about, named
 from planner.export.rapid.text import module_name
 from planner.export.readback import played_differences
-from planner.export.support import by_bead, output_numbers, unsupported_in_urscript
+from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_urscript
 from planner.export.text import ascii_comment, number, require_writable, resting
-from planner.plan.plan import materials_of
 
 if TYPE_CHECKING:
     from planner.cell.cell import Cell
@@ -160,8 +159,7 @@ def _header(plan: Plan) -> list[str]:
         "Payload and centre of gravity are those of the installation: set them there.",
         f"Outputs are switched where a blend begins, {SWITCH_BLEND * 1e3:.2f} mm early, and within a cycle of the",
         f"controller: {fastest * 8.0:.2f} mm of way in the 8 ms of a CB3, {fastest * 2.0:.2f} mm in an e-Series' 2 ms.",
-        *(f"Output {k}: {signal}" for signal, k in output_numbers(plan.problem).items()),
-        *(f"Material {each.name}: tool T{each.tool}, {each.signal}" for each in materials_of(plan.problem)),
+        *outputs_about(plan.problem),
     ]
     return [ascii_comment(MARK, text) for text in texts]
 

@@ -21,7 +21,7 @@ from planner.base.errors import EXIT_INTERRUPTED, EXIT_NOT_VERIFIED, EXIT_VERIFI
 from planner.link.connections import LinkError, Secret, connect, parse_address, password
 from planner.link.program_lines import NO_BEAD, ProgramLines, read_program_lines
 from planner.link.relay import LogNote, Relay, RelaySide, RunOutcome
-from planner.link.run import INTERRUPTED, Log, Requests, open_board, run_relay, signals_as
+from planner.link.run import INTERRUPTED, Log, RelayRun, Requests, open_board, signals_as
 from planner.link.rws import DIALECTS, USER, RobotWatch, Rws, bring, check_ready, check_together, program_files
 
 # ----------------------------------------------------------------------------------------------------
@@ -167,7 +167,7 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
             with signals_as(requests), Show(lines, None if options.quiet else Console(stderr=True)) as show:
                 robot = RobotWatch(rws, requests.ask, lambda: relay.ended)
                 sockets = {RelaySide.CONTROLLER: program, RelaySide.BOARD: board}
-                outcome = run_relay(relay, sockets, requests, log, robot.stop, show)
+                outcome = RelayRun(relay, sockets, requests, log, robot.stop, show).run()
                 trouble = robot.close()
                 started.over = True
         return _told(lines, outcome, trouble, problem, log, say)

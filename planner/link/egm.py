@@ -172,7 +172,7 @@ class EgmStopped(PlannerError):
 
 @dataclass(frozen=True)
 class EgmState:
-    """A word of the controller: joints (m) [rad] as the plan orders them, whether it runs, its clock [s]."""
+    """A message of the controller: joints (m) [rad] as the plan orders them, whether it runs, its clock [s]."""
 
     joints: Array
     running: bool

@@ -185,23 +185,13 @@ def signals_as(requests: Requests) -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def run_relay(
-    relay: Relay,
-    sockets: Mapping[RelaySide, socket.socket],
-    requests: Requests,
-    log: Log,
-    stop_robot: Callable[[str], None],
-    show: Callable[[int], None],
-) -> RunOutcome:
-    """Relay until the run is over, one way or the other; the sockets are closed then.
+class RelayRun:
+    """A relay on its two sockets.
 
     stop_robot  stops the robot on another way than the program's socket, without waiting for it
-    show        is told the last line that was acknowledged, a few times a second
+    show        gets the last line that was acknowledged, a few times a second
     """
-    return _Runner(relay, sockets, requests, log, stop_robot, show).run()
 
-
-class _Runner:
     def __init__(
         self,
         relay: Relay,
@@ -220,6 +210,7 @@ class _Runner:
         self._changed = False  # a socket is closed, or has or had no room for what is to be sent
 
     def run(self) -> RunOutcome:
+        """Relay until the run is over, one way or the other; the sockets are closed then."""
         try:
             return self._run()
         finally:
