@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import shlex
 from collections.abc import Iterator
@@ -11,6 +12,7 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
+from planner.base.launch import COMMANDS
 from planner.problem import load_problem, shipped_problems
 
 ROOT = Path(__file__).parent.parent
@@ -21,7 +23,10 @@ FROM_ROOT = {"architecture.md", "contributing.md", "changelog.md"}  # pages that
 MOST_WORDS = 900  # of the README: who wants more finds a page
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 PICTURE = re.compile(r"!\[([^\]]*)\]\(")
+FILE = re.compile(r"`((?:planner|benchmarks)/[\w/]+(?:\.\w+)?)`")
+API = re.compile(r"^::: ([\w.]+)\.(\w+)$", re.MULTILINE)
 FENCED = re.compile(r"^```.*?^```|<!--.*?-->", re.MULTILINE | re.DOTALL)
+SCRIPT = re.compile(r"(?:^ {4}|`)beadwise ([a-z]+)([^`\n]*)", re.MULTILINE)
 COMMAND = re.compile(r"python(?:3\.11)? -m ((?:planner|benchmarks)(?:\.\w+)*)([^`\n]*)")
 
 
@@ -40,8 +45,9 @@ def headings(page: Path) -> set[str]:
 
 
 def commands(text: str) -> Iterator[tuple[str, list[str]]]:
-    """Modules and arguments of the commands that a page names."""
-    for module, rest in COMMAND.findall(text):
+    """Modules and arguments of the commands that a page names, as modules or as `beadwise NAME`."""
+    scripts = [(f"planner.{name}", rest) for name, rest in SCRIPT.findall(text)]
+    for module, rest in [*COMMAND.findall(text), *scripts]:
         line = re.split(r"\s+#\s|[|;>…]", rest)[0].strip().rstrip(").,:")
         try:
             yield module, shlex.split(line)
@@ -52,14 +58,18 @@ def commands(text: str) -> Iterator[tuple[str, list[str]]]:
 def source_of(module: str) -> str:
     """Source of a command and of what it takes options from; empty where there is no such module."""
     path = ROOT / Path(*module.split("."))
+    files = [ROOT / "planner" / "base" / "command_line.py", ROOT / "planner" / "planning" / "options.py"]
+    name = module.removeprefix("planner.")
     if path.is_dir():
-        files = [*sorted(path.glob("*.py")), ROOT / "planner" / "command.py"]
-        return "".join(file.read_text(encoding="utf-8") for file in files)
-    if not path.with_suffix(".py").is_file():
+        files += sorted(path.glob("*.py"))
+    elif path.with_suffix(".py").is_file():
+        files += [path.with_suffix(".py")]
+        files += sorted(path.parent.glob("*.py")) if path.parent.name not in ("planner", "benchmarks") else []
+    else:
         return ""
-    shared = [path.with_suffix(".py"), ROOT / "planner" / "command.py"]
-    room = path.parent if path.parent.name not in ("planner", "benchmarks") else ROOT / "planner" / "registration"
-    return "".join(file.read_text(encoding="utf-8") for file in [*shared, *sorted(room.glob("*.py"))])
+    if module.startswith("planner.") and name in COMMANDS:
+        files.append((ROOT / Path(*COMMANDS[name].module.split("."))).with_suffix(".py"))
+    return "".join(file.read_text(encoding="utf-8") for file in files)
 
 
 def menu() -> list[str]:
@@ -86,6 +96,20 @@ def test_links_lead_somewhere(name: str) -> None:
         assert file.exists(), link
         if anchor and file.suffix == ".md":
             assert anchor in headings(file), link
+
+
+@pytest.mark.parametrize("name", names(PAGES))
+def test_files_of_the_code_that_pages_name_exist(name: str) -> None:
+    for file in FILE.findall((ROOT / name).read_text(encoding="utf-8")):
+        if name != "CHANGELOG.md" and file != "planner/shipped":  # the latter is in an installed package
+            assert (ROOT / file).exists(), file
+
+
+def test_the_page_of_python_names_what_there_is() -> None:
+    named = API.findall((DOCS / "reference" / "api.md").read_text(encoding="utf-8"))
+    assert len(named) > 15
+    for module, name in named:
+        assert hasattr(importlib.import_module(module), name), f"{module}.{name}"
 
 
 @pytest.mark.parametrize("name", names(PAGES))

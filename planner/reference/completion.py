@@ -60,7 +60,7 @@ def script(shell: str) -> str:
         "bash": "\n".join(f"_beadwise_{n}() {{ compgen -W '{w}' -- $1; compgen -f -- $1; }}" for n, w in words.items()),
         "zsh": "\n".join(f"_beadwise_{n}() {{ compadd {w}; _files }}" for n, w in words.items()),
     }
-    return str(shtab.complete(whole, shell=shell, preamble=preamble))
+    return str(shtab.complete(whole, shell, preamble=preamble))
 
 
 def _completed(parser: Command) -> Command:
