@@ -55,7 +55,7 @@ def row(plan: Plan) -> tuple[list[str], list[str]]:
         str(sum(each.moves for each in limited(program, played))),
         *(f"{seconds:.2f} s" for seconds in (writing, reading, playing, judging)),
     ]
-    return cells, found.complaints()
+    return cells, found.differences()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -68,10 +68,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     code = EXIT_VERIFIED
     try:
         for name in options.problems or shipped_problems():
-            cells, complaints = row(solve(load_problem(name, options.set)))
+            cells, differences = row(solve(load_problem(name, options.set)))
             table.add_row(name, *cells)
-            for complaint in complaints:
-                Console(stderr=True).print(f"{name}: {complaint}", markup=False)
+            for difference in differences:
+                Console(stderr=True).print(f"{name}: {difference}", markup=False)
                 code = EXIT_NOT_VERIFIED
     except PlannerError as error:
         Console(stderr=True).print(f"error: {error}", markup=False)

@@ -85,14 +85,14 @@ def long_program(plan: Plan, targets: int) -> str:
     count = len(read_rapid_files(files).linear)
     reading = time.process_time() - start
     start = time.process_time()
-    complaints = LANGUAGES["rapid"].complaints(plan, files)
+    differences = LANGUAGES["rapid"].differences(plan, files)
     judging = time.process_time() - start
     size = sum(map(len, files.values())) / 1e6
     modules = sum(name.endswith(".mod") for name in files)
     return (
         f"{count:,} targets of {len(plan.trajectory):,} samples in {modules} modules, {size:.0f} MB: written in "
         f"{writing:.1f} s, read in {reading:.1f} s, held against the plan in {judging:.1f} s of CPU "
-        f"({len(complaints)} complaints); {_memory() - before:.0f} MB more than the plan at most"
+        f"({len(differences)} differences); {_memory() - before:.0f} MB more than the plan at most"
     )
 
 

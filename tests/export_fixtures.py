@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell.cell import Cell, build_cell
+from planner.export import krl
 from planner.export.axes.gcode import axes_gcode, file_name
 from planner.export.extruder import gcode
-from planner.export.fit import from_matrix
+from planner.export.fit import from_matrix, lerp, slerp
 from planner.export.joint_trajectory import joint_trajectory, switches
-from planner.export.krl import krl_files
 from planner.export.plan_json import plan_json
+from planner.export.program import RobotProgram, pieces_of
 from planner.export.rapid.writer import pgf, rapid, rapid_files
 from planner.export.tables import write_table
 from planner.export.urscript import urscript
@@ -319,7 +320,7 @@ def golden_texts() -> dict[str, str]:
     write_table(sliced(plan, slice(180, 220)), table)
     short = make_plan(beads=1, length=0.002, positioner=False)
     return {
-        **krl_files(make_plan(beads=1, length=0.010, arm="kr6_r900")),
+        **krl.write(make_plan(beads=1, length=0.010, arm="kr6_r900")),
         "TwoBeads.script": urscript(make_plan(beads=1, length=0.010, positioner=False, arm="ur5e")),
         "two_beads_joint_trajectory.json": joint_trajectory(short),
         "two_beads_extruder.json": switches(plan),
@@ -349,6 +350,18 @@ def axes_texts() -> dict[str, str]:
         its = replace(plan, problem=SimpleNamespace(**vars(plan.problem) | {"program": program}))  # type: ignore[arg-type]
         found[file_name(its)] = axes_gcode(its)
     return found
+
+
+def executed_beads(program: RobotProgram, step: float = 0.5e-3) -> list[tuple[Array, ...]]:
+    """Position (k, 3) [m], orientation (k, 4) and external axes (k, 6), at most `step` [m] apart, of each stretch with the extruder on."""
+    out = []
+    for piece in (piece for on, piece in pieces_of(program) if on):
+        parts = np.maximum(1, np.ceil(np.linalg.norm(np.diff(piece.position, axis=0), axis=1) / step)).astype(np.intp)
+        a = np.append(np.repeat(np.arange(len(parts)), parts), len(parts) - 1)
+        u = np.append((np.arange(len(a) - 1) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[a[:-1]], 1.0)
+        quat = slerp(piece.quat[a], piece.quat[a + 1], u)
+        out.append((lerp(piece.position, a, a + 1, u), quat, lerp(piece.external, a, a + 1, u)))
+    return out
 
 
 if __name__ == "__main__":  # after a change that is meant: write the golden files anew, and read the difference

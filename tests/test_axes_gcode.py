@@ -24,11 +24,11 @@ from tree_sitter import Parser
 from planner.base.errors import InputError
 from planner.cell.cell import build_cell
 from planner.export.axes.flavours import feed_length
-from planner.export.axes.gcode import axes_complaints, axes_gcode, read_axes
+from planner.export.axes.gcode import axes_gcode, differences, file_name, read_axes
 from planner.export.axes.machine import FROM_ZERO, JUMP, FiveAxes, Machine, PoseMachine, chosen, machine_of, missing
 from planner.export.fit import from_matrix
 from planner.export.languages import check_languages
-from planner.export.support import unsaid_in_axes
+from planner.export.support import unsupported_in_axes
 from planner.export.write import write_robot_code
 from planner.plan import Plan
 from planner.problem import load_problem
@@ -38,6 +38,11 @@ from tests.solved import small_problem
 
 Array = NDArray[np.float64]
 X, Y, Z = (1, 0, 0), (0, 1, 0), (0, 0, 1)
+
+
+def axes_differences(plan: Plan, text: str) -> list[str]:
+    """What a program says otherwise than its plan."""
+    return differences(plan, {file_name(plan): text})
 
 
 def axis(letter: str, direction: tuple[float, ...], centre: tuple[float, ...] = (0, 0, 0), **more: Any) -> Any:
@@ -363,7 +368,7 @@ def replayed(name: str, plan: Plan, text: str) -> tuple[Array, Array, Array, Arr
 @pytest.mark.parametrize("name", MACHINES)
 def test_a_spiral_to_the_pole_is_printed_as_planned(name: str) -> None:
     plan, text = written(name)
-    assert axes_complaints(plan, text) == []
+    assert axes_differences(plan, text) == []
     t = plan.trajectory
     tips, directions, times, filament = replayed(name, plan, text)
     laid = np.flatnonzero(t.deposit)
@@ -417,7 +422,7 @@ def test_fibre_heat_and_fan_are_said_to_both_controllers() -> None:
     for name, code, pause in (("trunnion", "M106 P0 S1", "G4 P500"), ("robot", "M106 P0 Q1", "G4 P0.500")):
         plan = on(fibre(), spec(name))
         text = axes_gcode(plan)
-        assert axes_complaints(plan, text) == []
+        assert axes_differences(plan, text) == []
         lines = text.splitlines()
         heat = "M104 S280" if name == "trunnion" else "M104 Q280"
         assert heat in lines and lines.count(code) == 3
@@ -446,7 +451,7 @@ def test_feed_counts_what_the_controller_counts(flavour: str, moved: dict[str, f
 def test_a_robot_on_a_turning_part_keeps_its_feed() -> None:
     """Its part's axis is U, which LinuxCNC counts with the filament's W where the tip rests."""
     plan = on(fibre(), spec("robot", feed="per_minute"))
-    assert axes_complaints(plan, axes_gcode(plan)) == []
+    assert axes_differences(plan, axes_gcode(plan)) == []
 
 
 def test_tools_are_changed_at_rest_at_home() -> None:
@@ -454,13 +459,13 @@ def test_tools_are_changed_at_rest_at_home() -> None:
     program = plan.problem.program.model_copy(update={"machine": spec("trunnion")})
     plan = replace(plan, problem=SimpleNamespace(**vars(plan.problem) | {"program": program}))  # type: ignore[arg-type]
     text = axes_gcode(plan)
-    assert axes_complaints(plan, text) == [] and unsaid_in_axes(plan) is None
+    assert axes_differences(plan, text) == [] and unsupported_in_axes(plan) is None
     assert [line for line in text.splitlines() if line.startswith("T")] == ["T1", "T0"]
     spoilt = text.replace("\nT0\n", "\nT1\n")
-    assert any("other things are said" in each for each in axes_complaints(plan, spoilt))
+    assert any("other things are said" in each for each in axes_differences(plan, spoilt))
     program = plan.problem.program.model_copy(update={"machine": spec("fork")})
     plan = replace(plan, problem=SimpleNamespace(**vars(plan.problem) | {"program": program}))  # type: ignore[arg-type]
-    assert "T0 cannot be said to linuxcnc" in str(unsaid_in_axes(plan))
+    assert "T0 cannot be said to linuxcnc" in str(unsupported_in_axes(plan))
 
 
 @pytest.mark.parametrize(
@@ -502,9 +507,9 @@ SPOILT = {
 
 @pytest.mark.parametrize("what", SPOILT)
 def test_a_spoilt_program_is_found(what: str) -> None:
-    pattern, change, complaint = SPOILT[what]
+    pattern, change, difference = SPOILT[what]
     plan, text = written("trunnion")
-    assert any(complaint in each for each in axes_complaints(plan, swapped(text, pattern, change)))
+    assert any(difference in each for each in axes_differences(plan, swapped(text, pattern, change)))
 
 
 @pytest.mark.parametrize(
@@ -553,9 +558,9 @@ def test_damage_is_an_input_error_or_read_as_it_stands(data: st.DataObject) -> N
 def test_turning_beyond_a_range_is_found() -> None:
     _, text = written("trunnion")
     narrow = on(cap(), spec("trunnion", rotary=(axis("A", X, (1, 2, 30)), axis("C", Z, (-3, 5, 7), range_deg=(-1, 1)))))
-    assert "C turns beyond its range" in axes_complaints(narrow, text)
+    assert "C turns beyond its range" in axes_differences(narrow, text)
     low = on(cap(), spec("trunnion", greatest_mm=(500, 500, 100)))
-    assert axes_complaints(low, text) == ["Z goes beyond its limits"]
+    assert axes_differences(low, text) == ["Z goes beyond its limits"]
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from gcodeparser import parse_gcode_lines
 from solved import solve_alone
 
 from planner.base.errors import InputError
-from planner.export.extruder import gcode, gcode_complaints, read_gcode
+from planner.export.extruder import FILE, differences, gcode, read_gcode
 from planner.plan import Event, Plan
 from planner.problem import load_problem
 from planner.problem.process import ProcessSpec
@@ -18,6 +18,11 @@ from tests.export_fixtures import make_plan
 from tests.solved import small_problem
 
 CUT = ["M106 P0 S1", "G4 P500", "M106 P0 S0", "G4 P500"]
+
+
+def gcode_differences(plan: Plan, text: str) -> list[str]:
+    """What the extruder's program says otherwise than its plan."""
+    return differences(plan, {FILE: text})
 
 
 def with_process(plan: Plan, **changes: object) -> Plan:
@@ -54,7 +59,7 @@ def times_of(text: str) -> list[tuple[float, str]]:
 def test_fibre_is_cut_by_the_published_macro_in_the_wait_that_is_planned() -> None:
     plan = with_fibre()
     text = gcode(plan)
-    assert gcode_complaints(plan, text) == []
+    assert gcode_differences(plan, text) == []
     lines, said = text.splitlines(), times_of(text)
     cuts = [event for event in plan.trajectory.events if event.kind == "cut"]
     assert len(cuts) == 3
@@ -107,7 +112,7 @@ def test_heat_is_waited_for_before_time_begins() -> None:
     text = gcode(plan)
     lines = [line for line in text.splitlines() if not line.startswith(";")]
     assert lines[:5] == ["M83", "M140 S60", "M104 S280", "M190 S60", "M109 S280"]
-    assert gcode_complaints(plan, text) == []
+    assert gcode_differences(plan, text) == []
     late = text.replace("M109 S280\n", "G4 P1\nM109 S280\n", 1)
     with pytest.raises(InputError, match="would lose the robot"):
         read_gcode(late)
@@ -125,7 +130,7 @@ def test_several_tools_are_waited_for_without_selecting_them() -> None:
 def test_the_fan_follows_the_layers() -> None:
     plan = with_process(make_plan(beads=5), fan={"speed": 0.6, "number": 1})
     t, text = plan.trajectory, gcode(plan)
-    assert gcode_complaints(plan, text) == []
+    assert gcode_differences(plan, text) == []
     said = [(at, line) for at, line in times_of(text) if line.startswith("M106")]
     assert [line for _, line in said] == ["M106 P1 S153", "M106 P1 S0"]
     # two beads a layer: the third one is the first of the second layer
@@ -135,7 +140,7 @@ def test_the_fan_follows_the_layers() -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "complaint"),
+    ("old", "new", "difference"),
     [
         ("M106 P1 S153", "M106 P1 S255", "told other things"),
         ("M106 P1 S153\n", "", "told other things"),
@@ -143,11 +148,11 @@ def test_the_fan_follows_the_layers() -> None:
         ("M83\n", "M83\nM106 P0 S1\n", "told other things"),
     ],
 )
-def test_a_board_that_is_told_otherwise_is_found(old: str, new: str, complaint: str) -> None:
+def test_a_board_that_is_told_otherwise_is_found(old: str, new: str, difference: str) -> None:
     plan = with_process(make_plan(beads=5), fan={"speed": 0.6, "number": 1})
     text = gcode(plan)
     assert text.count(old) == 1
-    assert any(complaint in each for each in gcode_complaints(plan, text.replace(old, new)))
+    assert any(difference in each for each in gcode_differences(plan, text.replace(old, new)))
 
 
 def test_an_order_at_another_time_is_found() -> None:
@@ -156,7 +161,7 @@ def test_an_order_at_another_time_is_found() -> None:
     i = lines.index("M106 P1 S153")
     pause = next(k for k in range(i, 0, -1) if lines[k].startswith("G4"))
     moved = [*lines[:pause], lines[i], *lines[pause:i], *lines[i + 1 :]]
-    assert any("off its time" in each for each in gcode_complaints(plan, "\n".join(moved) + "\n"))
+    assert any("off its time" in each for each in gcode_differences(plan, "\n".join(moved) + "\n"))
 
 
 def test_nothing_comes_before_relative_extrusion() -> None:

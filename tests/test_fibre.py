@@ -84,7 +84,7 @@ def test_lines_of_the_program_keep_chord_and_angle(name: str, program: tuple[str
     _, offs, leans = chords(plan)
     assert offs.max() <= plan.problem.program.chord
     assert leans.max() <= plan.problem.program.tangent + 1e-9
-    assert compare(plan, read_rapid(rapid(plan))).complaints() == []
+    assert compare(plan, read_rapid(rapid(plan))).differences() == []
 
 
 def test_a_looser_program_has_fewer_lines_and_a_tighter_one_more() -> None:

@@ -14,12 +14,12 @@ from solved import small_plan
 
 from planner.base.errors import InputError
 from planner.export.joint_trajectory import (
+    differences,
     joint_trajectory,
     plan_knots,
     read_joint_trajectory,
     read_switches,
     switches,
-    trajectory_complaints,
 )
 from planner.plan import Plan
 
@@ -72,7 +72,7 @@ def test_a_controllers_splines_follow_the_plan(which: str) -> None:
         for order, limit in ((1, cell.limits.velocity), (2, cell.limits.acceleration)):
             reached = np.abs(np.column_stack([joint.derivative(order)(dense) for joint in joints])).max(axis=0)
             assert (reached < 1.05 * limit).all()
-    assert trajectory_complaints(plan, files(plan)) == []
+    assert differences(plan, files(plan)) == []
 
 
 @pytest.mark.parametrize("which", ["table", "solved"])
@@ -142,7 +142,7 @@ def spoilt(change: Callable[[Any], object], name: str = MESSAGE) -> list[str]:
     texts = files(make_plan())
     data = json.loads(texts[name])
     change(data)
-    return trajectory_complaints(make_plan(), texts | {name: json.dumps(data)})
+    return differences(make_plan(), texts | {name: json.dumps(data)})
 
 
 def add(field: str, k: int, joint: int, amount: float) -> Callable[[Any], object]:
@@ -178,7 +178,7 @@ def test_any_point_that_was_moved_is_found(k: int, joint: int) -> None:
 )
 def test_a_message_that_says_something_else_is_found(change: Callable[[Any], object], named: str | None) -> None:
     found = spoilt(change)
-    assert (found == []) if named is None else any(named in complaint for complaint in found), found
+    assert (found == []) if named is None else any(named in difference for difference in found), found
 
 
 @pytest.mark.parametrize(
@@ -194,7 +194,7 @@ def test_a_message_that_says_something_else_is_found(change: Callable[[Any], obj
     ],
 )
 def test_switching_that_says_something_else_is_found(change: Callable[[Any], object], named: str) -> None:
-    assert any(named in complaint for complaint in spoilt(change, EXTRUDER))
+    assert any(named in difference for difference in spoilt(change, EXTRUDER))
 
 
 @pytest.mark.parametrize(

@@ -20,18 +20,18 @@ from planner.export.fit import OFF
 from planner.export.krl import (
     angles,
     branch_of,
+    differences,
     from_kuka,
-    krl_complaints,
-    krl_files,
     krl_name,
     quaternions,
     read_krl,
     status,
     to_kuka,
     turn,
+    write,
 )
 from planner.export.moves import ANGLE_TOLERANCE
-from planner.export.support import unsaid_in_krl
+from planner.export.support import unsupported_in_krl
 from planner.plan import Plan
 
 Array = NDArray[np.float64]
@@ -147,7 +147,7 @@ def test_golden_file(name: str) -> None:
 def test_targets_are_where_the_plan_has_the_nozzle(positioner: bool) -> None:
     """KUKA's axes, FTOOL and FPART alone put each target where the plan's joints have it."""
     plan = wave(positioner=positioner)
-    files, cell = krl_files(plan), plan.cell
+    files, cell = write(plan), plan.cell
     tool, part = (frame(values_of(re.search(rf"{name}=\{{(.*?)\}}", files[DATA])[1])) for name in ("FTOOL", "FPART"))  # type: ignore[index]
     q, samples = plan.trajectory.q, len(plan.trajectory)
     on = np.tile(np.eye(4), (samples, 1, 1))
@@ -178,7 +178,7 @@ def test_targets_are_where_the_plan_has_the_nozzle(positioner: bool) -> None:
 
 
 def test_outputs_are_switched_on_the_path() -> None:
-    lines = krl_files(wave())[SOURCE].split("\n")
+    lines = write(wave())[SOURCE].split("\n")
     at = [i for i, line in enumerate(lines) if "TRIGGER" in line]
     assert [lines[i] for i in at] == [
         f"  TRIGGER WHEN PATH=0 DELAY=0 DO $OUT[1]={value}" for value in ("TRUE", "FALSE")
@@ -192,19 +192,19 @@ def test_without_run_in_the_extruder_goes_on_at_the_start_of_the_bead() -> None:
     spec = SimpleNamespace(**vars(plan.problem))
     spec.process = plan.problem.process.model_copy(update={"run_in": 0.0})
     plan = replace(plan, problem=spec)  # type: ignore[arg-type]
-    files = krl_files(plan)
+    files = write(plan)
     assert files[SOURCE].count("TRIGGER WHEN DISTANCE=0 DELAY=0 DO $OUT[1]=TRUE") == 2
-    assert krl_complaints(plan, files) == []
+    assert differences(plan, files) == []
 
 
 def test_materials_have_outputs_one_after_the_other() -> None:
     plan = wave(materials=("pla", "pva"))
-    files = krl_files(plan)
+    files = write(plan)
     assert re.findall(r"DO \$OUT\[(\d)\]=(\w+)", files[SOURCE]) == [
         *(("1", "TRUE"), ("1", "FALSE"), ("2", "TRUE"), ("2", "FALSE"))
     ]
     assert files[SOURCE].count("WAIT SEC 2.0") == 1  # for the change
-    assert krl_complaints(plan, files) == []
+    assert differences(plan, files) == []
 
 
 @pytest.mark.parametrize(
@@ -214,13 +214,13 @@ def test_materials_have_outputs_one_after_the_other() -> None:
 )
 def test_the_program_repeats_the_plan(changes: dict[str, object]) -> None:
     plan = wave(**changes)
-    assert krl_complaints(plan, krl_files(plan)) == []
+    assert differences(plan, write(plan)) == []
 
 
 def test_a_solved_print() -> None:
     """Of an arm that another maker's controller moves: its axes are of the same kind."""
     plan = small_plan()
-    assert krl_complaints(plan, krl_files(plan)) == []
+    assert differences(plan, write(plan)) == []
 
 
 def test_lines_that_the_arm_cannot_keep_up_with_are_found() -> None:
@@ -228,19 +228,19 @@ def test_lines_that_the_arm_cannot_keep_up_with_are_found() -> None:
     plan = wave()
     limits = replace(plan.cell.limits, velocity=0.03 * plan.cell.limits.velocity)
     slow = replace(plan, cell=replace(plan.cell, limits=limits))
-    found = krl_complaints(slow, krl_files(plan))
+    found = differences(slow, write(plan))
     assert len(found) == 1 and found[0].startswith("time of deposition is "), found
 
 
 def test_rests_in_a_bead_are_kept() -> None:
     resting = resting_in_a_bead(wave(dip=False))
-    files = krl_files(resting)
+    files = write(resting)
     assert re.search(r"LIN \{.*\}\n  ; cut, bead 0\n  WAIT SEC 0.500", files[SOURCE])
-    assert krl_complaints(resting, files) == []
+    assert differences(resting, files) == []
 
 
 def test_lines_and_names_are_within_what_a_controller_takes() -> None:
-    for text in krl_files(replace(wave(), strategy="ladder ü" + "x" * 300)).values():
+    for text in write(replace(wave(), strategy="ladder ü" + "x" * 300)).values():
         assert text.isascii() and all(len(line) <= 200 for line in text.split("\n"))
         names = re.findall(r"(?:DEF|DEFDAT) (\w+)", text)
         assert all(len(name) <= 24 for name in names) and len({name.upper() for name in names}) == len(names)
@@ -252,11 +252,11 @@ def test_lines_and_names_are_within_what_a_controller_takes() -> None:
 def test_what_cannot_be_said() -> None:
     plan = wave()
     offset = SimpleNamespace(problem=plan.problem, cell=make_plan(positioner=False, arm="ur5e").cell)
-    assert "spherical wrist, which Universal Robots UR5e is not" in str(unsaid_in_krl(offset))
+    assert "spherical wrist, which Universal Robots UR5e is not" in str(unsupported_in_krl(offset))
     arm = replace(plan.cell, holder_robot=plan.cell.arm_robot)
-    assert "held by an arm" in str(unsaid_in_krl(SimpleNamespace(problem=plan.problem, cell=arm)))
+    assert "held by an arm" in str(unsupported_in_krl(SimpleNamespace(problem=plan.problem, cell=arm)))
     with pytest.raises(ValueError, match="held by an arm"):
-        krl_files(replace(plan, cell=arm))
+        write(replace(plan, cell=arm))
 
 
 # ---- what is read back --------------------------------------------------------------------------------------------
@@ -278,23 +278,23 @@ def said(old: str, new: str) -> Callable[[re.Match[str]], str]:
 
 
 def tampered(pattern: str, change: Callable[[re.Match[str]], str], which: int, name: str = SOURCE) -> list[str]:
-    files = krl_files(wave())
+    files = write(wave())
     matches = list(re.finditer(pattern, files[name]))
     match = matches[which % len(matches)]
     changed = files[name][: match.start()] + change(match) + files[name][match.end() :]
     assert changed != files[name]
-    return krl_complaints(wave(), files | {name: changed})
+    return differences(wave(), files | {name: changed})
 
 
 @pytest.mark.parametrize("which", range(0, 42, 3))
 def test_any_target_moved_by_a_fifth_of_a_millimetre_is_found(which: int) -> None:
-    assert any("path" in complaint for complaint in tampered(LINE, shifted("X", 0.2), which))
+    assert any("path" in difference for difference in tampered(LINE, shifted("X", 0.2), which))
 
 
 @pytest.mark.parametrize("which", range(0, 80, 11))
 @pytest.mark.parametrize("axis", range(1, 7))
 def test_any_axis_of_travel_that_was_moved_is_found(which: int, axis: int) -> None:
-    assert any("axes differ" in complaint for complaint in tampered(POINT, shifted(f"A{axis}", 0.01), which))
+    assert any("axes differ" in difference for difference in tampered(POINT, shifted(f"A{axis}", 0.01), which))
 
 
 @pytest.mark.parametrize(
@@ -332,7 +332,7 @@ def test_a_program_that_says_something_else_is_found(
     pattern: str, change: Callable[[re.Match[str]], str], which: int, name: str, named: str
 ) -> None:
     found = tampered(pattern, change, which, name)
-    assert any(named in complaint for complaint in found), found
+    assert any(named in difference for difference in found), found
 
 
 @pytest.mark.parametrize(
@@ -356,7 +356,7 @@ def test_a_program_that_says_something_else_is_found(
     ],
 )
 def test_reader_refuses_what_it_does_not_know(old: str, new: str, message: str) -> None:
-    files, cell = krl_files(wave()), wave().cell
+    files, cell = write(wave()), wave().cell
     assert old in files[SOURCE]
     with pytest.raises(InputError, match=message):
         read_krl(
@@ -371,7 +371,7 @@ def test_reader_refuses_what_it_does_not_know(old: str, new: str, message: str) 
     [("ENDDAT", ""), ("DECL FRAME FTOOL", "DECL FRAME FPART"), ("XSTART", "XOTHER"), ("X -44.510", "X -44.5.1")],
 )
 def test_reader_refuses_data_that_it_does_not_know(old: str, new: str) -> None:
-    files = krl_files(wave())
+    files = write(wave())
     assert old in files[DATA]
     with pytest.raises(InputError, match="KRL data"):
         read_krl(files[SOURCE], files[DATA].replace(old, new, 1), lambda axes: np.empty(0))

@@ -19,7 +19,7 @@ from planner.base.errors import OutputError
 from planner.link import relay as patience
 from planner.link import relay as relay_module
 from planner.link.relay import Effect, Relay, RelaySide, RunOutcome
-from planner.link.run import INTERRUPTED, Log, Requests, run_relay, signals_as
+from planner.link.run import INTERRUPTED, Log, RelayRun, Requests, signals_as
 
 PROGRAM = program()
 TOTAL = len(PROGRAM)
@@ -42,7 +42,7 @@ class Session:
         log = Log(self.log)
         relay = Relay(PROGRAM, time.monotonic())
         try:
-            return run_relay(relay, sockets, self.requests, log, self.robot.append, self.shown.append)
+            return RelayRun(relay, sockets, self.requests, log, self.robot.append, self.shown.append).run()
         finally:
             log.close()
             for each in sockets.values():

@@ -19,8 +19,7 @@ from solved import small_problem, solve_alone, write_small
 import planner.export
 import planner.planning.pipeline
 from planner.base.errors import InputError
-from planner.export.extruder import gcode, gcode_complaints, read_gcode
-from planner.export.languages import LANGUAGES
+from planner.export.extruder import FILE, differences, gcode, read_gcode
 from planner.export.plan_json import plan_json
 from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.writer import rapid
@@ -52,6 +51,11 @@ TWO = (
 """,
 )
 FED, REST = "material fed by its own tool", "rest for a change of material"
+
+
+def gcode_differences(plan: Plan, text: str) -> list[str]:
+    """What the extruder's program says otherwise than its plan."""
+    return differences(plan, {FILE: text})
 
 
 def problem_of(*changes: tuple[str, str]) -> Problem:
@@ -336,25 +340,25 @@ def test_robot_code_of_two_materials_is_written_and_read_back(tmp_path: Path) ->
 def test_the_outputs_of_rapid_are_those_of_the_beads() -> None:
     plan = make_plan(materials=("pla", "pva"))
     text = rapid(plan)
-    assert compare(plan, read_rapid(text)).complaints() == []
+    assert compare(plan, read_rapid(text)).differences() == []
     switched = [group[0].signal for _, group in sorted(read_rapid(text).triggers.items())]
     assert switched == ["doExtrude", "doExtrude", "doSupport", "doSupport"]
     for old, new in (("doSupport,1", "doExtrude,1"), ("trgOff2", "trgOff")):
         lines = [line.replace(old, new) if "Trig" in line else line for line in text.split("\n")]
-        (complaint,) = compare(plan, read_rapid("\n".join(lines))).complaints()
-        assert complaint.startswith("output differs by 1 times")
+        (difference,) = compare(plan, read_rapid("\n".join(lines))).differences()
+        assert difference.startswith("output differs by 1 times")
 
 
 def test_rapid_waits_at_home_for_the_change() -> None:
     text = rapid(make_plan(materials=("pla", "pva")))
     assert "! change to pva, bead 1\n        WaitTime 2.000;\n        ! purge, bead 1\n        WaitTime 1.000;" in text
     plan = make_plan(materials=("pla", "pva"))
-    hasty = compare(plan, read_rapid(text.replace("WaitTime 2.000", "WaitTime 1.000"))).complaints()
-    assert [complaint.split()[0] for complaint in hasty] == ["wait"]
+    hasty = compare(plan, read_rapid(text.replace("WaitTime 2.000", "WaitTime 1.000"))).differences()
+    assert [difference.split()[0] for difference in hasty] == ["wait"]
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "complaint"),
+    ("old", "new", "difference"),
     [
         ("\nT0\n", "\nT1\n", "tool T0 gets"),
         ("\nT0\n", "\n", "tools are selected"),
@@ -367,23 +371,22 @@ def test_rapid_waits_at_home_for_the_change() -> None:
         ("G4 P2000", "G4 P1000", "it lasts"),
     ],
 )
-def test_gcode_that_was_spoilt_is_told(old: str, new: str, complaint: str) -> None:
+def test_gcode_that_was_spoilt_is_told(old: str, new: str, difference: str) -> None:
     plan = make_plan(materials=("pla", "pva"))
     text = gcode(plan)
-    assert gcode_complaints(plan, text) == [] and text.count(old) == 1
-    assert any(complaint in each for each in gcode_complaints(plan, text.replace(old, new)))
+    assert gcode_differences(plan, text) == [] and text.count(old) == 1
+    assert any(difference in each for each in gcode_differences(plan, text.replace(old, new)))
 
 
 def test_gcode_of_one_material_is_held_against_its_plan_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = make_plan()
     text = gcode(plan)
-    assert gcode_complaints(plan, text) == []
+    assert gcode_differences(plan, text) == []
     spoilt = text.replace("G1 E0.99770", "G1 E1.09770", 1)
-    assert gcode_complaints(plan, spoilt)[0] == "the extruder gets +0.1 mm of filament"
+    assert gcode_differences(plan, spoilt)[0] == "the extruder gets +0.1 mm of filament"
     with pytest.raises(InputError, match="unknown line"):
         read_gcode(text + "M999\n")
-    own = LANGUAGES["extruder"]
-    monkeypatch.setitem(LANGUAGES, "extruder", replace(own, write=lambda plan: {"extrusion.gcode": spoilt}))
+    monkeypatch.setattr("planner.export.extruder.write", lambda plan: {FILE: spoilt})
     with pytest.raises(RuntimeError, match="the extruder's G-code does not repeat the plan"):
         write_robot_code(plan, tmp_path)
     assert list(tmp_path.iterdir()) == []

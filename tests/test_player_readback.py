@@ -46,7 +46,7 @@ def test_a_plan_s_own_program_is_what_was_planned(options):
     plan = make_plan(**options)
     program = read_rapid(rapid(plan))
     found = judge(plan, program, play(program, plan.cell))
-    assert found.complaints() == []
+    assert found.differences() == []
     assert abs(found.laid - 1.0) < 0.02
     assert abs(found.worst - 1.0) < 0.02
     assert found.agreement.path < 0.05e-3
@@ -69,19 +69,19 @@ def test_lines_are_sent_when_they_were_planned():
     for event, (_, bead, _, t, _) in zip(sent, planned, strict=True):
         if bead == "0":  # travel has other times, ramps to the bead too
             assert event.t - on == pytest.approx(float(t) - begin, abs=0.03)
-    complaints = LANGUAGES["rapid"].complaints
-    assert complaints(plan, files) == []
+    differences = LANGUAGES["rapid"].differences
+    assert differences(plan, files) == []
     text = files["OneBead.mod"]
     line = next(line for line in text.splitlines() if "G1 E" in line)
     with pytest.raises(InputError):
-        complaints(plan, files | {"OneBead.mod": text.replace(line + "\n", "", 1)})
+        differences(plan, files | {"OneBead.mod": text.replace(line + "\n", "", 1)})
 
 
 def test_the_flow_that_is_asked_for_lays_what_was_planned():
     plan = demand_plan()
     files = rapid_files(plan)
     program = read_rapid_files(files)
-    assert LANGUAGES["rapid"].complaints(plan, files) == []
+    assert LANGUAGES["rapid"].differences(plan, files) == []
     played = play(program, plan.cell)
     asked = [event for event in played.events if event.kind == "demand"]
     assert len(asked) > 2
@@ -142,9 +142,9 @@ TAMPERED = {
 @pytest.mark.parametrize("what", TAMPERED)
 def test_whatever_is_tampered_with_is_found(what):
     program, named = TAMPERED[what]
-    complaints = readback(PLAN, program)
-    assert complaints
-    assert any(named in complaint for complaint in complaints), complaints
+    differences = readback(PLAN, program)
+    assert differences
+    assert any(named in difference for difference in differences), differences
 
 
 def test_a_wide_zone_at_a_corner_is_found():
@@ -157,7 +157,7 @@ def test_a_wide_zone_at_a_corner_is_found():
     found = judge(PLAN, spoilt, play(spoilt, PLAN.cell))
     half = 0.5 * np.linalg.norm(np.diff(position, axis=0)[INSIDE - 1 : INSIDE + 1], axis=1).min()
     assert found.corner == pytest.approx(0.25 * half * np.sqrt(2.0), rel=0.01)
-    assert any("corner in a bead is cut" in complaint for complaint in found.complaints())
+    assert any("corner in a bead is cut" in difference for difference in found.differences())
 
 
 def test_spans_of_deposition_are_those_of_any_output():

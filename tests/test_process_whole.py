@@ -117,7 +117,7 @@ def test_a_whole_solve_holds_and_is_written_as_it_is(name: str, dt: float) -> No
         return
     assert wrong == []
     assert plan.metrics["jerk_ratio_max"] <= 1.0
-    assert compare(plan, read_rapid(rapid(plan))).complaints() == []
+    assert compare(plan, read_rapid(rapid(plan))).differences() == []
 
     t = plan.trajectory
     total, seconds = pushed(gcode(plan))
@@ -184,7 +184,7 @@ def test_heating_lasts_as_long_as_it_may() -> None:
     plan = solve_alone(load_problem(small_problem().file, ["process.start.heat_wait_s=3600"]), dt=COARSE)
     assert plan.verified
     assert waits_of(rapid(plan)) == [("heat", 3600.0)]
-    assert compare(plan, read_rapid(rapid(plan))).complaints() == []
+    assert compare(plan, read_rapid(rapid(plan))).differences() == []
 
 
 @pytest.mark.parametrize("name", FIBRES)
@@ -225,10 +225,10 @@ def test_fibre_is_cut_at_rest_on_a_line_where_it_ends_at_the_end(name: str) -> N
 def test_a_program_that_waits_otherwise_is_found(name: str, pattern: str, change: str) -> None:
     plan = solved(name)
     text = rapid(plan).replace(plan.problem.program.tool, "tNozzle")
-    assert compare(plan, read_rapid(text)).complaints() == []
+    assert compare(plan, read_rapid(text)).differences() == []
     spoilt, count = re.subn(pattern, change, text, count=1)
     assert count == 1
-    assert any(complaint.startswith("wait") for complaint in compare(plan, read_rapid(spoilt)).complaints())
+    assert any(difference.startswith("wait") for difference in compare(plan, read_rapid(spoilt)).differences())
 
 
 def test_a_wait_at_another_place_is_found() -> None:
@@ -236,7 +236,7 @@ def test_a_wait_at_another_place_is_found() -> None:
     lines = rapid(plan).splitlines()
     i = next(i for i, line in enumerate(lines) if "cut, bead 0" in line)
     lines[i - 1 : i + 2] = [lines[i], lines[i + 1], lines[i - 1]]  # the wait before the move to the cut
-    assert any(text.startswith("wait") for text in compare(plan, read_rapid("\n".join(lines))).complaints())
+    assert any(text.startswith("wait") for text in compare(plan, read_rapid("\n".join(lines))).differences())
 
 
 def test_a_wait_before_the_first_target_is_not_known() -> None:

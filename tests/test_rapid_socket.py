@@ -34,7 +34,7 @@ def test_lines_have_the_filament_and_the_time_of_their_segments(materials):
     plan = make_plan(materials=materials)
     plan = replace(plan, problem=problem(materials=MATERIALS if materials else None, style="socket"))
     files = RAPID.write(plan)
-    assert RAPID.complaints(plan, files) == []
+    assert RAPID.differences(plan, files) == []
     t = plan.trajectory
     rows = lines_of(files["TwoBeads_lines.csv"])
     assert [n for n, *_ in rows] == list(range(1, len(rows) + 1)) and rows[0][4] == "M83"
@@ -110,21 +110,21 @@ def test_reader_refuses_another_socket(old, new, message):
 
 
 @pytest.mark.parametrize(
-    ("pattern", "new", "complaint"),
+    ("pattern", "new", "difference"),
     [
         (r'"G1 E0\.\d+ F', '"G1 E0.90000 F', "mm of filament"),
         (r'"M106 P0 S1"', '"M106 P0 S0"', "other things"),
         (r'"M109 S200"', '"M109 S250"', "other things"),
     ],
 )
-def test_lines_that_say_something_else_are_found(pattern, new, complaint):
+def test_lines_that_say_something_else_are_found(pattern, new, difference):
     plan = socket_plan()
     files = RAPID.write(plan)
     text = files["OneBead.mod"]
     assert re.search(pattern, text)
     spoilt = files | {"OneBead.mod": re.sub(pattern, new, text, count=1)}
-    found = RAPID.complaints(plan, spoilt)
-    assert any(complaint in each for each in found) and any("table" in each for each in found)
+    found = RAPID.differences(plan, spoilt)
+    assert any(difference in each for each in found) and any("table" in each for each in found)
 
 
 def test_a_line_at_the_wrong_place_is_found():
@@ -133,7 +133,7 @@ def test_a_line_at_the_wrong_place_is_found():
     files = RAPID.write(plan)
     moved = re.sub(r"( *TriggL .*trgOn,.*\n)( *BwLine .*\n)", r"\2\1", files["OneBead.mod"])
     assert moved != files["OneBead.mod"]
-    (found,) = RAPID.complaints(plan, files | {"OneBead.mod": moved})
+    (found,) = RAPID.differences(plan, files | {"OneBead.mod": moved})
     assert "too early or too late" in found
 
 

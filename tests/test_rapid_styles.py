@@ -40,7 +40,7 @@ def test_the_flow_is_asked_for_where_it_is_laid(run_in):
     plan = demand_plan()
     plan.problem.process = plan.problem.process.model_copy(update={"run_in": run_in})
     files = RAPID.write(plan)
-    assert RAPID.complaints(plan, files) == []
+    assert RAPID.differences(plan, files) == []
     program = read_rapid(files["AskedBead.mod"])
     ends = sorted(program.triggers)
     # half a volt for each mm3/s, in steps of a hundredth of the largest
@@ -56,7 +56,7 @@ def test_the_flow_is_asked_for_where_it_is_laid(run_in):
 
 
 @pytest.mark.parametrize(
-    ("pattern", "new", "complaint"),
+    ("pattern", "new", "difference"),
     [
         (r"aoDemand,6\.0000", "aoDemand,5.0000", "off by"),
         (r"(trgOff)\\T2:=trgFlow000", r"\1\\T2:=trgFlow100", "outside of beads"),
@@ -64,25 +64,25 @@ def test_the_flow_is_asked_for_where_it_is_laid(run_in):
         (r"TriggL (.*),trgFlow055,z0", r"MoveL \1,z0", "off by"),
     ],
 )
-def test_another_flow_is_found(pattern, new, complaint):
+def test_another_flow_is_found(pattern, new, difference):
     plan = demand_plan()
     files = RAPID.write(plan)
     text = re.sub(pattern, new, files["AskedBead.mod"], count=1)
     assert text != files["AskedBead.mod"]
-    found = RAPID.complaints(plan, files | {"AskedBead.mod": text})
-    assert any(complaint in each for each in found), found
+    found = RAPID.differences(plan, files | {"AskedBead.mod": text})
+    assert any(difference in each for each in found), found
 
 
 def test_a_rest_in_a_bead_is_no_part_of_the_flow_around_it():
     plan = resting_in_a_bead(demand_plan())
-    assert RAPID.complaints(plan, RAPID.write(plan)) == []
+    assert RAPID.differences(plan, RAPID.write(plan)) == []
 
 
 def test_a_flow_beyond_the_output_is_refused():
     with pytest.raises(InputError, match=r"program.demand_scale: 12 mm3/s ask for 12, and the output goes to 10"):
         rapid_files(demand_plan(demand_scale=1))
     plan = demand_plan(demand_scale=1, demand_most=12.5)
-    assert RAPID.complaints(plan, RAPID.write(plan)) == []
+    assert RAPID.differences(plan, RAPID.write(plan)) == []
 
 
 # ---- modules ------------------------------------------------------------------------------------------------------
@@ -94,7 +94,7 @@ def test_modules_say_what_one_module_says(style):
     whole = read_rapid_files(rapid_files(plan))
     split = in_modules(plan, 20)
     files = RAPID.write(split)
-    assert RAPID.complaints(split, files) == []
+    assert RAPID.differences(split, files) == []
     assert len([name for name in files if name.endswith(".mod")]) > 5
     assert files["TwoBeads.pgf"] == rapid_files(plan)["TwoBeads.pgf"]
     parts = read_rapid_files(files)

@@ -31,13 +31,13 @@ from planner.report import picture, places
 from planner.report.charts import joint_charts, time_charts
 from planner.report.extruder import even_flow, flow_note
 from planner.report.failure import write_failure_report
-from planner.report.html import _command, _header, write_report
+from planner.report.html import _command, _header, summary_table, write_report
 from planner.report.picture import read_part
 from planner.report.places import MOST_MARKS, MOST_ROWS, worst_places
 from planner.report.scene import plan_scene
 from planner.report.summary import print_summary
 from planner.report.thinning import CURVE_BUDGET, SCENE_BUDGET, keep_minima, runs, stretches, thin_curve
-from planner.report.wording import FARTHEST, distance, duration, number, summary_table, with_ratios
+from planner.report.wording import FARTHEST, distance, duration, number, with_ratios
 from planner.verify.collision import FAR
 
 MB = 1_000_000
@@ -475,7 +475,7 @@ def test_the_strategy_is_not_repeated_as_its_own_baseline() -> None:
 @pytest.mark.parametrize(
     ("value", "digits", "text"),
     [(1234567.0, 0, "1\u202f234\u202f567"), (-0.25, 2, "−0.25"), (None, 1, "–"), (float("nan"), 1, "–"),
-     (2e-7, 3, "&lt;\u20090.001"), (0.0, 3, "0.000"), (float("inf"), 1, "∞")],
+     (2e-7, 3, "<\u20090.001"), (0.0, 3, "0.000"), (float("inf"), 1, "∞")],
 )  # fmt: skip
 def test_numbers_as_people_read_them(value: float | None, digits: int, text: str) -> None:
     assert number(value, digits) == text

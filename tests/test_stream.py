@@ -195,7 +195,7 @@ def simulated(program: RobotProgram, capacity: int, latency: float, step: float)
         if sender.finished:
             return buffer
         while back and back[0][0] <= now:
-            sender.hear(back.pop(0)[1], now)
+            sender.receive(back.pop(0)[1], now)
         data = sender.due(now)
         there += [(now + latency, data)] if data else []
         before = buffer.taken, buffer.state.done
@@ -264,7 +264,7 @@ def test_it_sets_off_once_the_bead_is_there_or_nothing_more_fits() -> None:
 
 def begun(moves: int = 20) -> Sender:
     sender = Sender(stream_of(straight(moves=moves)), 0.0)
-    sender.hear(b"B 1 8\n", 0.0)
+    sender.receive(b"B 1 8\n", 0.0)
     assert len(sender.due(0.0)) == 8 * LENGTH
     return sender
 
@@ -278,18 +278,18 @@ def begun(moves: int = 20) -> Sender:
 )
 def test_what_cannot_be_stops_the_sender(said: bytes) -> None:
     with pytest.raises(StreamStopped):
-        begun().hear(said, 0.1)
+        begun().receive(said, 0.1)
 
 
 def test_credit_in_pieces_lets_it_go_on() -> None:
     sender = begun()
     assert sender.due(0.1) == b""
-    sender.hear(b"C 8 ", 0.1)
-    sender.hear(b"3\nC 8 5\n", 0.2)
+    sender.receive(b"C 8 ", 0.1)
+    sender.receive(b"3\nC 8 5\n", 0.2)
     assert [frame_of(sender.due(0.2)[:LENGTH]).number, sender.sent] == [9, 13]
     sender = Sender(stream_of(straight()), 0.0)
     with pytest.raises(StreamStopped):
-        sender.hear(b"B 2 8\n", 0.0)
+        sender.receive(b"B 2 8\n", 0.0)
 
 
 def test_it_says_that_it_is_there_and_notices_silence() -> None:
@@ -303,7 +303,7 @@ def test_it_says_that_it_is_there_and_notices_silence() -> None:
 
 def test_a_stop_is_understood_even_where_a_frame_has_gone_in_part() -> None:
     sender = begun()
-    sender.hear(b"C 8 3\n", 0.1)
+    sender.receive(b"C 8 3\n", 0.1)
     due = sender.due(0.1)
     for gone in (0, 40, LENGTH, LENGTH + 1):
         data = due[:gone] + sender.stop(due[gone:])

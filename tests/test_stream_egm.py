@@ -26,9 +26,9 @@ from planner.link.egm import (
     GAP,
     NEAR_START,
     PERIOD,
+    EgmState,
     EgmStopped,
     Follower,
-    Heard,
     JointPlan,
     Limiter,
     read_plan,
@@ -99,7 +99,7 @@ def guided(plan: JointPlan, lag: float = 0.03, spoil=None) -> tuple[Follower, np
     """A robot that follows with a first-order lag; spoil(k, heard) may change the words that are heard."""
     follower, at, out = Follower(plan), plan.q[0].copy(), []
     for k in range(20_000):
-        heard = Heard(at.copy(), True, k * PERIOD)
+        heard = EgmState(at.copy(), True, k * PERIOD)
         reference = follower.answer(spoil(k, heard, follower) if spoil else heard)
         if reference is not None:
             out.append(reference)
@@ -124,7 +124,7 @@ def test_a_start_that_is_a_little_off_is_taken_over_smoothly() -> None:
     moved = replace(off, q=off.q + 0.9 * NEAR_START)
     follower, at, out = Follower(moved), off.q[0].copy(), []
     for k in range(2000):
-        reference = follower.answer(Heard(at.copy(), True, k * PERIOD))
+        reference = follower.answer(EgmState(at.copy(), True, k * PERIOD))
         out.append(reference)
         at += 0.1 * (reference - at)
         if follower.over:
@@ -132,14 +132,14 @@ def test_a_start_that_is_a_little_off_is_taken_over_smoothly() -> None:
     assert follower.over and within_limits(np.array(out)) and np.all(out[0] == off.q[0])
     far = Follower(replace(off, q=off.q + 1.1 * NEAR_START))
     with pytest.raises(EgmStopped, match=r"1\.10 degrees from the plan's start"):
-        far.answer(Heard(off.q[0], True, 0.0))
+        far.answer(EgmState(off.q[0], True, 0.0))
 
 
 def test_it_waits_until_the_robot_runs() -> None:
     plan = bow()
     follower = Follower(plan)
-    assert follower.answer(Heard(plan.q[0], False, 0.0)) is None and not follower.begun
-    assert follower.answer(Heard(plan.q[0], True, 0.004)) is not None
+    assert follower.answer(EgmState(plan.q[0], False, 0.0)) is None and not follower.begun
+    assert follower.answer(EgmState(plan.q[0], True, 0.004)) is not None
 
 
 @pytest.mark.parametrize(
@@ -164,7 +164,7 @@ def test_a_robot_that_lags_too_much_is_stopped() -> None:
 def test_a_gap_lets_it_start_again_from_rest() -> None:
     plan, late = bow(), 0.1
 
-    def gap(k: int, heard: Heard, _: Follower) -> Heard:
+    def gap(k: int, heard: EgmState, _: Follower) -> EgmState:
         return replace(heard, clock=heard.clock + (late if k >= 120 else 0.0))
 
     assert late > GAP * PERIOD
@@ -176,7 +176,7 @@ def test_a_gap_lets_it_start_again_from_rest() -> None:
 
 
 def test_a_stop_comes_to_rest_on_the_path() -> None:
-    def stop(k: int, heard: Heard, follower: Follower) -> Heard:
+    def stop(k: int, heard: EgmState, follower: Follower) -> EgmState:
         if k == 120:
             follower.stop()
         return heard

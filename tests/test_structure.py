@@ -31,6 +31,7 @@ HEAVY = {
     "casadi": {"resolve.reference"},
     "osqp": {"resolve.reference"},
     "toppra": set(),
+    "jinja2": {"report.templates"},
     "matplotlib": {"report", "place.command", "register.telling"},
     "plotly": set(),
     "tornado": {"view.server"},

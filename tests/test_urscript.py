@@ -24,13 +24,13 @@ from planner.cell.robot import chain_of, read_robot
 from planner.export.fit import OFF
 from planner.export.languages import chosen
 from planner.export.moves import ANGLE_TOLERANCE
-from planner.export.support import unsaid_in_urscript
+from planner.export.support import unsupported_in_urscript
 from planner.export.urscript import (
+    differences,
     quaternions,
     read_urscript,
     rotation_vectors,
     urscript,
-    urscript_complaints,
     world_controller,
 )
 from planner.plan import Plan
@@ -162,13 +162,13 @@ def test_materials_have_outputs_one_after_the_other() -> None:
         *("1, True", "1, False", "2, True", "2, False")
     ]
     assert text.count("sleep(2.0") == 1  # for the change
-    assert urscript_complaints(plan, {NAME: text}) == []
+    assert differences(plan, {NAME: text}) == []
 
 
 @pytest.mark.parametrize("changes", [{}, {"beads": 1, "length": 0.004}, {"beads": 3, "dip": False}])
 def test_the_program_repeats_the_plan(changes: dict[str, object]) -> None:
     plan = arc(**changes)
-    assert urscript_complaints(plan, {NAME: urscript(plan)}) == []
+    assert differences(plan, {NAME: urscript(plan)}) == []
 
 
 def test_lines_that_the_arm_cannot_keep_up_with_are_found() -> None:
@@ -176,7 +176,7 @@ def test_lines_that_the_arm_cannot_keep_up_with_are_found() -> None:
     plan = arc()
     limits = replace(plan.cell.limits, velocity=0.03 * plan.cell.limits.velocity)
     slow = replace(plan, cell=replace(plan.cell, limits=limits))
-    found = urscript_complaints(slow, {NAME: urscript(plan)})
+    found = differences(slow, {NAME: urscript(plan)})
     assert len(found) == 1 and found[0].startswith("time of deposition is "), found
 
 
@@ -185,8 +185,8 @@ def test_rests_in_a_bead_are_kept() -> None:
     resting = resting_in_a_bead(arc(dip=False))
     text = urscript(resting)
     assert re.search(r"movep.*r=0\)\n    # cut, bead 0\n    sleep\(0.500\)", text)
-    assert urscript_complaints(resting, {NAME: text}) == []
-    assert urscript_complaints(resting, {NAME: text.replace("sleep(0.500)", "sleep(0.400)")}) != []
+    assert differences(resting, {NAME: text}) == []
+    assert differences(resting, {NAME: text.replace("sleep(0.500)", "sleep(0.400)")}) != []
 
 
 def test_a_solved_print_on_a_turned_base(tmp_path: Path) -> None:
@@ -199,7 +199,7 @@ def test_a_solved_print_on_a_turned_base(tmp_path: Path) -> None:
     )
     plan = solve_alone(load_problem(write_small(tmp_path, *ur), ("layers.source.width_mm=12",)))
     assert [check.name for check in plan.checks if not check.ok] == []
-    assert urscript_complaints(plan, {"Small.script": urscript(plan)}) == []
+    assert differences(plan, {"Small.script": urscript(plan)}) == []
 
 
 def test_lines_are_within_bounds() -> None:
@@ -225,7 +225,7 @@ def test_a_part_that_is_moved_cannot_be_said(tmp_path: Path) -> None:
 
 def test_other_arms_cannot_be_told() -> None:
     plan = make_plan(positioner=False)
-    assert "ABB IRB 140-6/0.8 is no arm of Universal Robots" in str(unsaid_in_urscript(plan))
+    assert "ABB IRB 140-6/0.8 is no arm of Universal Robots" in str(unsupported_in_urscript(plan))
     with pytest.raises(ValueError, match="no arm of Universal Robots"):
         urscript(plan)
 
@@ -235,7 +235,7 @@ def test_outputs_that_the_control_box_has_not() -> None:
     problem = SimpleNamespace(**vars(plan.problem))
     problem.program = plan.problem.program.model_copy(update={"extruder_output": 7})
     setup = SimpleNamespace(problem=problem, cell=plan.cell)
-    assert unsaid_in_urscript(setup) == "an extruder has the output 8, and the last one is 7"
+    assert unsupported_in_urscript(setup) == "an extruder has the output 8, and the last one is 7"
 
 
 # ---- what is read back --------------------------------------------------------------------------------------------
@@ -262,18 +262,18 @@ def tampered(pattern: str, change: Callable[[re.Match[str]], str], which: int) -
     match = matches[which % len(matches)]
     changed = text[: match.start()] + change(match) + text[match.end() :]
     assert changed != text
-    return urscript_complaints(arc(), {NAME: changed})
+    return differences(arc(), {NAME: changed})
 
 
 @pytest.mark.parametrize("which", range(0, 42, 3))
 def test_any_target_moved_by_a_fifth_of_a_millimetre_is_found(which: int) -> None:
-    assert any("path" in complaint for complaint in tampered(LINE, shifted(0, 0.2e-3), which))
+    assert any("path" in difference for difference in tampered(LINE, shifted(0, 0.2e-3), which))
 
 
 @pytest.mark.parametrize("which", range(0, 90, 13))
 @pytest.mark.parametrize("joint", range(6))
 def test_any_joint_of_travel_that_was_moved_is_found(which: int, joint: int) -> None:
-    assert any("joints differ" in complaint for complaint in tampered(JOINT, shifted(joint, 1e-3), which))
+    assert any("joints differ" in difference for difference in tampered(JOINT, shifted(joint, 1e-3), which))
 
 
 @pytest.mark.parametrize(
@@ -302,7 +302,7 @@ def test_a_program_that_says_something_else_is_found(
     pattern: str, change: Callable[[re.Match[str]], str], which: int, named: str
 ) -> None:
     found = tampered(pattern, change, which)
-    assert any(named in complaint for complaint in found), found
+    assert any(named in difference for difference in found), found
 
 
 @pytest.mark.parametrize(

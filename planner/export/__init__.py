@@ -1,1 +1,1 @@
-"""Files that leave the house: tables for everybody, robot code only of verified plans."""
+"""Exporters: tables of any plan, robot code of verified ones only."""

@@ -1,8 +1,9 @@
-"""G-code of the extruder's own board, in time with the robot: written, read back, and held against its plan."""
+"""G-code of the extruder's own board, in time with the robot: writer, reader, and check against the plan."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Indices
-from planner.base.errors import InputError
+from planner.export.grammar import Grammar
 from planner.plan.plan import SELECTS, materials_of, used
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from planner.problem.process import FanSpec
 
 # ----------------------------------------------------------------------------------------------------
-# What an extruder's board is told besides moving filament: heating, tools, fan and cutter.
+# Orders to the board besides moving filament: heating, tools, fan and cutter.
 
 PAUSE = "G4 P"  # and milliseconds
 FULL = 255  # of S in M106
@@ -47,7 +48,7 @@ class Order:
 
 
 def orders(plan: Plan) -> tuple[Order, ...]:
-    """All that the board is told besides moving filament, in order of time; lines are empty where it need do nothing.
+    """All orders by time; their lines are empty where the board need do nothing.
 
     Temperatures are set and not waited for, but with `heat: wait` before any time has passed: only what takes a known
     time keeps pace with the robot.
@@ -104,20 +105,26 @@ def _of_fan(fan: FanSpec, t: Trajectory, lag: float) -> list[Order]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# extrusion.gcode for RepRapFirmware: the extruder alone, in the time of the robot's motion.
+# Writer: extrusion.gcode for RepRapFirmware, the extruder alone.
 
 Labels = NDArray[np.int64]
 
+FILE = "extrusion.gcode"
 BLOCK_S = 0.02  # shortest command [s]: a board that is fed faster than 50 lines/s may stutter
 FLOW_STEP = 0.01  # blocks whose flow is equal to this share of the largest flow become one command
 NOTHING = -1  # label of what belongs neither to a bead nor to an event
 FIRST_EVENT = -2  # label of the first event; those of later ones count down
 
 
+def write(plan: Plan) -> dict[str, str]:
+    """The extruder's G-code, by the name of its file."""
+    return {FILE: gcode(plan)}
+
+
 def gcode(plan: Plan) -> str:
     """G-code of the extruder: G1 E F while filament moves, G4 P in between; E is relative, mm of filament.
 
-    What else the board is told, `orders` says. The robot waits at home for as long as its problem says.
+    Heating, tools, fan and cutter come from `orders`. The robot waits at home for as long as its problem says.
     """
     t = plan.trajectory
     cuts, label = _chunks(t)
@@ -141,8 +148,8 @@ def gcode(plan: Plan) -> str:
     ):
         if f <= 0.0:
             continue
-        said = [f"; {t.events[FIRST_EVENT - who].words}"] if who <= FIRST_EVENT else [f"; bead {who}, layer {layer}"]
-        what.append((end - took, took, [*(said if who not in (last, NOTHING) else []), f"G1 E{e:.5f} F{f:.3f}"]))
+        about = [f"; {t.events[FIRST_EVENT - who].words}"] if who <= FIRST_EVENT else [f"; bead {who}, layer {layer}"]
+        what.append((end - took, took, [*(about if who not in (last, NOTHING) else []), f"G1 E{e:.5f} F{f:.3f}"]))
         last = last if who == NOTHING else who
 
     name = re.sub(r"[^\x20-\x7e]", "?", plan.name)
@@ -154,10 +161,10 @@ def gcode(plan: Plan) -> str:
         "M83",
     ]
     now = 0.0
-    for start, took, said in sorted(what, key=lambda each: each[0]):
+    for start, took, own in sorted(what, key=lambda each: each[0]):
         lines += _pause(start - now)
         now += _pause_length(start - now) + took
-        lines += said
+        lines += own
     lines += _pause(float(clock[-1]) - now)
     return "\n".join(lines) + "\n"
 
@@ -200,24 +207,33 @@ def _chunks(t: Trajectory) -> tuple[Indices, Labels]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# The extruder's G-code, read back: does each tool get the filament that the plan has for it, and in time?
+# Reader and check: each tool gets the filament that the plan has for it, and in time.
 
 AMOUNT = 1e-5  # m of filament that a tool may get too much or too little, in all
-LATE = 2e-3  # s, and a sample: by which what is said may stand behind or before its instant
-_LINE = re.compile(
-    r"(?P<comment>;.*)|(?P<mode>M83)|(?P<wait>M116|M1(?:09|90) S[\d.]+)|(?P<order>M(?:42|104|106|107|140|280)(?: [A-Z]-?[\d.]+)*)"
-    r"|T(?P<tool>\d+)|G4 P(?P<pause>\d+)|G1 E(?P<amount>-?\d+\.\d+) F(?P<rate>\d+\.\d+)"
+LATE = 2e-3  # s, and a sample: by which an order may stand behind or before its instant
+GRAMMAR = Grammar.of(
+    "G-code",
+    ";",
+    {
+        "feed": r"G1 E(-?\d+\.\d+) F(\d+\.\d+)",
+        "pause": r"G4 P(\d+)",
+        "tool": r"T(\d+)",
+        "wait": r"M116|M1(?:09|90) S[\d.]+",
+        "order": r"M(?:42|104|106|107|140|280)(?: [A-Z]-?[\d.]+)*",
+        "mode": r"M83",
+    },
+    called="line",
 )
 
 
 @dataclass(frozen=True)
 class Extrusion:
     """What the program does: filament in all [m] by tool (None before any is selected), when tools are selected [s],
-    when other lines are said to the board, and how long it lasts [s]."""
+    the other lines for the board with their times [s], and how long it lasts [s]."""
 
     filament: dict[int | None, float]
     selections: tuple[tuple[float, int], ...]
-    told: tuple[tuple[float, str], ...]
+    orders: tuple[tuple[float, str], ...]
     duration: float
 
 
@@ -228,42 +244,34 @@ def read_gcode(text: str) -> Extrusion:
     """
     filament: dict[int | None, float] = {}
     selections: list[tuple[float, int]] = []
-    told: list[tuple[float, str]] = []
+    ordered: list[tuple[float, str]] = []
     now, tool, relative = 0.0, None, False
-    for number, line in enumerate(text.splitlines(), 1):
-        match = _LINE.fullmatch(line)
-        if match is None:
-            raise InputError(f"unknown line {line[:60]!r}", file="G-code", line=number)
-        if match["comment"] is None and not relative and not match["mode"]:
-            raise InputError(f"{line[:60]!r} stands before M83", file="G-code", line=number)
-        if match["mode"]:
+    for statement in GRAMMAR.statements(text.splitlines()):
+        word, parts = statement.word, statement.parts
+        if word == "mode":
             relative = True
-        elif match["wait"] and now > 0.0:
-            raise InputError(f"{line!r} would lose the robot, which waits by time", file="G-code", line=number)
-        elif match["wait"] or match["order"]:
-            told.append((now, line))
-        elif match["tool"]:
-            tool = int(match["tool"])
+        elif not relative:
+            raise statement.misplaced("before M83")
+        elif word == "wait" and now > 0.0:
+            raise statement.error(f"{statement.text!r} would lose the robot, which waits by time")
+        elif word in ("wait", "order"):
+            ordered.append((now, statement.text))
+        elif word == "tool":
+            tool = int(parts[0])
             selections.append((now, tool))
-        elif match["pause"]:
-            now += int(match["pause"]) * 1e-3
-        elif match["amount"]:
-            amount = float(match["amount"]) * 1e-3
+        elif word == "pause":
+            now += int(parts[0]) * 1e-3
+        else:
+            amount = float(parts[0]) * 1e-3
             filament[tool] = filament.get(tool, 0.0) + amount
-            now += abs(amount) / (float(match["rate"]) * 1e-3 / 60.0)
-    return Extrusion(filament, tuple(selections), tuple(told), now)
+            now += abs(amount) / (float(parts[1]) * 1e-3 / 60.0)
+    return Extrusion(filament, tuple(selections), tuple(ordered), now)
 
 
-def gcode_complaints(plan: Plan, text: str) -> list[str]:
-    """Every difference between a program and its plan beyond rounding, in words."""
-    t, written = plan.trajectory, read_gcode(text)
-    takes: dict[int | None, float] = {each.material.tool: each.filament for each in used(plan) if each.beads}
-    takes = takes or {None: float(t.feed[-1] - t.feed[0])}
-    found = []
-    for tool in sorted({*takes, *written.filament}, key=str):
-        off = written.filament.get(tool, 0.0) - takes.get(tool, 0.0)
-        if not abs(off) <= AMOUNT:
-            found.append(f"{'the extruder' if tool is None else f'tool T{tool}'} gets {off * 1e3:+.3g} mm of filament")
+def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
+    """Differences of the program from the plan, beyond rounding, in words. InputError for an unknown line."""
+    t, written = plan.trajectory, read_gcode(files[FILE])
+    found = filament_differences(plan, written.filament)
     tools = {each.name: each.tool for each in materials_of(plan.problem)}
     planned = [(event.start, tools[event.material]) for event in t.events if event.kind in SELECTS]
     if [tool for _, tool in planned] != [tool for _, tool in written.selections]:
@@ -272,17 +280,35 @@ def gcode_complaints(plan: Plan, text: str) -> list[str]:
         late = [abs(at - start) for (at, _), (start, _) in zip(written.selections, planned, strict=True)]
         if not max(late, default=0.0) <= LATE + t.dt:
             found.append(f"a tool is selected {max(late):.3g} s off its time")
-    found += _told_otherwise(plan, written)
+    planned_orders = [(due, line) for order in orders(plan) for due, line in order.due if line.startswith("M")]
+    found += order_differences(planned_orders, written.orders, LATE + t.dt, "the board is told other things")
     if not abs(written.duration - float(t.t[-1] - t.t[0])) <= LATE + t.dt:
         found.append(f"it lasts {written.duration:.3f} s")
     return found
 
 
-def _told_otherwise(plan: Plan, written: Extrusion) -> list[str]:
-    """What the board is told of heating, fan and cutter otherwise than planned, or at another time."""
-    planned = [(due, line) for order in orders(plan) for due, line in order.due if line.startswith("M")]
-    if [line for _, line in planned] != [line for _, line in written.told]:
-        return ["the board is told other things than the plan's, or in another order"]
-    late = [(abs(at - due), line) for (at, line), (due, _) in zip(written.told, planned, strict=True)]
+def filament_differences(plan: Plan, filament: Mapping[int | None, float]) -> list[str]:
+    """Tools that get more or less filament [m] in all than planned; the tool is None where a plan has but one."""
+    t = plan.trajectory
+    planned: dict[int | None, float] = {each.material.tool: each.filament for each in used(plan) if each.beads}
+    planned = planned or {None: float(t.feed[-1] - t.feed[0])}
+    off = {tool: filament.get(tool, 0.0) - planned.get(tool, 0.0) for tool in {*planned, *filament}}
+    return [
+        f"{'the extruder' if tool is None else f'tool T{tool}'} gets {amount * 1e3:+.3g} mm of filament"
+        for tool, amount in sorted(off.items(), key=str)
+        if not abs(amount) <= AMOUNT
+    ]
+
+
+def order_differences(
+    planned: Sequence[tuple[float, str | None]], found: Sequence[tuple[float, str]], tolerance: float, others: str
+) -> list[str]:
+    """Whether a program tells the board the planned lines (time [s], text), within a tolerance [s] of their times.
+
+    others: how to begin where it tells others.
+    """
+    if [line for _, line in planned] != [line for _, line in found]:
+        return [f"{others} than the plan's, or in another order"]
+    late = [(abs(at - due), line) for (at, line), (due, _) in zip(found, planned, strict=True)]
     worst, line = max(late, default=(0.0, ""))
-    return [] if worst <= LATE + plan.trajectory.dt else [f"{line} is said {worst:.3g} s off its time"]
+    return [] if worst <= tolerance else [f"{line} is said {worst:.3g} s off its time"]

@@ -1,4 +1,4 @@
-"""Fewest targets that still say it all: lines between them fitted to a trajectory within all tolerances."""
+"""The fewest targets between which a controller's lines keep to a trajectory, within all tolerances."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from planner.base.arrays import Array, Flags, Indices
 from planner.base.compiled import njit
 
 # ----------------------------------------------------------------------------------------------------
-# Unit quaternions, x y z w, in batches: what the exporters need and no more.
+# Unit quaternions, x y z w, in batches.
 
 
 def continuous(quat: Array) -> Array:
@@ -34,6 +34,12 @@ def slerp(a: Array, b: Array, u: Array) -> Array:
     wa = np.where(near, 1.0 - u, np.sin((1.0 - u) * omega) / sine)
     wb = np.where(near, u, np.sin(u * omega) / sine)
     out: Array = wa[:, None] * a + wb[:, None] * b
+    return out
+
+
+def lerp(values: Array, a: Indices, b: Indices, u: Array) -> Array:
+    """Values (n, ...) at the fraction u (n) of the way from rows a (n) to rows b (n) of a table."""
+    out: Array = values[a] + u.reshape(-1, *[1] * (values.ndim - 1)) * (values[b] - values[a])
     return out
 
 
@@ -75,7 +81,7 @@ def to_matrix(quat: Array) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Targets around sharp turns: near enough for a corner zone not to cut them off.
+# Sharp turns: targets near enough that a corner zone does not cut them off.
 
 ZONE = 0.3e-3  # m, of the targets of linear moves (RAPID's z0); controllers cut it to half of the neighbouring lines
 
@@ -101,7 +107,7 @@ def closer_at_turns(sample: Indices, tip: Array, target: Array, turns: Flags, mo
 
 
 # ----------------------------------------------------------------------------------------------------
-# How well a controller's lines between targets fit a trajectory: all tolerances of a line, over all its samples.
+# Misfits: all tolerances of a line between targets, over all its samples.
 
 TERMS = ("chord", "orientation", "station", "time", "tangent", "flow", "length")  # what can keep a line short
 LEAST_STEP = 1e-9  # [m] between samples: a shorter one, at rest, has no direction
@@ -268,7 +274,7 @@ def _lean(a: Array, b: Array, p: Array, q: Array) -> float:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Fewest targets that still say it all: split spans of samples until interpolation meets every sample between.
+# The fewest targets: spans of samples are split until interpolation meets every sample between.
 
 # (first, last, k) → how far interpolation between samples first and last misses sample k, in tolerances
 Misfit = Callable[[Indices, Indices, Indices], Array]
@@ -400,7 +406,7 @@ def chosen_targets(
 ) -> tuple[Indices, Poses]:
     """Samples (m) that become targets, `kept` (sorted) among them, and the targets (m).
 
-    linear (n - 1) says which steps between samples belong to lines; `joint` judges spans of the others. At the samples
+    linear (n - 1) flags the steps between samples that belong to lines; `joint` judges spans of the others. At the samples
     `cornered` (n) no zone may cut off more than `chord` [m]. Kept samples have their targets on the path, and so have
     all between two of them where it takes no fewer to leave it. The count is near the least, by a few per cent: each
     line reaches as far as it can, but a target has one place beside the path, and not a choice of all.

@@ -1,4 +1,4 @@
-"""ROS trajectory_msgs/JointTrajectory as JSON: written, read back, and held against its plan."""
+"""ROS trajectory_msgs/JointTrajectory as JSON: writer, reader, and check against the plan."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
 from planner.export.fit import by_samples, thin, to_matrix
 from planner.export.moves import ANGLE_TOLERANCE, ROUNDING, TRAVEL_TOLERANCE, deposits
-from planner.plan.plan import materials_of
+from planner.export.support import by_bead, output_numbers
+from planner.export.text import beyond, require_writable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from planner.plan import Plan
 
 # ----------------------------------------------------------------------------------------------------
-# When the extruders' outputs go on and off, counted from the start of the motion.
+# Switching times of the extruders, from the start of the motion.
 
 
 @dataclass(frozen=True)
@@ -38,17 +39,16 @@ class Switch:
 def planned_switches(plan: Plan) -> tuple[Switch, ...]:
     """On at the first and off at the last sample of each stretch with material, in order of time."""
     t = plan.trajectory
-    outputs = {each.name: each.signal for each in materials_of(plan.problem)}
+    outputs = by_bead(plan, list(output_numbers(plan.problem)))
     found = []
     for a, b in zip(*(ends.tolist() for ends in deposits(t)), strict=True):
         bead = int(t.bead[a])
-        signal = outputs.get(plan.toolpath.beads[bead].material, plan.problem.program.extruder_signal)
-        found += [Switch(float(t.t[k] - t.t[0]), signal, value, bead) for k, value in ((a, True), (b, False))]
+        found += [Switch(float(t.t[k] - t.t[0]), outputs[bead], value, bead) for k, value in ((a, True), (b, False))]
     return tuple(found)
 
 
 # ----------------------------------------------------------------------------------------------------
-# Fewest points whose quintic splines repeat the planned joints.
+# The fewest points whose quintic splines repeat the planned joints.
 #
 # Of a point with position, velocity and acceleration, ROS's joint_trajectory_controller makes a polynomial of degree 5 to
 # the next one (ros2_controllers, "Trajectory Representation"), so that is what the points are chosen for.
@@ -153,7 +153,7 @@ def at_times(knots: SplineKnots, time: Array) -> tuple[Array, Array, Array]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# A plan as two JSON files: the message trajectory_msgs/JointTrajectory, and when extruders go on and off.
+# Writer: two JSON files, the message and the switching of the extruders.
 #
 # The message holds the whole print in one, since it may stop nowhere within a bead and travel between beads is timed as
 # well. Its times count from the robot's first motion, as those of the extruder's G-code do.
@@ -175,8 +175,7 @@ def switches_name(plan: Plan) -> str:
 
 def joint_trajectory(plan: Plan) -> str:
     """JSON of the message, a line for each point. ValueError if the plan is not verified: the caller's mistake."""
-    if not plan.verified:
-        raise ValueError("robot code is written for verified plans only")
+    require_writable(plan)
     knots = plan_knots(plan)
     columns = zip(
         np.round(knots.q, DECIMALS["positions"]).tolist(),
@@ -203,6 +202,11 @@ def joint_trajectory(plan: Plan) -> str:
     return f'{{"header":{_line(head)},\n"joint_names":{_line(names)},\n"points":[\n' + ",\n".join(points) + "\n]}\n"
 
 
+def write(plan: Plan) -> dict[str, str]:
+    """Both files of a verified plan, by name."""
+    return {trajectory_name(plan): joint_trajectory(plan), switches_name(plan): switches(plan)}
+
+
 def switches(plan: Plan) -> str:
     """JSON of the times at which the output of each bead's extruder goes on and off, and of the axes that are held."""
     lines = [
@@ -227,7 +231,7 @@ def _duration(seconds: float) -> dict[str, int]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Reads the two JSON files of a joint trajectory: exactly the fields that ROS's message has, and nothing else.
+# Reader: exactly the fields of ROS's message.
 
 LONGEST_FILE = 1_000_000_000  # characters; 180,000 points of eight joints have some 70 million
 MOST_JOINTS = 32
@@ -353,7 +357,7 @@ class _Reader:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Whether a joint trajectory that was read back moves as its plan does, between its points as well.
+# Check of what was read against the plan, between its points as well.
 
 BLOCK = 20_000  # samples compared at once: bounds the memory
 ON_TIME = 1e-6  # s
@@ -365,8 +369,8 @@ CHECKED_VELOCITY_SHARE = 0.01  # of a joint's limit
 CHECKED_ACCELERATION_SHARE = 0.06
 
 
-def trajectory_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    """What the two files say otherwise than the plan, beyond rounding and thinning, in words."""
+def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
+    """Differences of both files from the plan, beyond rounding and thinning, in words. InputError for unknown fields."""
     found, held = read_switches(files[switches_name(plan)])
     return [
         *_motion(plan, read_joint_trajectory(files[trajectory_name(plan)])),
@@ -405,22 +409,18 @@ def _motion(plan: Plan, read: JointTrajectory) -> list[str]:
         "a joint's velocity differs by {:.3g} of its limit": CHECKED_VELOCITY_SHARE,
         "a joint's acceleration differs by {:.3g} of its limit": CHECKED_ACCELERATION_SHARE,
     }
-    return [
-        words.format(value) + f" (limit {limit:.3g})"
-        for (words, limit), value in zip(allowed.items(), worst.tolist(), strict=True)
-        if not value <= limit
-    ]
+    return beyond(zip(allowed, worst.tolist(), allowed.values(), strict=True))
 
 
 def _switching(plan: Plan, found: tuple[Switch, ...], held: Mapping[str, float]) -> list[str]:
-    planned, complaints = planned_switches(plan), []
+    planned, differences = planned_switches(plan), []
     if len(found) != len(planned):
-        complaints.append(f"outputs are switched {len(found)} times, not {len(planned)} times")
+        differences.append(f"outputs are switched {len(found)} times, not {len(planned)} times")
     for one, other in zip(found, planned, strict=False):
         if (one.output, one.value, one.bead) != (other.output, other.value, other.bead):
-            complaints.append(f"output {other.output} of bead {other.bead} is not switched as planned")
+            differences.append(f"output {other.output} of bead {other.bead} is not switched as planned")
         elif abs(one.time - other.time) > ON_TIME:
-            complaints.append(f"output {other.output} of bead {other.bead} is switched at {one.time:.6f} s")
+            differences.append(f"output {other.output} of bead {other.bead} is switched at {one.time:.6f} s")
     if dict(held) != plan.cell.held:
-        complaints.append("other axes are held, or at other angles")
-    return complaints
+        differences.append("other axes are held, or at other angles")
+    return differences

@@ -1,4 +1,4 @@
-"""KUKA Robot Language for KR C controllers (KSS): written, read back, and held against its plan."""
+"""KUKA Robot Language for KR C controllers (KSS): writer, reader, and check against the plan."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ import numpy as np
 from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
 from planner.export.fit import from_matrix, to_matrix
+from planner.export.grammar import Grammar, Statement, inlined
 from planner.export.moves import (
     Moves,
-    Wait,
-    blend_complaints,
-    deposits,
+    blend_differences,
     greatest_until_stop,
     move_radii,
     plan_moves,
+    sections,
     tip_acceleration,
 )
-from planner.export.program import UNSAID, RobotProgram, Trigger, about, named
-from planner.export.rapid.text import module_name, number
+from planner.export.program import UNSPECIFIED, RobotProgram, Trigger, about, named
+from planner.export.rapid.text import module_name
 from planner.export.rapid.writer import external_degrees
-from planner.export.readback import played_complaints
-from planner.export.support import output_numbers, unsaid_in_krl
-from planner.plan.plan import materials_of
+from planner.export.readback import played_differences
+from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_krl
+from planner.export.text import ascii_comment, number, require_writable, resting
 
 if TYPE_CHECKING:
     from planner.plan import Plan
 
 # ----------------------------------------------------------------------------------------------------
-# KUKA's way to count: axes A1 to A6, angles A B C, Status and Turn.
+# KUKA's conventions: axes A1 to A6, angles A B C, Status and Turn.
 #
-# Axes: at KUKA's zero the arm lies stretched out forwards, and A1, A4, A6 turn against our joints (ROS-Industrial,
+# Axes: at KUKA's zero the arm points straight forward, and A1, A4, A6 turn against our joints (ROS-Industrial,
 # kuka_experimental, whose URDF files follow the controllers). Angles: R = Rz(A) Ry(B) Rx(C).
 #
 # Status: bit 0 is set where the wrist's centre lies behind axis 1, bit 1 where A3 is beyond the stretched arm (0 without
@@ -106,10 +106,11 @@ def quaternions(abc: Array) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Names, numbers and comments as KRL takes them.
+# Names, frames and axes as KRL takes them.
 
 LONGEST_NAME = 24
-LONGEST_COMMENT = 100
+MARK = ";"  # begins a comment
+WAIT = "WAIT SEC {:.3f}"
 MM, DEGREES = 3, 4  # decimals of targets; frames have
 FRAME_DEGREES = 6
 # KUKA, reserved words of KRL that a name in CamelCase could be
@@ -123,12 +124,6 @@ def krl_name(name: str) -> str:
     """CamelCase name, at most 24 letters and digits, of a problem's name; small letters and capitals are one to KRL."""
     joined = module_name(name, LONGEST_NAME)
     return "Print" + joined if joined.upper() in RESERVED.split() else joined
-
-
-def comment(text: str, indent: int = 2) -> str:
-    """One comment line, ASCII, of bounded length."""
-    text = re.sub(r"[^\x20-\x7e]", "?", text)
-    return f"{'':{indent}}; {text[:LONGEST_COMMENT].rstrip()}"
 
 
 def frame(T: Array) -> str:
@@ -145,7 +140,7 @@ def axes(degrees: Array, external: Array) -> str:
 
 
 # ----------------------------------------------------------------------------------------------------
-# KRL for KR C controllers (KSS): a .src with a subprogram for each bead, and a .dat with the frames.
+# Writer: a .src with a subprogram for each bead, and a .dat with the frames.
 #
 # Targets stand inline in the moves, as they do in programs of offline systems: E6AXIS for travel, which leaves no doubt
 # about the posture, and E6POS in the part's frame for lines. Subprograms are local to the file, so that a bead is one
@@ -161,12 +156,9 @@ LEAST_TURNING = 100.0  # deg/s
 LEVELS = np.array([a * 10.0**k for k in range(-3, 2) for a in (1.0, 2.0, 5.0)])
 
 
-def krl_files(plan: Plan) -> dict[str, str]:
+def write(plan: Plan) -> dict[str, str]:
     """Source and data file of a verified plan (ASCII, mm, degrees); ValueError if it is not, or has no form in KRL."""
-    if not plan.verified:
-        raise ValueError("robot code is written for verified plans only")
-    if (reason := unsaid_in_krl(plan)) is not None:
-        raise ValueError(reason)
+    require_writable(plan, unsupported_in_krl(plan))
     name, moves = krl_name(plan.name), plan_moves(plan)
     subprograms, calls = _subprograms(plan, moves)
     off = [f"  $OUT[{k}]=FALSE" for k in output_numbers(plan.problem).values()]
@@ -180,7 +172,7 @@ def krl_files(plan: Plan) -> dict[str, str]:
         *off,
         f"  BAS(#VEL_PTP,{percent(plan, moves)[0]})",
         "  PTP XSTART",
-        *_waiting(moves.waits.get(-1, ())),
+        *resting(moves.waits.get(-1, ()), MARK, WAIT, 2),
         *(f"  {call}()" for call in calls),
         *off,
         "END",
@@ -246,8 +238,7 @@ def _header(plan: Plan) -> list[str]:
     cell = plan.cell
     texts = [
         *about(plan),
-        *(f"Output {k}: {signal}" for signal, k in output_numbers(plan.problem).items()),
-        *(f"Material {each.name}: tool T{each.tool}, {each.signal}" for each in materials_of(plan.problem)),
+        *outputs_about(plan.problem),
         "The tool's load is that of the controller: set it there before the first run.",
         f"$ROBROOT in $WORLD must be {frame(cell.T_world_base)}",
     ]
@@ -260,7 +251,7 @@ def _header(plan: Plan) -> list[str]:
             f"External axes of {STATION}, {cell.holder_robot.name}: {', '.join(held)}",
             f"  its root in $WORLD must be {frame(cell.T_world_holder_base)}",
         ]
-    return [comment(text) for text in texts]
+    return [ascii_comment(MARK, text, 2) for text in texts]
 
 
 def _targets(plan: Plan, moves: Moves) -> list[str]:
@@ -286,28 +277,18 @@ def _targets(plan: Plan, moves: Moves) -> list[str]:
 
 def _subprograms(plan: Plan, moves: Moves) -> tuple[list[str], list[str]]:
     """All subprograms with moves, and their names in the order of calling."""
-    t = plan.trajectory
-    first, last = deposits(t)
-    numbers = list(output_numbers(plan.problem).values())
-    names = [each.name for each in materials_of(plan.problem)]
-    own = [numbers[names.index(bead.material)] if names else numbers[0] for bead in plan.toolpath.beads]
+    bead = plan.trajectory.bead
+    outputs = by_bead(plan, list(output_numbers(plan.problem).values()))
     targets, shares = _targets(plan, moves), percent(plan, moves)
     speeds = np.maximum(np.round(moves.speed, SPEED), LEAST_SPEED).tolist()
     radii = radii_of(plan, moves).tolist()
     share, speed, radius = shares[0], -1.0, -1.0
-    bounds = np.searchsorted(moves.after, np.arange(len(first) + 2)).tolist()
     lines, calls = [], []
-    for k, (a, b) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
-        if a == b:
-            continue
-        calls.append(f"Bead{plan.first_bead + k + 1:04d}" if k < len(first) else "Finish")
+    for section in sections(plan, moves):
+        calls.append(f"Bead{section.number:04d}" if section.number else "Finish")
         lines += ["", f"DEF {calls[-1]}()"]
-        if k < len(first):
-            bead = int(t.bead[first[k]])
-            of = plan.toolpath.beads[bead].material
-            length = f"{1e3 * (t.s[last[k]] - t.s[first[k]]):.1f} mm" + (f" of {of}" if of else "")
-            lines.append(comment(f"Bead {bead}, layer {t.layer[first[k]]}: {length}"))
-        for i in range(a, b):
+        lines += [ascii_comment(MARK, section.about, 2)] if section.about else []
+        for i in section.moves:
             if not moves.linear[i]:
                 if shares[i] != share:
                     share = shares[i]
@@ -320,30 +301,22 @@ def _subprograms(plan: Plan, moves: Moves) -> tuple[list[str], list[str]]:
                 if radii[i] not in (0.0, radius):
                     radius = radii[i]
                     lines.append(f"  $APO.CDIS={radius * 1e3:.3f}")
-                begins, ends = (own[int(t.bead[at])] for at in (moves.sample[i - 1] if i else 0, moves.sample[i]))
-                for said, where, output, value in (
+                begins, ends = (outputs[bead[at]] for at in (moves.sample[i - 1] if i else 0, moves.sample[i]))
+                for switched, where, output, value in (
                     (moves.on_start[i], "DISTANCE", begins, "TRUE"),
                     (moves.on_end[i], "PATH", ends, "TRUE"),
                     (moves.off_end[i], "PATH", ends, "FALSE"),
                 ):
-                    if said:
+                    if switched:
                         lines.append(f"  TRIGGER WHEN {where}=0 DELAY=0 DO $OUT[{output}]={value}")
                 lines.append(f"  LIN {targets[i]}" + (" C_DIS" if radii[i] > 0.0 else ""))
-            lines += _waiting(moves.waits.get(i, ()))
+            lines += resting(moves.waits.get(i, ()), MARK, WAIT, 2)
         lines.append("END")
     return lines, calls
 
 
-def _waiting(waits: tuple[Wait, ...]) -> list[str]:
-    lines = []
-    for wait in waits:
-        lines += [comment(wait.why)] if wait.why else []
-        lines += [f"  WAIT SEC {wait.time:.3f}"] if wait.time > 0.0 else []
-    return lines
-
-
 # ----------------------------------------------------------------------------------------------------
-# Reads the KRL that `krl_files` writes back into numbers: a strict subset, where anything unknown is an error.
+# Reader: exactly the subset that the writer uses.
 
 Forward = Callable[[Array], Array]
 
@@ -352,9 +325,11 @@ NAME = r"[A-Za-z][A-Za-z0-9_]{0,23}"
 FRAME = ",".join(rf"{name} ({NUMBER})" for name in "XYZABC")
 EXTERNAL = rf"((?:,E[1-6] {NUMBER}){{0,6}})"
 AXES = ",".join(rf"A{i} ({NUMBER})" for i in range(1, 7)) + EXTERNAL
-PATTERNS = {
-    word: re.compile(pattern)
-    for word, pattern in {
+ATTRIBUTE = r"&(?:ACCESS RVP|REL 1)"
+SOURCE = Grammar.of(
+    "KRL",
+    MARK,
+    {
         "line": rf"LIN \{{E6POS: {FRAME},S ([0-9]{{1,2}}),T ([0-9]{{1,2}}){EXTERNAL}\}}( C_DIS)?",
         "point": rf"PTP \{{E6AXIS: {AXES}\}}( C_PTP)?",
         "speed": rf"\$VEL\.CP=({NUMBER})",
@@ -369,21 +344,21 @@ PATTERNS = {
         "setting": r"(\$[A-Z_0-9.]{1,24})=([#A-Z0-9_.(),\[\]]{1,60})",
         "define": rf"DEF ({NAME})\(\)",
         "end": r"END",
-        "attribute": r"&(?:ACCESS RVP|REL 1)",
-    }.items()
-}
-DATA = {
-    word: re.compile(pattern)
-    for word, pattern in {
-        "attribute": PATTERNS["attribute"].pattern,
+        "attribute": ATTRIBUTE,
+    },
+)
+DATA = Grammar.of(
+    "KRL data",
+    MARK,
+    {
+        "attribute": ATTRIBUTE,
         "define": rf"DEFDAT ({NAME})",
         "frame": rf"DECL FRAME (FTOOL|FPART)=\{{{FRAME}\}}",
         "start": rf"DECL E6AXIS XSTART=\{{{AXES}\}}",
         "end": r"ENDDAT",
-    }.items()
-}
+    },
+)
 COUPLED = re.compile(r"EK\((MACHINE_DEF\[[1-9]\])\.ROOT,\1\.MECH_TYPE,FPART\)")
-Statement = tuple[str, int, tuple[str | None, ...]]
 
 
 @dataclass(frozen=True)
@@ -393,7 +368,7 @@ class KrlProgram:
     program   triggers name outputs by their numbers; joints are counted as KUKA does; the zone of an approximated PTP
               is NaN, for it has no distance
     axes      (m, 6) A1 to A6 of PTP targets [rad]; NaN for others
-    turn      (m) Turn of LIN targets; UNSAID for others
+    turn      (m) Turn of LIN targets; UNSPECIFIED for others
     share     (m) speed of the axes [percent]
     settings  system variables and what they are set to
     """
@@ -406,106 +381,72 @@ class KrlProgram:
 
 
 def read_krl(source: str, data: str, forward: Forward) -> KrlProgram:
-    """Program of the texts of .src and .dat as `krl_files` writes them.
+    """Program of the texts of .src and .dat as `write` writes them.
 
     forward: A1 to A6 and external axes (m, 12) [rad], NaN where unused → T_part_nozzle (m, 4, 4). Raises InputError
     with the line for a statement or name that is not known, or that stands where it must not.
     """
     title, frames, start = _data(data)
-    reader = _Reader(title)
-    for line, statement in _statements(source):
-        reader.take(statement, line)
-    return reader.source(frames, start, forward)
+    run = _Run(start)
+    for statement in inlined(_subprogram_bodies(source, title), title, "program"):
+        run.take(statement)
+    return run.source(title, frames, forward)
 
 
-def _error(line: int | None, reason: str, file: str = "KRL") -> InputError:
-    return InputError(reason, line=line, file=file)
-
-
-def _statements(text: str) -> list[tuple[int, str]]:
-    found = ((line, raw.strip()) for line, raw in enumerate(text.split("\n"), start=1))
-    return [(line, statement) for line, statement in found if statement and not statement.startswith(";")]
-
-
-def _known(patterns: dict[str, re.Pattern[str]], statement: str, line: int, file: str) -> tuple[str, re.Match[str]]:
-    for word, pattern in patterns.items():
-        if match := pattern.fullmatch(statement):
-            return word, match
-    raise _error(line, f"unknown statement {statement[:60]!r}", file)
-
-
-def _posture(parts: tuple[str | None, ...], line: int) -> list[float]:
+def _posture(parts: tuple[str, ...], statement: Statement) -> list[float]:
     """Twelve axes [rad] of six numbers and the text of external axes; NaN where unused."""
-    external = [item.split(" ") for item in str(parts[6]).split(",")[1:]]
+    external = [item.split(" ") for item in parts[6].split(",")[1:]]
     if [name for name, _ in external] != [f"E{i}" for i in range(1, len(external) + 1)]:
-        raise _error(line, "external axes must stand in their order, each once")
-    degrees = [float(str(value)) for value in parts[:6]] + [float(value) for _, value in external]
+        raise statement.error("external axes must stand in their order, each once")
+    degrees = [float(value) for value in parts[:6]] + [float(value) for _, value in external]
     return [*np.radians(degrees).tolist(), *[float("nan")] * (12 - len(degrees))]
 
 
-def _pose(parts: tuple[str | None, ...]) -> Array:
-    values = [float(str(value)) for value in parts[:6]]
+def _pose(parts: tuple[str, ...]) -> Array:
+    values = [float(value) for value in parts[:6]]
     return np.concatenate([np.array(values[:3]) * 1e-3, quaternions(np.radians([values[3:]]))[0]])
 
 
 def _data(text: str) -> tuple[str, dict[str, Array], list[float]]:
+    """Name, frames and start posture of a data list."""
     title, frames, start, closed = "", {}, [], False
-    for line, statement in _statements(text):
-        word, match = _known(DATA, statement, line, "KRL data")
+    for statement in DATA.statements(text.split("\n")):
+        word, parts = statement.word, statement.parts
         if word != "attribute" and (closed or (word == "define") == bool(title)):
-            raise _error(line, f"{statement[:60]!r} stands outside the data list, or twice", "KRL data")
+            raise statement.misplaced("outside the data list, or twice")
         if word == "define":
-            title = match[1]
+            title = parts[0]
         elif word == "frame":
-            frames[match[1]] = _pose(match.groups()[1:])
+            frames[parts[0]] = _pose(parts[1:])
         elif word == "start":
-            start = _posture(match.groups(), line)
+            start = _posture(parts, statement)
         closed = closed or word == "end"
     if not closed or len(frames) != 2 or not start:
-        raise _error(None, "no complete data list with FTOOL, FPART and XSTART", "KRL data")
+        raise InputError("no complete data list with FTOOL, FPART and XSTART", file=DATA.file)
     return title, frames, start
 
 
-class _Reader:
-    def __init__(self, title: str) -> None:
-        self.title = title
-        self.bodies: dict[str, list[Statement]] = {}
-        self.current = ""
-
-    def take(self, statement: str, line: int) -> None:
-        word, match = _known(PATTERNS, statement, line, "KRL")
-        if word == "attribute":
-            return
-        if (word == "define") == bool(self.current):
-            raise _error(line, f"{statement[:60]!r} stands {'inside' if self.current else 'outside'} a program")
-        if word == "define":
-            if match[1].upper() in (name.upper() for name in self.bodies):
-                raise _error(line, f"program {match[1]} stands there twice")
-            self.current = match[1]
-            self.bodies[match[1]] = []
-        elif word == "end":
-            self.current = ""
+def _subprogram_bodies(text: str, title: str) -> dict[str, list[Statement]]:
+    """Statements of each program of a source file, the first of which must be the one that its data list is of."""
+    bodies: dict[str, list[Statement]] = {}
+    current = ""
+    for statement in SOURCE.statements(text.split("\n")):
+        if statement.word == "attribute":
+            continue
+        if (statement.word == "define") == bool(current):
+            raise statement.misplaced(f"{'inside' if current else 'outside'} a program")
+        if statement.word == "define":
+            current = statement.parts[0]
+            if current.upper() in (name.upper() for name in bodies):
+                raise statement.error(f"program {current} stands there twice")
+            bodies[current] = []
+        elif statement.word == "end":
+            current = ""
         else:
-            self.bodies[self.current].append((word, line, match.groups()))
-
-    def _run(self, name: str, depth: int) -> list[Statement]:
-        out: list[Statement] = []
-        for word, line, parts in self.bodies[name]:
-            if word != "call":
-                out.append((word, line, parts))
-            elif depth or str(parts[0]) not in self.bodies or parts[0] == self.title:
-                raise _error(line, f"{parts[0]} is no program that may be called here")
-            else:
-                out += self._run(str(parts[0]), depth + 1)
-        return out
-
-    def source(self, frames: dict[str, Array], start: list[float], forward: Forward) -> KrlProgram:
-        if self.current or next(iter(self.bodies), "") != self.title:
-            raise _error(None, f"no complete program {self.title}, which its data list is of")
-        run = _Run(start)
-        for word, line, parts in self._run(self.title, 0):
-            run.take(word, line, parts)
-        return run.source(self.title, frames, forward)
+            bodies[current].append(statement)
+    if current or next(iter(bodies), "") != title:
+        raise InputError(f"no complete program {title}, which its data list is of", file=SOURCE.file)
+    return bodies
 
 
 class _Run:
@@ -514,22 +455,23 @@ class _Run:
     def __init__(self, start: list[float]) -> None:
         self.start = start
         self.points: list[list[float]] = []  # twelve axes of each move; NaN for a line's first six
-        self.lines: list[tuple[str | None, ...]] = []
+        self.lines: list[tuple[str, ...]] = []
         self.linear: list[bool] = []
         self.fly: list[bool] = []
         self.paces: list[tuple[float, float, int]] = []  # speed, radius, percent
         self.triggers: dict[int, tuple[Trigger, ...]] = {}
         self.waiting: tuple[Trigger, ...] = ()
         self.waits: dict[int, float] = {}
-        self.off: list[tuple[int, int]] = []  # moves after which an output is set, and lines
+        self.off: list[tuple[int, Statement]] = []  # moves after which an output is set, and by what
         self.settings: dict[str, str] = {}
         self.speed, self.radius, self.share = np.nan, np.nan, 100
 
-    def take(self, word: str, line: int, parts: tuple[str | None, ...]) -> None:
+    def take(self, statement: Statement) -> None:
+        word, parts = statement.word, statement.parts
         at = len(self.points) - 1
         if word in ("start", "line", "point", "wait", "trigger") and (word == "start") == (at >= 0):
-            raise _error(line, "the program begins with PTP XSTART, and goes there once")
-        first = str(parts[0]) if parts else ""
+            raise statement.error("the program begins with PTP XSTART, and goes there once")
+        first = parts[0] if parts else ""
         if word == "speed":
             self.speed = float(first)
         elif word == "radius":
@@ -537,24 +479,24 @@ class _Run:
         elif word == "share":
             self.share = int(first)
         elif word == "setting":
-            self.settings[first] = str(parts[1])
+            self.settings[first] = parts[1]
         elif word == "wait":
             self.waits[at] = self.waits.get(at, 0.0) + float(first)
         elif word == "output":
-            self.off.append((at, line))
+            self.off.append((at, statement))
         elif word == "trigger":
-            self.waiting += (Trigger(0.0, first == "DISTANCE", parts[2] == "TRUE", str(parts[1])),)
+            self.waiting += (Trigger(0.0, first == "DISTANCE", parts[2] == "TRUE", parts[1]),)
         elif word == "line":
-            if not (self.speed > 0.0 and (self.radius > 0.0 or parts[9] is None)):
-                raise _error(line, "a line without a speed, or approximated without a distance")
-            external = _posture((*["0"] * 6, parts[8]), line)[6:]
-            self._move(parts, [np.nan] * 6 + external, parts[9] is not None)
+            if not (self.speed > 0.0 and (self.radius > 0.0 or not parts[9])):
+                raise statement.error("a line without a speed, or approximated without a distance")
+            external = _posture((*["0"] * 6, parts[8]), statement)[6:]
+            self._move(parts, [np.nan] * 6 + external, bool(parts[9]))
         elif word in ("start", "point"):
             if self.waiting:
-                raise _error(line, "a trigger belongs to a line")
-            self._move((), _posture(parts, line) if parts else self.start, bool(parts) and parts[7] is not None)
+                raise statement.error("a trigger belongs to a line")
+            self._move((), _posture(parts, statement) if parts else self.start, bool(parts) and bool(parts[7]))
 
-    def _move(self, pose: tuple[str | None, ...], axes: list[float], fly: bool) -> None:
+    def _move(self, pose: tuple[str, ...], axes: list[float], fly: bool) -> None:
         if self.waiting:
             self.triggers[len(self.points)] = self.waiting
             self.waiting = ()
@@ -566,22 +508,26 @@ class _Run:
 
     def source(self, title: str, frames: dict[str, Array], forward: Forward) -> KrlProgram:
         if not any(self.linear) or self.waiting:
-            raise _error(None, "no lines, or a trigger without one")
+            raise InputError("no lines, or a trigger without one", file=SOURCE.file)
         m = len(self.points)
-        for at, line in self.off:
+        for at, statement in self.off:
             if at not in (-1, m - 1):
-                raise _error(line, "an output is switched beside the path")
+                raise statement.error("an output is switched beside the path")
         linear, stops = np.array(self.linear), ~np.array(self.fly)
         axes, paces = np.array(self.points), np.array(self.paces)
-        pose, conf, turn = np.empty((m, 7)), np.full((m, 4), UNSAID, dtype=np.intp), np.full(m, UNSAID, dtype=np.intp)
-        rows = np.array([[float(str(value)) for value in parts[:8]] for parts in self.lines if parts])
+        pose, conf, turn = (
+            np.empty((m, 7)),
+            np.full((m, 4), UNSPECIFIED, dtype=np.intp),
+            np.full(m, UNSPECIFIED, dtype=np.intp),
+        )
+        rows = np.array([[float(value) for value in parts[:8]] for parts in self.lines if parts])
         pose[linear] = np.column_stack([rows[:, :3] * 1e-3, quaternions(np.radians(rows[:, 3:6]))])
         conf[linear, 3], turn[linear] = branch_of(rows[:, 6].astype(np.intp)), rows[:, 7]
         T = forward(axes[~linear])
         pose[~linear] = np.column_stack([T[:, :3, 3], from_matrix(T[:, :3, :3])])
         base = COUPLED.fullmatch(self.settings.get("$BASE", ""))
         if (base is None and self.settings.get("$BASE") != "FPART") or self.settings.get("$TOOL") != "FTOOL":
-            raise _error(None, "$BASE and $TOOL are not set to FPART and FTOOL")
+            raise InputError("$BASE and $TOOL are not set to FPART and FTOOL", file=SOURCE.file)
         still = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
         program = RobotProgram(
             module=title,
@@ -600,19 +546,18 @@ class _Run:
             speed=np.column_stack([paces[:, 0], np.full((m, 3), np.nan)]),
             wait=np.array([self.waits.get(i, 0.0) for i in range(m)]),
             triggers=self.triggers,
-            sends={},
         )
         return KrlProgram(program, axes[:, :6], turn, paces[:, 2].astype(np.intp), self.settings)
 
 
 # ----------------------------------------------------------------------------------------------------
-# Whether a KRL program that was read back does what its plan does.
+# Check of what was read against the plan.
 
 ROUNDING = np.radians(1.01e-4)  # of axes
 
 
-def krl_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    """What source and data file say otherwise than the plan, beyond rounding and thinning, in words."""
+def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
+    """Differences of both files from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
     name, cell = krl_name(plan.name), plan.cell
     na, station = len(cell.arm), cell.holder_robot
     free = [] if station is None else [station.joint_names.index(joint) for joint in cell.holder.names]
@@ -626,7 +571,7 @@ def krl_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
     start[:na] = from_kuka(start[None, :na])[0]
     moves = plan_moves(plan)
     program = replace(program, start=start, joints=from_kuka(source.axes))
-    return [*played_complaints(plan, moves, program), *blend_complaints(plan, program), *_moves(plan, moves, source)]
+    return [*played_differences(plan, moves, program), *blend_differences(plan, program), *_moves(plan, moves, source)]
 
 
 def _moves(plan: Plan, moves: Moves, source: KrlProgram) -> list[str]:

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from importlib import import_module
+from typing import TYPE_CHECKING, Protocol, cast
 
 from planner.export.program import ProblemSetup, Setup
-from planner.export.rapid.text import module_name
-from planner.export.support import unsaid_in_axes, unsaid_in_krl, unsaid_in_rapid, unsaid_in_urscript
+from planner.export.support import (
+    unsupported_in_axes,
+    unsupported_in_krl,
+    unsupported_in_rapid,
+    unsupported_in_urscript,
+)
 
 if TYPE_CHECKING:
     from planner.cell.cell import Cell
@@ -16,116 +21,49 @@ if TYPE_CHECKING:
     from planner.problem import Problem
 
 
+class _LanguageModule(Protocol):
+    def write(self, plan: Plan) -> dict[str, str]: ...
+
+    def differences(self, plan: Plan, files: Mapping[str, str]) -> list[str]: ...
+
+
 @dataclass(frozen=True)
 class Language:
-    """How a plan is said to a controller.
+    """A language of robot controllers, or of extruders.
 
-    unsaid      why this language cannot say what a cell does; None if it can
-    write       file name → text
-    complaints  what files say otherwise than the plan, beyond rounding, in words
+    module       below planner.export, with `write` and `differences`; loaded when it is first asked, for all of them
+                 together take half a second
+    unsupported  why a program of this cell cannot be written in it; None if it can
     """
 
     title: str
-    unsaid: Callable[[Setup], str | None]
-    write: Callable[[Plan], dict[str, str]]
-    complaints: Callable[[Plan, Mapping[str, str]], list[str]]
+    module: str
+    unsupported: Callable[[Setup], str | None]
 
+    def write(self, plan: Plan) -> dict[str, str]:
+        """File name → text, of a verified plan."""
+        return self._module.write(plan)
 
-# Writer and reader of a language are loaded for who asks for it only: those of all of them take half a second.
+    def differences(self, plan: Plan, files: Mapping[str, str]) -> list[str]:
+        """Differences of files from the plan, beyond rounding, in words. InputError for what cannot be read."""
+        return self._module.differences(plan, files)
 
-
-def _rapid(plan: Plan) -> dict[str, str]:
-    from planner.export.rapid.writer import rapid_files
-
-    return rapid_files(plan)
-
-
-def _rapid_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    from planner.export.rapid.extruder import demand_complaints, line_complaints
-    from planner.export.rapid.reader import read_rapid_files
-    from planner.export.readback import readback
-
-    name = module_name(plan.name)
-    program = read_rapid_files(files)
-    complaints = readback(plan, program)
-    if plan.problem.program.style == "socket":
-        complaints += line_complaints(plan, program, files[f"{name}_lines.csv"])
-    if plan.problem.program.style == "demand":
-        complaints += demand_complaints(plan, program)
-    return complaints
-
-
-def _urscript(plan: Plan) -> dict[str, str]:
-    from planner.export.urscript import script_name, urscript
-
-    return {script_name(plan): urscript(plan)}
-
-
-def _urscript_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    from planner.export.urscript import urscript_complaints
-
-    return urscript_complaints(plan, files)
-
-
-def _krl(plan: Plan) -> dict[str, str]:
-    from planner.export.krl import krl_files
-
-    return krl_files(plan)
-
-
-def _krl_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    from planner.export.krl import krl_complaints
-
-    return krl_complaints(plan, files)
-
-
-def _joint_trajectory(plan: Plan) -> dict[str, str]:
-    from planner.export.joint_trajectory import joint_trajectory, switches, switches_name, trajectory_name
-
-    return {trajectory_name(plan): joint_trajectory(plan), switches_name(plan): switches(plan)}
-
-
-def _joint_trajectory_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    from planner.export.joint_trajectory import trajectory_complaints
-
-    return trajectory_complaints(plan, files)
-
-
-def _axes(plan: Plan) -> dict[str, str]:
-    from planner.export.axes.gcode import axes_gcode, file_name
-
-    return {file_name(plan): axes_gcode(plan)}
-
-
-def _axes_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    from planner.export.axes.gcode import axes_complaints, file_name
-
-    return axes_complaints(plan, files[file_name(plan)])
-
-
-def _extruder(plan: Plan) -> dict[str, str]:
-    from planner.export.extruder import gcode
-
-    return {"extrusion.gcode": gcode(plan)}
-
-
-def _extruder_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    from planner.export.extruder import gcode_complaints
-
-    return gcode_complaints(plan, files["extrusion.gcode"])
+    @property
+    def _module(self) -> _LanguageModule:
+        return cast("_LanguageModule", import_module(f"planner.export.{self.module}"))
 
 
 def _always(setup: Setup) -> None:
-    """Of a language that says what any cell does."""
+    """A language that supports every cell."""
 
 
 LANGUAGES: dict[str, Language] = {
-    "rapid": Language("RAPID", unsaid_in_rapid, _rapid, _rapid_complaints),
-    "urscript": Language("URScript", unsaid_in_urscript, _urscript, _urscript_complaints),
-    "krl": Language("KRL", unsaid_in_krl, _krl, _krl_complaints),
-    "joint_trajectory": Language("ROS JointTrajectory", _always, _joint_trajectory, _joint_trajectory_complaints),
-    "axes": Language("multi-axis G-code", unsaid_in_axes, _axes, _axes_complaints),
-    "extruder": Language("the extruder's G-code", _always, _extruder, _extruder_complaints),
+    "rapid": Language("RAPID", "rapid.language", unsupported_in_rapid),
+    "urscript": Language("URScript", "urscript", unsupported_in_urscript),
+    "krl": Language("KRL", "krl", unsupported_in_krl),
+    "joint_trajectory": Language("ROS JointTrajectory", "joint_trajectory", _always),
+    "axes": Language("multi-axis G-code", "axes.gcode", unsupported_in_axes),
+    "extruder": Language("the extruder's G-code", "extruder", _always),
 }
 ALWAYS = ("extruder",)  # written beside whatever moves the arm, so not asked for
 
@@ -145,35 +83,35 @@ class Chosen:
 
 
 def chosen(setup: Setup) -> Chosen:
-    """The languages that the problem asks for; without that, the one that the arm's controller speaks.
+    """The languages that the problem asks for; without that, the one of the arm's controller.
 
     A machine that the problem describes has its G-code then, too. Raises InputError for a language that was asked for
-    and cannot say what the cell does.
+    and does not support the cell.
     """
     asked = setup.problem.program.languages
     if asked is None and setup.problem.program.machine is not None:
-        if (reason := LANGUAGES["axes"].unsaid(setup)) is not None:
+        if (reason := LANGUAGES["axes"].unsupported(setup)) is not None:
             raise setup.problem.error("program.machine", reason)
         usual = _usual(setup)
         return Chosen(("axes", *usual.names), usual.note)
     if asked is None:
         return _usual(setup)
     for i, name in enumerate(asked):
-        reason = LANGUAGES[name].unsaid(setup)
+        reason = LANGUAGES[name].unsupported(setup)
         if reason is not None:
             raise setup.problem.error(f"program.languages.{i}", f"{name} cannot say this: {reason}", "leave it out")
     return Chosen((*asked, *ALWAYS), "")
 
 
 def _usual(setup: Setup) -> Chosen:
-    """The language of the arm's controller, or a note where that cannot say what the cell does."""
+    """The language of the arm's controller, or a note where that does not support the cell."""
     own = setup.cell.arm_robot.language
-    reason = LANGUAGES[own].unsaid(setup)
+    reason = LANGUAGES[own].unsupported(setup)
     if reason is not None:
         return Chosen(ALWAYS, f"no {LANGUAGES[own].title} program: {reason}")
     return Chosen((own, *ALWAYS), "")
 
 
 def check_languages(problem: Problem, cell: Cell) -> None:
-    """Raise InputError for a language that was asked for and cannot say what the cell does, before all is planned."""
+    """Raise InputError for a language that was asked for and does not support the cell, before anything is planned."""
     chosen(ProblemSetup(problem, cell))

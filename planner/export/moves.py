@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -9,14 +10,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Flags, Indices
-from planner.export.fit import Poses, SampledWay, angle, by_samples, chosen_targets, continuous, to_matrix
+from planner.export.fit import Poses, SampledWay, angle, by_samples, chosen_targets, continuous, lerp, to_matrix
 
 if TYPE_CHECKING:
     from planner.export.program import RobotProgram
     from planner.plan import Event, Plan, Trajectory
 
 # ----------------------------------------------------------------------------------------------------
-# How fast a controller may go where a plan does not say it move by move: as fast as the plan ever does.
+# How fast a controller may go where a plan gives no speed of single moves: as fast as the plan ever does.
 
 
 def tip_acceleration(trajectory: Trajectory) -> float:
@@ -45,7 +46,7 @@ def greatest_until_stop(moves: Moves, rates: Array) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Where the robot stands still, for how long, and what for.
+# Rests: where the robot stands still, for how long, and what for.
 
 LEAST_WAIT = 0.05  # [s]; a shorter rest is no more than the turn of a motion
 STILL = 1e-9  # rad that a joint moves in a sample, at most, where the robot stands still
@@ -188,7 +189,7 @@ def _sliding_maximum(values: Array, width: int) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Postures of targets beside the path: near those of the samples, but at the border of a configuration perhaps beyond.
+# Postures of targets beside the path, which may lie beyond the border of a configuration.
 
 BLOCK = 20_000  # poses whose postures are sought at once: bounds the memory
 REVOLUTION = 2.0 * np.pi
@@ -220,7 +221,7 @@ def reached(plan: Plan, sample: Indices, targets: Poses, moved: Flags) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# From samples to moves: which targets a controller needs, and how each is approached.
+# Moves: the targets that a controller needs, and how each is approached.
 
 ROUNDING = 1e-6  # [m]; what the numbers in the file take of the tolerance of the path
 ANGLE_TOLERANCE = np.radians(0.045)  # orientation and the part's axes [rad]; likewise of 0.05 deg
@@ -287,8 +288,36 @@ def deposits(trajectory: Trajectory) -> tuple[Indices, Indices]:
     return first, last
 
 
+class Section(NamedTuple):
+    """What a program has a subroutine for: a bead with the way to it, or the way home.
+
+    number  of the bead in the whole print, from 1; 0 for the way home
+    moves   its moves
+    about   bead, layer, length and material in words; empty for the way home
+    """
+
+    number: int
+    moves: range
+    about: str
+
+
+def sections(plan: Plan, moves: Moves) -> Iterator[Section]:
+    """All sections that have moves, in the order in which they run."""
+    t = plan.trajectory
+    first, last = deposits(t)
+    bounds = np.searchsorted(moves.after, np.arange(len(first) + 2)).tolist()
+    for k, own in enumerate(map(range, bounds[:-1], bounds[1:])):
+        if own and k == len(first):
+            yield Section(0, own, "")
+        elif own:
+            bead = int(t.bead[first[k]])
+            of = plan.toolpath.beads[bead].material
+            length = f"{1e3 * (t.s[last[k]] - t.s[first[k]]):.1f} mm" + (f" of {of}" if of else "")
+            yield Section(plan.first_bead + k + 1, own, f"Bead {bead}, layer {t.layer[first[k]]}: {length}")
+
+
 def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None) -> Moves:
-    """Choose the targets of a plan and say how each is approached.
+    """Targets of a plan, and how each is approached.
 
     also  samples that are to be targets, too
     fed   (n) filament that is fed by each sample [m], for which every move that lays material has one rate
@@ -369,7 +398,7 @@ class _Joint:
     def __call__(self, a: Indices, b: Indices, k: Indices) -> Array:
         q, tip = self._trajectory.q, self._trajectory.tip
         u = nearest_fraction(q[a], q[b], q[k], (k - a) / (b - a))
-        T = self._cell.T_part_nozzle(q[a] + u[:, None] * (q[b] - q[a]))
+        T = self._cell.T_part_nozzle(lerp(q, a, b, u))
         off = np.linalg.norm(T[:, :3, 3] - tip[k], axis=1) / TRAVEL_TOLERANCE
         cosine = np.einsum("ij,ij->i", T[:, :3, 2], self._trajectory.axis[k])
         out: Array = np.maximum(off, np.arccos(np.clip(cosine, -1.0, 1.0)) / TRAVEL_ANGLE_TOLERANCE)
@@ -405,7 +434,7 @@ def _flown(path: Array, first: Indices, last: Indices, rests: Indices, run_in: f
 
 
 # ----------------------------------------------------------------------------------------------------
-# How far controllers may round the corners between targets: never into each other, never beyond a tolerance.
+# Blends: corners between targets are rounded never into each other, and never beyond a tolerance.
 #
 # A blend leaves the line to a target, and joins the next one, at its radius from the target. Whether it is an arc or a
 # parabola, it passes the target at r tan(a / 4), to first order in the angle a by which the lines turn. With half a
@@ -436,7 +465,7 @@ def move_radii(plan: Plan, moves: Moves) -> Array:
     return blend_radii(tip, stops, tolerance)[1:]
 
 
-def blend_complaints(plan: Plan, program: RobotProgram) -> list[str]:
+def blend_differences(plan: Plan, program: RobotProgram) -> list[str]:
     """What is wrong with a program's blends and stops, in words; targets of joint moves may be left by more."""
     reach, bend = _corners(program.position)
     lines = program.linear & np.append(program.linear[1:], False)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from planner.problem import Problem
 
 # ----------------------------------------------------------------------------------------------------
-# The section `tolerance` of plan.json: whether the plan holds where the part stands a little elsewhere.
+# The section `tolerance`: whether the plan holds where the part stands a little elsewhere.
 
 ROBUSTNESS_DECIMALS = 6  # decimals of millimetres and degrees
 
@@ -91,7 +91,7 @@ def _tried(each: TriedDisplacement) -> dict[str, Any]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# plan.json: the plan's results, and the cell as screws, so that anyone can recompute every pose without this code.
+# The whole file.
 
 DIP_DECIMALS = 5  # decimals of what is said of dips
 # What the file holds, in its order.

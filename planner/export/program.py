@@ -1,4 +1,4 @@
-"""What a robot program does once it is read back, whatever its language; and what every program says of itself."""
+"""A robot program as its reader gives it, whatever its language; and the header that every program has."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from planner.problem import Problem
 
 # ----------------------------------------------------------------------------------------------------
-# What decides whether a language can say a plan, known before there is one: the problem and its cell.
+# What decides whether a language supports a plan, known before there is one: the problem and its cell.
 
 
 class Setup(Protocol):
@@ -44,7 +44,7 @@ class ProblemSetup:
 
 
 # ----------------------------------------------------------------------------------------------------
-# What every program says of itself at its head.
+# The header of every program.
 
 
 def about(plan: Plan) -> list[str]:
@@ -72,9 +72,9 @@ def verified(plan: Plan) -> list[str]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# What a robot program does once it is read back, whatever its language.
+# A program that was read.
 
-UNSAID = -128  # in place of a part of a configuration
+UNSPECIFIED = -128  # in place of a part of a configuration that a language leaves open
 
 
 @dataclass(frozen=True)
@@ -96,14 +96,14 @@ class RobotProgram:
     start                      (12,) joints and station axes of the first move [rad], NaN where unused
     linear, fine               (m,) bool
     position, quat             (m, 3) [m], (m, 4) x y z w
-    conf                       (m, 4) cf1, cf4, cf6, cfx; UNSAID where the language has none
+    conf                       (m, 4) cf1, cf4, cf6, cfx; UNSPECIFIED where the language has none
     external                   (m, 6) station axes [rad], NaN where unused
     zone                       (m,) radius of the corner zone at the target [m]; 0 where the motion comes to rest,
-                               NaN where no distance says how large it is
+                               NaN where it has no distance
     speed                      (m, 4) tip [m/s], reorientation [rad/s], linear axes [m/s], rotating axes [rad/s]
     wait                       (m,) time at rest after the move [s]
     triggers                   move → its triggers, in order
-    joints                     (m, n) of the arm at targets of joint moves, where the language says them [rad]
+    joints                     (m, n) of the arm at targets of joint moves, where the language has them [rad]
     demands                    move → (distance [m] from its end, value that an analog output takes there), in order
     sends                      move → strings sent to the extruder's board after it, in order; -1: before the first
     send_rests                 move → for each of them, how long the robot has rested there when it is sent [s]
@@ -125,23 +125,14 @@ class RobotProgram:
     speed: Array
     wait: Array
     triggers: dict[int, tuple[Trigger, ...]]
-    sends: dict[int, tuple[str, ...]]
+    sends: dict[int, tuple[str, ...]] = field(default_factory=dict)
     send_rests: dict[int, tuple[float, ...]] = field(default_factory=dict)
     demands: dict[int, tuple[tuple[float, float], ...]] = field(default_factory=dict)
     joints: Array | None = None
 
 
 # ----------------------------------------------------------------------------------------------------
-# A program that was read back, cut where the extruder is switched, and its path between.
-
-
-@dataclass(frozen=True)
-class Replay:
-    """One stretch between extruder on and off: tip (k, 3) [m], orientation (k, 4), part's axes (k, 6) [rad]."""
-
-    position: Array
-    quat: Array
-    external: Array
+# The same cut where the extruder is switched.
 
 
 @dataclass(frozen=True)
@@ -155,24 +146,6 @@ class ProgramPiece:
     linear: NDArray[np.bool_]
     speed: Array
     known: NDArray[np.bool_]  # a target of the program, not a point where a trigger cuts a move
-
-
-def replay(program: RobotProgram, step: float = 0.5e-3) -> tuple[Replay, ...]:
-    """Dense path of every stretch with the extruder on, at most `step` [m] between its points."""
-    out = []
-    for piece in [piece for on, piece in pieces_of(program) if on]:
-        parts = np.maximum(1, np.ceil(np.linalg.norm(np.diff(piece.position, axis=0), axis=1) / step)).astype(np.intp)
-        a = np.append(np.repeat(np.arange(len(parts)), parts), len(parts) - 1)
-        u = np.append((np.arange(len(a) - 1) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[a[:-1]], 1.0)
-        between = u[:, None]
-        out.append(
-            Replay(
-                position=piece.position[a] + between * (piece.position[a + 1] - piece.position[a]),
-                quat=slerp(piece.quat[a], piece.quat[a + 1], u),
-                external=piece.external[a] + between * (piece.external[a + 1] - piece.external[a]),
-            )
-        )
-    return tuple(out)
 
 
 def pieces_of(program: RobotProgram) -> Iterator[tuple[bool, ProgramPiece]]:

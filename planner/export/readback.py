@@ -1,4 +1,4 @@
-"""Whether a program, read back and played, does what its plan does: path, pace, switches and waits."""
+"""Check of a program that was read and played against its plan: path, pace, switches and waits."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
-from planner.export.fit import angle, continuous, slerp, to_matrix
+from planner.export.fit import angle, continuous, lerp, slerp, to_matrix
 from planner.export.moves import (
     LEAST_WAIT,
     ON_TIME,
@@ -24,19 +24,20 @@ from planner.export.moves import (
 )
 from planner.export.player.play import play
 from planner.export.player.played import Played, laid_spans, laid_targets
-from planner.export.program import UNSAID, ProgramPiece, RobotProgram, pieces_of
+from planner.export.program import UNSPECIFIED, ProgramPiece, RobotProgram, pieces_of
 from planner.export.rapid.writer import external_degrees, quadrants
-from planner.plan.plan import materials_of
+from planner.export.support import by_bead, output_numbers
+from planner.export.text import beyond
 
 if TYPE_CHECKING:
     from planner.export.moves import Moves
     from planner.plan import Plan, Trajectory
 
 # ----------------------------------------------------------------------------------------------------
-# Whether a program that was read back stands still where its plan does, and for as long.
+# Waits: the program stands still where the plan does, and for as long.
 
 PLACE = 0.05e-3  # m between the nozzle's tip and the target at which it waits
-DOUBT = 2.0  # samples: so well do they tell how long a rest lasts, where no event does
+DOUBT = 2.0  # samples: to these a rest is known whose length no event gives
 
 
 def waits_differ(plan: Plan, program: RobotProgram) -> float:
@@ -89,9 +90,9 @@ def _before_and_between_beads(t: Trajectory) -> list[tuple[float, float, float]]
 
 
 # ----------------------------------------------------------------------------------------------------
-# What was written, read back: is the path that the program describes the plan's path?
+# Path: the lines of the program against the samples of the plan.
 
-CLOSE = 3e-5  # [m] between samples, which rounding and played targets do not tell apart
+CLOSE = 3e-5  # [m] between samples, which rounding and played targets confuse
 OTHERS = 4.0  # samples to a side that may be taken for a target's own there, at most
 LEVER = 0.05  # [m/rad]: turning counts as path where the tip stands still
 WINDOWS = (6, 64)  # samples to either side within which a target's own sample is sought, the second if need be
@@ -131,7 +132,7 @@ class Agreement:
     conf: int
     output: int
 
-    def complaints(self) -> list[str]:
+    def differences(self) -> list[str]:
         """Every difference beyond what rounding and thinning may cause, in words."""
         limits = {
             "path": (self.chord + 0.03e-3, "m"),
@@ -145,11 +146,9 @@ class Agreement:
             "conf": (0, "targets"),
             "output": (0, "times"),
         }
-        return [
-            f"{name} differs by {getattr(self, name):.3g} {unit} (limit {limit:.3g})"
-            for name, (limit, unit) in limits.items()
-            if not getattr(self, name) <= limit
-        ]
+        return beyond(
+            (f"{name} differs by {{:.3g}} {unit}", getattr(self, name), limit) for name, (limit, unit) in limits.items()
+        )
 
 
 def compare(plan: Plan, program: RobotProgram) -> Agreement:
@@ -231,7 +230,7 @@ def _targets(plan: Plan, match: _Match) -> Array:
     for nearer in (np.maximum(match.at - 1, least), match.at):  # the piece of path before and after the sample
         after = np.minimum(nearer + 1, most)
         u = nearest_fraction(tip[nearer], tip[after], rows.position, np.zeros(len(nearer)))
-        off.append(np.linalg.norm(tip[nearer] + u[:, None] * (tip[after] - tip[nearer]) - rows.position, axis=1))
+        off.append(np.linalg.norm(lerp(tip, nearer, after, u) - rows.position, axis=1))
         quat_a, quat_b = _unit(plan.trajectory.quat[nearer]), _unit(plan.trajectory.quat[after])
         turned.append(angle(slerp(quat_a, quat_b, u), rows.quat))
         a, b = _external(plan, nearer), _external(plan, after)
@@ -269,19 +268,19 @@ def _straight(plan: Plan, match: _Match, a: Indices, s: Indices) -> Array:
     rows, tip = match.all, plan.trajectory.tip
     p, external = rows.position, _external(plan, s)
     u = nearest_fraction(p[a], p[a + 1], tip[s], _share(match.at, a, s))
-    off = np.linalg.norm(p[a] + u[:, None] * (p[a + 1] - p[a]) - tip[s], axis=1).max()
+    off = np.linalg.norm(lerp(p, a, a + 1, u) - tip[s], axis=1).max()
     turned = angle(slerp(rows.quat[a], rows.quat[a + 1], u), _unit(plan.trajectory.quat[s])).max()
     k = external.shape[1]
-    between = rows.external[a, :k] + u[:, None] * (rows.external[a + 1, :k] - rows.external[a, :k])
+    between = lerp(rows.external[:, :k], a, a + 1, u)
     return np.array([off, 0.0, turned, np.abs(between - external).max(initial=0.0)])
 
 
 def _joint(plan: Plan, match: _Match, a: Indices, s: Indices) -> float:
     """Worst distance of samples s (n) from the tip paths of joint moves from targets a (n) to the next ones."""
     q = plan.trajectory.q
-    qa, qb = q[match.at[a]], q[match.at[a + 1]]
-    u = nearest_fraction(qa, qb, q[s], _share(match.at, a, s))
-    T = plan.cell.T_part_nozzle(qa + u[:, None] * (qb - qa))
+    at_targets = q[match.at]
+    u = nearest_fraction(at_targets[a], at_targets[a + 1], q[s], _share(match.at, a, s))
+    T = plan.cell.T_part_nozzle(lerp(at_targets, a, a + 1, u))
     return float(np.linalg.norm(T[:, :3, 3] - plan.trajectory.tip[s], axis=1).max())
 
 
@@ -316,16 +315,16 @@ def _wrong_configurations(plan: Plan, match: _Match) -> int:
         near = np.clip(match.at + d, least, most)
         q, branch = trajectory.q[near], trajectory.branch[near]
         within = (quadrants(q - BORDER) <= conf[:, :3]) & (conf[:, :3] <= quadrants(q + BORDER))
-        right |= (within | (conf[:, :3] == UNSAID)).all(axis=1) & ((conf[:, 3] == branch) | (conf[:, 3] == UNSAID))
+        right |= (within | (conf[:, :3] == UNSPECIFIED)).all(axis=1) & (
+            (conf[:, 3] == branch) | (conf[:, 3] == UNSPECIFIED)
+        )
     return int(np.count_nonzero(match.all.known & ~right))
 
 
 def _wrong_outputs(plan: Plan, program: RobotProgram, first: Indices) -> int:
     """How many times another output is switched than that of the bead that begins at, or ends after, sample first (b)."""
-    outputs = {each.name: each.signal for each in materials_of(plan.problem)}
-    usual = plan.problem.program.extruder_signal
-    beads = plan.toolpath.beads
-    own = [outputs[beads[k].material] if outputs else usual for k in plan.trajectory.bead[first].tolist()]
+    outputs = by_bead(plan, list(output_numbers(plan.problem)))
+    own = [outputs[k] for k in plan.trajectory.bead[first].tolist()]
     wrong = 0
     for on in (True, False):
         switched = [
@@ -416,7 +415,7 @@ def _frames(plan: Plan, program: RobotProgram) -> tuple[float, float]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Whether a program, read back and played, does what its plan does: where it goes, how fast, and what it switches.
+# The program as it is played: pace, corners, stops and configurations.
 
 # of the time in which material is laid: wide, for it is a model's, which small prints full of corners stretch by 5 per
 # cent; shipped problems stay within half a per cent (`python -m benchmarks.programs`)
@@ -427,7 +426,7 @@ ROUNDING, TRAVEL = 0.03e-3, 1e-3
 
 @dataclass(frozen=True)
 class Readback:
-    """What a played program does otherwise than its plan.
+    """Differences of a played program from its plan.
 
     agreement  of the played nozzle, as the cell's joints carry it, with the plan
     laid       time in which the program lays material over that in which the plan does; worst: of the bead that differs
@@ -446,17 +445,13 @@ class Readback:
     stops: int
     strays: tuple[int, ...]
 
-    def complaints(self) -> list[str]:
+    def differences(self) -> list[str]:
         """Every difference beyond what rounding and thinning may cause, in words."""
-        found = self.agreement.complaints()
+        found = self.agreement.differences()
         if not abs(self.laid - 1.0) <= LATE:
             found.append(f"time of deposition is {self.laid:.4g} of the plan's (limit {LATE:g} from 1)")
-        for where, cut, limit in (
-            ("in a bead", self.corner, self.agreement.chord + ROUNDING),
-            ("in travel", self.swing, TRAVEL),
-        ):
-            if not cut <= limit:
-                found.append(f"a corner {where} is cut by {cut:.3g} m (limit {limit:.3g})")
+        in_bead = ("a corner in a bead is cut by {:.3g} m", self.corner, self.agreement.chord + ROUNDING)
+        found += beyond([in_bead, ("a corner in travel is cut by {:.3g} m", self.swing, TRAVEL)])
         if self.stops:
             found.append(f"the robot stops at {self.stops} targets within beads")
         if self.strays:
@@ -467,12 +462,12 @@ class Readback:
 
 
 def readback(plan: Plan, program: RobotProgram) -> list[str]:
-    """What a program that was read back does otherwise than its plan, in words; none if it does the same."""
+    """Differences of a program that was read from its plan, in words; none if it does the same."""
     try:
         played = play(program, plan.cell)
     except InputError as error:
-        return [*compare(plan, program).complaints(), f"cannot be played: {error.reason}"]
-    return judge(plan, program, played).complaints()
+        return [*compare(plan, program).differences(), f"cannot be played: {error.reason}"]
+    return judge(plan, program, played).differences()
 
 
 def judge(plan: Plan, program: RobotProgram, played: Played) -> Readback:
@@ -513,24 +508,24 @@ def _cut(program: RobotProgram, played: Played) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Programs of languages that leave postures and speeds open, played with those of the plan in their place.
+# Languages that leave postures and speeds open are played with those of the plan.
 
-FAST = 100.0  # m/s, rad/s: what is not said does not slow the robot down; its joints do
+FAST = 100.0  # m/s, rad/s: a speed that a program leaves open does not slow the robot down; its joints do
 
 
-def played_complaints(plan: Plan, moves: Moves, program: RobotProgram) -> list[str]:
-    """What a program that was read back does otherwise than its plan, in words.
+def played_differences(plan: Plan, moves: Moves, program: RobotProgram) -> list[str]:
+    """Differences of a program that was read from its plan, in words.
 
     Configurations that its targets do not name are those of the planned postures, which is what the controller must
-    come to by itself: it is told by joints where each line begins, and keeps its configuration along lines.
+    come to by itself: it gets the joints where each line begins, and keeps its configuration along lines.
     """
     at = np.concatenate([[0], moves.sample])
     if len(program.linear) != len(at):
-        return [*compare(plan, program).complaints(), f"it has {len(program.linear)} moves, not {len(at)}"]
+        return [*compare(plan, program).differences(), f"it has {len(program.linear)} moves, not {len(at)}"]
     planned = np.column_stack([quadrants(moves.q), plan.trajectory.branch[at]])
     filled = replace(
         program,
-        conf=np.where(program.conf == UNSAID, planned, program.conf),
+        conf=np.where(program.conf == UNSPECIFIED, planned, program.conf),
         speed=np.where(np.isnan(program.speed), FAST, program.speed),
         zone=np.nan_to_num(program.zone),  # of travel: by how much it is rounded is the controller's to choose
     )

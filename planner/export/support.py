@@ -1,8 +1,9 @@
-"""Which cells each language can speak of, and the numbers of the outputs that switch extruders."""
+"""Which cells each language supports, and the numbers of the outputs that switch extruders."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, TypeVar
 
 from planner.export.axes.flavours import FLAVOURS
 from planner.plan import RAPID_EXTERNAL_AXES
@@ -10,8 +11,11 @@ from planner.plan.plan import materials_of
 
 if TYPE_CHECKING:
     from planner.export.program import Setup
+    from planner.plan import Plan
     from planner.problem import Problem
     from planner.problem.settings import MachineSpec
+
+Output = TypeVar("Output", int, str)
 
 EXTERNAL_AXES = 6  # of KRL: E1 to E6
 STANDARD_OUTPUTS = 8  # of a UR control box, numbered from 0
@@ -24,8 +28,22 @@ def output_numbers(problem: Problem) -> dict[str, int]:
     return {signal: problem.program.extruder_output + k for k, signal in enumerate(signals)}
 
 
-def unsaid_in_rapid(setup: Setup) -> str | None:
-    """Why no RAPID program can say what a cell does; None if one can."""
+def outputs_about(problem: Problem) -> list[str]:
+    """A line for each output, and for each material that has a name."""
+    return [
+        *(f"Output {k}: {signal}" for signal, k in output_numbers(problem).items()),
+        *(f"Material {each.name}: tool T{each.tool}, {each.signal}" for each in materials_of(problem)),
+    ]
+
+
+def by_bead(plan: Plan, outputs: Sequence[Output]) -> list[Output]:
+    """The output of each bead of the toolpath; `outputs` are those of the extruders, in the order of their materials."""
+    names = [each.name for each in materials_of(plan.problem)]
+    return [outputs[names.index(bead.material)] if names else outputs[0] for bead in plan.toolpath.beads]
+
+
+def unsupported_in_rapid(setup: Setup) -> str | None:
+    """Why RAPID does not support a cell; None if it does."""
     arm, holder = setup.cell.arm_robot, setup.cell.holder_robot
     if not setup.cell.spherical:
         return f"the configuration of a target is that of a spherical wrist, which {arm.name} has not"
@@ -34,8 +52,8 @@ def unsaid_in_rapid(setup: Setup) -> str | None:
     return None
 
 
-def unsaid_in_krl(setup: Setup) -> str | None:
-    """Why no KRL program can say what a cell does; None if one can."""
+def unsupported_in_krl(setup: Setup) -> str | None:
+    """Why KRL does not support a cell; None if it does."""
     arm, holder = setup.cell.arm_robot, setup.cell.holder_robot
     if not setup.cell.spherical:
         return f"KR C controllers move arms with six axes and a spherical wrist, which {arm.name} is not"
@@ -48,8 +66,8 @@ def unsaid_in_krl(setup: Setup) -> str | None:
     return None
 
 
-def unsaid_in_urscript(setup: Setup) -> str | None:
-    """Why no URScript program can say what a cell does; None if one can."""
+def unsupported_in_urscript(setup: Setup) -> str | None:
+    """Why URScript does not support a cell; None if it does."""
     arm, holder = setup.cell.arm_robot, setup.cell.holder_robot
     if arm.language != "urscript":
         return f"{arm.name} is no arm of Universal Robots, by the language in its file"
@@ -61,8 +79,8 @@ def unsaid_in_urscript(setup: Setup) -> str | None:
     return None
 
 
-def unsaid_in_axes(setup: Setup) -> str | None:
-    """Why there is no such program of what a cell does; None if there is one."""
+def unsupported_in_axes(setup: Setup) -> str | None:
+    """Why G-code of a multi-axis machine does not support a cell; None if it does."""
     spec: MachineSpec | None = setup.problem.program.machine
     if spec is None:
         return "program.machine describes no machine"

@@ -1,8 +1,7 @@
-"""URScript for Universal Robots' controllers (CB3 and e-Series): written, read back, and held against its plan."""
+"""URScript for Universal Robots' controllers (CB3 and e-Series): writer, reader, and check against the plan."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -13,23 +12,23 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.export.fit import from_matrix, to_matrix
+from planner.export.grammar import Grammar, Statement, inlined
 from planner.export.moves import (
     STEP,
     Moves,
-    Wait,
-    blend_complaints,
-    deposits,
+    blend_differences,
     greatest_until_stop,
     move_radii,
     plan_moves,
     rounded_up,
+    sections,
     tip_acceleration,
 )
-from planner.export.program import UNSAID, RobotProgram, Trigger, about, named
-from planner.export.rapid.text import module_name, number
-from planner.export.readback import played_complaints
-from planner.export.support import output_numbers, unsaid_in_urscript
-from planner.plan.plan import materials_of
+from planner.export.program import UNSPECIFIED, RobotProgram, Trigger, about, named
+from planner.export.rapid.text import module_name
+from planner.export.readback import played_differences
+from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_urscript
+from planner.export.text import ascii_comment, number, require_writable, resting
 
 if TYPE_CHECKING:
     from planner.cell.cell import Cell
@@ -37,7 +36,7 @@ if TYPE_CHECKING:
     from planner.plan import Plan
 
 # ----------------------------------------------------------------------------------------------------
-# The frame in which a Universal Robots controller counts, and its rotation vectors.
+# The controller's base frame, and rotation vectors.
 
 
 def world_controller(cell: Cell) -> Array:
@@ -72,14 +71,15 @@ def quaternions(vectors: Array) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# URScript for Universal Robots' controllers (CB3 and e-Series): one program with a function for each bead.
+# Writer: one program with a function for each bead.
 #
 # Material is laid by movep, which keeps the tip's speed through circular blends, where movel was seen to speed up. The
 # maker describes no blend of movep with other moves, so run-in and run-out are movep too, and where it meets the movej of
 # travel the arm stops. Poses are those of the nozzle in the part frame, `part`, which stands in the controller's base frame: a
 # part that was moved needs that one line changed.
 
-LONGEST_COMMENT = 100
+MARK = "#"  # begins a comment
+SLEEP = "sleep({:.3f})"
 LENGTH, ANGLE = 6, 6  # decimals of metres and radians
 SPEED = 4  # decimals of m/s and rad/s
 # A program goes on when a blend begins, so an output is switched that much before its place. Small enough to be no
@@ -105,10 +105,7 @@ def script_name(plan: Plan) -> str:
 
 def urscript(plan: Plan) -> str:
     """Program of a verified plan (ASCII, m, rad). ValueError if it is not verified, or has no form in URScript."""
-    if not plan.verified:
-        raise ValueError("robot code is written for verified plans only")
-    if (reason := unsaid_in_urscript(plan)) is not None:
-        raise ValueError(reason)
+    require_writable(plan, unsupported_in_urscript(plan))
     moves = plan_moves(plan)
     T_controller_part = np.linalg.inv(world_controller(plan.cell)) @ plan.cell.T_world_holder
     functions, calls = _functions(plan, moves)
@@ -123,7 +120,7 @@ def urscript(plan: Plan) -> str:
         *functions,
         *off,
         f"  movej({start}, a={number(pace.joint, 1)}, v={number(pace.speed[0], SPEED)}, r=0)",
-        *_waiting(moves.waits.get(-1, ()), 2),
+        *resting(moves.waits.get(-1, ()), MARK, SLEEP, 2),
         *(f"  {name}()" for name in calls),
         *off,
         "end",
@@ -132,8 +129,13 @@ def urscript(plan: Plan) -> str:
     return "\n".join(lines)
 
 
+def write(plan: Plan) -> dict[str, str]:
+    """The program of a verified plan, by the name of its file."""
+    return {script_name(plan): urscript(plan)}
+
+
 def pace_of(plan: Plan, moves: Moves) -> MoveAccelerations:
-    """How fast the controller may go where the plan does not say it move by move."""
+    """Accelerations, and speeds of joint moves: as fast as the plan ever goes, since it gives no speed of single moves."""
     t = plan.trajectory
     rate = np.abs(np.diff(t.q[:, :6], axis=0)).max(axis=1) / t.dt
     turning = float(np.abs(np.diff(t.q[:, :6], 2, axis=0)).max(initial=0.0)) / t.dt**2
@@ -157,16 +159,9 @@ def _header(plan: Plan) -> list[str]:
         "Payload and centre of gravity are those of the installation: set them there.",
         f"Outputs are switched where a blend begins, {SWITCH_BLEND * 1e3:.2f} mm early, and within a cycle of the",
         f"controller: {fastest * 8.0:.2f} mm of way in the 8 ms of a CB3, {fastest * 2.0:.2f} mm in an e-Series' 2 ms.",
-        *(f"Output {k}: {signal}" for signal, k in output_numbers(plan.problem).items()),
-        *(f"Material {each.name}: tool T{each.tool}, {each.signal}" for each in materials_of(plan.problem)),
+        *outputs_about(plan.problem),
     ]
-    return [comment(text, 0) for text in texts]
-
-
-def comment(text: str, indent: int) -> str:
-    """One comment line, ASCII, of bounded length."""
-    text = re.sub(r"[^\x20-\x7e]", "?", text)
-    return f"{'':{indent}}# {text[:LONGEST_COMMENT].rstrip()}"
+    return [ascii_comment(MARK, text) for text in texts]
 
 
 def _pose(T: Array) -> str:
@@ -180,35 +175,25 @@ def _joint_text(q: Array) -> str:
 
 def _functions(plan: Plan, moves: Moves) -> tuple[list[str], list[str]]:
     """All functions with moves, and their names in the order of calling."""
-    t, pace = plan.trajectory, pace_of(plan, moves)
-    first, last = deposits(t)
-    numbers = list(output_numbers(plan.problem).values())
-    names = [each.name for each in materials_of(plan.problem)]
-    own = [numbers[names.index(bead.material)] if names else numbers[0] for bead in plan.toolpath.beads]
-    texts = _moves(plan, moves, pace)
-    bounds = np.searchsorted(moves.after, np.arange(len(first) + 2)).tolist()
+    bead = plan.trajectory.bead
+    outputs = by_bead(plan, list(output_numbers(plan.problem).values()))
+    texts = _moves(plan, moves, pace_of(plan, moves))
     lines, calls = [], []
-    for k, (a, b) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
-        if a == b:
-            continue
-        calls.append(f"bead_{plan.first_bead + k + 1:04d}" if k < len(first) else "finish")
+    for section in sections(plan, moves):
+        calls.append(f"bead_{section.number:04d}" if section.number else "finish")
         lines.append(f"  def {calls[-1]}():")
-        if k < len(first):
-            bead = int(t.bead[first[k]])
-            of = plan.toolpath.beads[bead].material
-            length = f"{1e3 * (t.s[last[k]] - t.s[first[k]]):.1f} mm" + (f" of {of}" if of else "")
-            lines.append(comment(f"Bead {bead}, layer {t.layer[first[k]]}: {length}", 4))
-        for i in range(a, b):
-            ends = own[int(t.bead[moves.sample[i]])]
+        lines += [ascii_comment(MARK, section.about, 4)] if section.about else []
+        for i in section.moves:
+            ends = outputs[bead[moves.sample[i]]]
             if moves.on_start[i]:
-                begins = own[int(t.bead[moves.sample[i - 1] if i else 0])]
+                begins = outputs[bead[moves.sample[i - 1] if i else 0]]
                 lines.append(f"    set_standard_digital_out({begins}, True)")
             lines.append(texts[i])
             if moves.on_end[i]:
                 lines.append(f"    set_standard_digital_out({ends}, True)")
             if moves.off_end[i]:
                 lines.append(f"    set_standard_digital_out({ends}, False)")
-            lines += _waiting(moves.waits.get(i, ()), 4)
+            lines += resting(moves.waits.get(i, ()), MARK, SLEEP, 4)
         lines.append("  end")
     return lines, calls
 
@@ -230,16 +215,8 @@ def _moves(plan: Plan, moves: Moves, pace: MoveAccelerations) -> list[str]:
     return out
 
 
-def _waiting(waits: tuple[Wait, ...], indent: int) -> list[str]:
-    lines = []
-    for wait in waits:
-        lines += [comment(wait.why, indent)] if wait.why else []
-        lines += [f"{'':{indent}}sleep({wait.time:.3f})"] if wait.time > 0.0 else []
-    return lines
-
-
 # ----------------------------------------------------------------------------------------------------
-# Reads the URScript that `urscript` writes back into numbers: a strict subset, where anything unknown is an error.
+# Reader: exactly the subset that the writer uses.
 
 Forward = Callable[[Array], Array]
 
@@ -247,9 +224,10 @@ NUMBER = r"-?[0-9]+(?:\.[0-9]+)?"
 NAME = r"[A-Za-z][A-Za-z0-9_]{0,63}"
 SIX = rf"({NUMBER}(?:, {NUMBER}){{5}})"
 HOW = rf"a=({NUMBER}), v=({NUMBER}), r=({NUMBER})"
-PATTERNS = {
-    word: re.compile(pattern)
-    for word, pattern in {
+GRAMMAR = Grammar.of(
+    "URScript",
+    MARK,
+    {
         "movep": rf"movep\(pose_trans\(part, p\[{SIX}\]\), {HOW}\)",
         "movej": rf"movej\(\[{SIX}\], {HOW}\)",
         "output": r"set_standard_digital_out\(([0-7]), (True|False)\)",
@@ -259,10 +237,8 @@ PATTERNS = {
         "end": r"end",
         "tool": rf"set_tcp\(p\[{SIX}\]\)",
         "part": rf"global part = p\[{SIX}\]",
-    }.items()
-}
-MOVES = ("movep", "movej")
-Statement = tuple[str, int, tuple[str, ...]]
+    },
+)
 
 
 @dataclass(frozen=True)
@@ -284,122 +260,87 @@ def read_urscript(text: str, forward: Forward) -> Script:
 
     Raises InputError with the line for a statement or name that is not known, or that stands where it must not.
     """
-    reader = _Reader()
-    for line, raw in enumerate(text.split("\n"), start=1):
-        statement = raw.strip()
-        if statement and not statement.startswith("#"):
-            reader.take(statement, line)
-    return reader.script(forward)
-
-
-def _error(line: int | None, reason: str) -> InputError:
-    return InputError(reason, line=line, file="URScript")
-
-
-def _six(text: str) -> list[float]:
-    return [float(value) for value in text.split(", ")]
-
-
-class _Reader:
-    def __init__(self) -> None:
-        self.open: list[str] = []  # functions that have begun and not ended, the program first
-        self.title = ""
-        self.bodies: dict[str, list[Statement]] = {}
-        self.frames: dict[str, Array] = {}
-
-    def take(self, statement: str, line: int) -> None:
-        known = ((word, pattern.fullmatch(statement)) for word, pattern in PATTERNS.items())
-        word, match = next((pair for pair in known if pair[1]), ("", None))
-        if match is None:
-            raise _error(line, f"unknown statement {statement[:60]!r}")
-        if not self.open and (self.title or word != "define"):
-            raise _error(line, f"{statement[:60]!r} stands outside the program")
-        if word == "define":
-            if len(self.open) > 1 or match[1] in self.bodies:
-                raise _error(line, f"function {match[1]} stands there twice, or in another one")
-            self.title = self.title or match[1]
-            self.open.append(match[1])
-            self.bodies[match[1]] = []
-        elif word == "end":
-            self.open.pop()
-        elif word in ("tool", "part"):
-            if word in self.frames or len(self.open) > 1:
-                raise _error(line, f"the {word} stands there twice, or in a function")
-            self.frames[word] = np.array(_six(match[1]))
+    title, bodies, frames = _function_bodies(text)
+    moves: list[Statement] = []
+    waits: dict[int, float] = {}
+    switched: list[tuple[int, str, bool]] = []
+    for statement in inlined(bodies, title, "function"):
+        at, first = len(moves) - 1, statement.parts[0]
+        if statement.word in ("movep", "movej"):
+            moves.append(statement)
+        elif statement.word == "output":
+            value = statement.parts[1] == "True"
+            if at < 0 and value:
+                raise statement.error("an output goes on before the first target")
+            switched.append((at, first, value))
+        elif at < 0:
+            raise statement.error("a wait before the first target")
         else:
-            self.bodies[self.open[-1]].append((word, line, match.groups()))
+            waits[at] = waits.get(at, 0.0) + float(first)
+    if len(moves) < 2 or moves[0].word != "movej":
+        raise InputError("it does not begin with a movej, and go on", file=GRAMMAR.file)
+    m = len(moves)
+    rows = np.array([_six(move) for move in moves])
+    how = np.array([[float(value) for value in move.parts[1:]] for move in moves])
+    for move, (a, v, r) in zip(moves, how.tolist(), strict=True):
+        if a <= 0.0 or v <= 0.0 or r < 0.0:
+            raise move.error("acceleration and speed must be positive, the blend not negative")
+    linear = np.array([move.word == "movep" for move in moves])
+    poses = forward(rows[~linear])
+    position, quat = np.empty((m, 3)), np.empty((m, 4))
+    position[linear], quat[linear] = rows[linear, :3], quaternions(rows[linear, 3:])
+    position[~linear], quat[~linear] = poses[:, :3, 3], from_matrix(poses[:, :3, :3])
+    program = RobotProgram(
+        module=title,
+        tool=_frame(frames["tool"]),
+        uframe=_frame(frames["part"]),
+        oframe=np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
+        station="",
+        start=np.concatenate([rows[0], np.full(6, np.nan)]),
+        linear=linear,
+        fine=how[:, 2] == 0.0,
+        position=position,
+        quat=quat,
+        conf=np.full((m, 4), UNSPECIFIED, dtype=np.intp),
+        external=np.full((m, 6), np.nan),
+        zone=how[:, 2],
+        speed=np.column_stack([np.where(linear, how[:, 1], np.nan), np.full((m, 3), np.nan)]),
+        wait=np.array([waits.get(i, 0.0) for i in range(m)]),
+        triggers=_triggers(switched, m),
+    )
+    return Script(program, np.where(linear[:, None], np.nan, rows), how[:, :2])
 
-    def script(self, forward: Forward) -> Script:
-        if self.open or not self.title or len(self.frames) != 2:
-            raise _error(None, "no complete program with tool and part")
-        moves: list[Statement] = []
-        waits: dict[int, float] = {}
-        switched: list[tuple[int, str, bool]] = []
-        for word, line, parts in self._run(self.title, 0):
-            at = len(moves) - 1
-            if word in MOVES:
-                moves.append((word, line, parts))
-            elif word == "output":
-                if at < 0 and parts[1] == "True":
-                    raise _error(line, "an output goes on before the first target")
-                switched.append((at, parts[0], parts[1] == "True"))
-            elif at < 0:
-                raise _error(line, "a wait before the first target")
-            else:
-                waits[at] = waits.get(at, 0.0) + float(parts[0])
-        if len(moves) < 2 or moves[0][0] != "movej":
-            raise _error(None, "it does not begin with a movej, and go on")
-        return self._arrays(moves, waits, switched, forward)
 
-    def _run(self, name: str, depth: int) -> list[Statement]:
-        out: list[Statement] = []
-        for word, line, parts in self.bodies[name]:
-            if word != "call":
-                out.append((word, line, parts))
-            elif depth or parts[0] not in self.bodies or parts[0] == self.title:
-                raise _error(line, f"{parts[0]} is no function that the program may call here")
-            else:
-                out += self._run(parts[0], depth + 1)
-        return out
+def _six(statement: Statement) -> list[float]:
+    return [float(value) for value in statement.parts[0].split(", ")]
 
-    def _arrays(
-        self,
-        moves: list[Statement],
-        waits: dict[int, float],
-        switched: list[tuple[int, str, bool]],
-        forward: Forward,
-    ) -> Script:
-        m = len(moves)
-        rows = np.array([_six(parts[0]) for _, _, parts in moves])
-        how = np.array([[float(value) for value in parts[1:]] for _, _, parts in moves])
-        for (_, line, _), (a, v, r) in zip(moves, how.tolist(), strict=True):
-            if a <= 0.0 or v <= 0.0 or r < 0.0:
-                raise _error(line, "acceleration and speed must be positive, the blend not negative")
-        linear = np.array([word == "movep" for word, _, _ in moves])
-        poses = forward(rows[~linear])
-        position, quat = np.empty((m, 3)), np.empty((m, 4))
-        position[linear], quat[linear] = rows[linear, :3], quaternions(rows[linear, 3:])
-        position[~linear], quat[~linear] = poses[:, :3, 3], from_matrix(poses[:, :3, :3])
-        program = RobotProgram(
-            module=self.title,
-            tool=_frame(self.frames["tool"]),
-            uframe=_frame(self.frames["part"]),
-            oframe=np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
-            station="",
-            start=np.concatenate([rows[0], np.full(6, np.nan)]),
-            linear=linear,
-            fine=how[:, 2] == 0.0,
-            position=position,
-            quat=quat,
-            conf=np.full((m, 4), UNSAID, dtype=np.intp),
-            external=np.full((m, 6), np.nan),
-            zone=how[:, 2],
-            speed=np.column_stack([np.where(linear, how[:, 1], np.nan), np.full((m, 3), np.nan)]),
-            wait=np.array([waits.get(i, 0.0) for i in range(m)]),
-            triggers=_triggers(switched, m),
-            sends={},
-        )
-        return Script(program, np.where(linear[:, None], np.nan, rows), how[:, :2])
+
+def _function_bodies(text: str) -> tuple[str, dict[str, list[Statement]], dict[str, Array]]:
+    """Name of the program; statements of it and of each of its functions; its frames `tool` and `part`."""
+    open_: list[str] = []  # functions that have begun and not ended, the program first
+    bodies: dict[str, list[Statement]] = {}
+    frames: dict[str, Array] = {}
+    for statement in GRAMMAR.statements(text.split("\n")):
+        word = statement.word
+        if not open_ and (bodies or word != "define"):
+            raise statement.misplaced("outside the program")
+        if word == "define":
+            name = statement.parts[0]
+            if len(open_) > 1 or name in bodies:
+                raise statement.error(f"function {name} stands there twice, or in another one")
+            open_.append(name)
+            bodies[name] = []
+        elif word == "end":
+            open_.pop()
+        elif word in ("tool", "part"):
+            if word in frames or len(open_) > 1:
+                raise statement.error(f"the {word} stands there twice, or in a function")
+            frames[word] = np.array(_six(statement))
+        else:
+            bodies[open_[-1]].append(statement)
+    if open_ or not bodies or len(frames) != 2:
+        raise InputError("no complete program with tool and part", file=GRAMMAR.file)
+    return next(iter(bodies)), bodies, frames
 
 
 def _frame(pose: Array) -> Array:
@@ -407,7 +348,7 @@ def _frame(pose: Array) -> Array:
 
 
 def _triggers(switched: list[tuple[int, str, bool]], m: int) -> dict[int, tuple[Trigger, ...]]:
-    """Outputs that are switched after one of m moves, as if at its end: its blend says how much before that it is.
+    """Outputs that are switched after one of m moves, as if at its end; the blend there tells how much earlier it happens.
 
     Before the first move they are set to where they should be; after the last one they are switched off once more.
     """
@@ -421,11 +362,11 @@ def _triggers(switched: list[tuple[int, str, bool]], m: int) -> dict[int, tuple[
 
 
 # ----------------------------------------------------------------------------------------------------
-# Whether a URScript program that was read back does what its plan does.
+# Check of what was read against the plan.
 
 
-def urscript_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    """What the program says otherwise than the plan, beyond rounding and thinning, in words."""
+def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
+    """Differences of the program from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
     script = read_urscript(files[script_name(plan)], plan.cell.T_part_nozzle)
     program = named(script.program, output_numbers(plan.problem))
     T_controller_part = np.eye(4)
@@ -435,8 +376,8 @@ def urscript_complaints(plan: Plan, files: Mapping[str, str]) -> list[str]:
     program = replace(program, uframe=uframe, joints=script.joints)
     moves = plan_moves(plan)
     return [
-        *played_complaints(plan, moves, program),
-        *blend_complaints(plan, program),
+        *played_differences(plan, moves, program),
+        *blend_differences(plan, program),
         *_early(program),
         *_joint_moves(plan, moves, script),
     ]

@@ -1,4 +1,4 @@
-"""Files that leave the house: tables for everybody, robot code only of verified plans."""
+"""Writes the results of a plan: tables of any, robot code of verified ones only."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from planner.export.languages import LANGUAGES, chosen
 from planner.export.plan_json import plan_json, refusal_json
 from planner.export.rapid.text import module_name, written_notes
 from planner.export.tables import part_stl, write_table
+from planner.export.text import require_writable
 
 if TYPE_CHECKING:
     from planner.plan import Plan
@@ -46,23 +47,22 @@ def write_robot_code(plan: Plan, folder: Path) -> tuple[Path, ...]:
     """Write a verified plan in the languages that were chosen for it; returns the paths.
 
     All programs are read back and held against the plan before anything is written. ValueError if the plan is not
-    verified, RuntimeError if a program does not say what the plan says (both mistakes of this code or its caller),
-    InputError for a language that was asked for and cannot say it, OutputError where the files cannot be written.
+    verified, RuntimeError if a program differs from the plan (both mistakes of this code or its caller),
+    InputError for a language that was asked for and does not support the cell, OutputError where the files cannot be written.
     """
-    if not plan.verified:
-        raise ValueError("robot code is written for verified plans only")
+    require_writable(plan)
     texts: dict[str, str] = {}
     for name in chosen(plan).names:
         language = LANGUAGES[name]
         own = language.write(plan)
-        if complaints := language.complaints(plan, own):
-            raise RuntimeError(f"{language.title} does not repeat the plan: " + "; ".join(complaints))
+        if differences := language.differences(plan, own):
+            raise RuntimeError(f"{language.title} does not repeat the plan: " + "; ".join(differences))
         texts |= own
     return tuple(_write_text(folder / name, text) for name, text in texts.items())
 
 
 def program_notes(plan: Plan, folder: Path) -> tuple[str, ...]:
-    """What the header of the RAPID program in a folder says that its users should know; nothing without one."""
+    """Notes for users in the header of the RAPID program of a folder; none without a program."""
     path = folder / f"{module_name(plan.name)}.mod"
     if not path.exists():
         return ()

@@ -21,13 +21,13 @@ from planner.base.errors import EXIT_INTERRUPTED, EXIT_NOT_VERIFIED, EXIT_VERIFI
 from planner.link.connections import LinkError, Secret, connect, parse_address, password
 from planner.link.program_lines import NO_BEAD, ProgramLines, read_program_lines
 from planner.link.relay import LogNote, Relay, RelaySide, RunOutcome
-from planner.link.run import INTERRUPTED, Log, Requests, open_board, run_relay, signals_as
+from planner.link.run import INTERRUPTED, Log, RelayRun, Requests, open_board, signals_as
 from planner.link.rws import DIALECTS, USER, RobotWatch, Rws, bring, check_ready, check_together, program_files
 
 # ----------------------------------------------------------------------------------------------------
-# What the user sees of a run: how far it is, and how it ended.
+# Progress, and how a run ended.
 
-SETTLED = 10.0  # s of the run after which its own pace says how long the rest takes
+SETTLED = 10.0  # s of the run after which its own pace gives the time that is left
 
 
 class Show:
@@ -85,7 +85,7 @@ def place(lines: ProgramLines, n: int) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A time as people say it: 1:02:03 or 2:03."""
+    """A time as 1:02:03 or 2:03."""
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}" if minutes >= 60 else f"{minutes}:{rest:02d}"
 
@@ -96,26 +96,24 @@ def ending(lines: ProgramLines, outcome: RunOutcome, problem: str) -> list[str]:
     if outcome.reason is None:
         return [f"done: all {total} lines were acknowledged"]
     where = f"last acknowledged line {n} of {total} ({place(lines, n)})" if n else "no line was acknowledged"
-    said = [f"stopped: {outcome.reason}; {where}"]
+    out = [f"stopped: {outcome.reason}; {where}"]
     if outcome.sent > n:
-        said.append(
-            f"line {outcome.sent} ({lines[outcome.sent].text}) went to the board, which may have carried it out"
-        )
+        out.append(f"line {outcome.sent} ({lines[outcome.sent].text}) went to the board, which may have carried it out")
     if not outcome.safe:
-        said.append(
+        out.append(
             "the board did not confirm that it is safe: look at its heaters, its cutter, and what it still extrudes"
         )
     resume = outcome.position.resume
     if resume is None:
-        return [*said, "all beads were printed"]
+        return [*out, "all beads were printed"]
     return [
-        *said,
+        *out,
         f"to go on: python -m planner.solve {problem} --from-bead {resume}, with the same --set and --strategy",
     ]
 
 
 # ----------------------------------------------------------------------------------------------------
-# The command line of the link: a program to the controller, its lines to the board, both watched.
+# The command.
 
 PASSWORD, HEAD_PASSWORD = "BEADWISE_RWS_PASSWORD", "BEADWISE_HEAD_PASSWORD"
 SOCKET_PORT = 1025  # of the program, unless the problem says otherwise
@@ -169,7 +167,7 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
             with signals_as(requests), Show(lines, None if options.quiet else Console(stderr=True)) as show:
                 robot = RobotWatch(rws, requests.ask, lambda: relay.ended)
                 sockets = {RelaySide.CONTROLLER: program, RelaySide.BOARD: board}
-                outcome = run_relay(relay, sockets, requests, log, robot.stop, show)
+                outcome = RelayRun(relay, sockets, requests, log, robot.stop, show).run()
                 trouble = robot.close()
                 started.over = True
         return _told(lines, outcome, trouble, problem, log, say)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from planner.base.errors import EXIT_NOT_VERIFIED, InputError, PlannerError
 
 # ----------------------------------------------------------------------------------------------------
-# Connections to the controller's program and to the board.
+# Connections.
 
 CONNECT_TIME = 5.0  # s for a connection
 PIECE = 4096  # bytes read at once

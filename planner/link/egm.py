@@ -24,7 +24,7 @@ from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, Pl
 from planner.base.extras import missing_extra
 
 # ----------------------------------------------------------------------------------------------------
-# A limiter of joint references: however they jump, no step goes beyond the joints' speed and acceleration.
+# Limiter: however goals jump, no step goes beyond the joints' speed and acceleration.
 
 CATCHING_UP = 0.5  # share of the acceleration with which a reference that lies behind is planned to come up
 
@@ -63,7 +63,7 @@ class Limiter:
 
 
 # ----------------------------------------------------------------------------------------------------
-# The joints of a plan over time, read from its folder: what EGM sends, at its own rate.
+# The joints of a plan over time, read from its folder.
 
 PERIOD = 0.004  # s, of EGM
 ARM_AXES = 6
@@ -151,7 +151,7 @@ def _table(path: Path, names: list[str]) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Externally guided motion without its network: what the controller says in, joint references out.
+# The follower, without a network: states of the controller in, joint references out.
 
 NEAR_START = np.radians(1.0)  # within which the robot must stand before the first reference
 DEVIATION = np.radians(2.0)  # of the robot from all references of the last LAG
@@ -171,8 +171,8 @@ class EgmStopped(PlannerError):
 
 
 @dataclass(frozen=True)
-class Heard:
-    """A word of the controller: joints (m) [rad] as the plan orders them, whether it runs, its clock [s]."""
+class EgmState:
+    """A message of the controller: joints (m) [rad] as the plan orders them, whether it runs, its clock [s]."""
 
     joints: Array
     running: bool
@@ -194,6 +194,7 @@ class Follower:
 
     @property
     def sample(self) -> int:
+        """Sample of the plan that the references have come to."""
         return int(self._place)
 
     @property
@@ -205,21 +206,21 @@ class Follower:
         """Come to rest on the path; `over` once the references stand, at once where none was sent."""
         self._stopping, self.over = True, not self.begun
 
-    def answer(self, heard: Heard) -> Array | None:
+    def answer(self, state: EgmState) -> Array | None:
         """The reference (m) [rad] that answers a word; None where there is nothing to say yet.
 
         Raises EgmStopped where the robot is not where it should be, or has stopped.
         """
-        if len(heard.joints) != self._plan.q.shape[1]:
-            raise EgmStopped(f"the controller has {len(heard.joints)} axes, the plan {self._plan.q.shape[1]}")
-        if not np.isfinite(heard.joints).all():
+        if len(state.joints) != self._plan.q.shape[1]:
+            raise EgmStopped(f"the controller has {len(state.joints)} axes, the plan {self._plan.q.shape[1]}")
+        if not np.isfinite(state.joints).all():
             raise self._ended("the controller sent joints that are no numbers")
         if self._limiter is None:
-            return self._begin(heard)
-        if not heard.running:
+            return self._begin(state)
+        if not state.running:
             raise self._ended("the controller has stopped")
-        self._watch(heard.joints)
-        gap, self._clock = heard.clock - self._clock, heard.clock
+        self._watch(state.joints)
+        gap, self._clock = state.clock - self._clock, state.clock
         if not 0.0 <= gap <= GAP * PERIOD:
             self._rate = 0.0
             self._limiter.stopped()
@@ -228,19 +229,19 @@ class Follower:
         self._place = min(self._place + self._rate, self.total - 1.0)
         reference = self._limiter.next(self._at(self._place))
         self._sent.append(reference)
-        self._finish(heard.joints)
+        self._finish(state.joints)
         return reference
 
-    def _begin(self, heard: Heard) -> Array | None:
-        away = np.abs(heard.joints - self._plan.q[0])
-        if not heard.running:
+    def _begin(self, state: EgmState) -> Array | None:
+        away = np.abs(state.joints - self._plan.q[0])
+        if not state.running:
             return None
         if away.max() > NEAR_START:
             worst = int(away.argmax())
             far = np.degrees(away[worst])
             raise EgmStopped(f"axis {worst + 1} stands {far:.2f} degrees from the plan's start")
-        self._limiter = Limiter(heard.joints, self._plan.velocity, self._plan.acceleration, PERIOD)
-        self._clock = heard.clock
+        self._limiter = Limiter(state.joints, self._plan.velocity, self._plan.acceleration, PERIOD)
+        self._clock = state.clock
         self._sent.append(self._limiter.at)
         return self._limiter.at
 
@@ -275,14 +276,14 @@ class Follower:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Sends a plan's joints to a controller every 4 ms by externally guided motion (EGM), as an alternative to a program.
+# The command.
 #
 # python -m planner.link.egm OUT_DIR
 
 HOST, PORT = "127.0.0.1", 6510  # ABB's port
 JOINING = 120.0  # s in which the controller's first word must come
 LONGEST = 4096  # bytes of a datagram
-TOLD_EVERY = 0.1  # share of the plan
+REPORT_EVERY = 0.1  # share of the plan
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -352,19 +353,19 @@ def follow(plan: JointPlan, here: socket.socket, messages: ModuleType, say: Call
 
 
 def _loop(follower: Follower, here: socket.socket, messages: ModuleType, say: Callable[[str], None]) -> None:
-    numbers, told = 0, 0.0
+    numbers, reported = 0, 0.0
     peer: tuple[str, int] | None = None
-    began = heard_at = time.monotonic()
+    began = received_at = time.monotonic()
     while not follower.over:
         data, peer = _newest(here, peer)
         now = time.monotonic()
         if not data:
             limit = SILENCE if follower.begun else JOINING
-            if now - heard_at > limit:
+            if now - received_at > limit:
                 raise EgmStopped(f"the controller has said nothing for {limit:g} s")
             continue
-        heard_at = now
-        reference = follower.answer(heard(data, messages))
+        received_at = now
+        reference = follower.answer(read_state(data, messages))
         if reference is None:
             if now - began > JOINING:
                 raise EgmStopped(f"the controller did not run within {JOINING:g} s")
@@ -372,9 +373,9 @@ def _loop(follower: Follower, here: socket.socket, messages: ModuleType, say: Ca
         numbers += 1
         if peer is not None:
             here.sendto(correction(reference, numbers, messages), peer)
-        if follower.sample >= told * (follower.total - 1):
+        if follower.sample >= reported * (follower.total - 1):
             say(f"{follower.sample * PERIOD:.1f} s of {(follower.total - 1) * PERIOD:.1f} s")
-            told = follower.sample / (follower.total - 1) + TOLD_EVERY
+            reported = follower.sample / (follower.total - 1) + REPORT_EVERY
 
 
 def _newest(here: socket.socket, peer: tuple[str, int] | None) -> tuple[bytes, tuple[str, int] | None]:
@@ -390,11 +391,11 @@ def _newest(here: socket.socket, peer: tuple[str, int] | None) -> tuple[bytes, t
             here.settimeout(0.0)
     except (TimeoutError, BlockingIOError):
         return newest, peer
-    except ConnectionError:  # the other side's port was closed: Linux tells by an error of the next call
+    except ConnectionError:  # the other side's port was closed: Linux reports it by an error of the next call
         return newest, peer
 
 
-def heard(data: bytes, messages: ModuleType) -> Heard:
+def read_state(data: bytes, messages: ModuleType) -> EgmState:
     """A controller's message. Raises EgmStopped for what is none."""
     from google.protobuf.message import DecodeError
 
@@ -409,7 +410,7 @@ def heard(data: bytes, messages: ModuleType) -> Heard:
         and message.motorState.state == messages.EgmMotorState.MOTORS_ON
         and message.rapidExecState.state == messages.EgmRapidCtrlExecState.RAPID_RUNNING
     )
-    return Heard(np.radians(np.array(joints, np.float64)), running, 1e-3 * message.header.tm)
+    return EgmState(np.radians(np.array(joints, np.float64)), running, 1e-3 * message.header.tm)
 
 
 def correction(reference: Array, number: int, messages: ModuleType) -> bytes:

@@ -1,4 +1,4 @@
-"""What is said on the two wires of the relay: lines of bounded length, read strictly, written in one place."""
+"""The words on both wires of the relay: lines of bounded length, read strictly, written in one place."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 
 # ----------------------------------------------------------------------------------------------------
-# Bytes from a connection → lines of bounded length.
+# Framing: bytes from a connection → lines of bounded length.
 
 LONGEST_LINE = 256  # bytes; three times what either side may say, so anything longer is not of this protocol
 
@@ -14,7 +14,7 @@ _TEXT = bytes((0x09, *range(0x20, 0x7F)))
 
 
 class Garbage(ValueError):
-    """What came is not of the protocol; `str()` says what it was."""
+    """A line that is not of the protocol; `str()` tells what it was."""
 
 
 class Framer:
@@ -47,7 +47,7 @@ def _wrong(raw: bytes) -> Garbage | None:
 
 
 # ----------------------------------------------------------------------------------------------------
-# What is said on the two wires of the relay: read strictly, written in one place.
+# Messages.
 #
 # The program's socket (the controller is the server): lines of ASCII ended by LF, at most 80 characters.
 # The board: RepRapFirmware over TCP; plain G-code to it, `ok`, `Error: …`, `Resend: …`, `!!` or information from it.
@@ -106,7 +106,7 @@ class Ok:
 
 @dataclass(frozen=True)
 class Resend:
-    """The board wants line `n` again, for its checksum was wrong."""
+    """The board asks for line `n` again, since its checksum was wrong."""
 
     n: int
 
@@ -162,11 +162,11 @@ def from_board(text: str) -> BoardMessage:
 
 def to_board(n: int, gcode: str) -> bytes:
     """Line n as the board reads it, with number and checksum (the exclusive or of all bytes before the star)."""
-    said = f"N{n} {gcode}".encode("ascii")
+    line = f"N{n} {gcode}".encode("ascii")
     checksum = 0
-    for byte in said:
+    for byte in line:
         checksum ^= byte
-    return said + f"*{checksum}\n".encode("ascii")
+    return line + f"*{checksum}\n".encode("ascii")
 
 
 def to_board_plain(gcode: str) -> bytes:

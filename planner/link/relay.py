@@ -12,7 +12,7 @@ from planner.link.messages import Framer, Garbage
 from planner.link.program_lines import Position, ProgramLines
 
 # ----------------------------------------------------------------------------------------------------
-# How long the board may take over a line before it counts as lost.
+# Patience: how long the board may take over a line before it counts as lost.
 
 ACK_TIME = 5.0  # s; a board answers within milliseconds, a busy one within some tenths of a second
 HEAT_TIME = 900.0  # s; a heavy bed takes a quarter of an hour
@@ -23,7 +23,7 @@ _WAITING = {"G4", "M109", "M190", "M191", "M116", "M400"}  # answered when they 
 
 
 class Patience:
-    """Follows the lines that are sent and says how long each may wait for its ack [s]."""
+    """How long each line may wait for its ack [s], by the lines that were sent before."""
 
     def __init__(self) -> None:
         self._feed = 0.0  # mm/min, as F was last given
@@ -45,7 +45,7 @@ class Patience:
 
 
 # ----------------------------------------------------------------------------------------------------
-# What the relay wants done: values that whoever runs it carries out in order.
+# Effects: what the caller carries out, in order.
 
 
 class RelaySide(Enum):
@@ -99,7 +99,7 @@ Effect = Write | LogNote | StopRobot | RunOutcome
 
 
 # ----------------------------------------------------------------------------------------------------
-# The relay between a program's socket and the board, without sockets or clocks: bytes and times in, effects out.
+# The relay.
 #
 # A line goes to the board once, in order, one at a time: RepRapFirmware drops a line whose checksum is wrong without a
 # word and answers the next with a bare `ok`, so with several under way a lost one could not be told. Whatever is not as
@@ -203,7 +203,7 @@ class Relay:
         return self._stop(f"the controller sent nothing after line {self._received} in time", now)
 
     def stop(self, reason: str, now: float) -> list[Effect]:
-        """Someone wants the run to end."""
+        """The run is to end."""
         return [] if self._state is _State.OVER else self._stop(reason, now)
 
     def _deaf(self, side: RelaySide) -> bool:
@@ -254,8 +254,8 @@ class Relay:
             return self._stop("the program started again in the middle of its run", now)
         program = self._program
         if hello.module != program.module or hello.lines != len(program):
-            said = f"{hello.module} with {hello.lines} lines"
-            return self._stop(f"the controller runs {said}, not {program.module} with {len(program)}", now)
+            running = f"{hello.module} with {hello.lines} lines"
+            return self._stop(f"the controller runs {running}, not {program.module} with {len(program)}", now)
         self._state = _State.RUNNING
         self._await_line(now)
         return [LogNote("hello", 0, hello.module), Write(RelaySide.CONTROLLER, say.go(1))]

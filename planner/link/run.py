@@ -1,4 +1,4 @@
-"""Runs the relay's core on two sockets: greets the board, reads, writes, keeps time, logs, carries out what is wanted."""
+"""Runs the relay on two sockets: greets the board, reads, writes, keeps time, logs, and carries out the effects."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from planner.link.messages import LONGEST_LINE, Framer, Ok, Trouble, from_board,
 from planner.link.relay import FAILED, Effect, LogNote, Relay, RelaySide, RunOutcome, StopRobot, Write
 
 # ----------------------------------------------------------------------------------------------------
-# The log of a run: one JSON object a line, written at once.
+# The log: one JSON object a line, written at once.
 
 
 class Log:
@@ -54,7 +54,7 @@ class Log:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Coming to terms with the extruder's board before a run: RepRapFirmware's telnet.
+# The greeting of the board: RepRapFirmware's telnet.
 
 PASSWORD = "BEADWISE_HEAD_PASSWORD"
 SETTLE_TIME = (
@@ -67,18 +67,18 @@ MOST_READ = 16 * 1024  # bytes of greeting
 
 
 def open_board(address: Address) -> tuple[socket.socket, list[str]]:
-    """A connection to a board that answers, and what it said of itself.
+    """A connection to a board that answers, and its greeting.
 
     Raises InputError for a wrong password or host, LinkError for a board that does not answer as one.
     """
     with ExitStack() as unless_agreed:
         made = unless_agreed.enter_context(connect(address, "the board"))
         try:
-            said = _agree(made, address)
+            greeting = _agree(made, address)
         except OSError as error:
             raise LinkError(f"the board at {address}: {error.strerror or error}") from None
         unless_agreed.pop_all()
-        return made, said
+        return made, greeting
 
 
 def _agree(made: socket.socket, address: Address) -> list[str]:
@@ -91,7 +91,7 @@ def _agree(made: socket.socket, address: Address) -> list[str]:
             raise InputError(f"the board at {address} does not take the password", hint=f"see {PASSWORD}")
         _read(made, QUIET_TIME)
     made.sendall(to_board_plain(PROBE))
-    said: list[str] = []
+    own_words: list[str] = []
     framer, end = Framer(), time.monotonic() + ANSWER_TIME
     while time.monotonic() < end:
         lines, garbage = framer.lines(_read(made, end - time.monotonic(), until=b"\n"))
@@ -100,11 +100,11 @@ def _agree(made: socket.socket, address: Address) -> list[str]:
             if isinstance(message, Ok):
                 if _read(made, QUIET_TIME):
                     raise LinkError(f"the board at {address} says more than it was asked")
-                return said
+                return own_words
             if isinstance(message, Trouble):
                 raise LinkError(f"the board at {address} reports {text!r}")
-            said.append(text)
-        if garbage is not None or len(said) > LONGEST_LINE:
+            own_words.append(text)
+        if garbage is not None or len(own_words) > LONGEST_LINE:
             raise LinkError(f"what answers at {address} is no board of RepRapFirmware")
     raise LinkError(f"the board at {address} does not answer {PROBE}")
 
@@ -127,7 +127,7 @@ def _read(made: socket.socket, seconds: float, until: bytes | None = None) -> by
 
 
 # ----------------------------------------------------------------------------------------------------
-# Runs the relay's core on two sockets: reads, writes, keeps time, logs, and carries out what the core wants.
+# The run: the relay on two sockets.
 
 MOST_UNREAD = 4096  # bytes that a side may leave unread before it counts as lost
 LINGER_TIME = 1.0  # s that the last words have to arrive
@@ -185,23 +185,13 @@ def signals_as(requests: Requests) -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def run_relay(
-    relay: Relay,
-    sockets: Mapping[RelaySide, socket.socket],
-    requests: Requests,
-    log: Log,
-    stop_robot: Callable[[str], None],
-    show: Callable[[int], None],
-) -> RunOutcome:
-    """Relay until the run is over, one way or the other; the sockets are closed then.
+class RelayRun:
+    """A relay on its two sockets.
 
     stop_robot  stops the robot on another way than the program's socket, without waiting for it
-    show        is told the last line that was acknowledged, a few times a second
+    show        gets the last line that was acknowledged, a few times a second
     """
-    return _Runner(relay, sockets, requests, log, stop_robot, show).run()
 
-
-class _Runner:
     def __init__(
         self,
         relay: Relay,
@@ -220,6 +210,7 @@ class _Runner:
         self._changed = False  # a socket is closed, or has or had no room for what is to be sent
 
     def run(self) -> RunOutcome:
+        """Relay until the run is over, one way or the other; the sockets are closed then."""
         try:
             return self._run()
         finally:

@@ -17,7 +17,7 @@ from planner.base.files import read_bytes
 from planner.link.connections import Address, LinkError, Secret
 
 # ----------------------------------------------------------------------------------------------------
-# Robot Web Services of ABB's controllers: 1.0 (IRC5, RobotWare 6) and 2.0 (OmniCore, RobotWare 7).
+# Robot Web Services 1.0 (IRC5, RobotWare 6) and 2.0 (OmniCore, RobotWare 7).
 #
 # Written on `requests`: every call has a time limit and every answer a bound, and what goes wrong is told apart. No proxy
 # and no .netrc of the environment is used, and no redirection is followed.
@@ -143,8 +143,8 @@ class Rws:
         """The value of a key in the first state of an answer."""
         raw = self._ask("GET", path if self._two else f"{path}?json=1", data=None, headers={})
         try:
-            told: Any = json.loads(raw)
-            states = told["state"] if self._two else told["_embedded"]["_state"]
+            answer: Any = json.loads(raw)
+            states = answer["state"] if self._two else answer["_embedded"]["_state"]
             value = states[0][key]
         except (ValueError, KeyError, IndexError, TypeError, RecursionError):
             value = None
@@ -187,9 +187,9 @@ class Rws:
 def _reason(raw: bytes, status: int) -> str:
     """What an answer says of a refusal; its status at least."""
     try:
-        told = json.loads(raw)
-        said = told["status"] if "status" in told else told["_embedded"]["status"]
-        message = str(said["msg"])
+        answer = json.loads(raw)
+        details = answer["status"] if "status" in answer else answer["_embedded"]["status"]
+        message = str(details["msg"])
     except (ValueError, KeyError, TypeError, RecursionError):
         return f"status {status}"
     return "".join(c if c.isprintable() else " " for c in message[:200])
@@ -206,7 +206,7 @@ def _requests() -> tuple[Any, Any]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# The controller's part of a run: made ready, started, watched, and stopped, over its web services.
+# The controller's part of a run: made ready, started, watched, and stopped.
 
 LARGEST_MODULE = 100_000_000  # bytes
 WATCH_TIME = 1.0  # s between looks at whether the program still runs
@@ -239,7 +239,7 @@ def program_files(program: Path) -> dict[str, bytes]:
 
 
 def check_together(program: Path, files: Mapping[str, bytes], lines: int) -> None:
-    """Raises InputError unless the program says that it will send as many lines as its table has."""
+    """Raises InputError unless the program sends as many lines as its table has."""
     hello = _HELLO.search(files[program.name])
     if hello is None:
         raise InputError("sends no lines", file=program, hint="the link runs programs of `program: style: socket`")

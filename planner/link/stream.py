@@ -25,7 +25,7 @@ from planner.export.program import RobotProgram, Trigger
 from planner.export.rapid.reader import read_rapid_files
 
 # ----------------------------------------------------------------------------------------------------
-# A program's moves as the frames that go to a controller while it runs them (see BeadwiseStream.mod).
+# Frames: one for each move of a program (see BeadwiseStream.mod).
 #
 # A frame is 96 bytes, little-endian: number, kind, flags of the triggers, tool, place [mm], orientation w x y z,
 # configuration, external axes [deg], speeds [mm/s, deg/s], wait [s], zone [mm], how many frames there are up to and with
@@ -144,7 +144,7 @@ def _longest(program: RobotProgram) -> float:
 
 
 # ----------------------------------------------------------------------------------------------------
-# The sending side of a stream, without sockets: what to send when, by what the controller has said.
+# The sender, without sockets: answers of the controller in, bytes out.
 
 VERSION = 1
 LONGEST_LINE = 80  # characters, as RAPID's strings
@@ -162,7 +162,7 @@ class StreamStopped(PlannerError):
 
 
 class Sender:
-    """Hands out frames as far as the controller has room, and one to say that it is there where there are none.
+    """Hands out frames as far as the controller has room, and a sign of life where there are none.
 
     done, starved   moves handed to the motion, and times the robot waited within a bead (known at the end)
     """
@@ -174,32 +174,32 @@ class Sender:
         self._patience = PATIENCE + SLOWEST * stream.longest
         self._capacity: int | None = None
         self._partial = b""
-        self._said, self._heard = now, now
+        self._sent_at, self._received_at = now, now
 
-    def hear(self, data: bytes, now: float) -> None:
-        """Take what the controller sent. Raises StreamStopped where it stopped, or says what makes no sense."""
+    def receive(self, data: bytes, now: float) -> None:
+        """Take what the controller sent. Raises StreamStopped where it stopped, or sent what is not of the protocol."""
         *whole, self._partial = (self._partial + data).split(b"\n")
         if max(len(each) for each in (*whole, self._partial)) > LONGEST_LINE:
             raise self._stopped("the controller sent a line that is too long")
         for raw in whole:
             self._take(raw.decode("ascii", errors="replace"))
-        self._heard = now
+        self._received_at = now
 
     def due(self, now: float) -> bytes:
         """What is to be sent now. Raises StreamStopped where the controller has been silent for too long."""
         if self.finished:
             return b""
-        if now - self._heard > self._patience:
+        if now - self._received_at > self._patience:
             raise self._stopped(f"the controller has said nothing for {self._patience:.0f} s")
         out = b""
         if self._capacity is not None:
             last = min(self.total, self.done + self._capacity, self.sent + AT_ONCE)
             out = b"".join(next(self._frames) for _ in range(last - self.sent))
             self.sent = max(last, self.sent)
-        if not out and now - self._said >= ALIVE_EVERY:
+        if not out and now - self._sent_at >= ALIVE_EVERY:
             out = packed(self.sent, ALIVE)
         if out:
-            self._said = now
+            self._sent_at = now
         return out
 
     def stop(self, unsent: bytes) -> bytes:
@@ -232,7 +232,7 @@ class Sender:
 
 
 # ----------------------------------------------------------------------------------------------------
-# The controller's side of a stream: our RAPID module with a plan's tool, work object, station and outputs in it.
+# The module for the controller, with a plan's tool, work object, station and outputs.
 
 MODULE = "BeadwiseStream"
 _PARTS = re.compile(r"( *! --- of the plan ---\n).*?(?= *! --- of every plan ---\n)", re.DOTALL)
@@ -286,7 +286,7 @@ def _pose(pose: Array) -> str:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Sends a plan's moves to a controller while it runs them, in place of a program that is loaded whole.
+# The command.
 #
 # python -m planner.link.stream OUT_DIR --controller HOST
 
@@ -297,7 +297,7 @@ LOOK = 0.01  # s between looks at the clock
 LARGEST = 256 << 20  # bytes of all modules
 BLOCK = 4096  # bytes read at once
 LONGEST_NAME = 80  # bytes of a module's first line
-TOLD_EVERY = 0.1  # share of all moves
+REPORT_EVERY = 0.1  # share of all moves
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -401,7 +401,7 @@ def send(stream: Stream, host: str, port: int, say: Callable[[str], None]) -> Se
 
 
 def _pump(connection: socket.socket, sender: Sender, waiting: bytearray, say: Callable[[str], None]) -> None:
-    told = 0.0
+    reported = 0.0
     connection.setblocking(False)
     while not sender.finished:
         if not waiting:
@@ -412,14 +412,14 @@ def _pump(connection: socket.socket, sender: Sender, waiting: bytearray, say: Ca
                 data = connection.recv(BLOCK)
                 if not data:
                     raise sender.lost()
-                sender.hear(data, time.monotonic())
+                sender.receive(data, time.monotonic())
             if writable:
                 del waiting[: connection.send(waiting)]
         except OSError as error:
             raise sender.lost() from error
-        if sender.done >= told * sender.total:
+        if sender.done >= reported * sender.total:
             say(f"{sender.done} of {sender.total} moves begun")
-            told = sender.done / sender.total + TOLD_EVERY
+            reported = sender.done / sender.total + REPORT_EVERY
 
 
 def _tell(connection: socket.socket, data: bytes) -> None:

@@ -1,1 +1,1 @@
-"""What people look at: report.html, pictures and plots."""
+"""Reports for people: report.html, pictures, plots, and the summary on stdout."""

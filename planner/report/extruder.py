@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
+from markupsafe import Markup
 
 from planner.base.arrays import Array
 from planner.plan.plan import filament_areas, used
+from planner.report.templates import render
 from planner.report.thinning import stretches
-from planner.report.wording import MISSING, counted, number
+from planner.report.wording import counted
 
 if TYPE_CHECKING:
     from planner.plan import Event, Plan, Trajectory
@@ -66,21 +67,10 @@ def materials_words(plan: Plan) -> list[str]:
     ]
 
 
-def materials_section(plan: Plan) -> str:
+def materials_section(plan: Plan) -> Markup:
     """HTML of what each material takes; empty where materials have no names."""
-    rows = "".join(
-        f"<tr><th scope=row>{escape(each.material.name)}</th><td class=n>T{each.material.tool}</td>"
-        f"<td class=n>{number(each.beads, 0)}</td><td class=n>{number(each.length, 2)}</td>"
-        f"<td class=n>{number(each.volume * 1e6, 2)}</td><td class=n>{number(each.filament, 2)}</td></tr>"
-        for each in used(plan)
-    )
-    if not rows:
-        return ""
-    return (
-        "<h2>Materials</h2><p class=note>Each is fed by its own tool; filament counts primes, purges and retracts.</p>"
-        "<div class=wide><table><thead><tr><th class=left>material</th><th>tool</th><th>beads</th><th>length, m</th>"
-        f"<th>laid down, cm³</th><th>filament, m</th></tr></thead><tbody>{rows}</tbody></table></div>"
-    )
+    found = used(plan)
+    return render("materials", used=found) if found else Markup("")
 
 
 def events_words(events: Sequence[Event]) -> str:
@@ -92,22 +82,10 @@ def events_words(events: Sequence[Event]) -> str:
     return f"extruder besides laying down: {'; '.join(each)}" if each else ""
 
 
-def events_section(plan: Plan) -> str:
+def events_section(plan: Plan) -> Markup:
     """HTML of what the extruder does besides depositing; empty where it does nothing."""
     kinds = kinds_of(plan.trajectory.events)
-    if not kinds:
-        return ""
-    rows = "".join(
-        f"<tr><th scope=row>{escape(WORDS.get(kind.kind, kind.kind))}</th><td class=n>{number(kind.count, 0)}</td>"
-        f"<td class=n>{number(kind.time, 2)}</td><td class=n>{number(kind.amount * 1e3, 1) if kind.amount else MISSING}"
-        f"</td><td class=n>{number(kind.first, 2)}</td></tr>"
-        for kind in kinds
-    )
-    return (
-        "<h2>What the extruder does besides</h2><p class=note>Each one with its time stands in plan.json, under "
-        "“events”.</p><div class=wide><table><thead><tr><th class=left>what</th><th>how often</th><th>in all, s</th>"
-        f"<th>filament in all, mm</th><th>first at, s</th></tr></thead><tbody>{rows}</tbody></table></div>"
-    )
+    return render("events", kinds=kinds, words=WORDS) if kinds else Markup("")
 
 
 def flow_note(plan: Plan) -> str:

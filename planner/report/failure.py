@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from planner.report import page as frame
-from planner.report.html import places_list, stage
+from planner.report import page
+from planner.report.html import stage
 from planner.report.places import ReportPlace
 from planner.report.scene import failed_scene
 
@@ -64,10 +63,6 @@ def write_failure_report(
     """
     facts = dict(facts)
     advice = facts.pop("what to change", None)
-    header = (
-        f"<div class=name><h1>{escape(problem.name)}</h1><p class=about>strategy <b>{escape(strategy)}</b></p></div>"
-        + frame.verdict(False, "No plan: this cannot be printed as it stands", f"<p>{escape(message)}</p>")
-    )
     known = []
     beads = toolpath.beads if toolpath is not None else ()
     failed = bead if bead is not None and 0 <= bead < len(beads) else None
@@ -77,31 +72,27 @@ def write_failure_report(
     if point_mm is not None:
         x, y, z = point_mm
         known.append(("place in the part frame", f"x {x:.2f}, y {y:.2f}, z {z:.2f} mm"))
-    about = frame.pairs_table("What is known", [*known, *facts.items()])
-    scene, body = None, about
+    scene, marks = None, []
     if toolpath is not None:
-        places = _places(beads, failed, point_mm, [*([advice] if advice else []), *hints])
-        scene = failed_scene(toolpath.shape, beads, failed, places, cell, view)
-        marked = [ReportPlace(each["letter"], "fail", each["what"], each["where"], -1) for each in places]
-        shown = stage(name=problem.name, moves=False, layers=0, dips=False, marks=bool(places))
-        body = (
-            f"<div class=first><div class=decides>{about}</div>{shown}<div class=goto>"
-            f"{places_list(marked, [None] * len(marked))}"
-            "<p class=note>All planned lines, on the part as the robots’ start holds it"
-            f"{'; the one that fails is thick and red' if failed is not None else ''}. Drag to turn.</p></div></div>"
-        )
-    body += "<h2>What to change</h2>"
-    if advice:
-        body += f"<p><b>{escape(advice)}</b></p>"
-    if hints:
-        items = "".join(f"<li>{escape(hint)}</li>" for hint in hints)
-        body += f"<p>Tried on this problem, each by itself:</p><ul>{items}</ul>"
-    body += "<p class=note>The fields of the problem file that decide whether a plan exists:</p>"
-    rows = "".join(f"<tr><th scope=row><code>{name}</code></th><td>{what}</td></tr>" for name, what in LEVERS)
-    body += f"<table><tbody>{rows}</tbody></table>"
-    footer = "No robot code was written. This file needs no network."
-    text = frame.page(f"{problem.name}: no plan", header, body, footer, {"scene": scene, "charts": []})
-    frame.write_text(Path(path), text)
+        marks = _places(beads, failed, point_mm, [*([advice] if advice else []), *hints])
+        scene = failed_scene(toolpath.shape, beads, failed, marks, cell, view)
+    text = page.page(
+        "failure",
+        f"{problem.name}: no plan",
+        {"scene": scene, "charts": []},
+        **stage(name=problem.name, moves=False, layers=0, dips=False, marks=bool(marks)),
+        problem=problem,
+        strategy=strategy,
+        message=message,
+        drawn=toolpath is not None,
+        bead_known=failed is not None,
+        known=[*known, *facts.items()],
+        places=[(ReportPlace(each["letter"], "fail", each["what"], each["where"], -1), None) for each in marks],
+        advice=advice,
+        hints=hints,
+        levers=LEVERS,
+    )
+    page.write_text(Path(path), text)
 
 
 def _places(

@@ -1,4 +1,4 @@
-"""The frame of every report: one self-contained file with styles, scripts and figures packed inside."""
+"""The page of every report: one self-contained file with styles, scripts and figures packed inside."""
 
 from __future__ import annotations
 
@@ -8,22 +8,23 @@ import os
 import re
 import struct
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
-from html import escape
 from importlib.metadata import distribution
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from planner.base.arrays import Array
 from planner.base.errors import OutputError
+from planner.report.templates import render
 
 # ----------------------------------------------------------------------------------------------------
-# Figures and libraries as the page carries them: numbers as they are, all of it compressed, in base64.
+# Packing of figures: numbers in binary, compressed, in base64.
 #
 # What is packed is four bytes with the length of a JSON text, the text, and the arrays that it refers to by
 # {"array": [kind, offset, count]}; everything little-endian, arrays on whole eight bytes from where they begin.
@@ -70,7 +71,7 @@ def coarse(values: Array) -> dict[str, Any]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# The scripts of other projects that a page carries, compressed: the same for every page, and half a second of work.
+# Scripts of other projects, compressed: the same for every page, and half a second of work.
 
 # By name: the distribution, and its file. The script alone is read; the package, if it is one, is not imported.
 LIBRARIES = {"k3d": "k3d/static/standalone.js", "plotly": "plotly/package_data/plotly.min.js"}
@@ -106,10 +107,8 @@ def _squeezed(name: str) -> str:
 
 
 # ----------------------------------------------------------------------------------------------------
-# The frame of every report: one self-contained file with styles, scripts and figures inside.
+# The page.
 
-# The page forbids itself the network: even a library that wanted to fetch something could not.
-POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
 SCRIPTS = (
     "unpack",
     "motion",
@@ -126,42 +125,23 @@ SCRIPTS = (
 )
 
 
-def page(title: str, header: str, body: str, footer: str, figures: Mapping[str, Any]) -> str:
-    """Complete HTML of a report. `title` is plain text; `header`, `body`, `footer` are HTML already.
+def page(template: str, title: str, figures: Mapping[str, Any], /, **values: Any) -> str:
+    """Complete HTML of a report, by a template that extends page.html.
 
     figures: `scene` (see scene.py) or None, `charts`: each with `key`, `traces`, `layout`; `time` if its x is time; and
     `roll_map` (see roll_map.py) where there is one, beside charts.
     """
     assets = files("planner.report")
-    css = assets.joinpath("page.css").read_text(encoding="utf-8")
-    js = "".join(assets.joinpath(f"{name}.js").read_text(encoding="utf-8") for name in SCRIPTS)
-    return "\n".join(
-        [
-            "<!doctype html>",
-            "<html lang=en>",
-            "<head>",
-            "<meta charset=utf-8>",
-            f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">',
-            '<meta name=viewport content="width=device-width, initial-scale=1">',
-            '<link rel=icon href="data:,">',
-            f"<title>{escape(title)}</title>",
-            f"<style>{css}</style>",
-            "</head>",
-            "<body>",
-            f"<header><div>{header}</div></header>",
-            "<noscript><main><p>The figures need JavaScript; the tables do not.</p></main></noscript>",
-            "<div id=too-old hidden><p>This browser is too old to unpack the figures: it needs DecompressionStream "
-            "(Chrome 80, Firefox 113, Safari 16.4, or later). The tables can be read without.</p></div>",
-            f"<main>{body}</main>",
-            f"<footer><div>{footer}</div></footer>",
-            f"<script type=text/plain id=data>{packed(figures)}</script>",
-            *([f"<script type=text/plain id=k3d-source>{library('k3d')}</script>"] if figures.get("scene") else []),
-            *([f"<script type=text/plain id=plotly-source>{library('plotly')}</script>"] if figures["charts"] else []),
-            f'<script>"use strict";\n(() => {{\n{js}}})();</script>',
-            "</body>",
-            "</html>",
-            "",
-        ]
+    needed = (("k3d", figures.get("scene")), ("plotly", figures["charts"]))
+    # styles, scripts and what is packed are ours and go in as they are; the latter is base64
+    return render(
+        template,
+        title=title,
+        css=Markup(assets.joinpath("page.css").read_text(encoding="utf-8")),
+        script=Markup("".join(assets.joinpath(f"{name}.js").read_text(encoding="utf-8") for name in SCRIPTS)),
+        data=packed(figures),
+        libraries=[(name, library(name)) for name, drawn in needed if drawn],
+        **values,
     )
 
 
@@ -174,27 +154,6 @@ def write_text(path: Path, text: str) -> None:
     except OSError as error:
         partial.unlink(missing_ok=True)
         raise OutputError(f"cannot write {path}: {error.strerror}") from error
-
-
-def verdict(ok: bool, headline: str, detail: str) -> str:
-    """The banner: a sign, a headline in plain text, and `detail` in HTML."""
-    sign, kind = ("✓", "go") if ok else ("✗", "stop")
-    return (
-        f"<div class='verdict {kind}' role=status><div class=sign aria-hidden=true>{sign}</div>"
-        f"<div><strong>{escape(headline)}</strong>{detail}</div></div>"
-    )
-
-
-def tiles(items: Iterable[tuple[str, str]]) -> str:
-    """A row of figures: (value in HTML, what it is in HTML)."""
-    each = "".join(f"<div class=tile><b>{value}</b><span>{label}</span></div>" for value, label in items)
-    return f"<div class=tiles>{each}</div>"
-
-
-def pairs_table(caption: str, pairs: Iterable[tuple[str, str]]) -> str:
-    """Two columns of plain text under a small heading; nothing where there is nothing to say."""
-    rows = "".join(f"<tr><th scope=row>{escape(k)}</th><td>{escape(v)}</td></tr>" for k, v in pairs)
-    return f"<div><h3>{escape(caption)}</h3><table><tbody>{rows}</tbody></table></div>" if rows else ""
 
 
 def flat(value: Any, prefix: str = "") -> list[tuple[str, str]]:

@@ -24,7 +24,7 @@ from planner.report.scene import ALARM, COLOURS, INK
 from planner.report.thinning import stretches, thin_curve
 
 # ----------------------------------------------------------------------------------------------------
-# A finished plan as its output folder holds it: plan.json, trajectory.csv, and report_part.stl.
+# The plan, read from plan.json, trajectory.csv, and report_part.stl.
 
 COLUMNS = ("t_s", "bead", "layer", "deposit", "x_mm", "y_mm", "z_mm", "ax", "ay", "az", "speed_mm_s", "flow_mm3_s")
 
@@ -83,7 +83,7 @@ def read_part(folder: Path) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# A still picture of a finished plan, from its output folder alone.
+# The picture.
 #
 #     python -m planner.report.picture OUT_FOLDER PICTURE.png
 #
@@ -279,9 +279,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m planner.report.picture", description="Draw a finished plan.")
     parser.add_argument("folder", type=Path, help="what the planner wrote: holds trajectory.csv and plan.json")
     parser.add_argument("picture", type=Path, help="the PNG to write")
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     try:
-        draw_picture(given.folder, given.picture)
+        draw_picture(options.folder, options.picture)
     except PlannerError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code

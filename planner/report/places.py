@@ -5,52 +5,32 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
-from planner.report.wording import CHECK_NAMES, counted, number, significant
+from planner.report.templates import render
+from planner.report.wording import CHECK_NAMES, significant
 
 if TYPE_CHECKING:
     from planner.plan import Approach, Check, Dip, Plan, Trajectory
 
 # ----------------------------------------------------------------------------------------------------
-# Where bodies come nearest to each other: a table whose rows bring the scene there.
+# Approaches: where bodies come nearest to each other.
 
 
-def approaches_section(plan: Plan, places: Sequence[ReportPlace]) -> str:
+def approaches_section(plan: Plan, places: Sequence[ReportPlace]) -> Markup:
     """Table of the pairs that come nearest; nothing where no bodies come near. `places` hold them, in the same order."""
     if not plan.approaches:
-        return ""
-    t = plan.trajectory
+        return Markup("")
     numbers = [k for k, place in enumerate(places) if place.kind == "near"]
-    rows = []
-    for each, k in zip(plan.approaches, numbers, strict=True):
-        bead = int(t.bead[each.sample])
-        where = f"bead {bead}, {t.s[each.sample] * 1e3:.1f} mm along it" if bead >= 0 else "travel"
-        bad = each.distance < each.need
-        pair = f"{escape(each.a)} – {escape(each.b)}"
-        show = f"<button type=button data-place={k} aria-pressed=false>show<span class=unseen> {pair}</span></button>"
-        rows.append(
-            f"<tr{' class=bad' if bad else ''}><th scope=row>{pair}</th><td class=n>{number(each.distance * 1e3, 1)}</td>"
-            f"<td class=n>{number(each.need * 1e3, 1)}</td><td class=n>{t.t[each.sample]:.2f}</td>"
-            f"<td class=where>{where}</td><td>{show}</td></tr>"
-        )
-    return (
-        "<h2>What comes near</h2><p class=note>Pairs of bodies that come nearest to each other anywhere in the motion, "
-        "those with the least to spare first. “Show” brings the scene to that moment, the pair in orange and blue. "
-        "Bodies are the simple ones that the checks use. Near its tip the nozzle has to touch the print: that zone is "
-        "judged by the check “nozzle clear of part and print”, and left out here where it holds.</p>"
-        "<div class=wide><table><thead><tr><th class=left>pair</th><th>distance, mm</th><th>to be kept, mm</th>"
-        "<th>time, s</th><th class=left>where</th><th class=left>in the scene</th></tr></thead>"
-        f"<tbody>{''.join(rows)}</tbody></table></div>"
-    )
+    return render("approaches", near=list(zip(plan.approaches, numbers, strict=True)), t=plan.trajectory)
 
 
 # ----------------------------------------------------------------------------------------------------
-# Dips in the report: marks on the part, a table of those that cost most, and what would avoid them.
+# Dips: marks on the part, a table of those that cost most, and what would avoid them.
 
 MOST_ROWS = 30
 MOST_MARKS = 800  # each carries some 300 bytes of words
@@ -87,68 +67,29 @@ def dip_marks(plan: Plan) -> dict[str, Any] | None:
     }
 
 
-def dips_section(plan: Plan) -> str:
+def dips_section(plan: Plan) -> Markup:
     """HTML of the dips: how many, what they cost, by cause, and the worst of them with what would avoid each."""
-    head = "<h2>Dips in speed</h2>"
     dips = without_stops(plan.dips)
-    rests = [dip for dip in plan.dips if dip.limit == "stop"]
-    took = number(sum(dip.lost for dip in rests), 2)
-    many = counted(len(rests), "time")
-    stops = f" Where fibre is cut the nozzle stops on its bead: {many}, {took} s in all." if rests else ""
-    if not dips:
-        return f"{head}<p class=note>None: all beads are printed at the commanded speed, within 2 %.{stops}</p>"
-    shown = worst_first(dips)[:MOST_ROWS]
-    count, lost = len(dips), sum(dip.lost for dip in dips)
-    many = f"The {len(shown)} of {number(count, 0)} that cost most" if count > len(shown) else "Most costly first"
-    flows = any(dip.over_extruded for dip in dips)
-    all_marked = len(plan.dips) <= MOST_MARKS
-    marked = "each is a white mark" if all_marked else f"the {MOST_MARKS} that cost most are white marks"
-    rows = "".join(_row(dip, plan.problem.process.speed, flows) for dip in shown)
-    extra = "<th>too much material, mm³</th>" if flows else ""
-    return (
-        f"{head}<p class=note>{number(count, 0)} {'dips cost' if count > 1 else 'dip costs'} {number(lost, 2)} s. In the "
-        f"print above {marked}, to be clicked.{stops}</p>"
-        f"{_causes(dips)}<h3>{many}</h3>"
-        "<p class=note>What would avoid a dip, each by itself: the speed and the limits follow exactly from this motion "
-        "held at constant speed; what is “about” is an estimate. The search sees a change too, so that a new plan may "
-        "come out better or worse.</p>"
-        "<div class=wide><table class=stack><thead><tr><th class=left>where</th><th>lowest, mm/s</th><th>lost, s</th>"
-        f"<th class=left>why</th>{extra}<th class=left>what would avoid it</th></tr></thead>"
-        f"<tbody>{rows}</tbody></table></div>"
+    by_cause: dict[str, list[Dip]] = defaultdict(list)
+    for dip in dips:
+        by_cause[dip.cause].append(dip)
+    return render(
+        "dips",
+        dips=dips,
+        rests=[dip for dip in plan.dips if dip.limit == "stop"],
+        causes=sorted(by_cause.items(), key=lambda item: -sum(dip.lost for dip in item[1])),
+        shown=worst_first(dips)[:MOST_ROWS],
+        all_marked=len(plan.dips) <= MOST_MARKS,
+        most_marks=MOST_MARKS,
+        flows=any(dip.over_extruded for dip in dips),
+        commanded=plan.problem.process.speed * 1e3,
+        place=place_words,
     )
 
 
 def place_words(dip: Dip) -> str:
     """Where a dip is, in words."""
     return f"bead {dip.bead}, layer {dip.layer + 1}, {dip.from_s * 1e3:.1f} to {dip.to_s * 1e3:.1f} mm along it"
-
-
-def _causes(dips: Sequence[Dip]) -> str:
-    """A table: how many dips each joint's limit asks for, and what they cost."""
-    groups: dict[str, list[Dip]] = defaultdict(list)
-    for dip in dips:
-        groups[dip.cause].append(dip)
-    ordered = sorted(groups.items(), key=lambda item: -sum(dip.lost for dip in item[1]))
-    rows = "".join(
-        f"<tr><th scope=row>{escape(cause)}</th><td class=n>{number(len(group), 0)}</td>"
-        f"<td class=n>{number(sum(dip.lost for dip in group), 2)}</td>"
-        f"<td class=n>{number(min(dip.speed for dip in group) * 1e3, 1)}</td></tr>"
-        for cause, group in ordered
-    )
-    return (
-        "<div class=wide><table><thead><tr><th class=left>why</th><th>dips</th><th>lost, s</th><th>lowest, mm/s</th>"
-        f"</tr></thead><tbody>{rows}</tbody></table></div>"
-    )
-
-
-def _row(dip: Dip, commanded: float, flows: bool) -> str:
-    extra = f"<td class=n data-unit='mm³ too much'>{number(dip.over_extruded * 1e9, 3)}</td>" if flows else ""
-    remedies = "<br>".join(escape(remedy.words) for remedy in dip.remedies) or "–"
-    return (
-        f"<tr><td class=where>{escape(place_words(dip))}</td><td class=n data-unit='mm/s'>{number(dip.speed * 1e3, 1)} of "
-        f"{commanded * 1e3:g}</td><td class=n data-unit='s lost'>{number(dip.lost, 3)}</td><td>{escape(dip.cause)}</td>{extra}"
-        f"<td class=where>{remedies}</td></tr>"
-    )
 
 
 def _lines(dip: Dip, commanded: float) -> list[str]:
@@ -162,7 +103,7 @@ def _lines(dip: Dip, commanded: float) -> list[str]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Places to go to in the scene: failed checks, the worst of the plan, and where bodies come near; and dips beside them.
+# The list of places: failed checks, the worst of the plan, and where bodies come near.
 
 AT_SPEED = 0.98
 NEAREST = 3  # approaches in the list; the table has all

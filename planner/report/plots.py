@@ -22,7 +22,7 @@ from planner.resolve.joint_path import ORDERS, ByArcLength, by_arc_length, splin
 from planner.resolve.roll_map import COLLISION, LIMITS, REACH, SINGULAR, RollMap
 
 # ----------------------------------------------------------------------------------------------------
-# What the plots share: colours that any eye tells apart, and axes where none are given.
+# Shared: colours for colour-blind eyes too, and axes where the caller brings none.
 
 # Okabe and Ito, without their yellow, which is hard to see on white.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
@@ -51,7 +51,7 @@ def tidy(ax: Axes) -> Axes:
 
 
 # ----------------------------------------------------------------------------------------------------
-# What happens along a print: speed and its ceilings, path derivatives, joints within their ranges.
+# Along a print: speed and its ceilings, path derivatives, joints within their ranges.
 
 NAMES = ("velocity", "acceleration", "jerk")
 RATES = ("|q′| v", "|q″| v²", "|q‴| v³")
@@ -155,8 +155,8 @@ def joint_ranges(plan: Plan, ax: Axes | None = None) -> Axes:
     ax = tidy(axes_of(ax, figsize=(9.0, 0.6 + 0.38 * len(names))))
     low, high = np.degrees(plan.cell.limits.q_min), np.degrees(plan.cell.limits.q_max)
     q = np.degrees(plan.q)
-    told = np.abs(np.concatenate([low, high]))
-    widest = 1.1 * max(float(np.abs(q).max()), float(told[told <= _ENDLESS].max(initial=180.0)))
+    ends = np.abs(np.concatenate([low, high]))
+    widest = 1.1 * max(float(np.abs(q).max()), float(ends[ends <= _ENDLESS].max(initial=180.0)))
     rows = np.arange(len(names))[::-1]
     ends = np.clip(low, -widest, widest), np.clip(high, -widest, widest)
     ax.barh(rows, ends[1] - ends[0], left=ends[0], height=0.7, color=FAINT, label="range")
@@ -195,7 +195,7 @@ def _limits(plan: Plan) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Plans beside each other.
+# Comparison of plans.
 
 
 def compare(plans: Mapping[str, Plan], metric: str, ax: Axes | None = None, label: str = "") -> Axes:
@@ -223,7 +223,7 @@ def compare(plans: Mapping[str, Plan], metric: str, ax: Axes | None = None, labe
 
 
 # ----------------------------------------------------------------------------------------------------
-# The roll × path map as a picture.
+# The roll × path map.
 
 # measure → label, factor
 ROLL_MEASURES = {
@@ -296,7 +296,7 @@ def _draw_chosen(ax: Axes, roll_map: RollMap) -> None:
 
 
 # ----------------------------------------------------------------------------------------------------
-# The print on its part, in three dimensions.
+# The print in three dimensions.
 
 PATH_MEASURES = {"speed": "speed, mm/s", "sigma": "singular value σ", "layer": "layer", "bead": "bead"}
 MOST_SEGMENTS = 12_000  # more is slow to draw, and no finer to look at

@@ -1,18 +1,26 @@
-"""Head-room under uncertainty in words and tables: whether a plan holds where the part stands a little elsewhere."""
+"""Headroom in words and tables: whether a plan holds where the part stands a little elsewhere."""
 
 from __future__ import annotations
 
 import math
-from html import escape
 from typing import TYPE_CHECKING
 
-from planner.report.wording import CHECK_NAMES, METRICS, MISSING, number, significant
+from markupsafe import Markup
+
+from planner.report.templates import render
 
 if TYPE_CHECKING:
     from planner.plan import Plan
-    from planner.plan.robustness import Bound, Robustness, TriedDisplacement
+    from planner.plan.robustness import Bound, Displacement, Robustness
 
 MOST_TIMES = 10.0  # tolerances: farther than that, first order says little
+# of each placement: metric, factor, decimals
+TRIED_METRICS = (
+    ("sigma_min", 1.0, 4),
+    ("joint_limit_margin_deg", 1.0, 1),
+    ("at_speed_fraction", 100.0, 2),
+    ("print_time_s", 1.0, 1),
+)
 MOST_FAILURES = 5  # of placements that are told one by one on the command line
 
 
@@ -47,21 +55,20 @@ def robustness_words(plan: Plan) -> list[str]:
     return lines
 
 
-def robustness_section(plan: Plan) -> str:
+def robustness_section(plan: Plan) -> Markup:
     """HTML: verdict, bounds to first order, checks and metrics at their worst, and every displacement that was tried."""
-    room = plan.headroom
-    if room is None:
-        return ""
-    good = "yes" if room.holds else "bad"
-    x, y, z = (1e3 * c for c in room.middle)
-    return (
-        f"<h2>Where the part stands elsewhere</h2><p class={good}>{'✓' if room.holds else '✗'} "
-        f"{escape(room.tolerance.words)}: {escape(_verdict(room))}.</p>"
-        "<p class=note>The part is shifted and turned about the middle of what is printed "
-        f"({x:.1f}, {y:.1f}, {z:.1f} mm in the part frame), the work object is corrected, and the nozzle goes the "
-        "same way over the part with the same table angles on the same branch. Joints and times are found anew, travel "
-        "goes through the same targets, and all checks are made again.</p>"
-        f"{_bounds(room)}{_worst_metrics(plan, room)}{_worst_checks(room)}{_tried(room)}"
+    if plan.headroom is None:
+        return Markup("")
+    return render(
+        "robustness",
+        room=plan.headroom,
+        metrics=plan.metrics,
+        verdict=_verdict,
+        amounts=_amounts,
+        factor=_factor,
+        place=_where,
+        moved=_moved,
+        tried_metrics=TRIED_METRICS,
     )
 
 
@@ -98,80 +105,7 @@ def _bound(bound: Bound) -> str:
     return f"{what} holds up to {_factor(bound)} times that: room {room}, change {change} ({_where(bound)})"
 
 
-def _bounds(room: Robustness) -> str:
-    rows = []
-    for bound in room.bounds:
-        has, change = _amounts(bound)
-        what = f"range of {escape(bound.joint)}" if bound.joint else "singularity margin σ"
-        rows.append(
-            f"<tr{' class=bad' if bound.factor < 1.0 else ''}><th scope=row>{what}</th><td class=n>{has}</td>"
-            f"<td class=n>{change}</td><td class=n>{_factor(bound)}</td><td class=where>{escape(_where(bound))}</td></tr>"
-        )
-    return (
-        "<h3>To first order</h3><p class=note>By the Jacobian at every sample of the beads and their runs, over all "
-        "shifts and turns at once: the room to the limit, the most by which the tolerance changes it, and for how many "
-        "times the tolerance it would last. σ counts where material flows; travel is judged below.</p>"
-        "<div class=wide><table><thead><tr><th class=left>what</th><th>room</th><th>change</th><th>times</th>"
-        f"<th class=left>where it is tightest</th></tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
-    )
-
-
-def _worst_metrics(plan: Plan, room: Robustness) -> str:
-    worst = room.worst_metrics
-    rows = "".join(
-        f"<tr><th scope=row>{metric.label.strip()}{f'<span class=unit>, {metric.unit}</span>' if metric.unit else ''}</th>"
-        f"<td class=n>{number(plan.metrics[metric.key] * metric.scale, metric.digits)}</td>"
-        f"<td class=n>{number(worst[metric.key][0] * metric.scale, metric.digits)}</td>"
-        f"<td class=where>{escape(worst[metric.key][1].name)}</td></tr>"
-        for metric in METRICS
-        if metric.key in worst and metric.key in plan.metrics
-    )
-    return (
-        "<h3>At worst</h3><div class=wide><table><thead><tr><th class=left></th><th>as planned</th><th>worst</th>"
-        f"<th class=left>where the part stands then</th></tr></thead><tbody>{rows}</tbody></table></div>"
-    )
-
-
-def _worst_checks(room: Robustness) -> str:
-    rows = "".join(
-        f"<tr{'' if check.ok else ' class=bad'}><th scope=row>{escape(check.name.translate(CHECK_NAMES))}</th>"
-        f"<td class=n>{significant(check.worst)}</td><td class=n>{significant(check.limit)}</td>"
-        f"<td>{escape(check.unit)}</td><td class=where>{escape(where.name)}; {escape(check.where) or MISSING}</td></tr>"
-        for check, where in room.worst_checks
-    )
-    return (
-        "<div class=wide><table><thead><tr><th class=left>check</th><th>worst</th><th>limit</th><th class=left>unit</th>"
-        f"<th class=left>where</th></tr></thead><tbody>{rows}</tbody></table></div>"
-    )
-
-
-def _tried(room: Robustness) -> str:
-    rows = "".join(_tried_row(each) for each in room.tried)
-    return (
-        "<h3>Every placement tried</h3><p class=note>The whole shift along each axis, the whole turn about each, both "
-        "at once in eight corners, and what first order says is worst for joints and singularities.</p>"
-        "<div class=wide><table><thead><tr><th class=left>the part</th><th class=left>verdict</th><th>σ</th>"
-        f"<th>joint margin, °</th><th>at speed, %</th><th>print, s</th></tr></thead><tbody>{rows}</tbody></table></div>"
-    )
-
-
-def _tried_row(each: TriedDisplacement) -> str:
-    metrics = each.metrics or {}
-    values = (
-        ("sigma_min", 1.0, 4),
-        ("joint_limit_margin_deg", 1.0, 1),
-        ("at_speed_fraction", 100.0, 2),
-        ("print_time_s", 1.0, 1),
-    )
-    cells = "".join(
-        f"<td class=n>{number(metrics[name] * scale, digits) if name in metrics else MISSING}</td>"
-        for name, scale, digits in values
-    )
-    verdict = "<span class=yes>✓ holds</span>" if each.verified else f"✗ {'<br>'.join(map(escape, each.failures))}"
-    row = "" if each.verified else " class=bad"
-    shift = ", ".join(f"{1e3 * c:.2f}" for c in each.displacement.shift)
-    turn = ", ".join(f"{math.degrees(angle):.2f}" for angle in each.displacement.turn)
-    about = f" title='shifted by {shift} mm, turned by {turn} deg'".replace("-", "−")
-    return (
-        f"<tr{row}><th scope=row{about}>{escape(each.displacement.name)}</th><td class=where>{verdict}</td>{cells}</tr>"
-    )
+def _moved(displacement: Displacement) -> str:
+    shift = ", ".join(f"{1e3 * c:.2f}" for c in displacement.shift)
+    turn = ", ".join(f"{math.degrees(angle):.2f}" for angle in displacement.turn)
+    return f"shifted by {shift} mm, turned by {turn} deg".replace("-", "−")

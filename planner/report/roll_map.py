@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_cdt, label
 
 from planner.base.arrays import Array
 from planner.report.scene import COLOURS, INK, PAPER
+from planner.report.templates import render
 from planner.report.wording import counted
 
 if TYPE_CHECKING:
@@ -30,28 +31,18 @@ LATTICE = (28, 10)  # letters along the path and round the circle, at most
 ROOM = 3  # places or rolls from its edge, that a letter of an area keeps
 
 
-def roll_map_section(plan: Plan) -> str:
+def roll_map_section(plan: Plan) -> Markup:
     """HTML of the section; nothing where the plan has no map."""
     if not plan.roll_maps:
-        return ""
-    present = np.unique(np.concatenate([np.unique(each.why) for each in plan.roll_maps]))
-    reasons = plan.roll_maps[0].reasons
-    keys = "".join(
-        f"<span><span class=key>{LETTERS[why]}</span> {escape(reasons[why])}</span>" for why in present if LETTERS[why]
-    )
-    keys = keys or "<span>every roll is free here</span>"
-    share = 100.0 * float(plan.roll_maps[0].free.mean())
-    maps = "".join(f"<option>{escape(label)}</option>" for label in _labels(plan))
-    measures = "".join(f"<option>{escape(label)}</option>" for _, label, *_ in MEASURES)
-    hidden = " hidden" if len(plan.roll_maps) == 1 else ""
-    return (
-        "<h2>Roll along the path</h2><p class=note>A nozzle is round: it may be turned about its own axis without any "
-        "change on the part. At each place and each roll: whether the arm can stand so, with tilt and table as planned "
-        f"and on the arm’s branch of the plan. {share:.0f} % of this is free; light is where it gets tight, pale and "
-        "lettered what cannot be used. The line is the roll that was chosen. Click a place to see it in the scene."
-        f"</p><div class=controls><label{hidden}>Show <select id=roll-map-which autocomplete=off>{maps}</select></label>"
-        f"<label>Colour by <select id=roll-map-measure autocomplete=off>{measures}</select></label>"
-        f"<span class=keys>{keys}</span></div><div class=chart><div id=roll-map></div></div>"
+        return Markup("")
+    whole = plan.roll_maps[0]
+    present = np.unique(np.concatenate([np.unique(each.why) for each in plan.roll_maps])).tolist()
+    return render(
+        "roll_map",
+        share=100.0 * float(whole.free.mean()),
+        maps=_labels(plan),
+        measures=[label for _, label, *_ in MEASURES],
+        keys=[(LETTERS[why], whole.reasons[why]) for why in present if LETTERS[why]],
     )
 
 

@@ -1,4 +1,4 @@
-"""What the page draws the scene from: cell, part and beads in metres, the motion, and the places to go to."""
+"""Data of the scene: cell, part and beads in metres, the motion, and the places to go to."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from planner.toolpath.bead import Bead, Shape
 
 # ----------------------------------------------------------------------------------------------------
-# What lies under the print, for the scene: the part's surface.
+# The part's surface.
 
 SUNK = 0.15e-3  # m: the part is drawn this much smaller, so that the first layer is not half sunk into it
 
@@ -38,7 +38,7 @@ def part_data(shape: Shape | None) -> dict[str, Any] | None:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Lines of beads for the scene: points and normals in the part frame, thinned, with what they can be coloured by.
+# Lines of beads: points and normals in the part frame, thinned, with what they can be coloured by.
 
 EVEN = 127  # steps of a component of a unit vector
 # What series of the verifier say, and in which unit; where these are small it gets tight.
@@ -157,7 +157,7 @@ def _channel(
 
 
 # ----------------------------------------------------------------------------------------------------
-# The robots of the scene: their bodies, the screws that move them, and their posture over time.
+# Robots: their bodies, the screws that move them, and their posture over time.
 
 TOLERANCE = 0.5e-3  # m: how far off the tip may be between postures that the page has
 MOST_POSTURES = 60_000
@@ -258,7 +258,7 @@ def _off(cell: Cell, trajectory: Trajectory, at: Indices, a: Indices, b: Indices
 
 
 # ----------------------------------------------------------------------------------------------------
-# What the page draws the scene from: cell, part and beads in metres, the motion, and the places to go to.
+# The whole scene, of a plan or of a refusal.
 
 EARLIER_BUDGET = 10_000  # points of beads that are there before the motion
 # Cividis, reversed and without its palest end: the ordinary is dark and calm, the exceptional is light.

@@ -1,11 +1,10 @@
-"""What the report calls things: metrics with human labels and units, numbers as people read them."""
+"""Words of the report: metrics with human labels and units, numbers as people read them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -92,24 +91,24 @@ def with_ratios(metrics: Mapping[str, float]) -> dict[str, float]:
 
 
 def number(value: float | None, digits: int) -> str:
-    """HTML of a number with `digits` decimals and thousands apart; tiny but not zero is said to be so."""
+    """A number with `digits` decimals and thousands apart; tiny but not zero is said to be so."""
     if value is None or math.isnan(value):
         return MISSING
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
     if 0 < abs(value) < 0.5 * 10**-digits:
-        return f"&lt;\u2009{10**-digits:.{digits}f}"
+        return f"<\u2009{10**-digits:.{digits}f}"
     return f"{value:,.{digits}f}".replace(",", "\u202f").replace("-", "−")
 
 
 def distance(key: str, value: float, digits: int) -> str:
-    """A metric's value as HTML; a distance [mm] of bodies as far as the verifier looks is told as the bound that it is."""
+    """A metric's value; a distance [mm] of bodies as far as the verifier looks is told as the bound that it is."""
     bound = key.endswith("clearance_min_mm") and key != "tip_clearance_min_mm" and value >= FARTHEST
     return f"≥\u2009{number(value, digits)}" if bound else number(value, digits)
 
 
 def counted(count: float, one: str) -> str:
-    """A count with its noun, HTML: 1 layer, 10 layers."""
+    """A count with its noun: 1 layer, 10 layers."""
     return f"{number(count, 0)} {one}{'' if count == 1 else 's'}"
 
 
@@ -140,29 +139,24 @@ def duration(seconds: float | None) -> str:
     return f"{minutes // 60} h {minutes % 60:02d} min"
 
 
-def summary_table(strategy: str, metrics: Mapping[str, float], baseline: Mapping[str, Mapping[str, float]]) -> str:
-    """HTML table: the chosen strategy's metrics beside the baselines'; the best of a row is bold."""
-    others = {name: values for name, values in baseline.items() if name != strategy}
-    columns = [with_ratios(column) for column in (metrics, *others.values())]
-    head = "".join(f"<th scope=col>{escape(name)}</th>" for name in others)
+def summary_rows(columns: Sequence[Mapping[str, float]]) -> list[tuple[MetricLabel, list[tuple[str, bool, bool]]]]:
+    """Every metric that a column has, with what each shows: text, whether it is over the limit, whether it is best."""
+    columns = [with_ratios(column) for column in columns]
     rows = []
     for metric in METRICS:
         values = [_scaled(column.get(metric.key), metric) for column in columns]
-        if all(value is None for value in values):
-            continue
-        unit = f"<span class=unit>, {metric.unit}</span>" if metric.unit else ""
         best = _best(values, metric)
-        cells = "".join(
-            f"<td class='n{' chosen' if i == 0 else ''}'>{_cell(value, metric, i in best)}</td>"
-            for i, value in enumerate(values)
-        )
-        sub = " class=sub" if metric.label.startswith(" ") else ""
-        rows.append(f"<tr><th scope=row{sub}>{metric.label.strip()}{unit}</th>{cells}</tr>")
-    return (
-        "<div class=wide><table><thead><tr><th></th>"
-        f"<th scope=col class=chosen>{escape(strategy)}<small>this plan</small></th>{head}</tr></thead>"
-        f"<tbody>{''.join(rows)}</tbody></table></div>"
-    )
+        cells = [
+            (
+                MISSING if value is None else distance(metric.key, value, metric.digits),
+                value is not None and round(value, 6) > metric.limit,
+                k in best,
+            )
+            for k, value in enumerate(values)
+        ]
+        if any(value is not None for value in values):
+            rows.append((metric, cells))
+    return rows
 
 
 def _scaled(value: float | None, metric: MetricLabel) -> float | None:
@@ -176,10 +170,3 @@ def _best(values: list[float | None], metric: MetricLabel) -> set[int]:
         return set()
     best = max(shown.values()) if metric.better == "up" else min(shown.values())
     return {i for i, value in shown.items() if value == best}
-
-
-def _cell(value: float | None, metric: MetricLabel, best: bool) -> str:
-    text = MISSING if value is None else distance(metric.key, value, metric.digits)
-    if value is not None and round(value, 6) > metric.limit:
-        text = f"<span class=bad>✗ over {text}</span>"
-    return f"<b>{text}</b>" if best else text

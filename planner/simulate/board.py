@@ -1,4 +1,4 @@
-"""An extruder's board as RepRapFirmware is one: bytes in, lines out, all in its own time; and its faults."""
+"""Simulator of an extruder's board (RepRapFirmware), without sockets: bytes in, lines out, in its own time; and faults."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from planner.base.errors import InputError, nearest_name
 
 # ----------------------------------------------------------------------------------------------------
-# Faults that a simulator makes on demand: `kind@line`, or `kind@line:value`.
+# Faults on demand: `kind@line`, or `kind@line:value`.
 
 BOARD_FAULTS = {
     "error": "answers a line with an error instead of doing it",
@@ -134,7 +134,7 @@ BED = Heater(limit=140.0, time_constant=300.0)
 
 
 # ----------------------------------------------------------------------------------------------------
-# An extruder's board as RepRapFirmware is one: bytes in, lines out, all in its own time. No sockets here.
+# The board.
 #
 # Lines that move, heat or switch wait in a queue and are acknowledged when they enter it; G4, M109, M116 and M190 are
 # acknowledged when they are over, and nothing is taken meanwhile.

@@ -1,4 +1,4 @@
-"""A robot controller's inside: files, loaded modules, the program that runs, and its motion in time."""
+"""Simulator of a robot controller, without sockets: files, loaded modules, the program that runs, and its motion."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from planner.simulate.board import Fault, Faults
 from planner.simulate.servers import LATEST, TIMEOUT, Ended, ProgramSocket, bound_socket
 
 # ----------------------------------------------------------------------------------------------------
-# What a program's motion looks like over time, as a controller's simulator needs it.
+# Motion of a program over time, by speeds alone.
 
 ORDER = OUTPUT, SEND, SETTLE = "output", "send", "settle"
 # lines that the board acknowledges only when they are over
@@ -50,7 +50,9 @@ class ProgramMotion(Protocol):
     """A program's motion. Times [s] count from its first move."""
 
     @property
-    def duration(self) -> float: ...
+    def duration(self) -> float:
+        """Time of the whole motion [s]."""
+        ...
 
     @property
     def happenings(self) -> tuple[MotionEvent, ...]:
@@ -125,7 +127,7 @@ def _outputs(program: RobotProgram, starts: Array, lasts: Array, length: Array) 
 
 
 # ----------------------------------------------------------------------------------------------------
-# A program's motion as the player of programs has it: with accelerations, corners and joint limits of its cell.
+# The same by the player of programs: with accelerations, corners and joint limits of a cell.
 
 
 @dataclass(frozen=True)
@@ -155,7 +157,7 @@ def played_motion(program: RobotProgram, cell: Cell) -> PlayedMotion:
 
 
 # ----------------------------------------------------------------------------------------------------
-# A program that runs: its motion in the program's time, its outputs, and its lines over the socket.
+# A program that runs: its motion, its outputs, and its lines over the socket.
 
 ACCEPT_TIMEOUT = 60.0  # s in which somebody must connect
 LOOK = 0.02  # s between looks at whether to pause or end
@@ -203,10 +205,12 @@ class ProgramRun:
 
     @property
     def over(self) -> bool:
+        """Whether it has ended, for whatever reason."""
         return bool(self.state().reason)
 
     @property
     def going(self) -> bool:
+        """Whether it is executing: neither paused nor over."""
         return self._going.is_set() and not self.over
 
     def resume(self) -> None:
@@ -357,7 +361,7 @@ class ProgramRun:
 
 
 # ----------------------------------------------------------------------------------------------------
-# A robot controller's inside: files, loaded modules, the program that runs, and what may be done when.
+# The controller: files, loaded modules, the program that runs, and what may be done when.
 
 LARGEST_FILE = 64 << 20  # bytes
 MOST_FILES = 1000
@@ -429,6 +433,7 @@ class Controller:
 
     @property
     def running(self) -> bool:
+        """Whether a program is executing."""
         with self._lock:
             return self._run is not None and self._run.going
 
@@ -528,10 +533,10 @@ class Controller:
 
     def _loaded_by(self, texts: Iterable[str]) -> dict[str, str]:
         """Modules in HOME that texts name, as a program does that loads them while it runs."""
-        said = "\n".join(texts)
+        whole = "\n".join(texts)
         out: dict[str, str] = {}
         for path in sorted(self._home.glob("*.mod")):
-            if f'"{path.name}"' in said:
+            if f'"{path.name}"' in whole:
                 text = path.read_text("ascii", errors="replace")
                 match = _MODULE.search(text)
                 out |= {} if match is None else {match[1]: text}

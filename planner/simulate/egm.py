@@ -1,4 +1,4 @@
-"""The controller's side of externally guided motion: says every 4 ms where the robot is, and follows references late."""
+"""The controller's side of externally guided motion: sends its posture every 4 ms, and follows references with a lag."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class EgmRobot:
     """A robot that is guided, in a thread of its own: a client of the UDP address that it is told.
 
     start [deg]   where it stands: the arm's six axes, then the station's
-    pace          how many times as fast as every 4 ms it speaks; its own clock goes on by 4 ms all the same
+    pace          how many times as often as every 4 ms it sends; its own clock goes on by 4 ms all the same
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class EgmRobot:
                     self.reason = f"nothing can be sent to {self._address[0]}:{self._address[1]}: {error.strerror}"
                     return
                 due = began + number * PERIOD / self._pace
-                if self._hear(here, due) or not self._references:  # before the first one it waits for its partner
+                if self._receive(here, due) or not self._references:  # before the first one it waits for its partner
                     answered = time.monotonic()
                 self._move()
                 time.sleep(max(0.0, due - time.monotonic()))
@@ -111,7 +111,7 @@ class EgmRobot:
         message.rapidExecState.state = states.RAPID_RUNNING if self._running else states.RAPID_STOPPED
         return bytes(message.SerializeToString())
 
-    def _hear(self, here: socket.socket, due: float) -> bool:
+    def _receive(self, here: socket.socket, due: float) -> bool:
         """Take the newest reference that comes before the next message is due."""
         while True:
             here.settimeout(max(1e-4, due - time.monotonic()))

@@ -98,17 +98,21 @@ class _Desk:
     def lets_in(self, method: str, header: str) -> bool:
         kind, _, rest = header.partition(" ")
         if self.access.version == 2:
-            told = base64.b64encode(f"{self.access.user}:{self.access.password}".encode()).decode()
-            return kind == "Basic" and hmac.compare_digest(rest.strip(), told)
+            expected = base64.b64encode(f"{self.access.user}:{self.access.password}".encode()).decode()
+            return kind == "Basic" and hmac.compare_digest(rest.strip(), expected)
         if kind != "Digest":
             return False
-        said = parse_keqv_list([each for each in parse_http_list(rest) if "=" in each])
-        if said.get("nonce") != self.nonce or said.get("username") != self.access.user or said.get("qop") != "auth":
+        answer = parse_keqv_list([each for each in parse_http_list(rest) if "=" in each])
+        if (
+            answer.get("nonce") != self.nonce
+            or answer.get("username") != self.access.user
+            or answer.get("qop") != "auth"
+        ):
             return False
         who = _md5(f"{self.access.user}:{REALM}:{self.access.password}")
-        what = _md5(f"{method}:{said.get('uri', '')}")
-        right = _md5(f"{who}:{self.nonce}:{said.get('nc', '')}:{said.get('cnonce', '')}:auth:{what}")
-        return hmac.compare_digest(said.get("response", ""), right)
+        what = _md5(f"{method}:{answer.get('uri', '')}")
+        right = _md5(f"{who}:{self.nonce}:{answer.get('nc', '')}:{answer.get('cnonce', '')}:auth:{what}")
+        return hmac.compare_digest(answer.get("response", ""), right)
 
     def get(self, path: str) -> bytes | list[dict[str, str]]:
         """A file, or the state of a resource."""
@@ -249,12 +253,12 @@ class _Handler(BaseHTTPRequestHandler):
             self._reply(204, b"")
 
     def _body(self, most: int) -> bytes:
-        """The body, which must say its length."""
-        said = self.headers.get("Content-Length", "0")
-        if not re.fullmatch(r"[0-9]{1,12}", said) or int(said) > most or "Transfer-Encoding" in self.headers:
+        """The body, whose length must be declared."""
+        length = self.headers.get("Content-Length", "0")
+        if not re.fullmatch(r"[0-9]{1,12}", length) or int(length) > most or "Transfer-Encoding" in self.headers:
             self.close_connection = True
             raise Denied(413, "too large, or of no stated length")
-        return self.rfile.read(int(said))
+        return self.rfile.read(int(length))
 
     def _json(self, state: list[dict[str, str]], reason: str | None = None) -> bytes:
         status = {"code": 294912} if reason is None else {"code": REFUSED, "msg": reason}

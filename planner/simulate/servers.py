@@ -16,7 +16,7 @@ from planner.base.errors import InputError
 from planner.simulate.board import Board, Fault, Faults, Record, Reply
 
 # ----------------------------------------------------------------------------------------------------
-# What the simulators' sockets share: listening, and reading lines of bounded length.
+# Shared: listening, and reading lines of bounded length.
 
 HOST = "127.0.0.1"
 BLOCK = 4096  # bytes read at once
@@ -57,7 +57,7 @@ class LineReader:
 
 
 # ----------------------------------------------------------------------------------------------------
-# The board on TCP, as RepRapFirmware's telnet: one connection at a time, replies ended by CRLF.
+# The board on TCP, as in RepRapFirmware's telnet: one connection at a time, replies end with CRLF.
 
 DISCARDED = 0.5  # s after a connection, in which RepRapFirmware throws away what comes
 LOOK = 0.05  # s between looks at the clock and at whether to end
@@ -108,7 +108,7 @@ class BoardServer:
                     if key.fileobj is self._listener:
                         self._accept()
                     elif client is not None:
-                        self._hear(client)
+                        self._receive(client)
                 with self._lock:
                     replies = self._board.advance(self._now())
                 if self._client is not None:
@@ -153,7 +153,7 @@ class BoardServer:
         if self._password:
             self._client.send(b"Please enter your password:\r\n")
 
-    def _hear(self, client: _Client) -> None:
+    def _receive(self, client: _Client) -> None:
         try:
             data = client.socket.recv(BLOCK)
         except OSError:
@@ -215,7 +215,7 @@ class _Client:
 
 
 # ----------------------------------------------------------------------------------------------------
-# The controller's end of the connection that carries a program's G-code: lines numbered, acknowledged, bounded.
+# The controller's end of the connection for G-code: lines numbered, acknowledged, bounded.
 
 WINDOW = 16  # lines sent and not acknowledged
 TIMEOUT = 2.0  # s without an acknowledgement while one is needed

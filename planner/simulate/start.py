@@ -1,6 +1,6 @@
 """Simulators of what a print runs on: a robot's controller and an extruder's board, on the network of this computer.
 
-They speak what the real ones speak on the wire, and know nothing of the programs that talk to them.
+They use the protocols of the real ones, and know nothing of the programs that talk to them.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The controller's side of a stream of moves: takes frames into a buffer of bounded size and lets them run in time.
 
-What goes over the wire is told in planner/link/BeadwiseStream.mod; this is a second telling of it, made without the
+The protocol is documented in planner/link/BeadwiseStream.mod; this is a second implementation, made without the
 first one's code.
 """
 
@@ -102,6 +102,7 @@ class Buffer:
 
     @property
     def taken(self) -> int:
+        """Frames that were received so far."""
         return len(self._frames)
 
     def advance(self, now: float) -> bool:
@@ -220,7 +221,7 @@ class StreamServer:
         return None
 
     def _run(self, connection: socket.socket) -> None:
-        partial, heard = b"", time.monotonic()
+        partial, received_at = b"", time.monotonic()
         self._say(f"B 1 {self._capacity}")
         with selectors.DefaultSelector() as selector:
             selector.register(connection, selectors.EVENT_READ)
@@ -234,8 +235,8 @@ class StreamServer:
                         raise StreamEnded("connection lost") from error
                     if not data:
                         raise StreamEnded("connection lost")
-                    partial, heard = self._take(partial + data), time.monotonic()
-                if time.monotonic() - heard > SILENCE:
+                    partial, received_at = self._take(partial + data), time.monotonic()
+                if time.monotonic() - received_at > SILENCE:
                     raise StreamEnded("silence of the PC")
                 with self._lock:
                     handed = self._buffer.advance(time.monotonic())

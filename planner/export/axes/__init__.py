@@ -1,1 +1,1 @@
-"""G-code of machines with five or six axes: axes from poses, written, read back, and held against the plan."""
+"""G-code of machines with five or six axes: inverse kinematics, writer, reader, and check against the plan."""

@@ -1,4 +1,4 @@
-"""How controllers differ in what is not motion: pauses, feed modes, and what an extruder's board is told."""
+"""Dialects of G-code: pauses, feed rates, first and last lines, and orders to the extruder's board."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ USERS_OWN = range(100, 200)  # M-codes of LinuxCNC that run a program of the use
 
 @dataclass(frozen=True)
 class Flavour:
-    """A controller's way with G-code.
+    """The dialect of a controller.
 
     suffix     of the file's name
-    relative   filament is told by line, not in all
+    relative   filament is counted from line to line, not from the start
     unit       of a pause's P [s]
     pauses     how they are written
     begin, end lines of the program
-    order      a line for a RepRapFirmware board, said to this controller; None where that cannot be
+    order      the controller's own line for one of a RepRapFirmware board; None where it has none
     """
 
     suffix: str

@@ -1,9 +1,8 @@
-"""G-code of machines with five or six axes: written, read back, and held against its plan."""
+"""G-code of machines with five or six axes: writer, reader, and check against the plan."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -14,18 +13,20 @@ from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
 from planner.export.axes.flavours import FLAVOURS, Flavour, feed_length
 from planner.export.axes.machine import FiveAxes, Followed, Machine, PoseMachine, above, follow, machine_of, spec_of
-from planner.export.extruder import Order, orders
-from planner.export.fit import by_samples, continuous, thin
+from planner.export.extruder import Order, order_differences, orders
+from planner.export.fit import by_samples, continuous, lerp, thin
+from planner.export.grammar import Grammar, Statement
 from planner.export.moves import ANGLE_TOLERANCE, ON_TIME, ROUNDING, TIME_TOLERANCE, nearest_fraction
 from planner.export.program import resumed, verified
 from planner.export.support import STATION
+from planner.export.text import ascii_comment, beyond, number
 
 if TYPE_CHECKING:
     from planner.plan import Plan
     from planner.problem.settings import MachineSpec
 
 # ----------------------------------------------------------------------------------------------------
-# From samples to lines of G-code: the fewest targets between which axes that move evenly keep the tip on its path.
+# The fewest targets between which axes that move evenly keep the tip on its path.
 
 FILAMENT_TOLERANCE = 5e-6  # m of filament that a line may be ahead or behind
 STILL = 1e-7  # m, rad by which nothing moves
@@ -34,7 +35,7 @@ STILL = 1e-7  # m, rad by which nothing moves
 def kept(plan: Plan, motion: Followed, due: Array) -> Indices:
     """Samples of the motion that become targets, the first and the last among them.
 
-    due: times [s] at which something else is said between lines.
+    due: times [s] at which orders to the board stand between moves.
     """
     n = len(motion)
     must = np.zeros(n, dtype=bool)
@@ -66,26 +67,20 @@ class _Misfit:
         m = self._m
         share = (m.t[k] - m.t[a]) / (m.t[b] - m.t[a])
         u = nearest_fraction(m.tip[a], m.tip[b], m.tip[k], share)
-
-        def between(values: Array, w: Array) -> Array:
-            w = w if values.ndim == 1 else w[:, None]
-            out: Array = values[a] + w * (values[b] - values[a])
-            return out
-
-        angles = between(m.angles, u)
-        tip = m.machine.tip(between(m.straight, u), angles)
+        angles = lerp(m.angles, a, b, u)
+        tip = m.machine.tip(lerp(m.straight, a, b, u), angles)
         worst = np.linalg.norm(tip - m.tip[k], axis=1) / self._chord
         worst = np.maximum(worst, m.machine.leaning(angles, m.quat[k]) / ANGLE_TOLERANCE)
-        worst = np.maximum(worst, np.abs(between(m.feed, u) - m.feed[k]) / FILAMENT_TOLERANCE)
+        worst = np.maximum(worst, np.abs(lerp(m.feed, a, b, u) - m.feed[k]) / FILAMENT_TOLERANCE)
         late = np.where(m.laid[k], np.abs(share - u) * (m.t[b] - m.t[a]) / TIME_TOLERANCE, 0.0)
         worst = np.maximum(worst, late)
         for e in m.station.T:
-            worst = np.maximum(worst, np.abs(between(e, u) - e[k]) / ANGLE_TOLERANCE)
+            worst = np.maximum(worst, np.abs(lerp(e, a, b, u) - e[k]) / ANGLE_TOLERANCE)
         return worst
 
 
 # ----------------------------------------------------------------------------------------------------
-# G-code for a machine that moves nozzle and filament itself: every line all axes at once, in the time of the plan.
+# Writer: every line moves all axes at once, in the time of the plan.
 
 DECIMALS = 4  # of mm and of degrees: 0.1 um, and as little at a metre's distance
 FILAMENT_DECIMALS = 5  # mm
@@ -104,13 +99,18 @@ def axes_gcode(plan: Plan) -> str:
     spec = spec_of(plan)
     flavour = FLAVOURS[spec.flavour]
     motion = follow(plan)
-    said = orders(plan)
-    at = kept(plan, motion, np.array([order.start for order in said]))
+    waiting = orders(plan)
+    at = kept(plan, motion, np.array([order.start for order in waiting]))
     lines = [*_header(plan, motion, len(at)), *_start_lines(plan, spec, flavour, motion)]
-    lines += _lines(plan, spec, flavour, motion, at, list(said))
+    lines += _lines(plan, spec, flavour, motion, at, list(waiting))
     lines += ["G94"] if spec.feed == "inverse_time" else []
     lines += [spec.tcp_off] if spec.tcp else []
     return "\n".join([*lines, *flavour.end]) + "\n"
+
+
+def write(plan: Plan) -> dict[str, str]:
+    """The program of a verified plan, by the name of its file."""
+    return {file_name(plan): axes_gcode(plan)}
 
 
 def letters_of(plan: Plan, motion: Followed) -> tuple[str, ...]:
@@ -121,7 +121,7 @@ def letters_of(plan: Plan, motion: Followed) -> tuple[str, ...]:
 def _header(plan: Plan, motion: Followed, targets: int) -> list[str]:
     spec, cell = spec_of(plan), plan.cell
     size = f"{len(plan.beads)} beads in {plan.layers} layers"
-    said = [
+    texts = [
         f"{plan.name} for {spec.flavour}, {spec.type}, strategy {plan.strategy}",
         ", ".join(f"{name} {version}" for name, version in sorted(plan.versions.items())),
         f"{size}, {targets} targets, {plan.trajectory.t[-1] - plan.trajectory.t[0]:.3f} s",
@@ -131,7 +131,7 @@ def _header(plan: Plan, motion: Followed, targets: int) -> list[str]:
     ]
     if isinstance(motion.machine, FiveAxes):
         reach = [
-            f"{letter} {_number(np.degrees(low), 1)} to {_number(np.degrees(high), 1)} deg"
+            f"{letter} {number(np.degrees(low), 1)} to {number(np.degrees(high), 1)} deg"
             for letter, low, high in zip(
                 motion.machine.letters, motion.angles.min(axis=0), motion.angles.max(axis=0), strict=True
             )
@@ -139,14 +139,14 @@ def _header(plan: Plan, motion: Followed, targets: int) -> list[str]:
         low, high = motion.straight.min(axis=0) * 1e3, motion.straight.max(axis=0) * 1e3
         reach += [f"{letter} {a:.1f} to {b:.1f}" for letter, a, b in zip("XYZ", low, high, strict=True)]
         what = "the tip in the part as it lies at zero angles" if spec.tcp else "on the machine"
-        said += [f"X Y Z are {what}. How far it goes:", f"  {', '.join(reach)}", _fastest(motion)]
-        said += ["The robot's clearances hold for its own head and ways: look at those of this machine."]
+        texts += [f"X Y Z are {what}. How far it goes:", f"  {', '.join(reach)}", _fastest(motion)]
+        texts += ["The robot's clearances hold for its own head and ways: look at those of this machine."]
     else:
         home = ", ".join(f"{v:.4f}" for v in np.degrees(plan.trajectory.q[0]))
-        said += [f"Joints at the start, from which the controller's iteration follows: {home} deg"]
+        texts += [f"Joints at the start, from which the controller's iteration follows: {home} deg"]
         frame = "on the turning part" if cell.holder_robot is not None else "in the part frame"
-        said += [f"X Y Z A B C are the nozzle's pose {frame}: A, B, C are roll, pitch and yaw, yaw last"]
-    return [f"; {re.sub(r'[^ -~]', '?', text)[:150].rstrip()}" for text in said]
+        texts += [f"X Y Z A B C are the nozzle's pose {frame}: A, B, C are roll, pitch and yaw, yaw last"]
+    return [ascii_comment(";", text, longest=150) for text in texts]
 
 
 def _fastest(motion: Followed) -> str:
@@ -158,7 +158,7 @@ def _fastest(motion: Followed) -> str:
 
 
 def _start_lines(plan: Plan, spec: MachineSpec, flavour: Flavour, motion: Followed) -> list[str]:
-    """Modes, and the way to the first target: up, across, and down where the axes turn otherwise than the robot."""
+    """Modes, and the way to the first target: up, across, and down on machines whose axes are not the robot's."""
     lines = list(flavour.begin)
     if spec.flavour == "linuxcnc":
         lines.append(f"G64 P{plan.problem.program.chord * 1e3:.4f}")
@@ -167,10 +167,10 @@ def _start_lines(plan: Plan, spec: MachineSpec, flavour: Flavour, motion: Follow
     first = dict(zip(letters_of(plan, motion), _rows(motion, np.array([0]))[0].tolist(), strict=True))
     if isinstance(motion.machine, FiveAxes):
         high = (float(motion.straight[:, 2].max()) + plan.problem.process.lift) * 1e3
-        across = " ".join(f"{name}{_number(value, DECIMALS)}" for name, value in first.items() if name != "Z")
-        lines += [f"G0 Z{_number(high, DECIMALS)}", f"G0 {across}", f"G0 Z{_number(first['Z'], DECIMALS)}"]
+        across = " ".join(f"{name}{number(value, DECIMALS)}" for name, value in first.items() if name != "Z")
+        lines += [f"G0 Z{number(high, DECIMALS)}", f"G0 {across}", f"G0 Z{number(first['Z'], DECIMALS)}"]
     else:
-        lines.append("G0 " + " ".join(f"{name}{_number(value, DECIMALS)}" for name, value in first.items()))
+        lines.append("G0 " + " ".join(f"{name}{number(value, DECIMALS)}" for name, value in first.items()))
     return [*lines, "G93" if spec.feed == "inverse_time" else "G94"]
 
 
@@ -183,7 +183,7 @@ def _rows(motion: Followed, at: NDArray[np.intp]) -> Array:
 def _lines(
     plan: Plan, spec: MachineSpec, flavour: Flavour, motion: Followed, at: NDArray[np.intp], waiting: list[Order]
 ) -> list[str]:
-    """Moves and pauses to all targets, and what else is said between them."""
+    """Moves and pauses to all targets, and the orders between them."""
     names, rows = letters_of(plan, motion), _rows(motion, at)
     fed = np.round(motion.feed[at] * 1e3, FILAMENT_DECIMALS)
     bead, layer, laid = (values[motion.sample] for values in (plan.trajectory.bead, plan.trajectory.layer, motion.laid))
@@ -192,8 +192,8 @@ def _lines(
     ends = motion.t[at].tolist()
     for i in range(1, len(at)):
         while waiting and waiting[0].start - ON_TIME <= ends[i - 1]:
-            said, took = _order(flavour, waiting.pop(0))
-            lines += said
+            written, took = _order(flavour, waiting.pop(0))
+            lines += written
             now += took
         a, b = rows[i - 1], rows[i]
         own = int(bead[at[i]])
@@ -201,10 +201,10 @@ def _lines(
             lines.append(f"; bead {own}, layer {layer[at[i]]}")
             last = own
         filament = float(fed[i] - fed[i - 1])
-        words = [f"{name}{_number(v, DECIMALS)}" for name, u, v in zip(names, a, b, strict=True) if u != v]
+        words = [f"{name}{number(v, DECIMALS)}" for name, u, v in zip(names, a, b, strict=True) if u != v]
         if filament:
-            told = filament if flavour.relative else float(fed[i])
-            words.append(f"{spec.filament}{_number(told, FILAMENT_DECIMALS)}")
+            amount = filament if flavour.relative else float(fed[i])
+            words.append(f"{spec.filament}{number(amount, FILAMENT_DECIMALS)}")
         lasts = ends[i] - now
         if not words:
             pause = round(lasts / LEAST_PAUSE) * LEAST_PAUSE
@@ -225,7 +225,7 @@ def _lines(
 
 
 def _order(flavour: Flavour, order: Order) -> tuple[list[str], float]:
-    """What an order is to this controller, and how long its pauses take [s]; ValueError where it cannot be said."""
+    """Lines of an order for this controller, and how long its pauses take [s]; ValueError where it has no such line."""
     lines = [f"; {order.words}"]
     for line in order.lines:
         if line.startswith(";"):
@@ -233,27 +233,28 @@ def _order(flavour: Flavour, order: Order) -> tuple[list[str], float]:
         if line.startswith("G4 P"):
             lines.append(flavour.pause.format(int(line[len("G4 P") :]) * 1e-3 / flavour.unit))
             continue
-        said = flavour.order(line)
-        if said is None:
+        own = flavour.order(line)
+        if own is None:
             raise ValueError(f"{line} cannot be said to this controller")
-        lines.append(said)
+        lines.append(own)
     return lines, order.time
 
 
-def _number(value: float, decimals: int) -> str:
-    """Fixed-point number without minus nought."""
-    text = f"{value:.{decimals}f}"
-    return text[1:] if text.startswith("-") and not text.strip("-0.") else text
-
-
 # ----------------------------------------------------------------------------------------------------
-# G-code of multi-axis machines, read back: exactly what `writer` writes, and nothing else.
+# Reader: exactly the subset that the writer uses.
 
 MOST_CHARACTERS = 256  # of a line; LinuxCNC takes no more
-_MOVE = re.compile(r"G([01])((?: [A-Z]-?\d{1,7}\.\d{4,5})+)")
-_PAUSE = re.compile(r"G4 P(\d{1,8}(?:\.\d{3})?)")
-_ORDER = re.compile(r"M(?:42|104|106|107|109|116|140|190|280)(?: [A-Z]-?\d{1,6}(?:\.\d{1,4})?)*|T\d{1,2}(?: M6)?")
-_BLEND = re.compile(r"G64 P\d\.\d{4}")
+GRAMMAR = Grammar.of(
+    "G-code",
+    ";",
+    {
+        "move": r"G([01])((?: [A-Z]-?\d{1,7}\.\d{4,5})+)",
+        "pause": r"G4 P(\d{1,8}(?:\.\d{3})?)",
+        "order": r"M(?:42|104|106|107|109|116|140|190|280)(?: [A-Z]-?\d{1,6}(?:\.\d{1,4})?)*|T\d{1,2}(?: M6)?",
+        "blend": r"G64 P\d\.\d{4}",
+    },
+    called="line",
+)
 _MODES = {"inverse_time": "G93", "per_minute": "G94"}
 
 
@@ -264,45 +265,46 @@ class AxesProgram:
     straight, turning   (m, 3), (m, k + e) X Y Z and all others but the filament's, in the order of the letters
     filament            (m)  pushed so far [m]
     time                (m)  since the first place [s]; two places are the same where the machine pauses
-    told                (time, line) of what else is said
+    orders              (time, line) of all that is no motion
     """
 
     straight: Array
     turning: Array
     filament: Array
     time: Array
-    told: tuple[tuple[float, str], ...]
+    orders: tuple[tuple[float, str], ...]
 
 
 def read_axes(text: str, spec: MachineSpec, letters: Sequence[str]) -> AxesProgram:
     """The program for a machine with these letters (X, Y, Z, then what turns); InputError with the line of all else."""
     lines = text.splitlines()
+    for n, line in enumerate(lines, 1):
+        if len(line) > MOST_CHARACTERS:
+            raise GRAMMAR.unknown(line, n)
     mode = _MODES[spec.feed]
     if mode not in lines:
-        raise InputError(f"{mode} is missing", file="G-code")
+        raise InputError(f"{mode} is missing", file=GRAMMAR.file)
     start = lines.index(mode)
     place = _read_start(lines[:start], spec, letters)
     flavour = FLAVOURS[spec.flavour]
     end = [*(["G94"] if spec.feed == "inverse_time" else []), *([spec.tcp_off] if spec.tcp else []), *flavour.end]
     if lines[-len(end) :] != end:
-        raise InputError(f"it does not end with {', '.join(end)}", file="G-code", line=len(lines))
+        raise InputError(f"it does not end with {', '.join(end)}", file=GRAMMAR.file, line=len(lines))
     places, filament, time = [list(place.values())], [0.0], [0.0]
-    told: list[tuple[float, str]] = []
+    ordered: list[tuple[float, str]] = []
     now, pushed = 0.0, 0.0
-    for number, line in enumerate(lines[start + 1 : -len(end)], start + 2):
-        if line.startswith(";") and len(line) <= MOST_CHARACTERS:
+    for statement in GRAMMAR.statements(lines[start + 1 : -len(end)], start + 2):
+        if statement.word == "order":
+            ordered.append((now, statement.text))
             continue
-        if pause := _PAUSE.fullmatch(line):
-            now += float(pause[1]) * flavour.unit
-        elif _ORDER.fullmatch(line):
-            told.append((now, line))
-            continue
+        if statement.word == "pause":
+            now += float(statement.parts[0]) * flavour.unit
         else:
-            words = _words(line, "1", number)
+            words = _words(statement, "1")
             rate = words.pop("F", 0.0)
             own = words.pop(spec.filament, None)
             if not rate > 0.0 or not words.keys() <= place.keys() or not (words or own is not None):
-                raise _unknown(line, number)
+                raise GRAMMAR.unknown(statement.text, statement.line)
             moved = 0.0 if own is None else own if flavour.relative else own - pushed
             steps = {letter: value - place[letter] for letter, value in words.items()} | {spec.filament: moved}
             place |= words
@@ -314,7 +316,7 @@ def read_axes(text: str, spec: MachineSpec, letters: Sequence[str]) -> AxesProgr
         time.append(now)
     table = np.array(places)
     return AxesProgram(
-        table[:, :3] * 1e-3, np.radians(table[:, 3:]), np.array(filament) * 1e-3, np.array(time), tuple(told)
+        table[:, :3] * 1e-3, np.radians(table[:, 3:]), np.array(filament) * 1e-3, np.array(time), tuple(ordered)
     )
 
 
@@ -325,38 +327,34 @@ def _read_start(lines: Sequence[str], spec: MachineSpec, letters: Sequence[str])
         must.append(f"G92 {spec.filament}0")
     must += [spec.tcp_on] if spec.tcp else []
     place: dict[str, float] = {}
-    for number, line in enumerate(lines, 1):
-        if line.startswith(";") and len(line) <= MOST_CHARACTERS:
-            continue
+    for n, line in enumerate(lines, 1):
         if line in must and not place:
             must.remove(line)
-        elif not (spec.flavour == "linuxcnc" and _BLEND.fullmatch(line)):
-            words = _words(line, "0", number)
+            continue
+        for statement in GRAMMAR.statements([line], n):
+            if spec.flavour == "linuxcnc" and statement.word == "blend":
+                continue
+            words = _words(statement, "0")
             if not words.keys() <= set(letters):
-                raise _unknown(line, number)
+                raise GRAMMAR.unknown(line, n)
             place |= words
     if must or set(place) != set(letters):
         missing = ", ".join([*must, *(name for name in letters if name not in place)])
-        raise InputError(f"{missing} is missing before the first move", file="G-code", line=len(lines) + 1)
+        raise InputError(f"{missing} is missing before the first move", file=GRAMMAR.file, line=len(lines) + 1)
     return {name: place[name] for name in letters}
 
 
-def _words(line: str, motion: str, number: int) -> dict[str, float]:
-    match = _MOVE.fullmatch(line)
-    if match is None or match[1] != motion or len(line) > MOST_CHARACTERS:
-        raise _unknown(line, number)
-    found = [(word[0], float(word[1:])) for word in match[2].split()]
-    if len({letter for letter, _ in found}) != len(found):
-        raise _unknown(line, number)
-    return dict(found)
-
-
-def _unknown(line: str, number: int) -> InputError:
-    return InputError(f"unknown line {line[:60]!r}", file="G-code", line=number)
+def _words(statement: Statement, motion: str) -> dict[str, float]:
+    """Values of a G0 or G1 by letter. Raises InputError for any other statement, and for a letter that comes twice."""
+    if statement.word == "move" and statement.parts[0] == motion:
+        found = [(word[0], float(word[1:])) for word in statement.parts[1].split()]
+        if len({letter for letter, _ in found}) == len(found):
+            return dict(found)
+    raise GRAMMAR.unknown(statement.text, statement.line)
 
 
 # ----------------------------------------------------------------------------------------------------
-# A multi-axis program that was read back: does it move nozzle and filament as the plan does, and in its time?
+# Check of what was read against the plan: nozzle, filament, times and orders.
 
 PATH = 0.05e-3  # m
 LEAN = np.radians(0.1)
@@ -364,25 +362,25 @@ ROUNDED = 1e-6  # m
 STANDS = 1e-6  # m; a shorter line is rounding, and does not tell where on it the tip is
 LATE = 15e-3  # s by which the tip is early or late on a bead
 FILAMENT = 0.02e-3  # m too much or too little where a bead begins or ends
-SPOKEN = 3e-3  # s, and a sample: by which the rest is said behind or before its time
+ORDER_LATE = 3e-3  # s, and a sample: by which an order stands behind or before its time
 DURATION = 3e-3  # s
 
 
-def axes_complaints(plan: Plan, text: str) -> list[str]:
-    """Every difference between a program and its plan beyond rounding and thinning, in words."""
+def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
+    """Differences of the program from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
     spec = spec_of(plan)
     machine = machine_of(spec)
     t = plan.trajectory
     station = t.q[:, len(plan.cell.arm) :] if isinstance(machine, PoseMachine) else np.empty((len(t), 0))
-    program = read_axes(text, spec, ("X", "Y", "Z", *machine.letters, *STATION[: station.shape[1]]))
+    program = read_axes(files[file_name(plan)], spec, ("X", "Y", "Z", *machine.letters, *STATION[: station.shape[1]]))
     tip, quat = t.tip.copy(), continuous(t.quat)
     if not isinstance(machine, PoseMachine):
         first, last = above(plan)
         tip[:first], quat[:first], tip[last:], quat[last:] = tip[first], quat[first], tip[last], quat[last]
     found = _moved(machine, program, tip, quat, station, t.t - t.t[0], t.deposit)
-    found += _beyond(machine, program)
+    found += _beyond_reach(machine, program)
     found += _fed(plan, program)
-    found += _told(plan, program)
+    found += _order_differences(plan, program)
     if not abs(program.time[-1] - (t.t[-1] - t.t[0])) <= DURATION:
         found.append(f"it lasts {program.time[-1]:.3f} s")
     return found
@@ -409,8 +407,8 @@ def _moved(
         share = np.clip((clock - program.time[a]) / np.where(lasts > 0.0, lasts, 1.0), 0.0, 1.0)
         u = nearest_fraction(places[a], places[a + 1], tip, share)
         u = np.where(np.linalg.norm(places[a + 1] - places[a], axis=1) < STANDS, share, u)
-        turning = program.turning[a] + u[:, None] * (program.turning[a + 1] - program.turning[a])
-        straight = program.straight[a] + u[:, None] * (program.straight[a + 1] - program.straight[a])
+        turning = lerp(program.turning, a, a + 1, u)
+        straight = lerp(program.straight, a, a + 1, u)
         off = np.linalg.norm(machine.tip(straight, turning[:, :k]) - tip, axis=1)
         nearer = off < best - 1e-9
         best = np.where(nearer, off, best)
@@ -423,18 +421,19 @@ def _moved(
     for by in (-1, 0, 1):
         b = np.clip(at + by, 1, len(clock) - 1)
         u = nearest_fraction(tip[b - 1], tip[b], places, np.zeros(len(places)))
-        astray = np.minimum(astray, np.linalg.norm(tip[b - 1] + u[:, None] * (tip[b] - tip[b - 1]) - places, axis=1))
-    worst = {
-        "the tip is {:.3g} m off its path": (float(best.max()), PATH),
-        "a target is {:.3g} m off the path": (float(astray.max()), PATH),
-        "the nozzle leans {:.3g} rad from its direction": (float(lean.max()), LEAN),
-        "what moves the part is {:.3g} rad off": (float(shifted.max()), LEAN),
-        "the tip is {:.3g} s off its time": (float(late[laid].max(initial=0.0)), LATE),
-    }
-    return [words.format(value) for words, (value, limit) in worst.items() if not value <= limit]
+        astray = np.minimum(astray, np.linalg.norm(lerp(tip, b - 1, b, u) - places, axis=1))
+    return beyond(
+        [
+            ("the tip is {:.3g} m off its path", float(best.max()), PATH),
+            ("a target is {:.3g} m off the path", float(astray.max()), PATH),
+            ("the nozzle leans {:.3g} rad from its direction", float(lean.max()), LEAN),
+            ("what moves the part is {:.3g} rad off", float(shifted.max()), LEAN),
+            ("the tip is {:.3g} s off its time", float(late[laid].max(initial=0.0)), LATE),
+        ]
+    )
 
 
-def _beyond(machine: Machine, program: AxesProgram) -> list[str]:
+def _beyond_reach(machine: Machine, program: AxesProgram) -> list[str]:
     """Axes that turn beyond their range, or go beyond their limits."""
     found = []
     for letter, within, turning in zip(machine.letters, machine.ranges, program.turning.T, strict=False):
@@ -456,19 +455,16 @@ def _fed(plan: Plan, program: AxesProgram) -> list[str]:
     fed = np.interp(t.t[ends] - t.t[0], program.time, program.filament)
     off = np.abs(fed - (t.feed[ends] - t.feed[0]))
     # a bead of another tool ends where the next one begins; what a millisecond pushes is rounding
-    most = FILAMENT + SPOKEN * float(np.abs(np.diff(t.feed)).max(initial=0.0)) / t.dt
+    most = FILAMENT + ORDER_LATE * float(np.abs(np.diff(t.feed)).max(initial=0.0)) / t.dt
     worst = int(np.argmax(off))
     if off[worst] <= most:
         return []
     return [f"{off[worst] * 1e3:.3g} mm of filament too much or too little by {t.t[ends[worst]] - t.t[0]:.3f} s"]
 
 
-def _told(plan: Plan, program: AxesProgram) -> list[str]:
-    """What else is said, and when."""
+def _order_differences(plan: Plan, program: AxesProgram) -> list[str]:
+    """Orders to the board, and their times."""
     flavour = FLAVOURS[spec_of(plan).flavour]
     planned = [(due, flavour.order(line)) for order in orders(plan) for due, line in order.due]
-    if [line for _, line in planned] != [line for _, line in program.told]:
-        return ["other things are said of heat, tools, fan and cutter than the plan's, or in another order"]
-    late = [(abs(at - due), line) for (at, line), (due, _) in zip(program.told, planned, strict=True)]
-    worst, line = max(late, default=(0.0, ""))
-    return [] if worst <= SPOKEN + plan.trajectory.dt else [f"{line} is said {worst:.3g} s off its time"]
+    others = "other things are said of heat, tools, fan and cutter"
+    return order_differences(planned, program.orders, ORDER_LATE + plan.trajectory.dt, others)

@@ -1,4 +1,4 @@
-"""Machines that G-code moves: what their axes make of the nozzle's pose in the part, chosen over the whole print."""
+"""Inverse kinematics of machines with five or six axes, and the choice of its branches over a whole print."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import numpy as np
 
 from planner.base.arrays import Array, Flags, Indices
 from planner.base.compiled import njit
-from planner.export.fit import angle, continuous, from_matrix, slerp, to_matrix
+from planner.export.fit import angle, continuous, from_matrix, lerp, slerp, to_matrix
 
 if TYPE_CHECKING:
     from planner.plan import Plan
     from planner.problem.settings import MachineSpec
 
 # ----------------------------------------------------------------------------------------------------
-# Machines that G-code moves: what their axes make of the nozzle's pose in the part, and back.
+# Machines: axes from the nozzle's pose in the part, and back.
 #
 # A machine of five axes has X, Y, Z and two that turn. Whatever the two turn, head or table, the nozzle's direction at
 # zero angles, n, becomes R(u, a) R(w, b) n in the part as it lies then: u is the axis next to the part, w the one next
@@ -258,7 +258,7 @@ def machine_of(spec: MachineSpec) -> Machine:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Which of both ways, and of all whole turns, an orientation is reached by: chosen over the whole print at once.
+# Which of both branches, and of all whole turns, each orientation takes: chosen over the whole print at once.
 
 TURN = 2.0 * np.pi
 JUMP = np.radians(10.0)  # between two samples: more than that is another way, not a motion
@@ -358,7 +358,7 @@ def _cheapest(table: Array, endless: Flags, laid: Flags) -> Indices:
 
 
 # ----------------------------------------------------------------------------------------------------
-# The plan's motion as a machine makes it: its axes at every sample, or where and why it cannot.
+# A plan on such a machine: its axes at every sample, or where and why it cannot follow.
 
 FINEST = np.radians(2.0)  # that an axis turns between two samples: poses between them are added where it turns more
 MOST_ADDED = 60  # between two samples, each time
@@ -469,9 +469,7 @@ def _finer(now: Followed, parts: Indices) -> Followed:
     b = np.minimum(a + 1, len(parts))
 
     def between(values: Array) -> Array:
-        w = u if values.ndim == 1 else u[:, None]
-        out: Array = np.where(w == 0.0, values[a], values[a] + w * (values[b] - values[a]))
-        return out
+        return lerp(values, a, b, u)
 
     return replace(
         now,

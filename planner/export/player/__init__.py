@@ -1,1 +1,1 @@
-"""Plays a program that was read back: poses and joints over time, and what it switches, says and waits for."""
+"""Player of programs: poses and joints over time, and what it switches, sends and waits for."""

@@ -1,4 +1,4 @@
-"""What a controller makes of targets: postures by each target's configuration, and the pace at which it follows."""
+"""A model of a controller: postures by each target's configuration, and the pace at which it follows them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from planner.base.arrays import Array, Flags, Indices
 from planner.base.errors import InputError
-from planner.export.fit import angle, from_matrix, slerp, to_matrix
+from planner.export.fit import angle, from_matrix, lerp, slerp, to_matrix
 from planner.export.player.played import PHASES, TIMES
 from planner.export.program import RobotProgram
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from planner.cell.cell import Cell
 
 # ----------------------------------------------------------------------------------------------------
-# From targets to joints: the postures through which a controller goes, by the configuration of each target.
+# Postures: joints of targets, and between them, by the configuration of each target.
 
 # Between two knots joints are interpolated: on an arm of 0.3 m a line of this length leaves its chord by 4 um,
 # and the tip of a nozzle of 0.15 m, where the nozzle turns by this angle, by 6 um.
@@ -28,8 +28,8 @@ JUMP = 0.3  # rad between neighbouring knots of a line: beyond, another configur
 QUARTER = 0.5 * np.pi
 BORDER = 1e-4  # rad by which a joint may lie beyond the quarter that a target names: targets are rounded
 ROUNDED = 1e-6  # rad by which targets are turned in rounding: over the sine of axis 5, it is what axes 4 and 6 turn by
-STRAIGHT = 1e-5  # rad of axis 5: below, targets do not tell axis 4 from axis 6
-HELD = np.radians(0.01)  # by which a held axis of the station may be said to stand elsewhere
+STRAIGHT = 1e-5  # rad of axis 5: below, a target leaves open how axes 4 and 6 share their sum
+HELD = np.radians(0.01)  # by which a target may have a held axis of the station elsewhere
 BLOCK = 20_000  # poses whose postures are sought at once: bounds the memory
 SAME = 1e-6  # rad between one posture and itself, computed anew
 REVOLUTION = 2.0 * np.pi
@@ -96,9 +96,9 @@ def knots_of(program: RobotProgram, cell: Cell) -> PostureKnots:
     target = np.cumsum(parts)
     u = (np.arange(len(move)) - np.repeat(target - parts, parts) + 1) / parts[move]
     knots = _Poses(
-        position[move] + u[:, None] * (position[move + 1] - position[move]),
+        lerp(position, move, move + 1, u),
         slerp(quat[move], quat[move + 1], u),
-        ends[move] + u[:, None] * (ends[move + 1] - ends[move]),
+        lerp(ends, move, move + 1, u),
     )
     q = _followed(program, cell, frames, knots, move, begin)
     all_p, all_quat = np.vstack([p0, knots.position]), np.vstack([quat0, knots.quat])
@@ -232,8 +232,8 @@ def _named_turns(program: RobotProgram, cell: Cell, raw: Array, move: Indices) -
     """Whole turns (k, n) to add to joints in (-pi, pi]: as targets say, by joints or by quarters, else by the ranges."""
     limits, na = cell.limits, raw.shape[1]
     if program.joints is not None:
-        said: Array = np.round((program.joints[move] - raw) / REVOLUTION)
-        return said
+        turns: Array = np.round((program.joints[move] - raw) / REVOLUTION)
+        return turns
     middle = np.tile(0.5 * (limits.q_min + limits.q_max)[:na], (len(raw), 1))
     if cell.spherical:
         middle[:, [0, 3, 5]] = (program.conf[move, :3] + 0.5) * QUARTER
@@ -263,8 +263,7 @@ def _with_joint_moves(program: RobotProgram, frames: _Frames, ends: PostureKnots
     u = (np.arange(len(owner)) - np.repeat(after - parts, parts) + 1) / parts[owner]
 
     def spread(values: Array) -> Array:
-        between = values[owner] + u[:, None] * (values[owner + 1] - values[owner])
-        return np.vstack([values[:1], between])
+        return np.vstack([values[:1], lerp(values, owner, owner + 1, u)])
 
     q, position, quat = spread(ends.q), spread(ends.position), np.vstack([ends.quat[:1], ends.quat[owner + 1]])
     inner = np.flatnonzero(u < 1.0) + 1
@@ -284,7 +283,7 @@ def _error(program: RobotProgram, reason: str) -> InputError:
 
 
 # ----------------------------------------------------------------------------------------------------
-# How fast a controller follows knots: the slowest of tip, reorientation, axes and joints, with ramps and corners.
+# Pace: the slowest of tip, reorientation, axes and joints, with ramps and corners.
 
 # Metres of path that a joint's way counts as, by the second that it would take at its own speed limit: where the tip
 # hardly moves, or stands, joints measure the path. A printing tip moves faster than this.

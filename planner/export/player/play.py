@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from planner.cell.cell import Cell
 
 # ----------------------------------------------------------------------------------------------------
-# Where a program is slower than it says: what else than the tip's speed sets the pace while material is laid.
+# Where something else than the programmed speed of the tip sets the pace while material is laid.
 
 ACCELERATION = "accelerations of the joints"
-SHORT = 0.05  # of the programmed speed: less is not told
+SHORT = 0.05  # of the programmed speed: less is not reported
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def _sorted(found: list[Limited]) -> tuple[Limited, ...]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# A player of programs: what a controller would make of one, as far as that can be known without one.
+# The player.
 #
 # The model. Lines are followed exactly in the part, joint moves exactly in joints. The speed on every stretch is that of
 # the slowest of the tip, reorientation and the station's axes, each as programmed, and of the joints with their own

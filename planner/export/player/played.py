@@ -1,4 +1,4 @@
-"""What a program has done once it has been played: where everything is at any time, and what happened when."""
+"""A program that was played: where everything is at any time, and what happened when."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.base.arrays import Array, Flags, Indices
-from planner.export.fit import slerp
+from planner.export.fit import lerp, slerp
 
 # ----------------------------------------------------------------------------------------------------
-# What a program has done once it has been played: where everything is at any time, and what happened when.
+# The motion over time.
 
 # A way has three parts: from its first speed to the one that is then kept, and on to that of the next way.
 PHASES = ("speed", "first acceleration", "its time", "time of even speed", "last acceleration", "its time")
@@ -94,8 +94,8 @@ class Played:
         quat = slerp(self.quat[k], self.quat[k + 1], u)
         shape = times.shape
         return Moment(
-            q=_between(self.q, k, u).reshape(*shape, -1),
-            position=_between(self.position, k, u).reshape(*shape, 3),
+            q=lerp(self.q, k, k + 1, u).reshape(*shape, -1),
+            position=lerp(self.position, k, k + 1, u).reshape(*shape, 3),
             quat=(quat / np.linalg.norm(quat, axis=1, keepdims=True)).reshape(*shape, 4),
             move=self.move[k].reshape(shape),
         )
@@ -126,11 +126,6 @@ class Played:
 TINY = 1e-300  # keeps a division by no speed at all finite, where what is divided is 0 as well
 
 
-def _between(values: Array, k: Indices, u: Array) -> Array:
-    out: Array = values[k] + u[:, None] * (values[k + 1] - values[k])
-    return out
-
-
 def _time(v: Array, a: Array, way: Array) -> Array:
     """How long (n) a way (n) [m] takes from the speed v [m/s] on with the acceleration a [m/s^2]."""
     out: Array = 2.0 * way / np.maximum(v + np.sqrt(np.maximum(v * v + 2.0 * a * way, 0.0)), TINY)
@@ -138,7 +133,7 @@ def _time(v: Array, a: Array, way: Array) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# When a played program lays material, and which of its moves and targets belong to that.
+# Where it lays material: spans of time, moves and targets.
 
 AT_ONCE = 1e-9  # s by which what happens at a target may miss it
 

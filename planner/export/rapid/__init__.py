@@ -1,1 +1,1 @@
-"""RAPID for ABB controllers: written, and read back."""
+"""RAPID for ABB controllers: writer, reader, and check against the plan."""

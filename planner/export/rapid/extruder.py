@@ -1,10 +1,8 @@
-"""How a RAPID program drives the extruder: styles `socket` and `demand`, written and read back."""
+"""How a RAPID program drives the extruder beyond switching an output: styles `socket` and `demand`."""
 
 from __future__ import annotations
 
-import csv
 import io
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -14,16 +12,15 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
-from planner.export.extruder import AMOUNT, orders
+from planner.export.extruder import orders
 from planner.export.moves import Moves, deposits
-from planner.export.program import RobotProgram
-from planner.plan.plan import filament_areas, used
+from planner.plan.plan import filament_areas
 
 if TYPE_CHECKING:
     from planner.plan import Event, Plan, Trajectory
 
 # ----------------------------------------------------------------------------------------------------
-# What the extruder feeds while it lays beads, and what besides.
+# Filament that beads take, apart from primes, retracts and purges.
 
 
 def event_samples(trajectory: Trajectory) -> Indices:
@@ -49,7 +46,7 @@ def _samples(t: Trajectory, event: Event) -> tuple[int, int]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Style `demand`: the flow that the extruder is asked for, on an analog output, as in Pollard et al.
+# Style `demand`: the flow on an analog output, as in Pollard et al.
 
 PERCENT = 0.01  # of the largest flow: the step of the demand
 OUTPUT_DECIMALS = 4  # of the output's value
@@ -96,7 +93,7 @@ def demand_of(plan: Plan, moves: Moves) -> FlowDemand:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Style `socket`: the G-code lines that the program sends to the extruder's board, each at its own place.
+# Style `socket`: the lines of G-code that the program sends to the extruder's board, each at its place.
 #
 # As in Tawfik et al.: a line for every segment between two targets, sent before the robot sets out on it, with the filament
 # of that segment and the rate that takes as long as the robot does; and lines for what the extruder does at rest.
@@ -132,13 +129,11 @@ def lines_of(plan: Plan, moves: Moves) -> tuple[SocketLine, ...]:
     Raises InputError for a line of the problem's own that no string of RAPID can hold.
     """
     t = plan.trajectory
-    said = [(0.0, RELATIVE, -1, 0)]
-    said += _ordered(plan)
-    said += _feeding(t, moves)
+    due = [(0.0, RELATIVE, -1, 0), *_ordered(plan), *_feeding(t, moves)]
     arrivals = np.concatenate([[0.0], t.t[moves.sample] - t.t[0]])
     leaves = np.append(t.t[moves.start] - t.t[0], np.inf)
     found = []
-    for at, text, bead, layer in sorted(said, key=lambda each: each[0]):
+    for at, text, bead, layer in sorted(due, key=lambda each: each[0]):
         place = int(np.searchsorted(arrivals, at + 0.5 * t.dt, side="right")) - 1
         if len(text) > LONGEST_LINE:
             raise InputError(
@@ -231,7 +226,7 @@ def _segments(t: Trajectory, moves: Moves) -> tuple[Indices, NDArray[np.int64]]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Style `socket`: the part of the program that hands lines to a relay, and stops the robot when nobody takes them.
+# Style `socket`: procedures that hand lines to a relay, and stop the robot when nobody takes them.
 #
 # The controller is the server of one connection. Lines of ASCII, ended by LF, at most 80 characters:
 # `H module lines`, answered by `G 1`; `L n gcode`, n = 1, 2, 3 …; `E n` at the end; `X n reason` where it stops by itself.
@@ -400,7 +395,7 @@ def server_declarations() -> list[str]:
 
 def server(module: str, lines: int, address: str, port: int, outputs: Iterable[str]) -> list[str]:
     """Procedures of the server of a program that sends so many lines; `outputs` are switched off where it stops."""
-    said = {
+    values = {
         "module": module,
         "lines": lines,
         "address": address,
@@ -412,118 +407,4 @@ def server(module: str, lines: int, address: str, port: int, outputs: Iterable[s
         "latest": LATEST,
         "piece": PIECE,
     }
-    return _PROCEDURES.format(**said).strip("\n").split("\n")
-
-
-# ----------------------------------------------------------------------------------------------------
-# Styles `socket` and `demand`, read back: is the filament moved that the plan has, by the right tool and in place?
-
-SHIFTS = (-1, 0, 1)  # samples by which a target may be mistaken for its neighbour
-LONGER = (
-    20e-6  # m by which lines may be longer than their path from a bead's beginning, beside what both are as a whole
-)
-ROUNDING = 2e-6  # m; a trigger nearer to a move's end, or start, stands there
-_EXTRUDES = re.compile(r"G1 E(-?\d+\.\d+) F(\d+\.\d+)", re.ASCII)
-_SELECTS = re.compile(r"T(\d+)", re.ASCII)
-
-
-def line_complaints(plan: Plan, program: RobotProgram, table: str) -> list[str]:
-    """Every difference, in words, between the lines of a program and its plan, or the table that goes with them."""
-    sent = [text for move in sorted(program.sends) for text in program.sends[move]]
-    said = [text for order in orders(plan) for text in order.lines if not text.startswith(";")]
-    found = [] if _listed(table) == list(enumerate(sent, 1)) else ["the table of lines lists others than are sent"]
-    if [text for text in sent if not _EXTRUDES.fullmatch(text)] != [RELATIVE, *said]:
-        found.append("the board is told other things than the plan's, or in another order")
-    return found + _fed_otherwise(plan, sent) + _fed_elsewhere(plan, program)
-
-
-def _listed(table: str) -> list[tuple[int, str]]:
-    rows = list(csv.DictReader(io.StringIO(table)))
-    if not rows or list(rows[0]) != COLUMNS.split(",") or any(None in row or None in row.values() for row in rows):
-        return []
-    return [(int(row["n"]) if row["n"].isdecimal() else 0, row["text"]) for row in rows]
-
-
-def _fed_otherwise(plan: Plan, sent: list[str]) -> list[str]:
-    """Tools that get another amount of filament than planned."""
-    filament: dict[int | None, float] = {}
-    tool = None
-    for text in sent:
-        if selects := _SELECTS.fullmatch(text):
-            tool = int(selects[1])
-        elif extrudes := _EXTRUDES.fullmatch(text):
-            filament[tool] = filament.get(tool, 0.0) + float(extrudes[1]) * 1e-3
-    t = plan.trajectory
-    takes: dict[int | None, float] = {each.material.tool: each.filament for each in used(plan) if each.beads}
-    takes = takes or {None: float(t.feed[-1] - t.feed[0])}
-    off = {tool: filament.get(tool, 0.0) - takes.get(tool, 0.0) for tool in {*takes, *filament}}
-    return [
-        f"{'the extruder' if tool is None else f'tool T{tool}'} gets {amount * 1e3:+.3g} mm of filament"
-        for tool, amount in sorted(off.items(), key=str)
-        if not abs(amount) <= AMOUNT
-    ]
-
-
-def _fed_elsewhere(plan: Plan, program: RobotProgram) -> list[str]:
-    """Whether what was sent until a bead begins, or ends, is what the plan has fed by then, to a sample and a bit."""
-    t = plan.trajectory
-    amounts = np.zeros(len(program.linear) + 1)  # sent behind each move; the last one before all moves
-    for move, texts in program.sends.items():
-        amounts[move] += sum(float(match[1]) * 1e-3 for match in map(_EXTRUDES.fullmatch, texts) if match)
-    sent = np.concatenate([[0.0], np.cumsum(amounts[:-1])])
-    first, last = deposits(t)
-    places = {True: iter(first), False: iter(last)}
-    near = 2.0 * float(np.abs(np.diff(t.feed)).max(initial=0.0)) + AMOUNT
-    worst = 0.0
-    for move, triggers in sorted(program.triggers.items()):
-        for trigger in triggers:
-            sample = int(next(places[trigger.value], len(t) - 1))
-            if not trigger.from_start:  # at a start the line for the bead may have been sent, or not
-                worst = max(worst, abs(float(sent[move] - (t.feed[sample] - t.feed[0]))))
-    words = f"where a bead begins or ends, {worst * 1e3:.3g} mm of filament are fed too early or too late"
-    return [] if worst <= near else [words]
-
-
-def demand_complaints(plan: Plan, program: RobotProgram) -> list[str]:
-    """Whether each move in a bead asks for a flow that the plan has there, and nothing is asked for elsewhere."""
-    t, scale = plan.trajectory, plan.problem.program.demand_scale * 1e9
-    planned = flow(plan) * scale
-    total = np.concatenate([[0.0], np.cumsum(planned)])
-    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(t.tip, axis=0), axis=1))])
-    lengths = np.linalg.norm(np.diff(program.position, axis=0, prepend=program.position[:1]), axis=1)
-    way = np.cumsum(lengths)
-    asked = _asked(program, lengths)
-    switched = [(move, trigger) for move in sorted(program.triggers) for trigger in program.triggers[move]]
-    edges = [move if not trigger.from_start else move - 1 for move, trigger in switched]
-    first, last = deposits(t)
-    if len(edges) != 2 * len(first):
-        return ["the extruder is not switched on and off once for each bead"]
-    step = PERCENT * float(planned.max(initial=0.0))
-    worst, wrong = 0.0, np.nan_to_num(asked, nan=1.0)
-    for a, b, begin, end in zip(first.tolist(), last.tolist(), edges[::2], edges[1::2], strict=True):
-        along = (way[begin : end + 1] - way[begin]) * ((path[b] - path[a]) / max(way[end] - way[begin], 1e-12))
-        gone = path[a : b + 1] - path[a]
-        near = [np.searchsorted(gone, along - LONGER), np.searchsorted(gone, along + LONGER)]  # before or after a rest
-        places = [np.clip(a + at + d, a, b) for at in near for d in SHIFTS]
-        own = np.unique(np.array(places), axis=0).T.tolist()
-        for i, (since, until) in enumerate(zip(own[:-1], own[1:], strict=True), begin + 1):
-            ends = [(j, min(max(k, j + 1), b)) for j in set(since) for k in set(until)]
-            means = [float(total[k] - total[j]) / max(k - j, 1) for j, k in ends]
-            off = max(min(means) - asked[i], asked[i] - max(means))
-            worst = np.inf if np.isnan(off) else max(worst, off)
-        wrong[begin + 1 : end + 1] = 0.0
-    found = [] if worst <= 1.01 * step else [f"a flow is asked for that is off by {worst / step:.3g} % of the largest"]
-    return found + (["a flow is asked for outside of beads"] if wrong.any() else [])
-
-
-def _asked(program: RobotProgram, lengths: Array) -> Array:
-    """Value of the analog output along each move (m); NaN where it changes within one."""
-    out, now = np.empty(len(program.linear)), 0.0
-    for i in range(len(out)):
-        levels = program.demands.get(i, ())
-        at_start = [value for far, value in levels if far >= lengths[i] - ROUNDING]
-        at_end = [value for far, value in levels if far <= ROUNDING and len(at_start) < len(levels)]
-        now = at_start[-1] if at_start else now
-        out[i] = now if len(at_start) + len(at_end) >= len(levels) else np.nan
-        now = at_end[-1] if at_end else now
-    return out
+    return _PROCEDURES.format(**values).strip("\n").split("\n")

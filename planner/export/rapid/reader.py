@@ -1,4 +1,4 @@
-"""Reads the RAPID that `writer` writes back into numbers: a strict subset, where anything unknown is an error."""
+"""Reader of RAPID: exactly the subset that `writer` uses; anything else is an error with its line."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from planner.base.arrays import Array
 from planner.base.errors import InputError
+from planner.export.grammar import Grammar, Statement
 from planner.export.program import RobotProgram, Trigger
 from planner.export.rapid.extruder import (
     END,
@@ -27,11 +28,7 @@ from planner.export.rapid.extruder import (
 from planner.export.rapid.text import HOME, NOT_LOADED, ZONES
 
 # ----------------------------------------------------------------------------------------------------
-# Statements of the RAPID that `writer` writes: a strict subset, where anything unknown is an error with its line.
-
-Parts = tuple[str | None, ...]
-Place = tuple[str, int]  # file, line
-Step = tuple[str, Place, Parts]  # word, place, what stands in it
+# Statements, and where each may stand in a module.
 
 NUMBER = r"-?[0-9]+(?:\.[0-9]+)?(?:E[0-9]+)?"
 _NUMBER = re.compile(NUMBER)
@@ -40,9 +37,15 @@ NEST = r"\[[-0-9.,E\[\]]*\]"
 POSE = r"\[\[[-0-9.,E]*\],\[[-0-9.,E]*\]\]"
 MOST_TRIGGERS = 8  # ABB, RAPID reference, TriggL: T1 to T8
 _TRIGGERS = rf"({NAME})((?:\\T[2-{MOST_TRIGGERS}]:={NAME})*)"
-PATTERNS = {
-    word: re.compile(pattern)
-    for word, pattern in {
+# numbers of a target; almost every line is a move that has them, and is recognised at once
+_TARGET = "],\\[".join(",".join([NUMBER] * count) for count in (3, 4, 4, 6))
+MISSHAPEN = "move without a target"
+_MOVE = rf"(MoveJ|MoveL|TriggL) ({{target}}),({NAME})(?:,{_TRIGGERS})?,(fine|z0|z1),({NAME})\\WObj:=({NAME});"
+GRAMMAR = Grammar.of(
+    "RAPID",
+    "!",
+    {
+        "move": _MOVE.replace("{target}", rf"\[\[{_TARGET}\]\]"),
         "module": rf"MODULE ({NAME})",
         "tool": rf"PERS tooldata ({NAME}):=\[TRUE,({POSE}),{NEST}\];",
         "wobj": rf'PERS wobjdata ({NAME}):=\[FALSE,(TRUE|FALSE),"({NAME})?",({POSE}),({POSE})\];',
@@ -52,7 +55,7 @@ PATTERNS = {
         "proc": rf"PROC ({NAME})\(\)",
         "demand": rf"TriggIO ({NAME}),({NUMBER})(\\Start)?\\AOp:=({NAME}),({NUMBER});",
         "absolute": rf"MoveAbsJ ({NEST}),({NAME}),fine,({NAME})\\WObj:=({NAME});",
-        "move": rf"(MoveJ|MoveL|TriggL) ({NEST}),({NAME})(?:,{_TRIGGERS})?,(fine|z0|z1),({NAME})\\WObj:=({NAME});",
+        MISSHAPEN: _MOVE.replace("{target}", NEST),
         "wait": rf"WaitTime ({NUMBER});",
         "unit": rf"(ActUnit|DeactUnit) ({NAME});",
         "output": rf"SetDO ({NAME}),([01]);",
@@ -67,30 +70,25 @@ PATTERNS = {
         "setting": r"(SingArea\\Off|ConfJ\\On|ConfL\\Off);",
         "end": r"(ENDPROC|ENDMODULE)",
         "call": rf"({NAME});",
-    }.items()
-}
+    },
+)
 DECLARATIONS = ("module", "tool", "wobj", "speed", "variable", "proc")
 SHAPE_POSE, SHAPE_TARGET, SHAPE_JOINTS = "[3,4]", "[3,4,4,6]", "[6,6]"
-# A move whose target has the right shape and nothing but numbers: almost every line, and read without a second look.
-_TARGET = "],\\[".join(",".join([NUMBER] * count) for count in (3, 4, 4, 6))
-_MOVE = re.compile(PATTERNS["move"].pattern.replace(f"({NEST})", rf"(\[\[{_TARGET}\]\])", 1))
 
 
-def error(place: Place, reason: str) -> InputError:
-    """What is wrong in a line of the program."""
-    return InputError(reason, file=place[0], line=place[1])
+def numbers(nest: str, shape: str, statement: Statement) -> list[float]:
+    """Flat numbers of a nested list such as [[1,2,3],[1,0,0,0]], whose inner lengths must be `shape`, e.g. [3,4].
 
-
-def numbers(nest: str, shape: str, place: Place) -> list[float]:
-    """Flat numbers of a nested list such as [[1,2,3],[1,0,0,0]], whose inner lengths must be `shape`, e.g. [3,4]."""
+    Raises InputError with the statement's line where they are not.
+    """
     groups = nest[2:-2].split("],[") if nest.startswith("[[") and nest.endswith("]]") else [nest[1:-1]]
     items = [group.split(",") for group in groups]
     if f"[{','.join(str(len(item)) for item in items)}]" != shape:
-        raise error(place, f"expected lists of lengths {shape} in {nest[:60]}")
+        raise statement.error(f"expected lists of lengths {shape} in {nest[:60]}")
     flat = [value for item in items for value in item]
     for value in flat:
         if not _NUMBER.fullmatch(value):
-            raise error(place, f"{value!r} is not a number")
+            raise statement.error(f"{value!r} is not a number")
     return [float(value) for value in flat]
 
 
@@ -101,9 +99,9 @@ def target_numbers(nests: Sequence[str]) -> Array:
     return np.fromstring(flat, sep=",").reshape(len(nests), 17)
 
 
-def pose(nest: str, place: Place) -> Array:
-    """Position [m] and quaternion x y z w of a RAPID pose."""
-    x, y, z, qw, qx, qy, qz = numbers(nest, SHAPE_POSE, place)
+def pose(nest: str, statement: Statement) -> Array:
+    """Position [m] and quaternion x y z w (7) of a RAPID pose."""
+    x, y, z, qw, qx, qy, qz = numbers(nest, SHAPE_POSE, statement)
     return np.array([x * 1e-3, y * 1e-3, z * 1e-3, qx, qy, qz, qw])
 
 
@@ -117,7 +115,7 @@ class Module:
     wobj: dict[str, tuple[str, Array, Array]] = field(default_factory=dict)
     speeds: dict[str, list[float]] = field(default_factory=dict)
     triggers: set[str] = field(default_factory=set)
-    procs: dict[str, list[Step]] = field(default_factory=dict)
+    procs: dict[str, list[Statement]] = field(default_factory=dict)
     server: list[str] = field(default_factory=list)
     served: int = 0
     fallback: list[str] = field(default_factory=list)
@@ -130,14 +128,13 @@ def parse(text: str, file: str) -> Module:
     begins = f"    PROC {OPEN}()"
     served = raw.index(begins) if begins in raw else len(raw)
     closes = max(served, len(raw) - 2)
-    for line, statement in enumerate(raw, start=1):
-        statement = statement.strip()
-        if statement and not statement.startswith("!") and not served < line <= closes:
-            parser.take(statement, (file, line))
+    for line, text_ in enumerate(map(str.strip, raw), start=1):
+        if text_ and not text_.startswith(GRAMMAR.comment) and not served < line <= closes:
+            parser.take(text_, line)
     if not parser.closed:
         raise InputError("no complete module: ENDMODULE is missing", file=file)
     if parser.declared != (server_declarations() if served < len(raw) else []):
-        raise error((file, served), "the variables of the socket are others than its procedures need")
+        raise InputError("the variables of the socket are others than its procedures need", file=file, line=served)
     return replace(parser.module, name=parser.name, server=raw[served:closes], served=served + 1)
 
 
@@ -151,58 +148,52 @@ class _Parser:
         self.handling = False  # behind ERROR of main
         self.closed = False
 
-    def take(self, statement: str, place: Place) -> None:
-        if self.handling and statement != "ENDPROC":
-            self.module.fallback.append(statement)
+    def take(self, text: str, line: int) -> None:
+        if self.handling and text != "ENDPROC":
+            self.module.fallback.append(text)
             return
-        move = _MOVE.fullmatch(statement)
-        if move is not None and self.current and not self.closed:
-            self.module.procs[self.current].append(("move", place, move.groups()))
+        if self.name and not self.current and not self.closed and f"    {text}" in server_declarations():
+            self.declared.append(f"    {text}")
             return
-        if f"    {statement}" in server_declarations() and self.name and not self.current and not self.closed:
-            self.declared.append(f"    {statement}")
-            return
-        known = ((word, pattern.fullmatch(statement)) for word, pattern in PATTERNS.items())
-        word, match = next((pair for pair in known if pair[1]), ("", None))
-        if match is None:
-            raise error(place, f"unknown statement {statement[:60]!r}")
-        parts = match.groups()
+        statement = GRAMMAR.statement(text, line, self.module.file)
+        word = statement.word
         if self.closed or (word != "module") == (not self.name):
-            raise error(place, f"{statement[:60]!r} stands outside the module")
-        inside = word not in DECLARATIONS and statement != "ENDMODULE"
+            raise statement.misplaced("outside the module")
+        inside = word not in DECLARATIONS and text != "ENDMODULE"
         if inside != bool(self.current):
-            raise error(place, f"{statement[:60]!r} stands {'outside' if inside else 'inside'} a procedure")
+            raise statement.misplaced(f"{'outside' if inside else 'inside'} a procedure")
         if word == "error":
             self.handling = True
-            self.module.fallback.append(statement)
+            self.module.fallback.append(text)
         elif word == "end":
             self.handling = False
-            self.closed = statement == "ENDMODULE"
+            self.closed = text == "ENDMODULE"
             self.current = ""
         elif word in DECLARATIONS:
-            self.declare(word, parts, place)
+            self.declare(statement)
+        elif word == MISSHAPEN:
+            numbers(statement.parts[1], SHAPE_TARGET, statement)  # says what is wrong with it
         else:
-            if word == "move":
-                numbers(str(parts[1]), SHAPE_TARGET, place)
-            self.module.procs[self.current].append((word, place, parts))
+            self.module.procs[self.current].append(statement)
 
-    def declare(self, word: str, parts: Parts, place: Place) -> None:
-        name, module = str(parts[0]), self.module
+    def declare(self, statement: Statement) -> None:
+        parts, module = statement.parts, self.module
+        name = parts[0]
         if name.lower() in self.names:  # RAPID does not tell capitals from small letters
-            what = "procedure" if word == "proc" else "name"
-            raise error(place, f"{what} {name} stands there twice, first in line {self.names[name.lower()]}")
-        self.names[name.lower()] = place[1]
-        if word == "module":
+            what = "procedure" if statement.word == "proc" else "name"
+            raise statement.error(f"{what} {name} stands there twice, first in line {self.names[name.lower()]}")
+        self.names[name.lower()] = statement.line
+        if statement.word == "module":
             self.name = name
-        elif word == "tool":
-            module.tool[name] = pose(str(parts[1]), place)
-        elif word == "wobj":
+        elif statement.word == "tool":
+            module.tool[name] = pose(parts[1], statement)
+        elif statement.word == "wobj":
             if (parts[1] == "FALSE") != bool(parts[2]):
-                raise error(place, "a work object moves if, and only if, it names a station")
-            module.wobj[name] = (parts[2] or "", pose(str(parts[3]), place), pose(str(parts[4]), place))
-        elif word == "speed":
-            module.speeds[name] = numbers(str(parts[1]), "[4]", place)
-        elif word == "variable":
+                raise statement.error("a work object moves if, and only if, it names a station")
+            module.wobj[name] = (parts[2], pose(parts[3], statement), pose(parts[4], statement))
+        elif statement.word == "speed":
+            module.speeds[name] = numbers(parts[1], "[4]", statement)
+        elif statement.word == "variable":
             module.triggers.add(name)
         else:
             self.current = name
@@ -210,7 +201,7 @@ class _Parser:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Reads the RAPID that `writer` writes back into numbers: what the program does, in the order in which it runs.
+# Execution: the motion of all modules, in the order in which they run.
 
 # What stands around the motion, in main alone: it must all be there, before the start or behind the last move.
 AROUND = ("setting", "unit", "output", "demanded")
@@ -220,7 +211,7 @@ _BIND = re.compile(r'SocketBind bwServer,"(\d{1,3}(?:\.\d{1,3}){3})",(\d{4});', 
 
 def read_rapid(text: str) -> RobotProgram:
     """Program of RAPID text as `writer.rapid` writes it, in one module; else as `read_rapid_files`."""
-    return _Run([parse(text, "RAPID")]).program()
+    return _Run([parse(text, GRAMMAR.file)]).program()
 
 
 def read_rapid_files(files: Mapping[str, str]) -> RobotProgram:
@@ -236,9 +227,9 @@ def _radians(degrees: Array) -> Array:
     return np.where(degrees > 1e9, np.nan, np.radians(degrees))
 
 
-def _known(place: Place, name: str | None, names: Collection[str]) -> str:
-    if name is None or name not in names:
-        raise error(place, f"unknown name {name!r}")
+def _known(statement: Statement, name: str, names: Collection[str]) -> str:
+    if name not in names:
+        raise statement.error(f"unknown name {name!r}")
     return name
 
 
@@ -259,7 +250,7 @@ class _Run:
         self.flows: set[str] = set()
         self.around: tuple[set[str], set[str]] = (set(), set())
         self.start: list[float] = []
-        self.moves: list[tuple[Place, Parts]] = []
+        self.moves: list[Statement] = []
         self.waits: dict[int, float] = {}
         self.sends: dict[int, list[str]] = {}
         self.rested: dict[int, list[float]] = {}
@@ -287,75 +278,76 @@ class _Run:
     def run(self) -> set[str]:
         """Follow main; returns the names of all modules that were loaded."""
         loads: set[str] = set()
-        for step in self.module.procs["main"]:
-            word, place, parts = step
-            if word == "call":
-                self.call(place, parts[0], self.module.procs)
-            elif word == "late":
-                self.call(place, parts[0], {k: v for each in self.loaded.values() for k, v in each.procs.items()})
-            elif word == "load":
-                way, name = parts
+        for statement in self.module.procs["main"]:
+            if statement.word == "call":
+                self.call(statement, self.module.procs)
+            elif statement.word == "late":
+                self.call(statement, {k: v for each in self.loaded.values() for k, v in each.procs.items()})
+            elif statement.word == "load":
+                way, name = statement.parts
                 if way == "UnLoad " and not self.start:
-                    self.cleared.add(_known(place, name, self.others))
+                    self.cleared.add(_known(statement, name, self.others))
                     continue
-                at = len(self.moves) - 1
-                if at < 0 or self.moves[at][1][5] != "fine":
-                    raise error(place, "modules are loaded, and taken out, at rest")
+                if not self.moves or self.moves[-1].parts[5] != "fine":
+                    raise statement.error("modules are loaded, and taken out, at rest")
                 if way == "UnLoad ":
-                    self.loaded.pop(_known(place, name, self.loaded))
+                    self.loaded.pop(_known(statement, name, self.loaded))
                 else:
-                    other = _known(place, name, set(self.others) - set(self.loaded))
+                    other = _known(statement, name, set(self.others) - set(self.loaded))
                     self.loaded[other] = self.others[other]
                     loads.add(other)
             else:
-                self.take(step)
+                self.take(statement)
         return loads
 
-    def call(self, place: Place, name: str | None, procs: Mapping[str, list[Step]]) -> None:
-        for step in procs[_known(place, name, procs)]:
-            if step[0] in ("call", "late", "load", *AROUND):
-                raise error(step[1], "only main calls procedures, loads modules, and sets what holds for all")
-            self.take(step)
+    def call(self, statement: Statement, procs: Mapping[str, list[Statement]]) -> None:
+        for inner in procs[_known(statement, statement.parts[0], procs)]:
+            if inner.word in ("call", "late", "load", *AROUND):
+                raise inner.error("only main calls procedures, loads modules, and sets what holds for all")
+            self.take(inner)
 
-    def take(self, step: Step) -> None:
-        word, place, parts = step
+    def take(self, statement: Statement) -> None:
+        word, parts = statement.word, statement.parts
         at = len(self.moves) - 1
-        if word == "absolute":
-            if self.moves or self.start:
-                raise error(place, "MoveAbsJ is for the start only")
-            _known(place, parts[1], self.module.speeds)
-            self.start = numbers(str(parts[0]), SHAPE_JOINTS, place)
-        elif word == "trigger":
-            name, distance, from_start, signal, value = parts
-            far = float(str(distance)) * 1e-3
-            trigger = Trigger(far, bool(from_start), value == "1", str(signal))
-            self.trigger[_known(place, name, self.module.triggers)] = trigger
-            self.outputs[str(signal)] = None
-        elif word == "demand":
-            name, distance, from_start, signal, value = parts
-            self.flows.add(str(signal))
-            level = (float(str(distance)) * 1e-3, bool(from_start), float(str(value)))
-            self.demand[_known(place, name, self.module.triggers)] = level
-        elif word == "move":
+        if word == "move":
             if self.around[1]:
-                raise error(place, "a move behind the end")
-            self.moves.append((place, parts))
+                raise statement.error("a move behind the end")
+            self.moves.append(statement)
+        elif word == "absolute":
+            if self.moves or self.start:
+                raise statement.error("MoveAbsJ is for the start only")
+            _known(statement, parts[1], self.module.speeds)
+            self.start = numbers(parts[0], SHAPE_JOINTS, statement)
+        elif word in ("trigger", "demand"):
+            distance, from_start, signal, value = (
+                float(parts[1]) * 1e-3,
+                bool(parts[2]),
+                parts[3],
+                parts[4],
+            )
+            name = _known(statement, parts[0], self.module.triggers)
+            if word == "trigger":
+                self.trigger[name] = Trigger(distance, from_start, value == "1", signal)
+                self.outputs[signal] = None
+            else:
+                self.demand[name] = (distance, from_start, float(value))
+                self.flows.add(signal)
         elif word in AROUND:
             if self.start and not self.moves:
-                raise error(place, "it stands between the start and the first move")
-            self.around[bool(self.moves)].add(" ".join(str(part) for part in parts))
+                raise statement.error("it stands between the start and the first move")
+            self.around[bool(self.moves)].add(" ".join(parts))
         elif word == "wait":
             if at < 0:
-                raise error(place, "a wait before the first target")
-            self.waits[at] = self.waits.get(at, 0.0) + float(str(parts[0]))
+                raise statement.error("a wait before the first target")
+            self.waits[at] = self.waits.get(at, 0.0) + float(parts[0])
         elif word == "send":
             self.sent += 1
-            if self.calls != [OPEN] or at < 0 or int(str(parts[0])) != self.sent:
-                raise error(place, f"line {parts[0]} is sent out of order")
-            self.sends.setdefault(at, []).append(str(parts[1]))
+            if self.calls != [OPEN] or at < 0 or int(parts[0]) != self.sent:
+                raise statement.error(f"line {parts[0]} is sent out of order")
+            self.sends.setdefault(at, []).append(parts[1])
             self.rested.setdefault(at, []).append(self.waits.get(at, 0.0))
         elif word == "socket":
-            self.calls.append(str(parts[0]))
+            self.calls.append(parts[0])
 
     def check_around(self) -> None:
         """Outputs are off before and after, the station is active, and singularities and configurations are as written."""
@@ -363,32 +355,33 @@ class _Run:
         off = {f"{signal} 0" for signal in (*self.outputs, *self.flows)}
         before = off | SETTINGS | ({f"ActUnit {station}"} if station else set())
         after = off | ({f"DeactUnit {station}"} if station else set())
-        for where, said, wanted in zip(("before", "behind"), self.around, (before, after), strict=True):
-            if said != wanted:
-                other = ", ".join(sorted(said ^ wanted))
+        for where, found, wanted in zip(("before", "behind"), self.around, (before, after), strict=True):
+            if found != wanted:
+                other = ", ".join(sorted(found ^ wanted))
                 raise InputError(
                     f"missing in main {where} all moves, or not known there: {other}", file=self.module.file
                 )
 
     def program(self) -> RobotProgram:
         if not self.start or not self.moves:
-            raise InputError("no moves", file="RAPID")
+            raise InputError("no moves", file=GRAMMAR.file)
         self.check_server()
         speeds, triggers, module = [], {}, self.module
         asks: dict[int, list[tuple[float, bool, float]]] = {}
-        for i, (place, (word, _, speed, first, others, _, tool, wobj)) in enumerate(self.moves):
+        for i, move in enumerate(self.moves):
+            word, _, speed, first, _, _, tool, wobj = move.parts
             if speed not in module.speeds or tool not in module.tool or wobj not in module.wobj:
                 for name, names in ((speed, module.speeds), (tool, module.tool), (wobj, module.wobj)):
-                    _known(place, name, names)
-            speeds.append(module.speeds[str(speed)])
-            if (first is not None) != (word == "TriggL"):
-                raise error(place, "TriggL, and nothing else, has triggers")
-            if first is not None:
-                used = self.used(place, first, others or "")
+                    _known(move, name, names)
+            speeds.append(module.speeds[speed])
+            if bool(first) != (word == "TriggL"):
+                raise move.error("TriggL, and nothing else, has triggers")
+            if first:
+                used = self.used(move)
                 if switches := tuple(self.trigger[name] for name in used if name in self.trigger):
                     triggers[i] = switches
                 asks[i] = [self.demand[name] for name in used if name in self.demand]
-        table = target_numbers([str(parts[1]) for _, parts in self.moves])
+        table = target_numbers([move.parts[1] for move in self.moves])
         lengths = np.linalg.norm(np.diff(table[:, :3] * 1e-3, axis=0, prepend=table[:1, :3] * 1e-3), axis=1)
         station, uframe, oframe = next(iter(module.wobj.values()))
         return RobotProgram(
@@ -398,13 +391,13 @@ class _Run:
             oframe=oframe,
             station=station,
             start=_radians(np.array(self.start)),
-            linear=np.array([parts[0] != "MoveJ" for _, parts in self.moves]),
-            fine=np.array([parts[5] == "fine" for _, parts in self.moves]),
+            linear=np.array([move.parts[0] != "MoveJ" for move in self.moves]),
+            fine=np.array([move.parts[5] == "fine" for move in self.moves]),
             position=table[:, :3] * 1e-3,
             quat=table[:, [4, 5, 6, 3]],
             conf=table[:, 7:11].astype(np.intp),
             external=_radians(table[:, 11:]),
-            zone=np.array([ZONES[str(parts[5])] for _, parts in self.moves]),
+            zone=np.array([ZONES[move.parts[5]] for move in self.moves]),
             speed=np.array(speeds) * [1e-3, np.pi / 180.0, 1e-3, np.pi / 180.0],
             wait=np.array([self.waits.get(i, 0.0) for i in range(len(self.moves))]),
             triggers=triggers,
@@ -417,26 +410,29 @@ class _Run:
             send_rests={i: tuple(rests) for i, rests in self.rested.items()},
         )
 
-    def used(self, place: Place, first: str, others: str) -> list[str]:
+    def used(self, move: Statement) -> list[str]:
         """The triggers of a move, T1, T2 and so on."""
-        numbered = [each.split(":=") for each in others.split("\\")[1:]]
+        numbered = [each.split(":=") for each in move.parts[4].split("\\")[1:]]
         if [number for number, _ in numbered] != [f"T{k}" for k in range(2, len(numbered) + 2)]:
-            raise error(place, "the triggers are not numbered T2, T3, …")
-        return [
-            _known(place, name, {**self.trigger, **self.demand}) for name in (first, *(name for _, name in numbered))
-        ]
+            raise move.error("the triggers are not numbered T2, T3, …")
+        known = {**self.trigger, **self.demand}
+        return [_known(move, name, known) for name in (move.parts[3], *(name for _, name in numbered))]
 
     def check_server(self) -> None:
         """The socket's procedures must stand there as they always do, whatever the address."""
         module, written = self.module, self.module.server
+
+        def error(reason: str, line: int = module.served) -> InputError:
+            return InputError(reason, file=module.file, line=line)
+
         if not written and not self.calls and not self.sent:
             return
         if len(self.calls) != 2 or not written:
-            raise error((module.file, module.served), "the socket is not opened and closed once each")
+            raise error("the socket is not opened and closed once each")
         binds = _BIND.search("\n".join(written))
         if binds is None or not FIRST_PORT <= int(binds[2]) <= LAST_PORT:
-            raise error((module.file, module.served), "the socket is bound to nothing that it may be bound to")
+            raise error("the socket is bound to nothing that it may be bound to")
         expected = server(module.name, self.sent, binds[1], int(binds[2]), self.outputs)
         for k, (line, right) in enumerate(itertools.zip_longest(written, expected), module.served):
             if line != right:
-                raise error((module.file, k), f"the socket's procedures say {line!r} instead of {right!r}")
+                raise error(f"the socket's procedures say {line!r} instead of {right!r}", k)

@@ -1,4 +1,4 @@
-"""Words, numbers and modules as RAPID takes them."""
+"""Names, comments and modules of RAPID."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from planner.export.text import ascii_comment
+
 if TYPE_CHECKING:
     from planner.export.rapid.writer import Procedure
 
 
 # ----------------------------------------------------------------------------------------------------
-# Words and numbers as RAPID takes them.
+# Names and comments.
 
 # ABB, RAPID kernel reference, reserved words; and the names of our own procedures
 RESERVED = """ALIAS AND BACKWARD CASE CONNECT CONST DEFAULT DIV DO ELSE ELSEIF ENDFOR ENDFUNC ENDIF ENDMODULE ENDPROC ENDRECORD
@@ -26,7 +28,6 @@ PREDEFINED = """ABS ACOS ADD ASIN ATAN BOOL BREAK BYTE CLEAR CLOCK CLOSE COS DEC
 ZONES = {"fine": 0.0, "z0": 0.3e-3, "z1": 1e-3}
 LONGEST_STRING = 80
 LONGEST_NAME = 32
-LONGEST_COMMENT = 100
 NOTE = "Note: "  # begins a comment in the header that users should read
 _NOTE = re.compile(rf" {{4}}! {NOTE}(.*)\n {{4}}!   (first .*)\n")
 
@@ -43,16 +44,9 @@ def module_name(name: str, longest: int = LONGEST_NAME) -> str:
     return whole[: longest - len(tail)] + tail if len(whole) > longest else whole
 
 
-def number(value: float, decimals: int) -> str:
-    """Fixed-point number as RAPID reads it; never minus nought."""
-    text = f"{value:.{decimals}f}"
-    return text[1:] if text.startswith("-") and not text.strip("-0.") else text
-
-
 def comment(text: str, indent: int = 4) -> str:
     """One comment line, ASCII, of bounded length."""
-    text = re.sub(r"[^\x20-\x7e]", "?", text)
-    return f"{'':{indent}}! {text[:LONGEST_COMMENT].rstrip()}"
+    return ascii_comment("!", text, indent)
 
 
 def written_notes(text: str) -> tuple[str, ...]:
@@ -61,7 +55,7 @@ def written_notes(text: str) -> tuple[str, ...]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Long programs in several modules, which the main one loads when it needs them.
+# Modules of a long program, which main loads when it needs them.
 
 HOME = "HOME:"  # the folder on the controller from which modules are loaded
 # What was loaded when a program was stopped may be older than the files: it is taken out before all motion, where it is.

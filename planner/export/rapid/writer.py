@@ -1,4 +1,4 @@
-"""RAPID for ABB controllers (IRC5 and OmniCore): modules with their targets written in the moves."""
+"""Writer of RAPID for ABB controllers (IRC5 and OmniCore): modules with their targets written in the moves."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array
 from planner.export.fit import continuous, from_matrix
-from planner.export.moves import Moves, Wait, deposits, plan_moves
+from planner.export.moves import Moves, Wait, plan_moves, sections
 from planner.export.player.play import limited, play
 from planner.export.program import RobotProgram, about
 from planner.export.rapid.extruder import (
@@ -42,11 +42,11 @@ from planner.export.rapid.text import (
     batches_of,
     comment,
     module_name,
-    number,
     running,
     unloading,
 )
-from planner.export.support import unsaid_in_rapid
+from planner.export.support import by_bead, unsupported_in_rapid
+from planner.export.text import number, require_writable
 from planner.plan import RAPID_EXTERNAL_AXES
 from planner.plan.plan import materials_of
 
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from planner.plan import Plan
 
 # ----------------------------------------------------------------------------------------------------
-# Targets of RAPID: poses, configurations and external axes of a plan's samples.
+# Robtargets: poses, configurations and external axes.
 
 UNUSED = "9E9"
 
@@ -107,7 +107,7 @@ def targets(plan: Plan, moves: Moves) -> list[str]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# What stands before the procedures of a module: header, tool and work object, speeds, triggers.
+# Declarations: header, tool and work object, speeds.
 
 HEAD_ROOM = 1.5  # of reorientation and axis speeds over what the plan needs, so that the tip's speed alone governs
 SECOND_ARM = (
@@ -119,6 +119,7 @@ TOOL_LOAD = "[1,[0,0,50],[1,0,0,0],0,0,0]"
 
 
 def header(plan: Plan) -> list[str]:
+    """Comments at the head of the main module: the plan, its checks and its materials."""
     texts = about(plan)
     for each in materials_of(plan.problem):
         texts.append(f"Material {each.name}: tool T{each.tool} of the extruder's board, output {each.signal}")
@@ -198,7 +199,7 @@ def extruders(plan: Plan) -> dict[str, str]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Outputs that are switched in motion: which triggers a program declares, and which of them each move has.
+# Triggers: outputs that are switched in motion.
 
 
 @dataclass(frozen=True)
@@ -234,9 +235,7 @@ def triggers_of(plan: Plan, moves: Moves, demand: FlowDemand | None) -> Triggers
 
 def _switching(plan: Plan, moves: Moves) -> dict[int, list[str]]:
     """Move → triggers of the digital outputs."""
-    names = [each.name for each in materials_of(plan.problem)]
-    endings = list(extruders(plan))
-    own = [endings[names.index(bead.material)] if names else endings[0] for bead in plan.toolpath.beads]
+    own = by_bead(plan, list(extruders(plan)))
     bead = plan.trajectory.bead
     of: dict[int, list[str]] = {}
     for name, flags, at in (
@@ -266,7 +265,7 @@ def _asking(moves: Moves, demand: FlowDemand) -> dict[int, list[tuple[int, bool]
 
 
 # ----------------------------------------------------------------------------------------------------
-# The procedures of a program: the start, one for each bead with the way to it, and the way home.
+# Procedures: the start, one for each bead with the way to it, and the way home.
 
 
 @dataclass(frozen=True)
@@ -322,7 +321,6 @@ def procedures_of(
     """All procedures with moves, in the order of calling; speeds: names, of the way to the start and of every move."""
     names, places = plan.problem.program, targets(plan, moves)
     frames = f"{names.tool}\\WObj:={names.work_object};"
-    first, last = deposits(plan.trajectory)
     sent = _numbered(lines)
     about = "The planned start as a target: the robot must not move here, if tool and work object are right."
     start = f"        MoveJ {places[0]},{speeds[0]},fine,{frames}"
@@ -338,12 +336,10 @@ def procedures_of(
         move = f"        {word} {places[i + 1]},{speeds[i + 1]}{what},{zone},{frames}"
         return (move, *_resting(moves.waits.get(i, ()), sent.get(i, ())))
 
-    bounds = np.searchsorted(moves.after, np.arange(len(first) + 2)).tolist()
-    for k, (a, b) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
-        if a < b:
-            name = f"Bead{plan.first_bead + k + 1:04d}" if k < len(first) else "Finish"
-            words = (_about(plan, int(first[k]), int(last[k])),) if k < len(first) else ()
-            found.append(Procedure(name, words, tuple(map(step, range(a, b))), fine[b - 1]))
+    for section in sections(plan, moves):
+        name = f"Bead{section.number:04d}" if section.number else "Finish"
+        words = (comment(section.about, 8),) if section.about else ()
+        found.append(Procedure(name, words, tuple(map(step, section.moves)), fine[section.moves[-1]]))
     return found
 
 
@@ -388,17 +384,8 @@ def _resting(waits: Sequence[Wait], sent: Sequence[tuple[int, SocketLine]]) -> l
     return out
 
 
-def _about(plan: Plan, first: int, last: int) -> str:
-    """Comment on what a procedure prints between two samples."""
-    t = plan.trajectory
-    bead = t.bead[first]
-    of = plan.toolpath.beads[bead].material
-    length = f"{1e3 * (t.s[last] - t.s[first]):.1f} mm" + (f" of {of}" if of else "")
-    return comment(f"Bead {bead}, layer {t.layer[first]}: {length}", 8)
-
-
 # ----------------------------------------------------------------------------------------------------
-# What users of a program should know before it runs: notes in its header, each with the first place that it is about.
+# Notes in the header: what users should know before a program runs, each with its first place.
 
 _MOVE = re.compile(r" {8}(?:MoveJ|MoveL|TriggL) ")
 
@@ -458,9 +445,7 @@ def note_lines(notes: tuple[ProgramNote, ...], plan: Plan, moves: Moves, files: 
 
 
 # ----------------------------------------------------------------------------------------------------
-# RAPID for ABB controllers (IRC5 and OmniCore): modules with their targets written in the moves.
-#
-# Targets stand inline in the moves, in one procedure per bead, because that is what an IRC5 takes without trouble: every
+# The program. Targets stand inline in the moves, in one procedure per bead, because that is what an IRC5 takes without trouble: every
 # line is one statement, so a load error names its line, the operator can put the pointer on any target, and look-ahead
 # runs through procedure calls without a stop. Arrays of targets would be one statement of thousands of lines each, which
 # the loader must hold at once, and a loop over them puts logic between fly-by points.
@@ -482,12 +467,9 @@ def rapid_files(plan: Plan) -> dict[str, str]:
 
     They are the main module, the program file, the modules that a long program loads, and the lines of style `socket`.
     Raises ValueError if the plan is not verified or has no form in RAPID, which is a mistake of the caller's, and
-    InputError where the problem asks for a flow, or a line, that cannot be said.
+    InputError where the problem asks for a flow, or a line, that RAPID has no form for.
     """
-    if not plan.verified:
-        raise ValueError("robot code is written for verified plans only")
-    if (reason := unsaid_in_rapid(plan)) is not None:
-        raise ValueError(reason)
+    require_writable(plan, unsupported_in_rapid(plan))
     name, t, spec = module_name(plan.name), plan.trajectory, plan.problem.program
     sends = spec.style == "socket"
     moves = plan_moves(plan, event_samples(t) if sends else None, laid_filament(t) if spec.style != "output" else None)
@@ -539,12 +521,12 @@ def _main(plan: Plan, cleared: list[str], calls: list[str], speed: str, triggers
     external = external_text(external_degrees(cell, start[:, na:]))[0]
     station = [] if cell.holder_robot is None else [names.station]
     sends = names.style == "socket"
-    said = f"{module_name(plan.name)}: {len(plan.beads)} beads"[:LONGEST_STRING]
+    title = f"{module_name(plan.name)}: {len(plan.beads)} beads"[:LONGEST_STRING]
     off = [f"        SetDO {signal},0;" for signal in extruders(plan).values()]
     off += [f"        SetAO {names.demand_signal},0;"] if names.style == "demand" else []
     return [
         "    PROC main()",
-        f'        TPWrite "{said}";',
+        f'        TPWrite "{title}";',
         *cleared,
         *(f"        ActUnit {name};" for name in station),
         "        SingArea\\Off;",

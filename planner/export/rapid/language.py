@@ -1,0 +1,139 @@
+"""RAPID as a language: its writer, and the check of a program against its plan, flow and lines to the board included."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from planner.base.arrays import Array
+from planner.export.extruder import AMOUNT, filament_differences, orders
+from planner.export.moves import deposits
+from planner.export.program import RobotProgram
+from planner.export.rapid.extruder import COLUMNS, PERCENT, RELATIVE, flow
+from planner.export.rapid.reader import read_rapid_files
+from planner.export.rapid.text import module_name
+from planner.export.rapid.writer import rapid_files as write
+from planner.export.readback import readback
+
+if TYPE_CHECKING:
+    from planner.plan import Plan
+
+__all__ = ["differences", "write"]
+
+SHIFTS = (-1, 0, 1)  # samples by which a target may be mistaken for its neighbour
+LONGER = (
+    20e-6  # m by which lines may be longer than their path from a bead's beginning, beside what both are as a whole
+)
+ROUNDING = 2e-6  # m; a trigger nearer to a move's end, or start, stands there
+_EXTRUDES = re.compile(r"G1 E(-?\d+\.\d+) F(\d+\.\d+)", re.ASCII)
+_SELECTS = re.compile(r"T(\d+)", re.ASCII)
+
+
+def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
+    """Differences of the modules from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
+    program = read_rapid_files(files)
+    found = readback(plan, program)
+    if plan.problem.program.style == "socket":
+        found += line_differences(plan, program, files[f"{module_name(plan.name)}_lines.csv"])
+    if plan.problem.program.style == "demand":
+        found += demand_differences(plan, program)
+    return found
+
+
+def line_differences(plan: Plan, program: RobotProgram, table: str) -> list[str]:
+    """Every difference, in words, between the lines of a program and its plan, or the table that goes with them."""
+    sent = [text for move in sorted(program.sends) for text in program.sends[move]]
+    planned = [text for order in orders(plan) for text in order.lines if not text.startswith(";")]
+    found = [] if _listed(table) == list(enumerate(sent, 1)) else ["the table of lines lists others than are sent"]
+    if [text for text in sent if not _EXTRUDES.fullmatch(text)] != [RELATIVE, *planned]:
+        found.append("the board is told other things than the plan's, or in another order")
+    return found + _fed_otherwise(plan, sent) + _fed_elsewhere(plan, program)
+
+
+def _listed(table: str) -> list[tuple[int, str]]:
+    rows = list(csv.DictReader(io.StringIO(table)))
+    if not rows or list(rows[0]) != COLUMNS.split(",") or any(None in row or None in row.values() for row in rows):
+        return []
+    return [(int(row["n"]) if row["n"].isdecimal() else 0, row["text"]) for row in rows]
+
+
+def _fed_otherwise(plan: Plan, sent: list[str]) -> list[str]:
+    """Tools that get another amount of filament than planned."""
+    filament: dict[int | None, float] = {}
+    tool = None
+    for text in sent:
+        if selects := _SELECTS.fullmatch(text):
+            tool = int(selects[1])
+        elif extrudes := _EXTRUDES.fullmatch(text):
+            filament[tool] = filament.get(tool, 0.0) + float(extrudes[1]) * 1e-3
+    return filament_differences(plan, filament)
+
+
+def _fed_elsewhere(plan: Plan, program: RobotProgram) -> list[str]:
+    """Whether what was sent until a bead begins, or ends, is what the plan has fed by then, to a sample and a bit."""
+    t = plan.trajectory
+    amounts = np.zeros(len(program.linear) + 1)  # sent behind each move; the last one before all moves
+    for move, texts in program.sends.items():
+        amounts[move] += sum(float(match[1]) * 1e-3 for match in map(_EXTRUDES.fullmatch, texts) if match)
+    sent = np.concatenate([[0.0], np.cumsum(amounts[:-1])])
+    first, last = deposits(t)
+    places = {True: iter(first), False: iter(last)}
+    near = 2.0 * float(np.abs(np.diff(t.feed)).max(initial=0.0)) + AMOUNT
+    worst = 0.0
+    for move, triggers in sorted(program.triggers.items()):
+        for trigger in triggers:
+            sample = int(next(places[trigger.value], len(t) - 1))
+            if not trigger.from_start:  # at a start the line for the bead may have been sent, or not
+                worst = max(worst, abs(float(sent[move] - (t.feed[sample] - t.feed[0]))))
+    words = f"where a bead begins or ends, {worst * 1e3:.3g} mm of filament are fed too early or too late"
+    return [] if worst <= near else [words]
+
+
+def demand_differences(plan: Plan, program: RobotProgram) -> list[str]:
+    """Whether each move in a bead asks for a flow that the plan has there, and nothing is asked for elsewhere."""
+    t, scale = plan.trajectory, plan.problem.program.demand_scale * 1e9
+    planned = flow(plan) * scale
+    total = np.concatenate([[0.0], np.cumsum(planned)])
+    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(t.tip, axis=0), axis=1))])
+    lengths = np.linalg.norm(np.diff(program.position, axis=0, prepend=program.position[:1]), axis=1)
+    way = np.cumsum(lengths)
+    asked = _asked(program, lengths)
+    switched = [(move, trigger) for move in sorted(program.triggers) for trigger in program.triggers[move]]
+    edges = [move if not trigger.from_start else move - 1 for move, trigger in switched]
+    first, last = deposits(t)
+    if len(edges) != 2 * len(first):
+        return ["the extruder is not switched on and off once for each bead"]
+    step = PERCENT * float(planned.max(initial=0.0))
+    worst, wrong = 0.0, np.nan_to_num(asked, nan=1.0)
+    for a, b, begin, end in zip(first.tolist(), last.tolist(), edges[::2], edges[1::2], strict=True):
+        along = (way[begin : end + 1] - way[begin]) * ((path[b] - path[a]) / max(way[end] - way[begin], 1e-12))
+        gone = path[a : b + 1] - path[a]
+        near = [np.searchsorted(gone, along - LONGER), np.searchsorted(gone, along + LONGER)]  # before or after a rest
+        places = [np.clip(a + at + d, a, b) for at in near for d in SHIFTS]
+        own = np.unique(np.array(places), axis=0).T.tolist()
+        for i, (since, until) in enumerate(zip(own[:-1], own[1:], strict=True), begin + 1):
+            ends = [(j, min(max(k, j + 1), b)) for j in set(since) for k in set(until)]
+            means = [float(total[k] - total[j]) / max(k - j, 1) for j, k in ends]
+            off = max(min(means) - asked[i], asked[i] - max(means))
+            worst = np.inf if np.isnan(off) else max(worst, off)
+        wrong[begin + 1 : end + 1] = 0.0
+    found = [] if worst <= 1.01 * step else [f"a flow is asked for that is off by {worst / step:.3g} % of the largest"]
+    return found + (["a flow is asked for outside of beads"] if wrong.any() else [])
+
+
+def _asked(program: RobotProgram, lengths: Array) -> Array:
+    """Value of the analog output along each move (m); NaN where it changes within one."""
+    out, now = np.empty(len(program.linear)), 0.0
+    for i in range(len(out)):
+        levels = program.demands.get(i, ())
+        at_start = [value for far, value in levels if far >= lengths[i] - ROUNDING]
+        at_end = [value for far, value in levels if far <= ROUNDING and len(at_start) < len(levels)]
+        now = at_start[-1] if at_start else now
+        out[i] = now if len(at_start) + len(at_end) >= len(levels) else np.nan
+        now = at_end[-1] if at_end else now
+    return out

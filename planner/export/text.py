@@ -1,0 +1,47 @@
+"""What all languages share: preconditions, numbers and comments of their writers, and the words of their checks."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from planner.export.moves import Wait
+    from planner.plan import Plan
+
+LONGEST_COMMENT = 100
+
+
+def require_writable(plan: Plan, unsupported: str | None = None) -> None:
+    """Raise ValueError for a plan that is not verified, or that a language does not support: a mistake of the caller's."""
+    if not plan.verified:
+        raise ValueError("robot code is written for verified plans only")
+    if unsupported is not None:
+        raise ValueError(unsupported)
+
+
+def number(value: float, decimals: int) -> str:
+    """Fixed-point number; never minus nought."""
+    text = f"{value:.{decimals}f}"
+    return text[1:] if text.startswith("-") and not text.strip("-0.") else text
+
+
+def ascii_comment(mark: str, text: str, indent: int = 0, longest: int = LONGEST_COMMENT) -> str:
+    """One comment line, ASCII, of at most `longest` characters behind its mark."""
+    text = re.sub(r"[^\x20-\x7e]", "?", text)
+    return f"{'':{indent}}{mark} {text[:longest].rstrip()}"
+
+
+def resting(waits: Iterable[Wait], mark: str, statement: str, indent: int) -> list[str]:
+    """Lines that wait, each with a comment that says why; `statement` is a format of seconds."""
+    lines = []
+    for wait in waits:
+        lines += [ascii_comment(mark, wait.why, indent)] if wait.why else []
+        lines += [f"{'':{indent}}{statement.format(wait.time)}"] if wait.time > 0.0 else []
+    return lines
+
+
+def beyond(found: Iterable[tuple[str, float, float]]) -> list[str]:
+    """Which differences (words with a place for the value, value, limit) are beyond their limits, or no number."""
+    return [f"{words.format(value)} (limit {limit:.3g})" for words, value, limit in found if not value <= limit]
