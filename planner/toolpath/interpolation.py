@@ -16,6 +16,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import convolve1d, maximum_filter1d
 
 from planner.base.arrays import Array
+from planner.base.geometry import arc_lengths
 from planner.toolpath.plane_paths import SampleDensity
 
 CORNER_TURN = np.radians(30.0)  # at one waypoint: a circle with fewer than twelve of them has corners
@@ -99,8 +100,7 @@ def interpolate(points: Array, normals: Array, tolerance: float, apart: float, e
     Raises TooRough where there is none.
     """
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    chord = np.concatenate([[0.0], np.cumsum(step)])
-    turn = _turns(points, step)
+    chord, turn = arc_lengths(points), _turns(points)
     path, sharp = _calm_spline(chord, np.hstack([points, normals]), np.flatnonzero(turn > CORNER_TURN))
     corners = _round(path, chord, sharp, turn, tolerance)
 
@@ -141,9 +141,8 @@ def calm_path(points: Array) -> tuple[BSpline, Array]:
 
     No two successive waypoints are equal.
     """
-    step = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    chord = np.concatenate([[0.0], np.cumsum(step)])
-    sharp = np.flatnonzero(_turns(points, step) > CORNER_TURN)
+    chord = arc_lengths(points)
+    sharp = np.flatnonzero(_turns(points) > CORNER_TURN)
     return _calm_spline(chord, np.hstack([points, np.zeros_like(points)]), sharp)[0], chord
 
 
@@ -179,9 +178,10 @@ def _unit(vectors: Array) -> Array:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1)[:, None])
 
 
-def _turns(points: Array, step: Array) -> Array:
+def _turns(points: Array) -> Array:
     """Angle (m) between the chords before and after each waypoint; 0 at both ends."""
-    along = np.diff(points, axis=0) / step[:, None]
+    chords = np.diff(points, axis=0)
+    along = chords / np.linalg.norm(chords, axis=1)[:, None]
     cosine = (along[1:] * along[:-1]).sum(axis=1)
     sine = np.linalg.norm(np.cross(along[1:], along[:-1]), axis=1)
     return np.concatenate([[0.0], np.arctan2(sine, cosine), [0.0]])

@@ -13,6 +13,7 @@ from scipy.linalg import solveh_banded
 from scipy.ndimage import gaussian_filter1d
 
 from planner.base.arrays import Array
+from planner.base.geometry import arc_lengths
 from planner.problem import Problem
 from planner.toolpath.bead import Bead
 
@@ -155,7 +156,7 @@ def round_corners(path: PlanePath, tolerance: float, share: Callable[[Array], Ar
     (n) of the tolerance is used at points (n, 2) of the path.
     """
     length = ROUNDING_LENGTH * tolerance
-    arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points, axis=0).T))])
+    arc = arc_lengths(path.points)
     finest = tolerance if share is None else tolerance * max(float(share(path.points).min()), _FINEST)
     n = max(int(np.ceil(arc[-1] / finest * SAMPLES_PER_TOLERANCE)), 8)
     step = arc[-1] / n
@@ -293,7 +294,7 @@ def seam_on_smooth_part(path: PlanePath) -> PlanePath:
     loop = path.points[:-1]
     before, after = loop - np.roll(loop, 1, axis=0), np.roll(loop, -1, axis=0) - loop
     turn = np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], (before * after).sum(axis=1))
-    arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points, axis=0).T))])
+    arc = arc_lengths(path.points)
     corners = arc[:-1][np.abs(turn) > _KINK]
     if len(corners) == 0:
         return path
@@ -339,11 +340,12 @@ def check_size(problem: Problem, name: str, drawn: float, rounded: float, hint: 
 # ----------------------------------------------------------------------------------------------------
 # From a plane curve and where it comes to lie in space to its bead.
 
+_CLOSED = 1e-6  # m between the ends of a closed bead
 _SOURCE_STEP = 1e-4  # m: an input polyline is laid this densely, 0.04 um from the true helix at 34 mm
 
 
-def bead_along(
-    curve: PlaneCurve,
+def make_bead(
+    name: str,
     layer: int,
     points: Array,
     normals: Array,
@@ -351,14 +353,15 @@ def bead_along(
     source: Array,
     width: Array | float,
     height: Array | float,
+    closed: bool | None = None,
     material: str = "",
 ) -> Bead:
-    """The bead of a curve whose points lie at points (n, 3) [m], its input at source (m, 3), for the rest see Bead.
+    """The bead through points (n, 3) that are uniform in its parameter [m]; its fields are those of Bead.
 
-    width and height [m] are those of every place (n,), or of the whole bead.
+    width and height [m] are those of every place (n,), or of the whole bead; closed: None where its ends tell.
     """
     return Bead(
-        name=curve.name,
+        name=name,
         layer=layer,
         s=arc_length(points),
         points=points,
@@ -367,7 +370,7 @@ def bead_along(
         source=source,
         width=np.full(len(points), width),
         height=np.full(len(points), height),
-        closed=curve.closed,
+        closed=bool(np.linalg.norm(points[-1] - points[0]) < _CLOSED) if closed is None else closed,
         material=material,
     )
 

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from planner.base.arrays import Array
 from planner.base.errors import Complaint, InputError
+from planner.base.geometry import arc_lengths
 from planner.problem.process import FibreSpec, ProcessSpec
 from planner.toolpath.bead import Bead
 
@@ -207,7 +208,7 @@ def _leave(end: BeadEnd, length: float, ramp: float | None) -> tuple[tuple[Array
     points = end.point + _integral(along, far)
     if ramp is None:
         points = points + (RISE_PER_LENGTH * length * (far / length) ** 3)[:, None] * end.frame[:, 2]
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    arc = arc_lengths(points)
 
     keep = slice(_SUBSTEPS, None, _SUBSTEPS)
     frames = end.turned(far[keep], _within(end, length, _SETTLE, *end.turning))

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Ints
+from planner.base.geometry import arc_lengths
 from planner.toolpath.coverage.measures import SurfaceLine, crossings, distances, seconds
 from planner.toolpath.coverage.sheet import FaceMesh, Patch, Rim, Row, Stroke, fields_of, rows_at, sheet_of
 from planner.toolpath.coverage.stitch import InsetEdge, chains, chosen, evenly, possible, smooth, stitched
@@ -243,7 +244,7 @@ def _shortened(row: Row, spacing: float) -> Row | None:
     """The row without what is too near the edge; None where hardly anything is left."""
     if row.ends is None:
         return row if row.length > _SHORTEST * spacing else None
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(row.points, axis=0), axis=1))])
+    s = arc_lengths(row.points)
     first, last = _INSET * spacing, s[-1] - _INSET * spacing
     if last - first < _SHORTEST * spacing:
         return None

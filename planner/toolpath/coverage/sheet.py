@@ -13,6 +13,7 @@ from scipy.spatial import Delaunay, cKDTree
 
 from planner.base.arrays import Array, Ints
 from planner.base.compiled import njit
+from planner.base.geometry import arc_lengths
 
 # ----------------------------------------------------------------------------------------------------
 # Faces as `rows` sees them, and the strokes that cover them.
@@ -427,7 +428,7 @@ def fields_of(sheet: FaceMesh, rim: Rim, spacing: float) -> list[Array]:
 def _sides(sheet: FaceMesh, loop: Ints, spacing: float) -> list[Ints]:
     """Pieces of a rim between its corners; none where it has fewer than two."""
     points = sheet.points[loop]
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(np.vstack([points, points[:1]]), axis=0), axis=1))])
+    s = arc_lengths(np.vstack([points, points[:1]]))
     n = len(loop)
     ahead = np.array([_at(points, s, s[i] + 0.5 * spacing) for i in range(n)])
     behind = np.array([_at(points, s, s[i] - 0.5 * spacing) for i in range(n)])

@@ -12,6 +12,7 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csr_array
 
 from planner.base.arrays import Array
+from planner.base.geometry import arc_lengths
 from planner.toolpath.coverage.sheet import FaceMesh, Rim, Row
 
 # ----------------------------------------------------------------------------------------------------
@@ -80,7 +81,7 @@ def evenly(line: Array, step: float, closed: bool) -> Array:
     """Points (m, 3) of a polyline (n, 3), about `step` apart; a closed one does not repeat its first point."""
     if closed:
         line = np.vstack([line, line[:1]])
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    s = arc_lengths(line)
     count = max(round(s[-1] / step), 2)
     at = np.linspace(0.0, s[-1], count + 1)[: count + (not closed)]
     return np.stack([np.interp(at, s, line[:, i]) for i in range(line.shape[1])], axis=1)
@@ -296,7 +297,7 @@ def _overshoot(
 
 def _bent(points: Array, first: float, last: float) -> Array:
     """A row without what bends at its two ends [m]."""
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    s = arc_lengths(points)
     most = 0.5 * (1.0 - _KEPT) * s[-1]
     start, stop = min(first, most), s[-1] - min(last, most)
     at = np.concatenate([[start], s[(s > start) & (s < stop)], [stop]])

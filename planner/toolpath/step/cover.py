@@ -19,7 +19,7 @@ from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.coverage.rows import NotCoveredError, TooSmallError, cover
 from planner.toolpath.coverage.tours import ORDERS, TooManySamplesError
 from planner.toolpath.interpolation import TooRough, calm_path, interpolate
-from planner.toolpath.plane_paths import arc_length, check_size, length
+from planner.toolpath.plane_paths import check_size, length, make_bead
 from planner.toolpath.step.body import ON_THE_RIM, FaceBody, FacePlaces
 from planner.toolpath.step.files import Damaged, Face, choose_faces, read_step
 from planner.toolpath.step.sampling import TooMany, sample_faces
@@ -136,8 +136,6 @@ def lay(body: FaceBody, points: Array, tolerance: float, apart: float, ends: flo
 # ----------------------------------------------------------------------------------------------------
 # Layers of beads over faces: each along the faces' normals above the one before, and the body as it grows.
 
-_CLOSED = 1e-6  # m between the ends of a closed curve
-
 
 @dataclass(frozen=True)
 class FaceTrack:
@@ -198,22 +196,9 @@ def laid(
     for (layer, body, curve, name), zero in zip(placed, zeros, strict=True):
         rise = (layer + 1) * layer_height
         points = curve.places.points + rise * curve.places.normals
-        s = arc_length(points)
-        beads.append(
-            Bead(
-                name=name,
-                layer=layer,
-                s=s,
-                points=points,
-                normals=curve.places.normals,
-                roll_zero=zero,
-                source=curve.source.points + rise * curve.source.normals,
-                width=np.full(len(points), width),
-                height=np.full(len(points), height),
-                closed=bool(np.linalg.norm(points[-1] - points[0]) < _CLOSED),
-            )
-        )
-        tracks.append(FaceTrack(layer, s, body, curve.places.face, curve.places.uv))
+        source = curve.source.points + rise * curve.source.normals
+        beads.append(make_bead(name, layer, points, curve.places.normals, zero, source, width, height))
+        tracks.append(FaceTrack(layer, beads[-1].s, body, curve.places.face, curve.places.uv))
     return beads, tracks
 
 

@@ -16,7 +16,7 @@ from planner.problem import Problem
 from planner.problem.layers import CoreLayersSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.ordering import shorten_travel
-from planner.toolpath.plane_paths import PlaneCurve, bead_along, densify, length, round_corners
+from planner.toolpath.plane_paths import PlaneCurve, densify, length, make_bead, round_corners
 from planner.toolpath.substrate.bodies import FARTHEST_FROM_FACETS, MeshTop, reach_beside
 from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField
 from planner.toolpath.substrate.projection import (
@@ -370,7 +370,7 @@ def _lay(surface: CoreSurface, rows: Sequence[Sequence[PlaneCurve]], width: floa
         level = surface.levels[layer]
         high = level.height + level.share * surface.room(curve.points)
         source, high = fields[layer].at(densify(curve.source))[0], share * high * normals[:, 2]
-        beads.append(bead_along(curve, layer, points, normals, zero, source, width, high))
+        beads.append(make_bead(curve.name, layer, points, normals, zero, source, width, high, curve.closed))
     return beads
 
 

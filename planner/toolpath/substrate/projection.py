@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Flags
 from planner.base.errors import Complaint
+from planner.base.geometry import arc_lengths
 from planner.problem import Problem
 from planner.problem.drawings import (
     CurvesSpec,
@@ -164,7 +165,7 @@ def trim_path(path: PlanePath, dense: Array, keep: Flags) -> list[PlanePath]:
     """The pieces of a polyline where its dense points (n, 2) are kept (n); closed if all of a closed one are."""
     if keep.all():
         return [path]
-    arc = _arc(dense)
+    arc = arc_lengths(dense)
     return [
         PlanePath(path.name, _between(path.points, *ends), False)
         for ends in (_unrolled(arc, *run) for run in _runs(keep, path.closed))
@@ -198,10 +199,6 @@ def _runs(keep: Flags, closed: bool) -> list[tuple[int, int]]:
     return runs
 
 
-def _arc(points: Array) -> Array:
-    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
-
-
 def _unrolled(arc: Array, first: int, end: int) -> tuple[float, float]:
     """Arc lengths of the places `first` and `end`, the latter past the seam where it is no place of its own."""
     last = len(arc) - 1
@@ -210,7 +207,7 @@ def _unrolled(arc: Array, first: int, end: int) -> tuple[float, float]:
 
 def _between(points: Array, low: float, high: float) -> Array:
     """A polyline (n, 2) from one arc length to another [m], which may lie a round further on a closed one."""
-    arc = _arc(points)
+    arc = arc_lengths(points)
     if high > arc[-1] + _SAME:
         points, arc = np.vstack([points, points[1:]]), np.concatenate([arc, arc[-1] + arc[1:]])
     inner = points[(arc > low + _SAME) & (arc < high - _SAME)]

@@ -17,7 +17,7 @@ from planner.problem.layers import GuideSpec, VolumeLayersSpec
 from planner.problem.stl import read_facets
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.ordering import shorten_travel
-from planner.toolpath.plane_paths import PlaneCurve, bead_along, densify, length, round_corners, seam_on_smooth_part
+from planner.toolpath.plane_paths import PlaneCurve, densify, length, make_bead, round_corners, seam_on_smooth_part
 from planner.toolpath.substrate.bodies import MeshTop, TooRoughMesh, reach_beside
 from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField
 from planner.toolpath.svg.outlines import PlanePath
@@ -344,7 +344,8 @@ def _lay(morph: Morph, rows: Sequence[Sequence[_Line]], width: float, share: flo
         thickness = morph.thickness.at(curve.points)[0][:, 2]
         source, wide = fields[layer].at(densify(curve.source))[0], width / (normals[:, 2] * longer)
         high = share * thickness * normals[:, 2]
-        beads.append(bead_along(curve, layer, points, normals, zero, source, wide, high, line.material))
+        placed_as = (points, normals, zero, source, wide, high)
+        beads.append(make_bead(curve.name, layer, *placed_as, curve.closed, line.material))
     return beads
 
 

@@ -12,12 +12,13 @@ from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array
 from planner.base.errors import InputError
+from planner.base.geometry import arc_lengths
 from planner.problem import Problem
 from planner.problem.layers import WaypointLayersSpec
 from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Bead, Surface, Toolpath
 from planner.toolpath.interpolation import Interpolated, TooRough, interpolate
-from planner.toolpath.plane_paths import arc_length, check_size, length
+from planner.toolpath.plane_paths import check_size, length, make_bead
 from planner.toolpath.task import roll_zeros
 from planner.toolpath.waypoints.reader import Waypoints, read_waypoints
 from planner.toolpath.waypoints.surfels import with_layers
@@ -57,10 +58,10 @@ def check_section(path: Waypoints, process: ProcessSpec, file: Path) -> None:
 
 def _check_length(path: Waypoints, file: Path, width: float) -> None:
     """At least as long as its bead is wide."""
-    length = float(np.linalg.norm(np.diff(path.points, axis=0), axis=1).sum())
-    if length < width:
+    drawn = length(path.points)
+    if drawn < width:
         raise InputError(
-            f"{path.name}, which begins here, is only {length * 1e3:.4f} mm long",
+            f"{path.name}, which begins here, is only {drawn * 1e3:.4f} mm long",
             file=file,
             line=int(path.lines[0]),
             hint=f"a path is at least as long as its bead is wide, {width * 1e3:g} mm",
@@ -125,7 +126,6 @@ def check_clear(path: Waypoints, bead: Bead, surface: Surface, file: Path) -> No
 
 _APART = 0.5  # of the bead's width: passes lie no closer to each other
 _PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
-_CLOSED = 1e-6  # m between the ends of a closed path
 
 
 def through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
@@ -141,17 +141,15 @@ def through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
         curves.append(_curve(problem, spec, path, _APART * width, process.run_in / _PER_RUN))
     zeros = roll_zeros([curve.normals for curve in curves])
     beads = [
-        Bead(
-            name=path.name,
-            layer=0,
-            s=arc_length(curve.points),
-            points=curve.points,
-            normals=curve.normals,
-            roll_zero=zero,
-            source=curve.source,
+        make_bead(
+            path.name,
+            0,
+            curve.points,
+            curve.normals,
+            zero,
+            curve.source,
             width=_sizes(path, path.width, process.bead.width, curve),
             height=_sizes(path, path.height, process.bead.height, curve),
-            closed=bool(np.linalg.norm(curve.points[-1] - curve.points[0]) < _CLOSED),
         )
         for path, curve, zero in zip(paths, curves, zeros, strict=True)
     ]
@@ -168,8 +166,7 @@ def _sizes(path: Waypoints, given: Array | None, usual: float, curve: Interpolat
     """Width or height (n) [m] along the curve: linear between waypoints, where the file says it; else the usual one."""
     if given is None:
         return np.full(len(curve.points), usual)
-    chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path.points, axis=0), axis=1))])
-    return np.interp(curve.chord, chord, given)
+    return np.interp(curve.chord, arc_lengths(path.points), given)
 
 
 def _curve(problem: Problem, spec: WaypointLayersSpec, path: Waypoints, apart: float, ends: float) -> Interpolated:

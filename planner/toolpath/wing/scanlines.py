@@ -5,17 +5,15 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from planner.base.arrays import Array
 from planner.toolpath.bead import Bead
-from planner.toolpath.interpolation import interpolate
-from planner.toolpath.plane_paths import arc_length
-from planner.toolpath.task import roll_zeros
 from planner.toolpath.wing.section import SHORTEST
 from planner.toolpath.wing.sheets import WingSheet
-from planner.toolpath.wing.strips import APART, PER_RUN, STEP, TURN, Filling
+from planner.toolpath.wing.strips import APART, PER_RUN, STEP, TURN, Filling, rolled_bead
 
 Segment = tuple[int, float, float]  # a row, and where on it a pass begins and ends
 
@@ -198,24 +196,9 @@ def _bead(
 ) -> Bead:
     step = min(STEP, TURN / max(sheet.bend, 1e-9)) if across else STEP
     plane = _dense(way, step)
-    flat = np.column_stack([plane, np.zeros(len(plane))])
-    upwards = np.tile([0.0, 0.0, 1.0], (len(plane), 1))
-    tolerance = filling.tolerance / stretch.any
-    curve = interpolate(flat, upwards, tolerance, APART * width * filling.spacing, filling.run_in / PER_RUN)
-    points, normals = on_sheet(sheet, curve.points[:, :2])
-    source, _ = on_sheet(sheet, curve.source[:, :2])
-    return Bead(
-        name=name,
-        layer=layer,
-        s=arc_length(points),
-        points=points,
-        normals=normals,
-        roll_zero=roll_zeros([normals])[0],
-        source=source,
-        width=np.full(len(points), width),
-        height=np.full(len(points), sheet.height),
-        closed=False,
-    )
+    apart, ends = APART * width * filling.spacing, filling.run_in / PER_RUN
+    lift, tolerance = partial(on_sheet, sheet), filling.tolerance / stretch.any
+    return rolled_bead(name, layer, plane, lift, tolerance, apart, ends, width, sheet.height)
 
 
 def _dense(way: Array, step: float) -> Array:

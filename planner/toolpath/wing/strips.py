@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Protocol
 
 import numpy as np
@@ -14,7 +15,7 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array, Flags
 from planner.toolpath.bead import Bead
 from planner.toolpath.interpolation import interpolate
-from planner.toolpath.plane_paths import arc_length
+from planner.toolpath.plane_paths import make_bead
 from planner.toolpath.task import roll_zeros
 from planner.toolpath.wing.section import SectionSide
 
@@ -373,23 +374,32 @@ def fill(
     nearest = 0 if start is None else int(np.argmin([np.linalg.norm(corner - start) for corner in corners]))
     plane = np.where(flips[nearest], sizes - plane, plane)
 
+    width, ends = pitch / filling.spacing, filling.run_in / PER_RUN
+    lift = partial(_in_space, strip, span)
+    return rolled_bead(name, layer, plane, lift, filling.tolerance, APART * pitch, ends, width, filling.height)
+
+
+def rolled_bead(
+    name: str,
+    layer: int,
+    plane: Array,
+    lift: Callable[[Array], tuple[Array, Array]],
+    tolerance: float,
+    apart: float,
+    ends: float,
+    width: float,
+    height: float,
+) -> Bead:
+    """The bead through waypoints (m, 2) of a layer rolled out, its turns rounded there.
+
+    lift: points and outward unit normals (n, 3) of places (n, 2); for tolerance, apart and ends see `interpolate`.
+    """
     flat = np.column_stack([plane, np.zeros(len(plane))])
     upwards = np.tile([0.0, 0.0, 1.0], (len(plane), 1))
-    curve = interpolate(flat, upwards, filling.tolerance, APART * pitch, filling.run_in / PER_RUN)
-    points, normals = _in_space(strip, span, curve.points[:, :2])
-    source, _ = _in_space(strip, span, curve.source[:, :2])
-    return Bead(
-        name=name,
-        layer=layer,
-        s=arc_length(points),
-        points=points,
-        normals=normals,
-        roll_zero=roll_zeros([normals])[0],
-        source=source,
-        width=np.full(len(points), pitch / filling.spacing),
-        height=np.full(len(points), filling.height),
-        closed=False,
-    )
+    curve = interpolate(flat, upwards, tolerance, apart, ends)
+    points, normals = lift(curve.points[:, :2])
+    source, _ = lift(curve.source[:, :2])
+    return make_bead(name, layer, points, normals, roll_zeros([normals])[0], source, width, height, closed=False)
 
 
 def _zigzag(low: Array, high: Array, step_axis: int, passes: int, step: float) -> Array:

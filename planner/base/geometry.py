@@ -1,0 +1,14 @@
+"""Geometry of plain points that several rooms need."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.base.arrays import Array
+
+
+def arc_lengths(points: Array) -> Array:
+    """Length (n,) of a polyline through points (n, d) from its first point up to each of them, 0 at the first."""
+    step = np.diff(points, axis=0)
+    size = np.hypot(*step.T) if points.shape[1] == 2 else np.linalg.norm(step, axis=1)
+    return np.concatenate([[0.0], np.cumsum(size)])
