@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.base.arrays import Array
+from planner.base.arrays import Array, Ints
 
 
 def arc_lengths(points: Array) -> Array:
@@ -12,3 +12,10 @@ def arc_lengths(points: Array) -> Array:
     step = np.diff(points, axis=0)
     size = np.hypot(*step.T) if points.shape[1] == 2 else np.linalg.norm(step, axis=1)
     return np.concatenate([[0.0], np.cumsum(size)])
+
+
+def subdivided(pieces: Ints) -> tuple[Ints, Array]:
+    """Where pieces begin if each of m steps is cut into so many equal ones (m): number of the step (n), share of it (n)."""
+    step = np.repeat(np.arange(len(pieces)), pieces)
+    within = np.arange(len(step)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    return step, within / pieces[step]

@@ -16,7 +16,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import convolve1d, maximum_filter1d
 
 from planner.base.arrays import Array
-from planner.base.geometry import arc_lengths
+from planner.base.geometry import arc_lengths, subdivided
 from planner.toolpath.plane_paths import SampleDensity
 
 CORNER_TURN = np.radians(30.0)  # at one waypoint: a circle with fewer than twelve of them has corners
@@ -167,10 +167,8 @@ def _source(path: BSpline, chord: Array, turn: Array, corners: list[_Corner], ap
         near = slice(*np.searchsorted(chord, [corner.first - 2.0 * corner.width, corner.last + 2.0 * corner.width]))
         near = slice(max(near.start - 1, 0), near.stop)
         pieces[near] = np.maximum(pieces[near], np.ceil(step[near] / _CORNER_STEP))
-    count = pieces.astype(int)
-    index = np.repeat(np.arange(len(count)), count)
-    within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-    c = np.append(chord[index] + step[index] * (within / count[index]), chord[-1])
+    index, share = subdivided(pieces.astype(int))
+    c = np.append(chord[index] + step[index] * share, chord[-1])
     return np.asarray(path(c)[:, :3])
 
 

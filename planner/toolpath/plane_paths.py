@@ -13,7 +13,7 @@ from scipy.linalg import solveh_banded
 from scipy.ndimage import gaussian_filter1d
 
 from planner.base.arrays import Array
-from planner.base.geometry import arc_lengths
+from planner.base.geometry import arc_lengths, subdivided
 from planner.problem import Problem
 from planner.toolpath.bead import Bead
 
@@ -390,8 +390,6 @@ def densify(polyline: Array) -> Array:
     """The same polyline with no segment longer than `_SOURCE_STEP`; its vertices are kept."""
     lengths = np.hypot(*np.diff(polyline, axis=0).T)
     pieces = np.maximum(np.ceil(lengths / _SOURCE_STEP).astype(int), 1)
-    index = np.repeat(np.arange(len(pieces)), pieces)
-    within = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-    t = within / pieces[index]
-    dense = polyline[index] + t[:, None] * np.diff(polyline, axis=0)[index]
+    index, share = subdivided(pieces)
+    dense = polyline[index] + share[:, None] * np.diff(polyline, axis=0)[index]
     return np.vstack([dense, polyline[-1]])

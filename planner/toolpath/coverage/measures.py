@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Ints
+from planner.base.geometry import subdivided
 from planner.toolpath.coverage.tours import SampledSurface
 
 TURN = np.radians(30.0)  # a bend of more than that within half a spacing is a turn
@@ -52,8 +53,7 @@ def laid(surface: SampledSurface, order: Ints) -> SurfaceLine:
     points, spacing = surface.points[order], max(surface.spacing)
     step = np.diff(points, axis=0)
     pieces = np.maximum(np.ceil(np.linalg.norm(step, axis=1) * _PIECES / spacing).astype(np.int64), 1)
-    start = np.repeat(np.arange(len(step)), pieces)
-    share = (np.arange(len(start)) - np.repeat(np.cumsum(pieces) - pieces, pieces)) / pieces[start]
+    start, share = subdivided(pieces)
     line = np.vstack([points[start] + share[:, None] * step[start], points[-1:]])
     away, near = cKDTree(surface.points).query(line, k=min(_NEAREST, len(surface.points)))
     away, near = away.reshape(len(line), -1), near.reshape(len(line), -1)

@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
+from planner.base.geometry import subdivided
 from planner.problem import Problem
 from planner.problem.layers import FaceLayersSpec
 from planner.toolpath.bead import Bead, Toolpath
@@ -92,9 +93,8 @@ def pieces_on_faces(body: FaceBody, waypoints: Array) -> list[Array]:
     path, chord = calm_path(waypoints)
     step = np.diff(chord)
     pieces = np.maximum(np.ceil(step / _STEP), 1.0).astype(int)
-    index = np.repeat(np.arange(len(pieces)), pieces)
-    within = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-    c = np.append(chord[index] + step[index] * (within / pieces[index]), chord[-1])
+    index, share = subdivided(pieces)
+    c = np.append(chord[index] + step[index] * share, chord[-1])
     at = body.beneath(np.asarray(path(c)[:, :3]))
     there = body.inside(at.face, at.uv)
     if not there.all():

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array
 from planner.base.errors import InputError
-from planner.base.geometry import arc_lengths
+from planner.base.geometry import arc_lengths, subdivided
 from planner.problem import Problem
 from planner.problem.layers import WaypointLayersSpec
 from planner.problem.process import ProcessSpec
@@ -105,9 +105,8 @@ def check_clear(path: Waypoints, bead: Bead, surface: Surface, file: Path) -> No
     each other: what one lies on is where another one runs.
     """
     steps = np.ceil(np.diff(bead.s) * LOOKS_PER_WIDTH / bead.width[:-1]).astype(int)
-    k = np.repeat(np.arange(len(steps)), steps)
-    k = k + (np.arange(len(k)) - np.repeat(np.cumsum(steps) - steps, steps)) / steps[k]
-    points = make_interp_spline(np.arange(len(bead.s)), bead.points, k=5)(np.append(k, len(steps)))
+    sample, share = subdivided(steps)
+    points = make_interp_spline(np.arange(len(bead.s)), bead.points, k=5)(np.append(sample + share, len(steps)))
     gap = surface.signed_distance(points)
     if (gap < min(CLEAR, 0.1 * float(bead.height.min()))).any():
         i = int(np.argmin(gap))
