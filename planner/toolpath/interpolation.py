@@ -75,8 +75,12 @@ class Interpolated:
 
 @dataclass(frozen=True)
 class _Corner:
-    """Corners that are rounded together: chord lengths of the first and the last, half width of the kernel,
-    and the rounded rows over chord length."""
+    """Corners that are rounded together.
+
+    first, last  chord lengths of the first and the last corner
+    width        half width of the kernel
+    rows         spline of the rounded rows over chord length
+    """
 
     first: float
     last: float

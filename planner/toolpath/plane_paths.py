@@ -1,4 +1,14 @@
-"""Plane paths: lengths, seams, corners rounded within a tolerance, and the bead that a curve becomes in space."""
+"""Plane paths: how densely to sample them, rounded corners, seams, least sizes, and the beads they become.
+
+Corners are rounded by the smoothest curve that stays within a tolerance of the polyline. A blend that cuts a corner
+uses the tolerance on one side only. Here every sample may move anywhere in a disc around its place on the input path,
+and the curve's third derivative, which drives joint jerk, is made as small as the discs allow:
+
+    minimise  sum |l^3 x'''|^2 + |x - p|^2   subject to  |x_i - p_i| <= tolerance
+
+l is the rounding length; far from corners the second term holds the curve to the input. The problem is convex: a
+log-barrier Newton method with a banded Cholesky factorisation solves it in time linear in the samples.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +30,25 @@ from planner.toolpath.bead import Bead
 if TYPE_CHECKING:
     from planner.toolpath.svg.outlines import PlanePath
 
-# ----------------------------------------------------------------------------------------------------
-# Where to sample a curve: as densely as its waypoints stand, more densely at corners, smoothly in between.
-
 _SMOOTHING = 8.0  # mean steps over which the waypoints' own density is averaged
 _REACH = 30.0  # widths around a corner up to which samples draw together
 _DENSITY_STEPS = 4
+
+SAMPLES_PER_TOLERANCE = 2.0  # sample spacing = tolerance / 2: a rounded corner is some 10 tolerances long
+ROUNDING_LENGTH = 12.5  # l in tolerances: long enough that a right angle uses its whole disc
+OVERLAP = 16.0  # in l: how far a closed path is unrolled past its seam; the ends' influence is e^-8 there
+_BARRIERS = (1e4, 1e3, 1e2, 1e1)  # against an objective of some 6,000 a sample at a corner
+_NEWTON_STEPS = 20
+_KEPT_ROOM = 0.01  # of the squared distance to a disc's rim that a step must leave: numbers stay finite
+_FINEST = 0.5  # of the tolerance: where less of it is used, samples draw no closer together
+_LEAST = 0.1  # of the tolerance, radius of any disc: where the tolerance is shared out, few samples see a corner
+_SHRINK = 0.98  # of the tolerance: leaves room for what the curve does between samples
+
+_SHRUNK = 0.5  # share of its length that a path must keep when its corners are rounded
+_KINK = np.radians(10.0)  # a turn above this at one vertex counts as a corner when a seam is looked for
+
+_CLOSED = 1e-6  # m between the ends of a closed bead
+_SOURCE_STEP = 1e-4  # m: an input polyline is laid this densely, 0.04 um from the true helix at 34 mm
 
 
 @dataclass(frozen=True)
@@ -112,29 +135,6 @@ def _bump() -> CubicSpline:
     return CubicSpline(x, (1.0 - (x / _REACH) ** 2) ** 3 / (1.0 + x * x))
 
 
-# ----------------------------------------------------------------------------------------------------
-# Corner rounding: the smoothest curve that stays within a tolerance of a plane polyline.
-#
-# A corner cut by a blend uses the tolerance on one side only. Here every sample may move anywhere in a disc
-# around its place on the input path, and the curve's third derivative, which is what drives joint jerk, is
-# made as small as the discs allow:
-#
-#     minimise  sum |l^3 x'''|^2 + |x - p|^2   subject to  |x_i - p_i| <= tolerance
-#
-# with l the rounding length: far from corners the second term holds the curve to the input. The problem is
-# convex; a log-barrier Newton method with a banded Cholesky factorisation solves it in time linear in samples.
-
-SAMPLES_PER_TOLERANCE = 2.0  # sample spacing = tolerance / 2: a rounded corner is some 10 tolerances long
-ROUNDING_LENGTH = 12.5  # l in tolerances: long enough that a right angle uses its whole disc
-OVERLAP = 16.0  # in l: how far a closed path is unrolled past its seam; the ends' influence is e^-8 there
-_BARRIERS = (1e4, 1e3, 1e2, 1e1)  # against an objective of some 6,000 a sample at a corner
-_NEWTON_STEPS = 20
-_KEPT_ROOM = 0.01  # of the squared distance to a disc's rim that a step must leave: numbers stay finite
-_FINEST = 0.5  # of the tolerance: where less of it is used, samples draw no closer together
-_LEAST = 0.1  # of the tolerance, radius of any disc: where the tolerance is shared out, few samples see a corner
-_SHRINK = 0.98  # of the tolerance: leaves room for what the curve does between samples
-
-
 @dataclass(frozen=True)
 class PlaneCurve:
     """A rounded path, sampled uniformly in the arc length u of its input path.
@@ -209,7 +209,7 @@ def _disc_radii(path: PlanePath, arc: Array, u: Array, p: Array, tolerance: Arra
 
 
 def _smooth(p: Array, radius: Array, stiffness: float) -> Array:
-    """Solve the problem above for samples p (n, 2) with discs of `radius` (n); `stiffness` is l in sample steps.
+    """Solve the rounding problem (see the top of this file) for samples p (n, 2) with discs of `radius` (n); `stiffness` is l in sample steps.
 
     End points are kept.
     """
@@ -282,13 +282,6 @@ def _apply(bands: Array, x: Array) -> Array:
     return y
 
 
-# ----------------------------------------------------------------------------------------------------
-# What every source of plane paths needs: lengths, where a closed one begins, and whether it is large enough.
-
-_SHRUNK = 0.5  # share of its length that a path must keep when its corners are rounded
-_KINK = np.radians(10.0)  # a turn above this at one vertex counts as a corner when a seam is looked for
-
-
 def seam_on_smooth_part(path: PlanePath) -> PlanePath:
     """Start a closed path as far from its corners as it can, so that run-in and run-out are smooth."""
     loop = path.points[:-1]
@@ -335,13 +328,6 @@ def check_size(problem: Problem, name: str, drawn: float, rounded: float, hint: 
             f"rounding its corners shrinks path {name!r} from {drawn * 1e3:.2f} to {rounded * 1e3:.2f} mm",
             hint,
         )
-
-
-# ----------------------------------------------------------------------------------------------------
-# From a plane curve and where it comes to lie in space to its bead.
-
-_CLOSED = 1e-6  # m between the ends of a closed bead
-_SOURCE_STEP = 1e-4  # m: an input polyline is laid this densely, 0.04 um from the true helix at 34 mm
 
 
 def make_bead(

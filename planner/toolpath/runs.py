@@ -1,4 +1,7 @@
-"""What happens around a bead: run-in and run-out, how its ends would go on, and where its fibre is cut."""
+"""What happens at the ends of a bead: run-in and run-out, the cut of a fibre, the extruder's time between beads.
+
+Along run-in and run-out the nozzle moves and deposits nothing; they go on as the bead's curve and frame would.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +17,6 @@ from planner.base.geometry import arc_lengths
 from planner.problem.process import FibreSpec, ProcessSpec
 from planner.toolpath.bead import Bead
 
-# ----------------------------------------------------------------------------------------------------
-# The end of a bead: how its curve and its frame would go on from there.
-
 _SAMPLES = 12  # enough for the end's derivatives
 _DEGREE = 5
 _SMOOTH = 0.4  # rad or e-folds a sample: what turns or stretches more is too coarse for a polynomial
@@ -24,6 +24,21 @@ _AGREES = 2.0  # times what neighbouring samples turn: no smooth end turns more
 _STEEPEST_TURN = 1.0  # rad a sample that a coarse bead's end goes on with
 _WHOLE = 3.0  # rad: beyond pi a rotation vector points the other way
 _ROUNDING = 1e-9  # rad a sample
+
+RISE_PER_LENGTH = 0.5  # height of the far end of a run over its length: clears a bead within the run's last half
+_STRAIGHTEN = 0.4  # greatest share of a run in which the bead's curvature fades to a straight line
+_SETTLE = 1.0  # likewise in which the nozzle stops turning: quicker asks more jerk of the wrist than the bead does
+_BENT = 0.5  # share of a run in which it bends up to its ramp, which is straight from there on
+_TURN = 1.0  # rad; twice what a run turns at most before it is straight, where the samples allow it
+_GROWTH = 0.7  # twice the logarithm of how far the samples' distance changes along a run
+_FADE = 3.0  # samples in which anything fades at least: quicker would be a step to whoever reads the samples
+_FEWEST = 8.0  # samples of a run at least: fewer cannot show its shape, so a coarse bead has longer runs
+_MOST = 500.0  # samples of a run, about: a bead that begins with closer ones has runs that thin them out
+_THINNING = 10.0  # samples in which their distance grows e-fold
+_UPRIGHT = 1e-6  # sine of the angle between a bead and its normal: below, it stands upright on its surface
+_STEEP = 0.5  # cosine of a bead's elevation above its surface: a steeper one is not a bead on it
+_STEEPEST_RUN = 1.0  # rad; elevation with which a run goes on
+_SUBSTEPS = 8  # of the integration of a run, per sample
 
 
 @dataclass(frozen=True)
@@ -141,26 +156,6 @@ def _angles(a: Array, b: Array) -> Array:
     return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1)))
 
 
-# ----------------------------------------------------------------------------------------------------
-# What happens around a bead: run-in and run-out, where the nozzle moves and nothing is deposited; where fibre is cut;
-# how long the extruder needs between beads.
-
-RISE_PER_LENGTH = 0.5  # height of the far end of a run over its length: clears a bead within the run's last half
-_STRAIGHTEN = 0.4  # greatest share of a run in which the bead's curvature fades to a straight line
-_SETTLE = 1.0  # likewise in which the nozzle stops turning: quicker asks more jerk of the wrist than the bead does
-_BENT = 0.5  # share of a run in which it bends up to its ramp, which is straight from there on
-_TURN = 1.0  # rad; twice what a run turns at most before it is straight, where the samples allow it
-_GROWTH = 0.7  # twice the logarithm of how far the samples' distance changes along a run
-_FADE = 3.0  # samples in which anything fades at least: quicker would be a step to whoever reads the samples
-_FEWEST = 8.0  # samples of a run at least: fewer cannot show its shape, so a coarse bead has longer runs
-_MOST = 500.0  # samples of a run, about: a bead that begins with closer ones has runs that thin them out
-_THINNING = 10.0  # samples in which their distance grows e-fold
-_UPRIGHT = 1e-6  # sine of the angle between a bead and its normal: below, it stands upright on its surface
-_STEEP = 0.5  # cosine of a bead's elevation above its surface: a steeper one is not a bead on it
-_STEEPEST_RUN = 1.0  # rad; elevation with which a run goes on
-_SUBSTEPS = 8  # of the integration of a run, per sample
-
-
 @dataclass(frozen=True)
 class BeadRun:
     """A bead with its run-in and run-out: what the nozzle follows from rest to rest.
@@ -199,8 +194,10 @@ def with_runs(bead: Bead, length: float, ramp: float | None = None) -> BeadRun:
 
 
 def _leave(end: BeadEnd, length: float, ramp: float | None) -> tuple[tuple[Array, Array, Array], Array]:
-    """Samples (m, 3) of points, normals and roll directions beyond one end, walking away from the bead, and the
-    arc length (m) from that end."""
+    """Samples (m, 3) of points, normals and roll directions beyond an end, and their arc lengths (m) from it.
+
+    They are in order of walking away from the bead.
+    """
     length = max(length, _FEWEST * end.step)
     far = _distances(end, length)
 

@@ -24,9 +24,6 @@ from planner.toolpath.plane_paths import (
 )
 from planner.toolpath.svg.outlines import PlanePath, read_svg
 
-# ----------------------------------------------------------------------------------------------------
-# Wrapping a plane path around a cylinder (Pollard, eq. 2): x becomes angle, y becomes height.
-
 
 @dataclass(frozen=True)
 class Cylinder:
@@ -84,10 +81,6 @@ def wrap_layer(
         source, _, _ = cylinder.wrap(densify(curve.source), rise)
         beads.append(make_bead(curve.name, layer, points, normals, upright, source, width, height, curve.closed))
     return beads
-
-
-# ----------------------------------------------------------------------------------------------------
-# From the problem to a drawing in layers around a cylinder: rounding, order, layers.
 
 
 def wrap_drawing(problem: Problem, spec: LayersSpec) -> Toolpath:

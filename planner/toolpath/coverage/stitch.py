@@ -1,4 +1,12 @@
-"""Rows joined end to end along the edge of the material, so that few strokes are left."""
+"""Rows joined end to end along the edge of the material, so that few strokes are left.
+
+A joint runs a little inside the edge, from the end of one row to the next end there. Each joint has its own stretch of
+the edge, so it crosses neither another joint nor a row. An integer program chooses the joints: it uses each end at most
+once and closes no ring.
+
+Where the edge leans away from a row's end, towards the next row, neither row reaches all of it. Such a row overshoots:
+it bends a little towards the next one, and the joint comes back along the edge.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +23,17 @@ from planner.base.arrays import Array
 from planner.base.geometry import arc_lengths
 from planner.toolpath.coverage.sheet import FaceMesh, Rim, Row
 
-# ----------------------------------------------------------------------------------------------------
-# The edge of the material, a little inside: there joints run from row to row.
+_POWER = 4  # of the kernel (1 - x^2)^4: four times differentiable
+
+End = tuple[int, int]  # row, and 0 for its first point or 1 for its last
+_LONGEST = 4.0  # spacings along the edge: where it is nearly parallel to the rows, a joint would lie on them
+_NEXT = 1.01  # levels apart, of rows that are next to each other
+
+_WITHIN = 0.51  # spacings: how near the line comes to all points of the edge
+_STEEPEST = 4.0  # 1 / sine of the angle between row and edge that is still made up for
+_SHARE = 0.45  # of the way to the next row's end, at most
+_BENT, _BENT_MORE = 0.1, 0.4  # spacings of the row that bend, and so many more for each by which the edge leans
+_KEPT = 0.3  # of a row is not bent
 
 
 @dataclass(frozen=True)
@@ -71,12 +88,6 @@ def _inward(sheet: FaceMesh, rim: Rim) -> Array:
     return into / np.linalg.norm(into, axis=1)[:, None]
 
 
-# ----------------------------------------------------------------------------------------------------
-# A polyline averaged along itself, so that it turns as a tool can.
-
-_POWER = 4  # of the kernel (1 - x^2)^4: four times differentiable
-
-
 def evenly(line: Array, step: float, closed: bool) -> Array:
     """Points (m, 3) of a polyline (n, 3), about `step` apart; a closed one does not repeat its first point."""
     if closed:
@@ -100,18 +111,6 @@ def smooth(line: Array, half_width: float, step: float, closed: bool) -> Array:
     before = 2.0 * even[0] - even[reach:0:-1]
     after = 2.0 * even[-1] - even[-2 : -2 - reach : -1]
     return convolve1d(np.vstack([before, even, after]), kernel, axis=0)[reach : reach + len(even)]
-
-
-# ----------------------------------------------------------------------------------------------------
-# Which rows are joined end to end, along the edge of the material, so that few strokes are left.
-#
-# A joint runs along the edge from the end of one row to the next end there. Joints have pieces of the edge of their own,
-# so that none crosses another, or a row. Which of them are taken is an integer program: each end at most once, no ring.
-
-End = tuple[int, int]  # row, and 0 for its first point or 1 for its last
-
-_LONGEST = 4.0  # spacings along the edge: where it is nearly parallel to the rows, a joint would lie on them
-_NEXT = 1.01  # levels apart, of rows that are next to each other
 
 
 @dataclass(frozen=True)
@@ -216,19 +215,6 @@ def chains(count: int, joints: Sequence[Joint]) -> list[list[End]]:
             here = beside.get((here[0], 1 - here[1]))
         out.append(chain)
     return out
-
-
-# ----------------------------------------------------------------------------------------------------
-# Rows and the joints between them as one line, which reaches into the corners that rows leave at a slanting edge.
-#
-# Where the edge leans away from a row's end, towards the next row, points of the edge are out of reach of both. Such an
-# end overshoots: the row bends a little towards the next one, and the joint comes back along the edge.
-
-_WITHIN = 0.51  # spacings: how near the line comes to all points of the edge
-_STEEPEST = 4.0  # 1 / sine of the angle between row and edge that is still made up for
-_SHARE = 0.45  # of the way to the next row's end, at most
-_BENT, _BENT_MORE = 0.1, 0.4  # spacings of the row that bend, and so many more for each by which the edge leans
-_KEPT = 0.3  # of a row is not bent
 
 
 @dataclass(frozen=True)

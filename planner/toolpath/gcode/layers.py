@@ -1,4 +1,4 @@
-"""From a slicer's G-code to beads: level layers, the nozzle upright, and the bed with the layers below."""
+"""Beads from a slicer's G-code: level layers on a bed, the nozzle upright."""
 
 from __future__ import annotations
 
@@ -21,8 +21,11 @@ from planner.toolpath.gcode.reader import GcodeFile, Thread, read_gcode
 from planner.toolpath.plane_paths import PlaneCurve, densify, length, make_bead, round_corners
 from planner.toolpath.svg.outlines import PlanePath
 
-# ----------------------------------------------------------------------------------------------------
-# A bed and the level layers on it, as far as they are printed.
+SAME_LEVEL = 5e-6  # m: z of one layer differs by less, however it is rounded
+SIZES = (1e-5, 50e-3)  # m: widths and heights of beads that can be meant
+_SHRUNK = 0.8  # of its length that a path keeps when it is rounded: else it is rounded less
+_FEWER = 0.5  # times the tolerance then
+_TRIES = 8
 
 
 @dataclass(frozen=True)
@@ -87,16 +90,6 @@ class LevelLayers:
     def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
         """Straight up (n, 3), on every bead."""
         return self.normals(tips)
-
-
-# ----------------------------------------------------------------------------------------------------
-# From a slicer's G-code to beads: level layers, the nozzle upright.
-
-SAME_LEVEL = 5e-6  # m: z of one layer differs by less, however it is rounded
-SIZES = (1e-5, 50e-3)  # m: widths and heights of beads that can be meant
-_SHRUNK = 0.8  # of its length that a path keeps when it is rounded: else it is rounded less
-_FEWER = 0.5  # times the tolerance then
-_TRIES = 8
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,8 @@
-"""From the problem to beads that cover faces of a STEP file, in layers along the faces' normals."""
+"""Beads that cover faces of a STEP file, in layers along the faces' normals.
+
+A bead may cross from one face to another where these meet without an edge to be felt. The first layer's points and
+normals come exactly from the faces.
+"""
 
 from __future__ import annotations
 
@@ -27,10 +31,16 @@ from planner.toolpath.step.sampling import TooMany, sample_faces
 from planner.toolpath.step.top import faces_shape
 from planner.toolpath.task import roll_zeros
 
-# ----------------------------------------------------------------------------------------------------
-# Faces that a bead may run across: those that meet without an edge to be felt.
-
 SMOOTH = np.radians(0.04)  # between normals along a shared edge: half of what the nozzle's axis may be off the normal
+
+_STEP = 2e-3  # m between the places on the faces that the curve is laid through
+_FEWEST = 12  # steps of a curve
+_AHEAD = 0.25  # of a step between waypoints, by which a curve may leave the faces' rim
+
+_QUARTER = 0.25  # of the spacing between points along the faces' edges
+_APART = 0.5  # of the spacing: so far apart are the source's points at most
+_PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
+_FOLDED = 0.2  # of the way to a layer that folds: nearer to folding it is no layer
 
 
 def smooth_regions(faces: Sequence[Face]) -> list[list[Face]]:
@@ -62,14 +72,6 @@ def _smooth(i: int, j: int, points: list[Array], normals: list[Array], edges: li
         if same.any() and cosine.min() >= np.cos(SMOOTH):
             return True
     return False
-
-
-# ----------------------------------------------------------------------------------------------------
-# From waypoints on faces to a smooth curve on them: points and normals exactly the faces' own.
-
-_STEP = 2e-3  # m between the places on the faces that the curve is laid through
-_FEWEST = 12  # steps of a curve
-_AHEAD = 0.25  # of a step between waypoints, by which a curve may leave the faces' rim
 
 
 @dataclass(frozen=True)
@@ -133,10 +135,6 @@ def lay(body: FaceBody, points: Array, tolerance: float, apart: float, ends: flo
     return FaceCurve(body.beneath(curve.points), body.beneath(curve.source))
 
 
-# ----------------------------------------------------------------------------------------------------
-# Layers of beads over faces: each along the faces' normals above the one before, and the body as it grows.
-
-
 @dataclass(frozen=True)
 class FaceTrack:
     """Where a bead runs: arc lengths s (n) [m] of its samples, and the faces (n), uv (n, 2) of a body beneath them."""
@@ -174,8 +172,10 @@ class FaceLayers:
         return self.body.normals(points)
 
     def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
-        """Outward unit normals (n, 3) of the true faces where perpendiculars from tips (n, 3) meet them, found from the
-        places of the bead's samples around arc lengths s (n)."""
+        """Outward unit normals (n, 3) of the true faces at the feet of perpendiculars from tips (n, 3).
+
+        Feet are searched from the places of the bead's samples around arc lengths s (n).
+        """
         track = self.tracks[bead]
         after = np.clip(np.searchsorted(track.s, s), 1, len(track.s) - 1)
         around = np.stack([after - 1, after], axis=1)
@@ -200,15 +200,6 @@ def laid(
         beads.append(make_bead(name, layer, points, curve.places.normals, zero, source, width, height))
         tracks.append(FaceTrack(layer, beads[-1].s, body, curve.places.face, curve.places.uv))
     return beads, tracks
-
-
-# ----------------------------------------------------------------------------------------------------
-# From the problem to beads that cover faces of a STEP file.
-
-_QUARTER = 0.25  # of the spacing between points along the faces' edges
-_APART = 0.5  # of the spacing: so far apart are the source's points at most
-_PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
-_FOLDED = 0.2  # of the way to a layer that folds: nearer to folding it is no layer
 
 
 def cover_faces(problem: Problem, spec: FaceLayersSpec) -> Toolpath:

@@ -76,8 +76,11 @@ class Region:
 
 @dataclass(frozen=True)
 class ElementContext:
-    """Where an element is drawn: transform (3, 3) into the root, visibility, viewport, the <use>s that led here, and
-    what it inherits of paint and cuts."""
+    """Where and how an element is drawn.
+
+    Its transform (3, 3) into the root, visibility, viewport, the <use>s that led here, and what it inherits of paint
+    and cuts.
+    """
 
     matrix: Array
     visible: bool = True

@@ -1,4 +1,7 @@
-"""From the problem to beads through the waypoints of a file; paths are checked before they are followed."""
+"""Beads through the waypoints of a file; each path is checked before it is followed.
+
+A path must be long enough for a bead, and run along the surface that its normals belong to.
+"""
 
 from __future__ import annotations
 
@@ -23,14 +26,13 @@ from planner.toolpath.task import roll_zeros
 from planner.toolpath.waypoints.reader import Waypoints, read_waypoints
 from planner.toolpath.waypoints.surfels import with_layers
 
-# ----------------------------------------------------------------------------------------------------
-# Whether a path of waypoints can be a bead: long enough, and on a surface that its normals are those of.
-
 MOST_TURN = 90.0  # deg, of the normal from one waypoint to the next: no surface that a nozzle can follow turns further
 STEEPEST = 0.8  # sine of the angle between path and surface; steeper over half its length, it is on no surface
-
 LOOKS_PER_WIDTH = 4.0  # places in each bead's width of a path at which it is seen whether the nozzle is clear there
 CLEAR = 2e-5  # m, and a tenth of a bead's height: how far it must be, since it may be that far off its path
+
+_APART = 0.5  # of the bead's width: passes lie no closer to each other
+_PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
 
 
 def check_waypoints(path: Waypoints, file: Path, width: float) -> None:
@@ -118,13 +120,6 @@ def check_clear(path: Waypoints, bead: Bead, surface: Surface, file: Path) -> No
             line=int(path.lines[nearest]),
             hint="passes that cross or lie beside each other stand at one height, or a bead's height apart",
         )
-
-
-# ----------------------------------------------------------------------------------------------------
-# From the problem to beads through the waypoints of a file.
-
-_APART = 0.5  # of the bead's width: passes lie no closer to each other
-_PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
 
 
 def through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:

@@ -1,4 +1,4 @@
-"""Fills a sheet of a wing by scan lines across or along it: zig-zag beads in the sheet rolled out, laid on the true one."""
+"""Scan lines across or along a sheet of a wing: zig-zag beads drawn on the sheet rolled out, laid on the true one."""
 
 from __future__ import annotations
 
@@ -16,8 +16,6 @@ from planner.toolpath.wing.sheets import WingSheet
 from planner.toolpath.wing.strips import APART, PER_RUN, STEP, TURN, Filling, rolled_bead
 
 Segment = tuple[int, float, float]  # a row, and where on it a pass begins and ends
-
-
 _SHORTEST_PASS = 2.0  # bead widths: of a shorter one both turns would share a corner
 _INSET = 0.49  # of a bead, by which a pass along the wing stays inside: the outermost ones would at 0.5 come and go
 _LOOKS = (15, 9)  # places across and along a sheet where its stretch is measured
@@ -26,8 +24,11 @@ _DIFFERENCE = 1e-5  # m, over which
 
 @dataclass(frozen=True)
 class PassSpacing:
-    """How far apart passes a metre apart in the rolled-out sheet are on the true one: mean, least and greatest; and the
-    greatest stretch in any direction."""
+    """How rolling a sheet out changes distances, as true lengths per rolled-out length.
+
+    mean, least, greatest  between passes
+    any                    greatest in any direction
+    """
 
     mean: float
     least: float

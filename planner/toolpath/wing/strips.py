@@ -1,4 +1,7 @@
-"""Layers of a print that is straight along its span: strips of the section, filled with zig-zag lines."""
+"""Layers of a print that is straight along its span: strips of the section, and the solid that they add up to.
+
+A strip rolled out is a rectangle, which one zig-zag line fills.
+"""
 
 from __future__ import annotations
 
@@ -19,14 +22,15 @@ from planner.toolpath.plane_paths import make_bead
 from planner.toolpath.task import roll_zeros
 from planner.toolpath.wing.section import SectionSide
 
-# ----------------------------------------------------------------------------------------------------
-# Layers of a print that is straight along its span: strips of the section, and the solid that they add up to.
-
 _Piece = tuple[Array, Array]  # of an outline: see there
-
 _SAMPLE = 5e-5  # m between places at which outlines are looked up
 _NUDGE = 1e-6  # m that a place of an outline is moved out to see whether something else is there
 _DENSE = 400  # intervals on which the length of a parallel curve is integrated
+
+STEP = 1e-3  # m between waypoints where a strip is flat
+TURN = 0.06  # rad that the nozzle turns from one waypoint to the next at most, where a strip bends most
+APART = 0.5  # of the distance of passes: the source's points lie no farther apart
+PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
 
 
 class SectionPlaces:
@@ -332,19 +336,15 @@ def _faces(strip: Strip) -> list[tuple[Array, Array]]:
     ]
 
 
-# ----------------------------------------------------------------------------------------------------
-# Fills a strip, which is a rectangle when it is rolled out, with one zig-zag line.
-
-STEP = 1e-3  # m between waypoints where a strip is flat
-TURN = 0.06  # rad that the nozzle turns from one waypoint to the next at most, where a strip bends most
-APART = 0.5  # of the distance of passes: the source's points lie no farther apart
-PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
-
-
 @dataclass(frozen=True)
 class Filling:
-    """How strips are filled: width and height of a bead, tolerance at the turns and length of a run-in [m];
-    spacing of passes in bead widths, 1 or more."""
+    """How strips are filled.
+
+    width, height  of a bead [m]
+    tolerance      at the turns [m]
+    run_in         length of a run-in [m]
+    spacing        of passes, in bead widths, 1 or more
+    """
 
     width: float
     height: float

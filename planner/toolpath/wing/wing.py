@@ -1,4 +1,9 @@
-"""From the problem to the beads of a wing (Arigela et al.), straight along its span or with a section that changes."""
+"""Beads of a wing in layers parallel to its lower and its upper surface (Arigela et al.), or in level ones.
+
+The lower half is printed from its surface up to where both sides are equally near, which on a symmetric section is the
+chord line; the upper half from there to its surface. A wing that is straight along its span is made of strips, whose
+tip curves are the section's own spline, offset. One whose section changes, or in level layers, is made of sheets.
+"""
 
 from __future__ import annotations
 
@@ -29,17 +34,13 @@ from planner.toolpath.wing.sheets import Area, CurvedSheet, FlatSheet, Loft, Win
 from planner.toolpath.wing.strips import CurvedStrip, Filling, FlatStrip, LayeredSolid, Strip, fill
 from planner.toolpath.wing.support import below, check_support, level_count, level_ends, strips_of, widened
 
-# ----------------------------------------------------------------------------------------------------
-# A wing whose section changes along its span, or one in level layers: from the problem to its beads.
-
 _GAPE = 1.05  # greatest distance of passes, of their mean: wider, and there are gaps of more than a twentieth of a bead
 _OUTLINE = 1500  # points of a side at one station, where level layers are cut off
 
 
 @dataclass(frozen=True)
 class SheetLayer:
-    """A sheet of a layer: what to call it, whether its passes run across the wing or along it, how it is filled, and its
-    material, if that has a name."""
+    """A sheet to be filled: its name, whether passes run across the wing, how it is filled, and its material, if named."""
 
     name: str
     sheet: WingSheet
@@ -238,13 +239,6 @@ def _check_reach(problem: Problem, spec: AerofoilLayersSpec, support: SupportSpe
     if support.height > nose:
         reason = f"{support.height * 1e3:g} mm are above the leading edge of the tip: the nozzle would meet the support"
         raise problem.error("layers.support.height_mm", reason, f"at most {np.floor(nose * 1e5) / 100:g}")
-
-
-# ----------------------------------------------------------------------------------------------------
-# A wing in layers parallel to its lower and its upper surface (Arigela et al.): from the problem to its beads.
-#
-# The lower half is printed from its surface up to where both sides are equally near, which is the chord line of a
-# symmetric section; the upper half from there to its surface. A layer's tip curve is the section's own spline, offset.
 
 
 @dataclass(frozen=True)
