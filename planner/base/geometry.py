@@ -19,3 +19,8 @@ def subdivided(pieces: Ints) -> tuple[Ints, Array]:
     step = np.repeat(np.arange(len(pieces)), pieces)
     within = np.arange(len(step)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
     return step, within / pieces[step]
+
+
+def angles_between(a: Array, b: Array) -> Array:
+    """Angles (...) between vectors a and b (..., 3) [rad], exact for small ones too."""
+    return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1)))

@@ -16,7 +16,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import convolve1d, maximum_filter1d
 
 from planner.base.arrays import Array
-from planner.base.geometry import arc_lengths, subdivided
+from planner.base.geometry import angles_between, arc_lengths, subdivided
 from planner.toolpath.plane_paths import SampleDensity
 
 CORNER_TURN = np.radians(30.0)  # at one waypoint: a circle with fewer than twelve of them has corners
@@ -184,9 +184,7 @@ def _turns(points: Array) -> Array:
     """Angle (m) between the chords before and after each waypoint; 0 at both ends."""
     chords = np.diff(points, axis=0)
     along = chords / np.linalg.norm(chords, axis=1)[:, None]
-    cosine = (along[1:] * along[:-1]).sum(axis=1)
-    sine = np.linalg.norm(np.cross(along[1:], along[:-1]), axis=1)
-    return np.concatenate([[0.0], np.arctan2(sine, cosine), [0.0]])
+    return np.concatenate([[0.0], angles_between(along[1:], along[:-1]), [0.0]])
 
 
 def _samples_per_step(points: Array, normals: Array, chord: Array, sharp: NDArray[np.int64]) -> Array:

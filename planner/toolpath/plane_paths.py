@@ -214,7 +214,7 @@ def _smooth(p: Array, radius: Array, stiffness: float) -> Array:
     End points are kept.
     """
     n = len(p)
-    third = _third_difference_bands(n, stiffness**6)
+    third = third_difference_bands(n, stiffness**6)
     scale = float(radius.max())
     P = p / scale
     r2 = (radius / scale) ** 2
@@ -262,7 +262,7 @@ def _line_search(
     return X + scale * step if scale > 1e-6 else X
 
 
-def _third_difference_bands(n: int, weight: float) -> Array:
+def third_difference_bands(n: int, weight: float) -> Array:
     """Lower bands (4, n) of weight * D^T D, D the third difference."""
     d = np.array([-1.0, 3.0, -3.0, 1.0])
     bands = np.zeros((4, n))

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from planner.base.arrays import Array
 from planner.base.errors import Complaint, InputError
-from planner.base.geometry import arc_lengths
+from planner.base.geometry import angles_between, arc_lengths
 from planner.problem.process import FibreSpec, ProcessSpec
 from planner.toolpath.bead import Bead
 
@@ -68,7 +68,7 @@ class BeadEnd:
         return float(first), float(second)
 
     def turned(self, far: Array, within: float) -> Array:
-        """Frames (m, 3, 3) at distances (m), if the turning fades until `within` [m] (see process._fade)."""
+        """Frames (m, 3, 3) at distances (m), if the turning fades until `within` [m] (see _fade)."""
         y = np.clip(far / within, 0.0, 1.0)
         first = within * (y - y**4 * (2.5 - 3.0 * y + y**2))
         second = within**2 * y**2 * (0.5 - y**3 * (2.0 - 2.5 * y + 6.0 / 7.0 * y**2))
@@ -94,14 +94,14 @@ def _smooth_end(points: Array, turns: Array, frame: Array) -> BeadEnd | None:
     """The end by a polynomial, if the samples beside it are smooth and turn and stretch as it says."""
     chords = np.diff(points[: _DEGREE + 1], axis=0)
     sizes = np.linalg.norm(chords, axis=1)
-    turn = float(_angles(chords[1:], chords[:-1]).max())
+    turn = float(angles_between(chords[1:], chords[:-1]).max())
     stretch = float(np.abs(np.diff(np.log(sizes))).max())
     spin = float(np.linalg.norm(np.diff(turns[: _DEGREE + 1], axis=0), axis=1).max())
     if max(turn, stretch, spin) > _SMOOTH or np.linalg.norm(turns, axis=1).max() > _WHOLE:
         return None
     fine = _by_polynomial(points, turns, frame)
     measured = (
-        (float(_angles(fine.tangent, -chords[0])), turn),
+        (float(angles_between(fine.tangent, -chords[0])), turn),
         (float(np.linalg.norm(fine.bend)) * fine.step, turn),
         (abs(fine.growth), stretch),
         (fine.turning[0] * fine.step, spin),
@@ -135,7 +135,7 @@ def _by_arc(points: Array, turns: Array, frame: Array) -> BeadEnd:
         growth = float(np.clip(np.log(size / before), -_SMOOTH, _SMOOTH))
         across = (tangent @ inner) * tangent - inner
         angle = min(
-            float(_angles(chord, inner)), _STEEPEST_TURN * np.exp(-max(growth, 0.0))
+            float(angles_between(chord, inner)), _STEEPEST_TURN * np.exp(-max(growth, 0.0))
         )  # the next chord is longer
         sideways = float(np.linalg.norm(across))
         if sideways > _ROUNDING * before:
@@ -149,11 +149,6 @@ def _by_arc(points: Array, turns: Array, frame: Array) -> BeadEnd:
     turned = float(np.linalg.norm(spin[0]))
     spin[0] *= min(1.0, _STEEPEST_TURN / turned) / size if turned > 0.0 else 0.0
     return BeadEnd(points[0], tangent, bend, frame, spin, size, growth)
-
-
-def _angles(a: Array, b: Array) -> Array:
-    """Angles (...) between vectors a and b (..., 3)."""
-    return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1)))
 
 
 @dataclass(frozen=True)

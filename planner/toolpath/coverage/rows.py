@@ -19,6 +19,7 @@ from planner.base.geometry import arc_lengths
 from planner.toolpath.coverage.measures import SurfaceLine, crossings, distances, seconds
 from planner.toolpath.coverage.sheet import FaceMesh, Patch, Rim, Row, Stroke, fields_of, rows_at, sheet_of
 from planner.toolpath.coverage.stitch import InsetEdge, chains, chosen, evenly, possible, smooth, stitched
+from planner.toolpath.ordering import nearest_first
 
 _TRIANGLES = 12  # looked at for each point, nearest middles first
 _NEWTON = 6  # steps; from the net three do
@@ -228,17 +229,8 @@ def _strokes(sheet: FaceMesh, rim: Rim, rows: Sequence[Row], spacing: float) -> 
 
 def _in_turn(lines: Sequence[tuple[Array, bool]]) -> list[tuple[Array, bool]]:
     """Lines one after the other, the nearest end first; open ones may be turned round."""
-    left = list(lines)
-    out = [left.pop(0)]
-    while left:
-        here = out[-1][0][0 if out[-1][1] else -1]
-        far = [(float(np.linalg.norm(line[0] - here)), k, False) for k, (line, _) in enumerate(left)] + [
-            (float(np.linalg.norm(line[-1] - here)), k, True) for k, (line, closed) in enumerate(left) if not closed
-        ]
-        _, k, back = min(far)
-        line, closed = left.pop(k)
-        out.append((line[::-1].copy() if back else line, closed))
-    return out
+    turned = ((*lines[k], back) for k, back in nearest_first(lines))
+    return [(line[::-1].copy() if back else line, closed) for line, closed, back in turned]
 
 
 def _shortened(row: Row, spacing: float) -> Row | None:

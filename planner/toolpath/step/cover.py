@@ -24,6 +24,7 @@ from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.coverage.rows import NotCoveredError, TooSmallError, cover
 from planner.toolpath.coverage.tours import ORDERS, TooManySamplesError
 from planner.toolpath.interpolation import TooRough, calm_path, interpolate
+from planner.toolpath.ordering import nearest_first
 from planner.toolpath.plane_paths import check_size, length, make_bead
 from planner.toolpath.step.body import ON_THE_RIM, FaceBody, FacePlaces
 from planner.toolpath.step.files import Damaged, Face, choose_faces, read_step
@@ -127,7 +128,7 @@ def spread(points: Array) -> Array:
 def lay(body: FaceBody, points: Array, tolerance: float, apart: float, ends: float) -> FaceCurve:
     """The smooth curve through places (n, 3) on faces: corners rounded within `tolerance`, all of it on the faces.
 
-    apart: greatest distance of the source's points; ends: of samples at the ends [m]. Raises TooRough (interpolation)
+    apart: greatest distance of the source's points; ends: of samples at the ends [m]. Raises TooRough
     where no smooth curve keeps the tolerance.
     """
     at = body.beneath(points)
@@ -293,12 +294,6 @@ def _curve(problem: Problem, spec: FaceLayersSpec, body: FaceBody, line: Array) 
 
 def _in_turn(curves: list[tuple[FaceBody, FaceCurve, str]]) -> list[tuple[FaceBody, FaceCurve, str]]:
     """The curves in an order and direction with little travel: always on to the nearest end."""
-    left = list(curves)
-    out = [left.pop(0)]
-    while left:
-        here = out[-1][1].places.points[-1]
-        ends = np.array([[curve.places.points[0], curve.places.points[-1]] for _, curve, _ in left])
-        k, back = divmod(int(np.argmin(np.linalg.norm(ends - here, axis=2))), 2)
-        body, curve, name = left.pop(k)
-        out.append((body, curve.reversed() if back else curve, name))
-    return out
+    order = nearest_first([(curve.places.points, False) for _, curve, _ in curves])
+    turned = ((*curves[k], back) for k, back in order)
+    return [(body, curve.reversed() if back else curve, name) for body, curve, name, back in turned]

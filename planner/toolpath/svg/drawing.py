@@ -35,7 +35,7 @@ from planner.toolpath.svg.document import (
 )
 from planner.toolpath.svg.shapes import OutlinePiece, Subpath, subpaths_of
 
-# Attributes that would move or hide an outline and are not supported; style.py has the properties.
+# Attributes that would move or hide an outline and are not supported; document.py has the properties of styles.
 REFERENCE = re.compile(r"url\(\s*[\"']?\s*#([^\s\"')]*)\s*[\"']?\s*\)", re.IGNORECASE)
 MOVING = ("transform-origin", "refX", "refY", "systemLanguage", "requiredExtensions")
 

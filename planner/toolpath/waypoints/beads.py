@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array
 from planner.base.errors import InputError
-from planner.base.geometry import arc_lengths, subdivided
+from planner.base.geometry import angles_between, arc_lengths, subdivided
 from planner.problem import Problem
 from planner.problem.layers import WaypointLayersSpec
 from planner.problem.process import ProcessSpec
@@ -72,9 +72,7 @@ def _check_length(path: Waypoints, file: Path, width: float) -> None:
 
 def _check_normals(path: Waypoints, file: Path) -> None:
     """A normal that jumps to the other side belongs to no surface, and half way there is none at all."""
-    before, after = path.normals[:-1], path.normals[1:]
-    sine = np.linalg.norm(np.cross(before, after), axis=1)
-    turn = np.degrees(np.arctan2(sine, (before * after).sum(axis=1)))
+    turn = np.degrees(angles_between(path.normals[:-1], path.normals[1:]))
     i = int(np.argmax(turn > MOST_TURN))
     if turn[i] > MOST_TURN:
         raise InputError(

@@ -24,7 +24,9 @@ from scipy.linalg import solveh_banded
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
 from planner.base.errors import Complaint, InputError, nearest_name
 from planner.base.files import read_bytes, read_text
+from planner.base.geometry import angles_between
 from planner.problem.layers import WaypointsSpec
+from planner.toolpath.plane_paths import third_difference_bands
 
 REACH = 3.0  # waypoints, about, to either side over which a normal is averaged; waves of 20 or more stay
 _ROUNDS = 40  # in which normals that were turned too far are held more firmly
@@ -64,7 +66,7 @@ def smooth_normals(normals: Array, bound: float) -> tuple[Array, Array]:
     n = len(normals)
     if n <= _ORDER:
         return normals, np.zeros(n)
-    bands = _bands(n)
+    bands = third_difference_bands(n, 1.0)
     hold = np.full(n, REACH ** (-2 * _ORDER))
     smooth, turned = normals, np.zeros(n)
     for _ in range(_ROUNDS):
@@ -72,7 +74,7 @@ def smooth_normals(normals: Array, bound: float) -> tuple[Array, Array]:
         system[0] += hold
         smooth = solveh_banded(system, hold[:, None] * normals, lower=True)
         smooth = smooth / np.maximum(np.linalg.norm(smooth, axis=1), _NONE)[:, None]
-        turned = _angles(smooth, normals)
+        turned = angles_between(smooth, normals)
         far = turned > bound
         if not far.any():
             return smooth, turned
@@ -83,22 +85,7 @@ def smooth_normals(normals: Array, bound: float) -> tuple[Array, Array]:
     still = turned <= _NONE
     smooth = np.where(still[:, None], normals, back[:, None] * normals + ahead[:, None] * smooth)
     smooth = smooth / np.linalg.norm(smooth, axis=1)[:, None]
-    return smooth, _angles(smooth, normals)
-
-
-def _bands(n: int) -> Array:
-    """Lower bands (4, n) of D^T D, D the third difference of n values."""
-    d = np.array([-1.0, 3.0, -3.0, 1.0])
-    bands = np.zeros((_ORDER + 1, n))
-    for a in range(_ORDER + 1):
-        for b in range(a + 1):
-            bands[a - b, b : b + n - _ORDER] += d[a] * d[b]
-    return bands
-
-
-def _angles(a: Array, b: Array) -> Array:
-    """Angles (n) between vectors a and b (n, 3)."""
-    return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1)))
+    return smooth, angles_between(smooth, normals)
 
 
 @dataclass(frozen=True)
