@@ -32,10 +32,8 @@ from planner.problem.yaml_file import (
 
 Mistake = tuple[Keys, str, str | None]  # path, reason, hint
 Model = type[BaseModel]
-_NOT_IN_THE_FILE = (
-    "[key]",
-    *(kind.tag for kind in KINDS),
-)  # Pydantic's marks in a path: of a key, of a kind of section
+# Pydantic's marks in a path: of a key, of a kind of section
+_NOT_IN_THE_FILE = ("[key]", *(kind.tag for kind in KINDS))
 
 Identifier = Annotated[str, IDENTIFIER]
 

@@ -18,7 +18,15 @@ from planner.base.arrays import Array, Ints
 from planner.base.geometry import arc_lengths
 from planner.toolpath.coverage.measures import SurfaceLine, crossings, distances, seconds
 from planner.toolpath.coverage.sheet import FaceMesh, Patch, Rim, Row, Stroke, fields_of, rows_at, sheet_of
-from planner.toolpath.coverage.stitch import InsetEdge, chains, chosen, evenly, possible, smooth, stitched
+from planner.toolpath.coverage.stitch import (
+    InsetEdge,
+    chosen_joints,
+    evenly,
+    possible_joints,
+    row_chains,
+    smooth,
+    stitched,
+)
 from planner.toolpath.ordering import nearest_first
 
 _TRIANGLES = 12  # looked at for each point, nearest middles first
@@ -113,9 +121,9 @@ class NotCoveredError(ValueError):
 class _Net:
     """The faces' net, and what is looked up on it repeatedly.
 
-    rim      edges of the material
-    normals  (n, 3) at the net's points, and a tree of these points
-    looked   (k, 3) points all over the material
+    normals, tree  unit normals (n, 3) at the net's points, and a tree of these points
+    solid          indices of the points of the material
+    looked_at      (k, 3) points all over the material
     """
 
     sheet: FaceMesh
@@ -216,10 +224,10 @@ def _candidate(net: _Net, field: Array, spacing: float, apart: float, speed: flo
 
 def _strokes(sheet: FaceMesh, rim: Rim, rows: Sequence[Row], spacing: float) -> list[tuple[Array, bool]]:
     """Rows joined into as few lines as can be, smoothed, in the order in which they are printed."""
-    joints = chosen(possible(rows, rim.around, spacing), spacing)
+    joints = chosen_joints(possible_joints(rows, rim.around, spacing), spacing)
     edge = InsetEdge.of(sheet, rim, _INSET * spacing)
     out = []
-    for chain in chains(len(rows), joints):
+    for chain in row_chains(len(rows), joints):
         closed = rows[chain[0][0]].ends is None
         line = rows[chain[0][0]].points if closed else stitched(rows, chain, joints, edge, spacing)
         line = smooth(line, _KERNEL * spacing, _FINE * spacing, closed)

@@ -128,7 +128,7 @@ class Joint:
         return self.stop - self.start
 
 
-def possible(rows: Sequence[Row], around: Array, spacing: float) -> list[Joint]:
+def possible_joints(rows: Sequence[Row], around: Array, spacing: float) -> list[Joint]:
     """Joints between ends that follow each other along a loop of the rim (lengths `around`), rows next to each other."""
     ends: dict[int, list[tuple[float, End]]] = {}
     for k, row in enumerate(rows):
@@ -147,7 +147,7 @@ def possible(rows: Sequence[Row], around: Array, spacing: float) -> list[Joint]:
     return out
 
 
-def chosen(joints: Sequence[Joint], spacing: float) -> list[Joint]:
+def chosen_joints(joints: Sequence[Joint], spacing: float) -> list[Joint]:
     """As many of them as can be without an end used twice or a ring; of equally many, the shortest."""
     if not joints:
         return []
@@ -195,7 +195,7 @@ def _rings(joints: Sequence[Joint]) -> list[list[int]]:
     return [[k for k, joint in enumerate(joints) if root(joint.first[0]) == ring] for ring in sorted(closing)]
 
 
-def chains(count: int, joints: Sequence[Joint]) -> list[list[End]]:
+def row_chains(count: int, joints: Sequence[Joint]) -> list[list[End]]:
     """Strokes as the ends at which each of their rows is entered, every one of `count` rows in one stroke."""
     beside: dict[End, End] = {}
     for joint in joints:

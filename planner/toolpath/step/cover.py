@@ -125,7 +125,7 @@ def spread(points: Array) -> Array:
     return np.asarray(path(np.linspace(0.0, chord[-1], max(int(np.ceil(chord[-1] / _STEP)), _FEWEST) + 1))[:, :3])
 
 
-def lay(body: FaceBody, points: Array, tolerance: float, apart: float, ends: float) -> FaceCurve:
+def curve_on_faces(body: FaceBody, points: Array, tolerance: float, apart: float, ends: float) -> FaceCurve:
     """The smooth curve through places (n, 3) on faces: corners rounded within `tolerance`, all of it on the faces.
 
     apart: greatest distance of the source's points; ends: of samples at the ends [m]. Raises TooRough
@@ -183,7 +183,7 @@ class FaceLayers:
         return track.body.followed(tips, track.face[around], track.uv[around]).normals
 
 
-def laid(
+def lay_layers(
     curves: Sequence[tuple[FaceBody, FaceCurve, str]], count: int, layer_height: float, width: float, height: float
 ) -> tuple[list[Bead], list[FaceTrack]]:
     """Beads `width` and `height` [m] along curves, `count` layers of them: each begins where the one before ended."""
@@ -234,7 +234,7 @@ def cover_faces(problem: Problem, spec: FaceLayersSpec) -> Toolpath:
         raise problem.error(
             "layers.source.spacing_mm", "no bead fits onto the faces", "a smaller distance, or a narrower bead"
         )
-    beads, tracks = laid(_in_turn(curves), spec.count, spec.height, process.bead.width, process.bead.height)
+    beads, tracks = lay_layers(_in_turn(curves), spec.count, spec.height, process.bead.width, process.bead.height)
     surface = FaceLayers(FaceBody.of(faces), spec.height, tuple(tracks))
     notes = (f"{dots} samples or lines shorter than the bead is wide are left out",) if dots else ()
     return Toolpath(tuple(beads), surface, faces_shape(faces), notes)
@@ -279,7 +279,7 @@ def _curve(problem: Problem, spec: FaceLayersSpec, body: FaceBody, line: Array) 
         )
     tolerance = process.corner_tolerance / max(1.0, float(room.max()))
     try:
-        curve = lay(body, line, tolerance, _APART * spec.source.spacing, process.run_in / _PER_RUN)
+        curve = curve_on_faces(body, line, tolerance, _APART * spec.source.spacing, process.run_in / _PER_RUN)
     except TooRough as error:
         x, y, z = line[min(error.waypoint, len(line) - 1)] * 1e3
         raise problem.error(

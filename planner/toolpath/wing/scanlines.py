@@ -62,7 +62,7 @@ def on_sheet(sheet: WingSheet, plane: Array) -> tuple[Array, Array]:
     return sheet.tips(sheet.rolled(plane[:, 0], plane[:, 1]), plane[:, 1])
 
 
-def lay(
+def fill_sheet(
     sheet: WingSheet, across: bool, filling: Filling, name: str, layer: int, start: Array | None, stretch: PassSpacing
 ) -> list[Bead]:
     """Beads that fill a sheet in passes across the wing or along it; the first begins near `start` (3), if given.

@@ -353,7 +353,7 @@ class Filling:
     spacing: float = 1.0
 
 
-def fill(
+def fill_strip(
     strip: Strip, along: bool, span: tuple[float, float], filling: Filling, name: str, layer: int, start: Array | None
 ) -> Bead:
     """One bead that fills a strip between two y [m], in passes along its curve or along the span.

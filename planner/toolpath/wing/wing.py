@@ -16,7 +16,7 @@ from planner.base.arrays import Array
 from planner.problem import Problem
 from planner.problem.layers import AerofoilLayersSpec, SupportSpec
 from planner.toolpath.bead import Bead, Toolpath
-from planner.toolpath.wing.scanlines import lay, stretch_of
+from planner.toolpath.wing.scanlines import fill_sheet, stretch_of
 from planner.toolpath.wing.section import (
     CLEAR_LOWER,
     CLEAR_UPPER,
@@ -31,7 +31,7 @@ from planner.toolpath.wing.section import (
 )
 from planner.toolpath.wing.sheet_solid import SheetSolid
 from planner.toolpath.wing.sheets import Area, CurvedSheet, FlatSheet, Loft, WingSheet, parallel_area, stations_of
-from planner.toolpath.wing.strips import CurvedStrip, Filling, FlatStrip, LayeredSolid, Strip, fill
+from planner.toolpath.wing.strips import CurvedStrip, Filling, FlatStrip, LayeredSolid, Strip, fill_strip
 from planner.toolpath.wing.support import below, check_support, level_count, level_ends, strips_of, widened
 
 _GAPE = 1.05  # greatest distance of passes, of their mean: wider, and there are gaps of more than a twentieth of a bead
@@ -112,7 +112,7 @@ def _laid(
                     "a longer span_mm, or a tip more like the root: less washout_deg, more of its chord_mm",
                 )
             start = (found or beads)[-1].points[-1] if found or beads else None
-            new = lay(job.sheet, job.across, job.filling, f"{job.name} {layer + 1}", layer, start, stretch)
+            new = fill_sheet(job.sheet, job.across, job.filling, f"{job.name} {layer + 1}", layer, start, stretch)
             laid += [len(sheets)] * len(new)
             if new:
                 sheets.append(job.sheet)
@@ -252,7 +252,7 @@ class StripLayer:
     material: str = ""
 
 
-def wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
+def lay_wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
     """Lay the beads of a wing. Raises InputError for a section that cannot be read or printed."""
     if spec.source.tip is not None or spec.source.method == "planar":
         return lofted_wing(problem, spec)
@@ -282,7 +282,7 @@ def wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
         for number, piece in enumerate(_nearest_first(job.pieces, start), 1):
             name = f"{job.name} {layer + 1}" + (f" piece {number}" if len(job.pieces) > 1 else "")
             start = beads[-1].points[-1] if beads else None
-            bead = fill(piece, job.along, span, job.filling, name, layer, start)
+            bead = fill_strip(piece, job.along, span, job.filling, name, layer, start)
             beads.append(replace(bead, material=job.material))
             strips.append(piece)
             levels.append(layer)
