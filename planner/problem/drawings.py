@@ -11,7 +11,7 @@ from planner.problem.fields import PATH, Quantity, Section, Thickness, key, one_
 from planner.problem.process import MaterialName, material_key
 from planner.problem.yaml_file import describe
 
-# Each names a source, so only one may be given.
+# Keys of layers.source, each of which names a source: only one may be given.
 SOURCE_NAMES = ("svg", "pattern", "curves", "waypoints", "gcode", "mesh", "aerofoil", "naca", "faces")
 
 BLEND_MM = 6  # two facets of the published dome; measured in benchmarks.orientation

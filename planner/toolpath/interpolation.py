@@ -27,9 +27,9 @@ _SWING = 5.0
 _CUT = 0.0752  # of the kernel's half width: what it cuts from a corner, per unit of the jump in direction
 _WIDEST = 25.0  # half width of the kernel, in tolerances
 _CELLS = 48  # grid cells in half the kernel's width
-_SAMPLES = 20.0  # in the same, at the corner
+_SAMPLES = 20.0  # in half the kernel's width, at the corner
 _TRIES = 12  # to find the width that uses the tolerance
-_NEARLY, _AIM = 0.94, 0.98  # of it: enough is used; aimed at
+_NEARLY, _AIM = 0.94, 0.98  # shares of the tolerance: from this on enough is used; aimed at
 _USED = 0.9  # of the tolerance: the rest is for the curve between samples
 _SPREAD = 0.7  # kernel widths from a corner at which the density of samples has halved
 _SPARSE = 1.5  # usual distances of waypoints: an end where they stand this far apart is judged by its own
@@ -43,12 +43,12 @@ _STILL_NORMAL = 0.1
 _LOOKS = np.linspace(0.0, 1.0, 7)[1:-1]  # places within a step where that is looked at
 _MOST_CELLS = 8_000_000  # of a grid on which corners are averaged: some 2 GB
 _RESOLVED = 1e-5  # m, third difference of the direction, times the step: below, a sample a waypoint is enough
-_MOST_PER_STEP = 4.0
+_MOST_PER_STEP = 4.0  # samples
 _SHAKY = 0.05  # third difference of normals from which on they count as rough
 _BESIDE = 8  # waypoints from an end that are beside it
-_LESS = 1.0 - 1e-6  # of a distance: what is less than it
+_LESS = 1.0 - 1e-6  # share of a distance below which another one counts as less
 _ORDER = 3  # of the difference by which normals are seen to be rough
-_RESOLVED_NORMAL = 2e-3  # third difference of normals there, as above
+_RESOLVED_NORMAL = 2e-3  # third difference of normals below which a sample a waypoint is enough
 _LOOSEST = 6.0  # times the distance that sets passes apart: sparser, a place's nearest sample is on another pass
 
 
@@ -255,7 +255,9 @@ def _round(path: BSpline, chord: Array, sharp: NDArray[np.int64], turn: Array, t
     """Round the corners `sharp` of a path, together where they are close to each other."""
     if len(sharp) == 0:
         return []
-    cut = _CUT * np.maximum(np.sin(0.5 * turn[sharp]), _USED / (_CUT * _WIDEST))  # a straight place is cut by nothing
+    cut = _CUT * np.maximum(
+        np.sin(0.5 * turn[sharp]), _USED / (_CUT * _WIDEST)
+    )  # where the path is straight, nothing is cut
     widths = _USED * tolerance / cut
     at = chord[sharp]
     corners: list[_Corner] = []
@@ -275,7 +277,7 @@ def _round(path: BSpline, chord: Array, sharp: NDArray[np.int64], turn: Array, t
 def _rounded(path: BSpline, at: Array, width: float, length: float, tolerance: float) -> _Corner | None:
     """Average a path around the corners `at` with the widest kernel, `width` at most, that keeps the tolerance.
 
-    None if none of those that were tried does.
+    None if no width that was tried does.
     """
     room = _USED * tolerance
     fits, exceeds = 0.0, np.inf
@@ -299,7 +301,7 @@ def _rounded(path: BSpline, at: Array, width: float, length: float, tolerance: f
 
 
 def _averaged(path: BSpline, at: Array, width: float, length: float) -> tuple[_Corner, float]:
-    """Average a path around the corners `at` with a kernel; and how far that takes a point at most."""
+    """Average a path around the corners `at` with a kernel, and return how far that moves a point at most."""
     low, high = float(at[0]), float(at[-1])
     cell = width / _CELLS
     cells = int(np.ceil((high - low) / cell)) + 6 * _CELLS + 1

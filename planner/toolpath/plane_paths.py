@@ -310,7 +310,7 @@ def length(points: Array) -> float:
 
 
 def check_length(problem: Problem, path: PlanePath, size_key: str = "layers.source.width_mm") -> None:
-    """A path must be a line: at least as long as its bead is wide."""
+    """Raise InputError, naming `size_key`, for a path shorter than its bead is wide."""
     drawn, width = length(path.points), problem.process.bead.width
     if drawn < width:
         raise problem.error(
@@ -321,7 +321,7 @@ def check_length(problem: Problem, path: PlanePath, size_key: str = "layers.sour
 
 
 def check_size(problem: Problem, name: str, drawn: float, rounded: float, hint: str) -> None:
-    """A path must not vanish in the corner tolerance; lengths drawn and rounded [m]."""
+    """Raise InputError for a path that its rounding shortens too much; lengths drawn and rounded [m]."""
     if rounded < _SHRUNK * drawn:
         raise problem.error(
             "process.corner_tolerance_mm",

@@ -31,7 +31,7 @@ _SETTLE = 1.0  # likewise in which the nozzle stops turning: quicker asks more j
 _BENT = 0.5  # share of a run in which it bends up to its ramp, which is straight from there on
 _TURN = 1.0  # rad; twice what a run turns at most before it is straight, where the samples allow it
 _GROWTH = 0.7  # twice the logarithm of how far the samples' distance changes along a run
-_FADE = 3.0  # samples in which anything fades at least: quicker would be a step to whoever reads the samples
+_FADE = 3.0  # samples in which anything fades at least: quicker would look like a step in the samples
 _FEWEST = 8.0  # samples of a run at least: fewer cannot show its shape, so a coarse bead has longer runs
 _MOST = 500.0  # samples of a run, about: a bead that begins with closer ones has runs that thin them out
 _THINNING = 10.0  # samples in which their distance grows e-fold
@@ -43,7 +43,7 @@ _SUBSTEPS = 8  # of the integration of a run, per sample
 
 @dataclass(frozen=True)
 class BeadEnd:
-    """An end of a bead, seen by who walks off it; derivatives are by the arc length walked, part frame.
+    """An end of a bead, seen while walking off it: derivatives are by the arc length walked, in the part frame.
 
     point, tangent (3)  [m, unit]
     bend      (3)       curvature, perpendicular to the tangent [1/m]
@@ -234,7 +234,7 @@ def _within(end: BeadEnd, length: float, share: float, *rates: float) -> float:
 def _directions(end: BeadEnd, far: Array, length: float, ramp: float | None) -> Array:
     """Directions (m, 3) of a run at distances (m), by heading in the bead's surface and elevation above it.
 
-    Both go on as the bead does, by less and less. From _BENT of the run on, the elevation is the ramp; without one it
+    Both begin as the bead ends, and their change fades. From _BENT of the run on, the elevation is the ramp; without one it
     is the bead's own, but never down into the surface.
     """
     normal = end.frame[:, 2]

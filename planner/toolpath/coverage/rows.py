@@ -188,7 +188,7 @@ def _tried(
     spacing: float,
     speed: float,
 ) -> None:
-    """Enter what comes of a field (the k-th) with rows so many times closer, if there are any."""
+    """Add the strokes of the k-th field, its rows so many times closer, unless it has none."""
     found = _candidate(net, field, spacing, spacing * _CLOSER**closer, speed)
     if found is not None:
         heapq.heappush(queue, (found.time, k, closer, found))

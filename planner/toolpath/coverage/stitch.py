@@ -125,6 +125,7 @@ class Joint:
 
     @property
     def length(self) -> float:
+        """Along the edge [m]."""
         return self.stop - self.start
 
 

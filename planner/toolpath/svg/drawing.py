@@ -124,7 +124,7 @@ class Drawing:
         if depth > MAX_DEPTH or (node.tag in NOT_DRAWN and not (node.tag == "symbol" and used)):
             return 1
         if id(node) not in self._counts:
-            self._counts[id(node)] = count = 1  # for who meets it again inside of itself, which `_follow` refuses
+            self._counts[id(node)] = count = 1  # an element that contains itself meets this count; `_follow` refuses it
             if node.tag in SHAPES or self._style(node).get("display") == "none":
                 return count
             if node.tag == "use":

@@ -246,7 +246,7 @@ def _rows(path: Path, lines: list[str]) -> list[Row]:
 
 
 def _is_text(words: list[str], values: list[float | None]) -> bool:
-    """Words that nobody means as a point. Two of which one is a number may be a point with a slip in it."""
+    """Whether words are no point. Two words of which one is a number may be a mistyped point."""
     return None in values and (len(words) != 2 or values == [None, None])
 
 
@@ -357,7 +357,7 @@ def _section(
 
 
 def check_floor(problem: Problem, spec: AerofoilLayersSpec, floor: float) -> None:
-    """The wing's lowest place, at z = `floor` [m], must not be below the bed. Raises InputError."""
+    """Raise InputError for a wing whose lowest place, at z = `floor` [m], is below the bed."""
     if floor < 0.0:
         raise problem.error(
             "layers.source.origin_mm",
@@ -367,7 +367,7 @@ def check_floor(problem: Problem, spec: AerofoilLayersSpec, floor: float) -> Non
 
 
 def check_span(problem: Problem, spec: AerofoilLayersSpec) -> None:
-    """A wing must be long enough to be filled. Raises InputError."""
+    """Raise InputError for a span too short to be filled."""
     least = SHORTEST * problem.process.bead.width
     if spec.source.span < least:
         raise problem.error(

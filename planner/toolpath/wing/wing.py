@@ -227,7 +227,7 @@ def _undersides(loft: Loft, spec: AerofoilLayersSpec, support: SupportSpec, stat
 
 
 def _check_reach(problem: Problem, spec: AerofoilLayersSpec, support: SupportSpec, loft: Loft) -> None:
-    """A support must reach as far as all of the wing does, and not higher than its leading edge. Raises InputError."""
+    """Raise InputError for a support that reaches less far than the wing, or higher than its leading edge."""
     low, high = level_ends(spec, support)
     points = [side.points(side.grid) for section in (loft.root, loft.tip) for side in (section.lower, section.upper)]
     x = np.concatenate([each[:, 0] for each in points])
