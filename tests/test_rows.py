@@ -14,7 +14,7 @@ from planner.toolpath.coverage import measures
 from planner.toolpath.coverage.measures import SurfaceLine
 from planner.toolpath.coverage.rows import REACH, TooSmallError, cover
 from planner.toolpath.coverage.sheet import Rim, Row, Stroke, inside, march, rows_at, sheet_of
-from planner.toolpath.coverage.stitch import Joint, chains, chosen, evenly, possible, smooth
+from planner.toolpath.coverage.stitch import Joint, chosen_joints, evenly, possible_joints, row_chains, smooth
 
 SPACING, SPEED = 0.01, 0.04
 
@@ -196,10 +196,10 @@ def test_as_many_joints_as_can_be(ends: list[tuple[int, int, int, int]]) -> None
         [joint for joint, on in zip(joints, bits, strict=True) if on] for bits in product((0, 1), repeat=len(joints))
     )
     best = max((len(taken), -sum(joint.length for joint in taken)) for taken in subsets if allowed(taken))
-    found = chosen(joints, SPACING)
+    found = chosen_joints(joints, SPACING)
     assert allowed(found)
     assert (len(found), -sum(joint.length for joint in found)) == pytest.approx(best)
-    assert sorted(row for chain in chains(5, found) for row, _ in chain) == [0, 1, 2, 3, 4]
+    assert sorted(row for chain in row_chains(5, found) for row, _ in chain) == [0, 1, 2, 3, 4]
 
 
 def test_only_rows_next_to_each_other_are_joined() -> None:
@@ -207,7 +207,7 @@ def test_only_rows_next_to_each_other_are_joined() -> None:
         return Row(np.zeros((2, 3)), level, ((0, left), (0, right)))
 
     rows = [row(0.0, 0.09, 0.01), row(1.0, 0.08, 0.02), row(3.0, 0.07, 0.03)]
-    found = {frozenset((joint.first, joint.second)) for joint in possible(rows, np.array([0.2]), SPACING)}
+    found = {frozenset((joint.first, joint.second)) for joint in possible_joints(rows, np.array([0.2]), SPACING)}
     assert found == {frozenset(((0, 1), (1, 1))), frozenset(((0, 0), (1, 0)))}
 
 

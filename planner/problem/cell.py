@@ -25,12 +25,15 @@ from planner.problem.fields import (
     refusal,
 )
 
-# ----------------------------------------------------------------------------------------------------
-# Bodies that stand in the cell or belong to the print head, and how far everything keeps apart.
-
 CARRIERS = ("world", "part")
 Side = Annotated[Vector, Quantity("mm", 0.1, 100_000, count=3)]
 Angles = Annotated[Vector, Quantity("deg", -360, 360, count=3)]
+
+Text = Annotated[str, TEXT]
+RobotName = Annotated[str | Path, ROBOT]
+Angle = Annotated[float, Quantity("deg", -3600, 3600)]  # ten turns: no cable allows more
+Ring = Annotated[tuple[float, float], Quantity("mm", 0, 2000, count=2)]
+MOST_JOINTS = 12  # of an arm; how many it has, its own file says
 
 
 class CylinderSolidSpec(Section):
@@ -79,16 +82,6 @@ class CollisionSpec(Section):
     arm: Annotated[float, Quantity("mm", 0, 1000)] = key(
         "arm_mm", "least distance of the robots' links from each other, from fixtures, part and print [mm]", 5
     )
-
-
-# ----------------------------------------------------------------------------------------------------
-# Arm, nozzle and what carries the part: the section `cell` of the problem file.
-
-Text = Annotated[str, TEXT]
-RobotName = Annotated[str | Path, ROBOT]
-Angle = Annotated[float, Quantity("deg", -3600, 3600)]  # ten turns: no cable allows more
-Ring = Annotated[tuple[float, float], Quantity("mm", 0, 2000, count=2)]
-MOST_JOINTS = 12  # of an arm; how many it has, its own file says
 
 
 class NozzleSpec(Section):

@@ -23,13 +23,12 @@ if TYPE_CHECKING:
     from planner.problem.problem import Problem
     from planner.toolpath.bead import Toolpath
 
-# ----------------------------------------------------------------------------------------------------
-# The problems that ship, as columns of text: what each is, read off its file.
-
 MODELINE = "# yaml-language-server:"  # for editors
 _SENTENCE_END = re.compile(r"\.(?= [A-Z0-9]|$)")  # not the one of "et al." within a sentence
 _GAP, _BELOW = "  ", "    "
 NARROWEST = 40  # characters: where less is left beside the other columns, the text stands below them
+
+LONGEST_LIST = 6  # values of a list that are written out
 
 
 class Shipped(NamedTuple):
@@ -98,12 +97,6 @@ def columns(rows: Sequence[Sequence[str]], width: int | None) -> list[str]:
         begun = [first, *(_BELOW + text for text in texts)] if below else [first + "".join(texts[:1])]
         lines += begun if below else [*begun, *(" " * start + text for text in texts[1:])]
     return [line.rstrip() for line in lines]
-
-
-# ----------------------------------------------------------------------------------------------------
-# What a problem says, in lines for its reader: cell, part, layers, length, time.
-
-LONGEST_LIST = 6  # values of a list that are written out
 
 
 def lines_of(problem: Problem, cell: Cell, toolpath: Toolpath | None, first_layer: bool) -> list[str]:

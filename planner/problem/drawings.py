@@ -11,11 +11,16 @@ from planner.problem.fields import PATH, Quantity, Section, Thickness, key, one_
 from planner.problem.process import MaterialName, material_key
 from planner.problem.yaml_file import describe
 
-# ----------------------------------------------------------------------------------------------------
-# What every source of toolpaths has in common: a section `layers.source` is named by one key of its own.
-
-# Each names a source, so only one may be given.
+# Keys of layers.source, each of which names a source: only one may be given.
 SOURCE_NAMES = ("svg", "pattern", "curves", "waypoints", "gcode", "mesh", "aerofoil", "naca", "faces")
+
+BLEND_MM = 6  # two facets of the published dome; measured in benchmarks.orientation
+PatternName = Literal["honeycomb", "zigzag", "squares", "concentric"]
+PATTERN_NAMES: tuple[str, ...] = get_args(PatternName)
+
+HIGHEST_DEGREE = 9  # drawing programs end at 11; beyond 5 nobody draws
+MOST_POINTS = 5000  # of a curve
+LIGHTEST, HEAVIEST = 1e-3, 1e3  # weights: beyond, a curve is nothing but its heaviest points
 
 
 class SourceSection(Section):
@@ -30,21 +35,11 @@ class SourceSection(Section):
         return value
 
 
-# ----------------------------------------------------------------------------------------------------
-# Plane curves, wrapped around the part or projected onto it: the section `layers`, from a drawing or a pattern.
-
-BLEND_MM = 6  # two facets of the published dome; measured in benchmarks.orientation
-
-
 class SvgSpec(SourceSection):
     """A drawing whose lines become beads."""
 
     svg: Annotated[Path, PATH] = key("svg", "the drawing, counted from the folder of the problem file")
     width: Annotated[float, Quantity("mm", 0.1, 15_000)] = key("width_mm", "width of the drawing on the part [mm]")
-
-
-PatternName = Literal["honeycomb", "zigzag", "squares", "concentric"]
-PATTERN_NAMES: tuple[str, ...] = get_args(PatternName)
 
 
 class PatternSpec(SourceSection):
@@ -134,14 +129,6 @@ class ProjectedPatternSpec(ProjectedLayersSpec):
     """A pattern projected onto the part."""
 
     source: PatternSpec = key("source", "where the curves come from")
-
-
-# ----------------------------------------------------------------------------------------------------
-# NURBS curves in a plane, projected onto the part: `layers.source.curves`.
-
-HIGHEST_DEGREE = 9  # drawing programs end at 11; beyond 5 nobody draws
-MOST_POINTS = 5000  # of a curve
-LIGHTEST, HEAVIEST = 1e-3, 1e3  # weights: beyond, a curve is nothing but its heaviest points
 
 
 def _some_curves(value: Any) -> Any:

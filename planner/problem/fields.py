@@ -1,4 +1,8 @@
-"""The kinds of value that a problem file holds, in SI from here on, and what a model says of its fields."""
+"""The kinds of value that a problem file holds, and what a model says of its fields.
+
+Millimetres and degrees become SI here and nowhere else. Each kind refuses with a PydanticCustomError whose context
+carries the hint, and the item of a list where it is one.
+"""
 
 from __future__ import annotations
 
@@ -27,11 +31,6 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 from planner.base.errors import InputError, nearest_name
 from planner.problem.yaml_file import ValueSources, describe, parse_yaml, shorten
 
-# ----------------------------------------------------------------------------------------------------
-# The kinds of value a problem file holds: what is accepted; millimetres and degrees into SI, here and nowhere else.
-#
-# Each kind refuses with a PydanticCustomError whose context carries the hint, and the item of a list where it is one.
-
 LONGEST_NAME = 32  # characters of an identifier in RAPID
 LONGEST_TEXT = 1000  # characters; a path of a file, or a name in words
 _RESERVED = """
@@ -41,7 +40,9 @@ noview or pers proc raise readonly record retry return step sysmodule test then 
 viewonly while with xor
 """
 RAPID_WORDS = frozenset(_RESERVED.split())
+Vector = tuple[float, float, float]
 
+Model = type[BaseModel]
 _TO_SI: dict[str, Callable[[float], float]] = {
     "mm": lambda value: value / 1000,
     "mm/s": lambda value: value / 1000,
@@ -241,8 +242,6 @@ ROBOT = BeforeValidator(_robot)
 UNIQUE = AfterValidator(_unique)
 INCREASING = AfterValidator(_increasing)
 UNIT_VECTOR = AfterValidator(_unit_vector)
-
-Vector = tuple[float, float, float]
 Position = Annotated[Vector, Quantity("mm", -100_000, 100_000, count=3)]  # a hall of 100 m
 Thickness = Annotated[float, Quantity("mm", 0.01, 50)]  # from a fibre to large concrete beads
 
@@ -260,12 +259,6 @@ class Section(BaseModel):
     # The whole problem's schema is made once, with the first problem; made as they are read, sections within sections
     # would have theirs several times, and every command takes a tenth of a second longer.
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, validate_default=True, defer_build=True)
-
-
-# ----------------------------------------------------------------------------------------------------
-# What the fields of a section are, read off its model: key, meaning, unit, range, choices, default, sections within.
-
-Model = type[BaseModel]
 
 
 @dataclass(frozen=True)

@@ -37,11 +37,13 @@ from planner.problem.part import ANY_FACES, Faces, MeshSpec, PartSpec
 from planner.problem.process import MaterialName, material_key
 from planner.problem.yaml_file import describe, shorten
 
-# ----------------------------------------------------------------------------------------------------
-# Faces of a STEP file: the body `part.step`, and the section `layers` where its source is faces that are covered.
-
 CoverName = Literal["rows", "weighted_greedy", "greedy", "tour"]
 COVER_NAMES: tuple[str, ...] = get_args(CoverName)
+
+METHODS = ("curved", "planar")
+_POINTS = "file of the section's points, counted from the folder of the problem file"
+
+_LEAST = 0.5  # of height_mm: thinner layers press the nozzle into those beneath
 
 
 class FacesSpec(SourceSection):
@@ -67,10 +69,6 @@ class FaceLayersSpec(Section):
     material: MaterialName | None = material_key("all beads")
 
 
-# ----------------------------------------------------------------------------------------------------
-# Toolpaths that a slicer made for a printer with a level bed: the section `layers`, where its source is G-code.
-
-
 class GcodeSpec(SourceSection):
     """A file of planar G-code, whose extruding moves become beads."""
 
@@ -90,10 +88,6 @@ class GcodeLayersSpec(Section):
 
     source: GcodeSpec = key("source", "where the G-code comes from")
     material: MaterialName | None = material_key("all beads")
-
-
-# ----------------------------------------------------------------------------------------------------
-# Toolpaths that a file says point by point: the section `layers`, where its source is a file of waypoints.
 
 
 class WaypointsSpec(SourceSection):
@@ -135,10 +129,6 @@ class WaypointLayersSpec(Section):
     material: MaterialName | None = material_key("all beads")
 
 
-# ----------------------------------------------------------------------------------------------------
-# A wing in layers parallel to its surfaces: the section `layers` of the problem file, where its source is an aerofoil.
-
-
 def _naca(value: Any) -> str:
     if not isinstance(value, str):
         raise refusal(f"must be four digits in quotes, not {describe(value)}", 'for example naca: "0015"')
@@ -153,10 +143,6 @@ def _naca(value: Any) -> str:
 
 
 _NACA = Form(_naca, schema={"pattern": "^[0-9]{4}$"})
-
-
-METHODS = ("curved", "planar")
-_POINTS = "file of the section's points, counted from the folder of the problem file"
 
 
 class TipSpec(Section):
@@ -237,10 +223,6 @@ class AerofoilLayersSpec(Section):
     material: MaterialName | None = material_key("the wing")
 
 
-# ----------------------------------------------------------------------------------------------------
-# An aerofoil core: the section `layers` of the problem file, where layers fill what is between a body and a middle.
-
-
 class MiddleSpec(Section):
     """What the lower half of a core reaches up to, and is reflected at: one of these."""
 
@@ -302,12 +284,6 @@ class CoreLayersSpec(OnPartSpec):
             reason = f"the least height, {least:g} mm, is more than the greatest, {most:g} mm"
             raise refusal(reason, "at most height_mm", item="least_height_mm")
         return self
-
-
-# ----------------------------------------------------------------------------------------------------
-# A closed mesh filled with layers between two surfaces: the section `layers` of the problem file, where it names one.
-
-_LEAST = 0.5  # of height_mm: thinner layers press the nozzle into those beneath
 
 
 class SolidSpec(SourceSection):
@@ -376,10 +352,6 @@ class VolumeLayersSpec(Section):
     def thinnest(self) -> float:
         """Least vertical height of a layer [m]."""
         return _LEAST * self.height if self.least_height is None else self.least_height
-
-
-# ----------------------------------------------------------------------------------------------------
-# What is printed: the kinds of the section `layers` of the problem file, told apart by their keys.
 
 
 @dataclass(frozen=True)

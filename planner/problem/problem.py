@@ -1,4 +1,8 @@
-"""The problem: cell, part, layers, process and strategy, from one YAML file into frozen SI values."""
+"""The problem: one YAML file as frozen SI values, or one error with its place, reason and hint.
+
+The keys of the file are the fields' aliases, in mm and degrees. The names of attributes carry no unit, because they are
+SI (m, s, rad). What a value may be, and why, stands with its field.
+"""
 
 from __future__ import annotations
 
@@ -26,15 +30,12 @@ from planner.problem.yaml_file import (
     read_problem_file,
 )
 
-# ----------------------------------------------------------------------------------------------------
-# What validation found wrong with a problem, told as one error with place, reason and hint.
-
 Mistake = tuple[Keys, str, str | None]  # path, reason, hint
 Model = type[BaseModel]
-_NOT_IN_THE_FILE = (
-    "[key]",
-    *(kind.tag for kind in KINDS),
-)  # Pydantic's marks in a path: of a key, of a kind of section
+# Pydantic's marks in a path: of a key, of a kind of section
+_NOT_IN_THE_FILE = ("[key]", *(kind.tag for kind in KINDS))
+
+Identifier = Annotated[str, IDENTIFIER]
 
 
 def first_mistake(details: Sequence[ErrorDetails], source: ValueSources, model: Model) -> InputError:
@@ -132,15 +133,6 @@ def _description(model: Model, path: Keys) -> str | None:
     """What the field at `path` is, in words."""
     fields = _section(model, path[:-1]).model_fields.values()
     return next((field.description for field in fields if field.alias == path[-1]), None)
-
-
-# ----------------------------------------------------------------------------------------------------
-# The problem: cell, part, layers, process and strategy, from one YAML file into frozen SI values.
-#
-# The keys of the file are the aliases, in mm and degrees; the names of the attributes carry no unit because they are SI
-# (m, s, rad). What a value may be, and why, stands with its field.
-
-Identifier = Annotated[str, IDENTIFIER]
 
 
 class Problem(Section):

@@ -1,4 +1,7 @@
-"""What happens along and around a bead: the section `process` of the problem file."""
+"""What happens along and around a bead: the section `process` of the problem file.
+
+Temperatures stay in degrees Celsius, which every printer's board takes; so their names carry the unit.
+"""
 
 from __future__ import annotations
 
@@ -15,13 +18,25 @@ from planner.problem.yaml_file import describe
 if TYPE_CHECKING:
     from planner.problem.problem import Problem
 
-# ----------------------------------------------------------------------------------------------------
-# What is laid down and what pushes it: the sections `bead` and `extruder` of `process` in the problem file.
-
 SectionName = Literal["rectangle", "rounded", "fibre"]
 MotorName = Literal["e_axis", "speed_demand", "on_off"]
 SECTIONS: tuple[str, ...] = get_args(SectionName)
 MOTORS: tuple[str, ...] = get_args(MotorName)
+
+MaterialName = Annotated[str, IDENTIFIER]
+LEAST_WAIT = 0.1  # s: five of the coarsest samples, so that filament of two materials never moves in the same one
+
+CUT_PAUSE = 0.5  # s; Tawfik et al., section III.B: the cutter, on a fan's output, closes and opens in so long each
+MOST_LINES = 20
+_ORDER = re.compile(r"M(42|106|107|280)( [A-Z]-?\d{1,6}(\.\d{1,4})?)*|G4 P\d{1,6}")
+
+FIBRE_RAMP_DEG = 30  # Tawfik et al., section III.A.2: laid down at this angle, the end of the fibre sticks
+Wait = Annotated[float, Quantity("s", 0, 3600)]  # an hour heats any bed
+HandOver = Literal["rest", "motion"]
+HAND_OVERS: tuple[str, ...] = get_args(HandOver)
+Heating = Literal["set", "wait"]
+HEATINGS: tuple[str, ...] = get_args(Heating)
+Speed = Annotated[float, Quantity("mm/s", 0.1, 2000)]  # below, a print takes days; above, no arm is exact
 
 
 class BeadSpec(Section):
@@ -62,13 +77,6 @@ class ExtruderSpec(Section):
             reason = "a motor that is only on or off cannot make up for lag_s"
             raise refusal(reason, "leave out lag_s, or take another motor", fields=["motor", "lag_s"])
         return self
-
-
-# ----------------------------------------------------------------------------------------------------
-# Several materials in one print: sections `materials` and `change` of `process` in the problem file.
-
-MaterialName = Annotated[str, IDENTIFIER]
-LEAST_WAIT = 0.1  # s: five of the coarsest samples, so that filament of two materials never moves in the same one
 
 
 def material_key(whose: str, default: str = "the first one there") -> MaterialName | None:
@@ -164,14 +172,6 @@ def check_materials(problem: Problem) -> None:
             raise problem.error(field, f"{signal!r} is already the name of {first}", "give each its own name")
 
 
-# ----------------------------------------------------------------------------------------------------
-# What the extruder's board does beside pushing filament: the sections `fan` and `fibre.cut_code` of `process`.
-
-CUT_PAUSE = 0.5  # s; Tawfik et al., section III.B: the cutter, on a fan's output, closes and opens in so long each
-MOST_LINES = 20
-_ORDER = re.compile(r"M(42|106|107|280)( [A-Z]-?\d{1,6}(\.\d{1,4})?)*|G4 P\d{1,6}")
-
-
 def _order(value: Any) -> str:
     """One line of a board's macro: an output (M42, M106, M107), a servo (M280), or a pause in milliseconds."""
     if not isinstance(value, str):
@@ -215,21 +215,6 @@ class FanSpec(Section):
         "from_layer", "the first layer that it cools, counted from 1", 2
     )
     number: Annotated[int, Quantity("", 0, 31, whole=True)] = key("number", "of its output (P of M106)", 0)
-
-
-# ----------------------------------------------------------------------------------------------------
-# What happens around a bead: sections of `process` in the problem file.
-#
-# Temperatures stay in degrees Celsius, which every printer's board takes; so their names carry the unit.
-
-FIBRE_RAMP_DEG = 30  # Tawfik et al., section III.A.2: laid down at this angle, the end of the fibre sticks
-Wait = Annotated[float, Quantity("s", 0, 3600)]  # an hour heats any bed
-
-
-HandOver = Literal["rest", "motion"]
-HAND_OVERS: tuple[str, ...] = get_args(HandOver)
-Heating = Literal["set", "wait"]
-HEATINGS: tuple[str, ...] = get_args(Heating)
 
 
 class StartSpec(Section):
@@ -391,9 +376,6 @@ class AroundBeadSpec(Section):
     def prime_length(self) -> float:
         """Filament pushed before each bead [m]; of a fibre, what reaches from the cutter to the nozzle's tip."""
         return self.prime.length if self.fibre is None else self.fibre.cut_length
-
-
-Speed = Annotated[float, Quantity("mm/s", 0.1, 2000)]  # below, a print takes days; above, no arm is exact
 
 
 class ConesSpec(Section):

@@ -26,9 +26,6 @@ from planner.problem.fields import (
 )
 from planner.problem.yaml_file import describe
 
-# ----------------------------------------------------------------------------------------------------
-# A multi-axis machine that runs G-code: the section `program.machine` of the problem file.
-
 FlavourName = Literal["linuxcnc", "reprap"]
 FLAVOURS: tuple[str, ...] = get_args(FlavourName)
 MachineType = Literal["robot", "table_table", "head_table", "head_head"]
@@ -38,6 +35,24 @@ FEEDS: tuple[str, ...] = get_args(FeedName)
 TURNING = {"linuxcnc": ("A", "B", "C"), "reprap": ("A", "B", "C", "U", "V", "W")}  # letters that may turn
 EXTRUDER = {"linuxcnc": ("U", "V", "W"), "reprap": ("E",)}  # letters that may push filament; the last one by default
 LEAST_ANGLE = 5.0  # deg between the two axes, and between the second one and the nozzle: below, nothing can be reached
+Letter = Annotated[str, one_of(("A", "B", "C", "E", "U", "V", "W"))]
+
+StrategyName = Literal["as_published", "fixed", "greedy", "ladder", "sqp", "nlp"]
+STRATEGY_NAMES: tuple[str, ...] = get_args(StrategyName)
+QPName = Literal["interior_point", "osqp"]
+QP_NAMES: tuple[str, ...] = get_args(QPName)
+LanguageName = Literal["rapid", "urscript", "krl", "joint_trajectory", "axes"]
+LANGUAGE_NAMES: tuple[str, ...] = get_args(LanguageName)
+USUAL_LANGUAGE: LanguageName = "joint_trajectory"  # of arms whose file names none
+Identifier = Annotated[str, IDENTIFIER]
+StyleName = Literal["output", "demand", "socket"]
+STYLE_NAMES: tuple[str, ...] = get_args(StyleName)
+FIRST_PORT, LAST_PORT = 1025, 4999  # ABB, RAPID reference, SocketBind: free for programs
+_ADDRESS = r"^[0-9]{1,3}(\.[0-9]{1,3}){3}$"  # roughly, for editors
+# names that the program gives itself: procedures, speeds, triggers, and what serves the socket; and ABB's own data
+_OWN_NAMES = re.compile(
+    r"(main|start|finish|bead\d+(part\d+)?|vel\d\w*|trg\w*|bw\w*|(tool|wobj|load)0|fine|[vz]\d+)", re.IGNORECASE
+)
 
 
 def _code(value: Any) -> str:
@@ -59,7 +74,6 @@ def _truth(value: Any) -> bool:
 
 
 Code = Annotated[str, Form(_code, schema={"pattern": "^[A-Z][0-9.]+( [A-Z][0-9.]+){0,3}$"})]
-Letter = Annotated[str, one_of(("A", "B", "C", "E", "U", "V", "W"))]
 
 
 class RotarySpec(Section):
@@ -151,27 +165,6 @@ class MachineSpec(Section):
             if np.linalg.norm(np.cross(a, b)) < np.sin(np.radians(LEAST_ANGLE)):
                 raise refusal(f"{what} are parallel", f"at least {LEAST_ANGLE:g} degrees apart", fields=["rotary"])
         return self
-
-
-# ----------------------------------------------------------------------------------------------------
-# Strategy, settings of the search, and of the robot program: the sections `resolve` and `program`.
-
-StrategyName = Literal["as_published", "fixed", "greedy", "ladder", "sqp", "nlp"]
-STRATEGY_NAMES: tuple[str, ...] = get_args(StrategyName)
-QPName = Literal["interior_point", "osqp"]
-QP_NAMES: tuple[str, ...] = get_args(QPName)
-LanguageName = Literal["rapid", "urscript", "krl", "joint_trajectory", "axes"]
-LANGUAGE_NAMES: tuple[str, ...] = get_args(LanguageName)
-USUAL_LANGUAGE: LanguageName = "joint_trajectory"  # of arms whose file names none
-Identifier = Annotated[str, IDENTIFIER]
-StyleName = Literal["output", "demand", "socket"]
-STYLE_NAMES: tuple[str, ...] = get_args(StyleName)
-FIRST_PORT, LAST_PORT = 1025, 4999  # ABB, RAPID reference, SocketBind: free for programs
-_ADDRESS = r"^[0-9]{1,3}(\.[0-9]{1,3}){3}$"  # roughly, for editors
-# names that the program gives itself: procedures, speeds, triggers, and what serves the socket; and ABB's own data
-_OWN_NAMES = re.compile(
-    r"(main|start|finish|bead\d+(part\d+)?|vel\d\w*|trg\w*|bw\w*|(tool|wobj|load)0|fine|[vz]\d+)", re.IGNORECASE
-)
 
 
 def _address(value: Any) -> str:

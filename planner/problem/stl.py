@@ -1,4 +1,4 @@
-"""Reads the facets of a body from an STL file, and refuses what is no body to print on."""
+"""Facets of a body from an STL file; what cannot be printed on is refused."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _THINNEST = 1e-9  # mm, height of a facet over its longest side: below, it is a 
 
 
 def read_facets(spec: MeshSpec, where: Complaint) -> Array:
-    """Facets (n, 3, 3) of a body [m], part frame; as `read_corners` else."""
+    """Facets (n, 3, 3) of a body [m] in the part frame; otherwise as `read_corners`."""
     turn = Rotation.from_euler("xyz", spec.rpy).as_matrix()
     return np.asarray(read_corners(spec.file, where) @ turn.T + np.asarray(spec.origin))
 

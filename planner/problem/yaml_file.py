@@ -1,4 +1,9 @@
-"""Problem files as text: a small, safe part of YAML 1.2, with the line of every value."""
+"""Problem and robot files as text: a small, safe part of YAML 1.2, with the line of every value.
+
+Values are read from the parser's events, so that nothing is built before it has been looked at: no tags, no anchors
+(hence no alias bombs), no second document, no key twice, no deep nesting. Composed nodes would not do: they no longer
+tell explicit tags such as !!str from resolved ones. Scalars follow the core schema (YAML 1.2.2, 10.3.2).
+"""
 
 from __future__ import annotations
 
@@ -29,11 +34,22 @@ from ruamel.yaml.reader import ReaderError
 from planner.base.errors import InputError, nearest_name
 from planner.base.shipped import PROBLEMS
 
-# ----------------------------------------------------------------------------------------------------
-# Values as one line of YAML.
-
 _PLAIN = re.compile(r"[A-Za-z_./-][A-Za-z0-9_./ -]*")
 _QUOTED_WORDS = {"true", "false", "null", "yes", "no", "on", "off"}
+
+LARGEST_FILE = 1_000_000  # bytes; a problem file is some 2 kB, its curves stand in files of their own
+MOST_VALUES = 20_000  # a problem has about 100; a long list would only keep the user waiting
+DEEPEST_NESTING = 20  # the problem's own fields go 5 deep
+LONGEST_NUMBER = 300  # digits; beyond, an integer is read as a float, that is as infinite
+Keys = tuple[str | int, ...]
+Complaint = Callable[[str, int | None, str | None], InputError]  # reason, line, hint → the error with its place
+_INTEGER = re.compile(r"[-+]?[0-9]+")
+_BASED = re.compile(r"0o[0-7]+|0x[0-9a-fA-F]+")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_INFINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+_WORDS = dict.fromkeys(("", "~", "null", "Null", "NULL")) | {
+    word: word.lower() == "true" for word in ("true", "True", "TRUE", "false", "False", "FALSE")
+}
 
 
 def yaml_text(value: Any) -> str:
@@ -51,29 +67,6 @@ def yaml_text(value: Any) -> str:
         plain = _PLAIN.fullmatch(text) and text.lower() not in _QUOTED_WORDS and not text.endswith(" ")
         return text if plain else "'" + text.replace("'", "''") + "'"
     return str(value)
-
-
-# ----------------------------------------------------------------------------------------------------
-# Problem files, and robots' files, as text: a small, safe part of YAML 1.2 → plain values, each with the line it stands on.
-#
-# Read from the parser's events, so that nothing is built before it has been looked at: no tags, no anchors (hence no
-# alias bombs), no second document, no key twice, no deep nesting. Scalars follow the core schema (YAML 1.2.2, 10.3.2).
-
-LARGEST_FILE = 1_000_000  # bytes; a problem file is some 2 kB, its curves stand in files of their own
-MOST_VALUES = 20_000  # a problem has about 100; a long list would only keep the user waiting
-DEEPEST_NESTING = 20  # the problem's own fields go 5 deep
-LONGEST_NUMBER = 300  # digits; beyond, an integer is read as a float, that is as infinite
-
-Keys = tuple[str | int, ...]
-Complaint = Callable[[str, int | None, str | None], InputError]  # reason, line, hint → the error with its place
-
-_INTEGER = re.compile(r"[-+]?[0-9]+")
-_BASED = re.compile(r"0o[0-7]+|0x[0-9a-fA-F]+")
-_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
-_INFINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
-_WORDS = dict.fromkeys(("", "~", "null", "Null", "NULL")) | {
-    word: word.lower() == "true" for word in ("true", "True", "TRUE", "false", "False", "FALSE")
-}
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,8 @@
-"""Bead and Toolpath: what is to be printed, in the part frame; and bodies as triangles, for pictures."""
+"""Beads and toolpaths in the part frame, and bodies as triangles for pictures.
+
+A Bead is one line of material; a Toolpath is all beads in print order, with the surface they lie on. A Shape is only
+drawn: nothing is planned or checked with it.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +13,6 @@ from typing import Protocol
 import numpy as np
 
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
-
-# ----------------------------------------------------------------------------------------------------
-# Bodies as triangles, for pictures: nothing is planned or checked with them.
 
 _AROUND = 96  # corners of a circle
 _DOWN = 24  # rings of a dome
@@ -83,10 +84,6 @@ def _squares(rows: int, columns: int) -> Ints:
     corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     right, above = corner + 1, corner + columns
     return np.vstack([np.column_stack([corner, right, above]), np.column_stack([right, above + 1, above])])
-
-
-# ----------------------------------------------------------------------------------------------------
-# Bead and Toolpath: what is to be printed, in the part frame, before any robot is thought of.
 
 
 class Surface(Protocol):

@@ -30,7 +30,7 @@ SOURCES: dict[type, tuple[str, str]] = {
     WaypointLayersSpec: ("waypoints.beads", "through_waypoints"),
     GcodeLayersSpec: ("gcode.layers", "slicer_print"),
     VolumeLayersSpec: ("volume.layers", "fill_mesh"),
-    AerofoilLayersSpec: ("wing.wing", "wing"),
+    AerofoilLayersSpec: ("wing.wing", "lay_wing"),
     FaceLayersSpec: ("step.cover", "cover_faces"),
 }
 

@@ -16,6 +16,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import convolve1d, maximum_filter1d
 
 from planner.base.arrays import Array
+from planner.base.geometry import angles_between, arc_lengths, subdivided
 from planner.toolpath.plane_paths import SampleDensity
 
 CORNER_TURN = np.radians(30.0)  # at one waypoint: a circle with fewer than twelve of them has corners
@@ -26,9 +27,9 @@ _SWING = 5.0
 _CUT = 0.0752  # of the kernel's half width: what it cuts from a corner, per unit of the jump in direction
 _WIDEST = 25.0  # half width of the kernel, in tolerances
 _CELLS = 48  # grid cells in half the kernel's width
-_SAMPLES = 20.0  # in the same, at the corner
+_SAMPLES = 20.0  # in half the kernel's width, at the corner
 _TRIES = 12  # to find the width that uses the tolerance
-_NEARLY, _AIM = 0.94, 0.98  # of it: enough is used; aimed at
+_NEARLY, _AIM = 0.94, 0.98  # shares of the tolerance: from this on enough is used; aimed at
 _USED = 0.9  # of the tolerance: the rest is for the curve between samples
 _SPREAD = 0.7  # kernel widths from a corner at which the density of samples has halved
 _SPARSE = 1.5  # usual distances of waypoints: an end where they stand this far apart is judged by its own
@@ -42,12 +43,12 @@ _STILL_NORMAL = 0.1
 _LOOKS = np.linspace(0.0, 1.0, 7)[1:-1]  # places within a step where that is looked at
 _MOST_CELLS = 8_000_000  # of a grid on which corners are averaged: some 2 GB
 _RESOLVED = 1e-5  # m, third difference of the direction, times the step: below, a sample a waypoint is enough
-_MOST_PER_STEP = 4.0
+_MOST_PER_STEP = 4.0  # samples
 _SHAKY = 0.05  # third difference of normals from which on they count as rough
 _BESIDE = 8  # waypoints from an end that are beside it
-_LESS = 1.0 - 1e-6  # of a distance: what is less than it
+_LESS = 1.0 - 1e-6  # share of a distance below which another one counts as less
 _ORDER = 3  # of the difference by which normals are seen to be rough
-_RESOLVED_NORMAL = 2e-3  # third difference of normals there, as above
+_RESOLVED_NORMAL = 2e-3  # third difference of normals below which a sample a waypoint is enough
 _LOOSEST = 6.0  # times the distance that sets passes apart: sparser, a place's nearest sample is on another pass
 
 
@@ -74,8 +75,12 @@ class Interpolated:
 
 @dataclass(frozen=True)
 class _Corner:
-    """Corners that are rounded together: chord lengths of the first and the last, half width of the kernel,
-    and the rounded rows over chord length."""
+    """Corners that are rounded together.
+
+    first, last  chord lengths of the first and the last corner
+    width        half width of the kernel
+    rows         spline of the rounded rows over chord length
+    """
 
     first: float
     last: float
@@ -99,8 +104,7 @@ def interpolate(points: Array, normals: Array, tolerance: float, apart: float, e
     Raises TooRough where there is none.
     """
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    chord = np.concatenate([[0.0], np.cumsum(step)])
-    turn = _turns(points, step)
+    chord, turn = arc_lengths(points), _turns(points)
     path, sharp = _calm_spline(chord, np.hstack([points, normals]), np.flatnonzero(turn > CORNER_TURN))
     corners = _round(path, chord, sharp, turn, tolerance)
 
@@ -141,9 +145,8 @@ def calm_path(points: Array) -> tuple[BSpline, Array]:
 
     No two successive waypoints are equal.
     """
-    step = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    chord = np.concatenate([[0.0], np.cumsum(step)])
-    sharp = np.flatnonzero(_turns(points, step) > CORNER_TURN)
+    chord = arc_lengths(points)
+    sharp = np.flatnonzero(_turns(points) > CORNER_TURN)
     return _calm_spline(chord, np.hstack([points, np.zeros_like(points)]), sharp)[0], chord
 
 
@@ -168,10 +171,8 @@ def _source(path: BSpline, chord: Array, turn: Array, corners: list[_Corner], ap
         near = slice(*np.searchsorted(chord, [corner.first - 2.0 * corner.width, corner.last + 2.0 * corner.width]))
         near = slice(max(near.start - 1, 0), near.stop)
         pieces[near] = np.maximum(pieces[near], np.ceil(step[near] / _CORNER_STEP))
-    count = pieces.astype(int)
-    index = np.repeat(np.arange(len(count)), count)
-    within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-    c = np.append(chord[index] + step[index] * (within / count[index]), chord[-1])
+    index, share = subdivided(pieces.astype(int))
+    c = np.append(chord[index] + step[index] * share, chord[-1])
     return np.asarray(path(c)[:, :3])
 
 
@@ -179,12 +180,11 @@ def _unit(vectors: Array) -> Array:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1)[:, None])
 
 
-def _turns(points: Array, step: Array) -> Array:
+def _turns(points: Array) -> Array:
     """Angle (m) between the chords before and after each waypoint; 0 at both ends."""
-    along = np.diff(points, axis=0) / step[:, None]
-    cosine = (along[1:] * along[:-1]).sum(axis=1)
-    sine = np.linalg.norm(np.cross(along[1:], along[:-1]), axis=1)
-    return np.concatenate([[0.0], np.arctan2(sine, cosine), [0.0]])
+    chords = np.diff(points, axis=0)
+    along = chords / np.linalg.norm(chords, axis=1)[:, None]
+    return np.concatenate([[0.0], angles_between(along[1:], along[:-1]), [0.0]])
 
 
 def _samples_per_step(points: Array, normals: Array, chord: Array, sharp: NDArray[np.int64]) -> Array:
@@ -255,7 +255,9 @@ def _round(path: BSpline, chord: Array, sharp: NDArray[np.int64], turn: Array, t
     """Round the corners `sharp` of a path, together where they are close to each other."""
     if len(sharp) == 0:
         return []
-    cut = _CUT * np.maximum(np.sin(0.5 * turn[sharp]), _USED / (_CUT * _WIDEST))  # a straight place is cut by nothing
+    cut = _CUT * np.maximum(
+        np.sin(0.5 * turn[sharp]), _USED / (_CUT * _WIDEST)
+    )  # where the path is straight, nothing is cut
     widths = _USED * tolerance / cut
     at = chord[sharp]
     corners: list[_Corner] = []
@@ -275,7 +277,7 @@ def _round(path: BSpline, chord: Array, sharp: NDArray[np.int64], turn: Array, t
 def _rounded(path: BSpline, at: Array, width: float, length: float, tolerance: float) -> _Corner | None:
     """Average a path around the corners `at` with the widest kernel, `width` at most, that keeps the tolerance.
 
-    None if none of those that were tried does.
+    None if no width that was tried does.
     """
     room = _USED * tolerance
     fits, exceeds = 0.0, np.inf
@@ -299,7 +301,7 @@ def _rounded(path: BSpline, at: Array, width: float, length: float, tolerance: f
 
 
 def _averaged(path: BSpline, at: Array, width: float, length: float) -> tuple[_Corner, float]:
-    """Average a path around the corners `at` with a kernel; and how far that takes a point at most."""
+    """Average a path around the corners `at` with a kernel, and return how far that moves a point at most."""
     low, high = float(at[0]), float(at[-1])
     cell = width / _CELLS
     cells = int(np.ceil((high - low) / cell)) + 6 * _CELLS + 1

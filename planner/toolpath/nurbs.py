@@ -1,4 +1,7 @@
-"""NURBS curves as plane paths: evaluated in homogeneous coordinates, divided as finely as they bend."""
+"""NURBS curves as plane paths.
+
+Curves are evaluated in homogeneous coordinates and divided as finely as they bend.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +14,6 @@ from planner.base.arrays import Array
 from planner.problem import Problem
 from planner.problem.drawings import CurveSpec, CurvesSpec
 from planner.toolpath.svg.outlines import PlanePath
-
-# ----------------------------------------------------------------------------------------------------
-# NURBS curves as plane paths: evaluated in homogeneous coordinates, divided as finely as they bend.
 
 FLATNESS = 1e-6  # m, between chords and curve: far below any tolerance, and some 200 points for a curve of 100 mm
 _PIECES = 8  # of each span between knots at first
@@ -106,10 +106,6 @@ def _refuse_cusp(points: Array) -> None:
     turned = total[np.searchsorted(arc, arc + _CUSP, side="right")] - total[:-1]
     if turned.max() >= _BACK:
         raise Cusp(points[1 + int(np.argmax(turned))])
-
-
-# ----------------------------------------------------------------------------------------------------
-# NURBS curves as plane paths.
 
 
 def nurbs_paths(problem: Problem, source: CurvesSpec) -> tuple[PlanePath, ...]:

@@ -40,6 +40,25 @@ def reverse(curve: PlaneCurve) -> PlaneCurve:
     return replace(curve, points=curve.points[::-1].copy(), source=curve.source[::-1].copy())
 
 
+def nearest_first(lines: Sequence[tuple[Array, bool]]) -> list[tuple[int, bool]]:
+    """Numbers of lines from the first one on, always to the nearest end next, and whether each is run backwards.
+
+    A line is its points (n, d), and whether it is closed: then the first point is not repeated, it ends where it begins,
+    and it is never turned round.
+    """
+    left = list(range(1, len(lines)))
+    order = [(0, False)]
+    while left:
+        (line, closed), back = lines[order[-1][0]], order[-1][1]
+        here = line[0] if closed or back else line[-1]
+        far = [(float(np.linalg.norm(lines[k][0][0] - here)), k, False) for k in left]
+        far += [(float(np.linalg.norm(lines[k][0][-1] - here)), k, True) for k in left if not lines[k][1]]
+        _, k, turned = min(far)
+        left.remove(k)
+        order.append((k, turned))
+    return order
+
+
 def travel_length(curves: Sequence[PlaneCurve]) -> float:
     """Straight-line travel between the curves in their order [m]."""
     return sum(float(np.hypot(*(b.points[0] - a.points[-1]))) for a, b in zip(curves[:-1], curves[1:], strict=True))

@@ -1,4 +1,14 @@
-"""Plane paths: lengths, seams, corners rounded within a tolerance, and the bead that a curve becomes in space."""
+"""Plane paths: how densely to sample them, rounded corners, seams, least sizes, and the beads they become.
+
+Corners are rounded by the smoothest curve that stays within a tolerance of the polyline. A blend that cuts a corner
+uses the tolerance on one side only. Here every sample may move anywhere in a disc around its place on the input path,
+and the curve's third derivative, which drives joint jerk, is made as small as the discs allow:
+
+    minimise  sum |l^3 x'''|^2 + |x - p|^2   subject to  |x_i - p_i| <= tolerance
+
+l is the rounding length; far from corners the second term holds the curve to the input. The problem is convex: a
+log-barrier Newton method with a banded Cholesky factorisation solves it in time linear in the samples.
+"""
 
 from __future__ import annotations
 
@@ -13,18 +23,32 @@ from scipy.linalg import solveh_banded
 from scipy.ndimage import gaussian_filter1d
 
 from planner.base.arrays import Array
+from planner.base.geometry import arc_lengths, subdivided
 from planner.problem import Problem
 from planner.toolpath.bead import Bead
 
 if TYPE_CHECKING:
     from planner.toolpath.svg.outlines import PlanePath
 
-# ----------------------------------------------------------------------------------------------------
-# Where to sample a curve: as densely as its waypoints stand, more densely at corners, smoothly in between.
-
 _SMOOTHING = 8.0  # mean steps over which the waypoints' own density is averaged
 _REACH = 30.0  # widths around a corner up to which samples draw together
 _DENSITY_STEPS = 4
+
+SAMPLES_PER_TOLERANCE = 2.0  # sample spacing = tolerance / 2: a rounded corner is some 10 tolerances long
+ROUNDING_LENGTH = 12.5  # l in tolerances: long enough that a right angle uses its whole disc
+OVERLAP = 16.0  # in l: how far a closed path is unrolled past its seam; the ends' influence is e^-8 there
+_BARRIERS = (1e4, 1e3, 1e2, 1e1)  # against an objective of some 6,000 a sample at a corner
+_NEWTON_STEPS = 20
+_KEPT_ROOM = 0.01  # of the squared distance to a disc's rim that a step must leave: numbers stay finite
+_FINEST = 0.5  # of the tolerance: where less of it is used, samples draw no closer together
+_LEAST = 0.1  # of the tolerance, radius of any disc: where the tolerance is shared out, few samples see a corner
+_SHRINK = 0.98  # of the tolerance: leaves room for what the curve does between samples
+
+_SHRUNK = 0.5  # share of its length that a path must keep when its corners are rounded
+_KINK = np.radians(10.0)  # a turn above this at one vertex counts as a corner when a seam is looked for
+
+_CLOSED = 1e-6  # m between the ends of a closed bead
+_SOURCE_STEP = 1e-4  # m: an input polyline is laid this densely, 0.04 um from the true helix at 34 mm
 
 
 @dataclass(frozen=True)
@@ -111,29 +135,6 @@ def _bump() -> CubicSpline:
     return CubicSpline(x, (1.0 - (x / _REACH) ** 2) ** 3 / (1.0 + x * x))
 
 
-# ----------------------------------------------------------------------------------------------------
-# Corner rounding: the smoothest curve that stays within a tolerance of a plane polyline.
-#
-# A corner cut by a blend uses the tolerance on one side only. Here every sample may move anywhere in a disc
-# around its place on the input path, and the curve's third derivative, which is what drives joint jerk, is
-# made as small as the discs allow:
-#
-#     minimise  sum |l^3 x'''|^2 + |x - p|^2   subject to  |x_i - p_i| <= tolerance
-#
-# with l the rounding length: far from corners the second term holds the curve to the input. The problem is
-# convex; a log-barrier Newton method with a banded Cholesky factorisation solves it in time linear in samples.
-
-SAMPLES_PER_TOLERANCE = 2.0  # sample spacing = tolerance / 2: a rounded corner is some 10 tolerances long
-ROUNDING_LENGTH = 12.5  # l in tolerances: long enough that a right angle uses its whole disc
-OVERLAP = 16.0  # in l: how far a closed path is unrolled past its seam; the ends' influence is e^-8 there
-_BARRIERS = (1e4, 1e3, 1e2, 1e1)  # against an objective of some 6,000 a sample at a corner
-_NEWTON_STEPS = 20
-_KEPT_ROOM = 0.01  # of the squared distance to a disc's rim that a step must leave: numbers stay finite
-_FINEST = 0.5  # of the tolerance: where less of it is used, samples draw no closer together
-_LEAST = 0.1  # of the tolerance, radius of any disc: where the tolerance is shared out, few samples see a corner
-_SHRINK = 0.98  # of the tolerance: leaves room for what the curve does between samples
-
-
 @dataclass(frozen=True)
 class PlaneCurve:
     """A rounded path, sampled uniformly in the arc length u of its input path.
@@ -155,7 +156,7 @@ def round_corners(path: PlanePath, tolerance: float, share: Callable[[Array], Ar
     (n) of the tolerance is used at points (n, 2) of the path.
     """
     length = ROUNDING_LENGTH * tolerance
-    arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points, axis=0).T))])
+    arc = arc_lengths(path.points)
     finest = tolerance if share is None else tolerance * max(float(share(path.points).min()), _FINEST)
     n = max(int(np.ceil(arc[-1] / finest * SAMPLES_PER_TOLERANCE)), 8)
     step = arc[-1] / n
@@ -208,12 +209,12 @@ def _disc_radii(path: PlanePath, arc: Array, u: Array, p: Array, tolerance: Arra
 
 
 def _smooth(p: Array, radius: Array, stiffness: float) -> Array:
-    """Solve the problem above for samples p (n, 2) with discs of `radius` (n); `stiffness` is l in sample steps.
+    """Solve the rounding problem (see the top of this file) for samples p (n, 2) with discs of `radius` (n); `stiffness` is l in sample steps.
 
     End points are kept.
     """
     n = len(p)
-    third = _third_difference_bands(n, stiffness**6)
+    third = third_difference_bands(n, stiffness**6)
     scale = float(radius.max())
     P = p / scale
     r2 = (radius / scale) ** 2
@@ -261,7 +262,7 @@ def _line_search(
     return X + scale * step if scale > 1e-6 else X
 
 
-def _third_difference_bands(n: int, weight: float) -> Array:
+def third_difference_bands(n: int, weight: float) -> Array:
     """Lower bands (4, n) of weight * D^T D, D the third difference."""
     d = np.array([-1.0, 3.0, -3.0, 1.0])
     bands = np.zeros((4, n))
@@ -281,19 +282,12 @@ def _apply(bands: Array, x: Array) -> Array:
     return y
 
 
-# ----------------------------------------------------------------------------------------------------
-# What every source of plane paths needs: lengths, where a closed one begins, and whether it is large enough.
-
-_SHRUNK = 0.5  # share of its length that a path must keep when its corners are rounded
-_KINK = np.radians(10.0)  # a turn above this at one vertex counts as a corner when a seam is looked for
-
-
 def seam_on_smooth_part(path: PlanePath) -> PlanePath:
     """Start a closed path as far from its corners as it can, so that run-in and run-out are smooth."""
     loop = path.points[:-1]
     before, after = loop - np.roll(loop, 1, axis=0), np.roll(loop, -1, axis=0) - loop
     turn = np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], (before * after).sum(axis=1))
-    arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points, axis=0).T))])
+    arc = arc_lengths(path.points)
     corners = arc[:-1][np.abs(turn) > _KINK]
     if len(corners) == 0:
         return path
@@ -316,7 +310,7 @@ def length(points: Array) -> float:
 
 
 def check_length(problem: Problem, path: PlanePath, size_key: str = "layers.source.width_mm") -> None:
-    """A path must be a line: at least as long as its bead is wide."""
+    """Raise InputError, naming `size_key`, for a path shorter than its bead is wide."""
     drawn, width = length(path.points), problem.process.bead.width
     if drawn < width:
         raise problem.error(
@@ -327,7 +321,7 @@ def check_length(problem: Problem, path: PlanePath, size_key: str = "layers.sour
 
 
 def check_size(problem: Problem, name: str, drawn: float, rounded: float, hint: str) -> None:
-    """A path must not vanish in the corner tolerance; lengths drawn and rounded [m]."""
+    """Raise InputError for a path that its rounding shortens too much; lengths drawn and rounded [m]."""
     if rounded < _SHRUNK * drawn:
         raise problem.error(
             "process.corner_tolerance_mm",
@@ -336,14 +330,8 @@ def check_size(problem: Problem, name: str, drawn: float, rounded: float, hint: 
         )
 
 
-# ----------------------------------------------------------------------------------------------------
-# From a plane curve and where it comes to lie in space to its bead.
-
-_SOURCE_STEP = 1e-4  # m: an input polyline is laid this densely, 0.04 um from the true helix at 34 mm
-
-
-def bead_along(
-    curve: PlaneCurve,
+def make_bead(
+    name: str,
     layer: int,
     points: Array,
     normals: Array,
@@ -351,14 +339,15 @@ def bead_along(
     source: Array,
     width: Array | float,
     height: Array | float,
+    closed: bool | None = None,
     material: str = "",
 ) -> Bead:
-    """The bead of a curve whose points lie at points (n, 3) [m], its input at source (m, 3), for the rest see Bead.
+    """The bead through points (n, 3) that are uniform in its parameter [m]; its fields are those of Bead.
 
-    width and height [m] are those of every place (n,), or of the whole bead.
+    width and height [m] are those of every place (n,), or of the whole bead; closed: None where its ends tell.
     """
     return Bead(
-        name=curve.name,
+        name=name,
         layer=layer,
         s=arc_length(points),
         points=points,
@@ -367,7 +356,7 @@ def bead_along(
         source=source,
         width=np.full(len(points), width),
         height=np.full(len(points), height),
-        closed=curve.closed,
+        closed=bool(np.linalg.norm(points[-1] - points[0]) < _CLOSED) if closed is None else closed,
         material=material,
     )
 
@@ -387,8 +376,6 @@ def densify(polyline: Array) -> Array:
     """The same polyline with no segment longer than `_SOURCE_STEP`; its vertices are kept."""
     lengths = np.hypot(*np.diff(polyline, axis=0).T)
     pieces = np.maximum(np.ceil(lengths / _SOURCE_STEP).astype(int), 1)
-    index = np.repeat(np.arange(len(pieces)), pieces)
-    within = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-    t = within / pieces[index]
-    dense = polyline[index] + t[:, None] * np.diff(polyline, axis=0)[index]
+    index, share = subdivided(pieces)
+    dense = polyline[index] + share[:, None] * np.diff(polyline, axis=0)[index]
     return np.vstack([dense, polyline[-1]])

@@ -1,4 +1,7 @@
-"""What happens around a bead: run-in and run-out, how its ends would go on, and where its fibre is cut."""
+"""What happens at the ends of a bead: run-in and run-out, the cut of a fibre, the extruder's time between beads.
+
+Along run-in and run-out the nozzle moves and deposits nothing; they go on as the bead's curve and frame would.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from planner.base.arrays import Array
 from planner.base.errors import Complaint, InputError
+from planner.base.geometry import angles_between, arc_lengths
 from planner.problem.process import FibreSpec, ProcessSpec
 from planner.toolpath.bead import Bead
-
-# ----------------------------------------------------------------------------------------------------
-# The end of a bead: how its curve and its frame would go on from there.
 
 _SAMPLES = 12  # enough for the end's derivatives
 _DEGREE = 5
@@ -24,10 +25,25 @@ _STEEPEST_TURN = 1.0  # rad a sample that a coarse bead's end goes on with
 _WHOLE = 3.0  # rad: beyond pi a rotation vector points the other way
 _ROUNDING = 1e-9  # rad a sample
 
+RISE_PER_LENGTH = 0.5  # height of the far end of a run over its length: clears a bead within the run's last half
+_STRAIGHTEN = 0.4  # greatest share of a run in which the bead's curvature fades to a straight line
+_SETTLE = 1.0  # likewise in which the nozzle stops turning: quicker asks more jerk of the wrist than the bead does
+_BENT = 0.5  # share of a run in which it bends up to its ramp, which is straight from there on
+_TURN = 1.0  # rad; twice what a run turns at most before it is straight, where the samples allow it
+_GROWTH = 0.7  # twice the logarithm of how far the samples' distance changes along a run
+_FADE = 3.0  # samples in which anything fades at least: quicker would look like a step in the samples
+_FEWEST = 8.0  # samples of a run at least: fewer cannot show its shape, so a coarse bead has longer runs
+_MOST = 500.0  # samples of a run, about: a bead that begins with closer ones has runs that thin them out
+_THINNING = 10.0  # samples in which their distance grows e-fold
+_UPRIGHT = 1e-6  # sine of the angle between a bead and its normal: below, it stands upright on its surface
+_STEEP = 0.5  # cosine of a bead's elevation above its surface: a steeper one is not a bead on it
+_STEEPEST_RUN = 1.0  # rad; elevation with which a run goes on
+_SUBSTEPS = 8  # of the integration of a run, per sample
+
 
 @dataclass(frozen=True)
 class BeadEnd:
-    """An end of a bead, seen by who walks off it; derivatives are by the arc length walked, part frame.
+    """An end of a bead, seen while walking off it: derivatives are by the arc length walked, in the part frame.
 
     point, tangent (3)  [m, unit]
     bend      (3)       curvature, perpendicular to the tangent [1/m]
@@ -52,7 +68,7 @@ class BeadEnd:
         return float(first), float(second)
 
     def turned(self, far: Array, within: float) -> Array:
-        """Frames (m, 3, 3) at distances (m), if the turning fades until `within` [m] (see process._fade)."""
+        """Frames (m, 3, 3) at distances (m), if the turning fades until `within` [m] (see _fade)."""
         y = np.clip(far / within, 0.0, 1.0)
         first = within * (y - y**4 * (2.5 - 3.0 * y + y**2))
         second = within**2 * y**2 * (0.5 - y**3 * (2.0 - 2.5 * y + 6.0 / 7.0 * y**2))
@@ -78,14 +94,14 @@ def _smooth_end(points: Array, turns: Array, frame: Array) -> BeadEnd | None:
     """The end by a polynomial, if the samples beside it are smooth and turn and stretch as it says."""
     chords = np.diff(points[: _DEGREE + 1], axis=0)
     sizes = np.linalg.norm(chords, axis=1)
-    turn = float(_angles(chords[1:], chords[:-1]).max())
+    turn = float(angles_between(chords[1:], chords[:-1]).max())
     stretch = float(np.abs(np.diff(np.log(sizes))).max())
     spin = float(np.linalg.norm(np.diff(turns[: _DEGREE + 1], axis=0), axis=1).max())
     if max(turn, stretch, spin) > _SMOOTH or np.linalg.norm(turns, axis=1).max() > _WHOLE:
         return None
     fine = _by_polynomial(points, turns, frame)
     measured = (
-        (float(_angles(fine.tangent, -chords[0])), turn),
+        (float(angles_between(fine.tangent, -chords[0])), turn),
         (float(np.linalg.norm(fine.bend)) * fine.step, turn),
         (abs(fine.growth), stretch),
         (fine.turning[0] * fine.step, spin),
@@ -119,7 +135,7 @@ def _by_arc(points: Array, turns: Array, frame: Array) -> BeadEnd:
         growth = float(np.clip(np.log(size / before), -_SMOOTH, _SMOOTH))
         across = (tangent @ inner) * tangent - inner
         angle = min(
-            float(_angles(chord, inner)), _STEEPEST_TURN * np.exp(-max(growth, 0.0))
+            float(angles_between(chord, inner)), _STEEPEST_TURN * np.exp(-max(growth, 0.0))
         )  # the next chord is longer
         sideways = float(np.linalg.norm(across))
         if sideways > _ROUNDING * before:
@@ -133,31 +149,6 @@ def _by_arc(points: Array, turns: Array, frame: Array) -> BeadEnd:
     turned = float(np.linalg.norm(spin[0]))
     spin[0] *= min(1.0, _STEEPEST_TURN / turned) / size if turned > 0.0 else 0.0
     return BeadEnd(points[0], tangent, bend, frame, spin, size, growth)
-
-
-def _angles(a: Array, b: Array) -> Array:
-    """Angles (...) between vectors a and b (..., 3)."""
-    return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1)))
-
-
-# ----------------------------------------------------------------------------------------------------
-# What happens around a bead: run-in and run-out, where the nozzle moves and nothing is deposited; where fibre is cut;
-# how long the extruder needs between beads.
-
-RISE_PER_LENGTH = 0.5  # height of the far end of a run over its length: clears a bead within the run's last half
-_STRAIGHTEN = 0.4  # greatest share of a run in which the bead's curvature fades to a straight line
-_SETTLE = 1.0  # likewise in which the nozzle stops turning: quicker asks more jerk of the wrist than the bead does
-_BENT = 0.5  # share of a run in which it bends up to its ramp, which is straight from there on
-_TURN = 1.0  # rad; twice what a run turns at most before it is straight, where the samples allow it
-_GROWTH = 0.7  # twice the logarithm of how far the samples' distance changes along a run
-_FADE = 3.0  # samples in which anything fades at least: quicker would be a step to whoever reads the samples
-_FEWEST = 8.0  # samples of a run at least: fewer cannot show its shape, so a coarse bead has longer runs
-_MOST = 500.0  # samples of a run, about: a bead that begins with closer ones has runs that thin them out
-_THINNING = 10.0  # samples in which their distance grows e-fold
-_UPRIGHT = 1e-6  # sine of the angle between a bead and its normal: below, it stands upright on its surface
-_STEEP = 0.5  # cosine of a bead's elevation above its surface: a steeper one is not a bead on it
-_STEEPEST_RUN = 1.0  # rad; elevation with which a run goes on
-_SUBSTEPS = 8  # of the integration of a run, per sample
 
 
 @dataclass(frozen=True)
@@ -198,8 +189,10 @@ def with_runs(bead: Bead, length: float, ramp: float | None = None) -> BeadRun:
 
 
 def _leave(end: BeadEnd, length: float, ramp: float | None) -> tuple[tuple[Array, Array, Array], Array]:
-    """Samples (m, 3) of points, normals and roll directions beyond one end, walking away from the bead, and the
-    arc length (m) from that end."""
+    """Samples (m, 3) of points, normals and roll directions beyond an end, and their arc lengths (m) from it.
+
+    They are in order of walking away from the bead.
+    """
     length = max(length, _FEWEST * end.step)
     far = _distances(end, length)
 
@@ -207,7 +200,7 @@ def _leave(end: BeadEnd, length: float, ramp: float | None) -> tuple[tuple[Array
     points = end.point + _integral(along, far)
     if ramp is None:
         points = points + (RISE_PER_LENGTH * length * (far / length) ** 3)[:, None] * end.frame[:, 2]
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    arc = arc_lengths(points)
 
     keep = slice(_SUBSTEPS, None, _SUBSTEPS)
     frames = end.turned(far[keep], _within(end, length, _SETTLE, *end.turning))
@@ -241,7 +234,7 @@ def _within(end: BeadEnd, length: float, share: float, *rates: float) -> float:
 def _directions(end: BeadEnd, far: Array, length: float, ramp: float | None) -> Array:
     """Directions (m, 3) of a run at distances (m), by heading in the bead's surface and elevation above it.
 
-    Both go on as the bead does, by less and less. From _BENT of the run on, the elevation is the ramp; without one it
+    Both begin as the bead ends, and their change fades. From _BENT of the run on, the elevation is the ramp; without one it
     is the bead's own, but never down into the surface.
     """
     normal = end.frame[:, 2]

@@ -1,4 +1,7 @@
-"""NozzleTask: what a bead fixes for the robot, and what it leaves free."""
+"""What a bead fixes for the robot (NozzleTask), and what it leaves free: roll, tilt and the holder's joints.
+
+Roll is counted from a direction in the tangent plane that is smooth along the bead and does not spin.
+"""
 
 from __future__ import annotations
 
@@ -16,9 +19,6 @@ from planner.problem import Problem
 from planner.problem.process import ConesSpec, FibreSpec
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.runs import cut_place, with_runs
-
-# ----------------------------------------------------------------------------------------------------
-# Directions in the tangent plane from which roll is counted: smooth along a bead, without spin.
 
 _CLEAR = 0.3  # least sine of the angle between normals and an axis that is projected onto the tangent plane
 
@@ -65,10 +65,6 @@ def _transport(normals: Array, start: Array) -> Array:
         for k in range(3):
             out[i, k] /= np.sqrt(size)
     return out
-
-
-# ----------------------------------------------------------------------------------------------------
-# NozzleTask: what a bead fixes for the robot, and what it leaves free.
 
 
 @dataclass(frozen=True)

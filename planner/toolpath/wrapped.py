@@ -14,18 +14,15 @@ from planner.toolpath.bead import Bead, Toolpath, cylinder_shape
 from planner.toolpath.ordering import reverse, shorten_travel
 from planner.toolpath.plane_paths import (
     PlaneCurve,
-    bead_along,
     check_length,
     check_size,
     densify,
     length,
+    make_bead,
     round_corners,
     seam_on_smooth_part,
 )
 from planner.toolpath.svg.outlines import PlanePath, read_svg
-
-# ----------------------------------------------------------------------------------------------------
-# Wrapping a plane path around a cylinder (Pollard, eq. 2): x becomes angle, y becomes height.
 
 
 @dataclass(frozen=True)
@@ -82,12 +79,8 @@ def wrap_layer(
     for curve in curves:
         points, normals, upright = cylinder.wrap(curve.points, rise)
         source, _, _ = cylinder.wrap(densify(curve.source), rise)
-        beads.append(bead_along(curve, layer, points, normals, upright, source, width, height))
+        beads.append(make_bead(curve.name, layer, points, normals, upright, source, width, height, curve.closed))
     return beads
-
-
-# ----------------------------------------------------------------------------------------------------
-# From the problem to a drawing in layers around a cylinder: rounding, order, layers.
 
 
 def wrap_drawing(problem: Problem, spec: LayersSpec) -> Toolpath:

@@ -1,4 +1,4 @@
-"""What a path over a face is worth: once everywhere, over itself or not, length, turns, time, and how far from it."""
+"""Measures of a path over a face: coverage, crossings, length, turns, time and greatest distance."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Ints
+from planner.base.geometry import subdivided
 from planner.toolpath.coverage.tours import SampledSurface
 
 TURN = np.radians(30.0)  # a bend of more than that within half a spacing is a turn
@@ -52,8 +53,7 @@ def laid(surface: SampledSurface, order: Ints) -> SurfaceLine:
     points, spacing = surface.points[order], max(surface.spacing)
     step = np.diff(points, axis=0)
     pieces = np.maximum(np.ceil(np.linalg.norm(step, axis=1) * _PIECES / spacing).astype(np.int64), 1)
-    start = np.repeat(np.arange(len(step)), pieces)
-    share = (np.arange(len(start)) - np.repeat(np.cumsum(pieces) - pieces, pieces)) / pieces[start]
+    start, share = subdivided(pieces)
     line = np.vstack([points[start] + share[:, None] * step[start], points[-1:]])
     away, near = cKDTree(surface.points).query(line, k=min(_NEAREST, len(surface.points)))
     away, near = away.reshape(len(line), -1), near.reshape(len(line), -1)
@@ -146,8 +146,11 @@ def turns(lines: Sequence[SurfaceLine], spacing: float) -> tuple[int, float]:
 
 
 def seconds(lines: Sequence[SurfaceLine], speed: float, tolerance: float) -> float:
-    """About how long the lines take at `speed` [m/s]: corners, rounded within `tolerance` [m], slow the tool down as
-    its acceleration and jerk require, and lifting from one line to the next costs its time. No arm is asked."""
+    """Estimated time [s] to follow the lines at `speed` [m/s], for comparing paths.
+
+    Corners are rounded within `tolerance` [m] and slow the tool down as its acceleration and jerk require; lifting
+    and travelling between lines is added. No arm is considered.
+    """
     total = length(lines) / speed
     for before, after in zip(lines[:-1], lines[1:], strict=True):
         total += _LIFT + float(np.linalg.norm(after.points[0] - before.opened()[0][-1])) / _TRAVEL

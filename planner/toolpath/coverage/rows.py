@@ -1,4 +1,9 @@
-"""Rows over faces: lines of equal distance from an edge or a middle line, joined to strokes and laid exactly."""
+"""Rows that cover faces: lines of equal distance from an edge or a middle line, joined into strokes.
+
+Rows never cross, because they are level lines of one function. They are joined along the edge of the material
+(`stitch.py`). Of several sources of distance, the one whose strokes take the least time is chosen. Strokes are brought
+onto the true faces point by point.
+"""
 
 from __future__ import annotations
 
@@ -10,16 +15,36 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Ints
+from planner.base.geometry import arc_lengths
 from planner.toolpath.coverage.measures import SurfaceLine, crossings, distances, seconds
 from planner.toolpath.coverage.sheet import FaceMesh, Patch, Rim, Row, Stroke, fields_of, rows_at, sheet_of
-from planner.toolpath.coverage.stitch import InsetEdge, chains, chosen, evenly, possible, smooth, stitched
-
-# ----------------------------------------------------------------------------------------------------
-# A line near faces, brought onto them: each point onto its own face, exactly.
+from planner.toolpath.coverage.stitch import (
+    InsetEdge,
+    chosen_joints,
+    evenly,
+    possible_joints,
+    row_chains,
+    smooth,
+    stitched,
+)
+from planner.toolpath.ordering import nearest_first
 
 _TRIANGLES = 12  # looked at for each point, nearest middles first
 _NEWTON = 6  # steps; from the net three do
 _DIFFERENCE = 1e-6  # of a triangle's size in (u, v), for derivatives
+
+REACH = 0.55  # spacings: no point of a face is farther from the strokes
+_MESH = 0.25  # spacings between points of the net
+_INSET = 0.04  # spacings between the edge and where rows end and joints run
+_KERNEL = 0.3  # spacings, half width of what turns a row's end: about as wide as REACH allows
+_STEP = 0.1  # spacings between points of a stroke
+_FINE = 0.025  # spacings between points that are averaged
+_SHORTEST = 0.3  # spacings: a shorter row is a dot
+_TRIES = 4  # with rows added one by one for what is left
+_WIDER = 1.02  # of the spacing: rows may be as much farther apart where that saves one
+_CLOSER = 0.97  # of the spacing, where strokes leave points out of reach
+_CLOSEST = 5  # times closer, at most
+_AIM = 0.543  # spacings: REACH, less what may be between the points that are looked at
 
 
 def onto_faces(sheet: FaceMesh, line: Array, closed: bool) -> Stroke:
@@ -80,26 +105,6 @@ def _nearest(face: Patch, target: Array, uv: Array, difference: Array) -> Array:
     return uv
 
 
-# ----------------------------------------------------------------------------------------------------
-# Rows of our own over faces: lines of equal distance from an edge or from a line through the middle.
-#
-# They never cross, for they are lines of one function; they are joined along the edges (`joints.py`); of several
-# sources the one is taken whose strokes are done first.
-
-REACH = 0.55  # spacings: no point of a face is farther from the strokes
-_MESH = 0.25  # spacings between points of the net
-_INSET = 0.04  # spacings between the edge and where rows end and joints run
-_KERNEL = 0.3  # spacings, half width of what turns a row's end: about as wide as REACH allows
-_STEP = 0.1  # spacings between points of a stroke
-_FINE = 0.025  # spacings between points that are averaged
-_SHORTEST = 0.3  # spacings: a shorter row is a dot
-_TRIES = 4  # with rows added one by one for what is left
-_WIDER = 1.02  # of the spacing: rows may be as much farther apart where that saves one
-_CLOSER = 0.97  # of the spacing, where strokes leave points out of reach
-_CLOSEST = 5  # times closer, at most
-_AIM = 0.543  # spacings: REACH, less what may be between the points that are looked at
-
-
 class TooSmallError(ValueError):
     """No row fits onto the faces at this spacing."""
 
@@ -114,8 +119,12 @@ class NotCoveredError(ValueError):
 
 @dataclass(frozen=True)
 class _Net:
-    """The faces' net and what is asked of it again and again: its rim, normals (n, 3) at its points, a tree of these,
-    and points all over the material (k, 3)."""
+    """The faces' net, and what is looked up on it repeatedly.
+
+    normals, tree  unit normals (n, 3) at the net's points, and a tree of these points
+    solid          indices of the points of the material
+    looked_at      (k, 3) points all over the material
+    """
 
     sheet: FaceMesh
     rim: Rim
@@ -127,8 +136,11 @@ class _Net:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """Strokes before they are brought onto the faces, lines (n, 3) and whether closed; their time, about [s]; how far
-    the farthest point of the material is [spacings]."""
+    """Strokes before they are brought onto the faces.
+
+    Lines (n, 3), each with whether it is closed; their time, about [s]; and how far the farthest point of the material
+    is from them [spacings].
+    """
 
     lines: tuple[tuple[Array, bool], ...]
     time: float
@@ -136,11 +148,10 @@ class _Candidate:
 
 
 def cover(patches: Sequence[Patch], spacing: float, speed: float) -> list[Stroke]:
-    """Strokes over faces, sewn together where they meet, for printing at `speed` [m/s]: rows `spacing` [m] apart or a
-    little less, at most 2 % more.
+    """Strokes that cover faces, sewn together where they meet, for printing at `speed` [m/s].
 
-    No point of the faces is farther from them than REACH; they neither cross nor touch. Raises TooSmallError or
-    NotCoveredError.
+    Rows are `spacing` [m] apart or up to 2 % less. No point of the faces is farther from the strokes than REACH; they
+    neither cross nor touch. Raises TooSmallError or NotCoveredError.
     """
     sheet = sheet_of(patches, _MESH * spacing)
     solid = np.unique(sheet.triangles[sheet.material])
@@ -177,7 +188,7 @@ def _tried(
     spacing: float,
     speed: float,
 ) -> None:
-    """Enter what comes of a field (the k-th) with rows so many times closer, if there are any."""
+    """Add the strokes of the k-th field, its rows so many times closer, unless it has none."""
     found = _candidate(net, field, spacing, spacing * _CLOSER**closer, speed)
     if found is not None:
         heapq.heappush(queue, (found.time, k, closer, found))
@@ -213,10 +224,10 @@ def _candidate(net: _Net, field: Array, spacing: float, apart: float, speed: flo
 
 def _strokes(sheet: FaceMesh, rim: Rim, rows: Sequence[Row], spacing: float) -> list[tuple[Array, bool]]:
     """Rows joined into as few lines as can be, smoothed, in the order in which they are printed."""
-    joints = chosen(possible(rows, rim.around, spacing), spacing)
+    joints = chosen_joints(possible_joints(rows, rim.around, spacing), spacing)
     edge = InsetEdge.of(sheet, rim, _INSET * spacing)
     out = []
-    for chain in chains(len(rows), joints):
+    for chain in row_chains(len(rows), joints):
         closed = rows[chain[0][0]].ends is None
         line = rows[chain[0][0]].points if closed else stitched(rows, chain, joints, edge, spacing)
         line = smooth(line, _KERNEL * spacing, _FINE * spacing, closed)
@@ -226,24 +237,15 @@ def _strokes(sheet: FaceMesh, rim: Rim, rows: Sequence[Row], spacing: float) -> 
 
 def _in_turn(lines: Sequence[tuple[Array, bool]]) -> list[tuple[Array, bool]]:
     """Lines one after the other, the nearest end first; open ones may be turned round."""
-    left = list(lines)
-    out = [left.pop(0)]
-    while left:
-        here = out[-1][0][0 if out[-1][1] else -1]
-        far = [(float(np.linalg.norm(line[0] - here)), k, False) for k, (line, _) in enumerate(left)] + [
-            (float(np.linalg.norm(line[-1] - here)), k, True) for k, (line, closed) in enumerate(left) if not closed
-        ]
-        _, k, back = min(far)
-        line, closed = left.pop(k)
-        out.append((line[::-1].copy() if back else line, closed))
-    return out
+    turned = ((*lines[k], back) for k, back in nearest_first(lines))
+    return [(line[::-1].copy() if back else line, closed) for line, closed, back in turned]
 
 
 def _shortened(row: Row, spacing: float) -> Row | None:
     """The row without what is too near the edge; None where hardly anything is left."""
     if row.ends is None:
         return row if row.length > _SHORTEST * spacing else None
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(row.points, axis=0), axis=1))])
+    s = arc_lengths(row.points)
     first, last = _INSET * spacing, s[-1] - _INSET * spacing
     if last - first < _SHORTEST * spacing:
         return None
@@ -253,8 +255,10 @@ def _shortened(row: Row, spacing: float) -> Row | None:
 
 
 def _cap(net: _Net, field: Array, heights: Array, place: Array, spacing: float) -> list[Row]:
-    """A further row half-way between the last level and a place (3,) that it leaves out of reach, where the material
-    ends between two levels."""
+    """A further row half-way between the last level and a place (3,) that it leaves out of reach.
+
+    Such places are where the material ends between two levels.
+    """
     far = float(field[net.tree.query(place)[1]])
     base = int(np.clip(np.searchsorted(heights, far) - 1, 0, len(heights) - 1))
     level = base + 0.5 * float(np.sign(far - heights[base]))

@@ -1,4 +1,8 @@
-"""Faces as one net of triangles, distances along it (fast marching), and lines of equal distance."""
+"""Faces sewn into one net of triangles, distances along it, and lines of equal distance.
+
+Distances are found by fast marching (Kimmel and Sethian 1998). Holes are filled so that rows run straight on behind
+them; the triangles in a hole are no material.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +17,16 @@ from scipy.spatial import Delaunay, cKDTree
 
 from planner.base.arrays import Array, Ints
 from planner.base.compiled import njit
+from planner.base.geometry import arc_lengths
 
-# ----------------------------------------------------------------------------------------------------
-# Faces as `rows` sees them, and the strokes that cover them.
+_SEWN = 2e-5  # m: points of two faces' edges that are nearer than this are one
+_CLEAR = 0.6  # mesh sizes: nearer to the edge, no point is put
+_LOOKED = 5  # parts of a side of a triangle at the rim, where coverage is looked at
+_LOOKS = 33  # lines of u and of v along which a face is measured
+
+_CORNER = np.radians(30.0)  # of an edge, within a spacing: there one side ends and the next begins
+_SIDES = 4  # the longest sides are tried as sources
+_DIRECTIONS = 6  # and so many lines through the middle
 
 
 class Patch(Protocol):
@@ -41,19 +52,19 @@ class Patch(Protocol):
 
 @dataclass(frozen=True)
 class Stroke:
-    """A curve on the faces, printed without a break: points (n, 3) and unit normals (n, 3) on the true surface [m],
-    patch (n,), the number of the face each stands on, and parameters (n, 2) there; closed: the last point is joined to
-    the first (which is not repeated)."""
+    """A curve on the faces, printed without a break.
+
+    points, normals (n, 3)  on the true surface [m], normals of unit length
+    patch (n,)              number of the face under each point
+    parameters (n, 2)       of the point on that face
+    closed                  the last point is joined to the first, which is not repeated
+    """
 
     points: Array
     normals: Array
     patch: Ints
     parameters: Array
     closed: bool = False
-
-
-# ----------------------------------------------------------------------------------------------------
-# Distance along a net of triangles from given points: fast marching (Kimmel and Sethian 1998).
 
 
 def march(points: Array, triangles: Ints, start: Array) -> Array:
@@ -107,8 +118,11 @@ def _march(points: Array, triangles: Ints, around: Ints, first: Ints, start: Arr
 
 @njit(cache=True)
 def _through(a: Array, b: Array, at_a: float, at_b: float) -> float:
-    """When a straight front that passes two corners at given distances reaches the third (a, b: the two from there);
-    infinite where it does not come through the triangle."""
+    """Distance at the third corner of a triangle for a straight front that passed the other two.
+
+    a, b (3,) lead from the third corner to the other two, at_a and at_b are their distances. Infinite where the front
+    does not come through the triangle.
+    """
     aa, ab, bb = np.sum(a * a), np.sum(a * b), np.sum(b * b)
     det = aa * bb - ab * ab
     if det <= 0.0:
@@ -127,21 +141,17 @@ def _through(a: Array, b: Array, at_a: float, at_b: float) -> float:
     return p
 
 
-# ----------------------------------------------------------------------------------------------------
-# Faces as one net of triangles: seams sewn, holes filled, every corner knowing where on its face it is.
-#
-# Holes are filled so that rows run straight on behind them; the triangles in them are no material.
-
-_SEWN = 2e-5  # m: points of two faces' edges that are nearer than this are one
-_CLEAR = 0.6  # mesh sizes: nearer to the edge, no point is put
-_LOOKED = 5  # parts of a side of a triangle at the rim, where coverage is looked at
-_LOOKS = 33  # lines of u and of v along which a face is measured
-
-
 @dataclass(frozen=True)
 class FaceMesh:
-    """points (n, 3) [m]; triangles (m, 3), indices of points; patch (m,), the face of each; corners (m, 3, 2), the
-    (u, v) of each triangle's corners on it; material (m,), false in holes; size: the distance of points, about [m]."""
+    """Faces as one net of triangles.
+
+    points (n, 3)       [m]
+    triangles (m, 3)    indices of points
+    patch (m,)          face of each triangle
+    corners (m, 3, 2)   (u, v) of each triangle's corners on its face
+    material (m,)       false in holes
+    size                about the distance of points [m]
+    """
 
     patches: tuple[Patch, ...]
     points: Array
@@ -165,8 +175,11 @@ class FaceMesh:
         return out / np.maximum(np.linalg.norm(out, axis=1), np.finfo(float).tiny)[:, None]
 
     def looked_at(self, rim: Ints) -> Array:
-        """Points (k, 3) all over the material: those of the net, and the middles of its triangles; more of them in
-        triangles that touch one of the points `rim`, where rows end."""
+        """Points (k, 3) all over the material, to be checked for cover.
+
+        These are the net's points and the middles of its triangles, and more in triangles that touch one of the points
+        `rim`, where rows end.
+        """
         net = self.triangles[self.material]
         corners = self.points[net]
         fine = corners[np.isin(net, rim).any(axis=1)]
@@ -265,15 +278,16 @@ def _sew(points: Array) -> Ints:
     return name
 
 
-# ----------------------------------------------------------------------------------------------------
-# Lines of equal distance on a net of triangles, cut where the material ends.
-
-
 @dataclass(frozen=True)
 class Rim:
-    """The edges of the material: closed curves; loop (e,) and arc (e,), at the start of each edge [m], of edges (e, 2)
-    with the material on one side only; edge_of: from an edge's points, the lower first, to its number; around: length
-    of each curve [m]; vertices: its points in order."""
+    """The edges of the material, as closed curves.
+
+    edges (e, 2)        those with material on one side only, as indices of points
+    edge_of             number of an edge by its two points, the lower first
+    loop, arc (e,)      curve that an edge belongs to, and arc length at its start [m]
+    around              length of each curve [m]
+    vertices            points of each curve in order
+    """
 
     edges: Ints
     edge_of: dict[tuple[int, int], int]
@@ -325,8 +339,13 @@ class Rim:
 
 @dataclass(frozen=True)
 class Row:
-    """A line of equal distance on the material: points (n, 3) [m], level: its number. ends: (loop of the rim, arc
-    there [m]) at which it starts and ends; none: it is closed, the first point not repeated."""
+    """A line of equal distance on the material.
+
+    points (n, 3)  [m]
+    level          number of the line
+    ends           (loop of the rim, arc there [m]) where it starts and where it ends; None: closed, the first point
+                   not repeated
+    """
 
     points: Array
     level: float
@@ -395,14 +414,6 @@ def _chains(links: Ints, count: int) -> list[tuple[list[int], bool]]:
     return out
 
 
-# ----------------------------------------------------------------------------------------------------
-# Sources from which distances along faces are measured: sides of their edges, and lines through their middle.
-
-_CORNER = np.radians(30.0)  # of an edge, within a spacing: there one side ends and the next begins
-_SIDES = 4  # the longest sides are tried as sources
-_DIRECTIONS = 6  # and so many lines through the middle
-
-
 def fields_of(sheet: FaceMesh, rim: Rim, spacing: float) -> list[Array]:
     """Distances of the net's points from each source (n,) [m], with a sign where the source has two sides."""
     out = []
@@ -427,7 +438,7 @@ def fields_of(sheet: FaceMesh, rim: Rim, spacing: float) -> list[Array]:
 def _sides(sheet: FaceMesh, loop: Ints, spacing: float) -> list[Ints]:
     """Pieces of a rim between its corners; none where it has fewer than two."""
     points = sheet.points[loop]
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(np.vstack([points, points[:1]]), axis=0), axis=1))])
+    s = arc_lengths(np.vstack([points, points[:1]]))
     n = len(loop)
     ahead = np.array([_at(points, s, s[i] + 0.5 * spacing) for i in range(n)])
     behind = np.array([_at(points, s, s[i] - 0.5 * spacing) for i in range(n)])

@@ -1,4 +1,12 @@
-"""Rows joined end to end along the edge of the material, so that few strokes are left."""
+"""Rows joined end to end along the edge of the material, so that few strokes are left.
+
+A joint runs a little inside the edge, from the end of one row to the next end there. Each joint has its own stretch of
+the edge, so it crosses neither another joint nor a row. An integer program chooses the joints: it uses each end at most
+once and closes no ring.
+
+Where the edge leans away from a row's end, towards the next row, neither row reaches all of it. Such a row overshoots:
+it bends a little towards the next one, and the joint comes back along the edge.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +20,20 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csr_array
 
 from planner.base.arrays import Array
+from planner.base.geometry import arc_lengths
 from planner.toolpath.coverage.sheet import FaceMesh, Rim, Row
 
-# ----------------------------------------------------------------------------------------------------
-# The edge of the material, a little inside: there joints run from row to row.
+_POWER = 4  # of the kernel (1 - x^2)^4: four times differentiable
+
+End = tuple[int, int]  # row, and 0 for its first point or 1 for its last
+_LONGEST = 4.0  # spacings along the edge: where it is nearly parallel to the rows, a joint would lie on them
+_NEXT = 1.01  # levels apart, of rows that are next to each other
+
+_WITHIN = 0.51  # spacings: how near the line comes to all points of the edge
+_STEEPEST = 4.0  # 1 / sine of the angle between row and edge that is still made up for
+_SHARE = 0.45  # of the way to the next row's end, at most
+_BENT, _BENT_MORE = 0.1, 0.4  # spacings of the row that bend, and so many more for each by which the edge leans
+_KEPT = 0.3  # of a row is not bent
 
 
 @dataclass(frozen=True)
@@ -70,17 +88,11 @@ def _inward(sheet: FaceMesh, rim: Rim) -> Array:
     return into / np.linalg.norm(into, axis=1)[:, None]
 
 
-# ----------------------------------------------------------------------------------------------------
-# A polyline averaged along itself, so that it turns as a tool can.
-
-_POWER = 4  # of the kernel (1 - x^2)^4: four times differentiable
-
-
 def evenly(line: Array, step: float, closed: bool) -> Array:
     """Points (m, 3) of a polyline (n, 3), about `step` apart; a closed one does not repeat its first point."""
     if closed:
         line = np.vstack([line, line[:1]])
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    s = arc_lengths(line)
     count = max(round(s[-1] / step), 2)
     at = np.linspace(0.0, s[-1], count + 1)[: count + (not closed)]
     return np.stack([np.interp(at, s, line[:, i]) for i in range(line.shape[1])], axis=1)
@@ -101,18 +113,6 @@ def smooth(line: Array, half_width: float, step: float, closed: bool) -> Array:
     return convolve1d(np.vstack([before, even, after]), kernel, axis=0)[reach : reach + len(even)]
 
 
-# ----------------------------------------------------------------------------------------------------
-# Which rows are joined end to end, along the edge of the material, so that few strokes are left.
-#
-# A joint runs along the edge from the end of one row to the next end there. Joints have pieces of the edge of their own,
-# so that none crosses another, or a row. Which of them are taken is an integer program: each end at most once, no ring.
-
-End = tuple[int, int]  # row, and 0 for its first point or 1 for its last
-
-_LONGEST = 4.0  # spacings along the edge: where it is nearly parallel to the rows, a joint would lie on them
-_NEXT = 1.01  # levels apart, of rows that are next to each other
-
-
 @dataclass(frozen=True)
 class Joint:
     """From one end along the loop's edge, in its sense, from arc `start` to `stop` [m] (past its end: all round)."""
@@ -125,10 +125,11 @@ class Joint:
 
     @property
     def length(self) -> float:
+        """Along the edge [m]."""
         return self.stop - self.start
 
 
-def possible(rows: Sequence[Row], around: Array, spacing: float) -> list[Joint]:
+def possible_joints(rows: Sequence[Row], around: Array, spacing: float) -> list[Joint]:
     """Joints between ends that follow each other along a loop of the rim (lengths `around`), rows next to each other."""
     ends: dict[int, list[tuple[float, End]]] = {}
     for k, row in enumerate(rows):
@@ -147,7 +148,7 @@ def possible(rows: Sequence[Row], around: Array, spacing: float) -> list[Joint]:
     return out
 
 
-def chosen(joints: Sequence[Joint], spacing: float) -> list[Joint]:
+def chosen_joints(joints: Sequence[Joint], spacing: float) -> list[Joint]:
     """As many of them as can be without an end used twice or a ring; of equally many, the shortest."""
     if not joints:
         return []
@@ -195,7 +196,7 @@ def _rings(joints: Sequence[Joint]) -> list[list[int]]:
     return [[k for k, joint in enumerate(joints) if root(joint.first[0]) == ring] for ring in sorted(closing)]
 
 
-def chains(count: int, joints: Sequence[Joint]) -> list[list[End]]:
+def row_chains(count: int, joints: Sequence[Joint]) -> list[list[End]]:
     """Strokes as the ends at which each of their rows is entered, every one of `count` rows in one stroke."""
     beside: dict[End, End] = {}
     for joint in joints:
@@ -215,19 +216,6 @@ def chains(count: int, joints: Sequence[Joint]) -> list[list[End]]:
             here = beside.get((here[0], 1 - here[1]))
         out.append(chain)
     return out
-
-
-# ----------------------------------------------------------------------------------------------------
-# Rows and the joints between them as one line, which reaches into the corners that rows leave at a slanting edge.
-#
-# Where the edge leans away from a row's end, towards the next row, points of the edge are out of reach of both. Such an
-# end overshoots: the row bends a little towards the next one, and the joint comes back along the edge.
-
-_WITHIN = 0.51  # spacings: how near the line comes to all points of the edge
-_STEEPEST = 4.0  # 1 / sine of the angle between row and edge that is still made up for
-_SHARE = 0.45  # of the way to the next row's end, at most
-_BENT, _BENT_MORE = 0.1, 0.4  # spacings of the row that bend, and so many more for each by which the edge leans
-_KEPT = 0.3  # of a row is not bent
 
 
 @dataclass(frozen=True)
@@ -296,7 +284,7 @@ def _overshoot(
 
 def _bent(points: Array, first: float, last: float) -> Array:
     """A row without what bends at its two ends [m]."""
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    s = arc_lengths(points)
     most = 0.5 * (1.0 - _KEPT) * s[-1]
     start, stop = min(first, most), s[-1] - min(last, most)
     at = np.concatenate([[start], s[(s > start) & (s < stop)], [stop]])

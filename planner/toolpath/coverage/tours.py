@@ -1,4 +1,10 @@
-"""Orders in which to visit the samples of a face: greedy, weighted greedy, and a travelling salesman's tour."""
+"""Orders in which to visit the samples of a face: greedy, weighted greedy, and a travelling salesman's tour.
+
+Onstein et al., algorithms 3 to 5. Both greedy orders may leave samples behind and come back for them across printed
+material. The tour is open and starts from the greedy order. PyVRP searches it with one vehicle and a depot next door to
+everywhere; it stops after a number of iterations, never by the clock, so every machine finds the same tour. PyVRP does
+not reverse pieces of a tour; `improve` does, which removes the last crossings.
+"""
 
 from __future__ import annotations
 
@@ -18,21 +24,34 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array, Ints
 from planner.base.compiled import njit
 
-# ----------------------------------------------------------------------------------------------------
-# What path algorithms see of a face: the points that it was sampled at, and how far apart they are along it.
-
 # Samples nearer than this many spacings are neighbours. With a knight's move (2.24) among them, the shortest way over
 # neighbours is at most 3 % longer than the straight one.
 _REACH = 2.3
 # Cosine of the angle between normals from which on two samples are on sheets that only lie close to each other.
 _OTHER_SHEET = 0.0
 
+_LONGEST_MOVED = 3  # samples in a piece that is moved (Or-opt)
+_GAIN = 1e-9  # of the mean distance: less is rounding
+
+# What it costs to leave the row, in spacings: more than the next sample of the row is farther than the next row.
+ROW_WEIGHT = 1.0
+
+MOST_SAMPLES = 4000  # of a tour: distances between all pairs are held at once, 128 MB
+ITERATIONS = 2000  # 4 s for 1,000 samples
+_UNIT = 1e-6  # spacings: PyVRP counts in whole numbers
+_SEED = 1
+
 
 @dataclass(frozen=True)
 class SampledSurface:
-    """points (n, 3) of faces and their unit outward normals (n, 3) [m, part frame]; parameters (n, 2), the u and v of
-    each on its face; face (n,), its number; row (n,), the line of constant u (of constant v, where faces were sampled
-    the other way) on which it stands, no number used twice; spacing: the desired distance along u and along v [m].
+    """Samples of faces, as the orders of visits see them.
+
+    points, normals (n, 3)  places and unit outward normals [m, part frame]
+    parameters (n, 2)       u and v of each on its face
+    face (n,)               number of the face
+    row (n,)                line of constant u (or v, where faces were sampled the other way) that it stands on; no
+                            number is used twice
+    spacing                 desired distance along u and along v [m]
     """
 
     points: Array
@@ -57,21 +76,16 @@ class SampledSurface:
 
 
 def along_surface(surface: SampledSurface, links: csr_array, start: Ints) -> Array:
-    """Distances (len(start), n) along the surface [m]: over the links; where none lead there, the chord through the
-    air, longer than any way along the surface."""
+    """Distances (len(start), n) along the surface over the links [m].
+
+    Where no links lead there, the chord through the air plus more than any way along the surface.
+    """
     way = np.atleast_2d(dijkstra(links, indices=start))
     if np.isinf(way).any():
         longest = float(links.data.sum()) if links.nnz else 0.0
         chord = np.linalg.norm(surface.points[start][:, None] - surface.points, axis=2)
         way = np.where(np.isinf(way), longest + chord, way)
     return way
-
-
-# ----------------------------------------------------------------------------------------------------
-# Local search on an open tour: turn a piece round, or move a short piece, for as long as that shortens the way.
-
-_LONGEST_MOVED = 3  # samples in a piece that is moved (Or-opt)
-_GAIN = 1e-9  # of the mean distance: less is rounding
 
 
 @njit(cache=True)
@@ -147,15 +161,6 @@ def _move(tour: Ints, distance: Array, i: int, size: int, least: float) -> bool:
     return True
 
 
-# ----------------------------------------------------------------------------------------------------
-# The paper's orders in which to visit the samples of a face, each once: greedy and weighted greedy choice.
-#
-# Onstein et al., algorithms 3 and 4. Both may leave samples behind and come back for them across what is printed.
-
-# What it costs to leave the row, in spacings: more than the next sample of the row is farther than the next row.
-ROW_WEIGHT = 1.0
-
-
 def greedy(surface: SampledSurface) -> Ints:
     """Go to the nearest sample that has not been visited (n,); of equally near ones, to the one with the lowest index."""
     return _nearest_first(surface, 0.0)
@@ -187,19 +192,6 @@ def _nearest_first(surface: SampledSurface, weight: float) -> Ints:
         order[k] = near[np.argmin(price)]
         left[order[k]] = False
     return order
-
-
-# ----------------------------------------------------------------------------------------------------
-# The travelling salesman's order of a face's samples: an open tour, searched locally from the greedy one.
-#
-# Onstein et al., algorithm 5. PyVRP searches (one vehicle, a depot next door to everywhere), stopped by a count of
-# iterations, never by a clock, so that the same tour comes out on any machine. It does not turn pieces of a tour round:
-# `two_opt` does, which takes away the last crossings.
-
-MOST_SAMPLES = 4000  # of a tour: distances between all pairs are held at once, 128 MB
-ITERATIONS = 2000  # 4 s for 1,000 samples
-_UNIT = 1e-6  # spacings: PyVRP counts in whole numbers
-_SEED = 1
 
 
 class TooManySamplesError(ValueError):
@@ -234,9 +226,6 @@ def tour(surface: SampledSurface) -> Ints:
     visited = [step.idx for route in found.best.routes() for step in route if step.is_client()]
     return improve(np.array(visited, dtype=np.int64), distance)
 
-
-# ----------------------------------------------------------------------------------------------------
-# Names of the ways to visit the samples of a face; `rows` (rows.py) makes points of its own instead.
 
 ORDERS: MappingProxyType[str, Callable[[SampledSurface], Ints]] = MappingProxyType(
     {"greedy": greedy, "weighted_greedy": weighted_greedy, "tour": tour}

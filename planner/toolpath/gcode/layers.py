@@ -1,4 +1,4 @@
-"""From a slicer's G-code to beads: level layers, the nozzle upright, and the bed with the layers below."""
+"""Beads from a slicer's G-code: level layers on a bed, the nozzle upright."""
 
 from __future__ import annotations
 
@@ -12,16 +12,20 @@ from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array
 from planner.base.errors import InputError
+from planner.base.geometry import arc_lengths
 from planner.problem import Problem
 from planner.problem.layers import GcodeLayersSpec
 from planner.problem.process import SectionName
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.gcode.reader import GcodeFile, Thread, read_gcode
-from planner.toolpath.plane_paths import PlaneCurve, arc_length, densify, length, round_corners
+from planner.toolpath.plane_paths import PlaneCurve, densify, length, make_bead, round_corners
 from planner.toolpath.svg.outlines import PlanePath
 
-# ----------------------------------------------------------------------------------------------------
-# A bed and the level layers on it, as far as they are printed.
+SAME_LEVEL = 5e-6  # m: z of one layer differs by less, however it is rounded
+SIZES = (1e-5, 50e-3)  # m: widths and heights of beads that can be meant
+_SHRUNK = 0.8  # of its length that a path keeps when it is rounded: else it is rounded less
+_FEWER = 0.5  # times the tolerance then
+_TRIES = 8
 
 
 @dataclass(frozen=True)
@@ -86,17 +90,6 @@ class LevelLayers:
     def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
         """Straight up (n, 3), on every bead."""
         return self.normals(tips)
-
-
-# ----------------------------------------------------------------------------------------------------
-# From a slicer's G-code to beads: level layers, the nozzle upright.
-
-SAME_LEVEL = 5e-6  # m: z of one layer differs by less, however it is rounded
-SIZES = (1e-5, 50e-3)  # m: widths and heights of beads that can be meant
-_SHRUNK = 0.8  # of its length that a path keeps when it is rounded: else it is rounded less
-_FEWER = 0.5  # times the tolerance then
-_TRIES = 8
-_CLOSED = 1e-6  # m between the ends of a closed path
 
 
 @dataclass(frozen=True)
@@ -197,7 +190,7 @@ def _laid(
             break
         tolerance *= _FEWER
         curve = round_corners(path, tolerance)
-    arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points, axis=0).T))])
+    arc = arc_lengths(path.points)
     volume = filament * np.concatenate([[0.0], np.cumsum(step.thread.filament)])
     # samples stand evenly on the input: each has the mean of the half step before it and the one behind it
     n = len(curve.points)
@@ -236,15 +229,5 @@ def _bead(step: _Step, curve: PlaneCurve, sizes: tuple[Array, Array], origin: Ar
     points, source = (
         np.column_stack([plane, np.full(len(plane), up)]) + origin for plane in (curve.points, densify(curve.source))
     )
-    return Bead(
-        name=curve.name,
-        layer=step.layer,
-        s=arc_length(points),
-        points=points,
-        normals=np.tile([0.0, 0.0, 1.0], (n, 1)),
-        roll_zero=np.tile([1.0, 0.0, 0.0], (n, 1)),
-        source=source,
-        width=sizes[0],
-        height=sizes[1],
-        closed=bool(np.linalg.norm(points[-1] - points[0]) < _CLOSED),
-    )
+    upright, roll_zero = np.tile([0.0, 0.0, 1.0], (n, 1)), np.tile([1.0, 0.0, 0.0], (n, 1))
+    return make_bead(curve.name, step.layer, points, upright, roll_zero, source, *sizes)

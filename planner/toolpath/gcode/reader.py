@@ -1,4 +1,7 @@
-"""Reads planar G-code as slicers write it: what is extruded where, and nothing of the printer it was made for."""
+"""Planar G-code as slicers write it: what is extruded where.
+
+Nothing is kept of the printer that the file was made for. Arcs become polylines.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +19,26 @@ from planner.base.arrays import Array, ReadOnlyArrays
 from planner.base.errors import Complaint, InputError
 from planner.base.files import read_text
 
-# ----------------------------------------------------------------------------------------------------
-# Arcs of G-code as polylines.
-
 _OFF = 0.01, 5e-5  # share of the radius, and m, by which an arc's ends may differ in it: files are rounded
 _MOST_CHORDS = 10_000
+
+LARGEST_FILE = 200_000_000  # bytes: some six million moves
+FARTHEST = 100.0  # m: a hall
+_LEVEL = 1e-6  # m by which z may change in a move that extrudes
+_INCH = 25.4e-3
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
+_LINE = re.compile(r"(?:N\d+\s*)?([GMT])\s*(\d+(?:\.\d+)?)(.*?)(?:\*\s*\d+)?\s*", re.IGNORECASE)
+# a small e behind a digit is an exponent, which G-code does not have: read as E it would be another extrusion
+_WORDS = re.compile(rf"\s*([A-Za-z])\s*({_NUMBER})(?=\s|[A-Za-df-z]|$)\s*")
+_MACRO = re.compile(r"[A-Za-z_]{3}\w*|[@%].*", re.DOTALL)  # a macro's name of a printer's own firmware, and marks
+_BRACKETS = re.compile(r"\([^)]*\)")
+# homing aside, what moves nothing of the print: dwell, retraction by the firmware, planes and levelling
+_HARMLESS = {f"G{n}" for n in (4, 12, 17, 26, 27, 29, 30, 31, 32, 33, 34, 40, 49, 53, 54, 60, 80, 94)}
+_HOMING = {"G28", "G161", "G162"}
+# Marks that slicers leave in comments: Cura; PrusaSlicer, SuperSlicer, OrcaSlicer; Bambu Studio; Simplify3D.
+_LAYER = re.compile(r"LAYER:\s*-?\d+|LAYER_CHANGE|CHANGE_LAYER|layer \d+, Z\b.*")
+_KIND = re.compile(r"(?:TYPE:|FEATURE:|feature )\s*(.+)")
+_HEIGHT = re.compile(rf"(?:HEIGHT:|LAYER_HEIGHT:)\s*({_NUMBER})|tool H({_NUMBER}) W.*")
 
 
 class NoArc(ValueError):
@@ -68,29 +86,6 @@ def centre_by_radius(start: Array, end: Array, radius: float, clockwise: bool) -
     return np.asarray(0.5 * (start + end) + side * away * left)
 
 
-# ----------------------------------------------------------------------------------------------------
-# Reads planar G-code as slicers write it: what is extruded where, and nothing of the printer it was made for.
-
-LARGEST_FILE = 200_000_000  # bytes: some six million moves
-FARTHEST = 100.0  # m: a hall
-_LEVEL = 1e-6  # m by which z may change in a move that extrudes
-_INCH = 25.4e-3
-
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
-_LINE = re.compile(r"(?:N\d+\s*)?([GMT])\s*(\d+(?:\.\d+)?)(.*?)(?:\*\s*\d+)?\s*", re.IGNORECASE)
-# a small e behind a digit is an exponent, which G-code does not have: read as E it would be another extrusion
-_WORDS = re.compile(rf"\s*([A-Za-z])\s*({_NUMBER})(?=\s|[A-Za-df-z]|$)\s*")
-_MACRO = re.compile(r"[A-Za-z_]{3}\w*|[@%].*", re.DOTALL)  # a macro's name of a printer's own firmware, and marks
-_BRACKETS = re.compile(r"\([^)]*\)")
-# homing aside, what moves nothing of the print: dwell, retraction by the firmware, planes and levelling
-_HARMLESS = {f"G{n}" for n in (4, 12, 17, 26, 27, 29, 30, 31, 32, 33, 34, 40, 49, 53, 54, 60, 80, 94)}
-_HOMING = {"G28", "G161", "G162"}
-# Marks that slicers leave in comments: Cura; PrusaSlicer, SuperSlicer, OrcaSlicer; Bambu Studio; Simplify3D.
-_LAYER = re.compile(r"LAYER:\s*-?\d+|LAYER_CHANGE|CHANGE_LAYER|layer \d+, Z\b.*")
-_KIND = re.compile(r"(?:TYPE:|FEATURE:|feature )\s*(.+)")
-_HEIGHT = re.compile(rf"(?:HEIGHT:|LAYER_HEIGHT:)\s*({_NUMBER})|tool H({_NUMBER}) W.*")
-
-
 @dataclass(frozen=True)
 class Thread(ReadOnlyArrays):
     """What is extruded without interruption, in one layer.
@@ -109,8 +104,11 @@ class Thread(ReadOnlyArrays):
 
 @dataclass(frozen=True)
 class GcodeFile:
-    """What a file extrudes, in its order; how many moves extrude before its first layer, which are left out; speeds
-    of those in it: the least and the greatest [m/s], or none."""
+    """What a file extrudes, in its order.
+
+    before  moves that extrude before the first layer, which are left out
+    speeds  least and greatest speed of extruding moves [m/s]; empty where the file gives none
+    """
 
     threads: tuple[Thread, ...]
     before: int

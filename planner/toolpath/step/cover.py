@@ -1,4 +1,8 @@
-"""From the problem to beads that cover faces of a STEP file, in layers along the faces' normals."""
+"""Beads that cover faces of a STEP file, in layers along the faces' normals.
+
+A bead may cross from one face to another where these meet without an edge to be felt. The first layer's points and
+normals come exactly from the faces.
+"""
 
 from __future__ import annotations
 
@@ -13,23 +17,31 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
+from planner.base.geometry import subdivided
 from planner.problem import Problem
 from planner.problem.layers import FaceLayersSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.coverage.rows import NotCoveredError, TooSmallError, cover
 from planner.toolpath.coverage.tours import ORDERS, TooManySamplesError
 from planner.toolpath.interpolation import TooRough, calm_path, interpolate
-from planner.toolpath.plane_paths import arc_length, check_size, length
+from planner.toolpath.ordering import nearest_first
+from planner.toolpath.plane_paths import check_size, length, make_bead
 from planner.toolpath.step.body import ON_THE_RIM, FaceBody, FacePlaces
 from planner.toolpath.step.files import Damaged, Face, choose_faces, read_step
 from planner.toolpath.step.sampling import TooMany, sample_faces
 from planner.toolpath.step.top import faces_shape
 from planner.toolpath.task import roll_zeros
 
-# ----------------------------------------------------------------------------------------------------
-# Faces that a bead may run across: those that meet without an edge to be felt.
-
 SMOOTH = np.radians(0.04)  # between normals along a shared edge: half of what the nozzle's axis may be off the normal
+
+_STEP = 2e-3  # m between the places on the faces that the curve is laid through
+_FEWEST = 12  # steps of a curve
+_AHEAD = 0.25  # of a step between waypoints, by which a curve may leave the faces' rim
+
+_QUARTER = 0.25  # of the spacing between points along the faces' edges
+_APART = 0.5  # of the spacing: so far apart are the source's points at most
+_PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
+_FOLDED = 0.2  # of the way to a layer that folds: nearer to folding it is no layer
 
 
 def smooth_regions(faces: Sequence[Face]) -> list[list[Face]]:
@@ -63,14 +75,6 @@ def _smooth(i: int, j: int, points: list[Array], normals: list[Array], edges: li
     return False
 
 
-# ----------------------------------------------------------------------------------------------------
-# From waypoints on faces to a smooth curve on them: points and normals exactly the faces' own.
-
-_STEP = 2e-3  # m between the places on the faces that the curve is laid through
-_FEWEST = 12  # steps of a curve
-_AHEAD = 0.25  # of a step between waypoints, by which a curve may leave the faces' rim
-
-
 @dataclass(frozen=True)
 class FaceCurve(ReadOnlyArrays):
     """A curve on faces, sampled uniformly in its parameter: places, and those of the input path before rounding."""
@@ -92,9 +96,8 @@ def pieces_on_faces(body: FaceBody, waypoints: Array) -> list[Array]:
     path, chord = calm_path(waypoints)
     step = np.diff(chord)
     pieces = np.maximum(np.ceil(step / _STEP), 1.0).astype(int)
-    index = np.repeat(np.arange(len(pieces)), pieces)
-    within = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-    c = np.append(chord[index] + step[index] * (within / pieces[index]), chord[-1])
+    index, share = subdivided(pieces)
+    c = np.append(chord[index] + step[index] * share, chord[-1])
     at = body.beneath(np.asarray(path(c)[:, :3]))
     there = body.inside(at.face, at.uv)
     if not there.all():
@@ -122,21 +125,15 @@ def spread(points: Array) -> Array:
     return np.asarray(path(np.linspace(0.0, chord[-1], max(int(np.ceil(chord[-1] / _STEP)), _FEWEST) + 1))[:, :3])
 
 
-def lay(body: FaceBody, points: Array, tolerance: float, apart: float, ends: float) -> FaceCurve:
+def curve_on_faces(body: FaceBody, points: Array, tolerance: float, apart: float, ends: float) -> FaceCurve:
     """The smooth curve through places (n, 3) on faces: corners rounded within `tolerance`, all of it on the faces.
 
-    apart: greatest distance of the source's points; ends: of samples at the ends [m]. Raises TooRough (interpolation)
+    apart: greatest distance of the source's points; ends: of samples at the ends [m]. Raises TooRough
     where no smooth curve keeps the tolerance.
     """
     at = body.beneath(points)
     curve = interpolate(at.points, at.normals, tolerance, apart, ends)
     return FaceCurve(body.beneath(curve.points), body.beneath(curve.source))
-
-
-# ----------------------------------------------------------------------------------------------------
-# Layers of beads over faces: each along the faces' normals above the one before, and the body as it grows.
-
-_CLOSED = 1e-6  # m between the ends of a closed curve
 
 
 @dataclass(frozen=True)
@@ -176,15 +173,17 @@ class FaceLayers:
         return self.body.normals(points)
 
     def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
-        """Outward unit normals (n, 3) of the true faces where perpendiculars from tips (n, 3) meet them, found from the
-        places of the bead's samples around arc lengths s (n)."""
+        """Outward unit normals (n, 3) of the true faces at the feet of perpendiculars from tips (n, 3).
+
+        Feet are searched from the places of the bead's samples around arc lengths s (n).
+        """
         track = self.tracks[bead]
         after = np.clip(np.searchsorted(track.s, s), 1, len(track.s) - 1)
         around = np.stack([after - 1, after], axis=1)
         return track.body.followed(tips, track.face[around], track.uv[around]).normals
 
 
-def laid(
+def lay_layers(
     curves: Sequence[tuple[FaceBody, FaceCurve, str]], count: int, layer_height: float, width: float, height: float
 ) -> tuple[list[Bead], list[FaceTrack]]:
     """Beads `width` and `height` [m] along curves, `count` layers of them: each begins where the one before ended."""
@@ -198,32 +197,10 @@ def laid(
     for (layer, body, curve, name), zero in zip(placed, zeros, strict=True):
         rise = (layer + 1) * layer_height
         points = curve.places.points + rise * curve.places.normals
-        s = arc_length(points)
-        beads.append(
-            Bead(
-                name=name,
-                layer=layer,
-                s=s,
-                points=points,
-                normals=curve.places.normals,
-                roll_zero=zero,
-                source=curve.source.points + rise * curve.source.normals,
-                width=np.full(len(points), width),
-                height=np.full(len(points), height),
-                closed=bool(np.linalg.norm(points[-1] - points[0]) < _CLOSED),
-            )
-        )
-        tracks.append(FaceTrack(layer, s, body, curve.places.face, curve.places.uv))
+        source = curve.source.points + rise * curve.source.normals
+        beads.append(make_bead(name, layer, points, curve.places.normals, zero, source, width, height))
+        tracks.append(FaceTrack(layer, beads[-1].s, body, curve.places.face, curve.places.uv))
     return beads, tracks
-
-
-# ----------------------------------------------------------------------------------------------------
-# From the problem to beads that cover faces of a STEP file.
-
-_QUARTER = 0.25  # of the spacing between points along the faces' edges
-_APART = 0.5  # of the spacing: so far apart are the source's points at most
-_PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
-_FOLDED = 0.2  # of the way to a layer that folds: nearer to folding it is no layer
 
 
 def cover_faces(problem: Problem, spec: FaceLayersSpec) -> Toolpath:
@@ -257,7 +234,7 @@ def cover_faces(problem: Problem, spec: FaceLayersSpec) -> Toolpath:
         raise problem.error(
             "layers.source.spacing_mm", "no bead fits onto the faces", "a smaller distance, or a narrower bead"
         )
-    beads, tracks = laid(_in_turn(curves), spec.count, spec.height, process.bead.width, process.bead.height)
+    beads, tracks = lay_layers(_in_turn(curves), spec.count, spec.height, process.bead.width, process.bead.height)
     surface = FaceLayers(FaceBody.of(faces), spec.height, tuple(tracks))
     notes = (f"{dots} samples or lines shorter than the bead is wide are left out",) if dots else ()
     return Toolpath(tuple(beads), surface, faces_shape(faces), notes)
@@ -302,7 +279,7 @@ def _curve(problem: Problem, spec: FaceLayersSpec, body: FaceBody, line: Array) 
         )
     tolerance = process.corner_tolerance / max(1.0, float(room.max()))
     try:
-        curve = lay(body, line, tolerance, _APART * spec.source.spacing, process.run_in / _PER_RUN)
+        curve = curve_on_faces(body, line, tolerance, _APART * spec.source.spacing, process.run_in / _PER_RUN)
     except TooRough as error:
         x, y, z = line[min(error.waypoint, len(line) - 1)] * 1e3
         raise problem.error(
@@ -317,12 +294,6 @@ def _curve(problem: Problem, spec: FaceLayersSpec, body: FaceBody, line: Array) 
 
 def _in_turn(curves: list[tuple[FaceBody, FaceCurve, str]]) -> list[tuple[FaceBody, FaceCurve, str]]:
     """The curves in an order and direction with little travel: always on to the nearest end."""
-    left = list(curves)
-    out = [left.pop(0)]
-    while left:
-        here = out[-1][1].places.points[-1]
-        ends = np.array([[curve.places.points[0], curve.places.points[-1]] for _, curve, _ in left])
-        k, back = divmod(int(np.argmin(np.linalg.norm(ends - here, axis=2))), 2)
-        body, curve, name = left.pop(k)
-        out.append((body, curve.reversed() if back else curve, name))
-    return out
+    order = nearest_first([(curve.places.points, False) for _, curve, _ in curves])
+    turned = ((*curves[k], back) for k, back in order)
+    return [(body, curve.reversed() if back else curve, name) for body, curve, name, back in turned]

@@ -1,4 +1,7 @@
-"""Faces of a STEP file, in the part frame: read by another process, and chosen by name or number."""
+"""Faces of a STEP file in the part frame, chosen by name or number.
+
+Another process reads the file, because a damaged one may end its reader.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +24,15 @@ from planner.base.files import read_bytes
 from planner.problem.part import StepSpec
 from planner.toolpath.step.splines import SplineSet, SplineSurface
 
-# ----------------------------------------------------------------------------------------------------
-# A face of a STEP file: a surface, the closed curves that trim it, and which side of it is out of the material.
+Wanted = Sequence[int | str] | str
+_SHOWN = 12  # names of faces in a message
+
+LARGEST_FILE = 100_000_000  # bytes
+FARTHEST = 100.0  # m from the origin: a hall
+LONGEST = 300  # s that a file may take
+_READER = "planner.toolpath.step.reader"
+_BEGIN, _END = b"ISO-10303-21", b"END-ISO-10303-21"
+_ENDS = 2048  # bytes of a file in which they stand
 
 
 @dataclass(frozen=True)
@@ -58,14 +68,6 @@ class Face(ReadOnlyArrays):
         return self.side * self.alone.normals(np.zeros(len(uv), dtype=np.int64), uv)
 
 
-# ----------------------------------------------------------------------------------------------------
-# Which faces of a STEP file are meant by their names and numbers, and the refusal of what a file does not hold.
-
-Wanted = Sequence[int | str] | str
-
-_SHOWN = 12  # names of faces in a message
-
-
 class Damaged(ValueError):
     """What is wrong with a file, or with what is wanted of it, and what to do about it."""
 
@@ -95,16 +97,7 @@ def choose_faces(wanted: Wanted, known: Sequence[tuple[int, str]], what: str) ->
     return [number for number, _ in known if number in chosen]
 
 
-# ----------------------------------------------------------------------------------------------------
-# Faces of a STEP file, in the part frame: read by another process, which a damaged file may end.
-
-LARGEST_FILE = 100_000_000  # bytes
-FARTHEST = 100.0  # m from the origin: a hall
-LONGEST = 300  # s that a file may take
-_READER = "planner.toolpath.step.reader"
 _ROOT = Path(__file__).resolve().parents[3]  # from where that is found, whatever the present folder
-_BEGIN, _END = b"ISO-10303-21", b"END-ISO-10303-21"
-_ENDS = 2048  # bytes of a file in which they stand
 
 
 def read_step(spec: StepSpec, apart: float, where: Complaint) -> tuple[Face, ...]:

@@ -68,8 +68,12 @@ class SplineSurface(ReadOnlyArrays):
 
 @dataclass(frozen=True)
 class SplineSet(ReadOnlyArrays):
-    """Surfaces one behind another. table (k, 8): degrees, first knots, first pole, numbers of poles; domain (k, 4, 2):
-    least and greatest u and v, and those to which a surface is followed, which is not beyond a pole."""
+    """B-spline surfaces packed into flat arrays.
+
+    table  (k, 8): degrees, first knots, first pole, numbers of poles
+    domain (k, 4, 2): least and greatest u and v; then the limits to which a surface is followed, which never lie
+           beyond a pole
+    """
 
     knots: Array
     poles: Array

@@ -1,4 +1,4 @@
-"""Faces of a STEP file seen from above: what plane curves are projected onto; and as triangles, for pictures."""
+"""Faces of a STEP file seen from above, for plane curves to be projected onto; and as triangles, for pictures."""
 
 from __future__ import annotations
 
@@ -16,10 +16,20 @@ from planner.toolpath.step.body import ON_THE_RIM, FaceBody, FacePlaces
 from planner.toolpath.step.files import Face
 from planner.toolpath.substrate.mesh_surface import HeightField, fit
 
-# ----------------------------------------------------------------------------------------------------
-# Faces of a STEP file as triangles, for pictures.
-
 _CELLS = 10  # along either parameter of a face
+
+CLOSE = 5e-7  # m: near enough to the faces; normals are then within some hundredths of a degree
+FARTHEST = 2e-5  # m, of the smooth surface from the faces at the curves
+_COARSEST, _FINEST = 8, 64  # knots of the smooth surface along the longer side of what is covered
+_SAMPLES = 240  # of the faces along that side
+_ASIDE = 1e-3  # weight of samples that no curve comes near, against those at a curve
+_STEEPEST = 0.17  # upward component of a normal: steeper faces say nothing of the surface
+_STARTS = 6  # samples beside a place from which a place above or beneath it is looked for
+_STEPS = 30
+_LEAST_UP = 0.05  # upward component with which a tangent plane is followed
+_AS_ONE = np.array([1.0, 1.0j])  # u and v as one number
+_FOUND = 1e-10  # m, between a place and what is found above or beneath it
+_STILL = 1e-13  # m: heights that change by no more do not change
 
 
 def faces_shape(faces: Sequence[Face]) -> Shape:
@@ -48,23 +58,6 @@ def _triangles(face: Face) -> np.ndarray:
     triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(pieces))
     corners = shapely.get_coordinates(triangles[shapely.area(triangles) > 0.0]).reshape(-1, 4, 2)
     return corners[:, :3].reshape(-1, 2)
-
-
-# ----------------------------------------------------------------------------------------------------
-# Faces of a STEP file seen from above: what plane curves are projected onto.
-
-CLOSE = 5e-7  # m: near enough to the faces; normals are then within some hundredths of a degree
-FARTHEST = 2e-5  # m, of the smooth surface from the faces at the curves
-_COARSEST, _FINEST = 8, 64  # knots of the smooth surface along the longer side of what is covered
-_SAMPLES = 240  # of the faces along that side
-_ASIDE = 1e-3  # weight of samples that no curve comes near, against those at a curve
-_STEEPEST = 0.17  # upward component of a normal: steeper faces say nothing of the surface
-_STARTS = 6  # samples beside a place from which a place above or beneath it is looked for
-_STEPS = 30
-_LEAST_UP = 0.05  # upward component with which a tangent plane is followed
-_AS_ONE = np.array([1.0, 1.0j])  # u and v as one number
-_FOUND = 1e-10  # m, between a place and what is found above or beneath it
-_STILL = 1e-13  # m: heights that change by no more do not change
 
 
 class NotSmooth(ValueError):
@@ -98,11 +91,10 @@ class UpperFaces:
         return cls(body, samples, cKDTree(samples.points[:, :2]))
 
     def top(self, plane: Array) -> tuple[Array, Array]:
-        """Heights (n,) and upward components (n,) of the normals of the uppermost faces at x, y (n, 2); NaN where there
-        is none.
+        """Heights (n,) of the uppermost faces at x, y (n, 2), and upward components (n,) of their normals; NaN beside them.
 
-        From a place in the air the foot of the perpendicular gives a tangent plane, and this the next height: that
-        knows nothing of u and v, which mean little at a pole.
+        From a place in the air the foot of the perpendicular gives a tangent plane, and this the next height. Unlike a
+        search in u and v this works at a pole too.
         """
         near = self.tree.query(plane, k=min(_STARTS, self.tree.n))[1].reshape(len(plane), -1)
         known = self.samples

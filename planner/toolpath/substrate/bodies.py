@@ -1,4 +1,12 @@
-"""What plane curves are projected onto: planes, corrugated sheets, ellipsoids and balls exactly, or the top of a mesh."""
+"""Bodies that plane curves are projected onto, and nozzle directions from the facets of a mesh.
+
+Planes, corrugated sheets, ellipsoids and balls are known exactly; a mesh has its top, with a smooth surface near the
+curves. Lengths are metres in the part frame.
+
+Normals of facets (Pollard et al., section 4.1) jump where a bead passes from one facet to the next, and no arm can
+follow a jump. `Facing` turns the normal over a stated length around each edge: it averages the facets' normals along
+the bead with a B-spline kernel of degree 5, so that joints accelerate smoothly.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +24,25 @@ from planner.problem.part import PartSpec
 from planner.toolpath.bead import Shape, dome_shape, facets_shape, skin_shape
 from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField, fit
 
-# ----------------------------------------------------------------------------------------------------
-# Nozzle directions from facets (Pollard et al., section 4.1): normals that jump where a bead passes from one to the next.
-#
-# No arm can jump. Here the normal turns over a stated length around each edge: what a bead sees of its facets' normals is
-# averaged with a kernel of that length along the bead, a B-spline of degree 5, so that joints accelerate smoothly.
-
 _KNOTS = 6
 _SHARE = BSpline.basis_element(np.arange(_KNOTS + 1.0)).antiderivative()  # of a jump that is behind, over its length
+
+Part = Callable[[Array], NDArray[np.bool_]]  # which places x, y (n, 2) belong to it
+FARTHEST_FROM_FACETS = 5e-5  # m, of the smooth surface, at the curves
+_BETTER = 0.85  # times as far off: else twice the knots are no better
+_SMALL = 0.1  # quantile of facets' heights
+_A_FACET = 1.5  # heights of a facet between knots at least: closer ones repeat the facets' own steps
+_COARSEST, _FINEST = 4, 64  # knots of the smooth surface along the longer side of what is covered
+_SAMPLES = 240  # of the facets along that side
+_FARTHEST_NEAR = 5e-3  # m: facets larger than this are looked at no farther aside
+_ASIDE = 1e-3  # weight of the facets that no curve comes near, against those at a curve
+_STEEPEST = 0.17  # upward component of a facet's normal: steeper ones say nothing of the surface
+
+_TRIES = 24  # places within a wave from which the nearest one is looked for
+_NEWTON_STEPS = 60  # from next to a pole each step gains a factor of 1.5
+_CLOSE = 1e-12  # relative: a Newton step as small as this ends the search
+_OFF_AXIS = 1e-9  # of a radius: where a centre plane is as near as both sides, one is taken
+_BLOCK = 16384  # points at once: bounds the memory of the tries
 
 
 @dataclass(frozen=True)
@@ -59,22 +78,6 @@ class Facing:
         normals = np.empty_like(out)
         normals[order] = out / np.linalg.norm(out, axis=1)[:, None]
         return normals
-
-
-# ----------------------------------------------------------------------------------------------------
-# What plane curves are projected onto: a ball, exactly, or the top of a mesh with a smooth surface through it.
-
-Part = Callable[[Array], NDArray[np.bool_]]  # which places x, y (n, 2) belong to it
-
-FARTHEST_FROM_FACETS = 5e-5  # m, of the smooth surface, at the curves
-_BETTER = 0.85  # times as far off: else twice the knots are no better
-_SMALL = 0.1  # quantile of facets' heights
-_A_FACET = 1.5  # heights of a facet between knots at least: closer ones repeat the facets' own steps
-_COARSEST, _FINEST = 4, 64  # knots of the smooth surface along the longer side of what is covered
-_SAMPLES = 240  # of the facets along that side
-_FARTHEST_NEAR = 5e-3  # m: facets larger than this are looked at no farther aside
-_ASIDE = 1e-3  # weight of the facets that no curve comes near, against those at a curve
-_STEEPEST = 0.17  # upward component of a facet's normal: steeper ones say nothing of the surface
 
 
 class SubstrateBody(Protocol):
@@ -241,16 +244,6 @@ def _samples(
     return np.column_stack([grid, z])[keep], weights[keep]
 
 
-# ----------------------------------------------------------------------------------------------------
-# Bodies that are known exactly: an inclined plane, a corrugated sheet, an ellipsoid (metres, part frame).
-
-_TRIES = 24  # places within a wave from which the nearest one is looked for
-_NEWTON_STEPS = 60  # from next to a pole each step gains a factor of 1.5
-_CLOSE = 1e-12  # relative: a Newton step as small as this ends the search
-_OFF_AXIS = 1e-9  # of a radius: where a centre plane is as near as both sides, one is taken
-_BLOCK = 16384  # points at once: bounds the memory of the tries
-
-
 def exact_body(part: PartSpec) -> SubstrateBody | None:
     """The part's body, if it is one that is known exactly."""
     if part.sphere is not None:
@@ -316,10 +309,11 @@ class Plane:
 
 @dataclass(frozen=True)
 class Corrugation:
-    """A sheet whose height is that of a centre (3) plus amplitude [m] times the cosine of `wave` [rad/m] times the
-    distance from it `along` (2) the waves; solid beneath.
+    """A sheet with a cosine wave, solid beneath.
 
-    It is there within `size` (2) around the centre; distances are those of the endless sheet.
+    Its height is that of a centre (3) plus amplitude [m] times the cosine of `wave` [rad/m] times the distance from the
+    centre `along` (2) the waves. It is there within `size` (2) around the centre; distances are those of the endless
+    sheet.
     """
 
     centre: Array
@@ -359,10 +353,9 @@ class Corrugation:
         return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])
 
     def _nearest(self, points: Array) -> tuple[Array, Array, Array]:
-        """Places u (n) along the waves that are nearest to points (n, 3), and the points' own t and z (n), from the
-        centre.
+        """Places u (n) along the waves nearest to points (n, 3), and the points' own t and z (n), from the centre.
 
-        The nearest place is less than half a wave away: one wave further stands the same height.
+        The nearest place is less than half a wave away: one wave further the sheet has the same height.
         """
         t = (points[:, :2] - self.centre[:2]) @ self.along
         z = points[:, 2] - self.centre[2]

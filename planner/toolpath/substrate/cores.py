@@ -1,4 +1,4 @@
-"""Aerofoil cores (Pollard et al., section 4.2): a pattern from a body's surface up to a middle, and its reflection."""
+"""Aerofoil cores (Pollard et al., section 4.2): layers from a body's surface up to a middle, and their reflection."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from planner.problem import Problem
 from planner.problem.layers import CoreLayersSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.ordering import shorten_travel
-from planner.toolpath.plane_paths import PlaneCurve, bead_along, densify, length, round_corners
+from planner.toolpath.plane_paths import PlaneCurve, densify, length, make_bead, round_corners
 from planner.toolpath.substrate.bodies import FARTHEST_FROM_FACETS, MeshTop, reach_beside
 from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField
 from planner.toolpath.substrate.projection import (
@@ -32,12 +32,16 @@ from planner.toolpath.substrate.projection import (
 from planner.toolpath.svg.outlines import PlanePath
 from planner.toolpath.task import roll_zeros
 
-# ----------------------------------------------------------------------------------------------------
-# What a core is between: the height of a body and of a middle, the layers between and beyond, and the core as it grows.
-
 _PITCH = 1e-3  # m between corners of the facets that stand for layers: 0.08 mm off them where 1.5 mm is their radius
 _MOST_PITCHES = 300  # along the longer side
 _WHOLE = 1e-9  # layers: so little more than a whole number is that number
+
+_LEAST = 0.2  # of the height of layers: where they were less high, they are left out
+_SHORTEST = 3.0  # bead widths: a shorter piece of a layer is left out
+_STEEPER = np.radians(5.0)  # by which a facet may lean more than layers: the smooth surface decides
+_FARTHER = np.radians(15.0)  # likewise for what the smooth surface is laid through
+_PART = 0.5  # of the least room: with less, the surface is about to end in an edge
+_MIDDLE = "layers.up_to.mesh.file"
 
 
 @dataclass(frozen=True)
@@ -171,17 +175,6 @@ class CoreSurface:
         facets = np.concatenate([np.stack(each, axis=-2).reshape(-1, 3, 3) for each in ((a, b, c), (a, c, d))])
         facets = facets[np.isfinite(facets).all(axis=(1, 2))]
         return FacetTree.of(facets) if len(facets) else None
-
-
-# ----------------------------------------------------------------------------------------------------
-# Aerofoil cores (Pollard et al., section 4.2): a pattern from a body's surface up to a middle, and its reflection.
-
-_LEAST = 0.2  # of the height of layers: where they were less high, they are left out
-_SHORTEST = 3.0  # bead widths: a shorter piece of a layer is left out
-_STEEPER = np.radians(5.0)  # by which a facet may lean more than layers: the smooth surface decides
-_FARTHER = np.radians(15.0)  # likewise for what the smooth surface is laid through
-_PART = 0.5  # of the least room: with less, the surface is about to end in an edge
-_MIDDLE = "layers.up_to.mesh.file"
 
 
 @dataclass(frozen=True)
@@ -370,7 +363,7 @@ def _lay(surface: CoreSurface, rows: Sequence[Sequence[PlaneCurve]], width: floa
         level = surface.levels[layer]
         high = level.height + level.share * surface.room(curve.points)
         source, high = fields[layer].at(densify(curve.source))[0], share * high * normals[:, 2]
-        beads.append(bead_along(curve, layer, points, normals, zero, source, width, high))
+        beads.append(make_bead(curve.name, layer, points, normals, zero, source, width, high, curve.closed))
     return beads
 
 

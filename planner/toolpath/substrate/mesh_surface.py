@@ -1,4 +1,9 @@
-"""The surface of a mesh: its facets in a tree of boxes, and a smooth height field through them."""
+"""The surface of a mesh: its facets in a tree of boxes, and a smooth height field through them.
+
+The tree finds the facet nearest to a point, and the highest facet at x, y. The height field z = f(x, y) is a spline of
+degree 5, as coarse as the facets allow. A facet's own normal jumps at its edges, where a nozzle that follows it would
+stop; the field has four continuous derivatives, and its distance from the facets is bounded.
+"""
 
 from __future__ import annotations
 
@@ -14,15 +19,18 @@ from scipy.sparse.linalg import splu
 from planner.base.arrays import Array, Ints, ReadOnlyArrays, read_only
 from planner.base.compiled import njit
 
-# ----------------------------------------------------------------------------------------------------
-# Boxes within boxes around the facets of a mesh: the nearest facet to a point, and the highest one below the sky.
-
 _LEAF = 4  # facets in a leaf
 _BITS = 20  # of each coordinate, by which facets are sorted
 _DEPTH = 64  # of the stack: twice as many as boxes can be nested
 _UPWARD = 1e-6  # upward component of a facet's normal: below, it is not seen from above
 _RIM = 1e-9  # of a facet: a point this little outside still lies on it, so that no ray slips between two
 _TINY = 1e-30
+
+_DEGREE = 5
+_STIFF = 1e-7  # weight of third differences against a sample's: where nothing is known the surface goes on as it was
+_NEWTON_STEPS = 12
+_HALFWAY = 1.5  # times a step: less is the same step, but for rounding
+_CLOSE = 1e-12  # m: near enough to the nearest point
 
 
 @dataclass(frozen=True)
@@ -192,19 +200,6 @@ def _top(plane: Array, corners: Array, normals: Array, low: Array, high: Array) 
                     best = z
                     out[i], found[i] = z, facet
     return out, found
-
-
-# ----------------------------------------------------------------------------------------------------
-# A smooth surface z = f(x, y) through the facets of a mesh: a spline of degree 5, as coarse as the facets allow.
-#
-# A facet's own normal jumps at its edges, and a nozzle that must follow it would stop there. This surface bends steadily
-# (four continuous derivatives), and by how much it leaves the facets is bounded.
-
-_DEGREE = 5
-_STIFF = 1e-7  # weight of third differences against a sample's: where nothing is known the surface goes on as it was
-_NEWTON_STEPS = 12
-_HALFWAY = 1.5  # times a step: less is the same step, but for rounding
-_CLOSE = 1e-12  # m: near enough to the nearest point
 
 
 def _basis() -> Array:

@@ -1,4 +1,7 @@
-"""Plane curves trimmed to a region, projected along z onto a body, layer on layer (Pollard et al., section 4.1)."""
+"""Plane curves projected along z onto a body, layer on layer (Pollard et al., section 4.1).
+
+Curves that leave their region are cut there, together with the input paths they stand for.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Flags
 from planner.base.errors import Complaint
+from planner.base.geometry import arc_lengths
 from planner.problem import Problem
 from planner.problem.drawings import (
     CurvesSpec,
@@ -52,10 +56,16 @@ from planner.toolpath.substrate.patterns import NoPattern, pattern
 from planner.toolpath.svg.outlines import PlanePath, read_svg
 from planner.toolpath.task import roll_zeros
 
-# ----------------------------------------------------------------------------------------------------
-# Plane curves projected along z onto a body, layer on layer (Pollard et al., section 4.1), and the body as it grows.
-
 _ASIDE = 1e-5  # m, to either side, for the slope of what a plane point is mapped to
+
+_SAME = 1e-9  # m: vertices nearer than this to a cut are the cut
+
+STEEPEST = 75.0  # deg from the horizontal: beyond, a hair's breadth aside is a long way down, and the nozzle lies flat
+REACH = 2.0  # bead widths beside a curve within which the surface counts
+_SWING = 0.9  # of the corner tolerance, by which a rounded curve leaves a straight line between corners
+RESERVE = 1.02  # the stretch varies within a tolerance
+_EDGES = 1e-3  # m between points of faces' edges
+_FOLDED = 0.2  # of the way from the body to a layer that folds: nearer to folding it is no layer
 
 
 @dataclass(frozen=True)
@@ -106,8 +116,11 @@ class Substrate:
         return points + (layer + 1) * self.height * way, normals
 
     def stretch(self, plane: Array, layer: int) -> tuple[Array, Array]:
-        """How much longer a short line at plane points (n, 2) is in a layer, at most (n); and by how much less the
-        layer is bent than would fold it (n): 0 or less where it is folded, 1 on the body itself."""
+        """How much a layer stretches short lines at plane points (n, 2), and its reserve against folding.
+
+        Returns the greatest stretch (n), and by how much less the layer is bent than would fold it (n): 1 on the body
+        itself, 0 or less where it is folded.
+        """
         steps = np.array([[_ASIDE, 0.0], [0.0, _ASIDE]])
         slope = [
             (self.project(plane + d, layer)[0] - self.project(plane - d, layer)[0]) / (2.0 * _ASIDE) for d in steps
@@ -154,17 +167,11 @@ class Substrate:
         ]
 
 
-# ----------------------------------------------------------------------------------------------------
-# Plane curves cut where they leave a region, with the input paths that they stand for.
-
-_SAME = 1e-9  # m: vertices nearer than this to a cut are the cut
-
-
 def trim_path(path: PlanePath, dense: Array, keep: Flags) -> list[PlanePath]:
     """The pieces of a polyline where its dense points (n, 2) are kept (n); closed if all of a closed one are."""
     if keep.all():
         return [path]
-    arc = _arc(dense)
+    arc = arc_lengths(dense)
     return [
         PlanePath(path.name, _between(path.points, *ends), False)
         for ends in (_unrolled(arc, *run) for run in _runs(keep, path.closed))
@@ -198,10 +205,6 @@ def _runs(keep: Flags, closed: bool) -> list[tuple[int, int]]:
     return runs
 
 
-def _arc(points: Array) -> Array:
-    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
-
-
 def _unrolled(arc: Array, first: int, end: int) -> tuple[float, float]:
     """Arc lengths of the places `first` and `end`, the latter past the seam where it is no place of its own."""
     last = len(arc) - 1
@@ -210,23 +213,12 @@ def _unrolled(arc: Array, first: int, end: int) -> tuple[float, float]:
 
 def _between(points: Array, low: float, high: float) -> Array:
     """A polyline (n, 2) from one arc length to another [m], which may lie a round further on a closed one."""
-    arc = _arc(points)
+    arc = arc_lengths(points)
     if high > arc[-1] + _SAME:
         points, arc = np.vstack([points, points[1:]]), np.concatenate([arc, arc[-1] + arc[1:]])
     inner = points[(arc > low + _SAME) & (arc < high - _SAME)]
     ends = np.column_stack([np.interp([low, high], arc, points[:, k]) for k in range(2)])
     return np.vstack([ends[:1], inner, ends[1:]])
-
-
-# ----------------------------------------------------------------------------------------------------
-# From a drawing or a pattern to plane curves that fit a body, and their layers on it.
-
-STEEPEST = 75.0  # deg from the horizontal: beyond, a hair's breadth aside is a long way down, and the nozzle lies flat
-REACH = 2.0  # bead widths beside a curve within which the surface counts
-_SWING = 0.9  # of the corner tolerance, by which a rounded curve leaves a straight line between corners
-RESERVE = 1.02  # the stretch varies within a tolerance
-_EDGES = 1e-3  # m between points of faces' edges
-_FOLDED = 0.2  # of the way from the body to a layer that folds: nearer to folding it is no layer
 
 
 def project_curves(

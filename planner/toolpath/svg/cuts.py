@@ -22,9 +22,11 @@ _LEAST_OF_AREA = 3  # vertices: two points are a line, whatever it is filled wit
 _COARSE = 1e-4  # of the drawing's size: tolerance with which the size of what is left is found
 
 
-def cut(outlines: Sequence[Outline], share: float) -> list[Outline]:
-    """Return what is seen of the outlines, in their order; curves that are cut become chords within `share` of the
-    width of all that is left. Raises InputError for a mask that does not simply show or hide.
+def cut_outlines(outlines: Sequence[Outline], share: float) -> list[Outline]:
+    """Return what is seen of the outlines, in their order.
+
+    Curves that are cut become chords within `share` of the width of all that is left. Raises InputError for a mask
+    that does not simply show or hide.
     """
     if not any(outline.cuts for outline in outlines):
         return list(outlines)

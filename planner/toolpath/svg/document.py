@@ -1,4 +1,8 @@
-"""An SVG file as a tree of elements with their lines, and what CSS and transforms say of them."""
+"""An SVG file as a tree of elements with their lines, their styles and their transforms.
+
+Expat reads the file, and nothing else is ever opened. Of CSS only what matters for an outline is understood: simple
+selectors that say what is shown. What would reshape an outline is refused. Transforms and viewports are 3 x 3 matrices.
+"""
 
 from __future__ import annotations
 
@@ -15,19 +19,54 @@ import numpy as np
 from planner.base.arrays import Array
 from planner.base.errors import InputError, nearest_name
 
-# ----------------------------------------------------------------------------------------------------
-# Reads an SVG file into a tree of elements with expat: each keeps its line, and nothing else is ever opened.
-
 MAX_BYTES = 20_000_000
 MAX_ELEMENTS = 100_000  # in the file, and again once every <use> is followed
 MAX_DEPTH = 100
 MAX_POINTS = 1_000_000
 MAX_COORDINATE = 1e7  # user units
-
 SVG, XLINK_HREF = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink href"
 SHAPES = {"path", "rect", "circle", "ellipse", "line", "polyline", "polygon"}
 GROUPS = {"svg", "g", "a", "use"}
 NOT_DRAWN = {"defs", "symbol", "clipPath", "mask", "marker", "pattern", "filter", "linearGradient", "radialGradient"}
+REFUSED = {
+    "image": "only outlines can be printed; trace the image",
+    "foreignObject": "only outlines can be printed",
+    "script": "scripts are never run",
+    "switch": "keep one of its alternatives",
+    **dict.fromkeys(("text", "tspan", "textPath"), "turn text into paths in the drawing program"),
+    **dict.fromkeys(("animate", "animateMotion", "animateTransform", "set"), "save the drawing without animation"),
+}
+# Possessive quantifiers: without them a long run of digits could be split in exponentially many ways.
+SPACE = r"[ \t\r\n]*+"
+COMMA = rf"{SPACE},?+{SPACE}"
+NUMBER = r"[+-]?+(?>[0-9]++\.?+[0-9]*+|\.[0-9]++)(?>[eE][+-]?+[0-9]++)?+"
+LENGTH = re.compile(rf"{SPACE}({NUMBER}){SPACE}([a-zA-Z]*|%){SPACE}")
+UNITS = {"": 1.0, "px": 1.0, "in": 96.0, "cm": 96 / 2.54, "mm": 96 / 25.4, "q": 96 / 101.6, "pt": 96 / 72, "pc": 16.0}
+URL = re.compile(r"url\(\s*[\"']?\s*([^\s\"')]*)", re.IGNORECASE)
+DOCTYPE = re.compile(rb"<!DOCTYPE[^<>\[\]]*>")
+
+# What would move an outline and is not supported as a property in a style.
+SHAPING = {"transform", "transform-origin", "translate", "rotate", "scale", "zoom", "offset-path"}
+CUTS = ("clip-path", "mask")
+SHOWN = ("display", "visibility")
+# What inherits, and matters only where something is cut: of a filled shape another outline is left than of a line.
+PAINT = ("fill", "fill-rule", "clip-rule", "stroke")
+OPACITY = ("opacity", "fill-opacity")
+BLACK = {"black", "#000", "#000000", "rgb(0,0,0)"}
+OPAQUE = re.compile(r"#[0-9a-f]{3}(?:[0-9a-f]{3})?|[a-z]+|rgb\([^,/)]+,[^,/)]+,[^,/)]+\)")
+READ = (*CUTS, *SHOWN, *PAINT, *OPACITY, "mask-type")
+SELECTOR = re.compile(r"(\*|[\w-]+)?((?:[.#][\w-]+)*)")
+
+TRANSFORM = re.compile(rf"([a-zA-Z]+){SPACE}\({SPACE}({NUMBER}(?:{COMMA}{NUMBER})*+){SPACE}\){COMMA}")
+TRANSFORMS = {"matrix": (6,), "translate": (1, 2), "scale": (1, 2), "rotate": (1, 3), "skewX": (1,), "skewY": (1,)}
+VIEW_BOX = re.compile(SPACE + COMMA.join([f"({NUMBER})"] * 4) + SPACE)
+ASPECT = re.compile(r"\s*(?:defer\s+)?(none|x(Min|Mid|Max)Y(Min|Mid|Max))(?:\s+(meet|slice))?\s*")
+ALIGN = {"Min": 0.0, "Mid": 0.5, "Max": 1.0, None: 0.0}
+FRACTION = re.compile(rf"{SPACE}({NUMBER})(%?){SPACE}")
+WHOLE = {"x": "-10%", "y": "-10%", "width": "120%", "height": "120%"}  # of what is masked (SVG 1.1, 14.4)
+Size = tuple[float | None, float | None]
+
+
 NOT_DRAWN |= {
     "stop",
     "style",
@@ -41,23 +80,6 @@ NOT_DRAWN |= {
     "font-face",
     "glyph",
 }
-REFUSED = {
-    "image": "only outlines can be printed; trace the image",
-    "foreignObject": "only outlines can be printed",
-    "script": "scripts are never run",
-    "switch": "keep one of its alternatives",
-    **dict.fromkeys(("text", "tspan", "textPath"), "turn text into paths in the drawing program"),
-    **dict.fromkeys(("animate", "animateMotion", "animateTransform", "set"), "save the drawing without animation"),
-}
-
-# Possessive quantifiers: without them a long run of digits could be split in exponentially many ways.
-SPACE = r"[ \t\r\n]*+"
-COMMA = rf"{SPACE},?+{SPACE}"
-NUMBER = r"[+-]?+(?>[0-9]++\.?+[0-9]*+|\.[0-9]++)(?>[eE][+-]?+[0-9]++)?+"
-LENGTH = re.compile(rf"{SPACE}({NUMBER}){SPACE}([a-zA-Z]*|%){SPACE}")
-UNITS = {"": 1.0, "px": 1.0, "in": 96.0, "cm": 96 / 2.54, "mm": 96 / 25.4, "q": 96 / 101.6, "pt": 96 / 72, "pc": 16.0}
-URL = re.compile(r"url\(\s*[\"']?\s*([^\s\"')]*)", re.IGNORECASE)
-DOCTYPE = re.compile(rb"<!DOCTYPE[^<>\[\]]*>")
 
 
 @dataclass(frozen=True)
@@ -197,21 +219,7 @@ def check_reference(node: Node, target: str) -> None:
         raise node.error(f"a reference to outside of the file is never followed: {target[:60]!r}", "only '#id'")
 
 
-# ----------------------------------------------------------------------------------------------------
-# The part of CSS that matters for an outline: what is shown, by simple selectors; what would reshape is refused.
-
-# What would move an outline and is not supported as a property in a style.
-SHAPING = {"transform", "transform-origin", "translate", "rotate", "scale", "zoom", "offset-path"}
 SHAPING |= {"d", "x", "y", "cx", "cy", "r", "rx", "ry", "width", "height"}
-CUTS = ("clip-path", "mask")
-SHOWN = ("display", "visibility")
-# What inherits, and matters only where something is cut: of a filled shape another outline is left than of a line.
-PAINT = ("fill", "fill-rule", "clip-rule", "stroke")
-OPACITY = ("opacity", "fill-opacity")
-BLACK = {"black", "#000", "#000000", "rgb(0,0,0)"}
-OPAQUE = re.compile(r"#[0-9a-f]{3}(?:[0-9a-f]{3})?|[a-z]+|rgb\([^,/)]+,[^,/)]+,[^,/)]+\)")
-READ = (*CUTS, *SHOWN, *PAINT, *OPACITY, "mask-type")
-SELECTOR = re.compile(r"(\*|[\w-]+)?((?:[.#][\w-]+)*)")
 
 
 @dataclass(frozen=True)
@@ -279,19 +287,6 @@ def style_rules(node: Node, order: int) -> list[Rule]:
 
 def _without_comments(text: str) -> str:
     return re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
-
-
-# ----------------------------------------------------------------------------------------------------
-# Transforms and viewports of SVG elements as 3 x 3 matrices.
-
-TRANSFORM = re.compile(rf"([a-zA-Z]+){SPACE}\({SPACE}({NUMBER}(?:{COMMA}{NUMBER})*+){SPACE}\){COMMA}")
-TRANSFORMS = {"matrix": (6,), "translate": (1, 2), "scale": (1, 2), "rotate": (1, 3), "skewX": (1,), "skewY": (1,)}
-VIEW_BOX = re.compile(SPACE + COMMA.join([f"({NUMBER})"] * 4) + SPACE)
-ASPECT = re.compile(r"\s*(?:defer\s+)?(none|x(Min|Mid|Max)Y(Min|Mid|Max))(?:\s+(meet|slice))?\s*")
-ALIGN = {"Min": 0.0, "Mid": 0.5, "Max": 1.0, None: 0.0}
-FRACTION = re.compile(rf"{SPACE}({NUMBER})(%?){SPACE}")
-WHOLE = {"x": "-10%", "y": "-10%", "width": "120%", "height": "120%"}  # of what is masked (SVG 1.1, 14.4)
-Size = tuple[float | None, float | None]
 
 
 def transform_matrix(node: Node) -> Array:

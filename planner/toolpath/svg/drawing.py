@@ -35,7 +35,7 @@ from planner.toolpath.svg.document import (
 )
 from planner.toolpath.svg.shapes import OutlinePiece, Subpath, subpaths_of
 
-# Attributes that would move or hide an outline and are not supported; style.py has the properties.
+# Attributes that would move or hide an outline and are not supported; document.py has the properties of styles.
 REFERENCE = re.compile(r"url\(\s*[\"']?\s*#([^\s\"')]*)\s*[\"']?\s*\)", re.IGNORECASE)
 MOVING = ("transform-origin", "refX", "refY", "systemLanguage", "requiredExtensions")
 
@@ -76,8 +76,11 @@ class Region:
 
 @dataclass(frozen=True)
 class ElementContext:
-    """Where an element is drawn: transform (3, 3) into the root, visibility, viewport, the <use>s that led here, and
-    what it inherits of paint and cuts."""
+    """Where and how an element is drawn.
+
+    Its transform (3, 3) into the root, visibility, viewport, the <use>s that led here, and what it inherits of paint
+    and cuts.
+    """
 
     matrix: Array
     visible: bool = True
@@ -121,7 +124,7 @@ class Drawing:
         if depth > MAX_DEPTH or (node.tag in NOT_DRAWN and not (node.tag == "symbol" and used)):
             return 1
         if id(node) not in self._counts:
-            self._counts[id(node)] = count = 1  # for who meets it again inside of itself, which `_follow` refuses
+            self._counts[id(node)] = count = 1  # an element that contains itself meets this count; `_follow` refuses it
             if node.tag in SHAPES or self._style(node).get("display") == "none":
                 return count
             if node.tag == "use":

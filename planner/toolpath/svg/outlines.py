@@ -13,7 +13,7 @@ import numpy as np
 
 from planner.base.arrays import Array
 from planner.base.errors import InputError
-from planner.toolpath.svg.cuts import cut, extremes
+from planner.toolpath.svg.cuts import cut_outlines, extremes
 from planner.toolpath.svg.document import MAX_POINTS, read_document
 from planner.toolpath.svg.drawing import Drawing
 
@@ -52,7 +52,7 @@ def read_svg(
         if not (math.isfinite(value) and value > 0):
             raise complain(f"the {name} of the drawing must be positive, not {value:g} m")
     share = (1 - SAME_POINT) * flatness / width
-    outlines = cut(Drawing(read_document(path, complain)).outlines(), share)
+    outlines = cut_outlines(Drawing(read_document(path, complain)).outlines(), share)
     if not outlines:
         raise complain(f"{path.name} draws nothing", hint="no visible path or basic shape is in it")
     corners = extremes(outlines)

@@ -1,4 +1,7 @@
-"""The pieces of one SVG shape: lines, cubics and arcs, and how they become chords."""
+"""One SVG shape as lines, cubics and arcs, and these as chords.
+
+Path data is checked here, because svgelements silently skips what it cannot read.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +16,15 @@ import svgelements
 from planner.base.arrays import Array
 from planner.toolpath.svg.document import COMMA, MAX_COORDINATE, MAX_POINTS, NUMBER, SPACE, Node
 
-# ----------------------------------------------------------------------------------------------------
-# Lines, cubics and arcs: what every SVG command and shape comes down to, and how they become chords.
+NUMBER_COUNTS = {"M": 2, "L": 2, "T": 2, "H": 1, "V": 1, "C": 6, "S": 4, "Q": 4}
+ARGUMENTS = {letter: COMMA.join([f"({NUMBER})"] * count) for letter, count in NUMBER_COUNTS.items()}
+ARGUMENTS["A"] = COMMA.join([f"({NUMBER})"] * 3 + ["([01])"] * 2 + [f"({NUMBER})"] * 2)
+SEQUENCES = {letter: re.compile(rf"{SPACE}{one}(?:{COMMA}{one})*+{SPACE}") for letter, one in ARGUMENTS.items()}
+SEQUENCES["Z"] = re.compile(SPACE)
+VALUES = {letter: re.compile(one) for letter, one in ARGUMENTS.items()}
+ROUND = {"rect": svgelements.Rect, "circle": svgelements.Circle, "ellipse": svgelements.Ellipse}
+SIZES = {"rect": ("width", "height"), "circle": ("r",), "ellipse": ("rx", "ry")}
+PLACES = {"rect": ("x", "y", "rx", "ry"), "circle": ("cx", "cy"), "ellipse": ("cx", "cy")}
 
 
 @dataclass(frozen=True)
@@ -86,20 +96,6 @@ class OutlinePiece:
 
 
 Subpath = tuple[tuple[OutlinePiece, ...], bool]  # and whether it is closed
-
-
-# ----------------------------------------------------------------------------------------------------
-# The pieces of one SVG shape. Path data is checked here, because svgelements skips in silence what it cannot read.
-
-NUMBER_COUNTS = {"M": 2, "L": 2, "T": 2, "H": 1, "V": 1, "C": 6, "S": 4, "Q": 4}
-ARGUMENTS = {letter: COMMA.join([f"({NUMBER})"] * count) for letter, count in NUMBER_COUNTS.items()}
-ARGUMENTS["A"] = COMMA.join([f"({NUMBER})"] * 3 + ["([01])"] * 2 + [f"({NUMBER})"] * 2)
-SEQUENCES = {letter: re.compile(rf"{SPACE}{one}(?:{COMMA}{one})*+{SPACE}") for letter, one in ARGUMENTS.items()}
-SEQUENCES["Z"] = re.compile(SPACE)
-VALUES = {letter: re.compile(one) for letter, one in ARGUMENTS.items()}
-ROUND = {"rect": svgelements.Rect, "circle": svgelements.Circle, "ellipse": svgelements.Ellipse}
-SIZES = {"rect": ("width", "height"), "circle": ("r",), "ellipse": ("rx", "ry")}
-PLACES = {"rect": ("x", "y", "rx", "ry"), "circle": ("cx", "cy"), "ellipse": ("cx", "cy")}
 
 
 def subpaths_of(node: Node) -> list[Subpath]:

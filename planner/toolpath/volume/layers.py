@@ -1,4 +1,7 @@
-"""From a closed mesh to curved layers between two surfaces: guides, walls and infill, each layer on the one before."""
+"""Curved layers that fill a closed mesh between two surfaces: walls and infill.
+
+The two surfaces are levels, meshes, or the body's own top; each layer lies on the one before.
+"""
 
 from __future__ import annotations
 
@@ -17,18 +20,28 @@ from planner.problem.layers import GuideSpec, VolumeLayersSpec
 from planner.problem.stl import read_facets
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.ordering import shorten_travel
-from planner.toolpath.plane_paths import PlaneCurve, bead_along, densify, length, round_corners, seam_on_smooth_part
+from planner.toolpath.plane_paths import PlaneCurve, densify, length, make_bead, round_corners, seam_on_smooth_part
 from planner.toolpath.substrate.bodies import MeshTop, TooRoughMesh, reach_beside
 from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField
 from planner.toolpath.svg.outlines import PlanePath
 from planner.toolpath.task import roll_zeros
 from planner.toolpath.volume.sections import Heights, Morph, MorphedLayers, NotClosed, Solid, TooFine, polygons
 
-# ----------------------------------------------------------------------------------------------------
-# The two surfaces that layers change between: levels, meshes, or a body's own top.
-
 _GUIDE_GRID = 120  # places along the body's longer side at which its surfaces are looked at
 _REACH = 2.0  # bead widths beside the body within which its surfaces count
+
+_FARTHEST = 3.0  # line distances, to the next line's end: farther, the zig-zag ends
+_BESIDE = 0.1  # bead widths by which the way from line to line may leave the region: the bead at the wall takes it
+_SPECK = 0.1  # bead widths: a line shorter than this only touches the region
+_TRIES = 3  # distances of lines that are tried
+_HAIR = 1e-6  # m: the outermost lines lie so far inside, else they are found or not by chance
+
+_TILT_GRID = 120  # places along the body's longer side at which the tilt is looked at
+_CUT = 1e-3  # m: longest edge of the facets that are bent with the layers; 1.3 um off them where 100 mm is their radius
+_SHORTEST = 3.0  # bead widths: a shorter path is left out
+_RESERVE = 1.02  # the stretch varies within a tolerance
+_BELOW = 1e-5  # m by which a body may reach below the bed: rounding
+_MOST_LAYERS = 2000
 
 
 def stack_of(problem: Problem, spec: VolumeLayersSpec, solid: Solid, tree: FacetTree) -> tuple[Morph, MeshTop | None]:
@@ -89,16 +102,6 @@ def _smooth(facets: FacetTree, plane: Array, reach: float, name: str, complain: 
             f"the smooth surface through the top of {name} is {error.gap * 1e3:.3f} mm off it at x {x:.1f}, y {y:.1f} mm",
             "there is an edge or a wall, or facets are too large: give layers.upper a smooth surface above the body's top",
         ) from None
-
-
-# ----------------------------------------------------------------------------------------------------
-# What fills a region of the plane: beads along its outlines, and zig-zag lines in what they leave.
-
-_FARTHEST = 3.0  # line distances, to the next line's end: farther, the zig-zag ends
-_BESIDE = 0.1  # bead widths by which the way from line to line may leave the region: the bead at the wall takes it
-_SPECK = 0.1  # bead widths: a line shorter than this only touches the region
-_TRIES = 3  # distances of lines that are tried
-_HAIR = 1e-6  # m: the outermost lines lie so far inside, else they are found or not by chance
 
 
 def walls(region: shapely.MultiPolygon, width: float, count: int, chord: float, name: str) -> list[PlanePath]:
@@ -178,17 +181,6 @@ def _zigzag_rows(polygon: shapely.Polygon, apart: float, least: float) -> list[l
         pieces = [np.asarray(part.coords) for part in shapely.get_parts(across) if part.length > least]
         rows.append(sorted(pieces, key=lambda piece: float(piece[0, 0])))
     return rows
-
-
-# ----------------------------------------------------------------------------------------------------
-# From a closed mesh to curved layers between two surfaces: walls and infill, each layer on the one before.
-
-_TILT_GRID = 120  # places along the body's longer side at which the tilt is looked at
-_CUT = 1e-3  # m: longest edge of the facets that are bent with the layers; 1.3 um off them where 100 mm is their radius
-_SHORTEST = 3.0  # bead widths: a shorter path is left out
-_RESERVE = 1.02  # the stretch varies within a tolerance
-_BELOW = 1e-5  # m by which a body may reach below the bed: rounding
-_MOST_LAYERS = 2000
 
 
 @dataclass(frozen=True)
@@ -344,7 +336,8 @@ def _lay(morph: Morph, rows: Sequence[Sequence[_Line]], width: float, share: flo
         thickness = morph.thickness.at(curve.points)[0][:, 2]
         source, wide = fields[layer].at(densify(curve.source))[0], width / (normals[:, 2] * longer)
         high = share * thickness * normals[:, 2]
-        beads.append(bead_along(curve, layer, points, normals, zero, source, wide, high, line.material))
+        placed_as = (points, normals, zero, source, wide, high)
+        beads.append(make_bead(curve.name, layer, *placed_as, curve.closed, line.material))
     return beads
 
 

@@ -1,4 +1,9 @@
-"""A closed mesh and its sections by layers that change from one surface into another."""
+"""A closed mesh, and its sections by layers that change from one surface into another.
+
+Layer k is lower + k * thickness, over x and y. The thickness shares out the gap between the two surfaces evenly, but
+never falls below a bound: where it is held there, layers run parallel to the lower surface and end where they reach the
+upper one. To be cut, the mesh is bent so that layers become level planes.
+"""
 
 from __future__ import annotations
 
@@ -14,20 +19,17 @@ from planner.base.arrays import Array, Ints, ReadOnlyArrays
 from planner.toolpath.substrate.bodies import MeshTop
 from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField, fit
 
-# ----------------------------------------------------------------------------------------------------
-# Layers that change from one surface into another: all of them lower + k * thickness, over x and y.
-#
-# The thickness is the gap between the two surfaces shared out evenly, but never less than a bound: where it is held there,
-# layers run parallel to the lower surface and end where they reach the upper one.
-
 Heights = Callable[[Array], Array]  # of places x, y (n, 2): z (n) [m]
-
 _BEND = 0.2  # of the way from the least to the greatest height, over which the thickness bends towards the least
 _KNOTS = 40  # of the layers, along the longer side
 _SAMPLES = 3  # of the surfaces, from knot to knot
 _PITCH = 1e-3  # m between corners of the facets that stand for what is printed
 _MOST_PITCHES = 300  # along the longer side
 _WHOLE = 1e-6  # layers: so little more than a whole number is that number
+
+MOST_FACETS = 2_000_000  # once they are
+_DECIMALS = 9  # of a metre: corners that are one corner differ by rounding, once the file is turned
+_AREA = 1e-12  # m^2: an outline around less is none
 
 
 @dataclass(frozen=True)
@@ -152,14 +154,6 @@ class MorphedLayers:
         facets = np.concatenate([np.stack(each, axis=-2).reshape(-1, 3, 3) for each in ((a, b, c), (a, c, d))])
         facets = facets[np.isfinite(facets).all(axis=(1, 2))]
         return FacetTree.of(facets) if len(facets) else None
-
-
-# ----------------------------------------------------------------------------------------------------
-# A closed mesh and its sections by curved layers: the mesh is bent so that layers become level, then cut by planes.
-
-MOST_FACETS = 2_000_000  # once they are
-_DECIMALS = 9  # of a metre: corners that are one corner differ by rounding, once the file is turned
-_AREA = 1e-12  # m^2: an outline around less is none
 
 
 class NotClosed(ValueError):

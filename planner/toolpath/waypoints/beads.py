@@ -1,4 +1,7 @@
-"""From the problem to beads through the waypoints of a file; paths are checked before they are followed."""
+"""Beads through the waypoints of a file; each path is checked before it is followed.
+
+A path must be long enough for a bead, and run along the surface that its normals belong to.
+"""
 
 from __future__ import annotations
 
@@ -12,24 +15,24 @@ from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array
 from planner.base.errors import InputError
+from planner.base.geometry import angles_between, arc_lengths, subdivided
 from planner.problem import Problem
 from planner.problem.layers import WaypointLayersSpec
 from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Bead, Surface, Toolpath
 from planner.toolpath.interpolation import Interpolated, TooRough, interpolate
-from planner.toolpath.plane_paths import arc_length, check_size, length
+from planner.toolpath.plane_paths import check_size, length, make_bead
 from planner.toolpath.task import roll_zeros
 from planner.toolpath.waypoints.reader import Waypoints, read_waypoints
 from planner.toolpath.waypoints.surfels import with_layers
 
-# ----------------------------------------------------------------------------------------------------
-# Whether a path of waypoints can be a bead: long enough, and on a surface that its normals are those of.
-
 MOST_TURN = 90.0  # deg, of the normal from one waypoint to the next: no surface that a nozzle can follow turns further
 STEEPEST = 0.8  # sine of the angle between path and surface; steeper over half its length, it is on no surface
-
 LOOKS_PER_WIDTH = 4.0  # places in each bead's width of a path at which it is seen whether the nozzle is clear there
 CLEAR = 2e-5  # m, and a tenth of a bead's height: how far it must be, since it may be that far off its path
+
+_APART = 0.5  # of the bead's width: passes lie no closer to each other
+_PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
 
 
 def check_waypoints(path: Waypoints, file: Path, width: float) -> None:
@@ -57,10 +60,10 @@ def check_section(path: Waypoints, process: ProcessSpec, file: Path) -> None:
 
 def _check_length(path: Waypoints, file: Path, width: float) -> None:
     """At least as long as its bead is wide."""
-    length = float(np.linalg.norm(np.diff(path.points, axis=0), axis=1).sum())
-    if length < width:
+    drawn = length(path.points)
+    if drawn < width:
         raise InputError(
-            f"{path.name}, which begins here, is only {length * 1e3:.4f} mm long",
+            f"{path.name}, which begins here, is only {drawn * 1e3:.4f} mm long",
             file=file,
             line=int(path.lines[0]),
             hint=f"a path is at least as long as its bead is wide, {width * 1e3:g} mm",
@@ -69,9 +72,7 @@ def _check_length(path: Waypoints, file: Path, width: float) -> None:
 
 def _check_normals(path: Waypoints, file: Path) -> None:
     """A normal that jumps to the other side belongs to no surface, and half way there is none at all."""
-    before, after = path.normals[:-1], path.normals[1:]
-    sine = np.linalg.norm(np.cross(before, after), axis=1)
-    turn = np.degrees(np.arctan2(sine, (before * after).sum(axis=1)))
+    turn = np.degrees(angles_between(path.normals[:-1], path.normals[1:]))
     i = int(np.argmax(turn > MOST_TURN))
     if turn[i] > MOST_TURN:
         raise InputError(
@@ -104,9 +105,8 @@ def check_clear(path: Waypoints, bead: Bead, surface: Surface, file: Path) -> No
     each other: what one lies on is where another one runs.
     """
     steps = np.ceil(np.diff(bead.s) * LOOKS_PER_WIDTH / bead.width[:-1]).astype(int)
-    k = np.repeat(np.arange(len(steps)), steps)
-    k = k + (np.arange(len(k)) - np.repeat(np.cumsum(steps) - steps, steps)) / steps[k]
-    points = make_interp_spline(np.arange(len(bead.s)), bead.points, k=5)(np.append(k, len(steps)))
+    sample, share = subdivided(steps)
+    points = make_interp_spline(np.arange(len(bead.s)), bead.points, k=5)(np.append(sample + share, len(steps)))
     gap = surface.signed_distance(points)
     if (gap < min(CLEAR, 0.1 * float(bead.height.min()))).any():
         i = int(np.argmin(gap))
@@ -118,14 +118,6 @@ def check_clear(path: Waypoints, bead: Bead, surface: Surface, file: Path) -> No
             line=int(path.lines[nearest]),
             hint="passes that cross or lie beside each other stand at one height, or a bead's height apart",
         )
-
-
-# ----------------------------------------------------------------------------------------------------
-# From the problem to beads through the waypoints of a file.
-
-_APART = 0.5  # of the bead's width: passes lie no closer to each other
-_PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
-_CLOSED = 1e-6  # m between the ends of a closed path
 
 
 def through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
@@ -141,17 +133,15 @@ def through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
         curves.append(_curve(problem, spec, path, _APART * width, process.run_in / _PER_RUN))
     zeros = roll_zeros([curve.normals for curve in curves])
     beads = [
-        Bead(
-            name=path.name,
-            layer=0,
-            s=arc_length(curve.points),
-            points=curve.points,
-            normals=curve.normals,
-            roll_zero=zero,
-            source=curve.source,
+        make_bead(
+            path.name,
+            0,
+            curve.points,
+            curve.normals,
+            zero,
+            curve.source,
             width=_sizes(path, path.width, process.bead.width, curve),
             height=_sizes(path, path.height, process.bead.height, curve),
-            closed=bool(np.linalg.norm(curve.points[-1] - curve.points[0]) < _CLOSED),
         )
         for path, curve, zero in zip(paths, curves, zeros, strict=True)
     ]
@@ -168,8 +158,7 @@ def _sizes(path: Waypoints, given: Array | None, usual: float, curve: Interpolat
     """Width or height (n) [m] along the curve: linear between waypoints, where the file says it; else the usual one."""
     if given is None:
         return np.full(len(curve.points), usual)
-    chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path.points, axis=0), axis=1))])
-    return np.interp(curve.chord, chord, given)
+    return np.interp(curve.chord, arc_lengths(path.points), given)
 
 
 def _curve(problem: Problem, spec: WaypointLayersSpec, path: Waypoints, apart: float, ends: float) -> Interpolated:

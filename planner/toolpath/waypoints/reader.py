@@ -1,4 +1,8 @@
-"""Reads a file of waypoints: columns of numbers, split into paths, normals smoothed within a bound."""
+"""A file of waypoints: points and surface normals, split into the paths that become beads.
+
+The file is text, with or without a header that names its columns, or arrays by name. Measured normals carry noise that
+an arm should not follow, so they are smoothed within a bound.
+"""
 
 from __future__ import annotations
 
@@ -20,16 +24,36 @@ from scipy.linalg import solveh_banded
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
 from planner.base.errors import Complaint, InputError, nearest_name
 from planner.base.files import read_bytes, read_text
+from planner.base.geometry import angles_between
 from planner.problem.layers import WaypointsSpec
-
-# ----------------------------------------------------------------------------------------------------
-# Normals along a path, smoothed within a bound: measured ones carry noise that an arm should not follow.
+from planner.toolpath.plane_paths import third_difference_bands
 
 REACH = 3.0  # waypoints, about, to either side over which a normal is averaged; waves of 20 or more stay
 _ROUNDS = 40  # in which normals that were turned too far are held more firmly
 _FIRMER = 1.3  # least factor for those
 _NONE = 1e-12  # rad, and length of a mean of normals: none at all
 _ORDER = 3  # of the difference that is made small
+
+NEEDED = ("x", "y", "z", "nx", "ny", "nz")
+OPTIONAL = ("layer", "bead", "width", "height")
+LENGTHS = ("x", "y", "z", "width", "height")
+LARGEST_FILE = 500_000_000  # bytes: some five million waypoints
+COMMENTS = ("#", "//", "%", ";")
+_NAMING = 3  # of the needed names that a line of words must hold to be a header that names columns
+_UNIT = re.compile(r"\s*[\[(]\s*(mm|m)\s*[\])]")
+# what numpy and zipfile raise at files that are cut off, damaged, encrypted, or lie about their size
+_UNREADABLE = (zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, RuntimeError, MemoryError, OverflowError)
+_NAME = re.compile(r"(.+)_(mm|m)")
+
+FARTHEST = 1e5  # mm: a hall of 100 m
+SPLIT = 3.0  # median steps: a longer one is no step of the path but a way to the next bead
+SAME_POINT = 0.02  # of the median step: points nearer than this to the one before are the same point again
+SAME_PLACE = 1e-7  # m: so are points nearer than this, whatever the steps; files are rounded to that
+SIZES = (1e-5, 50e-3)  # m: widths and heights of beads, from a fibre to large concrete beads
+MOST_LAYERS = 1e6  # and numbers of beads
+_SHORTEST_NORMAL = 1e-6
+_SIZED, _COUNTED = ("width", "height"), ("layer", "bead")
+_TO_SI = {"mm": 1e-3, "m": 1.0}
 
 
 def smooth_normals(normals: Array, bound: float) -> tuple[Array, Array]:
@@ -42,7 +66,7 @@ def smooth_normals(normals: Array, bound: float) -> tuple[Array, Array]:
     n = len(normals)
     if n <= _ORDER:
         return normals, np.zeros(n)
-    bands = _bands(n)
+    bands = third_difference_bands(n, 1.0)
     hold = np.full(n, REACH ** (-2 * _ORDER))
     smooth, turned = normals, np.zeros(n)
     for _ in range(_ROUNDS):
@@ -50,7 +74,7 @@ def smooth_normals(normals: Array, bound: float) -> tuple[Array, Array]:
         system[0] += hold
         smooth = solveh_banded(system, hold[:, None] * normals, lower=True)
         smooth = smooth / np.maximum(np.linalg.norm(smooth, axis=1), _NONE)[:, None]
-        turned = _angles(smooth, normals)
+        turned = angles_between(smooth, normals)
         far = turned > bound
         if not far.any():
             return smooth, turned
@@ -61,37 +85,7 @@ def smooth_normals(normals: Array, bound: float) -> tuple[Array, Array]:
     still = turned <= _NONE
     smooth = np.where(still[:, None], normals, back[:, None] * normals + ahead[:, None] * smooth)
     smooth = smooth / np.linalg.norm(smooth, axis=1)[:, None]
-    return smooth, _angles(smooth, normals)
-
-
-def _bands(n: int) -> Array:
-    """Lower bands (4, n) of D^T D, D the third difference of n values."""
-    d = np.array([-1.0, 3.0, -3.0, 1.0])
-    bands = np.zeros((_ORDER + 1, n))
-    for a in range(_ORDER + 1):
-        for b in range(a + 1):
-            bands[a - b, b : b + n - _ORDER] += d[a] * d[b]
-    return bands
-
-
-def _angles(a: Array, b: Array) -> Array:
-    """Angles (n) between vectors a and b (n, 3)."""
-    return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1)))
-
-
-# ----------------------------------------------------------------------------------------------------
-# Columns of numbers from a file of waypoints: text with or without a header that names them, or arrays by name.
-
-NEEDED = ("x", "y", "z", "nx", "ny", "nz")
-OPTIONAL = ("layer", "bead", "width", "height")
-LENGTHS = ("x", "y", "z", "width", "height")
-LARGEST_FILE = 500_000_000  # bytes: some five million waypoints
-COMMENTS = ("#", "//", "%", ";")
-_NAMING = 3  # of the needed names that a line of words must hold to be a header that names columns
-_UNIT = re.compile(r"\s*[\[(]\s*(mm|m)\s*[\])]")
-# what numpy and zipfile raise at files that are cut off, damaged, encrypted, or lie about their size
-_UNREADABLE = (zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, RuntimeError, MemoryError, OverflowError)
-_NAME = re.compile(r"(.+)_(mm|m)")
+    return smooth, angles_between(smooth, normals)
 
 
 @dataclass(frozen=True)
@@ -149,8 +143,6 @@ def number(word: str) -> float | None:
 
 
 # Names
-
-
 def _named(names: Sequence[str], unit: str, wrong: Complaint) -> tuple[dict[str, int], tuple[str, ...]]:
     """Where the columns of these names stand, and the names that are not used."""
     places: dict[str, int] = {}
@@ -187,8 +179,6 @@ def _name(word: str) -> tuple[str, str | None]:
 
 
 # Text
-
-
 def _text(path: Path, unit: str, complain: Complaint) -> Columns:
     lines = read_text(path, LARGEST_FILE, complain)
     layout, numbers = _layout(path, lines, unit)
@@ -258,8 +248,6 @@ def _row(path: Path, layout: _Layout, line: str, place: int) -> list[float]:
 
 
 # Arrays
-
-
 def _arrays(path: Path, data: bytes, unit: str, complain: Complaint) -> Columns:
     hint = "made by numpy.savez(file, x=..., y=..., z=..., nx=..., ny=..., nz=...)"
     try:
@@ -286,20 +274,6 @@ def _numbers(array: NDArray[np.generic], name: str, complain: Complaint) -> Arra
         shape = " x ".join(map(str, array.shape)) or "a single value"
         raise complain(f"array {name} is {shape} of {array.dtype}", hint="one row of numbers each")
     return array.astype(float)
-
-
-# ----------------------------------------------------------------------------------------------------
-# Reads a file of waypoints: points and their surface normals, split into the paths that become beads.
-
-FARTHEST = 1e5  # mm: a hall of 100 m
-SPLIT = 3.0  # median steps: a longer one is no step of the path but a way to the next bead
-SAME_POINT = 0.02  # of the median step: points nearer than this to the one before are the same point again
-SAME_PLACE = 1e-7  # m: so are points nearer than this, whatever the steps; files are rounded to that
-SIZES = (1e-5, 50e-3)  # m: widths and heights of beads, from a fibre to large concrete beads
-MOST_LAYERS = 1e6  # and numbers of beads
-_SHORTEST_NORMAL = 1e-6
-_SIZED, _COUNTED = ("width", "height"), ("layer", "bead")
-_TO_SI = {"mm": 1e-3, "m": 1.0}
 
 
 @dataclass(frozen=True)

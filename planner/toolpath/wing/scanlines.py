@@ -1,25 +1,21 @@
-"""Fills a sheet of a wing by scan lines across or along it: zig-zag beads in the sheet rolled out, laid on the true one."""
+"""Scan lines across or along a sheet of a wing: zig-zag beads drawn on the sheet rolled out, laid on the true one."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from planner.base.arrays import Array
 from planner.toolpath.bead import Bead
-from planner.toolpath.interpolation import interpolate
-from planner.toolpath.plane_paths import arc_length
-from planner.toolpath.task import roll_zeros
 from planner.toolpath.wing.section import SHORTEST
 from planner.toolpath.wing.sheets import WingSheet
-from planner.toolpath.wing.strips import APART, PER_RUN, STEP, TURN, Filling
+from planner.toolpath.wing.strips import APART, PER_RUN, STEP, TURN, Filling, rolled_bead
 
 Segment = tuple[int, float, float]  # a row, and where on it a pass begins and ends
-
-
 _SHORTEST_PASS = 2.0  # bead widths: of a shorter one both turns would share a corner
 _INSET = 0.49  # of a bead, by which a pass along the wing stays inside: the outermost ones would at 0.5 come and go
 _LOOKS = (15, 9)  # places across and along a sheet where its stretch is measured
@@ -28,8 +24,11 @@ _DIFFERENCE = 1e-5  # m, over which
 
 @dataclass(frozen=True)
 class PassSpacing:
-    """How far apart passes a metre apart in the rolled-out sheet are on the true one: mean, least and greatest; and the
-    greatest stretch in any direction."""
+    """How rolling a sheet out changes distances, as true lengths per rolled-out length.
+
+    mean, least, greatest  between passes
+    any                    greatest in any direction
+    """
 
     mean: float
     least: float
@@ -63,7 +62,7 @@ def on_sheet(sheet: WingSheet, plane: Array) -> tuple[Array, Array]:
     return sheet.tips(sheet.rolled(plane[:, 0], plane[:, 1]), plane[:, 1])
 
 
-def lay(
+def fill_sheet(
     sheet: WingSheet, across: bool, filling: Filling, name: str, layer: int, start: Array | None, stretch: PassSpacing
 ) -> list[Bead]:
     """Beads that fill a sheet in passes across the wing or along it; the first begins near `start` (3), if given.
@@ -198,24 +197,9 @@ def _bead(
 ) -> Bead:
     step = min(STEP, TURN / max(sheet.bend, 1e-9)) if across else STEP
     plane = _dense(way, step)
-    flat = np.column_stack([plane, np.zeros(len(plane))])
-    upwards = np.tile([0.0, 0.0, 1.0], (len(plane), 1))
-    tolerance = filling.tolerance / stretch.any
-    curve = interpolate(flat, upwards, tolerance, APART * width * filling.spacing, filling.run_in / PER_RUN)
-    points, normals = on_sheet(sheet, curve.points[:, :2])
-    source, _ = on_sheet(sheet, curve.source[:, :2])
-    return Bead(
-        name=name,
-        layer=layer,
-        s=arc_length(points),
-        points=points,
-        normals=normals,
-        roll_zero=roll_zeros([normals])[0],
-        source=source,
-        width=np.full(len(points), width),
-        height=np.full(len(points), sheet.height),
-        closed=False,
-    )
+    apart, ends = APART * width * filling.spacing, filling.run_in / PER_RUN
+    lift, tolerance = partial(on_sheet, sheet), filling.tolerance / stretch.any
+    return rolled_bead(name, layer, plane, lift, tolerance, apart, ends, width, sheet.height)
 
 
 def _dense(way: Array, step: float) -> Array:

@@ -1,4 +1,9 @@
-"""A wing's section: points from a file or NACA's formula, two smooth curves through them, and its place on the part."""
+"""A wing's section: its points, two smooth curves through them, and its place on the part.
+
+Points come from NACA's four-digit formula, or from a file as the UIUC collection has them, in one of two layouts.
+Selig's runs from the trailing edge around the leading edge and back. Lednicer's gives the number of points on each
+side, then the upper and the lower side, both from the leading edge on.
+"""
 
 from __future__ import annotations
 
@@ -17,15 +22,29 @@ from planner.base.files import read_lines
 from planner.problem import Problem
 from planner.problem.layers import AerofoilLayersSpec, AerofoilSpec, TipSpec
 
-# ----------------------------------------------------------------------------------------------------
-# A wing's section as two smooth curves, and distances from them: what layers parallel to its sides are made of.
-
 _DEGREE = 5  # so that the nozzle's angular acceleration has no steps
 _SAMPLES = 2000  # of a side: the start of Newton's method, and of the search for where a parallel ends
 _NEWTON_STEPS = 3  # from a sample some 40 um away
 _CROSSES = 1e-8  # m by which a parallel may come closer to its own side than its distance
 _HALVINGS = 24  # of a grid cell of some 40 um
 _SWINGS = 0.3  # of a step, by which the curve may leave the chord between two points; on a circle of six, 0.13
+
+Row = tuple[int, float, float]  # line from 1, x, z
+LARGEST_FILE = 1_000_000  # bytes
+MOST_POINTS = 5000
+FEWEST = 5  # points of a side, the leading edge among them: a curve of degree 5 needs six in all
+FARTHEST = 1e6  # in the file's unit
+_COMMENTS = ("#", "//", "%", ";")
+_BOUNDS = 4  # numbers in a line of bounds
+_NACA_POINTS = 80  # of a side
+_UNEVEN_ENDS = 0.02  # chords along the chord: the largest of a whole published section is 0.009
+_SAME = 1e-9  # chords: points nearer than this to each other are one
+
+# Layer heights by which the other side is farther away where a layer ends: in the lower half enough to tell the halves
+# apart; in the upper half so that no bead is squeezed into less than half its height above the steps of the lower one.
+CLEAR_LOWER, CLEAR_UPPER = 0.1, 0.5
+SHORTEST = 3.0  # bead widths: a shorter piece of a layer is left out
+_PIVOT = 0.25  # of the chord, about which a section is turned
 
 
 class TooUneven(ValueError):
@@ -137,28 +156,12 @@ def parallels(
     return found
 
 
-# ----------------------------------------------------------------------------------------------------
-# Points of a wing's section: from a file as the UIUC collection has them, or by NACA's formula of four digits.
-#
-# Two layouts are common: Selig's (from the trailing edge around the leading edge and back) and Lednicer's (the number of
-# points on each side, then the upper and the lower side, both from the leading edge on).
-
-Row = tuple[int, float, float]  # line from 1, x, z
-
-LARGEST_FILE = 1_000_000  # bytes
-MOST_POINTS = 5000
-FEWEST = 5  # points of a side, the leading edge among them: a curve of degree 5 needs six in all
-FARTHEST = 1e6  # in the file's unit
-_COMMENTS = ("#", "//", "%", ";")
-_BOUNDS = 4  # numbers in a line of bounds
-_NACA_POINTS = 80  # of a side
-_UNEVEN_ENDS = 0.02  # chords along the chord: the largest of a whole published section is 0.009
-_SAME = 1e-9  # chords: points nearer than this to each other are one
-
-
 def naca_section(digits: str) -> Array:
-    """Points (n, 2) of a NACA section of four digits, in chords: from the trailing edge over the upper side to the
-    leading edge, (0, 0), and along the lower side back. The trailing edge is open, as in NACA report 460."""
+    """Points (n, 2) of a NACA section of four digits, in chords.
+
+    They run from the trailing edge over the upper side to the leading edge, (0, 0), and along the lower side back. The
+    trailing edge is open, as in NACA report 460.
+    """
     camber, place, thick = int(digits[0]) / 100.0, int(digits[1]) / 10.0, int(digits[2:]) / 100.0
     x = 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, _NACA_POINTS)))
     half = 5.0 * thick * (0.2969 * np.sqrt(x) - x * (0.1260 + x * (0.3516 - x * (0.2843 - 0.1015 * x))))
@@ -174,13 +177,15 @@ def naca_section(digits: str) -> Array:
 
 
 def read_section(path: Path, where: Complaint | None = None) -> Array:
-    """Points (n, 2) of a section file, in chords: from the trailing edge over the upper side to the leading edge,
-    (0, 0), and along the lower side back; the middle of the trailing edge is (1, 0).
+    """Points (n, 2) of a section file, in chords.
 
-    The file's unit and place are its own. Words before the first point and after the last one are passed over, and so
-    are comments, blank lines and, before the first point, four numbers (bounds of a flow field, as MSES writes them);
-    either side may come first. `where(reason, hint=...)` makes the InputError for what is wrong with the file as a whole.
-    Raises InputError with file and line for a line that is no point, or one of no section.
+    They run from the trailing edge over the upper side to the leading edge, (0, 0), and along the lower side back; the
+    middle of the trailing edge is (1, 0).
+
+    The file may have any unit and place, and either side first. Words before the first point and after the last one are
+    passed over, and so are comments, blank lines and, before the first point, four numbers (bounds of a flow field, as
+    MSES writes them). `where(reason, hint=...)` makes the InputError for what is wrong with the file as a whole. Raises
+    InputError with file and line for a line that is no point, or one of no section.
     """
     complain = partial(InputError, file=path) if where is None else where
     rows = _rows(path, read_lines(path, LARGEST_FILE, complain))
@@ -241,7 +246,7 @@ def _rows(path: Path, lines: list[str]) -> list[Row]:
 
 
 def _is_text(words: list[str], values: list[float | None]) -> bool:
-    """Words that nobody means as a point. Two of which one is a number may be a point with a slip in it."""
+    """Whether words are no point. Two words of which one is a number may be a mistyped point."""
     return None in values and (len(words) != 2 or values == [None, None])
 
 
@@ -310,16 +315,6 @@ def _in_chords(points: Array, nose: int, complain: Complaint, path: Path) -> Arr
     return np.column_stack([away @ along, away @ np.array([-along[1], along[0]])]) / length
 
 
-# ----------------------------------------------------------------------------------------------------
-# Sections of a wing at their places in the part frame, and what every way of laying its layers has in common.
-
-# Layer heights by which the other side is farther away where a layer ends: in the lower half enough to tell the halves
-# apart; in the upper half so that no bead is squeezed into less than half its height above the steps of the lower one.
-CLEAR_LOWER, CLEAR_UPPER = 0.1, 0.5
-SHORTEST = 3.0  # bead widths: a shorter piece of a layer is left out
-_PIVOT = 0.25  # of the chord, about which a section is turned
-
-
 def root_section(problem: Problem, source: AerofoilSpec) -> AerofoilSection:
     """The section where the span begins. Raises InputError for one that cannot be read or is no smooth curve."""
     return _section(problem, source, "layers.source", source.chord, source.origin[0], source.origin[2])
@@ -362,7 +357,7 @@ def _section(
 
 
 def check_floor(problem: Problem, spec: AerofoilLayersSpec, floor: float) -> None:
-    """The wing's lowest place, at z = `floor` [m], must not be below the bed. Raises InputError."""
+    """Raise InputError for a wing whose lowest place, at z = `floor` [m], is below the bed."""
     if floor < 0.0:
         raise problem.error(
             "layers.source.origin_mm",
@@ -372,7 +367,7 @@ def check_floor(problem: Problem, spec: AerofoilLayersSpec, floor: float) -> Non
 
 
 def check_span(problem: Problem, spec: AerofoilLayersSpec) -> None:
-    """A wing must be long enough to be filled. Raises InputError."""
+    """Raise InputError for a span too short to be filled."""
     least = SHORTEST * problem.process.bead.width
     if spec.source.span < least:
         raise problem.error(

@@ -1,4 +1,12 @@
-"""Layers of a wing whose section changes along its span: sheets of a ruled surface, and where they are worth printing."""
+"""Layers of a wing whose section changes along its span: sheets parallel to its sides, and level ones.
+
+A side is ruled: straight lines join the section at one end of the span to that at the other. Points are (x, y, z) in
+the part frame [m]: x along the chord, y along the span, z upwards. A place on a side is u, from 0 to 1 along both
+sections at once, and v, from 0 to 1 along the span. The lines go on straight beyond both ends, so that layers inside
+the wing, which lean along the span, are parallel to a side up to its ends.
+
+An Area says where a layer is worth printing: intervals across the wing, at stations along the span.
+"""
 
 from __future__ import annotations
 
@@ -15,18 +23,24 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array, Flags
 from planner.toolpath.wing.section import AerofoilSection, SectionSide
 
-# ----------------------------------------------------------------------------------------------------
-# The surface of a wing whose section changes along its span: straight lines from the section at one end to the other's.
-#
-# Points are (x, y, z) in the part frame [m]: x along the chord, y along the span, z upwards. A place on a side is u, from
-# 0 to 1 along both sections at once, and v, from 0 to 1 along the span; the lines go on straight beyond both ends, so
-# that layers inside the wing, which lean along the span, are parallel to a surface up to its ends.
-
 _GRID = (400, 17)  # places along u and v where the search for the nearest one begins
 _BEYOND = 0.25  # of the span, by which the search goes on at either end
 _LOFT_STEPS = 4  # from a place some tenths of a millimetre away
 _TURNS = 60  # of the iteration for the place that a given y is above: contracts some thirty times each on a usual wing
 _STILL = 1e-13  # of the span: that iteration ends
+
+Intervals = Sequence[tuple[float, float]]
+STATION = 0.5e-3  # m between stations; between them edges are straight
+_CELLS = 240  # across a side, in which edges are looked for
+_CROSSES = 1e-8  # m by which a parallel may come closer to its own side than its distance
+_HALVINGS = 12  # of a cell of some 0.3 mm, each by a secant's guess
+_FEWEST = 8  # stations
+
+_NUDGE = 1e-6  # m by which a place beyond the ends of a side is off its normal there
+_ACROSS, _ALONG = 161, 9  # places of the table by which a sheet is unrolled
+_MARGIN = 0.02  # of a sheet's breadth, by which that table is wider
+_FLATTEST = 0.02  # least length of the unrolled sheet, per length of the side: outside the sheet it may fold over
+_SHEET_STEPS = 6  # from straight interpolation, to nanometres along the sheet
 
 
 @dataclass(frozen=True)
@@ -138,18 +152,6 @@ class Loft:
         return LoftedSide(self.root.lower, self.tip.lower, self.start, self.span)
 
 
-# ----------------------------------------------------------------------------------------------------
-# Where along and across a wing a layer is worth printing: intervals across, at stations along the span.
-
-Intervals = Sequence[tuple[float, float]]
-
-STATION = 0.5e-3  # m between stations; between them edges are straight
-_CELLS = 240  # across a side, in which edges are looked for
-_CROSSES = 1e-8  # m by which a parallel may come closer to its own side than its distance
-_HALVINGS = 12  # of a cell of some 0.3 mm, each by a secant's guess
-_FEWEST = 8  # stations
-
-
 def stations_of(start: float, span: float) -> Array:
     """y of the stations of a wing [m], both ends among them."""
     return np.linspace(start, start + span, max(round(span / STATION), _FEWEST) + 1)
@@ -248,16 +250,6 @@ def _edges(
         inner, has = np.where(ok, middle, inner), np.where(ok, found, has)
         outer, lacks = np.where(ok, outer, middle), np.where(ok, lacks, np.minimum(found, -1e-15))
     return np.asarray(inner)
-
-
-# ----------------------------------------------------------------------------------------------------
-# Layers of a wing whose section changes along its span: sheets parallel to its sides, and level ones.
-
-_NUDGE = 1e-6  # m by which a place beyond the ends of a side is off its normal there
-_ACROSS, _ALONG = 161, 9  # places of the table by which a sheet is unrolled
-_MARGIN = 0.02  # of a sheet's breadth, by which that table is wider
-_FLATTEST = 0.02  # least length of the unrolled sheet, per length of the side: outside the sheet it may fold over
-_SHEET_STEPS = 6  # from straight interpolation, to nanometres along the sheet
 
 
 class WingPlaces:

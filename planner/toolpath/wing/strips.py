@@ -1,10 +1,14 @@
-"""Layers of a print that is straight along its span: strips of the section, filled with zig-zag lines."""
+"""Layers of a print that is straight along its span: strips of the section, and the solid that they add up to.
+
+A strip rolled out is a rectangle, which one zig-zag line fills.
+"""
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Protocol
 
 import numpy as np
@@ -14,18 +18,19 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array, Flags
 from planner.toolpath.bead import Bead
 from planner.toolpath.interpolation import interpolate
-from planner.toolpath.plane_paths import arc_length
+from planner.toolpath.plane_paths import make_bead
 from planner.toolpath.task import roll_zeros
 from planner.toolpath.wing.section import SectionSide
 
-# ----------------------------------------------------------------------------------------------------
-# Layers of a print that is straight along its span: strips of the section, and the solid that they add up to.
-
 _Piece = tuple[Array, Array]  # of an outline: see there
-
 _SAMPLE = 5e-5  # m between places at which outlines are looked up
 _NUDGE = 1e-6  # m that a place of an outline is moved out to see whether something else is there
 _DENSE = 400  # intervals on which the length of a parallel curve is integrated
+
+STEP = 1e-3  # m between waypoints where a strip is flat
+TURN = 0.06  # rad that the nozzle turns from one waypoint to the next at most, where a strip bends most
+APART = 0.5  # of the distance of passes: the source's points lie no farther apart
+PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
 
 
 class SectionPlaces:
@@ -331,19 +336,15 @@ def _faces(strip: Strip) -> list[tuple[Array, Array]]:
     ]
 
 
-# ----------------------------------------------------------------------------------------------------
-# Fills a strip, which is a rectangle when it is rolled out, with one zig-zag line.
-
-STEP = 1e-3  # m between waypoints where a strip is flat
-TURN = 0.06  # rad that the nozzle turns from one waypoint to the next at most, where a strip bends most
-APART = 0.5  # of the distance of passes: the source's points lie no farther apart
-PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
-
-
 @dataclass(frozen=True)
 class Filling:
-    """How strips are filled: width and height of a bead, tolerance at the turns and length of a run-in [m];
-    spacing of passes in bead widths, 1 or more."""
+    """How strips are filled.
+
+    width, height  of a bead [m]
+    tolerance      at the turns [m]
+    run_in         length of a run-in [m]
+    spacing        of passes, in bead widths, 1 or more
+    """
 
     width: float
     height: float
@@ -352,7 +353,7 @@ class Filling:
     spacing: float = 1.0
 
 
-def fill(
+def fill_strip(
     strip: Strip, along: bool, span: tuple[float, float], filling: Filling, name: str, layer: int, start: Array | None
 ) -> Bead:
     """One bead that fills a strip between two y [m], in passes along its curve or along the span.
@@ -373,23 +374,32 @@ def fill(
     nearest = 0 if start is None else int(np.argmin([np.linalg.norm(corner - start) for corner in corners]))
     plane = np.where(flips[nearest], sizes - plane, plane)
 
+    width, ends = pitch / filling.spacing, filling.run_in / PER_RUN
+    lift = partial(_in_space, strip, span)
+    return rolled_bead(name, layer, plane, lift, filling.tolerance, APART * pitch, ends, width, filling.height)
+
+
+def rolled_bead(
+    name: str,
+    layer: int,
+    plane: Array,
+    lift: Callable[[Array], tuple[Array, Array]],
+    tolerance: float,
+    apart: float,
+    ends: float,
+    width: float,
+    height: float,
+) -> Bead:
+    """The bead through waypoints (m, 2) of a layer rolled out, its turns rounded there.
+
+    lift: points and outward unit normals (n, 3) of places (n, 2); for tolerance, apart and ends see `interpolate`.
+    """
     flat = np.column_stack([plane, np.zeros(len(plane))])
     upwards = np.tile([0.0, 0.0, 1.0], (len(plane), 1))
-    curve = interpolate(flat, upwards, filling.tolerance, APART * pitch, filling.run_in / PER_RUN)
-    points, normals = _in_space(strip, span, curve.points[:, :2])
-    source, _ = _in_space(strip, span, curve.source[:, :2])
-    return Bead(
-        name=name,
-        layer=layer,
-        s=arc_length(points),
-        points=points,
-        normals=normals,
-        roll_zero=roll_zeros([normals])[0],
-        source=source,
-        width=np.full(len(points), pitch / filling.spacing),
-        height=np.full(len(points), filling.height),
-        closed=False,
-    )
+    curve = interpolate(flat, upwards, tolerance, apart, ends)
+    points, normals = lift(curve.points[:, :2])
+    source, _ = lift(curve.source[:, :2])
+    return make_bead(name, layer, points, normals, roll_zeros([normals])[0], source, width, height, closed=False)
 
 
 def _zigzag(low: Array, high: Array, step_axis: int, passes: int, step: float) -> Array:

@@ -16,9 +16,9 @@ _ROUNDING = 1e-9  # m
 
 
 def check_support(problem: Problem, spec: AerofoilLayersSpec, support: SupportSpec, floor: float) -> None:
-    """A support must reach from the bed to all of the wing, whose lowest point is at `floor` [m], and not beyond.
+    """Raise InputError for a support that does not fit under the wing, whose lowest point is at `floor` [m].
 
-    Raises InputError.
+    It must reach from the bed to all of the wing, and not beyond.
     """
     field, least = "layers.support", 1e3 * support.curved * spec.height
     if floor * 1e3 < least - _ROUNDING:

@@ -1,4 +1,9 @@
-"""From the problem to the beads of a wing (Arigela et al.), straight along its span or with a section that changes."""
+"""Beads of a wing in layers parallel to its lower and its upper surface (Arigela et al.), or in level ones.
+
+The lower half is printed from its surface up to where both sides are equally near, which on a symmetric section is the
+chord line; the upper half from there to its surface. A wing that is straight along its span is made of strips, whose
+tip curves are the section's own spline, offset. One whose section changes, or in level layers, is made of sheets.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +16,7 @@ from planner.base.arrays import Array
 from planner.problem import Problem
 from planner.problem.layers import AerofoilLayersSpec, SupportSpec
 from planner.toolpath.bead import Bead, Toolpath
-from planner.toolpath.wing.scanlines import lay, stretch_of
+from planner.toolpath.wing.scanlines import fill_sheet, stretch_of
 from planner.toolpath.wing.section import (
     CLEAR_LOWER,
     CLEAR_UPPER,
@@ -26,11 +31,8 @@ from planner.toolpath.wing.section import (
 )
 from planner.toolpath.wing.sheet_solid import SheetSolid
 from planner.toolpath.wing.sheets import Area, CurvedSheet, FlatSheet, Loft, WingSheet, parallel_area, stations_of
-from planner.toolpath.wing.strips import CurvedStrip, Filling, FlatStrip, LayeredSolid, Strip, fill
+from planner.toolpath.wing.strips import CurvedStrip, Filling, FlatStrip, LayeredSolid, Strip, fill_strip
 from planner.toolpath.wing.support import below, check_support, level_count, level_ends, strips_of, widened
-
-# ----------------------------------------------------------------------------------------------------
-# A wing whose section changes along its span, or one in level layers: from the problem to its beads.
 
 _GAPE = 1.05  # greatest distance of passes, of their mean: wider, and there are gaps of more than a twentieth of a bead
 _OUTLINE = 1500  # points of a side at one station, where level layers are cut off
@@ -38,8 +40,7 @@ _OUTLINE = 1500  # points of a side at one station, where level layers are cut o
 
 @dataclass(frozen=True)
 class SheetLayer:
-    """A sheet of a layer: what to call it, whether its passes run across the wing or along it, how it is filled, and its
-    material, if that has a name."""
+    """A sheet to be filled: its name, whether passes run across the wing, how it is filled, and its material, if named."""
 
     name: str
     sheet: WingSheet
@@ -111,7 +112,7 @@ def _laid(
                     "a longer span_mm, or a tip more like the root: less washout_deg, more of its chord_mm",
                 )
             start = (found or beads)[-1].points[-1] if found or beads else None
-            new = lay(job.sheet, job.across, job.filling, f"{job.name} {layer + 1}", layer, start, stretch)
+            new = fill_sheet(job.sheet, job.across, job.filling, f"{job.name} {layer + 1}", layer, start, stretch)
             laid += [len(sheets)] * len(new)
             if new:
                 sheets.append(job.sheet)
@@ -226,7 +227,7 @@ def _undersides(loft: Loft, spec: AerofoilLayersSpec, support: SupportSpec, stat
 
 
 def _check_reach(problem: Problem, spec: AerofoilLayersSpec, support: SupportSpec, loft: Loft) -> None:
-    """A support must reach as far as all of the wing does, and not higher than its leading edge. Raises InputError."""
+    """Raise InputError for a support that reaches less far than the wing, or higher than its leading edge."""
     low, high = level_ends(spec, support)
     points = [side.points(side.grid) for section in (loft.root, loft.tip) for side in (section.lower, section.upper)]
     x = np.concatenate([each[:, 0] for each in points])
@@ -240,13 +241,6 @@ def _check_reach(problem: Problem, spec: AerofoilLayersSpec, support: SupportSpe
         raise problem.error("layers.support.height_mm", reason, f"at most {np.floor(nose * 1e5) / 100:g}")
 
 
-# ----------------------------------------------------------------------------------------------------
-# A wing in layers parallel to its lower and its upper surface (Arigela et al.): from the problem to its beads.
-#
-# The lower half is printed from its surface up to where both sides are equally near, which is the chord line of a
-# symmetric section; the upper half from there to its surface. A layer's tip curve is the section's own spline, offset.
-
-
 @dataclass(frozen=True)
 class StripLayer:
     """One layer: the strips that it fills, along their curves or along the span, and its material, if that has a name."""
@@ -258,7 +252,7 @@ class StripLayer:
     material: str = ""
 
 
-def wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
+def lay_wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
     """Lay the beads of a wing. Raises InputError for a section that cannot be read or printed."""
     if spec.source.tip is not None or spec.source.method == "planar":
         return lofted_wing(problem, spec)
@@ -288,7 +282,7 @@ def wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
         for number, piece in enumerate(_nearest_first(job.pieces, start), 1):
             name = f"{job.name} {layer + 1}" + (f" piece {number}" if len(job.pieces) > 1 else "")
             start = beads[-1].points[-1] if beads else None
-            bead = fill(piece, job.along, span, job.filling, name, layer, start)
+            bead = fill_strip(piece, job.along, span, job.filling, name, layer, start)
             beads.append(replace(bead, material=job.material))
             strips.append(piece)
             levels.append(layer)
