@@ -7,8 +7,11 @@ Jacobian in closed form, unless no posture of the branch is nearby.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from planner.base.arrays import Array, Flags
 from planner.base.compiled import njit
 from planner.cell.kinematics.chain import chain_state, invert6, jacobian_at, mul4, rotate_about
 from planner.cell.kinematics.inverse import SPHERICAL_WRIST
@@ -26,6 +29,56 @@ CONVERGED = 1e-12  # m and rad: error of the nozzle's pose that is none
 _STEPS = 12  # of Newton's method; from a neighbouring sample's posture three or four do
 _LONGEST = 0.5  # rad that a joint may move in a step
 _POWER_STEPS = 4  # of the iteration for the smallest singular value, four at once, which starts from the sample before
+
+
+class HolderNumbers(NamedTuple):
+    """What holds the part, as in Chain: from the world to the part frame, nh joints."""
+
+    placements: Array
+    axes: Array
+    T_last_tip: Array
+
+
+class PosturesFollowed(NamedTuple):
+    """What `follow` fills along n samples, for m columns of z.
+
+    q (n, nj)                          on entry a posture nearby for each sample, on exit the posture [rad]
+    G (n, nj, m)                       dq/dz
+    sigma (n), sigma_slope (n, m)      smallest singular value of the arm's Jacobian at the tip, and d sigma / dz
+    lean (n, 2, 2), lean_slope (n, 2, 2, m)   where the reversed nozzle axis and the surface normal lean, see `lean_of`,
+                                              and their slopes
+    """
+
+    q: Array
+    G: Array
+    sigma: Array
+    sigma_slope: Array
+    lean: Array
+    lean_slope: Array
+
+
+class _ClosedRoom(NamedTuple):
+    """Room for the closed form: low, high (6) bound nothing; postures eight (8, na), ok, wanted (8), and poses (4, 4)."""
+
+    low: Array
+    high: Array
+    eight: Array
+    ok: Flags
+    wanted: Flags
+    T_base_nozzle: Array
+    T_base_flange: Array
+
+
+class _NewtonRoom(NamedTuple):
+    """Room for Newton's method: the chain's origins, directions (na, 3) and nozzle (4, 4), what turns the nozzle to where
+    it should be (3), the pose's error e (6), and the joints' step (6)."""
+
+    origins: Array
+    directions: Array
+    T_world_nozzle: Array
+    turn: Array
+    e: Array
+    step: Array
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -104,16 +157,13 @@ def _inverse_at(origins, directions, T_world_nozzle, solved, J, J6, Ji) -> bool:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _near_in_closed_form(
-    p, T_base_world, T_world_nozzle, T_nozzle_flange, q, low, high, eight, ok, wanted, T_base_nozzle, T_base_flange
-) -> bool:
-    """Replace the posture q (6) by the one of its branch that a nozzle pose asks for, as exactly as the lengths p are those
-    of the chain; False, and q as it was, if there is none nearby.
-
-    low, high (6) bound nothing; eight (8, 6), ok, wanted (8) are room; the last two are filled.
-    """
-    mul4(T_base_world, T_world_nozzle, T_base_nozzle)
-    mul4(T_base_nozzle, T_nozzle_flange, T_base_flange)
+def _near_in_closed_form(arm, T_world_nozzle, q, room) -> bool:
+    """Replace the posture q (6) by the one of its branch that a nozzle pose asks for, as exactly as the closed form's
+    lengths are those of the chain; False, and q as it was, if there is none nearby. The room's poses are filled."""
+    p, T_base_flange = arm.parameters, room.T_base_flange
+    low, high, eight, ok, wanted = room.low, room.high, room.eight, room.ok, room.wanted
+    mul4(arm.T_base_world, T_world_nozzle, room.T_base_nozzle)
+    mul4(room.T_base_nozzle, arm.T_nozzle_flange, T_base_flange)
     k = branch_of(p, q)
     wanted[:] = False
     wanted[k] = True
@@ -144,11 +194,12 @@ def _out_of_base(T_base_world, J, Ji) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _by_steps(
-    placements, axes, T_last_tip, solved, p, R, q, origins, directions, T_world_nozzle, turn, e, step, J, J6, Ji
-) -> bool:  # fmt: skip
-    """Change the joints `solved` of q (na) until its nozzle is at p (3), turned by R (3, 3), and fill J (6, na), Ji (6, 6)
-    as `_inverse_at` does; False if there is no such posture. From origins on all but J and Ji are room."""
+def _by_steps(arm, p, R, q, room, J, J6, Ji) -> bool:
+    """Change the joints of q (na) that follow until its nozzle is at p (3), turned by R (3, 3), and fill J (6, na),
+    Ji (6, 6) as `_inverse_at` does; False if there is no such posture. J6 (6, 6) is room as well."""
+    placements, axes, T_last_tip, solved = arm.placements, arm.axes, arm.T_last_tip, arm.solved
+    origins, directions, T_world_nozzle = room.origins, room.directions, room.T_world_nozzle
+    turn, e, step = room.turn, room.e, room.step
     for _ in range(_STEPS):
         chain_state(placements, axes, T_last_tip, q, origins, directions, T_world_nozzle)
         if not _inverse_at(origins, directions, T_world_nozzle, solved, J, J6, Ji):
@@ -180,25 +231,16 @@ def _by_steps(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def follow(
-    arm_placements, arm_axes, arm_tip, holder_placements, holder_axes, holder_tip,
-    kind, parameters, T_base_world, T_nozzle_flange, solved, given,
-    tip, frames, z, active, q, G, sigma, sigma_slope, lean, lean_slope,
-):  # fmt: skip
-    """Postures along samples, and their slopes; returns the first sample where there is none, or -1.
+def follow(arm, holder, given, tip, frames, z, active, out) -> int:
+    """Fill `out` with postures along samples, and their slopes; returns the first sample where there is none, or -1.
 
-    kind, parameters   of the arm's inverse kinematics
-    solved (6)      arm joints that follow from the task
-    given (k)       arm joints that are free themselves
-    z (n, 3+nh+k)   roll, two tilts, holder joints, given arm joints [rad]
-    active (m)      columns of z whose slopes are wanted
-    q (n, nj)       on entry a posture nearby for each sample, on exit the posture
-    G (n, nj, m)    dq/dz
-    sigma (n), sigma_slope (n, m)   smallest singular value of the arm's Jacobian at the tip, and d sigma / dz
-    lean (n, 2, 2), lean_slope (n, 2, 2, m)   where the reversed nozzle axis and the surface normal lean, see `lean_of`,
-                                              and their slopes
+    arm: ArmNumbers, holder: HolderNumbers; given (k): arm joints that are free themselves
+    tip (n, 3), frames (n, 3, 3) of the task; z (n, 3+nh+k): roll, two tilts, holder joints, given arm joints [rad]
+    active (m): columns of z whose slopes are wanted
     """
-    na, nh = len(arm_axes), len(holder_axes)
+    solved = arm.solved
+    q, G, sigma, sigma_slope, lean, lean_slope = out.q, out.G, out.sigma, out.sigma_slope, out.lean, out.lean_slope
+    na, nh = len(arm.axes), len(holder.axes)
     o_arm, d_arm = np.empty((na, 3)), np.empty((na, 3))
     o_hold, d_hold = np.empty((nh, 3)), np.empty((nh, 3))
     T_world_part, T_world_nozzle, R_tilt = np.eye(4), np.eye(4), np.empty((3, 3))
@@ -206,6 +248,7 @@ def follow(
     T_target, eight, ok, wanted = np.eye(4), np.empty((8, na)), np.empty(8, dtype=np.bool_), np.zeros(8, dtype=np.bool_)
     T_base_nozzle, T_base_flange = np.empty((4, 4)), np.empty((4, 4))
     low, high = np.full(6, -ALL_ROUND), np.full(6, ALL_ROUND)
+    closed_room = _ClosedRoom(low, high, eight, ok, wanted, T_base_nozzle, T_base_flange)
     axis, p, e = np.empty(3), np.empty(3), np.empty(6)
     J, J6, Ji = np.empty((6, na)), np.empty((6, 6)), np.empty((6, 6))
     W, Wi = np.empty((6, 6)), np.empty((6, 6))
@@ -215,13 +258,14 @@ def follow(
     sum_before, sum_after = np.empty(6), np.empty(6)
     slope_q = np.empty(na)
     a3, b3 = np.empty(3), np.empty(3)
+    newton_room = _NewtonRoom(o_arm, d_arm, T_world_nozzle, a3, e, twist)
     back, normal, slope = np.empty(3), np.empty(3), np.empty(2)
     for i in range(len(tip)):
         for h in range(nh):
             q[i, na + h] = z[i, 3 + h]
         for k in range(given.size):
             q[i, given[k]] = z[i, 3 + nh + k]
-        chain_state(holder_placements, holder_axes, holder_tip, q[i, na:], o_hold, d_hold, T_world_part)
+        chain_state(holder.placements, holder.axes, holder.T_last_tip, q[i, na:], o_hold, d_hold, T_world_part)
         _tilted(frames[i], z[i, 0], z[i, 1], z[i, 2], R_tilt, axis, R_part_nozzle, slopes)
         for a in range(3):
             p[a] = T_world_part[a, 3]
@@ -232,25 +276,19 @@ def follow(
                 for k in range(3):
                     R_target[a, b] += T_world_part[a, k] * R_part_nozzle[k, b]
         closed = False
-        if kind == SPHERICAL_WRIST:
+        if arm.kind == SPHERICAL_WRIST:
             for a in range(3):
                 for b in range(3):
                     T_target[a, b] = R_target[a, b]
                 T_target[a, 3] = p[a]
-            closed = _near_in_closed_form(
-                parameters, T_base_world, T_target, T_nozzle_flange, q[i, :na], low, high, eight, ok, wanted,
-                T_base_nozzle, T_base_flange,
-            )  # fmt: skip
+            closed = _near_in_closed_form(arm, T_target, q[i, :na], closed_room)
         if closed:
             sines = sines_of(q[i, :na])
-            jacobian(parameters, sines, T_base_nozzle[:3, 3], J)
-            if not inverse_jacobian(parameters, sines, T_base_nozzle[:3, 3], Ji):
+            jacobian(arm.parameters, sines, T_base_nozzle[:3, 3], J)
+            if not inverse_jacobian(arm.parameters, sines, T_base_nozzle[:3, 3], Ji):
                 return i
-            _out_of_base(T_base_world, J, Ji)
-        elif not _by_steps(
-            arm_placements, arm_axes, arm_tip, solved, p, R_target, q[i, :na], o_arm, d_arm, T_world_nozzle, a3, e, twist,
-            J, J6, Ji,
-        ):  # fmt: skip
+            _out_of_base(arm.T_base_world, J, Ji)
+        elif not _by_steps(arm, p, R_target, q[i, :na], newton_room, J, J6, Ji):
             return i
         for a in range(3):
             back[a] = -R_target[a, 2]
