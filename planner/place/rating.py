@@ -13,7 +13,7 @@ from planner.base.arrays import Array, Ints
 from planner.base.compiled import njit
 from planner.base.processes import in_threads
 from planner.cell.cell import Cell
-from planner.cell.kinematics.chain import largest_singular_value, pose_of
+from planner.cell.kinematics.chain import chain_state, largest_singular_value, pose_of
 from planner.cell.kinematics.inverse import SPHERICAL_WRIST, solve_one
 from planner.collision.scene import NOTHING, Obstacles
 from planner.collision.table import workspace_for
@@ -27,7 +27,7 @@ from planner.resolve.reach import (
     arm_limits,
     arm_numbers,
     flange_pose,
-    inverse_on_chain,
+    inverse_in_part,
     lacks_clearance,
     nearest_turns,
     part_pose,
@@ -110,7 +110,14 @@ def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked,
     middle = 0.5 * (q_min + q_max)
     crowded = len(table.pair) + len(table.look) > 0
     room = room_for_poses(na, swept.holder.shape[1])
-    eight, ok, Ji, T_base_flange = room.eight, room.ok, room.Ji, room.T_base_flange
+    eight, ok, J, J6, Jp, Ji = room.eight, room.ok, room.J, room.J6, room.Jp, room.Ji
+    R, z_axis, T_world_task, T_rolled = room.R, room.z_axis, room.T_world_task, room.T_rolled
+    T_world_part, T_base_nozzle, T_base_flange = room.T_world_part, room.T_base_nozzle, room.T_base_flange
+    origins, directions, posture = room.origins, room.directions, room.posture
+    placements, axes, T_last_tip, p, solved = arm.placements, arm.axes, arm.T_last_tip, arm.parameters, arm.solved
+    T_base_world, T_nozzle_flange = arm.T_base_world, arm.T_nozzle_flange
+    twist, rate, weight, samples = rungs.twist, rungs.rate, rungs.weight, asked.samples
+    roll_from, redundant = grid.roll_from, swept.redundant
     known, sigmas, shares = np.empty(8, dtype=np.bool_), np.empty(8), np.empty(8)
     for r in range(first, last):
         bodies = workspace_for(table)  # anew: what it remembers of other rungs would depend on the threads
@@ -128,9 +135,12 @@ def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked,
             if -room.T_world_task[2, 2] < asked.upright:
                 continue
             for a in range(n_rolls):
-                flange_pose(arm, (grid.roll_from[r] + a) * grid.roll_step, room)
-                given = angle if swept.sweeps == 2 else swept.redundant[r]
-                solve_one(kind, arm.parameters, given, T_base_flange[:3, :3], T_base_flange[:3, 3], eight, ok)
+                roll = (roll_from[r] + a) * grid.roll_step
+                flange_pose(
+                    T_base_world, T_nozzle_flange, T_world_task, z_axis, roll, R, T_rolled, T_base_nozzle, T_base_flange
+                )
+                given = angle if swept.sweeps == 2 else redundant[r]
+                solve_one(kind, p, given, T_base_flange[:3, :3], T_base_flange[:3, 3], eight, ok)
                 known[:] = False
                 for c in range(8):
                     if not ok[c]:
@@ -147,16 +157,15 @@ def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked,
                     pair = c // 2 if kind == SPHERICAL_WRIST else c
                     if not known[pair]:
                         sigmas[pair], shares[pair] = 0.0, 0.0
-                        if inverse_on_chain(arm, eight[c], room):
-                            sigmas[pair] = 1.0 / largest_singular_value(Ji, room.J6, room.Jp)
+                        chain_state(placements, axes, T_last_tip, eight[c], origins, directions, T_rolled)
+                        if inverse_in_part(origins, directions, solved, T_world_part, T_world_task, J, Jp, Ji):
+                            sigmas[pair] = 1.0 / largest_singular_value(Ji, J6, Jp)
                         if sigmas[pair] > floor * comfort[0]:
-                            shares[pair] = _speed_share(
-                                Ji, arm.solved, rungs.twist, rungs.rate, rungs.weight, asked.samples[r], v_max, a_max
-                            )
+                            shares[pair] = _speed_share(Ji, solved, twist, rate, weight, samples[r], v_max, a_max)
                         known[pair] = True
                     if sigmas[pair] <= floor * comfort[0]:
                         continue
-                    if crowded and lacks_clearance(table, bodies, room.posture, eight[c], now, lacking, a):
+                    if crowded and lacks_clearance(table, bodies, posture, eight[c], now, lacking, a):
                         continue
                     terms[r, a, b, c] = (sigmas[pair], away, wrist, shares[pair])
                     for j in range(na):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planner.base.arrays import Array, Flags
+from planner.base.arrays import Array
 from planner.base.compiled import njit
 from planner.cell.kinematics.chain import chain_state, invert6, jacobian_at, mul4, rotate_about
 from planner.cell.kinematics.inverse import SPHERICAL_WRIST
@@ -55,18 +55,6 @@ class PosturesFollowed(NamedTuple):
     sigma_slope: Array
     lean: Array
     lean_slope: Array
-
-
-class _ClosedRoom(NamedTuple):
-    """Room for the closed form: low, high (6) bound nothing; postures eight (8, na), ok, wanted (8), and poses (4, 4)."""
-
-    low: Array
-    high: Array
-    eight: Array
-    ok: Flags
-    wanted: Flags
-    T_base_nozzle: Array
-    T_base_flange: Array
 
 
 class _NewtonRoom(NamedTuple):
@@ -157,13 +145,16 @@ def _inverse_at(origins, directions, T_world_nozzle, solved, J, J6, Ji) -> bool:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _near_in_closed_form(arm, T_world_nozzle, q, room) -> bool:
-    """Replace the posture q (6) by the one of its branch that a nozzle pose asks for, as exactly as the closed form's
-    lengths are those of the chain; False, and q as it was, if there is none nearby. The room's poses are filled."""
-    p, T_base_flange = arm.parameters, room.T_base_flange
-    low, high, eight, ok, wanted = room.low, room.high, room.eight, room.ok, room.wanted
-    mul4(arm.T_base_world, T_world_nozzle, room.T_base_nozzle)
-    mul4(room.T_base_nozzle, arm.T_nozzle_flange, T_base_flange)
+def _near_in_closed_form(
+    p, T_base_world, T_world_nozzle, T_nozzle_flange, q, low, high, eight, ok, wanted, T_base_nozzle, T_base_flange
+) -> bool:
+    """Replace the posture q (6) by the one of its branch that a nozzle pose asks for, as exactly as the lengths p are those
+    of the chain; False, and q as it was, if there is none nearby.
+
+    low, high (6) bound nothing; eight (8, 6), ok, wanted (8) are room; the last two are filled.
+    """
+    mul4(T_base_world, T_world_nozzle, T_base_nozzle)
+    mul4(T_base_nozzle, T_nozzle_flange, T_base_flange)
     k = branch_of(p, q)
     wanted[:] = False
     wanted[k] = True
@@ -238,9 +229,11 @@ def follow(arm, holder, given, tip, frames, z, active, out) -> int:
     tip (n, 3), frames (n, 3, 3) of the task; z (n, 3+nh+k): roll, two tilts, holder joints, given arm joints [rad]
     active (m): columns of z whose slopes are wanted
     """
-    solved = arm.solved
+    kind, parameters, solved = arm.kind, arm.parameters, arm.solved
+    T_base_world, T_nozzle_flange = arm.T_base_world, arm.T_nozzle_flange
+    holder_placements, holder_axes, holder_tip = holder.placements, holder.axes, holder.T_last_tip
     q, G, sigma, sigma_slope, lean, lean_slope = out.q, out.G, out.sigma, out.sigma_slope, out.lean, out.lean_slope
-    na, nh = len(arm.axes), len(holder.axes)
+    na, nh = len(arm.axes), len(holder_axes)
     o_arm, d_arm = np.empty((na, 3)), np.empty((na, 3))
     o_hold, d_hold = np.empty((nh, 3)), np.empty((nh, 3))
     T_world_part, T_world_nozzle, R_tilt = np.eye(4), np.eye(4), np.empty((3, 3))
@@ -248,7 +241,6 @@ def follow(arm, holder, given, tip, frames, z, active, out) -> int:
     T_target, eight, ok, wanted = np.eye(4), np.empty((8, na)), np.empty(8, dtype=np.bool_), np.zeros(8, dtype=np.bool_)
     T_base_nozzle, T_base_flange = np.empty((4, 4)), np.empty((4, 4))
     low, high = np.full(6, -ALL_ROUND), np.full(6, ALL_ROUND)
-    closed_room = _ClosedRoom(low, high, eight, ok, wanted, T_base_nozzle, T_base_flange)
     axis, p, e = np.empty(3), np.empty(3), np.empty(6)
     J, J6, Ji = np.empty((6, na)), np.empty((6, 6)), np.empty((6, 6))
     W, Wi = np.empty((6, 6)), np.empty((6, 6))
@@ -265,7 +257,7 @@ def follow(arm, holder, given, tip, frames, z, active, out) -> int:
             q[i, na + h] = z[i, 3 + h]
         for k in range(given.size):
             q[i, given[k]] = z[i, 3 + nh + k]
-        chain_state(holder.placements, holder.axes, holder.T_last_tip, q[i, na:], o_hold, d_hold, T_world_part)
+        chain_state(holder_placements, holder_axes, holder_tip, q[i, na:], o_hold, d_hold, T_world_part)
         _tilted(frames[i], z[i, 0], z[i, 1], z[i, 2], R_tilt, axis, R_part_nozzle, slopes)
         for a in range(3):
             p[a] = T_world_part[a, 3]
@@ -276,18 +268,21 @@ def follow(arm, holder, given, tip, frames, z, active, out) -> int:
                 for k in range(3):
                     R_target[a, b] += T_world_part[a, k] * R_part_nozzle[k, b]
         closed = False
-        if arm.kind == SPHERICAL_WRIST:
+        if kind == SPHERICAL_WRIST:
             for a in range(3):
                 for b in range(3):
                     T_target[a, b] = R_target[a, b]
                 T_target[a, 3] = p[a]
-            closed = _near_in_closed_form(arm, T_target, q[i, :na], closed_room)
+            closed = _near_in_closed_form(
+                parameters, T_base_world, T_target, T_nozzle_flange, q[i, :na], low, high, eight, ok, wanted,
+                T_base_nozzle, T_base_flange,
+            )  # fmt: skip
         if closed:
             sines = sines_of(q[i, :na])
-            jacobian(arm.parameters, sines, T_base_nozzle[:3, 3], J)
-            if not inverse_jacobian(arm.parameters, sines, T_base_nozzle[:3, 3], Ji):
+            jacobian(parameters, sines, T_base_nozzle[:3, 3], J)
+            if not inverse_jacobian(parameters, sines, T_base_nozzle[:3, 3], Ji):
                 return i
-            _out_of_base(arm.T_base_world, J, Ji)
+            _out_of_base(T_base_world, J, Ji)
         elif not _by_steps(arm, p, R_target, q[i, :na], newton_room, J, J6, Ji):
             return i
         for a in range(3):

@@ -13,7 +13,7 @@ from planner.base.arrays import Array, Ints
 from planner.base.compiled import njit
 from planner.base.processes import in_threads
 from planner.cell.cell import Cell
-from planner.cell.kinematics.chain import largest_singular_value, mul4, pose_of
+from planner.cell.kinematics.chain import chain_state, largest_singular_value, mul4, pose_of
 from planner.cell.kinematics.inverse import SPHERICAL_WRIST, solve_one
 from planner.cell.kinematics.spherical_wrist import inverse_jacobian, sines_of, solve_within
 from planner.collision.scene import NOTHING, Obstacles
@@ -35,7 +35,7 @@ from planner.resolve.reach import (
     arm_limits,
     arm_numbers,
     flange_pose,
-    inverse_on_chain,
+    inverse_in_part,
     lacks_clearance,
     nearest_turns,
     part_pose,
@@ -153,7 +153,12 @@ def evaluate_nodes(first, last, arm, limits, swept, grid, rungs, table, floors, 
     comfort = max(SIGMA_COMFORT, min_sigma)
     crowded = len(table.pair) + len(table.look) > 0
     room = room_for_poses(na, swept.holder.shape[1])
-    eight, ok, Ji, T_base_flange = room.eight, room.ok, room.Ji, room.T_base_flange
+    placements, axes, T_last_tip = arm.placements, arm.axes, arm.T_last_tip
+    origins, directions, J, T_world_part = room.origins, room.directions, room.J, room.T_world_part
+    eight, ok, J6, Jp, Ji = room.eight, room.ok, room.J6, room.Jp, room.Ji
+    R, z_axis, T_world_task, T_rolled = room.R, room.z_axis, room.T_world_task, room.T_rolled
+    T_base_nozzle, T_base_flange, posture = room.T_base_nozzle, room.T_base_flange, room.posture
+    T_nozzle_flange, roll_from, redundant, now = arm.T_nozzle_flange, grid.roll_from, swept.redundant, rungs.now
     wanted, known = np.empty(8, dtype=np.bool_), np.empty(8, dtype=np.int64)
     sigmas, times = np.empty(8), np.empty(8)
     for r in range(first, last):
@@ -181,16 +186,19 @@ def evaluate_nodes(first, last, arm, limits, swept, grid, rungs, table, floors, 
                 room.posture[0, swept.joint] = angle
             part_pose(swept, r, angle, room)
             if kind == SPHERICAL_WRIST:  # whose rates are known in its base's frame, not in that of the part
-                mul4(T_base_world, room.T_world_part, room.T_rolled)
-                _turned(room.T_rolled, twist[here], own_twist)
-                _turned(room.T_rolled, rate[here], own_rate)
+                mul4(T_base_world, T_world_part, T_rolled)
+                _turned(T_rolled, twist[here], own_twist)
+                _turned(T_rolled, rate[here], own_rate)
             leans = duration * LEAN_PRICE * max(0.0, floors.upright + room.T_world_task[2, 2])
             for a in range(n_rolls):
-                flange_pose(arm, (grid.roll_from[r] + a) * grid.roll_step, room)
+                roll = (roll_from[r] + a) * grid.roll_step
+                flange_pose(
+                    T_base_world, T_nozzle_flange, T_world_task, z_axis, roll, R, T_rolled, T_base_nozzle, T_base_flange
+                )
                 if kind == SPHERICAL_WRIST:
                     solve_within(p, T_base_flange[:3, :3], T_base_flange[:3, 3], q_least, q_most, wanted, eight, ok)
                 else:
-                    given = angle if swept.sweeps == 2 else swept.redundant[r]
+                    given = angle if swept.sweeps == 2 else redundant[r]
                     solve_one(kind, p, given, T_base_flange[:3, :3], T_base_flange[:3, 3], eight, ok)
                 known[:] = -1
                 for c in range(n_branches):
@@ -204,10 +212,13 @@ def evaluate_nodes(first, last, arm, limits, swept, grid, rungs, table, floors, 
                     pair = k // 2 if kind == SPHERICAL_WRIST else k
                     if known[pair] < 0:
                         if kind == SPHERICAL_WRIST:
-                            regular = inverse_jacobian(p, sines_of(eight[k]), room.T_base_nozzle[:3, 3], Ji)
+                            regular = inverse_jacobian(p, sines_of(eight[k]), T_base_nozzle[:3, 3], Ji)
                         else:
-                            regular = inverse_on_chain(arm, eight[k], room)
-                        sigmas[pair] = _sigma(Ji, comfort, room.J6, room.Jp) if regular else 0.0
+                            chain_state(placements, axes, T_last_tip, eight[k], origins, directions, T_rolled)
+                            regular = inverse_in_part(
+                                origins, directions, solved, T_world_part, T_world_task, J, Jp, Ji
+                            )
+                        sigmas[pair] = _sigma(Ji, comfort, J6, Jp) if regular else 0.0
                         if regular and sigmas[pair] >= min_sigma:
                             times[pair] = _time_lost(
                                 Ji, solved, own_twist, own_rate, weight[here], v_max, a_max, speeds, x, gain
@@ -216,7 +227,7 @@ def evaluate_nodes(first, last, arm, limits, swept, grid, rungs, table, floors, 
                     sigma, lost = sigmas[pair], times[pair]
                     if sigma < min_sigma or sigma == 0.0:
                         continue
-                    if crowded and lacks_clearance(table, bodies, room.posture, eight[k], rungs.now[i0], head, a):
+                    if crowded and lacks_clearance(table, bodies, posture, eight[k], now[i0], head, a):
                         continue
                     close = max(0.0, SIGMA_COMFORT / sigma - 1.0)
                     near = max(0.0, 1.0 - away / LIMIT_COMFORT)

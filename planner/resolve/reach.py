@@ -14,7 +14,7 @@ import numpy as np
 from planner.base.arrays import Array, Flags, Ints
 from planner.base.compiled import njit
 from planner.cell.cell import Cell, rigid_inverse
-from planner.cell.kinematics.chain import Chain, chain_state, invert6, jacobian_at, mul4, rotate_about, turn
+from planner.cell.kinematics.chain import Chain, invert6, jacobian_at, mul4, rotate_about, turn
 from planner.cell.kinematics.inverse import kind_of
 from planner.collision.margins import FIRST, NO, first_lacking, head_lacking
 from planner.resolve.joint_path import SampledTasks
@@ -230,12 +230,14 @@ def part_pose(swept, r: int, angle: float, room) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def flange_pose(arm, roll: float, room) -> None:
+def flange_pose(
+    T_base_world, T_nozzle_flange, T_world_task, z_axis, roll: float, R, T_rolled, T_base_nozzle, T_base_flange
+) -> None:
     """Fill the poses of nozzle and flange in the arm's base, at a roll [rad] of the nozzle about the task's axis."""
-    rotate_about(room.z_axis, roll, room.R)
-    turn(room.T_world_task, room.R, room.T_rolled)
-    mul4(arm.T_base_world, room.T_rolled, room.T_base_nozzle)
-    mul4(room.T_base_nozzle, arm.T_nozzle_flange, room.T_base_flange)
+    rotate_about(z_axis, roll, R)
+    turn(T_world_task, R, T_rolled)
+    mul4(T_base_world, T_rolled, T_base_nozzle)
+    mul4(T_base_nozzle, T_nozzle_flange, T_base_flange)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -252,13 +254,12 @@ def into_part(J, solved, T_world_part, Jp) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def inverse_on_chain(arm, q, room) -> bool:
-    """Fill room's Ji with the inverse Jacobian of a posture q (na) at the nozzle's tip, for twists in the part frame;
-    False if the arm is singular there to rounding."""
-    chain_state(arm.placements, arm.axes, arm.T_last_tip, q, room.origins, room.directions, room.T_held)
-    jacobian_at(room.origins, room.directions, room.T_world_task[:3, 3], room.J)
-    into_part(room.J, arm.solved, room.T_world_part, room.Jp)
-    return invert6(room.Jp, room.Ji)
+def inverse_in_part(origins, directions, solved, T_world_part, T_world_task, J, Jp, Ji) -> bool:
+    """Fill Ji (6, 6) with the rates of the joints `solved` for a twist in the part frame, at the tip of a chain of whose
+    joints origins and directions (na, 3) are known; False if it is singular to rounding. J (6, na), Jp (6, 6) are room."""
+    jacobian_at(origins, directions, T_world_task[:3, 3], J)
+    into_part(J, solved, T_world_part, Jp)
+    return invert6(Jp, Ji)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
