@@ -100,6 +100,8 @@ class MarginsFilled(NamedTuple):
 def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked, out) -> None:
     """Fill `out` for every posture of rungs first .. last; poses and clearance are as in the ladder's nodes.
 
+    arm: ArmNumbers, limits: ArmLimits, swept: SweptJoint, grid: GridNumbers, rungs: RungNumbers, table: Table of the
+    obstacles, asked: MarginsAsked, out: MarginsFilled
     terms are sigma, the least angle to a joint's limit, the wrist's angle [rad], and the share of the commanded speed.
     Where there is no posture, or one that is not clear of obstacles, or whose first three terms over comfort are not
     above floor, sigma stays 0.
@@ -123,16 +125,16 @@ def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked,
         bodies = workspace_for(table)  # anew: what it remembers of other rungs would depend on the threads
         now, lacking = rungs.now[rungs.rung[r]], out.lacking[r]
         for h in range(swept.holder.shape[1]):
-            room.posture[0, na + h] = swept.holder[r, h]
+            posture[0, na + h] = swept.holder[r, h]
         pose_of(rungs.frames[rungs.rung[r]], rungs.tip[rungs.rung[r]], room.T_part_task)
         for b in range(n_holders):
             angle, inside = angle_in_range(swept, (grid.holder_from[r] + b) * grid.holder_step)
             if not inside:
                 continue
             if swept.sweeps == 1:
-                room.posture[0, swept.joint] = angle
+                posture[0, swept.joint] = angle
             part_pose(swept, r, angle, room)
-            if -room.T_world_task[2, 2] < asked.upright:
+            if -T_world_task[2, 2] < asked.upright:
                 continue
             for a in range(n_rolls):
                 roll = (roll_from[r] + a) * grid.roll_step

@@ -142,7 +142,11 @@ class NodesFilled(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def evaluate_nodes(first, last, arm, limits, swept, grid, rungs, table, floors, out) -> None:
-    """Fill the nodes `out` of rungs first .. last that have a posture, see `Nodes`; table: obstacles."""
+    """Fill the nodes `out` of rungs first .. last that have a posture, see `Nodes`.
+
+    arm: ArmNumbers, limits: ArmLimits, swept: SweptJoint, grid: GridNumbers, rungs: RungNumbers, table: Table of the
+    obstacles, floors: NodeFloors, out: NodesFilled
+    """
     kind, p, solved, T_base_world = arm.kind, arm.parameters, arm.solved, arm.T_base_world
     q_min, q_max, v_max, a_max = limits.q_min, limits.q_max, limits.v_max, limits.a_max
     twist, rate, weight, start, stop = rungs.twist, rungs.rate, rungs.weight, rungs.start, rungs.stop
@@ -159,10 +163,9 @@ def evaluate_nodes(first, last, arm, limits, swept, grid, rungs, table, floors, 
     R, z_axis, T_world_task, T_rolled = room.R, room.z_axis, room.T_world_task, room.T_rolled
     T_base_nozzle, T_base_flange, posture = room.T_base_nozzle, room.T_base_flange, room.posture
     T_nozzle_flange, roll_from, redundant, now = arm.T_nozzle_flange, grid.roll_from, swept.redundant, rungs.now
-    wanted, known = np.empty(8, dtype=np.bool_), np.empty(8, dtype=np.int64)
-    sigmas, times = np.empty(8), np.empty(8)
+    known, sigmas, times = np.empty(8, dtype=np.int64), np.empty(8), np.empty(8)
     for r in range(first, last):
-        wanted[:] = False
+        wanted = np.zeros(8, dtype=np.bool_)
         for c in range(n_branches):
             wanted[branch[r, c]] = True
         here = slice(start[r], stop[r])
@@ -172,7 +175,7 @@ def evaluate_nodes(first, last, arm, limits, swept, grid, rungs, table, floors, 
         bodies = workspace_for(table)  # anew: what it remembers of other rungs would depend on the threads
         head = np.full(n_rolls, -1, dtype=np.int8)
         for h in range(swept.holder.shape[1]):
-            room.posture[0, na + h] = swept.holder[r, h]
+            posture[0, na + h] = swept.holder[r, h]
         i0 = rungs.rung[r]
         pose_of(rungs.frames[i0], rungs.tip[i0], room.T_part_task)
         duration = 0.0
@@ -183,13 +186,13 @@ def evaluate_nodes(first, last, arm, limits, swept, grid, rungs, table, floors, 
             if not inside:
                 continue
             if swept.sweeps == 1:
-                room.posture[0, swept.joint] = angle
+                posture[0, swept.joint] = angle
             part_pose(swept, r, angle, room)
             if kind == SPHERICAL_WRIST:  # whose rates are known in its base's frame, not in that of the part
                 mul4(T_base_world, T_world_part, T_rolled)
                 _turned(T_rolled, twist[here], own_twist)
                 _turned(T_rolled, rate[here], own_rate)
-            leans = duration * LEAN_PRICE * max(0.0, floors.upright + room.T_world_task[2, 2])
+            leans = duration * LEAN_PRICE * max(0.0, floors.upright + T_world_task[2, 2])
             for a in range(n_rolls):
                 roll = (roll_from[r] + a) * grid.roll_step
                 flange_pose(

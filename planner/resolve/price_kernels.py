@@ -338,7 +338,8 @@ def smooth_price(bounds, samples, path, peak, slopes, H, g) -> None:
     closeness to ends of ranges and to singularities. g is exact, H what is convex: of effort its slope over the rate, of
     peaks all of it. What is held has a one on the diagonal.
 
-    peak [rad/s]: see `peak_price`; slopes (n, 3 nj, w): of `rate_slopes`
+    bounds: JointBounds, samples: SplineSamples, path: PathSlopes; peak [rad/s]: see `peak_price`
+    slopes (n, 3 nj, w): of `rate_slopes`
     """
     limits, low, high = bounds.limits, bounds.low, bounds.high
     step, first, B, free = samples.step, samples.first, samples.B, samples.free
@@ -412,6 +413,7 @@ def _row_of(i, factor, by_z, first, B, free, row) -> None:
 def bound_rows(bounds, least_sigma, samples, path, slopes, watch, rows) -> None:
     """Fill the rows of what is watched around a path whose control values move by x, and the price of their slacks.
 
+    bounds: JointBounds, samples: SplineSamples, path: PathSlopes, watch: RowsWatched, rows: RowsFilled
     least_sigma: that a sample in deposition must have; slopes (n, 3 nj, w): of `rate_slopes`
     """
     limits, low, high = bounds.limits, bounds.low, bounds.high

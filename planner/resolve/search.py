@@ -208,6 +208,7 @@ def _from_rung(ladder, r: int, arrived, limits, cost, back) -> None:
 def search_best(ladder, limits, out, back_home):
     """Cheapest route: picked (R, 3) window indices and branch column, its price, and -1; or where it got stuck.
 
+    ladder: LadderNumbers, limits: TravelLimits
     out, back_home (A, B, C): prices of the ways to the first rung's nodes and from the last one's.
     """
     price, task_rungs = ladder.price, ladder.task_rungs
