@@ -22,7 +22,7 @@ from planner.cell.cell import build_cell
 from planner.problem import Problem
 from planner.resolve import price_kernels as price_kernel
 from planner.resolve import price_kernels as refine_kernel
-from planner.resolve import refine, search
+from planner.resolve import prices, refine, search
 from planner.resolve import search as search_kernel
 from planner.resolve import sqp as windows
 from planner.resolve.quadratic import QuadraticProgram
@@ -151,7 +151,7 @@ def _squared_penalty(problem: Problem) -> Iterator[None]:
     known = refine.program_around
 
     def bent(*given: Any) -> QuadraticProgram:
-        return with_bends(known(*given), _HARD_SHARE * price_kernel.HARD_PRICE)
+        return with_bends(known(*given), _HARD_SHARE * prices.HARD_PRICE)
 
     with ExitStack() as stack:
         _penalty(stack, _squared)

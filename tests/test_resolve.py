@@ -20,21 +20,19 @@ from planner.collision.scene import NOTHING
 from planner.problem import Problem, load_problem
 from planner.resolve.joint_path import JointPath, SampledTasks, choose_turns, sample_tasks, spread
 from planner.resolve.ladder import coarse_nodes
-from planner.resolve.nodes import (
+from planner.resolve.nodes import RAMP_SHARE, Grid, Nodes, evaluate, full_grid
+from planner.resolve.prices import (
     AT_SPEED,
     DIP_PRICE,
     LIMIT_COMFORT,
     LIMIT_PRICE,
-    LIMIT_ROOM,
-    RAMP_SHARE,
     SIGMA_COMFORT,
     SIGMA_PRICE,
-    Grid,
-    Nodes,
-    evaluate,
-    full_grid,
+    TRAVEL_PRICE,
+    TURN_PRICE,
 )
-from planner.resolve.search import SPEED_SHARE, TRAVEL_PRICE, TURN_PRICE, Route, best_route, greedy_route
+from planner.resolve.reach import LIMIT_ROOM
+from planner.resolve.search import SPEED_SHARE, Route, best_route, greedy_route
 from planner.resolve.strategies import STRATEGIES
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath

@@ -15,18 +15,17 @@ from planner.problem import Problem, load_problem
 from planner.resolve.cone_kernels import FACETS
 from planner.resolve.joint_path import JointPath, postures
 from planner.resolve.ladder import ladder, runs_backwards
-from planner.resolve.nodes import LIMIT_COMFORT, LIMIT_PRICE, SIGMA_COMFORT, SIGMA_PRICE
-from planner.resolve.price_kernels import (
+from planner.resolve.price_kernels import allowed, lost, lost_slope, price_of, watch_missed_ends
+from planner.resolve.prices import (
     DIP,
     DIP_PRICE,
     EFFORT,
     HARD_PRICE,
+    LIMIT_COMFORT,
+    LIMIT_PRICE,
     PEAK_PRICE,
-    allowed,
-    lost,
-    lost_slope,
-    price_of,
-    watch_missed_ends,
+    SIGMA_COMFORT,
+    SIGMA_PRICE,
 )
 from planner.resolve.refine import calmed, evaluate, expand, program_around, refine_stretch, watched
 from planner.resolve.segment import CONE_SIDES, Model, PathSegment, PathState, Watch, model_of

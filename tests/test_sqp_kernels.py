@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from planner.cell.cell import Cell, build_cell
 from planner.problem import load_problem
-from planner.resolve.follow import follow
+from planner.resolve.follow import PosturesFollowed, follow
 from planner.resolve.price_kernels import foreseen
 from planner.resolve.quadratic import ACCURACY, QuadraticProgram, factorise, solve_qp, substitute
 from planner.resolve.segment import HOLDER, model_of
@@ -188,8 +188,8 @@ def run_follow(cell: Cell, tip: Array, frames: Array, z: Array, q_near: Array) -
     for each in task:
         each.setflags(write=False)  # as a task's are: `follow` need not be compiled twice
     out.lost = follow(
-        *model.chains, model.solved, model.given, *task, z,
-        np.arange(m), out.q, out.G, out.sigma, out.sigma_slope, out.lean, out.lean_slope,
+        model.numbers, model.holder, model.given, *task, z, np.arange(m),
+        PosturesFollowed(out.q, out.G, out.sigma, out.sigma_slope, out.lean, out.lean_slope),
     )  # fmt: skip
     return out
 

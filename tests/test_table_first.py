@@ -11,7 +11,8 @@ import pytest
 from planner.cell.cell import build_cell
 from planner.problem import load_problem
 from planner.resolve.joint_path import sample_tasks
-from planner.resolve.table_first import ARM_SHARES, BEYOND, LEAN, MOVE, RETURN, _cheapest, slowed, upright_table
+from planner.resolve.prices import TABLE_BEYOND_PRICE, TABLE_LEAN_PRICE, TABLE_MOVE_PRICE, TABLE_RETURN_PRICE
+from planner.resolve.table_first import ARM_SHARES, _cheapest, slowed, upright_table
 from planner.toolpath.task import Cones, NozzleTask
 
 
@@ -23,15 +24,17 @@ def price(way: list[tuple[int, int]], normals, up, time, step, speed, aim, most,
         d = abs(x - y)
         return min(d, shape[axis] - d) if turns[axis] else d
 
-    total = RETURN * step * sum(apart(way[0][axis], start[axis], axis) for axis in (0, 1))
+    total = TABLE_RETURN_PRICE * step * sum(apart(way[0][axis], start[axis], axis) for axis in (0, 1))
     for k, here in enumerate(way):
         if k:
             for axis in (0, 1):
                 moved = apart(here[axis], way[k - 1][axis], axis)
                 pace = step / (time[k] * speed[axis])
-                total += MOVE * time[k] * (moved * pace) ** 2
+                total += TABLE_MOVE_PRICE * time[k] * (moved * pace) ** 2
         lean = np.arccos(np.clip(normals[k] @ up[here], -1.0, 1.0))
-        total += time[max(k, 1)] * (LEAN * max(0.0, lean / aim - 1.0) ** 2 + BEYOND * max(0.0, lean - most))
+        total += time[max(k, 1)] * (
+            TABLE_LEAN_PRICE * max(0.0, lean / aim - 1.0) ** 2 + TABLE_BEYOND_PRICE * max(0.0, lean - most)
+        )
     return float(total)
 
 

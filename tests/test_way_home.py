@@ -13,7 +13,8 @@ from planner.problem import Problem, load_problem
 from planner.resolve.joint_path import SampledTasks
 from planner.resolve.ladder import coarse_nodes, home_travel_costs
 from planner.resolve.nodes import Nodes
-from planner.resolve.search import TRAVEL_PRICE, Route, best_route, joint_limits
+from planner.resolve.prices import TRAVEL_PRICE
+from planner.resolve.search import Route, best_route, joint_limits
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import NozzleTask, tasks_of
 

@@ -4,40 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.base.arrays import Array
+from planner.base.arrays import Array, Ints
 from planner.base.compiled import njit
 from planner.base.processes import in_threads
-from planner.cell.cell import Cell, rigid_inverse
-from planner.cell.kinematics.chain import (
-    chain_state,
-    invert6,
-    jacobian_at,
-    largest_singular_value,
-    mul4,
-    pose_of,
-    rotate_about,
-    turn,
-)
-from planner.cell.kinematics.inverse import SPHERICAL_WRIST, kind_of, solve_one
-from planner.collision.margins import FIRST, NO, first_lacking, head_lacking
+from planner.cell.cell import Cell
+from planner.cell.kinematics.chain import chain_state, largest_singular_value, pose_of
+from planner.cell.kinematics.inverse import SPHERICAL_WRIST, solve_one
 from planner.collision.scene import NOTHING, Obstacles
 from planner.collision.table import workspace_for
 from planner.motion.timing.timed_path import bound_time
 from planner.resolve.joint_path import JointPath, SampledTasks, sample_tasks
-from planner.resolve.nodes import (
-    BRANCHES,
-    CLEAR_ROOM,
+from planner.resolve.nodes import BRANCHES, full_grid
+from planner.resolve.prices import SIGMA_COMFORT
+from planner.resolve.reach import (
     LIMIT_ROOM,
-    SIGMA_COMFORT,
-    full_grid,
-    holder_around,
-    into_part,
-    nearest_turn,
+    angle_in_range,
+    arm_limits,
+    arm_numbers,
+    flange_pose,
+    inverse_in_part,
+    lacks_clearance,
     nearest_turns,
+    part_pose,
+    room_for_poses,
+    rung_numbers,
+    swept_joint,
 )
 from planner.resolve.search import ROUND, SPEED_SHARE
 from planner.toolpath.task import NozzleTask
@@ -74,99 +70,106 @@ def _speed_share(Ji, solved, twist, rate, weight, samples, v_max, a_max) -> floa
     return time / needed if time > 0.0 else 1.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def evaluate_margins(
-    first, last, kind, p, solved, redundant, wrist_kind, T_base_world, T_nozzle_flange, arm_placements, arm_axes, arm_tip,
-    T_before, axis, T_after, sweeps, swept_joint, held_holder, swept_low, swept_high, held_redundant, least_upright,
-    q_min, q_max, v_max, a_max, table, now, tip, frames, twist, rate, weight, rung, samples,
-    roll_step, holder_step, comfort, floor, lacking, q_out, terms,
-):  # fmt: skip
-    """Fill q_out (r, rolls, holders, 8, na) and terms (r, rolls, holders, 8, 4) of every posture of rungs first .. last.
+class MarginsAsked(NamedTuple):
+    """What is asked of postures.
 
-    terms are sigma, the least angle to a joint's limit, the wrist's angle [rad], and the share of the commanded speed.
-    Where there is no posture, or one that is not clear of obstacles, or whose first three terms over comfort (3) are
-    not above floor, sigma stays 0.
-    lacking (r, rolls): whether the head lacks clearance from part and print, which only roll decides: -1 where that is
-    not known yet, which is filled. Angles are as in the ladder's nodes (`resolve.node_kernel`), so are the arguments; samples (r, m) are those whose
-    rates a rung answers for.
+    samples (r, m)   whose rates a rung answers for, -1 where there are fewer
+    wrist            how joint 5 tells how near the wrist is to its singularity: NO_WRIST, SPHERICAL or OFFSET
+    comfort (3)      sigma, angle to a limit and wrist's angle [rad] that are comfortable
+    floor            of these terms over comfort: a posture that is not above it does not count
+    upright          least cosine of the layer's normal to the vertical
     """
+
+    samples: Ints
+    wrist: int
+    comfort: Array
+    floor: float
+    upright: float
+
+
+class MarginsFilled(NamedTuple):
+    """What is filled: joints q (r, rolls, holders, 8, na) [rad] and terms (r, rolls, holders, 8, 4) of every posture, and
+    lacking (r, rolls), see `Course`."""
+
+    q: NDArray[np.float32]
+    terms: NDArray[np.float32]
+    lacking: NDArray[np.int8]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked, out) -> None:
+    """Fill `out` for every posture of rungs first .. last; poses and clearance are as in the ladder's nodes.
+
+    arm: ArmNumbers, limits: ArmLimits, swept: SweptJoint, grid: GridNumbers, rungs: RungNumbers, table: Table of the
+    obstacles, asked: MarginsAsked, out: MarginsFilled
+    terms are sigma, the least angle to a joint's limit, the wrist's angle [rad], and the share of the commanded speed.
+    Where there is no posture, or one that is not clear of obstacles, or whose first three terms over comfort are not
+    above floor, sigma stays 0.
+    """
+    kind, q_min, q_max, v_max, a_max = arm.kind, limits.q_min, limits.q_max, limits.v_max, limits.a_max
+    comfort, floor, q_out, terms = asked.comfort, asked.floor, out.q, out.terms
     n_rolls, n_holders, na = q_out.shape[1], q_out.shape[2], q_out.shape[4]
     middle = 0.5 * (q_min + q_max)
     crowded = len(table.pair) + len(table.look) > 0
+    room = room_for_poses(na, swept.holder.shape[1])
+    eight, ok, J, J6, Jp, Ji = room.eight, room.ok, room.J, room.J6, room.Jp, room.Ji
+    R, z_axis, T_world_task, T_rolled = room.R, room.z_axis, room.T_world_task, room.T_rolled
+    T_world_part, T_base_nozzle, T_base_flange = room.T_world_part, room.T_base_nozzle, room.T_base_flange
+    origins, directions, posture = room.origins, room.directions, room.posture
+    placements, axes, T_last_tip, p, solved = arm.placements, arm.axes, arm.T_last_tip, arm.parameters, arm.solved
+    T_base_world, T_nozzle_flange = arm.T_base_world, arm.T_nozzle_flange
+    twist, rate, weight, samples = rungs.twist, rungs.rate, rungs.weight, asked.samples
+    roll_from, redundant = grid.roll_from, swept.redundant
+    known, sigmas, shares = np.empty(8, dtype=np.bool_), np.empty(8), np.empty(8)
     for r in range(first, last):
-        R = np.empty((3, 3))
-        eight = np.empty((8, na))
-        ok = np.empty(8, dtype=np.bool_)
-        known = np.empty(8, dtype=np.bool_)
-        sigmas, shares = np.empty(8), np.empty(8)
-        J, J6, Jp, Ji = np.empty((6, na)), np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-        T_held, T_world_part, T_world_task = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
-        T_rolled, T_base_nozzle, T_base_flange = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
-        origins, directions = np.empty((na, 3)), np.empty((na, 3))
-        z_axis = np.array((0.0, 0.0, 1.0))
-        posture, bodies = np.empty((1, na + held_holder.shape[1])), workspace_for(table)
-        for h in range(held_holder.shape[1]):
-            posture[0, na + h] = held_holder[r, h]
-        T_part_task = np.empty((4, 4))
-        pose_of(frames[rung[r]], tip[rung[r]], T_part_task)
+        bodies = workspace_for(table)  # anew: what it remembers of other rungs would depend on the threads
+        now, lacking = rungs.now[rungs.rung[r]], out.lacking[r]
+        for h in range(swept.holder.shape[1]):
+            posture[0, na + h] = swept.holder[r, h]
+        pose_of(rungs.frames[rungs.rung[r]], rungs.tip[rungs.rung[r]], room.T_part_task)
         for b in range(n_holders):
-            swept = b * holder_step
-            if sweeps > 0 and swept_high - swept_low < 2.0 * np.pi:
-                swept = nearest_turn(swept, 0.5 * (swept_low + swept_high))
-                if min(swept - swept_low, swept_high - swept) < LIMIT_ROOM:
-                    continue
-            if sweeps == 1:
-                posture[0, swept_joint] = swept
-            rotate_about(axis, swept if sweeps == 1 else 0.0, R)
-            turn(T_before[r], R, T_held)
-            mul4(T_held, T_after[r], T_world_part)
-            mul4(T_world_part, T_part_task, T_world_task)
-            if -T_world_task[2, 2] < least_upright:
+            angle, inside = angle_in_range(swept, (grid.holder_from[r] + b) * grid.holder_step)
+            if not inside:
+                continue
+            if swept.sweeps == 1:
+                posture[0, swept.joint] = angle
+            part_pose(swept, r, angle, room)
+            if -T_world_task[2, 2] < asked.upright:
                 continue
             for a in range(n_rolls):
-                rotate_about(z_axis, a * roll_step, R)
-                turn(T_world_task, R, T_rolled)
-                mul4(T_base_world, T_rolled, T_base_nozzle)
-                mul4(T_base_nozzle, T_nozzle_flange, T_base_flange)
-                given = swept if sweeps == 2 else held_redundant[r]
+                roll = (roll_from[r] + a) * grid.roll_step
+                flange_pose(
+                    T_base_world, T_nozzle_flange, T_world_task, z_axis, roll, R, T_rolled, T_base_nozzle, T_base_flange
+                )
+                given = angle if swept.sweeps == 2 else redundant[r]
                 solve_one(kind, p, given, T_base_flange[:3, :3], T_base_flange[:3, 3], eight, ok)
                 known[:] = False
                 for c in range(8):
                     if not ok[c]:
                         continue
-                    room = nearest_turns(eight[c], middle, q_min, q_max)
+                    away = nearest_turns(eight[c], middle, q_min, q_max)
                     wrist = np.inf
-                    if wrist_kind == SPHERICAL:
+                    if asked.wrist == SPHERICAL:
                         wrist = abs(eight[c, 4])
-                    elif wrist_kind == OFFSET:
+                    elif asked.wrist == OFFSET:
                         wrist = np.arcsin(abs(np.sin(eight[c, 4])))
-                    if room < LIMIT_ROOM or room <= floor * comfort[1] or wrist <= floor * comfort[2]:
+                    if away < LIMIT_ROOM or away <= floor * comfort[1] or wrist <= floor * comfort[2]:
                         continue
                     # a spherical wrist turned over has the same axes, one of them reversed: the same rates and sigma
                     pair = c // 2 if kind == SPHERICAL_WRIST else c
                     if not known[pair]:
-                        chain_state(arm_placements, arm_axes, arm_tip, eight[c], origins, directions, T_held)
-                        jacobian_at(origins, directions, T_world_task[:3, 3], J)
-                        into_part(J, solved, T_world_part, Jp)
                         sigmas[pair], shares[pair] = 0.0, 0.0
-                        if invert6(Jp, Ji):
+                        chain_state(placements, axes, T_last_tip, eight[c], origins, directions, T_rolled)
+                        if inverse_in_part(origins, directions, solved, T_world_part, T_world_task, J, Jp, Ji):
                             sigmas[pair] = 1.0 / largest_singular_value(Ji, J6, Jp)
                         if sigmas[pair] > floor * comfort[0]:
                             shares[pair] = _speed_share(Ji, solved, twist, rate, weight, samples[r], v_max, a_max)
                         known[pair] = True
                     if sigmas[pair] <= floor * comfort[0]:
                         continue
-                    if crowded:
-                        for j in range(na):
-                            posture[0, j] = eight[c, j]
-                        if lacking[r, a] < 0:
-                            lacking[r, a] = 1 if head_lacking(table, bodies, posture, FIRST, now[rung[r]]) >= 0 else 0
-                        if (
-                            lacking[r, a]
-                            or first_lacking(table, bodies, posture, FIRST, now[rung[r]], CLEAR_ROOM, NO) >= 0
-                        ):
-                            continue
-                    terms[r, a, b, c] = (sigmas[pair], room, wrist, shares[pair])
+                    if crowded and lacks_clearance(table, bodies, posture, eight[c], now, lacking, a):
+                        continue
+                    terms[r, a, b, c] = (sigmas[pair], away, wrist, shares[pair])
                     for j in range(na):
                         q_out[r, a, b, c, j] = eight[c, j]
 
@@ -432,30 +435,19 @@ def _postures(
     demand = course.demand
     if demand.cones.tilt > 0.0:  # a lean may give the head its clearance from part and print
         obstacles = obstacles.but_head_on_part
-    limits, na, nh = cell.limits, len(cell.arm), len(cell.holder)
-    r = len(demand.rung)
+    r, na, nh = len(demand.rung), len(cell.arm), len(cell.holder)
     held = np.tile(cell.home[list(cell.chosen)], (r, 1))
-    swept = max(nh - 1, 0) if cell.chosen else None
-    grid = full_grid(demand, course.roll_step, course.holder_step, swept is not None, swept, held)
-    sweeps = 0 if swept is None else (1 if swept < nh else 2)
-    joint = None if swept is None else cell.chosen[swept]
-    low, high = (-np.inf, np.inf) if joint is None else (limits.q_min[joint], limits.q_max[joint])
-    T_before, axis, T_after = holder_around(cell, nh if swept is None else swept, held[:, :nh])
-    redundant = cell.inverse.redundant_joint
+    index = max(nh - 1, 0) if cell.chosen else None
+    grid = full_grid(demand, course.roll_step, course.holder_step, index is not None, index, held)
+    swept = swept_joint(cell, index, held)
     wrist = NO_WRIST if na != 6 else (SPHERICAL if cell.spherical else OFFSET)
     cone = min(demand.cones.layer_gravity, demand.cones.tilt + demand.cones.nozzle_gravity)
     q = np.zeros((r, grid.rolls, grid.holders, BRANCHES, na), dtype=np.float32)
     terms = np.zeros((r, grid.rolls, grid.holders, BRANCHES, 4), dtype=np.float32)
     arguments = (
-        kind_of(cell.inverse), cell.inverse.parameters, np.array(cell.solved), -1 if redundant is None else redundant,
-        wrist, rigid_inverse(cell.T_world_base), rigid_inverse(cell.T_flange_nozzle),
-        cell.arm.placements, cell.arm.axes, cell.arm.T_last_tip,
-        T_before, axis, T_after, sweeps, -1 if joint is None else joint, held[:, :nh].copy(), low, high,
-        np.zeros(r) if redundant is None else held[:, nh].copy(),
-        np.cos(min(cone, np.pi)) - 1e-9,
-        limits.q_min[:na], limits.q_max[:na], limits.velocity[:na], limits.acceleration[:na],
-        obstacles.table, demand.now, demand.tip, demand.frames, demand.twist, demand.rate, demand.weight, demand.rung, course.samples,
-        grid.roll_step, grid.holder_step, COMFORT, floor, course.lacking, q, terms,
+        arm_numbers(cell), arm_limits(cell), swept, grid.numbers, rung_numbers(demand), obstacles.table,
+        MarginsAsked(course.samples, wrist, COMFORT, float(floor), float(np.cos(min(cone, np.pi)) - 1e-9)),
+        MarginsFilled(q, terms, course.lacking),
     )  # fmt: skip
     in_threads(lambda first, last: evaluate_margins(first, last, *arguments), r)
-    return q, terms, joint, grid.holder_step
+    return q, terms, swept.joint if swept.joint >= 0 else None, grid.holder_step

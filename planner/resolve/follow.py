@@ -7,8 +7,11 @@ Jacobian in closed form, unless no posture of the branch is nearby.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from planner.base.arrays import Array
 from planner.base.compiled import njit
 from planner.cell.kinematics.chain import chain_state, invert6, jacobian_at, mul4, rotate_about
 from planner.cell.kinematics.inverse import SPHERICAL_WRIST
@@ -26,6 +29,44 @@ CONVERGED = 1e-12  # m and rad: error of the nozzle's pose that is none
 _STEPS = 12  # of Newton's method; from a neighbouring sample's posture three or four do
 _LONGEST = 0.5  # rad that a joint may move in a step
 _POWER_STEPS = 4  # of the iteration for the smallest singular value, four at once, which starts from the sample before
+
+
+class HolderNumbers(NamedTuple):
+    """What holds the part, as in Chain: from the world to the part frame, nh joints."""
+
+    placements: Array
+    axes: Array
+    T_last_tip: Array
+
+
+class PosturesFollowed(NamedTuple):
+    """What `follow` fills along n samples, for m columns of z.
+
+    q (n, nj)                          on entry a posture nearby for each sample, on exit the posture [rad]
+    G (n, nj, m)                       dq/dz
+    sigma (n), sigma_slope (n, m)      smallest singular value of the arm's Jacobian at the tip, and d sigma / dz
+    lean (n, 2, 2), lean_slope (n, 2, 2, m)   where the reversed nozzle axis and the surface normal lean, see `lean_of`,
+                                              and their slopes
+    """
+
+    q: Array
+    G: Array
+    sigma: Array
+    sigma_slope: Array
+    lean: Array
+    lean_slope: Array
+
+
+class _NewtonRoom(NamedTuple):
+    """Room for Newton's method: the chain's origins, directions (na, 3) and nozzle (4, 4), what turns the nozzle to where
+    it should be (3), the pose's error e (6), and the joints' step (6)."""
+
+    origins: Array
+    directions: Array
+    T_world_nozzle: Array
+    turn: Array
+    e: Array
+    step: Array
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -144,11 +185,12 @@ def _out_of_base(T_base_world, J, Ji) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _by_steps(
-    placements, axes, T_last_tip, solved, p, R, q, origins, directions, T_world_nozzle, turn, e, step, J, J6, Ji
-) -> bool:  # fmt: skip
-    """Change the joints `solved` of q (na) until its nozzle is at p (3), turned by R (3, 3), and fill J (6, na), Ji (6, 6)
-    as `_inverse_at` does; False if there is no such posture. From origins on all but J and Ji are room."""
+def _by_steps(arm, p, R, q, room, J, J6, Ji) -> bool:
+    """Change the joints of q (na) that follow until its nozzle is at p (3), turned by R (3, 3), and fill J (6, na),
+    Ji (6, 6) as `_inverse_at` does; False if there is no such posture. J6 (6, 6) is room as well."""
+    placements, axes, T_last_tip, solved = arm.placements, arm.axes, arm.T_last_tip, arm.solved
+    origins, directions, T_world_nozzle = room.origins, room.directions, room.T_world_nozzle
+    turn, e, step = room.turn, room.e, room.step
     for _ in range(_STEPS):
         chain_state(placements, axes, T_last_tip, q, origins, directions, T_world_nozzle)
         if not _inverse_at(origins, directions, T_world_nozzle, solved, J, J6, Ji):
@@ -180,25 +222,18 @@ def _by_steps(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def follow(
-    arm_placements, arm_axes, arm_tip, holder_placements, holder_axes, holder_tip,
-    kind, parameters, T_base_world, T_nozzle_flange, solved, given,
-    tip, frames, z, active, q, G, sigma, sigma_slope, lean, lean_slope,
-):  # fmt: skip
-    """Postures along samples, and their slopes; returns the first sample where there is none, or -1.
+def follow(arm, holder, given, tip, frames, z, active, out) -> int:
+    """Fill `out` with postures along samples, and their slopes; returns the first sample where there is none, or -1.
 
-    kind, parameters   of the arm's inverse kinematics
-    solved (6)      arm joints that follow from the task
-    given (k)       arm joints that are free themselves
-    z (n, 3+nh+k)   roll, two tilts, holder joints, given arm joints [rad]
-    active (m)      columns of z whose slopes are wanted
-    q (n, nj)       on entry a posture nearby for each sample, on exit the posture
-    G (n, nj, m)    dq/dz
-    sigma (n), sigma_slope (n, m)   smallest singular value of the arm's Jacobian at the tip, and d sigma / dz
-    lean (n, 2, 2), lean_slope (n, 2, 2, m)   where the reversed nozzle axis and the surface normal lean, see `lean_of`,
-                                              and their slopes
+    arm: ArmNumbers, holder: HolderNumbers; given (k): arm joints that are free themselves
+    tip (n, 3), frames (n, 3, 3) of the task; z (n, 3+nh+k): roll, two tilts, holder joints, given arm joints [rad]
+    active (m): columns of z whose slopes are wanted
     """
-    na, nh = len(arm_axes), len(holder_axes)
+    kind, parameters, solved = arm.kind, arm.parameters, arm.solved
+    T_base_world, T_nozzle_flange = arm.T_base_world, arm.T_nozzle_flange
+    holder_placements, holder_axes, holder_tip = holder.placements, holder.axes, holder.T_last_tip
+    q, G, sigma, sigma_slope, lean, lean_slope = out.q, out.G, out.sigma, out.sigma_slope, out.lean, out.lean_slope
+    na, nh = len(arm.axes), len(holder_axes)
     o_arm, d_arm = np.empty((na, 3)), np.empty((na, 3))
     o_hold, d_hold = np.empty((nh, 3)), np.empty((nh, 3))
     T_world_part, T_world_nozzle, R_tilt = np.eye(4), np.eye(4), np.empty((3, 3))
@@ -215,6 +250,7 @@ def follow(
     sum_before, sum_after = np.empty(6), np.empty(6)
     slope_q = np.empty(na)
     a3, b3 = np.empty(3), np.empty(3)
+    newton_room = _NewtonRoom(o_arm, d_arm, T_world_nozzle, a3, e, twist)
     back, normal, slope = np.empty(3), np.empty(3), np.empty(2)
     for i in range(len(tip)):
         for h in range(nh):
@@ -247,10 +283,7 @@ def follow(
             if not inverse_jacobian(parameters, sines, T_base_nozzle[:3, 3], Ji):
                 return i
             _out_of_base(T_base_world, J, Ji)
-        elif not _by_steps(
-            arm_placements, arm_axes, arm_tip, solved, p, R_target, q[i, :na], o_arm, d_arm, T_world_nozzle, a3, e, twist,
-            J, J6, Ji,
-        ):  # fmt: skip
+        elif not _by_steps(arm, p, R_target, q[i, :na], newton_room, J, J6, Ji):
             return i
         for a in range(3):
             back[a] = -R_target[a, 2]

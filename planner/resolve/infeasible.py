@@ -19,7 +19,8 @@ from planner.cell.cell import Cell, translation
 from planner.cell.robot import chain_of
 from planner.collision.scene import NOTHING, Obstacles
 from planner.resolve.joint_path import JointPath, SampledTasks, flange_poses, postures, refuse_at, spread, upright
-from planner.resolve.nodes import CLEAR_ROOM, LIMIT_ROOM, Grid, Nodes, evaluate, full_grid
+from planner.resolve.nodes import Grid, Nodes, evaluate, full_grid
+from planner.resolve.reach import CLEAR_ROOM, LIMIT_ROOM
 from planner.resolve.search import LadderRoute, Route, angles_along, best_route
 from planner.toolpath.task import NozzleTask
 

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from planner.base.arrays import Array
 from planner.base.errors import Refusal
 from planner.cell.cell import Cell, Limits, rigid_inverse
+from planner.resolve.prices import WOUND
 from planner.resolve.splines import places_along
 from planner.toolpath.task import FREE, Cones, NozzleTask
 
@@ -122,7 +123,6 @@ def sample_tasks(tasks: Sequence[NozzleTask], spacing: float) -> SampledTasks:
 _TURN = 2.0 * np.pi
 TURNS = 5  # of a joint that are tried along a bead
 COMBINATIONS = 128  # of joints' turns that are tried along a bead
-WOUND = 1e-3  # of the time from home to where a joint is: with equal travel cables are not wound up without need
 MARGIN = 1e-6  # rad kept from a joint's limit, so that rounding cannot cross it
 
 

@@ -15,8 +15,10 @@ from planner.collision.scene import NOTHING, Obstacles
 from planner.problem.settings import ResolveSpec
 from planner.resolve.infeasible import refuse_collision, refuse_rung
 from planner.resolve.joint_path import JointPath, SampledTasks, choose_turns, postures, sample_tasks, spread, upright
-from planner.resolve.nodes import CLEAR_ROOM, Grid, Nodes, evaluate, full_grid, nodes_to_fill
-from planner.resolve.search import TRAVEL_PRICE, LadderRoute, Route, angles_along, best_route, joint_limits
+from planner.resolve.nodes import Grid, Nodes, evaluate, full_grid, nodes_to_fill
+from planner.resolve.prices import TRAVEL_PRICE
+from planner.resolve.reach import CLEAR_ROOM
+from planner.resolve.search import LadderRoute, Route, angles_along, best_route, joint_limits
 from planner.resolve.splines import NARROW
 from planner.resolve.table_first import ARM_SHARES, slowed, upright_table
 from planner.toolpath.task import NozzleTask

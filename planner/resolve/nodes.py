@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,37 +12,41 @@ from numpy.typing import NDArray
 from planner.base.arrays import Array, Ints
 from planner.base.compiled import njit
 from planner.base.processes import in_threads
-from planner.cell.cell import Cell, rigid_inverse
-from planner.cell.kinematics.chain import (
-    Chain,
-    chain_state,
-    invert6,
-    jacobian_at,
-    largest_singular_value,
-    mul4,
-    pose_of,
-    rotate_about,
-    turn,
-)
-from planner.cell.kinematics.inverse import SPHERICAL_WRIST, kind_of, solve_one
+from planner.cell.cell import Cell
+from planner.cell.kinematics.chain import chain_state, largest_singular_value, mul4, pose_of
+from planner.cell.kinematics.inverse import SPHERICAL_WRIST, solve_one
 from planner.cell.kinematics.spherical_wrist import inverse_jacobian, sines_of, solve_within
-from planner.collision.margins import FIRST, NO, first_lacking, head_lacking
 from planner.collision.scene import NOTHING, Obstacles
 from planner.collision.table import workspace_for
 from planner.resolve.joint_path import SampledTasks
+from planner.resolve.prices import (
+    AT_SPEED,
+    DIP_PRICE,
+    LEAN_PRICE,
+    LIMIT_COMFORT,
+    LIMIT_PRICE,
+    SIGMA_COMFORT,
+    SIGMA_PRICE,
+)
+from planner.resolve.reach import (
+    LIMIT_ROOM,
+    GridNumbers,
+    angle_in_range,
+    arm_limits,
+    arm_numbers,
+    flange_pose,
+    inverse_in_part,
+    lacks_clearance,
+    nearest_turns,
+    part_pose,
+    room_for_poses,
+    rung_numbers,
+    swept_joint,
+)
 
 # ----------------------------------------------------------------------------------------------------
 # Compiled body of the ladder's nodes: inverse kinematics, Jacobian, and the time that the limits would take.
 
-SIGMA_COMFORT = 0.20  # singular value below which closeness to a singularity is priced
-SIGMA_PRICE = 0.3  # seconds a second of printing, at half of SIGMA_COMFORT
-LIMIT_COMFORT = 0.35  # rad from a joint's limit, below which closeness is priced
-LIMIT_PRICE = 0.4  # seconds a second of printing, at the limit
-LIMIT_ROOM = 0.07  # rad from a joint's limit that a node must keep: what moves between rungs needs it
-CLEAR_ROOM = 3e-3  # m of clearance that a node must keep besides what is needed: what moves between rungs needs it
-LEAN_PRICE = 10.0  # seconds a second of printing, for each 1 of cosine beyond the cones to gravity
-DIP_PRICE = 0.25  # seconds a second of printing below the commanded speed: one deep dip beats two shallow ones
-AT_SPEED = 0.96  # squared share of the commanded speed above which there is no dip
 RAMP_SHARE = 0.7  # of the joints' acceleration, for gaining and losing speed: bends need the rest
 _ROUNDING = 1e-9  # rad: what is as near to a limit as may be is judged once, of all joints together
 
@@ -120,124 +125,91 @@ def _turned(R, twist, out) -> None:
             out[i, 3 + a] = R[a, 0] * twist[i, 3] + R[a, 1] * twist[i, 4] + R[a, 2] * twist[i, 5]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def nearest_turn(angle: float, middle: float) -> float:
-    """The angle, in whole turns as near to the middle of a joint's range as can be."""
-    away = angle - middle
-    return middle + away - 2.0 * np.pi * np.rint(away / (2.0 * np.pi))
+class NodeFloors(NamedTuple):
+    """What a node must have: min_sigma, the least singular value; and upright, the cosine of the narrower cone to gravity,
+    beyond which a lean is priced."""
+
+    min_sigma: float
+    upright: float
+
+
+class NodesFilled(NamedTuple):
+    """The arrays q and price of `Nodes`, to be filled."""
+
+    q: NDArray[np.float32]
+    price: Array
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def nearest_turns(q, middle, q_min, q_max) -> float:
-    """Turn all joints of q (na) so; returns the least angle [rad] from the end of a range, negative beyond it."""
-    room = np.inf
-    for j in range(q.size):
-        q[j] = nearest_turn(q[j], middle[j])
-        room = min(room, min(q[j] - q_min[j], q_max[j] - q[j]))
-    return room
+def evaluate_nodes(first, last, arm, limits, swept, grid, rungs, table, floors, out) -> None:
+    """Fill the nodes `out` of rungs first .. last that have a posture, see `Nodes`.
 
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def into_part(J, solved, T_world_part, Jp) -> None:
-    """Fill Jp (6, 6) with the columns `solved` of a Jacobian J (6, na), their rows turned from the world into the part
-    frame, where twists are given."""
-    for j in range(6):
-        for i in range(3):
-            lin, ang = 0.0, 0.0
-            for m in range(3):
-                lin += T_world_part[m, i] * J[m, solved[j]]
-                ang += T_world_part[m, i] * J[3 + m, solved[j]]
-            Jp[i, j], Jp[3 + i, j] = lin, ang
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def evaluate_nodes(
-    first, last, kind, p, solved, redundant, T_base_world, T_nozzle_flange, arm_placements, arm_axes, arm_tip,
-    T_before, axis, T_after, sweeps, swept_joint, held_holder, swept_low, swept_high, held_redundant, least_upright,
-    q_min, q_max, v_max, a_max,
-    table, now,
-    tip, frames, twist, rate, weight,
-    rung, start, stop,
-    roll_step, holder_step, roll_from, holder_from, branch,
-    min_sigma, q_out, price,
-):  # fmt: skip
-    """Fill q_out and price (see `Nodes`) of rungs first .. last; most arguments are fields of Demand, Grid and Cell.
-
-    solved (6) arm joints that follow from a pose; redundant: the arm's joint that does not, or -1
-    T_before, T_after (r, 4, 4), axis (3)   world to part: T_before Rot(axis, swept angle) T_after
-    table, now (n)   obstacles, and when a sample is reached
-    sweeps   what the grid's second index turns: 0 nothing, 1 a holder joint, 2 the redundant joint
-    swept_joint   that joint among all, or -1
-    held_holder (r, nh)   angles of the holder's joints that are not swept
-    held_redundant (r)                      its angle where it is not swept
+    arm: ArmNumbers, limits: ArmLimits, swept: SweptJoint, grid: GridNumbers, rungs: RungNumbers, table: Table of the
+    obstacles, floors: NodeFloors, out: NodesFilled
     """
+    kind, p, solved, T_base_world = arm.kind, arm.parameters, arm.solved, arm.T_base_world
+    q_min, q_max, v_max, a_max = limits.q_min, limits.q_max, limits.v_max, limits.a_max
+    twist, rate, weight, start, stop = rungs.twist, rungs.rate, rungs.weight, rungs.start, rungs.stop
+    branch, min_sigma, q_out, price = grid.branch, floors.min_sigma, out.q, out.price
     n_rolls, n_holders, n_branches, na = price.shape[1], price.shape[2], price.shape[3], q_out.shape[4]
     middle = 0.5 * (q_min + q_max)
     q_least, q_most = q_min + LIMIT_ROOM - _ROUNDING, q_max - LIMIT_ROOM + _ROUNDING
     comfort = max(SIGMA_COMFORT, min_sigma)
     crowded = len(table.pair) + len(table.look) > 0
+    room = room_for_poses(na, swept.holder.shape[1])
+    placements, axes, T_last_tip = arm.placements, arm.axes, arm.T_last_tip
+    origins, directions, J, T_world_part = room.origins, room.directions, room.J, room.T_world_part
+    eight, ok, J6, Jp, Ji = room.eight, room.ok, room.J6, room.Jp, room.Ji
+    R, z_axis, T_world_task, T_rolled = room.R, room.z_axis, room.T_world_task, room.T_rolled
+    T_base_nozzle, T_base_flange, posture = room.T_base_nozzle, room.T_base_flange, room.posture
+    T_nozzle_flange, roll_from, redundant, now = arm.T_nozzle_flange, grid.roll_from, swept.redundant, rungs.now
+    known, sigmas, times = np.empty(8, dtype=np.int64), np.empty(8), np.empty(8)
     for r in range(first, last):
-        R = np.empty((3, 3))
-        eight = np.empty((8, na))
-        ok = np.empty(8, dtype=np.bool_)
         wanted = np.zeros(8, dtype=np.bool_)
         for c in range(n_branches):
             wanted[branch[r, c]] = True
-        known = np.empty(8, dtype=np.int64)
-        sigmas, times = np.empty(8), np.empty(8)
-        J, J6, Jp, Ji = np.empty((6, na)), np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-        T_held, T_world_part, T_world_task = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
-        T_rolled, T_base_nozzle, T_base_flange = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
-        origins, directions = np.empty((na, 3)), np.empty((na, 3))
-        z_axis = np.array((0.0, 0.0, 1.0))
         here = slice(start[r], stop[r])
         n_here = stop[r] - start[r]
         own_twist, own_rate = twist[here].copy(), rate[here].copy()
         speeds, x, gain = np.empty((n_here, 6)), np.empty(n_here), np.empty(n_here)
-        posture, bodies = np.empty((1, na + held_holder.shape[1])), workspace_for(table)
-        head = np.full(n_rolls, -1)  # whether the head lacks clearance from the part: only roll decides that
-        for h in range(held_holder.shape[1]):
-            posture[0, na + h] = held_holder[r, h]
-        i0 = rung[r]
-        T_part_task = np.empty((4, 4))
-        pose_of(frames[i0], tip[i0], T_part_task)
+        bodies = workspace_for(table)  # anew: what it remembers of other rungs would depend on the threads
+        head = np.full(n_rolls, -1, dtype=np.int8)
+        for h in range(swept.holder.shape[1]):
+            posture[0, na + h] = swept.holder[r, h]
+        i0 = rungs.rung[r]
+        pose_of(rungs.frames[i0], rungs.tip[i0], room.T_part_task)
         duration = 0.0
         for i in range(start[r], stop[r]):
             duration += weight[i]
         for b in range(n_holders):
-            swept = (holder_from[r] + b) * holder_step
-            if sweeps > 0 and swept_high - swept_low < 2.0 * np.pi:
-                swept = nearest_turn(swept, 0.5 * (swept_low + swept_high))
-                if min(swept - swept_low, swept_high - swept) < LIMIT_ROOM:
-                    continue
-            if sweeps == 1:
-                posture[0, swept_joint] = swept
-            rotate_about(axis, swept if sweeps == 1 else 0.0, R)
-            turn(T_before[r], R, T_held)
-            mul4(T_held, T_after[r], T_world_part)
-            mul4(T_world_part, T_part_task, T_world_task)
+            angle, inside = angle_in_range(swept, (grid.holder_from[r] + b) * grid.holder_step)
+            if not inside:
+                continue
+            if swept.sweeps == 1:
+                posture[0, swept.joint] = angle
+            part_pose(swept, r, angle, room)
             if kind == SPHERICAL_WRIST:  # whose rates are known in its base's frame, not in that of the part
                 mul4(T_base_world, T_world_part, T_rolled)
                 _turned(T_rolled, twist[here], own_twist)
                 _turned(T_rolled, rate[here], own_rate)
-            leans = duration * LEAN_PRICE * max(0.0, least_upright + T_world_task[2, 2])
+            leans = duration * LEAN_PRICE * max(0.0, floors.upright + T_world_task[2, 2])
             for a in range(n_rolls):
-                rotate_about(z_axis, (roll_from[r] + a) * roll_step, R)
-                turn(T_world_task, R, T_rolled)
-                mul4(T_base_world, T_rolled, T_base_nozzle)
-                mul4(T_base_nozzle, T_nozzle_flange, T_base_flange)
-                given = swept if sweeps == 2 else held_redundant[r]
+                roll = (roll_from[r] + a) * grid.roll_step
+                flange_pose(
+                    T_base_world, T_nozzle_flange, T_world_task, z_axis, roll, R, T_rolled, T_base_nozzle, T_base_flange
+                )
                 if kind == SPHERICAL_WRIST:
                     solve_within(p, T_base_flange[:3, :3], T_base_flange[:3, 3], q_least, q_most, wanted, eight, ok)
                 else:
+                    given = angle if swept.sweeps == 2 else redundant[r]
                     solve_one(kind, p, given, T_base_flange[:3, :3], T_base_flange[:3, 3], eight, ok)
                 known[:] = -1
                 for c in range(n_branches):
                     k = branch[r, c]
                     if not ok[k]:
                         continue
-                    room = nearest_turns(eight[k], middle, q_min, q_max)
-                    if room < LIMIT_ROOM:
+                    away = nearest_turns(eight[k], middle, q_min, q_max)
+                    if away < LIMIT_ROOM:
                         continue
                     # a spherical wrist turned over has the same axes, one of them reversed: the same rates and sigma
                     pair = k // 2 if kind == SPHERICAL_WRIST else k
@@ -245,10 +217,10 @@ def evaluate_nodes(
                         if kind == SPHERICAL_WRIST:
                             regular = inverse_jacobian(p, sines_of(eight[k]), T_base_nozzle[:3, 3], Ji)
                         else:
-                            chain_state(arm_placements, arm_axes, arm_tip, eight[k], origins, directions, T_held)
-                            jacobian_at(origins, directions, T_world_task[:3, 3], J)
-                            into_part(J, solved, T_world_part, Jp)
-                            regular = invert6(Jp, Ji)
+                            chain_state(placements, axes, T_last_tip, eight[k], origins, directions, T_rolled)
+                            regular = inverse_in_part(
+                                origins, directions, solved, T_world_part, T_world_task, J, Jp, Ji
+                            )
                         sigmas[pair] = _sigma(Ji, comfort, J6, Jp) if regular else 0.0
                         if regular and sigmas[pair] >= min_sigma:
                             times[pair] = _time_lost(
@@ -258,15 +230,10 @@ def evaluate_nodes(
                     sigma, lost = sigmas[pair], times[pair]
                     if sigma < min_sigma or sigma == 0.0:
                         continue
-                    if crowded:
-                        for j in range(na):
-                            posture[0, j] = eight[k, j]
-                        if head[a] < 0:
-                            head[a] = 1 if head_lacking(table, bodies, posture, FIRST, now[i0]) >= 0 else 0
-                        if head[a] or first_lacking(table, bodies, posture, FIRST, now[i0], CLEAR_ROOM, NO) >= 0:
-                            continue
+                    if crowded and lacks_clearance(table, bodies, posture, eight[k], now[i0], head, a):
+                        continue
                     close = max(0.0, SIGMA_COMFORT / sigma - 1.0)
-                    near = max(0.0, 1.0 - room / LIMIT_COMFORT)
+                    near = max(0.0, 1.0 - away / LIMIT_COMFORT)
                     lost += duration * (SIGMA_PRICE * close * close + LIMIT_PRICE * near * near) + leans
                     price[r, a, b, c] = lost
                     for j in range(na):
@@ -308,6 +275,11 @@ class Grid:
     def chosen(self, r: int, k: int) -> Array:
         """Held angles (r, k) of a cell with k chosen joints: 0 where none were given."""
         return np.zeros((r, k)) if self.held is None else self.held
+
+    @property
+    def numbers(self) -> GridNumbers:
+        """The grid for kernels."""
+        return GridNumbers(self.roll_step, self.holder_step, self.roll_from, self.holder_from, self.branch)
 
 
 @dataclass(frozen=True)
@@ -351,34 +323,14 @@ def nodes_to_fill(
     cell: Cell, demand: SampledTasks, grid: Grid, min_sigma: float
 ) -> tuple[Nodes, Callable[[Ints, Obstacles], None]]:
     """Nodes without a posture yet, and what evaluates those of some rungs, as `evaluate` does; also once more."""
-    limits, na, nh = cell.limits, len(cell.arm), len(cell.holder)
-    r = len(demand.rung)
-    held = grid.chosen(r, len(cell.chosen))
-    swept = grid.swept if cell.chosen else None
-    sweeps = 0 if swept is None else (1 if swept < nh else 2)
-    T_before, axis, T_after = holder_around(cell, nh if swept is None else swept, held[:, :nh])
-    joint = len(cell.joint_names) if swept is None else cell.chosen[swept]
-    low, high = (-np.inf, np.inf) if swept is None else (limits.q_min[joint], limits.q_max[joint])
-    redundant = cell.inverse.redundant_joint
+    r, na = len(demand.rung), len(cell.arm)
+    swept = swept_joint(cell, grid.swept, grid.chosen(r, len(cell.chosen)))
     shape = (r, grid.rolls, grid.holders, grid.branch.shape[1])
     q = np.zeros((*shape, na), dtype=np.float32)
     price = np.full(shape, np.inf)
-    before = (
-        kind_of(cell.inverse), cell.inverse.parameters, np.array(cell.solved), -1 if redundant is None else redundant,
-        rigid_inverse(cell.T_world_base), rigid_inverse(cell.T_flange_nozzle),
-        cell.arm.placements, cell.arm.axes, cell.arm.T_last_tip,
-        T_before, axis, T_after, sweeps, -1 if swept is None else joint, held[:, :nh].copy(),
-        low, high, np.zeros(r) if redundant is None else held[:, nh].copy(),
-        np.cos(min(demand.cones.layer_gravity, demand.cones.nozzle_gravity)),
-        limits.q_min[:na], limits.q_max[:na], limits.velocity[:na], limits.acceleration[:na],
-    )  # fmt: skip
-    after = (
-        demand.now,
-        demand.tip, demand.frames, demand.twist, demand.rate, demand.weight,
-        demand.rung, demand.start, demand.stop,
-        grid.roll_step, grid.holder_step, grid.roll_from, grid.holder_from, grid.branch,
-        min_sigma, q, price,
-    )  # fmt: skip
+    upright = np.cos(min(demand.cones.layer_gravity, demand.cones.nozzle_gravity))
+    before = arm_numbers(cell), arm_limits(cell), swept, grid.numbers, rung_numbers(demand)
+    after = NodeFloors(float(min_sigma), float(upright)), NodesFilled(q, price)
 
     def fill(rungs: Ints, obstacles: Obstacles) -> None:
         table = (obstacles.but_head_on_part if demand.cones.tilt > 0.0 else obstacles).table
@@ -392,18 +344,4 @@ def nodes_to_fill(
         if len(rungs):
             in_threads(part, len(rungs))
 
-    return Nodes(grid, q, price, joint), fill
-
-
-def holder_around(cell: Cell, swept: int, held: Array) -> tuple[Array, Array, Array]:
-    """World to part as T_before Rot(axis, angle of the swept joint) T_after, the other axes held (r, nh).
-
-    Where no holder joint is swept, T_before is the whole way and the axis any.
-    """
-    r = len(held)
-    holder = cell.holder
-    if swept >= len(holder):
-        return holder.poses(held), np.array([0.0, 0.0, 1.0]), np.tile(np.eye(4), (r, 1, 1))
-    first = Chain(holder.names[:swept], holder.placements[:swept], holder.axes[:swept], holder.placements[swept])
-    rest = Chain(holder.names[swept + 1 :], holder.placements[swept + 1 :], holder.axes[swept + 1 :], holder.T_last_tip)
-    return first.poses(held[:, :swept]), holder.axes[swept], rest.poses(held[:, swept + 1 :])
+    return Nodes(grid, q, price, len(cell.joint_names) if swept.joint < 0 else swept.joint), fill

@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from planner.base.arrays import Array, Flags, Ints
 from planner.base.compiled import njit
 from planner.resolve.cone_kernels import facet
-from planner.resolve.nodes import LIMIT_COMFORT, LIMIT_PRICE, SIGMA_COMFORT, SIGMA_PRICE
+from planner.resolve.prices import (
+    DIP,
+    DIP_PRICE,
+    EFFORT,
+    HARD_PRICE,
+    LIMIT_COMFORT,
+    LIMIT_PRICE,
+    PEAK_PRICE,
+    SIGMA_COMFORT,
+    SIGMA_PRICE,
+)
 from planner.resolve.quadratic import SUMS
 
 # ----------------------------------------------------------------------------------------------------
@@ -22,12 +35,6 @@ from planner.resolve.quadratic import SUMS
 # choices at full speed the calmer one wins. Where no time is lost anyway, peaks of the joints' speed are part of it.
 # closeness grows towards singularities of the arm and the ends of the joints' ranges.
 # excess is dear: what goes beyond bounds. Tilt, and ends of beads that move, are priced in `refine`.
-
-EFFORT = np.array([3.0, 0.1, 0.1])  # seconds a second of printing, for joints at their speed, acceleration, jerk
-PEAK_PRICE = 0.1  # seconds a second of printing, for joints at the speed that counts as a peak
-DIP_PRICE = 0.25  # seconds a second of printing below the commanded speed: one deep dip beats two shallow ones
-DIP = 0.05  # slack at which half of that is counted
-HARD_PRICE = 1e3  # seconds a second and unit (rad, or the share of a bound) beyond what must not be exceeded
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -196,10 +203,61 @@ def watch_missed_ends(now, then, low, high, step, watch):
 
 
 # ----------------------------------------------------------------------------------------------------
-# The quadratic program around a path, compiled: its price (see `price_kernel`) to first order, with a convex second one.
+# The quadratic program around a path, compiled: its price (see `price_kernels`) to first order, with a convex second one.
 
 NEAR_SIGMA = 1.3  # times the least singular value allowed below which the program has a row for it
 _TOGETHER = 8  # samples at most whose effort is one product of matrices: few enough for one thread
+
+
+class JointBounds(NamedTuple):
+    """Bounds of joints: limits (3, nj) of velocity, acceleration, jerk [rad/s and so on]; low, high (na) ends of the
+    ranges of the arm's joints [rad]."""
+
+    limits: Array
+    low: Array
+    high: Array
+
+
+class SplineSamples(NamedTuple):
+    """Samples (n) of a stretch and the control values (k) that they depend on, as in `PathSegment`."""
+
+    step: Array
+    deposits: Array
+    first: Ints
+    B: Array
+    free: Array
+
+
+class PathSlopes(NamedTuple):
+    """A path at its samples (n), and its slopes by the free variables (m), as in `PathState`; of b cones."""
+
+    rates: Array
+    slack: Array
+    q: Array
+    G: Array
+    sigma: Array
+    sigma_slope: Array
+    lean: Array
+    lean_slope: Array
+    cones: Array
+
+
+class RowsWatched(NamedTuple):
+    """What has rows, as in `Watch`: rates (n, 3, nj, 2), the arm's joints (n, na) at ends, facets (n, b, facets)."""
+
+    rates: Flags
+    ends: Flags
+    facets: Flags
+
+
+class RowsFilled(NamedTuple):
+    """The arrays A (r, w), b, at (r), group (k + 1) and price (k) of a `QuadraticProgram`, to be filled."""
+
+    A: Array
+    b: Array
+    at: Ints
+    group: Ints
+    price: Array
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
@@ -275,12 +333,17 @@ def count_rows(step, deposits, watch, watch_end, sigma, least_sigma, watch_lean)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
-def smooth_price(
-    rates, limits, step, q, G, low, high, sigma, sigma_slope, peak, slopes, first, B, free, H, g
-):  # fmt: skip
+def smooth_price(bounds, samples, path, peak, slopes, H, g) -> None:
     """Fill H (n, w), a lower band, and g (n) with the part of the price around a path that has no bounds: effort, peaks, and
     closeness to ends of ranges and to singularities. g is exact, H what is convex: of effort its slope over the rate, of
-    peaks all of it. What is held has a one on the diagonal."""
+    peaks all of it. What is held has a one on the diagonal.
+
+    bounds: JointBounds, samples: SplineSamples, path: PathSlopes; peak [rad/s]: see `peak_price`
+    slopes (n, 3 nj, w): of `rate_slopes`
+    """
+    limits, low, high = bounds.limits, bounds.low, bounds.high
+    step, first, B, free = samples.step, samples.first, samples.B, samples.free
+    rates, q, G, sigma, sigma_slope = path.rates, path.q, path.G, path.sigma, path.sigma_slope
     n, _, nj = rates.shape
     m = G.shape[2]
     w = slopes.shape[2]
@@ -347,12 +410,18 @@ def _row_of(i, factor, by_z, first, B, free, row) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def bound_rows(
-    rates, limits, step, deposits, slack, watch, q, G, low, high, watch_end, sigma, sigma_slope, least_sigma,
-    lean, lean_slope, cones, watch_lean, slopes, first, B, free,
-    A, b, at, group, price,
-):  # fmt: skip
-    """Fill the rows of what is watched around a path whose control values move by x, and the price of their slacks."""
+def bound_rows(bounds, least_sigma, samples, path, slopes, watch, rows) -> None:
+    """Fill the rows of what is watched around a path whose control values move by x, and the price of their slacks.
+
+    bounds: JointBounds, samples: SplineSamples, path: PathSlopes, watch: RowsWatched, rows: RowsFilled
+    least_sigma: that a sample in deposition must have; slopes (n, 3 nj, w): of `rate_slopes`
+    """
+    limits, low, high = bounds.limits, bounds.low, bounds.high
+    step, deposits, first, B, free = samples.step, samples.deposits, samples.first, samples.B, samples.free
+    rates, slack, q, G, sigma, sigma_slope = path.rates, path.slack, path.q, path.G, path.sigma, path.sigma_slope
+    lean, lean_slope, cones = path.lean, path.lean_slope, path.cones
+    watch_rates, watch_end, watch_lean = watch.rates, watch.ends, watch.facets
+    A, b, at, group, price = rows.A, rows.b, rows.at, rows.group, rows.price
     n, _, nj = rates.shape
     m, w = G.shape[2], slopes.shape[2]
     r, k = 0, 0
@@ -369,7 +438,7 @@ def bound_rows(
                 for j in range(nj):
                     share = rates[i, o, j] / limits[o, j]
                     for side in range(2):
-                        if watch[i, o, j, side]:
+                        if watch_rates[i, o, j, side]:
                             sign = 1.0 if side == 0 else -1.0
                             for p in range(w):
                                 A[r, p] = sign * slopes[i, o * nj + j, p] / slope

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -256,12 +257,71 @@ def _value(H, g, A, b, at, group, price, x):
     return total
 
 
+class _Rows(NamedTuple):
+    """The rows of a program: A (r, width), at (r) and group as in `QuadraticProgram`, chunks of `chunks_of`."""
+
+    A: Array
+    at: Ints
+    group: Ints
+    chunks: Ints
+
+
+class _Newton(NamedTuple):
+    """The Newton matrix's factor U (n, width), the rows' weights D (r), and the groups' S (k), as in `add_rows`."""
+
+    U: Array
+    D: Array
+    S: Array
+
+
+class _Iterate(NamedTuple):
+    """Where the method is, all of it positive: what rows (r), groups (k) and the box (n) have left, and their duals.
+
+    s, lam (r); slack, mu (k); low, high (n) distances to the two walls of the box, lam_low, lam_high (n)
+    """
+
+    s: Array
+    lam: Array
+    slack: Array
+    mu: Array
+    low: Array
+    high: Array
+    lam_low: Array
+    lam_high: Array
+
+
+class _Step(NamedTuple):
+    """A direction: of x (n), and of the iterate's s, lam (r) and slack, mu (k); the box follows from x."""
+
+    x: Array
+    s: Array
+    lam: Array
+    slack: Array
+    mu: Array
+
+
+class _Products(NamedTuple):
+    """What a direction's steps of two factors multiply to, which the corrector takes off: of rows (r), groups (k) and
+    the walls of the box (n)."""
+
+    s: Array
+    slack: Array
+    low: Array
+    high: Array
+
+
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
-def _direction(
-    A, at, group, chunks, U, D, S, mu, residual, price, s, lam, slack, low, high, lam_low, lam_high,
-    target, second_s, second_slack, second_low, second_high, dx, dslack, ds, dlam, dmu,
-):  # fmt: skip
-    """Newton's direction towards complementarity `target`, with the factor U; second_* are the corrector's products."""
+def _direction(rows, newton, at, residual, price, target, second, step) -> None:
+    """Fill a step with Newton's direction from an iterate `at` towards complementarity `target`.
+
+    residual (n) of the Lagrangian's gradient; price (k); second: products of the direction before, for the corrector
+    """
+    D, S = newton.D, newton.S
+    s, lam, slack, mu = at.s, at.lam, at.slack, at.mu
+    low, high, lam_low, lam_high = at.low, at.high, at.lam_low, at.lam_high
+    second_s, second_slack, second_low, second_high = second.s, second.slack, second.low, second.high
+    dx, ds, dlam, dslack, dmu = step.x, step.s, step.lam, step.slack, step.mu
+    group = rows.group
     for i in range(dx.size):
         r_low, r_high = target - second_low[i], target - second_high[i]
         dx[i] = -residual[i] + r_low / low[i] - lam_low[i] - r_high / high[i] + lam_high[i]
@@ -274,9 +334,9 @@ def _direction(
         for r in range(first, end):
             ds[r] = lam[r] - dlam[r] + D[r] * (own / S[k])
         dslack[k] = own
-    add_times_rows(A, at, group, chunks, ds, dx)
-    substitute(U, dx)
-    rows_times(A, at, group, chunks, dx, ds)
+    add_times_rows(rows.A, rows.at, group, rows.chunks, ds, dx)
+    substitute(newton.U, dx)
+    rows_times(rows.A, rows.at, group, rows.chunks, dx, ds)
     for k in range(price.size):
         first, end = group[k], group[k + 1]
         sum_ = dslack[k]
@@ -290,12 +350,14 @@ def _direction(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
-def _residual(H, g, A, at, group, chunks, x, lam, lam_low, lam_high, box, residual) -> float:
-    """Fill residual (n) with the gradient of the Lagrangian; returns what it may gain within the box."""
+def _residual(H, g, box, rows, x, at, residual) -> float:
+    """Fill residual (n) with the gradient of the Lagrangian at x, whose duals the iterate `at` has; returns what it may
+    gain within the box."""
+    lam_low, lam_high = at.lam_low, at.lam_high
     times_band(H, x, residual)
     for i in range(x.size):
         residual[i] += g[i] - lam_low[i] + lam_high[i]
-    add_times_rows(A, at, group, chunks, lam, residual)
+    add_times_rows(rows.A, rows.at, rows.group, rows.chunks, at.lam, residual)
     return np.abs(residual * box).sum()
 
 
@@ -327,7 +389,7 @@ def _centre(room, first, end, price, target, k, s, lam, slack, mu) -> None:
 def minimise(H, g, box, A, b, at, group, price, accuracy) -> tuple[Array, int]:
     """Compiled body of `solve_qp`."""
     n, w = H.shape
-    rows, groups = b.size, price.size
+    count, groups = b.size, price.size
     x = np.zeros(n)
     # not the prices' sum: of what must not be exceeded the prices are huge, and most of it is far away
     now = _value(H, g, A, b, at, group, price, x)
@@ -337,27 +399,31 @@ def minimise(H, g, box, A, b, at, group, price, accuracy) -> tuple[Array, int]:
     price = np.maximum(price, _FREE * scale)  # without a price a group would have no interior
     low, high = box.copy(), box.copy()  # distances to the two walls of the box
     slack, mu = np.empty(groups), np.empty(groups)
-    s, lam = np.empty(rows), np.empty(rows)
-    total = rows + groups + 2 * n
+    s, lam = np.empty(count), np.empty(count)
+    total = count + groups + 2 * n
     start = _START * scale / total
     for k in range(groups):
         _centre(b, group[k], group[k + 1], price[k], start, k, s, lam, slack, mu)
     lam_low, lam_high = start / low, start / high
-    chunks = chunks_of(at, group)
+    here = _Iterate(s, lam, slack, mu, low, high, lam_low, lam_high)
+    rows = _Rows(A, at, group, chunks_of(at, group))
     residual = np.empty(n)
-    dual = _residual(H, g, A, at, group, chunks, x, lam, lam_low, lam_high, box, residual)
+    dual = _residual(H, g, box, rows, x, here, residual)
     exact = True  # whether the residual was summed up, and not taken to shrink as it does but for rounding
     H_upper, U = np.empty((n, w)), np.empty((n, w))
     upper_band(H, H_upper)
-    D, own, S = np.empty(rows), np.empty(groups), np.empty(groups)
-    dx, ds, dlam = np.empty(n), np.empty(rows), np.empty(rows)
+    D, own, S = np.empty(count), np.empty(groups), np.empty(groups)
+    newton = _Newton(U, D, S)
+    dx, ds, dlam = np.empty(n), np.empty(count), np.empty(count)
     dslack, dmu = np.empty(groups), np.empty(groups)
-    second_s, second_slack = np.zeros(rows), np.zeros(groups)
+    step = _Step(dx, ds, dlam, dslack, dmu)
+    second_s, second_slack = np.zeros(count), np.zeros(groups)
     second_low, second_high = np.zeros(n), np.zeros(n)
+    second = _Products(second_s, second_slack, second_low, second_high)
     taken = 0
     while taken < _STEPS:
         gap = 0.0
-        for r in range(rows):
+        for r in range(count):
             gap += s[r] * lam[r]
         for k in range(groups):
             gap += slack[k] * mu[k]
@@ -366,7 +432,7 @@ def minimise(H, g, box, A, b, at, group, price, accuracy) -> tuple[Array, int]:
         if gap <= accuracy * scale and dual <= accuracy * scale:
             if exact:
                 break
-            dual = _residual(H, g, A, at, group, chunks, x, lam, lam_low, lam_high, box, residual)
+            dual = _residual(H, g, box, rows, x, here, residual)
             exact = True
             if dual <= accuracy * scale:
                 break
@@ -380,22 +446,17 @@ def minimise(H, g, box, A, b, at, group, price, accuracy) -> tuple[Array, int]:
             for r in range(group[k], group[k + 1]):
                 D[r] = lam[r] / s[r]
                 S[k] += D[r]
-        add_rows(A, at, group, chunks, D, own, S, U)
+        add_rows(A, at, group, rows.chunks, D, own, S, U)
         if not factorise(U):
             break
         second_s[:] = 0.0
         second_slack[:] = 0.0
         second_low[:] = 0.0
         second_high[:] = 0.0
-        _direction(
-            A, at, group, chunks, U, D, S, mu, residual, price, s, lam, slack, low, high, lam_low, lam_high,
-            0.0, second_s, second_slack, second_low, second_high, dx, dslack, ds, dlam, dmu,
-        )  # fmt: skip
-        length = _step_length(
-            s, ds, lam, dlam, slack, dslack, mu, dmu, low, high, lam_low, lam_high, dx, 0.0, second_low, second_high
-        )
+        _direction(rows, newton, here, residual, price, 0.0, second, step)
+        length = _step_length(here, step, 0.0, second)
         after = 0.0
-        for r in range(rows):
+        for r in range(count):
             after += (s[r] + length * ds[r]) * (lam[r] + length * dlam[r])
             second_s[r] = ds[r] * dlam[r]
         for k in range(groups):
@@ -409,15 +470,10 @@ def minimise(H, g, box, A, b, at, group, price, accuracy) -> tuple[Array, int]:
             second_low[i] = dx[i] * d_low
             second_high[i] = -dx[i] * d_high
         target = (after / gap) ** 3 * gap / total
-        _direction(
-            A, at, group, chunks, U, D, S, mu, residual, price, s, lam, slack, low, high, lam_low, lam_high,
-            target, second_s, second_slack, second_low, second_high, dx, dslack, ds, dlam, dmu,
-        )  # fmt: skip
-        length = _step_length(
-            s, ds, lam, dlam, slack, dslack, mu, dmu, low, high, lam_low, lam_high, dx, target, second_low, second_high
-        )
+        _direction(rows, newton, here, residual, price, target, second, step)
+        length = _step_length(here, step, target, second)
         length = min(1.0, _TO_THE_WALL * length)
-        for r in range(rows):
+        for r in range(count):
             s[r] += length * ds[r]
             lam[r] += length * dlam[r]
         for k in range(groups):
@@ -440,11 +496,15 @@ def minimise(H, g, box, A, b, at, group, price, accuracy) -> tuple[Array, int]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
-def _step_length(s, ds, lam, dlam, slack, dslack, mu, dmu, low, high, lam_low, lam_high, dx, target, sec_low, sec_high):
-    """Longest step, up to 1 / _TO_THE_WALL, that keeps everything positive.
+def _step_length(at, step, target, second) -> float:
+    """Longest share of a step, up to 1 / _TO_THE_WALL, that keeps everything of an iterate `at` positive.
 
     One length for primal and dual: with different ones H dx would spoil the dual residual.
     """
+    s, lam, slack, mu = at.s, at.lam, at.slack, at.mu
+    low, high, lam_low, lam_high = at.low, at.high, at.lam_low, at.lam_high
+    dx, ds, dlam, dslack, dmu = step.x, step.s, step.lam, step.slack, step.mu
+    sec_low, sec_high = second.low, second.high
     length = 1.0 / _TO_THE_WALL
     for r in range(s.size):
         if ds[r] < 0.0:

@@ -16,9 +16,13 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Flags, Ints
 from planner.resolve.cone_kernels import FACETS, watch_leans, watch_missed_leans
-from planner.resolve.follow import follow
+from planner.resolve.follow import PosturesFollowed, follow
 from planner.resolve.price_kernels import (
-    HARD_PRICE,
+    JointBounds,
+    PathSlopes,
+    RowsFilled,
+    RowsWatched,
+    SplineSamples,
     bound_rows,
     count_rows,
     differentiate,
@@ -33,6 +37,7 @@ from planner.resolve.price_kernels import (
     watch_near,
     watch_near_ends,
 )
+from planner.resolve.prices import ANCHOR, HARD_PRICE, PEAK, TILT_PRICE
 from planner.resolve.quadratic import QuadraticProgram, solve_qp
 from planner.resolve.segment import (
     HOLDER,
@@ -58,12 +63,7 @@ _STEPS = 40
 _ROUNDS = 4  # of solving a program and watching what its solution has missed
 _ENOUGH = 5e-4  # share of the price: a step that promises less is not worth taking
 _NEGLIGIBLE = 1e-4  # seconds a second of printing, likewise
-PEAK = 0.78  # rad/s: joints that stay below at the commanded speed are calm enough
 _PEAK_SHARE = 0.8  # of the greatest speed at the start: far below it nothing else would count any more
-# s/rad^2 a second of printing: tilt is for what it buys, clearance or speed, since a nozzle that leans by t lifts one side
-# of a bead by half its width times t; at 10 degrees as much as 3 per mille of the time
-TILT_PRICE = 0.1
-ANCHOR = 0.1  # s per square radian that an end of a bead moves: what the search chose there keeps travel short
 CONE_ROOM = 1e-3  # rad kept from the cones about gravity: between waypoints normals are known no better
 
 
@@ -85,8 +85,8 @@ def evaluate_samples(
     G, sigma, sigma_slope = np.empty((n, nj, m)), np.empty(n), np.empty((n, m))
     lean, lean_slope = np.empty((n, 2, 2)), np.empty((n, 2, 2, m))
     lost = follow(
-        *model.chains, model.solved, model.given, stretch.tip, stretch.frames, z, active,
-        q, G, sigma, sigma_slope, lean, lean_slope,
+        model.numbers, model.holder, model.given, stretch.tip, stretch.frames, z, active,
+        PosturesFollowed(q, G, sigma, sigma_slope, lean, lean_slope),
     )  # fmt: skip
     if lost >= 0:
         return None
@@ -144,16 +144,27 @@ class Expansion:
     slopes: Array
 
 
+def _bounds(model: Model) -> JointBounds:
+    return JointBounds(model.limits, *model.arm_range)
+
+
+def _samples(stretch: PathSegment) -> SplineSamples:
+    return SplineSamples(stretch.step, stretch.deposits, stretch.first, stretch.B, stretch.free)
+
+
+def _slopes(state: PathState) -> PathSlopes:
+    return PathSlopes(
+        state.rates, state.slack, state.q, state.G, state.sigma, state.sigma_slope,
+        state.lean, state.lean_slope, state.cones,
+    )  # fmt: skip
+
+
 def expand(model: Model, stretch: PathSegment, state: PathState) -> Expansion:
     """The price around a state, see `Expansion`."""
-    low, high = model.arm_range
     (n, nj, m), k, width = state.G.shape, len(state.c), stretch.B.shape[2]
     H, g, slopes = np.empty((k * m, width * m)), np.empty(k * m), np.empty((n, 3 * nj, width * m))
     rate_slopes(model.limits, state.G, stretch.centre, stretch.D, stretch.first, stretch.B, stretch.free, slopes)
-    smooth_price(
-        state.rates, model.limits, stretch.step, state.q, state.G, low, high, state.sigma, state.sigma_slope,
-        stretch.peak, slopes, stretch.first, stretch.B, stretch.free, H, g,
-    )  # fmt: skip
+    smooth_price(_bounds(model), _samples(stretch), _slopes(state), stretch.peak, slopes, H, g)
     pull = 2.0 * ANCHOR * np.repeat(stretch.hold * stretch.free, m)
     H[:, 0] += pull
     g += pull * (state.c - stretch.anchor).ravel()
@@ -176,7 +187,6 @@ def program_around(
 
     Only what is watched has rows in it.
     """
-    low, high = model.arm_range
     w = around.H.shape[1]
     rows, groups = count_rows(
         stretch.step, stretch.deposits, watch.rates, watch.ends, state.sigma, least_sigma, watch.facets
@@ -186,9 +196,8 @@ def program_around(
     A, b, at = np.empty((rows + extra, w)), np.empty(rows + extra), np.empty(rows + extra, dtype=np.int64)
     group, price = np.empty(groups + extra + 1, dtype=np.int64), np.empty(groups + extra)
     bound_rows(
-        state.rates, model.limits, stretch.step, stretch.deposits, state.slack, watch.rates, state.q, state.G, low, high,
-        watch.ends, state.sigma, state.sigma_slope, least_sigma, state.lean, state.lean_slope, state.cones, watch.facets,
-        around.slopes, stretch.first, stretch.B, stretch.free, A, b, at, group, price,
+        _bounds(model), least_sigma, _samples(stretch), _slopes(state), around.slopes,
+        RowsWatched(watch.rates, watch.ends, watch.facets), RowsFilled(A, b, at, group, price),
     )  # fmt: skip
     A[rows:], b[rows:], at[rows:] = own_A, own_b, own_at
     group[groups + 1 :] = rows + 1 + np.arange(extra)

@@ -3,23 +3,50 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.base.arrays import Array
+from planner.base.arrays import Array, Flags, Ints
 from planner.base.compiled import njit
 from planner.cell.cell import Limits
 from planner.resolve.joint_path import SampledTasks
 from planner.resolve.nodes import Grid, Nodes
+from planner.resolve.prices import TRAVEL_PRICE, TURN_PRICE
 
 # ----------------------------------------------------------------------------------------------------
 # Compiled body of the search through the ladder graph.
 
 SPEED_SHARE = 0.9  # of a joint's speed that an edge may use: the rest is for what happens between rungs
-TRAVEL_PRICE = 0.02  # seconds a second of travel: a dip spoils the bead, travel only takes time
 _ORDER = (4, 0, 1, 2, 3, 5, 6, 7, 8)  # of the nine neighbours, that of the same roll and holder first
-TURN_PRICE = 50.0  # seconds a second, for a change of roll or holder that needs a joint's whole acceleration
+
+
+class LadderNumbers(NamedTuple):
+    """The ladder graph: R rungs, each a window of A rolls, B holder angles and C branches, and the tasks that they are of.
+
+    q (R, A, B, C, na) [rad], price (R, A, B, C) [s]      of the nodes, as in `Nodes`
+    roll_from, holder_from (R), periodic, holder_step     of their grid, as in `Grid`
+    task_rungs, time (R)                                  as in `SampledTasks`
+    """
+
+    q: NDArray[np.float32]
+    price: Array
+    roll_from: Ints
+    holder_from: Ints
+    periodic: bool
+    holder_step: float
+    task_rungs: Ints
+    time: Array
+
+
+class TravelLimits(NamedTuple):
+    """Speed v [rad/s] and acceleration a [rad/s^2] (na + 1) of the arm's joints and then the swept one; wraps (na): which
+    arm joints can turn so far that their angles count round the circle."""
+
+    v: Array
+    a: Array
+    wraps: Flags
 
 
 @njit(cache=True)
@@ -77,12 +104,14 @@ def _turn(holder_from, r1: int, b1: int, r0: int, b0: int, holder_step: float) -
 
 
 @njit(cache=True)
-def _from_travel(q, price, r: int, arrived, holder_from, holder_step: float, v, a, wraps, cost, back) -> None:
+def _from_travel(ladder, r: int, arrived, limits, cost, back) -> None:
     """Start a bead at rung r: each node's cheapest predecessor among all ends (at rung r - 1) of the bead before.
 
     The price of travel is a metric, so an end that is reached more cheaply through another end can be left out: few
     remain. They are tried in the order of their cost, until an end alone costs more than the best way found.
     """
+    q, price, holder_from, holder_step = ladder.q, ladder.price, ladder.holder_from, ladder.holder_step
+    v, a, wraps = limits.v, limits.a, limits.wraps
     _, A, B, C = price.shape
     flat = arrived.ravel()
     kept = np.empty(flat.size, dtype=np.int64)
@@ -134,16 +163,16 @@ def _neighbours(window: int, shift: int, periodic: bool):
 
 
 @njit(cache=True)
-def _from_rung(
-    q, price, r: int, arrived, roll_from, holder_from, periodic, holder_step: float, time: float, v, a, wraps, cost, back
-) -> None:  # fmt: skip
+def _from_rung(ladder, r: int, arrived, limits, cost, back) -> None:
     """Each node's cheapest predecessor among its nine neighbours at rung r - 1; of equal ones the first in their order.
 
     Who keeps to roll and holder pays no edge, so it is asked first: what costs more without its edge is left out.
     """
+    q, price, holder_step, time = ladder.q, ladder.price, ladder.holder_step, ladder.time[r]
+    v, a, wraps = limits.v, limits.a, limits.wraps
     _, A, B, C = price.shape
-    from_a, straight_a = _neighbours(A, roll_from[r] - roll_from[r - 1], periodic)
-    from_b, straight_b = _neighbours(B, holder_from[r] - holder_from[r - 1], periodic)
+    from_a, straight_a = _neighbours(A, ladder.roll_from[r] - ladder.roll_from[r - 1], ladder.periodic)
+    from_b, straight_b = _neighbours(B, ladder.holder_from[r] - ladder.holder_from[r - 1], ladder.periodic)
     for i in range(A):
         for b in range(B):
             for c in range(C):
@@ -176,11 +205,13 @@ def _from_rung(
 
 
 @njit(cache=True)
-def search_best(q, price, roll_from, holder_from, periodic, holder_step, task_rungs, time, v, a, wraps, out, back_home):
+def search_best(ladder, limits, out, back_home):
     """Cheapest route: picked (R, 3) window indices and branch column, its price, and -1; or where it got stuck.
 
+    ladder: LadderNumbers, limits: TravelLimits
     out, back_home (A, B, C): prices of the ways to the first rung's nodes and from the last one's.
     """
+    price, task_rungs = ladder.price, ladder.task_rungs
     R, A, B, C = price.shape
     back = np.full((R, A, B, C), -1, dtype=np.int32)
     picked = np.full((R, 3), -1, dtype=np.int64)
@@ -192,24 +223,9 @@ def search_best(q, price, roll_from, holder_from, periodic, holder_step, task_ru
             if r == 0:
                 cost = price[0] + out
             elif r == task_rungs[task]:
-                _from_travel(q, price, r, arrived, holder_from, holder_step, v, a, wraps, cost, back)
+                _from_travel(ladder, r, arrived, limits, cost, back)
             else:
-                _from_rung(
-                    q,
-                    price,
-                    r,
-                    arrived,
-                    roll_from,
-                    holder_from,
-                    periodic,
-                    holder_step,
-                    time[r],
-                    v,
-                    a,
-                    wraps,
-                    cost,
-                    back,
-                )
+                _from_rung(ladder, r, arrived, limits, cost, back)
             if not np.isfinite(cost.min()):
                 return picked, np.inf, r
     cost += back_home
@@ -222,8 +238,10 @@ def search_best(q, price, roll_from, holder_from, periodic, holder_step, task_ru
 
 
 @njit(cache=True)
-def search_greedy(q, price, roll_from, holder_from, periodic, holder_step, task_rungs, time, v, a, wraps):
+def search_greedy(ladder, limits):
     """Greedy route, bead by bead; same returns as `search_best`."""
+    q, price, task_rungs = ladder.q, ladder.price, ladder.task_rungs
+    v, a, wraps = limits.v, limits.a, limits.wraps
     R, A, B, C = price.shape
     picked = np.full((R, 3), -1, dtype=np.int64)
     total = 0.0
@@ -234,7 +252,7 @@ def search_greedy(q, price, roll_from, holder_from, periodic, holder_step, task_
             p = picked[r0 - 1]
             for i in range(A):
                 for b in range(B):
-                    turn = _turn(holder_from, r0, b, r0 - 1, p[1], holder_step)
+                    turn = _turn(ladder.holder_from, r0, b, r0 - 1, p[1], ladder.holder_step)
                     for c in range(C):
                         starts[i, b, c] += travel_price(q[r0 - 1, p[0], p[1], p[2]], q[r0, i, b, c], turn, v, a, wraps)
         flat = starts.ravel()
@@ -243,21 +261,7 @@ def search_greedy(q, price, roll_from, holder_from, periodic, holder_step, task_
             if flat[k] == np.inf:
                 break
             picked[r0, 0], picked[r0, 1], picked[r0, 2] = k // (C * B), (k // C) % B, k % C
-            spent, stuck = _follow(
-                q,
-                price,
-                roll_from,
-                holder_from,
-                periodic,
-                holder_step,
-                task_rungs[task + 1],
-                r0,
-                time,
-                v,
-                a,
-                wraps,
-                picked,
-            )
+            spent, stuck = _follow(ladder, limits, r0, task_rungs[task + 1], picked)
             if stuck < 0:
                 total += flat[k] + spent
                 done = True
@@ -269,8 +273,12 @@ def search_greedy(q, price, roll_from, holder_from, periodic, holder_step, task_
 
 
 @njit(cache=True)
-def _follow(q, price, roll_from, holder_from, periodic, holder_step, stop: int, r0: int, time, v, a, wraps, picked):
-    """Walk from the node picked at rung r0, always to the cheapest next one; the rung of a dead end, or -1."""
+def _follow(ladder, limits, r0: int, stop: int, picked):
+    """Walk from the node picked at rung r0 up to rung `stop`, always to the cheapest next one; the price of the way, and
+    the rung of a dead end, or -1."""
+    q, price, periodic, holder_step, time = ladder.q, ladder.price, ladder.periodic, ladder.holder_step, ladder.time
+    roll_from, holder_from = ladder.roll_from, ladder.holder_from
+    v, a, wraps = limits.v, limits.a, limits.wraps
     A, B = price.shape[1], price.shape[2]
     total = 0.0
     for r in range(r0 + 1, stop):
@@ -325,12 +333,10 @@ def best_route(
 
     home: prices [s] (rolls, holders, c) of the ways to the first rung's nodes and from the last one's, if they count
     """
-    grid = nodes.grid
     free = np.zeros(nodes.price.shape[1:])
     picked, price, stuck = search_best(
-        nodes.q, nodes.price, grid.roll_from, grid.holder_from, grid.periodic, grid.holder_step,
-        demand.task_rungs, demand.time, *joint_limits(nodes, limits), *(home or (free, free)),
-    )  # fmt: skip
+        _ladder_numbers(nodes, demand), joint_limits(nodes, limits), *(home or (free, free))
+    )
     return _route(nodes, picked, price) if stuck < 0 else None, int(stuck)
 
 
@@ -339,24 +345,27 @@ def greedy_route(nodes: Nodes, demand: SampledTasks, limits: Limits) -> tuple[Ro
 
     Same returns as `best_route`; the rung is the furthest that any start led to.
     """
-    grid = nodes.grid
-    picked, price, stuck = search_greedy(
-        nodes.q, nodes.price, grid.roll_from, grid.holder_from, grid.periodic, grid.holder_step,
-        demand.task_rungs, demand.time, *joint_limits(nodes, limits),
-    )  # fmt: skip
+    picked, price, stuck = search_greedy(_ladder_numbers(nodes, demand), joint_limits(nodes, limits))
     return _route(nodes, picked, price) if stuck < 0 else None, int(stuck)
 
 
-def joint_limits(nodes: Nodes, limits: Limits) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Speed and acceleration limits (na + 1), the arm's and then the swept joint's (any, where there is none), and
-    which arm joints (na) can turn so far that their angles count round the circle."""
+def _ladder_numbers(nodes: Nodes, demand: SampledTasks) -> LadderNumbers:
+    grid = nodes.grid
+    return LadderNumbers(
+        nodes.q, nodes.price, grid.roll_from, grid.holder_from, grid.periodic, grid.holder_step,
+        demand.task_rungs, demand.time,
+    )  # fmt: skip
+
+
+def joint_limits(nodes: Nodes, limits: Limits) -> TravelLimits:
+    """The arm's limits and then the swept joint's (any, where there is none)."""
     na = nodes.q.shape[-1]
     arm = np.arange(na)
     v, a = np.ones(na + 1), np.ones(na + 1)
     v[:na], a[:na] = limits.velocity[arm], limits.acceleration[arm]
     if nodes.joint < len(limits.velocity):
         v[na], a[na] = limits.velocity[nodes.joint], limits.acceleration[nodes.joint]
-    return v, a, (limits.q_max - limits.q_min)[arm] >= ROUND
+    return TravelLimits(v, a, (limits.q_max - limits.q_min)[arm] >= ROUND)
 
 
 def _route(nodes: Nodes, picked: NDArray[np.int64], price: float) -> Route:

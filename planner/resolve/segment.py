@@ -8,10 +8,12 @@ import numpy as np
 
 from planner.base.arrays import Array, Flags, Ints
 from planner.base.processes import in_blocks
-from planner.cell.cell import Cell, rigid_inverse
-from planner.cell.kinematics.inverse import kind_of
+from planner.cell.cell import Cell
 from planner.collision.margins import nearest_margins
 from planner.collision.scene import BLOCK, NOTHING, Obstacles
+from planner.resolve.follow import HolderNumbers
+from planner.resolve.prices import CLEARANCE_UNIT
+from planner.resolve.reach import ArmNumbers, arm_numbers
 from planner.toolpath.task import Cones
 
 # ----------------------------------------------------------------------------------------------------
@@ -25,7 +27,6 @@ EVERY = 1e-3  # m of the tip's way from one sample that is looked at to the next
 SPARSE = 4  # times as far elsewhere
 _SMALL = 6e-3  # m
 ROOM = 2e-4  # m of margin that is asked for, since paths are looked at in samples
-UNIT = 10.0  # 1/m: a tenth of a millimetre that lacks counts as much as a milliradian beyond a cone
 _ROWS = 4  # pairs of a sample that are held
 _FEW = 2  # blocks of postures that are looked at sooner than threads begin
 _STILL = 1e-6  # m/rad: margins that change by less do not change
@@ -96,7 +97,7 @@ def _beside_small(margin: Array, slope: Array, count: int) -> Ints:
 def shortage(near: Clearances) -> Array:
     """What lacks (n, 1), in the units of a cone's excess."""
     lacking = np.zeros(len(near.time))
-    np.add.at(lacking, near.sample, UNIT * near.time[near.sample] * np.maximum(ROOM - near.margin, 0.0))
+    np.add.at(lacking, near.sample, CLEARANCE_UNIT * near.time[near.sample] * np.maximum(ROOM - near.margin, 0.0))
     return lacking[:, None]
 
 
@@ -111,8 +112,13 @@ def clearance_rows(
     held = np.flatnonzero((reach > near.margin - ROOM) & (reach > trust * _STILL))
     i, m, width = near.sample[held], near.slope.shape[1], B.shape[2]
     moved = B[i, 0] * free[first[i][:, None] + np.arange(width)]
-    A = -UNIT * moved[:, :, None] * near.slope[held][:, None, :]
-    return A.reshape(len(held), width * m), UNIT * (near.margin[held] - ROOM), first[i] * m, near.time[i] * step[i]
+    A = -CLEARANCE_UNIT * moved[:, :, None] * near.slope[held][:, None, :]
+    return (
+        A.reshape(len(held), width * m),
+        CLEARANCE_UNIT * (near.margin[held] - ROOM),
+        first[i] * m,
+        near.time[i] * step[i],
+    )
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -127,14 +133,14 @@ _RANGE_ROOM = 1e-4  # rad kept from the ends of the joints' ranges
 
 @dataclass(frozen=True)
 class Model:
-    """What the kernels need of a cell: chains, limits, which arm joints follow from the task or are given, obstacles.
+    """What the kernels need of a cell: arm, holder, limits, obstacles.
 
-    chains: the first ten arguments of `follow_kernel.follow`, of the arm, its closed form, and the holder
+    numbers, holder: of the arm and of what holds the part; given (k): arm joints that are free themselves
     limits (3, nj) of velocity, acceleration, jerk; low, high (nj) ends of the joints' ranges; arm: its joints
     """
 
-    chains: tuple[Array, Array, Array, Array, Array, Array, int, Array, Array, Array]
-    solved: Ints
+    numbers: ArmNumbers
+    holder: HolderNumbers
     given: Ints
     limits: Array
     low: Array
@@ -161,12 +167,10 @@ class Model:
 def model_of(cell: Cell, obstacles: Obstacles = NOTHING) -> Model:
     """The kernels' view of a cell, and what is in its way."""
     na = len(cell.arm)
-    arm, holder, limits = cell.arm, cell.holder, cell.limits
-    forward = (arm.placements, arm.axes, arm.T_last_tip, holder.placements, holder.axes, holder.T_last_tip)
-    ends = (rigid_inverse(cell.T_world_base), rigid_inverse(cell.T_flange_nozzle))
+    holder, limits = cell.holder, cell.limits
     return Model(
-        chains=(*forward, kind_of(cell.inverse), cell.inverse.parameters, *ends),
-        solved=np.array(cell.solved),
+        numbers=arm_numbers(cell),
+        holder=HolderNumbers(holder.placements, holder.axes, holder.T_last_tip),
         given=np.array([j for j in cell.chosen if j < na], dtype=np.int64),
         limits=np.stack([limits.velocity, limits.acceleration, limits.jerk]),
         low=limits.q_min + _RANGE_ROOM,

@@ -120,7 +120,7 @@ _FLOOR = 1.0 + 1e-3  # times the least singular value that was given: the progra
 def sqp(
     cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles = NOTHING
 ) -> tuple[JointPath, ...]:
-    """The ladder's paths, their free variables refined until no step lowers the price (see `price_kernel`).
+    """The ladder's paths, their free variables refined until no step lowers the price (see `price_kernels`).
 
     No path comes back that costs more than the ladder's. Layers follow each other: a bead starts from the
     refined one below it, where that is cheaper. Raises Refusal as `ladder` does.

@@ -16,7 +16,8 @@ from planner.base.arrays import Array
 from planner.base.compiled import njit
 from planner.cell.cell import Cell
 from planner.resolve.joint_path import SampledTasks
-from planner.resolve.nodes import LIMIT_ROOM
+from planner.resolve.prices import TABLE_BEYOND_PRICE, TABLE_LEAN_PRICE, TABLE_MOVE_PRICE, TABLE_RETURN_PRICE
+from planner.resolve.reach import LIMIT_ROOM
 from planner.toolpath.task import NozzleTask
 
 _SHARE = 0.6  # of the cone that is aimed at: splines cut what is found on the lattice
@@ -24,11 +25,7 @@ _STEPS_IN_CONE = 2.0  # lattice steps in that share
 _FINEST = np.radians(2.0)
 _SPEED_SHARE = 0.7  # of an axis' speed
 ARM_SHARES = (1.5, 3.0)  # times as long, there: the arm has to follow as well; tried one after the other
-LEAN = 50.0  # seconds a second, at twice the lean that is aimed at
-BEYOND = 1e4  # seconds a second and rad, beyond most of the cone: no way past that costs less
-_MOST = 0.9  # of the cone, there: paths between the rungs need the rest
-MOVE = 1.0  # seconds a second, for an axis at its full speed
-RETURN = 0.02  # s per rad between the end of a bead and the start of the next
+_MOST = 0.9  # of the cone, beyond which TABLE_BEYOND_PRICE counts: paths between the rungs need the rest
 
 
 def upright_table(cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks) -> Array:
@@ -144,7 +141,7 @@ def _price_of_lean(cosine: float, aim: float, most: float) -> float:
     """Seconds a second of a layer that leans beyond what is aimed at."""
     lean = np.arccos(max(cosine, -1.0))
     over = max(0.0, lean / aim - 1.0)
-    return LEAN * over * over + BEYOND * max(0.0, lean - most)
+    return TABLE_LEAN_PRICE * over * over + TABLE_BEYOND_PRICE * max(0.0, lean - most)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -162,13 +159,15 @@ def _cheapest(
     farthest = np.zeros(r + 1)  # s for the longest move to it
     for k in range(1, r):
         for axis in range(2):
-            weight[k, axis] = MOVE * step * step / (time[k] * speed[axis] ** 2)
+            weight[k, axis] = TABLE_MOVE_PRICE * step * step / (time[k] * speed[axis] ** 2)
             longest = up.shape[axis] // 2 if turns[axis] else up.shape[axis] - 1
             farthest[k] += weight[k, axis] * longest**2
     cost = np.empty((na, nb))
     for i in range(na):
         for j in range(nb):
-            cost[i, j] = RETURN * step * (_apart(i, start[0], na, turns[0]) + _apart(j, start[1], nb, turns[1]))
+            cost[i, j] = (
+                TABLE_RETURN_PRICE * step * (_apart(i, start[0], na, turns[0]) + _apart(j, start[1], nb, turns[1]))
+            )
     back = np.empty((r, na, nb, 2), dtype=np.int16)
     cosine, moved = np.empty((na, nb)), np.empty((na, nb))
     column, came = np.empty(na), np.empty(max(na, nb), dtype=np.int64)
@@ -187,7 +186,7 @@ def _cheapest(
                     nearest = min(nearest, a + weight[k, 1] * _apart(j, best % nb, nb, turns[1]) ** 2)
         leaning = np.pi  # a place that leans by more costs too much whatever the way there
         if k:
-            leaning = min(most + (nearest + farthest[k + 1]) / (spell * BEYOND), np.pi)
+            leaning = min(most + (nearest + farthest[k + 1]) / (spell * TABLE_BEYOND_PRICE), np.pi)
             moved[:] = np.inf
             for j in range(nb):
                 column[:] = cost[:, j]

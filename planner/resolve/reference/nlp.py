@@ -17,9 +17,17 @@ from planner.cell.kinematics.chain import Chain
 from planner.problem.settings import ResolveSpec
 from planner.resolve.joint_path import JointPath, choose_turns
 from planner.resolve.ladder import ladder
-from planner.resolve.nodes import LIMIT_COMFORT, LIMIT_PRICE, SIGMA_COMFORT, SIGMA_PRICE
-from planner.resolve.price_kernels import DIP, DIP_PRICE, EFFORT
-from planner.resolve.refine import ANCHOR, CONE_ROOM, evaluate
+from planner.resolve.prices import (
+    ANCHOR,
+    DIP,
+    DIP_PRICE,
+    EFFORT,
+    LIMIT_COMFORT,
+    LIMIT_PRICE,
+    SIGMA_COMFORT,
+    SIGMA_PRICE,
+)
+from planner.resolve.refine import CONE_ROOM, evaluate
 from planner.resolve.segment import (
     CONE_SIDES,
     HOLDER,
@@ -160,7 +168,7 @@ class _Sample:
     """Variables v and parameters p (tip, frame, step, deposits) of a sample, its share f of the price, and g.
 
     g: EQUALITIES, then what must not be positive: shares against the slack, from above and from below, then cones.
-    convex: diagonal of f's second derivatives without those that are negative, as in `refine_kernel`
+    convex: diagonal of f's second derivatives without those that are negative, as in `smooth_price`
     """
 
     v: ca.SX

@@ -1,0 +1,276 @@
+"""How an arm reaches nozzle poses, compiled: arm, limits, rungs and grid as numbers, and what all postures there ask.
+
+Both the ladder's nodes (`nodes`) and the score of a placement (`planner.place.rating`) look at every posture of a grid: at
+each rung, angle of the swept joint and roll there is one nozzle pose, and the arm's postures for it. What is the same in
+both is here; what a posture is worth is theirs.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from planner.base.arrays import Array, Flags, Ints
+from planner.base.compiled import njit
+from planner.cell.cell import Cell, rigid_inverse
+from planner.cell.kinematics.chain import Chain, invert6, jacobian_at, mul4, rotate_about, turn
+from planner.cell.kinematics.inverse import kind_of
+from planner.collision.margins import FIRST, NO, first_lacking, head_lacking
+from planner.resolve.joint_path import SampledTasks
+
+LIMIT_ROOM = 0.07  # rad from a joint's limit that a node must keep: what moves between rungs needs it
+CLEAR_ROOM = 3e-3  # m of clearance that a node must keep besides what is needed: what moves between rungs needs it
+
+# ----------------------------------------------------------------------------------------------------
+# What kernels are given: the arm, its limits, the joint that is swept, the rungs, and room.
+
+
+class ArmNumbers(NamedTuple):
+    """An arm of na joints.
+
+    kind, parameters                     of its closed form: `kind_of`, `InverseKinematics.parameters`
+    solved (6)                           joints (indices) that follow from a pose
+    T_base_world, T_nozzle_flange (4, 4) what stands at the two ends of the closed form, seen from there
+    placements (na, 4, 4), axes (na, 3), T_last_tip (4, 4)   as in Chain, from the world to the nozzle
+    """
+
+    kind: int
+    parameters: Array
+    solved: Ints
+    T_base_world: Array
+    T_nozzle_flange: Array
+    placements: Array
+    axes: Array
+    T_last_tip: Array
+
+
+class ArmLimits(NamedTuple):
+    """Limits (na) of the arm's joints: ends of their ranges [rad], speed [rad/s], acceleration [rad/s^2]."""
+
+    q_min: Array
+    q_max: Array
+    v_max: Array
+    a_max: Array
+
+
+class SweptJoint(NamedTuple):
+    """What the grid's second index turns at r rungs, and the angles [rad] of all that it does not turn.
+
+    T_before, T_after (r, 4, 4), axis (3)   world to part: T_before Rot(axis, swept angle) T_after
+    sweeps                                  0 nothing, 1 a holder joint, 2 the arm's redundant joint
+    joint                                   that joint among all, or -1; low, high: ends of its range [rad]
+    holder (r, nh), redundant (r)           angles of the holder's joints and of the arm's redundant one
+    """
+
+    T_before: Array
+    axis: Array
+    T_after: Array
+    sweeps: int
+    joint: int
+    low: float
+    high: float
+    holder: Array
+    redundant: Array
+
+
+class GridNumbers(NamedTuple):
+    """Steps [rad], first indices (r) and branches (r, c) of a `Grid`."""
+
+    roll_step: float
+    holder_step: float
+    roll_from: Ints
+    holder_from: Ints
+    branch: Ints
+
+
+class RungNumbers(NamedTuple):
+    """Samples (n) and rungs (r) of `SampledTasks`, whose fields these are."""
+
+    tip: Array
+    frames: Array
+    twist: Array
+    rate: Array
+    now: Array
+    weight: Array
+    rung: Ints
+    start: Ints
+    stop: Ints
+
+
+class PoseRoom(NamedTuple):
+    """Room for one thread, filled anew at each pose.
+
+    R (3, 3), T_held, T_rolled (4, 4)       on the way
+    T_part_task, T_world_part, T_world_task, T_base_nozzle, T_base_flange (4, 4)   a rung's task, and its poses
+    z_axis (3)                              about which the nozzle rolls
+    eight (8, na), ok (8)                   postures of all branches [rad], and which there are
+    origins, directions (na, 3), J (6, na)  of the chain; Jp, Ji (6, 6): columns that count, and their inverse; J6 (6, 6)
+    posture (1, na + nh)                    arm and holder
+    """
+
+    R: Array
+    T_held: Array
+    T_rolled: Array
+    T_part_task: Array
+    T_world_part: Array
+    T_world_task: Array
+    T_base_nozzle: Array
+    T_base_flange: Array
+    z_axis: Array
+    eight: Array
+    ok: Flags
+    origins: Array
+    directions: Array
+    J: Array
+    Jp: Array
+    Ji: Array
+    J6: Array
+    posture: Array
+
+
+def arm_numbers(cell: Cell) -> ArmNumbers:
+    """The cell's arm for kernels."""
+    return ArmNumbers(
+        kind_of(cell.inverse), cell.inverse.parameters, np.array(cell.solved),
+        rigid_inverse(cell.T_world_base), rigid_inverse(cell.T_flange_nozzle),
+        cell.arm.placements, cell.arm.axes, cell.arm.T_last_tip,
+    )  # fmt: skip
+
+
+def arm_limits(cell: Cell) -> ArmLimits:
+    """The limits of the cell's arm for kernels."""
+    limits, na = cell.limits, len(cell.arm)
+    return ArmLimits(limits.q_min[:na], limits.q_max[:na], limits.velocity[:na], limits.acceleration[:na])
+
+
+def swept_joint(cell: Cell, swept: int | None, held: Array) -> SweptJoint:
+    """What turns where the chosen joint of this index is swept, or none, and the chosen joints' angles are held (r, k)."""
+    limits, nh = cell.limits, len(cell.holder)
+    swept = swept if cell.chosen else None
+    sweeps = 0 if swept is None else (1 if swept < nh else 2)
+    T_before, axis, T_after = _holder_around(cell, nh if swept is None else swept, held[:, :nh])
+    joint = -1 if swept is None else cell.chosen[swept]
+    low, high = (-np.inf, np.inf) if swept is None else (float(limits.q_min[joint]), float(limits.q_max[joint]))
+    redundant = np.zeros(len(held)) if cell.inverse.redundant_joint is None else held[:, nh].copy()
+    return SweptJoint(T_before, axis, T_after, sweeps, joint, low, high, held[:, :nh].copy(), redundant)
+
+
+def rung_numbers(demand: SampledTasks) -> RungNumbers:
+    """The samples and rungs of a demand for kernels."""
+    return RungNumbers(
+        demand.tip, demand.frames, demand.twist, demand.rate, demand.now, demand.weight,
+        demand.rung, demand.start, demand.stop,
+    )  # fmt: skip
+
+
+def _holder_around(cell: Cell, swept: int, held: Array) -> tuple[Array, Array, Array]:
+    """World to part as T_before Rot(axis, angle of the swept joint) T_after, the other axes held (r, nh).
+
+    Where no holder joint is swept, T_before is the whole way and the axis any.
+    """
+    r = len(held)
+    holder = cell.holder
+    if swept >= len(holder):
+        return holder.poses(held), np.array([0.0, 0.0, 1.0]), np.tile(np.eye(4), (r, 1, 1))
+    first = Chain(holder.names[:swept], holder.placements[:swept], holder.axes[:swept], holder.placements[swept])
+    rest = Chain(holder.names[swept + 1 :], holder.placements[swept + 1 :], holder.axes[swept + 1 :], holder.T_last_tip)
+    return first.poses(held[:, :swept]), holder.axes[swept], rest.poses(held[:, swept + 1 :])
+
+
+# ----------------------------------------------------------------------------------------------------
+# Angles, poses, Jacobians and clearance of one posture.
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def room_for_poses(na, nh):
+    """A thread's room, for an arm of na joints and a holder of nh."""
+    return PoseRoom(
+        np.empty((3, 3)), np.empty((4, 4)), np.empty((4, 4)),
+        np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4)), np.array((0.0, 0.0, 1.0)),
+        np.empty((8, na)), np.empty(8, dtype=np.bool_),
+        np.empty((na, 3)), np.empty((na, 3)), np.empty((6, na)), np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6)),
+        np.empty((1, na + nh)),
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def nearest_turn(angle: float, middle: float) -> float:
+    """The angle, in whole turns as near to the middle of a joint's range as can be."""
+    away = angle - middle
+    return middle + away - 2.0 * np.pi * np.rint(away / (2.0 * np.pi))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def nearest_turns(q, middle, q_min, q_max) -> float:
+    """Turn all joints of q (na) so; returns the least angle [rad] from the end of a range, negative beyond it."""
+    room = np.inf
+    for j in range(q.size):
+        q[j] = nearest_turn(q[j], middle[j])
+        room = min(room, min(q[j] - q_min[j], q_max[j] - q[j]))
+    return room
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def angle_in_range(swept, angle: float):
+    """An angle of the swept joint [rad], turned into its range, and whether it keeps LIMIT_ROOM from the ends."""
+    if swept.sweeps == 0 or not swept.high - swept.low < 2.0 * np.pi:
+        return angle, True
+    turned = nearest_turn(angle, 0.5 * (swept.low + swept.high))
+    return turned, not min(turned - swept.low, swept.high - turned) < LIMIT_ROOM
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def part_pose(swept, r: int, angle: float, room) -> None:
+    """Fill the poses of part and task in the world, at rung r and an angle [rad] of the swept joint."""
+    rotate_about(swept.axis, angle if swept.sweeps == 1 else 0.0, room.R)
+    turn(swept.T_before[r], room.R, room.T_held)
+    mul4(room.T_held, swept.T_after[r], room.T_world_part)
+    mul4(room.T_world_part, room.T_part_task, room.T_world_task)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def flange_pose(
+    T_base_world, T_nozzle_flange, T_world_task, z_axis, roll: float, R, T_rolled, T_base_nozzle, T_base_flange
+) -> None:
+    """Fill the poses of nozzle and flange in the arm's base, at a roll [rad] of the nozzle about the task's axis."""
+    rotate_about(z_axis, roll, R)
+    turn(T_world_task, R, T_rolled)
+    mul4(T_base_world, T_rolled, T_base_nozzle)
+    mul4(T_base_nozzle, T_nozzle_flange, T_base_flange)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def into_part(J, solved, T_world_part, Jp) -> None:
+    """Fill Jp (6, 6) with the columns `solved` of a Jacobian J (6, na), their rows turned from the world into the part
+    frame, where twists are given."""
+    for j in range(6):
+        for i in range(3):
+            lin, ang = 0.0, 0.0
+            for m in range(3):
+                lin += T_world_part[m, i] * J[m, solved[j]]
+                ang += T_world_part[m, i] * J[3 + m, solved[j]]
+            Jp[i, j], Jp[3 + i, j] = lin, ang
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def inverse_in_part(origins, directions, solved, T_world_part, T_world_task, J, Jp, Ji) -> bool:
+    """Fill Ji (6, 6) with the rates of the joints `solved` for a twist in the part frame, at the tip of a chain of whose
+    joints origins and directions (na, 3) are known; False if it is singular to rounding. J (6, na), Jp (6, 6) are room."""
+    jacobian_at(origins, directions, T_world_task[:3, 3], J)
+    into_part(J, solved, T_world_part, Jp)
+    return invert6(Jp, Ji)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def lacks_clearance(table, bodies, posture, q, now: float, head, roll: int) -> bool:
+    """Whether a posture, its arm's joints now q (na), lacks clearance at a time of the print [beads].
+
+    head (rolls): whether the head lacks it from the part, which only roll decides; -1 where that is not known yet, which
+    is filled.
+    """
+    for j in range(q.size):
+        posture[0, j] = q[j]
+    if head[roll] < 0:
+        head[roll] = 1 if head_lacking(table, bodies, posture, FIRST, now) >= 0 else 0
+    return head[roll] != 0 or first_lacking(table, bodies, posture, FIRST, now, CLEAR_ROOM, NO) >= 0
