@@ -15,6 +15,8 @@ from planner.cell.solids import Body, Box, Capsule, Frustum, Hull, Mesh, Packed,
 from planner.collision.point_tree import (
     FROM_THE_START,
     PointTree,
+    SolidNumbers,
+    TipRule,
     least_distances,
     nearest_point,
     point_tree,
@@ -124,11 +126,8 @@ def test_a_flat_hull_is_refused() -> None:
 def ask(
     tree: PointTree, pack: Packed, now: float, enough: float, clearance: float, tip: Array, slope: float, slack: float
 ) -> tuple[float, int]:
-    return nearest_point(
-        tree.points, tree.radius, tree.time, tree.centre, tree.reach, tree.since, tree.left, tree.right,
-        pack.kind[0], pack.size[0], pack.planes, pack.T_solid_frame[0], now, enough, clearance, tip, slope, slack,
-        search_room(),
-    )  # fmt: skip
+    solid, rule = SolidNumbers(pack.kind[0], pack.size[0], pack.planes), TipRule(clearance, slope, slack)
+    return nearest_point(tree.arrays, solid, pack.T_solid_frame[0], tip, rule, now, enough, search_room())
 
 
 @given(
@@ -178,10 +177,8 @@ def test_distances_along_poses_are_exact_where_near_and_a_share_of_the_true_ones
     T[:3, :3, 3] += 0.15  # some of them farther away
     now = rng.uniform(-0.5, 1.5, len(T))
     distance, point = np.empty(len(T)), np.empty(len(T), dtype=np.int64)
-    least_distances(
-        tree.points, tree.radius, tree.time, tree.centre, tree.reach, tree.since, tree.left, tree.right,
-        pack.kind[0], pack.size[0], pack.planes, T, now, exact, most, share, search_room(), distance, point,
-    )  # fmt: skip
+    solid = SolidNumbers(pack.kind[0], pack.size[0], pack.planes)
+    least_distances(tree.arrays, solid, T, now, exact, most, share, search_room(), distance, point)
     for k, T_solid_tree in enumerate(T):
         each = distances(pack, points @ T_solid_tree[:3, :3].T + T_solid_tree[:3, 3]) - radius
         each = np.where(time < now[k], each, np.inf)

@@ -41,8 +41,7 @@ def solve(
 ) -> Solution:
     begin = p.start if start is None else start
     blocks = np.ones(-(-len(p.h) // APART), dtype=np.bool_) if wanted is None else wanted
-    arguments = (p.point, p.middle, p.ends, p.acceleration, p.jerk, p.ceiling, p.h, begin, p.level, accuracy, blocks)
-    c, found = fastest(*arguments)
+    c, found = fastest(p.rows, begin, p.level, accuracy, blocks)
     return np.asarray(c), bool(found)
 
 

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from planner.base.arrays import Array
 from planner.base.compiled import njit
 from planner.cell.solids import BOX, CAPSULE, HULL
 from planner.collision.gjk import solids_distance
-from planner.collision.point_tree import nearest_point, solid_distance
+from planner.collision.point_tree import SolidNumbers, TipRule, TreeArrays, nearest_point, solid_distance
 from planner.collision.table import DEEP, workspace_for
 
 # ----------------------------------------------------------------------------------------------------
 # Compiled: how much clearance a posture has left, between which bodies, and how that changes with the joints.
 #
 # Margin is the word for a distance less what is needed there: below 0 clearance lacks. Frames are numbered 0 for the
-# world, then one for each joint, after its turn: the arm's, then the holder's. Loops stay within functions that take
-# their arrays one by one: to count who refers to a slice, or to a field of a tuple, costs more than the arithmetic.
+# world, then one for each joint, after its turn: the arm's, then the holder's. Loops take arrays from names of their
+# own: to count who refers to a slice, or to a field of a tuple, costs more than the arithmetic.
 
 NONE = -np.inf
 # Flags and numbers handed on to other kernels: plain ones are types of their own, for each of which all is compiled anew.
@@ -98,23 +101,22 @@ def outside(kind, size, pose, middle, b, other):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def pair_distance(kind, size, span, vertices, pose, middle, a, b, enough, little, way, k, S):
-    """`solids_distance` of a pair; solids that overlap are apart by their middles."""
-    distance = solids_distance(kind, size, span, vertices, pose, a, b, enough, little, way, k, S)
+def part_by_middles(middle, a, b, way, k, S) -> None:
+    """After `solids_distance` of a pair k: solids that overlap are apart by their middles."""
     if way[k, 0] == 0.0 and way[k, 1] == 0.0 and way[k, 2] == 0.0:
         for m in range(3):
             way[k, m] = middle[a, m] - middle[b, m]
             S[0, 3 + m], S[0, 6 + m] = middle[a, m], middle[b, m]
-    return distance
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="never")
-def _each_pair(
-    first, last, enough, stop,
-    pair, needed, ball, middle, frames, frame, T_frame_solid, pose, known, kind, size, span, vertices, way, S,
-):  # fmt: skip
+def over_pairs(table, room, first, last, enough, stop):
     """The least margin of pairs first .. last, if below `enough` [m], and which has it, or -1: exact, or with `stop`
     the first one below, told no better than that."""
+    pair, needed, ball, frame, T_frame_solid = table.pair, table.needed, table.ball, table.frame, table.T_frame_solid
+    kind, size, span, vertices = table.kind, table.size, table.span, table.vertices
+    middle, frames, pose, known = room.middle, room.frames, room.pose, room.known
+    way, S = room.way, room.simplex
     best, which = enough, -1
     for k in range(first, last):
         a, b = pair[k, 0], pair[k, 1]
@@ -130,22 +132,14 @@ def _each_pair(
         if not known[small]:
             place_solid(frames, frame, T_frame_solid, pose, known, small)
         little = best + needed[k] if stop else NONE
-        margin = pair_distance(kind, size, span, vertices, pose, middle, a, b, best + needed[k], little, way, k, S)
+        margin = solids_distance(kind, size, span, vertices, pose, a, b, best + needed[k], little, way, k, S)
+        part_by_middles(middle, a, b, way, k, S)
         margin -= needed[k]
         if margin < best:
             best, which = margin, k
             if stop:
                 break
     return best, which
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def over_pairs(table, room, first, last, enough, stop):
-    return _each_pair(
-        first, last, enough, stop, table.pair, table.needed, table.ball, room.middle, room.frames, table.frame,
-        table.T_frame_solid, room.pose, room.known, table.kind, table.size, table.span, table.vertices, room.way,
-        room.simplex,
-    )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="never")
@@ -187,15 +181,19 @@ def _solid_from_tree(frames, tree_frame, T_frame_tree, pose, b, t, out) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="never")
-def _each_look(
-    begin, end, now, enough, stop, on_part, off_part,
-    look, keep, slack, head_on_part, first, tree_frame, T_frame_tree, points, radius, time, node_centre, node_reach, since,
-    left, right, ball, middle, tip, arm, frames, frame, T_frame_solid, pose, known, kind, size, planes, few, into, stack,
-):  # fmt: skip
+def over_looks(table, room, begin, end, now, enough, stop, on_part, off_part):
     """The same of bodies looked at by trees, whose points are there before `now`; and the point, or -1.
 
     on_part, off_part: whether head and part, and whether all else is wanted
     """
+    look, keep, slack, head_on_part = table.look, table.keep, table.slack, table.head_on_part
+    first, tree_frame, T_frame_tree = table.first, table.tree_frame, table.T_frame_tree
+    points, radius, time, since = table.points, table.radius, table.time, table.since
+    node_centre, node_reach, left, right = table.node_centre, table.node_reach, table.left, table.right
+    ball, frame, T_frame_solid = table.ball, table.frame, table.T_frame_solid
+    kind, size, planes, tip, arm = table.kind, table.size, table.planes, table.tip, table.arm
+    middle, frames, pose, known = room.middle, room.frames, room.pose, room.known
+    few, into, stack = room.few, room.T_solid_tree, room.stack
     best, which, point = enough, -1, -1
     for k in range(begin, end):
         if not (on_part if head_on_part[k] else off_part):
@@ -215,27 +213,18 @@ def _each_look(
             place_solid(frames, frame, T_frame_solid, pose, known, b)
         _solid_from_tree(frames, tree_frame, T_frame_tree, pose, b, t, into)
         p1, n1 = p0 + first[t, 1], n0 + first[t, 3]
-        margin, found = nearest_point(
+        tree = TreeArrays(
             points[p0:p1], radius[p0:p1], time[p0:p1], node_centre[n0:n1], node_reach[n0:n1], since[n0:n1],
-            left[n0:n1], right[n0:n1], kind[b], size[b], planes, into, now, best, keep[k, 0], few[TIP], keep[k, 1],
-            slack[min(max(int(now), 0), len(slack) - 1)] if head_on_part[k] else keep[k, 2], stack,
+            left[n0:n1], right[n0:n1],
         )  # fmt: skip
+        own = slack[min(max(int(now), 0), len(slack) - 1)] if head_on_part[k] else keep[k, 2]
+        solid, rule = SolidNumbers(kind[b], size[b], planes), TipRule(keep[k, 0], keep[k, 1], own)
+        margin, found = nearest_point(tree, solid, into, few[TIP], rule, now, best, stack)
         if found >= 0:
             best, which, point = margin, k, found
             if stop:
                 break
     return best, which, point
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def over_looks(table, room, begin, end, now, enough, stop, on_part, off_part):
-    return _each_look(
-        begin, end, now, enough, stop, on_part, off_part, table.look, table.keep, table.slack, table.head_on_part, table.first,
-        table.tree_frame, table.T_frame_tree, table.points, table.radius, table.time, table.node_centre,
-        table.node_reach, table.since, table.left, table.right, table.ball, room.middle, table.tip, table.arm,
-        room.frames, table.frame, table.T_frame_solid, room.pose, room.known, table.kind, table.size, table.planes,
-        room.few, room.T_solid_tree, room.stack,
-    )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="never")
@@ -292,13 +281,26 @@ _AHEAD = 30e-3  # m: margins are found that far above what is asked for, which t
 _QUICK = 0.3  # of that: what moves farther from one sample to the next is not looked at ahead
 
 
+class ToSpare(NamedTuple):
+    """What need not be looked at yet, from posture to posture; one for each thread.
+
+    spare (p + k) [m]          what margins of pairs, then of looks, have to spare: a lower bound
+    frames (1 + nj, 3, 4)      as they were at the posture before
+    moved (b), shifted (t) [m] how far bodies and trees have moved since then at most
+    """
+
+    spare: Array
+    frames: Array
+    moved: Array
+    shifted: Array
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def room_to_spare(table):
-    """Room for `let_go`: what margins of pairs, then looks, have to spare (p + k), frames as they were,
-    and how far bodies (b) and trees (t) have moved since."""
+    """Nothing to spare yet."""
     b, t = len(table.frame), len(table.tree_frame)
     spare = np.full(len(table.pair) + len(table.look), -np.inf)
-    return spare, np.zeros((1 + len(table.axes), 3, 4)), np.zeros(b), np.zeros(t)
+    return ToSpare(spare, np.zeros((1 + len(table.axes), 3, 4)), np.zeros(b), np.zeros(t))
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="never")
@@ -317,9 +319,13 @@ def _moved(frames, old, frame, x, y, z, reach):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="never")
-def _let_go(
-    frame, ball, pair, look, first, tree_frame, T_frame_tree, node_centre, node_reach, frames, spare, old, moved, shifted,
-) -> None:  # fmt: skip
+def let_go(table, room, past) -> None:
+    """Lower what margins have to spare by how far their two have moved since the posture before."""
+    frame, ball, pair, look, first = table.frame, table.ball, table.pair, table.look, table.first
+    tree_frame, T_frame_tree = table.tree_frame, table.T_frame_tree
+    node_centre, node_reach = table.node_centre, table.node_reach
+    frames, old = room.frames, past.frames
+    spare, moved, shifted = past.spare, past.moved, past.shifted
     for b in range(len(frame)):
         moved[b] = _moved(frames, old, frame[b], ball[b, 0], ball[b, 1], ball[b, 2], ball[b, 3])
     for t in range(len(tree_frame)):
@@ -341,20 +347,15 @@ def _let_go(
                 old[f, i, j] = frames[f, i, j]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def let_go(table, room, spare, old, moved, shifted):
-    """Lower what margins have to spare by how far their two have moved since the posture before."""
-    _let_go(
-        table.frame, table.ball, table.pair, table.look, table.first, table.tree_frame, table.T_frame_tree,
-        table.node_centre, table.node_reach, room.frames, spare, old, moved, shifted,
-    )  # fmt: skip
-
-
 @njit(cache=True, nogil=True, error_model="numpy", inline="never")
-def _spared_pairs(
-    begin, end, enough, stop, spare, moved,
-    pair, needed, ball, middle, frames, frame, T_frame_solid, pose, known, kind, size, span, vertices, way, S,
-):  # fmt: skip
+def spared_pairs(table, room, past, begin, end, enough, stop):
+    """The least margin of pairs begin .. end, exact if below `enough` [m], and which has it, or -1; with `stop` the
+    first one below. What has enough to spare is passed over, and what the others have is kept."""
+    spare, moved = past.spare, past.moved
+    pair, needed, ball, frame, T_frame_solid = table.pair, table.needed, table.ball, table.frame, table.T_frame_solid
+    kind, size, span, vertices = table.kind, table.size, table.span, table.vertices
+    middle, frames, pose, known = room.middle, room.frames, room.pose, room.known
+    way, S = room.way, room.simplex
     best, which = enough, -1
     for k in range(begin, end):
         if spare[k] >= best:
@@ -371,9 +372,8 @@ def _spared_pairs(
             spare[k] = outside(kind, size, pose, middle, large, small) - ball[small, 3] - needed[k]
             if spare[k] < most:
                 place_solid(frames, frame, T_frame_solid, pose, known, small)
-                spare[k] = pair_distance(
-                    kind, size, span, vertices, pose, middle, a, b, most + needed[k], NONE, way, k, S
-                )
+                spare[k] = solids_distance(kind, size, span, vertices, pose, a, b, most + needed[k], NONE, way, k, S)
+                part_by_middles(middle, a, b, way, k, S)
                 spare[k] -= needed[k]
         if spare[k] < best:
             best, which = spare[k], k
@@ -383,23 +383,12 @@ def _spared_pairs(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def spared_pairs(table, room, begin, end, enough, stop, spare, moved):
-    """The least margin of pairs begin .. end, exact if below `enough` [m], and which has it, or -1; with `stop` the
-    first one below. What has enough to spare is passed over, and what the others have is kept."""
-    return _spared_pairs(
-        begin, end, enough, stop, spare, moved, table.pair, table.needed, table.ball, room.middle, room.frames,
-        table.frame, table.T_frame_solid, room.pose, room.known, table.kind, table.size, table.span, table.vertices,
-        room.way, room.simplex,
-    )  # fmt: skip
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def spared_looks(table, room, begin, end, now, late, enough, stop, spare, moved, shifted):
+def spared_looks(table, room, past, begin, end, now, late, enough, stop):
     """The same of looks, and the point, or -1; without `stop` more looks may have to be asked for, from the next one on.
 
     late: a time up to which what looks have to spare is to hold, whatever is printed until then.
     """
-    p = len(table.pair)
+    p, spare, moved, shifted = len(table.pair), past.spare, past.moved, past.shifted
     for k in range(begin, end):
         if spare[p + k] >= enough:
             continue
@@ -424,16 +413,16 @@ def spared_looks(table, room, begin, end, now, late, enough, stop, spare, moved,
 def least_margins(table, q, now, enough, more, margin, which) -> None:
     """`least_margin` of postures q (n, nj) at times now (n) into margin and which (n)."""
     room = workspace_for(table)
-    spare, old, moved, shifted = room_to_spare(table)
+    past = room_to_spare(table)
     p, looks = len(table.pair), len(table.look)
     late = now.max() if len(now) else 0.0
     for i in range(len(q)):
         put(table, room, q, i)
-        let_go(table, room, spare, old, moved, shifted)
-        best, found = spared_pairs(table, room, FIRST, p, enough + more, NO, spare, moved)
+        let_go(table, room, past)
+        best, found = spared_pairs(table, room, past, FIRST, p, enough + more, NO)
         best, k = best - more, FIRST
         while k < looks:
-            near, k, _ = spared_looks(table, room, k, looks, now[i], late, best, NO, spare, moved, shifted)
+            near, k, _ = spared_looks(table, room, past, k, looks, now[i], late, best, NO)
             if k < 0:
                 break
             best, found, k = near, p + k, k + 1
@@ -491,8 +480,11 @@ _STEP = 1e-6  # m, of the differences that give the direction of a solid's dista
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _add_slope(lines, na, frame, n0, n1, n2, x, y, z, sign, slope, row, col) -> None:
-    """Add to slope how fast a place of the world that moves with a frame goes along a normal, times a sign."""
+def _add_slope(lines, na, frame, normal, at, sign, slope, row, col) -> None:
+    """Add to slope how fast a place of the world, three numbers, that moves with a frame goes along a normal, three
+    numbers too, times a sign."""
+    n0, n1, n2 = normal
+    x, y, z = at
     for j in range(0 if frame <= na else na, frame):
         d0, d1, d2 = lines[j, 3], lines[j, 4], lines[j, 5]
         u, v, w = x - lines[j, 0], y - lines[j, 1], z - lines[j, 2]
@@ -510,8 +502,8 @@ def _pair_slope(table, room, k, slope, row, col) -> None:
     x, y, z = x / size, y / size, z / size
     S, na = room.simplex, table.arm[0]
     a, b = table.frame[table.pair[k, 0]], table.frame[table.pair[k, 1]]
-    _add_slope(room.lines, na, a, x, y, z, S[0, 3], S[0, 4], S[0, 5], 1.0, slope, row, col)
-    _add_slope(room.lines, na, b, x, y, z, S[0, 6], S[0, 7], S[0, 8], -1.0, slope, row, col)
+    _add_slope(room.lines, na, a, (x, y, z), (S[0, 3], S[0, 4], S[0, 5]), 1.0, slope, row, col)
+    _add_slope(room.lines, na, b, (x, y, z), (S[0, 6], S[0, 7], S[0, 8]), -1.0, slope, row, col)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="never")
@@ -538,9 +530,9 @@ def _look_slope(table, room, k, point, slope, row, col) -> None:
     dz = solid_distance(kind, size, planes, x, y, z + h) - solid_distance(kind, size, planes, x, y, z - h)
     for m in range(3):  # from the solid to the point
         normal[m] = (room.pose[b, m, 0] * dx + room.pose[b, m, 1] * dy + room.pose[b, m, 2] * dz) / (2.0 * h)
-    n0, n1, n2 = normal[0], normal[1], normal[2]
-    _add_slope(room.lines, na, f, n0, n1, n2, place[0], place[1], place[2], 1.0, slope, row, col)
-    _add_slope(room.lines, na, table.frame[b], n0, n1, n2, place[0], place[1], place[2], -1.0, slope, row, col)
+    along, at = (normal[0], normal[1], normal[2]), (place[0], place[1], place[2])
+    _add_slope(room.lines, na, f, along, at, 1.0, slope, row, col)
+    _add_slope(room.lines, na, table.frame[b], along, at, -1.0, slope, row, col)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -563,7 +555,7 @@ def nearest_margins(table, q, now, wanted, enough, enough_of_points, margin, slo
     """
     room = workspace_for(table)
     p, looks = len(table.pair), len(table.look)
-    spare, old, moved, shifted = room_to_spare(table)
+    past = room_to_spare(table)
     late = now.max() if len(now) else 0.0
     for i in range(len(q)):
         if not wanted[i]:
@@ -572,10 +564,10 @@ def nearest_margins(table, q, now, wanted, enough, enough_of_points, margin, slo
         slope[i] = 0.0
         which[i] = -1
         put(table, room, q, i)
-        let_go(table, room, spare, old, moved, shifted)
+        let_go(table, room, past)
         worst, k = FIRST, FIRST
         while k < p:  # from each pair that is near to the next one
-            found, k = spared_pairs(table, room, k, p, margin[i, worst], YES, spare, moved)
+            found, k = spared_pairs(table, room, past, k, p, margin[i, worst], YES)
             if k < 0:
                 break
             _pair_slope(table, room, k, slope, i, worst)
@@ -585,7 +577,7 @@ def nearest_margins(table, q, now, wanted, enough, enough_of_points, margin, slo
         k = FIRST
         while k < looks:
             most = min(margin[i, worst], enough_of_points)
-            found, k, point = spared_looks(table, room, k, looks, now[i], late, most, YES, spare, moved, shifted)
+            found, k, point = spared_looks(table, room, past, k, looks, now[i], late, most, YES)
             if k < 0:
                 break
             _look_slope(table, room, k, point, slope, i, worst)

@@ -8,7 +8,7 @@ so that a ball of points is passed over as soon as its middle is far enough.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,39 @@ _ZERO: Any = np.int64(0)  # a plain 0 is a type of its own, for which kernels wo
 _LEAF = 8  # points of a leaf
 _DEEP = 128  # nodes that wait at once: twice the depth of a tree of as many points as an index can count
 FROM_THE_START = -np.inf  # the time of what is there before the print
+
+
+class TreeArrays(NamedTuple):
+    """A `PointTree` as compiled kernels take it: its fields but `number`, with their shapes and units."""
+
+    points: Array
+    radius: Array
+    time: Array
+    centre: Array
+    reach: Array
+    since: Array
+    left: Ints
+    right: Ints
+
+
+class SolidNumbers(NamedTuple):
+    """One convex solid as compiled kernels take it: its kind and size (SIZES), and planes (k, 4) of all hulls, see
+    `Packed`."""
+
+    kind: int
+    size: Array
+    planes: Array
+
+
+class TipRule(NamedTuple):
+    """What is asked of a point at distance r [m] from the nozzle's tip: min(clearance, slope * r - slack) [m].
+
+    To ask for the clearance everywhere, let the slope be 0 and the slack -clearance.
+    """
+
+    clearance: float
+    slope: float
+    slack: float
 
 
 @dataclass(frozen=True)
@@ -40,6 +73,13 @@ class PointTree(ReadOnlyArrays):
     since: Array
     left: Ints
     right: Ints
+
+    @property
+    def arrays(self) -> TreeArrays:
+        """What kernels look at."""
+        return TreeArrays(
+            self.points, self.radius, self.time, self.centre, self.reach, self.since, self.left, self.right
+        )
 
 
 def point_tree(points: Array, radius: Array | float = 0.0, time: Array | float = FROM_THE_START) -> PointTree:
@@ -152,32 +192,35 @@ def solid_distance(kind, size, planes, x, y, z):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def point_value(p, radius, kind, size, planes, T_solid_tree, clearance, tip, slope, slack):
+def point_value(p, radius, solid, T_solid_tree, tip, rule):
     """The value of one point p (3) that `nearest_point` looks for the least of."""
     T = T_solid_tree
     d = solid_distance(
-        kind, size, planes,
+        solid.kind, solid.size, solid.planes,
         T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3],
         T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3],
         T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3],
     )  # fmt: skip
     away = np.sqrt((p[0] - tip[0]) ** 2 + (p[1] - tip[1]) ** 2 + (p[2] - tip[2]) ** 2)
-    return d - radius - min(clearance, slope * away - slack)
+    return d - radius - min(rule.clearance, rule.slope * away - rule.slack)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def nearest_point(
-    tree_points, tree_radius, tree_time, centre, reach, since, left, right,
-    kind, size, planes, T_solid_tree, now, enough, clearance, tip, slope, slack, stack,
-):  # fmt: skip
+def nearest_point(tree, solid, T_solid_tree, tip, rule, now, enough, stack):
     """Least value over the points that are there before time `now` of
 
         distance(solid, ball of the point) - min(clearance, slope * (distance of the point from the tip) - slack)
 
-    if that is less than `enough`; and the point, in the tree's order, or -1. tip (3) in the tree's frame; to ask for
-    the clearance everywhere, let the slope be 0 and the slack -clearance. T_solid_tree (4, 4) takes points of the
-    tree's frame into the solid's. The stack (_DEEP) is room.
+    if that is less than `enough` [m]; and the point, in the tree's order, or -1.
+
+    tree: `TreeArrays`; solid: `SolidNumbers`; rule: `TipRule`; T_solid_tree (4, 4) takes points of the tree's frame
+    into the solid's; tip (3) in the tree's frame [m]; the stack (_DEEP) is room.
     """
+    # into names of their own: to count who refers to a field costs more than the arithmetic
+    tree_points, tree_radius, tree_time = tree.points, tree.radius, tree.time
+    centre, reach, since, left, right = tree.centre, tree.reach, tree.since, tree.left, tree.right
+    kind, size, planes = solid.kind, solid.size, solid.planes
+    clearance, slope, slack = rule.clearance, rule.slope, rule.slack
     best, found = enough, -1
     T = T_solid_tree
     waiting = 1
@@ -224,16 +267,18 @@ def nearest_point(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def least_distances(
-    points, radius, time, centre, reach, since, left, right,
-    kind, size, planes, T_solid_tree, now, exact, most, share, stack, distance, point,
-):  # fmt: skip
+def least_distances(tree, solid, T_solid_tree, now, exact, most, share, stack, distance, point) -> None:
     """Distances (n) of a solid at poses (n, 4, 4) from the points that are there before times now (n), `most` at most,
     and the points (n) that have them, or -1; beyond `exact` any that is about as far.
 
     A distance beyond `exact` may be too small, and is `share` of the true one or more: of many points that are about as
     far, none is then looked for that is a little nearer. A search begins with the point that was nearest before.
+
+    tree: `TreeArrays`; solid: `SolidNumbers`; the stack (_DEEP) is room.
     """
+    points, radius, time = tree.points, tree.radius, tree.time
+    centre, reach, since, left, right = tree.centre, tree.reach, tree.since, tree.left, tree.right
+    kind, size, planes = solid.kind, solid.size, solid.planes
     known, lows = -1, np.empty(len(stack))  # of the nodes on the stack
     for i in range(len(now)):
         T, best, found, passed = T_solid_tree[i], most, -1, np.inf

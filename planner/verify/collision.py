@@ -10,7 +10,7 @@ import numpy as np
 from planner.base.arrays import Array, Ints
 from planner.cell.cell import Cell
 from planner.cell.solids import Body, Mesh, Packed, packed, triangles_of
-from planner.collision.point_tree import least_distances, search_room
+from planner.collision.point_tree import SolidNumbers, least_distances, search_room
 from planner.collision.print_body import PrintBody
 from planner.plan import Approach, CellView, Check, Trajectory
 from planner.problem import Problem
@@ -217,10 +217,8 @@ class _Sweep:
         T_carrier_part = np.linalg.inv(poses[which, thing.carrier]) @ T_world_part
         T_solid_part = solid.T_solid_frame[0] @ T_carrier_part
         distance, point = np.empty(len(now)), np.empty(len(now), dtype=np.int64)
-        least_distances(
-            tree.points, tree.radius, tree.time, tree.centre, tree.reach, tree.since, tree.left, tree.right,
-            solid.kind[0], solid.size[0], solid.planes, T_solid_part, now, FAR, _SEEN, _ABOUT, self.room, distance, point,
-        )  # fmt: skip
+        alone = SolidNumbers(solid.kind[0], solid.size[0], solid.planes)
+        least_distances(tree.arrays, alone, T_solid_part, now, FAR, _SEEN, _ABOUT, self.room, distance, point)
         return distance, point
 
 

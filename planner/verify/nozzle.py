@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,7 +11,15 @@ from planner.base.arrays import Array, Ints
 from planner.base.compiled import njit
 from planner.cell.cell import Cell
 from planner.cell.solids import Packed, packed
-from planner.collision.point_tree import PointTree, nearest_point, point_value, search_room, solid_distance
+from planner.collision.point_tree import (
+    PointTree,
+    SolidNumbers,
+    TipRule,
+    nearest_point,
+    point_value,
+    search_room,
+    solid_distance,
+)
 from planner.collision.print_body import TIP_SLOPE, PrintBody, tip_slack
 from planner.plan import Check, Trajectory
 from planner.problem import Problem
@@ -35,31 +43,71 @@ _RATE = 1.0 + TIP_SLOPE  # of a motion, by which a margin beyond the tip's zone 
 _DEEPEST = 64  # intervals that wait at once: more than the samples of a block can make
 
 
+class HeadSolids(NamedTuple):
+    """Bodies (b) that move with the nozzle, in its frame: the fields of `Packed` of the same names."""
+
+    kind: Ints
+    size: Array
+    planes: Array
+    T_solid_frame: Array
+    centre: Array
+    reach: Array
+
+
+class NozzleWay(NamedTuple):
+    """How the nozzle goes (n samples), and what of the print is there.
+
+    tip (n, 3) [m] and rotation (n, 3, 3)   its tip and axes in the part frame
+    path (n) [m], turned (n) [rad]          how far they have moved and turned since the first sample
+    now (n)                                 what is printed, see `print_times`; ahead (n): the sample up to which what
+                                            is laid may count as there
+    slack (n) [m]                           as `TipRule` has it
+    """
+
+    tip: Array
+    rotation: Array
+    path: Array
+    turned: Array
+    now: Array
+    slack: Array
+    ahead: Ints
+
+
+class BlockRoom(NamedTuple):
+    """Room for a block of samples: poses (samples, 4, 4) of a solid, and intervals that wait, the samples (m, 2) at their
+    ends and the values (m, 2) there."""
+
+    poses: Array
+    samples: Ints
+    values: Array
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def least_along(
-    points, radius, time, centre, reach, since, left, right,
-    kind, size, planes, T_solid_frame,
-    tip, rotation, path, turned, now, slack, clearance, slope, ahead, stack,
-):  # fmt: skip
+def least_along(tree, solids, way, clearance, slope, stack):
     """The least value of `nearest_point` along a motion, FAR at most; its sample, body and point, or -1.
 
     Block by block of samples: every point that could matter in it is followed through it by itself.
+
+    tree: `TreeArrays`; solids: `HeadSolids`; way: `NozzleWay`; clearance [m] and slope as in `TipRule`; the stack is room.
     """
+    points, radius, time = tree.points, tree.radius, tree.time
+    centre, reach, since, left, right = tree.centre, tree.reach, tree.since, tree.left, tree.right
+    kind, size, planes, T_solid_frame = solids.kind, solids.size, solids.planes, solids.T_solid_frame
+    tip, rotation, path, turned = way.tip, way.rotation, way.path, way.turned
+    now, slack, ahead = way.now, way.slack, way.ahead
     n = len(now)
-    least, where, whose, which = _here_and_there(
-        points, radius, time, centre, reach, since, left, right, kind, size, planes, T_solid_frame,
-        tip, rotation, now, slack, clearance, slope, ahead, stack,
-    )  # fmt: skip
+    least, where, whose, which = _here_and_there(tree, solids, way, clearance, slope, stack)
     poses = np.empty((_OFTEN + 1, 4, 4))
-    room = np.empty((_DEEPEST, 2), np.int64), np.empty((_DEEPEST, 2))
+    room = BlockRoom(poses, np.empty((_DEEPEST, 2), np.int64), np.empty((_DEEPEST, 2)))
     for j in range(len(kind)):
-        a = _ZERO
+        solid, a = SolidNumbers(kind[j], size[j], planes), _ZERO
         while a < n - 1:
             b = a + 1
             while b < min(n - 1, a + _OFTEN) and slack[b + 1] == slack[b] and path[b + 1] - path[a] < _BLOCK:
                 b += 1
             c = (a + b) // 2
             T, p, seeing, posed = poses[c - a], tip[c], now[ahead[b]], False
+            rule = TipRule(clearance, slope, slack[b])
             _pose(T_solid_frame[j], rotation[c], p, T)
             gone = max(path[c] - path[a], path[b] - path[c])
             turn = max(turned[c] - turned[a], turned[b] - turned[c])
@@ -88,9 +136,7 @@ def least_along(
                 for i in range(-1 - left[node], -1 - left[node] + right[node]):
                     if time[i] >= seeing:
                         continue
-                    value = point_value(
-                        points[i], radius[i], kind[j], size[j], planes, T, clearance, p, slope, slack[b]
-                    )
+                    value = point_value(points[i], radius[i], solid, T, p, rule)
                     x, y, z = points[i, 0], points[i, 1], points[i, 2]
                     away = np.sqrt((x - p[0]) ** 2 + (y - p[1]) ** 2 + (z - p[2]) ** 2)
                     if value - (1.0 + slope) * gone - (away + gone) * turn >= least - TOLERANCE:
@@ -98,10 +144,7 @@ def least_along(
                     for k in range(a, a if posed else b + 1):
                         _pose(T_solid_frame[j], rotation[k], tip[k], poses[k - a])
                     posed = True
-                    value, k = _least_of_point(
-                        points[i], radius[i], time[i], kind[j], size[j], planes, T_solid_frame[j], poses,
-                        a, b, tip, rotation, path, turned, now, ahead, slack[b], clearance, slope, least, room,
-                    )  # fmt: skip
+                    value, k = _least_of_point(tree, i, solid, T_solid_frame[j], way, a, b, rule, least, room)
                     if value < least:
                         least, where, whose, which = value, k, j, i
             a = b
@@ -109,42 +152,41 @@ def least_along(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _here_and_there(
-    points, radius, time, centre, reach, since, left, right, kind, size, planes, T_solid_frame,
-    tip, rotation, now, slack, clearance, slope, ahead, stack,
-):  # fmt: skip
+def _here_and_there(tree, solids, way, clearance, slope, stack):
     """The least value at some samples, its sample, body and point: it spares many of the looks that follow."""
+    kind, size, planes, T_solid_frame = solids.kind, solids.size, solids.planes, solids.T_solid_frame
+    tip, rotation, now, slack, ahead = way.tip, way.rotation, way.now, way.slack, way.ahead
     least, where, whose, which = FAR, 0, 0, -1
     T = np.empty((4, 4))
     for j in range(len(kind)):
         for k in range(0, len(now), _OFTEN):
             _pose(T_solid_frame[j], rotation[k], tip[k], T)
-            value, point = nearest_point(
-                points, radius, time, centre, reach, since, left, right, kind[j], size[j], planes, T,
-                now[ahead[k]], least, clearance, tip[k], slope, slack[k], stack,
-            )  # fmt: skip
+            solid, rule = SolidNumbers(kind[j], size[j], planes), TipRule(clearance, slope, slack[k])
+            value, point = nearest_point(tree, solid, T, tip[k], rule, now[ahead[k]], least, stack)
             if value < least:
                 least, where, whose, which = value, k, j, point
     return least, where, whose, which
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _least_of_point(
-    point, radius, time, kind, size, planes, T_solid_nozzle, poses,
-    a, b, tip, rotation, path, turned, now, ahead, slack, clearance, slope, least, room,
-):  # fmt: skip
+def _least_of_point(tree, of, solid, T_solid_nozzle, way, a, b, rule, least, room):
     """The least value of one point in samples a .. b, in which a body is at poses, if it is less; and its sample.
 
     A point that is laid in the meantime counts from the first sample that sees it, and in the instants before that.
+
+    of: the point in the tree's order; T_solid_nozzle (4, 4); rule: `TipRule` of the block; room: `BlockRoom`
     """
-    samples, values = room
+    point, radius, time = tree.points[of], tree.radius[of], tree.time[of]
+    tip, path, turned, now, ahead = way.tip, way.path, way.turned, way.now, way.ahead
+    poses, samples, values = room.poses, room.samples, room.values
+    slope = rule.slope
     first = a
     while time >= now[ahead[first]]:
         first += 1
     begin = max(a, first - 1)
     c = max(begin, (a + b) // 2)
     target, where = least - TOLERANCE, c
-    middle = point_value(point, radius, kind, size, planes, poses[c - a], clearance, tip[c], slope, slack)
+    middle = point_value(point, radius, solid, poses[c - a], tip[c], rule)
     if c >= first and middle < least:
         least, where = middle, c
     away = np.sqrt((point[0] - tip[c, 0]) ** 2 + (point[1] - tip[c, 1]) ** 2 + (point[2] - tip[c, 2]) ** 2)
@@ -154,7 +196,7 @@ def _least_of_point(
         moved = (1.0 + slope) * abs(path[end] - path[c]) + away * abs(turned[end] - turned[c])
         if end == c or middle - moved >= target:
             continue
-        value = point_value(point, radius, kind, size, planes, poses[end - a], clearance, tip[end], slope, slack)
+        value = point_value(point, radius, solid, poses[end - a], tip[end], rule)
         if end >= first and value < least:
             least, where = value, end
         samples[waiting, 0], samples[waiting, 1] = min(end, c), max(end, c)
@@ -168,15 +210,12 @@ def _least_of_point(
         if 0.5 * (vi + vk - moved) >= target:
             continue
         if k == i + 1:
-            value = _least_between(
-                point, radius, kind, size, planes, T_solid_nozzle, tip[i], tip[k], rotation[i], rotation[k],
-                vi + vk, moved, target, clearance, slope, slack,
-            )  # fmt: skip
+            value = _least_between(point, radius, solid, T_solid_nozzle, way, i, rule, vi + vk, moved, target)
             if value < least:
                 least, where = value, k
             continue
         m = (i + k) // 2
-        value = point_value(point, radius, kind, size, planes, poses[m - a], clearance, tip[m], slope, slack)
+        value = point_value(point, radius, solid, poses[m - a], tip[m], rule)
         if m >= first and value < least:
             least, where = value, m
         samples[waiting, 0], samples[waiting, 1], samples[waiting + 1, 0], samples[waiting + 1, 1] = i, m, m, k
@@ -186,10 +225,13 @@ def _least_of_point(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _least_between(
-    point, radius, kind, size, planes, T_solid_nozzle, pa, pb, Ra, Rb, both, moved, target, clearance, slope, slack
-):  # fmt: skip
-    """The least value of a point at instants between two samples, so many that none below the target lies between."""
+def _least_between(point, radius, solid, T_solid_nozzle, way, first, rule, both, moved, target):
+    """The least value of a point at instants between a sample and the next, so many that none below the target lies
+    between.
+
+    both: the sum of the values at the two, from which it moves by no more than `moved` on the way
+    """
+    pa, pb, Ra, Rb = way.tip[first], way.tip[first + 1], way.rotation[first], way.rotation[first + 1]
     parts, least = 1, np.inf
     while 0.5 * (both - moved / parts) < target and parts < _MOST_PARTS:
         parts *= 2
@@ -197,47 +239,41 @@ def _least_between(
     for i in range(1, parts):
         _between(Ra, Rb, pa, pb, i / parts, R, p)
         _pose(T_solid_nozzle, R, p, T)
-        least = min(least, point_value(point, radius, kind, size, planes, T, clearance, p, slope, slack))
+        least = min(least, point_value(point, radius, solid, T, p, rule))
     return least
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def margins_along(
-    points, radius, time, centre, reach, since, left, right,
-    kind, size, planes, T_solid_frame, body_centre, body_reach,
-    tip, rotation, path, turned, now, slack, clearance, slope, ahead, margin, stack,
-):  # fmt: skip
+def margins_along(tree, solids, way, clearance, slope, margin, stack):
     """Fill margin, between looks interpolated; returns the least, its sample, body and point.
 
     The slope is so steep that only points beyond the tip's zone count, slack / slope away. Of what these have to spare
     the least is found only so far that none is missed that lacks. A search begins with the point that was nearest before.
+    Arguments as in `least_along`; margin (n) [m].
     """
+    points, radius, time = tree.points, tree.radius, tree.time
+    kind, size, planes, T_solid_frame = solids.kind, solids.size, solids.planes, solids.T_solid_frame
+    tip, rotation, path, turned = way.tip, way.rotation, way.path, way.turned
+    now, slack, ahead = way.now, way.slack, way.ahead
     n = len(now)
-    least, where, whose, which = _here_and_there(
-        points, radius, time, centre, reach, since, left, right, kind, size, planes, T_solid_frame,
-        tip, rotation, now, slack, clearance, slope, ahead, stack,
-    )  # fmt: skip
+    least, where, whose, which = _here_and_there(tree, solids, way, clearance, slope, stack)
     T, R, p = np.empty((4, 4)), np.empty((3, 3)), np.empty(3)
     for j in range(len(kind)):
-        c = body_centre[j]
-        arm = np.sqrt(c[0] ** 2 + c[1] ** 2 + c[2] ** 2) + body_reach[j]
+        solid = SolidNumbers(kind[j], size[j], planes)
+        c = solids.centre[j]
+        arm = np.sqrt(c[0] ** 2 + c[1] ** 2 + c[2] ** 2) + solids.reach[j]
         own = T_solid_frame[j]
         tip_away = solid_distance(kind[j], size[j], planes, own[0, 3], own[1, 3], own[2, 3])
         k, before, value_before, known = 0, -1, 0.0, -1
         while True:
             seeing = now[ahead[k]]
             _pose(own, rotation[k], tip[k], T)
-            enough, found = FAR, -1
+            enough, found, rule = FAR, -1, TipRule(clearance, slope, slack[k])
             if known >= 0 and time[known] < seeing:
-                value = point_value(
-                    points[known], radius[known], kind[j], size[j], planes, T, clearance, tip[k], slope, slack[k]
-                )
+                value = point_value(points[known], radius[known], solid, T, tip[k], rule)
                 if value < enough:
                     enough, found = value, known
-            value, point = nearest_point(
-                points, radius, time, centre, reach, since, left, right, kind[j], size[j], planes, T,
-                seeing, enough, clearance, tip[k], slope, slack[k], stack,
-            )  # fmt: skip
+            value, point = nearest_point(tree, solid, T, tip[k], rule, seeing, enough, stack)
             point = found if point < 0 else point
             known = point if point >= 0 else known
             if value < least:
@@ -252,10 +288,7 @@ def margins_along(
                 for i in range(1, parts):
                     _between(rotation[before], rotation[k], tip[before], tip[k], i / parts, R, p)
                     _pose(own, R, p, T)
-                    inside, found = nearest_point(
-                        points, radius, time, centre, reach, since, left, right, kind[j], size[j], planes, T,
-                        seeing, least, clearance, p, slope, slack[k], stack,
-                    )  # fmt: skip
+                    inside, found = nearest_point(tree, solid, T, p, rule, seeing, least, stack)
                     if inside < least:
                         least, where, whose, which = inside, k, j, found
             for i in range(max(before, 0), k + 1):
@@ -362,11 +395,8 @@ def nozzle_nearness(
 ) -> Nearness:
     """The least of distance - min(clearance, TIP_SLOPE * distance from the tip - slack) along a motion (see
     `nearest_point`), to TOLERANCE, also between samples."""
-    ahead = _looked_ahead(motion.tip, now, slack)
-    found = least_along(
-        *_points(tree), bodies.kind, bodies.size, bodies.planes, bodies.T_solid_frame,
-        *_ways(motion), now, slack, clearance, TIP_SLOPE, ahead, search_room(),
-    )  # fmt: skip
+    way = _way(motion, now, slack, _looked_ahead(motion.tip, now, slack))
+    found = least_along(tree.arrays, _solids(bodies), way, clearance, TIP_SLOPE, search_room())
     return Nearness(np.empty(0), *found)
 
 
@@ -376,24 +406,21 @@ def beyond_the_tip(
     """The same of true distances, less the clearance, from points beyond the tip's zone; with the margins, and the least
     only so far that none is missed that lacks."""
     zone = (clearance + slack) / TIP_SLOPE
-    ahead = _looked_ahead(motion.tip, now, slack)
+    way = _way(motion, now, _STEEP * zone, _looked_ahead(motion.tip, now, slack))
     margin = np.full(len(now), FAR)
-    found = margins_along(
-        *_points(tree), bodies.kind, bodies.size, bodies.planes, bodies.T_solid_frame, bodies.centre, bodies.reach,
-        *_ways(motion), now, _STEEP * zone, clearance, _STEEP, ahead, margin, search_room(),
-    )  # fmt: skip
+    found = margins_along(tree.arrays, _solids(bodies), way, clearance, _STEEP, margin, search_room())
     return Nearness(margin, *found)
 
 
-def _points(tree: PointTree) -> tuple[Array, Array, Array, Array, Array, Array, Ints, Ints]:
-    """A tree as the kernels want it."""
-    return tree.points, tree.radius, tree.time, tree.centre, tree.reach, tree.since, tree.left, tree.right
+def _solids(bodies: Packed) -> HeadSolids:
+    """Bodies as the kernels want them."""
+    return HeadSolids(bodies.kind, bodies.size, bodies.planes, bodies.T_solid_frame, bodies.centre, bodies.reach)
 
 
-def _ways(motion: ExecutedMotion) -> tuple[Array, Array, Array, Array]:
-    """Where tip and axes are, and how far (n) they have moved [m] and turned [rad] since the first sample."""
+def _way(motion: ExecutedMotion, now: Array, slack: Array, ahead: Ints) -> NozzleWay:
+    """A motion as the kernels want it."""
     tip, rotation = np.ascontiguousarray(motion.tip), np.ascontiguousarray(motion.rotation)
-    return tip, rotation, *_path_lengths(tip, rotation)
+    return NozzleWay(tip, rotation, *_path_lengths(tip, rotation), now, slack, ahead)
 
 
 def by_the_tip(

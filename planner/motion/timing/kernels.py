@@ -2,11 +2,61 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array
 from planner.base.compiled import njit
+
+# ----------------------------------------------------------------------------------------------------
+# What kernels take together.
+
+
+class LimitRows(NamedTuple):
+    """The limits of a leg of m intervals and nj joints, as rows that are multiplied by coefficients c (m + 2).
+
+    point (m + 1, 2)              x at grid point i from c[i : i + 2]
+    middle (m, 3)                 x in the middle of interval i from c[i : i + 3]
+    ends (2 m, 3)                 x at its two ends, 2 i and 2 i + 1, from the same
+    acceleration (m + 1, nj, 2)   shares of the acceleration limit at points
+    jerk (2 m, nj, 3)             shares of the jerk limit over sqrt(x) at ends
+    ceiling (m + 1)               largest x at points
+    h (m)                         widths of the intervals
+    """
+
+    point: Array
+    middle: Array
+    ends: Array
+    acceleration: Array
+    jerk: Array
+    ceiling: Array
+    h: Array
+
+
+class OfLimits(NamedTuple):
+    """One value for each side of each limit: of x (m + 1), of acceleration (m + 1, nj, 2), of jerk (2 m, nj, 2)."""
+
+    x: Array
+    acceleration: Array
+    jerk: Array
+
+
+@njit(cache=True, inline="always")
+def _rows_of(limits: LimitRows, at: slice, on: slice, ends: slice) -> LimitRows:
+    """The rows of some points, intervals and ends."""
+    acceleration, jerk = limits.acceleration[at], limits.jerk[ends]
+    return LimitRows(
+        limits.point[at], limits.middle[on], limits.ends[ends], acceleration, jerk, limits.ceiling[at], limits.h[on]
+    )
+
+
+@njit(cache=True, inline="always")
+def _values_of(values: OfLimits, at: slice, ends: slice) -> OfLimits:
+    """The values of the limits at some points and ends."""
+    return OfLimits(values.x[at], values.acceleration[at], values.jerk[ends])
+
 
 # ----------------------------------------------------------------------------------------------------
 # Least and mean of values around each place of a row of places: compiled.
@@ -98,12 +148,19 @@ def _falls(mu: float, ds: float, slack: float, dual: float) -> tuple[float, floa
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def lengths_of(
-    c: Array, step: Array, point: Array, middle: Array, end: Array, a: Array, j: Array, ceiling: Array, mu: Array,
-    rooms: tuple[Array, Array, Array], slacks: tuple[Array, Array, Array], duals: tuple[Array, Array, Array],
-    primal_lengths: Array, dual_lengths: Array,
-) -> None:  # fmt: skip
+    c: Array,
+    step: Array,
+    limits: LimitRows,
+    mu: Array,
+    rooms: OfLimits,
+    slacks: OfLimits,
+    duals: OfLimits,
+    primal_lengths: Array,
+    dual_lengths: Array,
+) -> None:
     """How far along the step c and the slacks (m), and how far the duals (m) may go by each interval; rooms become the
     steps of the slacks."""
+    point, middle, end, a, j, ceiling, _ = limits
     m, nj = len(middle), a.shape[1]
     positive = _TO_BOUNDARY / _POSITIVE
     for i in range(m):
@@ -119,25 +176,25 @@ def lengths_of(
             for k in range(nj):
                 change = j[e, k, 0] * step[i] + j[e, k, 1] * step[i + 1] + j[e, k, 2] * step[i + 2]
                 for side in range(2):
-                    s = slacks[2][e, k, side]
-                    ds = rooms[2][e, k, side] - s + (dr - change if side == 0 else dr + change)
-                    rooms[2][e, k, side] = ds
-                    fall, dual_fall = _falls(mu[i], ds, s, duals[2][e, k, side])
+                    s = slacks.jerk[e, k, side]
+                    ds = rooms.jerk[e, k, side] - s + (dr - change if side == 0 else dr + change)
+                    rooms.jerk[e, k, side] = ds
+                    fall, dual_fall = _falls(mu[i], ds, s, duals.jerk[e, k, side])
                     primal, dual = max(primal, fall), max(dual, dual_fall)
         primal_lengths[i], dual_lengths[i] = primal, dual
     for i in range(m + 1):
         at = min(i, m - 1)
-        s = slacks[0][i]
-        ds = rooms[0][i] - s - (point[i, 0] * step[i] + point[i, 1] * step[i + 1]) / ceiling[i]
-        rooms[0][i] = ds
-        primal, dual = _falls(mu[at], ds, s, duals[0][i])
+        s = slacks.x[i]
+        ds = rooms.x[i] - s - (point[i, 0] * step[i] + point[i, 1] * step[i + 1]) / ceiling[i]
+        rooms.x[i] = ds
+        primal, dual = _falls(mu[at], ds, s, duals.x[i])
         for k in range(nj):
             change = a[i, k, 0] * step[i] + a[i, k, 1] * step[i + 1]
             for side in range(2):
-                s = slacks[1][i, k, side]
-                ds = rooms[1][i, k, side] - s + (-change if side == 0 else change)
-                rooms[1][i, k, side] = ds
-                fall, dual_fall = _falls(mu[at], ds, s, duals[1][i, k, side])
+                s = slacks.acceleration[i, k, side]
+                ds = rooms.acceleration[i, k, side] - s + (-change if side == 0 else change)
+                rooms.acceleration[i, k, side] = ds
+                fall, dual_fall = _falls(mu[at], ds, s, duals.acceleration[i, k, side])
                 primal, dual = max(primal, fall), max(dual, dual_fall)
         primal_lengths[at] = max(primal_lengths[at], primal)
         dual_lengths[at] = max(dual_lengths[at], dual)
@@ -216,11 +273,10 @@ def limits_of(
 
 
 @njit(cache=True)
-def split(flat: Array, m: int, nj: int) -> tuple[Array, Array, Array]:
-    """One value for each limit (count), seen as those of x (m + 1), of acceleration (m + 1, nj, 2) and of jerk
-    (2 m, nj, 2)."""
+def split(flat: Array, m: int, nj: int) -> OfLimits:
+    """One value for each side of each limit, all in a row (count), seen as those of x, acceleration and jerk."""
     first, last = m + 1, (m + 1) * (1 + 2 * nj)
-    return flat[:first], flat[first:last].reshape((m + 1, nj, 2)), flat[last:].reshape((2 * m, nj, 2))
+    return OfLimits(flat[:first], flat[first:last].reshape((m + 1, nj, 2)), flat[last:].reshape((2 * m, nj, 2)))
 
 
 @njit(cache=True)
@@ -267,35 +323,23 @@ _LEAST_GAP = 0.05  # of what the accuracy leaves to a limit: where less is left 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def fastest(
-    point: Array,
-    middle: Array,
-    end: Array,
-    a: Array,
-    j: Array,
-    ceiling: Array,
-    h: Array,
-    start: Array,
-    level: tuple[bool, bool],
-    accuracy: float,
-    wanted: NDArray[np.bool_],
+    limits: LimitRows, start: Array, level: tuple[bool, bool], accuracy: float, wanted: NDArray[np.bool_]
 ) -> tuple[Array, bool]:
     """Coefficients c (m + 2) of the fastest profile, and whether it was found to the accuracy asked for.
 
-    point (m + 1, 2): x at grid point i from c[i : i + 2]; middle (m, 3): x in the middle of interval i from
-    c[i : i + 3]; end (2 m, 3): at its two ends, 2 i and 2 i + 1, from the same; a (m + 1, nj, 2) and j (2 m, nj, 3):
-    shares of the acceleration limit at points, and of the jerk limit over sqrt(x) at ends; ceiling (m + 1): largest x;
-    h (m); start (m + 2): positive, need not hold the limits; level: x is constant in front of, and behind the grid;
-    accuracy: share of the time by which it may be missed; wanted (blocks of APART intervals): where start is not to be
-    kept as it is.
-    """  # fmt: skip
-    m, nj = len(h), a.shape[1]
+    start (m + 2): positive, need not hold the limits; level: x is constant in front of, and behind the grid; accuracy:
+    share of the time by which it may be missed; wanted (blocks of APART intervals): where start is not to be kept as it
+    is.
+    """
+    middle, end, h = limits.middle, limits.ends, limits.h
+    m, nj = len(h), limits.acceleration.shape[1]
     c = start.copy()
     # all limits in a row: those of x, of acceleration, and of jerk, of which the latter two are seen as boxes too
     jerks = (m + 1) * (2 * nj + 1)
     count = jerks + 4 * m * nj
     room, slack, price = np.empty(count), np.empty(count), np.empty(count)
     rooms, slacks, duals = split(room, m, nj), split(slack, m, nj), split(price, m, nj)
-    _rooms(c, point, middle, end, a, j, ceiling, rooms)
+    _rooms(c, limits, rooms)
     time = _time(c, middle, h)
     mu = np.full(m, _FIRST_GAP * time / count)
     for i in range(count):
@@ -310,13 +354,9 @@ def fastest(
         primal[:] = dual[:] = 1.0
         for lo, hi in runs:
             at, on, ends, all_c = slice(lo, hi + 1), slice(lo, hi), slice(2 * lo, 2 * hi), slice(lo, hi + 2)
-            own = (rooms[0][at], rooms[1][at], rooms[2][ends])
-            own_slacks = (slacks[0][at], slacks[1][at], slacks[2][ends])
-            own_duals = (duals[0][at], duals[1][at], duals[2][ends])
-            _assemble(
-                c[all_c], point[at], middle[on], end[ends], a[at], j[ends], ceiling[at], h[on], mu[on], own, own_slacks,
-                own_duals, step[all_c], band[all_c],
-            )  # fmt: skip
+            rows, own = _rows_of(limits, at, on, ends), _values_of(rooms, at, ends)
+            own_slacks, own_duals = _values_of(slacks, at, ends), _values_of(duals, at, ends)
+            _assemble(c[all_c], rows, mu[on], own, own_slacks, own_duals, step[all_c], band[all_c])
             first, last = level[0] and lo == 0, level[1] and hi == m
             _keep_level((first, last), step[all_c], band[all_c])
             _hold((lo > 0, hi < m), step[all_c], band[all_c])
@@ -326,10 +366,7 @@ def fastest(
                 step[0] = step[1]
             if last:
                 step[m + 1] = step[m]
-            lengths_of(
-                c[all_c], step[all_c], point[at], middle[on], end[ends], a[at], j[ends], ceiling[at], mu[on], own,
-                own_slacks, own_duals, primal[on], dual[on],
-            )  # fmt: skip
+            lengths_of(c[all_c], step[all_c], rows, mu[on], own, own_slacks, own_duals, primal[on], dual[on])
         even_out(primal, sums, mins)
         even_out(dual, sums, mins)
         for lo, hi in runs:
@@ -341,8 +378,7 @@ def fastest(
                 gaps[on] = 0.0
                 for which, places in limits_of(at, ends, m, nj):
                     move(primal[on], dual[on], mu[on], room[which], slack[which], price[which], places, gaps[on])
-                own = (rooms[0][at], rooms[1][at], rooms[2][ends])
-                _rooms(c[all_c], point[at], middle[on], end[ends], a[at], j[ends], ceiling[at], own)
+                _rooms(c[all_c], _rows_of(limits, at, on, ends), _values_of(rooms, at, ends))
         gap, time = gaps.sum(), _time(c, middle, h)
         least_mu = _LEAST_GAP * accuracy * time / count
         all_full = True  # shortened steps leave some of the conditions on the duals: then the gap says too little
@@ -379,23 +415,21 @@ def _time(c: Array, middle: Array, h: Array) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _rooms(
-    c: Array, point: Array, middle: Array, end: Array, a: Array, j: Array, ceiling: Array,
-    rooms: tuple[Array, Array, Array],
-) -> None:  # fmt: skip
+def _rooms(c: Array, limits: LimitRows, rooms: OfLimits) -> None:
     """Room below every limit, on either side, into `rooms`."""
+    point, middle, end, a, j, ceiling, _ = limits
     m, nj = len(middle), a.shape[1]
     for i in range(m):
         for e in range(2 * i, 2 * i + 2):
             r = 1.0 / np.sqrt(end[e, 0] * c[i] + end[e, 1] * c[i + 1] + end[e, 2] * c[i + 2])
             for k in range(nj):
                 value = j[e, k, 0] * c[i] + j[e, k, 1] * c[i + 1] + j[e, k, 2] * c[i + 2]
-                rooms[2][e, k, 0], rooms[2][e, k, 1] = r - value, r + value
+                rooms.jerk[e, k, 0], rooms.jerk[e, k, 1] = r - value, r + value
     for i in range(len(ceiling)):
-        rooms[0][i] = 1.0 - (point[i, 0] * c[i] + point[i, 1] * c[i + 1]) / ceiling[i]
+        rooms.x[i] = 1.0 - (point[i, 0] * c[i] + point[i, 1] * c[i + 1]) / ceiling[i]
         for k in range(nj):
             value = a[i, k, 0] * c[i] + a[i, k, 1] * c[i + 1]
-            rooms[1][i, k, 0], rooms[1][i, k, 1] = 1.0 - value, 1.0 + value
+            rooms.acceleration[i, k, 0], rooms.acceleration[i, k, 1] = 1.0 - value, 1.0 + value
 
 
 @njit(cache=True, inline="always")
@@ -408,15 +442,21 @@ def _weights(mu: float, room: float, slack: float, dual: float) -> tuple[float, 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _assemble(
-    c: Array, point: Array, middle: Array, end: Array, a: Array, j: Array, ceiling: Array, h: Array, mu: Array,
-    rooms: tuple[Array, Array, Array], slacks: tuple[Array, Array, Array], duals: tuple[Array, Array, Array],
-    rhs: Array, band: Array,
-) -> None:  # fmt: skip
+    c: Array,
+    limits: LimitRows,
+    mu: Array,
+    rooms: OfLimits,
+    slacks: OfLimits,
+    duals: OfLimits,
+    rhs: Array,
+    band: Array,
+) -> None:
     """Newton's equations for c, slacks and duals eliminated: right-hand side, and matrix as `_solve` takes it.
 
     The two sides of a jerk limit have gradients t g - d and t g + d, with g that of x, t the tangent of 1 / sqrt(x) and
     d the row: their squares are summed over the joints in these terms.
     """
+    point, middle, end, a, j, ceiling, h = limits
     m, nj = len(h), a.shape[1]
     rhs[:] = 0.0
     band[:] = 0.0
@@ -430,8 +470,8 @@ def _assemble(
             both, push, x0, x1, x2 = 0.0, 0.0, 0.0, 0.0, 0.0
             for k in range(nj):
                 d0, d1, d2 = j[e, k]
-                low, p_low = _weights(mu[i], rooms[2][e, k, 0], slacks[2][e, k, 0], duals[2][e, k, 0])
-                high, p_high = _weights(mu[i], rooms[2][e, k, 1], slacks[2][e, k, 1], duals[2][e, k, 1])
+                low, p_low = _weights(mu[i], rooms.jerk[e, k, 0], slacks.jerk[e, k, 0], duals.jerk[e, k, 0])
+                high, p_high = _weights(mu[i], rooms.jerk[e, k, 1], slacks.jerk[e, k, 1], duals.jerk[e, k, 1])
                 w, skew, p = low + high, high - low, p_high - p_low
                 both += w
                 push += p_low + p_high
@@ -469,15 +509,16 @@ def _assemble(
         band[i + 1, 1] += b01
         band[i + 2, 1] += b12
         band[i + 2, 2] += b02
+    room, slack, dual = rooms.acceleration, slacks.acceleration, duals.acceleration
     for i in range(m + 1):
         g0, g1 = point[i, 0] / ceiling[i], point[i, 1] / ceiling[i]
-        w, p = _weights(mu[min(i, m - 1)], rooms[0][i], slacks[0][i], duals[0][i])
+        w, p = _weights(mu[min(i, m - 1)], rooms.x[i], slacks.x[i], duals.x[i])
         b00, b11, b01 = w * g0 * g0, w * g1 * g1, w * g0 * g1
         t0, t1 = -p * g0, -p * g1
         for k in range(nj):
             d0, d1 = a[i, k]
-            low, p_low = _weights(mu[min(i, m - 1)], rooms[1][i, k, 0], slacks[1][i, k, 0], duals[1][i, k, 0])
-            high, p_high = _weights(mu[min(i, m - 1)], rooms[1][i, k, 1], slacks[1][i, k, 1], duals[1][i, k, 1])
+            low, p_low = _weights(mu[min(i, m - 1)], room[i, k, 0], slack[i, k, 0], dual[i, k, 0])
+            high, p_high = _weights(mu[min(i, m - 1)], room[i, k, 1], slack[i, k, 1], dual[i, k, 1])
             w, p = low + high, p_high - p_low
             b00 += w * d0 * d0
             b11 += w * d1 * d1

@@ -14,7 +14,7 @@ from planner.base.arrays import Array, ReadOnlyArrays
 from planner.base.compiled import njit
 from planner.base.processes import in_threads
 from planner.cell.cell import Limits
-from planner.motion.timing.kernels import APART, fastest, least_nearby, mean_nearby
+from planner.motion.timing.kernels import APART, LimitRows, fastest, least_nearby, mean_nearby
 
 # ----------------------------------------------------------------------------------------------------
 # Curve: a spline as polynomials between its knots, so that all its derivatives cost little at many places: compiled.
@@ -246,7 +246,7 @@ _BETWEEN = (0.25, 0.5, 0.75)  # fractions of intervals at which limits are looke
 
 @dataclass(frozen=True)
 class LegLimits:
-    """The limits of a leg as `fastest` takes them, and where they are looked at again.
+    """The limits of a leg, on a grid of m intervals, and where they are looked at again; those of `LimitRows` as there.
 
     left, right (m): what the first and last of three coefficients give of x at an interval's own ends; looks: fractions
     of intervals with the path's rates (3, m, nj + 1) there, where limits are looked at again; v (nj + 1), a, j (nj): the
@@ -271,6 +271,11 @@ class LegLimits:
     start: Array
     level: tuple[bool, bool]
     cut: int
+
+    @property
+    def rows(self) -> LimitRows:
+        """What `fastest` keeps."""
+        return LimitRows(self.point, self.middle, self.ends, self.acceleration, self.jerk, self.ceiling, self.h)
 
 
 def leg_limits(leg: Leg, v: Array, a: Array, j: Array, known: tuple[Array, Array] | None = None) -> LegLimits:
@@ -580,9 +585,7 @@ def _fastest(program: LegLimits, wanted: NDArray[np.bool_]) -> Array:
 
     def seek(first: int, last: int) -> None:
         for k in range(first, last):
-            found[k] = fastest(
-                p.point, p.middle, p.ends, p.acceleration, p.jerk, p.ceiling, p.h, p.start, p.level, ACCURACY, parts[k]
-            )
+            found[k] = fastest(p.rows, p.start, p.level, ACCURACY, parts[k])
 
     if len(parts) == 2:
         in_threads(seek, 2)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array, Ints, ReadOnlyArrays, read_only
 from planner.base.compiled import njit
 from planner.toolpath.step.files import Face
-from planner.toolpath.step.splines import SplineSet, fill_normal, foot_of
+from planner.toolpath.step.splines import SplineArrays, SplineSet, fill_normal, foot_of
 
 # ----------------------------------------------------------------------------------------------------
 # Inside or outside of the loops that trim faces, and what is known along their rims.
@@ -82,6 +83,20 @@ def raster_of(uv: Array, following: Ints, first: int, last: int, low: Array, hig
     return cells
 
 
+class RimArrays(NamedTuple):
+    """The loops that trim faces (k), as compiled kernels take them: see `FaceBody`."""
+
+    raster: Raster
+    low: Array
+    high: Array
+    uv: Array
+    points: Array
+    normals: Array
+    shared: NDArray[np.bool_]
+    next: Ints
+    first: Ints
+
+
 @njit(cache=True)
 def _crossings(u: float, v: float, uv: Array, following: Ints, first: int, last: int) -> bool:
     """Even-odd rule."""
@@ -105,42 +120,24 @@ def _within(places: Array, uv: Array, following: Ints, first: int, last: int) ->
 
 
 @njit(cache=True)
-def is_inside(
-    face: int,
-    u: float,
-    v: float,
-    raster: Raster,
-    low: Array,
-    high: Array,
-    rim_uv: Array,
-    rim_next: Ints,
-    rim_first: Ints,
-) -> bool:
+def is_inside(face: int, u: float, v: float, rims: RimArrays) -> bool:
     """Whether a place lies within the loops of a face; its raster answers, or the even-odd rule."""
+    low, high, raster = rims.low, rims.high, rims.raster
     if u < low[face, 0] or u > high[face, 0] or v < low[face, 1] or v > high[face, 1]:
         return False
     i = min(int((u - low[face, 0]) / (high[face, 0] - low[face, 0]) * CELLS), CELLS - 1)
     j = min(int((v - low[face, 1]) / (high[face, 1] - low[face, 1]) * CELLS), CELLS - 1)
     if raster[face, i, j] != _MIXED:
         return raster[face, i, j] == 1
-    return _crossings(u, v, rim_uv, rim_next, rim_first[face], rim_first[face + 1])
+    return _crossings(u, v, rims.uv, rims.next, rims.first[face], rims.first[face + 1])
 
 
 @njit(cache=True)
-def all_inside(
-    face: Ints,
-    uv: Array,
-    raster: Raster,
-    low: Array,
-    high: Array,
-    rim_uv: Array,
-    rim_next: Ints,
-    rim_first: Ints,
-) -> NDArray[np.bool_]:
+def all_inside(face: Ints, uv: Array, rims: RimArrays) -> NDArray[np.bool_]:
     """The same for parameters (n, 2) of faces (n)."""
     out = np.zeros(len(uv), dtype=np.bool_)
     for i in range(len(uv)):
-        out[i] = is_inside(face[i], uv[i, 0], uv[i, 1], raster, low, high, rim_uv, rim_next, rim_first)
+        out[i] = is_inside(face[i], uv[i, 0], uv[i, 1], rims)
     return out
 
 
@@ -170,18 +167,14 @@ def settle(
     points: Array,
     faces: Ints,
     starts: Array,
-    knots: Array,
-    poles: Array,
-    table: Ints,
-    domain: Array,
-    raster: NDArray[np.int8],
-    low: Array,
-    high: Array,
-    rim_uv: Array,
-    rim_next: Ints,
-    rim_first: Ints,
+    splines: SplineArrays,
+    rims: RimArrays,
 ) -> tuple[Ints, Array]:
-    """Face (n) and parameters (n, 2) of the nearest foot that is inside its face; where none is, of the nearest one."""
+    """Face (n) and parameters (n, 2) of the nearest foot that is inside its face; where none is, of the nearest one.
+
+    points (n, 3) [m]; faces (n, c) to try for each and parameters (n, c, 2) to start from
+    """
+    knots, poles, table, domain = splines
     found, place = np.empty(len(points), dtype=np.int64), np.empty((len(points), 2))
     d = np.empty((6, 3))
     hit = np.empty(faces.shape[1], dtype=np.bool_)
@@ -199,9 +192,7 @@ def settle(
             gap = 0.0
             for k in range(3):
                 gap += (d[0, k] - points[i, k]) ** 2
-            within = _perpendicular(points[i], d) and is_inside(
-                face, u, v, raster, low, high, rim_uv, rim_next, rim_first
-            )
+            within = _perpendicular(points[i], d) and is_inside(face, u, v, rims)
             hit[c] = within
             if (within and not best_in) or (within == best_in and gap < best):
                 best, best_in = gap, within
@@ -209,30 +200,33 @@ def settle(
     return found, place
 
 
+class SampleArrays(NamedTuple):
+    """Places on faces (s) from which nearer ones are sought: face (s), uv (s, 2), points (s, 3) [m]."""
+
+    face: Ints
+    uv: Array
+    points: Array
+
+
 @njit(cache=True)
 def signed(
     points: Array,
     near: Ints,
-    sample_face: Ints,
-    sample_uv: Array,
-    sample_points: Array,
-    knots: Array,
-    poles: Array,
-    table: Ints,
-    domain: Array,
+    samples: SampleArrays,
+    splines: SplineArrays,
     side: Ints,
-    raster: NDArray[np.int8],
-    low: Array,
-    high: Array,
-    rim_uv: Array,
-    rim_points: Array,
-    rim_normals: Array,
-    rim_shared: NDArray[np.bool_],
-    rim_next: Ints,
-    rim_first: Ints,
+    rims: RimArrays,
     closed: bool,
 ) -> tuple[Array, Array]:
-    """Signed distances (n,) and the normals (n, 3) at the nearest places."""
+    """Signed distances (n,) [m] and the normals (n, 3) at the nearest places.
+
+    points (n, 3) [m]; near (n, c): the samples nearest to each; side (k) as in `FaceBody`; closed: whether the faces
+    enclose a body
+    """
+    sample_face, sample_uv, sample_points = samples
+    knots, poles, table, domain = splines
+    rim_points, rim_normals, rim_shared = rims.points, rims.normals, rims.shared
+    rim_next, rim_first = rims.next, rims.first
     out, normals = np.empty(len(points)), np.empty((len(points), 3))
     d, normal, foot = np.empty((6, 3)), np.empty(3), np.empty(3)
     hit = np.empty(near.shape[1], dtype=np.bool_)
@@ -252,7 +246,7 @@ def signed(
                 continue
             start = sample_uv[near[i, c]]
             u, v = foot_of(points[i], face, start[0], start[1], knots, poles, table, domain, d)
-            if _perpendicular(points[i], d) and is_inside(face, u, v, raster, low, high, rim_uv, rim_next, rim_first):
+            if _perpendicular(points[i], d) and is_inside(face, u, v, rims):
                 hit[c] = True
                 gap = 0.0
                 for k in range(3):
@@ -365,7 +359,7 @@ class FaceBody:
                 following.append(start + np.roll(np.arange(len(loop)), -1))
                 start += len(loop)
         rim_next = np.concatenate(following)
-        rim_points = splines.points(owner, rim_uv)
+        rim_points = np.ascontiguousarray(splines.points(owner, rim_uv))  # as copies are that go to other processes
         normals = side[owner, None] * splines.normals(owner, rim_uv)
         rim_shared, pole = shared([on for face in faces for on in face.edges], rim_points, rim_next)
         low, high = (np.array([f(points, axis=0) for points in rim]) for f in (np.min, np.max))
@@ -394,6 +388,14 @@ class FaceBody:
         tree = cKDTree(splines.points(sample_face, sample_uv))
         return cls(**{**vars(body), "sample_face": sample_face, "sample_uv": sample_uv, "tree": tree})
 
+    @property
+    def rims(self) -> RimArrays:
+        """What kernels look at of the loops."""
+        return RimArrays(
+            self.raster, self.low, self.high,
+            self.rim_uv, self.rim_points, self.rim_normals, self.rim_shared, self.rim_next, self.rim_first,
+        )  # fmt: skip
+
     def _grid(self, face: int) -> Array:
         """Samples (n, 2) of a face, inside it."""
         box = np.array([self.low[face], self.high[face]])
@@ -414,12 +416,7 @@ class FaceBody:
         return all_inside(
             np.ascontiguousarray(face, dtype=np.int64),
             np.ascontiguousarray(uv),
-            self.raster,
-            self.low,
-            self.high,
-            self.rim_uv,
-            self.rim_next,
-            self.rim_first,
+            self.rims,
         )
 
     def rim_distance(self, face: Ints, points: Array) -> Array:
@@ -452,21 +449,8 @@ class FaceBody:
         return self._feet(points, face, uv)
 
     def _feet(self, points: Array, face: Ints, uv: Array) -> FacePlaces:
-        s = self.splines
         found, place = settle(
-            read_only(points),
-            np.ascontiguousarray(face),
-            np.ascontiguousarray(uv),
-            s.knots,
-            s.poles,
-            s.table,
-            s.domain,
-            self.raster,
-            self.low,
-            self.high,
-            self.rim_uv,
-            self.rim_next,
-            self.rim_first,
+            read_only(points), np.ascontiguousarray(face), np.ascontiguousarray(uv), self.splines.arrays, self.rims
         )
         return self.at(found, place)
 
@@ -481,29 +465,9 @@ class FaceBody:
     def _nearest(self, points: Array) -> tuple[Array, Array]:
         _, near = self.tree.query(points, k=min(_CANDIDATES, self.tree.n))
         near = np.ascontiguousarray(near.reshape(len(points), min(_CANDIDATES, self.tree.n)))
-        s = self.splines
-        return signed(
-            read_only(points),
-            near,
-            self.sample_face,
-            self.sample_uv,
-            np.asarray(self.tree.data),
-            s.knots,
-            s.poles,
-            s.table,
-            s.domain,
-            self.side,
-            self.raster,
-            self.low,
-            self.high,
-            self.rim_uv,
-            self.rim_points,
-            self.rim_normals,
-            self.rim_shared,
-            self.rim_next,
-            self.rim_first,
-            bool(self.rim_shared.all()),
-        )
+        samples = SampleArrays(self.sample_face, self.sample_uv, np.asarray(self.tree.data))
+        closed = bool(self.rim_shared.all())
+        return signed(read_only(points), near, samples, self.splines.arrays, self.side, self.rims, closed)
 
 
 def _to_segments(points: Array, a: Array, b: Array) -> Array:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -66,6 +67,15 @@ class SplineSurface(ReadOnlyArrays):
         )
 
 
+class SplineArrays(NamedTuple):
+    """A `SplineSet` as compiled kernels take it: its fields, with their shapes."""
+
+    knots: Array
+    poles: Array
+    table: Ints
+    domain: Array
+
+
 @dataclass(frozen=True)
 class SplineSet(ReadOnlyArrays):
     """B-spline surfaces packed into flat arrays.
@@ -98,6 +108,11 @@ class SplineSet(ReadOnlyArrays):
             np.array(table, dtype=np.int64),
             np.array([np.vstack([s.domain, s.reach]) for s in surfaces]),
         )
+
+    @property
+    def arrays(self) -> SplineArrays:
+        """What kernels look at."""
+        return SplineArrays(self.knots, self.poles, self.table, self.domain)
 
     def points(self, face: Ints, uv: Array) -> Array:
         """Points (n, 3) [m] of surfaces face (n) at parameters (n, 2)."""
