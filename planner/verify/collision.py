@@ -16,7 +16,7 @@ from planner.plan import Approach, CellView, Check, Trajectory
 from planner.problem import Problem
 from planner.toolpath.bead import Toolpath
 from planner.verify.bodies import ARM, FIXTURE, HEAD, CellBodies, CheckedBody, Distances, Pair, all_at_home, pairs
-from planner.verify.checks import DIGITS, place
+from planner.verify.checks import DIGITS, Findings, Judged, place
 from planner.verify.nozzle import Nearness, check_nozzle, print_times
 
 # ----------------------------------------------------------------------------------------------------
@@ -232,11 +232,21 @@ MOST_APPROACHES = 12
 
 @dataclass(frozen=True)
 class Apart:
-    """How near all in the cell and the print come: pairs of bodies, then those with the print, and what was found."""
+    """How near bodies of the cell and the print come to each other.
 
+    hits        pairs of bodies, and
+    near_print  bodies that can come near the print; swept is of both, in this order
+    """
+
+    bodies: CellBodies
     hits: tuple[Pair, ...]
     near_print: tuple[PrintPair, ...]
     swept: Swept
+
+    @property
+    def view(self) -> CellView:
+        """All bodies of the cell, with all joints at 0."""
+        return _view(self.bodies)
 
 
 def sweep_cell(problem: Problem, cell: Cell, toolpath: Toolpath, t: Trajectory, body: PrintBody) -> Apart:
@@ -245,35 +255,25 @@ def sweep_cell(problem: Problem, cell: Cell, toolpath: Toolpath, t: Trajectory, 
     bodies = CellBodies.of(cell)
     hits, near_print = pairs(bodies, spec.nozzle, spec.arm), print_pairs(bodies, spec.arm)
     alone = body.without_bodies  # whatever else stands there is known exactly
-    return Apart(hits, near_print, sweep(bodies, (*hits, *near_print), t.q, alone, print_times(toolpath, t)))
+    return Apart(bodies, hits, near_print, sweep(bodies, (*hits, *near_print), t.q, alone, print_times(toolpath, t)))
 
 
-def keep_apart(
-    problem: Problem,
-    cell: Cell,
-    t: Trajectory,
-    body: PrintBody,
-    near: tuple[Nearness, Nearness],
-    apart: Apart,
-    checks: list[Check],
-    metrics: dict[str, float],
-    series: dict[str, Array],
-) -> tuple[tuple[Approach, ...], CellView]:
-    """Append the checks of nozzle, head, links, fixtures and print; returns the pairs of bodies that come nearest, and
-    the bodies of the cell.
+def keep_apart(judged: Judged, near: tuple[Nearness, Nearness], apart: Apart) -> tuple[Findings, tuple[Approach, ...]]:
+    """The checks of nozzle, head, links, fixtures and print, and the pairs of bodies that come nearest.
 
     near: the results of `by_the_tip` and `beyond`; apart: of `sweep_cell`. Distances are found up to FAR;
     `clearance_min_mm` is the least of all beyond the tip's zone (see `nozzle`).
     """
-    spec = problem.collision
+    cell, t, body, spec = judged.cell, judged.trajectory, judged.body, judged.problem.collision
     rule, beyond = near
-    checks.append(check_nozzle(problem, cell, t, body, rule))
-    bodies = CellBodies.of(cell)
-    hits, near_print, swept = apart.hits, apart.near_print, apart.swept
-    found = _approaches(bodies, (*hits, *near_print), swept, body.without_bodies)
+    hits, swept = apart.hits, apart.swept
+    found = _approaches(apart.bodies, (*hits, *apart.near_print), swept, body.without_bodies)
     robots, prints = found[: len(hits)], found[len(hits) :]
-    checks.append(_check("arm clear of part and print", prints, spec.arm, t, _unknown(cell)))
-    checks.append(_check("robots clear of each other and of fixtures", robots, spec.arm, t, _unknown(cell)))
+    checks = (
+        check_nozzle(judged, rule),
+        _check("arm clear of part and print", prints, spec.arm, t, _unknown(cell)),
+        _check("robots clear of each other and of fixtures", robots, spec.arm, t, _unknown(cell)),
+    )
     nozzle = []
     for each in (rule, beyond) if rule.least < 0.0 else (beyond,):  # by the rule it is no plain distance
         if each.point >= 0 and each.least + spec.nozzle < FAR:
@@ -284,12 +284,12 @@ def keep_apart(
         "arm_clearance_min_mm": min((each.distance for each in prints), default=FAR),
         "robot_clearance_min_mm": min((each.distance for each in robots), default=FAR),
     }
-    metrics |= {name: distance * 1e3 for name, distance in distances.items()}
+    metrics = {name: distance * 1e3 for name, distance in distances.items()}
     metrics["clearance_min_mm"] = min(distances.values()) * 1e3
-    series["clearance_mm"] = np.clip(np.minimum(beyond.margin + spec.nozzle, swept.nearest), None, FAR) * 1e3
+    series = {"clearance_mm": np.clip(np.minimum(beyond.margin + spec.nozzle, swept.nearest), None, FAR) * 1e3}
     close = [each for each in (*nozzle, *robots, *prints) if each.distance < FAR]
     nearest = tuple(sorted(_once(close), key=_spare)[:MOST_APPROACHES])
-    return nearest, _view(bodies)
+    return Findings(checks, metrics, series), nearest
 
 
 def cell_view(cell: Cell) -> CellView:

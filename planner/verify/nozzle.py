@@ -9,14 +9,13 @@ import numpy as np
 
 from planner.base.arrays import Array, Ints
 from planner.base.compiled import njit
-from planner.cell.cell import Cell
 from planner.cell.solids import Packed, packed
 from planner.collision.point_tree import PointTree, nearest_point, point_value, search_room, solid_distance
-from planner.collision.print_body import TIP_SLOPE, PrintBody, tip_slack
+from planner.collision.print_body import TIP_SLOPE, tip_slack
 from planner.plan import Check, Trajectory
 from planner.problem import Problem
 from planner.toolpath.bead import Toolpath
-from planner.verify.checks import DIGITS, place
+from planner.verify.checks import DIGITS, EVERYWHERE, Judged, place
 from planner.verify.executed import ExecutedMotion
 
 # ----------------------------------------------------------------------------------------------------
@@ -396,29 +395,30 @@ def _ways(motion: ExecutedMotion) -> tuple[Array, Array, Array, Array]:
     return tip, rotation, *_path_lengths(tip, rotation)
 
 
-def by_the_tip(
-    problem: Problem, cell: Cell, toolpath: Toolpath, t: Trajectory, motion: ExecutedMotion, body: PrintBody
-) -> Nearness:
-    """How near nozzle and head come, by the rule for the tip."""
+def by_the_tip(judged: Judged) -> Nearness:
+    """How near nozzle and head come to part and print, by the rule for the tip."""
+    problem, toolpath, t = judged.problem, judged.toolpath, judged.trajectory
     now, slack = print_times(toolpath, t), slack_along(problem, toolpath, t)
-    return nozzle_nearness(body.tree, packed(cell.head), motion, now, slack, problem.collision.nozzle)
+    return nozzle_nearness(
+        judged.body.tree, packed(judged.cell.head), judged.motion, now, slack, problem.collision.nozzle
+    )
 
 
-def beyond(
-    problem: Problem, cell: Cell, toolpath: Toolpath, t: Trajectory, motion: ExecutedMotion, body: PrintBody
-) -> Nearness:
-    """How near they come beyond the tip's zone."""
+def beyond(judged: Judged) -> Nearness:
+    """How near nozzle and head come to part and print beyond the tip's zone."""
+    problem, toolpath, t = judged.problem, judged.toolpath, judged.trajectory
     now, slack = print_times(toolpath, t), slack_along(problem, toolpath, t)
-    return beyond_the_tip(body.tree, packed(cell.head), motion, now, slack, problem.collision.nozzle)
+    return beyond_the_tip(
+        judged.body.tree, packed(judged.cell.head), judged.motion, now, slack, problem.collision.nozzle
+    )
 
 
-def check_nozzle(problem: Problem, cell: Cell, t: Trajectory, body: PrintBody, rule: Nearness) -> Check:
-    """The check, from how near they come by the rule for the tip."""
-    need = problem.collision.nozzle
+def check_nozzle(judged: Judged, rule: Nearness) -> Check:
+    """The check, from how near nozzle and head come by the rule for the tip."""
+    need = judged.problem.collision.nozzle
     worst = rule.least + need
-    where = f"{cell.head[rule.body].name} and {body.name_of(rule.point)}, {place(t, rule.at)}"
-    if rule.point < 0:
-        where = "everywhere"
+    pair = f"{judged.cell.head[rule.body].name} and {judged.body.name_of(rule.point)}"
+    where = EVERYWHERE if rule.point < 0 else f"{pair}, {place(judged.trajectory, rule.at)}"
     ok = worst >= need - DIGITS
     at = rule.at if rule.point >= 0 else -1
     return Check("nozzle clear of part and print", worst * 1e3, need * 1e3, "mm", ok, where, least=True, sample=at)
