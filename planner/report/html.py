@@ -308,8 +308,9 @@ def _checks(checks: tuple[Check, ...]) -> str:
         for check in checks
     )
     return (
-        "<h2>Checks</h2><p class=note>Found on the finished, sampled motion, by code that shares nothing with the "
-        "code that planned it.</p><div class=wide><table><thead><tr><th class=left>check</th><th>worst</th>"
+        "<h2>Checks</h2><p class=note>Found on the finished, sampled motion, by other kinematics, timing and search "
+        "than those that planned it. Both use one model of cell, part, print and surfaces, and one routine for "
+        "singular values.</p><div class=wide><table><thead><tr><th class=left>check</th><th>worst</th>"
         "<th>limit</th><th class=left>unit</th><th class=left>verdict</th><th class=left>where</th></tr></thead>"
         f"<tbody>{rows}</tbody></table></div>"
     )
