@@ -17,7 +17,7 @@ from export_fixtures import make_plan
 from solved import small_problem, solve_alone, write_small
 
 import planner.export
-import planner.planning
+import planner.planning.pipeline
 from planner.base.errors import InputError
 from planner.export.extruder import gcode, gcode_complaints, read_gcode
 from planner.export.languages import LANGUAGES
@@ -62,7 +62,7 @@ def problem_of(*changes: tuple[str, str]) -> Problem:
 @cache
 def two_materials() -> Plan:
     """The small print, its first bead of one material and the others of another, solved once."""
-    build = planner.planning.build_toolpath
+    build = planner.planning.pipeline.build_toolpath
 
     def mixed(problem: Problem) -> Toolpath:
         toolpath = build(problem)
@@ -70,7 +70,7 @@ def two_materials() -> Plan:
         return replace(toolpath, beads=tuple(replace(bead, material=material) for bead, material in beads))
 
     with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
-        patch.setattr(planner.planning, "build_toolpath", mixed)
+        patch.setattr(planner.planning.pipeline, "build_toolpath", mixed)
         return solve_alone(load_problem(write_small(Path(folder), TWO)))
 
 
@@ -259,7 +259,7 @@ def test_motion_handed_over_without_rests_stops_for_a_change_too() -> None:
     )
     toolpath = plan.toolpath
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(planner.planning, "build_toolpath", lambda _: toolpath)
+        patch.setattr(planner.planning.pipeline, "build_toolpath", lambda _: toolpath)
         other = solve_alone(problem)
     assert other.verified, [check for check in other.checks if not check.ok]
     assert sum(event.kind == "change" for event in other.trajectory.events) == 1

@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 from solved import body_of, small_plan, solve_alone, write_small
 
-import planner.planning
+import planner.planning.pipeline
 from planner.export.extruder import gcode
 from planner.motion.extrusion import feed, filament_area
 from planner.plan import Event, Plan, Trajectory
@@ -88,8 +88,8 @@ def varied(toolpath: Toolpath) -> Toolpath:
 
 @pytest.fixture
 def varying(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Plan]:
-    original = planner.planning.build_toolpath
-    monkeypatch.setattr(planner.planning, "build_toolpath", lambda problem: varied(original(problem)))
+    original = planner.planning.pipeline.build_toolpath
+    monkeypatch.setattr(planner.planning.pipeline, "build_toolpath", lambda problem: varied(original(problem)))
 
     def solve_it(*changes: str) -> Plan:
         with tempfile.TemporaryDirectory() as folder:

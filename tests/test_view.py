@@ -376,7 +376,7 @@ def test_wrong_arguments(
 SHARING = """\
 import sys
 from planner.view import command, solver
-child = "import sys, planner.planning as p, planner.view.child as c; p.WORTH_A_FORK = 1; sys.exit(c.main())"
+child = "import sys, planner.planning.pipeline as p, planner.view.child as c; p.WORTH_A_FORK = 1; sys.exit(c.main())"
 solver.CHILD = (sys.executable, "-c", child)
 sys.exit(command.main())
 """

@@ -9,6 +9,7 @@ import numpy as np
 
 from planner.base.arrays import Array, Ints
 from planner.base.compiled import njit
+from planner.base.geometry import arc_lengths
 from planner.cell.solids import Packed, packed
 from planner.collision.point_tree import PointTree, nearest_point, point_value, search_room, solid_distance
 from planner.collision.print_body import TIP_SLOPE, tip_slack
@@ -426,7 +427,7 @@ def check_nozzle(judged: Judged, rule: Nearness) -> Check:
 
 def _looked_ahead(tip: Array, now: Array, slack: Array) -> Ints:
     """For each sample (n) the one up to which what is laid may count as there: a part of the tip's zone ahead."""
-    far = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))])
+    far = arc_lengths(tip)
     bead = np.floor(now)
     last = np.searchsorted(bead, bead, side="right") - 1
     reach = np.searchsorted(far, far + 0.25 * slack / TIP_SLOPE, side="right") - 1
@@ -437,5 +438,4 @@ def _path_lengths(tip: Array, rotation: Array) -> tuple[Array, Array]:
     """How far (n) the tip has moved [m] and the axes have turned [rad] since the first sample."""
     turned = np.einsum("nij,nij->n", rotation[1:], rotation[:-1])
     angle = np.arccos(np.clip(0.5 * (turned - 1.0), -1.0, 1.0))
-    steps = np.linalg.norm(np.diff(tip, axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps)]), np.concatenate([[0.0], np.cumsum(angle)])
+    return arc_lengths(tip), np.concatenate([[0.0], np.cumsum(angle)])
