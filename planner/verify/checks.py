@@ -19,6 +19,8 @@ from planner.verify.executed import ExecutedMotion
 
 SPEED_TOLERANCE = 0.02  # of the commanded speed: within it a sample counts as at speed
 DIGITS = 1e-9  # relative: limits are compared with this much room for rounding
+FAR = 50e-3  # m: distances are told apart up to this one; what is farther away counts as so far away
+TOLERANCE = 1e-4  # m, by which the least distance that is found may exceed the true one
 EVERYWHERE = "everywhere"  # the place of a check that holds at all places alike
 
 

@@ -1,4 +1,10 @@
-"""Independent check that robots, fixtures and print keep apart all along a trajectory: Pinocchio's poses, coal's distances."""
+"""Least distances of robots, fixtures and print from each other along a trajectory, by Pinocchio's poses and coal.
+
+Conservative advancement: between two instants the distance of a pair changes by no more than its joints turn times how
+far they swing it. An interval that could hide too small a distance by that bound is halved, down to a part of a sample.
+
+An instant is a time in parts of a sample (_PARTS of them); n counts samples, p pairs. Distances are in metres.
+"""
 
 from __future__ import annotations
 
@@ -16,32 +22,24 @@ from planner.plan import Approach, CellView, Check, Trajectory
 from planner.problem import Problem
 from planner.toolpath.bead import Toolpath
 from planner.verify.bodies import ARM, FIXTURE, HEAD, CellBodies, CheckedBody, Distances, Pair, all_at_home, pairs
-from planner.verify.checks import DIGITS, Findings, Judged, place
+from planner.verify.checks import DIGITS, FAR, TOLERANCE, Findings, Judged, place
 from planner.verify.nozzle import Nearness, check_nozzle, print_times
 
-# ----------------------------------------------------------------------------------------------------
-# Independent check that robots, fixtures and print keep apart all along a trajectory: Pinocchio's poses, coal's distances.
-#
-# Between two instants the distance of a pair changes by no more than its joints turn times how far they swing it. An
-# interval that could hide too small a distance by that bound is halved, down to a part of a sample.
-
-FAR = 50e-3  # m: what is farther away is that far away
-_SEEN = 0.1  # m: so far distances from the print are told apart, since what is farther away may be left out longer
-TOLERANCE = 1e-4  # m: no distance is missed that is too small by more
-_ABOUT = 0.95  # of a distance beyond FAR, to which it is told
-_SHARE = 0.2  # of what a distance is more than is asked for, to which it is found
+MOST_APPROACHES = 12  # pairs of bodies that the plan names
+_SEEN = 0.1  # m: greatest distance from the print that is computed; the larger, the longer a body can be left out
+_ABOUT = 0.95  # relative accuracy of distances beyond FAR
+_SHARE = 0.2  # accuracy of a least distance, relative to its difference from the distance asked for
 _PARTS = 16  # instants of a sample
-_FIRST = 512 * _PARTS  # instants between first looks
-_NOWHERE = -1e30
+_FIRST = 512 * _PARTS  # instants between the first evaluations
 
 
 @dataclass(frozen=True)
 class Swept:
-    """Least distances of pairs (p) all along a trajectory: distance [m], and the time [samples] at which it is.
+    """Least distances of pairs (p) along a trajectory: distance (p) [m], at (p) the time of each [samples].
 
-    nearest (n)  of all, FAR at most; between looks it is interpolated
-    points (p)   of the print, in its tree's order, for pairs with it; else -1
-    looks        how many distances were asked for
+    points (p)   nearest point of the print, in its tree's order; -1 for pairs of bodies
+    nearest (n)  least distance of all pairs at each sample [m], FAR at most; interpolated between evaluations
+    looks        number of distances evaluated
     """
 
     distance: Array
@@ -53,7 +51,7 @@ class Swept:
 
 @dataclass(frozen=True)
 class PrintPair:
-    """A thing (index) that can come near part and print, how far it keeps [m], and its swing (see Pair)."""
+    """A body (index) that can come near part and print, the distance that it is to keep [m], and its swing (see Pair)."""
 
     a: int
     need: float
@@ -61,7 +59,7 @@ class PrintPair:
 
 
 def print_pairs(bodies: CellBodies, need: float) -> tuple[PrintPair, ...]:
-    """Links, and where the part turns what stands, against part and print. Hollow fixtures are left out."""
+    """Pairs of the print with links and, where the part turns, with fixtures; meshes, which may be hollow, are left out."""
     turning = CellBodies.swing(bodies, part_thing(bodies))
     found = []
     for i, thing in enumerate(bodies.things):
@@ -72,14 +70,14 @@ def print_pairs(bodies: CellBodies, need: float) -> tuple[PrintPair, ...]:
 
 
 def sweep(bodies: CellBodies, pairs: Sequence[Pair | PrintPair], q: Array, body: PrintBody, now: Array) -> Swept:
-    """Least distances of pairs along postures q (n, nq), and of things to what is printed at times `now` (n)."""
+    """Least distances of pairs along postures q (n, nq); now (n): what is printed at each sample, see `print_times`."""
     if not pairs:
         return Swept(np.empty(0), np.empty(0), np.empty(0, dtype=np.int64), np.full(len(q), FAR), 0)
     return _Sweep(bodies, pairs, q, body, now).done()
 
 
 def part_thing(bodies: CellBodies) -> CheckedBody:
-    """Where the part frame is carried, as a thing of no size."""
+    """The part frame as a body of no size, with what carries it."""
     cell = bodies.cell
     robot = cell.holder_robot
     if robot is None:
@@ -89,145 +87,6 @@ def part_thing(bodies: CellBodies) -> CheckedBody:
         carrier = len(cell.arm) + joints
         T = robot.model.frames[robot.model.getFrameId(robot.tip)].placement.homogeneous @ cell.T_plate_part
     return CheckedBody("part", "carried", carrier, joints, None, T, None, T, T[:3, 3], 0.0)  # type: ignore[arg-type]
-
-
-class _Sweep:
-    def __init__(
-        self, bodies: CellBodies, pairs: Sequence[Pair | PrintPair], q: Array, body: PrintBody, now: Array
-    ) -> None:
-        self.bodies, self.pairs, self.q, self.tree, self.now = bodies, pairs, q, body.tree, now
-        self.turned = np.zeros(q.shape)  # made in place: of a large print it is a large part of all memory
-        np.subtract(q[1:], q[:-1], out=self.turned[1:])
-        np.abs(self.turned, out=self.turned)
-        np.cumsum(self.turned, axis=0, out=self.turned)
-        self.coal, self.room = Distances(bodies), search_room()
-        self.part = part_thing(bodies)
-        p = len(pairs)
-        self.need, self.swing = np.array([pair.need for pair in pairs]), np.array([pair.swing for pair in pairs])
-        self.printed = np.array([isinstance(pair, PrintPair) for pair in pairs])
-        things = bodies.things
-        first = [things[pair.a] for pair in pairs]
-        second = [things[pair.b] if isinstance(pair, Pair) else self.part for pair in pairs]
-        self.balls = [
-            (
-                np.array([thing.carrier for thing in side]),
-                np.array([thing.centre for thing in side]),
-                np.array([thing.reach for thing in side]),
-            )
-            for side in (first, second)
-        ]
-        root, T = self.tree.centre[0], self.part.T_carrier_solid
-        self.balls[1][1][self.printed] = T[:3, :3] @ root + T[:3, 3]
-        self.balls[1][2][self.printed] = self.tree.reach[0]
-        self.solids: dict[int, Packed] = {
-            pair.a: packed([Body(things[pair.a].name, things[pair.a].solid, things[pair.a].T_carrier_solid)])
-            for pair in pairs
-            if isinstance(pair, PrintPair)
-        }
-        self.least, self.at, self.points = np.full(p, FAR), np.zeros(p), np.full(p, -1, dtype=np.int64)
-        self.nearest = np.full(len(q), FAR)
-        self.looks = 0
-
-    def done(self) -> Swept:
-        end = (len(self.q) - 1) * _PARTS
-        knots = np.unique(np.append(np.arange(0, end, _FIRST), end))
-        p, k = len(self.pairs), len(knots)
-        pair = np.repeat(np.arange(p), k)
-        value = self._distances(pair, np.tile(knots, p)).reshape(p, k)
-        self.nearest = np.minimum(FAR, np.interp(np.arange(len(self.q)), knots / _PARTS, value.min(axis=0)))
-        pair = np.repeat(np.arange(p), k - 1)
-        a, b = np.tile(knots[:-1], p), np.tile(knots[1:], p)
-        da, db = value[:, :-1].ravel(), value[:, 1:].ravel()
-        while len(pair):
-            open_ = (self._bound(pair, a, b, da, db) < self._target()[pair]) & (b - a > 1)
-            pair, a, b, da, db = pair[open_], a[open_], b[open_], da[open_], db[open_]
-            middle = (a + b) // 2
-            dm = self._distances(pair, middle)
-            np.minimum.at(self.nearest, middle // _PARTS, dm)
-            pair, a, b = np.tile(pair, 2), np.concatenate([a, middle]), np.concatenate([middle, b])
-            da, db = np.concatenate([da, dm]), np.concatenate([dm, db])
-        return Swept(self.least, self.at, self.points, self.nearest, self.looks)
-
-    def _target(self) -> Array:
-        """What is looked for, by pair (p): distances that are less."""
-        found = self.least - np.maximum(TOLERANCE, _SHARE * np.abs(self.least - self.need))
-        return np.where(self.least >= self.need, np.maximum(found, self.need - TOLERANCE), found)
-
-    def _bound(self, pair: Ints, a: Ints, b: Ints, da: Array, db: Array) -> Array:
-        """What no distance of a pair falls below between instants a and b, where it is da and db."""
-        turned = self._at(self.turned, b) - self._at(self.turned, a)
-        moved = (turned * self.swing[pair]).sum(axis=1)
-        both = 0.5 * (da + db - moved)
-        grown = self.printed[pair] & (self._printed(b) > self._printed(a))  # at b all is there that is there between
-        return np.where(grown, db - moved, both)
-
-    def _at(self, values: Array, instant: Ints) -> Array:
-        """Values (n, ...) of samples at instants."""
-        k, part = np.divmod(instant, _PARTS)
-        share = (part / _PARTS)[:, None]
-        return (1.0 - share) * values[k] + share * values[np.minimum(k + 1, len(values) - 1)]
-
-    def _printed(self, instant: Ints) -> Array:
-        """What is printed at instants: as at the next sample."""
-        return self.now[-(-instant // _PARTS)]
-
-    def _distances(self, pair: Ints, instant: Ints) -> Array:
-        """Distances of pairs at instants, or lower bounds beyond FAR; the least are kept."""
-        out = np.empty(len(pair))
-        order = np.argsort(instant, kind="stable")
-        for rows in np.array_split(order, max(1, len(order) // 100_000)):
-            times, which = np.unique(instant[rows], return_inverse=True)
-            poses = self.bodies.poses(self._at(self.q, times))
-            out[rows] = self._apart(pair[rows], which, poses)
-            near = rows[out[rows] < FAR]
-            of = which[out[rows] < FAR]
-            for k in np.unique(pair[near]).tolist():
-                own = pair[near] == k
-                out[near[own]] = self._of_pair(k, instant[near[own]], poses, of[own])
-        return out
-
-    def _apart(self, pair: Ints, which: Ints, poses: Array) -> Array:
-        """Distances of balls around the two of each pair, at poses[which]."""
-        middle, reach = [], np.zeros(len(pair))
-        for carrier, centre, size in self.balls:
-            T = poses[which, carrier[pair]]
-            middle.append(np.einsum("nij,nj->ni", T[:, :3, :3], centre[pair]) + T[:, :3, 3])
-            reach += size[pair]
-        return np.asarray(np.linalg.norm(middle[0] - middle[1], axis=1) - reach)
-
-    def _of_pair(self, k: int, instant: Ints, poses: Array, which: Ints) -> Array:
-        """Distances of one pair at instants (n), which increase, where carriers are at poses[which]."""
-        pair = self.pairs[k]
-        self.looks += len(instant)
-        if isinstance(pair, Pair):
-            distance = self.coal.along(pair, poses[which])
-            point = np.full(len(distance), -1)
-        else:
-            distance, point = self._from_print(pair, poses, which, self._printed(instant))
-        best = int(np.argmin(distance))
-        if distance[best] < self.least[k]:
-            self.least[k], self.at[k], self.points[k] = distance[best], instant[best] / _PARTS, point[best]
-        return distance
-
-    def _from_print(self, pair: PrintPair, poses: Array, which: Ints, now: Array) -> tuple[Array, Ints]:
-        """Distances (n) of a thing from what is printed at times now (n), _SEEN at most and about beyond FAR, and the
-        nearest points or -1."""
-        thing, solid, tree = self.bodies.things[pair.a], self.solids[pair.a], self.tree
-        T_world_part = poses[which, self.part.carrier] @ self.part.T_carrier_solid
-        T_carrier_part = np.linalg.inv(poses[which, thing.carrier]) @ T_world_part
-        T_solid_part = solid.T_solid_frame[0] @ T_carrier_part
-        distance, point = np.empty(len(now)), np.empty(len(now), dtype=np.int64)
-        least_distances(
-            tree.points, tree.radius, tree.time, tree.centre, tree.reach, tree.since, tree.left, tree.right,
-            solid.kind[0], solid.size[0], solid.planes, T_solid_part, now, FAR, _SEEN, _ABOUT, self.room, distance, point,
-        )  # fmt: skip
-        return distance, point
-
-
-# ----------------------------------------------------------------------------------------------------
-# The checks that everything in the cell keeps apart, and where it comes nearest.
-
-MOST_APPROACHES = 12
 
 
 @dataclass(frozen=True)
@@ -250,11 +109,11 @@ class Apart:
 
 
 def sweep_cell(problem: Problem, cell: Cell, toolpath: Toolpath, t: Trajectory, body: PrintBody) -> Apart:
-    """The least distances of robots, fixtures and print from each other; body: as for `verify`."""
+    """Least distances of robots, fixtures and print from each other along a trajectory; body: as for `verify`."""
     spec = problem.collision
     bodies = CellBodies.of(cell)
     hits, near_print = pairs(bodies, spec.nozzle, spec.arm), print_pairs(bodies, spec.arm)
-    alone = body.without_bodies  # whatever else stands there is known exactly
+    alone = body.without_bodies  # bodies that stand with the print are exact among the pairs
     return Apart(bodies, hits, near_print, sweep(bodies, (*hits, *near_print), t.q, alone, print_times(toolpath, t)))
 
 
@@ -293,7 +152,7 @@ def keep_apart(judged: Judged, near: tuple[Nearness, Nearness], apart: Apart) ->
 
 
 def cell_view(cell: Cell) -> CellView:
-    """All bodies of a cell by the names that approaches have, where they are with all joints at 0."""
+    """All bodies of a cell with all joints at 0, by the names that approaches give them."""
     return _view(CellBodies.of(cell))
 
 
@@ -311,7 +170,7 @@ def _view(bodies: CellBodies) -> CellView:
 
 
 def check_start(problem: Problem, cell: Cell) -> None:
-    """Raise InputError where the start posture lacks distance: no plan from there could hold."""
+    """Raise InputError where bodies are too near to each other in the start posture: no plan from there could pass."""
     spec = problem.collision
     bodies = CellBodies.of(cell)
     found = all_at_home(bodies, pairs(bodies, spec.nozzle, spec.arm), spec.nozzle)
@@ -331,7 +190,148 @@ def check_start(problem: Problem, cell: Cell) -> None:
     raise problem.error("cell.home_deg", reason, hint)
 
 
+class _Sweep:
+    """The search for the least distances: its input, prepared, and what has been found so far."""
+
+    def __init__(
+        self, bodies: CellBodies, pairs: Sequence[Pair | PrintPair], q: Array, body: PrintBody, now: Array
+    ) -> None:
+        self.bodies, self.pairs, self.q, self.tree, self.now = bodies, pairs, q, body.tree, now
+        self.turned = np.zeros(q.shape)  # made in place: of a large print it is a large part of all memory
+        np.subtract(q[1:], q[:-1], out=self.turned[1:])
+        np.abs(self.turned, out=self.turned)
+        np.cumsum(self.turned, axis=0, out=self.turned)
+        self.coal, self.room = Distances(bodies), search_room()
+        self.part = part_thing(bodies)
+        p = len(pairs)
+        self.need, self.swing = np.array([pair.need for pair in pairs]), np.array([pair.swing for pair in pairs])
+        self.printed = np.array([isinstance(pair, PrintPair) for pair in pairs])
+        things = bodies.things
+        first = [things[pair.a] for pair in pairs]
+        second = [things[pair.b] if isinstance(pair, Pair) else self.part for pair in pairs]
+        self.balls = [
+            (
+                np.array([thing.carrier for thing in side]),
+                np.array([thing.centre for thing in side]),
+                np.array([thing.reach for thing in side]),
+            )
+            for side in (first, second)
+        ]
+        root, T = self.tree.centre[0], self.part.T_carrier_solid
+        self.balls[1][1][self.printed] = T[:3, :3] @ root + T[:3, 3]
+        self.balls[1][2][self.printed] = self.tree.reach[0]
+        self.solids: dict[int, Packed] = {
+            pair.a: packed([Body(things[pair.a].name, things[pair.a].solid, things[pair.a].T_carrier_solid)])
+            for pair in pairs
+            if isinstance(pair, PrintPair)
+        }
+        self.least, self.at, self.points = np.full(p, FAR), np.zeros(p), np.full(p, -1, dtype=np.int64)
+        self.nearest = np.full(len(q), FAR)
+        self.looks = 0
+
+    def done(self) -> Swept:
+        """Halve intervals until none can hide a distance that is too small."""
+        end = (len(self.q) - 1) * _PARTS
+        knots = np.unique(np.append(np.arange(0, end, _FIRST), end))
+        p, k = len(self.pairs), len(knots)
+        pair = np.repeat(np.arange(p), k)
+        value = self._distances(pair, np.tile(knots, p)).reshape(p, k)
+        self.nearest = np.minimum(FAR, np.interp(np.arange(len(self.q)), knots / _PARTS, value.min(axis=0)))
+        pair = np.repeat(np.arange(p), k - 1)
+        a, b = np.tile(knots[:-1], p), np.tile(knots[1:], p)
+        da, db = value[:, :-1].ravel(), value[:, 1:].ravel()
+        while len(pair):
+            open_ = (self._bound(pair, a, b, da, db) < self._target()[pair]) & (b - a > 1)
+            pair, a, b, da, db = pair[open_], a[open_], b[open_], da[open_], db[open_]
+            middle = (a + b) // 2
+            dm = self._distances(pair, middle)
+            np.minimum.at(self.nearest, middle // _PARTS, dm)
+            pair, a, b = np.tile(pair, 2), np.concatenate([a, middle]), np.concatenate([middle, b])
+            da, db = np.concatenate([da, dm]), np.concatenate([dm, db])
+        return Swept(self.least, self.at, self.points, self.nearest, self.looks)
+
+    def _target(self) -> Array:
+        """Distances (p) below which a smaller distance of a pair would still matter."""
+        found = self.least - np.maximum(TOLERANCE, _SHARE * np.abs(self.least - self.need))
+        return np.where(self.least >= self.need, np.maximum(found, self.need - TOLERANCE), found)
+
+    def _bound(self, pair: Ints, a: Ints, b: Ints, da: Array, db: Array) -> Array:
+        """Lower bounds of pairs' distances between instants a and b, at which they are da and db."""
+        turned = self._at(self.turned, b) - self._at(self.turned, a)
+        moved = (turned * self.swing[pair]).sum(axis=1)
+        both = 0.5 * (da + db - moved)
+        grown = self.printed[pair] & (
+            self._printed(b) > self._printed(a)
+        )  # at b all is printed that is printed before it
+        return np.where(grown, db - moved, both)
+
+    def _at(self, values: Array, instant: Ints) -> Array:
+        """Values (n, ...) of samples at instants."""
+        k, part = np.divmod(instant, _PARTS)
+        share = (part / _PARTS)[:, None]
+        return (1.0 - share) * values[k] + share * values[np.minimum(k + 1, len(values) - 1)]
+
+    def _printed(self, instant: Ints) -> Array:
+        """What is printed at instants: all that is printed at the next sample."""
+        return self.now[-(-instant // _PARTS)]
+
+    def _distances(self, pair: Ints, instant: Ints) -> Array:
+        """Distances of pairs at instants, beyond FAR lower bounds of them; keeps the least."""
+        out = np.empty(len(pair))
+        order = np.argsort(instant, kind="stable")
+        for rows in np.array_split(order, max(1, len(order) // 100_000)):
+            times, which = np.unique(instant[rows], return_inverse=True)
+            poses = self.bodies.poses(self._at(self.q, times))
+            out[rows] = self._apart(pair[rows], which, poses)
+            near = rows[out[rows] < FAR]
+            of = which[out[rows] < FAR]
+            for k in np.unique(pair[near]).tolist():
+                own = pair[near] == k
+                out[near[own]] = self._of_pair(k, instant[near[own]], poses, of[own])
+        return out
+
+    def _apart(self, pair: Ints, which: Ints, poses: Array) -> Array:
+        """Distances of the bounding spheres of each pair, with carriers at poses[which]."""
+        middle, reach = [], np.zeros(len(pair))
+        for carrier, centre, size in self.balls:
+            T = poses[which, carrier[pair]]
+            middle.append(np.einsum("nij,nj->ni", T[:, :3, :3], centre[pair]) + T[:, :3, 3])
+            reach += size[pair]
+        return np.asarray(np.linalg.norm(middle[0] - middle[1], axis=1) - reach)
+
+    def _of_pair(self, k: int, instant: Ints, poses: Array, which: Ints) -> Array:
+        """Distances of one pair at instants (n), which increase, where carriers are at poses[which]."""
+        pair = self.pairs[k]
+        self.looks += len(instant)
+        if isinstance(pair, Pair):
+            distance = self.coal.along(pair, poses[which])
+            point = np.full(len(distance), -1)
+        else:
+            distance, point = self._from_print(pair, poses, which, self._printed(instant))
+        best = int(np.argmin(distance))
+        if distance[best] < self.least[k]:
+            self.least[k], self.at[k], self.points[k] = distance[best], instant[best] / _PARTS, point[best]
+        return distance
+
+    def _from_print(self, pair: PrintPair, poses: Array, which: Ints, now: Array) -> tuple[Array, Ints]:
+        """Distances (n) of a body from what is printed at times now (n), and the nearest points (n) or -1.
+
+        Distances are _SEEN at most, and within _ABOUT beyond FAR.
+        """
+        thing, solid, tree = self.bodies.things[pair.a], self.solids[pair.a], self.tree
+        T_world_part = poses[which, self.part.carrier] @ self.part.T_carrier_solid
+        T_carrier_part = np.linalg.inv(poses[which, thing.carrier]) @ T_world_part
+        T_solid_part = solid.T_solid_frame[0] @ T_carrier_part
+        distance, point = np.empty(len(now)), np.empty(len(now), dtype=np.int64)
+        least_distances(
+            tree.points, tree.radius, tree.time, tree.centre, tree.reach, tree.since, tree.left, tree.right,
+            solid.kind[0], solid.size[0], solid.planes, T_solid_part, now, FAR, _SEEN, _ABOUT, self.room, distance, point,
+        )  # fmt: skip
+        return distance, point
+
+
 def _spare(approach: Approach) -> float:
+    """Distance beyond the one to keep [m]."""
     return approach.distance - approach.need
 
 
@@ -346,7 +346,7 @@ def _once(approaches: list[Approach]) -> list[Approach]:
 def _approaches(
     bodies: CellBodies, found: tuple[Pair | PrintPair, ...], swept: Swept, body: PrintBody
 ) -> tuple[Approach, ...]:
-    """Of each pair."""
+    """The approach of each pair."""
     out = []
     for k, pair in enumerate(found):
         point = int(swept.points[k])
@@ -360,7 +360,7 @@ def _approaches(
 
 
 def _check(name: str, found: tuple[Approach, ...], need: float, t: Trajectory, unknown: str) -> Check:
-    """The check of the pair that lacks most, or is nearest to it."""
+    """The check of the pair with the least distance beyond the one it is to keep."""
     worst = min(found, key=_spare, default=None)
     if worst is None or worst.distance >= FAR:
         words = [f"nothing within {FAR * 1e3:g} mm"] if found else []

@@ -26,9 +26,6 @@ from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.runs import least_travel_time
 
-# ----------------------------------------------------------------------------------------------------
-# Off the part along its normal, and down to it again: how cut fibre asks a bead to be left and reached.
-
 _PLACES = 31  # along the normal, that the tip keeps to
 _LEAST = 1e-6  # m: a lower lift is none
 
@@ -50,9 +47,6 @@ def along_normal(cell: Cell, ends: Ends, speed: float) -> Cubics | None:
     built = along_tips(cell, replace(ends, least=0.0), np.linspace(tips[0], tips[1], _PLACES), speed)
     return None if built is None else built.motion
 
-
-# ----------------------------------------------------------------------------------------------------
-# Travel between beads: the quickest way that is clear of the part and within all limits.
 
 LOW_HUMPS = (0.6, 0.35)  # of the least lift, by which the nozzle is raised where little is enough: beads close by
 HIGH_HUMPS = (1.6, 2.5)  # where the lift alone is not enough
@@ -356,13 +350,11 @@ def within_limits(cell: Cell, motion: Cubics) -> bool:
     )
 
 
-# ----------------------------------------------------------------------------------------------------
 # Travel that is carried along: the same ways between beads whose ends stand a little elsewhere.
 #
 # A controller goes through the targets of its program wherever the work object stands, and joins them as it did before.
 # So the joints of a travel change from what they change by at its one end to what they change by at the other.
 
-_SLOW_ENOUGH = 0.995  # of the tip's greatest speed: what is slow enough between instants
 # Position, velocity and acceleration at the end of three equal spells of jerk, for each jerk in turn (cf. h^3, h^2, h).
 _REACHED = np.array([[19.0 / 6.0, 7.0 / 6.0, 1.0 / 6.0], [2.5, 1.5, 0.5], [1.0, 1.0, 1.0]])
 _LONGER = 1.0 + 1e-9  # of what it takes to keep a limit, for rounding
@@ -397,7 +389,7 @@ def _carried(cell: Cell, way: Cubics, start: JointState | None, end: JointState 
         float((found.velocity / limits.velocity).max()) / HEADROOM,
         float(np.sqrt((found.acceleration / limits.acceleration).max() / HEADROOM)),
         float(np.cbrt((found.jerk / limits.jerk).max() / HEADROOM)),
-        track(cell, moved).tip_speed / (_SLOW_ENOUGH * speed),
+        track(cell, moved).tip_speed / (_FAST * speed),
     )
     if start.resting and end.resting:
         return moved if times <= _LONGER else slower(moved, times * _LONGER)
