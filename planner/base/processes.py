@@ -1,4 +1,4 @@
-"""A second core, and Ctrl-C: functions in processes or threads of their own, and interrupts held off."""
+"""Functions in processes or threads of their own, so that the second core works too; and Ctrl-C held off."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 
-# ----------------------------------------------------------------------------------------------------
-# Ctrl-C where it must not strike.
+Job = Callable[[], Iterable["Job"]]
+
+_PARTS_A_CORE = 4  # so that a core that was given easy parts has some left to take
 
 
 @contextmanager
@@ -32,14 +33,6 @@ def ignored_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, previous)
-
-
-# ----------------------------------------------------------------------------------------------------
-# A function in a process of its own, or in threads, so that the second core works too.
-
-Job = Callable[[], Iterable["Job"]]
-
-_PARTS_A_CORE = 4  # so that a core that was given easy parts has some left to take
 
 
 def spare_core() -> bool:
