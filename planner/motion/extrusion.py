@@ -199,7 +199,7 @@ def feed_of_materials(
 
 
 def _drawn(t: Array, bead: NDArray[np.int32], extruded: Array, events: Sequence[Event]) -> Array:
-    """Volume (n) [m^3] laid down behind cuts, which nobody pushes."""
+    """Volume (n) [m^3] laid down behind cuts, which no motor feeds."""
     cuts = [event for event in events if event.kind == "cut"]
     if not cuts:
         return np.zeros(len(t))

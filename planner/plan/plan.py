@@ -171,7 +171,7 @@ class Plan:
     timing_s: seconds by stage
     baseline: strategy name → its metrics, for the summary beside the chosen strategy
     dips:     where the speed falls short of the commanded one, in order of time
-    headroom: whether it holds for parts that stand a little elsewhere; None if nobody asked
+    headroom: whether it holds for parts that stand a little elsewhere; None without a tolerance
     approaches: pairs of bodies that come near each other, those that lack most, or are nearest to it, first
     view:     the bodies of the cell, for pictures
     paths:    joints along each bead that is laid, by arc length, before they were timed; with roll and tilt

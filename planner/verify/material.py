@@ -30,7 +30,7 @@ RESOLVED = 4  # samples that a stretch lasts at least: fewer do not tell how muc
 STEPS = 4  # places in a stretch at which the next one begins
 FILAMENT_TOLERANCE = 1e-2  # of what one sample lays down, in filament
 FINE = 5e-3  # s between samples: what the motor does between them matters little
-ZONE_SAMPLES = 2  # beyond the lag itself: within a sample nobody knows when it began
+ZONE_SAMPLES = 2  # beyond the lag itself: when it began is known to a sample only
 STILL = 1e-9  # rad that a joint moves in a sample at most, and
 UNMOVED = 1e-12  # m of filament, where robot and extruder rest
 INSTANT = 1e-9  # s: as near as instants of events are known
@@ -305,7 +305,7 @@ def _near_ends(t: Trajectory, lag: float) -> NDArray[np.bool_]:
 
 
 def _drawn(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples]) -> Array:
-    """Volume (n) [m^3] of fibre laid behind cuts: drawn by what is laid already, pushed by nobody."""
+    """Volume (n) [m^3] of fibre laid behind cuts: drawn by what is laid already, not fed by the motor."""
     gain = np.zeros(len(t))
     for event in t.events:
         if event.kind == "cut" and 0 <= event.bead < len(volumes) and len(samples[event.bead]):
