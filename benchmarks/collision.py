@@ -19,6 +19,7 @@ from planner.collision.print_body import print_body, standing
 from planner.plan import Plan
 from planner.planning.pipeline import solve
 from planner.problem import load_problem, shipped_problems
+from planner.verify.checks import Judged
 from planner.verify.collision import keep_apart, sweep_cell
 from planner.verify.executed import executed_motion
 from planner.verify.nozzle import beyond, by_the_tip
@@ -45,8 +46,8 @@ def row(plan: Plan, seconds: float) -> tuple[str, ...]:
     building = time.process_time() - started
     started = time.process_time()
     given = (plan.problem, plan.cell, plan.toolpath, plan.trajectory)
-    near = by_the_tip(*given, motion, body), beyond(*given, motion, body)
-    keep_apart(plan.problem, plan.cell, plan.trajectory, body, near, sweep_cell(*given, body), [], {}, {})
+    judged = Judged(*given, motion, body)
+    keep_apart(judged, (by_the_tip(judged), beyond(judged)), sweep_cell(*given, body))
     check = time.process_time() - started
     names = ("clearance_min_mm", "nozzle_clearance_min_mm", "arm_clearance_min_mm", "robot_clearance_min_mm")
     nearest = f"{plan.approaches[0].a}, {plan.approaches[0].b}" if plan.approaches else "-"

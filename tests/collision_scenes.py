@@ -13,6 +13,7 @@ from planner.collision.print_body import print_body, standing
 from planner.plan import TRAVEL, Approach, Check, Trajectory
 from planner.problem import Problem, load_problem
 from planner.toolpath.bead import Bead, Toolpath
+from planner.verify.checks import Judged
 from planner.verify.collision import keep_apart, sweep_cell
 from planner.verify.executed import executed_motion
 from planner.verify.nozzle import beyond, by_the_tip
@@ -128,15 +129,11 @@ def look(problem: Problem, cell: Cell, toolpath: Toolpath, pieces: list[Piece], 
     )  # fmt: skip
     motion = executed_motion(cell, whole)
     whole = replace(whole, tip=motion.tip, axis=motion.axis)
-    checks: list[Check] = []
     body = print_body(toolpath, standing(cell))
-    metrics: dict[str, float] = {}
-    series: dict[str, Array] = {}
     apart = sweep_cell(problem, cell, toolpath, whole, body)
-    given = problem, cell, toolpath, whole, motion, body
-    near = by_the_tip(*given), beyond(*given)
-    approaches, _ = keep_apart(problem, cell, whole, body, near, apart, checks, metrics, series)
-    return Found({check.name: check for check in checks}, metrics, approaches, series["clearance_mm"])
+    judged = Judged(problem, cell, toolpath, whole, motion, body)
+    found, approaches = keep_apart(judged, (by_the_tip(judged), beyond(judged)), apart)
+    return Found({check.name: check for check in found.checks}, found.metrics, approaches, found.series["clearance_mm"])
 
 
 def scene(folder: Path, cell: str, nozzle: str = "}") -> tuple[Problem, Cell]:

@@ -13,9 +13,9 @@ from planner.cell.solids import packed
 from planner.collision.point_tree import point_tree, solid_distance
 from planner.collision.print_body import TIP_SLOPE, PrintBody
 from planner.verify.bodies import CellBodies, Distances, pairs
-from planner.verify.collision import FAR, sweep
+from planner.verify.checks import FAR
+from planner.verify.collision import sweep
 from planner.verify.executed import ExecutedMotion
-from planner.verify.nozzle import FAR as FAR_FROM_PRINT
 from planner.verify.nozzle import nozzle_nearness
 
 Array = NDArray[np.float64]
@@ -100,5 +100,5 @@ def test_the_nozzle_from_print_is_as_near_as_by_brute_force(tmp_path: Path, lift
             d = np.array([solid_distance(head.kind[j], head.size[j], head.planes, *p) for p in own])
             if len(d):
                 least = min(least, float((d - 2e-4 - need).min()))
-    assert least < FAR_FROM_PRINT
+    assert least < FAR
     assert least - 2e-4 <= found.least <= least + 1.1e-4  # between samples it may be nearer still

@@ -17,7 +17,7 @@ from planner.plan.measures import CHECKS, COLUMNS, METRICS
 ROOT = Path(__file__).resolve().parents[1]
 FOUND_IN = sorted((ROOT / "planner" / "verify").glob("*.py"))
 BY_LIMIT = ("velocity", "acceleration", "jerk")  # whose names the verifier puts together
-NAMES_A_CHECK = {"Check": 0, "_check": 0, "check_most": 2, "check_least": 2, "_shares": 4}  # where its name stands
+NAMES_A_CHECK = {"Check": 0, "_check": 0, "check_most": 1, "check_least": 1, "_share_check": 1}  # where its name stands
 
 
 def constants() -> set[str]:
@@ -36,6 +36,11 @@ def named(tree: ast.AST) -> tuple[set[str], set[str]]:
         if isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name) and node.value.id == "metrics":
             if isinstance(node.slice, ast.Constant):
                 metrics.add(str(node.slice.value))
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "Findings":
+            for given in (
+                (each for each in ast.walk(node.args[1]) if isinstance(each, ast.Dict)) if node.args[1:] else ()
+            ):
+                metrics |= {str(key.value) for key in given.keys if isinstance(key, ast.Constant)}
         elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in NAMES_A_CHECK:
             at = NAMES_A_CHECK[node.func.id]
             if len(node.args) > at and isinstance(node.args[at], ast.Constant):

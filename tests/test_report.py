@@ -38,7 +38,7 @@ from planner.report.scene import plan_scene
 from planner.report.summary import print_summary
 from planner.report.thinning import CURVE_BUDGET, SCENE_BUDGET, keep_minima, runs, stretches, thin_curve
 from planner.report.wording import FARTHEST, distance, duration, number, with_ratios
-from planner.verify.collision import FAR
+from planner.verify.checks import FAR
 
 MB = 1_000_000
 EVIL = "</script><script>alert(1)</script><img src=x onerror=alert(2)>&\"'"

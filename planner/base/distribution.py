@@ -1,4 +1,10 @@
-"""The same function for many items: in this process, in processes of this computer, or on a dask cluster."""
+"""The same function for many items: in this process, in processes of this computer, or on a dask cluster.
+
+What comes back depends on the items alone, not on where or in which order they were done. A process that dies costs
+its item another try, not the rest of the work. Processes of this computer are started afresh: a copy of this one would
+have its threads' locks. To a cluster only data and names are sent: workers import the function, and so must have the
+same program, which is compared with every item, since workers may come and go at any time.
+"""
 
 from __future__ import annotations
 
@@ -22,20 +28,58 @@ from planner.base.extras import missing_extra
 from planner.base.processes import ignored_interrupts
 from planner.base.versions import versions
 
-# ----------------------------------------------------------------------------------------------------
-# Functions as other processes find them, and what comes of calling them there.
-
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 # function, items → (index, result or error that is the user's to mend) of each item, as they are done
 Spread = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[tuple[int, Any]]]
 
+MOST_JOBS = 256  # processes; each takes some 200 MB for what it imports
+TRIES = 3  # of an item whose process dies: once may be bad luck, three times is the item
+_BUG = 1  # exit code of a process that an exception ended
+PATIENCE = 10.0  # s for the scheduler to answer, and then for a first worker to be there
+_ADDRESS = re.compile(r"(tcp|tls)://([^/\s:\[\]]+|\[[0-9a-fA-F:]+\]):\d{1,5}")
+_FIELD = "--scheduler"
 _DIGITS = 12  # of the digest of sources: enough that two programs never share them
 
 
 class Lost(PlannerError):
     """An item has no result, because every process that worked on it died (out of memory, or killed)."""
+
+
+def spread(
+    function: Callable[[Item], Result], items: Sequence[Item], jobs: int = 1, scheduler: str | None = None
+) -> Iterator[tuple[int, Result | PlannerError]]:
+    """Yield (index, `function(item)`) of every item, in the order in which they are done.
+
+    function    of a module, known by its name there, as is the type of all that goes in and out
+    jobs        processes; with one, everything is done here, in order, and nothing is tried again
+    scheduler   address of a dask scheduler, such as "tcp://host:8786", whose workers do it instead
+
+    A PlannerError that an item raises is its result, and so is `Lost`. Any other exception is a bug: it ends all, as
+    RuntimeError if it came from another process. The processes end with the iteration.
+    Raises InputError where there is no such scheduler, or its workers do not have the program that this one is.
+    """
+    with crew(jobs, scheduler) as over:
+        yield from over(function, items)
+
+
+def crew(jobs: int = 1, scheduler: str | None = None) -> AbstractContextManager[Spread]:
+    """What spreads as `spread` does, called with function and items, with processes that stay until the block ends.
+
+    So what a function keeps in its process (a cache) is still there for later items.
+    """
+    if not 1 <= jobs <= MOST_JOBS:
+        raise InputError(f"{jobs} is not a number of processes", field="--jobs", hint=f"1 to {MOST_JOBS}")
+    if scheduler is not None:
+        return cluster_crew(scheduler)
+    return local_crew(jobs) if jobs > 1 else nullcontext(_here)
+
+
+def _here(function: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+    """Outcomes of items, one after another in this process."""
+    for i, item in enumerate(items):
+        yield i, outcome(function, item)
 
 
 def lost(index: int, times: int, how: str) -> Lost:
@@ -85,13 +129,6 @@ def program_of(module: str) -> str:
             digest.update(source.relative_to(path.parent).as_posix().encode() + b"\0" + source.read_bytes())
     told = ", ".join(f"{package} {version}" for package, version in versions().items())
     return f"{told}, sources {digest.hexdigest()[:_DIGITS]}"
-
-
-# ----------------------------------------------------------------------------------------------------
-# Items in processes of this computer, each started afresh: a copy of this one would have its threads' locks.
-
-TRIES = 3  # of an item whose process dies: once may be bad luck, three times is the item
-_BUG = 1  # exit code of a process that an exception ended
 
 
 @contextmanager
@@ -172,17 +209,6 @@ def _serve(pipe: Connection) -> None:
         pipe.send(outcome(by_name(*name), item))
 
 
-# ----------------------------------------------------------------------------------------------------
-# Items on the workers of a dask scheduler.
-#
-# Only data and names go over the wire: workers import the function, and so must have the program. That it is the same
-# program is looked at with every item, for workers may come and go at any time.
-
-PATIENCE = 10.0  # s for the scheduler to answer, and then for a first worker to be there
-_ADDRESS = re.compile(r"(tcp|tls)://([^/\s:\[\]]+|\[[0-9a-fA-F:]+\]):\d{1,5}")
-_FIELD = "--scheduler"
-
-
 @dataclass(frozen=True)
 class Stranger:
     """What a worker answers whose program is not the one that asks."""
@@ -261,46 +287,3 @@ def _work(program: str, module: str, name: str, item: Any) -> Any:
     """On a worker: the outcome of an item, or a Stranger."""
     own = program_of(module)
     return outcome(by_name(module, name), item) if own == program else Stranger(own)
-
-
-# ----------------------------------------------------------------------------------------------------
-# The same function for many items: in this process, in processes of this computer, or on a dask cluster.
-#
-# What comes back depends on the items alone, not on where or in which order they were done. A process that dies costs
-# its item another try, not the rest of the work.
-
-MOST_JOBS = 256  # processes; each takes some 200 MB for what it imports
-
-
-def spread(
-    function: Callable[[Item], Result], items: Sequence[Item], jobs: int = 1, scheduler: str | None = None
-) -> Iterator[tuple[int, Result | PlannerError]]:
-    """Yield (index, `function(item)`) of every item, in the order in which they are done.
-
-    function    of a module, known by its name there, as is the type of all that goes in and out
-    jobs        processes; with one, everything is done here, in order, and nothing is tried again
-    scheduler   address of a dask scheduler, such as "tcp://host:8786", whose workers do it instead
-
-    A PlannerError that an item raises is its result, and so is `Lost`. Any other exception is a bug: it ends all, as
-    RuntimeError if it came from another process. The processes end with the iteration.
-    Raises InputError where there is no such scheduler, or its workers do not have the program that this one is.
-    """
-    with crew(jobs, scheduler) as over:
-        yield from over(function, items)
-
-
-def crew(jobs: int = 1, scheduler: str | None = None) -> AbstractContextManager[Spread]:
-    """What spreads as `spread` does, called with function and items, with processes that stay until the block ends.
-
-    So what a function keeps in its process (a cache) is still there for later items.
-    """
-    if not 1 <= jobs <= MOST_JOBS:
-        raise InputError(f"{jobs} is not a number of processes", field="--jobs", hint=f"1 to {MOST_JOBS}")
-    if scheduler is not None:
-        return cluster_crew(scheduler)
-    return local_crew(jobs) if jobs > 1 else nullcontext(_here)
-
-
-def _here(function: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[tuple[int, Any]]:
-    for i, item in enumerate(items):
-        yield i, outcome(function, item)

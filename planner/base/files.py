@@ -1,4 +1,7 @@
-"""Files: those that a problem names, read whole up to a size; the results' folder, moved into place whole."""
+"""Files that a problem names, read whole up to a size; and the results' folder.
+
+Results are written beside their place and moved there whole, so that nothing half-written is ever seen.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +16,20 @@ from pathlib import Path
 from planner.base.errors import Complaint, InputError, OutputError
 from planner.base.processes import ignored_interrupts
 
-# ----------------------------------------------------------------------------------------------------
-# Files that toolpaths come from: read whole, up to a size, with what is wrong said by the field that names them.
+RESULTS = ("plan.json", "trajectory.csv", "report_part.stl", "extrusion.gcode", "report.html")
+# Comments that stand in the header of programs that are ours, and of no one else's, by suffix.
+MARKS = {
+    ".mod": "! beadwise",
+    ".script": "# beadwise",
+    ".src": "; beadwise",
+    ".gcode": "; beadwise",
+    ".ngc": "; beadwise",
+}
+HEADER = 8  # lines in which the mark stands
+LONGEST = 1000  # characters of a line that are looked at
+COMPANIONS = {".mod": (".pgf", "_lines.csv"), ".src": (".dat",)}  # files that belong to a program, as its name goes on
+LOADED = re.compile(r'Load \\Dynamic,"HOME:"\\File:="([A-Za-z][A-Za-z0-9_]{0,31}\.mod)";')
+JOINTS, SWITCHES, SWITCHES_BEGIN = "_joint_trajectory.json", "_extruder.json", '{"held":'
 
 
 def read_bytes(path: Path, largest: int, complain: Complaint, hint: str | None = None) -> bytes:
@@ -48,25 +63,6 @@ def read_text(path: Path, largest: int, complain: Complaint) -> list[str]:
         line = data[: error.start].count(b"\n") + 1
         raise InputError("is not UTF-8 text", file=path, line=line, hint="save it as plain text") from None
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-
-
-# ----------------------------------------------------------------------------------------------------
-# The results' folder: written beside its place and moved there whole, so that nothing half-written is ever seen.
-
-RESULTS = ("plan.json", "trajectory.csv", "report_part.stl", "extrusion.gcode", "report.html")
-# Comments that stand in the header of programs that are ours, and of no one else's, by suffix.
-MARKS = {
-    ".mod": "! beadwise",
-    ".script": "# beadwise",
-    ".src": "; beadwise",
-    ".gcode": "; beadwise",
-    ".ngc": "; beadwise",
-}
-HEADER = 8  # lines in which the mark stands
-LONGEST = 1000  # characters of a line that are looked at
-COMPANIONS = {".mod": (".pgf", "_lines.csv"), ".src": (".dat",)}  # files that belong to a program, as its name goes on
-LOADED = re.compile(r'Load \\Dynamic,"HOME:"\\File:="([A-Za-z][A-Za-z0-9_]{0,31}\.mod)";')
-JOINTS, SWITCHES, SWITCHES_BEGIN = "_joint_trajectory.json", "_extruder.json", '{"held":'
 
 
 def earlier_results(target: Path) -> list[Path]:

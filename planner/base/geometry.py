@@ -1,10 +1,12 @@
-"""Geometry of plain points that several rooms need."""
+"""Geometry of plain points and angles that several rooms need."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from planner.base.arrays import Array, Ints
+
+TURN = 2.0 * np.pi
 
 
 def arc_lengths(points: Array) -> Array:
@@ -24,3 +26,8 @@ def subdivided(pieces: Ints) -> tuple[Ints, Array]:
 def angles_between(a: Array, b: Array) -> Array:
     """Angles (...) between vectors a and b (..., 3) [rad], exact for small ones too."""
     return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1)))
+
+
+def wrap_angle(angle: Array) -> Array:
+    """Angles [rad], less the whole turns that bring them into [-pi, pi)."""
+    return np.asarray(np.remainder(angle + np.pi, TURN) - np.pi)

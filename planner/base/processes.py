@@ -1,4 +1,4 @@
-"""A second core, and Ctrl-C: functions in processes or threads of their own, and interrupts held off."""
+"""Functions in processes or threads of their own, so that the second core works too; and Ctrl-C held off."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 
-# ----------------------------------------------------------------------------------------------------
-# Ctrl-C where it must not strike.
+Job = Callable[[], Iterable["Job"]]
+
+_PARTS_A_CORE = 4  # so that a core that was given easy parts has some left to take
 
 
 @contextmanager
@@ -32,14 +33,6 @@ def ignored_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, previous)
-
-
-# ----------------------------------------------------------------------------------------------------
-# A function in a process of its own, or in threads, so that the second core works too.
-
-Job = Callable[[], Iterable["Job"]]
-
-_PARTS_A_CORE = 4  # so that a core that was given easy parts has some left to take
 
 
 def spare_core() -> bool:
@@ -112,7 +105,7 @@ def in_halves(
 
 
 def in_threads(function: Callable[[int, int], None], count: int) -> None:
-    """Call a function that leaves Python to others with (first, last) of parts of range(count), in as many threads as
+    """Call a function that releases the GIL with (first, last) of parts of range(count), in as many threads as
     there are cores.
 
     Compiled loops that share their work themselves take several times as long to compile.
@@ -124,7 +117,7 @@ def in_threads(function: Callable[[int, int], None], count: int) -> None:
 
 
 def in_blocks(function: Callable[[slice], None], count: int, block: int, few: int = 1) -> None:
-    """Call a function that leaves Python to others with slices of range(count), `block` long, in as many threads as there
+    """Call a function that releases the GIL with slices of range(count), `block` long, in as many threads as there
     are cores if these are more than `few`: what it does may depend on the block, which is the same for any number of
     cores."""
     blocks = -(-count // block)
@@ -140,7 +133,7 @@ def in_blocks(function: Callable[[slice], None], count: int, block: int, few: in
 
 
 def in_turn(jobs: Iterable[Job]) -> None:
-    """Call jobs that leave Python to others in as many threads as there are cores, and the jobs that each of them gives
+    """Call jobs that release the GIL in as many threads as there are cores, and the jobs that each of them gives
     because they may begin once it is done."""
     with ThreadPoolExecutor(cores()) as pool:
         running = {pool.submit(job) for job in jobs}

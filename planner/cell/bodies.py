@@ -1,4 +1,8 @@
-"""Bodies for collision: links from a URDF's <collision> shapes, print head and fixtures from the problem."""
+"""Bodies for collision: links from a URDF's <collision> shapes, print head and fixtures from the problem.
+
+A link's bodies are in the frame of the joint that carries it. A nozzle whose outline is not given is long and slender,
+as they are sold for printing beside walls.
+"""
 
 from __future__ import annotations
 
@@ -22,11 +26,14 @@ from planner.problem import Problem
 from planner.problem.cell import BodySpec, NozzleSpec
 from planner.problem.stl import read_corners
 
-# ----------------------------------------------------------------------------------------------------
-# The bodies of a robot: the <collision> shapes of its URDF, each in the frame of the joint that carries it.
-
 SHAPES = ("box", "cylinder", "sphere", "capsule", "mesh")
 THINNEST = 1e-6  # m: what is thinner is a mistake
+_FLAT = 1e-6  # m: a mesh that is thinner has no hull
+# Of a nozzle whose outline is not given.
+_CONE = np.radians(30.0)  # half angle above the face, whose radius is the bore's diameter
+_THICKNESS = 4e-3  # m by which the nozzle is thicker than its face
+_LENGTH = 40e-3  # m
+_TUBE = 15e-3  # m, radius of what holds it, from its upper end to the middle of the flange
 
 
 def read_bodies(urdf: Urdf, model: pin.Model, without: tuple[str, ...]) -> tuple[tuple[Body, ...], ...]:
@@ -122,17 +129,6 @@ def _mesh_path(urdf: Urdf, shape: ET.Element, field: str) -> Path:
     if not path.is_file():
         raise urdf.error(shape, field, f"no mesh {name}", f"looked for {path}")
     return path
-
-
-# ----------------------------------------------------------------------------------------------------
-# Bodies of the print head and of fixtures, as the problem gives them; a head of its own where it gives none.
-
-# Of a nozzle whose outline is not given: long and slender, as they are sold for printing beside walls.
-_CONE = np.radians(30.0)  # half angle above the face, whose radius is the bore's diameter
-_THICKNESS = 4e-3  # m by which the nozzle is thicker than its face
-_LENGTH = 40e-3  # m
-_TUBE = 15e-3  # m, radius of what holds it, from its upper end to the middle of the flange
-_FLAT = 1e-6  # m: a mesh that is thinner has no hull
 
 
 def nozzle_profile(spec: NozzleSpec) -> tuple[tuple[float, float], ...]:

@@ -17,6 +17,7 @@ from scipy.interpolate import BSpline
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array
+from planner.base.geometry import arc_lengths
 from planner.cell.cell import Cell
 from planner.motion.extrusion import bead_area, deposited_volume
 from planner.motion.timing.profile import HEADROOM
@@ -110,7 +111,7 @@ def _line(cell: Cell, bead: Bead, path: JointPath, tolerance: float) -> _Line:
 
 def _turns(path: Array, reach: float) -> Array:
     """Angle [rad] between the ways by which a polyline (m, 3) comes to and leaves each vertex, over `reach` [m]."""
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    arc = arc_lengths(path)
 
     def at(s: Array) -> Array:
         return np.column_stack([np.interp(s, arc, column) for column in path.T])

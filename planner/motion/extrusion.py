@@ -1,4 +1,7 @@
-"""Extrusion: cross-sections, flow, how far motors push, and what the extruder does besides depositing."""
+"""Extrusion: cross-sections of beads, flow at each instant, feed of the filament, and the extruder's other events.
+
+Volumes are in m^3, areas in m^2, filament in m of its length; n counts samples of the trajectory or of a bead.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +19,9 @@ from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Bead
 from planner.toolpath.runs import prime_time
 
-# ----------------------------------------------------------------------------------------------------
-# What the extruder does besides depositing, in time: heat, select, purge, prime, retract, cut and change.
-
 _ROUNDING = 1e-9  # s
+ADVANCE_RAMP = 0.4  # share of the lag over which pressure is built up at a bead's start and let off at its end,
+LONGEST_RAMP = 0.04  # s, and at most this long: what is left of the error a lag later is below 0.3 %
 
 
 @dataclass(frozen=True)
@@ -84,13 +86,6 @@ def _at_start(process: ProcessSpec, material: str) -> list[Event]:
     if start.purge > 0.0:
         found.append(Event("purge", TRAVEL, start.heat_wait, start.purge / start.purge_speed, start.purge, material))
     return found
-
-
-# ----------------------------------------------------------------------------------------------------
-# Extrusion: the bead's cross-section, what flows at each instant, and how far the extruder's motor pushes for it.
-
-ADVANCE_RAMP = 0.4  # share of the lag over which pressure is built up at a bead's start and let off at its end,
-LONGEST_RAMP = 0.04  # s, and at most this long: what is left of the error a lag later is below 0.3 %
 
 
 def filament_area(process: ProcessSpec) -> float:
@@ -204,7 +199,7 @@ def feed_of_materials(
 
 
 def _drawn(t: Array, bead: NDArray[np.int32], extruded: Array, events: Sequence[Event]) -> Array:
-    """Volume (n) [m^3] laid down behind cuts, which nobody pushes."""
+    """Volume (n) [m^3] laid down behind cuts, which no motor feeds."""
     cuts = [event for event in events if event.kind == "cut"]
     if not cuts:
         return np.zeros(len(t))

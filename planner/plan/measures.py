@@ -1,19 +1,17 @@
-"""What a plan tells, word by word: metrics, columns and checks, each with unit, meaning, and how it is found."""
+"""Metrics, columns and checks of a plan, defined once: unit, meaning, and how each is found.
+
+The verifier finds metrics and checks from the joints of the trajectory (`planner.verify`), the planner the bound on the
+deposition time. Every name in a plan stands here, and nothing else does (held by tests/test_measures.py).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-# ----------------------------------------------------------------------------------------------------
-# What a plan tells, word by word: its metrics and columns, each with unit, meaning, and how it is found.
-#
-# The verifier finds metrics and checks from the joints of the trajectory alone (`planner.verify`), the planner the bound.
-# Whatever a plan has stands here or in `checks`, and nothing else does (held by tests/test_measures.py).
-
 
 @dataclass(frozen=True)
 class Measure:
-    """A metric, a check (see checks) or a column: unit, what it is, how it is found, and when it is there.
+    """A metric, a check (see CHECKS) or a column: unit, what it is, how it is found, and which plans have it.
 
     unit  empty for a number without one
     only  when a plan has it; empty for all
@@ -177,9 +175,7 @@ COLUMNS: dict[str, Measure] = {
 }
 
 
-# ----------------------------------------------------------------------------------------------------
-# The verifier's checks, word by word: unit of the worst value, what holds, and how it is found.
-
+# The verifier's checks: unit of the worst value, what holds, and how it is found.
 CHECKS: dict[str, Measure] = {
     "all numbers finite": Measure("that are not", "no number of the trajectory is infinite or undefined", "counted"),
     "recorded poses": Measure(

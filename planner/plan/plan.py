@@ -1,4 +1,7 @@
-"""The Plan: everything that is known at the end, as one frozen value; its columns, materials, and a few words."""
+"""The Plan: everything that is known at the end, as one frozen value; its columns, its materials, and how it prints.
+
+SI units and radians, but for metrics, whose names have their units, and columns, which have those of trajectory.csv.
+"""
 
 from __future__ import annotations
 
@@ -22,41 +25,18 @@ if TYPE_CHECKING:
     from planner.resolve.joint_path import JointPath
     from planner.resolve.roll_map import RollMap
 
-# ----------------------------------------------------------------------------------------------------
-# Columns of a trajectory, named and in the units of trajectory.csv: defined once for the file and for `Plan.table`.
-
+RAPID_EXTERNAL_AXES = 6
+MOST_SHOWN = 2  # changes of a remedy in words
+# Of dips that no joint limits.
+CAUSES = {
+    "start": "starts from rest",
+    "end": "comes to rest",
+    "stop": "stops here",
+    "shape": "samples of the path coincide",
+}
+SELECTS = ("select", "change")  # kinds of events after which another tool feeds
+NONE = -1  # in place of a material before the first one is selected
 EVERY_ROW = slice(None)
-
-
-def columns_of(trajectory: Trajectory, rows: slice = EVERY_ROW) -> dict[str, NDArray[Any]]:
-    """All columns (n) by name, but for the joints, of some rows: mm, mm/s, mm^3/s; `e_mm` is filament."""
-    t = trajectory
-    return {
-        "t_s": t.t[rows],
-        "bead": t.bead[rows],
-        "layer": t.layer[rows],
-        "deposit": t.deposit[rows],
-        "s_mm": t.s[rows] * 1e3,
-        **dict(zip(("x_mm", "y_mm", "z_mm"), t.tip[rows].T * 1e3, strict=True)),
-        **dict(zip(("ax", "ay", "az"), t.axis[rows].T, strict=True)),
-        "speed_mm_s": t.speed[rows] * 1e3,
-        "flow_mm3_s": t.flow[rows] * 1e9,
-        "e_mm": t.feed[rows] * 1e3,
-    }
-
-
-def table_of(trajectory: Trajectory, joint_names: Sequence[str]) -> NDArray[np.void]:
-    """A structured array (n) of all columns and then the joints [rad]."""
-    columns = columns_of(trajectory) | dict(zip(joint_names, trajectory.q.T, strict=True))
-    table = np.empty(len(trajectory), dtype=[(name, column.dtype) for name, column in columns.items()])
-    for name, column in columns.items():
-        table[name] = column
-    return table
-
-
-# ----------------------------------------------------------------------------------------------------
-# A plan in a few words, for who has it in Python: a line, a short text, a small table.
-
 # metric → what it is, unit, factor, decimals
 ROWS = {
     "at_speed_fraction": ("of the length at the commanded speed", "%", 100.0, 1),
@@ -68,61 +48,12 @@ ROWS = {
 }
 
 
-def plan_line(plan: Plan) -> str:
-    """Name, strategy and verdict."""
-    verdict = "verified" if plan.verified else "not verified"
-    return f"{plan.name} by {plan.strategy}: {verdict}, {plan.t[-1]:.1f} s, {len(plan.beads)} beads"
-
-
-def plan_words(plan: Plan) -> str:
-    """The line, a line for each metric that there is, and one for each check that fails."""
-    rows = [f"{value:>12}  {label}" for value, label in _rows(plan)]
-    return "\n".join([plan_line(plan), *rows, *(f"FAILED {text}" for text in _failed(plan))])
-
-
-def plan_html(plan: Plan) -> str:
-    """The same as a table."""
-    rows = "".join(f"<tr><td>{escape(value)}</td><td>{escape(label)}</td></tr>" for value, label in _rows(plan))
-    failed = "".join(f"<tr><td>FAILED</td><td>{escape(text)}</td></tr>" for text in _failed(plan))
-    return f"<table><caption>{escape(plan_line(plan))}</caption><tbody>{rows}{failed}</tbody></table>"
-
-
-def _rows(plan: Plan) -> list[tuple[str, str]]:
-    return [
-        (f"{plan.metrics[key] * factor:.{decimals}f} {unit}".strip(), label)
-        for key, (label, unit, factor, decimals) in ROWS.items()
-        if key in plan.metrics
-    ]
-
-
-def _failed(plan: Plan) -> list[str]:
-    return [
-        f"{check.name}: {check.worst:.4g} {check.unit}, limit {check.limit:.4g} ({check.where})"
-        for check in plan.checks
-        if not check.ok
-    ]
-
-
-# ----------------------------------------------------------------------------------------------------
-# The Plan: everything that is known at the end, as one frozen value.
-
-RAPID_EXTERNAL_AXES = 6
-MOST_SHOWN = 2  # changes of a remedy in words
-# Of dips that no joint limits.
-CAUSES = {
-    "start": "starts from rest",
-    "end": "comes to rest",
-    "stop": "stops here",
-    "shape": "samples of the path coincide",
-}
-
-
 @dataclass(frozen=True)
 class Check:
     """One named check of the verifier: the worst value found, its limit, and where it stands.
 
     least  the worst value is the least one, and the limit is one from below
-    sample of the trajectory where it is; -1 if it is of no moment
+    sample of the trajectory where it is; -1 if it belongs to none
     """
 
     name: str
@@ -240,7 +171,7 @@ class Plan:
     timing_s: seconds by stage
     baseline: strategy name → its metrics, for the summary beside the chosen strategy
     dips:     where the speed falls short of the commanded one, in order of time
-    headroom: whether it holds for parts that stand a little elsewhere; None if nobody asked
+    headroom: whether it holds for parts that stand a little elsewhere; None without a tolerance
     approaches: pairs of bodies that come near each other, those that lack most, or are nearest to it, first
     view:     the bodies of the cell, for pictures
     paths:    joints along each bead that is laid, by arc length, before they were timed; with roll and tilt
@@ -362,11 +293,30 @@ class Plan:
         return plan_html(self)
 
 
-# ----------------------------------------------------------------------------------------------------
-# The materials of a plan: who feeds them, and how much each of them takes.
+def columns_of(trajectory: Trajectory, rows: slice = EVERY_ROW) -> dict[str, NDArray[Any]]:
+    """All columns (n) by name, but for the joints, of some rows: mm, mm/s, mm^3/s; `e_mm` is filament."""
+    t = trajectory
+    return {
+        "t_s": t.t[rows],
+        "bead": t.bead[rows],
+        "layer": t.layer[rows],
+        "deposit": t.deposit[rows],
+        "s_mm": t.s[rows] * 1e3,
+        **dict(zip(("x_mm", "y_mm", "z_mm"), t.tip[rows].T * 1e3, strict=True)),
+        **dict(zip(("ax", "ay", "az"), t.axis[rows].T, strict=True)),
+        "speed_mm_s": t.speed[rows] * 1e3,
+        "flow_mm3_s": t.flow[rows] * 1e9,
+        "e_mm": t.feed[rows] * 1e3,
+    }
 
-SELECTS = ("select", "change")  # kinds of events after which another tool feeds
-NONE = -1  # in place of a material before the first one is selected
+
+def table_of(trajectory: Trajectory, joint_names: Sequence[str]) -> NDArray[np.void]:
+    """A structured array (n) of all columns and then the joints [rad]."""
+    columns = columns_of(trajectory) | dict(zip(joint_names, trajectory.q.T, strict=True))
+    table = np.empty(len(trajectory), dtype=[(name, column.dtype) for name, column in columns.items()])
+    for name, column in columns.items():
+        table[name] = column
+    return table
 
 
 @dataclass(frozen=True)
@@ -428,3 +378,40 @@ def used(plan: Plan) -> tuple[Used, ...]:
         filament = volume / (0.25 * np.pi * process.of(material.name).filament_diameter ** 2) + moved
         found.append(Used(material, len(beads), sum(bead.length for bead in beads), volume, filament))
     return tuple(found)
+
+
+def plan_line(plan: Plan) -> str:
+    """Name, strategy and verdict."""
+    verdict = "verified" if plan.verified else "not verified"
+    return f"{plan.name} by {plan.strategy}: {verdict}, {plan.t[-1]:.1f} s, {len(plan.beads)} beads"
+
+
+def plan_words(plan: Plan) -> str:
+    """The line, a line for each metric that there is, and one for each check that fails."""
+    rows = [f"{value:>12}  {label}" for value, label in _rows(plan)]
+    return "\n".join([plan_line(plan), *rows, *(f"FAILED {text}" for text in _failed(plan))])
+
+
+def plan_html(plan: Plan) -> str:
+    """The same as a table."""
+    rows = "".join(f"<tr><td>{escape(value)}</td><td>{escape(label)}</td></tr>" for value, label in _rows(plan))
+    failed = "".join(f"<tr><td>FAILED</td><td>{escape(text)}</td></tr>" for text in _failed(plan))
+    return f"<table><caption>{escape(plan_line(plan))}</caption><tbody>{rows}{failed}</tbody></table>"
+
+
+def _rows(plan: Plan) -> list[tuple[str, str]]:
+    """Value with unit, and label, of each metric of ROWS that the plan has."""
+    return [
+        (f"{plan.metrics[key] * factor:.{decimals}f} {unit}".strip(), label)
+        for key, (label, unit, factor, decimals) in ROWS.items()
+        if key in plan.metrics
+    ]
+
+
+def _failed(plan: Plan) -> list[str]:
+    """A line for each check that fails."""
+    return [
+        f"{check.name}: {check.worst:.4g} {check.unit}, limit {check.limit:.4g} ({check.where})"
+        for check in plan.checks
+        if not check.ok
+    ]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array, ReadOnlyArrays
+from planner.base.geometry import wrap_angle
 from planner.base.processes import in_threads
 from planner.base.singular_values import least_singular_values
 from planner.cell.cell import Cell
@@ -106,8 +107,7 @@ def roll_map(
     best = _judged(cell, places, q[at, :, branches[0]], exists[at, :, branches[0]], obstacles, min_sigma)
     for b in branches[1:]:
         best = _better(best, _judged(cell, places, q[at, :, b], exists[at, :, b], obstacles, min_sigma))
-    chosen = np.remainder(places.roll + np.pi, _TURN) - np.pi
-    return RollMap(places.bead, places.s, places.along, roll, chosen, *best)
+    return RollMap(places.bead, places.s, places.along, roll, wrap_angle(places.roll), *best)
 
 
 @dataclass(frozen=True)

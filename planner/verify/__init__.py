@@ -1,5 +1,10 @@
-"""Independent verification of a sampled trajectory: Pinocchio on q(t), the input geometry, and nothing else.
+"""Verification of a sampled trajectory: what its joints do, by Pinocchio, against limits and input geometry.
 
-No code of the optimiser, of the planner's own kinematics or of the timing is used here; what the trajectory
-says of itself (tip, axis, speed, flow) is compared with what its joints do.
+None of the code that is judged is used here: redundancy resolution, the planner's kinematics, timing, travel. What the
+trajectory says of itself (tip, axis, speed, flow) is compared with what its joints do.
+
+Shared with the planner are the problem, the cell with its solids, the toolpath with its surfaces, part and print as
+obstacles with the tree of their points and its distance kernels, and the routines for the smallest singular value and
+for distances from polylines. An error in one of these can deceive both. Each has tests of its own, against closed forms
+or other libraries.
 """

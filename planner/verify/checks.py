@@ -1,19 +1,67 @@
-"""What all parts of the verifier share: checks with the place of the worst sample, and the nozzle's lean."""
+"""What all parts of the verifier share: what is judged, what a part finds, and checks that name the worst sample."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array
+from planner.cell.cell import Cell
+from planner.collision.print_body import PrintBody
 from planner.plan import Check, Trajectory
+from planner.problem import Problem
 from planner.toolpath.bead import Toolpath
-
-# ----------------------------------------------------------------------------------------------------
-# What all parts of the verifier share: checks with the place of the worst sample, and the samples of each bead.
+from planner.verify.executed import ExecutedMotion
 
 SPEED_TOLERANCE = 0.02  # of the commanded speed: within it a sample counts as at speed
 DIGITS = 1e-9  # relative: limits are compared with this much room for rounding
+FAR = 50e-3  # m: distances are told apart up to this one; what is farther away counts as so far away
+TOLERANCE = 1e-4  # m, by which the least distance that is found may exceed the true one
+EVERYWHERE = "everywhere"  # the place of a check that holds at all places alike
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What is judged (n samples), and what it is judged by.
+
+    trajectory   every number in it is finite
+    motion       what the joints of the trajectory do, by Pinocchio
+    body         part and print as obstacles, and what stands in the cell
+    """
+
+    problem: Problem
+    cell: Cell
+    toolpath: Toolpath
+    trajectory: Trajectory
+    motion: ExecutedMotion
+    body: PrintBody
+
+    @cached_property
+    def samples(self) -> list[NDArray[np.intp]]:
+        """Samples of each bead of the toolpath: see `samples_of`."""
+        return samples_of(self.trajectory, len(self.toolpath.beads))
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What a part of the verifier finds: checks, metrics (units in their names), and series by sample (n)."""
+
+    checks: tuple[Check, ...] = ()
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    series: Mapping[str, Array] = field(default_factory=dict)
+
+
+def joined(parts: Sequence[Findings]) -> Findings:
+    """All findings of some parts, in the order of the parts."""
+    return Findings(
+        tuple(check for part in parts for check in part.checks),
+        {name: value for part in parts for name, value in part.metrics.items()},
+        {name: values for part in parts for name, values in part.series.items()},
+    )
 
 
 def place(trajectory: Trajectory, i: int) -> str:
@@ -30,36 +78,30 @@ def samples_of(t: Trajectory, beads: int) -> list[NDArray[np.intp]]:
     return [order[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
 
 
-def check_most(checks: list[Check], t: Trajectory, name: str, values: Array, limit: float, unit: str) -> float:
-    """Append the check that no value (n) exceeds the limit; returns the worst. NaN fails."""
+def check_most(t: Trajectory, name: str, values: Array, limit: float, unit: str) -> Check:
+    """The check that no value (n) exceeds the limit, at the worst sample. NaN fails."""
     i = int(np.argmax(np.where(np.isnan(values), np.inf, values)))
     worst = float(values[i])
-    checks.append(Check(name, worst, limit, unit, bool(worst <= limit * (1.0 + DIGITS)), place(t, i), sample=i))
-    return worst
+    return Check(name, worst, limit, unit, bool(worst <= limit * (1.0 + DIGITS)), place(t, i), sample=i)
 
 
-def check_least(checks: list[Check], t: Trajectory, name: str, values: Array, limit: float, unit: str) -> float:
-    """Append the check that no value (n) falls below the limit; returns the worst. NaN fails."""
+def check_least(t: Trajectory, name: str, values: Array, limit: float, unit: str) -> Check:
+    """The check that no value (n) falls below the limit, at the worst sample. NaN fails."""
     i = int(np.argmin(np.where(np.isnan(values), -np.inf, values)))
     worst = float(values[i])
     ok = bool(worst >= limit - DIGITS * abs(limit))
-    checks.append(Check(name, worst, limit, unit, ok, place(t, i), least=True, sample=i))
-    return worst
-
-
-# ----------------------------------------------------------------------------------------------------
-# What a nozzle that leans within its cone does to the bead, from what its joints really do.
-#
-# The end face of a nozzle is a plane square to its axis, through the tip, and what it irons is the bead's top. Leaning
-# by an angle a from the surface normal, a point of the face at a distance r from the tip, up or down the slope, stands
-# r sin(a) off the height of the tip. The face shapes a bead of width w as far as r = w/2 to each side: leaning across
-# the bead it leaves one edge (w/2) sin(a) too high and the other as much too low; leaning along it, the rim that comes
-# last leaves the bead that much too high or too low. The tip itself is the middle of the bore and stays on its line, so
-# that no height is added to this by the lean, whichever way it is.
+    return Check(name, worst, limit, unit, ok, place(t, i), least=True, sample=i)
 
 
 def bead_errors(toolpath: Toolpath, t: Trajectory, lean: Array) -> Array:
-    """By how much (n) a bead's edges are off its height [m] where the nozzle leans from the normal by lean (n) [rad]."""
+    """Height error (n) [m] at a bead's edges where the nozzle leans from the surface normal by lean (n) [rad].
+
+    A nozzle's end face is a plane through the tip, square to its axis. Where the axis leans by an angle a, a point of
+    the face at distance r from the tip, up or down the slope, is r sin(a) higher or lower than the tip. The face shapes
+    a bead of width w out to r = w/2: leaning across the bead it leaves one edge (w/2) sin(a) too high and the other as
+    much too low; leaning along the bead, its trailing rim leaves the whole bead too high or too low by as much. The tip
+    itself stays on its line, so that the lean changes no height there.
+    """
     width = np.zeros(len(t))
     for at, bead in zip(samples_of(t, len(toolpath.beads)), toolpath.beads, strict=True):
         width[at] = np.interp(t.s[at], bead.s, bead.width)

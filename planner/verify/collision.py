@@ -1,4 +1,10 @@
-"""Independent check that robots, fixtures and print keep apart all along a trajectory: Pinocchio's poses, coal's distances."""
+"""Least distances of robots, fixtures and print from each other along a trajectory, by Pinocchio's poses and coal.
+
+Conservative advancement: between two instants the distance of a pair changes by no more than its joints turn times how
+far they swing it. An interval that could hide too small a distance by that bound is halved, down to a part of a sample.
+
+An instant is a time in parts of a sample (_PARTS of them); n counts samples, p pairs. Distances are in metres.
+"""
 
 from __future__ import annotations
 
@@ -16,32 +22,24 @@ from planner.plan import Approach, CellView, Check, Trajectory
 from planner.problem import Problem
 from planner.toolpath.bead import Toolpath
 from planner.verify.bodies import ARM, FIXTURE, HEAD, CellBodies, CheckedBody, Distances, Pair, all_at_home, pairs
-from planner.verify.checks import DIGITS, place
+from planner.verify.checks import DIGITS, FAR, TOLERANCE, Findings, Judged, place
 from planner.verify.nozzle import Nearness, check_nozzle, print_times
 
-# ----------------------------------------------------------------------------------------------------
-# Independent check that robots, fixtures and print keep apart all along a trajectory: Pinocchio's poses, coal's distances.
-#
-# Between two instants the distance of a pair changes by no more than its joints turn times how far they swing it. An
-# interval that could hide too small a distance by that bound is halved, down to a part of a sample.
-
-FAR = 50e-3  # m: what is farther away is that far away
-_SEEN = 0.1  # m: so far distances from the print are told apart, since what is farther away may be left out longer
-TOLERANCE = 1e-4  # m: no distance is missed that is too small by more
-_ABOUT = 0.95  # of a distance beyond FAR, to which it is told
-_SHARE = 0.2  # of what a distance is more than is asked for, to which it is found
+MOST_APPROACHES = 12  # pairs of bodies that the plan names
+_SEEN = 0.1  # m: greatest distance from the print that is computed; the larger, the longer a body can be left out
+_ABOUT = 0.95  # relative accuracy of distances beyond FAR
+_SHARE = 0.2  # accuracy of a least distance, relative to its difference from the distance asked for
 _PARTS = 16  # instants of a sample
-_FIRST = 512 * _PARTS  # instants between first looks
-_NOWHERE = -1e30
+_FIRST = 512 * _PARTS  # instants between the first evaluations
 
 
 @dataclass(frozen=True)
 class Swept:
-    """Least distances of pairs (p) all along a trajectory: distance [m], and the time [samples] at which it is.
+    """Least distances of pairs (p) along a trajectory: distance (p) [m], at (p) the time of each [samples].
 
-    nearest (n)  of all, FAR at most; between looks it is interpolated
-    points (p)   of the print, in its tree's order, for pairs with it; else -1
-    looks        how many distances were asked for
+    points (p)   nearest point of the print, in its tree's order; -1 for pairs of bodies
+    nearest (n)  least distance of all pairs at each sample [m], FAR at most; interpolated between evaluations
+    looks        number of distances evaluated
     """
 
     distance: Array
@@ -53,7 +51,7 @@ class Swept:
 
 @dataclass(frozen=True)
 class PrintPair:
-    """A thing (index) that can come near part and print, how far it keeps [m], and its swing (see Pair)."""
+    """A body (index) that can come near part and print, the distance that it is to keep [m], and its swing (see Pair)."""
 
     a: int
     need: float
@@ -61,7 +59,7 @@ class PrintPair:
 
 
 def print_pairs(bodies: CellBodies, need: float) -> tuple[PrintPair, ...]:
-    """Links, and where the part turns what stands, against part and print. Hollow fixtures are left out."""
+    """Pairs of the print with links and, where the part turns, with fixtures; meshes, which may be hollow, are left out."""
     turning = CellBodies.swing(bodies, part_thing(bodies))
     found = []
     for i, thing in enumerate(bodies.things):
@@ -72,14 +70,14 @@ def print_pairs(bodies: CellBodies, need: float) -> tuple[PrintPair, ...]:
 
 
 def sweep(bodies: CellBodies, pairs: Sequence[Pair | PrintPair], q: Array, body: PrintBody, now: Array) -> Swept:
-    """Least distances of pairs along postures q (n, nq), and of things to what is printed at times `now` (n)."""
+    """Least distances of pairs along postures q (n, nq); now (n): what is printed at each sample, see `print_times`."""
     if not pairs:
         return Swept(np.empty(0), np.empty(0), np.empty(0, dtype=np.int64), np.full(len(q), FAR), 0)
     return _Sweep(bodies, pairs, q, body, now).done()
 
 
 def part_thing(bodies: CellBodies) -> CheckedBody:
-    """Where the part frame is carried, as a thing of no size."""
+    """The part frame as a body of no size, with what carries it."""
     cell = bodies.cell
     robot = cell.holder_robot
     if robot is None:
@@ -91,7 +89,110 @@ def part_thing(bodies: CellBodies) -> CheckedBody:
     return CheckedBody("part", "carried", carrier, joints, None, T, None, T, T[:3, 3], 0.0)  # type: ignore[arg-type]
 
 
+@dataclass(frozen=True)
+class Apart:
+    """How near bodies of the cell and the print come to each other.
+
+    hits        pairs of bodies, and
+    near_print  bodies that can come near the print; swept is of both, in this order
+    """
+
+    bodies: CellBodies
+    hits: tuple[Pair, ...]
+    near_print: tuple[PrintPair, ...]
+    swept: Swept
+
+    @property
+    def view(self) -> CellView:
+        """All bodies of the cell, with all joints at 0."""
+        return _view(self.bodies)
+
+
+def sweep_cell(problem: Problem, cell: Cell, toolpath: Toolpath, t: Trajectory, body: PrintBody) -> Apart:
+    """Least distances of robots, fixtures and print from each other along a trajectory; body: as for `verify`."""
+    spec = problem.collision
+    bodies = CellBodies.of(cell)
+    hits, near_print = pairs(bodies, spec.nozzle, spec.arm), print_pairs(bodies, spec.arm)
+    alone = body.without_bodies  # bodies that stand with the print are exact among the pairs
+    return Apart(bodies, hits, near_print, sweep(bodies, (*hits, *near_print), t.q, alone, print_times(toolpath, t)))
+
+
+def keep_apart(judged: Judged, near: tuple[Nearness, Nearness], apart: Apart) -> tuple[Findings, tuple[Approach, ...]]:
+    """The checks of nozzle, head, links, fixtures and print, and the pairs of bodies that come nearest.
+
+    near: the results of `by_the_tip` and `beyond`; apart: of `sweep_cell`. Distances are found up to FAR;
+    `clearance_min_mm` is the least of all beyond the tip's zone (see `nozzle`).
+    """
+    cell, t, body, spec = judged.cell, judged.trajectory, judged.body, judged.problem.collision
+    rule, beyond = near
+    hits, swept = apart.hits, apart.swept
+    found = _approaches(apart.bodies, (*hits, *apart.near_print), swept, body.without_bodies)
+    robots, prints = found[: len(hits)], found[len(hits) :]
+    checks = (
+        check_nozzle(judged, rule),
+        _check("arm clear of part and print", prints, spec.arm, t, _unknown(cell)),
+        _check("robots clear of each other and of fixtures", robots, spec.arm, t, _unknown(cell)),
+    )
+    nozzle = []
+    for each in (rule, beyond) if rule.least < 0.0 else (beyond,):  # by the rule it is no plain distance
+        if each.point >= 0 and each.least + spec.nozzle < FAR:
+            names = cell.head[each.body].name, body.name_of(each.point)
+            nozzle.append(Approach(*names, each.least + spec.nozzle, spec.nozzle, each.at))
+    distances = {
+        "nozzle_clearance_min_mm": min(FAR, beyond.least + spec.nozzle),
+        "arm_clearance_min_mm": min((each.distance for each in prints), default=FAR),
+        "robot_clearance_min_mm": min((each.distance for each in robots), default=FAR),
+    }
+    metrics = {name: distance * 1e3 for name, distance in distances.items()}
+    metrics["clearance_min_mm"] = min(distances.values()) * 1e3
+    series = {"clearance_mm": np.clip(np.minimum(beyond.margin + spec.nozzle, swept.nearest), None, FAR) * 1e3}
+    close = [each for each in (*nozzle, *robots, *prints) if each.distance < FAR]
+    nearest = tuple(sorted(_once(close), key=_spare)[:MOST_APPROACHES])
+    return Findings(checks, metrics, series), nearest
+
+
+def cell_view(cell: Cell) -> CellView:
+    """All bodies of a cell with all joints at 0, by the names that approaches give them."""
+    return _view(CellBodies.of(cell))
+
+
+def _view(bodies: CellBodies) -> CellView:
+    rest = bodies.poses(np.zeros((1, len(bodies.cell.joint_names))))[0]
+    surfaces = [triangles_of(thing.solid) for thing in bodies.things]
+    placed = [rest[thing.carrier] @ thing.T_carrier_solid for thing in bodies.things]
+    return CellView(
+        names=tuple(bodies.name(thing) for thing in bodies.things),
+        kinds=tuple(thing.kind for thing in bodies.things),
+        vertices=tuple(vertices @ T[:3, :3].T + T[:3, 3] for T, (vertices, _) in zip(placed, surfaces, strict=True)),
+        triangles=tuple(triangles for _, triangles in surfaces),
+        joints=np.array([bodies.moved_by(thing) for thing in bodies.things], dtype=np.int64).reshape(-1, 2),
+    )
+
+
+def check_start(problem: Problem, cell: Cell) -> None:
+    """Raise InputError where bodies are too near to each other in the start posture: no plan from there could pass."""
+    spec = problem.collision
+    bodies = CellBodies.of(cell)
+    found = all_at_home(bodies, pairs(bodies, spec.nozzle, spec.arm), spec.nozzle)
+    poses, distances = bodies.poses(cell.home[None])[0], Distances(bodies)
+    apart = [distances.of(pair, poses) for pair in found]
+    lacking = [distance - pair.need for distance, pair in zip(apart, found, strict=True)]
+    if not lacking or min(lacking) >= -DIGITS:
+        return
+    k = int(np.argmin(lacking))
+    a, b = (bodies.name(bodies.things[i]) for i in (found[k].a, found[k].b))
+    if apart[k] <= 0.0:
+        reason = f"{a} and {b} are {-apart[k] * 1e3:.1f} mm into each other in the start posture"
+    else:
+        reason = f"{a} and {b} are only {apart[k] * 1e3:.1f} mm apart in the start posture"
+    key = "nozzle_mm" if HEAD in (bodies.things[found[k].a].kind, bodies.things[found[k].b].kind) else "arm_mm"
+    hint = f"{found[k].need * 1e3:g} mm are asked for (collision.{key}): another posture, or check where things stand"
+    raise problem.error("cell.home_deg", reason, hint)
+
+
 class _Sweep:
+    """The search for the least distances: its input, prepared, and what has been found so far."""
+
     def __init__(
         self, bodies: CellBodies, pairs: Sequence[Pair | PrintPair], q: Array, body: PrintBody, now: Array
     ) -> None:
@@ -129,6 +230,7 @@ class _Sweep:
         self.looks = 0
 
     def done(self) -> Swept:
+        """Halve intervals until none can hide a distance that is too small."""
         end = (len(self.q) - 1) * _PARTS
         knots = np.unique(np.append(np.arange(0, end, _FIRST), end))
         p, k = len(self.pairs), len(knots)
@@ -149,16 +251,18 @@ class _Sweep:
         return Swept(self.least, self.at, self.points, self.nearest, self.looks)
 
     def _target(self) -> Array:
-        """What is looked for, by pair (p): distances that are less."""
+        """Distances (p) below which a smaller distance of a pair would still matter."""
         found = self.least - np.maximum(TOLERANCE, _SHARE * np.abs(self.least - self.need))
         return np.where(self.least >= self.need, np.maximum(found, self.need - TOLERANCE), found)
 
     def _bound(self, pair: Ints, a: Ints, b: Ints, da: Array, db: Array) -> Array:
-        """What no distance of a pair falls below between instants a and b, where it is da and db."""
+        """Lower bounds of pairs' distances between instants a and b, at which they are da and db."""
         turned = self._at(self.turned, b) - self._at(self.turned, a)
         moved = (turned * self.swing[pair]).sum(axis=1)
         both = 0.5 * (da + db - moved)
-        grown = self.printed[pair] & (self._printed(b) > self._printed(a))  # at b all is there that is there between
+        grown = self.printed[pair] & (
+            self._printed(b) > self._printed(a)
+        )  # at b all is printed that is printed before it
         return np.where(grown, db - moved, both)
 
     def _at(self, values: Array, instant: Ints) -> Array:
@@ -168,11 +272,11 @@ class _Sweep:
         return (1.0 - share) * values[k] + share * values[np.minimum(k + 1, len(values) - 1)]
 
     def _printed(self, instant: Ints) -> Array:
-        """What is printed at instants: as at the next sample."""
+        """What is printed at instants: all that is printed at the next sample."""
         return self.now[-(-instant // _PARTS)]
 
     def _distances(self, pair: Ints, instant: Ints) -> Array:
-        """Distances of pairs at instants, or lower bounds beyond FAR; the least are kept."""
+        """Distances of pairs at instants, beyond FAR lower bounds of them; keeps the least."""
         out = np.empty(len(pair))
         order = np.argsort(instant, kind="stable")
         for rows in np.array_split(order, max(1, len(order) // 100_000)):
@@ -187,7 +291,7 @@ class _Sweep:
         return out
 
     def _apart(self, pair: Ints, which: Ints, poses: Array) -> Array:
-        """Distances of balls around the two of each pair, at poses[which]."""
+        """Distances of the bounding spheres of each pair, with carriers at poses[which]."""
         middle, reach = [], np.zeros(len(pair))
         for carrier, centre, size in self.balls:
             T = poses[which, carrier[pair]]
@@ -210,8 +314,10 @@ class _Sweep:
         return distance
 
     def _from_print(self, pair: PrintPair, poses: Array, which: Ints, now: Array) -> tuple[Array, Ints]:
-        """Distances (n) of a thing from what is printed at times now (n), _SEEN at most and about beyond FAR, and the
-        nearest points or -1."""
+        """Distances (n) of a body from what is printed at times now (n), and the nearest points (n) or -1.
+
+        Distances are _SEEN at most, and within _ABOUT beyond FAR.
+        """
         thing, solid, tree = self.bodies.things[pair.a], self.solids[pair.a], self.tree
         T_world_part = poses[which, self.part.carrier] @ self.part.T_carrier_solid
         T_carrier_part = np.linalg.inv(poses[which, thing.carrier]) @ T_world_part
@@ -222,114 +328,8 @@ class _Sweep:
         return distance, point
 
 
-# ----------------------------------------------------------------------------------------------------
-# The checks that everything in the cell keeps apart, and where it comes nearest.
-
-MOST_APPROACHES = 12
-
-
-@dataclass(frozen=True)
-class Apart:
-    """How near all in the cell and the print come: pairs of bodies, then those with the print, and what was found."""
-
-    hits: tuple[Pair, ...]
-    near_print: tuple[PrintPair, ...]
-    swept: Swept
-
-
-def sweep_cell(problem: Problem, cell: Cell, toolpath: Toolpath, t: Trajectory, body: PrintBody) -> Apart:
-    """The least distances of robots, fixtures and print from each other; body: as for `verify`."""
-    spec = problem.collision
-    bodies = CellBodies.of(cell)
-    hits, near_print = pairs(bodies, spec.nozzle, spec.arm), print_pairs(bodies, spec.arm)
-    alone = body.without_bodies  # whatever else stands there is known exactly
-    return Apart(hits, near_print, sweep(bodies, (*hits, *near_print), t.q, alone, print_times(toolpath, t)))
-
-
-def keep_apart(
-    problem: Problem,
-    cell: Cell,
-    t: Trajectory,
-    body: PrintBody,
-    near: tuple[Nearness, Nearness],
-    apart: Apart,
-    checks: list[Check],
-    metrics: dict[str, float],
-    series: dict[str, Array],
-) -> tuple[tuple[Approach, ...], CellView]:
-    """Append the checks of nozzle, head, links, fixtures and print; returns the pairs of bodies that come nearest, and
-    the bodies of the cell.
-
-    near: the results of `by_the_tip` and `beyond`; apart: of `sweep_cell`. Distances are found up to FAR;
-    `clearance_min_mm` is the least of all beyond the tip's zone (see `nozzle`).
-    """
-    spec = problem.collision
-    rule, beyond = near
-    checks.append(check_nozzle(problem, cell, t, body, rule))
-    bodies = CellBodies.of(cell)
-    hits, near_print, swept = apart.hits, apart.near_print, apart.swept
-    found = _approaches(bodies, (*hits, *near_print), swept, body.without_bodies)
-    robots, prints = found[: len(hits)], found[len(hits) :]
-    checks.append(_check("arm clear of part and print", prints, spec.arm, t, _unknown(cell)))
-    checks.append(_check("robots clear of each other and of fixtures", robots, spec.arm, t, _unknown(cell)))
-    nozzle = []
-    for each in (rule, beyond) if rule.least < 0.0 else (beyond,):  # by the rule it is no plain distance
-        if each.point >= 0 and each.least + spec.nozzle < FAR:
-            names = cell.head[each.body].name, body.name_of(each.point)
-            nozzle.append(Approach(*names, each.least + spec.nozzle, spec.nozzle, each.at))
-    distances = {
-        "nozzle_clearance_min_mm": min(FAR, beyond.least + spec.nozzle),
-        "arm_clearance_min_mm": min((each.distance for each in prints), default=FAR),
-        "robot_clearance_min_mm": min((each.distance for each in robots), default=FAR),
-    }
-    metrics |= {name: distance * 1e3 for name, distance in distances.items()}
-    metrics["clearance_min_mm"] = min(distances.values()) * 1e3
-    series["clearance_mm"] = np.clip(np.minimum(beyond.margin + spec.nozzle, swept.nearest), None, FAR) * 1e3
-    close = [each for each in (*nozzle, *robots, *prints) if each.distance < FAR]
-    nearest = tuple(sorted(_once(close), key=_spare)[:MOST_APPROACHES])
-    return nearest, _view(bodies)
-
-
-def cell_view(cell: Cell) -> CellView:
-    """All bodies of a cell by the names that approaches have, where they are with all joints at 0."""
-    return _view(CellBodies.of(cell))
-
-
-def _view(bodies: CellBodies) -> CellView:
-    rest = bodies.poses(np.zeros((1, len(bodies.cell.joint_names))))[0]
-    surfaces = [triangles_of(thing.solid) for thing in bodies.things]
-    placed = [rest[thing.carrier] @ thing.T_carrier_solid for thing in bodies.things]
-    return CellView(
-        names=tuple(bodies.name(thing) for thing in bodies.things),
-        kinds=tuple(thing.kind for thing in bodies.things),
-        vertices=tuple(vertices @ T[:3, :3].T + T[:3, 3] for T, (vertices, _) in zip(placed, surfaces, strict=True)),
-        triangles=tuple(triangles for _, triangles in surfaces),
-        joints=np.array([bodies.moved_by(thing) for thing in bodies.things], dtype=np.int64).reshape(-1, 2),
-    )
-
-
-def check_start(problem: Problem, cell: Cell) -> None:
-    """Raise InputError where the start posture lacks distance: no plan from there could hold."""
-    spec = problem.collision
-    bodies = CellBodies.of(cell)
-    found = all_at_home(bodies, pairs(bodies, spec.nozzle, spec.arm), spec.nozzle)
-    poses, distances = bodies.poses(cell.home[None])[0], Distances(bodies)
-    apart = [distances.of(pair, poses) for pair in found]
-    lacking = [distance - pair.need for distance, pair in zip(apart, found, strict=True)]
-    if not lacking or min(lacking) >= -DIGITS:
-        return
-    k = int(np.argmin(lacking))
-    a, b = (bodies.name(bodies.things[i]) for i in (found[k].a, found[k].b))
-    if apart[k] <= 0.0:
-        reason = f"{a} and {b} are {-apart[k] * 1e3:.1f} mm into each other in the start posture"
-    else:
-        reason = f"{a} and {b} are only {apart[k] * 1e3:.1f} mm apart in the start posture"
-    key = "nozzle_mm" if HEAD in (bodies.things[found[k].a].kind, bodies.things[found[k].b].kind) else "arm_mm"
-    hint = f"{found[k].need * 1e3:g} mm are asked for (collision.{key}): another posture, or check where things stand"
-    raise problem.error("cell.home_deg", reason, hint)
-
-
 def _spare(approach: Approach) -> float:
+    """Distance beyond the one to keep [m]."""
     return approach.distance - approach.need
 
 
@@ -344,7 +344,7 @@ def _once(approaches: list[Approach]) -> list[Approach]:
 def _approaches(
     bodies: CellBodies, found: tuple[Pair | PrintPair, ...], swept: Swept, body: PrintBody
 ) -> tuple[Approach, ...]:
-    """Of each pair."""
+    """The approach of each pair."""
     out = []
     for k, pair in enumerate(found):
         point = int(swept.points[k])
@@ -358,7 +358,7 @@ def _approaches(
 
 
 def _check(name: str, found: tuple[Approach, ...], need: float, t: Trajectory, unknown: str) -> Check:
-    """The check of the pair that lacks most, or is nearest to it."""
+    """The check of the pair with the least distance beyond the one it is to keep."""
     worst = min(found, key=_spare, default=None)
     if worst is None or worst.distance >= FAR:
         words = [f"nothing within {FAR * 1e3:g} mm"] if found else []

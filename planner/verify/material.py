@@ -1,4 +1,8 @@
-"""The verifier's part on material: what flows, what motors push, and which tool lays which bead."""
+"""Material: what flows against what the beads hold, what the motor pushes, and which tool lays which bead.
+
+Cross-sections, volumes and lag are worked out anew here, from the samples (n) and the input alone. Volumes are in
+m^3, filament in m of its length.
+"""
 
 from __future__ import annotations
 
@@ -10,81 +14,12 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_banded
 
 from planner.base.arrays import Array
-from planner.cell.cell import Cell
 from planner.plan import Check, Event, Trajectory
 from planner.plan.plan import NONE, filament_areas, selected
-from planner.problem import Problem
 from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Bead, Toolpath
-from planner.verify.checks import SPEED_TOLERANCE, check_most, place, samples_of
+from planner.verify.checks import EVERYWHERE, SPEED_TOLERANCE, Findings, Judged, check_most, place
 from planner.verify.executed import ExecutedMotion
-
-# ----------------------------------------------------------------------------------------------------
-# The verifier's part on several materials: each bead by its own tool, each change at rest and as long as it takes.
-
-STILL = 1e-9  # rad that a joint moves in a sample at most, and
-UNMOVED = 1e-12  # m of filament, where robot and extruder rest
-INSTANT = 1e-9  # s: as near as instants of events are known
-SAMPLES = 2  # that a rest may be shorter than it is: the samples do not tell when it begins and ends
-
-
-def materials(problem: Problem, toolpath: Toolpath, t: Trajectory, checks: list[Check]) -> None:
-    """Append the checks of a print whose materials have names."""
-    names = list(problem.process.materials)
-    if names:
-        _own_tool(names, toolpath, t, checks)
-        _changes(problem, toolpath, t, checks)
-
-
-def _own_tool(names: list[str], toolpath: Toolpath, t: Trajectory, checks: list[Check]) -> None:
-    """Whatever is laid, pushed or pulled is fed by the tool of the material that it has to be."""
-    own = np.array([names.index(bead.material) if bead.material in names else NONE for bead in toolpath.beads])
-    wanted = np.where(t.deposit, own[t.bead], NONE)
-    wrong = t.deposit & ((selected(names, t.events, t.t) != wanted) | (wanted == NONE))
-    count, where = int(wrong.sum()), place(t, int(np.argmax(wrong))) if wrong.any() else "everywhere"
-    for event in t.events:
-        if event.amount == 0.0:
-            continue
-        middle = selected(names, t.events, np.array([event.start + 0.5 * event.duration]))[0]
-        bead = event.bead if 0 <= event.bead < len(own) else t.first_bead  # what is pushed before all is for that one
-        if middle == NONE or not names[middle] == event.material == toolpath.beads[bead].material:
-            count, where = count + 1, f"{event.kind} of bead {event.bead}" if count == 0 else where
-    checks.append(Check("material fed by its own tool", float(count), 0.0, "samples and events", count == 0, where))
-
-
-def _changes(problem: Problem, toolpath: Toolpath, t: Trajectory, checks: list[Check]) -> None:
-    """Wherever the material changes, robot and extruder rest for it, and the new material is purged."""
-    change, worst, where = problem.process.change, 0.0, "everywhere"
-    purges = [event for event in t.events if event.kind == "purge"]
-    for i in range(t.first_bead + 1, len(toolpath.beads)):
-        before, after = toolpath.beads[i - 1 : i + 1]
-        if before.material == after.material:
-            continue
-        found = [event for event in t.events if event.kind == "change" and event.bead == i]
-        missing = change.time
-        if len(found) == 1 and found[0].material == after.material:
-            purged = sum(event.amount for event in purges if event.bead == i)
-            missing = change.time - _rest(t, found[0], change.wait, change.time)
-            missing += abs(found[0].duration - change.wait) + abs(purged - change.purge) / change.purge_speed
-        if not missing <= worst:
-            worst, where = missing, f"before bead {i}"
-    limit = SAMPLES * t.dt
-    checks.append(Check("rest for a change of material", worst, limit, "s missing", worst <= limit + INSTANT, where))
-
-
-def _rest(t: Trajectory, event: Event, wait: float, time: float) -> float:
-    """How long [s] the robot stands still in the `time` from an event on, no filament moves in the first `wait` of it."""
-    first, silent, last = np.searchsorted(t.t, event.start + np.array([-INSTANT, wait + INSTANT, time + INSTANT]))
-    still = np.abs(np.diff(t.q[first:last], axis=0)).max(axis=1, initial=0.0) < STILL
-    moved = np.abs(np.diff(t.feed[first:last])) > UNMOVED
-    moved[max(silent - first - 1, 0) :] = False
-    return float((still & ~moved & ~t.deposit[first : last - 1]).sum()) * t.dt if last > first else 0.0
-
-
-# ----------------------------------------------------------------------------------------------------
-# The verifier's part on material: what flows, and what the motor pushes, against what the beads hold.
-#
-# Cross-sections, volumes and lag are worked out anew here, from the samples and the input alone.
 
 Samples = NDArray[np.intp]
 
@@ -95,7 +30,11 @@ RESOLVED = 4  # samples that a stretch lasts at least: fewer do not tell how muc
 STEPS = 4  # places in a stretch at which the next one begins
 FILAMENT_TOLERANCE = 1e-2  # of what one sample lays down, in filament
 FINE = 5e-3  # s between samples: what the motor does between them matters little
-ZONE_SAMPLES = 2  # beyond the lag itself: within a sample nobody knows when it began
+ZONE_SAMPLES = 2  # beyond the lag itself: when it began is known to a sample only
+STILL = 1e-9  # rad that a joint moves in a sample at most, and
+UNMOVED = 1e-12  # m of filament, where robot and extruder rest
+INSTANT = 1e-9  # s: as near as instants of events are known
+SAMPLES = 2  # that a rest may be shorter than it is: the samples do not tell when it begins and ends
 
 
 @dataclass(frozen=True)
@@ -131,50 +70,41 @@ def volume_of(bead: Bead, process: ProcessSpec) -> Volume:
     return Volume(bead.s, area, np.concatenate([[0.0], np.cumsum(pieces)]))
 
 
-def extrusion(
-    problem: Problem,
-    cell: Cell,
-    toolpath: Toolpath,
-    t: Trajectory,
-    motion: ExecutedMotion,
-    checks: list[Check],
-    metrics: dict[str, float],
-    series: dict[str, Array],
-) -> None:
+def extrusion(judged: Judged) -> Findings:
     """Material flows while beads are laid and at no other time, as much as they hold; the motor pushes that much."""
-    process = problem.process
-    volumes = [volume_of(bead, process) for bead in toolpath.beads]
-    samples = samples_of(t, len(volumes))
-    sample = max(float(v.area.max()) for v in volumes[t.first_bead :]) * _fastest(process, t, motion) * t.dt
+    problem, t, samples = judged.problem, judged.trajectory, judged.samples
+    process, lag = problem.process, problem.process.extruder.lag
+    volumes = [volume_of(bead, process) for bead in judged.toolpath.beads]
+    sample = max(float(v.area.max()) for v in volumes[t.first_bead :]) * _fastest(process, t, judged.motion) * t.dt
     drawn, pushed = _drawn(t, volumes, samples), _pushed(t.t, t.events)
     pressed = _pressed(t.feed - pushed, filament_areas(problem, t.events, t.t)) + drawn
-    out = _leaving(pressed, t.dt, process.extruder.lag)
+    worst, where = _per_millimetre(process, t, volumes, samples, _leaving(pressed, t.dt, lag))
+    near = _near_ends(t, lag)
+    checks: list[Check] = []
+    metrics: dict[str, float] = {}
+    series: dict[str, Array] = {}
     if process.extruder.motor == "on_off":
-        _runs_while_laying(process, t, volumes, samples, checks)
         late = np.abs(np.cumsum(t.flow) * t.dt - t.extruded)
-        _shares(t, late, sample, 1.0 + SPEED_TOLERANCE, "material keeps pace", checks)
         over = _over_extruded(t, volumes, samples)
+        checks.append(_runs_while_laying(process, t, volumes, samples))
+        checks.append(_keeps_pace(t, late, sample))
         series["over_extruded_mm3"] = over * 1e9
         metrics["over_extruded_mm3"] = float(over.sum()) * 1e9
     else:
-        _balance(t, volumes, samples, checks)
-        _follows(t, volumes, sample, checks)
-    worst, where = _per_millimetre(process, t, volumes, samples, out)
-    if process.extruder.motor != "on_off":
-        unit = "of what a millimetre holds"
-        ok = worst <= PER_MILLIMETRE
-        where = where if ok else _if_coarse(t, where)
-        checks.append(Check("flow per millimetre", worst, PER_MILLIMETRE, unit, ok, where))
-    metrics["flow_error_max"] = worst
-    near = _near_ends(t, process.extruder.lag)
-    _fed(t, pressed, process.extruder.lag, near, sample, checks)
+        checks.append(_balance(t, volumes, samples))
+        checks.append(_keeps_pace(t, _behind(t, volumes, samples), sample))
+        checks.append(_flow_per_millimetre(t, worst, where))
+    checks.append(_fed(t, pressed, lag, near, sample))
     if process.section == "fibre":
-        _as_long_as_its_bead(t, volumes, samples, checks)
-    if process.extruder.lag > 0.0:
+        checks.append(_as_long_as_its_bead(t, volumes, samples))
+    if process.materials:
+        checks += [_own_tool(list(process.materials), judged.toolpath, t), _changes(process, judged.toolpath, t)]
+    metrics["flow_error_max"] = worst
+    if lag > 0.0:
         metrics["lag_zone_mm"] = float((t.speed * t.dt)[near & t.deposit].sum()) * 1e3
-    materials(problem, toolpath, t, checks)
     metrics["extruded_volume_mm3"] = float(t.extruded[-1]) * 1e9
     metrics["extruded_mm"] = float(t.feed[-1]) * 1e3
+    return Findings(tuple(checks), metrics, series)
 
 
 def _fastest(process: ProcessSpec, t: Trajectory, motion: ExecutedMotion) -> float:
@@ -185,31 +115,39 @@ def _fastest(process: ProcessSpec, t: Trajectory, motion: ExecutedMotion) -> flo
     return max(float(t.speed[t.deposit].max(initial=0.0)), min(float(step), most))
 
 
-def _shares(t: Trajectory, off: Array, sample: float, limit: float, name: str, checks: list[Check]) -> None:
-    """Append the check that no volume (n) [m^3] is off by more than a share of what one sample lays down."""
+def _share_check(t: Trajectory, name: str, off: Array, sample: float, limit: float) -> Check:
+    """The check that no volume (n) [m^3] is off by more than a share of what one sample lays down."""
     share = off / sample if sample else np.ones(len(t))
-    check_most(checks, t, name, share, limit, "of what one sample lays down")
+    return check_most(t, name, share, limit, "of what one sample lays down")
 
 
-def _fed(
-    t: Trajectory, pressed: Array, lag: float, near: NDArray[np.bool_], sample: float, checks: list[Check]
-) -> None:
+def _keeps_pace(t: Trajectory, off: Array, sample: float) -> Check:
+    """The check that what has flowed is off (n) [m^3] by no more than one sample lays down."""
+    return _share_check(t, "material keeps pace", off, sample, 1.0 + SPEED_TOLERANCE)
+
+
+def _flow_per_millimetre(t: Trajectory, worst: float, where: str) -> Check:
+    """The check of what `_per_millimetre` found."""
+    ok = worst <= PER_MILLIMETRE
+    where = where if ok else _if_coarse(t, where)
+    return Check("flow per millimetre", worst, PER_MILLIMETRE, "of what a millimetre holds", ok, where)
+
+
+def _fed(t: Trajectory, pressed: Array, lag: float, near: NDArray[np.bool_], sample: float) -> Check:
     """Filament is fed as material is laid, ahead by the lag; (n) [m^3] is pressed into the melt beside events."""
     # the rate at each sample: the slope of the quartic through what has flowed at it, before, after and half-way
     more = np.pad(t.extruded, 1, mode="edge")
     ahead = lag * (8.0 * t.flow * t.dt - more[2:] + more[:-2]) / (6.0 * t.dt)
     off = np.abs(pressed - t.extruded - ahead)
     off = np.where(near, np.maximum(off - lag * t.flow.max(initial=0.0), 0.0), off)
-    _shares(t, off, sample, FILAMENT_TOLERANCE, "filament fed", checks)
+    return _share_check(t, "filament fed", off, sample, FILAMENT_TOLERANCE)
 
 
-def _as_long_as_its_bead(
-    t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples], checks: list[Check]
-) -> None:
+def _as_long_as_its_bead(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples]) -> Check:
     """From the end of one bead to that of the next as much fibre is fed as the next is long, purges aside."""
     fed = t.feed - _pushed(t.t, [event for event in t.events if event.kind == "purge"])
     primes = {event.bead: event for event in t.events if event.kind == "prime"}
-    worst, where, before = 0.0, "everywhere", 0.0
+    worst, where, before = 0.0, EVERYWHERE, 0.0
     for i in range(t.first_bead, len(volumes)):
         at, volume = samples[i], volumes[i]
         k = min(int(at[-1]) + 1, len(t) - 1) if len(at) else 0
@@ -221,7 +159,7 @@ def _as_long_as_its_bead(
             worst, where = off, f"bead {i}"
     ok = worst <= EXTRUSION_TOLERANCE
     where = where if ok else _if_coarse(t, where)
-    checks.append(Check("fibre as long as its bead", worst, EXTRUSION_TOLERANCE, "of a bead's length", ok, where))
+    return Check("fibre as long as its bead", worst, EXTRUSION_TOLERANCE, "of a bead's length", ok, where)
 
 
 def _if_coarse(t: Trajectory, where: str) -> str:
@@ -229,9 +167,9 @@ def _if_coarse(t: Trajectory, where: str) -> str:
     return where if t.dt <= FINE else f"{where}; samples {t.dt * 1e3:g} ms apart may be too coarse to feed it in time"
 
 
-def _balance(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples], checks: list[Check]) -> None:
+def _balance(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples]) -> Check:
     """Material: none outside beads, never backwards, and per bead as much as the bead holds."""
-    worst, where = 0.0, "everywhere"
+    worst, where = 0.0, EVERYWHERE
     for i in range(t.first_bead, len(volumes)):
         at, volume = samples[i], volumes[i]
         off = abs(float(t.flow[at].sum()) * t.dt - volume.total) / volume.total
@@ -243,25 +181,24 @@ def _balance(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples
     if stray:
         where = "material flows outside a bead"
     ok = worst <= EXTRUSION_TOLERANCE and balanced and not stray
-    checks.append(Check("extrusion balance", worst, EXTRUSION_TOLERANCE, "of a bead's volume", ok, where))
+    return Check("extrusion balance", worst, EXTRUSION_TOLERANCE, "of a bead's volume", ok, where)
 
 
-def _follows(t: Trajectory, volumes: Sequence[Volume], sample: float, checks: list[Check]) -> None:
-    """Material keeps pace with the tip: what has flowed is what the bead holds up to here, at every sample."""
+def _behind(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples]) -> Array:
+    """By how much (n) [m^3] what has flowed differs from what the beads hold up to each sample."""
     before = np.cumsum([0.0, *(volume.total for volume in volumes)])
     before -= before[t.first_bead]
     begun = np.maximum.accumulate(np.where(t.deposit, t.bead, t.first_bead - 1))
     expected = before[begun + 1]  # after the bead, or the last one
-    for i, at in enumerate(samples_of(t, len(volumes))):
+    for i, at in enumerate(samples):
         expected[at] = np.where(t.deposit[at], before[i] + volumes[i].to(t.s[at]), expected[at])
     late = np.abs(np.cumsum(t.flow) * t.dt - t.extruded)
-    off = np.maximum(np.abs(t.extruded - expected), late)
-    _shares(t, off, sample, 1.0 + SPEED_TOLERANCE, "material keeps pace", checks)
+    return np.asarray(np.maximum(np.abs(t.extruded - expected), late))
 
 
 def _runs_while_laying(
-    process: ProcessSpec, t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples], checks: list[Check]
-) -> None:
+    process: ProcessSpec, t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples]
+) -> Check:
     """A motor that is only on or off runs exactly while a bead is laid, at the rate of the commanded speed."""
     rate = np.zeros(len(t))
     for at, volume in zip(samples, volumes, strict=True):
@@ -273,7 +210,7 @@ def _runs_while_laying(
     least = np.where(changes, 0.0, most)
     off[1:] = np.maximum(off[1:], np.maximum(grown - most, least - grown))
     scale = max(volume.total / volume.s[-1] for volume in volumes[t.first_bead :]) * process.speed
-    check_most(checks, t, "motor runs while a bead is laid", off / scale, EXTRUSION_TOLERANCE, "of its rate")
+    return check_most(t, "motor runs while a bead is laid", off / scale, EXTRUSION_TOLERANCE, "of its rate")
 
 
 def _over_extruded(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples]) -> Array:
@@ -295,7 +232,7 @@ def _per_millimetre(
     Counted three times: by what leaves a nozzle that lags its motor (out (n) [m^3], beyond lag zones), by the record of
     what has been extruded, and by the flow.
     """
-    worst, where = 0.0, "everywhere"
+    worst, where = 0.0, EVERYWHERE
     stretch = max(MILLIMETRE, RESOLVED * t.dt * process.speed)
     zone = process.extruder.lag + ZONE_SAMPLES * t.dt if process.extruder.lag > 0.0 else 0.0
     for i, (at, volume) in enumerate(zip(samples, volumes, strict=True)):
@@ -368,7 +305,7 @@ def _near_ends(t: Trajectory, lag: float) -> NDArray[np.bool_]:
 
 
 def _drawn(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples]) -> Array:
-    """Volume (n) [m^3] of fibre laid behind cuts: drawn by what is laid already, pushed by nobody."""
+    """Volume (n) [m^3] of fibre laid behind cuts: drawn by what is laid already, not fed by the motor."""
     gain = np.zeros(len(t))
     for event in t.events:
         if event.kind == "cut" and 0 <= event.bead < len(volumes) and len(samples[event.bead]):
@@ -400,3 +337,48 @@ def _pushed(t: Array, events: Sequence[Event]) -> Array:
         done[last] += event.amount
     total: Array = np.cumsum(done[:-1]) + during
     return total
+
+
+def _own_tool(names: list[str], toolpath: Toolpath, t: Trajectory) -> Check:
+    """Whatever is laid, pushed or pulled is fed by the tool of the material that it has to be."""
+    own = np.array([names.index(bead.material) if bead.material in names else NONE for bead in toolpath.beads])
+    wanted = np.where(t.deposit, own[t.bead], NONE)
+    wrong = t.deposit & ((selected(names, t.events, t.t) != wanted) | (wanted == NONE))
+    count, where = int(wrong.sum()), place(t, int(np.argmax(wrong))) if wrong.any() else EVERYWHERE
+    for event in t.events:
+        if event.amount == 0.0:
+            continue
+        middle = selected(names, t.events, np.array([event.start + 0.5 * event.duration]))[0]
+        bead = event.bead if 0 <= event.bead < len(own) else t.first_bead  # what is pushed before all is for that one
+        if middle == NONE or not names[middle] == event.material == toolpath.beads[bead].material:
+            count, where = count + 1, f"{event.kind} of bead {event.bead}" if count == 0 else where
+    return Check("material fed by its own tool", float(count), 0.0, "samples and events", count == 0, where)
+
+
+def _changes(process: ProcessSpec, toolpath: Toolpath, t: Trajectory) -> Check:
+    """Wherever the material changes, robot and extruder rest for it, and the new material is purged."""
+    change, worst, where = process.change, 0.0, EVERYWHERE
+    purges = [event for event in t.events if event.kind == "purge"]
+    for i in range(t.first_bead + 1, len(toolpath.beads)):
+        before, after = toolpath.beads[i - 1 : i + 1]
+        if before.material == after.material:
+            continue
+        found = [event for event in t.events if event.kind == "change" and event.bead == i]
+        missing = change.time
+        if len(found) == 1 and found[0].material == after.material:
+            purged = sum(event.amount for event in purges if event.bead == i)
+            missing = change.time - _rest(t, found[0], change.wait, change.time)
+            missing += abs(found[0].duration - change.wait) + abs(purged - change.purge) / change.purge_speed
+        if not missing <= worst:
+            worst, where = missing, f"before bead {i}"
+    limit = SAMPLES * t.dt
+    return Check("rest for a change of material", worst, limit, "s missing", worst <= limit + INSTANT, where)
+
+
+def _rest(t: Trajectory, event: Event, wait: float, time: float) -> float:
+    """How long [s] the robot stands still in the `time` from an event on, no filament moves in the first `wait` of it."""
+    first, silent, last = np.searchsorted(t.t, event.start + np.array([-INSTANT, wait + INSTANT, time + INSTANT]))
+    still = np.abs(np.diff(t.q[first:last], axis=0)).max(axis=1, initial=0.0) < STILL
+    moved = np.abs(np.diff(t.feed[first:last])) > UNMOVED
+    moved[max(silent - first - 1, 0) :] = False
+    return float((still & ~moved & ~t.deposit[first : last - 1]).sum()) * t.dt if last > first else 0.0

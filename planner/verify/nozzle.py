@@ -1,4 +1,12 @@
-"""Independent check that nozzle and print head keep clear of part and print, as these are at every instant."""
+"""Whether nozzle and print head keep clear of part and print, as far as these are printed at every instant.
+
+No fixed distance can be kept where the nozzle lays one bead beside another. In the tip's zone a point at distance r from
+the tip is to be TIP_SLOPE * r away, less a slack for the nozzle's face and the bead; where that exceeds the distance asked
+for, the latter is kept. The margin of a point is its distance less what it is to keep.
+
+The compiled loops bound by how much a margin can change with the motion, and pass over samples, points and instants
+between samples as long as the least margin cannot lie there. All is in the part frame, in metres; n counts samples.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +17,7 @@ import numpy as np
 
 from planner.base.arrays import Array, Ints
 from planner.base.compiled import njit
-from planner.cell.cell import Cell
+from planner.base.geometry import arc_lengths
 from planner.cell.solids import Packed, packed
 from planner.collision.point_tree import (
     PointTree,
@@ -20,26 +28,19 @@ from planner.collision.point_tree import (
     search_room,
     solid_distance,
 )
-from planner.collision.print_body import TIP_SLOPE, PrintBody, tip_slack
+from planner.collision.print_body import TIP_SLOPE, tip_slack
 from planner.plan import Check, Trajectory
 from planner.problem import Problem
 from planner.toolpath.bead import Toolpath
-from planner.verify.checks import DIGITS, place
+from planner.verify.checks import DIGITS, EVERYWHERE, FAR, TOLERANCE, Judged, place
 from planner.verify.executed import ExecutedMotion
 
-# ----------------------------------------------------------------------------------------------------
-# Compiled loops over the samples of a motion: how near bodies that move with the nozzle come to part and print.
-#
-# A value changes by no more than the motion takes a body past a point, so that samples, points and instants between
-# samples are passed over as long as this cannot matter.
-
-FAR = 50e-3  # m: what is farther away is that far away
-TOLERANCE = 1e-4  # m: no distance is missed that is less than the least that is found by more
 _ZERO: Any = np.int64(0)  # a plain 0 is a type of its own, for which kernels would be compiled once more
 _OFTEN = 25  # samples after which every body is looked at again, wherever it is
 _BLOCK = 1e-3  # m of the tip's way, on which points are looked at together: the longer, the more of them may matter
 _MOST_PARTS = 64  # of the time between two samples
 _RATE = 1.0 + TIP_SLOPE  # of a motion, by which a margin beyond the tip's zone changes at most
+_STEEP = 1e3  # slope by which no point within the tip's zone counts
 _DEEPEST = 64  # intervals that wait at once: more than the samples of a block can make
 
 
@@ -344,24 +345,13 @@ def _between(Ra, Rb, pa, pb, share, R, p):
     R[2, 1] = R[0, 2] * R[1, 0] - R[1, 2] * R[0, 0]
 
 
-# ----------------------------------------------------------------------------------------------------
-# Independent check that nozzle and print head keep clear of part and print, as these are at every instant.
-#
-# Nobody can keep a distance where the nozzle lays a bead beside another: a point at distance r from the tip is to be
-# TIP_SLOPE * r away, less what face and bead take, until that is the whole distance; from there on, beyond the tip's zone,
-# the whole distance is kept. All samples are looked at, and instants between them, as far as motion since the last look
-# could have brought anything too near.
-
-_STEEP = 1e3  # slope that lets nothing within the tip's zone count
-
-
 @dataclass(frozen=True)
 class Nearness:
-    """How near to part and print bodies come that move with the nozzle (n samples).
+    """How near bodies that move with the nozzle come to part and print (n samples).
 
-    margin (n)   distance less what is needed, FAR at most; between looks it is interpolated; empty if not asked for
-    least, at    the least of all, and its sample; body, point: whose it is (index), and the point in the tree's order,
-                 or -1 if nothing is nearer than FAR
+    margin (n)   distance less what is to be kept [m], FAR at most; interpolated between evaluations; may be empty
+    least, at    the least margin [m] and its sample
+    body, point  index of the body that has it, and of the point in the tree's order, -1 if none is nearer than FAR
     """
 
     margin: Array
@@ -372,7 +362,7 @@ class Nearness:
 
 
 def print_times(toolpath: Toolpath, trajectory: Trajectory) -> Array:
-    """What is printed at each sample (n), in beads: index and share of the length; in travel, of the next bead."""
+    """How much is printed at each sample (n): index of the bead plus share of its length; in travel, index of the next bead."""
     bead = trajectory.bead
     lengths = np.array([each.length for each in toolpath.beads])
     share = np.clip(trajectory.s / lengths[np.maximum(bead, 0)], 0.0, 1.0)
@@ -382,7 +372,7 @@ def print_times(toolpath: Toolpath, trajectory: Trajectory) -> Array:
 
 
 def slack_along(problem: Problem, toolpath: Toolpath, trajectory: Trajectory) -> Array:
-    """The slack beside the tip (n) at each sample: of its bead, in travel the greater one of the beads at its ends."""
+    """Slack at the tip (n) [m] at each sample: of its bead, in travel the greater one of the beads at its ends."""
     own = tip_slack(problem.cell.nozzle, toolpath)
     begun = trajectory.begun
     last, following = np.maximum(begun, 0), np.minimum(begun + 1, len(own) - 1)
@@ -403,8 +393,10 @@ def nozzle_nearness(
 def beyond_the_tip(
     tree: PointTree, bodies: Packed, motion: ExecutedMotion, now: Array, slack: Array, clearance: float
 ) -> Nearness:
-    """The same of true distances, less the clearance, from points beyond the tip's zone; with the margins, and the least
-    only so far that none is missed that lacks."""
+    """Margins of true distances, less the clearance, from points beyond the tip's zone.
+
+    The least is exact, to TOLERANCE, only where it is negative.
+    """
     zone = (clearance + slack) / TIP_SLOPE
     way = _way(motion, now, _STEEP * zone, _looked_ahead(motion.tip, now, slack))
     margin = np.full(len(now), FAR)
@@ -423,37 +415,38 @@ def _way(motion: ExecutedMotion, now: Array, slack: Array, ahead: Ints) -> Nozzl
     return NozzleWay(tip, rotation, *_path_lengths(tip, rotation), now, slack, ahead)
 
 
-def by_the_tip(
-    problem: Problem, cell: Cell, toolpath: Toolpath, t: Trajectory, motion: ExecutedMotion, body: PrintBody
-) -> Nearness:
-    """How near nozzle and head come, by the rule for the tip."""
+def by_the_tip(judged: Judged) -> Nearness:
+    """How near nozzle and head come to part and print, by the rule for the tip."""
+    problem, toolpath, t = judged.problem, judged.toolpath, judged.trajectory
     now, slack = print_times(toolpath, t), slack_along(problem, toolpath, t)
-    return nozzle_nearness(body.tree, packed(cell.head), motion, now, slack, problem.collision.nozzle)
+    return nozzle_nearness(
+        judged.body.tree, packed(judged.cell.head), judged.motion, now, slack, problem.collision.nozzle
+    )
 
 
-def beyond(
-    problem: Problem, cell: Cell, toolpath: Toolpath, t: Trajectory, motion: ExecutedMotion, body: PrintBody
-) -> Nearness:
-    """How near they come beyond the tip's zone."""
+def beyond(judged: Judged) -> Nearness:
+    """How near nozzle and head come to part and print beyond the tip's zone."""
+    problem, toolpath, t = judged.problem, judged.toolpath, judged.trajectory
     now, slack = print_times(toolpath, t), slack_along(problem, toolpath, t)
-    return beyond_the_tip(body.tree, packed(cell.head), motion, now, slack, problem.collision.nozzle)
+    return beyond_the_tip(
+        judged.body.tree, packed(judged.cell.head), judged.motion, now, slack, problem.collision.nozzle
+    )
 
 
-def check_nozzle(problem: Problem, cell: Cell, t: Trajectory, body: PrintBody, rule: Nearness) -> Check:
-    """The check, from how near they come by the rule for the tip."""
-    need = problem.collision.nozzle
+def check_nozzle(judged: Judged, rule: Nearness) -> Check:
+    """The check, from how near nozzle and head come by the rule for the tip."""
+    need = judged.problem.collision.nozzle
     worst = rule.least + need
-    where = f"{cell.head[rule.body].name} and {body.name_of(rule.point)}, {place(t, rule.at)}"
-    if rule.point < 0:
-        where = "everywhere"
+    pair = f"{judged.cell.head[rule.body].name} and {judged.body.name_of(rule.point)}"
+    where = EVERYWHERE if rule.point < 0 else f"{pair}, {place(judged.trajectory, rule.at)}"
     ok = worst >= need - DIGITS
     at = rule.at if rule.point >= 0 else -1
     return Check("nozzle clear of part and print", worst * 1e3, need * 1e3, "mm", ok, where, least=True, sample=at)
 
 
 def _looked_ahead(tip: Array, now: Array, slack: Array) -> Ints:
-    """For each sample (n) the one up to which what is laid may count as there: a part of the tip's zone ahead."""
-    far = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))])
+    """The later sample (n) up to which what is laid may count as printed at each: a part of the tip's zone ahead."""
+    far = arc_lengths(tip)
     bead = np.floor(now)
     last = np.searchsorted(bead, bead, side="right") - 1
     reach = np.searchsorted(far, far + 0.25 * slack / TIP_SLOPE, side="right") - 1
@@ -464,5 +457,4 @@ def _path_lengths(tip: Array, rotation: Array) -> tuple[Array, Array]:
     """How far (n) the tip has moved [m] and the axes have turned [rad] since the first sample."""
     turned = np.einsum("nij,nij->n", rotation[1:], rotation[:-1])
     angle = np.arccos(np.clip(0.5 * (turned - 1.0), -1.0, 1.0))
-    steps = np.linalg.norm(np.diff(tip, axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps)]), np.concatenate([[0.0], np.cumsum(angle)])
+    return arc_lengths(tip), np.concatenate([[0.0], np.cumsum(angle)])

@@ -168,6 +168,8 @@ def _given_third(
 
 @njit(cache=True)
 def solve(p: Array, given: Array, T: Array) -> tuple[Array, Flags]:
+    """All branches' joints (m, BRANCHES, 7) [rad] for flange poses T (m, 4, 4) in the arm's base, and which of them exist
+    (m, BRANCHES). given (m): the redundant joint [rad]; p: see `solve_one`."""
     m = T.shape[0]
     q = np.zeros((m, BRANCHES, 7))
     ok = np.zeros((m, BRANCHES), dtype=np.bool_)
@@ -178,6 +180,7 @@ def solve(p: Array, given: Array, T: Array) -> tuple[Array, Flags]:
 
 @njit(cache=True)
 def poses(p: Array, q: Array) -> Array:
+    """Flange poses (n, 4, 4) in the arm's base at postures q (n, 7) [rad]."""
     T_base_shoulder = inverse_of(p[13:29])
     T_7_flange = inverse_of(p[29:45])
     out = np.empty((q.shape[0], 4, 4))
@@ -202,6 +205,7 @@ def poses(p: Array, q: Array) -> Array:
 
 @njit(cache=True)
 def branches(p: Array, q: Array) -> NDArray[np.int8]:
+    """Branches (n) of postures q (n, 7) [rad], as `solve` numbers them."""
     _, _, middle = _elbow_of(p)
     out = np.empty(q.shape[0], dtype=np.int8)
     for i in range(q.shape[0]):
@@ -225,6 +229,8 @@ def branches(p: Array, q: Array) -> NDArray[np.int8]:
 
 @njit(cache=True)
 def out_of_reach(p: Array, given: Array, T: Array) -> Array:
+    """How far (n) [m] the wrist centre of flange poses T (n, 4, 4) is out of reach, with the redundant joint given (n) [rad];
+    0 within reach."""
     constant, amplitude, middle = _elbow_of(p)
     longest, shortest = np.sqrt(constant + amplitude), np.sqrt(max(constant - amplitude, 0.0))
     out = np.empty(T.shape[0])

@@ -1,4 +1,13 @@
-"""Ways round the part and round obstacles: an arc at constant distance, and a search of joint space (RRT-connect)."""
+"""Ways round the part and round obstacles: an arc at constant distance, and a search of joint space (RRT-connect).
+
+Where the wrist turns far, a straight move of the joints swings the nozzle about, and the speed of its tip keeps the
+travel slow. On an arc the tip goes the shortest way round the part, at constant distance from it, and the first joints
+compensate for what the wrist does; the joints are a spline of time.
+
+Where no such way is clear of obstacles, two trees of postures grow from above the ends towards random postures and
+towards each other until they meet (Kuffner and LaValle, RRT-Connect, ICRA 2000); what is found is then made shorter.
+The random numbers are the same each time.
+"""
 
 from __future__ import annotations
 
@@ -18,12 +27,6 @@ from planner.motion.travel.clearance import SLOPE, SWEPT, TravelClearance, nozzl
 from planner.motion.travel.moves import Bounds, between, stopped
 from planner.motion.travel.ways import Built, Ends, lifted, reaching
 
-# ----------------------------------------------------------------------------------------------------
-# A way round the part: the tip along an arc at constant distance from it, its joints a spline of time.
-#
-# Where the wrist turns far, a straight move of the joints swings the nozzle about, and the speed of its tip keeps the
-# travel slow. Here the tip goes the shortest way round the part, and the first joints make up for what the wrist does.
-
 _STEPS = 30  # of the walk round the part, if it were straight
 _GROWTH = 0.3  # of the distance from the nearer end: how long steps may be
 _LEAST_STEP = 1e-3  # m
@@ -38,6 +41,11 @@ _ROUNDS_OF_TIME = 10  # in which times settle between the limits
 _CAUTION = 0.5  # exponent of the change of each
 _RESCALINGS = 12
 _NEAR = 1.005  # of the time that the limits ask for: near enough
+_LIFTS = (1.0, 4.0, 16.0)  # of the least lift, from which it starts, in turn
+_DRAWN = 1500  # postures, at most
+_STEP = 0.25  # m that anything moves at most along one branch of a tree
+_SHORTCUTS = 200
+_COARSE = 5.0 * SWEPT  # m of a step at which branches are looked at; the way itself is looked at finely
 
 
 def arc(cell: Cell, ends: Ends, room: TravelClearance, speed: float, fit: tuple[float, float]) -> Built | None:
@@ -185,19 +193,6 @@ def _spline(times: Array, q: Array) -> Cubics:
         ]
     )
     return Cubics(np.arange(len(P) - 2, dtype=np.float64) * step, coefficients)
-
-
-# ----------------------------------------------------------------------------------------------------
-# A way round obstacles where none of the usual ones is clear: a search of joint space from both ends (RRT-connect).
-#
-# Kuffner and LaValle, RRT-Connect, ICRA 2000. Two trees of postures grow from above the ends towards random postures and
-# towards each other until they meet; what is found is then made shorter. The same numbers are drawn each time.
-
-_LIFTS = (1.0, 4.0, 16.0)  # of the least lift, from which it starts, in turn
-_DRAWN = 1500  # postures, at most
-_STEP = 0.25  # m that anything moves at most along one branch of a tree
-_SHORTCUTS = 200
-_COARSE = 5.0 * SWEPT  # m of a step at which branches are looked at; the way itself is looked at finely
 
 
 @dataclass(frozen=True)

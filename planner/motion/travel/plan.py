@@ -26,34 +26,6 @@ from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.runs import least_travel_time
 
-# ----------------------------------------------------------------------------------------------------
-# Off the part along its normal, and down to it again: how cut fibre asks a bead to be left and reached.
-
-_PLACES = 31  # along the normal, that the tip keeps to
-_LEAST = 1e-6  # m: a lower lift is none
-
-
-def above(cell: Cell, ends: Ends, room: TravelClearance, raised: float) -> tuple[JointState, JointState]:
-    """At rest `raised` [m] above both ends, along the part's normal; an end that is so high itself, as home, stays."""
-    near = room.gaps[:, 0] < room.gaps[:, 0].min() + raised
-    tips = room.tips + np.where(near, raised, 0.0)[:, None] * room.surface.normals(room.tips)
-    q = np.stack([ends.start.q, ends.end.q])
-    q[near, : len(cell.arm)] = reaching(cell, q[near], tips[near])
-    return at_rest(q[0]), at_rest(q[1])
-
-
-def along_normal(cell: Cell, ends: Ends, speed: float) -> Cubics | None:
-    """From one end to the other, both at rest, the tip on the straight line between them, no faster than `speed` [m/s]."""
-    tips = cell.T_part_nozzle(np.stack([ends.start.q, ends.end.q]))[:, :3, 3]
-    if np.linalg.norm(tips[1] - tips[0]) < _LEAST:
-        return rest(ends.start.q, 0.0)
-    built = along_tips(cell, replace(ends, least=0.0), np.linspace(tips[0], tips[1], _PLACES), speed)
-    return None if built is None else built.motion
-
-
-# ----------------------------------------------------------------------------------------------------
-# Travel between beads: the quickest way that is clear of the part and within all limits.
-
 LOW_HUMPS = (0.6, 0.35)  # of the least lift, by which the nozzle is raised where little is enough: beads close by
 HIGH_HUMPS = (1.6, 2.5)  # where the lift alone is not enough
 LIFTS = (1.0, 2.0, 4.0, 8.0, 16.0)  # of the least lift, for ways that rest when they are lifted
@@ -65,6 +37,11 @@ _ARC = 1.5  # of a straight move's time, that an arc hardly beats
 _EQUAL = 1e-3  # s by which a way may be slower than one that is less preferred
 _ROUNDING = 1e-6  # s that a travel lasts longer than it has to
 _LIMIT_ROUNDING = 1e-9  # of a limit
+_PLACES = 31  # along the normal, that the tip keeps to
+_LEAST = 1e-6  # m: a lower lift is none
+# Position, velocity and acceleration at the end of three equal spells of jerk, for each jerk in turn (cf. h^3, h^2, h).
+_REACHED = np.array([[19.0 / 6.0, 7.0 / 6.0, 1.0 / 6.0], [2.5, 1.5, 0.5], [1.0, 1.0, 1.0]])
+_LONGER = 1.0 + 1e-9  # of what it takes to keep a limit, for rounding
 
 
 @dataclass(frozen=True)
@@ -293,6 +270,24 @@ def upright(task: Task) -> Cubics | None:
     return None
 
 
+def above(cell: Cell, ends: Ends, room: TravelClearance, raised: float) -> tuple[JointState, JointState]:
+    """At rest `raised` [m] above both ends, along the part's normal; an end that is so high itself, as home, stays."""
+    near = room.gaps[:, 0] < room.gaps[:, 0].min() + raised
+    tips = room.tips + np.where(near, raised, 0.0)[:, None] * room.surface.normals(room.tips)
+    q = np.stack([ends.start.q, ends.end.q])
+    q[near, : len(cell.arm)] = reaching(cell, q[near], tips[near])
+    return at_rest(q[0]), at_rest(q[1])
+
+
+def along_normal(cell: Cell, ends: Ends, speed: float) -> Cubics | None:
+    """From one end to the other, both at rest, the tip on the straight line between them, no faster than `speed` [m/s]."""
+    tips = cell.T_part_nozzle(np.stack([ends.start.q, ends.end.q]))[:, :3, 3]
+    if np.linalg.norm(tips[1] - tips[0]) < _LEAST:
+        return rest(ends.start.q, 0.0)
+    built = along_tips(cell, replace(ends, least=0.0), np.linspace(tips[0], tips[1], _PLACES), speed)
+    return None if built is None else built.motion
+
+
 def _is_clear(task: Task, motion: Cubics) -> bool:
     """Whether a motion is clear of the part, and within the limits of joints and tip."""
     if not within_limits(task.cell, motion):
@@ -356,23 +351,13 @@ def within_limits(cell: Cell, motion: Cubics) -> bool:
     )
 
 
-# ----------------------------------------------------------------------------------------------------
-# Travel that is carried along: the same ways between beads whose ends stand a little elsewhere.
-#
-# A controller goes through the targets of its program wherever the work object stands, and joins them as it did before.
-# So the joints of a travel change from what they change by at its one end to what they change by at the other.
-
-_SLOW_ENOUGH = 0.995  # of the tip's greatest speed: what is slow enough between instants
-# Position, velocity and acceleration at the end of three equal spells of jerk, for each jerk in turn (cf. h^3, h^2, h).
-_REACHED = np.array([[19.0 / 6.0, 7.0 / 6.0, 1.0 / 6.0], [2.5, 1.5, 0.5], [1.0, 1.0, 1.0]])
-_LONGER = 1.0 + 1e-9  # of what it takes to keep a limit, for rounding
-
-
 def carried_travels(
     cell: Cell, travels: Sequence[Travel], timed: Sequence[TimedPath], speed: float
 ) -> list[Travel | None]:
     """Travel as planned, but between the ends of these beads, the tip no faster than speed [m/s]; home stays at home.
 
+    A controller goes through the targets of its program wherever the work object stands, and joins them as before. So the
+    change of a travel's joints goes over from that at its one end to that at the other.
     Where it would be too fast for a joint or for the tip it takes longer; None if it cannot, for a bead's end moves.
     """
     out: list[Travel | None] = []
@@ -397,7 +382,7 @@ def _carried(cell: Cell, way: Cubics, start: JointState | None, end: JointState 
         float((found.velocity / limits.velocity).max()) / HEADROOM,
         float(np.sqrt((found.acceleration / limits.acceleration).max() / HEADROOM)),
         float(np.cbrt((found.jerk / limits.jerk).max() / HEADROOM)),
-        track(cell, moved).tip_speed / (_SLOW_ENOUGH * speed),
+        track(cell, moved).tip_speed / (_FAST * speed),
     )
     if start.resting and end.resting:
         return moved if times <= _LONGER else slower(moved, times * _LONGER)
@@ -405,6 +390,7 @@ def _carried(cell: Cell, way: Cubics, start: JointState | None, end: JointState 
 
 
 def _resting(q: Array) -> JointState:
+    """At rest in a posture q (nq)."""
     return JointState(q, np.zeros_like(q), np.zeros_like(q))
 
 
