@@ -22,8 +22,8 @@ from planner.base.errors import InputError
 from planner.export.program import RobotProgram, Trigger
 from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.writer import rapid, rapid_files
-from planner.link import stream as stream_sender
-from planner.link.stream import (
+from planner.link import streaming as stream_sender
+from planner.link.streaming import (
     ALIVE_EVERY,
     END,
     LENGTH,

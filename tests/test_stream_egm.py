@@ -20,8 +20,8 @@ from hypothesis.extra.numpy import arrays
 from planner.base.errors import InputError
 from planner.export.plan_json import plan_json
 from planner.export.tables import write_table
-from planner.link import egm
-from planner.link.egm import (
+from planner.link import guided_motion as egm
+from planner.link.guided_motion import (
     DEVIATION,
     GAP,
     NEAR_START,

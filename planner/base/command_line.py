@@ -68,7 +68,11 @@ class Command(argparse.ArgumentParser):
         codes: Mapping[int, str],
         notes: Sequence[str] = (),
     ) -> None:
-        prog = f"beadwise {name}" if Path(sys.argv[0]).name == "beadwise" else f"python -m planner.{name}"
+        prog = (
+            f"beadwise {name.rpartition('.')[2]}"
+            if Path(sys.argv[0]).name == "beadwise"
+            else f"python -m planner.{name}"
+        )
         self.examples = {f"{prog} {given}".rstrip(): what for given, what in examples.items()}
         self.codes, self.notes = codes, notes
         shown = [_lines(typed, 2, CONTINUED) + "\n" + _lines(what, 6) for typed, what in self.examples.items()]

@@ -33,6 +33,8 @@ COMMANDS = {
     "register": CommandModule("planner.register.command", "find where the part really is, from touched places"),
     "view": CommandModule("planner.view.command", "a report in the browser, made anew when its problem is saved"),
     "link": CommandModule("planner.link.command", "send a program to its controller, and watch it run"),
+    "stream": CommandModule("planner.link.streaming", "send moves to a controller while it runs them"),
+    "egm": CommandModule("planner.link.guided_motion", "send joints to a controller by externally guided motion"),
     "simulate": CommandModule("planner.simulate.command", "simulators of controllers and extruder boards"),
     "completion": CommandModule("planner.reference.completion", "a script with which a shell completes these commands"),
     "reference": CommandModule("planner.reference.generate", "JSON schemas and reference pages, made from the code"),

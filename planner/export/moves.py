@@ -288,7 +288,7 @@ def deposits(trajectory: Trajectory) -> tuple[Indices, Indices]:
     return first, last
 
 
-class Section(NamedTuple):
+class MoveSection(NamedTuple):
     """What a program has a subroutine for: a bead with the way to it, or the way home.
 
     number  of the bead in the whole print, from 1; 0 for the way home
@@ -301,19 +301,19 @@ class Section(NamedTuple):
     about: str
 
 
-def sections(plan: Plan, moves: Moves) -> Iterator[Section]:
+def sections(plan: Plan, moves: Moves) -> Iterator[MoveSection]:
     """All sections that have moves, in the order in which they run."""
     t = plan.trajectory
     first, last = deposits(t)
     bounds = np.searchsorted(moves.after, np.arange(len(first) + 2)).tolist()
     for k, own in enumerate(map(range, bounds[:-1], bounds[1:])):
         if own and k == len(first):
-            yield Section(0, own, "")
+            yield MoveSection(0, own, "")
         elif own:
             bead = int(t.bead[first[k]])
             of = plan.toolpath.beads[bead].material
             length = f"{1e3 * (t.s[last[k]] - t.s[first[k]]):.1f} mm" + (f" of {of}" if of else "")
-            yield Section(plan.first_bead + k + 1, own, f"Bead {bead}, layer {t.layer[first[k]]}: {length}")
+            yield MoveSection(plan.first_bead + k + 1, own, f"Bead {bead}, layer {t.layer[first[k]]}: {length}")
 
 
 def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None) -> Moves:

@@ -8,8 +8,8 @@ from planner.base.command_line import Command
 from planner.cell.robots_command import robots_command
 from planner.export.plan_json import DIP_KEYS, KEYS
 from planner.link.command import link_command
-from planner.link.egm import egm_command
-from planner.link.stream import stream_command
+from planner.link.guided_motion import egm_command
+from planner.link.streaming import stream_command
 from planner.new.command import new_command
 from planner.place.command import place_command
 from planner.plan.measures import CHECKS, COLUMNS, METRICS, Measure

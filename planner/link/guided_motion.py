@@ -1,0 +1,425 @@
+"""Sends a plan's joints to a controller every 4 ms by externally guided motion (EGM)."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import socket
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from planner.base.arrays import Array
+from planner.base.command_line import Command, exit_code
+from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, PlannerError
+from planner.base.extras import missing_extra
+
+# ----------------------------------------------------------------------------------------------------
+# Limiter: however goals jump, no step goes beyond the joints' speed and acceleration.
+
+CATCHING_UP = 0.5  # share of the acceleration with which a reference that lies behind is planned to come up
+
+
+class Limiter:
+    """References (m) every `period` [s]. Where goals themselves keep the limits, they come out unchanged.
+
+    A goal that is ahead is caught up with as quickly as allowed, and without passing it: the speed towards it is what
+    can still be braked. An axis whose limits are 0 never moves.
+    """
+
+    def __init__(self, at: Array, velocity: Array, acceleration: Array, period: float) -> None:
+        self.at, self.speed = np.array(at, np.float64), np.zeros(len(at))
+        self._goal = self.at.copy()
+        self._velocity, self._acceleration, self._period = velocity, acceleration, period
+
+    def stopped(self) -> None:
+        """The robot was left without references and stands."""
+        self.speed = np.zeros_like(self.speed)
+
+    def next(self, goal: Array) -> Array:
+        """The reference that follows, towards a goal for the same instant."""
+        behind = self._goal - self.at
+        moving = (goal - self._goal) / self._period
+        brake = CATCHING_UP * self._acceleration
+        # the greatest speed from which whole steps of braking end within what is left
+        tick = brake * self._period
+        most = np.sqrt(0.25 * tick * tick + 2.0 * brake * np.abs(behind)) - 0.5 * tick
+        closing = np.sign(behind) * np.minimum(np.abs(behind) / self._period, most)
+        change = self._acceleration * self._period
+        wanted = np.clip(moving + closing, self.speed - change, self.speed + change)
+        self.speed = np.clip(wanted, -self._velocity, self._velocity)
+        self.at = self.at + self.speed * self._period
+        self._goal = np.array(goal, np.float64)
+        return self.at
+
+
+# ----------------------------------------------------------------------------------------------------
+# The joints of a plan over time, read from its folder.
+
+PERIOD = 0.004  # s, of EGM
+ARM_AXES = 6
+MOST_EXTERNAL = 6
+LARGEST_PLAN, LARGEST_TABLE = 256 << 20, 2 << 30  # bytes
+LONGEST_STEP = 0.02  # s between samples of a plan
+UNEVEN = 1e-6  # s by which steps of a table may differ, which is its rounding
+
+
+@dataclass(frozen=True)
+class JointPlan:
+    """Joints at EGM's rate (n samples): six of the arm, then all axes of the station in its own order.
+
+    q (n, m) [rad]; velocity, acceleration (m) limits [rad/s, rad/s²], 0 for an axis that is held
+    """
+
+    q: Array
+    velocity: Array
+    acceleration: Array
+
+
+def read_plan(folder: Path) -> JointPlan:
+    """The joints of the results in a folder. Raises InputError where they are missing, damaged, or of no such arm."""
+    path = folder / "plan.json"
+    data = _json(path)
+    try:
+        if data["verified"] is not True:
+            raise InputError("the plan is not verified", file=path)
+        joints = data["cell"]["joints"]
+        names = [str(joint["name"]) for joint in joints]
+        arm = [str(joint["name"]) for joint in joints if joint["moves"] == "nozzle"]
+        limits = {str(joint["name"]): (float(joint["v_max"]), float(joint["a_max"])) for joint in joints}
+        holder = [(str(axis["name"]), axis["held_at"]) for axis in data["cell"]["holder_axes"]]
+        held = {name: float(angle) for name, angle in holder if angle is not None}
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"not a plan of this version: {error}", file=path, hint="solve the problem again") from error
+    if len(arm) != ARM_AXES or len(holder) > MOST_EXTERNAL:
+        raise InputError(f"EGM moves arms of {ARM_AXES} axes, with up to {MOST_EXTERNAL} more", file=path)
+    if any(not 0.0 < value < math.inf for pair in limits.values() for value in pair):
+        raise InputError("a limit that is no positive number", file=path)
+    moved = _table(folder / "trajectory.csv", names)
+    order = [*arm, *(name for name, _ in holder)]
+    columns = [np.full(len(moved), held[name]) if name in held else moved[:, names.index(name)] for name in order]
+    both = np.array([limits.get(name, (0.0, 0.0)) for name in order])
+    return JointPlan(np.column_stack(columns), both[:, 0], both[:, 1])
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        if path.stat().st_size > LARGEST_PLAN:
+            raise InputError(f"larger than {LARGEST_PLAN >> 20} MB", file=path)
+        data = json.loads(path.read_text("utf-8"))
+    except FileNotFoundError as error:
+        raise InputError("no plan here", file=path, hint="solve a problem first: python -m planner.solve") from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"cannot be read: {error}", file=path) from error
+    if not isinstance(data, dict):
+        raise InputError("not a plan", file=path)
+    return data
+
+
+def _table(path: Path, names: list[str]) -> Array:
+    """The named columns at EGM's rate (n, k)."""
+    try:
+        if path.stat().st_size > LARGEST_TABLE:
+            raise InputError(f"larger than {LARGEST_TABLE >> 20} MB", file=path)
+        with path.open(encoding="ascii") as stream:
+            head = stream.readline().strip().split(",")
+            missing = [name for name in ("t_s", *names) if name not in head]
+            if missing:
+                raise InputError(f"no column {missing[0]!r}", file=path, line=1)
+            columns = [head.index(name) for name in ("t_s", *names)]
+            rows = np.loadtxt(stream, delimiter=",", usecols=columns, ndmin=2)
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot be read: {error}", file=path) from error
+    steps = np.diff(rows[:, 0])
+    if len(rows) < 4 or not np.isfinite(rows).all() or steps.min() <= 0.0 or np.ptp(steps[:-1]) > 2 * UNEVEN:
+        raise InputError("not a trajectory with even steps", file=path)
+    if steps.max() > LONGEST_STEP + UNEVEN:
+        raise InputError(f"steps of {steps.max():g} s, but no plan has more than {LONGEST_STEP:g} s", file=path, line=3)
+    instants = np.arange(0.0, rows[-1, 0] + PERIOD, PERIOD)
+    if abs(steps[0] - PERIOD) < UNEVEN:
+        return rows[:, 1:]
+    return np.asarray(CubicSpline(rows[:, 0], rows[:, 1:])(np.minimum(instants, rows[-1, 0])))
+
+
+# ----------------------------------------------------------------------------------------------------
+# The follower, without a network: states of the controller in, joint references out.
+
+NEAR_START = np.radians(1.0)  # within which the robot must stand before the first reference
+DEVIATION = np.radians(2.0)  # of the robot from all references of the last LAG
+LAG = 0.3  # s by which a robot may follow its references late
+RAMP = 0.2  # s in which the plan's own time comes to run, and to stand
+SILENCE = 0.5  # s without a word of the controller
+SETTLED = np.radians(0.1)  # of the last reference
+STANDING = 1e-6  # rad/s
+SETTLING = 2.0  # s in which the robot must come to it
+GAP = 2.5  # periods between two words, beyond which the robot is taken to have stopped
+
+
+class EgmStopped(PlannerError):
+    """The motion has ended before its time; says why and where."""
+
+    exit_code = EXIT_NOT_VERIFIED
+
+
+@dataclass(frozen=True)
+class EgmState:
+    """A message of the controller: joints (m) [rad] as the plan orders them, whether it runs, its clock [s]."""
+
+    joints: Array
+    running: bool
+    clock: float
+
+
+class Follower:
+    """Answers each word of the controller with the next reference. The plan's time goes on only with the answers.
+
+    sample, total   of the plan, at EGM's rate; `over` once the robot stands at the last one
+    """
+
+    def __init__(self, plan: JointPlan) -> None:
+        self._plan, self.total, self.over = plan, len(plan.q), False
+        self._place, self._rate, self._stopping = 0.0, 0.0, False
+        self._limiter: Limiter | None = None
+        self._sent: deque[Array] = deque(maxlen=round(LAG / PERIOD))
+        self._clock, self._settling = 0.0, 0.0
+
+    @property
+    def sample(self) -> int:
+        """Sample of the plan that the references have come to."""
+        return int(self._place)
+
+    @property
+    def begun(self) -> bool:
+        """References have been sent."""
+        return self._limiter is not None
+
+    def stop(self) -> None:
+        """Come to rest on the path; `over` once the references stand, at once where none was sent."""
+        self._stopping, self.over = True, not self.begun
+
+    def answer(self, state: EgmState) -> Array | None:
+        """The reference (m) [rad] that answers a word; None where there is nothing to say yet.
+
+        Raises EgmStopped where the robot is not where it should be, or has stopped.
+        """
+        if len(state.joints) != self._plan.q.shape[1]:
+            raise EgmStopped(f"the controller has {len(state.joints)} axes, the plan {self._plan.q.shape[1]}")
+        if not np.isfinite(state.joints).all():
+            raise self._ended("the controller sent joints that are no numbers")
+        if self._limiter is None:
+            return self._begin(state)
+        if not state.running:
+            raise self._ended("the controller has stopped")
+        self._watch(state.joints)
+        gap, self._clock = state.clock - self._clock, state.clock
+        if not 0.0 <= gap <= GAP * PERIOD:
+            self._rate = 0.0
+            self._limiter.stopped()
+        step = PERIOD / RAMP
+        self._rate = max(0.0, self._rate - step) if self._stopping else min(1.0, self._rate + step)
+        self._place = min(self._place + self._rate, self.total - 1.0)
+        reference = self._limiter.next(self._at(self._place))
+        self._sent.append(reference)
+        self._finish(state.joints)
+        return reference
+
+    def _begin(self, state: EgmState) -> Array | None:
+        away = np.abs(state.joints - self._plan.q[0])
+        if not state.running:
+            return None
+        if away.max() > NEAR_START:
+            worst = int(away.argmax())
+            far = np.degrees(away[worst])
+            raise EgmStopped(f"axis {worst + 1} stands {far:.2f} degrees from the plan's start")
+        self._limiter = Limiter(state.joints, self._plan.velocity, self._plan.acceleration, PERIOD)
+        self._clock = state.clock
+        self._sent.append(self._limiter.at)
+        return self._limiter.at
+
+    def _watch(self, joints: Array) -> None:
+        low, high = np.min(self._sent, axis=0), np.max(self._sent, axis=0)
+        away = np.maximum(low - joints, joints - high)
+        if away.max() > DEVIATION:
+            worst = int(away.argmax())
+            far = np.degrees(away[worst])
+            raise self._ended(f"axis {worst + 1} is {far:.1f} degrees away from all references of the last {LAG:g} s")
+
+    def _at(self, place: float) -> Array:
+        k = min(int(place), self.total - 2)
+        share = place - k
+        return (1.0 - share) * self._plan.q[k] + share * self._plan.q[k + 1]
+
+    def _finish(self, joints: Array) -> None:
+        if self._limiter is None:
+            return
+        if self._stopping:
+            self._settling += PERIOD
+            stands = self._rate == 0.0 and float(np.abs(self._limiter.speed).max()) < STANDING
+            self.over = stands or self._settling > SETTLING
+        elif self._place >= self.total - 1.0:
+            self._settling += PERIOD
+            self.over = float(np.abs(joints - self._plan.q[-1]).max()) < SETTLED
+            if not self.over and self._settling > SETTLING:
+                raise self._ended("the robot does not come to the last reference")
+
+    def _ended(self, reason: str) -> EgmStopped:
+        return EgmStopped(f"{reason}, {self.sample * PERIOD:.2f} s of {(self.total - 1) * PERIOD:.2f} s into the plan")
+
+
+# ----------------------------------------------------------------------------------------------------
+# The command.
+#
+# python -m planner.link.egm OUT_DIR
+
+HOST, PORT = "127.0.0.1", 6510  # ABB's port
+JOINING = 120.0  # s in which the controller's first word must come
+LONGEST = 4096  # bytes of a datagram
+REPORT_EVERY = 0.1  # share of the plan
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    options = egm_command().parse_args(arguments)
+
+    def say(text: str) -> None:
+        print(text, file=sys.stderr, flush=True)
+
+    return exit_code(lambda: _run(options, say), say, "the robot was brought to rest")
+
+
+def egm_command() -> Command:
+    """The parser of `python -m planner.link.egm`."""
+    parser = Command(
+        "link.egm",
+        "Answer a controller's EGM messages with the joints of a plan, 250 times a second.",
+        {"out/my_part --host 192.168.125.2": "wait there for the controller, then guide it"},
+        {0: "finished", 2: "wrong input", 3: "stopped before the end", 130: "interrupted"},
+    )
+    parser.add_argument("folder", type=Path, metavar="OUT_DIR", help="results of planner.solve")
+    parser.add_argument("--host", default=HOST, help=f"own address that the controller sends to (default {HOST})")
+    parser.add_argument("--port", type=int, default=PORT, help=f"own UDP port (default {PORT})")
+    return parser
+
+
+def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
+    messages = egm_messages()
+    plan = read_plan(options.folder)
+    with listening(options.host, options.port) as here:
+        say(f"waiting for the controller on {options.host}:{here.getsockname()[1]} (UDP)")
+        follow(plan, here, messages, say)
+    say("finished")
+    return EXIT_VERIFIED
+
+
+def egm_messages() -> ModuleType:
+    """ABB's messages. Raises InputError where the package that has them is missing."""
+    try:
+        from abb_robot_client._egm_protobuf import egm_pb2
+    except ImportError as error:
+        raise missing_extra(error, "EGM") or error from None
+    return egm_pb2
+
+
+def listening(host: str, port: int) -> socket.socket:
+    """A UDP socket at an address. Raises InputError where that cannot be had."""
+    out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        out.bind((host, port))
+    except (OSError, OverflowError) as error:
+        out.close()
+        raise InputError(f"cannot listen on {host}:{port}: {error}", field="--port") from error
+    return out
+
+
+def follow(plan: JointPlan, here: socket.socket, messages: ModuleType, say: Callable[[str], None]) -> Follower:
+    """Guide the robot through the plan. Raises EgmStopped where it ended before; an interrupt brings it to rest."""
+    follower = Follower(plan)
+    try:
+        _loop(follower, here, messages, say)
+    except KeyboardInterrupt:
+        follower.stop()
+        _loop(follower, here, messages, lambda text: None)
+        raise
+    return follower
+
+
+def _loop(follower: Follower, here: socket.socket, messages: ModuleType, say: Callable[[str], None]) -> None:
+    numbers, reported = 0, 0.0
+    peer: tuple[str, int] | None = None
+    began = received_at = time.monotonic()
+    while not follower.over:
+        data, peer = _newest(here, peer)
+        now = time.monotonic()
+        if not data:
+            limit = SILENCE if follower.begun else JOINING
+            if now - received_at > limit:
+                raise EgmStopped(f"the controller has said nothing for {limit:g} s")
+            continue
+        received_at = now
+        reference = follower.answer(read_state(data, messages))
+        if reference is None:
+            if now - began > JOINING:
+                raise EgmStopped(f"the controller did not run within {JOINING:g} s")
+            continue
+        numbers += 1
+        if peer is not None:
+            here.sendto(correction(reference, numbers, messages), peer)
+        if follower.sample >= reported * (follower.total - 1):
+            say(f"{follower.sample * PERIOD:.1f} s of {(follower.total - 1) * PERIOD:.1f} s")
+            reported = follower.sample / (follower.total - 1) + REPORT_EVERY
+
+
+def _newest(here: socket.socket, peer: tuple[str, int] | None) -> tuple[bytes, tuple[str, int] | None]:
+    """The newest datagram of the controller, which is whoever spoke first; empty where none comes for a while."""
+    newest = b""
+    here.settimeout(0.05)
+    try:
+        while True:
+            data, address = here.recvfrom(LONGEST)
+            peer = peer or address
+            if address == peer:
+                newest = data
+            here.settimeout(0.0)
+    except (TimeoutError, BlockingIOError):
+        return newest, peer
+    except ConnectionError:  # the other side's port was closed: Linux reports it by an error of the next call
+        return newest, peer
+
+
+def read_state(data: bytes, messages: ModuleType) -> EgmState:
+    """A controller's message. Raises EgmStopped for what is none."""
+    from google.protobuf.message import DecodeError
+
+    message = messages.EgmRobot()
+    try:
+        message.ParseFromString(data)
+    except DecodeError as error:
+        raise EgmStopped("the controller sent what is no EGM message") from error
+    joints = [*message.feedBack.joints.joints, *message.feedBack.externalJoints.joints]
+    running = (
+        message.mciState.state == messages.EgmMCIState.MCI_RUNNING
+        and message.motorState.state == messages.EgmMotorState.MOTORS_ON
+        and message.rapidExecState.state == messages.EgmRapidCtrlExecState.RAPID_RUNNING
+    )
+    return EgmState(np.radians(np.array(joints, np.float64)), running, 1e-3 * message.header.tm)
+
+
+def correction(reference: Array, number: int, messages: ModuleType) -> bytes:
+    """The message that carries a reference [rad]."""
+    message = messages.EgmSensor()
+    message.header.seqno = number
+    message.header.tm = int(time.monotonic() * 1e3) & 0xFFFFFFFF
+    message.header.mtype = messages.EgmHeader.MSGTYPE_CORRECTION
+    degrees = np.degrees(reference).tolist()
+    message.planned.joints.joints.extend(degrees[:ARM_AXES])
+    message.planned.externalJoints.joints.extend(degrees[ARM_AXES:])
+    return bytes(message.SerializeToString())

@@ -1,0 +1,450 @@
+"""Sends a plan's moves to a controller while it runs them, in place of a program that is loaded whole."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import select
+import socket
+import struct
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from ipaddress import AddressValueError, IPv4Address
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.base.arrays import Array
+from planner.base.command_line import Command, exit_code
+from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, OutputError, PlannerError
+from planner.export.program import RobotProgram, Trigger
+from planner.export.rapid.reader import read_rapid_files
+
+# ----------------------------------------------------------------------------------------------------
+# Frames: one for each move of a program (see BeadwiseStream.mod).
+#
+# A frame is 96 bytes, little-endian: number, kind, flags of the triggers, tool, place [mm], orientation w x y z,
+# configuration, external axes [deg], speeds [mm/s, deg/s], wait [s], zone [mm], how many frames there are up to and with
+# the next rest, and two sums over all that.
+
+BODY = struct.Struct("<IBBBx3f4f4b6f4fffHxx")
+SUMS = struct.Struct("<HH")
+LENGTH = BODY.size + SUMS.size
+LINEAR, JOINT, ABSOLUTE, END, STOP, ALIVE = range(1, 7)
+ON_AT_START, ON_AT_END, OFF_AT_END = 1, 2, 4
+COMBINED = {0, ON_AT_START, ON_AT_END, OFF_AT_END, ON_AT_START | OFF_AT_END}
+MOST_LEFT = 65535
+MOST_TOOLS = 8
+UNUSED = 9e9  # of external axes, as in RAPID
+_WORDS = struct.Struct(f"<{BODY.size // 2}H")
+
+
+@dataclass(frozen=True)
+class Stream:
+    """What is sent of a program: frames 1 … total, the last one the end.
+
+    signals   outputs of the extruders, by the frames' tool
+    longest   time of the longest single move or wait [s], at the programmed speeds
+    """
+
+    total: int
+    signals: tuple[str, ...]
+    longest: float
+    _values: Array
+    _codes: NDArray[np.int64]
+
+    def frames(self) -> Iterator[bytes]:
+        """All frames in order."""
+        for n in range(1, self.total):
+            kind, flags, tool, *conf, left = self._codes[n - 1].tolist()
+            yield packed(n, kind, flags, tool, self._values[n - 1].tolist(), conf, left)
+        yield packed(self.total, END, left=1)
+
+
+def packed(
+    number: int,
+    kind: int,
+    flags: int = 0,
+    tool: int = 0,
+    values: list[float] | None = None,
+    conf: list[int] | None = None,
+    left: int = 0,
+) -> bytes:
+    """One frame; values: place, orientation, external axes, speeds, wait and zone (19)."""
+    v = values or [0.0] * 19
+    body = BODY.pack(number, kind, flags, tool, *v[:7], *(conf or [0] * 4), *v[7:], left)
+    first = second = 0
+    for word in _WORDS.unpack(body):
+        first = (first + word) % 65535
+        second = (second + first) % 65535
+    return body + SUMS.pack(first, second)
+
+
+def stream_of(program: RobotProgram) -> Stream:
+    """The frames of a program. Raises InputError for what only the program itself can do."""
+    if program.sends or program.demands:
+        raise InputError("only programs of style output are streamed", field="program.style")
+    m = len(program.position)
+    signals: list[str] = []
+    codes = np.zeros((m + 1, 8), np.int64)
+    codes[1:, 0] = np.where(program.linear, LINEAR, JOINT)
+    codes[0, 0] = ABSOLUTE
+    for move, triggers in program.triggers.items():
+        codes[move + 1, 1:3] = _flags(triggers, signals)
+    codes[1:, 3:7] = program.conf
+    rests = np.append(True, program.zone == 0.0)
+    ahead = np.append(np.flatnonzero(rests), m + 1)  # the end stops whatever still moves
+    index = np.arange(m + 1)
+    codes[:, 7] = np.minimum(ahead[np.searchsorted(ahead, index)] - index + 1, MOST_LEFT)
+    values = np.zeros((m + 1, 19))
+    values[0, :6] = _degrees(program.start[:6])
+    values[0, 7:13] = _degrees(program.start[6:])
+    values[1:, :3] = program.position * 1e3
+    values[1:, 3:7] = program.quat[:, [3, 0, 1, 2]]
+    values[1:, 7:13] = _degrees(program.external)
+    speed = np.vstack([program.speed[:1], program.speed])
+    values[:, 13:17] = speed * [1e3, 180.0 / np.pi, 1e3, 180.0 / np.pi]
+    values[1:, 17] = program.wait
+    values[1:, 18] = program.zone * 1e3
+    return Stream(m + 2, tuple(signals), _longest(program), values, codes)
+
+
+def _degrees(radians: Array) -> Array:
+    return np.where(np.isnan(radians), UNUSED, np.degrees(radians))
+
+
+def _flags(triggers: tuple[Trigger, ...], signals: list[str]) -> tuple[int, int]:
+    """Flags and tool of a move's triggers; a signal that is new joins the signals."""
+    flags, names = 0, {trigger.signal for trigger in triggers}
+    for trigger in triggers:
+        if trigger.distance != 0.0 or (trigger.from_start and not trigger.value):
+            raise InputError("only switching at the ends of moves is streamed", field="program.style")
+        flags |= ON_AT_START if trigger.from_start else ON_AT_END if trigger.value else OFF_AT_END
+    if flags not in COMBINED or len(names) != 1:
+        raise InputError("a move switches in a way that is not streamed", field="program.style")
+    name = names.pop()
+    if name not in signals:
+        signals.append(name)
+    if len(signals) > MOST_TOOLS:
+        raise InputError(f"more than {MOST_TOOLS} extruders are not streamed", field="process.materials")
+    return flags, signals.index(name)
+
+
+def _longest(program: RobotProgram) -> float:
+    """Time of the longest single move or wait [s]."""
+    step = np.linalg.norm(np.diff(program.position, axis=0), axis=1) / program.speed[1:, 0]
+    same = np.abs(np.einsum("ij,ij->i", program.quat[1:], program.quat[:-1])).clip(0.0, 1.0)
+    turn = 2.0 * np.arccos(same) / program.speed[1:, 1]
+    axes = np.nan_to_num(np.abs(np.diff(program.external, axis=0))).max(axis=1, initial=0.0) / program.speed[1:, 3]
+    return float(max(np.max([step, turn, axes], initial=0.0), program.wait.max(initial=0.0)))
+
+
+# ----------------------------------------------------------------------------------------------------
+# The sender, without sockets: answers of the controller in, bytes out.
+
+VERSION = 1
+LONGEST_LINE = 80  # characters, as RAPID's strings
+ALIVE_EVERY = 0.5  # s; the controller stops after 2 s of silence
+AT_ONCE = 64  # frames sent before looking at what comes back
+PATIENCE = 30.0  # s without a word of the controller, beside its longest move
+SLOWEST = 10.0  # times as long as programmed: an operator may lower the speed that far
+_WORD = re.compile(r"([BCE]) (0|[1-9][0-9]{0,8}) (0|[1-9][0-9]{0,8})|X (0|[1-9][0-9]{0,8}) (.{1,70})")
+
+
+class StreamStopped(PlannerError):
+    """The stream has ended before its time; says why and after how many moves."""
+
+    exit_code = EXIT_NOT_VERIFIED
+
+
+class Sender:
+    """Hands out frames as far as the controller has room, and a sign of life where there are none.
+
+    done, starved   moves handed to the motion, and times the robot waited within a bead (known at the end)
+    """
+
+    def __init__(self, stream: Stream, now: float) -> None:
+        self.total, self.sent, self.taken, self.done, self.starved = stream.total, 0, 0, 0, 0
+        self.finished = False
+        self._frames = stream.frames()
+        self._patience = PATIENCE + SLOWEST * stream.longest
+        self._capacity: int | None = None
+        self._partial = b""
+        self._sent_at, self._received_at = now, now
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Take what the controller sent. Raises StreamStopped where it stopped, or sent what is not of the protocol."""
+        *whole, self._partial = (self._partial + data).split(b"\n")
+        if max(len(each) for each in (*whole, self._partial)) > LONGEST_LINE:
+            raise self._stopped("the controller sent a line that is too long")
+        for raw in whole:
+            self._take(raw.decode("ascii", errors="replace"))
+        self._received_at = now
+
+    def due(self, now: float) -> bytes:
+        """What is to be sent now. Raises StreamStopped where the controller has been silent for too long."""
+        if self.finished:
+            return b""
+        if now - self._received_at > self._patience:
+            raise self._stopped(f"the controller has said nothing for {self._patience:.0f} s")
+        out = b""
+        if self._capacity is not None:
+            last = min(self.total, self.done + self._capacity, self.sent + AT_ONCE)
+            out = b"".join(next(self._frames) for _ in range(last - self.sent))
+            self.sent = max(last, self.sent)
+        if not out and now - self._sent_at >= ALIVE_EVERY:
+            out = packed(self.sent, ALIVE)
+        if out:
+            self._sent_at = now
+        return out
+
+    def stop(self, unsent: bytes) -> bytes:
+        """What stops the robot, after what is left unsent of a frame that has partly gone."""
+        return unsent[: len(unsent) % LENGTH] + packed(self.sent, STOP)
+
+    def lost(self) -> StreamStopped:
+        """The connection has ended."""
+        return self._stopped("the connection to the controller is lost")
+
+    def _take(self, text: str) -> None:
+        match = _WORD.fullmatch(text)
+        if match is None:
+            raise self._stopped(f"the controller sent {text[:20]!r}, which means nothing")
+        word, one, two, _, reason = match.groups()
+        if reason is not None:
+            raise self._stopped(f"the controller stopped: {reason}")
+        first, second = int(one), int(two)
+        if word == "B" and self._capacity is None and first == VERSION and second > 0:
+            self._capacity = second
+        elif word == "C" and self.taken <= first <= self.sent and self.done <= second <= first:
+            self.taken, self.done = first, second
+        elif word == "E" and self.sent == self.total and first == self.total - 1:
+            self.done, self.starved, self.finished = self.total, second, True
+        else:
+            raise self._stopped(f"the controller sent {text!r}, which cannot be")
+
+    def _stopped(self, reason: str) -> StreamStopped:
+        return StreamStopped(f"{reason}; {self.done} of {self.total} moves were begun")
+
+
+# ----------------------------------------------------------------------------------------------------
+# The module for the controller, with a plan's tool, work object, station and outputs.
+
+MODULE = "BeadwiseStream"
+_PARTS = re.compile(r"( *! --- of the plan ---\n).*?(?= *! --- of every plan ---\n)", re.DOTALL)
+
+
+def server_module(program: RobotProgram, signals: Sequence[str], address: str, port: int) -> str:
+    """Text of the RAPID module that serves a program's stream at an address of the controller."""
+    text = files("planner.link").joinpath(f"{MODULE}.mod").read_text("ascii")
+    moved = "FALSE" if program.station else "TRUE"
+    frames = f'[FALSE,{moved},"{program.station}",{_pose(program.uframe)},{_pose(program.oframe)}]'
+    load = "[1,[0,0,50],[1,0,0,0],0,0,0]"
+    data = [
+        f'CONST string bsAddress:="{address}";',
+        f"CONST num bsPort:={port};",
+        "! The load below is a placeholder: identify it on the robot before the first run.",
+        f"PERS tooldata tBeadwise:=[TRUE,{_pose(program.tool)},{load}];",
+        f"PERS wobjdata wobjBeadwise:={frames};",
+    ]
+    outputs, off = [], []
+    for k, name in enumerate(signals, 1):
+        outputs.append(f"TriggIO bsOn{{{k}}},0\\DOp:={name},1;")
+        outputs.append(f"TriggIO bsOff{{{k}}},0\\DOp:={name},0;")
+        outputs.append(f"TriggIO bsOnStart{{{k}}},0\\Start\\DOp:={name},1;")
+        off.append(f"SetDO {name},0;")
+    units = ["! No station: the part stands still."]
+    if program.station:
+        units = [
+            "IF active THEN",
+            f"    ActUnit {program.station};",
+            "ELSE",
+            f"    DeactUnit {program.station};",
+            "ENDIF",
+        ]
+    procedures = [
+        *_procedure("BsOutputs()", outputs),
+        *_procedure("BsAllOff()", off),
+        *_procedure("BsUnits(bool active)", units),
+    ]
+    new = iter(("\n".join(f"    {line}" for line in data) + "\n", "\n".join(procedures) + "\n"))
+    return _PARTS.sub(lambda match: match[1] + next(new), text)
+
+
+def _procedure(head: str, lines: Sequence[str]) -> list[str]:
+    return [f"    PROC {head}", *(f"        {line}" for line in lines), "    ENDPROC", ""]
+
+
+def _pose(pose: Array) -> str:
+    x, y, z = (f"{value * 1e3:.3f}" for value in pose[:3])
+    q = ",".join(f"{value:.7f}" for value in pose[[6, 3, 4, 5]])
+    return f"[[{x},{y},{z}],[{q}]]"
+
+
+# ----------------------------------------------------------------------------------------------------
+# The command.
+#
+# python -m planner.link.stream OUT_DIR --controller HOST
+
+PORT = 1026
+CONNECTING = 10.0  # s
+LAST_WORDS = 2.0  # s in which the controller may say that it has stopped
+LOOK = 0.01  # s between looks at the clock
+LARGEST = 256 << 20  # bytes of all modules
+BLOCK = 4096  # bytes read at once
+LONGEST_NAME = 80  # bytes of a module's first line
+REPORT_EVERY = 0.1  # share of all moves
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    options = _options(arguments)
+    say = lambda text: print(text, file=sys.stderr, flush=True)  # noqa: E731
+    return exit_code(lambda: _run(options, say), say, "the robot was stopped")
+
+
+def stream_command() -> Command:
+    """The parser of `python -m planner.link.stream`."""
+    parser = Command(
+        "link.stream",
+        f"Send a plan's moves to a controller that runs {MODULE}.mod, as fast as it takes them.",
+        {
+            "out/my_part --controller 192.168.125.1 --server player.mod": "write the module for this plan, and send",
+            "out/my_part --controller 192.168.125.1": "send to a controller that runs the module already",
+        },
+        {0: "finished", 2: "wrong input", 3: "stopped before the end", 130: "interrupted"},
+    )
+    parser.add_argument("folder", type=Path, metavar="OUT_DIR", help="results of planner.solve")
+    parser.add_argument("--controller", metavar="HOST[:PORT]", help=f"the controller (port {PORT} unless said)")
+    parser.add_argument(
+        "--server", type=Path, metavar="FILE", help=f"write {MODULE}.mod for this plan, to be loaded on the controller"
+    )
+    return parser
+
+
+def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = stream_command()
+    options: argparse.Namespace = parser.parse_args(arguments)
+    if options.controller is None and options.server is None:
+        parser.error("a --controller to send to, or a file for the --server's module")
+    return options
+
+
+def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
+    program = program_in(options.folder)
+    stream = stream_of(program)
+    host, port = _address(options.controller) if options.controller else ("127.0.0.1", PORT)
+    if options.server is not None:
+        if not _is_ipv4(host):
+            raise InputError(
+                f"the server's module needs an address such as 192.168.125.1, not {host}", field="--controller"
+            )
+        try:
+            _check_own(options.server)
+            options.server.write_text(server_module(program, stream.signals, host, port), "ascii", newline="\n")
+        except OSError as error:
+            raise OutputError(f"cannot write {options.server}: {error.strerror or error}") from error
+    if options.controller is not None:
+        sender = send(stream, host, port, say)
+        say(f"finished after {sender.total - 1} moves; the robot waited for moves {sender.starved} times within beads")
+    return EXIT_VERIFIED
+
+
+def _check_own(path: Path) -> None:
+    """Raises InputError for a file that is there and is something else than the server's module: it is not replaced."""
+    if path.is_file():
+        with path.open("rb") as stream:
+            if stream.readline(LONGEST_NAME).split() != [b"MODULE", MODULE.encode()]:
+                raise InputError(f"holds something else than {MODULE}.mod, and stays as it is", file=path)
+
+
+def program_in(folder: Path) -> RobotProgram:
+    """The RAPID program in a folder of results. Raises InputError where there is none, or it cannot be read."""
+    paths = [path for path in sorted(folder.glob("*.mod")) if path.stem != MODULE]
+    if not paths:
+        raise InputError("no RAPID program here", file=folder, hint="solve a problem first: python -m planner.solve")
+    if sum(path.stat().st_size for path in paths) > LARGEST:
+        raise InputError(f"modules larger than {LARGEST >> 20} MB together", file=folder)
+    texts = {}
+    for path in paths:
+        try:
+            texts[path.name] = path.read_text("ascii")
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"cannot be read: {error}", file=path) from error
+    return read_rapid_files(texts)
+
+
+def send(stream: Stream, host: str, port: int, say: Callable[[str], None]) -> Sender:
+    """Send all of a stream, from connection to end.
+
+    Raises InputError where nobody answers, StreamStopped where it ended before its time; then, and when interrupted,
+    the controller was told to stop as far as it can be told.
+    """
+    try:
+        connection = socket.create_connection((host, port), timeout=CONNECTING)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError(f"no connection to {host}:{port}: {reason}", field="--controller") from error
+    with connection:
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        sender, waiting = Sender(stream, time.monotonic()), bytearray()
+        try:
+            _pump(connection, sender, waiting, say)
+        except (StreamStopped, KeyboardInterrupt):
+            _tell(connection, sender.stop(bytes(waiting)))
+            raise
+    return sender
+
+
+def _pump(connection: socket.socket, sender: Sender, waiting: bytearray, say: Callable[[str], None]) -> None:
+    reported = 0.0
+    connection.setblocking(False)
+    while not sender.finished:
+        if not waiting:
+            waiting += sender.due(time.monotonic())
+        readable, writable, _ = select.select([connection], [connection] if waiting else [], [], LOOK)
+        try:
+            if readable:
+                data = connection.recv(BLOCK)
+                if not data:
+                    raise sender.lost()
+                sender.receive(data, time.monotonic())
+            if writable:
+                del waiting[: connection.send(waiting)]
+        except OSError as error:
+            raise sender.lost() from error
+        if sender.done >= reported * sender.total:
+            say(f"{sender.done} of {sender.total} moves begun")
+            reported = sender.done / sender.total + REPORT_EVERY
+
+
+def _tell(connection: socket.socket, data: bytes) -> None:
+    """Send a last frame and wait a little until the other side has closed."""
+    connection.settimeout(LAST_WORDS)
+    try:
+        connection.sendall(data)
+        while connection.recv(BLOCK):
+            continue
+    except OSError:
+        return  # the controller notices by itself that the connection is gone
+
+
+def _address(text: str) -> tuple[str, int]:
+    host, colon, port = text.rpartition(":")
+    if not colon:
+        return text, PORT
+    if not host or not port.isdigit() or not 0 < int(port) < 65536:
+        raise InputError(f"{text!r} is not HOST or HOST:PORT", field="--controller")
+    return host, int(port)
+
+
+def _is_ipv4(host: str) -> bool:
+    try:
+        IPv4Address(host)
+    except AddressValueError:
+        return False
+    return True
