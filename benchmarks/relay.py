@@ -27,7 +27,7 @@ from rich.table import Table
 
 from planner.link.program_lines import ProgramLine, ProgramLines
 from planner.link.relay import WINDOW, Relay, RelaySide
-from planner.link.run import Log, Requests, run_relay
+from planner.link.run import Log, RelayRun, Requests
 
 ASKED_P99 = 5e-3  # s
 MODULE = "Bench"
@@ -88,7 +88,7 @@ def relayed(lines: ProgramLines, controller: socket.socket, board: socket.socket
         log = Log(Path(folder) / "log.jsonl")
         relay = Relay(lines, time.monotonic())
         sockets = {RelaySide.CONTROLLER: controller, RelaySide.BOARD: board}
-        outcome = run_relay(relay, sockets, requests, log, lambda reason: None, lambda n: None)
+        outcome = RelayRun(relay, sockets, requests, log, lambda reason: None, lambda n: None).run()
         log.close()
     requests.close()
     if outcome.reason is not None:

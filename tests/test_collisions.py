@@ -80,6 +80,7 @@ def test_1_an_arm_link_and_a_fixture(tmp_path: Path) -> None:
     assert short.failed == set()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("carrier", [TABLE, BED], ids=["table", "bed"])
 def test_2_the_nozzle_and_a_hollow_fixture(tmp_path: Path, carrier: str) -> None:
     """Inside the trough the nozzle is clear; its convex hull would forbid that."""

@@ -631,6 +631,7 @@ PLACES = {
 }
 
 
+@pytest.mark.slow(keep=("before the resolving", "when all is written aside"))
 @pytest.mark.parametrize("place", PLACES)
 def test_interruption_leaves_earlier_results(tmp_path: Path, place: str) -> None:
     write_small(tmp_path)

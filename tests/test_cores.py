@@ -190,6 +190,7 @@ def test_a_count_takes_the_first_layers() -> None:
 # The core as it grows
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_what_has_grown_is_solid(name: str) -> None:
     """A bead's tips are its height above what it lies on; what was laid before is inside or on it."""

@@ -160,6 +160,7 @@ def test_score_does_not_depend_on_direction_or_order(bed: Problem, bed_tasks: tu
     assert score(cell, course(bed, back), 0.05) == pytest.approx(forwards, rel=0.05)
 
 
+@pytest.mark.slow
 def test_score_is_what_its_way_has(bed: Problem, bed_tasks: tuple[NozzleTask, ...]) -> None:
     cell, looked_at = build_cell(bed), course(bed, bed_tasks)
     rating = rate(cell, looked_at, 0.05)

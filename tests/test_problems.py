@@ -112,6 +112,7 @@ def test_ladder_beats(logo: str, other: str) -> None:
     assert ladder["deposition_time_s"] < beaten["deposition_time_s"]
 
 
+@pytest.mark.slow(keep=("ours-as_published",))
 @pytest.mark.parametrize("other", OTHERS)
 def test_no_strategy_is_refused_on_a_logo(logo: str, other: str) -> None:
     """If this fails, test_ladder_beats compares with nothing: say so wherever the comparison is shown."""

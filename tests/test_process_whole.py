@@ -98,6 +98,7 @@ def waits_of(text: str) -> list[tuple[str, float]]:
     return [(why, float(time)) for why, time in found]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["plain", "fibre, all"])
 def test_other_samples_are_those_of_another_solve(name: str) -> None:
     again, plan = solve_alone(load_problem(small_problem().file, PROCESSES[name]), dt=0.001), solved(name, 0.001)

@@ -129,6 +129,7 @@ def test_a_bowl_that_is_not_round_has_no_freedom_left(tmp_path: Path) -> None:
     assert found.held == ()
 
 
+@pytest.mark.slow
 def test_a_bed_is_moved_and_turned(tmp_path: Path) -> None:
     here = scene("aerofoil_core")
     truth = misplaced(here, MOVED, TURNED)

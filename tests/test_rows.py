@@ -103,6 +103,7 @@ def test_rows_reach_everything_and_cross_nothing(name: str) -> None:
     assert len(strokes) <= (2 if name == "hole" else 1)
 
 
+@pytest.mark.slow
 def test_rows_run_along_a_plate() -> None:
     """Six rows of 100 mm, not ten of 60: fewer turns; each turn as wide as may be."""
     stroke = cover((PLATE,), SPACING, SPEED)[0]

@@ -213,6 +213,7 @@ def test_samples_stand_at_the_distance_and_off_the_hole(tmp_path: Path) -> None:
         assert np.abs(steps[steps < 7.5e-3] - 5e-3).max() <= TOLERANCE
 
 
+@pytest.mark.slow
 def test_steps_on_a_curved_face_are_chords_of_the_distance() -> None:
     plate = [face for face in faces_of(PROBLEMS / "curved_plate.step") if face.name == "top"]
     samples = sample_faces(FaceBody.of(plate), 10e-3)

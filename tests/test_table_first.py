@@ -68,6 +68,7 @@ def leaning_task(lean: float) -> NozzleTask:
     return NozzleTask(0, "ring", 0, tip, frames, 0.03 * phi, 0, 299, 0.02, cones)
 
 
+@pytest.mark.slow
 def test_layer_stays_upright_and_the_print_slows_where_the_table_must_hurry() -> None:
     problem = load_problem("cylinder_logo", ["cell.positioner.held_deg={}", "cell.positioner.free=[tilt, rotation]"])
     cell = build_cell(problem)

@@ -84,6 +84,7 @@ def test_the_wing_ends_in_the_two_sections(toolpath: Toolpath) -> None:
     assert nearest.max() < 12e-6, "the paper gives 18 points a side"
 
 
+@pytest.mark.slow
 def test_nearest_places_are_nearest(toolpath: Toolpath) -> None:
     """Against a general minimiser, and with the way there along the normal."""
     rng = np.random.default_rng(3)
