@@ -65,7 +65,7 @@ def source_of(module: str) -> str:
     elif path.with_suffix(".py").is_file():
         files += [path.with_suffix(".py")]
         files += sorted(path.parent.glob("*.py")) if path.parent.name not in ("planner", "benchmarks") else []
-    else:
+    elif name not in COMMANDS:
         return ""
     if module.startswith("planner.") and name in COMMANDS:
         files.append((ROOT / Path(*COMMANDS[name].module.split("."))).with_suffix(".py"))
