@@ -33,11 +33,20 @@ def test_a_simulator_runs_until_it_is_interrupted() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", ["planner.simulate", "planner.solve", "planner.link", "planner.link.stream"])
-def test_an_interrupt_while_it_is_being_imported_is_quiet(command: str, tmp_path) -> None:
+@pytest.mark.parametrize(
+    ("command", "package"),
+    [
+        ("planner.simulate", "ruamel"),
+        ("planner.solve", "ruamel"),
+        ("planner.link", "rich"),
+        ("planner.link.stream", "ruamel"),
+        ("planner.link.egm", "scipy"),
+    ],
+)
+def test_an_interrupt_while_it_is_being_imported_is_quiet(command: str, package: str, tmp_path) -> None:
     """Importing takes seconds; a package that is imported on the way and never ends stands in for them."""
-    (tmp_path / "ruamel").mkdir()
-    (tmp_path / "ruamel" / "__init__.py").write_text("import time\nprint('here', flush=True)\ntime.sleep(60)\n")
+    (tmp_path / package).mkdir()
+    (tmp_path / package / "__init__.py").write_text("import time\nprint('here', flush=True)\ntime.sleep(60)\n")
     where = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen([sys.executable, "-m", command], env=where, cwd=tmp_path, text=True, **pipes) as process:
