@@ -22,7 +22,7 @@ from planner.cell.cell import build_cell
 from planner.problem import Problem
 from planner.resolve import price_kernels as price_kernel
 from planner.resolve import price_kernels as refine_kernel
-from planner.resolve import prices, refine, search
+from planner.resolve import prices, refine, search, terms
 from planner.resolve import search as search_kernel
 from planner.resolve import sqp as windows
 from planner.resolve.quadratic import QuadraticProgram
@@ -80,7 +80,7 @@ def _cold_layers(problem: Problem) -> Iterator[None]:
 @contextmanager
 def _loose_ends(problem: Problem) -> Iterator[None]:
     with ExitStack() as stack:
-        _put(stack, refine, "ANCHOR", 0.0)
+        _put(stack, terms, "ANCHOR", 0.0)
         yield
 
 
@@ -135,8 +135,8 @@ def _penalty(stack: ExitStack, lost: Any) -> None:
     """Another price of lost time, in the price of a path and in the program around it."""
     _put(stack, price_kernel, "lost", lost)
     _put(stack, refine_kernel, "lost_slope", _slope_of_flat)
-    _compile_anew(stack, price_kernel, ("price_of",), (refine,))
-    _compile_anew(stack, refine_kernel, ("bound_rows",), (refine,))
+    _compile_anew(stack, price_kernel, ("price_time_lost",), (terms,))
+    _compile_anew(stack, refine_kernel, ("rows_of_rates",), (terms,))
 
 
 @contextmanager
@@ -215,7 +215,7 @@ IDEAS = (
     Idea(FROZEN, f"`--set {NO_TABLE}`, the logo facing the arm", (NO_TABLE,), where=_has_table),
     Idea("home's branch only", "`ladder.full_grid` gives no other branch", change=_home_branch),
     Idea("travel free", "`search_kernel.TRAVEL_PRICE` 0", change=_free_travel),
-    Idea("ends not held", "`refine.ANCHOR` 0", change=_loose_ends),
+    Idea("ends not held", "`terms.ANCHOR` 0", change=_loose_ends),
     Idea("joints may peak", "`refine.PEAK` without end", change=_free_peaks),
     Idea("one window", "`windows.WINDOW` without end", change=_one_window),
     Idea("windows side by side", "`windows.OVERLAP` 0", change=_windows_apart),

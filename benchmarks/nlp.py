@@ -28,8 +28,8 @@ from planner.resolve.joint_path import JointPath
 from planner.resolve.ladder import ladder
 from planner.resolve.reference.nlp import Solution, solve_nlp
 from planner.resolve.refine import evaluate, refine_stretch
-from planner.resolve.segment import model_of
 from planner.resolve.sqp import SplinePath, given_prices, sigma_floor, start_track, whole
+from planner.resolve.terms import model_of
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import tasks_of
 
@@ -78,7 +78,7 @@ def with_sqp(cell: Cell, track: SplinePath, floor: float) -> float:
     model = model_of(cell)
     stretch = whole(track.task, track.clock, track.basis, track.anchor)
     state = evaluate(model, stretch, track.c, track.q, floor)
-    return np.inf if state is None else refine_stretch(model, stretch, state, floor).price
+    return np.inf if state is None else refine_stretch(model, stretch, state).price
 
 
 def compare(case: Case, folder: Path) -> tuple[float, float, float, float, float, Solution, int]:

@@ -10,12 +10,11 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
 
 import clarabel
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from scipy import sparse
@@ -24,22 +23,20 @@ from planner.base.versions import versions
 from planner.cell.cell import build_cell
 from planner.problem import load_problem
 from planner.resolve.ladder import ladder
-from planner.resolve.quadratic import QuadraticProgram, solve_qp
+from planner.resolve.quadratic import QuadraticProgram, Solution, solve_qp
 from planner.resolve.reference.osqp import solve_with_osqp, standard_form
 from planner.resolve.refine import QPSolver, evaluate, refine_stretch
-from planner.resolve.segment import model_of
 from planner.resolve.sqp import given_prices, sigma_floor, start_track, whole
+from planner.resolve.terms import model_of
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import tasks_of
-
-Array = NDArray[np.float64]
 
 BEADS = 4  # the costliest ones
 MOST_CONTROLS = 200  # in one program, as in the refinement
 COLUMNS = ("bead", "variables", "rows", "programs", "solver", "s a program", "iterations", "worse than the best")
 
 
-def solve_with_clarabel(qp: QuadraticProgram) -> tuple[Array, int]:
+def solve_with_clarabel(qp: QuadraticProgram) -> Solution:
     """As `solve_qp`, by Clarabel: a general interior-point method for sparse programs."""
     P, c, A, low, high = standard_form(qp)
     above, below = np.isfinite(high), np.isfinite(low)
@@ -48,7 +45,7 @@ def solve_with_clarabel(qp: QuadraticProgram) -> tuple[Array, int]:
     rows = sparse.vstack([A[above], -A[below]], format="csc")
     cones = [clarabel.NonnegativeConeT(rows.shape[0])]
     solution = clarabel.DefaultSolver(P, c, rows, np.concatenate([high[above], -low[below]]), cones, settings).solve()
-    return np.clip(np.asarray(solution.x[: len(qp.g)]), -qp.box, qp.box), int(solution.iterations)
+    return Solution(np.clip(np.asarray(solution.x[: len(qp.g)]), -qp.box, qp.box), int(solution.iterations))
 
 
 SOLVERS: dict[str, QPSolver] = {
@@ -76,15 +73,15 @@ def programs() -> list[tuple[str, list[QuadraticProgram]]]:
         if state is None or len(track.c) > MOST_CONTROLS:
             continue
         seen: list[QuadraticProgram] = []
-        refine_stretch(model, stretch, state, floor, _recording(seen))
+        refine_stretch(model, stretch, state, _recording(seen))
         out.append((track.task.name, seen))
         if len(out) == BEADS:
             break
     return out
 
 
-def _recording(seen: list[QuadraticProgram]) -> Callable[[QuadraticProgram], tuple[Array, int]]:
-    def solve(qp: QuadraticProgram) -> tuple[Array, int]:
+def _recording(seen: list[QuadraticProgram]) -> QPSolver:
+    def solve(qp: QuadraticProgram) -> Solution:
         seen.append(qp)
         return solve_qp(qp)
 
@@ -104,8 +101,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 start = time.perf_counter()
                 results.append(solve(qp))
                 times.append(time.perf_counter() - start)
-            values[label] = np.array([qp.value(x) for qp, (x, _) in zip(qps, results, strict=True)])
-            seconds[label], steps[label] = np.median(times), np.median([k for _, k in results])
+            values[label] = np.array([qp.value(found.x) for qp, found in zip(qps, results, strict=True)])
+            seconds[label], steps[label] = np.median(times), np.median([found.steps for found in results])
         at_rest = np.array([qp.value(np.zeros(len(qp.g))) for qp in qps])
         best = np.min(list(values.values()), axis=0)
         for label in SOLVERS:

@@ -7,6 +7,7 @@
     write(plan, "out/cylinder_logo")
 
 `load` reads a problem, `solve` makes a `Plan` of a `Problem` with one of `STRATEGIES`, `write` writes its files.
+`OwnTerm` says how a term of one's own joins what the refinement weighs.
 """
 
 from __future__ import annotations
@@ -20,20 +21,29 @@ if TYPE_CHECKING:
     from planner.planning.pipeline import load, solve, write
     from planner.problem import Problem
     from planner.report import plots
+    from planner.resolve.own_terms import OwnTerm, PathSamples, SamplePrice, check_term, random_samples
     from planner.resolve.strategies import STRATEGIES
     from planner.toolpath.bead import Toolpath
 
-__all__ = ["STRATEGIES", "Cell", "Plan", "Problem", "Toolpath", "load", "plots", "solve", "write"]
+__all__ = [
+    "STRATEGIES", "Cell", "OwnTerm", "PathSamples", "Plan", "Problem", "SamplePrice", "Toolpath", "check_term", "load", "plots",
+    "random_samples", "solve", "write",
+]  # fmt: skip
 
 # Public name → module that holds it. Read when first asked for: every command imports this package, and is quick.
 _HOMES = {
     "STRATEGIES": "planner.resolve.strategies",
     "Cell": "planner.cell.cell",
+    "OwnTerm": "planner.resolve.own_terms",
+    "PathSamples": "planner.resolve.own_terms",
     "Plan": "planner.plan",
     "Problem": "planner.problem",
+    "SamplePrice": "planner.resolve.own_terms",
     "Toolpath": "planner.toolpath.bead",
+    "check_term": "planner.resolve.own_terms",
     "load": "planner.planning.pipeline",
     "plots": "planner.report",
+    "random_samples": "planner.resolve.own_terms",
     "solve": "planner.planning.pipeline",
     "write": "planner.planning.pipeline",
 }

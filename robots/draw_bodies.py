@@ -244,3 +244,49 @@ def a250_shapes() -> Links:
         ],
         [cylinder("plate", PLATE[0], (0, 0, -thick), thick)],
     ]
+
+
+TRACK = 3000.0  # how far the carriage goes
+BEAM, ON_TRACK = 180.0, 300.0  # heights above the floor: of the beam that it runs on, and of the arm's foot
+
+
+def track_shapes() -> Links:
+    """Shapes of a linear track along x: a beam on the floor that is longer than the way of its carriage, and that."""
+    plate, half = 60.0, 350.0
+    low, top = 30.0, ON_TRACK - BEAM
+    return [
+        [box("beam", (-half - 100, -220, 0), (TRACK + half + 100, 220, BEAM))],
+        [
+            box("runners", (-half, -180, 0), (half, 180, low)),
+            box("saddle", (-half, -260, low), (half, 260, top - plate)),
+            box("plate", (-half, -half, top - plate), (half, half, top)),
+        ],
+        [],
+    ]
+
+
+# A gantry
+
+GANTRY = (3000.0, 2000.0)  # ranges along x and y
+GANTRY_HEIGHT = 2200.0  # of the beams that its bridge runs on
+BEAMS_APART = 500.0  # how far these stand beyond the ranges
+HANGS = 120.0  # below these: the arm's foot
+
+
+def gantry_shapes() -> Links:
+    """Shapes of a gantry: beams along x on posts, a bridge along y on them, and under it a trolley that the arm hangs from."""
+    (along, across), post, beam, apart = GANTRY, 160.0, 200.0, BEAMS_APART
+    frame = []
+    for side, y in (("right", -apart), ("left", across + apart)):
+        low, high = (-apart, y - 100, GANTRY_HEIGHT - beam), (along + apart, y + 100, GANTRY_HEIGHT)
+        frame.append(box(f"{side} beam", low, high))
+        for end, x in (("back", -apart), ("front", along + apart - post)):
+            frame.append(
+                box(f"{side} {end} post", (x, y - post / 2, 0), (x + post, y + post / 2, GANTRY_HEIGHT - beam))
+            )
+    return [
+        frame,
+        [box("bridge", (-200, -100, 0), (200, across + 2 * apart + 100, 250))],
+        [box("trolley", (-250, -250, -HANGS), (250, 250, 0))],
+        [],
+    ]

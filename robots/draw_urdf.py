@@ -3,10 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import radians
+from math import pi, radians
 from pathlib import Path
 
-from draw_bodies import DOWN, TILT, Links, Shape, a250_shapes, abb_shapes, iiwa_shapes, ur_shapes
+from draw_bodies import (
+    BEAM,
+    BEAMS_APART,
+    DOWN,
+    GANTRY,
+    GANTRY_HEIGHT,
+    HANGS,
+    ON_TRACK,
+    TILT,
+    TRACK,
+    Links,
+    Shape,
+    a250_shapes,
+    abb_shapes,
+    gantry_shapes,
+    iiwa_shapes,
+    track_shapes,
+    ur_shapes,
+)
 
 HERE = Path(__file__).resolve().parent
 ABB_ACCELERATION = (15, 15, 15, 25, 25, 30)
@@ -99,6 +117,8 @@ UR = {
     "ur10e": Ur("Universal Robots UR10e", 180.7, -612.7, -571.55, 174.15, 119.85, 116.55, UR_SPEEDS[10]),
     "ur16e": Ur("Universal Robots UR16e", 180.7, -478.4, -360, 174.15, 119.85, 116.55, UR_SPEEDS[10]),
 }
+TRACK_SPEED = 1.5  # m/s
+GANTRY_SPEED = 1.0  # m/s
 IIWA_RANGES = (170, 120, 170, 120, 170, 120, 175)
 IIWA_SPEEDS = (85, 85, 100, 75, 130, 135, 135)
 
@@ -270,9 +290,65 @@ def a250_urdf() -> str:
     return "\n".join(lines) + "\n"
 
 
+def track_urdf() -> str:
+    """URDF of a generic linear track of 3 m: a carriage that slides along x, and on it the place of the arm's foot."""
+    links = ("floor", "carriage", "arm_place")
+    lines = [
+        '<?xml version="1.0"?>',
+        "<!-- A generic linear track of 3 m along x. All of it is ASSUMED, after tracks for arms of this size: no data",
+        "     sheet stands behind it (robots/draw_bodies.py). -->",
+        '<robot name="track_3m">',
+        *(line for link, own in zip(links, track_shapes(), strict=True) for line in link_lines(link, own)),
+        '  <joint name="rail" type="prismatic">',
+        f'    <parent link="{links[0]}"/><child link="{links[1]}"/>',
+        f'    <origin xyz="0 0 {BEAM / 1000:g}"/><axis xyz="1 0 0"/>',
+        f'    <limit lower="0" upper="{TRACK / 1000:g}" velocity="{TRACK_SPEED:g}" effort="0"/>',
+        "  </joint>",
+        '  <joint name="top" type="fixed">',
+        f'    <parent link="{links[1]}"/><child link="{links[2]}"/>',
+        f'    <origin xyz="0 0 {(ON_TRACK - BEAM) / 1000:g}"/>',
+        "  </joint>",
+        "</robot>",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def gantry_urdf() -> str:
+    """URDF of a generic gantry: a bridge that slides along x, on it a trolley that slides along y, and the place under it
+    where an arm's foot hangs."""
+    links = ("frame", "bridge", "trolley", "arm_place")
+    along, across, apart, height = (length / 1000 for length in (*GANTRY, BEAMS_APART, GANTRY_HEIGHT))
+    lines = [
+        '<?xml version="1.0"?>',
+        "<!-- A generic gantry over a floor of 3 by 2 m, from which an arm hangs. All of it is ASSUMED: no data sheet stands",
+        "     behind it (robots/draw_bodies.py). -->",
+        '<robot name="gantry_xy">',
+        *(line for link, own in zip(links, gantry_shapes(), strict=True) for line in link_lines(link, own)),
+    ]
+    for i, (name, at, axis, length) in enumerate(
+        (("x", f"0 {-apart:g} {height:g}", "1 0 0", along), ("y", f"0 {apart:g} 0", "0 1 0", across))
+    ):
+        lines += [
+            f'  <joint name="gantry_{name}" type="prismatic">',
+            f'    <parent link="{links[i]}"/><child link="{links[i + 1]}"/>',
+            f'    <origin xyz="{at}"/><axis xyz="{axis}"/>',
+            f'    <limit lower="0" upper="{length:g}" velocity="{GANTRY_SPEED:g}" effort="0"/>',
+            "  </joint>",
+        ]
+    lines += [
+        '  <joint name="hang" type="fixed">',
+        f'    <parent link="{links[2]}"/><child link="{links[3]}"/>',
+        f'    <origin xyz="0 0 {-HANGS / 1000:g}" rpy="{pi} 0 0"/>',
+        "  </joint>",
+        "</robot>",
+    ]
+    return "\n".join(lines) + "\n"
+
+
 def files() -> dict[str, str]:
     """Texts of all files that are written here, by file name."""
-    texts = {"iiwa.urdf": iiwa_urdf(), "irbp_a250.urdf": a250_urdf()}
+    texts = {"iiwa.urdf": iiwa_urdf(), "irbp_a250.urdf": a250_urdf(), "track_3m.urdf": track_urdf()}
+    texts["gantry_xy.urdf"] = gantry_urdf()
     for key in UR:
         texts |= {f"{key}.urdf": ur_urdf(key), f"{key}.yaml": ur_yaml(key)}
     for key in ABB:

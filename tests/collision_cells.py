@@ -66,7 +66,7 @@ def placed(cell: Cell, q: np.ndarray) -> dict[tuple[str, int], Placed]:
         T, all_of_them = np.eye(4), []
         for placement, axis, angle in zip(chain.placements, chain.axes, angles, strict=True):
             turn = np.eye(4)
-            turn[:3, :3] = Rotation.from_rotvec(angle * axis).as_matrix()
+            turn[:3, :3] = Rotation.from_rotvec(angle * axis[:3]).as_matrix()
             T = T @ placement @ turn
             all_of_them.append(T)
         return all_of_them

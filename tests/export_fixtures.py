@@ -235,6 +235,7 @@ def make_plan(
             ),
             layers=(beads + 1) // 2,
             notes=(),
+            splits=(),
         ),
         strategy="ladder",
         trajectory=trajectory,

@@ -54,6 +54,7 @@ def make_plan(
     limits = SimpleNamespace(
         q_min=np.radians([-180, -90, -230, -200, -115, -400, -np.inf]),
         q_max=np.radians([180, 110, 50, 200, 115, 400, np.inf]),
+        sliding=(),
     )
     flow = np.where(deposit, cat["speed"] * 0.3e-6, 0.0)
     ratio = np.abs(np.column_stack([np.cos(phase * (3 + j)) for j in range(7)]))
@@ -103,7 +104,7 @@ def make_plan(
     return Plan(
         problem=make_problem(name),
         cell=SimpleNamespace(joint_names=names, limits=limits, arm_robot=robot, holder_robot=table, spherical=True),
-        toolpath=SimpleNamespace(beads=make_beads(4 * layers), layers=layers, shape=SHAPE, notes=()),
+        toolpath=SimpleNamespace(beads=make_beads(4 * layers), layers=layers, shape=SHAPE, notes=(), splits=()),
         strategy="ladder",
         trajectory=trajectory,
         checks=checks,

@@ -24,7 +24,10 @@ from planner.resolve.strategies import STRATEGIES
 
 
 def test_public_names_are_what_they_say() -> None:
-    assert planner.__all__ == ["STRATEGIES", "Cell", "Plan", "Problem", "Toolpath", "load", "plots", "solve", "write"]
+    assert planner.__all__ == [
+        "STRATEGIES", "Cell", "OwnTerm", "PathSamples", "Plan", "Problem", "SamplePrice", "Toolpath", "check_term", "load", "plots",
+        "random_samples", "solve", "write",
+    ]  # fmt: skip
     assert set(planner.__all__) <= set(dir(planner))
     assert planner.solve is solve and solve.__module__ == "planner.planning.pipeline"
     assert {"as_published", "ladder", "sqp"} <= set(STRATEGIES)

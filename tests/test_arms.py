@@ -55,14 +55,14 @@ def turned(key: str) -> Chain:
     ideal = chain(key)
     placements, before = [], pin.exp6(rng.normal(size=6)).homogeneous
     axes = []
-    for place, axis in zip(ideal.placements, ideal.axes, strict=True):
+    for place, axis in zip(ideal.placements, ideal.axes[:, :3], strict=True):
         about = pin.exp6(np.concatenate([np.zeros(3), rng.uniform(-3, 3) * axis])).homogeneous  # zero elsewhere
         slide = pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal() * axis).homogeneous  # along the axis, and turned
         placements.append(before @ place @ about @ slide)
         axes.append(slide[:3, :3].T @ axis * rng.choice([-1.0, 1.0]))
         before = np.linalg.inv(slide)
     tip = before @ ideal.T_last_tip @ pin.exp6(rng.normal(size=6)).homogeneous
-    return Chain(ideal.names, np.array(placements), np.array(axes), tip)
+    return Chain(ideal.names, np.array(placements), np.hstack([axes, np.zeros((len(axes), 3))]), tip)
 
 
 @cache
@@ -163,7 +163,7 @@ def test_the_tip_points_out_of_the_flange() -> None:
     """The last axis and the tip's z are parallel, and the tip lies beyond the last joint."""
     for key in ARMS:
         joints = chain(key)
-        turned_axis = joints.T_last_tip[:3, :3].T @ joints.axes[-1]
+        turned_axis = joints.T_last_tip[:3, :3].T @ joints.axes[-1, :3]
         np.testing.assert_allclose(np.abs(turned_axis), [0, 0, 1], atol=1e-5, err_msg=key)
         assert joints.T_last_tip[:3, 3] @ joints.T_last_tip[:3, 2] >= 0.0, key
 
@@ -249,7 +249,7 @@ def test_compiled_entry_is_the_same(name: str) -> None:
     found, ok = inverse.solve(T, values)
     one, exists = np.zeros(found.shape[1:]), np.zeros(inverse.branch_count, dtype=np.bool_)
     for i in range(len(q)):
-        redundant = 0.0 if values is None else float(values[i])
+        redundant = np.zeros(1) if values is None else values[i : i + 1]
         solve_one(kind_of(inverse), inverse.parameters, redundant, T[i, :3, :3], T[i, :3, 3], one, exists)
         np.testing.assert_array_equal(exists, ok[i])
         np.testing.assert_allclose(one[exists], found[i, ok[i]], rtol=0, atol=1e-12)

@@ -15,15 +15,15 @@ from benchmarks.summary import results_of
 from planner.base.errors import EXIT_INPUT
 from planner.problem import load_problem
 from planner.resolve import price_kernels as price_kernel
-from planner.resolve import refine, search
+from planner.resolve import refine, search, terms
 from planner.resolve import search as search_kernel
 from planner.resolve import sqp as windows
 from planner.resolve.quadratic import QuadraticProgram
 
 ladder, sqp = (importlib.import_module(f"planner.resolve.{name}") for name in ("ladder", "sqp"))
 PLACES = (
-    (windows, "WINDOW"), (windows, "OVERLAP"), (sqp, "start_track"), (refine, "ANCHOR"), (refine, "PEAK"), (refine, "program_around"),
-    (refine, "price_of"), (price_kernel, "price_of"), (price_kernel, "lost"), (ladder, "full_grid"),
+    (windows, "WINDOW"), (windows, "OVERLAP"), (sqp, "start_track"), (terms, "ANCHOR"), (refine, "PEAK"), (refine, "program_around"),
+    (terms, "price_time_lost"), (price_kernel, "price_time_lost"), (price_kernel, "lost"), (ladder, "full_grid"),
     (search_kernel, "TRAVEL_PRICE"), (search_kernel, "travel_price"), (search, "search_best"),
 )  # fmt: skip
 

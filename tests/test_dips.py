@@ -311,7 +311,7 @@ def raised(cell: Cell, changes: tuple[tuple[str, float], ...]) -> Cell:
 
 
 # Limits many times the robot's let accelerations change by most of their limit within a step of the timing's grid.
-REACHED = {"speed": AT_SPEED, "limits": 0.88}
+REACHED = {"speed": AT_SPEED, "limits": 0.7}
 
 
 @pytest.mark.parametrize("kind", ["speed", "limits"])
@@ -342,7 +342,7 @@ def test_exact_remedies_avoid_the_dip_on_the_same_joint_path(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["corner_tolerance", "run_in"])
 def test_estimates_are_of_the_right_order(kind: str) -> None:
     """Solved anew with the estimate, the dip costs a third or less; with a tenth of the change it is still there."""
-    short = ["process.run_in_mm=1.5"] if kind == "run_in" else []
+    short = ["process.run_in_mm=1.0"] if kind == "run_in" else []
     plan = solve(load_problem(small_plan().problem.file, short))
     dip = max((dip for dip in plan.dips if kind in [each.kind for each in dip.remedies]), key=lambda dip: dip.lost)
     ((field, value),) = remedy(dip, kind).changes

@@ -169,7 +169,13 @@ def test_where_the_tip_stands_still_the_turning_has_its_real_rate(monkeypatch):
     rows["quat"] = (Rotation.from_quat(t.quat[0]) * Rotation.from_rotvec(turned[:, None] * [0, 0, 1.0])).as_quat()
     rows["axis"] = Rotation.from_quat(rows["quat"]).as_matrix()[:, :, 2]
     rows |= {"t": np.arange(n) * t.dt, "q": rows["q"] + turned[:, None] * [0, 0, 0, 0, 0, 1.0]}
-    parts = vars(plan.cell) | {"spherical": True}
+    parts = vars(plan.cell) | {
+        "spherical": True,
+        "own": plan.cell.own,
+        "besides": plan.cell.besides,
+        "rails": 0,
+        "given": (),
+    }
     cell = SimpleNamespace(**parts, T_part_nozzle=lambda q: _standing(t.tip[0], rows["axis"][0], len(q)))
     monkeypatch.setattr(writer, "notes_of", lambda *given: ())  # which play the program, for which there are no joints
     text = rapid(replace(plan, cell=cell, trajectory=Trajectory(dt=t.dt, **rows)))
@@ -582,7 +588,18 @@ def test_json_is_strict_and_complete():
 
     data = json.loads(plan_json(make_plan()), parse_constant=refuse)
     assert set(data) == {
-        *("problem", "strategy", "verified", "checks", "metrics", "cell", "timing_s", "versions", "baseline"),
+        *(
+            "problem",
+            "resolved_by",
+            "strategy",
+            "verified",
+            "checks",
+            "metrics",
+            "cell",
+            "timing_s",
+            "versions",
+            "baseline",
+        ),
         *("settings", "dips", "events", "notes", "first_bead"),
     }
     assert data["dips"] == data["events"] == data["notes"] == []

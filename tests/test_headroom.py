@@ -271,11 +271,12 @@ def test_what_first_order_calls_worst_is_worse_than_others_over_the_whole_tolera
     j = case.cell.joint_names.index(bounds[0].joint)
 
     def margins(each: Displacement) -> tuple[float, float]:
-        """Least room of the tightest joint, and least singular value, along all beads."""
+        """Least room of the tightest joint along all beads, and least singular value along the bead that is named for it."""
         elsewhere = displaced(case.cell, each.matrix(middle))
         paths = [followed(elsewhere, path) for path in case.paths]
         room = min(np.minimum(p.q - limits.q_min, limits.q_max - p.q)[:, j].min() for p in paths)
-        sigma = min(least_sigma(elsewhere, p.q[p.task.first : p.task.last + 1]).min() for p in paths)
+        named = paths[bounds[-1].bead]
+        sigma = least_sigma(elsewhere, named.q[named.task.first : named.task.last + 1]).min()
         return float(room), float(sigma)
 
     rng = np.random.default_rng(2)

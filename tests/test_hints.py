@@ -54,16 +54,8 @@ def vector_in(hint: str) -> Array:
     return np.array([float(x) for x in found[1].split(",")])
 
 
-@pytest.mark.slow
-def test_the_speed_that_is_named_has_a_path_and_a_higher_one_has_not(toolpath: Toolpath) -> None:
-    (hint,) = hints_of(toolpath, "process.speed_mm_s=400")
-    found = re.match(r"process.speed_mm_s: ([\d.]+) would do", hint)
-    assert found, hint
-    speed = float(found[1])
-    assert 40.0 < speed < 400.0
-    assert len(plan(toolpath, f"process.speed_mm_s={speed}")) == 1
-    with pytest.raises(Refusal):
-        plan(toolpath, f"process.speed_mm_s={1.15 * speed}")
+def test_a_speed_that_no_joint_can_hold_is_no_reason_to_refuse(toolpath: Toolpath) -> None:
+    assert len(plan(toolpath, "process.speed_mm_s=400")) == 1
 
 
 @pytest.mark.parametrize(

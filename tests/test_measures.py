@@ -55,7 +55,8 @@ def test_what_a_solved_plan_has_is_described() -> None:
     assert {check.name: check.unit for check in plan.checks} == {
         check.name: CHECKS[check.name].unit for check in plan.checks
     }
-    always = {name for name, each in METRICS.items() if not each.only} | {"wrist_margin_deg"}
+    always = {name for name, each in METRICS.items() if not each.only}
+    always |= {"wrist_margin_deg", "bound_any_path_s", "bound_gap_fraction"}
     assert set(plan.metrics) == always
     assert {check.name for check in plan.checks} >= {name for name, each in CHECKS.items() if not each.only}
 
@@ -83,7 +84,7 @@ def test_columns_are_those_of_the_table() -> None:
 def test_keys_of_plan_json() -> None:
     data = json.loads((ROOT / "tests" / "golden" / "plan.json").read_text(encoding="utf-8"))
     assert list(data) == [key for key in KEYS if key in data]
-    assert set(KEYS) - set(data) <= {"materials", "tolerance", "refusal"}
+    assert set(KEYS) - set(data) <= {"materials", "splits", "tolerance", "refusal"}
     dips = json.loads(plan_json(small_plan()))["dips"]
     assert [list(dip) for dip in dips] == [list(DIP_KEYS)] * len(dips)
     assert dips

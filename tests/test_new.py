@@ -79,8 +79,12 @@ def test_another_arm_has_a_place_and_a_posture_of_which_no_links_touch(
 
 
 def test_what_can_be_chosen() -> None:
-    assert shipped_robots(arms=False) == {"irbp_a250": "ABB IRBP A250"}
-    assert {*shipped_robots(arms=True), "irbp_a250"} == set(robot_names())
+    assert shipped_robots(arms=False) == {
+        "gantry_xy": "gantry of 3 by 2 m",
+        "irbp_a250": "ABB IRBP A250",
+        "track_3m": "linear track of 3 m",
+    }
+    assert {*shipped_robots(arms=True), "gantry_xy", "irbp_a250", "track_3m"} == set(robot_names())
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,8 @@ from planner.collision.scene import NOTHING
 from planner.problem import load_problem
 from planner.resolve.joint_path import JointPath
 from planner.resolve.ladder import ladder
-from planner.resolve.quadratic import QuadraticProgram, solve_qp
+from planner.resolve.quadratic import QuadraticProgram, Status, solve_qp
+from planner.resolve.reference import osqp as osqp_module
 from planner.resolve.reference.nlp import (
     EQUALITIES,
     MOST_SAMPLES,
@@ -40,9 +41,10 @@ from planner.resolve.reference.nlp import (
 )
 from planner.resolve.reference.osqp import solve_with_osqp
 from planner.resolve.refine import evaluate, expand, program_around, refine_stretch, watched
-from planner.resolve.segment import PathSegment, PathState, model_of
+from planner.resolve.segment import PathSegment, PathState
 from planner.resolve.sqp import SplinePath, given_prices, qp_solver, refine_paths, sigma_floor, start_track, whole
 from planner.resolve.strategies import STRATEGIES
+from planner.resolve.terms import model_of
 from planner.toolpath.task import Cones, NozzleTask
 
 Array = NDArray[np.float64]
@@ -218,7 +220,7 @@ def test_sqp_is_as_good_as_the_reference(cell: Cell, path: JointPath, cones: Con
     track, stretch, state, floor = started(cell, path, cones)
     found = solve_nlp(cell, track, floor)
     assert found.status == "Solve_Succeeded"
-    refined = refine_stretch(model_of(cell), stretch, state, floor)
+    refined = refine_stretch(model_of(cell), stretch, state)
     assert found.track.price < 0.999 * track.price
     assert refined.price < 1.02 * found.track.price
     # what came back is a path of that price, on the same branch
@@ -271,7 +273,7 @@ def random_program(seed: int) -> QuadraticProgram:
 @given(st.integers(0, 10_000))
 def test_our_solver_is_as_good_as_osqp(seed: int) -> None:
     qp = random_program(seed)
-    (own, _), (other, _) = solve_qp(qp), solve_with_osqp(qp)
+    own, other = solve_qp(qp).x, solve_with_osqp(qp).x
     assert (np.abs(own) <= qp.box).all()
     rest = qp.value(np.zeros(len(own)))
     descent = rest - min(qp.value(own), qp.value(other))
@@ -280,13 +282,23 @@ def test_our_solver_is_as_good_as_osqp(seed: int) -> None:
     assert qp.value(other) - qp.value(own) <= 1e-4 * descent + 1e-6
 
 
+def test_osqp_says_how_it_left_a_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    qp = random_program(7)
+    solution = solve_with_osqp(qp)
+    assert solution.status is Status.SOLVED
+    assert solution.gap < 1e-4 and solution.residual < 1e-3
+    monkeypatch.setattr(osqp_module, "_STEPS", 2)
+    assert solve_with_osqp(qp).status is Status.STOPPED
+    assert solve_with_osqp(replace(qp, g=qp.g * np.inf)).status is Status.FAILED
+
+
 def test_programs_of_a_bead_are_solved_alike(cell: Cell, path: JointPath) -> None:
-    _, stretch, state, floor = started(cell, path, Cones(tilt=0.2))
+    _, stretch, state, _ = started(cell, path, Cones(tilt=0.2))
     for trust in (0.3, 0.05, 0.005):
         model = model_of(cell)
         around, watch = expand(model, stretch, state), watched(model, stretch, state, trust)
-        qp = program_around(model, stretch, state, around, floor, trust, watch)
-        (own, _), (other, _) = solve_qp(qp), solve_with_osqp(qp)
+        qp = program_around(model, stretch, state, around, trust, watch)
+        own, other = solve_qp(qp).x, solve_with_osqp(qp).x
         rest = qp.value(np.zeros(len(own)))
         assert qp.value(own) - qp.value(other) <= 0.01 * (rest - qp.value(other))
 

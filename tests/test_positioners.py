@@ -23,7 +23,7 @@ from planner.plan import Plan
 from planner.problem import Problem, load_problem
 from planner.report.summary import print_summary
 from planner.resolve.ladder import ladder
-from planner.resolve.table_first import _lattice
+from planner.resolve.table_path import _angles
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import make_tasks
 from planner.verify.executed import executed_motion
@@ -267,7 +267,7 @@ def test_a_second_arm_need_not_start_where_it_can_work(folder: Path, monkeypatch
 def test_the_lattice_of_a_held_layer_keeps_off_the_ends_of_an_axis(folder: Path, axis: int) -> None:
     limits = "cell.limits={positioner_joint_1: {range_deg: [-1, 2]}}"
     cell = build_cell(problem_of(folder, CELLS["arm_all"], limits))
-    angles, turns = _lattice(cell, axis, np.radians(5.0))
+    angles, turns = _angles(cell, axis, np.radians(5.0))
     low, high = cell.limits.q_min[6 + axis], cell.limits.q_max[6 + axis]
     if turns:
         assert high - low >= 2 * np.pi

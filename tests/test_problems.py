@@ -75,6 +75,7 @@ SMALL = {
     "propeller_blade": ("layers.source.spacing_mm=30",),
     "shoehorn": ("layers.source.spacing_mm=20",),
     "cylinder_logo": ("layers.count=1",),
+    "ceiling_logo": ("layers.count=1",),
     "saddle_ring": ("layers.infill.density=0.1",),
     "naca0015_wing": WING,
     "naca0015_wing_tapered": (*WING, "layers.source.tip={chord_mm: 76, sweep_mm: 1.5}"),

@@ -18,7 +18,7 @@ from planner.base.errors import Refusal
 from planner.cell.cell import Cell, Limits, build_cell
 from planner.collision.scene import NOTHING
 from planner.problem import Problem, load_problem
-from planner.resolve.joint_path import JointPath, SampledTasks, choose_turns, sample_tasks, spread
+from planner.resolve.joint_path import MARGIN, JointPath, SampledTasks, choose_turns, sample_tasks, spread
 from planner.resolve.ladder import coarse_nodes
 from planner.resolve.nodes import RAMP_SHARE, Grid, Nodes, evaluate, full_grid
 from planner.resolve.prices import (
@@ -32,7 +32,7 @@ from planner.resolve.prices import (
     TURN_PRICE,
 )
 from planner.resolve.reach import LIMIT_ROOM
-from planner.resolve.search import SPEED_SHARE, Route, best_route, greedy_route
+from planner.resolve.search import JUMP, SPEED_SHARE, Route, best_route, greedy_route
 from planner.resolve.strategies import STRATEGIES
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
@@ -240,9 +240,10 @@ def test_steps_are_rounded_to_divide_the_circle(tasks: tuple[NozzleTask, ...]) -
 
 
 def slow_travel(qa: Array, qb: Array, turn: float, limits: Limits) -> float:
-    """Rest to rest with bang-bang acceleration; the slowest of the seven axes; joint 6 and the table turn freely."""
-    d = np.abs(np.append(qb - qa, turn))
-    d[5] = abs(np.remainder(d[5] + np.pi, TURN) - np.pi)
+    """Rest to rest with bang-bang acceleration; the slowest of the seven axes; those with room for a turn go the short way."""
+    d = qb - qa
+    wraps = (limits.q_max - limits.q_min)[: len(d)] > TURN
+    d = np.abs(np.append(np.where(wraps, np.remainder(d + np.pi, TURN) - np.pi, d), turn))
     v, a = limits.velocity, limits.acceleration
     times = [2 * np.sqrt(x / y) if x < w * w / y else x / w + w / y for x, w, y in zip(d, v, a, strict=True)]
     return TRAVEL_PRICE * max(times)
@@ -251,15 +252,16 @@ def slow_travel(qa: Array, qb: Array, turn: float, limits: Limits) -> float:
 def slow_edge(q0: Array, q1: Array, straight: Array, turn: float, time: float, limits: Limits) -> float:
     def difference(x: Array, y: Array) -> Array:
         d = x - y
-        d[5] = np.remainder(d[5] + np.pi, TURN) - np.pi
-        return d
+        wraps = (limits.q_max - limits.q_min)[: len(d)] > TURN
+        return np.where(wraps, np.remainder(d + np.pi, TURN) - np.pi, d)
 
-    steps = np.append(difference(q1.copy(), q0), turn)
-    if (np.abs(steps) > SPEED_SHARE * limits.velocity * time).any():
+    steps = np.abs(np.append(difference(q1.copy(), q0), turn))
+    if (steps[:-1] > JUMP).any():
         return np.inf
-    change = np.append(difference(q1.copy(), straight), turn)
-    need = float((np.abs(change) / (time**2 * limits.acceleration)).max())
-    return TURN_PRICE * time * need**2
+    need = float((steps / (SPEED_SHARE * limits.velocity)).max())
+    change = np.abs(np.append(difference(q1.copy(), straight), turn))
+    share = min(float((change / (SPEED_SHARE * limits.velocity)).max()) / time, 1.0)
+    return TURN_PRICE * time * share**2 + (1.0 + DIP_PRICE) * max(0.0, need - time)
 
 
 def edge_matrix(nodes: Nodes, demand: SampledTasks, r: int, limits: Limits) -> Array:
@@ -344,7 +346,7 @@ def tiny_ladder(rng: np.random.Generator, periodic: bool) -> tuple[Nodes, Sample
     step = TURN / max(B, 3) if periodic else 0.2
     branch = np.tile(rng.permutation(8)[:C], (R, 1)).astype(np.int64)
     grid = Grid(0.3, step, roll_from, holder_from, A, B, periodic, branch)
-    q = rng.uniform(0.0, rng.choice([0.5, 1.2]), (R, A, B, C, 6))
+    q = rng.uniform(0.0, rng.choice([0.5, 1.2, 3.0]), (R, A, B, C, 6))
     q[..., 5] += TURN * rng.integers(-1, 2, (R, A, B, C))
     price = rng.exponential(0.3, (R, A, B, C))
     price[rng.random((R, A, B, C)) < rng.choice([0.0, 0.3, 0.6])] = np.inf
@@ -355,7 +357,9 @@ def tiny_ladder(rng: np.random.Generator, periodic: bool) -> tuple[Nodes, Sample
     time[task_rungs[:-1]] = 0.0
     empty = np.zeros(0)
     index = np.arange(R)
-    demand = SampledTasks(empty, empty, empty, empty, empty, empty, index, empty, index, index + 1, time, task_rungs)
+    demand = SampledTasks(
+        empty, empty, empty, empty, empty, empty, empty, index, empty, index, index + 1, time, task_rungs
+    )
     v, a = rng.uniform(0.5, 1.2, 7), rng.uniform(2.0, 6.0, 7)
     v[6] = 4.0 if periodic else 0.5
     limits = Limits(np.full(7, -9.0), np.full(7, 9.0), v, a, 50 * a)
@@ -392,6 +396,49 @@ def test_search_against_brute_force(periodic: bool) -> None:
     assert dearer > 5
 
 
+def winds_within(along: Array, low: float, high: float) -> bool:
+    """Whether whole turns bring angles (r) that change by less than half a turn from rung to rung into a range."""
+    angles = np.unwrap(along)
+    turns = np.ceil((low - angles.min()) / TURN) * TURN
+    return bool(angles.max() + turns <= high)
+
+
+@pytest.mark.parametrize("counted", [(5,), (4, 5), (6,), (5, 6)])
+def test_counted_turns_against_brute_force(counted: tuple[int, ...]) -> None:
+    """Of all ways whose joints stay within their ranges along every bead, however they are turned, the cheapest one."""
+    rng = np.random.default_rng(sum(counted))
+    bound = refused = 0
+    for _ in range(80):
+        nodes, demand, limits = tiny_ladder(rng, periodic=True)
+        # joints that turn by up to 2 rad from rung to rung, in ranges of little more than a turn
+        q = nodes.q.copy()
+        q[..., [4, 5]] = rng.uniform(-np.pi, np.pi, (*q.shape[:-1], 2))
+        nodes = replace(nodes, q=q, joint=6)
+        half = np.full(7, 9.0)
+        half[[4, 5]], half[6] = 3.3, rng.uniform(0.5, 4.0)
+        limits = replace(limits, q_min=-half, q_max=half)
+        total, _ = brute_force(nodes, demand, limits)
+        for way in np.argwhere(np.isfinite(total)):
+            a, b, c = np.unravel_index(way, nodes.price.shape[1:])
+            r = np.arange(len(way))
+            angles = np.column_stack([nodes.q[r, a, b, c], (nodes.grid.holder_from + b) * nodes.grid.holder_step])
+            for k in range(len(demand.task_rungs) - 1):
+                own = angles[demand.rungs_of(k)].astype(float)
+                if not all(winds_within(own[:, j], -half[j] + MARGIN, half[j] - MARGIN) for j in counted):
+                    total[tuple(way)] = np.inf
+        free, _ = best_route(nodes, demand, limits)
+        route, _ = best_route(nodes, demand, limits, counted=counted)
+        if not np.isfinite(total.min()):
+            assert route is None
+            refused += free is not None
+            continue
+        assert route is not None
+        assert free is not None
+        assert route.price == pytest.approx(total.min(), rel=1e-6)
+        bound += route.price > free.price * (1 + 1e-6)
+    assert bound + refused > 3
+
+
 def test_search_prefers_a_short_travel() -> None:
     """Two beads of one rung each: the second one is started where the first one's joints are, price or no price."""
     q = np.zeros((2, 3, 1, 1, 6), dtype=np.float32)
@@ -402,7 +449,7 @@ def test_search_prefers_a_short_travel() -> None:
     grid = Grid(0.3, TURN, zero, zero, 3, 1, True, np.zeros((2, 1), dtype=np.int64))
     empty = np.zeros(0)
     demand = SampledTasks(
-        empty, empty, empty, empty, empty, empty, zero, empty, zero, zero + 1, np.zeros(2), np.array([0, 1, 2])
+        empty, empty, empty, empty, empty, empty, empty, zero, empty, zero, zero + 1, np.zeros(2), np.array([0, 1, 2])
     )
     limits = Limits(*(np.full(7, x) for x in (-9.0, 9.0, 1.0, 5.0, 250.0)))
     route, _ = best_route(Nodes(grid, q, price), demand, limits)

@@ -206,7 +206,11 @@ WRONG = {
     "no shape": ('<sphere radius="0.07"/>', "", "link arm", "needs one shape"),
     "unknown type": ('type="revolute"', 'type="revolut"', "joint turn", "did you mean revolute?"),
     "no type": (' type="revolute"', "", "joint turn", "unknown type ''"),
-    "prismatic": ('type="revolute"', 'type="prismatic"', "joint turn", "does not turn"),
+    "rail without limits": (
+        'type="revolute">\n    <parent link="base"/><child link="arm"/><origin xyz="0 0 0.3" rpy="0 0.4 0"/><axis xyz="0 0 2"/>\n'
+        f"    {TURN_LIMIT}", 'type="prismatic"><parent link="base"/><child link="arm"/>', "joint turn",
+        "give range_mm: {turn: [0, 3000]}",
+    ),
     "floating": ('type="revolute"', 'type="floating"', "joint turn", "is floating"),
     "planar": ('type="revolute"', 'type="planar"', "joint turn", "is planar"),
     "no limits": (TURN_LIMIT, "", "joint turn", "give range_deg: {turn: [-360, 360]}"),
@@ -293,7 +297,7 @@ def test_mistakes_beside_the_urdf(line: str, field: str, said: str, tmp_path: Pa
 
 
 def test_a_tip_that_nothing_turns(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no joint turns between the base and base"):
+    with pytest.raises(InputError, match="no joint moves between the base and base"):
         read_robot(write(tmp_path, yaml=YAML.replace("tip: tool", "tip: base") + RANGE))
 
 

@@ -4,18 +4,31 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
+from itertools import product
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from planner.base.arrays import Ints
 from planner.cell.cell import Cell, build_cell
+from planner.collision.scene import NOTHING, Obstacles
 from planner.problem import Problem, load_problem
 from planner.resolve.cone_kernels import FACETS
 from planner.resolve.joint_path import JointPath, postures
 from planner.resolve.ladder import ladder, runs_backwards
-from planner.resolve.price_kernels import allowed, lost, lost_slope, price_of, watch_missed_ends
+from planner.resolve.price_kernels import (
+    allowed,
+    lost,
+    lost_slope,
+    price_effort,
+    price_joint_limits,
+    price_singularity,
+    price_time_lost,
+    slack_of,
+    watch_missed_ends,
+)
 from planner.resolve.prices import (
     DIP,
     DIP_PRICE,
@@ -27,10 +40,21 @@ from planner.resolve.prices import (
     SIGMA_COMFORT,
     SIGMA_PRICE,
 )
+from planner.resolve.quadratic import QuadraticProgram, Solution, Status, solve_qp
 from planner.resolve.refine import calmed, evaluate, expand, program_around, refine_stretch, watched
-from planner.resolve.segment import CONE_SIDES, Model, PathSegment, PathState, Watch, model_of
-from planner.resolve.segment import TILT as TILT_COLUMNS
-from planner.resolve.sqp import Priced, SplinePath, Windowed, given_price, refine_paths, start_track, whole, windows
+from planner.resolve.segment import Model, PathSegment, PathState, Watch
+from planner.resolve.sqp import (
+    Priced,
+    SplinePath,
+    Windowed,
+    given_price,
+    judged,
+    refine_paths,
+    start_track,
+    whole,
+    windows,
+)
+from planner.resolve.terms import model_of
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import NozzleTask, cones_of, make_tasks, tasks_of
@@ -45,34 +69,31 @@ MODULE = sys.modules["planner.resolve.sqp"]  # the package's attribute of that n
 
 def test_price_against_plain_numpy() -> None:
     rng = np.random.default_rng(1)
-    for n, nj, na, nb, fast, peak in (
-        (40, 7, 6, 0, 1, np.inf),
-        (30, 6, 6, 2, 1, np.inf),
-        (25, 9, 7, 1, 1, 60.0),
-        (25, 7, 6, 0, 0.02, 0.5),
-    ):
+    for n, nj, na, fast, peak in ((40, 7, 6, 1, np.inf), (25, 9, 7, 1, 60.0), (25, 7, 6, 0.02, 0.5)):
         limits = rng.uniform(1.0, 50.0, (3, nj))
         rates = rng.normal(size=(n, 3, nj)) * limits * fast * rng.choice([0.3, 1.0, 3.0], (n, 1, 1))
         step, deposits = rng.uniform(0.0, 0.02, n), (rng.random(n) < 0.7).astype(float)
         q, low, high = rng.uniform(-2.1, 2.1, (n, nj)), np.full(na, -2.0), np.full(na, 2.0)
         sigma, least = rng.uniform(0.04, 0.4, n), 0.06
-        bounds, slack = rng.normal(size=(n, nb)) * 0.02, np.empty(n)
-        price = price_of(rates, limits, step, deposits, q, low, high, sigma, least, bounds, peak, slack)
+        slack, soft = np.empty(n), 0.3
+        slack_of(rates, limits, slack)
         share = np.abs(rates) / limits
         need = np.maximum((share ** (1.0 / np.array([1, 2, 3])[:, None])).max(axis=(1, 2)) - 1.0, 0.0)
         np.testing.assert_allclose(slack, need, rtol=0, atol=1e-12)
         room = np.minimum(q[:, :na] - low, high - q[:, :na])
         effort = (share**2 / (1 + share**2)).sum(axis=2) @ np.broadcast_to(EFFORT, 3) / nj
         effort += PEAK_PRICE * ((np.abs(rates[:, 0]) / peak) ** 8).mean(axis=1)
-        close = SIGMA_PRICE * np.maximum(SIGMA_COMFORT / sigma - 1, 0) ** 2
-        close += LIMIT_PRICE * (np.maximum(1 - room / LIMIT_COMFORT, 0) ** 2).sum(axis=1)
-        hard = (
-            deposits * np.maximum(least - sigma, 0)
-            + np.maximum(-room, 0).sum(axis=1)
-            + np.maximum(bounds, 0).sum(axis=1)
-        )
         late = deposits * (need + DIP_PRICE * need / (need + DIP))
-        assert price == pytest.approx(float(step @ (late + effort + close + HARD_PRICE * hard)), rel=1e-9)
+        close = soft * SIGMA_PRICE * np.maximum(SIGMA_COMFORT / sigma - 1, 0) ** 2
+        close += HARD_PRICE * deposits * np.maximum(least - sigma, 0)
+        near = soft * LIMIT_PRICE * np.maximum(1 - room / LIMIT_COMFORT, 0) ** 2 + HARD_PRICE * np.maximum(-room, 0)
+        for price, plain in (
+            (price_time_lost(step, deposits, slack), late),
+            (price_effort(rates, limits, step, peak), effort),
+            (price_singularity(soft, step, deposits, sigma, least), close),
+            (price_joint_limits(soft, step, q, low, high), near.sum(axis=1)),
+        ):
+            assert price == pytest.approx(float(step @ plain), rel=1e-9)
 
 
 def test_what_the_program_says_of_slack_is_never_too_little() -> None:
@@ -146,7 +167,6 @@ def everything(state: PathState) -> Watch:
     return Watch(
         np.ones((*state.rates.shape, 2), dtype=np.bool_),
         np.ones((*state.lean.shape[:2], FACETS.size), dtype=np.bool_),
-        np.ones((len(state.c), CONE_SIDES), dtype=np.bool_),
         np.ones((len(state.q), 6), dtype=np.bool_),
     )
 
@@ -159,7 +179,7 @@ def test_rows_of_the_program_are_derivatives_of_the_rates(name: str, setup_of: C
     state = perturbed(model, stretch, state, floor, 0.02, 1)
     stretch = replace(stretch, free=(np.arange(len(state.c)) % 5 != 2).astype(float))
     watch = everything(state)
-    qp = program_around(model, stretch, state, expand(model, stretch, state), floor, 0.1, watch)
+    qp = program_around(model, stretch, state, expand(model, stretch, state), 0.1, watch)
     np.testing.assert_array_equal(qp.box, 0.1)
     nj = state.rates.shape[2]
     rng = np.random.default_rng(2)
@@ -205,7 +225,7 @@ def test_program_is_the_price_to_first_order_and_not_below(
         model, _, stretch, state = start(cell, path, floor, 5e-3)  # round bends half of that
         state = perturbed(model, stretch, state, floor, 0.03, 3)
         watch = everything(state)
-        qp = program_around(model, stretch, state, expand(model, stretch, state), floor, 0.1, watch)
+        qp = program_around(model, stretch, state, expand(model, stretch, state), 0.1, watch)
         typical, now = float(stretch.step.mean()), qp.value(np.zeros(len(qp.g)))
         rng = np.random.default_rng(4)
         k = np.arange(len(state.c))[:, None]
@@ -233,7 +253,7 @@ def test_peaks_are_in_the_program_to_second_order(setup_of: Callable[[str], Setu
     priced = evaluate(model, dear, state.c, state.q, 0.1)
     assert priced is not None
     with_them, without = (
-        program_around(model, s, priced, expand(model, s, priced), 0.1, 0.1, everything(state)) for s in (dear, stretch)
+        program_around(model, s, priced, expand(model, s, priced), 0.1, everything(state)) for s in (dear, stretch)
     )
 
     def peaks(rates: Array) -> float:
@@ -260,9 +280,9 @@ def test_peaks_of_the_joints_speed_are_lower_where_nothing_is_lost() -> None:
     (path,) = ladder(cell, tasks_of(problem, build_toolpath(problem)), problem.resolve)
     model, _, stretch, state = start(cell, path, 0.05)
     assert not state.slack[stretch.deposits > 0.0].any()
-    dear, given = calmed(stretch, state)
+    dear, given = calmed(model, stretch, state)
     assert given.price > state.price
-    plain, calm = refine_stretch(model, stretch, state, 0.05), refine_stretch(model, dear, given, 0.05)
+    plain, calm = refine_stretch(model, stretch, state), refine_stretch(model, dear, given)
     assert calm.price < given.price
     assert np.abs(calm.rates[:, 0]).max() < 0.99 * np.abs(plain.rates[:, 0]).max()
     assert not calm.slack[stretch.deposits > 0.0].any()
@@ -270,30 +290,11 @@ def test_peaks_of_the_joints_speed_are_lower_where_nothing_is_lost() -> None:
 
 def test_lost_time_is_dearer_than_peaks(setup_of: Callable[[str], Setup]) -> None:
     cell, _, paths = setup_of("fast")
-    _, _, stretch, state = start(cell, paths[0], 0.1)
+    model, _, stretch, state = start(cell, paths[0], 0.1)
     assert state.slack[stretch.deposits > 0.0].any()
-    same, given = calmed(stretch, state)
+    same, given = calmed(model, stretch, state)
     assert same is stretch
     assert given is state
-
-
-def test_sides_of_the_tilts_polygon_join_where_a_step_goes_beyond_them(setup_of: Callable[[str], Setup]) -> None:
-    cell, _, paths = setup_of("fast, tilt")
-    model, _, stretch, state = start(cell, paths[0], 0.1)
-    cone = stretch.cones.tilt
-    columns = np.searchsorted(model.active(stretch.cones), TILT_COLUMNS)
-    watch = watched(model, stretch, state, 0.1)
-    assert not watch.sides.any()  # at rest in the middle
-    assert watch.add_sides(model, stretch, state, np.zeros(state.c.size)) == 0
-    x = np.zeros(state.c.shape)
-    x[3, columns] = 0.99 * cone * np.array([np.cos(0.1), np.sin(0.1)])  # beyond one side, inside the circle
-    x[5, columns] = 2.0 * cone, 0.0
-    state = replace(state, c=np.where(np.isin(np.arange(x.shape[1]), columns), 0.0, state.c))
-    held = replace(stretch, free=(np.arange(len(x)) != 5).astype(float))
-    assert watch.add_sides(model, held, state, x.ravel()) == 1
-    np.testing.assert_array_equal(np.argwhere(watch.sides), [[3, 0]])
-    assert watch.add_sides(model, stretch, state, x.ravel()) == 5  # within 60 degrees to both sides
-    assert watched(model, stretch, replace(state, c=0.8 * x), 0.1).sides[3].tolist() == [True, True, *[False] * 10]
 
 
 def test_ends_of_ranges_join_where_a_step_goes_beyond_them(setup_of: Callable[[str], Setup]) -> None:
@@ -320,7 +321,7 @@ def test_ends_of_ranges_join_where_a_step_goes_beyond_them(setup_of: Callable[[s
     assert watch_missed_ends(state.q, farther, *ranges) == 0
     assert watch_missed_ends(state.q, beyond, *ranges) == over.sum() > 0
     np.testing.assert_array_equal(watch.ends[:, 1], over)
-    qp = program_around(narrow, stretch, state, expand(narrow, stretch, state), 0.1, 0.1, watch)
+    qp = program_around(narrow, stretch, state, expand(narrow, stretch, state), 0.1, watch)
     moved = np.random.default_rng(8).normal(size=state.c.shape)
     by = np.einsum("nm,nb,nbm->n", state.G[:, 1], stretch.B[:, 0], moved[stretch.first[:, None] + np.arange(6)])
     rows = np.flatnonzero(np.isclose(qp.b[:, None], room[over, 1]).any(axis=1))
@@ -330,19 +331,21 @@ def test_ends_of_ranges_join_where_a_step_goes_beyond_them(setup_of: Callable[[s
     assert all(np.isclose(seen, -value, rtol=1e-9, atol=1e-12).any() for value in by[over])  # towards the lower end
 
 
-def test_tilt_stays_in_its_cone_though_few_sides_are_watched(setup_of: Callable[[str], Setup]) -> None:
+def test_tilt_stays_in_its_cone_though_few_facets_are_watched(setup_of: Callable[[str], Setup]) -> None:
     cell, _, paths = setup_of("fast, tilt")
     shares = []
     for path in paths[:3]:
         model, _, stretch, state = start(cell, path, 0.1)
-        done = refine_stretch(model, stretch, state, 0.1)
+        done = refine_stretch(model, stretch, state)
         assert done.price < state.price
-        most = np.hypot(*done.tilt.T).max()
+        most = np.hypot(*done.lean[:, -1].T).max()
         assert most <= stretch.cones.tilt
         narrow = replace(stretch, cones=replace(stretch.cones, tilt=0.4 * most))
-        shares.append(np.hypot(*refine_stretch(model, narrow, state, 0.1).tilt.T).max() / narrow.cones.tilt)
+        begin = evaluate(model, narrow, state.c, state.q, 0.1)
+        assert begin is not None
+        shares.append(np.hypot(*refine_stretch(model, narrow, begin).lean[:, -1].T).max() / narrow.cones.tilt)
     assert max(shares) <= 1.0
-    assert min(shares) > 0.9  # it would have leaned farther
+    assert min(shares) > 0.8  # it would have leaned farther
 
 
 # --- refining ---------------------------------------------------------------------------------------------------
@@ -357,7 +360,7 @@ def test_refining_never_raises_the_price(name: str, setup_of: Callable[[str], Se
         model, _, stretch, state = start(cell, path, floor)
         for size, seed in ((0.0, 0), (0.05, 1)):
             given = perturbed(model, stretch, state, floor, size, seed)
-            out = refine_stretch(model, stretch, given, floor)
+            out = refine_stretch(model, stretch, given)
             assert out.price <= given.price
             gained += out.price < 0.8 * given.price
             again = evaluate(model, stretch, out.c, out.q, floor)
@@ -371,21 +374,47 @@ def test_a_useless_solver_changes_nothing(setup_of: Callable[[str], Setup]) -> N
     model, _, stretch, state = start(cell, paths[0], 0.1)
     rng = np.random.default_rng(1)
     for answer in (
-        lambda qp: (np.full(len(qp.g), np.nan), 0),
-        lambda qp: (np.zeros(len(qp.g)), 0),
-        lambda qp: (rng.uniform(-1, 1, len(qp.g)) * qp.box, 0),
-        lambda qp: (qp.box * 20.0, 0),
+        lambda qp: np.full(len(qp.g), np.nan),
+        lambda qp: np.zeros(len(qp.g)),
+        lambda qp: rng.uniform(-1, 1, len(qp.g)) * qp.box,
+        lambda qp: qp.box * 20.0,
     ):
-        out = refine_stretch(model, stretch, state, 0.1, answer)
+        out = refine_stretch(model, stretch, state, lambda qp, answer=answer: Solution(answer(qp), 0))
         assert out.price <= state.price
         assert np.isfinite(out.q).all()
+
+
+def test_programs_that_are_not_solved_are_tried_in_a_smaller_region(setup_of: Callable[[str], Setup]) -> None:
+    cell, _, paths = setup_of("fast")
+    model, _, stretch, state = start(cell, paths[0], 0.1)
+    boxes: list[float] = []
+
+    def fails_at_first(qp: QuadraticProgram) -> Solution:
+        boxes.append(float(qp.box[0]))
+        good = solve_qp(qp)
+        return replace(good, x=0.5 * good.x, status=Status.STOPPED, gap=1e3) if len(boxes) < 3 else good
+
+    def never(qp: QuadraticProgram) -> Solution:
+        boxes.append(float(qp.box[0]))
+        return replace(solve_qp(qp), status=Status.FAILED)
+
+    def near(qp: QuadraticProgram) -> Solution:
+        return replace(solve_qp(qp, 1e-5), status=Status.STOPPED)
+
+    out = refine_stretch(model, stretch, state, fails_at_first)
+    assert out.price < 0.9 * state.price
+    np.testing.assert_allclose(boxes[:3], 0.15 * 0.3 ** np.arange(3))
+    boxes.clear()
+    assert refine_stretch(model, stretch, state, never) is state
+    assert len(boxes) < 6
+    assert refine_stretch(model, stretch, state, near).price == pytest.approx(out.price, rel=0.05)
 
 
 def lean(cell: Cell, path: JointPath, rows: slice = slice(None)) -> tuple[float, float]:
     """Largest angles between nozzle axis and gravity, and between surface normal and the vertical [rad]."""
     na, q = len(cell.arm), path.q[rows]
     axis = -cell.arm.poses(q[:, :na])[:, 2, 2]
-    normal = -(cell.holder.poses(q[:, na:])[:, :3, :3] @ path.task.frames[rows, :, 2, None])[:, 2, 0]
+    normal = (cell.holder.poses(q[:, na:])[:, :3, :3] @ path.task.normals[rows, :, None])[:, 2, 0]
     return float(np.arccos(np.clip(axis, -1, 1)).max()), float(np.arccos(np.clip(normal, -1, 1)).max())
 
 
@@ -406,6 +435,8 @@ def test_refined_paths_cost_less_and_keep_every_bound(name: str, setup_of: Calla
         tilt = 2.0 * np.arcsin(0.5 * np.linalg.norm(T[:, :3, 2] - task.frames[:, :, 2], axis=1))
         assert tilt.max() <= task.cones.tilt + 1e-9
         np.testing.assert_allclose(tilt, np.hypot(*path.tilt.T), rtol=0, atol=1e-9)
+        judged = np.arccos(np.clip(-(T[:, :3, 2] * task.normals).sum(axis=1), -1.0, 1.0))[task.first : task.last + 1]
+        assert judged.max() <= task.cones.tilt + 1e-7
         sigma = np.linalg.svd(cell.arm.jacobians(path.q[:, : len(cell.arm)]), compute_uv=False)[:, -1]
         assert sigma.min() > min(max(worst, least), given[1]) - 1e-9
         assert (path.q > cell.limits.q_min).all()
@@ -422,9 +453,13 @@ def test_no_path_comes_back_that_leans_too_far_from_the_vertical(
     cell, _, paths = setup_of("two axes, gravity")
     path = paths[0]
     model, cones = model_of(cell), path.task.cones
-    nozzle, layer = lean(cell, path, slice(path.task.first, path.task.last + 1))
+    laid = slice(path.task.first, path.task.last + 1)
+    nozzle, layer = lean(cell, path, laid)
     known = given_price(model, path, 0.1)
-    assert known.beyond == pytest.approx(max(nozzle - cones.nozzle_gravity, layer - cones.layer_gravity), abs=1e-6)
+    T = cell.T_part_nozzle(path.q[laid])
+    tilt = np.arccos(-(T[:, :3, 2] * path.task.normals[laid]).sum(axis=1)).max()
+    over = nozzle - cones.nozzle_gravity, layer - cones.layer_gravity, tilt - cones.tilt
+    assert known.beyond == pytest.approx(max(over), abs=1e-6)
     _, track, _, _ = start(cell, path, 0.1)
     for beyond, given, kept in ((-1e-3, -2e-3, True), (1e-4, -1e-3, False), (1e-4, 1e-3, True)):
         monkeypatch.setattr(MODULE, "given_price", lambda *_, beyond=beyond: Priced(0.0, 1.0, beyond))
@@ -442,7 +477,11 @@ def test_no_path_comes_back_that_leaves_a_range_or_its_cone(
     cell = replace(cell, limits=replace(cell.limits, q_min=cell.limits.q_min.copy(), q_max=cell.limits.q_max.copy()))
     cell.limits.q_min[6], cell.limits.q_max[6] = paths[0].q[:, 6].min() - 0.1, paths[0].q[:, 6].max() + 0.1
     monkeypatch.setattr(MODULE, "_refine_window", lambda *_: None)
-    monkeypatch.setattr(MODULE, "given_price", lambda model, path, least: Priced(-float(np.ptp(path.roll)), 1.0, -1.0))
+
+    def priced(model: Model, path: JointPath, least: float) -> Priced:
+        return Priced(-float(np.ptp(path.roll)), 1.0, float(np.hypot(*path.tilt.T).max() - path.task.cones.tilt))
+
+    monkeypatch.setattr(MODULE, "given_price", priced)
     for column, by in ((3, 0.2), (1, 0.4), (3, 0.05), (1, 0.3)):
 
         def shifted(*given: object, column: int = column, by: float = by) -> SplinePath:
@@ -466,7 +505,7 @@ def test_layers_start_from_the_one_below_either_way_round(setup_of: Callable[[st
     for lower in paths[:3]:
         upper = next(p for p in paths[3:] if p.task.name == lower.task.name)
         _, track, stretch, state = start(cell, lower, floor)
-        done = refine_stretch(model, stretch, state, floor)
+        done = refine_stretch(model, stretch, state)
         below = replace(track, c=done.c, q=done.q)
         alone = start_track(model, 2.5e-3, floor, upper, None)
         if below.c.shape != alone.c.shape:
@@ -489,15 +528,18 @@ def test_layers_start_from_the_one_below_either_way_round(setup_of: Callable[[st
 
 
 def test_windows_cover_everything_and_stay_apart() -> None:
-    for controls in (2, 7, 160, 200, 201, 240, 241, 280, 281, 999, 1000, 2003):
-        edges = windows(controls)
+    for controls, short in product(
+        (2, 7, 23, 30, 42, 160, 200, 201, 240, 241, 280, 281, 999, 1000, 2003), (False, True)
+    ):
+        edges = windows(controls, short=short)
         assert (edges[0][0], edges[-1][1]) == (0, controls)
         for (a0, a1), (b0, b1) in zip(edges[:-1], edges[1:], strict=True):
             assert a0 < b0 < a1 < b1  # neighbours overlap
         for colour in (edges[::2], edges[1::2]):
             for (_, a1), (b0, _) in zip(colour[:-1], colour[1:], strict=True):
                 assert b0 - a1 > 2 * 6  # more than the B-splines of both sides reach
-        assert max(b - a for a, b in edges) <= WINDOWS.WINDOW + WINDOWS.OVERLAP
+        most = WINDOWS.SHORT_WINDOW + WINDOWS.SHORT_OVERLAP if short else WINDOWS.WINDOW + WINDOWS.OVERLAP
+        assert max(b - a for a, b in edges) <= most
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -576,6 +618,64 @@ def test_a_window_sees_the_rates_of_the_whole_path(
         bead = Windowed(track)
         bead.done(0, piece)
         assert bead.after().c.shape == track.c.shape
+
+
+class Unseen(Obstacles):
+    """Something that the refinement does not look at, in the way of all postures but the given ones in a part of a bead."""
+
+    @property
+    def any(self) -> bool:
+        return False
+
+    @classmethod
+    def beside(cls, path: JointPath, share: tuple[float, float]) -> Unseen:
+        made = cls(**{field.name: getattr(NOTHING, field.name) for field in fields(NOTHING)})
+        n = len(path.task)
+        object.__setattr__(made, "kept", (path, slice(int(share[0] * n), int(share[1] * n))))
+        return made
+
+    def margins(self, q: Array, now: Array, enough: float, more: float = 0.0) -> tuple[Array, Ints]:
+        path, part = self.kept  # type: ignore[attr-defined]
+        at = np.round(np.interp(now, path.task.moments, np.arange(len(path.task)))).astype(int)
+        near = (at >= part.start) & (at < part.stop)
+        away = np.abs(q - path.q[at]).max(axis=1)
+        return np.where(near & (away > 0.02), -0.01, enough), np.full(len(q), -1)
+
+
+def test_where_one_place_is_not_clear_the_rest_is_refined(setup_of: Callable[[str], Setup]) -> None:
+    cell, problem, paths = setup_of("fast, tilt")
+    settings = problem.resolve.model_copy(update={"knot": 1e-3})
+    path = max(paths, key=lambda path: len(path.task))
+    unseen = Unseen.beside(path, (0.45, 0.55))
+    free, held = (refine_paths(cell, [path], settings, way)[0] for way in (NOTHING, unseen))
+    assert unseen.margins(free.q, path.task.moments, 1.0)[0].min() < 0.0
+    assert unseen.margins(held.q, path.task.moments, 1.0)[0].min() > 0.0
+    saved = [priced(cell, (path,)) - priced(cell, (out,)) for out in (free, held)]
+    assert saved[1] > 0.3 * saved[0] > 0.0
+    everywhere = Unseen.beside(path, (0.0, 1.0))
+    (same,) = refine_paths(cell, [path], settings, everywhere)
+    assert everywhere.margins(same.q, path.task.moments, 1.0)[0].min() > 0.0
+
+
+def test_a_start_outside_its_cone_is_repaired(setup_of: Callable[[str], Setup]) -> None:
+    """Also at a price that is higher: by how little the start is beyond the cone does not matter."""
+    cell, problem, paths = setup_of("fast, tilt")
+    floor = 0.1
+    wide = refine_paths(cell, paths[:1], problem.resolve)[0]
+    leans = np.hypot(*wide.tilt.T)
+    for share in (0.98, 0.6):
+        task = replace(wide.task, cones=replace(wide.task.cones, tilt=share * float(leans.max())))
+        given = replace(wide, task=task)
+        before = given_price(model_of(cell), given, floor)
+        assert before.beyond > 1e-3
+        (out,) = refine_paths(cell, [given], problem.resolve)
+        assert given_price(model_of(cell), out, floor).beyond <= 0.0
+    # as if the start had cost next to nothing
+    model = model_of(cell)
+    track = start_track(model, 2.5e-3, floor, out, None)
+    cheap = Priced(1e-6, before.sigma, before.beyond)
+    assert judged(cell, given, cheap, track, floor, model)[0] is not given
+    assert judged(cell, given, cheap._replace(beyond=0.0), track, floor, model)[0] is given
 
 
 def test_threads_do_not_matter(setup_of: Callable[[str], Setup], monkeypatch: pytest.MonkeyPatch) -> None:

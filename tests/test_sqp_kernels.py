@@ -18,10 +18,11 @@ from planner.cell.cell import Cell, build_cell
 from planner.problem import load_problem
 from planner.resolve.follow import PosturesFollowed, follow
 from planner.resolve.price_kernels import foreseen
-from planner.resolve.quadratic import ACCURACY, QuadraticProgram, factorise, solve_qp, substitute
-from planner.resolve.segment import HOLDER, model_of
+from planner.resolve.quadratic import ACCURACY, QuadraticProgram, Status, factorise, solve_qp, substitute
+from planner.resolve.segment import HOLDER
 from planner.resolve.splines import Clock, basis_over, clock_of
 from planner.resolve.sqp import fit
+from planner.resolve.terms import model_of
 
 Array = NDArray[np.float64]
 
@@ -176,15 +177,17 @@ class Followed:
     lean_slope: Array
 
 
-def run_follow(cell: Cell, tip: Array, frames: Array, z: Array, q_near: Array) -> Followed:
+def run_follow(
+    cell: Cell, tip: Array, frames: Array, z: Array, q_near: Array, normals: Array | None = None
+) -> Followed:
     model = model_of(cell)
     n, m = len(tip), z.shape[1]
     nan = np.nan
     out = Followed(
         -2, q_near.copy(), np.full((n, q_near.shape[1], m), nan), np.full(n, nan), np.full((n, m), nan),
-        np.full((n, 2, 2), nan), np.full((n, 2, 2, m), nan),
+        np.full((n, 3, 2), nan), np.full((n, 3, 2, m), nan),
     )  # fmt: skip
-    task = [np.ascontiguousarray(each) for each in (tip, frames)]
+    task = [np.array(each) for each in (tip, frames, -frames[:, :, 2] if normals is None else normals)]
     for each in task:
         each.setflags(write=False)  # as a task's are: `follow` need not be compiled twice
     out.lost = follow(
@@ -240,16 +243,22 @@ def test_slopes_are_finite_differences(any_cell: Cell) -> None:
     na = len(any_cell.arm)
     tip, frames, z, q = made_up_tasks(any_cell, np.random.default_rng(4), 60)
     h = 1e-5
+    noise = 0.2 * np.random.default_rng(5).normal(size=tip.shape)
+    normals = noise - frames[:, :, 2]
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
     for i in range(len(q)):
         one = slice(i, i + 1)
-        out = run_follow(any_cell, tip[one], frames[one], z[one], q[one])
+        out = run_follow(any_cell, tip[one], frames[one], z[one], q[one], normals[one])
         assert out.lost == -1
+        axis = any_cell.T_part_nozzle(out.q)[0, :3, 2]
+        assert np.hypot(*out.lean[0, 2]) == pytest.approx(np.arccos(np.clip(-axis @ normals[i], -1.0, 1.0)), abs=1e-7)
         singular = np.linalg.svd(any_cell.arm.jacobians(out.q[:, :na])[0], compute_uv=False)
         clear = singular[-2] > 1.15 * singular[-1]  # else the two smallest are about to change places
         assert out.sigma[0] == pytest.approx(singular[-1], rel=1e-9 if clear else 1e-2)
         T_world_nozzle = any_cell.arm.poses(out.q[:, :na])[0]
         T_world_part = any_cell.holder.poses(out.q[:, na:])[0]
-        for lean, d in zip(out.lean[0], (-T_world_nozzle[:3, 2], -T_world_part[:3, :3] @ frames[i, :, 2]), strict=True):
+        directions = -T_world_nozzle[:3, 2], T_world_part[:3, :3] @ normals[i]
+        for lean, d in zip(out.lean[0, :2], directions, strict=True):
             level = np.hypot(d[0], d[1])
             np.testing.assert_allclose(lean, np.arctan2(level, d[2]) * d[:2] / level, rtol=0, atol=1e-10)
         for m in range(z.shape[1]):
@@ -257,13 +266,13 @@ def test_slopes_are_finite_differences(any_cell: Cell) -> None:
             for sign in (1.0, -1.0):
                 moved = z[one].copy()
                 moved[0, m] += sign * h
-                side = run_follow(any_cell, tip[one], frames[one], moved, out.q)
+                side = run_follow(any_cell, tip[one], frames[one], moved, out.q, normals[one])
                 assert side.lost == -1
                 sides.append(side)
             plus, minus = sides
             scale = 1.0 + np.abs(out.G[0, :, m]).max()
             np.testing.assert_allclose((plus.q - minus.q)[0] / (2 * h), out.G[0, :, m], rtol=0, atol=1e-5 * scale**3)
-            for k in range(2):
+            for k in range(3):
                 if np.hypot(*out.lean[0, k]) < 3.0:  # upside down all directions meet
                     slope = (plus.lean - minus.lean)[0, k] / (2 * h)
                     np.testing.assert_allclose(slope, out.lean_slope[0, k, :, m], rtol=0, atol=1e-5)
@@ -432,7 +441,9 @@ def check_solution(qp: QuadraticProgram) -> None:
     at_zero, least = qp.value(np.zeros(len(qp.g))), clarabels_value(qp)
     room = at_zero + float(np.abs(qp.g * qp.box).sum())  # what there is to gain at all
     for accuracy in (1e-4, ACCURACY):
-        x, steps = solve_qp(qp, accuracy)
+        solution = solve_qp(qp, accuracy)
+        x, steps = solution.x, solution.steps
+        assert solution.status is Status.SOLVED
         assert np.isfinite(x).all()
         assert (np.abs(x) <= qp.box).all()
         assert steps < 60
@@ -442,6 +453,8 @@ def check_solution(qp: QuadraticProgram) -> None:
         assert mine - least < 10.0 * accuracy * (at_zero - least) + 1e-7 * room
         assert mine - least < 2.0 * accuracy * room  # complementarity and residual
         assert mine - least > -1e-5 * room
+        assert max(solution.gap, solution.residual) <= accuracy * room * (1.0 + 1e-9)
+        assert mine - least <= solution.gap + 2.0 * solution.residual + 1e-6 * room  # so far off it says that it may be
 
 
 @pytest.mark.slow
@@ -467,7 +480,7 @@ def test_dear_and_distant_bounds_do_not_blunt_the_solution() -> None:
     qp = QuadraticProgram(
         H, g, np.full(n, 0.15), np.ones((r, 1)), np.full(r, 0.2), rows, np.arange(r + 1), np.full(r, 1e3)
     )
-    x, _ = solve_qp(qp)
+    x = solve_qp(qp).x
     np.testing.assert_allclose(qp.value(x), -0.5 * n * 1e-6, rtol=1e-2)
 
 
@@ -491,17 +504,20 @@ def test_degenerate_programs() -> None:
     check_solution(replace(qp, b=np.zeros_like(qp.b)))
     check_solution(replace(qp, b=np.full_like(qp.b, -30.0)))  # not to be met by any x in the box
     flat = replace(qp, H=np.zeros_like(qp.H), g=np.zeros_like(qp.g), b=np.abs(qp.b))
-    x, steps = solve_qp(flat)  # 0 is as good as any
-    assert (steps, np.abs(x).max()) == (0, 0.0)
+    still = solve_qp(flat)  # 0 is as good as any
+    assert (still.steps, still.status, np.abs(still.x).max()) == (0, Status.SOLVED, 0.0)
     bent = qp.H.copy()
     bent[:, 0] = -5.0  # not convex: anything finite that is no worse than standing still
-    x, _ = solve_qp(replace(qp, H=bent))
+    left = solve_qp(replace(qp, H=bent))
+    x = left.x
+    assert left.status is Status.STOPPED
     assert np.isfinite(x).all()
     assert replace(qp, H=bent).value(x) <= replace(qp, H=bent).value(np.zeros(len(x)))
     spoilt = qp.g.copy()
     spoilt[0] = np.nan
-    x, _ = solve_qp(replace(qp, g=spoilt))
-    np.testing.assert_array_equal(x, 0.0)
+    failed = solve_qp(replace(qp, g=spoilt))
+    assert failed.status is Status.FAILED
+    np.testing.assert_array_equal(failed.x, 0.0)
 
 
 def test_banded_factor_solves() -> None:
@@ -518,3 +534,13 @@ def test_banded_factor_solves() -> None:
         substitute(band, x)
         np.testing.assert_allclose(M @ x, rhs, rtol=0, atol=1e-9)
     assert not factorise(np.array([[1.0, 2.0], [1.0, 0.0]]))  # indefinite
+
+
+def test_a_program_whose_steps_run_out_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that asks for more than numbers can hold."""
+    qp = random_program(np.random.default_rng(3), rows=4, price=1.0)
+    left = solve_qp(qp, 1e-30)
+    assert left.status is Status.STOPPED
+    assert np.isfinite(left.x).all()
+    assert qp.value(left.x) < qp.value(np.zeros(len(qp.g)))
+    assert left.gap + left.residual > 0.0

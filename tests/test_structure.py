@@ -18,7 +18,7 @@ LAYERS = (
 # Packages that only some commands or problems need, or that are slow to import: the modules that may name them.
 HEAVY = {
     "numba": {"base.compiled"},
-    "pinocchio": {"cell.bodies", "cell.cell", "cell.robot", "cell.urdf", "verify.executed"},
+    "pinocchio": {"cell.bodies", "cell.carrier", "cell.cell", "cell.robot", "cell.urdf", "verify.executed"},
     "coal": {"cell.bodies", "verify.bodies"},
     "ruckig": {"motion.travel"},
     "shapely": {"toolpath.step", "toolpath.svg", "toolpath.volume"},

@@ -346,7 +346,8 @@ def test_whole_turn_between_two_samples(plan: Plan) -> None:
 
 
 def test_a_motion_that_does_not_start_from_rest(plan: Plan) -> None:
-    fast = int(np.argmax(np.abs(np.diff(plan.trajectory.q[:400], axis=0)).max(axis=1)))
+    way = int(np.argmax(plan.trajectory.deposit))  # to the first bead
+    fast = int(np.argmax(np.abs(np.diff(plan.trajectory.q[:way], axis=0)).max(axis=1)))
     late = rows(plan.trajectory, np.arange(fast, len(plan.trajectory)))
     assert failed(plan, late) == {"joint acceleration", "joint jerk"}
 
@@ -921,7 +922,7 @@ def test_the_files_have_the_promised_fields(files: Files) -> None:
     speed_min_mm_s speed_max_mm_s sigma_min sigma_p01 wrist_margin_deg joint_limit_margin_deg velocity_ratio_max
     acceleration_ratio_max jerk_ratio_max position_error_max_mm axis_error_max_deg path_deviation_max_mm
     tip_clearance_min_mm nozzle_clearance_min_mm arm_clearance_min_mm robot_clearance_min_mm clearance_min_mm
-    branch_changes_in_deposition extruded_mm extruded_volume_mm3 bound_deposition_time_s flow_error_max
+    branch_changes_in_deposition extruded_mm extruded_volume_mm3 bound_deposition_time_s bound_any_path_s bound_gap_fraction flow_error_max
     """
     assert set(metrics.split()) == set(files.metrics)
     assert {"load", "toolpath", "resolve", "timing", "travel", "verify", "export", "total"} <= set(

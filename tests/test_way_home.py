@@ -13,8 +13,8 @@ from planner.problem import Problem, load_problem
 from planner.resolve.joint_path import SampledTasks
 from planner.resolve.ladder import coarse_nodes, home_travel_costs
 from planner.resolve.nodes import Nodes
-from planner.resolve.prices import TRAVEL_PRICE
-from planner.resolve.search import Route, best_route, joint_limits
+from planner.resolve.prices import HOME_PRICE
+from planner.resolve.search import Route, best_route, joint_limits, label_turns, turns_counted
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import NozzleTask, tasks_of
 
@@ -47,11 +47,32 @@ def test_a_way_takes_as_long_as_its_slowest_joint_or_its_tip(searched: Searched)
             2.0 * np.sqrt(d / p) if d * p < s * s else d / s + s / p
             for d, s, p in zip(np.abs(way), v[:-1], a[:-1], strict=True)
         ]
-        assert by_joints[k] == pytest.approx(TRAVEL_PRICE * max(times))
+        assert by_joints[k] == pytest.approx(HOME_PRICE * max(times))
         fine = cell.home[:6] + np.linspace(0.0, 1.0, 500)[:, None] * way
         tips = (cell.arm.poses(fine) @ cell.T_flange_nozzle)[:, :3, 3]
         length = float(np.linalg.norm(np.diff(tips, axis=0), axis=1).sum())
-        assert by_tip[k] == pytest.approx(TRAVEL_PRICE * length / 1e-3, rel=0.02)
+        assert by_tip[k] == pytest.approx(HOME_PRICE * length / 1e-3, rel=0.02)
+
+
+def test_counted_turns_are_wound_up_and_back(searched: Searched) -> None:
+    """A joint whose turns are counted comes to its angle as it is, and one turn of it takes the time of a turn."""
+    _, cell, tasks, _, nodes = searched
+    quick = [replace(task, travel_speed=np.inf) for task in tasks]
+    joint = 5
+    turns = label_turns(turns_counted(nodes, cell.limits, [joint]))[:, 0]
+    assert set(turns) >= {-1, 0, 1}
+    out, _ = home_travel_costs(cell, quick, nodes, counted=[joint])
+    shortest, _ = home_travel_costs(cell, quick, nodes)
+    v, a, _ = joint_limits(nodes, cell.limits)
+    there = np.isfinite(nodes.price[0])
+    way = nodes.q[0][there][:, joint, None].astype(float) - cell.home[joint] + 2.0 * np.pi * turns
+    alone = HOME_PRICE * (np.abs(way) / v[joint] + v[joint] / a[joint])
+    full = np.abs(way) > v[joint] ** 2 / a[joint]
+    assert (out[there][full] >= alone[full] - 1e-9).all()
+    np.testing.assert_allclose(out[there].min(axis=1), shortest[there][:, 0], rtol=1e-6)
+    longest = np.maximum(alone, shortest[there])
+    assert (out[there][full] <= longest[full] + 1e-9).all()
+    assert (alone[full] > shortest[there].repeat(len(turns), axis=1)[full]).any()
 
 
 def test_a_part_of_the_print_pays_its_share(searched: Searched) -> None:
@@ -79,4 +100,4 @@ def test_the_search_ends_where_the_way_home_is_short(searched: Searched) -> None
 def _at_ends(route: Route, nodes: Nodes, out: Array, back: Array) -> float:
     """Price [s] of a route's ways from and to home, on a grid whose windows are the whole circle."""
     first, last = ((route.roll[k], route.holder[k], list(nodes.grid.branch[k]).index(route.branch[k])) for k in (0, -1))
-    return float(out[first] + back[last])
+    return float(out[first][0] + back[last][0])

@@ -143,7 +143,7 @@ def _joints(
     for i, name in enumerate(names):
         child = f"{link}_{i + 1}"
         joint = _joint(root, name, "revolute", parent, child, chain.placements[i])
-        ET.SubElement(joint, "axis", xyz=_numbers(chain.axes[i]))
+        ET.SubElement(joint, "axis", xyz=_numbers(chain.axes[i, :3]))
         k = first + i
         ET.SubElement(
             joint,

@@ -5,12 +5,15 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 EXIT_VERIFIED = 0
 EXIT_BUG = 1
 EXIT_INPUT = 2
 EXIT_NOT_VERIFIED = 3
 EXIT_INTERRUPTED = 130
+
+Hints = tuple[str, ...]
 
 
 class PlannerError(Exception):
@@ -58,7 +61,8 @@ class Refusal(PlannerError):
 
     `bead` and `waypoint` count from 0, `s_mm` runs along the bead, `point_mm` is in the part frame;
     `missing_mm` says by how much a point lies out of reach, where that is the reason; `hints` name changes
-    that were tried and would help.
+    that were tried and would help. A function that finds them is called when they are first asked for: trying
+    changes takes longer than all else, and a refusal that another plan makes good needs none.
     """
 
     exit_code = EXIT_NOT_VERIFIED
@@ -72,11 +76,11 @@ class Refusal(PlannerError):
         s_mm: float | None = None,
         point_mm: tuple[float, float, float] | None = None,
         missing_mm: float | None = None,
-        hints: tuple[str, ...] = (),
+        hints: Hints | Callable[[], Hints] = (),
     ) -> None:
         self.reason, self.bead, self.waypoint = reason, bead, waypoint
         self.s_mm, self.point_mm, self.missing_mm = s_mm, point_mm, missing_mm
-        self.hints = hints
+        self._hints = hints
         place = []
         if bead is not None:
             place.append(f"bead {bead}")
@@ -85,6 +89,17 @@ class Refusal(PlannerError):
         if s_mm is not None:
             place.append(f"{s_mm:.1f} mm along it")
         super().__init__((", ".join(place) + ": " if place else "") + reason)
+
+    @property
+    def hints(self) -> Hints:
+        """Changes that were tried and would help."""
+        if callable(self._hints):
+            self._hints = self._hints()
+        return self._hints
+
+    def __reduce__(self) -> str | tuple[Any, ...]:
+        self._hints = self.hints  # what finds them cannot go to another process
+        return super().__reduce__()
 
 
 def nearest_name(name: str, names: Iterable[str]) -> str | None:

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
 # of planning with a strategy, in the order in which they begin
-STAGES = ("load", "toolpath", "obstacles", "resolve", "timing", "travel", "verify", "dips", "map")
+STAGES = ("load", "toolpath", "obstacles", "resolve", "timing", "travel", "verify", "map", "compare", "dips")
 
 
 class Stages:

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from planner.base.arrays import Array
+from planner.base.arrays import Array, Flags
 from planner.base.errors import Refusal, nearest_name
 from planner.cell.bodies import fixture_bodies, head_bodies
+from planner.cell.carrier import Carrier, carried_arm, in_words
 from planner.cell.kinematics.chain import Chain
-from planner.cell.kinematics.inverse import InverseKinematics, with_rest
+from planner.cell.kinematics.inverse import InverseKinematics, OnRail, given_joints, with_rest
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
 from planner.cell.robot import Robot, chain_of, load_robot
 from planner.cell.solids import Body
@@ -23,20 +24,26 @@ _ROUNDING = 1e-9  # rad: an angle at the end of its range is inside, though degr
 
 @dataclass(frozen=True)
 class Limits:
-    """Joint limits (n) in the cell's joint order: rad, rad/s, rad/s^2, rad/s^3."""
+    """Joint limits (n) in the cell's joint order: rad, rad/s, rad/s^2, rad/s^3; metres of joints that are sliding (indices)."""
 
     q_min: Array
     q_max: Array
     velocity: Array
     acceleration: Array
     jerk: Array
+    sliding: tuple[int, ...] = ()
+
+    @property
+    def turns(self) -> Flags:
+        """Which joints (n) turn, so that whole turns lead to the same posture."""
+        return ~np.isin(np.arange(len(self.q_min)), self.sliding)
 
 
 @dataclass(frozen=True)
 class Cell:
     """Arm with nozzle, and whatever holds the part.
 
-    arm        chain from the world to the nozzle frame (z = nozzle axis)
+    arm        chain from the world to the nozzle frame (z = nozzle axis), with the joints that carry the arm, if any
     holder     chain from the world to the part frame; only the free axes, none for a fixed bed
     limits     of the arm's joints, then the holder's
     inverse    closed-form inverse kinematics of the arm, base to flange
@@ -47,6 +54,7 @@ class Cell:
     fixtures   bodies that stand in the world frame; carried: those that turn with the part, in its frame
     home       (n) start posture, arm then holder
     arm_robot, holder_robot, held   the robots' own models, for whoever wants to check independently
+    carrier    what carries the arm, if anything does: in `arm_robot` it is one with the arm
     """
 
     arm: Chain
@@ -65,6 +73,7 @@ class Cell:
     head: tuple[Body, ...]
     fixtures: tuple[Body, ...]
     carried: tuple[Body, ...]
+    carrier: Carrier | None = None
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -73,19 +82,40 @@ class Cell:
 
     @property
     def chosen(self) -> tuple[int, ...]:
-        """Joints (indices) whose angles are chosen, not solved for: the holder's, then the arm's redundant one."""
-        na, redundant = len(self.arm), self.inverse.redundant_joint
-        return (*range(na, na + len(self.holder)), *(() if redundant is None else (redundant,)))
+        """Joints (indices) whose angles are chosen, not solved for: the holder's, then the arm's `given` ones."""
+        na = len(self.arm)
+        return (*range(na, na + len(self.holder)), *self.given)
+
+    @property
+    def given(self) -> tuple[int, ...]:
+        """Joints (indices) of the arm that are chosen: what carries it, or the redundant one of seven."""
+        return given_joints(self.inverse)
 
     @property
     def solved(self) -> tuple[int, ...]:
         """The six arm joints (indices) that follow from a nozzle pose."""
-        return tuple(j for j in range(len(self.arm)) if j != self.inverse.redundant_joint)
+        return tuple(j for j in range(len(self.arm)) if j not in self.given)
+
+    @property
+    def rails(self) -> int:
+        """How many joints carry the arm: they come before its own."""
+        return len(self.inverse.rail) if isinstance(self.inverse, OnRail) else 0
+
+    @property
+    def own(self) -> slice:
+        """The arm's own joints, without what carries it."""
+        return slice(self.rails, len(self.arm))
+
+    @property
+    def besides(self) -> tuple[int, ...]:
+        """All other joints (indices), which a controller counts as external axes: what carries the arm, the holder's."""
+        na = len(self.arm)
+        return (*range(self.rails), *range(na, na + len(self.holder)))
 
     @property
     def spherical(self) -> bool:
-        """Whether the arm's wrist is spherical and its six joints are those of the usual industrial arm."""
-        return isinstance(self.inverse, SphericalWrist)
+        """Whether the arm's wrist is spherical and its own six joints are those of the usual industrial arm."""
+        return isinstance(self.inverse.arm if isinstance(self.inverse, OnRail) else self.inverse, SphericalWrist)
 
     @property
     def wrist(self) -> SphericalWrist:
@@ -112,7 +142,11 @@ def build_cell(problem: Problem) -> Cell:
     if arm_robot.inverse is None:
         raise problem.error("cell.arm", f"{arm_robot.key} is not an arm: its file names no inverse kinematics")
     T_world_base = translation(np.asarray(spec.base))
+    T_world_base[:3, :3] = pin.rpy.rpyToMatrix(*spec.base_rpy)
     T_flange_nozzle = frame_from_z(np.asarray(spec.nozzle.tip), np.asarray(spec.nozzle.axis))
+    carried = None if spec.carrier is None else carried_arm(problem, spec.carrier, arm_robot)
+    if carried is not None:
+        arm_robot, T_world_base = carried.robot, T_world_base @ carried.T_carrier_base
     arm = chain_of(arm_robot, T_world_base, T_flange_nozzle, arm_robot.joint_names, {})
 
     T_plate_part = np.eye(4)
@@ -120,7 +154,7 @@ def build_cell(problem: Problem) -> Cell:
         holder_robot, held = None, {}
         T_world_holder_base = translation(np.asarray(spec.bed))
         T_world_holder_base[:3, :3] = pin.rpy.rpyToMatrix(*spec.bed_rpy)
-        holder = Chain((), np.empty((0, 4, 4)), np.empty((0, 3)), T_world_holder_base)
+        holder = Chain((), np.empty((0, 4, 4)), np.empty((0, 6)), T_world_holder_base)
     else:
         holder_robot = load_robot(spec.positioner.robot, problem, "cell.positioner.robot")
         held = _held(problem, spec.positioner, holder_robot)
@@ -130,25 +164,35 @@ def build_cell(problem: Problem) -> Cell:
         holder = chain_of(holder_robot, T_world_holder_base, T_plate_part, spec.positioner.free, held)
 
     limits = _limits(problem, spec, arm_robot, arm, holder_robot, holder)
-    na = len(arm)
-    if len(spec.home) != na:
-        reason = f"{arm_robot.name} has {na} joints, not {len(spec.home)}"
-        raise problem.error("cell.home_deg", reason, f"one angle for each of {', '.join(arm.names)}")
+    before = () if carried is None else carried.home
+    na, own = len(arm), arm.names[len(before) :]
+    if len(spec.home) != len(own):
+        reason = f"{arm_robot.name} has {len(own)} joints, not {len(spec.home)}"
+        raise problem.error("cell.home_deg", reason, f"one angle for each of {', '.join(own)}")
     rest = np.clip(np.zeros(len(holder)), limits.q_min[na:], limits.q_max[na:])
     if spec.positioner is not None:
-        rest = np.array([spec.positioner.home.get(name, at) for name, at in zip(holder.names, rest, strict=True)])
-    home = np.concatenate([np.asarray(spec.home), rest])
+        at_home = spec.positioner.home | spec.positioner.home_mm
+        rest = np.array([at_home.get(name, at) for name, at in zip(holder.names, rest, strict=True)])
+    home = np.concatenate([before, np.asarray(spec.home), rest])
     outside = (home < limits.q_min) | (home > limits.q_max)
     if outside.any():
         j = int(np.argmax(outside))
         low, high = np.degrees(limits.q_min[j]), np.degrees(limits.q_max[j])
-        field, joint = "cell.home_deg", f"joint {j + 1}"
-        if j >= na:
-            field, joint = f"cell.positioner.home_deg.{holder.names[j - na]}", "the angle"
-        raise problem.error(field, f"{joint} is outside its range", f"{low:.0f} to {high:.0f}")
+        field, joint = "cell.home_deg", f"joint {j + 1 - len(before)}"
+        valid = f"{low:.0f} to {high:.0f}"
+        if j >= na or j < len(before):
+            section = "positioner" if j >= na else "base"
+            unit = "mm" if j in limits.sliding else "deg"
+            name = holder.names[j - na] if j >= na else arm.names[j]
+            field, joint = f"cell.{section}.home_{unit}.{name}", "it"
+            valid = in_words(limits.q_min[j], limits.q_max[j], j in limits.sliding)
+        raise problem.error(field, f"{joint} is outside its range", valid)
     inverse = arm_robot.inverse
-    if inverse.redundant_joint is not None:
-        inverse = with_rest(inverse, float(home[inverse.redundant_joint]))
+    if inverse is None:
+        raise TypeError(f"{arm_robot.key} lost its inverse kinematics")
+    given = given_joints(inverse)
+    if given:
+        inverse = with_rest(inverse, *home[list(given)].tolist())
     return Cell(
         arm=arm,
         holder=holder,
@@ -166,30 +210,42 @@ def build_cell(problem: Problem) -> Cell:
         head=head_bodies(problem, T_flange_nozzle),
         fixtures=fixture_bodies(problem, "world"),
         carried=fixture_bodies(problem, "part"),
+        carrier=None if carried is None else carried.carrier,
     )
 
 
 def _held(problem: Problem, spec: PositionerSpec, robot: Robot) -> dict[str, float]:
-    """Angles [rad] of the axes that are not free, by name; InputError for names and angles that the robot has not."""
-    axes = robot.joint_names
-    for field, names in (("free", spec.free), ("held_deg", spec.held), ("home_deg", spec.home)):
+    """Angles [rad] and places [m] of the axes that are not free, by name; InputError for names and values that the robot
+    has not."""
+    axes, slides = robot.joint_names, dict(zip(robot.joint_names, robot.slides, strict=True))
+    given = {"held_deg": spec.held, "held_mm": spec.held_mm, "home_deg": spec.home, "home_mm": spec.home_mm}
+    for field, names in {"free": spec.free, **given}.items():
         for name in names:
             if name not in axes:
                 near = nearest_name(name, axes)
                 hint = f"did you mean {near}?" if near else f"axes: {', '.join(axes)}"
                 raise problem.error(f"cell.positioner.{field}", f"no axis {name!r}", hint)
-    for name in spec.home:
-        if name not in spec.free:
-            where = f"cell.positioner.home_deg.{name}"
-            raise problem.error(where, f"axis {name!r} is not free", "the angle of a held axis stands in held_deg")
-    for name, angle in spec.held.items():
-        low, high = (
-            float(limit[axes.index(name)]) for limit in (robot.model.lowerPositionLimit, robot.model.upperPositionLimit)
-        )
-        if not low - _ROUNDING <= angle <= high + _ROUNDING:
-            valid = f"{np.degrees(low):.0f} to {np.degrees(high):.0f}"
-            raise problem.error(f"cell.positioner.held_deg.{name}", "the angle is outside the axis' range", valid)
-    return {name: spec.held.get(name, 0.0) for name in axes if name not in spec.free}
+            if field != "free" and field.endswith("mm") != slides[name]:
+                way, unit = ("slides", "mm") if slides[name] else ("turns", "deg")
+                hint = f"{field.split('_')[0]}_{unit}"
+                raise problem.error(f"cell.positioner.{field}.{name}", f"axis {name!r} {way}", hint)
+    for field in ("home_deg", "home_mm"):
+        for name in given[field]:
+            if name not in spec.free:
+                hint = f"that of a held axis stands in {field.replace('home', 'held')}"
+                raise problem.error(f"cell.positioner.{field}.{name}", f"axis {name!r} is not free", hint)
+    out = {}
+    for i, name in enumerate(axes):
+        if name in spec.free:
+            continue
+        low, high = float(robot.model.lowerPositionLimit[i]), float(robot.model.upperPositionLimit[i])
+        field = "held_mm" if slides[name] else "held_deg"
+        # where nobody says it, 0; of an axis that slides, what of its range is nearest to that
+        out[name] = at = given[field].get(name, float(np.clip(0.0, low, high)) if slides[name] else 0.0)
+        if name in given[field] and not low - _ROUNDING <= at <= high + _ROUNDING:
+            reason = "it is outside the axis' range"
+            raise problem.error(f"cell.positioner.{field}.{name}", reason, in_words(low, high, slides[name]))
+    return out
 
 
 def _holder_base(spec: PositionerSpec, robot: Robot) -> Array:
@@ -220,18 +276,31 @@ def _limits(
             rows.append([*row, robot.acceleration[i], robot.jerk[i]])
     table = np.array(rows)
     names = list(_joint_names(arm, holder))
+    sliding = tuple(np.flatnonzero(np.concatenate([arm.slides, holder.slides])).tolist())
     for name, own in spec.limits.items():
         if name not in names:
             near = nearest_name(name, names)
             hint = f"did you mean {near}?" if near else f"joints: {', '.join(names)}"
             raise problem.error(f"cell.limits.{name}", "no such joint", hint)
-        row = table[names.index(name)]
-        if own.range is not None:
-            row[:2] = own.range
-        for k, value in ((2, own.speed), (3, own.acceleration), (4, own.jerk)):
+        j = names.index(name)
+        ways = {
+            False: (own.range, own.speed, own.acceleration, own.jerk),
+            True: (own.range_mm, own.speed_mm_s, own.acceleration_mm_s2, own.jerk_mm_s3),
+        }
+        if any(value is not None for value in ways[j not in sliding]):
+            way, keys = ("slides", "range_mm, speed_mm_s, acceleration_mm_s2, jerk_mm_s3") if j in sliding else (
+                "turns", "range_deg, speed_deg_s, acceleration_rad_s2, jerk_rad_s3"
+            )  # fmt: skip
+            raise problem.error(f"cell.limits.{name}", f"this joint {way}", f"its limits are {keys}")
+        row = table[j]
+        range_, *rates = ways[j in sliding]
+        if range_ is not None:
+            row[:2] = range_
+        for k, value in enumerate(rates, 2):
             if value is not None:
                 row[k] = value
-    return Limits(*np.ascontiguousarray(table.T))
+    q_min, q_max, velocity, acceleration, jerk = np.ascontiguousarray(table.T)
+    return Limits(q_min, q_max, velocity, acceleration, jerk, sliding)
 
 
 def translation(p: Array) -> Array:

@@ -22,7 +22,7 @@ from planner.cell.kinematics.seven_axes import SevenAxes, read_seven_axes
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
 from planner.cell.robot_file import KINDS, LENGTHS, RobotFile, is_number, read_robot_file
 from planner.cell.solids import Body
-from planner.cell.urdf import Urdf, model_of, read_urdf, turning_joints
+from planner.cell.urdf import Urdf, model_of, read_urdf, sliding_joints, turning_joints
 from planner.problem import Problem
 from planner.problem.settings import LANGUAGE_NAMES, USUAL_LANGUAGE
 
@@ -56,6 +56,11 @@ class Robot:
     def joint_names(self) -> tuple[str, ...]:
         """Names in joint order, base first."""
         return tuple(self.model.names[1:])
+
+    @property
+    def slides(self) -> tuple[bool, ...]:
+        """Of each joint whether it slides: its places are metres."""
+        return tuple(not joint_axis(self.model, i)[:3].any() for i in range(1, self.model.njoints))
 
 
 def robot_names(folder: Path = ROBOTS) -> list[str]:
@@ -136,8 +141,9 @@ def _model(file: RobotFile, urdf: Urdf) -> pin.Model:
     file.known("tip", "link", tip, urdf.links())
     joints = turning_joints(urdf, tip)
     if not joints:
-        raise file.error("tip", f"no joint turns between the base and {tip}")
-    model = model_of(urdf, tip, file.ranges(joints), "speed_rad_s" in file.data)
+        raise file.error("tip", f"no joint moves between the base and {tip}")
+    ranges = file.ranges(joints, sliding_joints(urdf, tip))
+    model = model_of(urdf, tip, ranges, "speed_rad_s" in file.data)
     if "speed_rad_s" in file.data:
         model.velocityLimit = file.numbers("speed_rad_s", len(joints))
     return model
@@ -152,6 +158,9 @@ def _inverse(file: RobotFile, model: pin.Model) -> InverseKinematics | None:
     if len(given) > 1:
         raise file.error(given[1], "spherical_wrist is given as well", "an arm has one inverse kinematics")
     field = given[0]
+    if slides := [name for i, name in enumerate(model.names[1:], 1) if not joint_axis(model, i)[:3].any()]:
+        hint = "a rail has a file of its own, and carries the arm: cell.base of the problem file"
+        raise file.error(field, f"joint {slides[0]} slides, and those of an arm turn", hint)
     chain = _fold(model, data["tip"], np.eye(4), np.eye(4), tuple(model.names[1:]), {})
     inverse = _spherical(file, chain) if field == "spherical_wrist" else _read_off(file, chain)
     q = np.random.default_rng(1).uniform(-np.pi, np.pi, (_POSTURES, len(chain)))
@@ -223,11 +232,12 @@ def _fold(
             names.append(name)
             T = np.eye(4)
         else:
-            T = T @ pin.SE3(pin.AngleAxis(held[name], axis).toRotationMatrix(), np.zeros(3)).homogeneous
+            turn = pin.AngleAxis(held[name] if axis[:3].any() else 0.0, axis[:3]).toRotationMatrix()
+            T = T @ pin.SE3(turn, held[name] * axis[3:]).homogeneous
     frame = model.frames[model.getFrameId(tip)]
     T = T @ frame.placement.homogeneous @ T_tip_tool
     n = len(names)
-    return Chain(tuple(names), np.array(placements).reshape(n, 4, 4), np.array(axes).reshape(n, 3), T)
+    return Chain(tuple(names), np.array(placements).reshape(n, 4, 4), np.array(axes).reshape(n, 6), T)
 
 
 def bodies_with_tip(robot: Robot, free: Collection[str], held: Mapping[str, float]) -> tuple[Body, ...]:
@@ -245,8 +255,11 @@ def bodies_with_tip(robot: Robot, free: Collection[str], held: Mapping[str, floa
 
 
 def joint_axis(model: pin.Model, i: int) -> Array:
-    """Unit axis of a revolute joint in its own frame, read off the joint's own motion subspace."""
+    """What a joint does in its own frame (6), as in Chain, read off the joint's own motion subspace."""
     q = pin.neutral(model)
     data = model.createData()
-    J = pin.computeJointJacobians(model, data, q)
-    return np.asarray(data.oMi[i].rotation.T @ J[3:, model.joints[i].idx_v])
+    whole = np.reshape(pin.computeJointJacobians(model, data, q), (6, model.nv))  # of one joint it comes flat
+    J = whole[:, model.joints[i].idx_v]
+    R = data.oMi[i].rotation.T
+    # at rest a joint that slides moves all places alike; of one that turns the world's origin is of no concern
+    return np.concatenate([R @ J[3:], np.zeros(3) if J[3:].any() else R @ J[:3]])

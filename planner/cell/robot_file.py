@@ -38,6 +38,10 @@ class RobotKey:
 _POSITIVE = {"type": "array", "items": {"type": "number", "exclusiveMinimum": 0}, "minItems": 1}
 _NAMES = {"type": "array", "items": {"type": "string"}}
 _TEXT = {"type": "string", "minLength": 1}
+_RANGES = {
+    "type": "object",
+    "additionalProperties": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2},
+}
 KEYS = {
     "name": RobotKey("maker and type, as reports call it", "ABB IRB 140-6/0.8", schema=_TEXT),
     "urdf": RobotKey(
@@ -57,25 +61,35 @@ KEYS = {
     ),
     "tip": RobotKey("link of the URDF that is the flange: its z points out of it", "tool0", schema=_TEXT),
     "acceleration_rad_s2": RobotKey(
-        "greatest acceleration of each joint, base first [rad/s²]", "[15, 15, 15, 25, 25, 30]", schema=_POSITIVE
+        "greatest acceleration of each joint, base first [rad/s²; m/s² where it slides]",
+        "[15, 15, 15, 25, 25, 30]",
+        schema=_POSITIVE,
     ),
     "jerk_rad_s3": RobotKey(
-        "greatest jerk of each joint, base first [rad/s³]", "[750, 750, 750, 1250, 1250, 1500]", schema=_POSITIVE
+        "greatest jerk of each joint, base first [rad/s³; m/s³ where it slides]",
+        "[750, 750, 750, 1250, 1250, 1500]",
+        schema=_POSITIVE,
     ),
     "language": RobotKey(
         "what its controller is programmed in", "rapid", USUAL_LANGUAGE, {"enum": list(LANGUAGE_NAMES)}
     ),
     "speed_rad_s": RobotKey(
-        "greatest speed of each joint, base first [rad/s]", "[3.5, 3.5, 4.5, 6, 6, 7]", "the URDF's", _POSITIVE
+        "greatest speed of each joint, base first [rad/s; m/s where it slides]",
+        "[3.5, 3.5, 4.5, 6, 6, 7]",
+        "the URDF's",
+        _POSITIVE,
     ),
     "range_deg": RobotKey(
         "least and greatest angle of joints by name, in place of the URDF's [deg]",
         "{joint_6: [-400, 400]}",
         "the URDF's",
-        {
-            "type": "object",
-            "additionalProperties": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2},
-        },
+        _RANGES,
+    ),
+    "range_mm": RobotKey(
+        "least and greatest place of joints that slide, by name, in place of the URDF's [mm]",
+        "{rail: [0, 3000]}",
+        "the URDF's",
+        _RANGES,
     ),
     "without": RobotKey("links of the URDF whose collision shapes do not count", "[hand]", "none", _NAMES),
     "assumed": RobotKey(
@@ -156,18 +170,26 @@ class RobotFile:
             raise self.error(field, f"must be a list of {count} positive numbers", "one for each joint, base first")
         return np.array([float(v) for v in value])
 
-    def ranges(self, joints: Collection[str]) -> dict[str, tuple[float, float]]:
-        """Ranges [rad] by joint that stand in place of the URDF's."""
-        given = self.data.get("range_deg", {})
+    def ranges(self, joints: Collection[str], sliding: Collection[str]) -> dict[str, tuple[float, float]]:
+        """Ranges by joint that stand in place of the URDF's [rad, or m of those of the joints that are sliding]."""
+        turning = [name for name in joints if name not in sliding]
+        angles = self._pairs("range_deg", "angle", "{joint_6: [-400, 400]}", turning)
+        places = self._pairs("range_mm", "place", "{rail: [0, 3000]}", sliding)
+        return {name: (math.radians(low), math.radians(high)) for name, (low, high) in angles.items()} | {
+            name: (low * 1e-3, high * 1e-3) for name, (low, high) in places.items()
+        }
+
+    def _pairs(self, field: str, what: str, example: str, joints: Collection[str]) -> dict[str, tuple[float, float]]:
+        given = self.data.get(field, {})
         if not isinstance(given, dict):
-            raise self.error("range_deg", "must be ranges by joint", "for example {joint_6: [-400, 400]}")
+            raise self.error(field, "must be ranges by joint", f"for example {example}")
         for name, pair in given.items():
-            self.known("range_deg", "joint", name, joints)
+            self.known(field, "joint", name, joints)
             right = isinstance(pair, tuple) and len(pair) == 2 and all(is_number(v) and math.isfinite(v) for v in pair)
             if not right or not pair[0] < pair[1]:
-                reason = f"{name} must have a least and a greatest angle"
-                raise self.error("range_deg", reason, "for example [-400, 400]")
-        return {name: (math.radians(low), math.radians(high)) for name, (low, high) in given.items()}
+                reason = f"{name} must have a least and a greatest {what}"
+                raise self.error(field, reason, f"for example {example[example.index('[') : -1]}")
+        return given
 
     def urdf(self) -> Path:
         """Where the robot's URDF is: beside its YAML file, or `path` in the shared files of an installed `package`."""

@@ -40,7 +40,7 @@ def reach(robot: Robot) -> float | None:
         return None
     back = inverse.c4 if isinstance(inverse, SphericalWrist) else 0.0
     chain = chain_of(robot, np.eye(4), np.eye(4), robot.joint_names, {})
-    at, axis = chain.placements[0, :3, 3], chain.placements[0, :3, :3] @ chain.axes[0]
+    at, axis = chain.placements[0, :3, 3], chain.placements[0, :3, :3] @ chain.axes[0, :3]
 
     def away(q: Array) -> Array:
         T = chain.poses(np.atleast_2d(q))
@@ -57,7 +57,7 @@ def reach(robot: Robot) -> float | None:
 def kind(inverse: InverseKinematics | None, joints: Sequence[str]) -> str:
     """What kind of inverse kinematics a robot has, in words."""
     if inverse is None:
-        return "no arm: it holds the part"
+        return "no arm: it holds the part, or carries an arm"
     if isinstance(inverse, Corrected):
         return f"{kind(inverse.nominal, joints)}, refined to the URDF"
     if isinstance(inverse, SphericalWrist):
@@ -83,14 +83,17 @@ def details(path: Path, robot: Robot) -> list[Table | str]:
     joints = Table(title="joints", title_justify="left")
     marks = _marks(robot)
     heads = ("range, deg", "speed, deg/s", "acceleration, rad/s²", "jerk, rad/s³")
+    if all(robot.slides):
+        heads = ("range, mm", "speed, mm/s", "acceleration, m/s²", "jerk, m/s³")
+    elif any(robot.slides):
+        heads = ("range, deg or mm", "speed, deg/s or mm/s", "acceleration, rad/s² or m/s²", "jerk, rad/s³ or m/s³")
     joints.add_column("joint")
     for head, mark in zip(heads, marks, strict=True):
         joints.add_column(head + mark, justify="right")
     model = robot.model
     for i, name in enumerate(robot.joint_names):
-        range_ = _range(model.lowerPositionLimit[i], model.upperPositionLimit[i])
-        speed = f"{np.degrees(model.velocityLimit[i]):.4g}"
-        joints.add_row(name, range_, speed, f"{robot.acceleration[i]:g}", f"{robot.jerk[i]:g}")
+        range_ = _range(model.lowerPositionLimit[i], model.upperPositionLimit[i], robot.slides[i])
+        joints.add_row(name, range_, _speed(robot, i), f"{robot.acceleration[i]:g}", f"{robot.jerk[i]:g}")
     bodies = Table(title="bodies that collisions are looked for with", title_justify="left")
     bodies.add_column("carried by")
     bodies.add_column("body")
@@ -121,10 +124,11 @@ def _facts(robot: Robot) -> list[str]:
 
 def _limits(robot: Robot) -> list[str]:
     model = robot.model
-    ranges = " ".join(map(_range, model.lowerPositionLimit, model.upperPositionLimit))
-    speeds = " ".join(f"{value:.4g}" for value in np.degrees(model.velocityLimit))
+    ranges = " ".join(map(_range, model.lowerPositionLimit, model.upperPositionLimit, robot.slides))
+    speeds = " ".join(_speed(robot, i) for i in range(len(robot.slides)))
     acceleration, jerk = (" ".join(f"{value:g}" for value in values) for values in (robot.acceleration, robot.jerk))
-    rows = ((ranges, "deg"), (speeds, "deg/s"), (acceleration, "rad/s²"), (jerk, "rad/s³"))
+    angle, way = ("mm", "m") if all(robot.slides) else ("deg", "rad")
+    rows = ((ranges, angle), (speeds, f"{angle}/s"), (acceleration, f"{way}/s²"), (jerk, f"{way}/s³"))
     return [f"{text} {unit}{mark}" for (text, unit), mark in zip(rows, _marks(robot), strict=True)]
 
 
@@ -133,7 +137,15 @@ def _marks(robot: Robot) -> list[str]:
     return ["*" if any(word in told for told in robot.assumed) else "" for word in ("range", "speed", "accel", "jerk")]
 
 
-def _range(low: float, high: float) -> str:
+def _speed(robot: Robot, i: int) -> str:
+    """Speed of a joint in deg/s, or mm/s where it slides."""
+    value = robot.model.velocityLimit[i]
+    return f"{value * 1e3 if robot.slides[i] else np.degrees(value):.4g}"
+
+
+def _range(low: float, high: float, slides: bool) -> str:
+    if slides:
+        return f"{low * 1e3:.4g}…{high * 1e3:.4g}"
     if high - low > 20 * _TURN:
         return f"{(high - low) / _TURN:.0f} turns"
     a, b = np.degrees([low, high])

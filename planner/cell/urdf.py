@@ -16,6 +16,7 @@ from planner.base.errors import InputError, nearest_name
 LARGEST = 20_000_000  # bytes of a URDF: meshes stand in files of their own
 FARTHEST = 20.0  # m: what is farther or larger has its length in millimetres
 TYPES = ("fixed", "revolute", "continuous", "prismatic", "planar", "floating")
+_MOVES = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 Ranges = Mapping[str, tuple[float, float]]
 
 
@@ -142,11 +143,17 @@ def turning_joints(urdf: Urdf, tip: str) -> list[str]:
     return [joint.get("name", "") for joint in joints_to(urdf, tip) if joint.get("type") != "fixed"]
 
 
+def sliding_joints(urdf: Urdf, tip: str) -> list[str]:
+    """Names of those that slide."""
+    return [joint.get("name", "") for joint in joints_to(urdf, tip) if joint.get("type") == "prismatic"]
+
+
 def model_of(urdf: Urdf, tip: str, ranges: Ranges, speeds_given: bool) -> pin.Model:
     """Pinocchio's model of the joints from base to tip; others, such as a gripper's, are held at zero.
 
-    ranges [rad], by joint, stand in place of the URDF's, and make a joint without an end one that has ends;
-    speeds_given: somebody else says how fast the joints turn. Raises InputError for joints that are not known.
+    ranges [rad, or m of joints that slide], by joint, stand in place of the URDF's, and make a joint without an end one
+    that has ends; speeds_given: somebody else says how fast the joints move. Raises InputError for joints that are not
+    known.
     """
     own = ET.Element("robot", name=urdf.root.get("name", "robot"))
     for name in urdf.links():
@@ -160,7 +167,7 @@ def model_of(urdf: Urdf, tip: str, ranges: Ranges, speeds_given: bool) -> pin.Mo
             hint = f"did you mean {near}?" if near else f"known: {', '.join(TYPES)}"
             raise urdf.error(joint, field, f"unknown type {kind!r}", hint)
         moves = joint in moved and kind != "fixed"
-        copy = ET.SubElement(own, "joint", name=name, type="revolute" if moves else "fixed")
+        copy = ET.SubElement(own, "joint", name=name, type=_MOVES.get(kind, "fixed") if moves else "fixed")
         for end in ("parent", "child"):
             ET.SubElement(copy, end, link=_end(joint, end))
         xyz, rpy = origin_of(urdf, joint, field)
@@ -214,16 +221,18 @@ def _axis(urdf: Urdf, joint: ET.Element, field: str) -> list[float]:
 def _limit(
     urdf: Urdf, joint: ET.Element, field: str, given: tuple[float, float] | None, speeds_given: bool
 ) -> tuple[float, float, float]:
-    """Least and greatest angle [rad] and greatest speed [rad/s] of a joint that moves."""
-    kind = joint.get("type")
+    """Least and greatest angle [rad] and greatest speed [rad/s] of a joint that moves; metres of one that slides."""
+    kind = joint.get("type", "")
     name = joint.get("name")
-    if kind not in ("revolute", "continuous"):
-        reason = "moves, but does not turn" if kind == "prismatic" else f"is {kind}"
-        raise urdf.error(joint, field, reason, "only revolute and continuous joints can stand between base and tip")
+    if kind not in _MOVES:
+        hint = "only revolute, continuous and prismatic joints can stand between base and tip"
+        raise urdf.error(joint, field, f"is {kind}", hint)
     if joint.find("mimic") is not None:
         raise urdf.error(joint, field, "follows another joint", "between base and tip each joint has its own motor")
     limit = joint.find("limit")
     own_range = f"give range_deg: {{{name}: [-360, 360]}}, or what its cables allow, in the robot's file"
+    if kind == "prismatic":
+        own_range = f"give range_mm: {{{name}: [0, 3000]}}, or how far it goes, in the robot's file"
     if given is None:
         if kind == "continuous":
             raise urdf.error(joint, field, "turns without end", own_range)
@@ -237,7 +246,9 @@ def _limit(
     else:
         speed = 0.0
     if speed <= 0.0 and not speeds_given:
-        raise urdf.error(joint, field, "has no speed", "velocity of its limit [rad/s]; or speed_rad_s of all joints")
+        raise urdf.error(
+            joint, field, "has no speed", "velocity of its limit [rad/s, m/s]; or speed_rad_s of all joints"
+        )
     return given[0], given[1], speed
 
 

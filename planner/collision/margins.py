@@ -32,7 +32,10 @@ def _frames(placements, axes, na, q, row, frames, lines) -> None:
     for j in range(len(axes)):
         f = 0 if j == na else j
         x, y, z = axes[j, 0], axes[j, 1], axes[j, 2]
-        c, s = np.cos(q[row, j]), np.sin(q[row, j])
+        slides = x == 0.0 and y == 0.0 and z == 0.0
+        way = q[row, j] if slides else 0.0
+        turned = 0.0 if slides else q[row, j]
+        c, s = np.cos(turned), np.sin(turned)
         t = 1.0 - c
         for i in range(3):
             a0, a1, a2 = frames[f, i, 0], frames[f, i, 1], frames[f, i, 2]
@@ -42,6 +45,9 @@ def _frames(placements, axes, na, q, row, frames, lines) -> None:
             b3 = a0 * placements[j, 0, 3] + a1 * placements[j, 1, 3] + a2 * placements[j, 2, 3] + frames[f, i, 3]
             lines[j, i] = b3
             lines[j, 3 + i] = b0 * x + b1 * y + b2 * z
+            if slides:  # the way that it goes by a metre, and nothing that it turns about
+                lines[j, i] = b0 * axes[j, 3] + b1 * axes[j, 4] + b2 * axes[j, 5]
+                b3 += way * lines[j, i]
             frames[j + 1, i, 0] = b0 * (t * x * x + c) + b1 * (t * x * y + s * z) + b2 * (t * x * z - s * y)
             frames[j + 1, i, 1] = b0 * (t * x * y - s * z) + b1 * (t * y * y + c) + b2 * (t * y * z + s * x)
             frames[j + 1, i, 2] = b0 * (t * x * z + s * y) + b1 * (t * y * z - s * x) + b2 * (t * z * z + c)
@@ -487,6 +493,9 @@ def _add_slope(lines, na, frame, normal, at, sign, slope, row, col) -> None:
     x, y, z = at
     for j in range(0 if frame <= na else na, frame):
         d0, d1, d2 = lines[j, 3], lines[j, 4], lines[j, 5]
+        if d0 == 0.0 and d1 == 0.0 and d2 == 0.0:
+            slope[row, col, j] += sign * (n0 * lines[j, 0] + n1 * lines[j, 1] + n2 * lines[j, 2])
+            continue
         u, v, w = x - lines[j, 0], y - lines[j, 1], z - lines[j, 2]
         slope[row, col, j] += sign * (n0 * (d1 * w - d2 * v) + n1 * (d2 * u - d0 * w) + n2 * (d0 * v - d1 * u))
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from planner.base.arrays import Array, Ints
 from planner.base.processes import in_blocks
 from planner.cell.cell import Cell, rigid_inverse
-from planner.cell.kinematics.chain import Chain, rotate_about
+from planner.cell.kinematics.chain import Chain, joint_move
 from planner.cell.robot import Robot, joint_axis
 from planner.cell.solids import SIZES, Body, Capsule, Frustum, Hull, Mesh, packed
 from planner.collision.margins import hit_along, lacking_at, least_margins
@@ -100,9 +100,7 @@ def _carried_by(
             found += 1
             frame, T = before + found, np.eye(4)
         else:
-            turn = np.eye(4)
-            rotate_about(joint_axis(model, i), held[name], turn)
-            T = T @ model.jointPlacements[i].homogeneous @ turn
+            T = T @ model.jointPlacements[i].homogeneous @ joint_move(joint_axis(model, i), held[name])
         out.append((frame, [_moved(body, T) for body in bodies[i]]))
     return out
 
@@ -182,12 +180,14 @@ class Around:
 
 @dataclass(frozen=True)
 class Obstacles:
-    """Everything that may touch: numbers for the kernels, and names of its bodies and of its trees of points."""
+    """Everything that may touch: numbers for the kernels, names of its bodies and of its trees of points, and how far joints
+    (nj) that slide go from 0 at most [m]."""
 
     table: Table
     bodies: tuple[str, ...]
     trees: tuple[str, ...]
     around: Around | None
+    slide_to: tuple[float, ...] = ()
 
     @property
     def any(self) -> bool:
@@ -236,7 +236,7 @@ class Obstacles:
 
     @property
     def swing(self) -> Array:
-        """How far anything moves at most for each radian of the joints (nj) [m]."""
+        """How far anything moves at most for each radian, or metre, of the joints (nj) [m]."""
         table, na = self.table, int(self.table.arm[0])
         nj = len(table.axes)
         length = np.linalg.norm(table.placements[:, :3, 3], axis=1)
@@ -253,7 +253,9 @@ class Obstacles:
             far = 0.0
             for j in range(last - 1, first - 1, -1):
                 far = max(own[j + 1], far + (float(length[j + 1]) if j + 1 < last else 0.0))
-                out[j] = far
+                turns = table.axes[j, :3].any()
+                out[j] = far if turns else 1.0
+                far += 0.0 if turns else self.slide_to[j]
         return out
 
     def names(self, which: int) -> tuple[str, str]:
@@ -271,7 +273,7 @@ def _empty() -> Table:
     none, no_index, no_poses = np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros((0, 4, 4))
     no_points, no_pairs = np.zeros((0, 3)), np.zeros((0, 2), dtype=np.int64)
     table = Table(
-        placements=no_poses, axes=no_points, arm=np.zeros(1, dtype=np.int64), tip=np.zeros(3),
+        placements=no_poses, axes=np.zeros((0, 6)), arm=np.zeros(1, dtype=np.int64), tip=np.zeros(3),
         frame=no_index, kind=no_index, size=np.zeros((0, SIZES)), planes=np.zeros((0, 4)), vertices=no_points, span=no_pairs,
         T_frame_solid=no_poses, ball=np.zeros((0, 4)), pair=no_pairs, needed=none,
         points=no_points, radius=none, time=none, node_centre=no_points, node_reach=none, since=none,
@@ -336,7 +338,9 @@ def _assembled(cell: Cell, around: Around) -> Obstacles:
         **_joined(trees),
     )
     names = tuple(thing.body.name for thing in solid)
-    made = Obstacles(table, names, (PART, *(mesh.body.name for mesh in meshes)), around)
+    farthest = np.maximum(np.abs(cell.limits.q_min), np.abs(cell.limits.q_max))
+    trees_of = (PART, *(mesh.body.name for mesh in meshes))
+    made = Obstacles(table, names, trees_of, around, tuple(farthest.tolist()))
     return replace(made, table=_without_joined(cell, made.table, solid))
 
 
@@ -388,7 +392,8 @@ def _joined(trees: Sequence[PointTree]) -> dict[str, Any]:
 def _without_joined(cell: Cell, table: Table, things: Sequence[CollisionBody]) -> Table:
     """The table without pairs of the arm's own bodies that touch whatever the posture: they are built that way."""
     limits = cell.limits
-    low, high = np.maximum(limits.q_min, -np.pi), np.minimum(limits.q_max, np.pi)
+    low = np.where(limits.turns, np.maximum(limits.q_min, -np.pi), limits.q_min)
+    high = np.where(limits.turns, np.minimum(limits.q_max, np.pi), limits.q_max)
     q = np.random.default_rng(0).uniform(low, high, (_POSTURES, len(low)))
     lacking = np.zeros((_POSTURES, len(table.pair)), dtype=np.bool_)
     lacking_at(table, q, lacking)

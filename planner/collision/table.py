@@ -16,7 +16,7 @@ DEEP = 128  # nodes of a tree that wait at once, see `search_room`
 class Table(NamedTuple):
     """Everything that may touch, as numbers (nj joints, b bodies, p pairs of them, t trees, k bodies looked at by trees).
 
-    placements (nj, 4, 4), axes (nj, 3)   as in Chain, of the arm and then the holder; arm (1): how many are the arm's
+    placements (nj, 4, 4), axes (nj, 6)   as in Chain, of the arm and then the holder; arm (1): how many are the arm's
     tip (3)                               of the nozzle in the arm's last frame
     frame, kind (b), size (b, SIZES), planes, vertices, span (b, 2)   solids as in Packed; span: first vertex and how many
     T_frame_solid (b, 4, 4), ball (b, 4)  middle and reach of a ball around each, in its frame

@@ -118,9 +118,9 @@ HOPELESS = 16.0  # tolerances: by how much more a line misses changes nothing
 
 @dataclass(frozen=True)
 class Poses:
-    """Poses of the nozzle in the part, and the station's axes there.
+    """Poses of the nozzle in the part, and the station's axes there, before them what carries the arm.
 
-    table (n, 7 + k): position [m], quaternion x y z w, the station's free axes [rad]
+    table (n, 7 + k): position [m], quaternion x y z w, the station's free axes [rad, m]
     """
 
     table: Array

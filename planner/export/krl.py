@@ -11,6 +11,7 @@ import numpy as np
 
 from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
+from planner.export.external import carrying_axes, external_axes, external_read, external_written
 from planner.export.fit import from_matrix, to_matrix
 from planner.export.grammar import Grammar, Statement, inlined
 from planner.export.moves import (
@@ -24,7 +25,6 @@ from planner.export.moves import (
 )
 from planner.export.program import UNSPECIFIED, RobotProgram, Trigger, about, named
 from planner.export.rapid.text import module_name
-from planner.export.rapid.writer import external_degrees
 from planner.export.readback import played_differences
 from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_krl
 from planner.export.text import ascii_comment, number, require_writable, resting
@@ -134,7 +134,7 @@ def frame(T: Array) -> str:
 
 
 def axes(degrees: Array, external: Array) -> str:
-    """Components of an E6AXIS of one posture: A1 to A6 (6) and the external axes (k), all in degrees."""
+    """Components of an E6AXIS of one posture: A1 to A6 (6) and the external axes (k) [deg, mm]."""
     named = [(f"A{i}", v) for i, v in enumerate(degrees, 1)] + [(f"E{i}", v) for i, v in enumerate(external, 1)]
     return ",".join(f"{name} {number(v, DEGREES)}" for name, v in named)
 
@@ -179,9 +179,9 @@ def write(plan: Plan) -> dict[str, str]:
         *subprograms,
         "",
     ]
-    na = len(plan.cell.arm)
-    start = plan.trajectory.q[:1]
-    degrees, external = np.degrees(to_kuka(start[:, :na]))[0], external_degrees(plan.cell, start[:, na:])[0]
+    cell, start = plan.cell, plan.trajectory.q[:1]
+    degrees = np.degrees(to_kuka(start[:, cell.own]))[0]
+    external = external_written(cell, start[:, cell.besides])[0]
     on = plan.cell.T_world_holder if plan.cell.holder_robot is None else plan.cell.T_plate_part
     data = [
         "&ACCESS RVP",
@@ -216,12 +216,12 @@ def settings(plan: Plan, moves: Moves) -> dict[str, str]:
 
 def percent(plan: Plan, moves: Moves) -> list[int]:
     """Speed of axes (m) [percent of their greatest] for each move, the plan's greatest until the next stop."""
-    t, na = plan.trajectory, len(plan.cell.arm)
+    t = plan.trajectory
     limits = [plan.cell.arm_robot.model.velocityLimit]
     if (station := plan.cell.holder_robot) is not None:
         free = [station.joint_names.index(name) for name in plan.cell.holder.names]
         limits.append(station.model.velocityLimit[free])
-    share = (np.abs(np.diff(t.q, axis=0)) / t.dt / np.concatenate(limits)[: na + len(plan.cell.holder)]).max(axis=1)
+    share = (np.abs(np.diff(t.q, axis=0)) / t.dt / np.concatenate(limits)).max(axis=1)
     return [int(value) for value in np.clip(np.ceil(100.0 * greatest_until_stop(moves, share)), 1, 100)]
 
 
@@ -242,13 +242,13 @@ def _header(plan: Plan) -> list[str]:
         "The tool's load is that of the controller: set it there before the first run.",
         f"$ROBROOT in $WORLD must be {frame(cell.T_world_base)}",
     ]
+    named = [f"E{i} {axis.words}" for i, axis in enumerate(external_axes(cell), 1)]
+    if before := named[: len(carrying_axes(cell))]:
+        texts[-1] = "What carries the robot must be coupled to it in the machine data (ERSYSROOT), its root in $WORLD"
+        texts += [f"  {frame(cell.T_world_base)}", f"Its external axes: {', '.join(before)}"]
     if cell.holder_robot is not None:
-        held = [
-            f"E{i} {name}" + (" (held)" if name in cell.held else "")
-            for i, name in enumerate(cell.holder_robot.joint_names, 1)
-        ]
         texts += [
-            f"External axes of {STATION}, {cell.holder_robot.name}: {', '.join(held)}",
+            f"External axes of {STATION}, {cell.holder_robot.name}: {', '.join(named[len(before) :])}",
             f"  its root in $WORLD must be {frame(cell.T_world_holder_base)}",
         ]
     return [ascii_comment(MARK, text, 2) for text in texts]
@@ -256,12 +256,12 @@ def _header(plan: Plan) -> list[str]:
 
 def _targets(plan: Plan, moves: Moves) -> list[str]:
     """The aggregate of each move's target."""
-    t, na, k = plan.trajectory, len(plan.cell.arm), moves.sample
-    external = np.round(external_degrees(plan.cell, moves.targets.station[1:]), DEGREES) + 0.0
-    joints = np.round(np.degrees(to_kuka(t.q[k, :na])), DEGREES) + 0.0
+    t, own, k = plan.trajectory, plan.cell.own, moves.sample
+    external = np.round(external_written(plan.cell, moves.targets.station[1:]), DEGREES) + 0.0
+    joints = np.round(np.degrees(to_kuka(t.q[k, own])), DEGREES) + 0.0
     abc = np.degrees(angles(to_matrix(moves.targets.quat[1:])))
     lines = np.column_stack([np.round(moves.targets.position[1:] * 1e3, MM) + 0.0, np.round(abc, DEGREES) + 0.0])
-    states, turns = status(t.branch[k].astype(np.intp)).tolist(), turn(moves.q[1:, :na]).tolist()
+    states, turns = status(t.branch[k].astype(np.intp)).tolist(), turn(moves.q[1:, own]).tolist()
     extra = "".join(f",E{i} %.{DEGREES}f" for i in range(1, external.shape[1] + 1))
     axis = "{E6AXIS: " + ",".join(f"A{i} %.{DEGREES}f" for i in range(1, 7)) + extra + "}"
     line = (
@@ -559,16 +559,17 @@ ROUNDING = np.radians(1.01e-4)  # of axes
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """Differences of both files from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
     name, cell = krl_name(plan.name), plan.cell
-    na, station = len(cell.arm), cell.holder_robot
-    free = [] if station is None else [station.joint_names.index(joint) for joint in cell.holder.names]
+    free = [k for k, axis in enumerate(external_axes(cell)) if axis.held is None]
 
     def forward(axes: Array) -> Array:
-        return cell.T_part_nozzle(np.column_stack([from_kuka(axes[:, :na]), axes[:, na:][:, free]]))
+        beside = external_read(cell, axes[:, 6:])[:, free]
+        q = [beside[:, : cell.rails], from_kuka(axes[:, :6]), beside[:, cell.rails :]]
+        return cell.T_part_nozzle(np.column_stack(q))
 
     source = read_krl(files[f"{name}.src"], files[f"{name}.dat"], forward)
     program = named(source.program, output_numbers(plan.problem))
     start = program.start.copy()
-    start[:na] = from_kuka(start[None, :na])[0]
+    start[:6] = from_kuka(start[None, :6])[0]
     moves = plan_moves(plan)
     program = replace(program, start=start, joints=from_kuka(source.axes))
     return [*played_differences(plan, moves, program), *blend_differences(plan, program), *_moves(plan, moves, source)]
@@ -576,11 +577,10 @@ def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
 
 def _moves(plan: Plan, moves: Moves, source: KrlProgram) -> list[str]:
     """Postures, Turn, speeds of axes and settings, one by one against those that the plan's moves have."""
-    na = len(plan.cell.arm)
     linear = np.concatenate([[False], moves.linear])
     if not np.array_equal(linear, source.program.linear):
         return ["moves are not of the planned kinds"]
-    q, found = moves.q[:, :na], []
+    q, found = moves.q[:, plan.cell.own], []
     off = np.abs(source.axes - to_kuka(q))[~linear].max()
     if off > ROUNDING:
         found.append(f"axes differ by {off:.3g} rad")

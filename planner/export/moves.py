@@ -201,9 +201,9 @@ def reached(plan: Plan, sample: Indices, targets: Poses, moved: Flags) -> Array:
     There they are of the same branch, in the nearest turn. Arms whose poses do not say a posture keep the samples'.
     """
     cell, t = plan.cell, plan.trajectory
-    na = len(cell.arm)
+    na, rails = len(cell.arm), cell.rails
     out: Array = t.q[sample]
-    if cell.inverse.redundant_joint is not None:
+    if len(cell.given) > rails:
         return out
     T_world_base, T_nozzle_flange = np.linalg.inv(cell.T_world_base), np.linalg.inv(cell.T_flange_nozzle)
     which = np.flatnonzero(moved)
@@ -211,12 +211,14 @@ def reached(plan: Plan, sample: Indices, targets: Poses, moved: Flags) -> Array:
         T = np.tile(np.eye(4), (len(rows), 1, 1))
         T[:, :3, :3], T[:, :3, 3] = to_matrix(targets.quat[rows]), targets.position[rows]
         station = np.ascontiguousarray(targets.station[rows])
-        postures, exist = cell.inverse.solve(T_world_base @ cell.holder.poses(station) @ T @ T_nozzle_flange)
+        held = np.ascontiguousarray(station[:, rails:])
+        given = station[:, :rails] if rails else None
+        postures, exist = cell.inverse.solve(T_world_base @ cell.holder.poses(held) @ T @ T_nozzle_flange, given)
         each, branch = np.arange(len(rows)), t.branch[sample[rows]].astype(np.intp)
         off = postures[each, branch] - out[rows, :na]
-        off -= REVOLUTION * np.round(off / REVOLUTION)
+        off -= np.where(cell.limits.turns[:na], REVOLUTION * np.round(off / REVOLUTION), 0.0)
         out[rows, :na] += np.where(exist[each, branch, None], off, 0.0)
-        out[rows, na:] = station
+        out[rows, na:] = held
     return out
 
 
@@ -242,7 +244,8 @@ class Moves:
     speed   (m,)   of the tip relative to the part: mean of a move that lays material, along its line; peak of any other
                    [m/s]
     turn    (m,)   mean rate of reorientation [rad/s]
-    axis    (m,)   fastest mean rate of the part's axes [rad/s]
+    axis    (m,)   fastest mean rate of the part's axes [rad/s], and of what carries the arm, if that turns
+    slide   (m,)   mean rate of what carries the arm, if that slides [m/s]
     fine    (m,)   the motion really comes to rest there
     waits          move → what it waits for at its end, one after the other; -1: before the first move
     on_end, on_start   (m,)  the extruder goes on at the end (start) of this move
@@ -259,6 +262,7 @@ class Moves:
     speed: Array
     turn: Array
     axis: Array
+    slide: Array
     fine: Flags
     waits: dict[int, tuple[Wait, ...]]
     on_end: Flags
@@ -350,7 +354,10 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
     leaves, comes = Poses(targets.table[:-1][goes]), Poses(targets.table[1:][goes])
     took = rests.clock[b] - rests.clock[a]
     peaks = np.maximum.reduceat(np.append(np.diff(way.path), 0.0), a) / trajectory.dt
-    rates = np.abs(comes.station - leaves.station) / took[:, None]
+    rates, turns = (
+        np.abs(comes.station - leaves.station) / took[:, None],
+        plan.cell.limits.turns[list(plan.cell.besides)],
+    )
     is_linear, laid = linear[a], trajectory.deposit[a] & trajectory.deposit[b]
     arrives_linear = np.zeros(n, dtype=bool)
     arrives_linear[b[is_linear]] = True
@@ -365,7 +372,8 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
         laid=laid,
         speed=np.where(laid, np.linalg.norm(comes.position - leaves.position, axis=1) / took, peaks),
         turn=angle(leaves.quat, comes.quat) / took,
-        axis=rates.max(axis=1, initial=0.0),
+        axis=rates[:, turns].max(axis=1, initial=0.0),
+        slide=rates[:, ~turns].max(axis=1, initial=0.0),
         fine=rests.fine[b],
         waits={int(np.searchsorted(b, at, side="right")) - 1: waits for at, waits in rests.waits.items()},
         on_end=(starts & arrives_linear)[b],
@@ -385,7 +393,7 @@ def way_of(plan: Plan, rests: Rests, fed: Array | None = None) -> SampledWay:
     chord, turned = program.chord - ROUNDING, ANGLE_TOLERANCE
     tolerance = np.array([chord, turned, turned, TIME_TOLERANCE, program.tangent, amount, LONGEST])
     path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(t.tip, axis=0), axis=1))])
-    poses = Poses(np.column_stack([t.tip, continuous(t.quat), t.q[:, len(plan.cell.arm) :]]))
+    poses = Poses(np.column_stack([t.tip, continuous(t.quat), t.q[:, plan.cell.besides]]))
     return SampledWay(poses, rests.clock, path, fed, t.deposit.copy(), tolerance)
 
 

@@ -98,11 +98,13 @@ DIP_DECIMALS = 5  # decimals of what is said of dips
 KEYS = {
     "problem": "name of the problem",
     "strategy": "the strategy that planned it",
+    "resolved_by": "the strategy whose paths these are: the default takes a simpler one's where that prints better",
     "first_bead": "index of the first bead that is laid; not 0 where an interrupted print is resumed",
     "verified": "whether every check holds, within the tolerance too where one was asked for",
     "checks": "each with name, worst value, limit, unit, ok, and where the worst is",
     "metrics": "by name",
     "notes": "what was left out of the input, or changed in it, in sentences",
+    "splits": "where drawn beads are laid in pieces, each as a bead; only where process.split_beads made some",
     "dips": "stretches where the tip is slower than commanded, each with cause and remedies",
     "events": "what the extruder and its heating do besides, in order of time",
     "materials": "what the print takes of each material; only where they have names",
@@ -111,7 +113,7 @@ KEYS = {
     "timing_s": "seconds of computing, by stage",
     "versions": "versions of everything that the result depends on",
     "baseline": "the metrics of strategy as_published in the same cell; empty where it has no plan",
-    "settings": "seconds between samples, and what --set changed",
+    "settings": "seconds between samples, what --set changed, and the names of terms of the user's own, if any",
     "refusal": "where there is no plan at all, in place of what follows checks: reason, place and hints",
 }
 DIP_KEYS = {
@@ -128,6 +130,13 @@ DIP_KEYS = {
     "over_extruded_mm3": "material too much here",
     "avoid": "what would avoid it, by kind: fields of the problem file with the values that they would need",
 }
+SPLIT_KEYS = {
+    "bead": "index of the bead that begins there",
+    "name": "name of the drawn bead",
+    "layer": "its index",
+    "at_mm": "where it is cut, along the drawn bead",
+    "why": "what ends there: no branch leads on, or which joint would turn further than its range",
+}
 DECIMALS = 12  # of the screws: a picometre; what lies below is rounding that differs from machine to machine
 
 
@@ -140,11 +149,13 @@ def plan_json(plan: Plan) -> str:
     data = {
         "problem": plan.problem.name,
         "strategy": plan.strategy,
+        "resolved_by": plan.resolved_by or plan.strategy,
         "first_bead": plan.first_bead,
         "verified": plan.verified,
         "checks": checks,
         "metrics": plan.metrics,
         "notes": plan.toolpath.notes,
+        **_splits(plan),
         "dips": [_dip(dip) for dip in plan.dips],
         "events": [
             {
@@ -166,6 +177,21 @@ def plan_json(plan: Plan) -> str:
         "settings": plan.settings,
     }
     return json.dumps(_plain(data), indent=1, allow_nan=False) + "\n"
+
+
+def _splits(plan: Plan) -> dict[str, Any]:
+    """Where drawn beads are cut; nothing where none is."""
+    rows = [
+        {
+            "bead": split.bead,
+            "name": split.name,
+            "layer": split.layer,
+            "at_mm": round(split.s * 1e3, DIP_DECIMALS),
+            "why": split.why,
+        }
+        for split in plan.toolpath.splits
+    ]
+    return {"splits": rows} if rows else {}
 
 
 def _dip(dip: Dip) -> dict[str, Any]:
@@ -225,19 +251,22 @@ def refusal_json(problem: Problem, strategy: str, refusal: Refusal) -> str:
 def cell_screws(cell: Cell) -> dict[str, Any]:
     """Joint screws in the world with all joints at 0 (m, rad), limits, and the two end frames there (4, 4).
 
-    All axes of what holds the part are named in its own order, with the angle of those that are held [rad].
+    A prismatic joint slides along its direction: its values are metres.
+
+    All axes of what holds the part are named in its own order, with the angle of those that are held [rad]; so are those
+    of what carries the arm [rad, m], if anything does.
 
     A pose is the product of exponentials of the screws that move it, in the order given, times its frame at 0.
     """
     joints: list[dict[str, Any]] = []
     limits = cell.limits
     for moves, chain in (("nozzle", cell.arm), ("part", cell.holder)):
-        for screw in np.round(chain.screws, DECIMALS):
+        for screw, slides in zip(np.round(chain.screws, DECIMALS), chain.slides, strict=True):
             i = len(joints)
             joints.append(
                 {
                     "name": cell.joint_names[i],
-                    "type": "revolute",
+                    "type": "prismatic" if slides else "revolute",
                     "moves": moves,
                     "origin_m": screw[:3],
                     "direction": screw[3:],
@@ -249,8 +278,10 @@ def cell_screws(cell: Cell) -> dict[str, Any]:
                 }
             )
     holder = [] if cell.holder_robot is None else list(cell.holder_robot.model.names)[1:]
+    carrier = {} if cell.carrier is None else dict.fromkeys(cell.carrier.robot.joint_names) | cell.carrier.held
     return {
         "joints": joints,
+        **({"carrier_axes": [{"name": name, "held_at": at} for name, at in carrier.items()]} if carrier else {}),
         "holder_axes": [{"name": name, "held_at": cell.held.get(name)} for name in holder],
         "T_world_nozzle_zero": np.round(cell.arm.poses(np.zeros((1, len(cell.arm))))[0], DECIMALS),
         "T_world_part_zero": np.round(cell.holder.poses(np.zeros((1, len(cell.holder))))[0], DECIMALS),

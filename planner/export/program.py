@@ -93,11 +93,12 @@ class RobotProgram:
 
     tool, uframe, oframe       (7,) x y z [m], quaternion x y z w
     station                    mechanical unit that moves the part; empty for a fixed bed
-    start                      (12,) joints and station axes of the first move [rad], NaN where unused
+    start                      (12,) joints and station axes of the first move [rad], NaN where unused; likewise
     linear, fine               (m,) bool
     position, quat             (m, 3) [m], (m, 4) x y z w
     conf                       (m, 4) cf1, cf4, cf6, cfx; UNSPECIFIED where the language has none
-    external                   (m, 6) station axes [rad], NaN where unused
+    external                   (m, 6) station axes [rad], NaN where unused. Which of them slide a program does not say: their
+                               mm were read as degrees, see `external_read`
     zone                       (m,) radius of the corner zone at the target [m]; 0 where the motion comes to rest,
                                NaN where it has no distance
     speed                      (m, 4) tip [m/s], reorientation [rad/s], linear axes [m/s], rotating axes [rad/s]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
+from planner.export.external import external_read, external_written
 from planner.export.fit import angle, continuous, lerp, slerp, to_matrix
 from planner.export.moves import (
     LEAST_WAIT,
@@ -25,7 +26,7 @@ from planner.export.moves import (
 from planner.export.player.play import play
 from planner.export.player.played import Played, laid_spans, laid_targets
 from planner.export.program import UNSPECIFIED, ProgramPiece, RobotProgram, pieces_of
-from planner.export.rapid.writer import external_degrees, quadrants
+from planner.export.rapid.writer import quadrants
 from planner.export.support import by_bead, output_numbers
 from planner.export.text import beyond
 
@@ -218,8 +219,10 @@ def _matched(plan: Plan, pieces: Sequence[ProgramPiece], cuts: Indices) -> _Matc
 
 
 def _external(plan: Plan, samples: Indices) -> Array:
-    """The station's axes (n, k) [rad] at samples."""
-    return np.radians(external_degrees(plan.cell, plan.trajectory.q[samples, len(plan.cell.arm) :]))
+    """The station's axes (n, k) [rad, m] at samples."""
+    cell = plan.cell
+    written = np.radians(external_written(cell, plan.trajectory.q[samples][:, cell.besides]))
+    return external_read(cell, written)
 
 
 def _targets(plan: Plan, match: _Match) -> Array:
@@ -236,7 +239,7 @@ def _targets(plan: Plan, match: _Match) -> Array:
         a, b = _external(plan, nearer), _external(plan, after)
         k = a.shape[1]
         between = a + u[:, None] * (b - a)
-        shifted.append(np.abs(between - rows.external[:, :k]).max(axis=1, initial=0.0))
+        shifted.append(np.abs(between - external_read(plan.cell, rows.external)).max(axis=1, initial=0.0))
     best = np.argmin(off, axis=0)[None]
     unused = np.isnan(rows.external[:, k:]).all() and not np.isnan(rows.external[:, :k]).any()
     worst = [np.take_along_axis(np.array(values), best, axis=0).max() for values in (off, turned, shifted)]
@@ -270,8 +273,7 @@ def _straight(plan: Plan, match: _Match, a: Indices, s: Indices) -> Array:
     u = nearest_fraction(p[a], p[a + 1], tip[s], _share(match.at, a, s))
     off = np.linalg.norm(lerp(p, a, a + 1, u) - tip[s], axis=1).max()
     turned = angle(slerp(rows.quat[a], rows.quat[a + 1], u), _unit(plan.trajectory.quat[s])).max()
-    k = external.shape[1]
-    between = lerp(rows.external[:, :k], a, a + 1, u)
+    between = lerp(external_read(plan.cell, rows.external), a, a + 1, u)
     return np.array([off, 0.0, turned, np.abs(between - external).max(initial=0.0)])
 
 
@@ -288,7 +290,7 @@ def _speed(plan: Plan, match: _Match, on: NDArray[np.bool_]) -> float:
     """Worst difference between programmed speed and what moves that lay material need to arrive when planned.
 
     Where samples stand close at an end, as before a rest, its target may come from one beside its own, as far away as
-    the target is beside the path: what that changes is not counted.
+    the target is beside the path, and by two at least: what that changes is not counted.
     """
     trajectory, at = plan.trajectory, match.at
     lines = np.linalg.norm(np.diff(match.all.position, axis=0), axis=1)
@@ -297,7 +299,7 @@ def _speed(plan: Plan, match: _Match, on: NDArray[np.bool_]) -> float:
     steps = np.linalg.norm(np.diff(trajectory.tip, axis=0), axis=1)
     beside = np.minimum(np.append(steps, np.inf), np.append(np.inf, steps))[at]
     away = np.linalg.norm(trajectory.tip[at] - match.all.position, axis=1) / np.maximum(beside, 1e-9)
-    others = np.where(beside < CLOSE, np.clip(away, 1.0, OTHERS), 0.0)
+    others = np.where(beside < CLOSE, np.clip(away, 2.0, OTHERS), 0.0)
     off = np.abs(real - match.all.speed[:-1]) - (others[:-1] + others[1:]) * real * trajectory.dt / took
     inside = on[match.piece[:-1]] & (np.diff(match.piece) == 0)
     return float(np.maximum(off, 0.0)[inside].max(initial=0.0))
@@ -313,7 +315,7 @@ def _wrong_configurations(plan: Plan, match: _Match) -> int:
     conf, right = match.all.conf, np.zeros(len(match.at), dtype=bool)
     for d in (-1, 0, 1):  # a target rounded across a quarter turn belongs to its neighbour sample
         near = np.clip(match.at + d, least, most)
-        q, branch = trajectory.q[near], trajectory.branch[near]
+        q, branch = trajectory.q[near][:, plan.cell.own], trajectory.branch[near]
         within = (quadrants(q - BORDER) <= conf[:, :3]) & (conf[:, :3] <= quadrants(q + BORDER))
         right |= (within | (conf[:, :3] == UNSPECIFIED)).all(axis=1) & (
             (conf[:, 3] == branch) | (conf[:, 3] == UNSPECIFIED)
@@ -405,9 +407,8 @@ def _frames(plan: Plan, program: RobotProgram) -> tuple[float, float]:
         far.append(float(np.linalg.norm(written[:3] - T[:3, 3])))
         cosine = 0.5 * (np.trace(to_matrix(written[None, 3:])[0].T @ T[:3, :3]) - 1.0)
         turned.append(float(np.arccos(min(1.0, cosine))) if cosine < 1.0 - 1e-9 else 0.0)
-    na = len(cell.arm)
     start = plan.trajectory.q[:1]
-    posture = np.concatenate([start[0, :na], np.radians(external_degrees(cell, start[:, na:]))[0]])
+    posture = np.concatenate([start[0, cell.own], np.radians(external_written(cell, start[:, cell.besides]))[0]])
     difference = np.abs(program.start[: len(posture)] - posture).max()
     if moving != bool(program.station) or np.isnan(difference) or not np.isnan(program.start[len(posture) :]).all():
         return float("inf"), max(turned)
@@ -522,7 +523,7 @@ def played_differences(plan: Plan, moves: Moves, program: RobotProgram) -> list[
     at = np.concatenate([[0], moves.sample])
     if len(program.linear) != len(at):
         return [*compare(plan, program).differences(), f"it has {len(program.linear)} moves, not {len(at)}"]
-    planned = np.column_stack([quadrants(moves.q), plan.trajectory.branch[at]])
+    planned = np.column_stack([quadrants(moves.q[:, plan.cell.own]), plan.trajectory.branch[at]])
     filled = replace(
         program,
         conf=np.where(program.conf == UNSPECIFIED, planned, program.conf),

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, TypeVar
 
 from planner.export.axes.flavours import FLAVOURS
+from planner.export.external import external_axes
 from planner.plan import RAPID_EXTERNAL_AXES
 from planner.plan.plan import materials_of
 
@@ -49,6 +50,8 @@ def unsupported_in_rapid(setup: Setup) -> str | None:
         return f"the configuration of a target is that of a spherical wrist, which {arm.name} has not"
     if holder is not None and len(holder.joint_names) > RAPID_EXTERNAL_AXES:
         return f"{holder.name} has more axes than RAPID's {RAPID_EXTERNAL_AXES} external ones"
+    if len(external_axes(setup.cell)) > RAPID_EXTERNAL_AXES:
+        return f"what carries the arm and the part has more axes than RAPID's {RAPID_EXTERNAL_AXES} external ones"
     return None
 
 
@@ -61,6 +64,8 @@ def unsupported_in_krl(setup: Setup) -> str | None:
         return f"the part is held by an arm, {holder.name}, and external axes are those of a positioner"
     if holder is not None and len(holder.joint_names) > EXTERNAL_AXES:
         return f"{holder.name} has more axes than KRL's {EXTERNAL_AXES} external ones"
+    if len(external_axes(setup.cell)) > EXTERNAL_AXES:
+        return f"what carries the arm and the part has more axes than KRL's {EXTERNAL_AXES} external ones"
     if min(output_numbers(setup.problem).values()) < 1:
         return "outputs count from 1, and program.extruder_output is 0"
     return None
@@ -71,6 +76,8 @@ def unsupported_in_urscript(setup: Setup) -> str | None:
     arm, holder = setup.cell.arm_robot, setup.cell.holder_robot
     if arm.language != "urscript":
         return f"{arm.name} is no arm of Universal Robots, by the language in its file"
+    if setup.cell.rails:
+        return f"it moves the arm alone, and here {setup.cell.joint_names[0]} carries it"
     if holder is not None:
         return f"it moves the arm alone, and here {holder.name} moves the part"
     last = max(output_numbers(setup.problem).values())
@@ -84,6 +91,10 @@ def unsupported_in_axes(setup: Setup) -> str | None:
     spec: MachineSpec | None = setup.problem.program.machine
     if spec is None:
         return "program.machine describes no machine"
+    if spec.type == "robot" and setup.cell.rails:
+        return f"no letter is left for {setup.cell.joint_names[0]}, which carries the robot"
+    if spec.type == "robot" and setup.cell.holder.slides.any():
+        return "what moves the part slides, and the letters that are left are those of axes that turn"
     carrying = len(setup.cell.holder) if spec.type == "robot" else 0
     if carrying > len(STATION):
         return f"what moves the part has {carrying} axes, and {len(STATION)} letters are left for them"

@@ -178,7 +178,7 @@ FIXED = {
 
 
 def write_table(plan: Plan, stream: TextIO) -> None:
-    """Write one row per sample to a text stream: mm, mm/s, mm^3/s, joints in rad; e_mm is filament [mm]."""
+    """Write one row per sample to a text stream: mm, mm/s, mm^3/s, joints in rad, or m where they slide; e_mm is filament [mm]."""
     t = plan.trajectory
     stream.write(",".join([*FIXED, *plan.cell.joint_names]) + "\n")
     decimals = np.array(list(FIXED.values()), dtype=np.int64)

@@ -45,8 +45,8 @@ def world_controller(cell: Cell) -> Array:
     URDF files differ: ROS's base_link is turned by half a turn against the controller's base. Both have one origin.
     """
     first, second = cell.arm.placements[0], cell.arm.placements[0] @ cell.arm.placements[1]
-    z = first[:3, :3] @ cell.arm.axes[0]
-    y = -second[:3, :3] @ cell.arm.axes[1]
+    z = first[:3, :3] @ cell.arm.axes[0, :3]
+    y = -second[:3, :3] @ cell.arm.axes[1, :3]
     T = np.eye(4)
     T[:3, :3] = np.column_stack([np.cross(y, z), y, z])
     T[:3, 3] = cell.T_world_base[:3, 3]

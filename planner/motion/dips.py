@@ -32,6 +32,7 @@ MERGE = 5  # samples at speed between two dips that still count as one
 LIMITS = ("velocity", "acceleration", "jerk")
 # Of a joint in the problem file: its key, its unit in SI, the greatest value that the file may hold.
 KEYS = (("speed_deg_s", np.pi / 180.0, 1e4), ("acceleration_rad_s2", 1.0, 1e4), ("jerk_rad_s3", 1.0, 1e7))
+SLIDING_KEYS = (("speed_mm_s", 1e-3, 1e5), ("acceleration_mm_s2", 1e-3, 1e7), ("jerk_mm_s3", 1e-3, 1e10))
 WIDEST_TOLERANCE, LONGEST_RUN = 5e-3, 0.1  # m, that the problem file may hold
 _CORNER_LENGTH = 10.0  # tolerances that a rounded corner is long: it has to fit into the bead
 SLOWEST = 1e-4  # m/s, that it may hold
@@ -47,7 +48,7 @@ _NEGLIGIBLE = 5e-3  # of a dip's volume: less is not told as over-extrusion
 @dataclass(frozen=True)
 class _Line:
     """What all dips of a bead share: the task's geometry by its samples' index, and the drawn path's corners (k, 3),
-    joints' names and their velocity, acceleration and jerk limits (nj, 3)."""
+    joints' names and their velocity, acceleration and jerk limits (nj, 3), and those that slide."""
 
     path: JointPath
     bead: Bead
@@ -55,6 +56,7 @@ class _Line:
     corners: Array
     names: tuple[str, ...]
     limits: Array
+    sliding: tuple[int, ...]
 
     def ceilings(self, low: float, high: float) -> tuple[Array, Array]:
         """Greatest constant speed (k, nj, 3) that each limit allows at places between two arc lengths, which are
@@ -106,7 +108,7 @@ def find_dips(
 def _line(cell: Cell, bead: Bead, path: JointPath, tolerance: float) -> _Line:
     limits = np.column_stack([cell.limits.velocity, cell.limits.acceleration, cell.limits.jerk])
     corners = bead.source[_turns(bead.source, tolerance) > CORNER]
-    return _Line(path, bead, spline_of(path), corners, cell.joint_names, limits)
+    return _Line(path, bead, spline_of(path), corners, cell.joint_names, limits, cell.limits.sliding)
 
 
 def _turns(path: Array, reach: float) -> Array:
@@ -191,10 +193,11 @@ def _remedies(problem: Problem, line: _Line, dip: _Stretch, ceilings: Array, pla
     needed = line.limits * (speed / each) ** ORDERS
     short = np.argwhere(each < speed)
     short = short[np.argsort(each[each < speed], kind="stable")]  # the one that sets the speed comes first
-    values = [float(needed[j, k]) / KEYS[k][1] for j, k in short]
+    keys = [(SLIDING_KEYS if j in line.sliding else KEYS)[k] for j, k in short]
+    values = [float(needed[j, k]) / unit for (j, k), (_, unit, _) in zip(short, keys, strict=True)]
     told = (needed / line.limits).max() <= MOST_TIMES
-    if told and all(value <= KEYS[k][2] for value, (_, k) in zip(values, short, strict=True)):
-        names = [f"cell.limits.{line.names[j]}.{KEYS[k][0]}" for j, k in short]
+    if told and all(value <= most for value, (_, _, most) in zip(values, keys, strict=True)):
+        names = [f"cell.limits.{line.names[j]}.{key}" for (j, _), (key, _, _) in zip(short, keys, strict=True)]
         out.append(Remedy("limits", tuple(zip(names, map(_up, values), strict=True)), exact))
     return (*out, *_larger_shape(problem, line, dip, ceilings, places))
 

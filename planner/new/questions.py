@@ -179,7 +179,10 @@ def answers_to(ask: Asker, file: Path, name: str) -> Answers:
     robot = read_robot(ROBOTS / f"{choose('arm', shipped_robots(arms=True), 'irb140')}.yaml")
     value("tip_mm", "nozzle tip in the flange frame, x y z [mm]", "0 0 150", field_of(NozzleSpec, "tip"))
     value("diameter_mm", "bore of the nozzle [mm]", "0.6", field_of(NozzleSpec, "diameter"))
-    holders = {"bed": "a fixed bed"} | shipped_robots(arms=False)
+    # a part is not held by what slides
+    others = shipped_robots(arms=False).items()
+    turning = {key: name for key, name in others if not any(read_robot(ROBOTS / f"{key}.yaml").slides)}
+    holders = {"bed": "a fixed bed"} | turning
     holder = choose("what holds the part", holders, "bed")
     what = choose("what is printed", WHAT, "pattern")
     SOURCES[what](value, file.parent)

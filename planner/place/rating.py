@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Ints
 from planner.base.compiled import njit
+from planner.base.geometry import TURN
 from planner.base.processes import in_threads
 from planner.cell.cell import Cell
 from planner.cell.kinematics.chain import chain_state, largest_singular_value, pose_of
@@ -35,7 +36,7 @@ from planner.resolve.reach import (
     rung_numbers,
     swept_joint,
 )
-from planner.resolve.search import ROUND, SPEED_SHARE
+from planner.resolve.search import SPEED_SHARE
 from planner.toolpath.task import NozzleTask
 
 # ----------------------------------------------------------------------------------------------------
@@ -122,6 +123,7 @@ def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked,
     roll_from, redundant = grid.roll_from, swept.redundant
     known, sigmas, shares = np.empty(8, dtype=np.bool_), np.empty(8), np.empty(8)
     for r in range(first, last):
+        given = redundant[r].copy()
         bodies = workspace_for(table)  # anew: what it remembers of other rungs would depend on the threads
         now, lacking = rungs.now[rungs.rung[r]], out.lacking[r]
         for h in range(swept.holder.shape[1]):
@@ -141,13 +143,14 @@ def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked,
                 flange_pose(
                     T_base_world, T_nozzle_flange, T_world_task, z_axis, roll, R, T_rolled, T_base_nozzle, T_base_flange
                 )
-                given = angle if swept.sweeps == 2 else redundant[r]
+                if swept.sweeps >= 2:
+                    given[swept.sweeps - 2] = angle
                 solve_one(kind, p, given, T_base_flange[:3, :3], T_base_flange[:3, 3], eight, ok)
                 known[:] = False
                 for c in range(8):
                     if not ok[c]:
                         continue
-                    away = nearest_turns(eight[c], middle, q_min, q_max)
+                    away = nearest_turns(eight[c], middle, q_min, q_max, limits.turns)
                     wrist = np.inf
                     if asked.wrist == SPHERICAL:
                         wrist = abs(eight[c, 4])
@@ -409,7 +412,7 @@ def best_worst(
     speed[:na] = limits.velocity[:na]
     if joint is not None:
         speed[na] = limits.velocity[joint]
-    wraps = (limits.q_max - limits.q_min)[:na] >= ROUND
+    wraps = (limits.q_max - limits.q_min)[:na] > TURN
     margins = _margins(terms, min_sigma)
     came = np.full(margins.shape, 4, dtype=np.int8)
     worst, ends = bottleneck(

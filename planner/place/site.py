@@ -169,7 +169,7 @@ def _axis(cell: Cell, place: PartPlace, name: str, given: tuple[float, float] | 
     else:
         side = (_PLATE_SHARE if name in ON_A_TABLE else _REACH_SHARE) * far
         low, high = round(at - side, 3), round(at + side, 3)
-        if name == "z":  # not below the arm's foot, unless it stands there
+        if name == "z" and cell.T_world_base[2, 2] > 0.5:  # not below a standing arm's foot, unless it is there
             low = max(low, min(float(cell.T_world_base[2, 3]), at))
     turns = angle and high - low >= _TURN - 1e-9
     count = min(_COUNTS[name], math.ceil((high - low) / _FINEST[angle]) + 1)

@@ -26,6 +26,10 @@ class Measure:
 ONLY_LEAN = "process.cones.nozzle_normal_deg is not 0"
 ONLY_SWITCHED = "process.extruder.motor is on_off"
 ONLY_MOTOR = "process.extruder.motor is not on_off"
+ONLY_BOUNDED = (
+    "process.cones.nozzle_normal_deg is 0, the print has at most 20,000 waypoints, and roll apart at most three joints "
+    "are free (positioner, rail, an arm of seven axes)"
+)
 
 METRICS: dict[str, Measure] = {
     "beads": Measure("", "beads that are laid", "counted; of a resumed print from its first bead on"),
@@ -41,6 +45,19 @@ METRICS: dict[str, Measure] = {
         "s",
         "time in which joint speed and acceleration alone would let these joint paths be followed",
         "the quickest speed profile at most at the commanded speed, without jerk limits, found by the planner",
+    ),
+    "bound_any_path_s": Measure(
+        "s",
+        "time that any plan needs at least to lay this material",
+        "at each place the greatest speed that joint speed and acceleration allow for any rotation, chosen joints and "
+        "branch, however fast these change; found by the planner on a grid, of hard places up to a number",
+        ONLY_BOUNDED,
+    ),
+    "bound_gap_fraction": Measure(
+        "",
+        "share by which deposition takes longer than that at most",
+        "deposition_time_s over bound_any_path_s, less 1",
+        ONLY_BOUNDED,
     ),
     "at_speed_fraction": Measure(
         "",
@@ -71,6 +88,12 @@ METRICS: dict[str, Measure] = {
     ),
     "joint_limit_margin_deg": Measure(
         "deg", "least distance of any joint from an end of its range", "over all samples, travel included"
+    ),
+    "rail_margin_mm": Measure(
+        "mm",
+        "least distance of a joint that slides from an end of its range",
+        "over all samples, travel included",
+        "a joint slides",
     ),
     "velocity_ratio_max": Measure(
         "",
@@ -194,6 +217,12 @@ CHECKS: dict[str, Measure] = {
     ),
     "joint range": Measure(
         "deg", "every joint stays within its range", "distance from the nearer end, over all samples"
+    ),
+    "rail range": Measure(
+        "mm",
+        "every joint that slides stays within its range",
+        "distance from the nearer end, over all samples",
+        "a joint slides",
     ),
     "joint velocity": Measure(
         "of limit", "every joint stays within its speed limit", "central differences of the samples"

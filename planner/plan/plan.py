@@ -164,6 +164,7 @@ class Plan:
     Its motion is sampled in `trajectory`, all of whose arrays are read-only; those that are wanted most stand here by
     their own names: t, q, tip, axis, speed, bead, deposit, s. `table` gives all of them as columns.
 
+    resolved_by: strategy whose paths these are: the default takes a simpler one's where that is better; empty if not known
     metrics:  name → value, in the units that the name says (see the output contract in the docs)
     series:   per-sample arrays (n,) or (n, nj) that the verifier found on the way, for the report:
               sigma, wrist_deg (not of seven axes), limit_margin_deg, velocity_ratio, acceleration_ratio, jerk_ratio,
@@ -190,6 +191,7 @@ class Plan:
     versions: dict[str, str]
     baseline: dict[str, dict[str, float]]
     settings: dict[str, Any]
+    resolved_by: str = ""
     dips: tuple[Dip, ...] = ()
     headroom: Robustness | None = None
     approaches: tuple[Approach, ...] = ()

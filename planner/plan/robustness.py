@@ -27,6 +27,7 @@ _TERM = re.compile(r"(\d+\.?\d*|\.\d+)\s*([A-Za-z°]+)", re.ASCII)
 LEAST, MOST = min, max
 TOLD = {
     "joint_limit_margin_deg": LEAST,
+    "rail_margin_mm": LEAST,
     "sigma_min": LEAST,
     "wrist_margin_deg": LEAST,
     "branch_changes_in_deposition": MOST,

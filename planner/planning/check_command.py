@@ -59,6 +59,8 @@ def examine(problem: Problem, whole: bool = False) -> Examination:
     toolpath = None
     if quick or whole:
         toolpath = _tried(mistakes, lambda: _toolpath(one_layer(problem) if first else problem))
+        if cell is not None and toolpath is not None:
+            _tried(mistakes, lambda: _check_cones(problem, cell, toolpath))
     else:
         for keys, path in paths_in(problem):
             if keys[0] != "cell":  # whose files the cell has read
@@ -117,6 +119,14 @@ def _toolpath(problem: Problem) -> Toolpath:
     if problem.process.fibre is not None:  # which asks for beads of some length
         tasks_of(problem, toolpath)
     return toolpath
+
+
+def _check_cones(problem: Problem, cell: Cell, toolpath: Toolpath) -> None:
+    if problem.process.cones.bound_to_gravity:
+        from planner.resolve.least_lean import check_cones
+        from planner.toolpath.task import tasks_of
+
+        check_cones(problem, cell, tasks_of(problem, toolpath))
 
 
 def _read(problem: Problem, field: str, path: Path) -> None:

@@ -15,6 +15,7 @@ from planner.cell.cell import Cell, build_cell
 from planner.collision.print_body import PrintBody, print_body, standing
 from planner.collision.scene import Obstacles, obstacles_of
 from planner.problem import Problem, load_problem
+from planner.resolve.segment import Term
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import NozzleTask, tasks_of
@@ -22,7 +23,10 @@ from planner.toolpath.task import NozzleTask, tasks_of
 
 @dataclass(frozen=True)
 class PlanningContext:
-    """What every strategy plans with, and is verified with; of the tasks only those from `first_bead` on are printed."""
+    """What every strategy plans with, and is verified with; of the tasks only those from `first_bead` on are printed.
+
+    terms: a user's own, of the refinement's price
+    """
 
     problem: Problem
     cell: Cell
@@ -31,13 +35,16 @@ class PlanningContext:
     body: PrintBody
     obstacles: Obstacles
     first_bead: int
+    terms: tuple[Term, ...] = ()
 
 
-def context_of(problem: Problem, cell: Cell, toolpath: Toolpath, first_bead: int = 0) -> PlanningContext:
+def context_of(
+    problem: Problem, cell: Cell, toolpath: Toolpath, first_bead: int = 0, terms: tuple[Term, ...] = ()
+) -> PlanningContext:
     """Raises InputError for a bead that is too short for the problem's fibre."""
     body = print_body(toolpath, standing(cell))
     tasks, obstacles = tasks_of(problem, toolpath), obstacles_of(problem, cell, toolpath, body)
-    return PlanningContext(problem, cell, toolpath, tasks, body, obstacles, first_bead)
+    return PlanningContext(problem, cell, toolpath, tasks, body, obstacles, first_bead, terms)
 
 
 @lru_cache(maxsize=1)

@@ -14,8 +14,8 @@ from planner.base.errors import PlannerError
 from planner.planning.context import PlanningContext, context_elsewhere, digest_of, found_anywhere
 from planner.resolve.joint_path import JointPath, choose_turns
 from planner.resolve.ladder import ladder
-from planner.resolve.segment import model_of
 from planner.resolve.sqp import Priced, given_prices, refine_beads, sigma_floor
+from planner.resolve.terms import model_of, terms_of
 
 Joints = tuple[Array, Array, Array, int]  # roll, tilt, joints and branch of a JointPath
 # name and overrides of the problem, its digest, prices of a piece's beads, what they must keep; beads by their index
@@ -28,7 +28,7 @@ def sqp_over(over: Spread, given: PlanningContext) -> tuple[JointPath, ...]:
     """The joint paths of strategy `sqp`, bit for bit, refined where `over` spreads them. Raises Refusal as `sqp` does."""
     problem, cell, settings = given.problem, given.cell, given.problem.resolve
     paths = ladder(cell, given.tasks, settings, given.obstacles)
-    prices = given_prices(model_of(cell, given.obstacles), paths, settings)
+    prices = given_prices(model_of(cell, given.obstacles, terms_of(settings.weights)), paths, settings)
     floor = sigma_floor(prices, settings)
     where = found_anywhere(problem), problem.overrides, digest_of(cell, given.tasks)
     pieces: list[WorkPiece] = [
@@ -67,9 +67,9 @@ def _refined(piece: WorkPiece) -> list[Joints]:
     given = context_elsewhere(*where)
     paths = [JointPath(given.tasks[i], *each) for i, each in zip(beads, joints, strict=True)]
     known = {k: price for k, price in enumerate(prices) if price is not None}
-    return [
-        _joints(path) for path in refine_beads(given.cell, paths, given.problem.resolve, given.obstacles, known, floor)
-    ]
+    settings = given.problem.resolve
+    model = model_of(given.cell, given.obstacles, terms_of(settings.weights))
+    return [_joints(path) for path in refine_beads(given.cell, model, paths, settings, known, floor)]
 
 
 def _joints(path: JointPath) -> Joints:

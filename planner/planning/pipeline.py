@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,14 +26,21 @@ from planner.motion.trajectory import join
 from planner.motion.travel.plan import Travel, carried_travels, plan_travels
 from planner.plan import Plan, Trajectory
 from planner.plan.robustness import Robustness, Tolerance, parse_tolerance
+from planner.planning.candidates import DEFAULT, PlannedPaths, best_of_all
 from planner.planning.context import PlanningContext, context_of
 from planner.planning.distributed import sqp_over
 from planner.planning.options import DEFAULT_DT, MAX_DT, MIN_DT
+from planner.planning.pieces import MORE_ROOM, in_pieces
 from planner.planning.robustness import assess_robustness
 from planner.problem import Problem, load_problem
 from planner.report.html import write_report
+from planner.resolve.bound import MOST_CHOSEN, MOST_WAYPOINTS, bound_any_path
 from planner.resolve.joint_path import JointPath
-from planner.resolve.roll_map import roll_maps
+from planner.resolve.ladder import ladder
+from planner.resolve.least_lean import check_cones
+from planner.resolve.own_terms import Own, OwnTerm, own_terms
+from planner.resolve.roll_map import RollMap, roll_maps
+from planner.resolve.sqp import refine_paths
 from planner.resolve.strategies import STRATEGIES, UNAWARE
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
@@ -40,7 +48,6 @@ from planner.verify.collision import check_start
 from planner.verify.verdict import Report, verify
 
 BASELINE = "as_published"
-SPREADS = "sqp"  # the strategy whose work other processes can share
 WORTH_A_FORK = 5_000  # waypoints above which sharing the work takes less time than copying the process for it
 
 
@@ -64,6 +71,7 @@ def solve(
     first_bead: int = 0,
     baseline: bool = True,
     over: Spread | None = None,
+    terms: Sequence[OwnTerm] = (),
 ) -> Plan:
     """Plan a problem, or what `load` takes, and verify the plan.
 
@@ -76,6 +84,7 @@ def solve(
     stages          shows and times the stages
     baseline        whether the baseline strategy is planned as well; its metrics are in `Plan.baseline`
     over            what spreads the beads that strategy sqp refines over processes or machines (`planner.base.distribution.crew`)
+    terms           terms of your own that the refinement of strategy sqp weighs against the others, see `OwnTerm`
 
     The plan that comes back may have failed checks: see `Plan.verified`. Nothing is written: see `write`.
     Raises InputError for wrong input, Refusal where there is no plan at all.
@@ -85,6 +94,7 @@ def solve(
     strategy = _known(strategy or problem.strategy)
     if not MIN_DT <= dt <= MAX_DT:
         raise InputError(f"{dt!r} is not a time between {MIN_DT} and {MAX_DT} s", field="dt")
+    own = _own(terms, strategy, over)
     stages = stages or Stages()
     with stages.stage("load"):
         cell = build_cell(problem)
@@ -93,35 +103,40 @@ def solve(
     with stages.stage("toolpath"):
         toolpath = build_toolpath(problem)
     with stages.stage("obstacles"):
-        given = context_of(problem, cell, toolpath, _within(first_bead, toolpath))
+        pieces = problem.process.split_beads  # which are counted once it is known whether there are any
+        given = context_of(problem, cell, toolpath, 0 if pieces else _within(first_bead, toolpath), own)
+        check_cones(problem, cell, given.tasks)
     with _baseline_beside(baseline and strategy != BASELINE, given, dt, second_process) as baseline_metrics:
-        paths = _paths_of(strategy, given, stages, over)
-        rest, shared = paths[first_bead:], second_process and _waypoints(toolpath) >= WORTH_A_FORK
-        with beside(shared, roll_maps, cell, rest, given.obstacles, problem.resolve.min_sigma) as mapped:
-            trajectory, report, travels = _plan_along(paths, strategy, given, dt, stages, shared)
-            with stages.stage("dips"):
-                dips = find_dips(problem, cell, toolpath, paths, trajectory)
-            with stages.stage("map"):
-                maps = mapped()
+        shared = second_process and _waypoints(toolpath) >= WORTH_A_FORK
+        if pieces:
+            given, planned, maps = _planned_in_pieces(strategy, given, dt, stages, shared, first_bead)
+            toolpath = given.toolpath
+        else:
+            planned, maps = _planned(strategy, given, dt, stages, shared, over)
+        trajectory, report, rest = planned.trajectory, planned.report, planned.paths[first_bead:]
+        with stages.stage("dips"):
+            dips = find_dips(problem, cell, toolpath, planned.paths, trajectory)
+            metrics = report.metrics | _distance(given, report)
         with stages.stage("baseline"):
             compared = baseline_metrics()
     judged = None
     if tolerance is not None:
         with stages.stage("tolerance"):
-            judged = _headroom(tolerance, problem, cell, toolpath, rest, travels, report, dt, second_process)
+            judged = _headroom(tolerance, problem, cell, toolpath, rest, planned.travels, report, dt, second_process)
     return Plan(
         problem=problem,
         cell=cell,
         toolpath=toolpath,
         strategy=strategy,
+        resolved_by=planned.by,
         trajectory=trajectory,
         checks=report.checks,
-        metrics=report.metrics,
+        metrics=metrics,
         series=report.series,
         timing_s=dict(stages.seconds),
         versions=versions(),
         baseline=compared,
-        settings={"dt": dt, "overrides": list(problem.overrides)},
+        settings={"dt": dt, "overrides": list(problem.overrides)} | _names_of(terms),
         dips=dips,
         approaches=report.approaches,
         view=report.view,
@@ -137,7 +152,10 @@ def try_out(problem: Problem, toolpath: Toolpath, strategy: str, second_process:
     toolpath: the problem's own, which does not depend on its cell. Raises Refusal where there is no plan at all.
     """
     given = context_of(problem, build_cell(problem), toolpath)
-    return _report_of(strategy, given, DEFAULT_DT, second_process and _waypoints(toolpath) >= WORTH_A_FORK)
+    shared = second_process and _waypoints(toolpath) >= WORTH_A_FORK
+    if problem.process.split_beads:
+        return _planned_in_pieces(strategy, given, DEFAULT_DT, Stages(), shared, 0)[1].report
+    return _planned(strategy, given, DEFAULT_DT, Stages(), shared)[0].report
 
 
 def _known(strategy: str) -> str:
@@ -147,6 +165,20 @@ def _known(strategy: str) -> str:
     near = nearest_name(strategy, STRATEGIES)
     hint = f"did you mean {near}?" if near else f"strategies: {', '.join(STRATEGIES)}"
     raise InputError(f"there is no strategy {strategy!r}", hint=hint)
+
+
+def _own(terms: Sequence[OwnTerm], strategy: str, over: Spread | None) -> tuple[Own, ...]:
+    """A user's terms. Raises InputError for what is no term, and where nothing would ask them."""
+    if terms and strategy != DEFAULT:
+        raise InputError(f"strategy {strategy} refines nothing", field="terms", hint=f"strategy {DEFAULT} does")
+    if terms and over is not None:
+        raise InputError("other processes cannot ask terms of this one", field="terms", hint="leave out over")
+    return own_terms(terms)
+
+
+def _names_of(terms: Sequence[OwnTerm]) -> dict[str, object]:
+    """What plan.json says of a user's terms, where there are any."""
+    return {"terms": [term.name for term in terms]} if terms else {}
 
 
 def _tolerance(text: str) -> Tolerance:
@@ -165,12 +197,93 @@ def _within(first_bead: int, toolpath: Toolpath) -> int:
     return first_bead
 
 
-def _paths_of(strategy: str, given: PlanningContext, stages: Stages, over: Spread | None = None) -> Sequence[JointPath]:
-    """Resolve all beads with one strategy."""
+def _planned(
+    strategy: str, given: PlanningContext, dt: float, stages: Stages, shared: bool, over: Spread | None = None
+) -> tuple[PlannedPaths, tuple[RollMap, ...]]:
+    """The plan of a strategy, of the default one the best of all strategies', and its maps of roll. Raises Refusal.
+
+    Which strategy's paths are taken is decided on the whole print, also where the rest of it is resumed.
+    """
+    others, min_sigma = strategy == DEFAULT, given.problem.resolve.min_sigma
+
+    def along(by: str, paths: Sequence[JointPath], stages: Stages, start: Sequence[JointPath] = ()) -> PlannedPaths:
+        return PlannedPaths(by, paths, *_plan_along(paths, strategy, given, dt, stages, shared), start)
+
+    def maps_of(planned: PlannedPaths) -> tuple[RollMap, ...]:
+        return roll_maps(given.cell, planned.paths[given.first_bead :], given.obstacles, min_sigma)
+
+    if others and given.first_bead:
+        whole, _ = _planned(strategy, replace(given, first_bead=0), dt, stages, shared, over)
+        resumed = along(whole.by, whole.paths, stages)
+        return resumed, maps_of(resumed)
+    own, refusal, mapped = None, None, None
+    try:
+        paths, start = _paths_of(strategy, given, stages, over)
+        rest = paths[given.first_bead :]
+        with beside(shared, roll_maps, given.cell, rest, given.obstacles, min_sigma) as maps:
+            own = along(strategy, paths, stages, start)
+            with stages.stage("map"):
+                mapped = maps()
+    except Refusal as none:
+        if not others:
+            raise
+        refusal = none
+    best = own
+    with stages.stage("compare"):
+        if others:
+            best = best_of_all(given, own, _waypoints(given.toolpath), partial(along, stages=Stages()))
+    if best is None:
+        raise refusal or RuntimeError("no plan and no refusal")
+    if best is not own or mapped is None:
+        with stages.stage("map"):
+            mapped = maps_of(best)
+    return best, mapped
+
+
+def _planned_in_pieces(
+    strategy: str, given: PlanningContext, dt: float, stages: Stages, shared: bool, first_bead: int
+) -> tuple[PlanningContext, PlannedPaths, tuple[RollMap, ...]]:
+    """As `_planned`, of the whole print as it is drawn, or with beads in pieces where it is refused so or not verified; and
+    what was planned. Raises InputError where that has no such bead."""
+    drawn = given
+    refusal, whole = None, None
+    try:
+        whole = _planned(strategy, given, dt, stages, shared)
+    except Refusal as none:
+        refusal = none
+    for more_room in MORE_ROOM:
+        if whole is not None and whole[0].verified:
+            break
+        with stages.stage("pieces"):
+            cut = in_pieces(drawn, more_room)
+        if cut is None:
+            continue
+        try:
+            again = _planned(strategy, cut, dt, stages, shared)
+        except Refusal:  # what the drawing is refused for is told
+            continue
+        if whole is None or again[0].verified:
+            given, whole = cut, again
+    if whole is None:
+        raise refusal or RuntimeError("no plan and no refusal")
+    if first_bead:
+        given = replace(given, first_bead=_within(first_bead, given.toolpath))
+        whole = _planned(strategy, given, dt, stages, shared)
+    return given, *whole
+
+
+def _paths_of(
+    strategy: str, given: PlanningContext, stages: Stages, over: Spread | None = None
+) -> tuple[Sequence[JointPath], Sequence[JointPath]]:
+    """Paths of all beads by one strategy, and those that they were refined from, where these are known."""
+    cell, tasks, settings, obstacles = given.cell, given.tasks, given.problem.resolve, given.obstacles
     with stages.stage("resolve"):
-        if over is not None and strategy == SPREADS:
-            return sqp_over(over, given)
-        return STRATEGIES[strategy](given.cell, given.tasks, given.problem.resolve, given.obstacles)
+        if strategy != DEFAULT:
+            return STRATEGIES[strategy](cell, tasks, settings, obstacles), ()
+        if over is not None:
+            return sqp_over(over, given), ()
+        start = ladder(cell, tasks, settings, obstacles)
+        return refine_paths(cell, start, settings, obstacles, given.terms), start
 
 
 def _plan_along(
@@ -191,10 +304,21 @@ def _plan_along(
     return trajectory, replace(report, metrics=report.metrics | bound), travels
 
 
+def _distance(given: PlanningContext, report: Report) -> dict[str, float]:
+    """The bound of the deposition time over all choices, and how far a plan is from it, where it is found."""
+    tasks = given.tasks[given.first_bead :]
+    too_many = _waypoints(given.toolpath) > MOST_WAYPOINTS or len(given.cell.chosen) > MOST_CHOSEN
+    if too_many or tasks[0].cones.tilt > 0.0:
+        return {}
+    bound = bound_any_path(given.cell, tasks)
+    gap = max(report.metrics["deposition_time_s"] / bound - 1.0, 0.0)  # samples round the time
+    return {"bound_any_path_s": bound, "bound_gap_fraction": gap}
+
+
 def _report_of(strategy: str, given: PlanningContext, dt: float, second_process: bool = False) -> Report:
     """What verification says of a strategy's plan."""
     stages = Stages()
-    return _plan_along(_paths_of(strategy, given, stages), strategy, given, dt, stages, second_process)[1]
+    return _plan_along(_paths_of(strategy, given, stages)[0], strategy, given, dt, stages, second_process)[1]
 
 
 def trajectory_of(

@@ -159,8 +159,8 @@ def followed(cell: Cell, path: JointPath) -> JointPath:
 
     Raises Refusal, with the place, where a pose is out of reach or a joint leaves its range.
     """
-    na, redundant, solved = len(cell.arm), cell.inverse.redundant_joint, list(cell.solved)
-    given = None if redundant is None else path.q[:, redundant]
+    na, redundant, solved = len(cell.arm), list(cell.given), list(cell.solved)
+    given = path.q[:, redundant] if redundant else None
     T_base_flange = flange_poses(cell, path.task, path.roll, path.tilt, path.q[:, na:])
     solutions, exists = cell.inverse.solve(T_base_flange, given)
     if not exists[:, path.branch].all():
@@ -245,11 +245,12 @@ def _worst(joint: str, slope: Array, tolerance: Tolerance) -> Displacement:
 def displacement_slopes(cell: Cell, path: JointPath, rows: slice, middle: Array) -> tuple[Array, Array]:
     """Slopes (n, k + 1, 6) of the k solved joints [rad] and of sigma by shift [m] and turn [rad] of the part, and sigma (n).
 
-    sigma is the smallest singular value of the arm's whole Jacobian at the tip. Slopes are infinite in a singularity.
+    sigma is the smallest singular value of the arm's whole Jacobian at the tip, without what carries the arm. Slopes are
+    infinite in a singularity.
     """
     na, q = len(cell.arm), path.q[rows]
-    J = cell.arm.jacobians(q[:, :na])
-    solved = list(cell.solved)
+    J = cell.arm.jacobians(q[:, :na])[:, :, cell.rails :]
+    solved = [j - cell.rails for j in cell.solved]
     J6 = J[:, :, solved]
     regular = np.linalg.det(J6) != 0.0
     inverse = np.full_like(J6, np.inf)

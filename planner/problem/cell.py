@@ -32,6 +32,7 @@ Angles = Annotated[Vector, Quantity("deg", -360, 360, count=3)]
 Text = Annotated[str, TEXT]
 RobotName = Annotated[str | Path, ROBOT]
 Angle = Annotated[float, Quantity("deg", -3600, 3600)]  # ten turns: no cable allows more
+Place = Annotated[float, Quantity("mm", -100_000, 100_000)]
 Ring = Annotated[tuple[float, float], Quantity("mm", 0, 2000, count=2)]
 MOST_JOINTS = 12  # of an arm; how many it has, its own file says
 
@@ -134,8 +135,12 @@ class PositionerSpec(Section):
         "free", "axes that the planner may move, such as [rotation]; the others are held"
     )
     held: dict[Text, Angle] = key("held_deg", "angles of held axes by name [deg]; each default 0", {})
+    held_mm: dict[Text, Place] = key("held_mm", "places of held axes that slide, by name [mm]; each default 0", {})
     home: dict[Text, Angle] = key(
         "home_deg", "angles of free axes that the search starts from, by name [deg]; each default 0", {}
+    )
+    home_mm: dict[Text, Place] = key(
+        "home_mm", "places of free axes that slide, where the search starts, by name [mm]; each default 0", {}
     )
     part: Position = key("part_mm", "origin of the part frame on the plate or flange [mm]", (0, 0, 0))
     part_rpy: Annotated[Vector, Quantity("deg", -360, 360, count=3)] = key(
@@ -151,16 +156,33 @@ class PositionerSpec(Section):
 
     @model_validator(mode="after")
     def _free_or_held(self) -> PositionerSpec:
-        for name in self.free:
-            if name in self.held:
-                raise refusal(
-                    f"axis {name!r} is both free and held", "an axis is one or the other", fields=["free", "held_deg"]
-                )
+        for field, held in (("held_deg", self.held), ("held_mm", self.held_mm)):
+            for name in self.free:
+                if name in held:
+                    reason = f"axis {name!r} is both free and held"
+                    raise refusal(reason, "an axis is one or the other", fields=["free", field])
         return self
 
 
+class CarrierSpec(Section):
+    """What carries the arm, such as a rail: its base stands at base_mm, and the arm on its tip."""
+
+    robot: RobotName = key("robot", "its name in robots/, or a file of your own, my_rail.yaml")
+    free: Annotated[tuple[Text, ...], UNIQUE] = key(
+        "free", "joints that the planner may move, such as [rail]; [] for none; the others are held"
+    )
+    held_mm: dict[Text, Place] = key("held_mm", "places of held joints that slide, by name [mm]; each default 0", {})
+    held_deg: dict[Text, Angle] = key("held_deg", "angles of held joints that turn, by name [deg]; each default 0", {})
+    home_mm: dict[Text, Place] = key(
+        "home_mm", "where free joints that slide are before and after the print, by name [mm]; each default 0", {}
+    )
+    home_deg: dict[Text, Angle] = key(
+        "home_deg", "where free joints that turn are then, by name [deg]; each default 0", {}
+    )
+
+
 class JointLimitsSpec(Section):
-    """Limits of one joint, where the user knows better than the robot's own file."""
+    """Limits of one joint, where the user knows better than the robot's own file; of one that slides in mm."""
 
     range: Annotated[tuple[float, float], Quantity("deg", -3600, 3600, count=2), INCREASING] | None = key(
         "range_deg", "least and greatest angle [deg]; default: the robot's", None
@@ -174,6 +196,18 @@ class JointLimitsSpec(Section):
     jerk: Annotated[float, Quantity("rad/s3", 0.01, 1e7)] | None = key(
         "jerk_rad_s3", "greatest jerk [rad/s3]; default: the robot's", None
     )
+    range_mm: Annotated[tuple[float, float], Quantity("mm", -100_000, 100_000, count=2), INCREASING] | None = key(
+        "range_mm", "of a joint that slides: least and greatest place [mm]; default: the robot's", None
+    )
+    speed_mm_s: Annotated[float, Quantity("mm/s", 0.1, 100_000)] | None = key(
+        "speed_mm_s", "of a joint that slides: greatest speed [mm/s]; default: the robot's", None
+    )
+    acceleration_mm_s2: Annotated[float, Quantity("mm/s2", 1, 1e7)] | None = key(
+        "acceleration_mm_s2", "of a joint that slides: greatest acceleration [mm/s2]; default: the robot's", None
+    )
+    jerk_mm_s3: Annotated[float, Quantity("mm/s3", 10, 1e10)] | None = key(
+        "jerk_mm_s3", "of a joint that slides: greatest jerk [mm/s3]; default: the robot's", None
+    )
 
 
 class CellSpec(Section):
@@ -182,7 +216,13 @@ class CellSpec(Section):
     model_config = exactly_one("positioner", "bed_mm")
 
     arm: RobotName = key("arm", "its name in robots/, or a file of your own, my_robot.yaml")
-    base: Position = key("base_mm", "base of the arm in the world [mm]", (0, 0, 0))
+    base: Position = key("base_mm", "base of the arm in the world, or of what carries it [mm]", (0, 0, 0))
+    base_rpy: Angles = key(
+        "base_rpy_deg",
+        "that base turned about x, then y, then z of the world [deg]; [180, 0, 0] hangs the arm from a ceiling",
+        (0, 0, 0),
+    )
+    carrier: CarrierSpec | None = key("base", "what carries the arm, such as a rail; default: nothing, it stands", None)
     nozzle: NozzleSpec = key("nozzle", "the nozzle on the arm's flange")
     home: Annotated[tuple[float, ...], Quantity("deg", -3600, 3600, count=(1, MOST_JOINTS))] = key(
         "home_deg", "posture of the arm before and after the print, each joint from the base on [deg]"

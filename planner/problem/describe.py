@@ -173,7 +173,11 @@ def _held_by(problem: Problem, cell: Cell) -> str:
     if spec is None or robot is None:
         at = _value(tuple(1e3 * value for value in problem.cell.bed or ()))
         return f"a fixed bed; the part frame's origin at {at} mm"
-    held = ", ".join(f"{name} at {np.degrees(angle):g} deg" for name, angle in cell.held.items())
+    slides = {} if robot is None else dict(zip(robot.joint_names, robot.slides, strict=True))
+    held = ", ".join(
+        f"{name} at {at * 1e3:g} mm" if slides[name] else f"{name} at {np.degrees(at):g} deg"
+        for name, at in cell.held.items()
+    )
     return f"{_robot(robot.name, spec.robot)}; free: {', '.join(spec.free) or 'none'}" + (
         f"; held: {held}" if held else ""
     )

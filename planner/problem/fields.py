@@ -46,6 +46,8 @@ Model = type[BaseModel]
 _TO_SI: dict[str, Callable[[float], float]] = {
     "mm": lambda value: value / 1000,
     "mm/s": lambda value: value / 1000,
+    "mm/s2": lambda value: value / 1000,
+    "mm/s3": lambda value: value / 1000,
     "deg": math.radians,
     "deg/s": math.radians,
     "rad/s2": float,
@@ -59,6 +61,15 @@ _TO_SI: dict[str, Callable[[float], float]] = {
 def refusal(reason: str, hint: str | None = None, **context: Any) -> PydanticCustomError:
     """Return the error of a field: reason and hint for the user; `item` or `fields` say where below it."""
     return PydanticCustomError("problem", "{reason}", {"reason": reason, "hint": hint, **context})
+
+
+def _truth(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise refusal(f"must be true or false, not {describe(value)}", "without quotes")
+    return value
+
+
+Truth = Annotated[bool, BeforeValidator(_truth)]
 
 
 @dataclass(frozen=True)

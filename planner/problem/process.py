@@ -12,7 +12,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 from pydantic import BeforeValidator, Field, model_validator
 
 from planner.base.errors import nearest_name
-from planner.problem.fields import IDENTIFIER, LONGEST_NAME, Form, Quantity, Section, Thickness, key, one_of, refusal
+from planner.problem.fields import (
+    IDENTIFIER,
+    LONGEST_NAME,
+    Form,
+    Quantity,
+    Section,
+    Thickness,
+    Truth,
+    key,
+    one_of,
+    refusal,
+)
 from planner.problem.yaml_file import describe
 
 if TYPE_CHECKING:
@@ -391,6 +402,11 @@ class ConesSpec(Section):
         "layer_gravity_deg", "surface normal from straight up [deg]; 180 is free", 180
     )
 
+    @property
+    def bound_to_gravity(self) -> bool:
+        """Whether a cone about the vertical bounds anything."""
+        return min(self.layer_gravity, self.nozzle_gravity) < math.pi
+
 
 class ProcessSpec(AroundBeadSpec):
     """How material is laid down, and what happens around a bead."""
@@ -413,6 +429,12 @@ class ProcessSpec(AroundBeadSpec):
         "materials", "several materials, by names; default: one, without a name", {}
     )
     change: ChangeSpec = key("change", "what happens between beads of two materials; each has a default", {})
+    split_beads: Truth = key(
+        "split_beads",
+        "whether a bead that cannot be followed in one go may be laid in pieces: the nozzle lifts off, the arm changes its "
+        "branch or unwinds a joint, and comes back",
+        False,
+    )
 
     def of(self, material: str) -> ProcessSpec:
         """The process with what is this material's own in it; itself for the material without a name."""

@@ -7,7 +7,7 @@ from ipaddress import AddressValueError, IPv4Address
 from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
-from pydantic import BeforeValidator, model_validator
+from pydantic import model_validator
 
 from planner.problem.fields import (
     IDENTIFIER,
@@ -19,6 +19,7 @@ from planner.problem.fields import (
     Position,
     Quantity,
     Section,
+    Truth,
     Vector,
     key,
     one_of,
@@ -67,12 +68,6 @@ def _is_word(word: str) -> bool:
     return word[:1].isascii() and word[:1].isupper() and number.isdecimal() and number.isascii() and len(word) <= 8
 
 
-def _truth(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise refusal(f"must be true or false, not {describe(value)}", "without quotes")
-    return value
-
-
 Code = Annotated[str, Form(_code, schema={"pattern": "^[A-Z][0-9.]+( [A-Z][0-9.]+){0,3}$"})]
 
 
@@ -109,7 +104,7 @@ class MachineSpec(Section):
     part_rpy: Annotated[Vector, Quantity("deg", -360, 360, count=3)] = key(
         "part_rpy_deg", "roll, pitch and yaw of the part frame there [deg]", (0, 0, 0)
     )
-    tcp: Annotated[bool, BeforeValidator(_truth)] = key(
+    tcp: Truth = key(
         "tcp", "whether the controller keeps the tip on its line while axes turn (tool centre point control)", False
     )
     tcp_on: Code = key("tcp_on", "code that switches that on", "M428")
@@ -176,6 +171,20 @@ def _address(value: Any) -> str:
         raise refusal(f"{describe(value)} is not an address", hint) from error
 
 
+_Weight = Annotated[float, Quantity("", 0, 100)]  # beyond, a price would weigh as much as a bound
+
+
+class WeightsSpec(Section):
+    """Factors on the prices of the refinement's terms. Cones, clearance and ranges are bounds: they have no weight."""
+
+    time_lost: _Weight = key("time_lost", "time below the commanded speed, and each dip", 1)
+    effort: _Weight = key("effort", "joints' speed, acceleration and jerk, and peaks of speed", 1)
+    singularity: _Weight = key("singularity", "closeness of the arm to singularities", 1)
+    joint_limits: _Weight = key("joint_limits", "closeness of the arm's joints to the ends of their ranges", 1)
+    tilt: _Weight = key("tilt", "lean of the nozzle from the surface normal", 1)
+    travel: _Weight = key("travel", "ends of beads that move away from where travel is short", 1)
+
+
 class ResolveSpec(Section):
     """Settings of the search for joint paths: finer is better and slower."""
 
@@ -198,6 +207,9 @@ class ResolveSpec(Section):
     )
     qp: Annotated[QPName, one_of(QP_NAMES)] = key(
         "qp", f"solver of the quadratic programs of strategy sqp: {' or '.join(QP_NAMES)} (slower)", "interior_point"
+    )
+    weights: WeightsSpec = key(
+        "weights", "factors on what the refinement of strategy sqp weighs against each other; each has a default", {}
     )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from planner.base.command_line import Command
 from planner.cell.robots_command import robots_command
-from planner.export.plan_json import DIP_KEYS, KEYS
+from planner.export.plan_json import DIP_KEYS, KEYS, SPLIT_KEYS
 from planner.link.command import link_command
 from planner.link.guided_motion import egm_command
 from planner.link.streaming import stream_command
@@ -60,6 +60,9 @@ def metrics_page() -> str:
             "### A dip\n",
             "Each item of `dips`:\n",
             names(DIP_KEYS),
+            "### A split\n",
+            "Each item of `splits`, a place where a drawn bead goes on as another one after a pause:\n",
+            names(SPLIT_KEYS),
         ]
     )
 

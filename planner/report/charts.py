@@ -9,6 +9,7 @@ import numpy as np
 
 from planner.base.arrays import Array
 from planner.report.extruder import even_flow, flow_note, pushed, pushes_otherwise
+from planner.report.joints import shown_units
 from planner.report.scene import INK, PAPER
 from planner.report.thinning import CURVE_BUDGET, keep_minima, stretches, thin_curve, with_gaps
 
@@ -90,16 +91,23 @@ def time_charts(plan: Plan) -> list[dict[str, Any]]:
 
 
 def joint_charts(plan: Plan) -> list[dict[str, Any]]:
-    """A small chart per joint, degrees over time, on the whole range between its end stops."""
+    """A small chart per joint, degrees or mm over time, on the whole range between its end stops."""
     charts = []
     limits = plan.cell.limits
+    scale, units = shown_units(plan.cell)
     for k, name in enumerate(plan.cell.joint_names):
-        q = np.degrees(plan.trajectory.q[:, k])
-        ends = [(float(np.degrees(v)), "") for v in (limits.q_min[k], limits.q_max[k]) if np.isfinite(v)]
+        q = scale[k] * plan.trajectory.q[:, k]
+        unit, mark = ("degrees", "°") if units[k] == "deg" else ("mm", " mm")
+        ends = [(float(scale[k] * v), "") for v in (limits.q_min[k], limits.q_max[k]) if np.isfinite(v)]
         low, high = (min([q.min(), *(v for v, _ in ends)]), max([q.max(), *(v for v, _ in ends)]))
         pad = 0.06 * max(high - low, 1.0)
         chart = _chart(
-            f"joint-{k}", name, "degrees", [_curve(plan, q, name, BLUE, "%{y:.2f}°")], lines=ends, height=JOINT_HEIGHT
+            f"joint-{k}",
+            name,
+            unit,
+            [_curve(plan, q, name, BLUE, f"%{{y:.2f}}{mark}")],
+            lines=ends,
+            height=JOINT_HEIGHT,
         )
         chart["layout"]["yaxis"]["range"] = [float(low - pad), float(high + pad)]
         fit = 0.06 * max(float(np.ptp(q)), 0.1)

@@ -15,6 +15,7 @@ from planner.base.arrays import Array
 from planner.report import page
 from planner.report.charts import joint_charts, time_charts
 from planner.report.extruder import events_section, materials_section
+from planner.report.joints import shown_units
 from planner.report.places import approaches_section, dips_section, places_of, where_words
 from planner.report.robustness import robustness_section
 from planner.report.roll_map import roll_map_figures, roll_map_section
@@ -184,15 +185,16 @@ def _joint_ratios(plan: Plan) -> dict[str, Array]:
 
 def _joint_rows(plan: Plan, ratios: Mapping[str, Array]) -> list[dict[str, Any]]:
     """What each joint uses of its range, and the greatest of its ratios."""
-    q = np.degrees(plan.trajectory.q)
-    low, high = np.degrees(plan.cell.limits.q_min), np.degrees(plan.cell.limits.q_max)
+    scale, units = shown_units(plan.cell)
+    q, low, high = (scale * values for values in (plan.trajectory.q, plan.cell.limits.q_min, plan.cell.limits.q_max))
+    after = [" mm" if unit == "mm" else "" for unit in units]
     margin = np.minimum(q.min(axis=0) - low, high - q.max(axis=0))
     return [
         {
             "name": name,
-            "used": f"{number(q[:, k].min(), 1)} to {number(q[:, k].max(), 1)}",
-            "allowed": _range(low[k], high[k]),
-            "margin": number(margin[k], 1) if np.isfinite(margin[k]) else MISSING,
+            "used": f"{number(q[:, k].min(), 1)} to {number(q[:, k].max(), 1)}{after[k]}",
+            "allowed": _range(low[k], high[k]) + after[k],
+            "margin": number(margin[k], 1) + after[k] if np.isfinite(margin[k]) else MISSING,
             "ratios": [float(np.nanmax(values[:, k])) for values in ratios.values()],
         }
         for k, name in enumerate(plan.cell.joint_names)

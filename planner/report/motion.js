@@ -41,11 +41,19 @@ function exponential([ox, oy, oz, x, y, z], angle) {
   return out;
 }
 
+// Slide by a way along the unit vector (x, y, z).
+function slid([, , , x, y, z], way) {
+  const out = STILL.slice();
+  out[3] = way * x; out[7] = way * y; out[11] = way * z;
+  return out;
+}
+
 function makeMotion(scene) {
   const { cell, motion, dt } = scene;
   if (!cell) return null;
   const joints = cell.screws.length / 6;
   const screws = Array.from({ length: joints }, (_, j) => Array.from(cell.screws.subarray(6 * j, 6 * j + 6)));
+  const does = cell.slides.map((slides) => (slides ? slid : exponential));
   const nozzle = Array.from(cell.nozzle), part = Array.from(cell.part);
 
   function posture(t) {
@@ -61,7 +69,7 @@ function makeMotion(scene) {
   function poses(t) {
     const q = posture(t), chain = (first, last) => {
       const out = [STILL];
-      for (let j = first; j < last; j++) out.push(product(out[out.length - 1], exponential(screws[j], q[j])));
+      for (let j = first; j < last; j++) out.push(product(out[out.length - 1], does[j](screws[j], q[j])));
       return out;
     };
     const arm = chain(0, cell.arm), holder = chain(cell.arm, joints);

@@ -17,6 +17,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from planner.base.arrays import Array
 from planner.base.errors import InputError, nearest_name
 from planner.plan import Plan
+from planner.report.joints import shown_units
 from planner.report.scene import COLOURS as COLOURS_OF_SCENES
 from planner.resolve.joint_path import ORDERS, ByArcLength, by_arc_length, spline_of
 from planner.resolve.roll_map import COLLISION, LIMITS, REACH, SINGULAR, RollMap
@@ -153,8 +154,8 @@ def joint_ranges(plan: Plan, ax: Axes | None = None) -> Axes:
     """The range of each joint, what of it is used while material flows, and what in all."""
     names = plan.joint_names
     ax = tidy(axes_of(ax, figsize=(9.0, 0.6 + 0.38 * len(names))))
-    low, high = np.degrees(plan.cell.limits.q_min), np.degrees(plan.cell.limits.q_max)
-    q = np.degrees(plan.q)
+    scale, units = shown_units(plan.cell)
+    low, high, q = scale * plan.cell.limits.q_min, scale * plan.cell.limits.q_max, scale * plan.q
     ends = np.abs(np.concatenate([low, high]))
     widest = 1.1 * max(float(np.abs(q).max()), float(ends[ends <= _ENDLESS].max(initial=180.0)))
     rows = np.arange(len(names))[::-1]
@@ -167,7 +168,7 @@ def joint_ranges(plan: Plan, ax: Axes | None = None) -> Axes:
         ax.barh(rows, np.ptp(used, axis=0), left=used.min(axis=0), height=height, color=colour, label=label)
     ax.set_yticks(rows, names)
     ax.set_xlim(-widest, widest)
-    ax.set_xlabel("angle, deg")
+    ax.set_xlabel("angle, deg; place, mm" if "mm" in units else "angle, deg")
     ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=8)
     return ax
 

@@ -190,6 +190,7 @@ def cell_data(cell: Cell, view: CellView | None) -> dict[str, Any] | None:
     return {
         "bodies": bodies,
         "screws": np.concatenate([cell.arm.screws, cell.holder.screws]).ravel(),
+        "slides": np.concatenate([cell.arm.slides, cell.holder.slides]).tolist(),
         "arm": na,
         "joints": list(cell.joint_names),
         "nozzle": cell.arm.poses(np.zeros((1, na)))[0].ravel(),

@@ -64,6 +64,8 @@ def print_summary(plan: Plan, folder: Path, programs: str = "", program_notes: S
         table.add_row(label, *cells, unit)
     out.print(table)
     notes = [f"note: {note}" for note in plan.toolpath.notes]
+    if plan.resolved_by not in ("", plan.strategy):
+        notes.append(f"note: the paths of strategy {plan.resolved_by} print better here, and were taken")
     notes += [f"note on the RAPID program: {note}" for note in program_notes]
     for line in (
         *notes,

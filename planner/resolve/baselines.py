@@ -8,14 +8,16 @@ import numpy as np
 
 from planner.base.arrays import Array
 from planner.base.errors import Refusal
+from planner.base.geometry import TURN
 from planner.cell.cell import Cell, Limits, rigid_inverse
 from planner.cell.kinematics.chain import Chain
 from planner.problem.settings import ResolveSpec
 from planner.resolve.infeasible import refuse_rung
-from planner.resolve.joint_path import JointPath, SampledTasks, choose_turns, postures, upright
+from planner.resolve.joint_path import MARGIN, JointPath, SampledTasks, choose_turns, postures, upright
 from planner.resolve.ladder import coarse_nodes, first_of_each_name, paths_of
 from planner.resolve.nodes import Nodes
-from planner.resolve.search import SPEED_SHARE, LadderRoute, greedy_route, joint_limits
+from planner.resolve.prices import DIP_PRICE
+from planner.resolve.search import JUMP, SPEED_SHARE, LadderRoute, greedy_route, joint_limits
 from planner.toolpath.task import NozzleTask
 
 
@@ -46,12 +48,12 @@ def _turn_to_face(cell: Cell, task: NozzleTask, direction: Array) -> Array:
     the others resting at home."""
     nh = len(cell.holder)
     chosen = np.tile(cell.home[list(cell.chosen)], (len(task), 1))
-    if nh == 0:
+    if nh == 0 or cell.holder.slides[-1]:
         return chosen
     before = Chain(
         cell.holder.names[:-1], cell.holder.placements[:-1], cell.holder.axes[:-1], cell.holder.placements[-1]
     )
-    T_before, k = before.poses(chosen[:1, : nh - 1])[0], cell.holder.axes[-1]
+    T_before, k = before.poses(chosen[:1, : nh - 1])[0], cell.holder.axes[-1, :3]
     R_after = cell.holder.T_last_tip[:3, :3]
     a = task.frames[:, :, 2] @ R_after.T  # nozzle axis in the turning frame
     d = rigid_inverse(T_before)[:3, :3] @ direction
@@ -98,14 +100,20 @@ def fixed(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tup
 
 
 def _held_price(nodes: Nodes, demand: SampledTasks, limits: Limits, task: int) -> Array:
-    """Price (rolls, holders, branches) [s] of holding each node all along a task; infinite where a joint cannot."""
+    """Price (rolls, holders, branches) [s] of holding each node all along a task, with the time lost where a joint is too
+    slow; infinite where one would have to jump, or to turn further than its range."""
     rungs = demand.rungs_of(task)
     total = nodes.price[rungs].sum(axis=0)
-    step = np.abs(np.diff(nodes.q[rungs], axis=0)).astype(float)
+    step = np.diff(nodes.q[rungs], axis=0).astype(float)
     v, _, wraps = joint_limits(nodes, limits)
-    step[..., wraps] = np.abs(step[..., wraps] - 2.0 * np.pi * np.round(step[..., wraps] / (2.0 * np.pi)))
-    time = demand.time[rungs][1:].reshape((-1, 1, 1, 1, 1))
-    total[(step > SPEED_SHARE * v[:-1] * time).any(axis=(0, 4))] = np.inf
+    step[..., wraps] -= TURN * np.round(step[..., wraps] / TURN)
+    need = (np.abs(step) / (SPEED_SHARE * v[:-1])).max(axis=4)
+    total += (1.0 + DIP_PRICE) * np.maximum(need - demand.time[rungs][1:].reshape((-1, 1, 1, 1)), 0.0).sum(axis=0)
+    total[(np.abs(step) > JUMP).any(axis=(0, 4))] = np.inf
+    along = np.cumsum(np.concatenate([nodes.q[rungs][:1].astype(float), step]), axis=0)[..., wraps]
+    least, most = limits.q_min[: len(wraps)][wraps] + MARGIN, limits.q_max[: len(wraps)][wraps] - MARGIN
+    turns = TURN * np.ceil((least - along.min(axis=0)) / TURN)  # that bring the lowest angle into the range
+    total[(along.max(axis=0) + turns > most).any(axis=3)] = np.inf
     return np.asarray(total)
 
 

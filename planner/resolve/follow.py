@@ -14,7 +14,7 @@ import numpy as np
 from planner.base.arrays import Array
 from planner.base.compiled import njit
 from planner.cell.kinematics.chain import chain_state, invert6, jacobian_at, mul4, rotate_about
-from planner.cell.kinematics.inverse import SPHERICAL_WRIST
+from planner.cell.kinematics.inverse import ON_RAIL, SPHERICAL_WRIST
 from planner.cell.kinematics.spherical_wrist import (
     ALL_ROUND,
     branch_of,
@@ -45,8 +45,9 @@ class PosturesFollowed(NamedTuple):
     q (n, nj)                          on entry a posture nearby for each sample, on exit the posture [rad]
     G (n, nj, m)                       dq/dz
     sigma (n), sigma_slope (n, m)      smallest singular value of the arm's Jacobian at the tip, and d sigma / dz
-    lean (n, 2, 2), lean_slope (n, 2, 2, m)   where the reversed nozzle axis and the surface normal lean, see `lean_of`,
-                                              and their slopes
+    lean (n, 3, 2), lean_slope (n, 3, 2, m)   where three directions lean, see `lean_of`, and their slopes: the reversed
+                                              nozzle axis and the surface normal from the vertical, and that axis from
+                                              that normal
     """
 
     q: Array
@@ -98,6 +99,22 @@ def rotation_error(R_to, R_from, w) -> None:
             w[a] *= angle / s
     elif trace < 0.0:
         w[0] = np.pi  # whatever the axis: once Newton's method has moved, it sees the right one
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _upright_on(normal, beside, basis) -> None:
+    """Fill basis (3, 3) with rows of unit length at right angles, the last one along a unit normal (3), the first one near
+    to `beside` (3), which is about at right angles to it."""
+    along = beside[0] * normal[0] + beside[1] * normal[1] + beside[2] * normal[2]
+    size = 0.0
+    for a in range(3):
+        basis[2, a] = normal[a]
+        basis[0, a] = beside[a] - along * normal[a]
+        size += basis[0, a] * basis[0, a]
+    size = np.sqrt(size)
+    for a in range(3):
+        basis[0, a] /= size
+    _cross(basis[2], basis[0], basis[1])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -222,11 +239,11 @@ def _by_steps(arm, p, R, q, room, J, J6, Ji) -> bool:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def follow(arm, holder, given, tip, frames, z, active, out) -> int:
+def follow(arm, holder, given, tip, frames, normals, z, active, out) -> int:
     """Fill `out` with postures along samples, and their slopes; returns the first sample where there is none, or -1.
 
     arm: ArmNumbers, holder: HolderNumbers; given (k): arm joints that are free themselves
-    tip (n, 3), frames (n, 3, 3) of the task; z (n, 3+nh+k): roll, two tilts, holder joints, given arm joints [rad]
+    tip, normals (n, 3), frames (n, 3, 3) of the task; z (n, 3+nh+k): roll, two tilts, holder joints, given arm joints [rad]
     active (m): columns of z whose slopes are wanted
     """
     kind, parameters, solved = arm.kind, arm.parameters, arm.solved
@@ -234,6 +251,7 @@ def follow(arm, holder, given, tip, frames, z, active, out) -> int:
     holder_placements, holder_axes, holder_tip = holder.placements, holder.axes, holder.T_last_tip
     q, G, sigma, sigma_slope, lean, lean_slope = out.q, out.G, out.sigma, out.sigma_slope, out.lean, out.lean_slope
     na, nh = len(arm.axes), len(holder_axes)
+    first = int(parameters[0]) if kind >= ON_RAIL else 0  # joint of the arm itself
     o_arm, d_arm = np.empty((na, 3)), np.empty((na, 3))
     o_hold, d_hold = np.empty((nh, 3)), np.empty((nh, 3))
     T_world_part, T_world_nozzle, R_tilt = np.eye(4), np.eye(4), np.empty((3, 3))
@@ -252,6 +270,7 @@ def follow(arm, holder, given, tip, frames, z, active, out) -> int:
     a3, b3 = np.empty(3), np.empty(3)
     newton_room = _NewtonRoom(o_arm, d_arm, T_world_nozzle, a3, e, twist)
     back, normal, slope = np.empty(3), np.empty(3), np.empty(2)
+    basis, from_normal, spin = np.empty((3, 3)), np.empty(3), np.empty(3)
     for i in range(len(tip)):
         for h in range(nh):
             q[i, na + h] = z[i, 3 + h]
@@ -289,14 +308,21 @@ def follow(arm, holder, given, tip, frames, z, active, out) -> int:
             back[a] = -R_target[a, 2]
             normal[a] = 0.0
             for k in range(3):
-                normal[a] -= T_world_part[a, k] * frames[i, k, 2]
+                normal[a] += T_world_part[a, k] * normals[i, k]
         lean_of(back, lean[i, 0])
         lean_of(normal, lean[i, 1])
+        _upright_on(normals[i], frames[i, :, 0], basis)
+        for a in range(3):
+            from_normal[a] = 0.0
+            for k in range(3):
+                from_normal[a] -= basis[a, k] * R_part_nozzle[k, 2]
+        lean_of(from_normal, lean[i, 2])
         for c in range(active.size):
             m = active[c]
             for a in range(2):
                 lean_slope[i, 0, a, c] = 0.0
                 lean_slope[i, 1, a, c] = 0.0
+                lean_slope[i, 2, a, c] = 0.0
             for j in range(q.shape[1]):
                 G[i, j, c] = 0.0
             if m == 0:
@@ -311,13 +337,21 @@ def follow(arm, holder, given, tip, frames, z, active, out) -> int:
                 lean_slope_of(back, twist[3:], slope)
                 for a in range(2):
                     lean_slope[i, 0, a, c] = slope[a]
+                for a in range(3):
+                    spin[a] = 0.0
+                    for k in range(3):
+                        spin[a] += basis[a, k] * slopes[m - 1, k]
+                lean_slope_of(from_normal, spin, slope)
+                for a in range(2):
+                    lean_slope[i, 2, a, c] = slope[a]
             elif m < 3 + nh:
                 h = m - 3
                 for a in range(3):
                     b3[a] = p[a] - o_hold[h, a]
                 _cross(d_hold[h], b3, a3)
+                slides = d_hold[h, 0] == 0.0 and d_hold[h, 1] == 0.0 and d_hold[h, 2] == 0.0
                 for a in range(3):
-                    twist[a], twist[3 + a] = a3[a], d_hold[h, a]
+                    twist[a], twist[3 + a] = o_hold[h, a] if slides else a3[a], d_hold[h, a]
                 lean_slope_of(back, twist[3:], slope)
                 for a in range(2):
                     lean_slope[i, 0, a, c] = slope[a]
@@ -336,13 +370,13 @@ def follow(arm, holder, given, tip, frames, z, active, out) -> int:
                     g += Ji[k, a] * twist[a]
                 G[i, solved[k], c] = g
         # smallest singular value: the dominant eigenvector u of (J J^T)^-1, by the power method
-        if na == 6:
+        if na - first == 6:  # of an arm on a rail the arm alone counts
             gram(Ji, Wi)
         else:
             for a in range(6):
                 for b in range(6):
                     W[a, b] = 0.0
-                    for k in range(na):
+                    for k in range(first, na):
                         W[a, b] += J[a, k] * J[b, k]
             if not invert6(W, Wi):
                 return i
@@ -356,7 +390,7 @@ def follow(arm, holder, given, tip, frames, z, active, out) -> int:
         sigma[i] = s
         for k in range(na):
             v[k] = 0.0
-            for a in range(6):
+            for a in range(6 if k >= first else 0):
                 v[k] += J[a, k] * u[a] / s
         sigma_slope_by_joints(J, u, v, sum_before, sum_after, slope_q)
         for c in range(active.size):

@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NoReturn
 
 import numpy as np
@@ -25,7 +26,7 @@ from planner.resolve.search import LadderRoute, Route, angles_along, best_route
 from planner.toolpath.task import NozzleTask
 
 # ----------------------------------------------------------------------------------------------------
-# What would help where there is no path: other speeds, tilts, positioner angles and places of the part, each tried.
+# What would help where there is no path: other tilts, positioner angles and places of the part, each tried.
 #
 # Nothing here is guessed: a change is only named after the same nodes and the same search have been tried with it.
 
@@ -36,8 +37,6 @@ _MOVES = (0.025, 0.05, 0.1, 0.2, 0.4, 0.8)  # m, of the part; beyond what is mis
 _MORE, _ROUND_MM = 0.01, 5.0  # m, mm: what such a move is enlarged by and rounded up to
 _HALVINGS = 3  # of the last step of such a move
 _FINER, _FINEST = 2.0, 2.0  # what finer steps are divided by; deg that they may have
-_SLOWEST = 1e-4  # m/s that a problem may ask for
-_SPEEDS = 1.03  # two speeds nearer than this ratio are not told apart
 _FEW = 24  # rungs that a change must serve before a whole search is worth its time
 _ENOUGH = 8  # changes of one kind that give postures, but no path: no further one is tried
 _HERE, _ALONG = 1, 2  # what a change gives: a posture at the place, or a path through everything
@@ -130,31 +129,6 @@ def stuck_at(
     return Stuck(cell, tuple(tasks[k] for k in kept), fewer, replace(grid, held=held), here, min_sigma, obstacles)
 
 
-def speed_hints(cell: Cell, nodes: Nodes, demand: SampledTasks, speed: float) -> tuple[str, ...]:
-    """The highest speed at which these nodes have a route, found by halving; `speed` [m/s] is the commanded one.
-
-    Speed decides only over edges, and slower is never worse there. Says so where a route exists as it is.
-    """
-
-    def passes(v: float) -> bool:
-        return best_route(nodes, replace(demand, time=speed / v * demand.time), cell.limits)[0] is not None
-
-    if passes(speed):
-        return ("strategy: ladder has a path at this speed",)
-    high, low = speed, 0.5 * speed
-    while not passes(low):
-        high, low = low, 0.5 * low
-        if low < _SLOWEST:
-            return ()
-    while high / low > _SPEEDS:
-        middle = float(np.sqrt(low * high))
-        low, high = (middle, high) if passes(middle) else (low, middle)
-    told = _two_digits_down(low * 1e3)
-    if told < _SLOWEST * 1e3 or not passes(told * 1e-3):
-        return ()
-    return (f"process.speed_mm_s: {told:g} would do, a path exists then",)
-
-
 def place_hints(stuck: Stuck, point: Array, missing: float | None = None) -> tuple[str, ...]:
     """What would give the cell a posture at the place, or better a path: least changes, of each kind one.
 
@@ -212,6 +186,8 @@ def _angles_around(cell: Cell, name: str, now: float) -> Iterator[float]:
     if robot is None:
         return
     i = robot.joint_names.index(name)
+    if robot.slides[i]:
+        return
     low, high = robot.model.lowerPositionLimit[i], robot.model.upperPositionLimit[i]
     for away in np.arange(_TURN_STEP, _MOST_TURN + 1e-9, _TURN_STEP):
         for sign in (-1.0, 1.0):
@@ -300,16 +276,9 @@ def _moved(cell: Cell, by: Array) -> Cell:
 _GIVES = {_HERE: "gives postures here, though no path all along", _ALONG: "gives a path in the coarse search"}
 
 
-def _two_digits_down(x: float) -> float:
-    """x rounded down to two digits that count."""
-    unit = 10.0 ** (np.floor(np.log10(x)) - 1)
-    return float(np.round(np.floor(x / unit + 1e-9) * unit, 6))
-
-
 # ----------------------------------------------------------------------------------------------------
 # Why there is no path: which rung ran out of candidates, and for what reason.
 
-_UNHURRIED = 1e4  # times as long on the way: if this opens one, joint speed was the reason
 SLIGHT = 1e-4  # m of clearance that a path between rungs may lack
 _TRIED = 72  # rolls and holder angles that the diagnosis looks at
 
@@ -323,9 +292,9 @@ def refuse_rung(
     min_sigma: float,
     obstacles: Obstacles = NOTHING,
 ) -> NoReturn:
-    """Raise the Refusal that says why no way leads to this rung: reach, limits, singularity, collision, or joint speed.
+    """Raise the Refusal that says why no way leads to this rung: reach, limits, singularity or collision.
 
-    With it come hints: changes that were tried and would help.
+    With it come hints, found when they are asked for: changes that were tried and would help.
     """
     if demand.cones.tilt > 0.0:
         obstacles = obstacles.but_head_on_part
@@ -338,21 +307,23 @@ def refuse_rung(
     stuck = stuck_at(cell, tasks, demand, grid, rung, min_sigma, obstacles)
 
     def refuse(reason: str, missing: float | None = None) -> NoReturn:
-        refuse_at(task, i, reason, missing, place_hints(stuck, task.tip[i], missing))
+        refuse_at(task, i, reason, missing, partial(place_hints, stuck, task.tip[i], missing))
 
     angles = np.linspace(0.0, 2.0 * np.pi, _TRIED, endpoint=False)
     roll, swept = (x.ravel() for x in np.meshgrid(angles, angles if cell.chosen else angles[:1], indexing="ij"))
     chosen = np.tile(grid.chosen(len(demand.rung), len(cell.chosen))[rung], (len(roll), 1))
     if cell.chosen and grid.swept is not None:
-        chosen[:, grid.swept] = swept
+        zero, unit = nodes.scale
+        chosen[:, grid.swept] = zero + unit * swept
     spot = _repeat(task, i, len(roll))
     T = flange_poses(cell, spot, roll, upright(spot), chosen[:, :nh])
-    redundant = None if cell.inverse.redundant_joint is None else chosen[:, nh]
+    redundant = chosen[:, nh:] if cell.given else None
     q, ok = cell.inverse.solve(T, redundant)
     if not ok.any():
         refuse("out of the arm's reach", float(cell.inverse.out_of_reach(T, redundant).min()))
     middle = 0.5 * (cell.limits.q_min[:na] + cell.limits.q_max[:na])
-    q = middle + np.remainder(q - middle + np.pi, 2 * np.pi) - np.pi
+    turned = middle + np.remainder(q - middle + np.pi, 2 * np.pi) - np.pi
+    q = np.where(cell.limits.turns[:na], turned, q)
     inside = ok & ((q >= cell.limits.q_min[:na]) & (q <= cell.limits.q_max[:na])).all(axis=2)
     if not inside.any():
         over = np.maximum(cell.limits.q_min[:na] - q, q - cell.limits.q_max[:na])
@@ -367,7 +338,7 @@ def refuse_rung(
         if not away.any():
             near = f"every posture is within {np.degrees(LIMIT_ROOM):.0f} deg of the end of a joint's range"
             refuse(near)
-        sigma = np.linalg.svd(cell.arm.jacobians(q[away]), compute_uv=False)[:, -1]
+        sigma = np.linalg.svd(cell.arm.jacobians(q[away])[:, :, cell.rails :], compute_uv=False)[:, -1]
         if sigma.max() < min_sigma:
             reason = f"every posture is too close to a singularity: sigma at most {sigma.max():.4f}"
             refuse(f"{reason}, resolve.min_sigma is {min_sigma:g}")
@@ -378,7 +349,7 @@ def refuse_rung(
             k = int(np.argmax(margin))
             refuse(_collision(obstacles, int(which[k]), float(margin[k]), "every posture of the search here"))
         reason = "no posture on the search's grid, though there are some between its steps: search finer"
-        refuse_at(task, i, reason, hints=path_hints(stuck, task.tip[i]))
+        refuse_at(task, i, reason, hints=partial(path_hints, stuck, task.tip[i]))
     if obstacles.any:
         free = evaluate(cell, demand, grid, min_sigma)
         without, _ = best_route(free, demand, cell.limits)
@@ -387,13 +358,14 @@ def refuse_rung(
             k = int(np.searchsorted(demand.task_rungs, worst, side="right") - 1)
             i = int(demand.rung[worst]) - sum(len(t) for t in tasks[:k])
             way = "no way leads past, and the one that would be taken"
-            refuse_at(tasks[k], i, _collision(obstacles, pair, lacking, way), hints=path_hints(stuck, task.tip[i]))
-    unhurried, _ = best_route(nodes, replace(demand, time=_UNHURRIED * demand.time), cell.limits)
-    if unhurried is not None:
-        reason = "no branch can follow the path up to here at the commanded speed: a joint would be too slow"
-        refuse_at(task, i, reason, hints=speed_hints(cell, nodes, demand, task.speed))
+            refuse_at(
+                tasks[k],
+                i,
+                _collision(obstacles, pair, lacking, way),
+                hints=partial(path_hints, stuck, tasks[k].tip[i]),
+            )
     reason = "no branch leads up to here: each ends at a joint's range, a singularity or the arm's reach"
-    refuse_at(task, i, reason, hints=path_hints(stuck, task.tip[i]))
+    refuse_at(task, i, reason, hints=partial(path_hints, stuck, task.tip[i]))
 
 
 def refuse_collision(cell: Cell, paths: Sequence[JointPath], obstacles: Obstacles) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NoReturn
 
@@ -12,7 +12,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from planner.base.arrays import Array
-from planner.base.errors import Refusal
+from planner.base.errors import Hints, Refusal
 from planner.cell.cell import Cell, Limits, rigid_inverse
 from planner.resolve.prices import WOUND
 from planner.resolve.splines import places_along
@@ -21,6 +21,7 @@ from planner.toolpath.task import FREE, Cones, NozzleTask
 # ----------------------------------------------------------------------------------------------------
 # What a nozzle task demands of the joints at the commanded speed: twists, their rates, and rungs.
 
+SAMPLES_TURNING = 2  # at least, where the normal turns so quickly that a table could not keep up otherwise
 SAMPLES_PER_RUNG = 8  # at least: what roll and holder do between rungs must be resolved by the samples
 
 
@@ -28,7 +29,7 @@ SAMPLES_PER_RUNG = 8  # at least: what roll and holder do between rungs must be 
 class SampledTasks:
     """All tasks' samples and rungs in one row, ready for compiled kernels (n samples, r rungs).
 
-    tip (n, 3), frames (n, 3, 3)   as in the tasks
+    tip, normals (n, 3), frames (n, 3, 3)   as in the tasks
     twist, rate (n, 6)             velocity of the nozzle in the part frame with roll and holder at rest, at the
                                    commanded speed, linear rows first [m/s, rad/s], and its time derivative
     now (n)                        when a sample is reached, in beads: see `NozzleTask.moments`
@@ -39,9 +40,12 @@ class SampledTasks:
     time (r)                       time from the rung before it at the commanded speed [s]
     task_rungs (b + 1)             rungs of task i are task_rungs[i] .. task_rungs[i + 1]
     cones                          of the tasks, the same for all
+    lean                           share of the surface normal's lean from the vertical that the nozzle's axis has: 1 if
+                                   it stands in the frames, see `share_of_lean`
     """
 
     tip: Array
+    normals: Array
     frames: Array
     twist: Array
     rate: Array
@@ -54,6 +58,7 @@ class SampledTasks:
     time: Array
     task_rungs: NDArray[np.int64]
     cones: Cones = FREE
+    lean: float = 1.0
 
     def rungs_of(self, task: int) -> slice:
         """Rungs of the task at this index."""
@@ -72,8 +77,56 @@ class SampledTasks:
         )
 
 
-def sample_tasks(tasks: Sequence[NozzleTask], spacing: float) -> SampledTasks:
-    """Differentiate the tasks' paths at the commanded speed and set rungs `spacing` [m] apart, see `places_along`."""
+def share_of_lean(cones: Cones) -> float:
+    """Share of the surface normal's lean from the vertical that the nozzle's axis has, before it is refined.
+
+    Between upright and on the normal it uses the cones about both in proportion: it keeps to them wherever that can be.
+    """
+    if cones.nozzle_gravity == np.pi or cones.tilt == 0.0:
+        return 1.0
+    return cones.nozzle_gravity / (cones.nozzle_gravity + cones.tilt)
+
+
+def least_cone(cones: Cones) -> float:
+    """How far the surface normal may lean from the vertical [rad] so that all cones can be kept to."""
+    return min(cones.layer_gravity, cones.nozzle_gravity + cones.tilt)
+
+
+def leaned(R_world_task: Array, share: float) -> Array:
+    """Orientations (n, 3, 3) in the world, turned by the least angle so that their z leans from straight down by a share of
+    what it did."""
+    z = R_world_task[:, :, 2]
+    axis = np.stack([-z[:, 1], z[:, 0], np.zeros(len(z))], axis=1)  # about which z comes down
+    level = np.linalg.norm(axis, axis=1)
+    lean = np.arctan2(level, -z[:, 2])
+    turn = ((1.0 - share) * lean / np.maximum(level, 1e-12))[:, None] * axis
+    return np.asarray(Rotation.from_rotvec(turn).as_matrix() @ R_world_task)
+
+
+def rolled(roll: Array) -> Array:
+    """Rotations (n, 3, 3) about z by roll (n)."""
+    out = np.zeros((len(roll), 3, 3))
+    out[:, 0, 0] = out[:, 1, 1] = np.cos(roll)
+    out[:, 1, 0] = np.sin(roll)
+    out[:, 0, 1] = -out[:, 1, 0]
+    out[:, 2, 2] = 1.0
+    return out
+
+
+def turned_from(frames: Array, R_part_nozzle: Array) -> tuple[Array, Array]:
+    """Roll (n), continuous, and tilt (n, 2) of nozzle orientations (n, 3, 3) in a task's frames (n, 3, 3)."""
+    R = np.swapaxes(frames, 1, 2) @ R_part_nozzle
+    z = R[:, :, 2]
+    level = np.hypot(z[:, 0], z[:, 1])
+    size = np.arctan2(level, z[:, 2]) / np.maximum(level, 1e-12)
+    tilt = np.stack([-size * z[:, 1], size * z[:, 0]], axis=1)
+    back = Rotation.from_rotvec(-np.column_stack([tilt, np.zeros(len(tilt))])).as_matrix() @ R
+    return np.unwrap(np.arctan2(back[:, 1, 0], back[:, 0, 0])), tilt
+
+
+def sample_tasks(tasks: Sequence[NozzleTask], spacing: float, turn: float = np.inf) -> SampledTasks:
+    """Differentiate the tasks' paths at the commanded speed and set rungs `spacing` [m] apart, or nearer, so that the normal
+    turns by `turn` [rad] at most, see `places_along`."""
     twists, rates, weights, rungs, places, starts, stops, times = [], [], [], [], [], [], [], []
     offset = 0
     counts = [0]
@@ -90,7 +143,7 @@ def sample_tasks(tasks: Sequence[NozzleTask], spacing: float) -> SampledTasks:
         rates.append(np.gradient(twist, t, axis=0))
         weights.append(weight)
         n = len(task)
-        place = places_along(task, spacing, SAMPLES_PER_RUNG)
+        place = places_along(task, spacing, SAMPLES_PER_RUNG, turn, SAMPLES_TURNING)
         at = np.round(place * (n - 1)).astype(np.int64)
         edges = np.concatenate([[0], (at[1:] + at[:-1]) // 2, [n]])
         rungs.append(at + offset)
@@ -102,6 +155,7 @@ def sample_tasks(tasks: Sequence[NozzleTask], spacing: float) -> SampledTasks:
         offset += n
     return SampledTasks(
         tip=np.concatenate([task.tip for task in tasks]),
+        normals=np.concatenate([task.normals for task in tasks]),
         frames=np.ascontiguousarray(np.concatenate([task.frames for task in tasks])),
         twist=np.concatenate(twists),
         rate=np.concatenate(rates),
@@ -114,6 +168,7 @@ def sample_tasks(tasks: Sequence[NozzleTask], spacing: float) -> SampledTasks:
         time=np.concatenate(times),
         task_rungs=np.array(counts),
         cones=tasks[0].cones,
+        lean=share_of_lean(tasks[0].cones),
     )
 
 
@@ -161,17 +216,17 @@ def upright(task: NozzleTask) -> Array:
     return np.zeros((len(task), 2))
 
 
-def postures(cell: Cell, task: NozzleTask, roll: Array, chosen: Array, branch: int) -> Array:
+def postures(cell: Cell, task: NozzleTask, roll: Array, chosen: Array, branch: int, tilt: Array | None = None) -> Array:
     """Joints (n, nj) that hold the task exactly, for roll (n) and the cell's chosen joints (n, k) on one branch.
 
-    The nozzle is not tilted.
+    The nozzle is not tilted but by `tilt` (n, 2).
 
     Joints are continuous along the path; whole turns are chosen later, by `choose_turns`.
     Raises Refusal, with the place, where a pose is out of reach or outside a joint's range.
     """
     na, nh = len(cell.arm), len(cell.holder)
-    holder, redundant = chosen[:, :nh], chosen[:, nh] if cell.inverse.redundant_joint is not None else None
-    T_base_flange = flange_poses(cell, task, roll, upright(task), holder)
+    holder, redundant = chosen[:, :nh], chosen[:, nh:] if cell.given else None
+    T_base_flange = flange_poses(cell, task, roll, upright(task) if tilt is None else tilt, holder)
     q_all, ok_all = cell.inverse.solve(T_base_flange, redundant)
     q, ok = q_all[:, branch], ok_all[:, branch]
     if not ok.all():
@@ -180,8 +235,8 @@ def postures(cell: Cell, task: NozzleTask, roll: Array, chosen: Array, branch: i
         missing = float(cell.inverse.out_of_reach(T_base_flange[i : i + 1], given)[0])
         refuse_at(task, i, "out of the arm's reach", missing)
     middle = 0.5 * (cell.limits.q_min[:na] + cell.limits.q_max[:na])
-    q = middle + np.remainder(q - middle + np.pi, _TURN) - np.pi
-    q = np.unwrap(q, axis=0)
+    turned = middle + np.remainder(q - middle + np.pi, _TURN) - np.pi
+    q = np.where(cell.limits.turns[:na], np.unwrap(turned, axis=0), q)
     span = cell.limits.q_max[:na] - cell.limits.q_min[:na]
     for j in np.flatnonzero(np.ptp(q, axis=0) > span):
         i = int(np.argmax(np.abs(q[:, j] - middle[j])))
@@ -244,6 +299,7 @@ def _turns(cell: Cell, path: JointPath) -> Array:
     each = []
     for j in range(len(low)):
         k = np.arange(np.ceil((low[j] - least[j]) / _TURN), np.floor((high[j] - most[j]) / _TURN) + 1)
+        k = k if cell.limits.turns[j] else k[k == 0]
         if len(k) == 0:
             worst = int(np.argmax(np.maximum(low[j] - path.q[:, j], path.q[:, j] - high[j])))
             refuse_at(path.task, worst, f"{cell.joint_names[j]} leaves its range here")
@@ -267,7 +323,7 @@ def _slowest(way: Array, limits: Limits, joints: slice) -> Array:
 
 
 def refuse_at(
-    task: NozzleTask, i: int, reason: str, missing: float | None = None, hints: tuple[str, ...] = ()
+    task: NozzleTask, i: int, reason: str, missing: float | None = None, hints: Callable[[], Hints] | None = None
 ) -> NoReturn:
     """Raise a Refusal that names the task's bead, sample and point; places in a run count as the bead's end."""
     mm = task.tip[i] * 1e3
@@ -283,7 +339,7 @@ def refuse_at(
         s_mm=float(task.s[nearest] * 1e3),
         point_mm=(float(mm[0]), float(mm[1]), float(mm[2])),
         missing_mm=None if missing is None else missing * 1e3,
-        hints=hints,
+        hints=hints or (),
     )
 
 

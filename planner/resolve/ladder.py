@@ -3,60 +3,112 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from planner.base.arrays import Array, Flags, Ints
 from planner.base.errors import Refusal
+from planner.base.geometry import TURN
 from planner.cell.cell import Cell
 from planner.collision.scene import NOTHING, Obstacles
 from planner.problem.settings import ResolveSpec
 from planner.resolve.infeasible import refuse_collision, refuse_rung
-from planner.resolve.joint_path import JointPath, SampledTasks, choose_turns, postures, sample_tasks, spread, upright
+from planner.resolve.joint_path import (
+    MARGIN,
+    JointPath,
+    SampledTasks,
+    choose_turns,
+    leaned,
+    least_cone,
+    postures,
+    rolled,
+    sample_tasks,
+    spread,
+    turned_from,
+    upright,
+)
 from planner.resolve.nodes import Grid, Nodes, evaluate, full_grid, nodes_to_fill
-from planner.resolve.prices import TRAVEL_PRICE
-from planner.resolve.reach import CLEAR_ROOM
-from planner.resolve.search import LadderRoute, Route, angles_along, best_route, joint_limits
-from planner.resolve.splines import NARROW
-from planner.resolve.table_first import ARM_SHARES, slowed, upright_table
-from planner.toolpath.task import NozzleTask
+from planner.resolve.prices import HOME_PRICE
+from planner.resolve.reach import CLEAR_ROOM, grid_scale
+from planner.resolve.search import (
+    LadderRoute,
+    Route,
+    angles_along,
+    best_route,
+    joint_limits,
+    label_turns,
+    turns_counted,
+)
+from planner.resolve.table_path import BINDING, carried, table_path
+from planner.toolpath.task import Cones, NozzleTask
 
 # ----------------------------------------------------------------------------------------------------
 # What the ways from and to home cost, for each node at which a print could start or end.
 
-_LOOKS = 9  # postures along a way, by which the tip's way is measured
+_LOOKS = 9  # postures along a way, by which the tip's way is measured, and whether anything is in it
+_DETOUR = 1.2  # m that the tip goes further where something is: up, across, and down
 
 
-def home_travel_costs(cell: Cell, tasks: Sequence[NozzleTask], nodes: Nodes, share: float = 1.0) -> tuple[Array, Array]:
-    """Prices [s] (rolls, holders, c) of the ways from home to the first rung's nodes, and from the last one's home.
+def home_travel_costs(
+    cell: Cell,
+    tasks: Sequence[NozzleTask],
+    nodes: Nodes,
+    share: float = 1.0,
+    obstacles: Obstacles = NOTHING,
+    counted: Sequence[int] = (),
+) -> tuple[Array, Array]:
+    """Prices [s] (rolls, holders, c, labels) of the ways from home to the first rung's nodes, and from the last one's home.
 
-    The holder rests meanwhile. share: of the print that these nodes stand for, if they are those of some of its beads.
+    The holder rests meanwhile. share: of the print that these nodes stand for, if they are those of some of its beads
+    counted: joints whose turns are counted, see `best_route`; the others come by the shortest turn
     """
-    speed = tasks[0].travel_speed
-    return (
-        share * TRAVEL_PRICE * _times(cell, nodes, 0, speed),
-        share * TRAVEL_PRICE * _times(cell, nodes, -1, speed),
+    price, speed = share * HOME_PRICE, tasks[0].travel_speed
+    turns = label_turns(turns_counted(nodes, cell.limits, counted))
+    ends = (0, float(tasks[0].moments[0])), (-1, float(tasks[-1].moments[-1]))
+    out, back = (
+        price * np.stack([_times(cell, nodes, rung, speed, now, obstacles, counted, own) for own in turns], axis=3)
+        for rung, now in ends
     )
+    return out, back
 
 
-def _times(cell: Cell, nodes: Nodes, rung: int, speed: float) -> Array:
+def _times(
+    cell: Cell,
+    nodes: Nodes,
+    rung: int,
+    speed: float,
+    now: float,
+    obstacles: Obstacles,
+    counted: Sequence[int],
+    turns: Ints,
+) -> Array:
     """Time [s] (rolls, holders, c) of the way between home and a rung's nodes, all joints together: the slowest joint's
-    from rest to rest, or the tip's at the speed [m/s] that it may have; 0 where there is no posture."""
+    from rest to rest, or the tip's at the speed [m/s] that it may have, with a detour where something is in the way; 0
+    where there is no posture. turns: of the counted joints."""
     v, a, wraps = joint_limits(nodes, cell.limits)
     there = np.isfinite(nodes.price[rung])
     home = cell.home[: len(wraps)]
     way = nodes.q[rung][there].astype(float) - home
-    way -= np.where(wraps, 2.0 * np.pi * np.round(way / (2.0 * np.pi)), 0.0)
+    around = np.where(wraps, -TURN * np.round(way / TURN), 0.0)
+    for j, turn in zip(counted, turns, strict=True):
+        if j < len(home):
+            around[:, j] = TURN * turn
+    way += around
     v, a, far = v[:-1], a[:-1], np.abs(way)
     by_joints = np.where(far * a < v * v, 2.0 * np.sqrt(far / a), far / v + v / a).max(axis=1, initial=0.0)
     shares = np.linspace(0.0, 1.0, _LOOKS)[:, None]
     postures = home + shares[None] * way[:, None]
     tips = (cell.arm.poses(postures.reshape(-1, len(home))) @ cell.T_flange_nozzle)[:, :3, 3].reshape(-1, _LOOKS, 3)
-    by_tip = np.linalg.norm(np.diff(tips, axis=1), axis=2).sum(axis=1) / speed
+    by_tip = np.linalg.norm(np.diff(tips, axis=1), axis=2).sum(axis=1)
+    if obstacles.any:
+        holder = nodes.holder_joints(cell, rung)[there.nonzero()[1]]
+        between = postures[:, 1:-1].reshape(-1, len(home))
+        whole = np.hstack([between, np.repeat(holder, _LOOKS - 2, axis=0)])
+        margins = obstacles.margins(whole, np.full(len(whole), now), 0.0)[0].reshape(-1, _LOOKS - 2)
+        by_tip += np.where((margins < 0.0).any(axis=1), _DETOUR, 0.0)
     times = np.zeros(there.shape)
-    times[there] = np.maximum(by_joints, by_tip)
+    times[there] = np.maximum(by_joints, by_tip / speed)
     return times
 
 
@@ -104,7 +156,8 @@ _WIDER = 4
 
 
 class ClearSearch:
-    """Searches on one grid. `nodes` are those of `evaluate` as far as a search has looked at their clearance."""
+    """Searches on one grid. `nodes` are those of `evaluate` as far as a search has looked at their clearance; `wound` is the
+    last route found that winds a joint further than its range is."""
 
     def __init__(
         self, cell: Cell, demand: SampledTasks, grid: Grid, min_sigma: float, obstacles: Obstacles = NOTHING
@@ -115,17 +168,43 @@ class ClearSearch:
         r = len(demand.rung)
         self._fill(np.arange(r), NOTHING)
         self._looked: Flags = np.full(r, not obstacles.any)
+        self.wound: Route | None = None
 
-    def best(self, demand: SampledTasks, home: tuple[Array, Array] | None = None) -> tuple[Route | None, int]:
-        """As `best_route` for this demand, or one that differs from the search's in time only, on clear nodes."""
+    def best(
+        self, tasks: Sequence[NozzleTask] = (), share: float = 1.0, *, past: bool = True
+    ) -> tuple[Route | None, int]:
+        """As `best_route`, on clear nodes, and of routes that wind no joint further along a bead than its range is.
+
+        Where a joint winds too far, or would have to be wound up before or back after, its turns are counted, and the search
+        is done again. Where there is no way then, `wound` is the route that winds too far.
+
+        tasks, share: as for `home_travel_costs`, if the ways from and to home have a price; past: with detours in it
+        """
+        counted = set[int]()
+        while True:
+            which = sorted(counted)
+            home = None
+            if tasks:
+                in_the_way = self._obstacles if past else NOTHING
+                home = home_travel_costs(self._cell, tasks, self.nodes, share, in_the_way, which)
+            route, stuck = self._clear(home, which)
+            if route is None:
+                return None, stuck
+            found = LadderRoute(self._demand, self.nodes, route)
+            over = overwound(self._cell, found)
+            if over - counted:
+                self.wound = route
+            more = over | (wound_from_home(self._cell, found) if tasks else set())
+            if not more - counted:
+                return route, stuck
+            counted |= more
+
+    def _clear(self, home: tuple[Array, Array] | None, counted: Sequence[int]) -> tuple[Route | None, int]:
         reach = _REACH
         while True:
-            route, stuck = best_route(self.nodes, demand, self._cell.limits, home)
-            if route is None and self._looked.all():
+            route, stuck = best_route(self.nodes, self._demand, self._cell.limits, home, counted)
+            if route is None:  # nor will there be one when more is taken out
                 return None, stuck
-            if route is None:
-                self.look(np.arange(len(self._looked)))
-                continue
             blocked = self._blocked(route)
             if not len(blocked):
                 return route, stuck
@@ -154,11 +233,61 @@ class ClearSearch:
             q = self.nodes.q[at, roll, holder, column].astype(float)
             chosen = grid.chosen(len(demand.rung), len(self._cell.chosen))[at]
             if self._cell.chosen and grid.swept is not None:
-                chosen[:, grid.swept] = route.holder[angles_of] * grid.holder_step
+                zero, unit = self.nodes.scale
+                chosen[:, grid.swept] = zero + unit * route.holder[angles_of] * grid.holder_step
             now = demand.now[demand.rung[at]]
             whole = np.hstack([q, chosen[:, : len(self._cell.holder)]])
             blocked |= self._obstacles.margins(whole, now, 0.0, CLEAR_ROOM)[0] < 0.0
         return at[blocked]
+
+
+def overwound(cell: Cell, found: LadderRoute) -> set[int]:
+    """Joints, the arm's or their number for the swept one, that a route winds so far along a bead that their range does not
+    hold them, however they are turned."""
+    q, joints = _joints_along(cell, found)
+    least, most = cell.limits.q_min[joints] + MARGIN, cell.limits.q_max[joints] - MARGIN
+    over = set[int]()
+    for i in range(len(found.demand.task_rungs) - 1):
+        angles = q[found.demand.rungs_of(i)]
+        lowest, highest = angles.min(axis=0), angles.max(axis=0)
+        # the turns that bring the lowest angle into the range
+        turns = np.where(cell.limits.turns[joints], np.ceil((least - lowest) / TURN) * TURN, 0.0)
+        over.update(np.flatnonzero(highest + turns > most).tolist())
+    return over
+
+
+def wound_from_home(cell: Cell, found: LadderRoute) -> set[int]:
+    """Arm joints that a route of one bead winds so far that the ways from and to home take half a turn more than by the
+    shortest turn at either end."""
+    if len(found.demand.task_rungs) > 2:
+        return set()  # they can unwind between beads
+    na = len(cell.arm)
+    q = _joints_along(cell, found)[0][:, :na] - cell.home[:na]
+    start, end = q[0], q[-1]
+    short = sum(np.abs(np.remainder(x + np.pi, TURN) - np.pi) for x in (start, end))
+    turned = [-TURN * np.round(x / TURN) for x in (start, end)]
+    least = np.min([np.abs(start + turn) + np.abs(end + turn) for turn in turned], axis=0)
+    return set(np.flatnonzero((least > short + np.pi) & cell.limits.turns[:na]).tolist())
+
+
+def _joints_along(cell: Cell, found: LadderRoute) -> tuple[Array, list[int]]:
+    """Arm joints and the swept one (r, na or na + 1) along a route, continuous along each task, and their indices."""
+    nodes, route, demand = found.nodes, found.route, found.demand
+    grid, na = nodes.grid, len(cell.arm)
+    r = np.arange(len(route.roll))
+    roll, holder = route.roll - grid.roll_from, route.holder - grid.holder_from
+    if grid.periodic:
+        roll, holder = roll % grid.rolls, holder % grid.holders
+    column = np.argmax(grid.branch == route.branch[:, None], axis=1)
+    q = nodes.q[r, roll, holder, column].astype(float)
+    joints = [*range(na)]
+    if grid.swept is not None and cell.chosen:
+        joints.append(cell.chosen[grid.swept])
+        q = np.hstack([q, found.chosen(len(cell.chosen))[:, grid.swept, None]])
+    for i in range(len(demand.task_rungs) - 1):
+        rungs = demand.rungs_of(i)
+        q[rungs] = np.where(cell.limits.turns[joints], np.unwrap(q[rungs], axis=0), q[rungs])
+    return q, joints
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -170,9 +299,11 @@ class ClearSearch:
 CORRIDORS = ((3, 4, 4), (3, 12, 4), (3, 12, 12), (1, 1, 1))
 _SPARSE = 5  # times as far as the settings' rungs stand those of the first look at several chosen joints
 _ROUGH = 2.0  # times the settings' steps in that first look, and where the grid would be too large
-_MOST_NODES = 3e6  # of the guide's grid: 100 MB, and a second; the second search is finer anyway
+MOST_NODES = 3e6  # of the guide's grid: 100 MB, and a second; the second search is finer anyway
 _FEW = 50  # times as far stand those at which postures of a holder of many joints are tried, if home does not do
 _DRAWN = 400  # of those postures
+_SLIDING_SHARE = 0.7  # of the speed of a joint that slides, which a step of the grid from rung to rung may take
+_TURN_SHARE = 0.7  # of a table's step of the grid, which the normal may turn by from rung to rung
 _LATTICE = 9  # angles at which a chosen joint is held there, at most
 
 
@@ -212,24 +343,23 @@ def _routes(
     guides = first_of_each_name(tasks)
     guide = guide_route(cell, guides, settings, obstacles, len(guides) / len(tasks))
     guide_of = {task.name: i for i, task in enumerate(guides)}
-    all_demand = sample_tasks(tasks, settings.rung)
+    all_demand = sample_tasks(tasks, _rung(cell, tasks, settings, CORRIDORS[0][0]), _turn(cell, settings))
     any_route = False
     one_angle = guide.nodes.grid.holders == 1
     for corridor in dict.fromkeys((refine, roll, 0 if one_angle else holder) for refine, roll, holder in CORRIDORS):
         grid = _corridor(cell, tasks, all_demand, guides, guide, guide_of, *corridor)
-        dense = ClearSearch(cell, all_demand, grid, settings.min_sigma, obstacles)
-        home = home_travel_costs(cell, tasks, dense.nodes)
-        demands: Iterable[SampledTasks] = [all_demand]
-        if grid.held is not None and grid.swept is None:
-            demands = map(partial(slowed, cell, all_demand, grid.held), ARM_SHARES)
-        for demand in demands:
-            best, stuck = dense.best(demand, home)
-            if best is not None:
-                any_route = True
-                yield LadderRoute(demand, dense.nodes, best)
-                break
-    if not any_route:
-        refuse_rung(cell, tasks, all_demand, dense.nodes, stuck, settings.min_sigma, obstacles)
+        demand = all_demand
+        if grid.held is not None and binds_table(cell, demand.cones):
+            demand = carried(cell, tasks, demand, grid.held)
+        dense = ClearSearch(cell, demand, grid, settings.min_sigma, obstacles)
+        best, stuck = dense.best(tasks)
+        if best is not None:
+            any_route = True
+            yield LadderRoute(demand, dense.nodes, best)
+    if not any_route and dense.wound is not None:
+        yield LadderRoute(demand, dense.nodes, dense.wound)  # whose paths are refused with the joint's name
+    elif not any_route:
+        refuse_rung(cell, tasks, demand, dense.nodes, stuck, settings.min_sigma, obstacles)
 
 
 def guide_route(
@@ -239,27 +369,28 @@ def guide_route(
 
     With several chosen joints a full grid would not fit. One of them at a time is searched together with roll and
     branch: first the one next to the part, on sparse rungs, for a lattice of angles at which the others rest; then
-    each other one while the rest follow the path found before. Where the layer must stay nearly upright, the table's path is
-    found first, and roll and branch alone are searched with it.
+    each other one while the rest follow the path found before. Where cones about the vertical bind the table, its path is
+    found by `table_path`, and roll and branch alone are searched with it.
     """
     k = len(cell.chosen)
     if k < 2:
-        demand, grid = _coarse_grid(cell, guides, settings, _MOST_NODES)
+        demand, grid = _coarse_grid(cell, guides, settings, MOST_NODES)
         search = ClearSearch(cell, demand, grid, settings.min_sigma, obstacles)
-        route, stuck = search.best(demand, home_travel_costs(cell, guides, search.nodes, share))
+        route, stuck = search.best(guides, share)
+        route = route or search.wound
         if route is None:
             refuse_rung(cell, guides, demand, search.nodes, stuck, settings.min_sigma, obstacles)
         return LadderRoute(demand, search.nodes, route)
-    demand = sample_tasks(guides, settings.rung)
-    if len(cell.holder) > 1 and demand.cones.layer_gravity < NARROW:
-        return _after_table(cell, guides, demand, settings, obstacles)
-    found = _first_look(cell, guides, settings, obstacles)
+    demand = sample_tasks(guides, _rung(cell, guides, settings), _turn(cell, settings))
+    if binds_table(cell, demand.cones):
+        return _after_table(cell, guides, demand, settings, obstacles, share)
+    found = _first_look(cell, guides, settings, obstacles, share)
     first = found.nodes.grid.swept
     for swept in [*(j for j in range(k) if j != first), first]:
         held = _between_rungs(found, demand, k)
         grid = full_grid(demand, settings.roll_step, settings.table_step, True, swept, held)
         search = ClearSearch(cell, demand, grid, settings.min_sigma, obstacles)
-        route, stuck = search.best(demand)
+        route, stuck = search.best(guides, share)
         if route is not None:
             found = LadderRoute(demand, search.nodes, route)
     # a joint that finds no way alone leaves the path as it was; one of them must find one
@@ -268,29 +399,59 @@ def guide_route(
     return found
 
 
+def binds_table(cell: Cell, cones: Cones) -> bool:
+    """Whether cones about the vertical bind the table, so that `table_path` finds its path."""
+    return len(cell.holder) > 1 and not cell.holder.slides[-2:].any() and least_cone(cones) < BINDING
+
+
+def _rung(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, refine: int = 1) -> float:
+    """Distance between rungs [m]: the settings', or what a chosen joint that slides needs for a step of the grid, divided
+    by `refine`, from one to the next: its steps are long, and their number is not to grow with its range."""
+    rung, limits = settings.rung, cell.limits
+    for j in cell.chosen:
+        if j in limits.sliding:
+            step = grid_scale(limits, j)[1] * settings.table_step / refine
+            time = max(step / (_SLIDING_SHARE * limits.velocity[j]), float(np.sqrt(step / limits.acceleration[j])))
+            rung = max(rung, time * max(task.speed for task in tasks))
+    return rung
+
+
+def _turn(cell: Cell, settings: ResolveSpec) -> float:
+    """What the normal may turn by from rung to rung [rad]: a table that follows it makes a step of the grid at most."""
+    return _TURN_SHARE * settings.table_step if cell.chosen else np.inf
+
+
 def _after_table(
-    cell: Cell, guides: Sequence[NozzleTask], demand: SampledTasks, settings: ResolveSpec, obstacles: Obstacles
+    cell: Cell,
+    guides: Sequence[NozzleTask],
+    demand: SampledTasks,
+    settings: ResolveSpec,
+    obstacles: Obstacles,
+    share: float,
 ) -> LadderRoute:
-    """The best route of roll and branch while the table follows a path that holds the layer upright."""
-    held = upright_table(cell, guides, demand)
+    """The best route of heading and branch while the table follows a path that the cones allow."""
+    held = table_path(cell, guides, demand)
+    demand = carried(cell, guides, demand, held)
     grid = full_grid(demand, settings.roll_step, 1.0, False, None, held)
     search = ClearSearch(cell, demand, grid, settings.min_sigma, obstacles)
-    for share in ARM_SHARES:
-        slow = slowed(cell, demand, held, share)
-        route, stuck = search.best(slow)
-        if route is not None:
-            return LadderRoute(slow, search.nodes, route)
-    refuse_rung(cell, guides, slow, search.nodes, stuck, settings.min_sigma, obstacles)
+    route, stuck = search.best(guides, share)
+    route = route or search.wound
+    if route is None:
+        refuse_rung(cell, guides, demand, search.nodes, stuck, settings.min_sigma, obstacles)
+    return LadderRoute(demand, search.nodes, route)
 
 
-def _first_look(cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles) -> LadderRoute:
+def _first_look(
+    cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles, share: float
+) -> LadderRoute:
     """The best route on sparse rungs with all chosen joints but one at rest, at any angles of a lattice."""
     k, nh = len(cell.chosen), len(cell.holder)
-    demand = sample_tasks(guides, _SPARSE * settings.rung)
+    demand = sample_tasks(guides, _SPARSE * _rung(cell, guides, settings), _ROUGH * _turn(cell, settings))
     swept = max(nh - 1, 0)
     others = [j for j in range(k) if j != swept]
     home = cell.home[list(cell.chosen)]
     best: LadderRoute | None = None
+    wound: LadderRoute | None = None
 
     def search_at(rest: Array, demand: SampledTasks) -> ClearSearch:
         held = np.tile(home, (len(demand.rung), 1))
@@ -301,16 +462,19 @@ def _first_look(cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec,
     lattice = [_rest_angles(cell, j, _ROUGH * settings.table_step, len(others)) for j in others]
     for rest in itertools.product(*lattice):
         search = search_at(np.array(rest), demand)
-        route, stuck = search.best(demand)
+        route, stuck = search.best(guides, share, past=False)
         if route is not None and (best is None or route.price < best.route.price):
             best = LadderRoute(demand, search.nodes, route)
+        elif search.wound is not None and (wound is None or search.wound.price < wound.route.price):
+            wound = LadderRoute(demand, search.nodes, search.wound)
+    best = best or wound
     if best is None and len(others) > 1:  # home does not do: look around it, at few rungs first
         few = sample_tasks(guides, _FEW * settings.rung)
         for rest in _around_home(cell, others):
             reached = search_at(rest, few).look(np.arange(len(few.rung)))
             if np.isfinite(reached.price).any(axis=(1, 2, 3)).all():
                 elsewhere = search_at(rest, demand)
-                route, _ = elsewhere.best(demand)
+                route, _ = elsewhere.best(guides, share, past=False)
                 if route is not None:
                     return LadderRoute(demand, elsewhere.nodes, route)
     if best is None:
@@ -322,8 +486,9 @@ def _around_home(cell: Cell, chosen: Sequence[int]) -> Array:
     """Angles (m, len(chosen)) of chosen joints, drawn ever further from home within their ranges."""
     joints = [cell.chosen[j] for j in chosen]
     home = cell.home[joints]
-    low = np.maximum(cell.limits.q_min[joints], home - np.pi)
-    high = np.minimum(cell.limits.q_max[joints], home + np.pi)
+    half = np.array([np.pi * grid_scale(cell.limits, joint)[1] for joint in joints])
+    low = np.maximum(cell.limits.q_min[joints], home - half)
+    high = np.minimum(cell.limits.q_max[joints], home + half)
     drawn = np.random.default_rng(0).uniform(low, high, (_DRAWN, len(joints)))
     return home + np.linspace(0.0, 1.0, _DRAWN)[:, None] * (drawn - home)
 
@@ -334,8 +499,9 @@ def _rest_angles(cell: Cell, chosen: int, step: float, others: int) -> Array:
     home = cell.home[joint]
     if others > 1:
         return np.array([home])
-    low, high = max(cell.limits.q_min[joint], home - np.pi), min(cell.limits.q_max[joint], home + np.pi)
-    around = home + step * np.arange(-_LATTICE // 2 + 1, _LATTICE // 2 + 1)
+    unit = grid_scale(cell.limits, joint)[1]
+    low, high = max(cell.limits.q_min[joint], home - unit * np.pi), min(cell.limits.q_max[joint], home + unit * np.pi)
+    around = home + unit * step * np.arange(-_LATTICE // 2 + 1, _LATTICE // 2 + 1)
     return around[(around > low) & (around < high)]
 
 
@@ -376,7 +542,7 @@ def coarse_nodes(
 def _coarse_grid(
     cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, most: float = np.inf
 ) -> tuple[SampledTasks, Grid]:
-    demand = sample_tasks(tasks, settings.rung)
+    demand = sample_tasks(tasks, _rung(cell, tasks, settings), _turn(cell, settings))
     held = np.tile(cell.home[list(cell.chosen)], (len(demand.rung), 1))
     swept = max(len(cell.holder) - 1, 0)
     for rough in (1.0, _ROUGH):
@@ -450,13 +616,23 @@ def runs_backwards(task: NozzleTask, guide: NozzleTask) -> bool:
 def paths_of(cell: Cell, tasks: Sequence[NozzleTask], found: LadderRoute) -> tuple[JointPath, ...]:
     """Smooth joint paths along a route: its grid values control splines of roll and chosen joints."""
     paths = []
-    grid, route = found.nodes.grid, found.route
+    grid, route, demand = found.nodes.grid, found.route, found.demand
     chosen = found.chosen(len(cell.chosen))
+    offset = 0
     for i, task in enumerate(tasks):
-        rungs = found.demand.rungs_of(i)
-        n, places = len(task), found.demand.place[rungs]
+        rungs = demand.rungs_of(i)
+        n, places = len(task), demand.place[rungs]
         roll = spread(angles_along(grid, route.roll[rungs], grid.rolls, grid.roll_step), n, places)
+        angles = spread(chosen[rungs], n, places)
         branch = int(route.branch[rungs][0])
-        q = postures(cell, task, roll, spread(chosen[rungs], n, places), branch)
-        paths.append(JointPath(task, roll, upright(task), q, branch))
+        frames, tilt = demand.frames[offset : offset + n], upright(task)
+        offset += n
+        if task.cones.tilt > 0.0:
+            R_world_part = cell.holder.poses(angles[:, : len(cell.holder)])[:, :3, :3]
+            stand = np.swapaxes(R_world_part, 1, 2) @ leaned(R_world_part @ frames, demand.lean)
+            roll, tilt = turned_from(task.frames, stand @ rolled(roll))
+        elif binds_table(cell, demand.cones):
+            roll, _ = turned_from(task.frames, frames @ rolled(roll))
+        q = postures(cell, task, roll, angles, branch, tilt)
+        paths.append(JointPath(task, roll, tilt, q, branch))
     return choose_turns(cell, paths)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +18,7 @@ from planner.cell.kinematics.inverse import SPHERICAL_WRIST, solve_one
 from planner.cell.kinematics.spherical_wrist import inverse_jacobian, sines_of, solve_within
 from planner.collision.scene import NOTHING, Obstacles
 from planner.collision.table import workspace_for
-from planner.resolve.joint_path import SampledTasks
+from planner.resolve.joint_path import SampledTasks, least_cone
 from planner.resolve.prices import (
     AT_SPEED,
     DIP_PRICE,
@@ -37,6 +37,7 @@ from planner.resolve.reach import (
     flange_pose,
     inverse_in_part,
     lacks_clearance,
+    lean_nozzle,
     nearest_turns,
     part_pose,
     room_for_poses,
@@ -126,11 +127,12 @@ def _turned(R, twist, out) -> None:
 
 
 class NodeFloors(NamedTuple):
-    """What a node must have: min_sigma, the least singular value; and upright, the cosine of the narrower cone to gravity,
-    beyond which a lean is priced."""
+    """What a node must have: min_sigma, the least singular value; upright, the cosine of the surface normal's lean beyond
+    which cones cannot be kept to, which is priced; and the nozzle's share of that lean, as in `SampledTasks`."""
 
     min_sigma: float
     upright: float
+    lean: float
 
 
 class NodesFilled(NamedTuple):
@@ -165,6 +167,7 @@ def evaluate_nodes(first, last, arm, limits, swept, grid, rungs, table, floors, 
     T_nozzle_flange, roll_from, redundant, now = arm.T_nozzle_flange, grid.roll_from, swept.redundant, rungs.now
     known, sigmas, times = np.empty(8, dtype=np.int64), np.empty(8), np.empty(8)
     for r in range(first, last):
+        given = redundant[r].copy()
         wanted = np.zeros(8, dtype=np.bool_)
         for c in range(n_branches):
             wanted[branch[r, c]] = True
@@ -188,11 +191,15 @@ def evaluate_nodes(first, last, arm, limits, swept, grid, rungs, table, floors, 
             if swept.sweeps == 1:
                 posture[0, swept.joint] = angle
             part_pose(swept, r, angle, room)
+            lean_nozzle(T_world_task, floors.lean, R, T_rolled)
             if kind == SPHERICAL_WRIST:  # whose rates are known in its base's frame, not in that of the part
                 mul4(T_base_world, T_world_part, T_rolled)
                 _turned(T_rolled, twist[here], own_twist)
                 _turned(T_rolled, rate[here], own_rate)
-            leans = duration * LEAN_PRICE * max(0.0, floors.upright + T_world_task[2, 2])
+            up = 0.0
+            for m in range(3):
+                up += T_world_part[2, m] * rungs.normals[i0, m]
+            leans = duration * LEAN_PRICE * max(0.0, floors.upright - up)
             for a in range(n_rolls):
                 roll = (roll_from[r] + a) * grid.roll_step
                 flange_pose(
@@ -201,14 +208,15 @@ def evaluate_nodes(first, last, arm, limits, swept, grid, rungs, table, floors, 
                 if kind == SPHERICAL_WRIST:
                     solve_within(p, T_base_flange[:3, :3], T_base_flange[:3, 3], q_least, q_most, wanted, eight, ok)
                 else:
-                    given = angle if swept.sweeps == 2 else redundant[r]
+                    if swept.sweeps >= 2:
+                        given[swept.sweeps - 2] = angle
                     solve_one(kind, p, given, T_base_flange[:3, :3], T_base_flange[:3, 3], eight, ok)
                 known[:] = -1
                 for c in range(n_branches):
                     k = branch[r, c]
                     if not ok[k]:
                         continue
-                    away = nearest_turns(eight[k], middle, q_min, q_max)
+                    away = nearest_turns(eight[k], middle, q_min, q_max, limits.turns)
                     if away < LIMIT_ROOM:
                         continue
                     # a spherical wrist turned over has the same axes, one of them reversed: the same rates and sigma
@@ -286,12 +294,37 @@ class Grid:
 class Nodes:
     """q (r, rolls, holders, c, na) arm joints, each within pi of the middle of its range; price (same less 6) [s],
     infinite where there is no posture; the grid that they stand on; joint: index of the swept one among all joints,
-    beyond them where there is none."""
+    beyond them where there is none; scale: zero and unit of its values, see `grid_scale`."""
 
     grid: Grid
     q: NDArray[np.float32]
     price: NDArray[np.float64]
     joint: int = 6
+    scale: tuple[float, float] = (0.0, 1.0)
+
+    def holder_joints(self, cell: Cell, rung: int) -> Array:
+        """Joints (holders, nh) of what holds the part, at a rung's angles of the swept joint."""
+        grid, k = self.grid, len(cell.chosen)
+        rung %= len(self.price)
+        chosen = np.repeat(grid.chosen(len(self.price), k)[rung : rung + 1], self.price.shape[2], axis=0)
+        if k and grid.swept is not None:
+            zero, unit = self.scale
+            index = grid.holder_from[rung] + np.arange(len(chosen))
+            chosen[:, grid.swept] = zero + unit * index * grid.holder_step
+        return chosen[:, : len(cell.holder)]
+
+
+def nodes_of(nodes: Nodes, rungs: slice) -> Nodes:
+    """The nodes of some rungs."""
+    grid = nodes.grid
+    own = replace(
+        grid,
+        roll_from=grid.roll_from[rungs],
+        holder_from=grid.holder_from[rungs],
+        branch=grid.branch[rungs],
+        held=None if grid.held is None else grid.held[rungs],
+    )
+    return replace(nodes, grid=own, q=nodes.q[rungs], price=nodes.price[rungs])
 
 
 def full_grid(
@@ -328,9 +361,9 @@ def nodes_to_fill(
     shape = (r, grid.rolls, grid.holders, grid.branch.shape[1])
     q = np.zeros((*shape, na), dtype=np.float32)
     price = np.full(shape, np.inf)
-    upright = np.cos(min(demand.cones.layer_gravity, demand.cones.nozzle_gravity))
+    upright = np.cos(min(least_cone(demand.cones), np.pi))
     before = arm_numbers(cell), arm_limits(cell), swept, grid.numbers, rung_numbers(demand)
-    after = NodeFloors(float(min_sigma), float(upright)), NodesFilled(q, price)
+    after = NodeFloors(float(min_sigma), float(upright), demand.lean), NodesFilled(q, price)
 
     def fill(rungs: Ints, obstacles: Obstacles) -> None:
         table = (obstacles.but_head_on_part if demand.cones.tilt > 0.0 else obstacles).table
@@ -344,4 +377,5 @@ def nodes_to_fill(
         if len(rungs):
             in_threads(part, len(rungs))
 
-    return Nodes(grid, q, price, len(cell.joint_names) if swept.joint < 0 else swept.joint), fill
+    joint = len(cell.joint_names) if swept.joint < 0 else swept.joint
+    return Nodes(grid, q, price, joint, (swept.zero, swept.unit)), fill

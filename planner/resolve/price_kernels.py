@@ -1,4 +1,4 @@
-"""Compiled: what a path costs, the quadratic program around it, and what it watches of rates and ranges."""
+"""Compiled: what the terms of a path's price cost, their part of the quadratic program around it, and what that watches."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planner.base.arrays import Array, Flags, Ints
+from planner.base.arrays import Array, Ints
 from planner.base.compiled import njit
 from planner.resolve.cone_kernels import facet
 from planner.resolve.prices import (
@@ -23,18 +23,10 @@ from planner.resolve.prices import (
 from planner.resolve.quadratic import SUMS
 
 # ----------------------------------------------------------------------------------------------------
-# What a path costs, compiled.
+# What a path costs, compiled: one function for each term of `terms`, where the formulas stand.
 #
 # The price of a path is in seconds. At the commanded speed v the joints' rates are known from the path, so each
 # sample has a greatest speed that the limits allow, v / (1 + slack): the slack is the share of its time that is lost.
-#
-#     price = sum over samples of  step * (deposits * lost(slack) + effort + closeness + excess)
-#
-# lost is the time that a slack loses, and a little for every dip.
-# effort is small and grows with the squares of the rates' shares of their limits, ever more slowly beyond them: of two
-# choices at full speed the calmer one wins. Where no time is lost anyway, peaks of the joints' speed are part of it.
-# closeness grows towards singularities of the arm and the ends of the joints' ranges.
-# excess is dear: what goes beyond bounds. Tilt, and ends of beads that move, are priced in `refine`.
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -73,14 +65,9 @@ def lost_slope(slack: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def price_of(rates, limits, step, deposits, q, low, high, sigma, least_sigma, bounds, peak, slack):
-    """Price of a path [s]; fills slack (n). bounds (n, b): what must not be positive, for instance a cone's excess.
-
-    peak: see `peak_price`.
-    """
+def slack_of(rates, limits, slack) -> None:
+    """Fill slack (n): the share of its time that a sample loses, with rates (n, 3, nj) and their limits (3, nj)."""
     n, _, nj = rates.shape
-    na = low.size
-    total = 0.0
     for i in range(n):
         v, a, y = 0.0, 0.0, 0.0
         for j in range(nj):
@@ -88,34 +75,58 @@ def price_of(rates, limits, step, deposits, q, low, high, sigma, least_sigma, bo
             a = max(a, abs(rates[i, 1, j]) / limits[1, j])
             y = max(y, abs(rates[i, 2, j]) / limits[2, j])
         slack[i] = max(v, np.sqrt(a), np.cbrt(y), 1.0) - 1.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def price_time_lost(step, deposits, slack):
+    """Price [s] of the time that slacks (n) lose where material is laid down."""
+    total = 0.0
+    for i in range(slack.size):
+        total += step[i] * deposits[i] * lost(slack[i])
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def price_effort(rates, limits, step, peak):
+    """Price [s] of the joints' rates (n, 3, nj), and of peaks of their speed: its eighth power, PEAK_PRICE at `peak`."""
+    n, _, nj = rates.shape
+    total = 0.0
+    for i in range(n):
         effort = 0.0
         for o in range(3):
             for j in range(nj):
                 square = (rates[i, o, j] / limits[o, j]) ** 2
                 effort += EFFORT[o] * square / (1.0 + square)
-        cost = deposits[i] * lost(slack[i]) + effort / nj
-        close = max(0.0, SIGMA_COMFORT / sigma[i] - 1.0)
-        cost += SIGMA_PRICE * close * close + deposits[i] * HARD_PRICE * max(0.0, least_sigma - sigma[i])
-        for j in range(na):
-            room = min(q[i, j] - low[j], high[j] - q[i, j])
-            near = max(0.0, 1.0 - room / LIMIT_COMFORT)
-            cost += LIMIT_PRICE * near * near + HARD_PRICE * max(0.0, -room)
-        for c in range(bounds.shape[1]):
-            cost += HARD_PRICE * max(0.0, bounds[i, c])
-        total += step[i] * cost
-    return total + peak_price(rates, step, peak)
+        if peak < np.inf:
+            for j in range(nj):
+                effort += PEAK_PRICE * (rates[i, 0, j] / peak) ** 8
+        total += step[i] * effort
+    return total / nj
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def peak_price(rates, step, peak):
-    """Price [s] of peaks of the joints' speed in rates (n, 3, nj): of its eighth power, PEAK_PRICE at the speed `peak`."""
-    n, _, nj = rates.shape
+def price_singularity(weight, step, deposits, sigma, least_sigma):
+    """Price [s] of closeness to singularities, `weight` times; and of least singular values sigma (n) below the least."""
     total = 0.0
-    if peak < np.inf:
-        for i in range(n):
-            for j in range(nj):
-                total += step[i] * (rates[i, 0, j] / peak) ** 8
-    return PEAK_PRICE / nj * total
+    for i in range(sigma.size):
+        close = max(0.0, SIGMA_COMFORT / sigma[i] - 1.0)
+        hard = deposits[i] * HARD_PRICE * max(0.0, least_sigma - sigma[i])
+        total += step[i] * (weight * SIGMA_PRICE * close * close + hard)
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def price_joint_limits(weight, step, q, low, high):
+    """Price [s] of closeness to the ends low, high (na) of the arm's joints' ranges, `weight` times; and of going beyond."""
+    total = 0.0
+    for i in range(len(q)):
+        cost = 0.0
+        for j in range(low.size):
+            room = min(q[i, j] - low[j], high[j] - q[i, j])
+            near = max(0.0, 1.0 - room / LIMIT_COMFORT)
+            cost += weight * LIMIT_PRICE * near * near + HARD_PRICE * max(0.0, -room)
+        total += step[i] * cost
+    return total
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -203,19 +214,10 @@ def watch_missed_ends(now, then, low, high, step, watch):
 
 
 # ----------------------------------------------------------------------------------------------------
-# The quadratic program around a path, compiled: its price (see `price_kernels`) to first order, with a convex second one.
+# The quadratic program around a path, compiled: what each term adds, to first order, with a convex second one.
 
 NEAR_SIGMA = 1.3  # times the least singular value allowed below which the program has a row for it
 _TOGETHER = 8  # samples at most whose effort is one product of matrices: few enough for one thread
-
-
-class JointBounds(NamedTuple):
-    """Bounds of joints: limits (3, nj) of velocity, acceleration, jerk [rad/s and so on]; low, high (na) ends of the
-    ranges of the arm's joints [rad]."""
-
-    limits: Array
-    low: Array
-    high: Array
 
 
 class SplineSamples(NamedTuple):
@@ -228,26 +230,11 @@ class SplineSamples(NamedTuple):
     free: Array
 
 
-class PathSlopes(NamedTuple):
-    """A path at its samples (n), and its slopes by the free variables (m), as in `PathState`; of b cones."""
+class RowPlaces(NamedTuple):
+    """Where a term's rows and groups of each sample begin in a program: row (n), group (n)."""
 
-    rates: Array
-    slack: Array
-    q: Array
-    G: Array
-    sigma: Array
-    sigma_slope: Array
-    lean: Array
-    lean_slope: Array
-    cones: Array
-
-
-class RowsWatched(NamedTuple):
-    """What has rows, as in `Watch`: rates (n, 3, nj, 2), the arm's joints (n, na) at ends, facets (n, b, facets)."""
-
-    rates: Flags
-    ends: Flags
-    facets: Flags
+    row: Ints
+    group: Ints
 
 
 class RowsFilled(NamedTuple):
@@ -309,52 +296,18 @@ def foreseen(q, G, moved):
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def count_rows(step, deposits, watch, watch_end, sigma, least_sigma, watch_lean):
-    """Rows (r) and groups (k) that `bound_rows` will write."""
-    rows, groups = 0, 0
-    for i in range(len(step)):
-        if step[i] == 0.0:
-            continue
-        own = watch[i].sum() if deposits[i] > 0.0 else 0
-        rows += own
-        groups += 1 if own else 0
-        own = watch_end[i].sum()
-        rows += own
-        groups += own
-        if deposits[i] > 0.0 and sigma[i] < NEAR_SIGMA * least_sigma:
-            rows += 1
-            groups += 1
-        for c in range(watch_lean.shape[1]):
-            own = watch_lean[i, c].sum()
-            rows += own
-            groups += 1 if own else 0
-    return rows, groups
-
-
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
-def smooth_price(bounds, samples, path, peak, slopes, H, g) -> None:
-    """Fill H (n, w), a lower band, and g (n) with the part of the price around a path that has no bounds: effort, peaks, and
-    closeness to ends of ranges and to singularities. g is exact, H what is convex: of effort its slope over the rate, of
-    peaks all of it. What is held has a one on the diagonal.
+def expand_effort(weight, limits, samples, rates, peak, slopes, H, g) -> None:
+    """Add effort and peaks to the program, `weight` times: H (n, w), a lower band, and g (n). g is exact, H what is convex:
+    of effort its slope over the rate, of peaks all of it.
 
-    bounds: JointBounds, samples: SplineSamples, path: PathSlopes; peak [rad/s]: see `peak_price`
-    slopes (n, 3 nj, w): of `rate_slopes`
+    samples: SplineSamples; rates (n, 3, nj); peak [rad/s]: see `price_effort`; slopes (n, 3 nj, w): of `rate_slopes`
     """
-    limits, low, high = bounds.limits, bounds.low, bounds.high
-    step, first, B, free = samples.step, samples.first, samples.B, samples.free
-    rates, q, G, sigma, sigma_slope = path.rates, path.q, path.G, path.sigma, path.sigma_slope
+    step, first = samples.step, samples.first
     n, _, nj = rates.shape
-    m = G.shape[2]
     w = slopes.shape[2]
+    m = w // samples.B.shape[2]
     scaled, product = np.empty((_TOGETHER, 3 * nj, w)), np.empty((w, w))
-    row = np.empty(w)
-    H[:] = 0.0
-    g[:] = 0.0
-    for k in range(free.size):
-        if free[k] == 0.0:
-            for c in range(m):
-                H[k * m + c, 0] = 1.0
     start = 0
     while start < n:
         end = start + 1
@@ -366,15 +319,15 @@ def smooth_price(bounds, samples, path, peak, slopes, H, g) -> None:
                 for j in range(nj):
                     r = o * nj + j
                     share = rates[i, o, j] / limits[o, j]
-                    weight = 2.0 * step[i] * EFFORT[o] / nj / (1.0 + share * share) ** 2
-                    slope = share * weight
+                    curve = 2.0 * weight * step[i] * EFFORT[o] / nj / (1.0 + share * share) ** 2
+                    slope = share * curve
                     if o == 0 and peak < np.inf:
                         unit = limits[0, j] / peak
-                        own = 8.0 * PEAK_PRICE * step[i] / nj * unit * unit * (unit * share) ** 6
+                        own = 8.0 * weight * PEAK_PRICE * step[i] / nj * unit * unit * (unit * share) ** 6
                         slope += share * own
-                        weight += 7.0 * own
+                        curve += 7.0 * own
                     for p in range(w):
-                        scaled[i - start, r, p] = weight * slopes[i, r, p]
+                        scaled[i - start, r, p] = curve * slopes[i, r, p]
                         g[at + p] += slope * slopes[i, r, p]
         rows = 3 * nj * (end - start)
         np.dot(scaled[: end - start].reshape(rows, w).T, slopes[start:end].reshape(rows, w), product)
@@ -382,21 +335,36 @@ def smooth_price(bounds, samples, path, peak, slopes, H, g) -> None:
             for d in range(p + 1):
                 H[at + p, d] += product[p, p - d]
         start = end
-    for i in range(n):
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
+def expand_joint_limits(weight, samples, q, G, low, high, H, g) -> None:
+    """Add closeness of joints q (n, nj) to the ends of the arm's ranges to the program, `weight` times."""
+    step, first, B, free = samples.step, samples.first, samples.B, samples.free
+    row = np.empty(B.shape[2] * G.shape[2])
+    for i in range(len(q)):
         if step[i] == 0.0:
             continue
-        at = first[i] * m
         for j in range(low.size):
             room_low, room_high = q[i, j] - low[j], high[j] - q[i, j]
             near = 1.0 - min(room_low, room_high) / LIMIT_COMFORT
             if near > 0.0:
                 sign = (-1.0 if room_low < room_high else 1.0) / LIMIT_COMFORT
                 _row_of(i, sign, G[i, j], first, B, free, row)
-                _add(H, g, at, row, 2.0 * step[i] * LIMIT_PRICE, near)
+                _add(H, g, first[i] * G.shape[2], row, 2.0 * weight * step[i] * LIMIT_PRICE, near)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
+def expand_singularity(weight, samples, sigma, sigma_slope, H, g) -> None:
+    """Add closeness to singularities to the program, `weight` times: of sigma (n) with its slope (n, m)."""
+    step, first, B, free = samples.step, samples.first, samples.B, samples.free
+    m = sigma_slope.shape[1]
+    row = np.empty(B.shape[2] * m)
+    for i in range(sigma.size):
         close = SIGMA_COMFORT / sigma[i] - 1.0
-        if close > 0.0:
+        if step[i] > 0.0 and close > 0.0:
             _row_of(i, -SIGMA_COMFORT / (sigma[i] * sigma[i]), sigma_slope[i], first, B, free, row)
-            _add(H, g, at, row, 2.0 * step[i] * SIGMA_PRICE, close)
+            _add(H, g, first[i] * m, row, 2.0 * weight * step[i] * SIGMA_PRICE, close)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -410,98 +378,148 @@ def _row_of(i, factor, by_z, first, B, free, row) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def bound_rows(bounds, least_sigma, samples, path, slopes, watch, rows) -> None:
-    """Fill the rows of what is watched around a path whose control values move by x, and the price of their slacks.
+def count_rows(wanted, flags):
+    """Rows (n) and groups (n) of samples that are wanted (n), which have a row for each flag (n, b, f) that is set, those of
+    a b in one group."""
+    n, groups_at_most, flags_of_group = flags.shape
+    rows, groups = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
+    for i in range(n):
+        if wanted[i] > 0.0:
+            for b in range(groups_at_most):
+                own = 0
+                for f in range(flags_of_group):
+                    if flags[i, b, f]:
+                        own += 1
+                rows[i] += own
+                if own:
+                    groups[i] += 1
+    return rows, groups
 
-    bounds: JointBounds, samples: SplineSamples, path: PathSlopes, watch: RowsWatched, rows: RowsFilled
-    least_sigma: that a sample in deposition must have; slopes (n, 3 nj, w): of `rate_slopes`
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def places_of(counts):
+    """Where what each term counts (terms, n) begins, sample by sample and in the order of terms, and how much there is."""
+    terms, n = counts.shape
+    places = np.empty((terms, n), dtype=np.int64)
+    total = 0
+    for i in range(n):
+        for t in range(terms):
+            places[t, i] = total
+            total += counts[t, i]
+    return places, total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def rows_of_rates(weight, limits, samples, rates, slack, slopes, watch, places, rows) -> None:
+    """Fill the rows of watched rates: all of a sample's are a group, whose slack is lost time, priced `weight` times.
+
+    samples: SplineSamples; slopes (n, 3 nj, w): of `rate_slopes`; watch (n, 3, nj, 2); places: RowPlaces, rows: RowsFilled
     """
-    limits, low, high = bounds.limits, bounds.low, bounds.high
-    step, deposits, first, B, free = samples.step, samples.deposits, samples.first, samples.B, samples.free
-    rates, slack, q, G, sigma, sigma_slope = path.rates, path.slack, path.q, path.G, path.sigma, path.sigma_slope
-    lean, lean_slope, cones = path.lean, path.lean_slope, path.cones
-    watch_rates, watch_end, watch_lean = watch.rates, watch.ends, watch.facets
+    step, deposits, first, B = samples.step, samples.deposits, samples.first, samples.B
+    row, own = places.row, places.group
     A, b, at, group, price = rows.A, rows.b, rows.at, rows.group, rows.price
     n, _, nj = rates.shape
-    m, w = G.shape[2], slopes.shape[2]
-    r, k = 0, 0
-    group[0] = 0
+    w = slopes.shape[2]
+    m = w // B.shape[2]
     for i in range(n):
+        if step[i] == 0.0 or deposits[i] == 0.0:
+            continue
+        r = row[i]
+        for o in range(3):
+            bound, slope = allowed(o, slack[i])
+            for j in range(nj):
+                share = rates[i, o, j] / limits[o, j]
+                for side in range(2):
+                    if watch[i, o, j, side]:
+                        sign = 1.0 if side == 0 else -1.0
+                        for p in range(w):
+                            A[r, p] = sign * slopes[i, o * nj + j, p] / slope
+                        b[r] = (bound - sign * share) / slope - slack[i]
+                        at[r] = first[i] * m
+                        r += 1
+        if r > row[i]:
+            price[own[i]] = weight * step[i] * deposits[i] * lost_slope(slack[i])
+            group[own[i] + 1] = r
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def rows_of_ends(samples, q, G, low, high, watch, places, rows) -> None:
+    """Fill the rows of joints q (n, nj) that are watched (n, na) for the nearer end of their range: a group each."""
+    step, first, B, free = samples.step, samples.first, samples.B, samples.free
+    row, own = places.row, places.group
+    A, b, at, group, price = rows.A, rows.b, rows.at, rows.group, rows.price
+    for i in range(len(q)):
         if step[i] == 0.0:
             continue
-        at_i = first[i] * m
-        # lost time: all rates of a sample share its slack
-        if deposits[i] > 0.0:
-            own = 0
-            for o in range(3):
-                bound, slope = allowed(o, slack[i])
-                for j in range(nj):
-                    share = rates[i, o, j] / limits[o, j]
-                    for side in range(2):
-                        if watch_rates[i, o, j, side]:
-                            sign = 1.0 if side == 0 else -1.0
-                            for p in range(w):
-                                A[r, p] = sign * slopes[i, o * nj + j, p] / slope
-                            b[r] = (bound - sign * share) / slope - slack[i]
-                            at[r] = at_i
-                            r += 1
-                            own += 1
-            if own:
-                price[k] = step[i] * deposits[i] * lost_slope(slack[i])
-                k += 1
-                group[k] = r
-        # closeness to the ends of the joints' ranges
+        r, k = row[i], own[i]
         for j in range(low.size):
-            if watch_end[i, j]:
+            if watch[i, j]:
                 room_low, room_high = q[i, j] - low[j], high[j] - q[i, j]
                 _row_of(i, -1.0 if room_low < room_high else 1.0, G[i, j], first, B, free, A[r])
                 b[r] = min(room_low, room_high)
-                at[r] = at_i
+                at[r] = first[i] * G.shape[2]
                 price[k] = step[i] * HARD_PRICE
                 r += 1
                 k += 1
                 group[k] = r
-        # closeness to singularities
-        if deposits[i] > 0.0 and sigma[i] < NEAR_SIGMA * least_sigma:
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def rows_of_sigma(samples, sigma, sigma_slope, least_sigma, watch, places, rows) -> None:
+    """Fill the rows of the samples watched (n) that keep the least singular value: a group each."""
+    step, first, B, free = samples.step, samples.first, samples.B, samples.free
+    row, own = places.row, places.group
+    A, b, at, group, price = rows.A, rows.b, rows.at, rows.group, rows.price
+    for i in range(sigma.size):
+        if watch[i]:
+            r, k = row[i], own[i]
             _row_of(i, -1.0, sigma_slope[i], first, B, free, A[r])
             b[r] = sigma[i] - least_sigma
-            at[r] = at_i
+            at[r] = first[i] * sigma_slope.shape[1]
             price[k] = step[i] * HARD_PRICE
-            r += 1
-            k += 1
-            group[k] = r
-        # cones: of a direction's lean, all facets share a slack
-        for v in range(cones.size):
-            own = 0
-            for f in range(watch_lean.shape[2]):
-                if watch_lean[i, v, f]:
-                    u_x, u_y = facet(lean[i, v], f)
-                    for e in range(B.shape[2]):
-                        share = B[i, 0, e] * free[first[i] + e]
-                        for c in range(m):
-                            slope = u_x * lean_slope[i, v, 0, c] + u_y * lean_slope[i, v, 1, c]
-                            A[r, e * m + c] = slope * share
-                    b[r] = cones[v] - u_x * lean[i, v, 0] - u_y * lean[i, v, 1]
-                    at[r] = at_i
+            group[k + 1] = r + 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def rows_of_cones(samples, lean, lean_slope, cones, watch, places, rows) -> None:
+    """Fill the rows of watched facets (n, b, facets) around leans (n, b, 2): those of a cone (b) [rad] are a group."""
+    step, first, B, free = samples.step, samples.first, samples.B, samples.free
+    row, own = places.row, places.group
+    A, b, at, group, price = rows.A, rows.b, rows.at, rows.group, rows.price
+    m = lean_slope.shape[3]
+    slope = np.empty(m)
+    for i in range(len(lean)):
+        if step[i] == 0.0:
+            continue
+        r, k = row[i], own[i]
+        for c in range(cones.size):
+            start = r
+            for f in range(watch.shape[2]):
+                if watch[i, c, f]:
+                    u_x, u_y = facet(lean[i, c], f)
+                    for v in range(m):
+                        slope[v] = u_x * lean_slope[i, c, 0, v] + u_y * lean_slope[i, c, 1, v]
+                    _row_of(i, 1.0, slope, first, B, free, A[r])
+                    b[r] = cones[c] - u_x * lean[i, c, 0] - u_y * lean[i, c, 1]
+                    at[r] = first[i] * m
                     r += 1
-                    own += 1
-            if own:
+            if r > start:
                 price[k] = step[i] * HARD_PRICE
                 k += 1
                 group[k] = r
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def price_tilt(step, tilt, price, first, B, free, columns, H, g) -> None:
-    """Add what tilt (n, 2) costs, in the control values' columns (2), to the program."""
-    m = len(g) // len(free)
-    row = np.zeros(B.shape[2] * m)
+def expand_tilt(price, samples, lean, lean_slope, H, g) -> None:
+    """Add what the nozzle's lean (n, 2) from the surface normal costs to the program, price [s/s and rad^2] of its square;
+    lean_slope (n, 2, m)."""
+    step, first, B, free = samples.step, samples.first, samples.B, samples.free
+    m = lean_slope.shape[2]
+    row = np.empty(B.shape[2] * m)
     for i in range(len(step)):
         for k in range(2):
-            row[:] = 0.0
-            for e in range(B.shape[2]):
-                row[e * m + columns[k]] = B[i, 0, e] * free[first[i] + e]
-            _add(H, g, first[i] * m, row, 2.0 * step[i] * price, tilt[i, k])
+            _row_of(i, 1.0, lean_slope[i, k], first, B, free, row)
+            _add(H, g, first[i] * m, row, 2.0 * step[i] * price, lean[i, k])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -512,3 +530,32 @@ def _add(H, g, at, row, weight, value) -> None:
         g[at + c] += scaled * value
         for d in range(c + 1):
             H[at + c, c - d] += scaled * row[d]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def expand_own(samples, G, speed_slopes, by, curve, H, g) -> None:
+    """Add a user's term to the program: by, curve (2, n, nj) are its slopes and curvatures by joints and by their speeds.
+
+    samples: SplineSamples; G (n, nj, m); speed_slopes (n, nj, w) of the joints' speeds by the control values
+    """
+    step, first, B, free = samples.step, samples.first, samples.B, samples.free
+    n, nj, m = G.shape
+    w = speed_slopes.shape[2]
+    row = np.empty(w)
+    for i in range(n):
+        if step[i] == 0.0:
+            continue
+        at = first[i] * m
+        for o in range(2):
+            for j in range(nj):
+                if by[o, i, j] == 0.0 and curve[o, i, j] == 0.0:
+                    continue
+                if o == 0:
+                    _row_of(i, 1.0, G[i, j], first, B, free, row)
+                else:
+                    for p in range(w):
+                        row[p] = speed_slopes[i, j, p]
+                for p in range(w):
+                    g[at + p] += step[i] * by[o, i, j] * row[p]
+                    for d in range(p + 1):
+                        H[at + p, p - d] += step[i] * curve[o, i, j] * row[p] * row[d]

@@ -13,7 +13,7 @@ import numpy as np
 
 # Closeness, of a node and of a refined sample alike: what moves between them needs some room.
 SIGMA_COMFORT = 0.20  # least singular value (linear rows in m/rad) below which closeness to a singularity is priced
-SIGMA_PRICE = 0.3  # s/s at half of SIGMA_COMFORT, squared: near a singularity joints turn fast and errors grow
+SIGMA_PRICE = 0.6  # s/s at half of SIGMA_COMFORT, squared: near a singularity joints turn fast and errors grow
 LIMIT_COMFORT = 0.35  # rad from the end of a joint's range, below which closeness is priced
 LIMIT_PRICE = 0.4  # s/s at the end itself, squared: who stands there has one way to go only
 
@@ -24,27 +24,34 @@ DIP = 0.05  # of a refined sample: slack at which half of DIP_PRICE is counted, 
 
 # The ladder's nodes and edges.
 LEAN_PRICE = 10.0  # s/s for each 1 of cosine beyond the cones to gravity: more than any detour, but not forbidden
-TRAVEL_PRICE = 0.02  # s a second of travel: a dip spoils the bead, travel only takes time
-TURN_PRICE = 50.0  # s/s for a change of roll or holder that needs a joint's whole acceleration, squared: print calmly
+TRAVEL_PRICE = 0.06  # s a second of travel between beads: a dip spoils the bead, travel only takes time
+HOME_PRICE = 0.1  # s a second of the ways from and to home: they cost the beads that begin and end there alone
+TURN_PRICE = 1.0  # s/s for a change of roll or holder that needs a joint's whole speed, squared: print calmly
 
 # The refinement (see `price_kernels`, which adds these up).
 EFFORT = np.array(
-    [3.0, 0.1, 0.1]
+    [0.6, 0.02, 0.02]
 )  # s/s for all joints at their speed, acceleration, jerk: of two choices the calmer wins
 PEAK = 0.78  # rad/s: joints that stay below at the commanded speed are calm enough
-PEAK_PRICE = 0.1  # s/s for all joints at the speed that counts as a peak: little, only where no time is lost
+PEAK_PRICE = 0.02  # s/s for all joints at the speed that counts as a peak: little, only where no time is lost
 HARD_PRICE = 1e3  # s/s and unit (rad, or the share of a bound) beyond what must not be exceeded: more than all else
 CLEARANCE_UNIT = 10.0  # units a metre: a tenth of a millimetre that lacks counts as much as a milliradian beyond a cone
 # Tilt is for what it buys, clearance or speed, since a nozzle that leans by t lifts one side of a bead by half its width
 # times t; at 10 degrees as much as 3 per mille of the time.
-TILT_PRICE = 0.1  # s/s and rad^2
+TILT_PRICE = 0.02  # s/s and rad^2
 ANCHOR = 0.1  # s/rad^2 that an end of a bead moves: what the search chose there keeps travel short
 
-# The table that is found before the arm (see `table_first`).
-TABLE_LEAN_PRICE = 50.0  # s/s at twice the lean that is aimed at, squared: lean is what this table is for
-TABLE_BEYOND_PRICE = 1e4  # s/s and rad beyond most of the cone: no way past that costs less
-TABLE_MOVE_PRICE = 1.0  # s/s for an axis at its full speed, squared: of two tables the calmer one wins
-TABLE_RETURN_PRICE = 0.02  # s/rad between the end of a bead and the start of the next: travel only takes time
+# The table that is found before the arm (see `table_path`).
+TABLE_LEAN_PRICE = (
+    5.0  # s/s for a lean beyond the calm share of the cone, by shares of it, squared: keep clear of its edge
+)
+TABLE_BEYOND_PRICE = 1e4  # s/s and rad beyond the cone: no way past that costs less
+TABLE_MOVE_PRICE = 0.3  # s/s for an axis at its full speed, squared: of two tables the calmer one wins
+NO_POSTURE_PRICE = 1e3  # s/s where the arm has no posture: such a path is refused, but the place can be named
+BRANCH_PRICE = 0.06  # s for another branch between beads: two seconds of travel
+PAUSE_PRICE = (
+    1e6  # s for leaving a bead and coming back: more than any bead loses otherwise, so they are as few as can be
+)
 
 # Whole turns of joints, chosen last.
 WOUND = 1e-3  # s a second from home to where a joint is: with equal travel cables are not wound up without need

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -230,12 +231,37 @@ class QuadraticProgram:
         return float(_value(self.H, self.g, self.A, self.b, self.at, self.group, self.price, x))
 
 
-def solve_qp(qp: QuadraticProgram, accuracy: float = ACCURACY) -> tuple[Array, int]:
-    """The minimiser x (n) and the number of Newton steps; x = 0 where that is no worse.
+class Status(IntEnum):
+    """How a program was left."""
+
+    SOLVED = 0  # as exactly as was asked for
+    STOPPED = 1  # before: steps ran out, or rounding did not let the matrix be factorised
+    FAILED = 2  # with what is no number
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What a solver makes of a program.
+
+    x (n) within the box, 0 where that is no worse; steps taken; status
+    gap, residual: what complementarity, and what is left of the Lagrangian's gradient, may gain within the box, in the
+    program's units: the least value is at most gap + 2 residual below that of x
+    """
+
+    x: Array
+    steps: int
+    status: Status = Status.SOLVED
+    gap: float = 0.0
+    residual: float = 0.0
+
+
+def solve_qp(qp: QuadraticProgram, accuracy: float = ACCURACY) -> Solution:
+    """Solve a program by Newton steps.
 
     accuracy: share of what there is to gain at all at which complementarity and residual end the method.
     """
-    return minimise(qp.H, qp.g, qp.box, qp.A, qp.b, qp.at, qp.group, qp.price, accuracy)
+    x, steps, status, gap, residual = minimise(qp.H, qp.g, qp.box, qp.A, qp.b, qp.at, qp.group, qp.price, accuracy)
+    return Solution(x, steps, Status(status), gap, residual)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
@@ -386,8 +412,8 @@ def _centre(room, first, end, price, target, k, s, lam, slack, mu) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
-def minimise(H, g, box, A, b, at, group, price, accuracy) -> tuple[Array, int]:
-    """Compiled body of `solve_qp`."""
+def minimise(H, g, box, A, b, at, group, price, accuracy) -> tuple[Array, int, int, float, float]:
+    """Compiled body of `solve_qp`: what a `Solution` has."""
     n, w = H.shape
     count, groups = b.size, price.size
     x = np.zeros(n)
@@ -395,7 +421,7 @@ def minimise(H, g, box, A, b, at, group, price, accuracy) -> tuple[Array, int]:
     now = _value(H, g, A, b, at, group, price, x)
     scale = now + np.abs(g * box).sum()
     if scale == 0.0:
-        return x, 0
+        return x, 0, 0, 0.0, 0.0
     price = np.maximum(price, _FREE * scale)  # without a price a group would have no interior
     low, high = box.copy(), box.copy()  # distances to the two walls of the box
     slack, mu = np.empty(groups), np.empty(groups)
@@ -420,22 +446,18 @@ def minimise(H, g, box, A, b, at, group, price, accuracy) -> tuple[Array, int]:
     second_s, second_slack = np.zeros(count), np.zeros(groups)
     second_low, second_high = np.zeros(n), np.zeros(n)
     second = _Products(second_s, second_slack, second_low, second_high)
-    taken = 0
-    while taken < _STEPS:
-        gap = 0.0
-        for r in range(count):
-            gap += s[r] * lam[r]
-        for k in range(groups):
-            gap += slack[k] * mu[k]
-        for i in range(n):
-            gap += low[i] * lam_low[i] + high[i] * lam_high[i]
+    taken, status = 0, 1
+    while True:
+        gap = _complementarity(here)
         if gap <= accuracy * scale and dual <= accuracy * scale:
-            if exact:
-                break
-            dual = _residual(H, g, box, rows, x, here, residual)
-            exact = True
+            if not exact:
+                dual = _residual(H, g, box, rows, x, here, residual)
+                exact = True
             if dual <= accuracy * scale:
+                status = 0
                 break
+        if taken == _STEPS:
+            break
         for i in range(n):
             for d in range(w):
                 U[i, d] = H_upper[i, d]
@@ -492,7 +514,22 @@ def minimise(H, g, box, A, b, at, group, price, accuracy) -> tuple[Array, int]:
         taken += 1
     if not _value(H, g, A, b, at, group, price, x) < now:
         x[:] = 0.0
-    return x, taken
+    return x, taken, status if np.isfinite(gap + dual) else 2, gap, dual
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
+def _complementarity(at) -> float:
+    """Sum of an iterate's products."""
+    s, lam, slack, mu = at.s, at.lam, at.slack, at.mu
+    low, high, lam_low, lam_high = at.low, at.high, at.lam_low, at.lam_high
+    gap = 0.0
+    for r in range(s.size):
+        gap += s[r] * lam[r]
+    for k in range(slack.size):
+        gap += slack[k] * mu[k]
+    for i in range(low.size):
+        gap += low[i] * lam_low[i] + high[i] * lam_high[i]
+    return gap
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)

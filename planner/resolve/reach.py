@@ -13,7 +13,7 @@ import numpy as np
 
 from planner.base.arrays import Array, Flags, Ints
 from planner.base.compiled import njit
-from planner.cell.cell import Cell, rigid_inverse
+from planner.cell.cell import Cell, Limits, rigid_inverse
 from planner.cell.kinematics.chain import Chain, invert6, jacobian_at, mul4, rotate_about, turn
 from planner.cell.kinematics.inverse import kind_of
 from planner.collision.margins import FIRST, NO, first_lacking, head_lacking
@@ -46,21 +46,25 @@ class ArmNumbers(NamedTuple):
 
 
 class ArmLimits(NamedTuple):
-    """Limits (na) of the arm's joints: ends of their ranges [rad], speed [rad/s], acceleration [rad/s^2]."""
+    """Limits (na) of the arm's joints: ends of their ranges [rad], speed [rad/s], acceleration [rad/s^2]; metres of those
+    that do not turn."""
 
     q_min: Array
     q_max: Array
     v_max: Array
     a_max: Array
+    turns: Flags
 
 
 class SweptJoint(NamedTuple):
     """What the grid's second index turns at r rungs, and the angles [rad] of all that it does not turn.
 
-    T_before, T_after (r, 4, 4), axis (3)   world to part: T_before Rot(axis, swept angle) T_after
-    sweeps                                  0 nothing, 1 a holder joint, 2 the arm's redundant joint
+    T_before, T_after (r, 4, 4), axis (6)   world to part: T_before, what the swept joint does about or along its axis (as in
+                                            Chain), T_after
+    sweeps                                  0 nothing, 1 a holder joint, 2 and more the arm's joints that are given, the first one 2
     joint                                   that joint among all, or -1; low, high: ends of its range [rad]
-    holder (r, nh), redundant (r)           angles of the holder's joints and of the arm's redundant one
+    slides, zero, unit                      whether it slides; its place is then zero + unit times the swept angle [m]
+    holder (r, nh), redundant (r, k)        angles of the holder's joints and of the arm's given ones (one, if there are none)
     """
 
     T_before: Array
@@ -70,6 +74,9 @@ class SweptJoint(NamedTuple):
     joint: int
     low: float
     high: float
+    slides: bool
+    zero: float
+    unit: float
     holder: Array
     redundant: Array
 
@@ -88,6 +95,7 @@ class RungNumbers(NamedTuple):
     """Samples (n) and rungs (r) of `SampledTasks`, whose fields these are."""
 
     tip: Array
+    normals: Array
     frames: Array
     twist: Array
     rate: Array
@@ -141,38 +149,49 @@ def arm_numbers(cell: Cell) -> ArmNumbers:
 def arm_limits(cell: Cell) -> ArmLimits:
     """The limits of the cell's arm for kernels."""
     limits, na = cell.limits, len(cell.arm)
-    return ArmLimits(limits.q_min[:na], limits.q_max[:na], limits.velocity[:na], limits.acceleration[:na])
+    ends = limits.q_min[:na], limits.q_max[:na]
+    return ArmLimits(*ends, limits.velocity[:na], limits.acceleration[:na], limits.turns[:na])
+
+
+def grid_scale(limits: Limits, joint: int) -> tuple[float, float]:
+    """Zero and unit of a joint on a grid of angles, where its value is zero + unit times the angle: the range of a joint
+    that slides is spread over the circle, and others are their own angle."""
+    if joint not in limits.sliding:
+        return 0.0, 1.0
+    low, high = float(limits.q_min[joint]), float(limits.q_max[joint])
+    return low, (high - low) / (2.0 * np.pi)
 
 
 def swept_joint(cell: Cell, swept: int | None, held: Array) -> SweptJoint:
     """What turns where the chosen joint of this index is swept, or none, and the chosen joints' angles are held (r, k)."""
     limits, nh = cell.limits, len(cell.holder)
     swept = swept if cell.chosen else None
-    sweeps = 0 if swept is None else (1 if swept < nh else 2)
+    sweeps = 0 if swept is None else (1 if swept < nh else 2 + swept - nh)
     T_before, axis, T_after = _holder_around(cell, nh if swept is None else swept, held[:, :nh])
     joint = -1 if swept is None else cell.chosen[swept]
     low, high = (-np.inf, np.inf) if swept is None else (float(limits.q_min[joint]), float(limits.q_max[joint]))
-    redundant = np.zeros(len(held)) if cell.inverse.redundant_joint is None else held[:, nh].copy()
-    return SweptJoint(T_before, axis, T_after, sweeps, joint, low, high, held[:, :nh].copy(), redundant)
+    redundant = held[:, nh:].copy() if cell.given else np.zeros((len(held), 1))
+    scale = joint in limits.sliding, *grid_scale(limits, joint)
+    return SweptJoint(T_before, axis, T_after, sweeps, joint, low, high, *scale, held[:, :nh].copy(), redundant)
 
 
 def rung_numbers(demand: SampledTasks) -> RungNumbers:
     """The samples and rungs of a demand for kernels."""
     return RungNumbers(
-        demand.tip, demand.frames, demand.twist, demand.rate, demand.now, demand.weight,
+        demand.tip, demand.normals, demand.frames, demand.twist, demand.rate, demand.now, demand.weight,
         demand.rung, demand.start, demand.stop,
     )  # fmt: skip
 
 
 def _holder_around(cell: Cell, swept: int, held: Array) -> tuple[Array, Array, Array]:
-    """World to part as T_before Rot(axis, angle of the swept joint) T_after, the other axes held (r, nh).
+    """World to part as T_before, what the swept joint does about or along its axis (6), T_after, the others held (r, nh).
 
     Where no holder joint is swept, T_before is the whole way and the axis any.
     """
     r = len(held)
     holder = cell.holder
     if swept >= len(holder):
-        return holder.poses(held), np.array([0.0, 0.0, 1.0]), np.tile(np.eye(4), (r, 1, 1))
+        return holder.poses(held), np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), np.tile(np.eye(4), (r, 1, 1))
     first = Chain(holder.names[:swept], holder.placements[:swept], holder.axes[:swept], holder.placements[swept])
     rest = Chain(holder.names[swept + 1 :], holder.placements[swept + 1 :], holder.axes[swept + 1 :], holder.T_last_tip)
     return first.poses(held[:, :swept]), holder.axes[swept], rest.poses(held[:, swept + 1 :])
@@ -202,18 +221,23 @@ def nearest_turn(angle: float, middle: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def nearest_turns(q, middle, q_min, q_max) -> float:
-    """Turn all joints of q (na) so; returns the least angle [rad] from the end of a range, negative beyond it."""
+def nearest_turns(q, middle, q_min, q_max, turns) -> float:
+    """Turn all joints of q (na) that turn so; returns the least angle [rad, m] from the end of a range, negative beyond it."""
     room = np.inf
     for j in range(q.size):
-        q[j] = nearest_turn(q[j], middle[j])
+        if turns[j]:
+            q[j] = nearest_turn(q[j], middle[j])
         room = min(room, min(q[j] - q_min[j], q_max[j] - q[j]))
     return room
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def angle_in_range(swept, angle: float):
-    """An angle of the swept joint [rad], turned into its range, and whether it keeps LIMIT_ROOM from the ends."""
+    """An angle of the swept joint [rad], turned into its range, and whether it keeps LIMIT_ROOM from the ends; the place [m]
+    of a joint that slides."""
+    if swept.slides:
+        place = swept.zero + swept.unit * angle
+        return place, not min(place - swept.low, swept.high - place) < LIMIT_ROOM
     if swept.sweeps == 0 or not swept.high - swept.low < 2.0 * np.pi:
         return angle, True
     turned = nearest_turn(angle, 0.5 * (swept.low + swept.high))
@@ -223,10 +247,33 @@ def angle_in_range(swept, angle: float):
 @njit(cache=True, nogil=True, error_model="numpy")
 def part_pose(swept, r: int, angle: float, room) -> None:
     """Fill the poses of part and task in the world, at rung r and an angle [rad] of the swept joint."""
-    rotate_about(swept.axis, angle if swept.sweeps == 1 else 0.0, room.R)
+    turns = swept.sweeps == 1 and not swept.slides
+    rotate_about(swept.axis, angle if turns else 0.0, room.R)
     turn(swept.T_before[r], room.R, room.T_held)
+    if swept.sweeps == 1 and swept.slides:
+        for i in range(3):
+            for j in range(3):
+                room.T_held[i, 3] += room.T_held[i, j] * swept.axis[3 + j] * angle
     mul4(room.T_held, swept.T_after[r], room.T_world_part)
     mul4(room.T_world_part, room.T_part_task, room.T_world_task)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def lean_nozzle(T_world_task, share: float, R, T_rolled) -> None:
+    """Turn a task's pose about its tip so that its z leans from straight down by a share of what it did, see `leaned`;
+    R (3, 3) and T_rolled (4, 4) are room."""
+    x, y, z = T_world_task[0, 2], T_world_task[1, 2], T_world_task[2, 2]
+    level = np.sqrt(x * x + y * y)
+    if share == 1.0 or level < 1e-12:
+        return
+    angle = (1.0 - share) * np.arctan2(level, -z)
+    rotate_about(np.array((-y / level, x / level, 0.0)), angle, R)
+    for a in range(3):
+        for b in range(3):
+            T_rolled[a, b] = R[a, 0] * T_world_task[0, b] + R[a, 1] * T_world_task[1, b] + R[a, 2] * T_world_task[2, b]
+    for a in range(3):
+        for b in range(3):
+            T_world_task[a, b] = T_rolled[a, b]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

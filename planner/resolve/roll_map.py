@@ -156,8 +156,7 @@ def _postures(cell: Cell, places: _Places, roll: Array) -> tuple[Array, NDArray[
     each = np.repeat(np.arange(m), k)
     task = NozzleTask(0, "", 0, places.tip[each], places.frames[each], each.astype(float), 0, len(each) - 1, 1.0)
     T = flange_poses(cell, task, np.tile(roll, m), places.tilt[each], places.q[each, na : na + nh])
-    redundant = cell.inverse.redundant_joint
-    q, exists = cell.inverse.solve(T, None if redundant is None else places.q[each, redundant])
+    q, exists = cell.inverse.solve(T, places.q[each][:, list(cell.given)] if cell.given else None)
     return q.reshape(m, k, -1, na), exists.reshape(m, k, -1)
 
 
@@ -169,8 +168,9 @@ def _judged(
 ) -> _Judgement:
     """why, sigma, limit and clearance of arm postures (m, k, na), turned as near the middle of their ranges as can be."""
     na = len(cell.arm)
-    arm = arm - _TURN * np.round((arm - 0.5 * (cell.limits.q_min[:na] + cell.limits.q_max[:na])) / _TURN)
-    limit = np.minimum(arm - cell.limits.q_min[:na], cell.limits.q_max[:na] - arm).min(axis=2)
+    low, high, turns = cell.limits.q_min[:na], cell.limits.q_max[:na], cell.limits.turns[:na]
+    arm = arm - np.where(turns, _TURN * np.round((arm - 0.5 * (low + high)) / _TURN), 0.0)
+    limit = np.minimum(arm - low, high - arm).min(axis=2)
     limit[~exists] = np.nan
     why = np.where(exists, np.where(limit < 0.0, LIMITS, FREE), REACH).astype(np.uint8)
     sigma, clearance = np.full(why.shape, np.nan), np.full(why.shape, np.nan)

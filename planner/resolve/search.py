@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -10,15 +11,17 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Flags, Ints
 from planner.base.compiled import njit
+from planner.base.geometry import TURN
 from planner.cell.cell import Limits
-from planner.resolve.joint_path import SampledTasks
+from planner.resolve.joint_path import MARGIN, SampledTasks
 from planner.resolve.nodes import Grid, Nodes
-from planner.resolve.prices import TRAVEL_PRICE, TURN_PRICE
+from planner.resolve.prices import DIP_PRICE, TRAVEL_PRICE, TURN_PRICE
 
 # ----------------------------------------------------------------------------------------------------
 # Compiled body of the search through the ladder graph.
 
-SPEED_SHARE = 0.9  # of a joint's speed that an edge may use: the rest is for what happens between rungs
+SPEED_SHARE = 0.9  # of a joint's speed that an edge may use at the commanded speed: between rungs the rest is needed
+JUMP = 2.5  # rad that a joint may turn from rung to rung: beyond, it is another posture, or another turn
 _ORDER = (4, 0, 1, 2, 3, 5, 6, 7, 8)  # of the nine neighbours, that of the same roll and holder first
 
 
@@ -38,6 +41,21 @@ class LadderNumbers(NamedTuple):
     holder_step: float
     task_rungs: Ints
     time: Array
+
+
+class TurnsCounted(NamedTuple):
+    """Joints (m) whose whole turns are part of a node, so that a route keeps to their ranges along a bead.
+
+    joint (m)            index among the arm's, or their number for the swept one
+    least (m), number (m) the fewest whole turns that a node's angle may be taken with, and how many there are
+    low, high (m)        ends of the ranges, in the nodes' angles [rad]
+    """
+
+    joint: Ints
+    least: Ints
+    number: Ints
+    low: Array
+    high: Array
 
 
 class TravelLimits(NamedTuple):
@@ -68,24 +86,26 @@ def travel_price(
 
 
 @njit(cache=True)
-def edge_price(q0, q1, q1_straight, turn: float, time: float, v: Array, a: Array, wraps) -> float:
+def edge_price(q0, q1, q1_straight, turn: float, time: float, v: Array, wraps) -> float:
     """Price [s] of the edge from q0 to q1 (na) in `time`, where keeping roll and holder would lead to q1_straight.
 
-    Infinite if a joint had to be faster than it may.
+    A mild square of the speeds that turning asks for; where a joint is too slow, the time really lost. Infinite if a joint
+    jumps, so that nothing continuous leads there.
     """
-    if abs(turn) > SPEED_SHARE * v[wraps.size] * time:
-        return np.inf
-    need = abs(turn) / (time * time * a[wraps.size])
+    need = abs(turn) / (SPEED_SHARE * v[wraps.size])  # s
+    turned = need
     for j in range(wraps.size):
         d = float(q1[j]) - float(q0[j])
         e = float(q1[j]) - float(q1_straight[j])
         if wraps[j]:
             d -= 2.0 * np.pi * np.rint(d / (2.0 * np.pi))
             e -= 2.0 * np.pi * np.rint(e / (2.0 * np.pi))
-        if abs(d) > SPEED_SHARE * v[j] * time:
+        if abs(d) > JUMP:
             return np.inf
-        need = max(need, abs(e) / (time * time * a[j]))
-    return TURN_PRICE * time * need * need
+        need = max(need, abs(d) / (SPEED_SHARE * v[j]))
+        turned = max(turned, abs(e) / (SPEED_SHARE * v[j]))
+    share = min(turned / time, 1.0)
+    return TURN_PRICE * time * share * share + (1.0 + DIP_PRICE) * max(0.0, need - time)
 
 
 @njit(cache=True)
@@ -148,7 +168,7 @@ def _from_travel(ladder, r: int, arrived, limits, cost, back) -> None:
                         best, best_k = t, k
                 if best_k >= 0:
                     cost[i, b, c] = best + price[r, i, b, c]
-                    back[r, i, b, c] = best_k
+                    back[i, b, c] = best_k
 
 
 @njit(cache=True)
@@ -163,77 +183,153 @@ def _neighbours(window: int, shift: int, periodic: bool):
 
 
 @njit(cache=True)
-def _from_rung(ladder, r: int, arrived, limits, cost, back) -> None:
+def _held(turns, label: int, q, angle: float) -> bool:
+    """Whether the joints whose turns are counted are within their ranges, at a node's joints q and angle of the swept one."""
+    for k in range(turns.joint.size):
+        j = turns.joint[k]
+        own = (angle if j == q.size else float(q[j])) + 2.0 * np.pi * (turns.least[k] + label % turns.number[k])
+        if not turns.low[k] <= own <= turns.high[k]:
+            return False
+        label //= turns.number[k]
+    return True
+
+
+@njit(cache=True)
+def _label_before(turns, label: int, q0, q1, angle0: float, angle1: float) -> int:
+    """Label at the node before of whoever comes with a label, no joint jumping; -1 where there is none."""
+    out, unit = 0, 1
+    for k in range(turns.joint.size):
+        j = turns.joint[k]
+        d = angle1 - angle0 if j == q0.size else float(q1[j]) - float(q0[j])
+        digit = label % turns.number[k] + int(np.rint(d / (2.0 * np.pi)))
+        if not 0 <= digit < turns.number[k]:
+            return -1
+        out += unit * digit
+        unit *= turns.number[k]
+        label //= turns.number[k]
+    return out
+
+
+@njit(cache=True)
+def _from_rung(ladder, r: int, arrived, limits, turns, cost, back) -> None:
     """Each node's cheapest predecessor among its nine neighbours at rung r - 1; of equal ones the first in their order.
 
     Who keeps to roll and holder pays no edge, so it is asked first: what costs more without its edge is left out.
     """
     q, price, holder_step, time = ladder.q, ladder.price, ladder.holder_step, ladder.time[r]
-    v, a, wraps = limits.v, limits.a, limits.wraps
-    _, A, B, C = price.shape
+    v, wraps = limits.v, limits.wraps
+    A, B, C, L = cost.shape
     from_a, straight_a = _neighbours(A, ladder.roll_from[r] - ladder.roll_from[r - 1], ladder.periodic)
     from_b, straight_b = _neighbours(B, ladder.holder_from[r] - ladder.holder_from[r - 1], ladder.periodic)
     for i in range(A):
         for b in range(B):
+            angle = (ladder.holder_from[r] + b) * holder_step
             for c in range(C):
                 own = price[r, i, b, c]
                 if own == np.inf:
                     continue
-                best, best_k, straight_k = np.inf, -1, -1
-                for which in range(9):
-                    turn = _ORDER[which]
-                    m, n = turn // 3, turn % 3
-                    i0, b0 = from_a[i, m], from_b[b, n]
-                    if i0 < 0 or b0 < 0 or straight_a[i, m] < 0 or straight_b[b, n] < 0 or (n != 1 and B == 1):
+                for label in range(L):
+                    if not _held(turns, label, q[r, i, b, c], angle):
                         continue
-                    before = arrived[i0, b0, c]
-                    if before == np.inf or before + own > best:
-                        continue
-                    if price[r, straight_a[i, m], straight_b[b, n], c] == np.inf:
-                        continue
-                    t = before + edge_price(
-                        q[r - 1, i0, b0, c], q[r, i, b, c], q[r, straight_a[i, m], straight_b[b, n], c],
-                        (n - 1) * holder_step, time, v, a, wraps,
-                    ) + own  # fmt: skip
-                    if t < best or (t == best and turn < 4 and best_k == straight_k and t < np.inf):
-                        best, best_k = t, (i0 * B + b0) * C + c
-                    if turn == 4:
-                        straight_k = best_k
-                if best_k >= 0:
-                    cost[i, b, c] = best
-                    back[r, i, b, c] = best_k
+                    best, best_k, straight_k = np.inf, -1, -1
+                    for which in range(9):
+                        turn = _ORDER[which]
+                        m, n = turn // 3, turn % 3
+                        i0, b0 = from_a[i, m], from_b[b, n]
+                        if i0 < 0 or b0 < 0 or straight_a[i, m] < 0 or straight_b[b, n] < 0 or (n != 1 and B == 1):
+                            continue
+                        before_angle = (ladder.holder_from[r - 1] + b0) * holder_step
+                        label0 = _label_before(turns, label, q[r - 1, i0, b0, c], q[r, i, b, c], before_angle, angle)
+                        before = arrived[i0, b0, c, label0] if label0 >= 0 else np.inf
+                        if before == np.inf or before + own > best:
+                            continue
+                        if price[r, straight_a[i, m], straight_b[b, n], c] == np.inf:
+                            continue
+                        t = before + edge_price(
+                            q[r - 1, i0, b0, c], q[r, i, b, c], q[r, straight_a[i, m], straight_b[b, n], c],
+                            (n - 1) * holder_step, time, v, wraps,
+                        ) + own  # fmt: skip
+                        if t < best or (t == best and turn < 4 and best_k == straight_k and t < np.inf):
+                            best, best_k = t, ((i0 * B + b0) * C + c) * L + label0
+                        if turn == 4:
+                            straight_k = best_k
+                    if best_k >= 0:
+                        cost[i, b, c, label] = best
+                        back[r, i, b, c, label] = best_k
 
 
 @njit(cache=True)
-def search_best(ladder, limits, out, back_home):
+def _start(ladder, r: int, turns, first, first_back, cost, back) -> None:
+    """Begin a bead at rung r with what its nodes cost, first (A, B, C), whatever turns they are taken with."""
+    A, B, C, L = cost.shape
+    for i in range(A):
+        for b in range(B):
+            angle = (ladder.holder_from[r] + b) * ladder.holder_step
+            for c in range(C):
+                for label in range(L):
+                    if first[i, b, c] < np.inf and _held(turns, label, ladder.q[r, i, b, c], angle):
+                        cost[i, b, c, label] = first[i, b, c]
+                        back[r, i, b, c, label] = first_back[i, b, c]
+
+
+@njit(cache=True)
+def _any_turns(cost):
+    """Least costs (A, B, C) of nodes with whatever turns, and the labels of these."""
+    A, B, C, L = cost.shape
+    least, which = np.full((A, B, C), np.inf), np.zeros((A, B, C), dtype=np.int64)
+    for i in range(A):
+        for b in range(B):
+            for c in range(C):
+                for label in range(L):
+                    if cost[i, b, c, label] < least[i, b, c]:
+                        least[i, b, c], which[i, b, c] = cost[i, b, c, label], label
+    return least, which
+
+
+@njit(cache=True)
+def search_best(ladder, limits, turns, out, back_home):
     """Cheapest route: picked (R, 3) window indices and branch column, its price, and -1; or where it got stuck.
 
-    ladder: LadderNumbers, limits: TravelLimits
-    out, back_home (A, B, C): prices of the ways to the first rung's nodes and from the last one's.
+    ladder: LadderNumbers, limits: TravelLimits, turns: TurnsCounted
+    out, back_home (A, B, C, labels): prices of the ways to the first rung's nodes and from the last one's.
+
+    Nodes carry a label where turns are counted: how many each of these joints has made. It follows from that of the node
+    before; between beads turns are free.
     """
     price, task_rungs = ladder.price, ladder.task_rungs
     R, A, B, C = price.shape
-    back = np.full((R, A, B, C), -1, dtype=np.int32)
+    L = 1
+    for k in range(turns.number.size):
+        L *= turns.number[k]
+    back = np.full((R, A, B, C, L), -1, dtype=np.int32)
     picked = np.full((R, 3), -1, dtype=np.int64)
-    cost = np.full((A, B, C), np.inf)
+    cost = np.full((A, B, C, L), np.inf)
     for task in range(len(task_rungs) - 1):
         for r in range(task_rungs[task], task_rungs[task + 1]):
             arrived = cost
-            cost = np.full((A, B, C), np.inf)
+            cost = np.full((A, B, C, L), np.inf)
             if r == 0:
-                cost = price[0] + out
+                _start(ladder, r, turns, price[0], np.full((A, B, C), -1, dtype=np.int64), cost, back)
+                cost += out
             elif r == task_rungs[task]:
-                _from_travel(ladder, r, arrived, limits, cost, back)
+                least, which = _any_turns(arrived)
+                first, first_back = np.full((A, B, C), np.inf), np.full((A, B, C), -1, dtype=np.int64)
+                _from_travel(ladder, r, least, limits, first, first_back)
+                ends = which.ravel()
+                for at in np.ndindex(A, B, C):
+                    if first_back[at] >= 0:
+                        first_back[at] = first_back[at] * L + ends[first_back[at]]
+                _start(ladder, r, turns, first, first_back, cost, back)
             else:
-                _from_rung(ladder, r, arrived, limits, cost, back)
+                _from_rung(ladder, r, arrived, limits, turns, cost, back)
             if not np.isfinite(cost.min()):
                 return picked, np.inf, r
     cost += back_home
-    k = cost.argmin()
+    k = int(cost.argmin())
     total = cost.min()
     for r in range(R - 1, -1, -1):
-        picked[r, 0], picked[r, 1], picked[r, 2] = k // (C * B), (k // C) % B, k % C
-        k = back[r, picked[r, 0], picked[r, 1], picked[r, 2]]
+        picked[r, 0], picked[r, 1], picked[r, 2] = k // (L * C * B), (k // (L * C)) % B, (k // L) % C
+        k = back[r, picked[r, 0], picked[r, 1], picked[r, 2], k % L]
     return picked, total, -1
 
 
@@ -278,7 +374,7 @@ def _follow(ladder, limits, r0: int, stop: int, picked):
     the rung of a dead end, or -1."""
     q, price, periodic, holder_step, time = ladder.q, ladder.price, ladder.periodic, ladder.holder_step, ladder.time
     roll_from, holder_from = ladder.roll_from, ladder.holder_from
-    v, a, wraps = limits.v, limits.a, limits.wraps
+    v, wraps = limits.v, limits.wraps
     A, B = price.shape[1], price.shape[2]
     total = 0.0
     for r in range(r0 + 1, stop):
@@ -295,7 +391,7 @@ def _follow(ladder, limits, r0: int, stop: int, picked):
                         continue
                     t = price[r, i, b, c] + edge_price(
                         q[r - 1, i0, b0, c], q[r, i, b, c], q[r, straight_a, straight_b, c],
-                        db * holder_step, time[r], v, a, wraps,
+                        db * holder_step, time[r], v, wraps,
                     )  # fmt: skip
                     if t < best:
                         best = t
@@ -312,8 +408,6 @@ def _follow(ladder, limits, r0: int, stop: int, picked):
 # Within a bead a path may keep its roll and holder index from rung to rung or change either by one step; the
 # branch stays. Between beads any end may be followed by any start, at the price of the travel between them.
 
-ROUND = np.radians(600.0)  # range of a joint that is as good as unbounded along one bead
-
 
 @dataclass(frozen=True)
 class Route:
@@ -327,15 +421,23 @@ class Route:
 
 
 def best_route(
-    nodes: Nodes, demand: SampledTasks, limits: Limits, home: tuple[Array, Array] | None = None
+    nodes: Nodes,
+    demand: SampledTasks,
+    limits: Limits,
+    home: tuple[Array, Array] | None = None,
+    counted: Sequence[int] = (),
 ) -> tuple[Route | None, int]:
     """The cheapest route over all beads, and -1; or None and the rung at which the last way ended.
 
-    home: prices [s] (rolls, holders, c) of the ways to the first rung's nodes and from the last one's, if they count
+    home: prices [s] (rolls, holders, c, labels) of the ways to the first rung's nodes and from the last one's, if they
+    count; see `label_turns`
+    counted: joints, the arm's or their number for the swept one, whose turns are counted, so that they keep to their
+    ranges along every bead
     """
-    free = np.zeros(nodes.price.shape[1:])
+    turns = turns_counted(nodes, limits, counted)
+    free = np.zeros((*nodes.price.shape[1:], len(label_turns(turns))))
     picked, price, stuck = search_best(
-        _ladder_numbers(nodes, demand), joint_limits(nodes, limits), *(home or (free, free))
+        ladder_numbers(nodes, demand), joint_limits(nodes, limits), turns, *(home or (free, free))
     )
     return _route(nodes, picked, price) if stuck < 0 else None, int(stuck)
 
@@ -345,16 +447,43 @@ def greedy_route(nodes: Nodes, demand: SampledTasks, limits: Limits) -> tuple[Ro
 
     Same returns as `best_route`; the rung is the furthest that any start led to.
     """
-    picked, price, stuck = search_greedy(_ladder_numbers(nodes, demand), joint_limits(nodes, limits))
+    picked, price, stuck = search_greedy(ladder_numbers(nodes, demand), joint_limits(nodes, limits))
     return _route(nodes, picked, price) if stuck < 0 else None, int(stuck)
 
 
-def _ladder_numbers(nodes: Nodes, demand: SampledTasks) -> LadderNumbers:
+def ladder_numbers(nodes: Nodes, demand: SampledTasks) -> LadderNumbers:
     grid = nodes.grid
     return LadderNumbers(
         nodes.q, nodes.price, grid.roll_from, grid.holder_from, grid.periodic, grid.holder_step,
         demand.task_rungs, demand.time,
     )  # fmt: skip
+
+
+def turns_counted(nodes: Nodes, limits: Limits, counted: Sequence[int]) -> TurnsCounted:
+    """What the search needs to count turns: the whole turns that take any node's angle into a joint's range."""
+    na, grid = nodes.q.shape[-1], nodes.grid
+    there = np.isfinite(nodes.price)
+    ends = np.empty((4, len(counted)))
+    for k, j in enumerate(counted):
+        if j < na:
+            angles, own = nodes.q[..., j][there].astype(float), np.array([limits.q_min[j], limits.q_max[j]])
+        else:
+            angles = np.concatenate([grid.holder_from, grid.holder_from + grid.holders - 1]) * grid.holder_step
+            zero, unit = nodes.scale
+            own = (np.array([limits.q_min[nodes.joint], limits.q_max[nodes.joint]]) - zero) / unit
+        ends[:, k] = own[0] + MARGIN, own[1] - MARGIN, angles.min(initial=0.0), angles.max(initial=0.0)
+    least = np.ceil((ends[0] - ends[3]) / TURN).astype(np.int64)
+    number = np.maximum(np.floor((ends[1] - ends[2]) / TURN).astype(np.int64) - least + 1, 1)
+    return TurnsCounted(np.array(counted, dtype=np.int64), least, number, ends[0], ends[1])
+
+
+def label_turns(turns: TurnsCounted) -> Ints:
+    """The whole turns (labels, m) of the joints whose turns are counted that each label of a node stands for."""
+    label, out = np.arange(int(np.prod(turns.number))), []
+    for least, number in zip(turns.least, turns.number, strict=True):
+        out.append(least + label % number)
+        label = label // number
+    return np.array(out, dtype=np.int64).reshape(len(turns.number), -1).T if out else np.zeros((1, 0), dtype=np.int64)
 
 
 def joint_limits(nodes: Nodes, limits: Limits) -> TravelLimits:
@@ -364,8 +493,9 @@ def joint_limits(nodes: Nodes, limits: Limits) -> TravelLimits:
     v, a = np.ones(na + 1), np.ones(na + 1)
     v[:na], a[:na] = limits.velocity[arm], limits.acceleration[arm]
     if nodes.joint < len(limits.velocity):
-        v[na], a[na] = limits.velocity[nodes.joint], limits.acceleration[nodes.joint]
-    return TravelLimits(v, a, (limits.q_max - limits.q_min)[arm] >= ROUND)
+        unit = nodes.scale[1]
+        v[na], a[na] = limits.velocity[nodes.joint] / unit, limits.acceleration[nodes.joint] / unit
+    return TravelLimits(v, a, limits.turns[arm] & ((limits.q_max - limits.q_min)[arm] > TURN))
 
 
 def _route(nodes: Nodes, picked: NDArray[np.int64], price: float) -> Route:
@@ -393,7 +523,9 @@ class LadderRoute:
         if k and grid.swept is not None:
             for i in range(len(self.demand.task_rungs) - 1):
                 rungs = self.demand.rungs_of(i)
-                angles[rungs, grid.swept] = angles_along(grid, self.route.holder[rungs], grid.holders, grid.holder_step)
+                along = angles_along(grid, self.route.holder[rungs], grid.holders, grid.holder_step)
+                zero, unit = self.nodes.scale
+                angles[rungs, grid.swept] = zero + unit * along
         return angles
 
 

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from planner.base.arrays import Array, Flags, Ints
 from planner.base.processes import in_blocks
-from planner.cell.cell import Cell
 from planner.collision.margins import nearest_margins
 from planner.collision.scene import BLOCK, NOTHING, Obstacles
 from planner.resolve.follow import HolderNumbers
+from planner.resolve.price_kernels import RowPlaces, RowsFilled
 from planner.resolve.prices import CLEARANCE_UNIT
-from planner.resolve.reach import ArmNumbers, arm_numbers
+from planner.resolve.reach import ArmNumbers
 from planner.toolpath.task import Cones
 
 # ----------------------------------------------------------------------------------------------------
@@ -30,6 +31,9 @@ ROOM = 2e-4  # m of margin that is asked for, since paths are looked at in sampl
 _ROWS = 4  # pairs of a sample that are held
 _FEW = 2  # blocks of postures that are looked at sooner than threads begin
 _STILL = 1e-6  # m/rad: margins that change by less do not change
+
+
+Rows = tuple[Array, Array, Ints, Array]  # of a program: A (r, w), b (r), at (r), price (r)
 
 
 @dataclass(frozen=True)
@@ -95,15 +99,13 @@ def _beside_small(margin: Array, slope: Array, count: int) -> Ints:
 
 
 def shortage(near: Clearances) -> Array:
-    """What lacks (n, 1), in the units of a cone's excess."""
+    """What lacks (n), in the units of a cone's excess."""
     lacking = np.zeros(len(near.time))
     np.add.at(lacking, near.sample, CLEARANCE_UNIT * near.time[near.sample] * np.maximum(ROOM - near.margin, 0.0))
-    return lacking[:, None]
+    return lacking
 
 
-def clearance_rows(
-    near: Clearances, step: Array, first: Ints, B: Array, free: Array, trust: float
-) -> tuple[Array, Array, Ints, Array]:
+def clearance_rows(near: Clearances, step: Array, first: Ints, B: Array, free: Array, trust: float) -> Rows:
     """Rows A (r, w) x <= b (r) that keep margins, from which variable on (r), and the time each stands for (r) [s].
 
     Only margins that a step within `trust` [rad] could use up have rows.
@@ -125,10 +127,6 @@ def clearance_rows(
 # What the refinement works on: a cell's model, a stretch of samples, a path over it, and what a program watches of it.
 
 ROLL, TILT, HOLDER = 0, (1, 2), 3  # columns of z; given arm joints come after the holder's
-CONE_SIDES = 12  # of the polygon inside the circle that bounds tilt
-_NEAR_SIDE = 0.3  # of the cone about tilt: who is as near to a side of its polygon has it watched from the start
-_MISSED_SIDE = 1e-5  # rad beyond a side that the program must go before it watches it too
-_RANGE_ROOM = 1e-4  # rad kept from the ends of the joints' ranges
 
 
 @dataclass(frozen=True)
@@ -136,7 +134,8 @@ class Model:
     """What the kernels need of a cell: arm, holder, limits, obstacles.
 
     numbers, holder: of the arm and of what holds the part; given (k): arm joints that are free themselves
-    limits (3, nj) of velocity, acceleration, jerk; low, high (nj) ends of the joints' ranges; arm: its joints
+    limits (3, nj) of velocity, acceleration, jerk, `RATE_SHARES` of the cell's; low, high (nj) ends of the joints' ranges; arm: its joints
+    names (nj) of all joints; terms that the price of a path is the sum of
     """
 
     numbers: ArmNumbers
@@ -146,6 +145,8 @@ class Model:
     low: Array
     high: Array
     arm: int
+    names: tuple[str, ...]
+    terms: tuple[Term, ...]
     obstacles: Obstacles = NOTHING
 
     @property
@@ -164,27 +165,11 @@ class Model:
         return np.array([ROLL, *tilt, *range(HOLDER, self.columns)])
 
 
-def model_of(cell: Cell, obstacles: Obstacles = NOTHING) -> Model:
-    """The kernels' view of a cell, and what is in its way."""
-    na = len(cell.arm)
-    holder, limits = cell.holder, cell.limits
-    return Model(
-        numbers=arm_numbers(cell),
-        holder=HolderNumbers(holder.placements, holder.axes, holder.T_last_tip),
-        given=np.array([j for j in cell.chosen if j < na], dtype=np.int64),
-        limits=np.stack([limits.velocity, limits.acceleration, limits.jerk]),
-        low=limits.q_min + _RANGE_ROOM,
-        high=limits.q_max - _RANGE_ROOM,
-        arm=na,
-        obstacles=obstacles,
-    )
-
-
 @dataclass(frozen=True)
 class PathSegment:
     """A stretch of a task's n samples, and the k control values that it depends on.
 
-    tip, frames, cones        of the task
+    tip, frames, normals, cones   of the task
     step (n)                  time that a sample stands for at the commanded speed [s]; 0: of no concern here
     deposits (n)              1 where material is laid down, else 0
     centre (n), D (n, 3, 5)   as in Clock; first (n), B (n, 4, degree + 1) as in Basis
@@ -196,6 +181,7 @@ class PathSegment:
 
     tip: Array
     frames: Array
+    normals: Array
     cones: Cones
     step: Array
     deposits: Array
@@ -214,8 +200,10 @@ class PathSegment:
 class PathState:
     """A path over a stretch: control values c (k, m), what follows from them (see the kernels), and its price [s].
 
-    lean (n, b, 2), lean_slope (n, b, 2, m), cones (b): of the directions that are bounded, and by what [rad]
-    tilt (n, 2): of the nozzle [rad], if it may; near: the least clearances
+    least_sigma: the least singular value that it must keep
+    lean (n, b, 2), lean_slope (n, b, 2, m), cones (b): of the directions that are bounded, and by what [rad]; where the
+    nozzle may tilt the last one is its lean from the surface normal
+    near: the least clearances
     """
 
     c: Array
@@ -228,44 +216,87 @@ class PathState:
     lean: Array
     lean_slope: Array
     cones: Array
-    tilt: Array
     near: Clearances
-    price: float
+    least_sigma: float
+    price: float = 0.0
 
 
 @dataclass(frozen=True)
 class Watch:
-    """What a program watches: rates (n, 3, nj, 2), upwards and downwards, facets (n, b, FACETS.size) of b cones, sides
-    (k, CONE_SIDES) of the polygon about tilt, none where the nozzle may not, and the arm's joints (n, na) for the nearer
-    end of their range."""
+    """What a program watches: rates (n, 3, nj, 2), upwards and downwards, facets (n, b, FACETS.size) of b cones, and the
+    arm's joints (n, na) for the nearer end of their range."""
 
     rates: Flags
     facets: Flags
-    sides: Flags
     ends: Flags
 
-    def add_sides(self, model: Model, stretch: PathSegment, state: PathState, x: Array) -> int:
-        """Watch the sides that a step x of the control values goes beyond; returns how many."""
-        room = side_room(model, stretch, state.c + x.reshape(state.c.shape))
-        missed = (room < -_MISSED_SIDE) & (stretch.free[:, None] > 0.0) & ~self.sides
-        self.sides[missed] = True
-        return int(missed.sum())
+
+# ----------------------------------------------------------------------------------------------------
+# What a term of the price does. The terms themselves: `terms`.
 
 
-def side_room(model: Model, stretch: PathSegment, c: Array) -> Array:
-    """How far control values c (k, m) are inside the sides (k, CONE_SIDES) of the polygon about tilt [rad]."""
-    if stretch.cones.tilt == 0.0:
-        return np.zeros((len(c), 0))
-    tilt = c[:, np.searchsorted(model.active(stretch.cones), TILT)]
-    return stretch.cones.tilt * np.cos(np.pi / CONE_SIDES) - tilt @ side_normals().T
+@dataclass(frozen=True)
+class Expansion:
+    """A path's price around it, but for its bounds: control values that move by x add g x + x H x / 2.
+
+    H (k m, w) lower band, g (k m); slopes (n, 3 nj, w): of the rates, as shares of their limits
+    """
+
+    H: Array
+    g: Array
+    slopes: Array
 
 
-def near_sides(model: Model, stretch: PathSegment, c: Array) -> Flags:
-    """Sides (k, CONE_SIDES) that control values c (k, m) are near."""
-    return np.asarray(side_room(model, stretch, c) < _NEAR_SIDE * stretch.cones.tilt)
+@dataclass(frozen=True)
+class Step:
+    """A step of the control values: x (k m), and the joints q (n, nj) that it leads to, to first order."""
+
+    x: Array
+    q: Array
 
 
-def side_normals() -> Array:
-    """Outward unit normals (CONE_SIDES, 2) of the polygon about tilt."""
-    angle = np.arange(CONE_SIDES) * 2.0 * np.pi / CONE_SIDES
-    return np.column_stack([np.cos(angle), np.sin(angle)])
+class Term:
+    """One term of a path's price. Each is a frozen dataclass; what it does not do, it inherits from here.
+
+    A term adds to the quadratic program around a path what is smooth (`expand`), and rows for what has bounds: those of a
+    sample, which share the program with other terms' rows (`watch`, `missed`, `count`, `fill`), or rows of its own
+    (`further`). To first order the program's change is that of `price`.
+    """
+
+    name: ClassVar[str]
+
+    def price(self, model: Model, stretch: PathSegment, state: PathState) -> float:
+        """What a path costs [s]."""
+        raise NotImplementedError
+
+    def expand(self, model: Model, stretch: PathSegment, state: PathState, around: Expansion) -> None:
+        """Add the smooth part of the price around a state to H and g."""
+
+    def watch(self, model: Model, stretch: PathSegment, state: PathState, trust: float, watch: Watch) -> None:
+        """Mark what needs rows from the start, where a control value moves by `trust` at most [rad]."""
+
+    def missed(
+        self, model: Model, stretch: PathSegment, state: PathState, around: Expansion, step: Step, watch: Watch
+    ) -> int:
+        """Mark what a step goes beyond without a row; returns how much there was."""
+        return 0
+
+    def count(self, stretch: PathSegment, state: PathState, watch: Watch) -> tuple[Ints, Ints] | None:
+        """Rows (n) and groups of rows that share a slack (n) of each sample; None: there are never any."""
+        return None
+
+    def fill(
+        self,
+        model: Model,
+        stretch: PathSegment,
+        state: PathState,
+        around: Expansion,
+        watch: Watch,
+        places: RowPlaces,
+        rows: RowsFilled,
+    ) -> None:
+        """Write the rows that were counted in their places."""
+
+    def further(self, model: Model, stretch: PathSegment, state: PathState, trust: float) -> Rows | None:
+        """Rows A (r, w) x <= b (r), first variable at (r) and price (r) [s and unit], each with a slack of its own."""
+        return None

@@ -17,19 +17,22 @@ from planner.toolpath.task import NozzleTask
 
 NARROW = np.radians(30.0)  # cone of the layer to gravity below which the table has to follow the normal
 _TURN_SHARE = 0.5  # of that cone: how far the normal may turn from one place to the next
-_FEWEST = 4  # samples from one place to the next where the normal turns
+FEWEST_TURNING = 4  # samples from one place to the next where the normal turns
 _CALM = 8  # samples to both sides over which the places draw together
 _SHARP = 3e-3  # m: radius of a bend round which knots stand twice as dense; wider bends have less of that
 _BESIDE = 2e-3  # m before and behind a bend that knots stand as dense: joints that hurry round it start early
 
 
-def places_along(task: NozzleTask, spacing: float, fewest: int) -> Array:
+def places_along(
+    task: NozzleTask, spacing: float, fewest: int, turn: float = np.inf, turning: int = FEWEST_TURNING
+) -> Array:
     """Places (m) along a task, in shares of its samples, from 0 to 1: `spacing` [m] apart, on the average.
 
-    They are `fewest` samples apart at least. Where the layer must stay nearly upright and its normal turns quickly, what
-    follows the normal needs more of them.
+    They are `fewest` samples apart at least. Where the normal turns quickly, what follows it needs more of them: from one
+    to the next it turns by `turn` [rad] at most, and by less where the layer must stay nearly upright, as far as places that
+    are `turning` samples apart allow.
     """
-    return _placed(task, spacing, fewest, np.ones(len(task) - 1))
+    return _placed(task, spacing, fewest, np.ones(len(task) - 1), turn, turning)
 
 
 def knots_along(task: NozzleTask, spacing: float, fewest: int) -> Array:
@@ -48,13 +51,17 @@ def knots_along(task: NozzleTask, spacing: float, fewest: int) -> Array:
     return _placed(task, spacing, fewest, uniform_filter1d(crowd, 2 * _CALM + 1, mode="nearest"))
 
 
-def _placed(task: NozzleTask, spacing: float, fewest: int, crowd: Array) -> Array:
+def _placed(
+    task: NozzleTask, spacing: float, fewest: int, crowd: Array, turn: float = np.inf, turning: int = FEWEST_TURNING
+) -> Array:
     """Places that crowd as many times as dense (n - 1) between samples."""
     n = len(task)
     m = max(min(int(np.ceil((task.s[-1] - task.s[0]) / spacing)), (n - 1) // fewest), 1)
     density = np.minimum(m / (n - 1) * crowd, max(1.0 / fewest, m / (n - 1)))
     if task.cones.layer_gravity < NARROW:
-        needed = np.minimum(_angles(task.frames[:, :, 2]) / (_TURN_SHARE * task.cones.layer_gravity), 1.0 / _FEWEST)
+        turn = min(turn, _TURN_SHARE * task.cones.layer_gravity)
+    if turn < np.inf:
+        needed = np.minimum(_angles(task.frames[:, :, 2]) / turn, 1.0 / turning)
         width = 2 * _CALM + 1
         density = maximum_filter1d(np.maximum(needed, density), width, mode="nearest")
         density = uniform_filter1d(density, width, mode="nearest")

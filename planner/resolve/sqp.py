@@ -21,9 +21,10 @@ from planner.resolve.infeasible import SLIGHT
 from planner.resolve.joint_path import MARGIN, JointPath, choose_turns
 from planner.resolve.ladder import ladder, runs_backwards
 from planner.resolve.quadratic import solve_qp
-from planner.resolve.refine import CONE_ROOM, QPSolver, calmed, evaluate, evaluate_samples, refine_stretch
-from planner.resolve.segment import HOLDER, ROLL, ROOM, TILT, Model, PathSegment, PathState, model_of
+from planner.resolve.refine import QPSolver, bounded_cones, calmed, evaluate, evaluate_samples, refine_stretch
+from planner.resolve.segment import HOLDER, ROLL, ROOM, TILT, Model, PathSegment, PathState, Term
 from planner.resolve.splines import LEAST_SAMPLES, Basis, Clock, basis_over, clock_of, knots_along
+from planner.resolve.terms import model_of, terms_of
 from planner.toolpath.task import NozzleTask
 
 # ----------------------------------------------------------------------------------------------------
@@ -31,6 +32,8 @@ from planner.toolpath.task import NozzleTask
 
 WINDOW = 240  # control values that move at once: fewer, and their seams cost more; more, and cores wait for each other
 OVERLAP = 40  # of a window with each neighbour
+# Of a bead that cannot be taken as it was refined as a whole: so short that little is lost where one is left as it was.
+SHORT_WINDOW, SHORT_OVERLAP = 24, 5
 
 
 @dataclass(frozen=True)
@@ -50,20 +53,22 @@ class SplinePath:
 
 @dataclass(frozen=True)
 class RefinedWindow:
-    """A refined window: the state over some samples and control values of a track."""
+    """A refined window: the states, before and after, over some samples and control values of a track."""
 
     samples: slice
     controls: slice
+    before: PathState
     state: PathState
 
 
-def windows(controls: int) -> list[tuple[int, int]]:
+def windows(controls: int, *, short: bool = False) -> list[tuple[int, int]]:
     """Ranges of control values that move together; each second one is apart from the others."""
-    if controls <= WINDOW + OVERLAP:
+    window, overlap = (SHORT_WINDOW, SHORT_OVERLAP) if short else (WINDOW, OVERLAP)
+    if controls <= window + overlap:
         return [(0, controls)]
-    stride = WINDOW - OVERLAP
-    count = -(-(controls - OVERLAP) // stride)
-    return [(k * stride, min(k * stride + WINDOW, controls)) for k in range(count)]
+    stride = window - overlap
+    count = -(-(controls - overlap) // stride)
+    return [(k * stride, min(k * stride + window, controls)) for k in range(count)]
 
 
 class Windowed:
@@ -72,9 +77,10 @@ class Windowed:
     A window that lies between two others waits for these alone, so what comes out does not depend on the threads.
     """
 
-    def __init__(self, track: SplinePath) -> None:
-        self._track = track
-        self.edges = windows(track.basis.controls)
+    def __init__(self, track: SplinePath, *, short: bool = False) -> None:
+        self.track = track
+        self.short = short
+        self.edges = windows(track.basis.controls, short=short)
         self._pieces: dict[int, RefinedWindow | None] = {}
         self._lock = Lock()
 
@@ -102,10 +108,10 @@ class Windowed:
         return self._with((*self.first, *range(1, len(self.edges), 2)))
 
     def _with(self, numbers: Iterable[int]) -> SplinePath:
-        c, q = self._track.c.copy(), self._track.q.copy()
+        c, q = self.track.c.copy(), self.track.q.copy()
         for piece in filter(None, (self._pieces.get(k) for k in numbers)):
             c[piece.controls], q[piece.samples] = piece.state.c, piece.state.q
-        return replace(self._track, c=c, q=q)
+        return replace(self.track, c=c, q=q)
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -114,13 +120,15 @@ class Windowed:
 SAMPLES_PER_CONTROL = 4  # at least: what moves between control values must be resolved by the samples
 _TURN = 2.0 * np.pi
 _PAD = 4  # samples on both sides of a window that its derivatives look at
+_WORTH_IT = 5e-3  # share of the price that refining in short windows must be able to save
+BEYOND = 8e-4  # rad beyond a cone from which a plan may fail verification, which allows 0.05 degrees
 _FLOOR = 1.0 + 1e-3  # times the least singular value that was given: the program may miss a bound by less
 
 
 def sqp(
     cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles = NOTHING
 ) -> tuple[JointPath, ...]:
-    """The ladder's paths, their free variables refined until no step lowers the price (see `price_kernels`).
+    """The ladder's paths, their free variables refined until no step lowers the price (see `terms`).
 
     No path comes back that costs more than the ladder's. Layers follow each other: a bead starts from the
     refined one below it, where that is cheaper. Raises Refusal as `ladder` does.
@@ -129,26 +137,35 @@ def sqp(
 
 
 def refine_paths(
-    cell: Cell, paths: Sequence[JointPath], settings: ResolveSpec, obstacles: Obstacles = NOTHING
+    cell: Cell,
+    paths: Sequence[JointPath],
+    settings: ResolveSpec,
+    obstacles: Obstacles = NOTHING,
+    own: Sequence[Term] = (),
 ) -> tuple[JointPath, ...]:
-    """Refine every path: beads that lie on each other in turn, all else that does not wait for others at the same time."""
-    given = given_prices(model_of(cell, obstacles), paths, settings)
-    return choose_turns(cell, refine_beads(cell, paths, settings, obstacles, given, sigma_floor(given, settings)))
+    """Refine every path: beads that lie on each other in turn, all else that does not wait for others at the same time.
+
+    own: terms of a user's, which join those of the settings' weights.
+    """
+    model = model_of(cell, obstacles, terms_of(settings.weights, own))
+    given = given_prices(model, paths, settings)
+    return choose_turns(cell, refine_beads(cell, model, paths, settings, given, sigma_floor(given, settings)))
 
 
 def refine_beads(
     cell: Cell,
+    model: Model,
     paths: Sequence[JointPath],
     settings: ResolveSpec,
-    obstacles: Obstacles,
     given: dict[int, Priced],
     floor: float,
 ) -> list[JointPath]:
     """Refine paths with the prices of `given_prices` down to a floor of `sigma_floor`; turns are still to be chosen.
 
-    A bead does not depend on beads of other names.
+    A bead does not depend on beads of other names. One that cannot be taken as a whole is refined again in short windows,
+    of which those are taken that keep what they kept.
     """
-    model, solver = model_of(cell, obstacles), qp_solver(settings.qp)
+    solver = qp_solver(settings.qp)
     done = list(paths)
 
     def start(chain: Sequence[int], below: SplinePath | None) -> Sequence[Job]:
@@ -156,17 +173,21 @@ def refine_beads(
         return [partial(refine, chain, bead, k) for k in bead.first]
 
     def refine(chain: Sequence[int], bead: Windowed, k: int) -> Sequence[Job]:
+        i, *above = chain
         piece = _refine_window(model, floor, bead.before(k), bead.edges[k], solver)
+        if piece is not None and bead.short and not _keeps(cell, model, bead.track, piece, floor):
+            piece = None
         ready, last = bead.done(k, piece)
         if not last:
             return [partial(refine, chain, bead, j) for j in ready]
-        i, *above = chain
-        track = bead.after()
-        return [partial(start, above, track)] * bool(above) + [partial(keep, i, track)]
+        return [partial(start, above, bead.after())] * bool(above) + [partial(keep, i, bead)]
 
-    def keep(i: int, track: SplinePath) -> Sequence[Job]:
-        done[i] = cheaper(cell, paths[i], given[i], track, floor, obstacles)
-        return []
+    def keep(i: int, bead: Windowed) -> Sequence[Job]:
+        done[i], missed = judged(cell, paths[i], given[i], bead.after(), floor, model)
+        if bead.short or missed < _WORTH_IT * given[i].price:
+            return []
+        again = Windowed(bead.track, short=True)
+        return [partial(refine, [i], again, k) for k in again.first] if len(again.edges) > 1 else []
 
     in_turn([partial(start, chain, None) for chain in _chains(paths, given)])
     return done
@@ -194,40 +215,70 @@ def sigma_floor(given: dict[int, Priced], settings: ResolveSpec) -> float:
     return _FLOOR * max(settings.min_sigma, min((path.sigma for path in given.values()), default=0.0))
 
 
-def cheaper(
-    cell: Cell,
-    path: JointPath,
-    given: Priced,
-    track: SplinePath,
-    floor: float,
-    obstacles: Obstacles = NOTHING,
-) -> JointPath:
-    """A refined track as a path if it costs less than the path that was given and keeps what it kept, else that."""
+def cheaper(cell: Cell, path: JointPath, given: Priced, track: SplinePath, floor: float) -> JointPath:
+    """The path of `judged`, with the default prices and nothing in its way."""
+    return judged(cell, path, given, track, floor, model_of(cell))[0]
+
+
+def judged(
+    cell: Cell, path: JointPath, given: Priced, track: SplinePath, floor: float, model: Model
+) -> tuple[JointPath, float]:
+    """A refined track as a path if it costs less than the path that was given and keeps what it kept, else that. One that
+    stays within the cones is taken at any price in the place of one that does not.
+
+    With it, what it would have saved [s] where it is cheaper but keeps less, else 0. model: as it was refined with
+    """
     if not np.isfinite(track.price):
-        return path
+        return path, 0.0
     refined = path_of(cell, track)
-    least = _least_margin(refined, obstacles)
+    least = _least_margin(refined, model.obstacles)
     # who has room everywhere lacks no clearance that would have a price
-    cost = given_price(model_of(cell, NOTHING if least >= ROOM else obstacles), refined, floor)
-    better = cost.price < given.price and cost.sigma >= min(floor / _FLOOR, given.sigma) and _within(cell, refined)
-    # cones about gravity have but a price in the program, if a high one
-    better = better and cost.beyond <= max(given.beyond, 0.0)
-    as_clear = least >= -SLIGHT or least >= _least_margin(path, obstacles)
-    return refined if better and as_clear else path
+    cost = given_price(replace(model, obstacles=NOTHING) if least >= ROOM else model, refined, floor)
+    keeps = cost.sigma >= min(floor / _FLOOR, given.sigma) and _within(cell, refined.q)
+    # cones have but a price in the program, too
+    keeps = keeps and cost.beyond <= max(given.beyond, 0.0)
+    keeps = keeps and (least >= -SLIGHT or least >= _least_margin(path, model.obstacles))
+    # a path that leans too far to be printed is no bargain
+    repaired = given.beyond > BEYOND and cost.beyond <= 0.0 and np.isfinite(cost.price)
+    better = cost.price < given.price or repaired
+    if keeps and better:
+        return refined, 0.0
+    return path, given.price - cost.price if better else 0.0
+
+
+def _keeps(cell: Cell, model: Model, track: SplinePath, piece: RefinedWindow, floor: float) -> bool:
+    """Whether a refined window keeps what it kept before: singular value, cones, ranges, clearance."""
+    task, before, after = track.task, piece.before, piece.state
+    at = np.arange(piece.samples.start, piece.samples.stop)
+    laid = (at >= task.first) & (at <= task.last)
+    if laid.any():
+        half = bounded_cones(task.cones)[1]
+        was, now = (np.hypot(*np.moveaxis(each.lean[laid], 2, 0)) - half for each in (before, after))
+        if now.max(initial=-np.inf) > max(was.max(initial=-np.inf), 0.0):
+            return False
+        if after.sigma[laid].min() < min(floor / _FLOOR, before.sigma[laid].min()):
+            return False
+    moments = task.moments[piece.samples]
+    least = _least_of(after.q, moments, task, model.obstacles)
+    as_clear = least >= -SLIGHT or least >= _least_of(before.q, moments, task, model.obstacles)
+    return as_clear and _within(cell, after.q)
 
 
 def _least_margin(path: JointPath, obstacles: Obstacles) -> float:
     """The least clearance of a path beyond what is needed [m], if below ROOM."""
+    return _least_of(path.q, path.task.moments, path.task, obstacles)
+
+
+def _least_of(q: Array, moments: Array, task: NozzleTask, obstacles: Obstacles) -> float:
     # what is round about the nozzle's axis is as near to the part in all upright paths of a task
-    if path.task.cones.tilt == 0.0:
+    if task.cones.tilt == 0.0:
         obstacles = obstacles.but_round_on_part
-    return float(obstacles.margins(path.q, path.task.moments, ROOM)[0].min())
+    return float(obstacles.margins(q, moments, ROOM)[0].min())
 
 
-def _within(cell: Cell, path: JointPath) -> bool:
-    """Whether a path keeps to the joints' ranges and to its tilt: in the program both have a price, if a high one."""
-    inside = (path.q >= cell.limits.q_min + MARGIN) & (path.q <= cell.limits.q_max - MARGIN)
-    return bool(inside.all() and (np.hypot(*path.tilt.T) <= path.task.cones.tilt).all())
+def _within(cell: Cell, q: Array) -> bool:
+    """Whether joints (n, nj) keep to their ranges: in the program they have a price, if a high one."""
+    return bool(((q >= cell.limits.q_min + MARGIN) & (q <= cell.limits.q_max - MARGIN)).all())
 
 
 def _chains(paths: Sequence[JointPath], indices: Iterable[int]) -> list[list[int]]:
@@ -256,18 +307,19 @@ def whole(task: NozzleTask, clock: Clock, basis: Basis, anchor: Array) -> PathSe
     hold = np.zeros(basis.controls)
     hold[[0, -1]] = 1.0
     return PathSegment(
-        task.tip, task.frames, task.cones, clock.step, deposits, clock.centre, clock.D,
+        task.tip, task.frames, task.normals, task.cones, clock.step, deposits, clock.centre, clock.D,
         basis.first, basis.B, np.ones(basis.controls), anchor, hold, task.moments,
     )  # fmt: skip
 
 
 class Priced(NamedTuple):
-    """What a path costs: its price [s]; in deposition its least singular value, and how far it leans beyond the cones
-    about gravity at most, negative within them [rad]."""
+    """What a path costs: its price [s]; in deposition its least singular value, how far it leans beyond the cones at most,
+    negative within them [rad], and the time lost [s]."""
 
     price: float
     sigma: float
     beyond: float
+    lost: float = 0.0
 
 
 def given_price(model: Model, path: JointPath, least_sigma: float) -> Priced:
@@ -276,10 +328,11 @@ def given_price(model: Model, path: JointPath, least_sigma: float) -> Priced:
     stretch = whole(path.task, clock, basis_over(clock, np.array([0.0, 1.0])), np.zeros((2, 0)))
     state = evaluate_samples(model, stretch, np.zeros((2, 0)), free_variables(model, path), path.q, least_sigma)
     if state is None:
-        return Priced(np.inf, 0.0, np.inf)
+        return Priced(np.inf, 0.0, np.inf, np.inf)
     laid = stretch.deposits > 0.0
-    over = np.hypot(state.lean[laid, :, 0], state.lean[laid, :, 1]) - (state.cones + CONE_ROOM)
-    return Priced(state.price, float(state.sigma[laid].min()), float(over.max(initial=-np.inf)))
+    over = np.hypot(state.lean[laid, :, 0], state.lean[laid, :, 1]) - bounded_cones(path.task.cones)[1]
+    lost = float((stretch.step * stretch.deposits) @ state.slack)
+    return Priced(state.price, float(state.sigma[laid].min()), float(over.max(initial=-np.inf)), lost)
 
 
 def start_track(model: Model, knot: float, floor: float, path: JointPath, below: SplinePath | None) -> SplinePath:
@@ -337,7 +390,7 @@ def _refine_window(
     free = np.zeros(controls.stop - controls.start)
     free[k0 - controls.start : k1 - controls.start] = 1.0
     stretch = PathSegment(
-        all_of_it.tip[samples], all_of_it.frames[samples], all_of_it.cones, step, deposits,
+        all_of_it.tip[samples], all_of_it.frames[samples], all_of_it.normals[samples], all_of_it.cones, step, deposits,
         np.clip(track.clock.centre[samples] - a, 2, b - a - 3), track.clock.D[samples],
         first[samples] - controls.start, track.basis.B[samples], free,
         track.anchor[controls], all_of_it.hold[controls], all_of_it.now[samples],
@@ -345,7 +398,7 @@ def _refine_window(
     state = evaluate(model, stretch, track.c[controls], track.q[samples], floor)
     if state is None:
         return None
-    return RefinedWindow(samples, controls, refine_stretch(model, *calmed(stretch, state), floor, solver))
+    return RefinedWindow(samples, controls, state, refine_stretch(model, *calmed(model, stretch, state), solver))
 
 
 def path_of(cell: Cell, track: SplinePath) -> JointPath:

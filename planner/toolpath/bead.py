@@ -140,12 +140,30 @@ class Bead(ReadOnlyArrays):
 
 
 @dataclass(frozen=True)
+class Split:
+    """A place where a drawn bead goes on as another one after a pause.
+
+    bead         index of the bead that begins there
+    name, layer  of the drawn bead
+    s            arc length along it [m]
+    why          in words
+    """
+
+    bead: int
+    name: str
+    layer: int
+    s: float
+    why: str
+
+
+@dataclass(frozen=True)
 class Toolpath:
     """All beads in print order, and the surface they lie on.
 
     shape  of a body to draw beneath them, if there is one
     solid  (n, 3, 3) facets [m] of the whole body, where they are known exactly; else its shape stands for it
     notes  sentences for the user: what was left out of the input, or changed in it
+    splits where drawn beads are laid in pieces
     """
 
     beads: tuple[Bead, ...]
@@ -153,6 +171,7 @@ class Toolpath:
     shape: Shape | None = None
     notes: tuple[str, ...] = ()
     solid: Array | None = None
+    splits: tuple[Split, ...] = ()
 
     @property
     def length(self) -> float:

@@ -1,6 +1,8 @@
 """What a bead fixes for the robot (NozzleTask), and what it leaves free: roll, tilt and the holder's joints.
 
-Roll is counted from a direction in the tangent plane that is smooth along the bead and does not spin.
+Roll is counted from a direction in the tangent plane that is smooth along the bead and does not spin. Where the nozzle
+may lean, the frames stand on smoothed normals: what is laid on noisy ones hands their noise to every joint. What the cones
+bound is judged on the true normals all the same.
 """
 
 from __future__ import annotations
@@ -11,14 +13,23 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
 from planner.base.arrays import Array, ReadOnlyArrays
 from planner.base.compiled import njit
 from planner.base.errors import Complaint
+from planner.base.geometry import angles_between
 from planner.problem import Problem
 from planner.problem.process import ConesSpec, FibreSpec
-from planner.toolpath.bead import Toolpath
+from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.runs import cut_place, with_runs
+
+_SMOOTHING = 1.25e-3  # m: of the Gaussian that normals are smoothed with; published ones are noisy at such distances
+_SMOOTHED_SAMPLES = 1.5  # samples that it is at least
+_GRID = 8.0  # places on that length at which normals are smoothed
+_ANY_CONE = 2.0  # rad: one that bounds nothing
+_CONE_SHARE = 0.5  # of the nozzle's cone that smoothing may use up: what the cone is for needs the rest
 
 _CLEAR = 0.3  # least sine of the angle between normals and an axis that is projected onto the tangent plane
 
@@ -67,6 +78,42 @@ def _transport(normals: Array, start: Array) -> Array:
     return out
 
 
+def smooth_normals(normals: Array, s: Array, cone: float) -> Array:
+    """Unit normals (n, 3) at arc lengths s (n) [m], smoothed along them; none turns by more than half of `cone` [rad]."""
+    length = float(s[-1] - s[0])
+    width = max(_SMOOTHING, _SMOOTHED_SAMPLES * float(np.median(np.diff(s))))
+    m = max(int(np.ceil(_GRID * length / width)), 1) + 1
+    even, sigma = np.linspace(s[0], s[-1], m), width / (length / (m - 1))
+
+    def along(values: Array) -> Array:
+        """Values (n, k), smoothed; an end stays where it is, for what lies beyond it mirrors what lies before."""
+        at = np.stack([np.interp(even, s, column) for column in values.T], axis=1)
+        at = np.concatenate([2.0 * at[:1] - at[:0:-1], at, 2.0 * at[-1:] - at[-2::-1]])
+        return np.asarray(CubicSpline(even, gaussian_filter1d(at, sigma, axis=0)[m - 1 : 2 * m - 1])(s))
+
+    smooth = _unit(along(normals))
+    share = np.minimum(1.0, _CONE_SHARE * cone / np.maximum(angles_between(smooth, normals), 1e-12))
+    if share.min() < 1.0:
+        # less of it near places that turn too far, and more again gradually
+        beside = 2 * int(np.ceil(2.0 * width / float(np.median(np.diff(s))))) + 1
+        share = np.minimum(
+            share, np.clip(along(minimum_filter1d(share, beside, mode="nearest")[:, None])[:, 0], 0.0, 1.0)
+        )
+        smooth = _unit(normals + share[:, None] * (smooth - normals))
+    return smooth
+
+
+def noise_of(beads: Sequence[Bead]) -> tuple[float, float]:
+    """Angles [rad] that half of the beads' normals, and nearly all of them, are off what they are when they are smoothed."""
+    off = [angles_between(smooth_normals(bead.normals, bead.s, _ANY_CONE), bead.normals) for bead in beads]
+    half, nearly_all = np.quantile(np.concatenate(off), (0.5, 0.99))
+    return float(half), float(nearly_all)
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1)[:, None])
+
+
 @dataclass(frozen=True)
 class Cones:
     """Half angles [rad] that bound the nozzle's and the layer's directions; pi where there is no bound.
@@ -103,7 +150,8 @@ class NozzleTask(ReadOnlyArrays):
     """The nozzle's path along one bead with its runs, sampled uniformly in the path parameter (n samples).
 
     tip        (n, 3)    nozzle tip, part frame [m]
-    frames     (n, 3, 3) orientation R_part_nozzle at roll 0: z is the nozzle axis, x the zero of roll
+    frames     (n, 3, 3) orientation R_part_nozzle at roll 0 and without tilt: z is the nozzle axis, x the zero of roll;
+                         smooth, and where the nozzle may tilt only near to the true normals
     s          (n,)      arc length, 0 at the bead's start [m]
     first, last          samples between which material is deposited
     speed                commanded [m/s]
@@ -111,6 +159,7 @@ class NozzleTask(ReadOnlyArrays):
     cones                what the nozzle's axis may do
     stops                where it comes to rest while material is deposited, in order of s
     travel_speed         the tip's at most between beads and from and to home [m/s]
+    true_normals (n, 3)  unit normals of the surface, out of the part; None where the frames stand on them
 
     Fixed is the tip, and the axis up to its cones; free are roll about the axis (periodic), tilt within the cone,
     and the holder's joints.
@@ -128,9 +177,15 @@ class NozzleTask(ReadOnlyArrays):
     cones: Cones = FREE
     stops: tuple[Stop, ...] = ()
     travel_speed: float = math.inf
+    true_normals: Array | None = None
 
     def __len__(self) -> int:
         return len(self.s)
+
+    @property
+    def normals(self) -> Array:
+        """True unit normals (n, 3) of the surface, on which all cones are judged."""
+        return np.asarray(-self.frames[:, :, 2]) if self.true_normals is None else self.true_normals
 
     @property
     def moments(self) -> Array:
@@ -155,14 +210,19 @@ def make_tasks(
     """
     if fibre is not None:
         cut_place(min(toolpath.beads, key=lambda bead: bead.length), fibre, where)
+    runs = [with_runs(bead, run_length, ramp) for bead in toolpath.beads]
+    normals, zeros = [run.normals for run in runs], [run.roll_zero for run in runs]
+    if cones.tilt > 0.0:
+        normals = [smooth_normals(run.normals, run.s, cones.tilt) for run in runs]
+        zeros = roll_zeros(normals)
     tasks = []
-    for i, bead in enumerate(toolpath.beads):
+    for i, (bead, run) in enumerate(zip(toolpath.beads, runs, strict=True)):
         stops = () if fibre is None else (Stop(cut_place(bead, fibre), fibre.cut_wait, "cut"),)
-        run = with_runs(bead, run_length, ramp)
-        z = -run.normals
-        frames = np.stack([run.roll_zero, np.cross(z, run.roll_zero), z], axis=-1)
+        x, z = zeros[i], -normals[i]
+        frames = np.stack([x, np.cross(z, x), z], axis=-1)
         samples = (run.points, frames, run.s, run.first, run.last)
-        tasks.append(NozzleTask(i, bead.name, bead.layer, *samples, speed, cones, stops, travel_speed))
+        judged = run.normals if cones.tilt > 0.0 else None
+        tasks.append(NozzleTask(i, bead.name, bead.layer, *samples, speed, cones, stops, travel_speed, judged))
     return tuple(tasks)
 
 

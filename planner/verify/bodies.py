@@ -125,7 +125,8 @@ class CellBodies:
         return na, na + sum(joint <= thing.joints for joint in self.free)
 
     def swing(self, thing: CheckedBody, above: int = 0) -> Array:
-        """How far a place of the thing can move for each radian of the cell's joints (nq), those above one of its robot."""
+        """How far a place of the thing can move for each radian, or metre, of the cell's joints (nq), those above one of
+        its robot."""
         na, nq = len(self.cell.arm), len(self.cell.joint_names)
         out = np.zeros(nq)
         of_holder = thing.kind in (HOLDER, CARRIED)
@@ -134,11 +135,18 @@ class CellBodies:
             return out
         far = float(np.linalg.norm(thing.centre)) + thing.reach
         for i in range(thing.joints, above, -1):
+            model, slides = robot.model, robot.slides[i - 1]
             if not of_holder:
-                out[i - 1] = far
+                out[i - 1] = 1.0 if slides else far
             elif i in self.free:
-                out[na + self.free.index(i)] = far
-            far += float(np.linalg.norm(robot.model.jointPlacements[i].translation))
+                out[na + self.free.index(i)] = 1.0 if slides else far
+            far += float(np.linalg.norm(model.jointPlacements[i].translation))
+            if slides:  # what turns before it has a longer arm by that
+                joint = i - 1 if not of_holder else na + self.free.index(i) if i in self.free else None
+                ends = [model.lowerPositionLimit[i - 1], model.upperPositionLimit[i - 1]]
+                if joint is not None:
+                    ends += [self.cell.limits.q_min[joint], self.cell.limits.q_max[joint]]
+                far += float(np.abs(ends).max())
         return out
 
     def name(self, thing: CheckedBody) -> str:

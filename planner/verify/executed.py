@@ -13,7 +13,6 @@ from planner.base.arrays import Array, read_only
 from planner.base.compiled import njit
 from planner.base.singular_values import least_singular_value
 from planner.cell.cell import Cell
-from planner.cell.robot import Robot
 from planner.plan import Trajectory
 
 UNKNOWN = -1  # branch that is numbered by no convention but that of the inverse kinematics itself
@@ -25,7 +24,7 @@ class ExecutedMotion:
     """The samples of a trajectory as its joints have them (n samples).
 
     tip, axis (n, 3) and rotation (n, 3, 3) of the nozzle in the part frame, where up (n, 3) is the world's
-    vertical; of the arm's Jacobian at the tip the
+    vertical; of the Jacobian at the tip, of the arm alone where a rail carries it, the
     smallest singular value sigma (NaN in travel, where no limit stands on it) and the determinant, of seven axes
     without the redundant one; branch (n), ABB's cfx, or UNKNOWN without a spherical wrist
     """
@@ -74,21 +73,21 @@ def _fill(
     """Fill in the motion of postures q (n, nj) from nozzle poses (n, 4, 4) and Jacobians (n, 6, na): see `_nozzle`."""
     T_world_part = read_only(_part(cell, q[:, len(cell.arm) :]))
     _judge(
-        T_base_nozzle, J, deposit, cell.T_world_base, T_world_part, np.array(cell.solved),
+        T_base_nozzle, J, deposit, cell.T_world_base, T_world_part, cell.rails, np.array(cell.solved),
         motion.tip, motion.rotation, motion.up, motion.sigma, motion.det,
     )  # fmt: skip
     if cell.spherical:
         T_base_flange = T_base_nozzle @ np.linalg.inv(cell.T_flange_nozzle)
-        motion.branch[:] = _branch(cell.arm_robot, T_base_flange, q[:, : len(cell.arm)], motion.det)
+        motion.branch[:] = _branch(cell, T_base_flange, q[:, : len(cell.arm)], motion.det)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _judge(
-    T_base_nozzle: Array, J: Array, deposit: NDArray[np.bool_], T_world_base: Array, T_world_part: Array,
+    T_base_nozzle: Array, J: Array, deposit: NDArray[np.bool_], T_world_base: Array, T_world_part: Array, rails: int,
     solved: NDArray[np.int64], tip: Array, rotation: Array, up: Array, sigma: Array, det: Array,
 ) -> None:  # fmt: skip
     """Fill in the fields of `Motion` but the branch."""
-    na = J.shape[2]
+    na = J.shape[2] - rails
     A, square, q, e = np.empty((max(6, na), min(6, na))), np.empty((6, 6)), np.empty(min(6, na)), np.empty(min(6, na))
     R, p = np.empty((3, 3)), np.empty(3)
     for i in range(len(J)):
@@ -110,7 +109,7 @@ def _judge(
         if deposit[i]:
             for a in range(6):
                 for b in range(na):
-                    A[(b, a) if na > 6 else (a, b)] = J[i, a, b]
+                    A[(b, a) if na > 6 else (a, b)] = J[i, a, rails + b]
             sigma[i] = least_singular_value(A, q, e)
         for a in range(6):
             for b in range(6):
@@ -141,26 +140,41 @@ def _determinant(A: Array) -> float:
     return out
 
 
-def _branch(arm: Robot, T_base_flange: Array, q: Array, det: Array) -> NDArray[np.int8]:
+def _branch(cell: Cell, T_base_flange: Array, q: Array, det: Array) -> NDArray[np.int8]:
     """ABB's cfx (n): 4 wrist centre behind axis 1, 2 behind the lower arm, 1 axis 5 negative.
 
     The sign of the Jacobian's determinant changes with each of the three: the second one follows from the others.
     """
+    arm, k = cell.arm_robot, cell.rails
     model, data = arm.model, arm.model.createData()
     flange = model.getFrameId(arm.tip)
 
     def wrist_to_flange(posture: Array) -> tuple[float, float]:
-        J = pin.computeFrameJacobian(model, data, posture, flange, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+        J = pin.computeFrameJacobian(model, data, posture, flange, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)[:, k:]
         pin.updateFramePlacement(model, data, flange)
-        return float(np.linalg.norm(data.oMf[flange].translation - data.oMi[5].translation)), float(np.linalg.det(J))
+        wrist = data.oMi[5 + k].translation
+        return float(np.linalg.norm(data.oMf[flange].translation - wrist)), float(np.linalg.det(J))
 
     # forearm horizontal forwards, axis 5 bent: no bit is set here
-    length, reference = wrist_to_flange(np.array([0.0, 0.0, 0.0, 0.0, 0.5, 0.0]))
+    length, reference = wrist_to_flange(np.array([0.0] * k + [0.0, 0.0, 0.0, 0.0, 0.5, 0.0]))
     centre = T_base_flange[:, :3, 3] - length * T_base_flange[:, :3, 2]
-    shoulder = centre[:, 0] * np.cos(q[:, 0]) + centre[:, 1] * np.sin(q[:, 0]) < 0.0
-    wrist = np.sin(q[:, 4]) < 0.0
+    if k:
+        centre = _from_first_axis(model, q[:, :k], centre)
+    shoulder = centre[:, 0] * np.cos(q[:, k]) + centre[:, 1] * np.sin(q[:, k]) < 0.0
+    wrist = np.sin(q[:, 4 + k]) < 0.0
     elbow = (det * reference < 0.0) ^ shoulder ^ wrist
     return (4 * shoulder + 2 * elbow + wrist).astype(np.int8)
+
+
+def _from_first_axis(model: pin.Model, rail: Array, places: Array) -> Array:
+    """Places (n, 3), seen from the frame of the arm's own first joint before it turns; rail (n, k): of what carries it."""
+    data, out = model.createData(), np.empty_like(places)
+    q = pin.neutral(model)
+    for i, at in enumerate(rail):
+        q[: len(at)] = at
+        pin.forwardKinematics(model, data, q)
+        out[i] = data.oMi[1 + len(at)].actInv(places[i])
+    return out
 
 
 def _nozzle(cell: Cell, q: Array) -> tuple[Array, Array]:

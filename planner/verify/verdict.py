@@ -127,11 +127,14 @@ def _limits(judged: Judged) -> Findings:
     """Joint ranges, speed, acceleration and jerk by central differences of the samples."""
     t, limits = judged.trajectory, judged.cell.limits
     q = np.vstack([t.q[:1], t.q[:1], t.q, t.q[-1:], t.q[-1:]])  # at rest before and after
-    margin, step = np.empty(len(t)), np.empty(len(t))
+    margin, room, step = np.empty(len(t)), np.empty(len(t)), np.empty(len(t))
     ratios = {name: np.empty(len(t)) for name in ("velocity", "acceleration", "jerk")}
     for rows in _blocks(len(t)):
         a, b, c, d, e = (q[rows.start + k : rows.stop + k] for k in range(5))
-        margin[rows] = np.degrees(-_worst(np.maximum(limits.q_min - c, c - limits.q_max)))
+        beyond = np.maximum(limits.q_min - c, c - limits.q_max)
+        margin[rows] = np.degrees(-_worst(beyond[:, limits.turns]))
+        if limits.sliding:
+            room[rows] = -_worst(beyond[:, ~limits.turns])
         step[rows] = _worst(np.abs(c - b) / (limits.velocity * t.dt))
         velocity, acceleration = (d - b) / (2.0 * t.dt), (d - 2.0 * c + b) / t.dt**2
         jerk = (e - 2.0 * d + 2.0 * b - a) / (2.0 * t.dt**3)
@@ -139,13 +142,16 @@ def _limits(judged: Judged) -> Findings:
         ratios["acceleration"][rows] = _worst(np.abs(acceleration) / limits.acceleration)
         ratios["jerk"][rows] = _worst(np.abs(jerk) / limits.jerk)
     in_range = check_least(t, "joint range", margin, 0.0, "deg")
+    on_rail = (check_least(t, "rail range", room * 1e3, 0.0, "mm"),) if limits.sliding else ()
     return Findings(
         (
             in_range,
+            *on_rail,
             *(check_most(t, f"joint {name}", ratio, 1.0, "of limit") for name, ratio in ratios.items()),
             check_most(t, "continuity", step, 1.0, "of a sample's travel at full speed"),
         ),
         {"joint_limit_margin_deg": in_range.worst}
+        | ({"rail_margin_mm": on_rail[0].worst} if on_rail else {})
         | {f"{name}_ratio_max": float(ratio.max()) for name, ratio in ratios.items()},
         {"limit_margin_deg": margin} | {f"{name}_ratio": ratio for name, ratio in ratios.items()},
     )
@@ -241,11 +247,13 @@ def _singularity(judged: Judged) -> Findings:
     metrics: dict[str, float] = {}
     series = {"sigma": motion.sigma}
     sides = [np.sign(motion.det)]
-    if len(cell.arm) == 6:  # joint 5 is singular at 0 and at half a turn; of seven axes, other joints can be
-        sides.append(np.sign(np.sin(t.q[:, 4])))
-        series["wrist_deg"] = np.degrees(np.abs(np.arcsin(np.sin(t.q[:, 4]))))
+    if len(cell.solved) == len(cell.arm) - cell.rails:
+        # joint 5 is singular at 0 and at half a turn; of seven axes, other joints can be
+        fifth = t.q[:, 4 + cell.rails]
+        sides.append(np.sign(np.sin(fifth)))
+        series["wrist_deg"] = np.degrees(np.abs(np.arcsin(np.sin(fifth))))
         if cell.spherical:
-            series["wrist_deg"] = np.degrees(np.abs(t.q[:, 4]))
+            series["wrist_deg"] = np.degrees(np.abs(fifth))
         metrics["wrist_margin_deg"] = float(series["wrist_deg"][t.deposit].min(initial=180.0))
     sigma = np.where(t.deposit, motion.sigma, np.inf)
     margin = check_least(t, "singularity margin", sigma, judged.problem.resolve.min_sigma, "")

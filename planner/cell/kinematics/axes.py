@@ -70,7 +70,7 @@ def axes_at_zero(chain: Chain) -> tuple[JointAxes, Array]:
     points, directions = [], []
     for placement, axis in zip(chain.placements, chain.axes, strict=True):
         T = T @ placement
-        along = T[:3, :3] @ axis
+        along = T[:3, :3] @ axis[:3]
         points.append(T[:3, 3] - (T[:3, 3] @ along) * along)
         directions.append(along)
     return JointAxes(np.array(points), np.array(directions)), T @ chain.T_last_tip

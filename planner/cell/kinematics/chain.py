@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.base.arrays import Array
+from planner.base.arrays import Array, Flags
 from planner.base.compiled import njit
 
 # ----------------------------------------------------------------------------------------------------
@@ -104,11 +104,12 @@ Nine = tuple[float, float, float, float, float, float, float, float, float]
 
 @dataclass(frozen=True)
 class Chain:
-    """Revolute joints in series, from the world to a tip frame.
+    """Joints in series, from the world to a tip frame.
 
     names       (n) joint names
     placements  (n, 4, 4) pose of joint i's frame in the previous link's frame; the first one in the world
-    axes        (n, 3) unit joint axes, each in its own joint frame
+    axes        (n, 6) what a joint does in its own frame: unit axis that it turns about (3) and 0, or 0 and the unit
+                direction that it slides along (3)
     T_last_tip  (4, 4) pose of the tip in the last link's frame (in the world, where n = 0)
     """
 
@@ -121,21 +122,35 @@ class Chain:
         return len(self.names)
 
     @property
+    def slides(self) -> Flags:
+        """Which joints (n) slide: their places are metres."""
+        return np.asarray(~self.axes[:, :3].any(axis=1))
+
+    @property
     def screws(self) -> Array:
         """A point of each joint's axis and its direction, in the world with all joints at 0 (n, 6) [m]."""
         T, out = np.eye(4), np.empty((len(self), 6))
         for i in range(len(self)):
             T = T @ self.placements[i]
-            out[i] = *T[:3, 3], *(T[:3, :3] @ self.axes[i])
+            out[i] = *T[:3, 3], *(T[:3, :3] @ (self.axes[i, 3:] if self.slides[i] else self.axes[i, :3]))
         return out
 
     def poses(self, q: Array) -> Array:
-        """Tip poses T_world_tip (m, 4, 4) of postures q (m, n) [rad]."""
+        """Tip poses T_world_tip (m, 4, 4) of postures q (m, n) [rad, or m of joints that slide]."""
         return chain_poses(self.placements, self.axes, self.T_last_tip, np.ascontiguousarray(q))
 
     def jacobians(self, q: Array) -> Array:
-        """Geometric Jacobians (m, 6, n) at the tip, world axes, linear rows first [m/rad, rad/rad]."""
+        """Geometric Jacobians (m, 6, n) at the tip, world axes, linear rows first [m and rad for each rad or m]."""
         return chain_jacobians(self.placements, self.axes, self.T_last_tip, np.ascontiguousarray(q))
+
+
+def joint_move(axis: Array, q: float) -> Array:
+    """What a joint does (4, 4) at an angle or place q [rad, m]; axis (6) as in Chain."""
+    T = np.eye(4)
+    if axis[:3].any():
+        rotate_about(axis[:3], q, T)
+    T[:3, 3] = q * axis[3:]
+    return T
 
 
 @njit(cache=True)
@@ -195,6 +210,7 @@ def chain_state(
 ) -> None:
     """Fill origins, directions (n, 3) of the joints and T_tip (4, 4) for one posture.
 
+    Of a joint that slides the direction, about which it turns, is 0, and its origin is the way that it slides by a metre.
     The pose on the way stays in the processor's registers: as arrays it would take twice as long.
     """
     n = q.size
@@ -210,6 +226,13 @@ def chain_state(
         if i == n:
             break
         x, y, z = axes[i, 0], axes[i, 1], axes[i, 2]
+        if x == 0.0 and y == 0.0 and z == 0.0:
+            x, y, z = axes[i, 3], axes[i, 4], axes[i, 5]
+            x, y, z = R[0] * x + R[1] * y + R[2] * z, R[3] * x + R[4] * y + R[5] * z, R[6] * x + R[7] * y + R[8] * z
+            origins[i, 0], origins[i, 1], origins[i, 2] = x, y, z
+            directions[i, 0], directions[i, 1], directions[i, 2] = 0.0, 0.0, 0.0
+            t0, t1, t2 = t0 + q[i] * x, t1 + q[i] * y, t2 + q[i] * z
+            continue
         origins[i, 0], origins[i, 1], origins[i, 2] = t0, t1, t2
         directions[i, 0] = R[0] * x + R[1] * y + R[2] * z
         directions[i, 1] = R[3] * x + R[4] * y + R[5] * z
@@ -233,6 +256,10 @@ def jacobian_at(origins: Array, directions: Array, p: Array, J: Array) -> None:
     """Fill J (6, n), linear rows first, at a point p (3), from what `chain_state` gives."""
     for j in range(J.shape[1]):
         d = directions[j]
+        if d[0] == 0.0 and d[1] == 0.0 and d[2] == 0.0:
+            J[0, j], J[1, j], J[2, j] = origins[j, 0], origins[j, 1], origins[j, 2]
+            J[3, j], J[4, j], J[5, j] = 0.0, 0.0, 0.0
+            continue
         x, y, w = p[0] - origins[j, 0], p[1] - origins[j, 1], p[2] - origins[j, 2]
         J[0, j] = d[1] * w - d[2] * y
         J[1, j] = d[2] * x - d[0] * w

@@ -1,4 +1,4 @@
-"""Inverse kinematics of an arm, whatever its kind: what everybody needs of it, and arms that are nearly of a kind."""
+"""Inverse kinematics of an arm, whatever its kind: what everybody needs of it; arms nearly of a kind, and on a rail or gantry."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from planner.base.arrays import Array
 from planner.base.compiled import njit
 from planner.cell.kinematics import offset_wrist, seven_axes_kernel, spherical_wrist
 from planner.cell.kinematics.axes import wrap
-from planner.cell.kinematics.chain import Chain, refine
+from planner.cell.kinematics.chain import Chain, chain_state, refine
 from planner.cell.kinematics.offset_wrist import OffsetWrist
 from planner.cell.kinematics.seven_axes import SevenAxes
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
@@ -81,7 +81,7 @@ class Corrected:
 @njit(cache=True)
 def length(n: int) -> int:
     """Length of the parameters before the ideal arm's own, for n joints."""
-    return 1 + 19 * n + 16
+    return 1 + 22 * n + 16
 
 
 @njit(cache=True)
@@ -89,8 +89,8 @@ def refine_branches(p: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_
     """Refine the postures q (B, n) that exist (ok), all for one pose; ok becomes False where that fails."""
     n = q.shape[1]
     placements = p[1 : 1 + 16 * n].reshape(n, 4, 4)
-    axes = p[1 + 16 * n : 1 + 19 * n].reshape(n, 3)
-    tip = p[1 + 19 * n : length(n)].reshape(4, 4)
+    axes = p[1 + 16 * n : 1 + 22 * n].reshape(n, 6)
+    tip = p[1 + 22 * n : length(n)].reshape(4, 4)
     for k in range(ok.size):
         if ok[k]:
             ok[k] = refine(placements, axes, tip, int(p[0]), R, t, q[k], _ITERATIONS)
@@ -105,9 +105,108 @@ def _refine_all(p: Array, T: Array, q: Array, ok: NDArray[np.bool_]) -> None:
 
 
 # ----------------------------------------------------------------------------------------------------
+# Arms on a rail or a gantry: an arm of some joints more, whose redundant joints are the first ones.
+#
+# They bring the arm's base somewhere; seen from there the arm has the closed form that it always has.
+
+
+@dataclass(frozen=True)
+class OnRail:
+    """An arm on k joints that carry it, which slide or turn; poses are in the frame that these start from.
+
+    arm    the arm's own inverse kinematics; where it has a redundant joint, that is given behind those that carry it
+    rail   the carrying joints, whose tip is the arm's base
+    rest   all these joints' angles or places where nobody gives any [rad, m]
+    """
+
+    arm: SphericalWrist | OffsetWrist | SevenAxes | Corrected
+    rail: Chain
+    rest: tuple[float, ...]
+
+    @property
+    def joints(self) -> int:
+        """As many more than the arm has as carry it."""
+        return self.arm.joints + len(self.rail)
+
+    @property
+    def branch_count(self) -> int:
+        """As many as the arm has."""
+        return self.arm.branch_count
+
+    @property
+    def redundant_joint(self) -> int | None:
+        """The first of the joints that carry the arm, which are all given."""
+        return 0
+
+    @property
+    def parameters(self) -> Array:
+        """How many joints carry the arm, their placements, axes and tip, then the arm's own."""
+        rail = self.rail
+        pieces = [[float(len(rail))], rail.placements.ravel(), rail.axes.ravel(), rail.T_last_tip.ravel()]
+        return np.concatenate([*pieces, self.arm.parameters])
+
+    def poses(self, q: Array) -> Array:
+        """Flange poses (m, 4, 4) of postures q (m, n)."""
+        k = len(self.rail)
+        return self.rail.poses(q[:, :k]) @ self.arm.poses(np.ascontiguousarray(q[:, k:]))
+
+    def solve(self, T_base_flange: Array, redundant: Array | None = None) -> tuple[Array, NDArray[np.bool_]]:
+        """Postures q (m, B, n) of flange poses (m, 4, 4), and which exist (m, B): those of the arm, with its base where
+        the first k of the angles or places redundant (m, k or k + 1), `rest` if not given, have it."""
+        given = self._given(T_base_flange, redundant)
+        k = len(self.rail)
+        q, ok = self.arm.solve(self._from_arm(T_base_flange, given[:, :k]), self._own(given))
+        return np.concatenate([np.broadcast_to(given[:, None, :k], (*ok.shape, k)), q], axis=2), ok
+
+    def branches(self, q: Array) -> NDArray[np.int8]:
+        """Branch numbers (m) of postures q (m, n): those of the arm."""
+        return self.arm.branches(np.ascontiguousarray(q[:, len(self.rail) :]))
+
+    def out_of_reach(self, T_base_flange: Array, redundant: Array | None = None) -> Array:
+        """How far (m) the flange poses are out of the arm's reach from there [m]; 0 within."""
+        given = self._given(T_base_flange, redundant)
+        return self.arm.out_of_reach(self._from_arm(T_base_flange, given[:, : len(self.rail)]), self._own(given))
+
+    def _own(self, given: Array) -> Array | None:
+        """Of what is given, the arm's own redundant joint (m), if it has one."""
+        return None if self.arm.redundant_joint is None else given[:, len(self.rail)]
+
+    def _from_arm(self, T_base_flange: Array, given: Array) -> Array:
+        """Flange poses (m, 4, 4) as the arm's own base has them, the carrying joints at (m, k)."""
+        base = self.rail.poses(given)
+        R = np.swapaxes(base[:, :3, :3], 1, 2)
+        out = np.zeros_like(T_base_flange)
+        out[:, :3, :3] = R @ T_base_flange[:, :3, :3]
+        out[:, :3, 3] = np.einsum("mij,mj->mi", R, T_base_flange[:, :3, 3] - base[:, :3, 3])
+        out[:, 3, 3] = 1.0
+        return out
+
+    def _given(self, T: Array, redundant: Array | None) -> Array:
+        rest = np.tile(self.rest, (len(T), 1))
+        return rest if redundant is None else np.ascontiguousarray(np.reshape(redundant, rest.shape), dtype=np.float64)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _seen_from_arm(p: Array, given: Array, R: Array, t: Array, out: Array) -> None:
+    """Fill out (4, 4) with a flange pose, rotation R (3, 3) and origin t (3), as the arm's own base has it; p: parameters
+    up to the arm's own, given (k, or more)."""
+    k = int(p[0])
+    placements, axes = p[1 : 1 + 16 * k].reshape(k, 4, 4), p[1 + 16 * k : 1 + 22 * k].reshape(k, 6)
+    base, lines = np.empty((4, 4)), np.empty((2, k, 3))
+    chain_state(placements, axes, p[1 + 22 * k :].reshape(4, 4), given[:k], lines[0], lines[1], base)
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = base[0, i] * R[0, j] + base[1, i] * R[1, j] + base[2, i] * R[2, j]
+        out[i, 3] = (
+            base[0, i] * (t[0] - base[0, 3]) + base[1, i] * (t[1] - base[1, 3]) + base[2, i] * (t[2] - base[2, 3])
+        )
+    out[3, 0], out[3, 1], out[3, 2], out[3, 3] = 0.0, 0.0, 0.0, 1.0
+
+
+# ----------------------------------------------------------------------------------------------------
 # What everybody needs of an arm's inverse kinematics, whatever its kind; and one compiled entry to all kinds.
 
-SPHERICAL_WRIST, OFFSET_WRIST, SEVEN_AXES, CORRECTED = 0, 1, 2, 4
+SPHERICAL_WRIST, OFFSET_WRIST, SEVEN_AXES, CORRECTED, ON_RAIL = 0, 1, 2, 4, 8
 _solve_spherical, _solve_offset, _solve_seven = (
     spherical_wrist.solve_one,
     offset_wrist.solve_one,
@@ -132,7 +231,8 @@ class InverseKinematics(Protocol):
 
     @property
     def redundant_joint(self) -> int | None:
-        """Index of the joint whose angle is given to `solve` from outside; None for an arm of six joints."""
+        """Index of the joint whose angle is given to `solve` from outside, or of the first of those that carry the arm;
+        None for an arm of six joints."""
 
     @property
     def parameters(self) -> Array:
@@ -144,7 +244,7 @@ class InverseKinematics(Protocol):
     def solve(self, T_base_flange: Array, redundant: Array | None = None) -> tuple[Array, NDArray[np.bool_]]:
         """Postures q (m, B, n) in (-pi, pi] of flange poses (m, 4, 4), and which exist (m, B).
 
-        redundant (m) are angles of the redundant joint [rad]; where there is none, it is not looked at.
+        redundant (m), or (m, k) of k such joints, are their angles [rad, m]; where there are none, it is not looked at.
         """
 
     def branches(self, q: Array) -> NDArray[np.int8]:
@@ -155,7 +255,10 @@ class InverseKinematics(Protocol):
 
 
 def kind_of(inverse: InverseKinematics) -> int:
-    """The kind that `solve_one` takes: one of the constants above, CORRECTED added for a corrected arm."""
+    """The kind that `solve_one` takes: one of the constants above, CORRECTED added for a corrected arm, ON_RAIL for one
+    that is carried."""
+    if isinstance(inverse, OnRail):
+        return ON_RAIL + kind_of(inverse.arm)
     if isinstance(inverse, Corrected):
         return CORRECTED + kind_of(inverse.nominal)
     if isinstance(inverse, SphericalWrist):
@@ -163,11 +266,21 @@ def kind_of(inverse: InverseKinematics) -> int:
     return OFFSET_WRIST if isinstance(inverse, OffsetWrist) else SEVEN_AXES
 
 
-def with_rest(inverse: InverseKinematics, angle: float) -> InverseKinematics:
-    """The same arm, its redundant joint at an angle [rad] wherever `solve` is not given one."""
+def with_rest(inverse: InverseKinematics, *rest: float) -> InverseKinematics:
+    """The same arm, its redundant joints at such places [rad, m] wherever `solve` is not given any."""
+    if isinstance(inverse, OnRail):
+        return replace(inverse, rest=rest)
     if isinstance(inverse, Corrected) and isinstance(inverse.nominal, SevenAxes):
-        return replace(inverse, nominal=replace(inverse.nominal, rest=angle))
-    return replace(inverse, rest=angle) if isinstance(inverse, SevenAxes) else inverse
+        return replace(inverse, nominal=replace(inverse.nominal, rest=rest[0]))
+    return replace(inverse, rest=rest[0]) if isinstance(inverse, SevenAxes) else inverse
+
+
+def given_joints(inverse: InverseKinematics) -> tuple[int, ...]:
+    """Indices of the joints whose angles are given to `solve` from outside."""
+    if isinstance(inverse, OnRail):
+        k = len(inverse.rail)
+        return (*range(k), *(k + j for j in given_joints(inverse.arm)))
+    return () if inverse.redundant_joint is None else (inverse.redundant_joint,)
 
 
 def track(
@@ -175,7 +288,7 @@ def track(
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Postures q (m, n) along a path of flange poses (m, 4, 4) on the branch of q_start (n), and where they exist (m).
 
-    redundant (m) as in `solve`. Joints are continuous in whole turns from q_start on; where there is no posture, the
+    redundant as in `solve`. Joints are continuous in whole turns from q_start on; where there is no posture, the
     one before is repeated.
     """
     solutions, exists = inverse.solve(T_base_flange, redundant)
@@ -183,15 +296,38 @@ def track(
     q, ok = solutions[:, branch], exists[:, branch]
     last = np.maximum.accumulate(np.where(ok, np.arange(len(q)), -1))
     held = np.where((last >= 0)[:, None], q[last], q_start)
-    return np.unwrap(np.vstack([q_start, held]), axis=0)[1:], ok
+    turned = np.unwrap(np.vstack([q_start, held]), axis=0)[1:]
+    if isinstance(inverse, OnRail):
+        slides = np.flatnonzero(inverse.rail.slides)
+        turned[:, slides] = held[:, slides]
+    return turned, ok
 
 
 @njit(cache=True)
-def solve_one(kind: int, p: Array, redundant: float, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> None:
+def solve_one(kind: int, p: Array, redundant: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> None:
     """Fill q (8, n) and ok (8) with the postures for one flange pose, rotation R (3, 3) and origin t (3).
 
-    kind, p  of the arm: `kind_of`, `parameters`;  redundant  the redundant joint's angle, any number without one
+    kind, p  of the arm: `kind_of`, `parameters`
+    redundant (k)  the redundant joints' angles or places [rad, m], one number whatever without any
     """
+    if kind < ON_RAIL:
+        _solve_standing(kind, p, redundant[0], R, t, q, ok)
+        return
+    rails = int(p[0])
+    T, own = np.empty((4, 4)), np.empty((q.shape[0], q.shape[1] - rails))
+    ends = length(rails)
+    _seen_from_arm(p[:ends], redundant, R, t, T)
+    _solve_standing(kind - ON_RAIL, p[ends:], redundant[redundant.size - 1], T[:3, :3], T[:3, 3], own, ok)
+    for k in range(ok.size):
+        for j in range(rails):
+            q[k, j] = redundant[j]
+        for j in range(own.shape[1]):
+            q[k, j + rails] = own[k, j]
+
+
+@njit(cache=True)
+def _solve_standing(kind: int, p: Array, redundant: float, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> None:
+    """The same for an arm whose base does not move."""
     own = p[length(q.shape[1]) :] if kind >= CORRECTED else p
     if kind % CORRECTED == SPHERICAL_WRIST:
         _solve_spherical(own, R, t, q, ok)

@@ -79,7 +79,9 @@ class SevenAxes:
         return kernel.out_of_reach(self.parameters, given, np.ascontiguousarray(T_base_flange))
 
     def _given(self, T: Array, redundant: Array | None) -> Array:
-        return np.full(len(T), self.rest) if redundant is None else np.ascontiguousarray(redundant, dtype=np.float64)
+        if redundant is None:
+            return np.full(len(T), self.rest)
+        return np.ascontiguousarray(np.ravel(redundant), dtype=np.float64)
 
 
 def read_seven_axes(chain: Chain, redundant_joint: int) -> SevenAxes:

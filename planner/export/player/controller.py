@@ -10,6 +10,7 @@ import numpy as np
 
 from planner.base.arrays import Array, Flags, Indices
 from planner.base.errors import InputError
+from planner.export.external import external_axes, external_read
 from planner.export.fit import angle, from_matrix, lerp, slerp, to_matrix
 from planner.export.player.played import PHASES, TIMES
 from planner.export.program import RobotProgram
@@ -56,7 +57,7 @@ class PostureKnots:
 
 def _check(program: RobotProgram, cell: Cell) -> None:
     """Raise InputError for configurations that the arm has not, and for moves without a speed."""
-    if cell.inverse.redundant_joint is not None:
+    if len(cell.given) > cell.rails:
         raise _error(
             program, f"targets do not say the posture of {cell.arm_robot.name}, which has {len(cell.arm)} joints"
         )
@@ -79,14 +80,15 @@ def knots_of(program: RobotProgram, cell: Cell) -> PostureKnots:
     Raises InputError where a target cannot be reached in its configuration, for axes that the cell has not and for moves
     without a speed.
     """
-    na, m = len(cell.arm), len(program.linear)
+    m, six = len(program.linear), len(cell.solved)
     _check(program, cell)
     frames = _Frames(program, cell)
-    begin = np.concatenate([program.start[:na], frames.free(program.start[None, na:])[0]])
+    beside = frames.free(program.start[None, six:])[0]
+    begin = np.concatenate([beside[: cell.rails], program.start[:six], beside[cell.rails :]])
     if not np.isfinite(begin).all():
         raise _error(program, "the start does not say where all joints stand")
     p0, quat0 = frames.pose(begin[None])
-    ends = np.vstack([begin[None, na:], frames.free(program.external)])
+    ends = np.vstack([beside[None], frames.free(program.external)])
     position, quat = np.vstack([p0, program.position]), np.vstack([quat0, program.quat])
 
     length = np.linalg.norm(np.diff(position, axis=0), axis=1) / STEP
@@ -116,27 +118,31 @@ class _Frames:
         self._T_tool_flange = np.linalg.inv(_matrix(program.tool))
 
     def free(self, external: Array) -> Array:
-        """The station's free axes (m, f) of all its axes (m, 6); those that are held must stand where they are held."""
-        cell = self._cell
-        if cell.holder_robot is None:
-            return np.empty((len(external), 0))
-        names = list(cell.holder_robot.joint_names)
-        table = external[:, : len(names)]
+        """The station's free axes (m, f) of all its axes (m, 6), before them what carries the arm; those that are held must
+        stand where they are held."""
+        axes = external_axes(self._cell)
+        table = external_read(self._cell, external)
         missing = np.flatnonzero(~np.isfinite(table).all(axis=1))
         if len(missing):
             raise _error(self._program, f"target {missing[0]} does not say where all axes of the station stand")
-        for name, angle_ in cell.held.items():
-            if (np.abs(table[:, names.index(name)] - angle_) > HELD).any():
-                raise _error(self._program, f"axis {name} of the station is held, and the program moves it")
-        return table[:, [names.index(name) for name in cell.holder.names]]
+        for k, axis in enumerate(axes):
+            if axis.held is not None and (np.abs(table[:, k] - axis.held) > HELD).any():
+                raise _error(self._program, f"axis {axis.name} of the station is held, and the program moves it")
+        return table[:, [k for k, axis in enumerate(axes) if axis.held is None]]
 
     def flange(self, poses: _Poses) -> Array:
         """Flange poses T_base_flange (k, 4, 4)."""
         T = np.zeros((len(poses.position), 4, 4))
         T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = to_matrix(poses.quat), poses.position, 1.0
-        T_base_part = np.linalg.inv(self._cell.T_world_base) @ self._cell.holder.poses(poses.external)
+        held = np.ascontiguousarray(poses.external[:, self._cell.rails :])
+        T_base_part = np.linalg.inv(self._cell.T_world_base) @ self._cell.holder.poses(held)
         out: Array = T_base_part @ (self._T_part_object @ T @ self._T_tool_flange)
         return out
+
+    def solve(self, poses: _Poses) -> tuple[Array, Flags]:
+        """Postures (k, branches, na) of the arm with what carries it where the targets say, and which exist."""
+        given = poses.external[:, : self._cell.rails] if self._cell.rails else None
+        return self._cell.inverse.solve(self.flange(poses), given)
 
     def pose(self, q: Array) -> tuple[Array, Array]:
         """Position (k, 3) and orientation (k, 4) of the program's tool in its work object."""
@@ -164,23 +170,24 @@ def _followed(program: RobotProgram, cell: Cell, frames: _Frames, knots: _Poses,
     branch = program.conf[move, 3]
     for first in range(0, k, BLOCK):
         rows = slice(first, first + BLOCK)
-        solutions, exists = cell.inverse.solve(frames.flange(knots.rows(rows)))
+        solutions, exists = frames.solve(knots.rows(rows))
         raw[rows] = _chosen(program, solutions, exists, branch[rows], move[rows])
     raw = np.vstack([begin[:na], raw])
     line = np.concatenate([[False], program.linear[move]])  # the way to this knot is a line
     if cell.spherical:
-        _share_straight_wrists(program, raw, np.flatnonzero(~line[1:]) + 1, move)
-    _keep_continuous(raw, line, lambda i: cell.inverse.solve(frames.flange(knots.rows(slice(i - 1, i)))))
+        _share_straight_wrists(program, raw[:, cell.own], np.flatnonzero(~line[1:]) + 1, move)
+    _keep_continuous(raw, line, lambda i: frames.solve(knots.rows(slice(i - 1, i))))
     turns = np.zeros_like(raw)
     turns[1:] = -np.round(np.diff(raw, axis=0) / REVOLUTION)
     turns[~line] = 0.0
+    turns[:, ~cell.limits.turns[:na]] = 0.0
     since = np.maximum.accumulate(np.where(line, 0, np.arange(k + 1)))  # the knot from which lines go on to this one
     added = np.cumsum(turns, axis=0)
     absolute = np.zeros_like(raw)
     at = np.flatnonzero(~line)
-    absolute[at[1:]] = _named_turns(program, cell, raw[at[1:]], move[at[1:] - 1])
+    absolute[at[1:], cell.own] = _named_turns(program, cell, raw[at[1:], cell.own], move[at[1:] - 1])
     q = raw + REVOLUTION * (absolute[since] + added - added[since])
-    return np.column_stack([q, np.vstack([begin[None, na:], knots.external])])
+    return np.column_stack([q, np.vstack([begin[None, na:], knots.external[:, cell.rails :]])])
 
 
 def _chosen(program: RobotProgram, solutions: Array, exists: Flags, branch: Indices, move: Indices) -> Array:
@@ -230,11 +237,11 @@ def _wrapped(angles: Array) -> Array:
 
 def _named_turns(program: RobotProgram, cell: Cell, raw: Array, move: Indices) -> Array:
     """Whole turns (k, n) to add to joints in (-pi, pi]: as targets say, by joints or by quarters, else by the ranges."""
-    limits, na = cell.limits, raw.shape[1]
+    limits = cell.limits
     if program.joints is not None:
         turns: Array = np.round((program.joints[move] - raw) / REVOLUTION)
         return turns
-    middle = np.tile(0.5 * (limits.q_min + limits.q_max)[:na], (len(raw), 1))
+    middle = np.tile(0.5 * (limits.q_min + limits.q_max)[cell.own], (len(raw), 1))
     if cell.spherical:
         middle[:, [0, 3, 5]] = (program.conf[move, :3] + 0.5) * QUARTER
     out: Array = np.round((middle - raw) / REVOLUTION)
@@ -245,10 +252,11 @@ def _strays(program: RobotProgram, cell: Cell, q: Array) -> tuple[int, ...]:
     """Moves whose target's posture, of all targets' postures q (m, n), is not the one that the target names."""
     if not cell.spherical:
         return ()
-    bent = np.abs(q[:, 4])
+    own = q[:, cell.own]
+    bent = np.abs(own[:, 4])
     wrong = (cell.inverse.branches(q[:, : len(cell.arm)]) != program.conf[:, 3]) & (bent > BORDER)
     low = program.conf[:, :3] * QUARTER
-    over = np.maximum(low - q[:, [0, 3, 5]], q[:, [0, 3, 5]] - low - QUARTER)
+    over = np.maximum(low - own[:, [0, 3, 5]], own[:, [0, 3, 5]] - low - QUARTER)
     unsure = np.minimum(BORDER + ROUNDED / np.maximum(np.sin(bent), STRAIGHT), QUARTER)
     wrong |= (over[:, 0] > BORDER) | (over[:, 1:] > unsure[:, None]).any(axis=1)
     return tuple(np.flatnonzero(wrong).tolist())
@@ -314,15 +322,18 @@ def pace(program: RobotProgram, cell: Cell, knots: PostureKnots) -> PlayedPace:
     along a parabola within the zone, cut to half of the lines beside it, at a speed at which the joints can change from
     one line to the next within it.
     """
-    external = knots.q[:, len(cell.arm) :]
     change = np.abs(np.diff(knots.q, axis=0))
+    external, turns = change[:, cell.besides], cell.limits.turns[list(cell.besides)]
     tip = np.linalg.norm(np.diff(knots.position, axis=0), axis=1)
     programmed = program.speed[knots.move]
     times = np.column_stack(
         [
             tip / programmed[:, 0],
             angle(knots.quat[1:], knots.quat[:-1]) / programmed[:, 1],
-            np.abs(np.diff(external, axis=0)).max(axis=1, initial=0.0) / programmed[:, 3],
+            np.maximum(
+                external[:, turns].max(axis=1, initial=0.0) / programmed[:, 3],
+                external[:, ~turns].max(axis=1, initial=0.0) / programmed[:, 2],
+            ),
             change / cell.limits.velocity,
         ]
     )

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array
+from planner.export.external import carrying_axes, external_axes, external_written
 from planner.export.fit import continuous, from_matrix
 from planner.export.moves import Moves, Wait, plan_moves, sections
 from planner.export.player.play import limited, play
@@ -51,7 +52,6 @@ from planner.plan import RAPID_EXTERNAL_AXES
 from planner.plan.plan import materials_of
 
 if TYPE_CHECKING:
-    from planner.cell.cell import Cell
     from planner.plan import Plan
 
 # ----------------------------------------------------------------------------------------------------
@@ -60,26 +60,13 @@ if TYPE_CHECKING:
 UNUSED = "9E9"
 
 
-def external_degrees(cell: Cell, external: Array) -> Array:
-    """The station's axes (m, k) [deg] in the robot's own order: free ones from (m, f) [rad], held ones as held."""
-    if cell.holder_robot is None:
-        return np.empty((len(external), 0))
-    free = list(cell.holder.names)
-    columns = [
-        external[:, free.index(name)] if name in free else np.full(len(external), cell.held[name])
-        for name in list(cell.holder_robot.model.names)[1:]
-    ]
-    out: Array = np.degrees(np.column_stack(columns))
-    return out
-
-
 def quadrants(q: Array) -> NDArray[np.intp]:
-    """cf1, cf4, cf6 (m, 3): the quarter turns of joints 1, 4 and 6 of postures (m, >= 6) [rad]."""
+    """cf1, cf4, cf6 (m, 3): the quarter turns of joints 1, 4 and 6 of postures of the arm's own joints (m, >= 6) [rad]."""
     return np.floor(np.round(np.degrees(q[:, [0, 3, 5]]) / 90.0, 9)).astype(np.intp)
 
 
 def external_text(degrees: Array) -> list[str]:
-    """`eax_a,..,eax_f` of each row."""
+    """`eax_a,..,eax_f` of each row, in degrees or mm."""
     unused = ",".join([UNUSED] * (RAPID_EXTERNAL_AXES - degrees.shape[1]))
     if not degrees.shape[1]:
         return [unused] * len(degrees)
@@ -97,11 +84,11 @@ def targets(plan: Plan, moves: Moves) -> list[str]:
         [
             np.round(moves.targets.position * 1e3, 3) + 0.0,
             np.round(quat, 7) + 0.0,
-            quadrants(moves.q),
+            quadrants(moves.q[:, plan.cell.own]),
             trajectory.branch[k],
         ]
     )
-    external = external_text(external_degrees(plan.cell, moves.targets.station))
+    external = external_text(external_written(plan.cell, moves.targets.station))
     pattern = "[[%.3f,%.3f,%.3f],[%.7f,%.7f,%.7f,%.7f],[%d,%d,%d,%d],[%s]]"
     return [pattern % (*row, ext) for row, ext in zip(numbers.tolist(), external, strict=True)]
 
@@ -142,13 +129,18 @@ def frames(plan: Plan) -> list[str]:
         comment("  " + _pose(cell.T_world_base)),
     ]
     identity, on_plate = _pose(np.eye(4)), _pose(cell.T_plate_part)
+    letters = [f"eax_{letter} {axis.words}" for letter, axis in zip("abcdef", external_axes(cell), strict=False)]
+    if before := letters[: len(carrying_axes(cell))]:
+        lines[-2] = comment("Poses in the world that the controller's configuration must have. The base of the track,")
+        lines[-1:] = [
+            comment("a mechanical unit that carries the robot and is active:"),
+            comment("  " + _pose(cell.T_world_base)),
+            comment(f"Its axes: {', '.join(before)}."),
+        ]
     if cell.holder_robot is None:
         frames = f'TRUE,"",{_pose(cell.T_world_holder)},{identity}'
     else:
-        axes = [
-            f"eax_{letter} {name}" + (" (held)" if name in cell.held else "")
-            for letter, name in zip("abcdef", cell.holder_robot.joint_names, strict=False)
-        ]
+        axes = letters[len(before) :]
         lines += [
             comment(f"The base of station {names.station}:"),
             comment("  " + _pose(cell.T_world_holder_base)),
@@ -172,9 +164,10 @@ def speeds(plan: Plan, moves: Moves) -> tuple[list[str], list[str]]:
     """Declarations of all speeds, and the name of each move's speed; the first one is for the way to the start."""
     top = plan.problem.process.travel_speed * 1e3
     tip = _quantised(np.where(moves.laid, moves.speed * 1e3, np.minimum(np.ceil(moves.speed * 1e3), top)))
-    turn, axis = np.degrees(moves.turn), np.degrees(moves.axis)
+    turn, axis, slide = np.degrees(moves.turn), np.degrees(moves.axis), moves.slide * 1e3
     turn_max = _rounded_up(HEAD_ROOM * float(turn.max()), 10.0)
     axis_max = _rounded_up(HEAD_ROOM * float(axis.max(initial=0.0)), 10.0)
+    slide_max = max(1000.0, 100.0 * float(np.ceil(HEAD_ROOM * float(slide.max(initial=0.0)) / 100.0)))
     # where the tip hardly moves it cannot set the pace: there the turning does, at its real rate
     slow = (moves.speed < 1e-3) & (np.maximum(turn, axis) > 1.0)
     own_turn = np.where(slow, np.maximum(1.0, np.ceil(turn)), turn_max)
@@ -184,7 +177,7 @@ def speeds(plan: Plan, moves: Moves) -> tuple[list[str], list[str]]:
     for key in sorted(set(keys)):
         own = "" if key[1:] == (turn_max, axis_max) else f"o{key[1]:.0f}a{key[2]:.0f}"
         table[key] = f"vel{key[0]:g}".replace(".", "_") + own
-    lines = [f"    CONST speeddata {name}:=[{v:g},{o:g},1000,{a:g}];" for (v, o, a), name in table.items()]
+    lines = [f"    CONST speeddata {name}:=[{v:g},{o:g},{slide_max:g},{a:g}];" for (v, o, a), name in table.items()]
     return lines, [table[key] for key in keys]
 
 
@@ -516,9 +509,8 @@ def _sizes(plan: Plan, moves: Moves) -> list[str]:
 def _main(plan: Plan, cleared: list[str], calls: list[str], speed: str, triggers: Sequence[str]) -> list[str]:
     """The procedure main, without its end."""
     names, cell, start = plan.problem.program, plan.cell, plan.trajectory.q[:1]
-    na = len(cell.arm)
-    joints = ",".join(number(v, 5) for v in np.degrees(start[0, :na]))
-    external = external_text(external_degrees(cell, start[:, na:]))[0]
+    joints = ",".join(number(v, 5) for v in np.degrees(start[0, cell.own]))
+    external = external_text(external_written(cell, start[:, cell.besides]))[0]
     station = [] if cell.holder_robot is None else [names.station]
     sends = names.style == "socket"
     title = f"{module_name(plan.name)}: {len(plan.beads)} beads"[:LONGEST_STRING]

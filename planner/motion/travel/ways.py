@@ -230,7 +230,8 @@ def waiting(pieces: Sequence[Cubics | None], least: float) -> Cubics | None:
 
 def _drawn_back(cell: Cell, q: Array) -> Array:
     back = q.copy()
-    back[1] = max(q[1] - DRAW_BACK, cell.limits.q_min[1])
+    lower = 1 + cell.rails
+    back[lower] = max(q[lower] - DRAW_BACK, cell.limits.q_min[lower])
     return back
 
 

@@ -27,19 +27,17 @@ from planner.resolve.prices import (
     SIGMA_COMFORT,
     SIGMA_PRICE,
 )
-from planner.resolve.refine import CONE_ROOM, evaluate
+from planner.resolve.refine import CONE_ROOM, bounded_cones, evaluate
 from planner.resolve.segment import (
-    CONE_SIDES,
     HOLDER,
     ROLL,
     TILT,
     Model,
     PathSegment,
     PathState,
-    model_of,
-    side_normals,
 )
 from planner.resolve.sqp import SplinePath, cheaper, given_prices, sigma_floor, start_track, whole
+from planner.resolve.terms import model_of
 from planner.toolpath.task import Cones, NozzleTask
 
 # ----------------------------------------------------------------------------------------------------
@@ -64,7 +62,7 @@ def symbolic_jacobian(chain: Chain, q: ca.SX) -> ca.SX:
     columns = []
     for axis, T in zip(chain.axes, frames[1:], strict=True):
         # turning about the axis leaves the axis and the joint's origin where they are
-        direction = T[:3, :3] @ ca.SX(axis)
+        direction = T[:3, :3] @ ca.SX(axis[:3])
         columns.append(ca.vertcat(ca.cross(direction, tip - T[:3, 3]), direction))
     return ca.horzcat(*columns) if columns else ca.SX(6, 0)
 
@@ -91,7 +89,7 @@ def _frames(chain: Chain, q: ca.SX) -> list[ca.SX]:
     frames = [ca.SX.eye(4)]
     for i, (placement, axis) in enumerate(zip(chain.placements, chain.axes, strict=True)):
         T = _times(frames[-1], placement)
-        T[:3, :3] = T[:3, :3] @ _rotation(axis, q[i])
+        T[:3, :3] = T[:3, :3] @ _rotation(axis[:3], q[i])
         frames.append(T)
     return frames
 
@@ -117,7 +115,7 @@ def _rotation(axis: Array, angle: ca.SX) -> ca.SX:
 #
 #     minimise   sum_i f(v_i) + ends(c)
 #     subject to g(v_i) = 0 or <= 0       pose, singular vector, shares within what the slack allows, cones
-#                z_i = sum B c,  share_i = sum D q / limits,  control values' polygon in the tilt's cone
+#                z_i = sum B c,  share_i = sum D q / limits
 #
 # So nonlinear derivatives come in blocks along a diagonal, and what joins samples is linear.
 
@@ -165,10 +163,10 @@ def layout_of(model: Model, cones: Cones) -> Layout:
 
 @dataclass(frozen=True)
 class _Sample:
-    """Variables v and parameters p (tip, frame, step, deposits) of a sample, its share f of the price, and g.
+    """Variables v and parameters p (tip, frame, normal, step, deposits) of a sample, its share f of the price, and g.
 
     g: EQUALITIES, then what must not be positive: shares against the slack, from above and from below, then cones.
-    convex: diagonal of f's second derivatives without those that are negative, as in `smooth_price`
+    convex: diagonal of f's second derivatives without those that are negative, as in `terms`
     """
 
     v: ca.SX
@@ -182,9 +180,9 @@ def _sample(cell: Cell, model: Model, cones: Cones) -> _Sample:
     """What one sample adds to the program."""
     at = layout_of(model, cones)
     nj, na = at.joints, model.arm
-    v, p = ca.SX.sym("v", at.size), ca.SX.sym("p", 14)
+    v, p = ca.SX.sym("v", at.size), ca.SX.sym("p", 17)
     q, shares, slack, u, sigma = v[:nj], v[at.shares], v[at.slack], v[at.vector], v[at.sigma]
-    tip, frame, step, deposits = p[:3], ca.reshape(p[3:12], 3, 3).T, p[12], p[13]
+    tip, frame, normal, step, deposits = p[:3], ca.reshape(p[3:12], 3, 3).T, p[12:15], p[15], p[16]
 
     nozzle, part = symbolic_pose(cell.arm, q[:na]), symbolic_pose(cell.holder, q[na:])
     tilt = symbolic_tilt(v[at.turn][1:]) if at.tilts else ca.SX.eye(3)
@@ -199,7 +197,9 @@ def _sample(cell: Cell, model: Model, cones: Cones) -> _Sample:
     if cones.nozzle_gravity < np.pi:
         rows.append(np.cos(cones.nozzle_gravity - CONE_ROOM) + nozzle[2, 2])
     if cones.layer_gravity < np.pi:
-        rows.append(np.cos(cones.layer_gravity - CONE_ROOM) + (part[:3, :3] @ frame)[2, 2])
+        rows.append(np.cos(cones.layer_gravity - CONE_ROOM) - (part[:3, :3] @ normal)[2])
+    if cones.tilt > 0.0:
+        rows.append(np.cos(cones.tilt - CONE_ROOM) + ca.dot((frame @ tilt)[:, 2], normal))
 
     convex = ca.SX.zeros(at.size)
     cost = deposits * (slack + DIP_PRICE * slack / (slack + DIP))
@@ -218,7 +218,7 @@ def _sample(cell: Cell, model: Model, cones: Cones) -> _Sample:
 
 
 def _linear(model: Model, stretch: PathSegment, k: int) -> sparse.csr_matrix:
-    """Rows A with A [v; c] = 0 (splines, then shares), then those of the polygon; v sample by sample, c (k, m)."""
+    """Rows A with A [v; c] = 0: splines, then shares; v sample by sample, c (k, m)."""
     at = layout_of(model, stretch.cones)
     n, nj = len(stretch.tip), at.joints
     active = model.active(stretch.cones)
@@ -239,12 +239,7 @@ def _linear(model: Model, stretch: PathSegment, k: int) -> sparse.csr_matrix:
                 A[row, i * at.size + at.shares.start + o * nj + j] = 1.0
                 for s in range(5):
                     A[row, (stretch.centre[i] + s - 2) * at.size + j] = -stretch.D[i, o, s] / model.limits[o, j]
-    polygon = sparse.lil_matrix((CONE_SIDES * k if at.tilts else 0, A.shape[1]))
-    if at.tilts:
-        sides = np.zeros((CONE_SIDES, m))
-        sides[:, list(TILT)] = side_normals()
-        polygon[:, n * at.size :] = sparse.kron(sparse.eye(k), sides)
-    return sparse.vstack([A, polygon])
+    return A.tocsr()
 
 
 @dataclass(frozen=True)
@@ -276,7 +271,9 @@ def program_of(cell: Cell, model: Model, stretch: PathSegment, k: int) -> Nonlin
     typical = float(stretch.step.mean())
     x, none = ca.MX.sym("x", n * size + k * m), ca.MX.sym("p", 0)
     V, c = ca.reshape(x[: n * size], size, n), x[n * size :]
-    given = np.vstack([stretch.tip.T, stretch.frames.reshape(n, 9).T, stretch.step / typical, stretch.deposits])
+    given = np.vstack(
+        [stretch.tip.T, stretch.frames.reshape(n, 9).T, stretch.normals.T, stretch.step / typical, stretch.deposits]
+    )
     P = ca.MX(ca.DM(given))
     pull = ca.DM(np.repeat(stretch.hold, m) * ANCHOR / typical)
     away = c - ca.DM(stretch.anchor.ravel())
@@ -353,11 +350,8 @@ def row_bounds(stretch: PathSegment, rows: int, count: int) -> tuple[Array, Arra
     low, high = np.zeros(count), np.zeros(count)
     own_low, own_high = low[: n * rows].reshape(n, rows), high[: n * rows].reshape(n, rows)
     own_low[:, EQUALITIES:] = -np.inf
-    cones = int(stretch.cones.nozzle_gravity < np.pi) + int(stretch.cones.layer_gravity < np.pi)
-    own_high[stretch.deposits == 0.0, EQUALITIES : rows - cones] = np.inf
-    if stretch.cones.tilt > 0.0:
-        sides = slice(count - CONE_SIDES * len(stretch.free), None)
-        low[sides], high[sides] = -np.inf, stretch.cones.tilt * np.cos(np.pi / CONE_SIDES)
+    bounded, _ = bounded_cones(stretch.cones)
+    own_high[stretch.deposits == 0.0, EQUALITIES : rows - len(bounded)] = np.inf
     return low, high
 
 
@@ -420,6 +414,9 @@ def nlp(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple
 
     Raises Refusal as `ladder` does, and for more samples than it can be asked to take.
     """
+    if cell.limits.sliding:
+        name = cell.joint_names[cell.limits.sliding[0]]
+        raise Refusal(f"strategy nlp knows no joints that slide, such as {name}; strategy sqp solves the same problem")
     count = sum(len(task) for task in tasks)
     if count > MOST_SAMPLES:
         raise Refusal(

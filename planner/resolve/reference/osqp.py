@@ -7,10 +7,15 @@ import osqp
 from scipy import sparse
 
 from planner.base.arrays import Array
-from planner.resolve.quadratic import QuadraticProgram
+from planner.resolve.quadratic import QuadraticProgram, Solution, Status
 
 _STEPS = 20_000
 _TOLERANCE = 1e-6  # absolute and relative, of OSQP's residuals
+_STATUS = {  # all others: it says that the program has no solution, which none of ours lacks
+    int(osqp.SolverStatus.OSQP_SOLVED): Status.SOLVED,
+    int(osqp.SolverStatus.OSQP_SOLVED_INACCURATE): Status.STOPPED,
+    int(osqp.SolverStatus.OSQP_MAX_ITER_REACHED): Status.STOPPED,
+}
 
 
 def standard_form(qp: QuadraticProgram) -> tuple[sparse.csc_matrix, Array, sparse.csc_matrix, Array, Array]:
@@ -32,15 +37,20 @@ def standard_form(qp: QuadraticProgram) -> tuple[sparse.csc_matrix, Array, spars
     )
 
 
-def solve_with_osqp(qp: QuadraticProgram) -> tuple[Array, int]:
-    """As `solve_qp`: the minimiser x (n) and the number of iterations; x = 0 if there is no descent to be had."""
+def solve_with_osqp(qp: QuadraticProgram) -> Solution:
+    """As `solve_qp`; gap and residual are those that OSQP tells, of its own iterate."""
     P, c, A, low, high = standard_form(qp)
     solver = osqp.OSQP()
     solver.setup(
         P, c, A, low, high, verbose=False, polishing=True, max_iter=_STEPS, eps_abs=_TOLERANCE, eps_rel=_TOLERANCE,
     )  # fmt: skip
     result = solver.solve(raise_error=False)
+    info = result.info
     x = np.clip(np.asarray(result.x[: len(qp.g)]), -qp.box, qp.box)
-    if not np.isfinite(x).all() or qp.value(x) >= qp.value(np.zeros(len(x))):
+    status = _STATUS.get(int(info.status_val), Status.FAILED)
+    if not np.isfinite(x).all():
+        x, status = np.zeros(len(qp.g)), Status.FAILED
+    if not qp.value(x) < qp.value(np.zeros(len(x))):
         x = np.zeros(len(qp.g))
-    return x, int(result.info.iter)
+    residual = float(info.dual_res) * float(qp.box.sum())
+    return Solution(x, int(info.iter), status, abs(float(info.duality_gap)), residual)

@@ -1,0 +1,183 @@
+"""An arm and what carries it, such as a rail or a gantry, as one robot: the joints that carry the arm are its first ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+
+from planner.base.arrays import Array
+from planner.base.errors import nearest_name
+from planner.cell.kinematics.chain import Chain
+from planner.cell.kinematics.inverse import Corrected, OnRail
+from planner.cell.kinematics.offset_wrist import OffsetWrist
+from planner.cell.kinematics.seven_axes import SevenAxes
+from planner.cell.kinematics.spherical_wrist import SphericalWrist
+from planner.cell.robot import Robot, chain_of, load_robot
+from planner.cell.solids import Body
+from planner.problem import Problem
+from planner.problem.cell import CarrierSpec
+
+_ROUNDING = 1e-9  # m, rad: a place at the end of its range is inside, though millimetres became metres
+
+
+@dataclass(frozen=True)
+class Carrier:
+    """What carries an arm: its own robot, the joints that may move, from its base on (none: it stands), and where the others
+    are held [rad, m]."""
+
+    robot: Robot
+    free: tuple[str, ...]
+    held: dict[str, float]
+
+
+@dataclass(frozen=True)
+class CarriedArm:
+    """An arm with what carries it.
+
+    robot          both as one, the joints that may move before the arm's own
+    T_carrier_base (4, 4) that robot's base as the carrier's own base has it
+    home           where these joints are at first [rad, m]
+    """
+
+    robot: Robot
+    carrier: Carrier
+    T_carrier_base: Array
+    home: tuple[float, ...]
+
+
+def carried_arm(problem: Problem, spec: CarrierSpec, arm: Robot) -> CarriedArm:
+    """The arm on what the problem says carries it.
+
+    Raises InputError for joints that it has not, for places that it does not reach.
+    """
+    robot = load_robot(spec.robot, problem, "cell.base.robot")
+    if robot.inverse is not None:
+        hint = "a rail, a column or a gantry; an arm that holds the part is cell.positioner"
+        raise problem.error("cell.base.robot", f"{robot.key} is an arm, and carries none", hint)
+    values = _values(problem, spec, robot)
+    free = tuple(name for name in robot.joint_names if name in spec.free)
+    held = {name: values[name] for name in robot.joint_names if name not in free}
+    carrier = Carrier(robot, free, held)
+    if not free:
+        T = chain_of(robot, np.eye(4), np.eye(4), (), held).T_last_tip
+        return CarriedArm(_standing(robot, held, arm, T), carrier, T, ())
+    return CarriedArm(_joined(robot, free, held, arm), carrier, np.eye(4), tuple(values[name] for name in free))
+
+
+def _values(problem: Problem, spec: CarrierSpec, robot: Robot) -> dict[str, float]:
+    """Where each joint is at first, or held [rad, m]; InputError for names and values that the robot has not."""
+    joints = robot.joint_names
+    slides = dict(zip(joints, robot.slides, strict=True))
+    ranges = dict(
+        zip(joints, zip(robot.model.lowerPositionLimit, robot.model.upperPositionLimit, strict=True), strict=True)
+    )
+    given = {"held_mm": spec.held_mm, "held_deg": spec.held_deg, "home_mm": spec.home_mm, "home_deg": spec.home_deg}
+    out = {name: float(np.clip(0.0, *ranges[name])) for name in joints}
+    for field, names in {"free": spec.free, **given}.items():
+        for name in names:
+            if name not in joints:
+                near = nearest_name(name, joints)
+                hint = f"did you mean {near}?" if near else f"joints: {', '.join(joints)}"
+                raise problem.error(f"cell.base.{field}", f"no joint {name!r}", hint)
+    for field, values in given.items():
+        for name, value in values.items():
+            where = f"cell.base.{field}.{name}"
+            if field.startswith("home") != (name in spec.free):
+                kind = "held" if field.startswith("home") else "free"
+                hint = "that of a held joint stands in held_mm or held_deg, that of a free one in home_mm or home_deg"
+                raise problem.error(where, f"joint {name!r} is {kind}", hint)
+            if field.endswith("mm") != slides[name]:
+                way, unit = ("slides", "mm") if slides[name] else ("turns", "deg")
+                raise problem.error(where, f"joint {name!r} {way}", f"{field.split('_')[0]}_{unit}")
+            low, high = ranges[name]
+            if not low - _ROUNDING <= value <= high + _ROUNDING:
+                valid = in_words(low, high, slides[name])
+                raise problem.error(where, f"it is outside the range of joint {name!r}", valid)
+            out[name] = value
+    return out
+
+
+def in_words(low: float, high: float, slides: bool) -> str:
+    """A joint's range in mm or degrees."""
+    unit, scale = ("mm", 1e3) if slides else ("deg", np.degrees(1.0))
+    return f"{low * scale:.0f} to {high * scale:.0f} {unit}"
+
+
+def _standing(robot: Robot, held: dict[str, float], arm: Robot, T_carrier_base: Array) -> Robot:
+    """The arm on a carrier that does not move: its bodies are those of the arm's foot."""
+    own = _bodies(robot, held, ())[0]
+    back = np.linalg.inv(T_carrier_base)
+    foot = tuple(replace(body, T_frame_solid=back @ body.T_frame_solid) for body in own)
+    return replace(
+        arm, name=_name(robot, arm), bodies=(foot + arm.bodies[0], *arm.bodies[1:]), assumed=_both(robot, arm)
+    )
+
+
+def _joined(robot: Robot, free: tuple[str, ...], held: dict[str, float], arm: Robot) -> Robot:
+    """Both as one robot: the joints that may move, then the arm's own. A joint or link of the carrier that is named as
+    one of the arm's is `base_<name>`."""
+    q = np.array([held.get(name, 0.0) for name in robot.joint_names])
+    locked = [robot.model.getJointId(name) for name in held]
+    model = pin.buildReducedModel(robot.model, locked, q)
+    taken = {*arm.joint_names, *(frame.name for frame in arm.model.frames)}
+    tip = model.getFrameId(robot.tip)
+    for i in range(1, model.njoints):
+        if model.names[i] in taken:
+            model.names[i] = f"base_{model.names[i]}"
+    for frame in model.frames:
+        if frame.name in taken and frame.name != "universe":
+            frame.name = f"base_{frame.name}"
+    upper = arm.model.copy()
+    for one in (model, upper):
+        one.lowerVelocityLimit = -one.velocityLimit  # what comes from a URDF is not negative, and may not be joined so
+    whole = pin.appendModel(model, upper, tip, pin.SE3.Identity())
+    moving = [robot.joint_names.index(name) for name in free]
+    *before, carriage = _bodies(robot, held, free)
+    chain = chain_of(robot, np.eye(4), np.eye(4), free, held)
+    return Robot(
+        key=arm.key,
+        name=_name(robot, arm),
+        model=whole,
+        tip=arm.tip,
+        acceleration=np.append(robot.acceleration[moving], arm.acceleration),
+        jerk=np.append(robot.jerk[moving], arm.jerk),
+        inverse=_on_rail(arm, chain),
+        assumed=_both(robot, arm),
+        language=arm.language,
+        bodies=(*before, carriage + tuple(_moved(body, chain.T_last_tip) for body in arm.bodies[0]), *arm.bodies[1:]),
+    )
+
+
+def _on_rail(arm: Robot, chain: Chain) -> OnRail:
+    if not isinstance(arm.inverse, SphericalWrist | OffsetWrist | SevenAxes | Corrected):
+        raise TypeError(f"{arm.key} is no arm that stands")
+    rest = getattr(getattr(arm.inverse, "nominal", arm.inverse), "rest", None)
+    return OnRail(arm.inverse, chain, (*(0.0,) * len(chain), *(() if rest is None else (rest,))))
+
+
+def _bodies(robot: Robot, held: dict[str, float], free: tuple[str, ...]) -> list[tuple[Body, ...]]:
+    """Bodies before the first free joint in the base's frame, and those behind each in that joint's frame."""
+    model, data = robot.model, robot.model.createData()
+    pin.forwardKinematics(model, data, np.array([held.get(name, 0.0) for name in robot.joint_names]))
+    parts: list[list[Body]] = [[]]
+    T_part_base = np.eye(4)
+    for i, own in enumerate(robot.bodies):
+        if i and robot.joint_names[i - 1] in free:
+            parts.append([])
+            T_part_base = data.oMi[i].inverse().homogeneous
+        parts[-1].extend(_moved(body, T_part_base @ data.oMi[i].homogeneous) for body in own)
+    return [tuple(part) for part in parts]
+
+
+def _moved(body: Body, T: Array) -> Body:
+    return replace(body, T_frame_solid=T @ body.T_frame_solid)
+
+
+def _name(robot: Robot, arm: Robot) -> str:
+    return f"{arm.name} on {robot.name}"
+
+
+def _both(robot: Robot, arm: Robot) -> tuple[str, ...]:
+    return (*arm.assumed, *(word for word in robot.assumed if word not in arm.assumed))

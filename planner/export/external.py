@@ -1,0 +1,63 @@
+"""External axes of a controller: what carries the arm, then what holds the part, each with all of its axes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from planner.base.arrays import Array
+
+if TYPE_CHECKING:
+    from planner.cell.cell import Cell
+
+
+@dataclass(frozen=True)
+class ExternalAxis:
+    """An axis by its name, where it is held (None: it moves) [rad, m], and whether it slides."""
+
+    name: str
+    held: float | None
+    slides: bool
+
+    @property
+    def words(self) -> str:
+        """Its name, and that it is held or counts millimetres."""
+        return self.name + (" (mm)" if self.slides else "") + ("" if self.held is None else " (held)")
+
+
+def carrying_axes(cell: Cell) -> tuple[ExternalAxis, ...]:
+    """Axes of what carries the arm; none where the arm stands, or its carrier does."""
+    if cell.carrier is None or not cell.carrier.free:
+        return ()
+    robot, held = cell.carrier.robot, cell.carrier.held
+    return tuple(map(ExternalAxis, robot.joint_names, map(held.get, robot.joint_names), robot.slides))
+
+
+def external_axes(cell: Cell) -> tuple[ExternalAxis, ...]:
+    """All external axes, in the controller's order."""
+    if cell.holder_robot is None:
+        return carrying_axes(cell)
+    names, slides = cell.holder_robot.joint_names, cell.holder_robot.slides
+    return (*carrying_axes(cell), *map(ExternalAxis, names, map(cell.held.get, names), slides))
+
+
+def external_written(cell: Cell, station: Array) -> Array:
+    """The external axes (m, k) as programs have them [deg, mm], from those that move (m, f) [rad, m]; held ones as held."""
+    axes = external_axes(cell)
+    if not axes:
+        return np.empty((len(station), 0))
+    moving = iter(station.T)
+    columns = np.column_stack([next(moving) if a.held is None else np.full(len(station), a.held) for a in axes])
+    slides = [a.slides for a in axes]
+    out: Array = np.degrees(columns)
+    out[:, slides] = columns[:, slides] * 1e3
+    return out
+
+
+def external_read(cell: Cell, external: Array) -> Array:
+    """The external axes (m, k) [rad, m] of those that a reader found (m, 6), who took all of them for degrees."""
+    scale = [np.degrees(1.0) * 1e-3 if a.slides else 1.0 for a in external_axes(cell)]
+    out: Array = external[:, : len(scale)] * scale
+    return out

@@ -1,0 +1,148 @@
+"""The default strategy against the simpler ones: whatever one of these prints, it prints at least as well.
+
+A path that was searched and refined is nearly always the best one. Where it is refused, fails verification, loses speed, or
+spends much of the print's time on travel, the paths of the simpler strategies are planned as well, as they are and refined,
+and the best plan is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from planner.base.errors import Refusal
+from planner.motion.travel.plan import Travel
+from planner.plan import Trajectory
+from planner.planning.context import PlanningContext
+from planner.resolve.joint_path import JointPath
+from planner.resolve.ladder import binds_table
+from planner.resolve.sqp import BEYOND, given_prices, refine_paths
+from planner.resolve.strategies import STRATEGIES
+from planner.resolve.terms import model_of
+from planner.verify.verdict import Report
+
+DEFAULT = "sqp"
+SIMPLER = ("ladder", "as_published", "fixed", "greedy")
+# Of these, the ones that search a part of what the default's first search covers whole, unless there are several joints to
+# choose, and are seldom worth their time. Their tables rest but for one axis, too: where cones bind a table they lead nowhere.
+COVERED = ("fixed", "greedy")
+SMALL = 5_000  # waypoints up to which they are asked all the same
+AT_SPEED = 0.999  # share of the length at speed below which others are asked
+TRAVEL_SHARE = 0.35  # of the print's time above which others are asked
+LARGE = 20_000  # waypoints above which a verified plan is taken as it is: the others would take too long
+SAME_SPEED = 1e-3  # share of the length at speed within which two plans are as good
+WORTH_TIMING = 5e-4  # share of the time that paths must save before they are timed and verified
+SAME_TIME = 1.01  # times the print's time within which the default's own plan is taken
+FAR_BEYOND = 0.1  # rad beyond a cone, and
+FAR_BEHIND = 0.01  # share of the time lost more, from which refining does not bring paths back
+
+
+@dataclass(frozen=True)
+class PlannedPaths:
+    """Joint paths of all beads with what they make: the trajectory, what verification says, the travels in it.
+
+    by: the strategy that found the paths; "refined" is added where a simpler one's were refined
+    refined_from: the ladder's paths that these became; none where they are not known
+    """
+
+    by: str
+    paths: Sequence[JointPath]
+    trajectory: Trajectory
+    report: Report
+    travels: Sequence[Travel]
+    refined_from: Sequence[JointPath] = ()
+
+    @property
+    def verified(self) -> bool:
+        """Whether all checks passed."""
+        return all(check.ok for check in self.report.checks)
+
+    @property
+    def at_speed(self) -> float:
+        """Share of the length at the commanded speed."""
+        return self.report.metrics["at_speed_fraction"]
+
+    @property
+    def print_time(self) -> float:
+        """Time of the whole print [s]."""
+        return self.report.metrics["print_time_s"]
+
+
+PlanPaths = Callable[[str, Sequence[JointPath]], PlannedPaths]
+
+
+def best_of_all(
+    given: PlanningContext, own: PlannedPaths | None, waypoints: int, plan_paths: PlanPaths
+) -> PlannedPaths | None:
+    """The default's own plan (None where it was refused), or a simpler strategy's that is better. None where none is
+    verified and there is no own one."""
+    if own is not None and not _leaves_to_be_desired(own, waypoints):
+        return own
+    verified = [own] if own is not None and own.verified else []
+    for name, paths in _simpler_paths(given, own, waypoints):
+        try:
+            planned = plan_paths(name, paths)
+        except Refusal:  # of a travel that has no way
+            continue
+        if planned.verified:
+            verified.append(planned)
+    return _best(verified) if verified else own
+
+
+def _leaves_to_be_desired(own: PlannedPaths, waypoints: int) -> bool:
+    if not own.verified:
+        return True
+    return waypoints <= LARGE and (own.at_speed < AT_SPEED or _travel_share(own) > TRAVEL_SHARE)
+
+
+def _travel_share(own: PlannedPaths) -> float:
+    metrics = own.report.metrics
+    return 1.0 - metrics["deposition_time_s"] / metrics["print_time_s"]
+
+
+def _simpler_paths(
+    given: PlanningContext, own: PlannedPaths | None, waypoints: int
+) -> Iterator[tuple[str, Sequence[JointPath]]]:
+    """Paths of the simpler strategies, refined and as they are, less those that keep to no cones or promise nothing."""
+    cell, settings, obstacles = given.cell, given.problem.resolve, given.obstacles
+    model = model_of(cell)
+    names: tuple[str, ...] = SIMPLER
+    most, worth_refining = np.inf, np.inf
+    if own is not None and own.verified:
+        covered = (waypoints > SMALL and len(cell.chosen) < 2) or binds_table(cell, given.tasks[0].cones)
+        names = tuple(name for name in SIMPLER if not (covered and name in COVERED))
+        ideal = own.report.metrics["ideal_deposition_time_s"]
+        lost = sum(price.lost for price in given_prices(model, own.paths, settings).values())
+        much_travel = _travel_share(own) > TRAVEL_SHARE
+        most, worth_refining = lost + (SAME_SPEED if much_travel else -WORTH_TIMING) * ideal, lost + FAR_BEHIND * ideal
+
+    def within(paths: Sequence[JointPath], beyond: float, most: float) -> bool:
+        prices = given_prices(model, paths, settings).values()
+        return all(price.beyond <= beyond for price in prices) and sum(price.lost for price in prices) <= most
+
+    for name in names:
+        try:
+            known = own.refined_from if own is not None and name == SIMPLER[0] else ()
+            paths: Sequence[JointPath] = known or STRATEGIES[name](cell, given.tasks, settings, obstacles)
+        except Refusal:
+            continue
+        # the default's own plan is what became of the ladder's paths
+        if name != SIMPLER[0] and within(paths, FAR_BEYOND, worth_refining):
+            try:
+                refined: Sequence[JointPath] = refine_paths(cell, paths, settings, obstacles, given.terms)
+            except Refusal:
+                refined = paths
+            if within(refined, BEYOND, most):
+                yield f"{name}, refined", refined
+        if within(paths, BEYOND, most):
+            yield name, paths
+
+
+def _best(plans: Sequence[PlannedPaths]) -> PlannedPaths:
+    """Of verified plans the quickest of those that are at speed as far as any; the first one, if it is about as quick."""
+    most = max(plan.at_speed for plan in plans)
+    good = [plan for plan in plans if plan.at_speed >= most - SAME_SPEED]
+    quickest = min(good, key=lambda plan: plan.print_time)
+    return good[0] if good[0].print_time <= SAME_TIME * quickest.print_time else quickest

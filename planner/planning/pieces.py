@@ -1,0 +1,60 @@
+"""Beads that cannot be followed in one go, in pieces: where the arm pauses is searched, and the rest is planned as ever."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from planner.planning.context import PlanningContext, context_of
+from planner.resolve.ladder import MOST_NODES, coarse_nodes, first_of_each_name, runs_backwards
+from planner.resolve.pauses import Pause, pauses_of
+from planner.resolve.reach import LIMIT_ROOM
+from planner.toolpath.split import split_toolpath
+from planner.toolpath.task import NozzleTask
+
+_BRANCH = "no branch leads on"
+_RUNS, _MOST_RUNS = 2.0, 0.5  # of the turning along a run that a joint may need; rad of it at most
+MORE_ROOM = (0.0, 0.3)  # rad, tried in turn: what a smooth path may wind further than the coarse search saw
+
+
+def in_pieces(given: PlanningContext, more_room: float) -> PlanningContext | None:
+    """The same print with beads in pieces, as few as can be; None where none has to be cut, or where that does not help.
+
+    Beads that repeat in higher layers are cut where the first of them is. Joints that wind keep so much more room [rad]
+    from the ends of their ranges.
+    """
+    process = given.problem.process
+    least = max(process.run_in, process.fibre.least_length if process.fibre is not None else 0.0)
+    guides = {task.name: task for task in first_of_each_name(given.tasks)}
+    pauses = {name: _pauses(given, task, least, more_room) for name, task in guides.items()}
+    places = {
+        task.bead: _places(task, guides[task.name], pauses[task.name]) for task in given.tasks if pauses[task.name]
+    }
+    if not places:
+        return None
+    toolpath = split_toolpath(given.toolpath, places)
+    if process.fibre is not None and min(bead.length for bead in toolpath.beads) < process.fibre.least_length:
+        return None
+    return context_of(given.problem, given.cell, toolpath, given.first_bead, given.terms)
+
+
+def _pauses(given: PlanningContext, task: NozzleTask, least: float, more_room: float) -> tuple[Pause, ...]:
+    """The fewest pauses with which the arm can follow a bead; none where they do not help.
+
+    Room is left for the runs that pieces have at their ends.
+    """
+    demand, nodes = coarse_nodes(given.cell, [task], given.problem.resolve, MOST_NODES, given.obstacles)
+    spin = float(np.linalg.norm(demand.twist[:, 3:], axis=1).max()) / task.speed  # rad/m
+    room = LIMIT_ROOM + min(_RUNS * given.problem.process.run_in * spin, _MOST_RUNS) + more_room
+    return pauses_of(given.cell, task, demand, nodes, least, room) or ()
+
+
+def _places(task: NozzleTask, guide: NozzleTask, pauses: Sequence[Pause]) -> list[tuple[float, str]]:
+    """Arc lengths [m] along a task's bead at which it pauses, and why, where its guide pauses at these."""
+    length, own = (each.s[each.last] - each.s[each.first] for each in (guide, task))
+    shares = np.array([(pause.s - guide.s[guide.first]) / length for pause in pauses])
+    words = [f"{pause.joint} would turn further than its range" if pause.joint else _BRANCH for pause in pauses]
+    if runs_backwards(task, guide):
+        shares, words = 1.0 - shares[::-1], words[::-1]
+    return [(float(share * own), why) for share, why in zip(shares, words, strict=True)]

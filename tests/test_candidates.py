@@ -1,0 +1,96 @@
+"""The default strategy takes a simpler one's paths where these print better, and winds along helices."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from planner.planning.candidates import PlannedPaths, _best, _leaves_to_be_desired
+from planner.planning.pipeline import solve
+from planner.problem import Problem, load_problem
+
+CELL = """\
+name: helix
+cell:
+  arm: irb2600
+  nozzle: {tip_mm: [100, 0, 150], axis: [0.5, 0, 0.866], diameter_mm: 0.8}
+  home_deg: [0, 0, 0, 0, 60, 0]
+  positioner: {robot: irbp_a250, origin_mm: [1100, 0, 600], held_deg: {tilt: 0}, free: [rotation]}
+layers:
+  source: {waypoints: helix.txt}
+process:
+  speed_mm_s: 40
+  travel_speed_mm_s: 200
+  bead: {width_mm: 0.8, height_mm: 0.5}
+"""
+
+
+def planned(by: str, speed: float, time: float, verified: bool = True) -> PlannedPaths:
+    metrics = {"at_speed_fraction": speed, "print_time_s": time, "deposition_time_s": 0.97 * time}
+    report: Any = SimpleNamespace(checks=(SimpleNamespace(ok=verified),), metrics=metrics)
+    nothing: Any = ()
+    return PlannedPaths(by, (), nothing, report, ())
+
+
+@pytest.mark.parametrize(
+    ("plans", "best"),
+    [
+        ([("own", 0.95, 100.0), ("other", 0.9505, 99.5)], "own"),  # as good, about as quick
+        ([("own", 0.95, 100.0), ("other", 0.9505, 95.0)], "other"),
+        ([("own", 0.95, 100.0), ("other", 0.96, 120.0)], "other"),  # speed counts first
+        ([("own", 0.95, 100.0), ("other", 0.94, 50.0)], "own"),
+    ],
+)
+def test_the_quickest_of_those_at_speed_is_taken(plans: list[tuple[str, float, float]], best: str) -> None:
+    assert _best([planned(*each) for each in plans]).by == best
+
+
+def test_others_are_asked_where_something_is_left_to_be_desired() -> None:
+    assert not _leaves_to_be_desired(planned("own", 1.0, 100.0), 1000)
+    assert _leaves_to_be_desired(planned("own", 0.99, 100.0), 1000)
+    assert not _leaves_to_be_desired(planned("own", 0.99, 100.0), 100_000)
+    assert _leaves_to_be_desired(planned("own", 1.0, 100.0, verified=False), 100_000)
+    travels = planned("own", 1.0, 100.0)
+    travels.report.metrics["deposition_time_s"] = 50.0
+    assert _leaves_to_be_desired(travels, 1000)
+
+
+def helix(folder: Path, turns: float) -> Problem:
+    """A helix up a cone of 80 mm radius that stands on a turntable."""
+    angle = np.linspace(0.0, 2.0 * np.pi * turns, int(turns * 250))
+    z = angle / (2.0 * np.pi) + 10.0
+    r = 80.0 - 0.3 * (z - 10.0)
+    n = np.column_stack([np.cos(angle), np.sin(angle), np.full(len(angle), 0.3)]) / np.hypot(1.0, 0.3)
+    np.savetxt(folder / "helix.txt", np.column_stack([r * np.cos(angle), r * np.sin(angle), z, n]), fmt="%.5f")
+    (folder / "helix.yaml").write_text(CELL)
+    return load_problem(folder / "helix.yaml")
+
+
+def test_a_helix_of_several_turns_is_printed(tmp_path: Path) -> None:
+    """A joint would leave its range if the arm went round; the table has to turn."""
+    problem = helix(tmp_path, 3.0)
+    plan, published = solve(problem, baseline=False), solve(problem, "as_published", baseline=False)
+    assert published.verified
+    assert plan.verified
+    assert plan.metrics["at_speed_fraction"] >= published.metrics["at_speed_fraction"] - 1e-3
+    assert plan.metrics["print_time_s"] <= 1.02 * published.metrics["print_time_s"]
+    limits = plan.cell.limits
+    assert np.ptp(plan.q[:, 6]) > 2.0 * np.pi
+    assert (plan.q <= limits.q_max + 1e-9).all() and (plan.q >= limits.q_min - 1e-9).all()
+
+
+def test_what_the_search_refuses_a_simpler_strategy_may_print(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from planner.base.errors import Refusal
+    from planner.planning import pipeline
+
+    def refuse(*_: object) -> None:
+        raise Refusal("no way")
+
+    monkeypatch.setattr(pipeline, "ladder", refuse)
+    plan = solve(helix(tmp_path, 1.0), baseline=False)
+    assert plan.verified
+    assert plan.resolved_by.split(",")[0] in ("ladder", "as_published", "fixed", "greedy")
