@@ -15,8 +15,8 @@ from planner.base.errors import InputError, Refusal
 from planner.export.plan_json import SPLIT_KEYS, plan_json
 from planner.planning.pipeline import solve
 from planner.problem import load_problem
-from planner.resolve.pauses import _FARTHEST, Turning, fewest_pauses, traced
-from planner.resolve.search import LadderNumbers, TravelLimits
+from planner.resolve.prices import FAR
+from planner.resolve.search import LadderNumbers, TravelLimits, TurnsCounted, search_best
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.split import split_toolpath
 
@@ -26,7 +26,7 @@ STEP = 2.0 * np.pi / B
 LOW, HIGH = np.radians([-250.0, -200.0]), np.radians([250.0, 200.0])
 
 
-def some_ladder(seed: int, sweeps: bool) -> tuple[LadderNumbers, TravelLimits, Turning]:
+def some_ladder(seed: int, sweeps: bool) -> tuple[LadderNumbers, TravelLimits, TurnsCounted]:
     """A bead's whole grid whose two joints drift along it, the first one round and round, with holes."""
     rng = np.random.default_rng(seed)
     b = B if sweeps else 1
@@ -43,8 +43,8 @@ def some_ladder(seed: int, sweeps: bool) -> tuple[LadderNumbers, TravelLimits, T
     )  # fmt: skip
     wind = np.array([0, 2] if sweeps else [0])
     k = len(wind)
-    turning = Turning(wind, LOW[:k], HIGH[:k], np.full(k, -1), np.full(k, 3))
-    return ladder, TravelLimits(np.full(3, 3.0), np.full(3, 15.0), np.array([True, False])), turning
+    turns = TurnsCounted(wind, np.full(k, -2), np.full(k, 5), LOW[:k], HIGH[:k])
+    return ladder, TravelLimits(np.full(3, 3.0), np.full(3, 15.0), np.array([True, False]), FAR, FAR), turns
 
 
 def reached(ladder: LadderNumbers, limits: TravelLimits, first: int, sweeps: bool) -> int:
@@ -75,7 +75,7 @@ def reached(ladder: LadderNumbers, limits: TravelLimits, first: int, sweeps: boo
                 continue
             d = (ladder.q[r, i, b, c] - ladder.q[r - 1, i0, b0, c]).astype(float)
             d[0] -= 2.0 * np.pi * np.round(d[0] / (2.0 * np.pi))
-            if np.abs(d).max() > _FARTHEST:
+            if np.abs(d).max() > FAR:
                 continue
             ways = [d[0]] + ([(b - b0 + 1) % B * STEP - STEP] if sweeps else [])
             for to in places(r, i, b, c):
@@ -91,18 +91,18 @@ def reached(ladder: LadderNumbers, limits: TravelLimits, first: int, sweeps: boo
 @pytest.mark.parametrize("seed", range(6))
 def test_fewest_pauses_against_the_longest_pieces(seed: int, sweeps: bool) -> None:
     """Pieces as long as can be, one after the other, are as few as can be."""
-    ladder, limits, turning = some_ladder(seed, sweeps)
+    ladder, limits, turns = some_ladder(seed, sweeps)
     may = np.ones(R, dtype=np.bool_)
     may[[0, -1]] = False
     pieces, at = 0, 0
     while at < R - 1:
         to = reached(ladder, limits, at, sweeps)
         pieces, at = pieces + 1, to if to > at else R
-    back, cheapest, last = fewest_pauses(ladder, limits, may, turning)
-    assert (last < 0) == (at == R)
-    if last < 0:
+    free = np.zeros((*ladder.price.shape[1:], int(turns.number.prod())))
+    before, after, _, stuck = search_best(ladder, limits, turns, may, free, free)
+    assert (stuck >= 0) == (at == R)
+    if stuck >= 0:
         return
-    before, after = traced(ladder, turning, back, cheapest, last)
     paused = np.flatnonzero((before != after).any(axis=1))
     assert len(paused) == pieces - 1
     for r in range(R):
@@ -157,7 +157,7 @@ def test_the_switch_is_true_or_false() -> None:
         load_problem("cylinder_logo", ["process.split_beads='yes'"])
 
 
-STIFF = "cell.limits={rotation: {range_deg: [-200, 200]}, joint_4: {range_deg: [-100, 100]}}"
+STIFF = "cell.limits={rotation: {range_deg: [-200, 200]}, joint_4: {range_deg: [-60, 60]}}"
 
 
 @pytest.mark.slow
@@ -169,10 +169,10 @@ def test_a_helix_beyond_all_ranges_is_printed_in_pieces(tmp_path: Path) -> None:
     assert plan.verified
     splits = json.loads(plan_json(plan))["splits"]
     assert [list(split) for split in splits] == [list(SPLIT_KEYS)] * len(splits)
-    # five turns of the table, a little less since the arm goes round a part of one, in 400 degrees each
-    assert len(splits) == 2
+    # five turns of the table, in 400 degrees each
+    assert len(splits) == 4
     assert all(split["why"] == "rotation would turn further than its range" for split in splits)
-    assert [split["bead"] for split in splits] == [1, 2]
+    assert [split["bead"] for split in splits] == [1, 2, 3, 4]
     assert plan.metrics["at_speed_fraction"] > 0.99
 
 

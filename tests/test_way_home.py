@@ -40,7 +40,7 @@ def test_a_way_takes_as_long_as_its_slowest_joint_or_its_tip(searched: Searched)
         (0, -1), home_travel_costs(cell, quick, nodes), home_travel_costs(cell, slow, nodes), strict=True
     ):
         k = tuple(np.argwhere(np.isfinite(nodes.price[rung]))[0])
-        v, a, wraps = joint_limits(nodes, cell.limits)
+        v, a, wraps, *_ = joint_limits(nodes, cell.limits)
         way = nodes.q[rung][k].astype(float) - cell.home[:6]
         way[wraps] = np.remainder(way[wraps] + np.pi, 2.0 * np.pi) - np.pi
         times = [
@@ -63,7 +63,7 @@ def test_counted_turns_are_wound_up_and_back(searched: Searched) -> None:
     assert set(turns) >= {-1, 0, 1}
     out, _ = home_travel_costs(cell, quick, nodes, counted=[joint])
     shortest, _ = home_travel_costs(cell, quick, nodes)
-    v, a, _ = joint_limits(nodes, cell.limits)
+    v, a, *_ = joint_limits(nodes, cell.limits)
     there = np.isfinite(nodes.price[0])
     way = nodes.q[0][there][:, joint, None].astype(float) - cell.home[joint] + 2.0 * np.pi * turns
     alone = HOME_PRICE * (np.abs(way) / v[joint] + v[joint] / a[joint])

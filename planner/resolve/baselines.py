@@ -105,7 +105,7 @@ def _held_price(nodes: Nodes, demand: SampledTasks, limits: Limits, task: int) -
     rungs = demand.rungs_of(task)
     total = nodes.price[rungs].sum(axis=0)
     step = np.diff(nodes.q[rungs], axis=0).astype(float)
-    v, _, wraps = joint_limits(nodes, limits)
+    v, _, wraps, *_ = joint_limits(nodes, limits)
     step[..., wraps] -= TURN * np.round(step[..., wraps] / TURN)
     need = (np.abs(step) / (SPEED_SHARE * v[:-1])).max(axis=4)
     total += (1.0 + DIP_PRICE) * np.maximum(need - demand.time[rungs][1:].reshape((-1, 1, 1, 1)), 0.0).sum(axis=0)

@@ -22,6 +22,7 @@ from planner.resolve.joint_path import (
     leaned,
     least_cone,
     postures,
+    refuse_at,
     rolled,
     sample_tasks,
     spread,
@@ -29,7 +30,7 @@ from planner.resolve.joint_path import (
     upright,
 )
 from planner.resolve.nodes import Grid, Nodes, evaluate, full_grid, nodes_to_fill
-from planner.resolve.prices import HOME_PRICE
+from planner.resolve.prices import FAR, HOME_PRICE
 from planner.resolve.reach import CLEAR_ROOM, grid_scale
 from planner.resolve.search import (
     LadderRoute,
@@ -86,7 +87,7 @@ def _times(
     """Time [s] (rolls, holders, c) of the way between home and a rung's nodes, all joints together: the slowest joint's
     from rest to rest, or the tip's at the speed [m/s] that it may have, with a detour where something is in the way; 0
     where there is no posture. turns: of the counted joints."""
-    v, a, wraps = joint_limits(nodes, cell.limits)
+    v, a, wraps, *_ = joint_limits(nodes, cell.limits)
     there = np.isfinite(nodes.price[rung])
     home = cell.home[: len(wraps)]
     way = nodes.q[rung][there].astype(float) - home
@@ -634,5 +635,16 @@ def paths_of(cell: Cell, tasks: Sequence[NozzleTask], found: LadderRoute) -> tup
         elif binds_table(cell, demand.cones):
             roll, _ = turned_from(task.frames, frames @ rolled(roll))
         q = postures(cell, task, roll, angles, branch, tilt)
+        _refuse_jump(cell, task, q)
         paths.append(JointPath(task, roll, tilt, q, branch))
     return choose_turns(cell, paths)
+
+
+def _refuse_jump(cell: Cell, task: NozzleTask, q: Array) -> None:
+    """Refuse joints (n, nj) one of which turns so far from sample to sample that the nozzle leaves its path between them."""
+    steps = np.where(cell.limits.turns, np.abs(np.diff(q, axis=0)), 0.0)
+    i, j = np.unravel_index(int(steps.argmax()), steps.shape)
+    if steps[i, j] > FAR:
+        turn, way = np.degrees(steps[i, j]), (task.s[i + 1] - task.s[i]) * 1e3
+        name = cell.joint_names[j]
+        refuse_at(task, int(i), f"{name} would turn by {turn:.0f} degrees over {way:.1f} mm, past a singular posture")

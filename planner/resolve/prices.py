@@ -27,6 +27,10 @@ LEAN_PRICE = 10.0  # s/s for each 1 of cosine beyond the cones to gravity: more 
 TRAVEL_PRICE = 0.06  # s a second of travel between beads: a dip spoils the bead, travel only takes time
 HOME_PRICE = 0.1  # s a second of the ways from and to home: they cost the beads that begin and end there alone
 TURN_PRICE = 1.0  # s/s for a change of roll or holder that needs a joint's whole speed, squared: print calmly
+FAR = (
+    1.0  # rad that a joint may turn from rung to rung without another price: beyond, it is close to a singular posture
+)
+FAR_PRICE = 10.0  # s/rad beyond: such a way only where nothing else leads on
 
 # The refinement (see `price_kernels`, which adds these up).
 EFFORT = np.array(

@@ -41,6 +41,7 @@ _ENOUGH = 5e-4  # share of the price: a step that promises less is not worth tak
 _NEGLIGIBLE = 1e-4  # seconds a second of printing, likewise
 _LOOSE = 0.3  # of its descent: what a program that was left early may lack at most, for its step to be tried
 _PEAK_SHARE = 0.8  # of the greatest speed at the start: far below it nothing else would count any more
+_LEAP = 0.3  # rad that a joint may turn from sample to sample: what turns further leaves the path between them
 CONE_ROOM = 1e-3  # rad kept from the cones: between waypoints normals are known no better
 _MOST_ROOM = 0.1  # of a cone, likewise
 
@@ -211,7 +212,8 @@ def refine_stretch(model: Model, stretch: PathSegment, state: PathState, solver:
                 if promised < enough + _ENOUGH * state.price:
                     return state
                 trial = evaluate(model, stretch, state.c + step.x.reshape(state.c.shape), step.q, state.least_sigma)
-                gained = -np.inf if trial is None else state.price - trial.price
+                leaps = trial is not None and _furthest(trial) > max(_LEAP, _furthest(state))
+                gained = -np.inf if trial is None or leaps else state.price - trial.price
                 if trial is not None and gained > 0.1 * promised:
                     state = trial
                     if gained > 0.7 * promised:
@@ -222,3 +224,8 @@ def refine_stretch(model: Model, stretch: PathSegment, state: PathState, solver:
             if trust < _LEAST_TRUST:
                 return state
     return state
+
+
+def _furthest(state: PathState) -> float:
+    """How far a joint turns from sample to sample at most [rad]."""
+    return float(np.abs(np.diff(state.q, axis=0)).max())

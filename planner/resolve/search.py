@@ -15,7 +15,8 @@ from planner.base.geometry import TURN
 from planner.cell.cell import Limits
 from planner.resolve.joint_path import MARGIN, SampledTasks
 from planner.resolve.nodes import Grid, Nodes
-from planner.resolve.prices import DIP_PRICE, TRAVEL_PRICE, TURN_PRICE
+from planner.resolve.prices import DIP_PRICE, FAR, FAR_PRICE, PAUSE_PRICE, TRAVEL_PRICE, TURN_PRICE
+from planner.resolve.reach import LIMIT_ROOM
 
 # ----------------------------------------------------------------------------------------------------
 # Compiled body of the search through the ladder graph.
@@ -60,11 +61,14 @@ class TurnsCounted(NamedTuple):
 
 class TravelLimits(NamedTuple):
     """Speed v [rad/s] and acceleration a [rad/s^2] (na + 1) of the arm's joints and then the swept one; wraps (na): which
-    arm joints can turn so far that their angles count round the circle."""
+    arm joints can turn so far that their angles count round the circle. From rung to rung what turns further than `far` [rad]
+    has another price, and what turns further than `jump` has come to another posture, or another turn."""
 
     v: Array
     a: Array
     wraps: Flags
+    far: float
+    jump: float
 
 
 @njit(cache=True)
@@ -86,26 +90,29 @@ def travel_price(
 
 
 @njit(cache=True)
-def edge_price(q0, q1, q1_straight, turn: float, time: float, v: Array, wraps) -> float:
+def edge_price(q0, q1, q1_straight, turn: float, time: float, limits) -> float:
     """Price [s] of the edge from q0 to q1 (na) in `time`, where keeping roll and holder would lead to q1_straight.
 
-    A mild square of the speeds that turning asks for; where a joint is too slow, the time really lost. Infinite if a joint
-    jumps, so that nothing continuous leads there.
+    A mild square of the speeds that turning asks for; where a joint is too slow, the time really lost; and more where one
+    turns very far. Infinite if a joint jumps, so that nothing continuous leads there.
     """
+    v, wraps = limits.v, limits.wraps
     need = abs(turn) / (SPEED_SHARE * v[wraps.size])  # s
-    turned = need
+    turned, far = need, limits.far
     for j in range(wraps.size):
         d = float(q1[j]) - float(q0[j])
         e = float(q1[j]) - float(q1_straight[j])
         if wraps[j]:
             d -= 2.0 * np.pi * np.rint(d / (2.0 * np.pi))
             e -= 2.0 * np.pi * np.rint(e / (2.0 * np.pi))
-        if abs(d) > JUMP:
+        if abs(d) > limits.jump:
             return np.inf
+        far = max(far, abs(d))
         need = max(need, abs(d) / (SPEED_SHARE * v[j]))
         turned = max(turned, abs(e) / (SPEED_SHARE * v[j]))
     share = min(turned / time, 1.0)
-    return TURN_PRICE * time * share * share + (1.0 + DIP_PRICE) * max(0.0, need - time)
+    lost = (1.0 + DIP_PRICE) * max(0.0, need - time)
+    return TURN_PRICE * time * share * share + lost + FAR_PRICE * (far - limits.far)
 
 
 @njit(cache=True)
@@ -217,7 +224,6 @@ def _from_rung(ladder, r: int, arrived, limits, turns, cost, back) -> None:
     Who keeps to roll and holder pays no edge, so it is asked first: what costs more without its edge is left out.
     """
     q, price, holder_step, time = ladder.q, ladder.price, ladder.holder_step, ladder.time[r]
-    v, wraps = limits.v, limits.wraps
     A, B, C, L = cost.shape
     from_a, straight_a = _neighbours(A, ladder.roll_from[r] - ladder.roll_from[r - 1], ladder.periodic)
     from_b, straight_b = _neighbours(B, ladder.holder_from[r] - ladder.holder_from[r - 1], ladder.periodic)
@@ -247,7 +253,7 @@ def _from_rung(ladder, r: int, arrived, limits, turns, cost, back) -> None:
                             continue
                         t = before + edge_price(
                             q[r - 1, i0, b0, c], q[r, i, b, c], q[r, straight_a[i, m], straight_b[b, n], c],
-                            (n - 1) * holder_step, time, v, wraps,
+                            (n - 1) * holder_step, time, limits,
                         ) + own  # fmt: skip
                         if t < best or (t == best and turn < 4 and best_k == straight_k and t < np.inf):
                             best, best_k = t, ((i0 * B + b0) * C + c) * L + label0
@@ -287,10 +293,49 @@ def _any_turns(cost):
 
 
 @njit(cache=True)
-def search_best(ladder, limits, turns, out, back_home):
-    """Cheapest route: picked (R, 3) window indices and branch column, its price, and -1; or where it got stuck.
+def _leave(ladder, r: int, limits, turns, cost, back) -> None:
+    """Let the nozzle leave the bead at rung r where it has come to most cheaply, and come back in any posture, with any
+    turns; who does so is marked by what lies below -1 in `back`."""
+    q, price, holder_from = ladder.q, ladder.price, ladder.holder_from
+    A, B, C, L = cost.shape
+    k = int(cost.argmin())
+    i0, b0, c0 = k // (L * C * B), (k // (L * C)) % B, (k // L) % C
+    paused = cost.min() + PAUSE_PRICE
+    for i in range(A):
+        for b in range(B):
+            angle = (holder_from[r] + b) * ladder.holder_step
+            turn = _turn(holder_from, r, b, r, b0, ladder.holder_step)
+            for c in range(C):
+                if price[r, i, b, c] == np.inf:
+                    continue
+                t = paused + travel_price(q[r, i0, b0, c0], q[r, i, b, c], turn, limits.v, limits.a, limits.wraps)
+                for label in range(L):
+                    if t < cost[i, b, c, label] and _held(turns, label, q[r, i, b, c], angle):
+                        cost[i, b, c, label] = t
+                        back[r, i, b, c, label] = -2 - k
+
+
+@njit(cache=True)
+def _trace(back, k: int, came, left) -> None:
+    """Fill the nodes and labels (R, 4) that a way comes to, and goes on from, rung by rung, from its last one."""
+    R, A, B, C, L = back.shape
+    flat = back.reshape((R, A * B * C * L))
+    for r in range(R - 1, -1, -1):
+        left[r, 0], left[r, 1], left[r, 2], left[r, 3] = k // (L * C * B), (k // (L * C)) % B, (k // L) % C, k % L
+        if flat[r, k] < -1:
+            k = -2 - flat[r, k]
+        came[r, 0], came[r, 1], came[r, 2], came[r, 3] = k // (L * C * B), (k // (L * C)) % B, (k // L) % C, k % L
+        k = flat[r, k]
+
+
+@njit(cache=True)
+def search_best(ladder, limits, turns, may, out, back_home):
+    """Cheapest route: window indices, branch column and label (R, 4) to which it comes at each rung, and those from which it
+    goes on, its price, and -1; or where it got stuck.
 
     ladder: LadderNumbers, limits: TravelLimits, turns: TurnsCounted
+    may (R): rungs inside a bead at which the nozzle may leave it, at a price above all others; there alone it may go on
+    otherwise than it arrived
     out, back_home (A, B, C, labels): prices of the ways to the first rung's nodes and from the last one's.
 
     Nodes carry a label where turns are counted: how many each of these joints has made. It follows from that of the node
@@ -302,7 +347,7 @@ def search_best(ladder, limits, turns, out, back_home):
     for k in range(turns.number.size):
         L *= turns.number[k]
     back = np.full((R, A, B, C, L), -1, dtype=np.int32)
-    picked = np.full((R, 3), -1, dtype=np.int64)
+    came, left = np.full((R, 4), -1, dtype=np.int64), np.full((R, 4), -1, dtype=np.int64)
     cost = np.full((A, B, C, L), np.inf)
     for task in range(len(task_rungs) - 1):
         for r in range(task_rungs[task], task_rungs[task + 1]):
@@ -323,19 +368,20 @@ def search_best(ladder, limits, turns, out, back_home):
             else:
                 _from_rung(ladder, r, arrived, limits, turns, cost, back)
             if not np.isfinite(cost.min()):
-                return picked, np.inf, r
+                return came, left, np.inf, r
+            if may[r]:
+                _leave(ladder, r, limits, turns, cost, back)
     cost += back_home
-    k = int(cost.argmin())
-    total = cost.min()
-    for r in range(R - 1, -1, -1):
-        picked[r, 0], picked[r, 1], picked[r, 2] = k // (L * C * B), (k // (L * C)) % B, (k // L) % C
-        k = back[r, picked[r, 0], picked[r, 1], picked[r, 2], k % L]
-    return picked, total, -1
+    _trace(back, int(cost.argmin()), came, left)
+    return came, left, cost.min(), -1
 
 
 @njit(cache=True)
-def search_greedy(ladder, limits):
-    """Greedy route, bead by bead; same returns as `search_best`."""
+def search_greedy(ladder, limits, low, high):
+    """Greedy route, bead by bead: picked (R, 3) window indices and branch column, its price, and -1; or where it got stuck.
+
+    low, high (na): the arm joints' ranges [rad]; a bead that winds one further is a dead end
+    """
     q, price, task_rungs = ladder.q, ladder.price, ladder.task_rungs
     v, a, wraps = limits.v, limits.a, limits.wraps
     R, A, B, C = price.shape
@@ -357,7 +403,7 @@ def search_greedy(ladder, limits):
             if flat[k] == np.inf:
                 break
             picked[r0, 0], picked[r0, 1], picked[r0, 2] = k // (C * B), (k // C) % B, k % C
-            spent, stuck = _follow(ladder, limits, r0, task_rungs[task + 1], picked)
+            spent, stuck = _follow(ladder, limits, low, high, r0, task_rungs[task + 1], picked)
             if stuck < 0:
                 total += flat[k] + spent
                 done = True
@@ -369,14 +415,32 @@ def search_greedy(ladder, limits):
 
 
 @njit(cache=True)
-def _follow(ladder, limits, r0: int, stop: int, picked):
+def _wound(wound, q, limits, low, high, further) -> bool:
+    """Whether going on to joints q (na) winds one further than its range; wound (3, na): where they are, and the least and
+    the most they were, with their turns. `further` (3, na) is filled with the same behind that step."""
+    for j in range(q.size):
+        d = float(q[j]) - wound[0, j]
+        if limits.wraps[j]:
+            d -= 2.0 * np.pi * np.rint(d / (2.0 * np.pi))
+        further[0, j] = wound[0, j] + d
+        further[1, j], further[2, j] = min(wound[1, j], further[0, j]), max(wound[2, j], further[0, j])
+        if limits.wraps[j]:
+            turn = 2.0 * np.pi * np.ceil((low[j] - further[1, j]) / (2.0 * np.pi))
+            if further[2, j] + turn > high[j]:
+                return True
+    return False
+
+
+@njit(cache=True)
+def _follow(ladder, limits, low, high, r0: int, stop: int, picked):
     """Walk from the node picked at rung r0 up to rung `stop`, always to the cheapest next one; the price of the way, and
     the rung of a dead end, or -1."""
     q, price, periodic, holder_step, time = ladder.q, ladder.price, ladder.periodic, ladder.holder_step, ladder.time
     roll_from, holder_from = ladder.roll_from, ladder.holder_from
-    v, wraps = limits.v, limits.wraps
     A, B = price.shape[1], price.shape[2]
     total = 0.0
+    wound, further, ahead = np.empty((3, low.size)), np.empty((3, low.size)), np.empty((3, low.size))
+    wound[:] = q[r0, picked[r0, 0], picked[r0, 1], picked[r0, 2]]
     for r in range(r0 + 1, stop):
         i0, b0, c = picked[r - 1]
         straight_a = _shift(i0 + roll_from[r - 1] - roll_from[r], A, periodic)
@@ -391,13 +455,15 @@ def _follow(ladder, limits, r0: int, stop: int, picked):
                         continue
                     t = price[r, i, b, c] + edge_price(
                         q[r - 1, i0, b0, c], q[r, i, b, c], q[r, straight_a, straight_b, c],
-                        db * holder_step, time[r], v, wraps,
+                        db * holder_step, time[r], limits,
                     )  # fmt: skip
-                    if t < best:
+                    if t < best and not _wound(wound, q[r, i, b, c], limits, low, high, ahead):
                         best = t
                         picked[r, 0], picked[r, 1], picked[r, 2] = i, b, c
+                        further[:] = ahead
         if best == np.inf:
             return np.inf, r
+        wound[:] = further
         total += best
     return total, -1
 
@@ -436,8 +502,9 @@ def best_route(
     """
     turns = turns_counted(nodes, limits, counted)
     free = np.zeros((*nodes.price.shape[1:], len(label_turns(turns))))
-    picked, price, stuck = search_best(
-        ladder_numbers(nodes, demand), joint_limits(nodes, limits), turns, *(home or (free, free))
+    nowhere = np.zeros(len(nodes.price), dtype=np.bool_)
+    picked, _, price, stuck = search_best(
+        ladder_numbers(nodes, demand), joint_limits(nodes, limits), turns, nowhere, *(home or (free, free))
     )
     return _route(nodes, picked, price) if stuck < 0 else None, int(stuck)
 
@@ -447,7 +514,11 @@ def greedy_route(nodes: Nodes, demand: SampledTasks, limits: Limits) -> tuple[Ro
 
     Same returns as `best_route`; the rung is the furthest that any start led to.
     """
-    picked, price, stuck = search_greedy(ladder_numbers(nodes, demand), joint_limits(nodes, limits))
+    looked_at = joint_limits(nodes, limits)._replace(far=JUMP)  # who does not look ahead is not kept out of anything
+    arm = slice(0, nodes.q.shape[-1])
+    picked, price, stuck = search_greedy(
+        ladder_numbers(nodes, demand), looked_at, limits.q_min[arm] + LIMIT_ROOM, limits.q_max[arm] - LIMIT_ROOM
+    )
     return _route(nodes, picked, price) if stuck < 0 else None, int(stuck)
 
 
@@ -459,8 +530,9 @@ def ladder_numbers(nodes: Nodes, demand: SampledTasks) -> LadderNumbers:
     )  # fmt: skip
 
 
-def turns_counted(nodes: Nodes, limits: Limits, counted: Sequence[int]) -> TurnsCounted:
-    """What the search needs to count turns: the whole turns that take any node's angle into a joint's range."""
+def turns_counted(nodes: Nodes, limits: Limits, counted: Sequence[int], room: float = MARGIN) -> TurnsCounted:
+    """What the search needs to count turns: the whole turns that take any node's angle into a joint's range, less room [rad]
+    at its ends."""
     na, grid = nodes.q.shape[-1], nodes.grid
     there = np.isfinite(nodes.price)
     ends = np.empty((4, len(counted)))
@@ -471,7 +543,7 @@ def turns_counted(nodes: Nodes, limits: Limits, counted: Sequence[int]) -> Turns
             angles = np.concatenate([grid.holder_from, grid.holder_from + grid.holders - 1]) * grid.holder_step
             zero, unit = nodes.scale
             own = (np.array([limits.q_min[nodes.joint], limits.q_max[nodes.joint]]) - zero) / unit
-        ends[:, k] = own[0] + MARGIN, own[1] - MARGIN, angles.min(initial=0.0), angles.max(initial=0.0)
+        ends[:, k] = own[0] + room, own[1] - room, angles.min(initial=0.0), angles.max(initial=0.0)
     least = np.ceil((ends[0] - ends[3]) / TURN).astype(np.int64)
     number = np.maximum(np.floor((ends[1] - ends[2]) / TURN).astype(np.int64) - least + 1, 1)
     return TurnsCounted(np.array(counted, dtype=np.int64), least, number, ends[0], ends[1])
@@ -495,7 +567,7 @@ def joint_limits(nodes: Nodes, limits: Limits) -> TravelLimits:
     if nodes.joint < len(limits.velocity):
         unit = nodes.scale[1]
         v[na], a[na] = limits.velocity[nodes.joint] / unit, limits.acceleration[nodes.joint] / unit
-    return TravelLimits(v, a, limits.turns[arm] & ((limits.q_max - limits.q_min)[arm] > TURN))
+    return TravelLimits(v, a, limits.turns[arm] & ((limits.q_max - limits.q_min)[arm] > TURN), FAR, JUMP)
 
 
 def _route(nodes: Nodes, picked: NDArray[np.int64], price: float) -> Route:
