@@ -28,6 +28,7 @@ from planner.resolve.joint_path import JointPath
 from planner.resolve.ladder import ladder
 from planner.resolve.reference.nlp import Solution, solve_nlp
 from planner.resolve.refine import evaluate, refine_stretch
+from planner.resolve.segment import Model, PathSegment, PathState
 from planner.resolve.sqp import SplinePath, given_prices, sigma_floor, start_track, whole
 from planner.resolve.terms import model_of
 from planner.toolpath.build import build_toolpath
@@ -73,12 +74,14 @@ def ladders_path(case: Case, folder: Path) -> tuple[Cell, JointPath, ResolveSpec
     return cell, ladder(cell, [task], problem.resolve)[0], problem.resolve
 
 
-def with_sqp(cell: Cell, track: SplinePath, floor: float) -> float:
-    """Price that sqp's refinement reaches from a track."""
+def start(cell: Cell, track: SplinePath, floor: float) -> tuple[Model, PathSegment, PathState]:
+    """What a track's refinement begins with, in one window."""
     model = model_of(cell)
     stretch = whole(track.task, track.clock, track.basis, track.anchor)
     state = evaluate(model, stretch, track.c, track.q, floor)
-    return np.inf if state is None else refine_stretch(model, stretch, state).price
+    if state is None:
+        raise RuntimeError("a ladder's path that its kernels cannot follow")
+    return model, stretch, state
 
 
 def compare(case: Case, folder: Path) -> tuple[float, float, float, float, float, Solution, int]:
@@ -87,16 +90,17 @@ def compare(case: Case, folder: Path) -> tuple[float, float, float, float, float
     given = given_prices(model_of(cell), [path], settings)
     floor = sigma_floor(given, settings)
     track = start_track(model_of(cell), settings.knot, floor, path, None)
-    sqp = with_sqp(cell, track, floor)  # compiles
+    begin = start(cell, track, floor)
+    sqp = refine_stretch(*begin).price  # compiles
     seconds = []
     for _ in range(REPEATS):
-        start = time.perf_counter()
-        with_sqp(cell, track, floor)
-        seconds.append(time.perf_counter() - start)
-    start = time.perf_counter()
-    solution = solve_nlp(cell, track, floor)
-    slow = time.perf_counter() - start
-    return given[0][0], sqp, float(np.median(seconds)), solution.track.price, slow, solution, len(path.task)
+        started = time.perf_counter()
+        refine_stretch(*start(cell, track, floor))
+        seconds.append(time.perf_counter() - started)
+    started = time.perf_counter()
+    solution = solve_nlp(cell, *begin)
+    slow = time.perf_counter() - started
+    return given[0][0], sqp, float(np.median(seconds)), solution.state.price, slow, solution, len(path.task)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

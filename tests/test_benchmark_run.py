@@ -109,8 +109,8 @@ def test_a_crash_and_a_refusal_are_rows(monkeypatch: pytest.MonkeyPatch) -> None
     crashed = single.measured(Run("peer_cap@60", "ladder"), warm=False)
     assert not crashed["found"] and str(crashed["reason"]).startswith("crashed: ZeroDivisionError('of nothing') in ")
     assert float(crashed["seconds_load"]) > 0.0 and crashed["sigma_min"] == "" and crashed["waypoints_per_s"] == ""
-    refused = single.measured(Run("peer_cap", "nlp"), warm=False)
-    assert str(refused["reason"]).startswith("no plan: strategy nlp is a slow reference for small problems")
+    refused = single.measured(Run("rail_panel", "nlp"), warm=False)
+    assert str(refused["reason"]).startswith("no plan: strategy nlp knows no joints that slide")
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import subprocess
 import sys
 from dataclasses import replace
@@ -27,9 +28,9 @@ from planner.resolve.quadratic import QuadraticProgram, Status, solve_qp
 from planner.resolve.reference import osqp as osqp_module
 from planner.resolve.reference.nlp import (
     EQUALITIES,
-    MOST_SAMPLES,
     NonlinearProgram,
     bounds_of,
+    by_ipopt,
     program_of,
     row_bounds,
     solve_nlp,
@@ -42,13 +43,25 @@ from planner.resolve.reference.nlp import (
 from planner.resolve.reference.osqp import solve_with_osqp
 from planner.resolve.refine import evaluate, expand, program_around, refine_stretch, watched
 from planner.resolve.segment import PathSegment, PathState
-from planner.resolve.sqp import SplinePath, given_prices, qp_solver, refine_paths, sigma_floor, start_track, whole
+from planner.resolve.sqp import (
+    SplinePath,
+    given_price,
+    given_prices,
+    qp_solver,
+    refine_paths,
+    refine_window,
+    sigma_floor,
+    start_track,
+    whole,
+)
 from planner.resolve.strategies import STRATEGIES
 from planner.resolve.terms import model_of
 from planner.toolpath.task import Cones, NozzleTask
 
 Array = NDArray[np.float64]
+sqp_module = importlib.import_module("planner.resolve.sqp")
 KNOT = 2.5e-3
+FINE = 0.5e-3
 
 
 # --- symbolic kinematics ----------------------------------------------------------------------------------------
@@ -116,10 +129,10 @@ def test_symbolic_tilt_is_smooth_at_rest() -> None:
 # --- the nonlinear program --------------------------------------------------------------------------------------
 
 
-def bead(cones: Cones | None = None, n: int = 60, turn: float = 1.0) -> NozzleTask:
-    """A bend on the cylinder's wall with the runs on both sides, 6 mm and its samples."""
+def bead(cones: Cones | None = None, n: int = 60, turn: float = 1.0, wide: float = 0.2) -> NozzleTask:
+    """A bend on the cylinder's wall, `wide` [rad] round it, with the runs on both sides, 6 mm and its samples."""
     u = np.linspace(0.0, 1.0, n)
-    angle = 3.0 + 0.2 * u
+    angle = 3.0 + wide * u
     rise = 0.04 + 2e-3 * np.tanh(turn * 6.0 * (u - 0.5))
     normal = np.column_stack([np.cos(angle), np.sin(angle), 0.0 * u])
     tip = np.array([31.4e-3, 37e-3, 0.0]) + 34e-3 * normal + np.column_stack([0.0 * u, 0.0 * u, rise])
@@ -164,7 +177,7 @@ def test_a_followed_path_satisfies_the_program_at_the_same_price(cell: Cell, pat
     state = evaluate(model_of(cell), stretch, c, track.q, floor)
     assert state is not None
     program, x = built(cell, stretch, state)
-    low, high = bounds_of(model_of(cell), stretch, state, floor)
+    low, high = bounds_of(model_of(cell), stretch, state)
     g_low, g_high = row_bounds(stretch, program.rows, program.values.size1_out("g"))
     price, g = program.values(x, [])
     g = np.array(g).ravel()
@@ -218,16 +231,16 @@ def test_derivatives_are_those_of_differences(cell: Cell, path: JointPath, cones
 @pytest.mark.parametrize("cones", [Cones(), Cones(tilt=0.2)], ids=["axis fixed", "tilt"])
 def test_sqp_is_as_good_as_the_reference(cell: Cell, path: JointPath, cones: Cones) -> None:
     track, stretch, state, floor = started(cell, path, cones)
-    found = solve_nlp(cell, track, floor)
+    found = solve_nlp(cell, model_of(cell), stretch, state)
     assert found.status == "Solve_Succeeded"
     refined = refine_stretch(model_of(cell), stretch, state)
-    assert found.track.price < 0.999 * track.price
-    assert refined.price < 1.02 * found.track.price
+    assert found.state.price < 0.999 * track.price
+    assert refined.price < 1.02 * found.state.price
     # what came back is a path of that price, on the same branch
-    again = evaluate(model_of(cell), stretch, found.track.c, found.track.q, floor)
+    again = evaluate(model_of(cell), stretch, found.state.c, found.state.q, floor)
     assert again is not None
-    assert again.price == pytest.approx(found.track.price, rel=1e-9)
-    assert (cell.inverse.branches(found.track.q[:, :6]) == path.branch).all()
+    assert again.price == pytest.approx(found.state.price, rel=1e-9)
+    assert (cell.inverse.branches(found.state.q[:, :6]) == path.branch).all()
 
 
 def test_strategy_returns_paths_that_hold_the_task(cell: Cell) -> None:
@@ -238,10 +251,44 @@ def test_strategy_returns_paths_that_hold_the_task(cell: Cell) -> None:
     np.testing.assert_allclose(T[:, :3, 2], task.frames[:, :, 2], rtol=0, atol=1e-10)
 
 
-def test_large_problems_are_refused(cell: Cell) -> None:
-    task = bead(n=MOST_SAMPLES // 2 + 1)
+def test_a_window_moves_its_own_control_values(cell: Cell, path: JointPath) -> None:
+    """And lowers the price of the path that it is a part of."""
+    model, floor = model_of(cell), 0.05
+    track = start_track(model, FINE, floor, path, None)
+    stretch = whole(track.task, track.clock, track.basis, track.anchor)
+    state = evaluate(model, stretch, track.c, track.q, floor)
+    assert state is not None
+    k = len(track.c)
+    window = (k // 6, 5 * k // 6)
+    piece = refine_window(model, floor, track, window, by_ipopt(cell))
+    assert piece is not None and piece.state.price < piece.before.price
+    c, q = track.c.copy(), track.q.copy()
+    c[piece.controls], q[piece.samples] = piece.state.c, piece.state.q
+    moved = np.flatnonzero((c != track.c).any(axis=1))
+    assert moved.min() >= window[0] and moved.max() < window[1]
+    again = evaluate(model, stretch, c, q, floor)
+    assert again is not None
+    assert state.price - again.price == pytest.approx(piece.before.price - piece.state.price, rel=1e-6)
+
+
+def test_long_beads_are_refined_in_windows(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sqp_module, "WINDOW", 16)
+    monkeypatch.setattr(sqp_module, "OVERLAP", 4)
+    task, settings = bead(n=180, wide=0.6), load_problem("cylinder_logo", [f"resolve.knot_mm={FINE * 1e3}"]).resolve
+    start = ladder(cell, [task], settings)[0]
+    model = model_of(cell)
+    assert len(sqp_module.windows(len(start_track(model, FINE, 0.0, start, None).c))) > 1
+    (found,) = STRATEGIES["nlp"](cell, [task], settings, NOTHING)
+    before, after = (given_price(model, each, 0.0).price for each in (start, found))
+    assert after < before
+    T = cell.T_part_nozzle(found.q)
+    np.testing.assert_allclose(T[:, :3, 3], task.tip, rtol=0, atol=1e-10)
+
+
+def test_joints_that_slide_are_refused() -> None:
+    problem = load_problem("rail_panel")
     with pytest.raises(Refusal, match="strategy sqp solves the same problem"):
-        STRATEGIES["nlp"](cell, [task, task], SETTINGS, NOTHING)
+        STRATEGIES["nlp"](build_cell(problem), [bead()], problem.resolve, NOTHING)
 
 
 def test_other_strategies_do_not_load_the_references() -> None:

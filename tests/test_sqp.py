@@ -463,10 +463,10 @@ def test_no_path_comes_back_that_leans_too_far_from_the_vertical(
     _, track, _, _ = start(cell, path, 0.1)
     for beyond, given, kept in ((-1e-3, -2e-3, True), (1e-4, -1e-3, False), (1e-4, 1e-3, True)):
         monkeypatch.setattr(MODULE, "given_price", lambda *_, beyond=beyond: Priced(0.0, 1.0, beyond))
-        assert (MODULE.cheaper(cell, path, Priced(1.0, 0.1, given), track, 0.1) is not path) == kept
+        assert (MODULE.judged(cell, path, Priced(1.0, 0.1, given), track, 0.1, model)[0] is not path) == kept
     monkeypatch.setattr(MODULE, "given_price", lambda *_: Priced(0.0, 1.0, -1.0))
     lost = replace(track, price=np.inf)  # could not be followed
-    assert MODULE.cheaper(cell, path, Priced(1.0, 0.1, -1.0), lost, 0.1) is path
+    assert MODULE.judged(cell, path, Priced(1.0, 0.1, -1.0), lost, 0.1, model)[0] is path
 
 
 def test_no_path_comes_back_that_leaves_a_range_or_its_cone(
@@ -476,7 +476,7 @@ def test_no_path_comes_back_that_leaves_a_range_or_its_cone(
     cell, problem, paths = setup_of("fast, tilt")
     cell = replace(cell, limits=replace(cell.limits, q_min=cell.limits.q_min.copy(), q_max=cell.limits.q_max.copy()))
     cell.limits.q_min[6], cell.limits.q_max[6] = paths[0].q[:, 6].min() - 0.1, paths[0].q[:, 6].max() + 0.1
-    monkeypatch.setattr(MODULE, "_refine_window", lambda *_: None)
+    monkeypatch.setattr(MODULE, "refine_window", lambda *_: None)
 
     def priced(model: Model, path: JointPath, least: float) -> Priced:
         return Priced(-float(np.ptp(path.roll)), 1.0, float(np.hypot(*path.tilt.T).max() - path.task.cones.tilt))
@@ -603,7 +603,7 @@ def test_a_window_sees_the_rates_of_the_whole_path(
 
     monkeypatch.setattr(MODULE, "refine_stretch", capture)
     for window in ((0, 20), (15, 35), (30, len(track.c))):
-        piece = MODULE._refine_window(model, 0.1, track, window)
+        piece = MODULE.refine_window(model, 0.1, track, window, MODULE.by_programs(solve_qp))
         part, its = seen.pop()
         counted = part.step > 0.0
         np.testing.assert_allclose(its.rates[counted], state.rates[piece.samples][counted], rtol=1e-6, atol=1e-6)

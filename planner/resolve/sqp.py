@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -26,6 +26,8 @@ from planner.resolve.segment import HOLDER, ROLL, ROOM, TILT, Model, PathSegment
 from planner.resolve.splines import LEAST_SAMPLES, Basis, Clock, basis_over, clock_of, knots_along
 from planner.resolve.terms import model_of, terms_of
 from planner.toolpath.task import NozzleTask
+
+Improve = Callable[[Model, PathSegment, PathState], PathState]  # to a state that costs no more, on the same branch
 
 # ----------------------------------------------------------------------------------------------------
 # A long bead in windows of control values that overlap: each second one first, then those between them.
@@ -159,13 +161,16 @@ def refine_beads(
     settings: ResolveSpec,
     given: dict[int, Priced],
     floor: float,
+    improve: Improve | None = None,
 ) -> list[JointPath]:
     """Refine paths with the prices of `given_prices` down to a floor of `sigma_floor`; turns are still to be chosen.
+
+    improve: of a window; by quadratic programs, with the solver of the settings, if it is not given
 
     A bead does not depend on beads of other names. One that cannot be taken as a whole is refined again in short windows,
     of which those are taken that keep what they kept.
     """
-    solver = qp_solver(settings.qp)
+    improved = improve or by_programs(qp_solver(settings.qp))
     done = list(paths)
 
     def start(chain: Sequence[int], below: SplinePath | None) -> Sequence[Job]:
@@ -174,7 +179,7 @@ def refine_beads(
 
     def refine(chain: Sequence[int], bead: Windowed, k: int) -> Sequence[Job]:
         i, *above = chain
-        piece = _refine_window(model, floor, bead.before(k), bead.edges[k], solver)
+        piece = refine_window(model, floor, bead.before(k), bead.edges[k], improved)
         if piece is not None and bead.short and not _keeps(cell, model, bead.track, piece, floor):
             piece = None
         ready, last = bead.done(k, piece)
@@ -202,6 +207,11 @@ def qp_solver(name: str) -> QPSolver:
     return solve_qp
 
 
+def by_programs(solver: QPSolver) -> Improve:
+    """Refinement of a window by quadratic programs that this solver solves."""
+    return lambda model, stretch, state: refine_stretch(model, *calmed(model, stretch, state), solver)
+
+
 def given_prices(model: Model, paths: Sequence[JointPath], settings: ResolveSpec) -> dict[int, Priced]:
     """What the paths that are long enough to be refined cost as they are, by their index."""
     long_enough = [i for i, path in enumerate(paths) if len(path.task) >= LEAST_SAMPLES]
@@ -213,11 +223,6 @@ def given_prices(model: Model, paths: Sequence[JointPath], settings: ResolveSpec
 def sigma_floor(given: dict[int, Priced], settings: ResolveSpec) -> float:
     """The least singular value that refined paths must keep, from what `given_prices` says."""
     return _FLOOR * max(settings.min_sigma, min((path.sigma for path in given.values()), default=0.0))
-
-
-def cheaper(cell: Cell, path: JointPath, given: Priced, track: SplinePath, floor: float) -> JointPath:
-    """The path of `judged`, with the default prices and nothing in its way."""
-    return judged(cell, path, given, track, floor, model_of(cell))[0]
 
 
 def judged(
@@ -370,8 +375,8 @@ def fit(basis: Basis, values: Array) -> Array:
     return np.ascontiguousarray(solveh_banded(N, rhs, lower=True))
 
 
-def _refine_window(
-    model: Model, floor: float, track: SplinePath, window: tuple[int, int], solver: QPSolver = solve_qp
+def refine_window(
+    model: Model, floor: float, track: SplinePath, window: tuple[int, int], improve: Improve
 ) -> RefinedWindow | None:
     """Refine the control values of a window, the others held; None where the track itself cannot be followed."""
     if not np.isfinite(track.price):
@@ -398,7 +403,7 @@ def _refine_window(
     state = evaluate(model, stretch, track.c[controls], track.q[samples], floor)
     if state is None:
         return None
-    return RefinedWindow(samples, controls, state, refine_stretch(model, *calmed(model, stretch, state), solver))
+    return RefinedWindow(samples, controls, state, improve(model, stretch, state))
 
 
 def path_of(cell: Cell, track: SplinePath) -> JointPath:

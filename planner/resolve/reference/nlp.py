@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -36,7 +36,7 @@ from planner.resolve.segment import (
     PathSegment,
     PathState,
 )
-from planner.resolve.sqp import SplinePath, cheaper, given_prices, sigma_floor, start_track, whole
+from planner.resolve.sqp import Improve, given_prices, refine_beads, sigma_floor
 from planner.resolve.terms import model_of
 from planner.toolpath.task import Cones, NozzleTask
 
@@ -328,19 +328,23 @@ def start_values(cell: Cell, model: Model, stretch: PathSegment, state: PathStat
     return np.concatenate([v.ravel(), state.c.ravel()])
 
 
-def bounds_of(model: Model, stretch: PathSegment, state: PathState, floor: float) -> tuple[Array, Array]:
-    """Least and greatest values of all variables."""
+def bounds_of(model: Model, stretch: PathSegment, state: PathState) -> tuple[Array, Array]:
+    """Least and greatest values of all variables; control values that are not free stay where they are."""
     at = layout_of(model, stretch.cones)
     n = len(stretch.tip)
     low, high = np.full((n, at.size), -np.inf), np.full((n, at.size), np.inf)
     low[:, : model.arm], high[:, : model.arm] = model.low[: model.arm], model.high[: model.arm]
     low[:, at.slack] = 0.0
     high[stretch.deposits == 0.0, at.slack] = 0.0
-    low[:, at.sigma] = np.where(stretch.deposits > 0.0, floor, _LEAST_SIGMA)  # no floor in runs, but above 0
+    low[:, at.sigma] = np.where(
+        stretch.deposits > 0.0, state.least_sigma, _LEAST_SIGMA
+    )  # no floor in runs, but above 0
     c_low, c_high = np.full(state.c.shape, -np.inf), np.full(state.c.shape, np.inf)
     chosen = [*range(model.arm, len(model.low)), *model.given]
     columns = slice(state.c.shape[1] - len(chosen), None)
     c_low[:, columns], c_high[:, columns] = model.low[chosen], model.high[chosen]
+    held = stretch.free == 0.0
+    c_low[held] = c_high[held] = state.c[held]
     return np.concatenate([low.ravel(), c_low.ravel()]), np.concatenate([high.ravel(), c_high.ravel()])
 
 
@@ -358,13 +362,12 @@ def row_bounds(stretch: PathSegment, rows: int, count: int) -> tuple[Array, Arra
 # ----------------------------------------------------------------------------------------------------
 # Strategy `nlp`: the refinement of `sqp` as one sparse nonlinear program, solved by IPOPT. A slow reference.
 #
-# The same splines with the same control values, the same bounds, and the same price but for peaks of the joints' speed
-# (`refine.calmed`). But nothing is eliminated and nothing linearised for good: besides the control values all joints,
-# rates, slacks and singular values are variables at every sample, and kinematics and differences are constraints with
-# exact first and second derivatives (`nlp_program`).
+# The same windows of the same splines, the same bounds, and the same price but for peaks of the joints' speed
+# (`refine.calmed`) and clearance. But nothing is eliminated and nothing linearised for good: besides the control values
+# all joints, rates, slacks and singular values are variables at every sample, and kinematics and differences are
+# constraints with exact first and second derivatives.
 # So where `sqp` stops early, or its elimination of the joints is wrong, this finds a lower price from the same start.
 
-MOST_SAMPLES = 1000  # of all beads: some minutes
 _COMMON = {
     "print_level": 0,
     "sb": "yes",
@@ -402,49 +405,38 @@ _FINISH = {
 
 @dataclass(frozen=True)
 class Solution:
-    """What IPOPT made of a track: the track, its steps, and what it said at the end."""
+    """What IPOPT made of a path: its state, the steps, and what it said at the end."""
 
-    track: SplinePath
+    state: PathState
     steps: int
     status: str
 
 
 def nlp(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[JointPath, ...]:
-    """The ladder's paths, refined by IPOPT; for small problems, to judge `sqp` by. No path costs more than it did.
+    """The ladder's paths, refined by IPOPT in the windows of `sqp`, with its default weights, to judge it by; minutes for a
+    window of some thousand samples. No path costs more than it did.
 
-    Raises Refusal as `ladder` does, and for more samples than it can be asked to take.
+    Raises Refusal as `ladder` does, and for joints that slide.
     """
     if cell.limits.sliding:
         name = cell.joint_names[cell.limits.sliding[0]]
         raise Refusal(f"strategy nlp knows no joints that slide, such as {name}; strategy sqp solves the same problem")
-    count = sum(len(task) for task in tasks)
-    if count > MOST_SAMPLES:
-        raise Refusal(
-            f"strategy nlp is a slow reference for small problems: {count} samples, at most {MOST_SAMPLES}; "
-            "strategy sqp solves the same problem"
-        )
     model = model_of(cell)
     paths = ladder(cell, tasks, settings)
     given = given_prices(model, paths, settings)
-    floor = sigma_floor(given, settings)
-    done = list(paths)
-    for i in given:
-        start = start_track(model, settings.knot, floor, paths[i], None)
-        if np.isfinite(start.price):
-            solved = solve_nlp(cell, start, floor).track
-            done[i] = cheaper(cell, paths[i], given[i], solved, floor)
-    return choose_turns(cell, done)
+    refined = refine_beads(cell, model, paths, settings, given, sigma_floor(given, settings), by_ipopt(cell))
+    return choose_turns(cell, refined)
 
 
-def solve_nlp(cell: Cell, track: SplinePath, floor: float) -> Solution:
-    """Refine a track; what comes back never costs more than what was given, and stays on its branch."""
-    model = model_of(cell)
-    stretch = whole(track.task, track.clock, track.basis, track.anchor)
-    state = evaluate(model, stretch, track.c, track.q, floor)
-    if state is None:
-        return Solution(track, 0, "the start cannot be followed")
-    program = program_of(cell, model, stretch, len(track.c))
-    lbx, ubx = bounds_of(model, stretch, state, floor)
+def by_ipopt(cell: Cell) -> Improve:
+    """Refinement of a window by IPOPT."""
+    return lambda model, stretch, state: solve_nlp(cell, model, stretch, state).state
+
+
+def solve_nlp(cell: Cell, model: Model, stretch: PathSegment, state: PathState) -> Solution:
+    """Refine a state; what comes back never costs more than what was given, and stays on its branch."""
+    program = program_of(cell, model, stretch, len(state.c))
+    lbx, ubx = bounds_of(model, stretch, state)
     lbg, ubg = row_bounds(stretch, program.rows, int(program.values.size1_out("g")))
     x, lam_x, lam_g = start_values(cell, model, stretch, state), np.zeros(len(lbx)), np.zeros(len(lbg))
     steps, status = 0, ""
@@ -454,17 +446,16 @@ def solve_nlp(cell: Cell, track: SplinePath, floor: float) -> Solution:
         x, lam_x, lam_g = (np.asarray(found[name]).ravel() for name in ("x", "lam_x", "lam_g"))
         steps += int(solver.stats()["iter_count"])
         status = str(solver.stats()["return_status"])
-        track = _cheaper(cell, model, stretch, track, x, floor)
-    return Solution(track, steps, status)
+        state = _cheaper(cell, model, stretch, state, x)
+    return Solution(state, steps, status)
 
 
-def _cheaper(cell: Cell, model: Model, stretch: PathSegment, track: SplinePath, x: Array, floor: float) -> SplinePath:
-    """The track with the control values in x, if that costs less and stays on the branch."""
-    c = x[len(x) - track.c.size :].reshape(track.c.shape)
-    q = x[: len(x) - track.c.size].reshape(len(track.q), -1)[:, : track.q.shape[1]]
-    state = evaluate(model, stretch, c, np.ascontiguousarray(q), floor)
-    if state is None or state.price >= track.price:
-        return track
-    if (cell.inverse.branches(state.q[:, : model.arm]) != track.branch).any():
-        return track
-    return replace(track, c=state.c, q=state.q, price=state.price)
+def _cheaper(cell: Cell, model: Model, stretch: PathSegment, state: PathState, x: Array) -> PathState:
+    """The state with the control values in x, if that costs less and stays on the branch."""
+    c = x[len(x) - state.c.size :].reshape(state.c.shape)
+    q = x[: len(x) - state.c.size].reshape(len(state.q), -1)[:, : state.q.shape[1]]
+    other = evaluate(model, stretch, c, np.ascontiguousarray(q), state.least_sigma)
+    if other is None or other.price >= state.price:
+        return state
+    before, after = (cell.inverse.branches(each.q[:, : model.arm]) for each in (state, other))
+    return state if (before != after).any() else other
