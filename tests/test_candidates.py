@@ -41,11 +41,12 @@ def planned(by: str, speed: float, time: float, verified: bool = True) -> Planne
     [
         ([("own", 0.95, 100.0), ("other", 0.9505, 99.5)], "own"),  # as good, about as quick
         ([("own", 0.95, 100.0), ("other", 0.9505, 95.0)], "other"),
-        ([("own", 0.95, 100.0), ("other", 0.96, 120.0)], "other"),  # speed counts first
-        ([("own", 0.95, 100.0), ("other", 0.94, 50.0)], "own"),
+        ([("own", 0.95, 100.0), ("other", 0.97, 105.0)], "other"),  # 1 % at speed is worth 5 % of the time
+        ([("own", 0.95, 100.0), ("other", 0.94, 97.0)], "own"),
+        ([("own", 0.95, 100.0), ("other", 0.94, 50.0)], "other"),
     ],
 )
-def test_the_quickest_of_those_at_speed_is_taken(plans: list[tuple[str, float, float]], best: str) -> None:
+def test_speed_and_time_are_weighed(plans: list[tuple[str, float, float]], best: str) -> None:
     assert _best([planned(*each) for each in plans]).by == best
 
 

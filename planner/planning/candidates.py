@@ -31,10 +31,14 @@ COVERED = ("fixed", "greedy")
 SMALL = 5_000  # waypoints up to which they are asked all the same
 AT_SPEED = 0.999  # share of the length at speed below which others are asked
 TRAVEL_SHARE = 0.35  # of the print's time above which others are asked
+# Waypoints up to which they are asked where a little of the time is travel, and all timed: what travel takes, timing tells.
+TINY = 2_000
+SOME_TRAVEL = 0.05  # of the print's time
 LARGE = 20_000  # waypoints above which a verified plan is taken as it is: the others would take too long
 SAME_SPEED = 1e-3  # share of the length at speed within which two plans are as good
 WORTH_TIMING = 5e-4  # share of the time that paths must save before they are timed and verified
-SAME_TIME = 1.01  # times the print's time within which the default's own plan is taken
+SAME_TIME = 1.01  # times the least cost within which the default's own plan is taken
+SPEED_PRICE = 5.0  # 1 % of the length at speed is worth so many per cent of the print's time
 FAR_BEYOND = 0.1  # rad beyond a cone, and
 FAR_BEHIND = 0.01  # share of the time lost more, from which refining does not bring paths back
 
@@ -94,7 +98,8 @@ def best_of_all(
 def _leaves_to_be_desired(own: PlannedPaths, waypoints: int) -> bool:
     if not own.verified:
         return True
-    return waypoints <= LARGE and (own.at_speed < AT_SPEED or _travel_share(own) > TRAVEL_SHARE)
+    much = SOME_TRAVEL if waypoints <= TINY else TRAVEL_SHARE
+    return waypoints <= LARGE and (own.at_speed < AT_SPEED or _travel_share(own) > much)
 
 
 def _travel_share(own: PlannedPaths) -> float:
@@ -115,8 +120,9 @@ def _simpler_paths(
         names = tuple(name for name in SIMPLER if not (covered and name in COVERED))
         ideal = own.report.metrics["ideal_deposition_time_s"]
         lost = sum(price.lost for price in given_prices(model, own.paths, settings).values())
-        much_travel = _travel_share(own) > TRAVEL_SHARE
-        most, worth_refining = lost + (SAME_SPEED if much_travel else -WORTH_TIMING) * ideal, lost + FAR_BEHIND * ideal
+        margin = SAME_SPEED if _travel_share(own) > TRAVEL_SHARE else -WORTH_TIMING
+        most = np.inf if waypoints <= TINY else lost + margin * ideal
+        worth_refining = lost + FAR_BEHIND * ideal
 
     def within(paths: Sequence[JointPath], beyond: float, most: float) -> bool:
         prices = given_prices(model, paths, settings).values()
@@ -141,8 +147,12 @@ def _simpler_paths(
 
 
 def _best(plans: Sequence[PlannedPaths]) -> PlannedPaths:
-    """Of verified plans the quickest of those that are at speed as far as any; the first one, if it is about as quick."""
+    """Of verified plans the one that costs least; the first, the default's own if it is there, if it costs about as little."""
     most = max(plan.at_speed for plan in plans)
-    good = [plan for plan in plans if plan.at_speed >= most - SAME_SPEED]
-    quickest = min(good, key=lambda plan: plan.print_time)
-    return good[0] if good[0].print_time <= SAME_TIME * quickest.print_time else quickest
+
+    def cost(plan: PlannedPaths) -> float:
+        slow = most - plan.at_speed
+        return plan.print_time * (1.0 + SPEED_PRICE * (slow if slow > SAME_SPEED else 0.0))
+
+    least = min(plans, key=cost)
+    return plans[0] if cost(plans[0]) <= SAME_TIME * cost(least) else least

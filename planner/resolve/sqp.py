@@ -240,6 +240,8 @@ def judged(
     # who has room everywhere lacks no clearance that would have a price
     cost = given_price(replace(model, obstacles=NOTHING) if least >= ROOM else model, refined, floor)
     keeps = cost.sigma >= min(floor / _FLOOR, given.sigma) and _within(cell, refined.q)
+    was, now = (_overshoot(cell, path.task, slice(0, len(path.task)), each.q) for each in (path, refined))
+    keeps = keeps and now <= max(was, 0.0)
     # cones have but a price in the program, too
     keeps = keeps and cost.beyond <= max(given.beyond, 0.0)
     keeps = keeps and (least >= -SLIGHT or least >= _least_margin(path, model.obstacles))
@@ -266,7 +268,8 @@ def _keeps(cell: Cell, model: Model, track: SplinePath, piece: RefinedWindow, fl
     moments = task.moments[piece.samples]
     least = _least_of(after.q, moments, task, model.obstacles)
     as_clear = least >= -SLIGHT or least >= _least_of(before.q, moments, task, model.obstacles)
-    return as_clear and _within(cell, after.q)
+    overshoots = [_overshoot(cell, task, piece.samples, each.q) for each in (before, after)]
+    return as_clear and _within(cell, after.q) and overshoots[1] <= max(overshoots[0], 0.0)
 
 
 def _least_margin(path: JointPath, obstacles: Obstacles) -> float:
@@ -282,8 +285,26 @@ def _least_of(q: Array, moments: Array, task: NozzleTask, obstacles: Obstacles) 
 
 
 def _within(cell: Cell, q: Array) -> bool:
-    """Whether joints (n, nj) keep to their ranges: in the program they have a price, if a high one."""
-    return bool(((q >= cell.limits.q_min + MARGIN) & (q <= cell.limits.q_max - MARGIN)).all())
+    """Whether joints (n, nj) keep to their ranges, between samples too: in the program they have a price, if a high one."""
+    peak = np.zeros_like(q)  # how far beyond a sample a parabola through it and its neighbours may reach
+    peak[1:-1] = np.abs(np.diff(q, n=2, axis=0)) / 8.0
+    low, high = cell.limits.q_min + MARGIN, cell.limits.q_max - MARGIN
+    return bool(((q - peak >= low) & (q + peak <= high)).all())
+
+
+def _overshoot(cell: Cell, task: NozzleTask, samples: slice, q: Array) -> float:
+    """How far [rad, m] joints q of some samples would leave their ranges before they come to rest behind an end of the task,
+    or since they were at rest before it: beads are begun and left in motion. None is left where it is not positive."""
+    limits, over = cell.limits, -np.inf
+    for end, inner in ((0, 1), (len(task) - 1, len(task) - 2)):
+        if not samples.start <= min(end, inner) or not max(end, inner) < samples.stop:
+            continue
+        here, within = q[end - samples.start], q[inner - samples.start]
+        v = (here - within) / abs(task.s[end] - task.s[inner]) * task.speed  # out of the task
+        way = v**2 / (2.0 * limits.acceleration) + np.abs(v) * limits.acceleration / (2.0 * limits.jerk)
+        beyond = np.where(v > 0.0, here + way - limits.q_max, limits.q_min - here + way)
+        over = max(over, float(beyond.max()))
+    return over
 
 
 def _chains(paths: Sequence[JointPath], indices: Iterable[int]) -> list[list[int]]:

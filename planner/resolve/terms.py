@@ -304,7 +304,7 @@ def samples_of(stretch: PathSegment) -> SplineSamples:
 # ----------------------------------------------------------------------------------------------------
 # The terms of a price, and the model that has them.
 
-_RANGE_ROOM = 1e-4  # rad kept from the ends of the joints' ranges
+_RANGE_ROOM = 2e-3  # rad, m kept from the ends of joints' ranges, which have a price, and are looked at at samples
 # Shares of the joints' speed, acceleration and jerk that a path may ask for: differences of five samples see less of their
 # peaks than the curve through the samples has, which is what is timed.
 RATE_SHARES = 0.99, 0.95, 0.7
