@@ -30,7 +30,7 @@ HEAVY = {
     "ruamel": {"problem"},
     "casadi": {"resolve.reference"},
     "osqp": {"resolve.reference"},
-    "toppra": set(),
+    "toppra": {"motion.timing.toppra_profile"},
     "jinja2": {"report.templates"},
     "matplotlib": {"report", "place.command", "register.telling"},
     "plotly": set(),

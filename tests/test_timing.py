@@ -254,6 +254,27 @@ def test_fastest_profile_against_toppra(seed: int) -> None:
     assert np.abs(x - rates**2).max() < 0.05
 
 
+@pytest.mark.parametrize("moving", [(False, False), (True, True)], ids=["at rest", "moving"])
+def test_toppra_times_a_path_within_speed_and_acceleration(cell: Cell, moving: tuple[bool, bool]) -> None:
+    """It is as quick as the bound, which knows no jerk either, and no quicker; ours takes longer."""
+    rng = np.random.default_rng(4)
+    n, length, speed = 300, 0.1, 0.04
+    s = np.linspace(0.0, length, n)
+    knots = np.linspace(0.0, length, 9)
+    q = cell.home + make_interp_spline(knots, rng.normal(scale=0.25, size=(9, 7)), k=5)(s)
+    path = path_of(q, s, speed)
+    found, ours = time_path(cell, path, moving, "toppra"), time_path(cell, path, moving)
+    assert found.duration < (1.01 if any(moving) else 1.0) * ours.duration  # its ends may be slower
+    if moving == (False, False):
+        assert found.duration == pytest.approx(bound_time(cell, path), rel=0.02)
+    t = np.arange(0.0, found.duration, DT)
+    joints, way = found.at(t)
+    for k, limit in ((1, cell.limits.velocity), (2, cell.limits.acceleration)):
+        assert (np.abs(np.diff(joints, k, axis=0)) / DT**k <= 1.01 * limit).all()
+    assert (np.diff(way) / DT <= 1.001 * speed).all()
+    np.testing.assert_allclose(way[-1], length, atol=speed * DT)
+
+
 def constraints(slopes: Array, bends: Array, a_max: Array, step: float) -> Array:
     """Rows A with A x <= 1: each joint's acceleration at both ends of every interval, which is linear in x."""
     n, joints = slopes.shape

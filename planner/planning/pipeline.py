@@ -339,7 +339,7 @@ def trajectory_of(
     stages = stages or Stages()
 
     def part(first: int, last: int) -> list[TimedPath]:
-        return [time_path(cell, path, (moving, moving)) for path in paths[first:last]]
+        return [time_path(cell, path, (moving, moving), problem.resolve.timing) for path in paths[first:last]]
 
     def ways(first: int, last: int) -> list[Travel]:
         which = range(first, last + (last == n))  # the way home comes after the last bead
@@ -360,7 +360,7 @@ def _elsewhere(
 ) -> Trajectory:
     """The trajectory in a cell whose part stands elsewhere: paths that were followed there, travel carried along."""
     process, moving = problem.process, problem.process.hand_over == "motion"
-    timed = [time_path(cell, path, (moving, moving)) for path in paths]
+    timed = [time_path(cell, path, (moving, moving), problem.resolve.timing) for path in paths]
     carried = [
         plan_travels(cell, timed, toolpath, process, range(i, i + 1))[0] if way is None else way
         for i, way in enumerate(carried_travels(cell, travels, timed, process.travel_speed))

@@ -42,6 +42,8 @@ StrategyName = Literal["as_published", "fixed", "greedy", "ladder", "sqp", "nlp"
 STRATEGY_NAMES: tuple[str, ...] = get_args(StrategyName)
 QPName = Literal["interior_point", "osqp"]
 QP_NAMES: tuple[str, ...] = get_args(QPName)
+TimingName = Literal["jerk_limited", "toppra"]
+TIMING_NAMES: tuple[str, ...] = get_args(TimingName)
 LanguageName = Literal["rapid", "urscript", "krl", "joint_trajectory", "axes"]
 LANGUAGE_NAMES: tuple[str, ...] = get_args(LanguageName)
 USUAL_LANGUAGE: LanguageName = "joint_trajectory"  # of arms whose file names none
@@ -207,6 +209,11 @@ class ResolveSpec(Section):
     )
     qp: Annotated[QPName, one_of(QP_NAMES)] = key(
         "qp", f"solver of the quadratic programs of strategy sqp: {' or '.join(QP_NAMES)} (slower)", "interior_point"
+    )
+    timing: Annotated[TimingName, one_of(TIMING_NAMES)] = key(
+        "timing",
+        f"how joint paths are timed: {' or '.join(TIMING_NAMES)}, a reference that limits no jerk and is not verified",
+        "jerk_limited",
     )
     weights: WeightsSpec = key(
         "weights", "factors on what the refinement of strategy sqp weighs against each other; each has a default", {}

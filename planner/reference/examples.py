@@ -83,6 +83,7 @@ EXAMPLES: dict[str, str] = {
     "purge_mm": "20",
     "purge_speed_mm_s": "3",
     "qp": "osqp",
+    "timing": "toppra",
     "range_deg": "[-120, 120]",
     "range_mm": "[200, 2800]",
     "retract": "{length_mm: 2}",

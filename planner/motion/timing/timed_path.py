@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.optimize import brentq
 
 from planner.base.arrays import Array
 from planner.base.compiled import njit
-from planner.cell.cell import Cell
+from planner.cell.cell import Cell, Limits
 from planner.motion.cubics import JointState
 from planner.motion.timing.profile import Leg, PiecewiseCurve, Profile, curve_of, fastest_profile
 from planner.resolve.joint_path import JointPath, refuse_at
@@ -90,20 +91,32 @@ class TimedPath:
         return JointState(self.curve(np.array([u]))[0, :-1], first[:-1], second[:-1])
 
 
-def time_path(cell: Cell, path: JointPath, moving: tuple[bool, bool] = (False, False)) -> TimedPath:
+def time_path(
+    cell: Cell, path: JointPath, moving: tuple[bool, bool] = (False, False), timing: str = "jerk_limited"
+) -> TimedPath:
     """Time one bead as fast as speed, acceleration and jerk limits and the commanded speed allow.
 
+    timing: as `resolve.timing` of a problem; toppra knows no limits on jerk
     It starts and ends at rest, but where it is `moving`, and comes to rest at the task's stops. Raises Refusal for a
     task whose arc length does not grow from sample to sample.
     """
     curve, legs = legs_of(path, moving)
-    profiles = tuple(fastest_profile(leg, cell.limits, path.task.speed) for leg in legs)
+    profiles = tuple(_timing(timing)(leg, cell.limits, path.task.speed) for leg in legs)
     waits = [0.0, *(stop.wait for stop in path.task.stops)]
     starts, now = [], 0.0
     for wait, profile in zip(waits, profiles, strict=True):
         starts.append(now + wait)
         now = starts[-1] + profile.duration
     return TimedPath(path, curve, profiles, tuple(starts))
+
+
+def _timing(name: str) -> Callable[[Leg, Limits, float], Profile]:
+    """What times a leg; toppra is loaded for who asks for it only."""
+    if name == "toppra":
+        from planner.motion.timing.toppra_profile import toppra_profile
+
+        return toppra_profile
+    return fastest_profile
 
 
 def legs_of(path: JointPath, moving: tuple[bool, bool]) -> tuple[PiecewiseCurve, tuple[Leg, ...]]:
