@@ -368,23 +368,55 @@ def guide_route(
 ) -> LadderRoute:
     """The best route on the coarse grid; share: of the print's beads that are guides. Raises Refusal where there is none.
 
-    With several chosen joints a full grid would not fit. One of them at a time is searched together with roll and
-    branch: first the one next to the part, on sparse rungs, for a lattice of angles at which the others rest; then
-    each other one while the rest follow the path found before. Where cones about the vertical bind the table, its path is
-    found by `table_path`, and roll and branch alone are searched with it.
+    With several chosen joints a full grid would not fit, see `_one_after_the_other`. Where cones about the vertical bind the
+    table, its path is found by `table_path`, and roll and branch alone are searched with it.
     """
-    k = len(cell.chosen)
-    if k < 2:
-        demand, grid = _coarse_grid(cell, guides, settings, MOST_NODES)
-        search = ClearSearch(cell, demand, grid, settings.min_sigma, obstacles)
-        route, stuck = search.best(guides, share)
-        route = route or search.wound
-        if route is None:
-            refuse_rung(cell, guides, demand, search.nodes, stuck, settings.min_sigma, obstacles)
-        return LadderRoute(demand, search.nodes, route)
+    if len(cell.chosen) < 2:
+        return _with_one_joint(cell, guides, settings, obstacles, share)
     demand = sample_tasks(guides, _rung(cell, guides, settings), _turn(cell, settings))
     if binds_table(cell, demand.cones):
         return _after_table(cell, guides, demand, settings, obstacles, share)
+    # what moves all is not always better than what moves one: neither search is over the whole grid
+    found, refusal = None, None
+    try:
+        found = _one_after_the_other(cell, guides, demand, settings, obstacles, share)
+    except Refusal as none:
+        refusal = none
+    try:
+        alone = _with_one_joint(cell, guides, settings, obstacles, share)
+    except Refusal as none:
+        if found is None:
+            raise refusal or none from none
+        return found
+    both = [alone] if found is None else [found, alone]
+    return min(both, key=lambda each: (bool(overwound(cell, each)), each.route.price))
+
+
+def _with_one_joint(
+    cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles, share: float
+) -> LadderRoute:
+    """The best route on the whole coarse grid of roll, branch and the chosen joint next to the part; others rest at home."""
+    demand, grid = _coarse_grid(cell, guides, settings, MOST_NODES)
+    search = ClearSearch(cell, demand, grid, settings.min_sigma, obstacles)
+    route, stuck = search.best(guides, share)
+    route = route or search.wound
+    if route is None:
+        refuse_rung(cell, guides, demand, search.nodes, stuck, settings.min_sigma, obstacles)
+    return LadderRoute(demand, search.nodes, route)
+
+
+def _one_after_the_other(
+    cell: Cell,
+    guides: Sequence[NozzleTask],
+    demand: SampledTasks,
+    settings: ResolveSpec,
+    obstacles: Obstacles,
+    share: float,
+) -> LadderRoute:
+    """A route over roll, branch and several chosen joints, one of which at a time is searched: first the one next to the
+    part, on sparse rungs, for a lattice of angles at which the others rest; then each other one while the rest follow the
+    path found before."""
+    k = len(cell.chosen)
     found = _first_look(cell, guides, settings, obstacles, share)
     first = found.nodes.grid.swept
     for swept in [*(j for j in range(k) if j != first), first]:
