@@ -549,8 +549,8 @@ def test_a_window_waits_for_both_its_neighbours_and_for_nothing_else(
     cell, _, paths = setup_of("fast, tilt")
     monkeypatch.setattr(WINDOWS, "WINDOW", 10 + 2 * seed)
     monkeypatch.setattr(WINDOWS, "OVERLAP", 4)
-    _, track, _, _ = start(cell, paths[0], 0.1, knot=1e-3)
-    bead = Windowed(track)
+    model, track, _, _ = start(cell, paths[0], 0.1, knot=1e-3)
+    bead = Windowed(model, track)
     rng = np.random.default_rng(seed)
     ready, done, ended = list(bead.first), set[int](), False
     while ready:
@@ -615,7 +615,7 @@ def test_a_window_sees_the_rates_of_the_whole_path(
         touched = np.flatnonzero((first + width > window[0]) & (first < window[1]))
         reach = np.unique(np.clip(touched[:, None] + np.arange(-2, 3), 0, len(first) - 1))
         assert set(reach) <= set(np.arange(len(first))[piece.samples][counted])
-        bead = Windowed(track)
+        bead = Windowed(model, track)
         bead.done(0, piece)
         assert bead.after().c.shape == track.c.shape
 

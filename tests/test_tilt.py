@@ -26,9 +26,9 @@ CENTRE, WIDTH = np.array([31.4e-3, 37e-3]), 0.6e-3  # of the small problem's cyl
 
 @pytest.fixture(scope="module")
 def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
-    """The small print, its nozzle allowed to lean."""
+    """The small print, its nozzle allowed to lean, and so fast that it must."""
     path = write_small(tmp_path_factory.mktemp("tilt"), ("strategy: ladder", "strategy: sqp"))
-    return solve_alone(load_problem(path, [f"process.cones.nozzle_normal_deg={CONE_DEG}"]))
+    return solve_alone(load_problem(path, [f"process.cones.nozzle_normal_deg={CONE_DEG}", "process.speed_mm_s=80"]))
 
 
 def normals_of_the_cylinder(tips: Array) -> Array:

@@ -74,12 +74,13 @@ def windows(controls: int, *, short: bool = False) -> list[tuple[int, int]]:
 
 
 class Windowed:
-    """A track whose windows are refined by several threads: which may begin, and what each begins with.
+    """A track whose windows are refined by several threads with a model: which may begin, and what each begins with.
 
     A window that lies between two others waits for these alone, so what comes out does not depend on the threads.
     """
 
-    def __init__(self, track: SplinePath, *, short: bool = False) -> None:
+    def __init__(self, model: Model, track: SplinePath, *, short: bool = False) -> None:
+        self.model = model
         self.track = track
         self.short = short
         self.edges = windows(track.basis.controls, short=short)
@@ -124,6 +125,7 @@ _TURN = 2.0 * np.pi
 _PAD = 4  # samples on both sides of a window that its derivatives look at
 _WORTH_IT = 5e-3  # share of the price that refining in short windows must be able to save
 BEYOND = 8e-4  # rad beyond a cone from which a plan may fail verification, which allows 0.05 degrees
+_NARROWER = 1.5  # times what joints overshoot their ranges by is taken off these
 _FLOOR = 1.0 + 1e-3  # times the least singular value that was given: the program may miss a bound by less
 
 
@@ -167,19 +169,20 @@ def refine_beads(
 
     improve: of a window; by quadratic programs, with the solver of the settings, if it is not given
 
-    A bead does not depend on beads of other names. One that cannot be taken as a whole is refined again in short windows,
-    of which those are taken that keep what they kept.
+    A bead does not depend on beads of other names. One that cannot be taken as a whole is refined again: within narrower
+    ranges if joints would leave theirs before they come to rest behind it, else in short windows, of which those are taken
+    that keep what they kept.
     """
     improved = improve or by_programs(qp_solver(settings.qp))
     done = list(paths)
 
     def start(chain: Sequence[int], below: SplinePath | None) -> Sequence[Job]:
-        bead = Windowed(start_track(model, settings.knot, floor, paths[chain[0]], below))
+        bead = Windowed(model, start_track(model, settings.knot, floor, paths[chain[0]], below))
         return [partial(refine, chain, bead, k) for k in bead.first]
 
     def refine(chain: Sequence[int], bead: Windowed, k: int) -> Sequence[Job]:
         i, *above = chain
-        piece = refine_window(model, floor, bead.before(k), bead.edges[k], improved)
+        piece = refine_window(bead.model, floor, bead.before(k), bead.edges[k], improved)
         if piece is not None and bead.short and not _keeps(cell, model, bead.track, piece, floor):
             piece = None
         ready, last = bead.done(k, piece)
@@ -188,11 +191,18 @@ def refine_beads(
         return [partial(start, above, bead.after())] * bool(above) + [partial(keep, i, bead)]
 
     def keep(i: int, bead: Windowed) -> Sequence[Job]:
-        done[i], missed = judged(cell, paths[i], given[i], bead.after(), floor, model)
+        track = bead.after()
+        done[i], missed = judged(cell, paths[i], given[i], track, floor, model)
         if bead.short or missed < _WORTH_IT * given[i].price:
             return []
-        again = Windowed(bead.track, short=True)
-        return [partial(refine, [i], again, k) for k in again.first] if len(again.edges) > 1 else []
+        over = _overshoot(cell, track.task, slice(0, len(track.task)), track.q)
+        if over > 0.0 and bead.model is model:
+            again = Windowed(_narrowed(model, _NARROWER * over), bead.track)
+        else:
+            again = Windowed(model, bead.track, short=True)
+            if len(again.edges) == 1:
+                return []
+        return [partial(refine, [i], again, k) for k in again.first]
 
     in_turn([partial(start, chain, None) for chain in _chains(paths, given)])
     return done
@@ -305,6 +315,11 @@ def _overshoot(cell: Cell, task: NozzleTask, samples: slice, q: Array) -> float:
         beyond = np.where(v > 0.0, here + way - limits.q_max, limits.q_min - here + way)
         over = max(over, float(beyond.max()))
     return over
+
+
+def _narrowed(model: Model, room: float) -> Model:
+    """A model with ranges of joints that are narrower by some room [rad, m] at each end."""
+    return replace(model, low=model.low + room, high=model.high - room)
 
 
 def _chains(paths: Sequence[JointPath], indices: Iterable[int]) -> list[list[int]]:
