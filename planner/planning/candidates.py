@@ -116,7 +116,9 @@ def _simpler_paths(
     names: tuple[str, ...] = SIMPLER
     most, worth_refining = np.inf, np.inf
     if own is not None and own.verified:
-        covered = (waypoints > SMALL and len(cell.chosen) < 2) or binds_table(cell, given.tasks[0].cones)
+        covered = (waypoints > SMALL and len(cell.chosen) < 2) or (
+            waypoints > TINY and binds_table(cell, given.tasks[0].cones)
+        )
         names = tuple(name for name in SIMPLER if not (covered and name in COVERED))
         ideal = own.report.metrics["ideal_deposition_time_s"]
         lost = sum(price.lost for price in given_prices(model, own.paths, settings).values())

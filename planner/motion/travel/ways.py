@@ -242,6 +242,8 @@ def _home(cell: Cell, b: Array) -> Array:
 # Postures between two lifted ones, at which a way across rests; the quickest first.
 POSTURES = {
     "straight": lambda cell, a, b: [],
+    "drawn back at the start": lambda cell, a, b: [_drawn_back(cell, a)],
+    "drawn back at the end": lambda cell, a, b: [_drawn_back(cell, b)],
     "drawn back": lambda cell, a, b: [_drawn_back(cell, a), _drawn_back(cell, b)],
     "home": lambda cell, a, b: [_home(cell, b)],
     "drawn back and home": lambda cell, a, b: [_drawn_back(cell, a), _home(cell, b), _drawn_back(cell, b)],
