@@ -29,6 +29,7 @@ from planner.plan.robustness import Robustness, Tolerance, parse_tolerance
 from planner.planning.candidates import DEFAULT, PlannedPaths, best_of_all
 from planner.planning.context import PlanningContext, context_of
 from planner.planning.distributed import sqp_over
+from planner.planning.finer import ROUNDS, with_finer_samples
 from planner.planning.options import DEFAULT_DT, MAX_DT, MIN_DT
 from planner.planning.pieces import MORE_ROOM, in_pieces
 from planner.planning.robustness import assess_robustness
@@ -110,9 +111,9 @@ def solve(
         shared = second_process and _waypoints(toolpath) >= WORTH_A_FORK
         if pieces:
             given, planned, maps = _planned_in_pieces(strategy, given, dt, stages, shared, first_bead)
-            toolpath = given.toolpath
         else:
-            planned, maps = _planned(strategy, given, dt, stages, shared, over)
+            given, planned, maps = _planned(strategy, given, dt, stages, shared, over)
+        toolpath = given.toolpath
         trajectory, report, rest = planned.trajectory, planned.report, planned.paths[first_bead:]
         with stages.stage("dips"):
             dips = find_dips(problem, cell, toolpath, planned.paths, trajectory)
@@ -155,7 +156,7 @@ def try_out(problem: Problem, toolpath: Toolpath, strategy: str, second_process:
     shared = second_process and _waypoints(toolpath) >= WORTH_A_FORK
     if problem.process.split_beads:
         return _planned_in_pieces(strategy, given, DEFAULT_DT, Stages(), shared, 0)[1].report
-    return _planned(strategy, given, DEFAULT_DT, Stages(), shared)[0].report
+    return _planned(strategy, given, DEFAULT_DT, Stages(), shared)[1].report
 
 
 def _known(strategy: str) -> str:
@@ -197,12 +198,22 @@ def _within(first_bead: int, toolpath: Toolpath) -> int:
     return first_bead
 
 
-def _planned(
-    strategy: str, given: PlanningContext, dt: float, stages: Stages, shared: bool, over: Spread | None = None
-) -> tuple[PlannedPaths, tuple[RollMap, ...]]:
-    """The plan of a strategy, of the default one the best of all strategies', and its maps of roll. Raises Refusal.
+Planned = tuple[PlanningContext, PlannedPaths, tuple[RollMap, ...]]  # what was planned, the plan, and its maps of roll
 
-    Which strategy's paths are taken is decided on the whole print, also where the rest of it is resumed.
+
+def _planned(
+    strategy: str,
+    given: PlanningContext,
+    dt: float,
+    stages: Stages,
+    shared: bool,
+    over: Spread | None = None,
+    rounds: int = ROUNDS,
+) -> Planned:
+    """The plan of a strategy, of the default one the best of all strategies'. Raises Refusal.
+
+    Which strategy's paths are taken is decided on the whole print, also where the rest of it is resumed. Where a plan is
+    off the path between samples, these are set finer and all is planned again, in so many rounds at most.
     """
     others, min_sigma = strategy == DEFAULT, given.problem.resolve.min_sigma
 
@@ -213,9 +224,10 @@ def _planned(
         return roll_maps(given.cell, planned.paths[given.first_bead :], given.obstacles, min_sigma)
 
     if others and given.first_bead:
-        whole, _ = _planned(strategy, replace(given, first_bead=0), dt, stages, shared, over)
-        resumed = along(whole.by, whole.paths, stages)
-        return resumed, maps_of(resumed)
+        whole, taken, _ = _planned(strategy, replace(given, first_bead=0), dt, stages, shared, over)
+        given = replace(whole, first_bead=given.first_bead)
+        resumed = along(taken.by, taken.paths, stages)
+        return given, resumed, maps_of(resumed)
     own, refusal, mapped = None, None, None
     try:
         paths, start = _paths_of(strategy, given, stages, over)
@@ -228,6 +240,9 @@ def _planned(
         if not others:
             raise
         refusal = none
+    finer = with_finer_samples(given, own.trajectory, own.report) if own is not None and rounds else None
+    if finer is not None:
+        return _planned(strategy, finer, dt, stages, shared, rounds=rounds - 1)
     best = own
     with stages.stage("compare"):
         if others:
@@ -237,12 +252,12 @@ def _planned(
     if best is not own or mapped is None:
         with stages.stage("map"):
             mapped = maps_of(best)
-    return best, mapped
+    return given, best, mapped
 
 
 def _planned_in_pieces(
     strategy: str, given: PlanningContext, dt: float, stages: Stages, shared: bool, first_bead: int
-) -> tuple[PlanningContext, PlannedPaths, tuple[RollMap, ...]]:
+) -> Planned:
     """As `_planned`, of the whole print as it is drawn, or with beads in pieces where it is refused so or not verified; and
     what was planned. Raises InputError where that has no such bead."""
     drawn = given
@@ -252,7 +267,7 @@ def _planned_in_pieces(
     except Refusal as none:
         refusal = none
     for more_room in MORE_ROOM:
-        if whole is not None and whole[0].verified:
+        if whole is not None and whole[1].verified:
             break
         with stages.stage("pieces"):
             cut = in_pieces(drawn, more_room)
@@ -262,14 +277,14 @@ def _planned_in_pieces(
             again = _planned(strategy, cut, dt, stages, shared)
         except Refusal:  # what the drawing is refused for is told
             continue
-        if whole is None or again[0].verified:
-            given, whole = cut, again
+        if whole is None or again[1].verified:
+            whole = again
     if whole is None:
         raise refusal or RuntimeError("no plan and no refusal")
     if first_bead:
-        given = replace(given, first_bead=_within(first_bead, given.toolpath))
-        whole = _planned(strategy, given, dt, stages, shared)
-    return given, *whole
+        rest = replace(whole[0], first_bead=_within(first_bead, whole[0].toolpath))
+        whole = _planned(strategy, rest, dt, stages, shared)
+    return whole
 
 
 def _paths_of(

@@ -44,6 +44,8 @@ AXIS_TOLERANCE = np.radians(0.05)  # rad, nozzle axis against the true normal
 SPEED_RECORD = 1e-3  # m/s, recorded speed off the mean of two steps, beyond what four steps differ by
 RECORD_TOLERANCE = 1e-6  # m: what the trajectory says of its tip against what its joints do
 BLOCK = 32768  # samples
+# Checks that a motion fails which keeps to the path at its samples, but not between them.
+ON_PATH = frozenset({"tip on the path", "axis on the normal", "nozzle to gravity", "layer to gravity"})
 
 
 @dataclass(frozen=True)
@@ -180,7 +182,10 @@ def _geometry(judged: Judged) -> Findings:
     metrics["position_error_max_mm"] = on_path.worst
     metrics["axis_error_max_deg"] = on_normal.worst
     metrics["path_deviation_max_mm"] = max(within.worst, unreached * 1e3)
-    return Findings((on_path, on_normal, *_to_gravity(judged, normals), within, both_ways), metrics, series)
+    leans = list(_to_gravity(judged, normals))
+    off = [position / POSITION_TOLERANCE, tilt / AXIS_TOLERANCE, *(beyond / AXIS_TOLERANCE for _, beyond in leans)]
+    series["off_the_path"] = np.max(off, axis=0)
+    return Findings((on_path, on_normal, *(check for check, _ in leans), within, both_ways), metrics, series)
 
 
 def _off_the_path(judged: Judged) -> tuple[Array, Array, Array, float]:
@@ -199,8 +204,9 @@ def _off_the_path(judged: Judged) -> tuple[Array, Array, Array, float]:
     return position, deviation, normals, unreached
 
 
-def _to_gravity(judged: Judged, normals: Array) -> Iterator[Check]:
-    """The checks of the cones about the vertical that the problem asks for; normals (n, 3) of the surface."""
+def _to_gravity(judged: Judged, normals: Array) -> Iterator[tuple[Check, Array]]:
+    """The checks of the cones about the vertical that the problem asks for, and what leans beyond them (n) [rad]; normals
+    (n, 3) of the surface."""
     t, motion, cones = judged.trajectory, judged.motion, judged.problem.process.cones
     for name, cosine, cone in (
         ("nozzle to gravity", -(motion.axis * motion.up).sum(axis=1), cones.nozzle_gravity),
@@ -209,7 +215,7 @@ def _to_gravity(judged: Judged, normals: Array) -> Iterator[Check]:
         if cone == np.pi:
             continue
         lean = np.where(t.deposit, np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))), 0.0)
-        yield check_most(t, name, lean, np.degrees(cone + AXIS_TOLERANCE), "deg")
+        yield check_most(t, name, lean, np.degrees(cone + AXIS_TOLERANCE), "deg"), np.radians(lean) - cone
 
 
 def _coverage(judged: Judged) -> Findings:
