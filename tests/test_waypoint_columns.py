@@ -21,7 +21,8 @@ from planner.problem import load_problem
 from planner.problem.layers import WaypointsSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.waypoints.reader import NEEDED, OPTIONAL, read_waypoints, smooth_normals
+from planner.toolpath.waypoints.normals import UNASKED, calm_normals, smooth_normals
+from planner.toolpath.waypoints.reader import NEEDED, OPTIONAL, read_waypoints
 
 Array = NDArray[np.float64]
 HEADER = "x,y,z,nx,ny,nz"
@@ -303,6 +304,12 @@ def test_metres_and_millimetres_make_the_same_bead(tmp_path: Path) -> None:
 
 # Smoothing
 
+STEP = 1e-3  # m between waypoints
+
+
+def along(count: int) -> Array:
+    return STEP * np.arange(count)
+
 
 def noisy(seed: int, count: int, noise: float) -> tuple[Array, Array]:
     """Normals along an arc of a dome, and the same with noise [rad]."""
@@ -321,7 +328,7 @@ def between(a: Array, b: Array) -> Array:
 @given(st.integers(0, 10_000), st.integers(2, 300), st.floats(0.0, 0.5), st.floats(1e-4, 0.5))
 def test_no_normal_turns_by_more_than_the_bound(seed: int, count: int, noise: float, bound: float) -> None:
     _, given_ = noisy(seed, count, noise)
-    smooth, turned = smooth_normals(given_, bound)
+    smooth, turned = smooth_normals(given_, along(count), bound)
     assert np.linalg.norm(smooth, axis=1) == pytest.approx(1.0, abs=1e-12)
     assert between(smooth, given_).max() <= bound * (1 + 1e-9)
     assert turned == pytest.approx(between(smooth, given_), abs=1e-12)
@@ -331,7 +338,7 @@ def test_no_normal_turns_by_more_than_the_bound(seed: int, count: int, noise: fl
 def test_noise_within_the_bound_goes(seed: int) -> None:
     noise = np.radians(0.5)
     true, given_ = noisy(seed, 400, noise)
-    smooth, _ = smooth_normals(given_, np.radians(3.0))
+    smooth, _ = smooth_normals(given_, along(400), np.radians(3.0))
     assert np.sqrt((between(smooth, true) ** 2).mean()) < 0.45 * np.sqrt((between(given_, true) ** 2).mean())
     shaken, still = (np.linalg.norm(np.diff(rows, 2, axis=0), axis=1).max() for rows in (given_, smooth))
     assert still < 0.02 * shaken
@@ -342,14 +349,14 @@ def test_one_outlier_does_not_keep_its_neighbours_rough() -> None:
     given_ = given_.copy()
     given_[200] = [0.3, 0.3, 0.9]
     given_[200] /= np.linalg.norm(given_[200])
-    smooth, _ = smooth_normals(given_, np.radians(2.0))
+    smooth, _ = smooth_normals(given_, along(400), np.radians(2.0))
     away = np.abs(np.arange(400) - 200) > 60
     assert np.degrees(between(smooth, true))[away].max() < 0.5
 
 
 def test_smooth_normals_stay_as_they_are() -> None:
     true, _ = noisy(0, 300, 0.0)
-    smooth, _ = smooth_normals(true, np.radians(1.0))
+    smooth, _ = smooth_normals(true, along(300), np.radians(1.0))
     assert np.degrees(between(smooth, true)).max() < 0.001
 
 
@@ -357,7 +364,7 @@ def test_slow_waves_stay() -> None:
     u = 2.0 * np.pi * np.arange(300) / 25.0  # a spiral about the top of a dome, 25 waypoints a turn
     cone = np.column_stack([np.cos(u), np.sin(u), np.full(300, 25.0)])
     cone /= np.linalg.norm(cone, axis=1)[:, None]
-    smooth, _ = smooth_normals(cone, np.radians(5.0))
+    smooth, _ = smooth_normals(cone, along(300), np.radians(5.0))
     assert np.degrees(between(smooth, cone)).max() < 0.3 * np.degrees(np.arctan(1.0 / 25.0))
 
 
@@ -379,15 +386,50 @@ def test_any_bytes_are_read_or_refused(
         assert np.isfinite(np.vstack([bead.points for bead in found.beads])).all()
 
 
-def test_smoothing_is_off_unless_asked_for_and_is_told(spec: Callable[..., WaypointsSpec]) -> None:
-    _, normals = noisy(3, 50, 0.02)
+def test_smoothing_is_by_length_and_not_by_number() -> None:
+    """Of uneven waypoints what is left of noise is as much as of even ones, and a slow wave stays."""
+    rng = np.random.default_rng(4)
+    for s in (along(400), np.cumsum(rng.choice([0.25, 1.75], 400) * STEP), along(1600) / 4.0):
+        lean = 0.2 * np.sin(2.0 * np.pi * s / 0.06)
+        true = np.column_stack([np.sin(lean), 0.0 * s, np.cos(lean)])
+        spoilt = true + rng.normal(0.0, 5e-3, true.shape)
+        spoilt /= np.linalg.norm(spoilt, axis=1)[:, None]
+        smooth, _ = smooth_normals(spoilt, s, np.radians(3.0))
+        inner = (s > 0.02) & (s < s[-1] - 0.02)
+        assert np.sqrt((between(smooth, true)[inner] ** 2).mean()) < 0.45 * 5e-3 * np.sqrt(2.0)
+        turning = np.linalg.norm(np.gradient(smooth, s, axis=0), axis=1)[inner]
+        assert turning.max() < 1.35 * 0.2 * 2.0 * np.pi / 0.06
+        np.testing.assert_allclose(smooth_normals(true, s, 0.1)[0][inner], true[inner], atol=5e-4)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_noise_is_smoothed_unless_asked_not_to_and_is_told(spec: Callable[..., WaypointsSpec], noise: float) -> None:
+    _, normals = noisy(3, 50, noise)
     columns = line(50) | dict(zip(("nx", "ny", "nz"), normals.T, strict=True))
-    found = read_waypoints(spec("a.npz", packed(**columns)))
-    assert found.beads[0].normals == pytest.approx(normals, abs=1e-12)
-    assert found.notes == ()
-    found = read_waypoints(spec("a.npz", packed(**columns), smooth_normals_deg=1))
-    turned = np.degrees(between(found.beads[0].normals, normals))
-    assert 0.2 < turned.max() <= 1.0
-    assert found.notes == (
-        f"a.npz: normals smoothed, by {turned.max():.3f} degrees at most and {turned.mean():.3f} on average",
-    )
+    beads = read_waypoints(spec("a.npz", packed(**columns))).beads
+    assert beads[0].normals == pytest.approx(normals, abs=1e-12)
+    for asked, unasked in ((0.0, UNASKED), (None, 0.0)):
+        assert calm_normals(beads, asked, unasked) == (beads, "")
+    (found,), told = calm_normals(beads, None)
+    turned = np.degrees(between(found.normals, normals))
+    if noise == 0.0:
+        assert not told
+        assert not turned.any()
+    else:
+        assert told.startswith("normals smoothed since they are noisy (half of them by more than")
+        assert f"by {turned.max():.3f} degrees at most and {turned.mean():.3f} on average" in told
+        assert 0.2 < turned.max() <= 3.0
+    (found,), told = calm_normals(beads, np.radians(1.0))
+    turned = np.degrees(between(found.normals, normals))
+    assert turned.max() <= 1.0
+    assert told == f"normals smoothed, by {turned.max():.3f} degrees at most and {turned.mean():.3f} on average"
+
+
+@pytest.mark.parametrize(("cone", "smoothed"), [(0, True), (5, False)])
+def test_a_nozzle_that_may_lean_needs_no_smoothing(tmp_path: Path, cone: float, smoothed: bool) -> None:
+    _, normals = noisy(3, 50, 0.02)
+    (tmp_path / "a.csv").write_text(csv(line(50) | dict(zip(("nx", "ny", "nz"), normals.T, strict=True))))
+    notes = build_toolpath(
+        load_problem(case_text(tmp_path, "a.csv"), [f"process.cones.nozzle_normal_deg={cone}"])
+    ).notes
+    assert any("normals smoothed since they are noisy" in note for note in notes) is smoothed

@@ -189,6 +189,43 @@ def test_jumps_split_and_repetitions_are_dropped(spec: Callable[..., WaypointsSp
     assert (error.line, "stands alone" in str(error)) == (14, True)
 
 
+def crumbly(alone: int = 0, short: int = 0, stray: int = 0) -> str:
+    """A line of 300 mm with crumbs behind it, and waypoints on it whose normal points the other way."""
+    rows = [f"{x} 0 0 {'0 0 -1' if 50 <= x < 50 + 20 * stray and x % 20 == 10 else UP}" for x in range(301)]
+    rows += [f"{x} 50 0 {UP}" for x in range(0, 20 * alone, 20)]
+    rows += [f"{x + part} 90 0 {UP}" for x in range(0, 20 * short, 20) for part in (0, 0.25)]
+    return "\n".join(rows) + "\n"
+
+
+def test_a_few_crumbs_are_left_out_and_told(spec: Callable[..., WaypointsSpec]) -> None:
+    found = read_waypoints(spec(crumbly(alone=1, short=2, stray=1)), width=0.6e-3)
+    (bead,) = found.beads
+    assert (len(bead.points), bead.name) == (300, "path 1")
+    (note,) = found.notes
+    assert note == (
+        "points.txt: left out 1 waypoint that stands alone (line 302); "
+        "2 paths shorter than their beads are wide (lines 303, 305); "
+        "1 waypoint whose normal points the other way (line 51): 0.83% of the length"
+    )
+
+
+@pytest.mark.parametrize(
+    ("crumbs", "share", "line", "words"),
+    [
+        ({"alone": 4}, 0.01, 302, "stands alone"),
+        ({"alone": 1}, 0.0, 302, "stands alone"),
+        ({"short": 14}, 0.01, 302, "only 0.2500 mm long"),
+        ({"stray": 4}, 0.01, 51, "turns by 180 degrees"),
+    ],
+)
+def test_more_crumbs_are_refused(tmp_path: Path, crumbs: dict[str, int], share: float, line: int, words: str) -> None:
+    (tmp_path / "points.txt").write_text(crumbly(**crumbs), encoding="utf-8")
+    given_ = load_problem(case_text(tmp_path, "points.txt", leave_out_share=share))
+    with pytest.raises(InputError, match=words) as caught:
+        build_toolpath(given_)
+    assert caught.value.line == line
+
+
 def test_creeping_points_add_up_to_a_step() -> None:
     points = np.zeros((111, 3))
     points[:, 0] = np.concatenate([np.arange(61) * 1e-3, 0.06 + np.arange(1, 51) * 0.7e-5])

@@ -113,10 +113,17 @@ class WaypointsSpec(SourceSection):
         "a step longer than this begins a new bead [mm]; default: three median steps, or no step with a column bead",
         None,
     )
-    smoothing: Annotated[float, Quantity("deg", 0, 30)] = key(
+    crumbs: Annotated[float, Quantity("", 0, 0.5)] = key(
+        "leave_out_share",
+        "share of the length that may be left out: paths shorter than a bead is wide, waypoints that stand alone or whose "
+        "normal points the other way; if there are more, they are refused",
+        0.01,
+    )
+    smoothing: Annotated[float, Quantity("deg", 0, 30)] | None = key(
         "smooth_normals_deg",
-        "how far a normal may be turned to smooth them along a bead [deg]; 0 takes them as they are",
-        0,
+        "how far a normal may be turned to smooth them along a bead [deg]; 0 takes them as they are; default: 3 where they "
+        "are noisy and the nozzle may not lean, else 0",
+        None,
     )
 
 

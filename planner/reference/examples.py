@@ -55,6 +55,7 @@ EXAMPLES: dict[str, str] = {
     "layer_gravity_deg": "30",
     "least_laid_mm": "8",
     "least_mm": "[0, 0, -50]",
+    "leave_out_share": "0.02",
     "length_mm": "2",
     "letter": "B",
     "lift_mm": "10",

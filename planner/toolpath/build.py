@@ -69,5 +69,6 @@ def _noise_note(toolpath: Toolpath) -> tuple[str, ...]:
     enough = int(np.ceil(np.degrees(2.0 * nearly_all)))
     return (
         f"normals are noisy: half of them are more than {np.degrees(half):.2f} deg off what they are smoothed along the bead, "
-        f"and the joints follow all of that; process.cones.nozzle_normal_deg: {enough} would let the nozzle pass over it",
+        f"and the joints follow all of that; process.cones.nozzle_normal_deg: {enough} would let the nozzle pass over it, "
+        "layers.source.smooth_normals_deg smooths it away",
     )

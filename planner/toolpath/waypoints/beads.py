@@ -23,6 +23,7 @@ from planner.toolpath.bead import Bead, Surface, Toolpath
 from planner.toolpath.interpolation import Interpolated, TooRough, interpolate
 from planner.toolpath.plane_paths import check_size, length, make_bead
 from planner.toolpath.task import roll_zeros
+from planner.toolpath.waypoints.normals import UNASKED, calm_normals
 from planner.toolpath.waypoints.reader import Waypoints, read_waypoints
 from planner.toolpath.waypoints.surfels import with_layers
 
@@ -124,13 +125,16 @@ def through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
     """Lay a bead through each path of a file of waypoints, in the file's order."""
     process = problem.process
     file = spec.source.waypoints
-    read = read_waypoints(spec.source, partial(problem.error, "layers.source.waypoints"))
-    paths, curves = read.beads, []
-    for path in paths:
-        width = process.bead.width if path.width is None else float(path.width.min())
+    read = read_waypoints(spec.source, partial(problem.error, "layers.source.waypoints"), process.bead.width)
+    widths = [process.bead.width if path.width is None else float(path.width.min()) for path in read.beads]
+    for path, width in zip(read.beads, widths, strict=True):
         check_waypoints(path, file, width)
         check_section(path, process, file)
-        curves.append(_curve(problem, spec, path, _APART * width, process.run_in / _PER_RUN))
+    # a nozzle that may lean passes over noise by itself
+    unasked = UNASKED if process.cones.tilt == 0.0 else 0.0
+    paths, told = calm_normals(read.beads, spec.source.smoothing, unasked)
+    ends = process.run_in / _PER_RUN
+    curves = [_curve(problem, spec, path, _APART * width, ends) for path, width in zip(paths, widths, strict=True)]
     zeros = roll_zeros([curve.normals for curve in curves])
     beads = [
         make_bead(
@@ -151,7 +155,7 @@ def through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
         laid = tuple(replace(bead, layer=int(layer)) for bead, layer in zip(laid, layers, strict=True))
     for i, (path, bead) in enumerate(zip(paths, laid, strict=True)):
         check_clear(path, bead, surface.before(i), file)
-    return Toolpath(laid, surface, notes=read.notes)
+    return Toolpath(laid, surface, notes=(*read.notes, *([f"{file.name}: {told}"] if told else [])))
 
 
 def _sizes(path: Waypoints, given: Array | None, usual: float, curve: Interpolated) -> Array:

@@ -1,7 +1,6 @@
 """A file of waypoints: points and surface normals, split into the paths that become beads.
 
-The file is text, with or without a header that names its columns, or arrays by name. Measured normals carry noise that
-an arm should not follow, so they are smoothed within a bound.
+The file is text, with or without a header that names its columns, or arrays by name.
 """
 
 from __future__ import annotations
@@ -19,20 +18,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solveh_banded
 
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
 from planner.base.errors import Complaint, InputError, nearest_name
 from planner.base.files import read_bytes, read_text
-from planner.base.geometry import angles_between
+from planner.base.geometry import arc_lengths
 from planner.problem.layers import WaypointsSpec
-from planner.toolpath.plane_paths import third_difference_bands
-
-REACH = 3.0  # waypoints, about, to either side over which a normal is averaged; waves of 20 or more stay
-_ROUNDS = 40  # in which normals that were turned too far are held more firmly
-_FIRMER = 1.3  # least factor for those
-_NONE = 1e-12  # rad, and length of a mean of normals: none at all
-_ORDER = 3  # of the difference that is made small
 
 NEEDED = ("x", "y", "z", "nx", "ny", "nz")
 OPTIONAL = ("layer", "bead", "width", "height")
@@ -49,43 +40,13 @@ FARTHEST = 1e5  # mm: a hall of 100 m
 SPLIT = 3.0  # median steps: a longer one is no step of the path but a way to the next bead
 SAME_POINT = 0.02  # of the median step: points nearer than this to the one before are the same point again
 SAME_PLACE = 1e-7  # m: so are points nearer than this, whatever the steps; files are rounded to that
+_NAMED_LINES = 5  # lines that a note names
+_AGREE = np.radians(45.0)  # between two normals: they are of one surface
 SIZES = (1e-5, 50e-3)  # m: widths and heights of beads, from a fibre to large concrete beads
 MOST_LAYERS = 1e6  # and numbers of beads
 _SHORTEST_NORMAL = 1e-6
 _SIZED, _COUNTED = ("width", "height"), ("layer", "bead")
 _TO_SI = {"mm": 1e-3, "m": 1.0}
-
-
-def smooth_normals(normals: Array, bound: float) -> tuple[Array, Array]:
-    """Smooth unit normals (n, 3) along their path; none is turned by more than `bound` [rad].
-
-    Third differences are weighed against what the normals are changed by, so that some REACH neighbours to either side
-    are averaged; a normal that would turn too far is held back, more firmly until it does not. Returns the normals
-    and the angles (n) [rad] by which they were turned.
-    """
-    n = len(normals)
-    if n <= _ORDER:
-        return normals, np.zeros(n)
-    bands = third_difference_bands(n, 1.0)
-    hold = np.full(n, REACH ** (-2 * _ORDER))
-    smooth, turned = normals, np.zeros(n)
-    for _ in range(_ROUNDS):
-        system = bands.copy()
-        system[0] += hold
-        smooth = solveh_banded(system, hold[:, None] * normals, lower=True)
-        smooth = smooth / np.maximum(np.linalg.norm(smooth, axis=1), _NONE)[:, None]
-        turned = angles_between(smooth, normals)
-        far = turned > bound
-        if not far.any():
-            return smooth, turned
-        hold = np.where(far, hold * np.maximum(turned / bound, _FIRMER) ** 2, hold)
-    # a few are still a little beyond the bound: all go back towards the file's by that share
-    share = bound / turned.max()
-    back, ahead = np.sin((1.0 - share) * turned), np.sin(share * turned)
-    still = turned <= _NONE
-    smooth = np.where(still[:, None], normals, back[:, None] * normals + ahead[:, None] * smooth)
-    smooth = smooth / np.linalg.norm(smooth, axis=1)[:, None]
-    return smooth, angles_between(smooth, normals)
 
 
 @dataclass(frozen=True)
@@ -326,12 +287,13 @@ class _Rows:
         )
 
 
-def read_waypoints(spec: WaypointsSpec, where: Complaint | None = None) -> WaypointFile:
+def read_waypoints(spec: WaypointsSpec, where: Complaint | None = None, width: float = 0.0) -> WaypointFile:
     """Read a file of waypoints (see `read_columns`) and split it, in its order, where a bead ends.
 
     That is where the columns bead or layer change, and where it jumps; if there is a column bead, only where the
-    jump is longer than a `split_mm` that is given. Points that repeat the one before are left out, and normals smoothed
-    if that is asked for. `where(reason, hint=...)` makes the InputError for what is wrong with the file as a whole.
+    jump is longer than a `split_mm` that is given. Points that repeat the one before are left out, and crumbs, if they are
+    few: see `_without_crumbs`; beads are of this width [m] where the file does not say.
+    `where(reason, hint=...)` makes the InputError for what is wrong with the file as a whole.
     Raises InputError with file and line for a line that is no waypoint.
     """
     path = spec.waypoints
@@ -345,27 +307,27 @@ def read_waypoints(spec: WaypointsSpec, where: Complaint | None = None) -> Waypo
     rows = rows[keep]
     if len(rows.points) < 2:
         raise complain(f"{path.name} holds no two different waypoints")
-    beads, turned = [], np.zeros(0)
-    for i, part in enumerate(_split(rows, spec, path), 1):
-        cut = rows[part]
-        normals = cut.normals
-        if spec.smoothing > 0.0:
-            normals, angles = smooth_normals(normals, spec.smoothing)
-            turned = np.append(turned, angles)
-        layer = None if cut.layer is None else int(cut.layer[0])
-        beads.append(Waypoints(f"path {i}", cut.points, normals, cut.lines, cut.width, cut.height, layer))
-    return WaypointFile(tuple(beads), tuple(_notes(path, columns.unused, repeated, turned)))
+    split = _greatest_step(rows, spec)
+    parts, crumbs = _without_crumbs(_split(rows, split), spec.crumbs, width)
+    for part in parts.values():
+        _check_alone(part, split, path)
+    beads = [
+        Waypoints(
+            f"path {i}", cut.points, cut.normals, cut.lines, cut.width, cut.height,
+            None if cut.layer is None else int(cut.layer[0]),
+        )
+        for i, cut in parts.items()
+    ]  # fmt: skip
+    left_out = [f"{path.name}: {crumbs}"] if crumbs else []
+    return WaypointFile(tuple(beads), (*_notes(path, columns.unused, repeated), *left_out))
 
 
-def _notes(path: Path, unused: tuple[str, ...], repeated: int, turned: Array) -> Iterator[str]:
+def _notes(path: Path, unused: tuple[str, ...], repeated: int) -> Iterator[str]:
     if repeated:
         what = "waypoint that repeats" if repeated == 1 else "waypoints that repeat"
         yield f"{path.name}: {repeated} {what} the one before left out"
     if unused:
         yield f"{path.name}: columns that are not used: {', '.join(name[:40] for name in unused[:8])}"
-    if len(turned):
-        most, mean = np.degrees([turned.max(), turned.mean()])
-        yield f"{path.name}: normals smoothed, by {most:.3f} degrees at most and {mean:.3f} on average"
 
 
 def _rows(columns: Columns, spec: WaypointsSpec) -> _Rows:
@@ -430,23 +392,84 @@ def _parts(ends: Ints) -> Iterator[slice]:
     return (slice(int(a), int(b)) for a, b in zip(np.append(0, ends[:-1]), ends, strict=True))
 
 
-def _split(rows: _Rows, spec: WaypointsSpec, path: Path) -> Iterator[slice]:
-    """The rows of each bead; raises InputError for a waypoint that stands alone."""
+def _greatest_step(rows: _Rows, spec: WaypointsSpec) -> float:
+    """The longest step [m] that is no way to the next bead."""
+    if spec.split is not None:
+        return spec.split
     step = np.linalg.norm(np.diff(rows.points, axis=0), axis=1)
-    ends = _changes(rows)
     within = np.ones(len(step), dtype=bool)
-    within[ends[:-1] - 1] = False
-    split = spec.split
-    if split is None:
-        split = SPLIT * float(np.median(step[within])) if rows.bead is None and within.any() else math.inf
-    for part in _parts(np.union1d(ends, np.flatnonzero(step > split) + 1)):
-        if part.stop - part.start < 2:
-            reason, hint = "this waypoint is all of its bead", "a bead has two at least"
-            if rows.bead is None and rows.layer is None:
-                reason = f"this waypoint stands alone, more than {split * 1e3:g} mm from those beside it"
-                hint = "leave it out, or choose a greater layers.source.split_mm"
-            raise InputError(reason, file=path, line=int(rows.lines[part.start]), hint=hint)
-        yield part
+    within[_changes(rows)[:-1] - 1] = False
+    return SPLIT * float(np.median(step[within])) if rows.bead is None and within.any() else math.inf
+
+
+def _split(rows: _Rows, split: float) -> list[_Rows]:
+    """The rows of each bead, in order."""
+    step = np.linalg.norm(np.diff(rows.points, axis=0), axis=1)
+    return [rows[part] for part in _parts(np.union1d(_changes(rows), np.flatnonzero(step > split) + 1))]
+
+
+def _check_alone(part: _Rows, split: float, path: Path) -> None:
+    """Raise InputError for a waypoint that is all of its bead."""
+    if len(part.points) > 1:
+        return
+    reason, hint = "this waypoint is all of its bead", "a bead has two at least"
+    if part.bead is None and part.layer is None:
+        reason = f"this waypoint stands alone, more than {split * 1e3:g} mm from those beside it"
+        hint = "leave it out, or choose a greater layers.source.split_mm"
+    raise InputError(reason, file=path, line=int(part.lines[0]), hint=hint)
+
+
+def _without_crumbs(parts: Sequence[_Rows], share: float, width: float) -> tuple[dict[int, _Rows], str]:
+    """Parts of a file by their number from 1 on, without crumbs, and what was left out in words.
+
+    Crumbs are waypoints that stand alone, paths shorter than their bead is wide (`width` [m] where the file does not say), and
+    waypoints whose normal points the other way than those beside it, where these agree. All stay where they are more
+    than a share of the length: then it is not known what the file means.
+    """
+    lengths = [float(arc_lengths(part.points)[-1]) for part in parts]
+    usual = float(np.median(np.concatenate([np.linalg.norm(np.diff(part.points, axis=0), axis=1) for part in parts])))
+    alone, short, stray, lost = [], [], [], 0.0
+    kept: dict[int, _Rows] = {}
+    for i, (part, length) in enumerate(zip(parts, lengths, strict=True), 1):
+        if len(part.points) < 2:
+            alone.append(int(part.lines[0]))
+            lost += usual
+        elif length < (width if part.width is None else float(part.width.min())):
+            short.append(int(part.lines[0]))
+            lost += length
+        else:
+            turned = _other_way(part.normals)
+            stray += part.lines[turned].tolist()
+            lost += usual * int(turned.sum())
+            kept[i] = part[~turned]
+    total = sum(lengths)
+    if not kept or lost > share * total:
+        return dict(enumerate(parts, 1)), ""
+    told = [
+        f"{len(lines)} {one if len(lines) == 1 else many} ({_lines(lines)})"
+        for lines, one, many in (
+            (alone, "waypoint that stands alone", "waypoints that stand alone"),
+            (short, "path shorter than its bead is wide", "paths shorter than their beads are wide"),
+            (stray, "waypoint whose normal points the other way", "waypoints whose normals point the other way"),
+        )
+        if lines
+    ]
+    return kept, f"left out {'; '.join(told)}: {lost / total:.2%} of the length" if told else ""
+
+
+def _lines(numbers: Sequence[int]) -> str:
+    """Lines of a file in words, the first few of many."""
+    words = ", ".join(str(number) for number in numbers[:_NAMED_LINES])
+    return f"line{'s' if len(numbers) > 1 else ''} {words}{', ...' if len(numbers) > _NAMED_LINES else ''}"
+
+
+def _other_way(normals: Array) -> NDArray[np.bool_]:
+    """Which normals (n, 3) point the other way than both beside them, where these two agree."""
+    out = np.zeros(len(normals), dtype=bool)
+    before, here, after = normals[:-2], normals[1:-1], normals[2:]
+    agree = (before * after).sum(axis=1) > np.cos(_AGREE)
+    out[1:-1] = agree & ((before * here).sum(axis=1) < 0.0) & ((after * here).sum(axis=1) < 0.0)
+    return out
 
 
 def distinct(points: Array) -> NDArray[np.bool_]:

@@ -1,0 +1,104 @@
+"""Noisy normals of waypoints, smoothed within a bound: joints would follow all of their noise, and what is printed gains nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import solveh_banded
+
+from planner.base.arrays import Array
+from planner.base.geometry import angles_between, arc_lengths
+from planner.toolpath.waypoints.reader import Waypoints
+
+REACH = 3e-3  # m, about, to either side over which a normal is averaged; waves of 20 mm or more stay
+JITTER_REACH = 0.7e-3  # m, likewise, to see whether normals are noisy: waves of 10 mm are none of that
+NOISY = np.radians(0.015)  # of half the normals: jitter from which on joints feel it; exact ones have less than 0.001
+UNASKED = np.radians(3.0)  # how far noisy normals are turned at most where nothing is said of it
+_FEWEST_STEPS, _MOST_STEPS = 0.7, 40.0  # usual steps of the path that normals are averaged over
+_LEAST_STEP = 0.1  # of a usual step: closer waypoints count as if they were so far apart
+_ROUNDS = 40  # in which normals that were turned too far are held more firmly
+_FIRMER = 1.3  # least factor for those
+_NONE = 1e-12  # rad, and length of a mean of normals: none at all
+_ORDER = 3  # of the difference that is made small
+
+
+def calm_normals(
+    paths: Sequence[Waypoints], asked: float | None, unasked: float = UNASKED
+) -> tuple[tuple[Waypoints, ...], str]:
+    """Paths with normals that are smoothed as far as is asked for [rad]; and what to say of that, if anything.
+
+    Where nothing is asked for (None) and normals are noisy, they are smoothed as far as `unasked` [rad].
+    """
+    along = [arc_lengths(path.points) for path in paths]
+    bound, why, instead = asked, "", ""
+    if asked is None:
+        off = np.median(np.concatenate([jitter(path.normals, s) for path, s in zip(paths, along, strict=True)]))
+        bound = unasked if off > NOISY else 0.0
+        why = f" since they are noisy (half of them by more than {np.degrees(off):.2g} degrees)"
+        instead = "; smooth_normals_deg: 0 takes them as they are"
+    if not bound:
+        return tuple(paths), ""
+    smooth = [smooth_normals(path.normals, s, bound) for path, s in zip(paths, along, strict=True)]
+    turned = np.degrees(np.concatenate([angles for _, angles in smooth]))
+    most, mean = turned.max(), turned.mean()
+    told = f"normals smoothed{why}, by {most:.3f} degrees at most and {mean:.3f} on average{instead}"
+    return tuple(replace(path, normals=normals) for path, (normals, _) in zip(paths, smooth, strict=True)), told
+
+
+def smooth_normals(normals: Array, s: Array, bound: float, reach: float = REACH) -> tuple[Array, Array]:
+    """Smooth unit normals (n, 3) at arc lengths s (n) [m]; none is turned by more than `bound` [rad].
+
+    Third derivatives along the path are weighed against what the normals are changed by: waves shorter than about six
+    times `reach` [m] go. A normal that would turn too far is held back, more firmly until it does not. Returns the
+    normals and the angles (n) [rad] by which they were turned.
+    """
+    n = len(normals)
+    if n <= _ORDER:
+        return normals, np.zeros(n)
+    step = np.diff(s)
+    usual = float(np.median(step))
+    step = np.maximum(step, _LEAST_STEP * usual) / np.clip(reach, _FEWEST_STEPS * usual, _MOST_STEPS * usual)
+    bands = _third_derivative_bands(step)
+    hold = 0.5 * (np.append(step, step[-1]) + np.insert(step, 0, step[0]))
+    smooth, turned = normals, np.zeros(n)
+    for _ in range(_ROUNDS):
+        system = bands.copy()
+        system[0] += hold
+        smooth = solveh_banded(system, hold[:, None] * normals, lower=True)
+        smooth = smooth / np.maximum(np.linalg.norm(smooth, axis=1), _NONE)[:, None]
+        turned = angles_between(smooth, normals)
+        far = turned > bound
+        if not far.any():
+            return smooth, turned
+        hold = np.where(far, hold * np.maximum(turned / bound, _FIRMER) ** 2, hold)
+    # a few are still a little beyond the bound: all go back towards the file's by that share
+    share = bound / turned.max()
+    back, ahead = np.sin((1.0 - share) * turned), np.sin(share * turned)
+    still = turned <= _NONE
+    smooth = np.where(still[:, None], normals, back[:, None] * normals + ahead[:, None] * smooth)
+    smooth = smooth / np.linalg.norm(smooth, axis=1)[:, None]
+    return smooth, angles_between(smooth, normals)
+
+
+def _third_derivative_bands(step: Array) -> Array:
+    """Lower bands (4, n) of the matrix of the integral of a curve's squared third derivative, by divided differences;
+    step (n - 1) between its points."""
+    n = len(step) + 1
+    at = np.concatenate([[0.0], np.cumsum(step)])
+    four = np.stack([at[k : k + n - _ORDER] for k in range(_ORDER + 1)], axis=1)
+    apart = four[:, :, None] - four[:, None, :] + np.eye(_ORDER + 1)
+    factor = math.factorial(_ORDER) / apart.prod(axis=2)
+    weight = (four[:, -1] - four[:, 0]) / _ORDER
+    bands = np.zeros((_ORDER + 1, n))
+    for a in range(_ORDER + 1):
+        for b in range(a + 1):
+            bands[a - b, b : b + n - _ORDER] += weight * factor[:, a] * factor[:, b]
+    return bands
+
+
+def jitter(normals: Array, s: Array) -> Array:
+    """Angles (n) [rad] that unit normals (n, 3) at arc lengths s (n) [m] are off what their next neighbours say."""
+    return smooth_normals(normals, s, np.pi, JITTER_REACH)[1]
