@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from collision_cells import coal_distance, placed, with_bodies
 
-from planner.base.errors import Refusal
+from planner.base.errors import Blocked, Refusal
 from planner.cell.cell import Cell, build_cell
 from planner.cell.solids import Body, Capsule
 from planner.collision.point_tree import point_tree
@@ -170,6 +170,20 @@ def test_the_nozzle_leans_away_from_a_wall(problem: Problem, bare: Cell) -> None
     assert (-unaware[20:-20, 0] > -np.sin(np.radians(5.0))).any()  # it is the wall that asks for it
     with pytest.raises(Refusal, match="collision of nozzle with part or print"):
         ladder(bare, [line_task(0.0)], problem.resolve, obstacles)
+
+
+@pytest.mark.parametrize("free", ["[rotation]", "[tilt, rotation]"])
+def test_what_is_in_the_way_of_every_posture_is_named(free: str) -> None:
+    """A nozzle on the normal touches the wall wherever the table is: that is no matter of branches."""
+    given = load_problem(
+        "cylinder_logo", ["layers.count=1", "cell.positioner.held_deg={}", f"cell.positioner.free={free}"]
+    )
+    cell = with_bodies(build_cell(given))
+    with pytest.raises(
+        Blocked, match="collision of nozzle with part or print: every posture of the search here"
+    ) as caught:
+        ladder(cell, [line_task(0.0)], given.resolve, wall_beside(cell))
+    assert any(hint.startswith("process.cones.nozzle_normal_deg: ") for hint in caught.value.hints)
 
 
 # --- travel -----------------------------------------------------------------------------------------------------

@@ -102,6 +102,10 @@ class Refusal(PlannerError):
         return super().__reduce__()
 
 
+class Blocked(Refusal):
+    """A Refusal since something is in the way of every posture that was searched at a place."""
+
+
 def nearest_name(name: str, names: Iterable[str]) -> str | None:
     """Return the one of `names` that a misspelt `name` most probably meant, or None."""
     close = difflib.get_close_matches(name, list(names), n=1, cutoff=0.5)

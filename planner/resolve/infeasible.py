@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from planner.base.arrays import Array
-from planner.base.errors import Refusal
+from planner.base.errors import Blocked, Refusal
 from planner.base.processes import cores
 from planner.cell.cell import Cell, translation
 from planner.cell.robot import chain_of
@@ -157,8 +157,8 @@ def _tilt_hints(stuck: Stuck) -> tuple[str, ...]:
     for tilt in TILTS:
         if stuck.serves_tilted(np.radians(tilt)):
             return (
-                f"a nozzle tilted {tilt:g} deg from the surface normal has a posture here; the search keeps it on the "
-                "normal (process.cones.nozzle_normal_deg is for the refinement after it), so turn the part or normals",
+                f"process.cones.nozzle_normal_deg: {tilt:g}, a nozzle that may lean so far from the surface normal, "
+                "gives postures here",
             )
     return ()
 
@@ -306,8 +306,8 @@ def refuse_rung(
 
     stuck = stuck_at(cell, tasks, demand, grid, rung, min_sigma, obstacles)
 
-    def refuse(reason: str, missing: float | None = None) -> NoReturn:
-        refuse_at(task, i, reason, missing, partial(place_hints, stuck, task.tip[i], missing))
+    def refuse(reason: str, missing: float | None = None, kind: type[Refusal] = Refusal) -> NoReturn:
+        refuse_at(task, i, reason, missing, partial(place_hints, stuck, task.tip[i], missing), kind)
 
     angles = np.linspace(0.0, 2.0 * np.pi, _TRIED, endpoint=False)
     roll, swept = (x.ravel() for x in np.meshgrid(angles, angles if cell.chosen else angles[:1], indexing="ij"))
@@ -347,7 +347,8 @@ def refuse_rung(
             now = np.full(len(tried), demand.now[demand.rung[rung]])
             margin, which = obstacles.margins(tried, now, np.inf, CLEAR_ROOM)
             k = int(np.argmax(margin))
-            refuse(_collision(obstacles, int(which[k]), float(margin[k]), "every posture of the search here"))
+            every = _collision(obstacles, int(which[k]), float(margin[k]), "every posture of the search here")
+            refuse(every, kind=Blocked)
         reason = "no posture on the search's grid, though there are some between its steps: search finer"
         refuse_at(task, i, reason, hints=partial(path_hints, stuck, task.tip[i]))
     if obstacles.any:

@@ -323,15 +323,20 @@ def _slowest(way: Array, limits: Limits, joints: slice) -> Array:
 
 
 def refuse_at(
-    task: NozzleTask, i: int, reason: str, missing: float | None = None, hints: Callable[[], Hints] | None = None
+    task: NozzleTask,
+    i: int,
+    reason: str,
+    missing: float | None = None,
+    hints: Callable[[], Hints] | None = None,
+    kind: type[Refusal] = Refusal,
 ) -> NoReturn:
-    """Raise a Refusal that names the task's bead, sample and point; places in a run count as the bead's end."""
+    """Raise a Refusal, of this kind, that names the task's bead, sample and point; places in a run count as the bead's end."""
     mm = task.tip[i] * 1e3
     if missing is not None:
         reason += f" by {missing * 1e3:.1f} mm"
     run = ", in the run-in" if i < task.first else ", in the run-out" if i > task.last else ""
     nearest = min(max(i, task.first), task.last)
-    raise Refusal(
+    raise kind(
         f"{reason} (layer {task.layer + 1}, path {task.name!r}{run}, "
         f"point {mm[0]:.1f} {mm[1]:.1f} {mm[2]:.1f} mm on the part)",
         bead=task.bead,

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from planner.base.arrays import Array, Flags, Ints
-from planner.base.errors import Refusal
+from planner.base.errors import Blocked, Refusal
 from planner.base.geometry import TURN
 from planner.cell.cell import Cell
 from planner.collision.scene import NOTHING, Obstacles
@@ -386,7 +386,8 @@ def guide_route(
         alone = _with_one_joint(cell, guides, settings, obstacles, share)
     except Refusal as none:
         if found is None:
-            raise refusal or none from none
+            # what is in the way of every posture of one joint is mostly in the way of them all
+            raise none if refusal is None or isinstance(none, Blocked) else refusal from none
         return found
     both = [alone] if found is None else [found, alone]
     return min(both, key=lambda each: (bool(overwound(cell, each)), each.route.price))
