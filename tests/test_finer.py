@@ -13,7 +13,7 @@ from scipy.interpolate import make_interp_spline
 from planner.cell.cell import build_cell
 from planner.planning import pipeline
 from planner.planning.context import context_of
-from planner.planning.finer import with_finer_samples
+from planner.planning.finer import with_finer_samples, worst_off
 from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem
 from planner.toolpath.bead import Toolpath
@@ -91,3 +91,33 @@ def test_what_more_samples_do_not_help_stays(problem: Problem, toolpath: Toolpat
     off = {"axis on the normal", "joint range"}
     failed = tuple(replace(check, ok=check.name not in off) for check in report.checks)
     assert with_finer_samples(given, plan.trajectory, replace(report, checks=failed)) is None
+
+
+def test_more_samples_are_tried_while_they_help(
+    problem: Problem, toolpath: Toolpath, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = context_of(problem, build_cell(problem), toolpath)
+    with monkeypatch.context() as patch:
+        patch.setattr(pipeline, "with_finer_samples", lambda *_: None)
+        plan = solve(problem, baseline=False)
+    report = pipeline.verify(problem, given.cell, toolpath, plan.trajectory)
+    assert 1.0 < worst_off(report) < 2.0
+    finer = with_finer_samples(given, plan.trajectory, report)
+    assert finer is not None
+    assert finer.toolpath.notes[-1].startswith("1 of 1 beads sampled more finely")
+    assert with_finer_samples(given, plan.trajectory, report, before=1.1 * worst_off(report)) is None
+    far = replace(report, series=report.series | {"off_the_path": 30.0 * report.series["off_the_path"]})
+    assert with_finer_samples(given, plan.trajectory, far) is None
+
+
+def test_the_rest_of_a_print_keeps_the_samples_of_the_whole(problem: Problem, tmp_path: Path) -> None:
+    text = problem.layers.source.waypoints.read_text(encoding="utf-8")
+    rows = np.loadtxt(text.splitlines())
+    straight = np.column_stack([rows[:, :3] + [30.0, 0.0, 0.0], np.tile([0.0, 0.0, 1.0], (len(rows), 1))])
+    np.savetxt(tmp_path / "two.txt", np.vstack([rows, straight]), fmt="%.6f")
+    both = load_problem("peer_cap", [f"layers.source.waypoints={tmp_path / 'two.txt'}", *CASE])
+    for strategy in ("sqp", "ladder"):
+        whole, rest = (solve(both, strategy, baseline=False, first_bead=k) for k in (0, 1))
+        assert len(whole.toolpath.beads[0].s) > len(build_toolpath(both).beads[0].s)
+        np.testing.assert_array_equal(rest.toolpath.beads[0].s, whole.toolpath.beads[0].s)
+        np.testing.assert_array_equal(rest.paths[0].q, whole.paths[1].q)

@@ -21,8 +21,8 @@ from planner.problem import load_problem
 from planner.problem.layers import WaypointsSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.waypoints.normals import UNASKED, calm_normals, smooth_normals
-from planner.toolpath.waypoints.reader import NEEDED, OPTIONAL, read_waypoints
+from planner.toolpath.waypoints.normals import NOISY, UNASKED, calm_normals, jitter, smooth_normals
+from planner.toolpath.waypoints.reader import NEEDED, OPTIONAL, Waypoints, read_waypoints
 
 Array = NDArray[np.float64]
 HEADER = "x,y,z,nx,ny,nz"
@@ -400,6 +400,43 @@ def test_smoothing_is_by_length_and_not_by_number() -> None:
         turning = np.linalg.norm(np.gradient(smooth, s, axis=0), axis=1)[inner]
         assert turning.max() < 1.35 * 0.2 * 2.0 * np.pi / 0.06
         np.testing.assert_allclose(smooth_normals(true, s, 0.1)[0][inner], true[inner], atol=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("wave", "swing_deg", "step"), [(20.0, 20.0, 2.0), (20.0, 45.0, 1.0), (30.0, 30.0, 2.0), (10.0, 20.0, 0.5)]
+)
+def test_what_is_curved_is_not_noisy(wave: float, swing_deg: float, step: float) -> None:
+    """Exact normals of a corrugated sheet, however steep, and evenly or unevenly spaced; then with noise."""
+    rng = np.random.default_rng(0)
+    even = np.arange(0.0, 200.0, step)
+    for s in (even, even + rng.uniform(-0.3, 0.3, len(even)) * step):
+        lean = np.radians(swing_deg) * np.sin(2.0 * np.pi * s / wave)
+        normals = np.column_stack([np.sin(lean), 0.0 * lean, np.cos(lean)])
+        assert np.median(jitter(normals, s * 1e-3)) < NOISY
+        spoilt = normals + rng.normal(0.0, np.radians(0.3), normals.shape)
+        assert np.degrees(np.median(jitter(spoilt, s * 1e-3))) == pytest.approx(0.46, rel=0.35)  # of three components
+
+
+def test_a_closed_path_is_smooth_where_it_closes() -> None:
+    rng = np.random.default_rng(2)
+    angle = np.linspace(0.0, 2.0 * np.pi, 201)
+    points = 0.02 * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
+    normals = np.column_stack([0.3 * np.cos(angle), 0.3 * np.sin(angle), np.ones(201)])
+    spoilt = normals + rng.normal(0.0, 0.01, normals.shape)
+    spoilt[-1] = spoilt[0]
+    spoilt /= np.linalg.norm(spoilt, axis=1)[:, None]
+    ring = Waypoints("ring", points, spoilt, np.arange(201), None, None, None)
+    (calm,), told = calm_normals([ring], None)
+    assert "noisy" in told
+    assert np.degrees(between(calm.normals[:1], calm.normals[-1:]))[0] < 0.02
+    turning = np.linalg.norm(np.diff(np.vstack([calm.normals[-6:-1], calm.normals[:6]]), axis=0), axis=1)
+    assert turning.max() < 2.0 * turning.min()
+
+
+def test_nothing_is_told_where_nothing_is_smoothed() -> None:
+    path = Waypoints("short", np.eye(3), np.tile([0.0, 0.0, 1.0], (3, 1)), np.arange(3), None, None, None)
+    for asked in (None, np.radians(3.0), 1e-30):
+        assert calm_normals([path], asked) == ((path,), "")
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02])

@@ -200,13 +200,31 @@ def crumbly(alone: int = 0, short: int = 0, stray: int = 0) -> str:
 def test_a_few_crumbs_are_left_out_and_told(spec: Callable[..., WaypointsSpec]) -> None:
     found = read_waypoints(spec(crumbly(alone=1, short=2, stray=1)), width=0.6e-3)
     (bead,) = found.beads
-    assert (len(bead.points), bead.name) == (300, "path 1")
+    assert (len(bead.points), bead.name) == (301, "path 1")
+    np.testing.assert_allclose(bead.normals, np.tile([0.0, 0.0, 1.0], (301, 1)), atol=1e-12)
     (note,) = found.notes
     assert note == (
         "points.txt: left out 1 waypoint that stands alone (line 302); "
-        "2 paths shorter than their beads are wide (lines 303, 305); "
-        "1 waypoint whose normal points the other way (line 51): 0.83% of the length"
+        "left out 2 paths shorter than their beads are wide (lines 303, 305); "
+        "turned round 1 normal that points the other way (line 51): 0.83% of the length"
     )
+
+
+def test_normals_between_ones_that_point_the_other_way_stay(spec: Callable[..., WaypointsSpec]) -> None:
+    """A good one between two bad ones is not turned, and a corner keeps its waypoint."""
+    points = [(0, k) for k in range(100)] + [(k, 100) for k in range(101)]
+    bad = {49, 51, 100}
+    text = "".join(f"{x} {y} 0 0.1 0 {-1 if i in bad else 1}\n" for i, (x, y) in enumerate(points))
+    (bead,) = read_waypoints(spec(text, leave_out_share=0.05)).beads
+    assert len(bead.points) == 201
+    assert (bead.normals[:, 2] > 0.9).all()
+
+
+def test_a_file_of_single_waypoints_is_refused_without_a_warning(
+    spec: Callable[..., WaypointsSpec], recwarn: pytest.WarningsRecorder
+) -> None:
+    assert "stands alone" in str(refused(spec(f"0 0 0 {UP}\n9 0 0 {UP}\n30 0 0 {UP}\n", split_mm=1)))
+    assert not recwarn.list
 
 
 @pytest.mark.parametrize(

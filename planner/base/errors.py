@@ -103,7 +103,7 @@ class Refusal(PlannerError):
 
 
 class Blocked(Refusal):
-    """A Refusal since something is in the way of every posture that was searched at a place."""
+    """A Refusal because something blocks every posture searched at a place."""
 
 
 def nearest_name(name: str, names: Iterable[str]) -> str | None:

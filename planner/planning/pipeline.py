@@ -29,7 +29,7 @@ from planner.plan.robustness import Robustness, Tolerance, parse_tolerance
 from planner.planning.candidates import DEFAULT, PlannedPaths, best_of_all
 from planner.planning.context import PlanningContext, context_of
 from planner.planning.distributed import sqp_over
-from planner.planning.finer import ROUNDS, with_finer_samples
+from planner.planning.finer import ROUNDS, with_finer_samples, worst_off
 from planner.planning.options import DEFAULT_DT, MAX_DT, MIN_DT
 from planner.planning.pieces import MORE_ROOM, in_pieces
 from planner.planning.robustness import assess_robustness
@@ -209,11 +209,14 @@ def _planned(
     shared: bool,
     over: Spread | None = None,
     rounds: int = ROUNDS,
+    off: float = np.inf,
 ) -> Planned:
     """The plan of a strategy, of the default one the best of all strategies'. Raises Refusal.
 
-    Which strategy's paths are taken is decided on the whole print, also where the rest of it is resumed. Where a plan is
-    off the path between samples, these are set finer and all is planned again, in so many rounds at most.
+    Samples and strategy are decided on the whole print, also where the rest of it is resumed. Where a plan is off its path
+    between samples, these are set finer and all is planned again, in so many rounds at most.
+
+    off: how far the plan of the round before is off, in tolerances
     """
     others, min_sigma = strategy == DEFAULT, given.problem.resolve.min_sigma
 
@@ -223,8 +226,8 @@ def _planned(
     def maps_of(planned: PlannedPaths) -> tuple[RollMap, ...]:
         return roll_maps(given.cell, planned.paths[given.first_bead :], given.obstacles, min_sigma)
 
-    if others and given.first_bead:
-        whole, taken, _ = _planned(strategy, replace(given, first_bead=0), dt, stages, shared, over)
+    if given.first_bead:
+        whole, taken, _ = _planned(strategy, replace(given, first_bead=0), dt, stages, shared, over, rounds)
         given = replace(whole, first_bead=given.first_bead)
         resumed = along(taken.by, taken.paths, stages)
         return given, resumed, maps_of(resumed)
@@ -240,9 +243,15 @@ def _planned(
         if not others:
             raise
         refusal = none
-    finer = with_finer_samples(given, own.trajectory, own.report) if own is not None and rounds else None
-    if finer is not None:
-        return _planned(strategy, finer, dt, stages, shared, rounds=rounds - 1)
+    if own is not None and rounds:
+        finer = with_finer_samples(given, own.trajectory, own.report, off)
+        if finer is not None:
+            try:  # other processes know the samples as they were drawn, so nothing is spread over them
+                again = _planned(strategy, finer, dt, stages, shared, rounds=rounds - 1, off=worst_off(own.report))
+            except Refusal:
+                again = None
+            if again is not None and again[1].verified:
+                return again
     best = own
     with stages.stage("compare"):
         if others:
@@ -283,7 +292,7 @@ def _planned_in_pieces(
         raise refusal or RuntimeError("no plan and no refusal")
     if first_bead:
         rest = replace(whole[0], first_bead=_within(first_bead, whole[0].toolpath))
-        whole = _planned(strategy, rest, dt, stages, shared)
+        whole = _planned(strategy, rest, dt, stages, shared, rounds=0)
     return whole
 
 

@@ -115,14 +115,14 @@ class WaypointsSpec(SourceSection):
     )
     crumbs: Annotated[float, Quantity("", 0, 0.5)] = key(
         "leave_out_share",
-        "share of the length that may be left out: paths shorter than a bead is wide, waypoints that stand alone or whose "
-        "normal points the other way; if there are more, they are refused",
+        "share of the length up to which paths shorter than a bead is wide and waypoints that stand alone are left out, and "
+        "normals that point the other way turned round; if there are more, the file is refused",
         0.01,
     )
     smoothing: Annotated[float, Quantity("deg", 0, 30)] | None = key(
         "smooth_normals_deg",
-        "how far a normal may be turned to smooth them along a bead [deg]; 0 takes them as they are; default: 3 where they "
-        "are noisy and the nozzle may not lean, else 0",
+        "how far a normal may be turned to smooth them along a bead [deg]; 0 takes them as they are; default: at most 3 "
+        "where they are noisy and the nozzle may not lean, else 0",
         None,
     )
 

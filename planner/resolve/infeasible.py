@@ -63,9 +63,7 @@ class Stuck:
         some = np.unique(np.linspace(0, r - 1, min(r, _FEW)).round().astype(np.int64))
         if not np.isfinite(self._prices(cell, self.demand, some)).any(axis=(1, 2, 3)).all():
             return _HERE
-        nodes = evaluate(
-            cell, self.demand, self._grid(self.demand, slice(None)), self.min_sigma, self.obstacles.of(cell)
-        )
+        nodes = evaluate(cell, self.demand, self._grid(self.demand, slice(None)), self.min_sigma, self._around(cell))
         route, _ = best_route(nodes, self.demand, cell.limits)
         return _HERE if route is None or not self._holds_between(cell, nodes, route) else _ALONG
 
@@ -95,9 +93,16 @@ class Stuck:
                 return True
         return False
 
+    def _around(self, cell: Cell) -> Obstacles:
+        """What is in the way of a changed cell."""
+        if cell is self.cell:
+            return self.obstacles
+        there = self.obstacles.of(cell)
+        return there.but_head_on_part if self.demand.cones.tilt > 0.0 else there
+
     def _prices(self, cell: Cell, demand: SampledTasks, rungs: NDArray[np.int64]) -> Array:
         few = demand.only(rungs, [0, len(rungs)])
-        return evaluate(cell, few, self._grid(few, rungs), self.min_sigma, self.obstacles.of(cell)).price
+        return evaluate(cell, few, self._grid(few, rungs), self.min_sigma, self._around(cell)).price
 
     def _grid(self, demand: SampledTasks, rungs: NDArray[np.int64] | slice) -> Grid:
         grid = self.grid
@@ -154,11 +159,16 @@ def _finer_hints(stuck: Stuck) -> tuple[str, ...]:
 
 
 def _tilt_hints(stuck: Stuck) -> tuple[str, ...]:
+    """The least lean that gives a posture. The search itself leans only to clear part and print: see `but_head_on_part`."""
+    clear = replace(stuck, obstacles=stuck.obstacles.but_head_on_part)
+    leans = stuck.demand.cones.tilt == 0.0 and clear.serves(stuck.cell) > 0
     for tilt in TILTS:
         if stuck.serves_tilted(np.radians(tilt)):
+            if leans:
+                return (f"process.cones.nozzle_normal_deg: {tilt:g} lets the nozzle lean clear here",)
             return (
-                f"process.cones.nozzle_normal_deg: {tilt:g}, a nozzle that may lean so far from the surface normal, "
-                "gives postures here",
+                f"a nozzle tilted {tilt:g} deg from the surface normal has a posture here, but the search keeps it on the "
+                "normal: turn the part, or the normals",
             )
     return ()
 

@@ -125,7 +125,8 @@ _TURN = 2.0 * np.pi
 _PAD = 4  # samples on both sides of a window that its derivatives look at
 _WORTH_IT = 5e-3  # share of the price that refining in short windows must be able to save
 BEYOND = 8e-4  # rad beyond a cone from which a plan may fail verification, which allows 0.05 degrees
-_NARROWER = 1.5  # times what joints overshoot their ranges by is taken off these
+_NARROWER = 1.5  # ranges are narrowed by this many times what joints overshoot them by,
+_MOST_NARROWED = 0.2  # and by this share of their width at most
 _FLOOR = 1.0 + 1e-3  # times the least singular value that was given: the program may miss a bound by less
 
 
@@ -169,9 +170,9 @@ def refine_beads(
 
     improve: of a window; by quadratic programs, with the solver of the settings, if it is not given
 
-    A bead does not depend on beads of other names. One that cannot be taken as a whole is refined again: within narrower
-    ranges if joints would leave theirs before they come to rest behind it, else in short windows, of which those are taken
-    that keep what they kept.
+    A bead does not depend on beads of other names. One that cannot be taken as a whole is refined again: with narrower
+    ranges of joints that would leave theirs before they come to rest behind it, then in short windows, of which those are
+    taken that keep what they kept.
     """
     improved = improve or by_programs(qp_solver(settings.qp))
     done = list(paths)
@@ -195,9 +196,9 @@ def refine_beads(
         done[i], missed = judged(cell, paths[i], given[i], track, floor, model)
         if bead.short or missed < _WORTH_IT * given[i].price:
             return []
-        over = _overshoot(cell, track.task, slice(0, len(track.task)), track.q)
-        if over > 0.0 and bead.model is model:
-            again = Windowed(_narrowed(model, _NARROWER * over), bead.track)
+        over = _overshoots(cell, track.task, slice(0, len(track.task)), track.q)
+        if (over > 0.0).any() and bead.model is model:
+            again = Windowed(_narrowed(model, over), bead.track)
         else:
             again = Windowed(model, bead.track, short=True)
             if len(again.edges) == 1:
@@ -250,7 +251,7 @@ def judged(
     # who has room everywhere lacks no clearance that would have a price
     cost = given_price(replace(model, obstacles=NOTHING) if least >= ROOM else model, refined, floor)
     keeps = cost.sigma >= min(floor / _FLOOR, given.sigma) and _within(cell, refined.q)
-    was, now = (_overshoot(cell, path.task, slice(0, len(path.task)), each.q) for each in (path, refined))
+    was, now = (_overshoots(cell, path.task, slice(0, len(path.task)), each.q).max() for each in (path, refined))
     keeps = keeps and now <= max(was, 0.0)
     # cones have but a price in the program, too
     keeps = keeps and cost.beyond <= max(given.beyond, 0.0)
@@ -278,7 +279,7 @@ def _keeps(cell: Cell, model: Model, track: SplinePath, piece: RefinedWindow, fl
     moments = task.moments[piece.samples]
     least = _least_of(after.q, moments, task, model.obstacles)
     as_clear = least >= -SLIGHT or least >= _least_of(before.q, moments, task, model.obstacles)
-    overshoots = [_overshoot(cell, task, piece.samples, each.q) for each in (before, after)]
+    overshoots = [_overshoots(cell, task, piece.samples, each.q).max() for each in (before, after)]
     return as_clear and _within(cell, after.q) and overshoots[1] <= max(overshoots[0], 0.0)
 
 
@@ -302,23 +303,23 @@ def _within(cell: Cell, q: Array) -> bool:
     return bool(((q - peak >= low) & (q + peak <= high)).all())
 
 
-def _overshoot(cell: Cell, task: NozzleTask, samples: slice, q: Array) -> float:
-    """How far [rad, m] joints q of some samples would leave their ranges before they come to rest behind an end of the task,
-    or since they were at rest before it: beads are begun and left in motion. None is left where it is not positive."""
-    limits, over = cell.limits, -np.inf
+def _overshoots(cell: Cell, task: NozzleTask, samples: slice, q: Array) -> Array:
+    """How far [rad, m] each joint (nj) of some samples would leave its range before it comes to rest behind an end of the task,
+    or since it was at rest before it: beads are begun and left in motion. Those stay within it that are not positive."""
+    limits, over = cell.limits, np.full(q.shape[1], -np.inf)
     for end, inner in ((0, 1), (len(task) - 1, len(task) - 2)):
         if not samples.start <= min(end, inner) or not max(end, inner) < samples.stop:
             continue
         here, within = q[end - samples.start], q[inner - samples.start]
         v = (here - within) / abs(task.s[end] - task.s[inner]) * task.speed  # out of the task
         way = v**2 / (2.0 * limits.acceleration) + np.abs(v) * limits.acceleration / (2.0 * limits.jerk)
-        beyond = np.where(v > 0.0, here + way - limits.q_max, limits.q_min - here + way)
-        over = max(over, float(beyond.max()))
+        over = np.maximum(over, np.where(v > 0.0, here + way - limits.q_max, limits.q_min - here + way))
     return over
 
 
-def _narrowed(model: Model, room: float) -> Model:
-    """A model with ranges of joints that are narrower by some room [rad, m] at each end."""
+def _narrowed(model: Model, over: Array) -> Model:
+    """A model with narrower ranges of joints that overshoot theirs (nj) [rad, m]."""
+    room = np.minimum(_NARROWER * np.maximum(over, 0.0), _MOST_NARROWED * (model.high - model.low))
     return replace(model, low=model.low + room, high=model.high - room)
 
 

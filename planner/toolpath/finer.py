@@ -1,4 +1,4 @@
-"""Beads with more samples: what is exact at the samples may leave the path between them, where path or normal turn quickly."""
+"""Beads sampled more finely where a plan leaves its path between samples, as path or normal turn quickly there."""
 
 from __future__ import annotations
 
@@ -13,19 +13,22 @@ from planner.toolpath.bead import Bead, Surface, Toolpath
 from planner.toolpath.plane_paths import SampleDensity
 
 _DEGREE = 5
+_REASON = ": the nozzle would leave path or normal between samples"
 _FINER = 3.0  # times as many samples at a place that is off
 _AROUND = 6.0  # samples to either side over which they draw together
-_APART = 1.5  # times that: places at which they do so
-_MOST_PLACES = 0.25  # share of a bead's samples beside places that are off, above which it is sampled finer all along
+_APART = 1.5  # times that: least distance between two such places
+_MOST_PLACES = 0.25  # share of a bead's samples near such places above which the whole bead is sampled finer
 _FINER_ALL_ALONG = 2.0
 
 
 def sampled_finer(toolpath: Toolpath, places: Mapping[int, Array]) -> Toolpath:
-    """The toolpath with more samples of some beads (by index): around arc lengths (k) [m], in order."""
+    """The toolpath with more samples of some beads (by index): around arc lengths (k) [m], in order. A note tells so."""
     beads = [
         _finer(i, bead, toolpath.surface, places[i]) if i in places else bead for i, bead in enumerate(toolpath.beads)
     ]
-    return replace(toolpath, beads=tuple(beads))
+    note = f"{len(places)} of {len(beads)} beads sampled more finely{_REASON}"
+    notes = tuple(each for each in toolpath.notes if not each.endswith(_REASON))
+    return replace(toolpath, beads=tuple(beads), notes=(*notes, note))
 
 
 def _finer(number: int, bead: Bead, surface: Surface, places: Array) -> Bead:

@@ -44,7 +44,7 @@ AXIS_TOLERANCE = np.radians(0.05)  # rad, nozzle axis against the true normal
 SPEED_RECORD = 1e-3  # m/s, recorded speed off the mean of two steps, beyond what four steps differ by
 RECORD_TOLERANCE = 1e-6  # m: what the trajectory says of its tip against what its joints do
 BLOCK = 32768  # samples
-# Checks that a motion fails which keeps to the path at its samples, but not between them.
+# Checks that fail where a motion keeps to its path at the samples but not between them.
 ON_PATH = frozenset({"tip on the path", "axis on the normal", "nozzle to gravity", "layer to gravity"})
 
 

@@ -5,6 +5,7 @@ A path must be long enough for a bead, and run along the surface that its normal
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -22,7 +23,7 @@ from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Bead, Surface, Toolpath
 from planner.toolpath.interpolation import Interpolated, TooRough, interpolate
 from planner.toolpath.plane_paths import check_size, length, make_bead
-from planner.toolpath.task import roll_zeros
+from planner.toolpath.task import noise_of, roll_zeros
 from planner.toolpath.waypoints.normals import UNASKED, calm_normals
 from planner.toolpath.waypoints.reader import Waypoints, read_waypoints
 from planner.toolpath.waypoints.surfels import with_layers
@@ -30,6 +31,7 @@ from planner.toolpath.waypoints.surfels import with_layers
 MOST_TURN = 90.0  # deg, of the normal from one waypoint to the next: no surface that a nozzle can follow turns further
 STEEPEST = 0.8  # sine of the angle between path and surface; steeper over half its length, it is on no surface
 LOOKS_PER_WIDTH = 4.0  # places in each bead's width of a path at which it is seen whether the nozzle is clear there
+NOTED = np.radians(0.05)  # noise of half the normals; of those that come from formulas it is less than a tenth
 CLEAR = 2e-5  # m, and a tenth of a bead's height: how far it must be, since it may be that far off its path
 
 _APART = 0.5  # of the bead's width: passes lie no closer to each other
@@ -67,7 +69,8 @@ def _check_length(path: Waypoints, file: Path, width: float) -> None:
             f"{path.name}, which begins here, is only {drawn * 1e3:.4f} mm long",
             file=file,
             line=int(path.lines[0]),
-            hint=f"a path is at least as long as its bead is wide, {width * 1e3:g} mm",
+            hint=f"a path is at least as long as its bead is wide, {width * 1e3:g} mm; layers.source.leave_out_share says how "
+            "much may be left out",
         )
 
 
@@ -155,7 +158,23 @@ def through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
         laid = tuple(replace(bead, layer=int(layer)) for bead, layer in zip(laid, layers, strict=True))
     for i, (path, bead) in enumerate(zip(paths, laid, strict=True)):
         check_clear(path, bead, surface.before(i), file)
-    return Toolpath(laid, surface, notes=(*read.notes, *([f"{file.name}: {told}"] if told else [])))
+    if told:
+        notes = [f"{file.name}: {told}"]
+    else:
+        notes = [] if process.cones.tilt > 0.0 else list(_noise_note(laid))
+    return Toolpath(laid, surface, notes=(*read.notes, *notes))
+
+
+def _noise_note(beads: Sequence[Bead]) -> Iterator[str]:
+    """What noisy normals cost where the nozzle has to follow them, and what would spare it; nothing for clean ones."""
+    half, nearly_all = noise_of(beads)
+    if half > NOTED:
+        enough = int(np.ceil(np.degrees(2.0 * nearly_all)))
+        yield (
+            f"normals are noisy: half of them are more than {np.degrees(half):.2f} deg off what they are smoothed along the "
+            f"bead, and the joints follow all of that; process.cones.nozzle_normal_deg: {enough} would let the nozzle pass "
+            "over it, layers.source.smooth_normals_deg smooths it away"
+        )
 
 
 def _sizes(path: Waypoints, given: Array | None, usual: float, curve: Interpolated) -> Array:

@@ -13,16 +13,20 @@ from planner.base.arrays import Array
 from planner.base.geometry import angles_between, arc_lengths
 from planner.toolpath.waypoints.reader import Waypoints
 
-REACH = 3e-3  # m, about, to either side over which a normal is averaged; waves of 20 mm or more stay
-JITTER_REACH = 0.7e-3  # m, likewise, to see whether normals are noisy: waves of 10 mm are none of that
-NOISY = np.radians(0.015)  # of half the normals: jitter from which on joints feel it; exact ones have less than 0.001
-UNASKED = np.radians(3.0)  # how far noisy normals are turned at most where nothing is said of it
+REACH = 3e-3  # m, about, to either side over which a normal is averaged; waves of 30 mm or more stay
+NOISY = np.radians(0.02)  # of half the normals: noise from which on joints feel it; exact ones have far less
+UNASKED = np.radians(3.0)  # how far noisy normals are turned at most where nothing is said of it,
+_TIMES_NOISE = 15.0  # and how many times what half of them are off: some are off by far more
 _FEWEST_STEPS, _MOST_STEPS = 0.7, 40.0  # usual steps of the path that normals are averaged over
 _LEAST_STEP = 0.1  # of a usual step: closer waypoints count as if they were so far apart
 _ROUNDS = 40  # in which normals that were turned too far are held more firmly
 _FIRMER = 1.3  # least factor for those
 _NONE = 1e-12  # rad, and length of a mean of normals: none at all
-_ORDER = 3  # of the difference that is made small
+_LEAST_BOUND = 1e-9  # rad: less is no smoothing
+_ORDER = 3  # of the derivative that is made small
+_NOISE_ORDER = 12  # of the differences that show noise: of a smooth curve they all but vanish
+_SAME_PLACE = 0.5  # usual steps between the ends of a closed path
+_ROUND = 6.0  # reaches that a closed path goes on with at both ends
 
 
 def calm_normals(
@@ -30,22 +34,57 @@ def calm_normals(
 ) -> tuple[tuple[Waypoints, ...], str]:
     """Paths with normals that are smoothed as far as is asked for [rad]; and what to say of that, if anything.
 
-    Where nothing is asked for (None) and normals are noisy, they are smoothed as far as `unasked` [rad].
+    Where nothing is asked for (None) and normals are noisy, they are smoothed as far as `unasked` [rad], or a multiple of
+    the noise.
     """
-    along = [arc_lengths(path.points) for path in paths]
     bound, why, instead = asked, "", ""
     if asked is None:
-        off = np.median(np.concatenate([jitter(path.normals, s) for path, s in zip(paths, along, strict=True)]))
-        bound = unasked if off > NOISY else 0.0
+        off = noise_of_normals(paths)
+        bound = min(unasked, _TIMES_NOISE * off) if off > NOISY else 0.0
         why = f" since they are noisy (half of them by more than {np.degrees(off):.2g} degrees)"
         instead = "; smooth_normals_deg: 0 takes them as they are"
-    if not bound:
+    if not bound or bound < _LEAST_BOUND:
         return tuple(paths), ""
-    smooth = [smooth_normals(path.normals, s, bound) for path, s in zip(paths, along, strict=True)]
+    smooth = [_smooth_path(path, bound) for path in paths]
     turned = np.degrees(np.concatenate([angles for _, angles in smooth]))
+    if not turned.any():
+        return tuple(paths), ""
     most, mean = turned.max(), turned.mean()
     told = f"normals smoothed{why}, by {most:.3f} degrees at most and {mean:.3f} on average{instead}"
     return tuple(replace(path, normals=normals) for path, (normals, _) in zip(paths, smooth, strict=True)), told
+
+
+def noise_of_normals(paths: Sequence[Waypoints]) -> float:
+    """What half of the normals are off a smooth course [rad]; 0 where paths are too short to tell."""
+    off = np.concatenate([jitter(path.normals, arc_lengths(path.points)) for path in paths])
+    return float(np.median(off)) if len(off) else 0.0
+
+
+def jitter(normals: Array, s: Array) -> Array:
+    """How far unit normals (n, 3) at arc lengths s (n) [m] are off a smooth course (n - 12) [rad]: divided differences of
+    order 12, so weighed that independent noise comes out as large as it is. None for fewer than thirteen."""
+    if len(s) <= _NOISE_ORDER:
+        return np.zeros(0)
+    places = np.stack([s[k : len(s) - _NOISE_ORDER + k] for k in range(_NOISE_ORDER + 1)], axis=1)
+    places = places / (places[:, -1:] - places[:, :1])
+    weight = 1.0 / (places[:, :, None] - places[:, None, :] + np.eye(_NOISE_ORDER + 1)).prod(axis=2)
+    weight = weight / np.linalg.norm(weight, axis=1)[:, None]
+    around = np.stack([normals[k : len(s) - _NOISE_ORDER + k] for k in range(_NOISE_ORDER + 1)], axis=1)
+    return np.asarray(np.linalg.norm((weight[:, :, None] * around).sum(axis=1), axis=1))
+
+
+def _smooth_path(path: Waypoints, bound: float) -> tuple[Array, Array]:
+    """As `smooth_normals`; a closed path has no ends."""
+    s, normals = arc_lengths(path.points), path.normals
+    usual = float(np.median(np.diff(s)))
+    gap = float(np.linalg.norm(path.points[0] - path.points[-1]))
+    m = int(np.searchsorted(s, _ROUND * REACH))
+    if gap > _SAME_PLACE * usual or not 0 < m < len(s) - 1:
+        return smooth_normals(normals, s, bound)
+    before, after = slice(-m - 1, -1), slice(1, m + 1)
+    s = np.concatenate([s[before] - s[-1], s, s[-1] + s[after]])
+    smooth, turned = smooth_normals(np.vstack([normals[before], normals, normals[after]]), s, bound)
+    return smooth[m:-m], turned[m:-m]
 
 
 def smooth_normals(normals: Array, s: Array, bound: float, reach: float = REACH) -> tuple[Array, Array]:
@@ -97,8 +136,3 @@ def _third_derivative_bands(step: Array) -> Array:
         for b in range(a + 1):
             bands[a - b, b : b + n - _ORDER] += weight * factor[:, a] * factor[:, b]
     return bands
-
-
-def jitter(normals: Array, s: Array) -> Array:
-    """Angles (n) [rad] that unit normals (n, 3) at arc lengths s (n) [m] are off what their next neighbours say."""
-    return smooth_normals(normals, s, np.pi, JITTER_REACH)[1]

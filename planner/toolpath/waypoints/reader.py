@@ -12,7 +12,7 @@ import warnings
 import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -41,7 +41,9 @@ SPLIT = 3.0  # median steps: a longer one is no step of the path but a way to th
 SAME_POINT = 0.02  # of the median step: points nearer than this to the one before are the same point again
 SAME_PLACE = 1e-7  # m: so are points nearer than this, whatever the steps; files are rounded to that
 _NAMED_LINES = 5  # lines that a note names
-_AGREE = np.radians(45.0)  # between two normals: they are of one surface
+_AROUND = 3  # waypoints to either side that say which way a normal points,
+_AGREE = 0.3  # if the sum of their normals is at least this long, for each of them,
+_OPPOSITE = 0.7  # and the cosine of its angle to that is less than the negative of this
 SIZES = (1e-5, 50e-3)  # m: widths and heights of beads, from a fibre to large concrete beads
 MOST_LAYERS = 1e6  # and numbers of beads
 _SHORTEST_NORMAL = 1e-6
@@ -415,22 +417,26 @@ def _check_alone(part: _Rows, split: float, path: Path) -> None:
     reason, hint = "this waypoint is all of its bead", "a bead has two at least"
     if part.bead is None and part.layer is None:
         reason = f"this waypoint stands alone, more than {split * 1e3:g} mm from those beside it"
-        hint = "leave it out, or choose a greater layers.source.split_mm"
+        hint = "leave it out, or choose a greater layers.source.split_mm or leave_out_share"
     raise InputError(reason, file=path, line=int(part.lines[0]), hint=hint)
 
 
 def _without_crumbs(parts: Sequence[_Rows], share: float, width: float) -> tuple[dict[int, _Rows], str]:
-    """Parts of a file by their number from 1 on, without crumbs, and what was left out in words.
+    """Parts of a file by their number from 1 on, without crumbs, and what was changed in words.
 
-    Crumbs are waypoints that stand alone, paths shorter than their bead is wide (`width` [m] where the file does not say), and
-    waypoints whose normal points the other way than those beside it, where these agree. All stay where they are more
-    than a share of the length: then it is not known what the file means.
+    Crumbs are waypoints that stand alone and paths shorter than their bead is wide (`width` [m] where the file does not
+    say): they are left out. A normal that points the other way than those around it is turned round. If all that makes up
+    more than a share of the length, nothing is changed: the file may mean something else.
     """
-    lengths = [float(arc_lengths(part.points)[-1]) for part in parts]
-    usual = float(np.median(np.concatenate([np.linalg.norm(np.diff(part.points, axis=0), axis=1) for part in parts])))
+    everything = dict(enumerate(parts, 1))
+    steps = np.concatenate([np.linalg.norm(np.diff(part.points, axis=0), axis=1) for part in parts])
+    if not len(steps):
+        return everything, ""
+    usual, total = float(np.median(steps)), float(steps.sum())
     alone, short, stray, lost = [], [], [], 0.0
     kept: dict[int, _Rows] = {}
-    for i, (part, length) in enumerate(zip(parts, lengths, strict=True), 1):
+    for i, part in everything.items():
+        length = float(arc_lengths(part.points)[-1])
         if len(part.points) < 2:
             alone.append(int(part.lines[0]))
             lost += usual
@@ -441,20 +447,19 @@ def _without_crumbs(parts: Sequence[_Rows], share: float, width: float) -> tuple
             turned = _other_way(part.normals)
             stray += part.lines[turned].tolist()
             lost += usual * int(turned.sum())
-            kept[i] = part[~turned]
-    total = sum(lengths)
+            kept[i] = replace(part, normals=np.where(turned[:, None], -part.normals, part.normals))
     if not kept or lost > share * total:
-        return dict(enumerate(parts, 1)), ""
+        return everything, ""
     told = [
-        f"{len(lines)} {one if len(lines) == 1 else many} ({_lines(lines)})"
-        for lines, one, many in (
-            (alone, "waypoint that stands alone", "waypoints that stand alone"),
-            (short, "path shorter than its bead is wide", "paths shorter than their beads are wide"),
-            (stray, "waypoint whose normal points the other way", "waypoints whose normals point the other way"),
+        f"{what} {len(lines)} {one if len(lines) == 1 else many} ({_lines(lines)})"
+        for lines, what, one, many in (
+            (alone, "left out", "waypoint that stands alone", "waypoints that stand alone"),
+            (short, "left out", "path shorter than its bead is wide", "paths shorter than their beads are wide"),
+            (stray, "turned round", "normal that points the other way", "normals that point the other way"),
         )
         if lines
     ]
-    return kept, f"left out {'; '.join(told)}: {lost / total:.2%} of the length" if told else ""
+    return kept, f"{'; '.join(told)}: {lost / total:.2%} of the length" if told else ""
 
 
 def _lines(numbers: Sequence[int]) -> str:
@@ -464,12 +469,14 @@ def _lines(numbers: Sequence[int]) -> str:
 
 
 def _other_way(normals: Array) -> NDArray[np.bool_]:
-    """Which normals (n, 3) point the other way than both beside them, where these two agree."""
-    out = np.zeros(len(normals), dtype=bool)
-    before, here, after = normals[:-2], normals[1:-1], normals[2:]
-    agree = (before * after).sum(axis=1) > np.cos(_AGREE)
-    out[1:-1] = agree & ((before * here).sum(axis=1) < 0.0) & ((after * here).sum(axis=1) < 0.0)
-    return out
+    """Which normals (n, 3) point the other way than those around them, where these agree."""
+    n = len(normals)
+    ends = np.concatenate([np.zeros((1, 3)), np.cumsum(normals, axis=0)])
+    first, last = np.maximum(np.arange(n) - _AROUND, 0), np.minimum(np.arange(n) + _AROUND + 1, n)
+    others = ends[last] - ends[first] - normals
+    size = np.linalg.norm(others, axis=1)
+    agree = size > _AGREE * (last - first - 1)
+    return np.asarray(agree & ((normals * others).sum(axis=1) < -_OPPOSITE * size))
 
 
 def distinct(points: Array) -> NDArray[np.bool_]:
