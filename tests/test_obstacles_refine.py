@@ -186,6 +186,24 @@ def test_what_is_in_the_way_of_every_posture_is_named(free: str) -> None:
     assert any(hint.startswith("process.cones.nozzle_normal_deg: ") for hint in caught.value.hints)
 
 
+def test_the_distance_that_would_do_is_named() -> None:
+    """A wall 5 mm beside a line: the nozzle is free of it, but not by 2 mm."""
+    given = load_problem("cylinder_logo", ["layers.count=1"])
+    cell = with_bodies(build_cell(given))
+    obstacles = wall_beside(cell)
+    with pytest.raises(Blocked) as caught:
+        ladder(cell, [line_task(0.0)], given.resolve, obstacles)
+    (hint,) = (hint for hint in caught.value.hints if hint.startswith("collision.nozzle_mm: "))
+    named = float(hint.split()[1]) * 1e-3
+    assert 0.0 <= named < 2e-3
+    nearer = obstacles.with_nozzle_at(cell, named)
+    assert nearer is not None
+    (path,) = ladder(cell, [line_task(0.0)], given.resolve, nearer)
+    assert nearer.margins(path.q, path.task.moments, 1.0)[0].min() > -SLIGHT
+    assert obstacles.margins(path.q, path.task.moments, 1.0)[0].min() < 0.0
+    assert obstacles.with_nozzle_at(cell, 2e-3) is None
+
+
 # --- travel -----------------------------------------------------------------------------------------------------
 
 

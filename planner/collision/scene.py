@@ -214,6 +214,12 @@ class Obstacles:
         """The same obstacles where the cell's holder or part stand elsewhere."""
         return self if self.around is None else _assembled(cell, self.around)
 
+    def with_nozzle_at(self, cell: Cell, nozzle: float) -> Obstacles | None:
+        """The same where nozzle and head keep this distance [m], if that is less than they keep; else None."""
+        if self.around is None or nozzle >= self.around.nozzle:
+            return None
+        return _assembled(cell, replace(self.around, nozzle=nozzle))
+
     def margins(self, q: Array, now: Array, enough: float, more: float = 0.0) -> tuple[Array, Ints]:
         """Least clearance (n) beyond what is needed at postures q (n, nj) at times of the print now (n), if below
         `enough` [m]; and which pair (n) has it, or -1. `more` [m] is asked for between bodies besides."""

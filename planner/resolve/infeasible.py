@@ -31,6 +31,7 @@ from planner.toolpath.task import NozzleTask
 # Nothing here is guessed: a change is only named after the same nodes and the same search have been tried with it.
 
 TILTS = (5.0, 10.0, 20.0)  # deg from the surface normal
+_NEARER = (1e-3, 0.5e-3, 0.2e-3, 0.0)  # m of clearance of nozzle and head, where more is asked for
 _AZIMUTHS = 12  # directions in which the nozzle is tilted
 _TURN_STEP, _MOST_TURN = 15.0, 180.0  # deg, of a held axis from where it is
 _MOVES = (0.025, 0.05, 0.1, 0.2, 0.4, 0.8)  # m, of the part; beyond what is missing, where that is known
@@ -139,7 +140,8 @@ def place_hints(stuck: Stuck, point: Array, missing: float | None = None) -> tup
 
     point (3) in the part frame [m]; missing [m] is by how much it is out of reach, where it is.
     """
-    return (*_turn_hints(stuck, _HERE), *_move_hints(stuck, point, missing, _HERE), *_tilt_hints(stuck))
+    moves = _move_hints(stuck, point, missing, _HERE)
+    return (*_turn_hints(stuck, _HERE), *moves, *_tilt_hints(stuck), *_nearer_hints(stuck))
 
 
 def path_hints(stuck: Stuck, point: Array) -> tuple[str, ...]:
@@ -171,6 +173,19 @@ def _tilt_hints(stuck: Stuck) -> tuple[str, ...]:
                 "normal: turn the part, or the normals",
             )
     return ()
+
+
+def _nearer_hints(stuck: Stuck) -> tuple[str, ...]:
+    """The greatest distance of nozzle and head that would do: less than is asked for, and still no contact."""
+    found: tuple[int, float] = (0, 0.0)
+    for nozzle in _NEARER:
+        nearer = stuck.obstacles.with_nozzle_at(stuck.cell, nozzle)
+        gives = 0 if nearer is None else replace(stuck, obstacles=nearer).serves(stuck.cell)
+        if gives > found[0]:
+            found = gives, nozzle
+        if gives == _ALONG:
+            break
+    return (f"collision.nozzle_mm: {found[1] * 1e3:g} {_GIVES[found[0]]}",) if found[0] else ()
 
 
 def _turn_hints(stuck: Stuck, wanted: int) -> tuple[str, ...]:
