@@ -189,6 +189,20 @@ def test_jumps_split_and_repetitions_are_dropped(spec: Callable[..., WaypointsSp
     assert (error.line, "stands alone" in str(error)) == (14, True)
 
 
+@pytest.mark.parametrize("seed", [16, 55, 64, 77])
+def test_spikes_among_many_corners_are_rounded_within_the_tolerance(seed: int) -> None:
+    """Corners that are rounded together are averaged on a grid, whose cells may miss a spike of one waypoint."""
+    rng = np.random.default_rng(seed)
+    x = np.cumsum(rng.uniform(0.1, 0.24, 260))
+    y = np.zeros_like(x)
+    y[60:200:7] = 0.24
+    points = 1e-3 * np.column_stack([x, y, 0.0 * x])
+    curve = interpolate(points, np.tile([0.0, 0.0, 1.0], (len(x), 1)), TOLERANCE, APART)
+    n = len(curve.points)
+    dense = make_interp_spline(np.arange(n), curve.points, k=3)(np.linspace(0.0, n - 1.0, 20 * n))
+    assert distance_to_polyline(points, dense).max() < 0.905 * TOLERANCE  # a tenth is for the curve between samples
+
+
 def crumbly(alone: int = 0, short: int = 0, stray: int = 0) -> str:
     """A line of 300 mm with crumbs behind it, and waypoints on it whose normal points the other way."""
     rows = [f"{x} 0 0 {'0 0 -1' if 50 <= x < 50 + 20 * stray and x % 20 == 10 else UP}" for x in range(301)]

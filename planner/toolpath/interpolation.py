@@ -311,8 +311,10 @@ def _averaged(path: BSpline, at: Array, width: float, length: float) -> tuple[_C
     kernel = (1.0 - x**2) ** 4 * (1.0 - _SWING * x**2)
     inner = slice(_CELLS, -_CELLS)
     smooth = convolve1d(rows, kernel / kernel.sum(), axis=0, mode="nearest")[inner]
-    off = float(np.linalg.norm((smooth - rows[inner])[:, :3], axis=1).max())
-    return _Corner(low, high, width, make_interp_spline(grid[inner], smooth, k=_DEGREE)), off
+    corner = _Corner(low, high, width, make_interp_spline(grid[inner], smooth, k=_DEGREE))
+    # at the corners themselves, too: a spike of one waypoint may stand between two cells of the grid
+    moved = np.vstack([smooth - rows[inner], corner.rows(at) - path(at)])
+    return corner, float(np.linalg.norm(moved[:, :3], axis=1).max())
 
 
 def _extended(path: BSpline, c: Array, length: float) -> Array:
