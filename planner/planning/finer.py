@@ -1,4 +1,4 @@
-"""Sampling that a plan's own tolerances ask for: where it leaves the path between samples, there are to be more of them."""
+"""Whether a plan that leaves its path between samples is worth planning again with more of them, and where."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def with_finer_samples(
 ) -> PlanningContext | None:
     """The same print with more samples where a plan of it is off the path or the normal.
 
-    None if any other check fails too, or if more samples do not help: the plan is far off, or hardly less than the one
-    before it, on fewer samples (`before`, in tolerances).
+    None if any other check fails too, or if more samples would not help: the plan is far off, or hardly less so than the
+    one on fewer samples (`before`, in tolerances).
     """
     failed = {check.name for check in report.checks if not check.ok}
     off = report.series["off_the_path"]

@@ -398,6 +398,19 @@ def _with_one_joint(
 ) -> LadderRoute:
     """The best route on the whole coarse grid of roll, branch and the chosen joint next to the part; others rest at home."""
     demand, grid = _coarse_grid(cell, guides, settings, MOST_NODES)
+    return _best_on(grid, cell, guides, demand, settings, obstacles, share)
+
+
+def _best_on(
+    grid: Grid,
+    cell: Cell,
+    guides: Sequence[NozzleTask],
+    demand: SampledTasks,
+    settings: ResolveSpec,
+    obstacles: Obstacles,
+    share: float,
+) -> LadderRoute:
+    """The best route on a grid, or one that winds a joint too far, which is refused by that joint's name later."""
     search = ClearSearch(cell, demand, grid, settings.min_sigma, obstacles)
     route, stuck = search.best(guides, share)
     route = route or search.wound
@@ -467,12 +480,7 @@ def _after_table(
     held = table_path(cell, guides, demand)
     demand = carried(cell, guides, demand, held)
     grid = full_grid(demand, settings.roll_step, 1.0, False, None, held)
-    search = ClearSearch(cell, demand, grid, settings.min_sigma, obstacles)
-    route, stuck = search.best(guides, share)
-    route = route or search.wound
-    if route is None:
-        refuse_rung(cell, guides, demand, search.nodes, stuck, settings.min_sigma, obstacles)
-    return LadderRoute(demand, search.nodes, route)
+    return _best_on(grid, cell, guides, demand, settings, obstacles, share)
 
 
 def _first_look(

@@ -87,11 +87,11 @@ def _smooth_path(path: Waypoints, bound: float) -> tuple[Array, Array]:
     return smooth[m:-m], turned[m:-m]
 
 
-def smooth_normals(normals: Array, s: Array, bound: float, reach: float = REACH) -> tuple[Array, Array]:
+def smooth_normals(normals: Array, s: Array, bound: float) -> tuple[Array, Array]:
     """Smooth unit normals (n, 3) at arc lengths s (n) [m]; none is turned by more than `bound` [rad].
 
     Third derivatives along the path are weighed against what the normals are changed by: waves shorter than about six
-    times `reach` [m] go. A normal that would turn too far is held back, more firmly until it does not. Returns the
+    times REACH go. A normal that would turn too far is held back, more firmly until it does not. Returns the
     normals and the angles (n) [rad] by which they were turned.
     """
     n = len(normals)
@@ -99,7 +99,7 @@ def smooth_normals(normals: Array, s: Array, bound: float, reach: float = REACH)
         return normals, np.zeros(n)
     step = np.diff(s)
     usual = float(np.median(step))
-    step = np.maximum(step, _LEAST_STEP * usual) / np.clip(reach, _FEWEST_STEPS * usual, _MOST_STEPS * usual)
+    step = np.maximum(step, _LEAST_STEP * usual) / np.clip(REACH, _FEWEST_STEPS * usual, _MOST_STEPS * usual)
     bands = _third_derivative_bands(step)
     hold = 0.5 * (np.append(step, step[-1]) + np.insert(step, 0, step[0]))
     smooth, turned = normals, np.zeros(n)
