@@ -10,7 +10,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Flags, Indices
-from planner.export.fit import Poses, SampledWay, angle, by_samples, chosen_targets, continuous, lerp, to_matrix
+from planner.base.compiled import njit
+from planner.export.arcs import Segments, segments
+from planner.export.fit import angle, by_samples, continuous, fewest, lerp, slerp
+from planner.export.primitives import FitRules, Poses, SampledWay, fit, misfits
 
 if TYPE_CHECKING:
     from planner.export.program import RobotProgram
@@ -189,47 +192,16 @@ def _sliding_maximum(values: Array, width: int) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Postures of targets beside the path, which may lie beyond the border of a configuration.
-
-BLOCK = 20_000  # poses whose postures are sought at once: bounds the memory
-REVOLUTION = 2.0 * np.pi
-
-
-def reached(plan: Plan, sample: Indices, targets: Poses, moved: Flags) -> Array:
-    """Joints (m, n) [rad] that hold the nozzle at targets (m): the samples' own, but where the target was moved (m).
-
-    There they are of the same branch, in the nearest turn. Arms whose poses do not say a posture keep the samples'.
-    """
-    cell, t = plan.cell, plan.trajectory
-    na, rails = len(cell.arm), cell.rails
-    out: Array = t.q[sample]
-    if len(cell.given) > rails:
-        return out
-    T_world_base, T_nozzle_flange = np.linalg.inv(cell.T_world_base), np.linalg.inv(cell.T_flange_nozzle)
-    which = np.flatnonzero(moved)
-    for rows in np.array_split(which, 1 + len(which) // BLOCK):
-        T = np.tile(np.eye(4), (len(rows), 1, 1))
-        T[:, :3, :3], T[:, :3, 3] = to_matrix(targets.quat[rows]), targets.position[rows]
-        station = np.ascontiguousarray(targets.station[rows])
-        held = np.ascontiguousarray(station[:, rails:])
-        given = station[:, :rails] if rails else None
-        postures, exist = cell.inverse.solve(T_world_base @ cell.holder.poses(held) @ T @ T_nozzle_flange, given)
-        each, branch = np.arange(len(rows)), t.branch[sample[rows]].astype(np.intp)
-        off = postures[each, branch] - out[rows, :na]
-        off -= np.where(cell.limits.turns[:na], REVOLUTION * np.round(off / REVOLUTION), 0.0)
-        out[rows, :na] += np.where(exist[each, branch, None], off, 0.0)
-        out[rows, na:] = held
-    return out
-
-
-# ----------------------------------------------------------------------------------------------------
 # Moves: the targets that a controller needs, and how each is approached.
 
 ROUNDING = 1e-6  # [m]; what the numbers in the file take of the tolerance of the path
-ANGLE_TOLERANCE = np.radians(0.045)  # orientation and the part's axes [rad]; likewise of 0.05 deg
+AXIS_TOLERANCE = np.radians(0.0995)  # of the nozzle's axis [rad]; rounding takes the rest of 0.1 deg
+# Rotation about the nozzle's axis and axes that turn the part: a print does not feel them. A head of 0.1 m swings by 0.4 mm.
+FREE_TOLERANCE = np.radians(0.25)  # [rad]
+SLIDE_TOLERANCE = 0.8e-3  # [m], of axes that slide, likewise
 TIME_TOLERANCE = 8e-3  # [s]; keeps dips of the speed in the program
-LONGEST = 9.5e-3  # [m] of path between two targets in a bead: at most 10 mm with the rounding to samples
-TRAVEL_TOLERANCE = 0.2e-3  # [m]; joint moves against the planned tip path
+LONGEST = 25e-3  # [m] of path between two targets in a bead
+TRAVEL_TOLERANCE = 0.3e-3  # [m]; moves that lay nothing against the planned tip path
 TRAVEL_ANGLE_TOLERANCE = np.radians(0.5)
 
 
@@ -239,10 +211,11 @@ class Moves:
 
     sample  (m,)   index of the sample that is the target
     start   (m,)   index of the sample from which the move sets out: behind a wait, where there is one
-    linear  (m,)   straight line in the part frame; otherwise straight in joint space
+    linear  (m,)   a line or an arc in the part frame; otherwise straight in joint space
+    circular (m,)  an arc
     laid    (m,)   material flows; the controller must keep the speed, elsewhere it accelerates as it likes
-    speed   (m,)   of the tip relative to the part: mean of a move that lays material, along its line; peak of any other
-                   [m/s]
+    speed   (m,)   of the tip relative to the part: of a move that lays material, such that each target is passed when
+                   planned (`even_speeds`); peak of any other [m/s]
     turn    (m,)   mean rate of reorientation [rad/s]
     axis    (m,)   fastest mean rate of the part's axes [rad/s], and of what carries the arm, if that turns
     slide   (m,)   mean rate of what carries the arm, if that slides [m/s]
@@ -251,13 +224,15 @@ class Moves:
     on_end, on_start   (m,)  the extruder goes on at the end (start) of this move
     off_end            (m,)  it goes off at the end of this move
     after   (m,)   the move belongs to what comes after this many beads: run-outs still count to their bead
-    targets (m + 1) the start and the target of each move; within lines they may lie a little beside the path (`beside`)
-    q       (m + 1, n) joints there [rad], in the branches of the samples
+    targets (m + 1) the start and the target of each move
+    via     (m) the middle of each arc; the target where there is none
+    q       (m + 1, n) joints at the start and the targets [rad]
     """
 
     sample: Indices
     start: Indices
     linear: Flags
+    circular: Flags
     laid: Flags
     speed: Array
     turn: Array
@@ -270,16 +245,22 @@ class Moves:
     off_end: Flags
     after: Indices
     targets: Poses
+    via: Poses
     q: Array
 
     def __len__(self) -> int:
         return len(self.sample)
 
     @property
+    def segments(self) -> Segments:
+        """The lines and arcs between targets; of joint moves, the line."""
+        p = self.targets.position
+        return segments(p[:-1], self.via.position, p[1:], self.circular)
+
+    @property
     def length(self) -> Array:
-        """Distances (m) between the targets at both ends of each move [m]."""
-        out: Array = np.linalg.norm(np.diff(self.targets.position, axis=0), axis=1)
-        return out
+        """Of each move, along its line or arc (m) [m]."""
+        return self.segments.length
 
 
 def deposits(trajectory: Trajectory) -> tuple[Indices, Indices]:
@@ -320,13 +301,14 @@ def sections(plan: Plan, moves: Moves) -> Iterator[MoveSection]:
             yield MoveSection(plan.first_bead + k + 1, own, f"Bead {bead}, layer {t.layer[first[k]]}: {length}")
 
 
-def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None) -> Moves:
+def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None, arcs: bool = False) -> Moves:
     """Targets of a plan, and how each is approached.
 
     also  samples that are to be targets, too
     fed   (n) filament that is fed by each sample [m], for which every move that lays material has one rate
+    arcs  the language has circular moves; the problem may still ask for none
     """
-    trajectory = plan.trajectory
+    trajectory, program = plan.trajectory, plan.problem.program
     n = len(trajectory)
     first, last = deposits(trajectory)
     rests = rests_of(trajectory, first, last)
@@ -345,33 +327,41 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
     must[1:] |= rests.inside[1:] & ~np.append(rests.inside[2:], False)  # where the robot goes on after a wait
     must[1:] |= (np.diff(trajectory.bead) != 0) & trajectory.deposit[1:] & trajectory.deposit[:-1]
     must[1:] |= np.diff(trajectory.branch) != 0
-    cornered = trajectory.deposit & ~rests.fine & np.append(linear, False) & np.append(False, linear)
-    joint, chord = by_samples(_Joint(plan)), plan.problem.program.chord
-    sample, targets = chosen_targets(way, np.flatnonzero(must), linear, cornered, joint, chord)
+    kept = np.flatnonzero(must)
+    lines = linear[kept[:-1]]
+    rules = FitRules(arcs and program.arcs, program.least_time, program.widening)
+    fitted = fit(way, kept[:-1][lines], kept[1:][lines], rules)
+    travel = _travel_targets(plan, kept, linear, way.clock, rules)
+    sample = np.union1d(fitted.sample, travel)
+    arc, middle = np.zeros(n, dtype=bool), trajectory.tip.copy()
+    arc[fitted.sample], middle[fitted.sample] = fitted.circular, fitted.via
+
     a, b = sample[:-1], sample[1:]
     goes = ~rests.inside[b]  # from one sample of a wait to another there is no move
     a, b = a[goes], b[goes]
-    leaves, comes = Poses(targets.table[:-1][goes]), Poses(targets.table[1:][goes])
     took = rests.clock[b] - rests.clock[a]
-    peaks = np.maximum.reduceat(np.append(np.diff(way.path), 0.0), a) / trajectory.dt
-    rates, turns = (
-        np.abs(comes.station - leaves.station) / took[:, None],
-        plan.cell.limits.turns[list(plan.cell.besides)],
-    )
-    is_linear, laid = linear[a], trajectory.deposit[a] & trajectory.deposit[b]
+    leaves, comes = way.pose[a], way.pose[b]
+    is_linear, laid, circular = linear[a], trajectory.deposit[a] & trajectory.deposit[b], arc[b]
     arrives_linear = np.zeros(n, dtype=bool)
     arrives_linear[b[is_linear]] = True
     starts, ends = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
     starts[first], ends[last] = True, True
-    k, table = np.concatenate([[0], b]), np.vstack([targets.table[:1], comes.table])
-    moved = (table != way.poses.table[k]).any(axis=1)
+    half = np.full(len(a), 0.5)
+    via = np.column_stack([middle[b], slerp(leaves[:, 3:7], comes[:, 3:7], half), 0.5 * (leaves + comes)[:, 7:]])
+    rates = np.abs(comes - leaves)[:, 7:] / took[:, None]
+    turns = plan.cell.limits.turns[list(plan.cell.besides)]
+    length = segments(leaves[:, :3], via[:, :3], comes[:, :3], circular).length
+    peaks = np.maximum.reduceat(np.append(np.diff(way.path), 0.0), a) / trajectory.dt
+    whole = np.where(laid, np.cumsum(starts[a]), 0)  # the bead that each move belongs to, from 1
+    k = np.concatenate([[0], b])
     return Moves(
         sample=b,
         start=a,
         linear=is_linear,
+        circular=circular,
         laid=laid,
-        speed=np.where(laid, np.linalg.norm(comes.position - leaves.position, axis=1) / took, peaks),
-        turn=angle(leaves.quat, comes.quat) / took,
+        speed=np.where(laid, even_speeds(length, took, whole, plan.problem.process.speed), peaks),
+        turn=angle(leaves[:, 3:7], comes[:, 3:7]) / took,
         axis=rates[:, turns].max(axis=1, initial=0.0),
         slide=rates[:, ~turns].max(axis=1, initial=0.0),
         fine=rests.fine[b],
@@ -380,21 +370,166 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
         on_start=(starts & ~arrives_linear)[a],
         off_end=ends[b],
         after=np.searchsorted(leave, a, side="right"),
-        targets=Poses(table),
-        q=reached(plan, k, Poses(table), moved),
+        targets=Poses(way.pose[k]),
+        via=Poses(np.where(circular[:, None], via, comes)),
+        q=trajectory.q[k],
     )
 
 
 def way_of(plan: Plan, rests: Rests, fed: Array | None = None) -> SampledWay:
-    """What the lines of a program follow, and how nearly; rests and filament are those of `plan_moves`."""
+    """What the lines and arcs of a program follow, and how nearly; rests and filament are those of `plan_moves`."""
     t, program = plan.trajectory, plan.problem.program
     fed = np.zeros(len(t)) if fed is None else fed
     amount = max(float(np.diff(fed).max(initial=0.0)) / t.dt * TIME_TOLERANCE, 1e-12)  # of filament, out of place [m]
-    chord, turned = program.chord - ROUNDING, ANGLE_TOLERANCE
-    tolerance = np.array([chord, turned, turned, TIME_TOLERANCE, program.tangent, amount, LONGEST])
-    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(t.tip, axis=0), axis=1))])
-    poses = Poses(np.column_stack([t.tip, continuous(t.quat), t.q[:, plan.cell.besides]]))
-    return SampledWay(poses, rests.clock, path, fed, t.deposit.copy(), tolerance)
+    others = [1.0, TIME_TOLERANCE, program.tangent, amount, LONGEST]
+    turns = plan.cell.limits.turns[list(plan.cell.besides)]
+    return SampledWay(
+        pose=np.column_stack([t.tip, continuous(t.quat), t.q[:, plan.cell.besides]]),
+        clock=rests.clock,
+        path=np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(t.tip, axis=0), axis=1))]),
+        fed=np.array(fed),
+        laid=t.deposit.copy(),
+        tolerance=np.array(
+            [
+                [TRAVEL_TOLERANCE, TRAVEL_ANGLE_TOLERANCE, TRAVEL_ANGLE_TOLERANCE, *others],
+                [program.chord - ROUNDING, AXIS_TOLERANCE, FREE_TOLERANCE, *others],
+            ]
+        ),
+        free=np.where(turns, FREE_TOLERANCE, SLIDE_TOLERANCE),
+    )
+
+
+# ----------------------------------------------------------------------------------------------------
+# How well moves fit.
+
+
+@dataclass(frozen=True)
+class FitFigures:
+    """Moves that lay material and are not as they should be.
+
+    short     those that take less than the least time; shortest: the least of their times [s]
+    wide      those that miss the bead by more than the usual tolerances; off, turned: the nozzle's tip off the bead [m]
+              and its axis off the plan's [rad], at most
+    """
+
+    short: Indices
+    shortest: float
+    wide: Indices
+    off: float
+    turned: float
+
+
+def fit_of(plan: Plan, moves: Moves, fed: Array | None = None) -> FitFigures:
+    """Which moves of a plan take less than the least time, and which miss their bead for its sake."""
+    t = plan.trajectory
+    rests = rests_of(t, *deposits(t))
+    way = way_of(plan, rests, fed)
+    laid = np.flatnonzero(moves.laid)
+    took = rests.clock[moves.sample[laid]] - rests.clock[moves.start[laid]]
+    used = misfits(way, moves.start[laid], moves.sample[laid], moves.circular[laid], moves.via.position[laid])
+    wide = used.max(axis=1, initial=0.0) > 1.0 + 1e-6
+    worst = (used[wide, :2] * way.tolerance[1, :2]).max(axis=0, initial=0.0)
+    return FitFigures(
+        short=laid[took < plan.problem.program.least_time - 1e-9],
+        shortest=float(took.min(initial=np.inf)),
+        wide=laid[wide],
+        off=float(worst[0]),
+        turned=float(worst[1]),
+    )
+
+
+# ----------------------------------------------------------------------------------------------------
+# Speeds: one for as many moves as keep the clock, so that speed data change only where the speed does.
+
+STEPS = ((0.01, 1e-4), (0.001, 1e-5), (0.0, 1e-6))  # from a speed [m/s] on, speeds are multiples of the second [m/s]
+
+
+def even_speeds(length: Array, took: Array, group: Indices, usual: float) -> Array:
+    """Programmed speeds (m) [m/s] with which moves of given lengths [m] pass their targets when planned, to TIME_TOLERANCE.
+
+    took   (m) time of each move [s]
+    group  (m) moves of one number share a clock, which begins with the first; 0: the mean speed of the move itself
+    usual  speed that is taken wherever it keeps the clock [m/s]
+    """
+    return _even_speeds(length, took, group, usual, TIME_TOLERANCE)
+
+
+@njit(cache=True)
+def _stepped(speed: float) -> float:
+    """The nearest speed that programs have [m/s]."""
+    step = STEPS[2][1]
+    for k in range(len(STEPS)):
+        if speed >= STEPS[k][0]:
+            step = STEPS[k][1]
+            break
+    return max(np.rint(speed / step), 1.0) * step
+
+
+@njit(cache=True)
+def _even_speeds(length: Array, took: Array, group: Indices, usual: float, most: float) -> Array:
+    """`even_speeds`: each speed holds for as many moves as it can; what the clock is late by goes on to the next."""
+    out = np.empty(len(length))
+    i, late = 0, 0.0
+    while i < len(length):
+        if group[i] == 0:
+            out[i] = max(length[i] / took[i], STEPS[2][1])
+            i += 1
+            continue
+        if i == 0 or group[i - 1] != group[i]:
+            late = 0.0
+        slowness_low, slowness_high, way, time = 0.0, np.inf, 0.0, 0.0
+        speed, end, after = _stepped(length[i] / took[i]), i, late
+        k = i
+        while k < len(length) and group[k] == group[i]:
+            way, time = way + length[k], time + took[k]
+            slowness_low = max(slowness_low, (time - late - most) / way)
+            slowness_high = min(slowness_high, (time - late + most) / way)
+            if slowness_low > slowness_high:
+                break
+            ideal = min(max((time - late) / way, slowness_low), slowness_high)
+            if ideal <= 0.0:
+                break
+            if slowness_low <= 1.0 / usual <= slowness_high:
+                chosen = usual
+            else:
+                chosen = _stepped(1.0 / ideal)
+            if slowness_low <= 1.0 / chosen <= slowness_high or k == i:
+                speed, end, after = chosen, k, late + way / chosen - time
+            k += 1
+        out[i : end + 1] = speed
+        late, i = after, end + 1
+    return out
+
+
+# ----------------------------------------------------------------------------------------------------
+# Travel: targets of joint moves.
+
+
+def _travel_targets(plan: Plan, kept: Indices, linear: Flags, clock: Array, rules: FitRules) -> Indices:
+    """Samples at the ends of joint moves, `kept` among them: the fewest, then fewer where some take less than the least
+    time and wider tolerances allow it."""
+    joint = by_samples(_Joint(plan))
+
+    def judge(a: Indices, b: Indices) -> Array:
+        worst = np.zeros(len(a))
+        travel = ~linear[a]
+        worst[travel] = joint(a[travel], b[travel])
+        return worst
+
+    found = fewest(kept, judge)
+    failed = np.zeros(len(clock), dtype=bool)
+    failed[kept] = True
+    while True:
+        short = np.diff(clock[found]) < rules.least - 1e-9
+        spare = (short[:-1] | short[1:]) & ~failed[found[1:-1]] & ~linear[found[1:-1]]
+        at = np.flatnonzero(spare) + 1
+        if not len(at):
+            return found
+        begins = np.concatenate([[True], np.diff(at) > 1])  # of those that follow each other, every other one
+        at = at[(at - np.maximum.accumulate(np.where(begins, at, 0))) % 2 == 0]
+        good = judge(found[at - 1], found[at + 1]) <= rules.widest
+        failed[found[at[~good]]] = True
+        found = np.delete(found, at[good])
 
 
 class _Joint:
@@ -453,12 +588,13 @@ STEP = 1e-6  # [m] to which radii are rounded down
 NEAR_REST = 0.05e-3  # [m] between the place of a rest and a target where the program stops
 
 
-def blend_radii(position: Array, stops: Flags, tolerance: Array) -> Array:
-    """Largest radii (m) [m] at targets (m, 3) that share no part of a line and leave each by at most its tolerance (m).
+def blend_radii(primitives: Segments, stops: Flags, tolerance: Array) -> Array:
+    """Largest radii (m + 1) [m] at the ends of m primitives that share no part of one and leave each end by at most its
+    tolerance (m + 1).
 
-    0 at `stops` (m), and at the first and the last target, where the motion comes to rest.
+    0 at `stops` (m + 1), and at the first and the last end, where the motion comes to rest.
     """
-    reach, bend = _corners(position)
+    reach, bend = corners(primitives)
     radius = np.minimum(0.5 * reach, tolerance / np.maximum(np.tan(0.25 * bend), 1e-9))
     out: Array = np.where(stops | (reach == 0.0), 0.0, np.floor(radius / STEP * (1.0 + 1e-9)) * STEP)
     return out
@@ -466,16 +602,22 @@ def blend_radii(position: Array, stops: Flags, tolerance: Array) -> Array:
 
 def move_radii(plan: Plan, moves: Moves) -> Array:
     """Radii (m) [m] at the ends of moves: 0 at rests, and where joint and linear moves meet."""
-    tip = np.round(moves.targets.position, 6)
     following = np.append(moves.linear[1:], not moves.linear[-1])
     stops = np.concatenate([[True], moves.fine | (following != moves.linear)])
-    tolerance = np.concatenate([[0.0], np.where(moves.linear, plan.problem.program.chord, TRAVEL_TOLERANCE)])
-    return blend_radii(tip, stops, tolerance)[1:]
+    tolerance = np.concatenate([[0.0], corner_tolerance(plan, moves)])
+    tip, via = np.round(moves.targets.position, 6), np.round(moves.via.position, 6)
+    return blend_radii(segments(tip[:-1], via, tip[1:], moves.circular), stops, tolerance)[1:]
+
+
+def corner_tolerance(plan: Plan, moves: Moves) -> Array:
+    """How far a blend may leave the target of each move (m) [m]."""
+    out: Array = np.where(moves.linear, plan.problem.program.chord, TRAVEL_TOLERANCE)
+    return out
 
 
 def blend_differences(plan: Plan, program: RobotProgram) -> list[str]:
     """What is wrong with a program's blends and stops, in words; targets of joint moves may be left by more."""
-    reach, bend = _corners(program.position)
+    reach, bend = corners(program.segments)
     lines = program.linear & np.append(program.linear[1:], False)
     allowed = np.where(lines, plan.problem.program.chord, TRAVEL_TOLERANCE)
     found = []
@@ -495,13 +637,12 @@ def blend_differences(plan: Plan, program: RobotProgram) -> list[str]:
     return found
 
 
-def _corners(position: Array) -> tuple[Array, Array]:
-    """Shorter of both lines at each target (m) [m], 0 at both ends, and by how much they turn there (m) [rad]."""
-    lines = np.diff(position, axis=0)
-    length = np.linalg.norm(lines, axis=1)
-    reach, bend = np.zeros(len(position)), np.zeros(len(position))
-    if len(position) > 2:
-        a, b = lines[:-1], lines[1:]
-        reach[1:-1] = np.minimum(length[:-1], length[1:])
-        bend[1:-1] = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.einsum("ij,ij->i", a, b))
+def corners(primitives: Segments) -> tuple[Array, Array]:
+    """The shorter of both primitives at each of their ends (m + 1) [m], 0 at both ends of all, and by how much they turn
+    there (m + 1) [rad]."""
+    length = primitives.length
+    reach, bend = np.zeros(len(length) + 1), np.zeros(len(length) + 1)
+    a, b = primitives.tangents(at_end=True)[:-1], primitives.tangents(at_end=False)[1:]
+    reach[1:-1] = np.minimum(length[:-1], length[1:])
+    bend[1:-1] = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.einsum("ij,ij->i", a, b))
     return reach, bend

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Indices
+from planner.export.arcs import Segments, segments
 from planner.export.fit import continuous, slerp
 
 if TYPE_CHECKING:
@@ -94,7 +95,7 @@ class RobotProgram:
     tool, uframe, oframe       (7,) x y z [m], quaternion x y z w
     station                    mechanical unit that moves the part; empty for a fixed bed
     start                      (12,) joints and station axes of the first move [rad], NaN where unused; likewise
-    linear, fine               (m,) bool
+    linear, fine               (m,) bool; what is not linear goes straight in joint space
     position, quat             (m, 3) [m], (m, 4) x y z w
     conf                       (m, 4) cf1, cf4, cf6, cfx; UNSPECIFIED where the language has none
     external                   (m, 6) station axes [rad], NaN where unused. Which of them slide a program does not say: their
@@ -104,6 +105,7 @@ class RobotProgram:
     speed                      (m, 4) tip [m/s], reorientation [rad/s], linear axes [m/s], rotating axes [rad/s]
     wait                       (m,) time at rest after the move [s]
     triggers                   move → its triggers, in order
+    arcs                       (m, 3) of linear moves that are arcs, a point on the way [m]; NaN for all others, None for no arcs
     joints                     (m, n) of the arm at targets of joint moves, where the language has them [rad]
     demands                    move → (distance [m] from its end, value that an analog output takes there), in order
     sends                      move → strings sent to the extruder's board after it, in order; -1: before the first
@@ -130,6 +132,23 @@ class RobotProgram:
     send_rests: dict[int, tuple[float, ...]] = field(default_factory=dict)
     demands: dict[int, tuple[tuple[float, float], ...]] = field(default_factory=dict)
     joints: Array | None = None
+    arcs: Array | None = None
+
+    @property
+    def circular(self) -> NDArray[np.bool_]:
+        """Moves (m) that are arcs."""
+        return np.zeros(len(self.linear), dtype=bool) if self.arcs is None else ~np.isnan(self.arcs[:, 0])
+
+    @property
+    def via(self) -> Array:
+        """(m, 3) points on the way of arcs, and targets of all other moves [m]."""
+        return self.position if self.arcs is None else np.where(np.isnan(self.arcs), self.position, self.arcs)
+
+    @property
+    def segments(self) -> Segments:
+        """The lines and arcs (m - 1) from each target to the next; of joint moves, the line."""
+        p = self.position
+        return segments(p[:-1], self.via[1:], p[1:], self.circular[1:])
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -138,15 +157,21 @@ class RobotProgram:
 
 @dataclass(frozen=True)
 class ProgramPiece:
-    """Targets between two extruder events, both included; `linear`, `speed` (m - 1,) are those of the move to the next."""
+    """Targets (m) between two extruder events, both included, and moves (m - 1) from each to the next.
+
+    linear, circular, via, speed  (m - 1) of the moves
+    known                         (m) a target of the program, not a point where a trigger cuts a move
+    """
 
     position: Array
     quat: Array
     external: Array
     conf: Indices
     linear: NDArray[np.bool_]
+    circular: NDArray[np.bool_]
+    via: Array
     speed: Array
-    known: NDArray[np.bool_]  # a target of the program, not a point where a trigger cuts a move
+    known: NDArray[np.bool_]
 
 
 def pieces_of(program: RobotProgram) -> Iterator[tuple[bool, ProgramPiece]]:
@@ -155,12 +180,14 @@ def pieces_of(program: RobotProgram) -> Iterator[tuple[bool, ProgramPiece]]:
     m = len(rows)
     begun: list[Array] = [rows[:1]]
     by: list[Indices] = []  # the move that goes from each target to the next
+    vias: list[Array] = []  # and its via point
     known: list[NDArray[np.bool_]] = [np.array([True])]
     on, done = False, 1  # rows before `done` have been dealt with
 
     def take(last: int) -> None:
         begun.append(rows[done:last])
         by.append(np.arange(done, last))
+        vias.append(program.via[done:last])
         known.append(np.ones(last - done, dtype=bool))
 
     def piece() -> ProgramPiece:
@@ -172,30 +199,41 @@ def pieces_of(program: RobotProgram) -> Iterator[tuple[bool, ProgramPiece]]:
             external=table[:, 7:13],
             conf=table[:, 13:].astype(np.intp),
             linear=program.linear[moves],
+            circular=program.circular[moves],
+            via=np.concatenate([np.empty((0, 3)), *vias]),
             speed=program.speed[moves, 0],
             known=np.concatenate(known),
         )
 
+    way = program.segments
+    lengths = np.concatenate([[0.0], way.length])
     for i in sorted(move for move in program.triggers if 0 < move < m):
         take(i)
-        length = float(np.linalg.norm(program.position[i] - program.position[i - 1]))
+        length, own = float(lengths[i]), way.take(np.array([i - 1]))
         events = []
         for trigger in program.triggers[i]:
             at = trigger.distance if trigger.from_start else length - trigger.distance
             events.append((min(max(at / length, 0.0), 1.0) if length else float(not trigger.from_start), trigger.value))
+        cut_at = 0.0
         for u, value in sorted(events, key=lambda event: event[0]):
             cut = rows[i - 1] + u * (rows[i] - rows[i - 1])
+            cut[:3] = own.at(np.array([u]))[0]
             cut[3:7] = slerp(rows[i - 1 : i, 3:7], rows[i : i + 1, 3:7], np.array([u]))[0]
             if u > 0.0:
                 begun.append((rows[i] if u == 1.0 else cut)[None])
                 by.append(np.array([i]))
+                vias.append(own.at(np.array([0.5 * (cut_at + u)])))
                 known.append(np.array([u == 1.0]))
             if sum(len(part) for part in begun) > 1 or on != value:
                 yield on, piece()
-            begun, by, known, on = [begun[-1][-1:]], [], [known[-1][-1:]], value
+            begun, by, vias, known, on = [begun[-1][-1:]], [], [], [known[-1][-1:]], value
+            cut_at = u
         done = i
         if not events or events[-1][0] < 1.0:
-            take(i + 1)
+            begun.append(rows[i : i + 1])
+            by.append(np.array([i]))
+            vias.append(own.at(np.array([0.5 * (cut_at + 1.0)])))
+            known.append(np.ones(1, dtype=bool))
         done = i + 1
     take(m)
     yield on, piece()

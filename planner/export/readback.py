@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
+from planner.export.arcs import Segments, segments
 from planner.export.external import external_read, external_written
-from planner.export.fit import angle, continuous, lerp, slerp, to_matrix
+from planner.export.fit import angle, continuous, lean_and_roll, lerp, slerp, to_matrix
 from planner.export.moves import (
     LEAST_WAIT,
     ON_TIME,
@@ -104,31 +105,42 @@ BLOCK = 200_000  # samples looked at, and
 PIECES = 64  # pieces compared at once: bounds the memory
 
 
+# rad, of the fields of `Agreement`, before they are widened; where the path turns quickly, it counts which sample is taken
+AXIS, SWING, FREE = np.radians(0.105), np.radians(0.51), np.radians(0.26)
+LATE_TARGET = 12e-3  # s
+
+
 @dataclass(frozen=True)
 class Agreement:
     """The worst differences between a program and its plan (m, rad); inf where they cannot be compared.
 
-    chord     how far the program's lines were allowed to leave the path
-    path      linear moves: targets off the planned path, and the path off the lines between targets
-    travel    joint moves: the planned tip path off the one that straight joint motion makes
-    angle     orientation along linear moves, and of every target; also tool and work object
+    widest    how far lines and arcs that lay material were allowed to leave the path; the rest is as wide as the plan's
+              `widening` makes it
+    path      where material is laid: targets off the planned path, and the path off the lines and arcs between targets
+    travel    likewise elsewhere; joint moves: the planned tip path off the one that straight joint motion makes
+    axis      the nozzle's axis where material is laid, and that of every target; also tool and work object
+    swing     the nozzle's axis along linear moves that lay nothing
+    roll      rotation about the nozzle's axis along linear moves
     external  the part's axes, likewise
     event     where the extruder is switched, against the sample where deposit begins or ends
     frames    positions of tool and work object; the first posture, times 1 m/rad
-    speed     moves that lay material: programmed speed against the mean of the samples [m/s]
+    late      time by which a target in a bead is passed earlier or later than planned, by programmed speeds [s]
     wait      how long the robot stands still, wherever it does [s]
     conf      targets whose configuration is not that of the plan's posture
     output    times that another output is switched than that of the bead's material
     """
 
-    chord: float
+    widest: float
+    widening: float
     path: float
     travel: float
-    angle: float
+    axis: float
+    swing: float
+    roll: float
     external: float
     event: float
     frames: float
-    speed: float
+    late: float
     wait: float
     conf: int
     output: int
@@ -136,13 +148,15 @@ class Agreement:
     def differences(self) -> list[str]:
         """Every difference beyond what rounding and thinning may cause, in words."""
         limits = {
-            "path": (self.chord + 0.03e-3, "m"),
+            "path": (self.widest + 0.03e-3, "m"),
             "travel": (1e-3, "m"),
-            "angle": (np.radians(0.1), "rad"),
-            "external": (np.radians(0.1), "rad"),
+            "axis": (self.widening * AXIS, "rad"),
+            "swing": (self.widening * SWING, "rad"),
+            "roll": (self.widening * FREE, "rad"),
+            "external": (self.widening * FREE, "rad"),
             "event": (0.05e-3, "m"),
             "frames": (2e-6, "m"),
-            "speed": (1e-3, "m/s"),
+            "late": (LATE_TARGET, "s"),
             "wait": (2e-3, "s"),
             "conf": (0, "targets"),
             "output": (0, "times"),
@@ -155,27 +169,33 @@ class Agreement:
 def compare(plan: Plan, program: RobotProgram) -> Agreement:
     """Worst differences between the plan and a program that was read back."""
     trajectory = plan.trajectory
+    widening = plan.problem.program.widening
+    widest = widening * plan.problem.program.chord
     first, last = deposits(trajectory)
     pieces = list(pieces_of(program))
     cuts = np.concatenate([[0], np.column_stack([first, last]).ravel(), [len(trajectory) - 1]])
     expected_on = [k % 2 == 1 for k in range(len(cuts) - 1)]
     if [on for on, _ in pieces] != expected_on:
-        chord, far = plan.problem.program.chord, np.inf
-        return Agreement(chord, far, far, far, far, far, far, far, far, len(program.conf), len(program.triggers))
+        far = (np.inf,) * 10
+        return Agreement(widest, widening, *far, len(program.conf), len(program.triggers))
     match = _matched(plan, [piece for _, piece in pieces], cuts)
     starts = match.targets[1:-1]
     event = np.linalg.norm(match.all.position[starts] - trajectory.tip[cuts[1:-1]], axis=1).max(initial=0.0)
-    worst = np.maximum(_targets(plan, match), _lines(plan, match))
+    on = np.array(expected_on)
+    worst = np.maximum(_targets(plan, match), _lines(plan, match, on))
     frames, turned = _frames(plan, program)
     return Agreement(
-        chord=plan.problem.program.chord,
+        widest=widest,
+        widening=widening,
         path=float(worst[0]),
         travel=float(worst[1]),
-        angle=max(float(worst[2]), turned),
-        external=float(worst[3]),
+        axis=max(float(worst[2]), turned),
+        swing=float(worst[3]),
+        roll=float(worst[4]),
+        external=float(worst[5]),
         event=float(event),
         frames=frames,
-        speed=_speed(plan, match, np.array(expected_on)),
+        late=_late(plan, match, on),
         wait=waits_differ(plan, program),
         conf=_wrong_configurations(plan, match),
         output=_wrong_outputs(plan, program, first),
@@ -186,13 +206,15 @@ def compare(plan: Plan, program: RobotProgram) -> Agreement:
 class _Match:
     """All pieces in one row (m targets), and which samples they stand for.
 
-    all               the pieces' targets, one after the other; `linear` and `speed` have a last one too many per piece
+    all               the pieces' targets, one after the other; what belongs to moves has a last one too many per piece
+    ways              (m - 1) from each target to the next, also from piece to piece, where there is none
     targets, cuts     (p + 1) first target of each piece, first sample of each piece; a piece's last sample is the
                       first one of the next
     piece, at         (m) piece of each target, and its own sample
     """
 
     all: ProgramPiece
+    ways: Segments
     targets: Indices
     cuts: Indices
     piece: Indices
@@ -208,14 +230,19 @@ def _matched(plan: Plan, pieces: Sequence[ProgramPiece], cuts: Indices) -> _Matc
         external=np.concatenate([piece.external for piece in pieces]),
         conf=np.concatenate([piece.conf for piece in pieces]),
         linear=np.concatenate([np.append(piece.linear, False) for piece in pieces]),
+        circular=np.concatenate([np.append(piece.circular, False) for piece in pieces]),
+        via=np.concatenate([np.vstack([piece.via, piece.position[-1:]]) for piece in pieces]),
         speed=np.concatenate([np.append(piece.speed, 0.0) for piece in pieces]),
         known=np.concatenate([piece.known for piece in pieces]),
     )
     counts = [len(piece.position) for piece in pieces]
     targets = np.concatenate([[0], np.cumsum(counts)])
     owner = np.repeat(np.arange(len(pieces)), counts)
-    at = _own_samples(rows.position, rows.quat, trajectory.tip, continuous(trajectory.quat), targets, cuts)
-    return _Match(rows, targets, cuts, owner, at)
+    ways = segments(rows.position[:-1], rows.via[:-1], rows.position[1:], rows.circular[:-1])
+    steps = np.linalg.norm(np.diff(trajectory.tip, axis=0), axis=1)
+    samples = _PosesAlong(trajectory.tip, continuous(trajectory.quat), steps)
+    at = _own_samples(_PosesAlong(rows.position, rows.quat, ways.length), samples, targets, cuts)
+    return _Match(rows, ways, targets, cuts, owner, at)
 
 
 def _external(plan: Plan, samples: Indices) -> Array:
@@ -226,29 +253,31 @@ def _external(plan: Plan, samples: Indices) -> Array:
 
 
 def _targets(plan: Plan, match: _Match) -> Array:
-    """Worst (path, travel, angle, external) of the targets against the planned path around their samples."""
+    """Worst (path, travel, axis, swing, roll, external) of the targets against the planned path around their samples."""
     tip, rows = plan.trajectory.tip, match.all
     least, most = match.cuts[match.piece], match.cuts[match.piece + 1]
-    off, turned, shifted = [], [], []
+    off, leant, rolled, shifted = [], [], [], []
     for nearer in (np.maximum(match.at - 1, least), match.at):  # the piece of path before and after the sample
         after = np.minimum(nearer + 1, most)
         u = nearest_fraction(tip[nearer], tip[after], rows.position, np.zeros(len(nearer)))
         off.append(np.linalg.norm(lerp(tip, nearer, after, u) - rows.position, axis=1))
         quat_a, quat_b = _unit(plan.trajectory.quat[nearer]), _unit(plan.trajectory.quat[after])
-        turned.append(angle(slerp(quat_a, quat_b, u), rows.quat))
+        lean, roll = lean_and_roll(slerp(quat_a, quat_b, u), rows.quat)
+        leant.append(lean)
+        rolled.append(roll)
         a, b = _external(plan, nearer), _external(plan, after)
         k = a.shape[1]
         between = a + u[:, None] * (b - a)
         shifted.append(np.abs(between - external_read(plan.cell, rows.external)).max(axis=1, initial=0.0))
     best = np.argmin(off, axis=0)[None]
     unused = np.isnan(rows.external[:, k:]).all() and not np.isnan(rows.external[:, :k]).any()
-    worst = [np.take_along_axis(np.array(values), best, axis=0).max() for values in (off, turned, shifted)]
-    return np.array([worst[0], 0.0, worst[1], worst[2] if unused else np.inf])
+    worst = [np.take_along_axis(np.array(values), best, axis=0).max() for values in (off, leant, rolled, shifted)]
+    return np.array([worst[0], 0.0, worst[1], 0.0, worst[2], worst[3] if unused else np.inf])
 
 
-def _lines(plan: Plan, match: _Match) -> Array:
-    """Worst (path, travel, angle, external) of the planned samples against the lines between targets."""
-    worst = np.zeros(4)
+def _lines(plan: Plan, match: _Match, on: NDArray[np.bool_]) -> Array:
+    """Worst (path, travel, axis, swing, roll, external) of the planned samples against lines and arcs between targets."""
+    worst = np.zeros(6)
     for first in range(0, len(match.cuts) - 1, PIECES):
         pieces = np.arange(first, min(first + PIECES, len(match.cuts) - 1))
         pieces = pieces[np.diff(match.targets)[pieces] > 1]
@@ -259,22 +288,26 @@ def _lines(plan: Plan, match: _Match) -> Array:
         owner = np.searchsorted(match.at, sample, side="right") - 1
         owner = np.clip(owner, match.targets[piece], match.targets[piece + 1] - 2)
         line = match.all.linear[owner]
-        if line.any():
-            worst = np.maximum(worst, _straight(plan, match, owner[line], sample[line]))
+        for lays in (True, False):
+            rows = line & (on[piece] == lays)
+            if rows.any():
+                off, lean, roll, shifted = _straight(plan, match, owner[rows], sample[rows])
+                found = [off, 0.0, lean, 0.0, roll, shifted] if lays else [0.0, off, 0.0, lean, roll, shifted]
+                worst = np.maximum(worst, found)
         if not line.all():
             worst[1] = max(worst[1], _joint(plan, match, owner[~line], sample[~line]))
     return worst
 
 
-def _straight(plan: Plan, match: _Match, a: Indices, s: Indices) -> Array:
-    """Worst (path, travel, angle, external) of samples s (n) against the lines from targets a (n) to the next ones."""
+def _straight(plan: Plan, match: _Match, a: Indices, s: Indices) -> tuple[float, float, float, float]:
+    """Worst distance [m], lean, roll, and external axes [rad, m] of samples s (n) off the ways from targets a (n) on."""
     rows, tip = match.all, plan.trajectory.tip
-    p, external = rows.position, _external(plan, s)
-    u = nearest_fraction(p[a], p[a + 1], tip[s], _share(match.at, a, s))
-    off = np.linalg.norm(lerp(p, a, a + 1, u) - tip[s], axis=1).max()
-    turned = angle(slerp(rows.quat[a], rows.quat[a + 1], u), _unit(plan.trajectory.quat[s])).max()
+    ways, external = match.ways.take(a), _external(plan, s)
+    u = ways.fraction(tip[s], _share(match.at, a, s))
+    off = np.linalg.norm(ways.at(u) - tip[s], axis=1).max()
+    lean, roll = lean_and_roll(slerp(rows.quat[a], rows.quat[a + 1], u), _unit(plan.trajectory.quat[s]))
     between = lerp(external_read(plan.cell, rows.external), a, a + 1, u)
-    return np.array([off, 0.0, turned, np.abs(between - external).max(initial=0.0)])
+    return float(off), float(lean.max()), float(roll.max()), float(np.abs(between - external).max(initial=0.0))
 
 
 def _joint(plan: Plan, match: _Match, a: Indices, s: Indices) -> float:
@@ -286,23 +319,23 @@ def _joint(plan: Plan, match: _Match, a: Indices, s: Indices) -> float:
     return float(np.linalg.norm(T[:, :3, 3] - plan.trajectory.tip[s], axis=1).max())
 
 
-def _speed(plan: Plan, match: _Match, on: NDArray[np.bool_]) -> float:
-    """Worst difference between programmed speed and what moves that lay material need to arrive when planned.
+def _late(plan: Plan, match: _Match, on: NDArray[np.bool_]) -> float:
+    """Longest time by which programmed speeds alone pass a target of a bead earlier or later than planned [s].
 
-    Where samples stand close at an end, as before a rest, its target may come from one beside its own, as far away as
-    the target is beside the path, and by two at least: what that changes is not counted.
+    Where samples stand close, as before a rest, a target's own sample is known only to those within CLOSE of it.
     """
     trajectory, at = plan.trajectory, match.at
-    lines = np.linalg.norm(np.diff(match.all.position, axis=0), axis=1)
-    took = np.maximum(np.diff(moving_time(trajectory)[at]), 0.5 * trajectory.dt)
-    real = lines / took
-    steps = np.linalg.norm(np.diff(trajectory.tip, axis=0), axis=1)
+    clock, tip = moving_time(trajectory), trajectory.tip
+    took = match.ways.length / np.where(match.all.speed[:-1] > 0.0, match.all.speed[:-1], np.inf)
+    run = np.concatenate([[0.0], np.cumsum(took)])
+    first = match.targets[match.piece]
+    programmed = run - run[first]
+    planned = clock[at] - clock[at[first]]
+    steps = np.linalg.norm(np.diff(tip, axis=0), axis=1)
     beside = np.minimum(np.append(steps, np.inf), np.append(np.inf, steps))[at]
-    away = np.linalg.norm(trajectory.tip[at] - match.all.position, axis=1) / np.maximum(beside, 1e-9)
-    others = np.where(beside < CLOSE, np.clip(away, 2.0, OTHERS), 0.0)
-    off = np.abs(real - match.all.speed[:-1]) - (others[:-1] + others[1:]) * real * trajectory.dt / took
-    inside = on[match.piece[:-1]] & (np.diff(match.piece) == 0)
-    return float(np.maximum(off, 0.0)[inside].max(initial=0.0))
+    doubt = np.where(beside < CLOSE, OTHERS, 1.0) * trajectory.dt
+    off = np.maximum(np.abs(programmed - planned) - doubt, 0.0)
+    return float(off[on[match.piece]].max(initial=0.0))
 
 
 def _wrong_configurations(plan: Plan, match: _Match) -> int:
@@ -346,19 +379,27 @@ def _unit(quat: Array) -> Array:
     return out
 
 
-def _own_samples(
-    position: Array, quat: Array, tip: Array, sample_quat: Array, targets: Indices, cuts: Indices
-) -> Indices:
+@dataclass(frozen=True)
+class _PosesAlong:
+    """Positions (n, 3) [m], orientations (n, 4), and the lengths (n - 1) of the ways between [m]."""
+
+    position: Array
+    quat: Array
+    steps: Array
+
+    @property
+    def way(self) -> Array:
+        """Way (n) to each [m]."""
+        return np.concatenate([[0.0], np.cumsum(self.steps + LEVER * angle(self.quat[1:], self.quat[:-1]))])
+
+
+def _own_samples(written_poses: _PosesAlong, samples: _PosesAlong, targets: Indices, cuts: Indices) -> Indices:
     """Sample of each target, ascending: the nearest one, around the place that the way travelled so far points to.
 
     targets, cuts (p + 1) are the first target and the first sample of each piece (see `_Match`).
     """
-
-    def way(p: Array, o: Array) -> Array:
-        steps = np.linalg.norm(np.diff(p, axis=0), axis=1) + LEVER * angle(o[1:], o[:-1])
-        return np.concatenate([[0.0], np.cumsum(steps)])
-
-    planned, written = way(tip, sample_quat), way(position, quat)
+    position, quat, tip, sample_quat = written_poses.position, written_poses.quat, samples.position, samples.quat
+    planned, written = samples.way, written_poses.way
     counts = np.diff(targets)
     begin, end = written[targets[:-1]], written[targets[1:] - 1]
     length = end - begin
@@ -451,7 +492,7 @@ class Readback:
         found = self.agreement.differences()
         if not abs(self.laid - 1.0) <= LATE:
             found.append(f"time of deposition is {self.laid:.4g} of the plan's (limit {LATE:g} from 1)")
-        in_bead = ("a corner in a bead is cut by {:.3g} m", self.corner, self.agreement.chord + ROUNDING)
+        in_bead = ("a corner in a bead is cut by {:.3g} m", self.corner, self.agreement.widest + ROUNDING)
         found += beyond([in_bead, ("a corner in travel is cut by {:.3g} m", self.swing, TRAVEL)])
         if self.stops:
             found.append(f"the robot stops at {self.stops} targets within beads")
@@ -502,9 +543,17 @@ def _cut(program: RobotProgram, played: Played) -> Array:
     unit = steps / np.where(size > 0.0, size, 1.0)[:, None]
     moves = np.bincount(played.move, size, minlength=len(program.zone))
     knot = played.target[:-1]  # the last one is an end
+    comes, goes = unit[knot - 1], unit[knot]
+    # an arc's direction at its end: half a chord's turn beyond that of its last chord
+    arc, first, move = program.circular[played.move], np.maximum(knot - 2, 0), played.move
+    turns = arc[knot - 1] & (move[first] == move[knot - 1])
+    comes = np.where(turns[:, None], comes + 0.5 * (comes - unit[first]), comes)
+    after = np.minimum(knot + 1, len(unit) - 1)
+    turns = arc[knot] & (move[after] == move[knot])
+    goes = np.where(turns[:, None], goes - 0.5 * (unit[after] - goes), goes)
     reach = np.minimum(program.zone[:-1], 0.5 * np.minimum(moves[:-1], moves[1:]))
     # the middle of a parabola whose tangents reach so far to both sides
-    cut = 0.25 * reach * np.linalg.norm(unit[knot] - unit[knot - 1], axis=1)
+    cut = 0.25 * reach * np.linalg.norm(goes - comes, axis=1)
     return np.append(np.where(program.fine[:-1], 0.0, cut), 0.0)
 
 

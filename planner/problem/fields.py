@@ -53,6 +53,7 @@ _TO_SI: dict[str, Callable[[float], float]] = {
     "rad/s2": float,
     "rad/s3": float,
     "s": float,
+    "ms": lambda value: value / 1000,
     "°C": float,
     "": float,
 }

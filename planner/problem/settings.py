@@ -264,15 +264,38 @@ class ProgramSpec(Section):
         5000,
     )
     chord: Annotated[float, Quantity("mm", 0.005, 1)] = key(
-        "chord_mm", "how far a line of the program may be from the bead that it stands for [mm]", 0.02
+        "chord_mm", "how far a line or an arc of the program may be from the bead that it stands for [mm]", 0.05
     )
+    widest_chord: Annotated[float, Quantity("mm", 0.005, 2)] | None = key(
+        "widest_chord_mm",
+        "the same where moves would otherwise take less than least_time_ms; other tolerances grow by as much; default: "
+        "twice chord_mm [mm]",
+        None,
+    )
+    least_time: Annotated[float, Quantity("ms", 0, 1000)] = key(
+        "least_time_ms",
+        "time that a move on a bead should take at least, for controllers take in so many targets a second [ms]",
+        25,
+    )
+    arcs: Truth = key("arcs", "circular moves, in languages that have them", True)
     tangent: Annotated[float, Quantity("deg", 0.5, 45)] = key(
         "tangent_deg", "greatest angle between a bead and the line that stands for it [deg]", 45
     )
     machine: MachineSpec | None = key("machine", "a multi-axis machine to write G-code for; default: none", None)
 
+    @property
+    def widening(self) -> float:
+        """By what factor tolerances may grow for the least time."""
+        return 2.0 if self.widest_chord is None else self.widest_chord / self.chord
+
     @model_validator(mode="after")
     def _distinct(self) -> ProgramSpec:
+        if self.widest_chord is not None and self.widest_chord < self.chord:
+            raise refusal(
+                f"widest_chord_mm, {1e3 * self.widest_chord:g}, is less than chord_mm, {1e3 * self.chord:g}",
+                "let it be as wide, or wider",
+                fields=["widest_chord", "chord"],
+            )
         seen: dict[str, str] = {}
         for field in ("tool", "work_object", "station", "extruder_signal", "demand_signal"):
             name = getattr(self, field)

@@ -10,6 +10,7 @@ import numpy as np
 
 from planner.base.arrays import Array, Flags, Indices
 from planner.base.errors import InputError
+from planner.export.arcs import segments
 from planner.export.external import external_axes, external_read
 from planner.export.fit import angle, from_matrix, lerp, slerp, to_matrix
 from planner.export.player.played import PHASES, TIMES
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 # and the tip of a nozzle of 0.15 m, where the nozzle turns by this angle, by 6 um.
 STEP = 3e-3  # m
 TURN = np.radians(1.0)
+BEND = np.radians(10.0)  # of an arc: its chord then leaves it by a thousandth of the radius
 JUMP = 0.3  # rad between neighbouring knots of a line: beyond, another configuration may be the nearer one
 QUARTER = 0.5 * np.pi
 BORDER = 1e-4  # rad by which a joint may lie beyond the quarter that a target names: targets are rounded
@@ -91,14 +93,15 @@ def knots_of(program: RobotProgram, cell: Cell) -> PostureKnots:
     ends = np.vstack([beside[None], frames.free(program.external)])
     position, quat = np.vstack([p0, program.position]), np.vstack([quat0, program.quat])
 
-    length = np.linalg.norm(np.diff(position, axis=0), axis=1) / STEP
+    ways = segments(position[:-1], program.via, position[1:], program.circular)
+    length = np.maximum(ways.length / STEP, ways.swept / BEND)
     turned = np.maximum(angle(quat[1:], quat[:-1]), np.abs(np.diff(ends, axis=0)).max(axis=1, initial=0.0)) / TURN
     parts = np.where(program.linear, np.ceil(np.maximum(length, turned) - 1e-9), 1).clip(1).astype(np.intp)
     move = np.repeat(np.arange(m), parts)
     target = np.cumsum(parts)
     u = (np.arange(len(move)) - np.repeat(target - parts, parts) + 1) / parts[move]
     knots = _Poses(
-        lerp(position, move, move + 1, u),
+        ways.take(move).at(u),
         slerp(quat[move], quat[move + 1], u),
         lerp(ends, move, move + 1, u),
     )

@@ -77,7 +77,7 @@ def _sorted(found: list[Limited]) -> tuple[Limited, ...]:
 # ----------------------------------------------------------------------------------------------------
 # The player.
 #
-# The model. Lines are followed exactly in the part, joint moves exactly in joints. The speed on every stretch is that of
+# The model. Lines and arcs are followed exactly in the part, joint moves exactly in joints. The speed on every stretch is that of
 # the slowest of the tip, reorientation and the station's axes, each as programmed, and of the joints with their own
 # limits (ABB, RAPID reference: MoveL, speeddata). Speed changes as quickly as the cell's joint acceleration limits allow.
 # At `fine` targets and in waits the robot stands still; corners are taken within their zones at the speed at which joints

@@ -100,7 +100,7 @@ def demand_differences(plan: Plan, program: RobotProgram) -> list[str]:
     planned = flow(plan) * scale
     total = np.concatenate([[0.0], np.cumsum(planned)])
     path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(t.tip, axis=0), axis=1))])
-    lengths = np.linalg.norm(np.diff(program.position, axis=0, prepend=program.position[:1]), axis=1)
+    lengths = np.concatenate([[0.0], program.segments.length])
     way = np.cumsum(lengths)
     asked = _asked(program, lengths)
     switched = [(move, trigger) for move in sorted(program.triggers) for trigger in program.triggers[move]]

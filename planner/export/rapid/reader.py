@@ -11,6 +11,7 @@ import numpy as np
 
 from planner.base.arrays import Array
 from planner.base.errors import InputError
+from planner.export.arcs import segments
 from planner.export.grammar import Grammar, Statement
 from planner.export.program import RobotProgram, Trigger
 from planner.export.rapid.extruder import (
@@ -25,7 +26,7 @@ from planner.export.rapid.extruder import (
     server,
     server_declarations,
 )
-from planner.export.rapid.text import HOME, NOT_LOADED, ZONES
+from planner.export.rapid.text import HOME, NOT_LOADED, OWN_ZONES, ZONES
 
 # ----------------------------------------------------------------------------------------------------
 # Statements, and where each may stand in a module.
@@ -34,13 +35,17 @@ NUMBER = r"-?[0-9]+(?:\.[0-9]+)?(?:E[0-9]+)?"
 _NUMBER = re.compile(NUMBER)
 NAME = r"[A-Za-z][A-Za-z0-9_]{0,31}"
 NEST = r"\[[-0-9.,E\[\]]*\]"
+NEST_ZONE = r"\[FALSE(?:,[0-9.]+){6}\]"
 POSE = r"\[\[[-0-9.,E]*\],\[[-0-9.,E]*\]\]"
 MOST_TRIGGERS = 8  # ABB, RAPID reference, TriggL: T1 to T8
 _TRIGGERS = rf"({NAME})((?:\\T[2-{MOST_TRIGGERS}]:={NAME})*)"
 # numbers of a target; almost every line is a move that has them, and is recognised at once
 _TARGET = "],\\[".join(",".join([NUMBER] * count) for count in (3, 4, 4, 6))
 MISSHAPEN = "move without a target"
-_MOVE = rf"(MoveJ|MoveL|TriggL) ({{target}}),({NAME})(?:,{_TRIGGERS})?,(fine|z0|z1),({NAME})\\WObj:=({NAME});"
+_ZONE = "|".join(ZONES)
+_END = rf"({NAME})(?:,{_TRIGGERS})?,({_ZONE}),({NAME})\\WObj:=({NAME});"
+_MOVE = rf"(MoveJ|MoveL|MoveC|TriggL|TriggC) (?:({{target}}),)?({{target}}),{_END}"
+_WORD, _VIA, _TO, _SPEED, _FIRST, _MORE, _AT, _TOOL, _WOBJ = range(9)  # parts of a move
 GRAMMAR = Grammar.of(
     "RAPID",
     "!",
@@ -50,6 +55,7 @@ GRAMMAR = Grammar.of(
         "tool": rf"PERS tooldata ({NAME}):=\[TRUE,({POSE}),{NEST}\];",
         "wobj": rf'PERS wobjdata ({NAME}):=\[FALSE,(TRUE|FALSE),"({NAME})?",({POSE}),({POSE})\];',
         "speed": rf"CONST speeddata ({NAME}):=({NEST});",
+        "zone": rf"CONST zonedata ({NAME}):=({NEST_ZONE});",
         "variable": rf"VAR triggdata ({NAME});",
         "trigger": rf"TriggIO ({NAME}),({NUMBER})(\\Start)?\\DOp:=({NAME}),([01]);",
         "proc": rf"PROC ({NAME})\(\)",
@@ -67,12 +73,12 @@ GRAMMAR = Grammar.of(
         "send": rf'{LINE} ([0-9]{{1,7}}),"([A-Z][-A-Z0-9 .]{{0,{LONGEST_LINE - 1}}})";',
         "settle": rf"{SETTLE} {LATEST};",
         "socket": rf"({OPEN}|{END});",
-        "setting": r"(SingArea\\Off|ConfJ\\On|ConfL\\Off);",
+        "setting": r"(SingArea\\Off|ConfJ\\On|ConfL\\Off|CirPathMode\\ObjectFrame);",
         "end": r"(ENDPROC|ENDMODULE)",
         "call": rf"({NAME});",
     },
 )
-DECLARATIONS = ("module", "tool", "wobj", "speed", "variable", "proc")
+DECLARATIONS = ("module", "tool", "wobj", "speed", "zone", "variable", "proc")
 SHAPE_POSE, SHAPE_TARGET, SHAPE_JOINTS = "[3,4]", "[3,4,4,6]", "[6,6]"
 
 
@@ -114,6 +120,7 @@ class Module:
     tool: dict[str, Array] = field(default_factory=dict)
     wobj: dict[str, tuple[str, Array, Array]] = field(default_factory=dict)
     speeds: dict[str, list[float]] = field(default_factory=dict)
+    zones: set[str] = field(default_factory=set)
     triggers: set[str] = field(default_factory=set)
     procs: dict[str, list[Statement]] = field(default_factory=dict)
     server: list[str] = field(default_factory=list)
@@ -172,7 +179,8 @@ class _Parser:
         elif word in DECLARATIONS:
             self.declare(statement)
         elif word == MISSHAPEN:
-            numbers(statement.parts[1], SHAPE_TARGET, statement)  # says what is wrong with it
+            for target in filter(None, statement.parts[_VIA : _TO + 1]):
+                numbers(target, SHAPE_TARGET, statement)  # says what is wrong with it
         else:
             self.module.procs[self.current].append(statement)
 
@@ -193,6 +201,10 @@ class _Parser:
             module.wobj[name] = (parts[2], pose(parts[3], statement), pose(parts[4], statement))
         elif statement.word == "speed":
             module.speeds[name] = numbers(parts[1], "[4]", statement)
+        elif statement.word == "zone":
+            if OWN_ZONES.get(name) != parts[1]:
+                raise statement.error(f"zone {name} is none that these programs have")
+            module.zones.add(name)
         elif statement.word == "variable":
             module.triggers.add(name)
         else:
@@ -205,7 +217,7 @@ class _Parser:
 
 # What stands around the motion, in main alone: it must all be there, before the start or behind the last move.
 AROUND = ("setting", "unit", "output", "demanded")
-SETTINGS = {"SingArea\\Off", "ConfJ\\On", "ConfL\\Off"}
+SETTINGS = {"SingArea\\Off", "ConfJ\\On", "ConfL\\Off", "CirPathMode\\ObjectFrame"}
 _BIND = re.compile(r'SocketBind bwServer,"(\d{1,3}(?:\.\d{1,3}){3})",(\d{4});', re.ASCII)
 
 
@@ -288,7 +300,7 @@ class _Run:
                 if way == "UnLoad " and not self.start:
                     self.cleared.add(_known(statement, name, self.others))
                     continue
-                if not self.moves or self.moves[-1].parts[5] != "fine":
+                if not self.moves or self.moves[-1].parts[_AT] != "fine":
                     raise statement.error("modules are loaded, and taken out, at rest")
                 if way == "UnLoad ":
                     self.loaded.pop(_known(statement, name, self.loaded))
@@ -369,20 +381,29 @@ class _Run:
         speeds, triggers, module = [], {}, self.module
         asks: dict[int, list[tuple[float, bool, float]]] = {}
         for i, move in enumerate(self.moves):
-            word, _, speed, first, _, _, tool, wobj = move.parts
+            word, via, _, speed, first, _, zone, tool, wobj = move.parts
             if speed not in module.speeds or tool not in module.tool or wobj not in module.wobj:
                 for name, names in ((speed, module.speeds), (tool, module.tool), (wobj, module.wobj)):
                     _known(move, name, names)
             speeds.append(module.speeds[speed])
-            if bool(first) != (word == "TriggL"):
-                raise move.error("TriggL, and nothing else, has triggers")
+            if bool(first) != word.startswith("Trigg"):
+                raise move.error("TriggL and TriggC, and nothing else, have triggers")
+            if bool(via) != word.endswith("C"):
+                raise move.error("MoveC and TriggC, and nothing else, have a point on the way")
+            if zone in OWN_ZONES and zone not in module.zones:
+                _known(move, zone, module.zones)
             if first:
                 used = self.used(move)
                 if switches := tuple(self.trigger[name] for name in used if name in self.trigger):
                     triggers[i] = switches
                 asks[i] = [self.demand[name] for name in used if name in self.demand]
-        table = target_numbers([move.parts[1] for move in self.moves])
-        lengths = np.linalg.norm(np.diff(table[:, :3] * 1e-3, axis=0, prepend=table[:1, :3] * 1e-3), axis=1)
+        table = target_numbers([move.parts[_TO] for move in self.moves])
+        position, circular = table[:, :3] * 1e-3, np.array([bool(move.parts[_VIA]) for move in self.moves])
+        arcs = np.full_like(position, np.nan)
+        if circular.any():
+            arcs[circular] = target_numbers([move.parts[_VIA] for move in self.moves if move.parts[_VIA]])[:, :3] * 1e-3
+        begin = np.vstack([position[:1], position[:-1]])
+        lengths = segments(begin, np.where(circular[:, None], arcs, position), position, circular).length
         station, uframe, oframe = next(iter(module.wobj.values()))
         return RobotProgram(
             module=module.name,
@@ -391,13 +412,13 @@ class _Run:
             oframe=oframe,
             station=station,
             start=_radians(np.array(self.start)),
-            linear=np.array([move.parts[0] != "MoveJ" for move in self.moves]),
-            fine=np.array([move.parts[5] == "fine" for move in self.moves]),
-            position=table[:, :3] * 1e-3,
+            linear=np.array([move.parts[_WORD] != "MoveJ" for move in self.moves]),
+            fine=np.array([move.parts[_AT] == "fine" for move in self.moves]),
+            position=position,
             quat=table[:, [4, 5, 6, 3]],
             conf=table[:, 7:11].astype(np.intp),
             external=_radians(table[:, 11:]),
-            zone=np.array([ZONES[move.parts[5]] for move in self.moves]),
+            zone=np.array([ZONES[move.parts[_AT]] for move in self.moves]),
             speed=np.array(speeds) * [1e-3, np.pi / 180.0, 1e-3, np.pi / 180.0],
             wait=np.array([self.waits.get(i, 0.0) for i in range(len(self.moves))]),
             triggers=triggers,
@@ -408,15 +429,16 @@ class _Run:
                 if own
             },
             send_rests={i: tuple(rests) for i, rests in self.rested.items()},
+            arcs=arcs if circular.any() else None,
         )
 
     def used(self, move: Statement) -> list[str]:
         """The triggers of a move, T1, T2 and so on."""
-        numbered = [each.split(":=") for each in move.parts[4].split("\\")[1:]]
+        numbered = [each.split(":=") for each in move.parts[_MORE].split("\\")[1:]]
         if [number for number, _ in numbered] != [f"T{k}" for k in range(2, len(numbered) + 2)]:
             raise move.error("the triggers are not numbered T2, T3, …")
         known = {**self.trigger, **self.demand}
-        return [_known(move, name, known) for name in (move.parts[3], *(name for _, name in numbered))]
+        return [_known(move, name, known) for name in (move.parts[_FIRST], *(name for _, name in numbered))]
 
     def check_server(self) -> None:
         """The socket's procedures must stand there as they always do, whatever the address."""

@@ -25,7 +25,11 @@ RESERVED = """ALIAS AND BACKWARD CASE CONNECT CONST DEFAULT DIV DO ELSE ELSEIF E
 PREDEFINED = """ABS ACOS ADD ASIN ATAN BOOL BREAK BYTE CLEAR CLOCK CLOSE COS DECR DIM DISTANCE DNUM EXP INCR LOAD NUM OFFS OPEN
     ORIENT POS POSE POW PRESENT RESET REWIND ROUND SAVE SET SIN SQRT STOP STRING SWITCH TAN TRUNC UNLOAD WRITE"""
 # ABB, RAPID reference, zonedata: radius of the zone of the tool's path [m]
-ZONES = {"fine": 0.0, "z0": 0.3e-3, "z1": 1e-3}
+ZONES = {"fine": 0.0, "z0": 0.3e-3, "z1": 1e-3, "z5": 5e-3, "z10": 10e-3}
+# And our own, for corners that z0 would cut by too much: radius of tool path, and of reorientation, external axes [mm];
+# the same as angles [deg]
+OWN_ZONES = {"zon0_1": "[FALSE,0.1,0.1,0.1,0.01,0.1,0.01]"}
+ZONES["zon0_1"] = 0.1e-3
 LONGEST_STRING = 80
 LONGEST_NAME = 32
 NOTE = "Note: "  # begins a comment in the header that users should read

@@ -1,0 +1,502 @@
+"""The fewest lines and arcs that keep to a trajectory, none shorter in time than a controller's least."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from planner.base.arrays import Array, Flags, Indices
+from planner.base.compiled import njit
+
+# ----------------------------------------------------------------------------------------------------
+# What they have to follow, and how nearly.
+
+# What can keep a primitive short. The chord and the nozzle's axis are what a print feels; rotation about that axis and the
+# station's axes are what it leaves free.
+TERMS = ("chord", "axis", "roll", "station", "time", "tangent", "flow", "length")
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Poses of the nozzle in the part, and the station's axes there, before them what carries the arm.
+
+    table (n, 7 + k): position [m], quaternion x y z w, the station's free axes [rad, m]
+    """
+
+    table: Array
+
+    @property
+    def position(self) -> Array:
+        """(n, 3) [m]."""
+        return self.table[:, :3]
+
+    @property
+    def quat(self) -> Array:
+        """(n, 4) x y z w."""
+        return self.table[:, 3:7]
+
+    @property
+    def station(self) -> Array:
+        """(n, k) [rad]."""
+        return self.table[:, 7:]
+
+
+class SampledWay(NamedTuple):
+    """A trajectory that is to be followed (n samples), as kernels take it.
+
+    pose       (n, 7 + k) as the table of `Poses`, quaternions sign-continuous
+    clock      (n)  time without waits [s]
+    path       (n)  length [m]
+    fed        (n)  filament that is to flow evenly [m], all 0 for none
+    laid       (n)  material flows: time, tangent and flow count
+    tolerance  (2, 8)  of each of TERMS [m, rad, rad, 1, s, rad, m, m]: where nothing is laid, and where material is
+    free       (k)  of each of the station's axes [rad, m]
+    """
+
+    pose: Array
+    clock: Array
+    path: Array
+    fed: Array
+    laid: Flags
+    tolerance: Array
+    free: Array
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """k primitives.
+
+    sample    (k) at which each ends, sorted
+    circular  (k) an arc; otherwise a straight line
+    via       (k, 3) the middle of the arc [m]; the target's own position for lines
+    """
+
+    sample: Indices
+    circular: Flags
+    via: Array
+
+
+class FitRules(NamedTuple):
+    """How primitives are chosen.
+
+    arcs    arcs are allowed
+    least   time that a primitive should take at least [s]
+    widest  tolerances that may be used to that end, as a multiple of the usual ones
+    """
+
+    arcs: bool
+    least: float
+    widest: float
+
+
+def fit(way: SampledWay, first: Indices, last: Indices, rules: FitRules) -> Fitted:
+    """The fewest primitives along each of some stretches, from samples `first` to `last` (s, sorted), with targets at both.
+
+    The count is the least that the tolerances allow, or nearly, and the primitives' times are as even as they can be with
+    that count. Where some take less than the least time, those around are chosen anew with wider tolerances, by as little
+    as gets them the least time. What remains shorter needs to be, for the tolerances' sake.
+    """
+    n = len(way.clock)
+    kind, via = np.zeros(n, dtype=np.int8), np.zeros((n, 3))
+    _fit(way, first, last, rules, kind, via)
+    sample = np.flatnonzero(kind)
+    return Fitted(sample, kind[sample] == ARC, via[sample])
+
+
+def misfits(way: SampledWay, first: Indices, last: Indices, circular: Flags, via: Array) -> Array:
+    """How far primitives from samples first to last (k) miss the samples between, in tolerances: (k, 8), by TERMS."""
+    return _misfits(way, first, last, circular, via)
+
+
+# ----------------------------------------------------------------------------------------------------
+# How far one primitive misses the samples that it passes.
+
+NONE, LINE, ARC = 0, 1, 2
+LEAST_STEP = 1e-9  # m between samples: a shorter one, at rest, has no direction
+SHORT = 1e-14  # m^2, square of a line's length: a shorter one has no nearest point, and shares follow the samples
+EVEN = 0.01  # rad between quaternions: nearer ones are interpolated evenly, which adds 0.003 deg at most
+# Controllers ask for points of an arc to be 0.1 mm apart, and for 1 deg between via point and end as seen from the
+# beginning, a quarter of what the arc sweeps (ABB, RAPID reference, MoveC); above half a circle via points tell less.
+LEAST_CHORD = 0.4e-3  # m
+LEAST_SWEPT, MOST_SWEPT = np.radians(4.4), np.radians(175.0)
+USUAL_STEP = 8  # samples by which the first primitive of a stretch is lengthened at first
+HOPELESS = 4.0  # tolerances beyond which an arc's height is not corrected
+
+
+@njit(cache=True)
+def great_arc(a: Array, b: Array) -> tuple[float, float]:
+    """Angle [rad] between the quaternions of poses a and b, 0 if it hardly matters, and the sign that b takes."""
+    dot = 0.0
+    for j in range(3, 7):
+        dot += a[j] * b[j]
+    omega = np.arccos(min(abs(dot), 1.0))
+    return (omega if omega > EVEN else 0.0), (-1.0 if dot < 0.0 else 1.0)
+
+
+@njit(cache=True)
+def _circle(way: SampledWay, a: int, b: int, raised: float, circle: Array) -> bool:
+    """The arc from sample a to b through the middle of the path between, `raised` [m] higher over its chord.
+
+    circle (11): swept angle [rad], radius, centre (3), e1 (3), e2 (3) as in `Segments`; returns whether it is one that
+    controllers take.
+    """
+    pose, path = way.pose, way.path
+    half = 0.5 * (path[a] + path[b])
+    k = a + np.searchsorted(path[a : b + 1], half) - 1
+    k = min(max(k, a), b - 1)
+    step = path[k + 1] - path[k]
+    u = (half - path[k]) / step if step > 0.0 else 0.0
+    x0, x1, x2 = pose[b, 0] - pose[a, 0], pose[b, 1] - pose[a, 1], pose[b, 2] - pose[a, 2]
+    length = np.sqrt(x0 * x0 + x1 * x1 + x2 * x2)
+    if length < LEAST_CHORD:
+        return False
+    x0, x1, x2 = x0 / length, x1 / length, x2 / length
+    v0 = pose[k, 0] + u * (pose[k + 1, 0] - pose[k, 0]) - pose[a, 0]
+    v1 = pose[k, 1] + u * (pose[k + 1, 1] - pose[k, 1]) - pose[a, 1]
+    v2 = pose[k, 2] + u * (pose[k + 1, 2] - pose[k, 2]) - pose[a, 2]
+    along = v0 * x0 + v1 * x1 + v2 * x2
+    y0, y1, y2 = v0 - along * x0, v1 - along * x1, v2 - along * x2
+    height = np.sqrt(y0 * y0 + y1 * y1 + y2 * y2)
+    if height < LEAST_STEP:
+        return False
+    y0, y1, y2 = y0 / height, y1 / height, y2 / height
+    below = (along * (length - along) - height * height) / (2.0 * height)
+    radius = np.sqrt(0.25 * length * length + below * below)
+    top = radius - below + raised
+    if top < LEAST_STEP:
+        return False
+    radius = 0.5 * top + 0.125 * length * length / top
+    below = radius - top
+    swept = 2.0 * np.arctan2(0.5 * length, below)
+    if swept < LEAST_SWEPT or swept > MOST_SWEPT:
+        return False
+    cosine, sine = below / radius, 0.5 * length / radius
+    circle[0], circle[1] = swept, radius
+    circle[2] = pose[a, 0] + 0.5 * length * x0 - below * y0
+    circle[3] = pose[a, 1] + 0.5 * length * x1 - below * y1
+    circle[4] = pose[a, 2] + 0.5 * length * x2 - below * y2
+    circle[5], circle[6], circle[7] = cosine * y0 - sine * x0, cosine * y1 - sine * x1, cosine * y2 - sine * x2
+    circle[8], circle[9], circle[10] = sine * y0 + cosine * x0, sine * y1 + cosine * x1, sine * y2 + cosine * x2
+    return True
+
+
+@njit(cache=True)
+def _lean(lx: float, ly: float, lz: float, p: Array, q: Array) -> float:
+    """Tangent of the angle between a direction and the step from pose p to q; 0 where one has no direction."""
+    sx, sy, sz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    if sx * sx + sy * sy + sz * sz <= LEAST_STEP**2:
+        return 0.0
+    x, y, z = ly * sz - lz * sy, lz * sx - lx * sz, lx * sy - ly * sx
+    sine, cosine = np.sqrt(x * x + y * y + z * z), lx * sx + ly * sy + lz * sz
+    if sine == 0.0:
+        return 0.0
+    return sine / cosine if cosine > 0.0 else np.inf
+
+
+@njit(cache=True)
+def _worst(out: Array) -> float:
+    worst = 0.0
+    for j in range(len(out)):
+        worst = max(worst, out[j])
+    return worst
+
+
+@njit(cache=True)
+def _measure(way: SampledWay, a: int, b: int, circle: Array, most: float, out: Array) -> tuple[float, float]:
+    """How far a line, or where circle[0] > 0 an arc, misses samples a to b: into out (8), in tolerances, by TERMS.
+
+    It ends where one of them is above `most`. Returns by how much the samples lie outside of the arc, and inside [m].
+    """
+    pose, clock, path, fed, laid, free = way.pose, way.clock, way.path, way.fed, way.laid, way.free
+    tolerance = way.tolerance[1 if laid[a] and laid[b] else 0]
+    width = pose.shape[1]
+    p, q, took = pose[a], pose[b], clock[b] - clock[a]
+    omega, sign = great_arc(p, q)
+    sine = np.sin(omega) if omega > 0.0 else 1.0
+    lx, ly, lz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    square = lx * lx + ly * ly + lz * lz
+    swept, radius = circle[0], circle[1]
+    over, under = 0.0, 0.0
+    for j in range(8):
+        out[j] = 0.0
+    out[7] = (path[b] - path[a]) / tolerance[7]
+    if out[7] > most:
+        return over, under
+    before = 0.0
+    for k in range(a, b + 1):
+        u, off = (k - a) / (b - a), 0.0
+        if swept > 0.0:
+            v0, v1, v2 = pose[k, 0] - circle[2], pose[k, 1] - circle[3], pose[k, 2] - circle[4]
+            x = v0 * circle[5] + v1 * circle[6] + v2 * circle[7]
+            y = v0 * circle[8] + v1 * circle[9] + v2 * circle[10]
+            u = min(max(np.arctan2(y, x) / swept, 0.0), 1.0)
+            flat = np.sqrt(x * x + y * y)
+            radial = flat - radius
+            over, under = max(over, radial), max(under, -radial)
+            off = np.sqrt(radial * radial + max(v0 * v0 + v1 * v1 + v2 * v2 - flat * flat, 0.0))
+        elif square >= SHORT:
+            v0, v1, v2 = pose[k, 0] - p[0], pose[k, 1] - p[1], pose[k, 2] - p[2]
+            u = min(max((v0 * lx + v1 * ly + v2 * lz) / square, 0.0), 1.0)
+            off = np.sqrt((v0 - u * lx) ** 2 + (v1 - u * ly) ** 2 + (v2 - u * lz) ** 2)
+        else:
+            off = np.sqrt((pose[k, 0] - p[0]) ** 2 + (pose[k, 1] - p[1]) ** 2 + (pose[k, 2] - p[2]) ** 2)
+        out[0] = max(out[0], off / tolerance[0])
+        if k > a and laid[k - 1] and laid[k]:
+            if swept > 0.0:
+                middle = 0.5 * (u + before) * swept
+                c, s = np.cos(middle), np.sin(middle)
+                lean = _lean(c * circle[8] - s * circle[5], c * circle[9] - s * circle[6],
+                             c * circle[10] - s * circle[7], pose[k - 1], pose[k])  # fmt: skip
+            else:
+                lean = _lean(lx, ly, lz, pose[k - 1], pose[k])
+            out[5] = max(out[5], np.arctan(lean) / tolerance[5])
+        before = u
+        if k == a or k == b:
+            continue
+        wa, wb = 1.0 - u, u
+        if omega > 0.0:
+            wa, wb = np.sin((1.0 - u) * omega) / sine, np.sin(u * omega) / sine
+        # the small rotation from what is made to what is wanted, in the nozzle's frame: twice the vector of its quaternion
+        wb *= sign
+        mx, my, mz, mw = wa * p[3] + wb * q[3], wa * p[4] + wb * q[4], wa * p[5] + wb * q[5], wa * p[6] + wb * q[6]
+        x, y, z, w = pose[k, 3], pose[k, 4], pose[k, 5], pose[k, 6]
+        ex = mw * x - mx * w - my * z + mz * y
+        ey = mw * y + mx * z - my * w - mz * x
+        ez = mw * z - mx * y + my * x - mz * w
+        out[1] = max(out[1], 2.0 * np.sqrt(ex * ex + ey * ey) / tolerance[1])
+        out[2] = max(out[2], 2.0 * abs(ez) / tolerance[2])
+        for j in range(7, width):
+            out[3] = max(out[3], abs(p[j] + u * (q[j] - p[j]) - pose[k, j]) / free[j - 7])
+        if laid[k]:
+            out[4] = max(out[4], abs(clock[a] + u * took - clock[k]) / tolerance[4])
+            even = fed[a] + (clock[k] - clock[a]) / max(took, 1e-9) * (fed[b] - fed[a])
+            out[6] = max(out[6], abs(even - fed[k]) / tolerance[6])
+        if _worst(out) > most:
+            break
+    return over, under
+
+
+@njit(cache=True)
+def _fits(way: SampledWay, a: int, b: int, arcs: bool, most: float, circle: Array, out: Array) -> tuple[int, float]:
+    """Whether a line, or else an arc, meets samples a to b within `most` tolerances, and how far it misses.
+
+    The arc stays in `circle`. It goes through the middle of the path; where it misses that way, its height is corrected
+    by half the difference of what it misses on both sides.
+    """
+    circle[0] = 0.0
+    if b - a == 1:
+        return LINE, 0.0
+    _measure(way, a, b, circle, most, out)
+    line = _worst(out)
+    if line <= most or not arcs:
+        return (LINE if line <= most else NONE), line
+    if not _circle(way, a, b, 0.0, circle):
+        circle[0] = 0.0
+        return NONE, line
+    over, under = _measure(way, a, b, circle, HOPELESS * most, out)
+    arc = _worst(out)
+    if arc > most and out[0] > most and arc <= HOPELESS * most:
+        if not _circle(way, a, b, 0.5 * (over - under), circle):
+            circle[0] = 0.0
+            return NONE, arc
+        _measure(way, a, b, circle, most, out)
+        arc = _worst(out)
+    return (ARC if arc <= most else NONE), arc
+
+
+@njit(cache=True)
+def _misfits(way: SampledWay, first: Indices, last: Indices, circular: Flags, via: Array) -> Array:
+    """`misfits`."""
+    found, circle, out = np.zeros((len(first), len(TERMS))), np.zeros(11), np.zeros(len(TERMS))
+    for i in range(len(first)):
+        circle[0] = 0.0
+        if circular[i]:
+            a, b = way.pose[first[i], :3], way.pose[last[i], :3]
+            middle = 0.5 * (a + b)
+            up = via[i] - middle  # the via point stands over the middle of the chord
+            top, half = np.sqrt(np.sum(up**2)), 0.5 * np.sqrt(np.sum((b - a) ** 2))
+            radius = 0.5 * (top + half * half / top)
+            circle[0], circle[1] = 2.0 * np.arctan2(half, radius - top), radius
+            centre = via[i] - radius * up / top
+            circle[2:5], circle[5:8] = centre, (a - centre) / radius
+            across = (b - a) / (2.0 * half)
+            circle[8:11] = half / radius * up / top + (radius - top) / radius * across
+        if last[i] - first[i] > 1:
+            _measure(way, first[i], last[i], circle, np.inf, out)
+            found[i] = out
+    return found
+
+
+# ----------------------------------------------------------------------------------------------------
+# The fewest between two kept samples, evenly.
+
+
+class _Scratch(NamedTuple):
+    """Memory of the search; n is the most samples between two that are kept.
+
+    circle, out    (11), (8) of `_fits`
+    ahead, behind  (n + 2) targets of a stretch, the farthest from its beginning, and the nearest from its end
+    better         (n + 2) the best stretch of several
+    targets        (n + 2) what has been chosen between two kept samples
+    """
+
+    circle: Array
+    out: Array
+    ahead: Indices
+    behind: Indices
+    better: Indices
+    targets: Indices
+
+
+@njit(cache=True)
+def _reach(way: SampledWay, a: int, end: int, step: int, arcs: bool, most: float, s: _Scratch) -> int:
+    """The farthest sample, up to `end`, that one primitive from sample a reaches; `end` may lie before a.
+
+    What lies between two samples that a primitive joins can be joined by one, too, or nearly always: steps are doubled
+    until one fails, then halved.
+    """
+    way_to = 1 if end > a else -1
+    good, step = a + way_to, max(step, 1)
+    bad = end + way_to
+    while good != end:
+        b = good + way_to * step
+        if (end - b) * way_to < 0:
+            b = end
+        kind, _ = _fits(way, min(a, b), max(a, b), arcs, most, s.circle, s.out)
+        if kind == NONE:
+            bad = b
+            break
+        good, step = b, 2 * step
+    while abs(bad - good) > 1 and good != end:
+        b = (good + bad) // 2
+        kind, _ = _fits(way, min(a, b), max(a, b), arcs, most, s.circle, s.out)
+        if kind == NONE:
+            bad = b
+        else:
+            good = b
+    return good
+
+
+@njit(cache=True)
+def _stretch(way: SampledWay, first: int, last: int, arcs: bool, most: float, s: _Scratch) -> int:
+    """Targets from sample first to last into s.ahead, both among them: the fewest; returns how many primitives.
+
+    The farthest targets from the beginning and the nearest from the end bound where each may be. Within, they are chosen
+    so that what remains of the time is shared evenly by what remains of the primitives.
+    """
+    count, at = 0, first
+    s.ahead[0] = first
+    while at != last:
+        step = max((at - s.ahead[count - 1]) // 2, 1) if count else USUAL_STEP
+        at = _reach(way, at, last, step, arcs, most, s)
+        count += 1
+        s.ahead[count] = at
+    if count < 2:
+        return count
+    at, back = last, 0
+    s.behind[count] = last
+    while at != first and back < count:
+        step = max((s.behind[count - back + 1] - at) // 2, 1) if back else USUAL_STEP
+        at = _reach(way, at, first, step, arcs, most, s)
+        back += 1
+        s.behind[count - back] = at
+    if at != first or back != count:
+        return count
+    clock = way.clock
+    for j in range(1, count):  # from here on, behind[j] is the target that is chosen
+        before = s.behind[j - 1]
+        low, high = max(s.behind[j], before + 1), s.ahead[j]
+        ideal = clock[before] + (clock[last] - clock[before]) / (count - j + 1)
+        b = before + 1 + np.searchsorted(clock[before + 1 : last], ideal)
+        b = min(max(b, low), high)
+        while True:
+            kind, _ = _fits(way, before, b, arcs, most, s.circle, s.out)
+            if kind != NONE:
+                break
+            if b <= low:
+                return count  # a part of a primitive that fits need not fit: the farthest targets stay
+            b = (low + b) // 2
+        s.behind[j] = b
+    kind, _ = _fits(way, s.behind[count - 1], last, arcs, most, s.circle, s.out)
+    if kind != NONE:
+        for j in range(1, count):
+            s.ahead[j] = s.behind[j]
+    return count
+
+
+# ----------------------------------------------------------------------------------------------------
+# The least time.
+
+ON_TIME = 1e-9  # s by which a sum of sample times may miss the least time
+WIDER = 1.26  # times as wide as before, a cube root of two, is the next tolerance that is tried
+AROUND = (1, 3)  # primitives before and behind those that are too short, which are chosen anew with them
+
+
+@njit(cache=True)
+def _too_short(way: SampledWay, targets: Indices, first: int, last: int, least: float) -> int:
+    """How many of the primitives first to last (exclusive) between `targets` take less than the least time."""
+    found = 0
+    for j in range(first, last):
+        found += way.clock[targets[j + 1]] - way.clock[targets[j]] < least - ON_TIME
+    return found
+
+
+@njit(cache=True)
+def _lengthen(way: SampledWay, count: int, rules: FitRules, s: _Scratch) -> int:
+    """Mend primitives shorter than the least time among the `count` between s.targets; returns how many there are then.
+
+    Those that follow each other, with some before and behind, are chosen anew with wider and wider tolerances, until
+    none is too short. Where that never happens, those tolerances are taken that leave the fewest.
+    """
+    t, i = s.targets, 0
+    while i < count:
+        if not _too_short(way, t, i, i + 1, rules.least):
+            i += 1
+            continue
+        end = i + 1
+        while end < count and _too_short(way, t, end, end + 1, rules.least):
+            end += 1
+        fewest, chosen, low, high = _too_short(way, t, i, end, rules.least), -1, i, end
+        for around in AROUND:
+            a, b, most = max(i - around, 0), min(end + around, count), 1.0
+            while fewest and most <= rules.widest:
+                n = _stretch(way, t[a], t[b], rules.arcs, most, s)
+                short = _too_short(way, s.ahead, 0, n, rules.least)
+                if short < fewest:
+                    fewest, chosen, low, high = short, n, a, b
+                    s.better[: n + 1] = s.ahead[: n + 1]
+                most = min(WIDER * most, rules.widest) if most < rules.widest else np.inf
+        if chosen >= 0:
+            rest = t[high : count + 1].copy()
+            t[low : low + chosen] = s.better[:chosen]
+            t[low + chosen : low + chosen + len(rest)] = rest
+            count, end = low + chosen + len(rest) - 1, low + chosen
+        i = end
+    return count
+
+
+@njit(cache=True)
+def _fit(way: SampledWay, first: Indices, last: Indices, rules: FitRules, kind: Array, via: Array) -> None:
+    """`fit`: of each sample that ends a primitive, its kind (n) and via point (n, 3)."""
+    most = 1
+    for i in range(len(first)):
+        most = max(most, last[i] - first[i])
+    room = np.zeros((4, most + 2), dtype=np.int64)
+    s = _Scratch(np.zeros(11), np.zeros(len(TERMS)), room[0], room[1], room[2], room[3])
+    for i in range(len(first)):
+        count = _stretch(way, first[i], last[i], rules.arcs, 1.0, s)
+        s.targets[: count + 1] = s.ahead[: count + 1]
+        count = _lengthen(way, count, rules, s)
+        for j in range(count):
+            a, b = s.targets[j], s.targets[j + 1]
+            found, _ = _fits(way, a, b, rules.arcs, 1.0, s.circle, s.out)
+            if found == NONE:
+                found, _ = _fits(way, a, b, rules.arcs, rules.widest, s.circle, s.out)
+            kind[b] = found
+            via[b] = way.pose[b, :3]
+            if found == ARC:
+                half = 0.5 * s.circle[0]
+                arm = np.cos(half) * s.circle[5:8] + np.sin(half) * s.circle[8:11]
+                via[b] = s.circle[2:5] + s.circle[1] * arm
