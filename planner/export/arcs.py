@@ -33,9 +33,7 @@ class Segments:
     @property
     def length(self) -> Array:
         """(n) [m]."""
-        out: Array = np.where(
-            self.circular, self.radius * self.swept, np.linalg.norm(self.end - self.begin, axis=1)
-        )
+        out: Array = np.where(self.circular, self.radius * self.swept, np.linalg.norm(self.end - self.begin, axis=1))
         return out
 
     def take(self, rows: Indices) -> Segments:

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
 from planner.export.fit import by_samples, thin, to_matrix
-from planner.export.moves import AXIS_TOLERANCE, ROUNDING, TRAVEL_TOLERANCE, deposits
+from planner.export.moves import ANGLE_TOLERANCE, ROUNDING, TRAVEL_TOLERANCE, deposits
 from planner.export.support import by_bead, output_numbers
 from planner.export.text import beyond, require_writable
 
@@ -93,7 +93,7 @@ def plan_knots(plan: Plan) -> SplineKnots:
     def misfit(a: Indices, b: Indices, k: Indices) -> Array:
         q, velocity, acceleration = quintic(dense.chosen(a), dense.chosen(b), dense.time[k])
         worst = nozzle.misfit(q, k)
-        joints = np.abs(q - dense.q[k]).max(axis=1) / AXIS_TOLERANCE
+        joints = np.abs(q - dense.q[k]).max(axis=1) / ANGLE_TOLERANCE
         limits = plan.cell.limits
         fast = np.abs(velocity - dense.velocity[k]) / (VELOCITY_SHARE * limits.velocity)
         steep = np.abs(acceleration - dense.acceleration[k]) / (ACCELERATION_SHARE * limits.acceleration)
@@ -123,7 +123,7 @@ class Nozzle:
         off, turned = self.misses(q, k)
         chord = self._plan.problem.program.chord - ROUNDING
         out: Array = np.maximum(
-            off / np.where(self._plan.trajectory.deposit[k], chord, TRAVEL_TOLERANCE), turned / AXIS_TOLERANCE
+            off / np.where(self._plan.trajectory.deposit[k], chord, TRAVEL_TOLERANCE), turned / ANGLE_TOLERANCE
         )
         return out
 

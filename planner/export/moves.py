@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array, Flags, Indices
 from planner.base.compiled import njit
 from planner.export.arcs import Segments, segments
-from planner.export.fit import angle, by_samples, continuous, fewest, lerp, slerp
+from planner.export.fit import angle, by_samples, continuous, fewest, lerp, slerp, to_matrix
 from planner.export.primitives import FitRules, Poses, SampledWay, fit, misfits
 
 if TYPE_CHECKING:
@@ -192,6 +192,40 @@ def _sliding_maximum(values: Array, width: int) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
+# Postures of targets that are turned a little, which may lie beyond the border of a configuration.
+
+BLOCK = 20_000  # poses whose postures are sought at once: bounds the memory
+REVOLUTION = 2.0 * np.pi
+
+
+def reached(plan: Plan, sample: Indices, targets: Poses, turned: Flags) -> Array:
+    """Joints (m, n) [rad] that hold the nozzle at targets (m): the samples' own, but where the target was turned (m).
+
+    There they are of the same branch, in the nearest turn. Arms whose poses do not say a posture keep the samples'.
+    """
+    cell, t = plan.cell, plan.trajectory
+    na, rails = len(cell.arm), cell.rails
+    out: Array = t.q[sample]
+    if len(cell.given) > rails:
+        return out
+    T_world_base, T_nozzle_flange = np.linalg.inv(cell.T_world_base), np.linalg.inv(cell.T_flange_nozzle)
+    which = np.flatnonzero(turned)
+    for rows in np.array_split(which, 1 + len(which) // BLOCK):
+        T = np.tile(np.eye(4), (len(rows), 1, 1))
+        T[:, :3, :3], T[:, :3, 3] = to_matrix(targets.quat[rows]), targets.position[rows]
+        station = np.ascontiguousarray(targets.station[rows])
+        held = np.ascontiguousarray(station[:, rails:])
+        given = station[:, :rails] if rails else None
+        postures, exist = cell.inverse.solve(T_world_base @ cell.holder.poses(held) @ T @ T_nozzle_flange, given)
+        each, branch = np.arange(len(rows)), t.branch[sample[rows]].astype(np.intp)
+        off = postures[each, branch] - out[rows, :na]
+        off -= np.where(cell.limits.turns[:na], REVOLUTION * np.round(off / REVOLUTION), 0.0)
+        out[rows, :na] += np.where(exist[each, branch, None], off, 0.0)
+        out[rows, na:] = held
+    return out
+
+
+# ----------------------------------------------------------------------------------------------------
 # Moves: the targets that a controller needs, and how each is approached.
 
 ROUNDING = 1e-6  # [m]; what the numbers in the file take of the tolerance of the path
@@ -199,6 +233,7 @@ AXIS_TOLERANCE = np.radians(0.0995)  # of the nozzle's axis [rad]; rounding take
 # Rotation about the nozzle's axis and axes that turn the part: a print does not feel them. A head of 0.1 m swings by 0.4 mm.
 FREE_TOLERANCE = np.radians(0.25)  # [rad]
 SLIDE_TOLERANCE = 0.8e-3  # [m], of axes that slide, likewise
+ANGLE_TOLERANCE = np.radians(0.045)  # of joints and orientation, in languages that name joints or axes [rad]
 TIME_TOLERANCE = 8e-3  # [s]; keeps dips of the speed in the program
 LONGEST = 25e-3  # [m] of path between two targets in a bead
 TRAVEL_TOLERANCE = 0.3e-3  # [m]; moves that lay nothing against the planned tip path
@@ -224,7 +259,7 @@ class Moves:
     on_end, on_start   (m,)  the extruder goes on at the end (start) of this move
     off_end            (m,)  it goes off at the end of this move
     after   (m,)   the move belongs to what comes after this many beads: run-outs still count to their bead
-    targets (m + 1) the start and the target of each move
+    targets (m + 1) the start and the target of each move; in beads the nozzle may be turned a little out of a bend (`fit`)
     via     (m) the middle of each arc; the target where there is none
     q       (m + 1, n) joints at the start and the targets [rad]
     """
@@ -340,7 +375,7 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
     goes = ~rests.inside[b]  # from one sample of a wait to another there is no move
     a, b = a[goes], b[goes]
     took = rests.clock[b] - rests.clock[a]
-    leaves, comes = way.pose[a], way.pose[b]
+    leaves, comes = fitted.aim[a], fitted.aim[b]
     is_linear, laid, circular = linear[a], trajectory.deposit[a] & trajectory.deposit[b], arc[b]
     arrives_linear = np.zeros(n, dtype=bool)
     arrives_linear[b[is_linear]] = True
@@ -354,6 +389,7 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
     peaks = np.maximum.reduceat(np.append(np.diff(way.path), 0.0), a) / trajectory.dt
     whole = np.where(laid, np.cumsum(starts[a]), 0)  # the bead that each move belongs to, from 1
     k = np.concatenate([[0], b])
+    targets, turned = Poses(fitted.aim[k]), (fitted.aim[k] != way.pose[k]).any(axis=1)
     return Moves(
         sample=b,
         start=a,
@@ -370,9 +406,9 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
         on_start=(starts & ~arrives_linear)[a],
         off_end=ends[b],
         after=np.searchsorted(leave, a, side="right"),
-        targets=Poses(way.pose[k]),
+        targets=targets,
         via=Poses(np.where(circular[:, None], via, comes)),
-        q=trajectory.q[k],
+        q=reached(plan, k, targets, turned),
     )
 
 
@@ -383,8 +419,10 @@ def way_of(plan: Plan, rests: Rests, fed: Array | None = None) -> SampledWay:
     amount = max(float(np.diff(fed).max(initial=0.0)) / t.dt * TIME_TOLERANCE, 1e-12)  # of filament, out of place [m]
     others = [1.0, TIME_TOLERANCE, program.tangent, amount, LONGEST]
     turns = plan.cell.limits.turns[list(plan.cell.besides)]
+    pose = np.column_stack([t.tip, continuous(t.quat), t.q[:, plan.cell.besides]])
     return SampledWay(
-        pose=np.column_stack([t.tip, continuous(t.quat), t.q[:, plan.cell.besides]]),
+        pose=pose,
+        aim=pose,
         clock=rests.clock,
         path=np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(t.tip, axis=0), axis=1))]),
         fed=np.array(fed),
@@ -424,6 +462,9 @@ def fit_of(plan: Plan, moves: Moves, fed: Array | None = None) -> FitFigures:
     t = plan.trajectory
     rests = rests_of(t, *deposits(t))
     way = way_of(plan, rests, fed)
+    aim = way.pose.copy()
+    aim[moves.start], aim[moves.sample] = moves.targets.table[:-1], moves.targets.table[1:]
+    way = way._replace(aim=aim)
     laid = np.flatnonzero(moves.laid)
     took = rests.clock[moves.sample[laid]] - rests.clock[moves.start[laid]]
     used = misfits(way, moves.start[laid], moves.sample[laid], moves.circular[laid], moves.via.position[laid])

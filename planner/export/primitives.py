@@ -47,6 +47,7 @@ class SampledWay(NamedTuple):
     """A trajectory that is to be followed (n samples), as kernels take it.
 
     pose       (n, 7 + k) as the table of `Poses`, quaternions sign-continuous
+    aim        (n, 7 + k) what a target would be at each sample: the pose, perhaps turned a little
     clock      (n)  time without waits [s]
     path       (n)  length [m]
     fed        (n)  filament that is to flow evenly [m], all 0 for none
@@ -56,6 +57,7 @@ class SampledWay(NamedTuple):
     """
 
     pose: Array
+    aim: Array
     clock: Array
     path: Array
     fed: Array
@@ -71,11 +73,13 @@ class Fitted:
     sample    (k) at which each ends, sorted
     circular  (k) an arc; otherwise a straight line
     via       (k, 3) the middle of the arc [m]; the target's own position for lines
+    aim       (n, 7 + k) what targets are at samples
     """
 
     sample: Indices
     circular: Flags
     via: Array
+    aim: Array
 
 
 class FitRules(NamedTuple):
@@ -98,11 +102,14 @@ def fit(way: SampledWay, first: Indices, last: Indices, rules: FitRules) -> Fitt
     that count. Where some take less than the least time, those around are chosen anew with wider tolerances, by as little
     as gets them the least time. What remains shorter needs to be, for the tolerances' sake.
     """
-    n = len(way.clock)
-    kind, via = np.zeros(n, dtype=np.int8), np.zeros((n, 3))
-    _fit(way, first, last, rules, kind, via)
+    plain, via = _fit(way, way, first, last, rules)
+    aimed = way._replace(
+        aim=_outwards(way, _half_of_usual(plain, first, last, len(way.clock)), OFF * way.tolerance[1, 1])
+    )
+    kind, via = _fit(way, aimed, first, last, rules)
     sample = np.flatnonzero(kind)
-    return Fitted(sample, kind[sample] == ARC, via[sample])
+    aim = np.where(kind[:, None] & AIMED, aimed.aim, way.aim)
+    return Fitted(sample, kind[sample] & ARC == ARC, via[sample], aim)
 
 
 def misfits(way: SampledWay, first: Indices, last: Indices, circular: Flags, via: Array) -> Array:
@@ -113,7 +120,7 @@ def misfits(way: SampledWay, first: Indices, last: Indices, circular: Flags, via
 # ----------------------------------------------------------------------------------------------------
 # How far one primitive misses the samples that it passes.
 
-NONE, LINE, ARC = 0, 1, 2
+NONE, LINE, ARC, AIMED = 0, 1, 2, 4  # the last one is added where the target is not the sample's pose
 LEAST_STEP = 1e-9  # m between samples: a shorter one, at rest, has no direction
 SHORT = 1e-14  # m^2, square of a line's length: a shorter one has no nearest point, and shares follow the samples
 EVEN = 0.01  # rad between quaternions: nearer ones are interpolated evenly, which adds 0.003 deg at most
@@ -212,7 +219,7 @@ def _measure(way: SampledWay, a: int, b: int, circle: Array, most: float, out: A
     pose, clock, path, fed, laid, free = way.pose, way.clock, way.path, way.fed, way.laid, way.free
     tolerance = way.tolerance[1 if laid[a] and laid[b] else 0]
     width = pose.shape[1]
-    p, q, took = pose[a], pose[b], clock[b] - clock[a]
+    p, q, took = way.aim[a], way.aim[b], clock[b] - clock[a]
     omega, sign = great_arc(p, q)
     sine = np.sin(omega) if omega > 0.0 else 1.0
     lx, ly, lz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
@@ -253,7 +260,7 @@ def _measure(way: SampledWay, a: int, b: int, circle: Array, most: float, out: A
                 lean = _lean(lx, ly, lz, pose[k - 1], pose[k])
             out[5] = max(out[5], np.arctan(lean) / tolerance[5])
         before = u
-        if k == a or k == b:
+        if k in (a, b):
             continue
         wa, wb = 1.0 - u, u
         if omega > 0.0:
@@ -478,25 +485,105 @@ def _lengthen(way: SampledWay, count: int, rules: FitRules, s: _Scratch) -> int:
 
 
 @njit(cache=True)
-def _fit(way: SampledWay, first: Indices, last: Indices, rules: FitRules, kind: Array, via: Array) -> None:
-    """`fit`: of each sample that ends a primitive, its kind (n) and via point (n, 3)."""
-    most = 1
+def _chosen(way: SampledWay, first: int, last: int, rules: FitRules, s: _Scratch) -> int:
+    """Targets from sample first to last into s.targets; returns how many primitives they bound."""
+    count = _stretch(way, first, last, rules.arcs, 1.0, s)
+    s.targets[: count + 1] = s.ahead[: count + 1]
+    return _lengthen(way, count, rules, s)
+
+
+@njit(cache=True)
+def _fit(way: SampledWay, aimed: SampledWay, first: Indices, last: Indices, rules: FitRules) -> tuple[Indices, Array]:
+    """Kind (n) of the primitive that ends at each sample, 0 for none, and its via point (n, 3).
+
+    In each stretch targets are those of `way` or of `aimed`, whichever leaves fewer that are too short, or is fewer.
+    """
+    n, most = len(way.clock), 1
     for i in range(len(first)):
         most = max(most, last[i] - first[i])
-    room = np.zeros((4, most + 2), dtype=np.int64)
+    kind, via, room = np.zeros(n, dtype=np.int64), np.zeros((n, 3)), np.zeros((4, most + 2), dtype=np.int64)
     s = _Scratch(np.zeros(11), np.zeros(len(TERMS)), room[0], room[1], room[2], room[3])
     for i in range(len(first)):
-        count = _stretch(way, first[i], last[i], rules.arcs, 1.0, s)
-        s.targets[: count + 1] = s.ahead[: count + 1]
-        count = _lengthen(way, count, rules, s)
-        for j in range(count):
-            a, b = s.targets[j], s.targets[j + 1]
-            found, _ = _fits(way, a, b, rules.arcs, 1.0, s.circle, s.out)
-            if found == NONE:
-                found, _ = _fits(way, a, b, rules.arcs, rules.widest, s.circle, s.out)
-            kind[b] = found
+        count = _chosen(aimed, first[i], last[i], rules, s)
+        short = _too_short(way, s.targets, 0, count, rules.least)
+        own, mark, found = aimed, AIMED, s.targets[: count + 1].copy()
+        count = _chosen(way, first[i], last[i], rules, s)
+        if (_too_short(way, s.targets, 0, count, rules.least), count) <= (short, len(found) - 1):
+            own, mark, found = way, 0, s.targets[: count + 1].copy()
+        for j in range(len(found) - 1):
+            a, b = found[j], found[j + 1]
+            fits, _ = _fits(own, a, b, rules.arcs, 1.0, s.circle, s.out)
+            if fits == NONE:
+                fits, _ = _fits(own, a, b, rules.arcs, rules.widest, s.circle, s.out)
+            kind[b] = fits + mark
             via[b] = way.pose[b, :3]
-            if found == ARC:
+            if fits == ARC:
                 half = 0.5 * s.circle[0]
                 arm = np.cos(half) * s.circle[5:8] + np.sin(half) * s.circle[8:11]
                 via[b] = s.circle[2:5] + s.circle[1] * arm
+    return kind, via
+
+
+# ----------------------------------------------------------------------------------------------------
+# Targets turned outwards, so that fewer are enough.
+#
+# Between two targets a controller turns the nozzle evenly, and so misses the orientations of a bend on one side only.
+# Where both targets are turned out of the bend by half of what it may miss, the primitive may be longer by a factor of
+# sqrt(1.5) and still miss by no more.
+
+OFF = 0.5  # of the tolerance: how far targets may be turned
+SHARE = (
+    0.5  # of what a usual primitive misses at its middle; it is within its tolerance, so that this is within OFF of it
+)
+TINY = 1e-15  # keeps what is not turned from dividing by nothing
+
+
+def _half_of_usual(kind: Indices, first: Indices, last: Indices, n: int) -> Array:
+    """Half of a usual primitive around each sample (n) [samples], never beyond the ends of its stretch; 0 elsewhere."""
+    at, sample = np.arange(n), np.flatnonzero(kind)
+    out: Array = np.zeros(n)
+    if len(sample) < 2:
+        return out
+    half = np.interp(at, 0.5 * (sample[1:] + sample[:-1]), 0.5 * np.diff(sample))
+    k = np.searchsorted(first, at, side="right") - 1
+    inside = (k >= 0) & (at < last[np.maximum(k, 0)])
+    k = np.maximum(k, 0)
+    out = np.where(inside, np.minimum(half, np.minimum(at - first[k], last[k] - at)), 0.0)
+    return out
+
+
+@njit(cache=True)
+def _at(values: Array, place: float, out: Array) -> None:
+    """Row of values at a place between two samples."""
+    i = min(int(place), len(values) - 2)
+    for j in range(values.shape[1]):
+        out[j] = values[i, j] + (place - i) * (values[i + 1, j] - values[i, j])
+
+
+@njit(cache=True)
+def _outwards(way: SampledWay, reach: Array, most: float) -> Array:
+    """Poses turned out of bends by half of what a usual primitive misses there, by `most` [rad] at most.
+
+    reach (n) is half of a usual primitive around each sample, in samples; 0 leaves the target as it is.
+    """
+    pose, out = way.pose, way.pose.copy()
+    a, b, off = np.empty(pose.shape[1]), np.empty(pose.shape[1]), np.zeros(7)
+    for k in range(len(pose)):
+        if reach[k] <= 0.0 or not way.laid[k]:
+            continue
+        _at(pose, k - reach[k], a)
+        _at(pose, k + reach[k], b)
+        omega, sign = great_arc(a, b)
+        w = 0.5 if omega == 0.0 else np.sin(0.5 * omega) / np.sin(omega)
+        turned = 0.0
+        for j in range(3, 7):
+            off[j] = SHARE * (pose[k, j] - w * (a[j] + sign * b[j]))
+            turned += 4.0 * off[j] ** 2  # a rotation is twice the angle of its quaternions
+        scale = min(1.0, most / max(np.sqrt(turned), TINY))
+        norm = 0.0
+        for j in range(3, 7):
+            out[k, j] += scale * off[j]
+            norm += out[k, j] ** 2
+        for j in range(3, 7):
+            out[k, j] /= np.sqrt(norm)
+    return out

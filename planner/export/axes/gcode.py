@@ -16,7 +16,7 @@ from planner.export.axes.machine import FiveAxes, Followed, Machine, PoseMachine
 from planner.export.extruder import Order, order_differences, orders
 from planner.export.fit import by_samples, continuous, lerp, thin
 from planner.export.grammar import Grammar, Statement
-from planner.export.moves import AXIS_TOLERANCE, ON_TIME, ROUNDING, TIME_TOLERANCE, nearest_fraction
+from planner.export.moves import ANGLE_TOLERANCE, ON_TIME, ROUNDING, TIME_TOLERANCE, nearest_fraction
 from planner.export.program import resumed, verified
 from planner.export.support import STATION
 from planner.export.text import ascii_comment, beyond, number
@@ -70,12 +70,12 @@ class _Misfit:
         angles = lerp(m.angles, a, b, u)
         tip = m.machine.tip(lerp(m.straight, a, b, u), angles)
         worst = np.linalg.norm(tip - m.tip[k], axis=1) / self._chord
-        worst = np.maximum(worst, m.machine.leaning(angles, m.quat[k]) / AXIS_TOLERANCE)
+        worst = np.maximum(worst, m.machine.leaning(angles, m.quat[k]) / ANGLE_TOLERANCE)
         worst = np.maximum(worst, np.abs(lerp(m.feed, a, b, u) - m.feed[k]) / FILAMENT_TOLERANCE)
         late = np.where(m.laid[k], np.abs(share - u) * (m.t[b] - m.t[a]) / TIME_TOLERANCE, 0.0)
         worst = np.maximum(worst, late)
         for e in m.station.T:
-            worst = np.maximum(worst, np.abs(lerp(e, a, b, u) - e[k]) / AXIS_TOLERANCE)
+            worst = np.maximum(worst, np.abs(lerp(e, a, b, u) - e[k]) / ANGLE_TOLERANCE)
         return worst
 
 

@@ -14,8 +14,8 @@ from planner.base.arrays import Array, Indices
 from planner.export.external import carrying_axes, external_axes, external_written
 from planner.export.fit import continuous, from_matrix
 from planner.export.moves import Moves, Wait, corner_tolerance, corners, fit_of, plan_moves, sections
-from planner.export.primitives import Poses
 from planner.export.player.play import limited, play
+from planner.export.primitives import Poses
 from planner.export.program import RobotProgram, about
 from planner.export.rapid.extruder import (
     END,
@@ -79,22 +79,22 @@ def external_text(degrees: Array) -> list[str]:
 
 def targets(plan: Plan, moves: Moves) -> list[str]:
     """Robtargets of the first sample and of every move."""
-    return _robtargets(plan, moves.targets, np.concatenate([[0], moves.sample]))
+    return _robtargets(plan, moves.targets, moves.q, np.concatenate([[0], moves.sample]))
 
 
 def via_targets(plan: Plan, moves: Moves) -> list[str]:
     """Robtargets in the middle of arcs, and of every other move, where they go unused."""
-    return _robtargets(plan, moves.via, moves.sample)
+    return _robtargets(plan, moves.via, moves.q[1:], moves.sample)
 
 
-def _robtargets(plan: Plan, poses: Poses, sample: Indices) -> list[str]:
-    """Robtargets of poses (k), with the configurations of samples (k)."""
+def _robtargets(plan: Plan, poses: Poses, q: Array, sample: Indices) -> list[str]:
+    """Robtargets of poses (k), with the configurations of postures q (k, n) and samples (k)."""
     quat = continuous(poses.quat)[:, [3, 0, 1, 2]]
     numbers = np.column_stack(
         [
             np.round(poses.position * 1e3, 3) + 0.0,
             np.round(quat, 7) + 0.0,
-            quadrants(plan.trajectory.q[sample][:, plan.cell.own]),
+            quadrants(q[:, plan.cell.own]),
             plan.trajectory.branch[sample],
         ]
     )
