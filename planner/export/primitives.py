@@ -142,6 +142,28 @@ def great_arc(a: Array, b: Array) -> tuple[float, float]:
     return (omega if omega > EVEN else 0.0), (-1.0 if dot < 0.0 else 1.0)
 
 
+# Loops stand in kernels where slices would do: those take seconds each to compile.
+
+
+@njit(cache=True)
+def _first_from(values: Array, low: int, high: int, value: float) -> int:
+    """The first of values[low] to values[high - 1], ascending, that is not below `value`; `high` where none is."""
+    while low < high:
+        middle = (low + high) // 2
+        if values[middle] < value:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@njit(cache=True)
+def _copy(source: Indices, first: int, count: int, target: Indices, to: int) -> None:
+    """Copy `count` numbers of `source`, from `first` on, into `target`, from `to` on."""
+    for j in range(count):
+        target[to + j] = source[first + j]
+
+
 @njit(cache=True)
 def _circle(way: SampledWay, a: int, b: int, raised: float, circle: Array) -> bool:
     """The arc from sample a to b through the middle of the path between, `raised` [m] higher over its chord.
@@ -151,8 +173,7 @@ def _circle(way: SampledWay, a: int, b: int, raised: float, circle: Array) -> bo
     """
     pose, path = way.pose, way.path
     half = 0.5 * (path[a] + path[b])
-    k = a + np.searchsorted(path[a : b + 1], half) - 1
-    k = min(max(k, a), b - 1)
+    k = min(max(_first_from(path, a, b + 1, half) - 1, a), b - 1)
     step = path[k + 1] - path[k]
     u = (half - path[k]) / step if step > 0.0 else 0.0
     x0, x1, x2 = pose[b, 0] - pose[a, 0], pose[b, 1] - pose[a, 1], pose[b, 2] - pose[a, 2]
@@ -295,44 +316,43 @@ def _fits(way: SampledWay, a: int, b: int, arcs: bool, most: float, circle: Arra
     circle[0] = 0.0
     if b - a == 1:
         return LINE, 0.0
-    _measure(way, a, b, circle, most, out)
-    line = _worst(out)
-    if line <= most or not arcs:
-        return (LINE if line <= most else NONE), line
-    if not _circle(way, a, b, 0.0, circle):
-        circle[0] = 0.0
-        return NONE, line
-    over, under = _measure(way, a, b, circle, HOPELESS * most, out)
-    arc = _worst(out)
-    if arc > most and out[0] > most and arc <= HOPELESS * most:
-        if not _circle(way, a, b, 0.5 * (over - under), circle):
+    worst, raised = 0.0, 0.0
+    for attempt in range(3):  # a line, an arc, and the arc of another height
+        if attempt and not _circle(way, a, b, raised, circle):
             circle[0] = 0.0
-            return NONE, arc
-        _measure(way, a, b, circle, most, out)
-        arc = _worst(out)
-    return (ARC if arc <= most else NONE), arc
+            return NONE, worst
+        stop = HOPELESS * most if attempt == 1 else most
+        over, under = _measure(way, a, b, circle, stop, out)
+        worst, raised = _worst(out), 0.5 * (over - under)
+        if worst <= most:
+            return (ARC if attempt else LINE), worst
+        if not arcs or (attempt == 1 and (out[0] <= most or worst > stop)):
+            break
+    return NONE, worst
 
 
 @njit(cache=True)
 def _misfits(way: SampledWay, first: Indices, last: Indices, circular: Flags, via: Array) -> Array:
     """`misfits`."""
-    found, circle, out = np.zeros((len(first), len(TERMS))), np.zeros(11), np.zeros(len(TERMS))
+    found, circle, up, across = np.zeros((len(first), len(TERMS))), np.zeros(11), np.zeros(3), np.zeros(3)
     for i in range(len(first)):
+        a, b = first[i], last[i]
         circle[0] = 0.0
-        if circular[i]:
-            a, b = way.pose[first[i], :3], way.pose[last[i], :3]
-            middle = 0.5 * (a + b)
-            up = via[i] - middle  # the via point stands over the middle of the chord
-            top, half = np.sqrt(np.sum(up**2)), 0.5 * np.sqrt(np.sum((b - a) ** 2))
+        if circular[i]:  # the via point stands over the middle of the chord
+            top, half = 0.0, 0.0
+            for d in range(3):
+                across[d] = 0.5 * (way.pose[b, d] - way.pose[a, d])
+                up[d] = via[i, d] - way.pose[a, d] - across[d]
+                top, half = top + up[d] ** 2, half + across[d] ** 2
+            top, half = np.sqrt(top), np.sqrt(half)
             radius = 0.5 * (top + half * half / top)
             circle[0], circle[1] = 2.0 * np.arctan2(half, radius - top), radius
-            centre = via[i] - radius * up / top
-            circle[2:5], circle[5:8] = centre, (a - centre) / radius
-            across = (b - a) / (2.0 * half)
-            circle[8:11] = half / radius * up / top + (radius - top) / radius * across
-        if last[i] - first[i] > 1:
-            _measure(way, first[i], last[i], circle, np.inf, out)
-            found[i] = out
+            for d in range(3):
+                circle[2 + d] = via[i, d] - radius * up[d] / top
+                circle[5 + d] = (way.pose[a, d] - circle[2 + d]) / radius
+                circle[8 + d] = half / radius * up[d] / top + (radius - top) / radius * across[d] / half
+        if b - a > 1:
+            _measure(way, a, b, circle, np.inf, found[i])
     return found
 
 
@@ -365,24 +385,17 @@ def _reach(way: SampledWay, a: int, end: int, step: int, arcs: bool, most: float
     until one fails, then halved.
     """
     way_to = 1 if end > a else -1
-    good, step = a + way_to, max(step, 1)
-    bad = end + way_to
-    while good != end:
-        b = good + way_to * step
+    good, bad, step = a + way_to, end + way_to, max(step, 1)
+    doubling = True
+    while good != end and abs(bad - good) > 1:
+        b = good + way_to * step if doubling else (good + bad) // 2
         if (end - b) * way_to < 0:
             b = end
         kind, _ = _fits(way, min(a, b), max(a, b), arcs, most, s.circle, s.out)
         if kind == NONE:
-            bad = b
-            break
-        good, step = b, 2 * step
-    while abs(bad - good) > 1 and good != end:
-        b = (good + bad) // 2
-        kind, _ = _fits(way, min(a, b), max(a, b), arcs, most, s.circle, s.out)
-        if kind == NONE:
-            bad = b
+            bad, doubling = b, False
         else:
-            good = b
+            good, step = b, 2 * step
     return good
 
 
@@ -393,31 +406,29 @@ def _stretch(way: SampledWay, first: int, last: int, arcs: bool, most: float, s:
     The farthest targets from the beginning and the nearest from the end bound where each may be. Within, they are chosen
     so that what remains of the time is shared evenly by what remains of the primitives.
     """
-    count, at = 0, first
-    s.ahead[0] = first
-    while at != last:
-        step = max((at - s.ahead[count - 1]) // 2, 1) if count else USUAL_STEP
-        at = _reach(way, at, last, step, arcs, most, s)
-        count += 1
-        s.ahead[count] = at
-    if count < 2:
-        return count
-    at, back = last, 0
-    s.behind[count] = last
-    while at != first and back < count:
-        step = max((s.behind[count - back + 1] - at) // 2, 1) if back else USUAL_STEP
-        at = _reach(way, at, first, step, arcs, most, s)
-        back += 1
-        s.behind[count - back] = at
-    if at != first or back != count:
-        return count
+    count, counts = 0, np.zeros(2, dtype=np.int64)
+    for back in range(2):  # the farthest from the beginning, and the nearest from the end
+        at, end, count, step = (last, first, 0, USUAL_STEP) if back else (first, last, 0, USUAL_STEP)
+        found = s.behind if back else s.ahead
+        found[0] = at
+        while at != end:
+            before = at
+            at = _reach(way, at, end, step, arcs, most, s)
+            count, step = count + 1, max(abs(at - before) // 2, 1)
+            found[count] = at
+        counts[back] = count
+        if count < 2:
+            return count
+    if counts[0] != counts[1]:
+        return counts[0]
+    for j in range((count + 1) // 2):  # in the order of samples
+        s.behind[j], s.behind[count - j] = s.behind[count - j], s.behind[j]
     clock = way.clock
-    for j in range(1, count):  # from here on, behind[j] is the target that is chosen
+    for j in range(1, count + 1):  # from here on, behind[j] is the target that is chosen
         before = s.behind[j - 1]
-        low, high = max(s.behind[j], before + 1), s.ahead[j]
+        low, high = (max(s.behind[j], before + 1), s.ahead[j]) if j < count else (last, last)
         ideal = clock[before] + (clock[last] - clock[before]) / (count - j + 1)
-        b = before + 1 + np.searchsorted(clock[before + 1 : last], ideal)
-        b = min(max(b, low), high)
+        b = min(max(_first_from(clock, before + 1, last, ideal), low), high)
         while True:
             kind, _ = _fits(way, before, b, arcs, most, s.circle, s.out)
             if kind != NONE:
@@ -426,10 +437,7 @@ def _stretch(way: SampledWay, first: int, last: int, arcs: bool, most: float, s:
                 return count  # a part of a primitive that fits need not fit: the farthest targets stay
             b = (low + b) // 2
         s.behind[j] = b
-    kind, _ = _fits(way, s.behind[count - 1], last, arcs, most, s.circle, s.out)
-    if kind != NONE:
-        for j in range(1, count):
-            s.ahead[j] = s.behind[j]
+    _copy(s.behind, 0, count + 1, s.ahead, 0)
     return count
 
 
@@ -473,13 +481,13 @@ def _lengthen(way: SampledWay, count: int, rules: FitRules, s: _Scratch) -> int:
                 short = _too_short(way, s.ahead, 0, n, rules.least)
                 if short < fewest:
                     fewest, chosen, low, high = short, n, a, b
-                    s.better[: n + 1] = s.ahead[: n + 1]
+                    _copy(s.ahead, 0, n + 1, s.better, 0)
                 most = min(WIDER * most, rules.widest) if most < rules.widest else np.inf
         if chosen >= 0:
-            rest = t[high : count + 1].copy()
-            t[low : low + chosen] = s.better[:chosen]
-            t[low + chosen : low + chosen + len(rest)] = rest
-            count, end = low + chosen + len(rest) - 1, low + chosen
+            _copy(t, high, count + 1 - high, s.ahead, 0)  # what follows
+            _copy(s.better, 0, chosen, t, low)
+            _copy(s.ahead, 0, count + 1 - high, t, low + chosen)
+            count, end = count + chosen - (high - low), low + chosen
         i = end
     return count
 
@@ -488,7 +496,7 @@ def _lengthen(way: SampledWay, count: int, rules: FitRules, s: _Scratch) -> int:
 def _chosen(way: SampledWay, first: int, last: int, rules: FitRules, s: _Scratch) -> int:
     """Targets from sample first to last into s.targets; returns how many primitives they bound."""
     count = _stretch(way, first, last, rules.arcs, 1.0, s)
-    s.targets[: count + 1] = s.ahead[: count + 1]
+    _copy(s.ahead, 0, count + 1, s.targets, 0)
     return _lengthen(way, count, rules, s)
 
 
@@ -501,26 +509,28 @@ def _fit(way: SampledWay, aimed: SampledWay, first: Indices, last: Indices, rule
     n, most = len(way.clock), 1
     for i in range(len(first)):
         most = max(most, last[i] - first[i])
-    kind, via, room = np.zeros(n, dtype=np.int64), np.zeros((n, 3)), np.zeros((4, most + 2), dtype=np.int64)
+    kind, via, room = np.zeros(n, dtype=np.int64), np.zeros((n, 3)), np.zeros((5, most + 2), dtype=np.int64)
     s = _Scratch(np.zeros(11), np.zeros(len(TERMS)), room[0], room[1], room[2], room[3])
+    found, circle = room[4], s.circle
     for i in range(len(first)):
-        count = _chosen(aimed, first[i], last[i], rules, s)
-        short = _too_short(way, s.targets, 0, count, rules.least)
-        own, mark, found = aimed, AIMED, s.targets[: count + 1].copy()
-        count = _chosen(way, first[i], last[i], rules, s)
-        if (_too_short(way, s.targets, 0, count, rules.least), count) <= (short, len(found) - 1):
-            own, mark, found = way, 0, s.targets[: count + 1].copy()
-        for j in range(len(found) - 1):
+        own, mark, least, short = way, 0, 0, 0
+        for each in range(2):
+            count = _chosen(aimed if each else way, first[i], last[i], rules, s)
+            missing = _too_short(way, s.targets, 0, count, rules.least)
+            if each == 0 or (missing, count) < (short, least):
+                own, mark, least, short = (aimed, AIMED, count, missing) if each else (way, 0, count, missing)
+                _copy(s.targets, 0, count + 1, found, 0)
+        for j in range(least):
             a, b = found[j], found[j + 1]
-            fits, _ = _fits(own, a, b, rules.arcs, 1.0, s.circle, s.out)
-            if fits == NONE:
-                fits, _ = _fits(own, a, b, rules.arcs, rules.widest, s.circle, s.out)
+            fits, within = NONE, 1.0
+            while fits == NONE and within <= rules.widest:
+                fits, _ = _fits(own, a, b, rules.arcs, within, s.circle, s.out)
+                within = rules.widest if within < rules.widest else np.inf
             kind[b] = fits + mark
-            via[b] = way.pose[b, :3]
-            if fits == ARC:
-                half = 0.5 * s.circle[0]
-                arm = np.cos(half) * s.circle[5:8] + np.sin(half) * s.circle[8:11]
-                via[b] = s.circle[2:5] + s.circle[1] * arm
+            cosine, sine = np.cos(0.5 * circle[0]), np.sin(0.5 * circle[0])
+            for d in range(3):
+                arm = circle[1] * (cosine * circle[5 + d] + sine * circle[8 + d])
+                via[b, d] = circle[2 + d] + arm if fits == ARC else way.pose[b, d]
     return kind, via
 
 
