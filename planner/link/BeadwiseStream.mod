@@ -290,7 +290,7 @@ MODULE BeadwiseStream
         ENDIF
         ClkReset passed;
         ClkStart passed;
-        WHILE ClkRead(passed)<seconds AND NOT bsHalted DO
+        WHILE ClkRead(passed)<seconds AND (NOT bsHalted) DO
             BsHear;
             WaitTime 0.02;
         ENDWHILE

@@ -345,7 +345,7 @@ _PROCEDURES = r"""
             BwStop "the relay asked for it";
         ENDIF
         whole:=StrToVal(StrPart(said,3,StrLen(said)-2),n);
-        IF whole AND StrPart(said,1,2)="G " AND n=1 AND NOT bwGo THEN
+        IF whole AND StrPart(said,1,2)="G " AND n=1 AND (NOT bwGo) THEN
             bwGo:=TRUE;
         ELSEIF whole AND StrPart(said,1,2)="A " AND n>=bwTaken AND n<=bwSent AND n=Trunc(n) THEN
             bwTaken:=n;
