@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from solved import small_plan
 
 from planner.base.errors import InputError
+from planner.export import krl
 from planner.export.fit import OFF
 from planner.export.krl import (
     angles,
@@ -246,6 +247,42 @@ def test_lines_and_names_are_within_what_a_controller_takes() -> None:
         assert all(len(name) <= 24 for name in names) and len({name.upper() for name in names}) == len(names)
 
 
+def test_a_longer_program_is_files_that_call_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Local programs and bytes of each file stay within what is stated, a bead goes on in the next program."""
+    monkeypatch.setattr(krl, "LOCAL_PROGRAMS", 2)
+    monkeypatch.setattr(krl, "SUBPROGRAM", 12)
+    monkeypatch.setattr(krl, "FILE_SIZE", 4_000)
+    plan = wave()
+    files = write(plan)
+    assert list(files)[:2] == [SOURCE, DATA] and len(files) > 4
+    assert re.findall(r"^  (TwoBeads_\d)\(\)$", files[SOURCE], re.MULTILINE) == [name[:-4] for name in list(files)[2:]]
+    assert files[SOURCE].count("DEF ") == 1 and "  ; Calls" in files[SOURCE]
+    for name in list(files)[2:]:
+        title, *local = re.findall(r"^DEF (\w+)\(\)$", files[name], re.MULTILINE)
+        assert title == name[:-4] and len(local) <= 2
+        assert re.findall(r"^  (\w+)\(\)$", files[name], re.MULTILINE) == local
+        assert len(files[name]) < 4_000 + 1_000
+    assert "DEF Bead0001_2()\n  ; continued Bead 0" in files["TwoBeads_1.src"]
+    assert differences(plan, files) == []
+    second = files["TwoBeads_2.src"]
+    assert differences(plan, files | {"TwoBeads_2.src": re.sub(r"X (-?\d+)\.", r"X \g<1>9.", second, count=1)}) != []
+    with pytest.raises(InputError, match="TwoBeads_3 is no program"):
+        differences(plan, {name: text for name, text in files.items() if name != "TwoBeads_3.src"})
+    with pytest.raises(InputError, match="may be called here"):  # which is local to another file
+        differences(plan, files | {SOURCE: files[SOURCE].replace("  TwoBeads_1()", "  Bead0001()")})
+    with pytest.raises(InputError, match="stands in two files"):
+        differences(plan, files | {"Other.src": second.replace("TwoBeads_2", "Other")})
+
+
+def test_programs_that_a_pendant_can_edit() -> None:
+    """A print of as many beads as the ten-layer logo has."""
+    plan = make_plan(arm="kr6_r900", beads=402, length=0.002, dip=False)
+    files = {name: text for name, text in write(plan).items() if name.endswith(".src")}
+    assert len(files) > 2
+    for text in files.values():
+        assert text.count("\nDEF ") - 1 <= 255 and len(text) <= krl.FILE_SIZE + 30_000
+
+
 # ---- what cannot be said ------------------------------------------------------------------------------------------
 
 
@@ -313,7 +350,7 @@ def test_any_axis_of_travel_that_was_moved_is_found(which: int, axis: int) -> No
         (r"LIN .* C_DIS", said(" C_DIS", ""), 12, SOURCE, "stops"),
         (r"PTP .* C_PTP", said(" C_PTP", ""), 12, SOURCE, "stops elsewhere"),
         (r"VEL_PTP,\d+", lambda m: "VEL_PTP,100", 1, SOURCE, "speeds of axes"),
-        (r"\$VEL\.ORI1=.*", lambda m: "$VEL.ORI1=10.0", 0, SOURCE, "VEL.ORI1"),
+        (r"<460.0 THEN\n    \$VEL.ORI1=\S+\n  ELSE\n    \$VEL.ORI1=460.0", said("460.0", "10.0"), 0, SOURCE, "VEL.ORI1"),
         (r"\$ADVANCE=3", lambda m: "$ADVANCE=0", 0, SOURCE, "ADVANCE"),
         (r"  \$IPO_MODE=#BASE\n", lambda m: "", 0, SOURCE, "IPO_MODE"),
         (r"  TRIGGER .*TRUE", said("TRUE", "FALSE"), 0, SOURCE, "path"),
@@ -352,6 +389,10 @@ def test_a_program_that_says_something_else_is_found(
         ("  $VEL.CP=", "  $VEL.ORI3=", "without a speed"),
         ("  $TOOL=FTOOL\n", "", "are not set to"),
         ("  $BASE=EK(MACHINE_DEF[2].ROOT", "  $BASE=EK(MACHINE_DEF[3].ROOT", "are not set to"),
+        ("  ENDIF\n", "", "between IF and ENDIF"),
+        ("    $VEL.ORI1=460", "    $VEL.ORI1=461", "not bounded by"),
+        ("    $VEL.ORI1=$VEL_MA", "    $VEL.ORI2=$VEL_MA", "not bounded by"),
+        ("IF $ACC_MA.CP<10.5", "IF $ACC_MA.ORI1<10.5", "not bounded by"),
         ("  PTP {", "  TRIGGER WHEN PATH=0 DELAY=0 DO $OUT[1]=TRUE\n  PTP {", "belongs to a line"),
     ],
 )

@@ -39,8 +39,9 @@ def external_axes(cell: Cell) -> tuple[ExternalAxis, ...]:
     """All external axes, in the controller's order."""
     if cell.holder_robot is None:
         return carrying_axes(cell)
-    names, slides = cell.holder_robot.joint_names, cell.holder_robot.slides
-    return (*carrying_axes(cell), *map(ExternalAxis, names, map(cell.held.get, names), slides))
+    own, slides = cell.holder_robot.joint_names, cell.holder_robot.slides
+    names = [f"positioner_{name}" if name in cell.arm.names else name for name in own]  # as `Cell.joint_names` has them
+    return (*carrying_axes(cell), *map(ExternalAxis, names, map(cell.held.get, own), slides))
 
 
 def external_written(cell: Cell, station: Array) -> Array:

@@ -69,20 +69,21 @@ class Grammar:
                 yield self.statement(text, line, file)
 
 
-def inlined(bodies: Mapping[str, Sequence[Statement]], main: str, called: str) -> Iterator[Statement]:
+def inlined(bodies: Mapping[str, Sequence[Statement]], main: str, called: str, depth: int = 1) -> Iterator[Statement]:
     """The statements of `main` in the order in which they run, with those of what it calls in place of each call.
 
-    Raises InputError for a call of what is not there, of main itself, or from within another call.
+    depth: how many calls may be within each other. Raises InputError for a call of what is not there, of main itself, or
+    from too deep.
     """
 
-    def body(name: str, nested: bool) -> Iterator[Statement]:
+    def body(name: str, left: int) -> Iterator[Statement]:
         for statement in bodies[name]:
             if statement.word != "call":
                 yield statement
                 continue
             callee = statement.parts[0]
-            if nested or callee not in bodies or callee == main:
+            if not left or callee not in bodies or callee == main:
                 raise statement.error(f"{callee} is no {called} that may be called here")
-            yield from body(callee, True)
+            yield from body(callee, left - 1)
 
-    return body(main, False)
+    return body(main, depth)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -16,6 +16,7 @@ from planner.export.fit import from_matrix, to_matrix
 from planner.export.grammar import Grammar, Statement, inlined
 from planner.export.moves import (
     Moves,
+    MoveSection,
     blend_differences,
     greatest_until_stop,
     move_radii,
@@ -23,6 +24,7 @@ from planner.export.moves import (
     sections,
     tip_acceleration,
 )
+from planner.export.parts import cut, numbered, packed, part_about
 from planner.export.program import UNSPECIFIED, RobotProgram, Trigger, about, named
 from planner.export.rapid.text import module_name
 from planner.export.readback import played_differences
@@ -144,7 +146,15 @@ def axes(degrees: Array, external: Array) -> str:
 #
 # Targets stand inline in the moves, as they do in programs of offline systems: E6AXIS for travel, which leaves no doubt
 # about the posture, and E6POS in the part's frame for lines. Subprograms are local to the file, so that a bead is one
-# thing to select and the file still one to copy.
+# thing to select and the file still one to copy. A longer program is a file that calls others, <Name>_1.src and so on:
+# neither calls nor the end of a subprogram stop the advance run, so that a bead may go on in the next one.
+
+LOCAL_PROGRAMS = 250  # of a .src; KUKA takes 255
+SUBPROGRAM = 1000  # moves of one
+# bytes of a .src: some 3,000 lines, beyond which the pendant's editor was seen to hang. KSS 8.3 was seen to hold 4 MB of
+# programs in all, whatever the size of each; the header says how many these have.
+FILE_SIZE = 400_000
+LOADED = 4_000_000
 
 SPEED = 4  # decimals of m/s
 LEAST_SPEED = 10.0**-SPEED
@@ -152,32 +162,56 @@ STATION = "MACHINE_DEF[2]"  # KUKA's usual place of an external kinematic system
 ADVANCE = 3  # moves that the interpreter is ahead, KUKA's default: what blending needs
 HEAD_ROOM = 1.5  # of reorientation over what the plan needs, so that the tip's speed alone governs
 LEAST_TURNING = 100.0  # deg/s
+# System variables, and the machine data that bound them
+GREATEST = {"$VEL.ORI1": "$VEL_MA.ORI1", "$VEL.ORI2": "$VEL_MA.ORI2", "$ACC.CP": "$ACC_MA.CP"}
 # Radii of blends [mm]: few values, so that few lines are taken to set them
 LEVELS = np.array([a * 10.0**k for k in range(-3, 2) for a in (1.0, 2.0, 5.0)])
 
 
+@dataclass(frozen=True)
+class Subprogram:
+    """A bead, or a piece of one: its name, and its lines from DEF to END, an empty one before them."""
+
+    name: str
+    lines: tuple[str, ...]
+
+    @property
+    def size(self) -> int:
+        """Bytes in the file."""
+        return sum(map(len, self.lines)) + len(self.lines)
+
+
 def write(plan: Plan) -> dict[str, str]:
-    """Source and data file of a verified plan (ASCII, mm, degrees); ValueError if it is not, or has no form in KRL."""
+    """Source and data files of a verified plan (ASCII, mm, degrees); ValueError if it is not, or has no form in KRL."""
     require_writable(plan, unsupported_in_krl(plan))
     name, moves = krl_name(plan.name), plan_moves(plan)
-    subprograms, calls = _subprograms(plan, moves)
+    header = _header(plan)
+    subprograms = list(_subprograms(plan, moves))
+    files = packed(subprograms, (each.size for each in subprograms), FILE_SIZE, LOCAL_PROGRAMS)
+    further: dict[str, str] = {}
+    if len(files) == 1:
+        calls = [each.name for each in subprograms]
+    else:
+        calls = [numbered(name, k, LONGEST_NAME) for k in range(1, len(files) + 1)]
+        for k, (title, own) in enumerate(zip(calls, files, strict=True), 1):
+            about_part = [ascii_comment(MARK, text, 2) for text in part_about(about(plan), k, len(files))]
+            further[f"{title}.src"] = _source(title, [*about_part, *(f"  {each.name}()" for each in own)], own)
+        size = sum(map(len, further.values()))
+        header.append(ascii_comment(MARK, f"Calls {len(files)} more files, {size} bytes: copy all of them", 2))
+        if size > LOADED:
+            words = f"Note: KSS 8.3 was seen to hold {LOADED // 10**6} MB of programs in all; see docs/languages.md"
+            header.append(ascii_comment(MARK, words, 2))
     off = [f"  $OUT[{k}]=FALSE" for k in output_numbers(plan.problem).values()]
-    source = [
-        "&ACCESS RVP",
-        "&REL 1",
-        f"DEF {name}()",
-        *_header(plan),
+    body = [
+        *header,
         "  BAS(#INITMOV,0)",
-        *(f"  {key}={value}" for key, value in settings(plan, moves).items()),
+        *(line for key, value in settings(plan, moves).items() for line in _set(key, value)),
         *off,
         f"  BAS(#VEL_PTP,{percent(plan, moves)[0]})",
         "  PTP XSTART",
         *resting(moves.waits.get(-1, ()), MARK, WAIT, 2),
         *(f"  {call}()" for call in calls),
         *off,
-        "END",
-        *subprograms,
-        "",
     ]
     cell, start = plan.cell, plan.trajectory.q[:1]
     degrees = np.degrees(to_kuka(start[:, cell.own]))[0]
@@ -193,7 +227,22 @@ def write(plan: Plan) -> dict[str, str]:
         "ENDDAT",
         "",
     ]
-    return {f"{name}.src": "\n".join(source), f"{name}.dat": "\n".join(data)}
+    local = [] if further else subprograms
+    return {f"{name}.src": _source(name, body, local), f"{name}.dat": "\n".join(data), **further}
+
+
+def _set(key: str, value: str) -> list[str]:
+    """Lines that set a system variable: to no more than the machine's own greatest, beyond which a controller stops."""
+    if key not in GREATEST:
+        return [f"  {key}={value}"]
+    greatest = GREATEST[key]
+    return [f"  IF {greatest}<{value} THEN", f"    {key}={greatest}", "  ELSE", f"    {key}={value}", "  ENDIF"]
+
+
+def _source(name: str, body: list[str], subprograms: list[Subprogram]) -> str:
+    """Text of a source file: the program that it is named after, and those that are local to it."""
+    inner = [line for each in subprograms for line in each.lines]
+    return "\n".join(["&ACCESS RVP", "&REL 1", f"DEF {name}()", *body, "END", *inner, ""])
 
 
 def settings(plan: Plan, moves: Moves) -> dict[str, str]:
@@ -239,6 +288,7 @@ def _header(plan: Plan) -> list[str]:
     texts = [
         *about(plan),
         *outputs_about(plan.problem),
+        f"A1 to A6, as KUKA counts: {', '.join(cell.arm.names[-6:])}",
         "The tool's load is that of the controller: set it there before the first run.",
         f"$ROBROOT in $WORLD must be {frame(cell.T_world_base)}",
     ]
@@ -275,18 +325,19 @@ def _targets(plan: Plan, moves: Moves) -> list[str]:
     ]
 
 
-def _subprograms(plan: Plan, moves: Moves) -> tuple[list[str], list[str]]:
-    """All subprograms with moves, and their names in the order of calling."""
+def _subprograms(plan: Plan, moves: Moves) -> Iterator[Subprogram]:
+    """All subprograms with moves, in the order of calling."""
     bead = plan.trajectory.bead
     outputs = by_bead(plan, list(output_numbers(plan.problem).values()))
     targets, shares = _targets(plan, moves), percent(plan, moves)
     speeds = np.maximum(np.round(moves.speed, SPEED), LEAST_SPEED).tolist()
     radii = radii_of(plan, moves).tolist()
     share, speed, radius = shares[0], -1.0, -1.0
-    lines, calls = [], []
-    for section in sections(plan, moves):
-        calls.append(f"Bead{section.number:04d}" if section.number else "Finish")
-        lines += ["", f"DEF {calls[-1]}()"]
+    taken: set[str] = set()
+    for section in cut(sections(plan, moves), SUBPROGRAM):
+        name = _name(section, taken)
+        taken.add(name)
+        lines = ["", f"DEF {name}()"]
         lines += [ascii_comment(MARK, section.about, 2)] if section.about else []
         for i in section.moves:
             if not moves.linear[i]:
@@ -311,8 +362,17 @@ def _subprograms(plan: Plan, moves: Moves) -> tuple[list[str], list[str]]:
                         lines.append(f"  TRIGGER WHEN {where}=0 DELAY=0 DO $OUT[{output}]={value}")
                 lines.append(f"  LIN {targets[i]}" + (" C_DIS" if radii[i] > 0.0 else ""))
             lines += resting(moves.waits.get(i, ()), MARK, WAIT, 2)
-        lines.append("END")
-    return lines, calls
+        yield Subprogram(name, (*lines, "END"))
+
+
+def _name(section: MoveSection, taken: Container[str]) -> str:
+    """Name of a section's subprogram, or of its next piece."""
+    name = f"Bead{section.number:04d}" if section.number else "Finish"
+    k = 2
+    whole = name
+    while name in taken:
+        name, k = f"{whole}_{k}", k + 1
+    return name
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -341,7 +401,10 @@ SOURCE = Grammar.of(
         "call": rf"({NAME})\(\)",
         "start": r"PTP XSTART",
         "defaults": r"BAS\(#INITMOV,0\)",
-        "setting": r"(\$[A-Z_0-9.]{1,24})=([#A-Z0-9_.(),\[\]]{1,60})",
+        "bound": rf"IF (\$[A-Z_0-9.]{{1,24}})<({NUMBER}) THEN",
+        "else": r"ELSE",
+        "bounded": r"ENDIF",
+        "setting": r"(\$[A-Z_0-9.]{1,24})=([#$A-Z0-9_.(),\[\]]{1,60})",
         "define": rf"DEF ({NAME})\(\)",
         "end": r"END",
         "attribute": ATTRIBUTE,
@@ -380,15 +443,27 @@ class KrlProgram:
     settings: dict[str, str]
 
 
-def read_krl(source: str, data: str, forward: Forward) -> KrlProgram:
-    """Program of the texts of .src and .dat as `write` writes them.
+def read_krl(source: str, data: str, forward: Forward, further: Mapping[str, str] | None = None) -> KrlProgram:
+    """Program of the texts of .src and .dat as `write` writes them; further: those of other .src, by their programs.
 
     forward: A1 to A6 and external axes (m, 12) [rad], NaN where unused → T_part_nozzle (m, 4, 4). Raises InputError
     with the line for a statement or name that is not known, or that stands where it must not.
     """
     title, frames, start = _data(data)
     run = _Run(start)
-    for statement in inlined(_subprogram_bodies(source, title), title, "program"):
+    bodies = _subprogram_bodies(source, title)
+    files = {title: set(bodies)}
+    for name, text in (further or {}).items():
+        own = _subprogram_bodies(text, name)
+        if twice := next((each for each in own if each in bodies), None):
+            raise InputError(f"program {twice} stands in two files", file=SOURCE.file)
+        files[name] = set(own)
+        bodies |= own
+    for names in files.values():  # local subprograms are known in their file only
+        for statement in (each for name in names for each in bodies[name] if each.word == "call"):
+            if statement.parts[0] not in names | set(files):
+                raise statement.error(f"{statement.parts[0]} is no program that may be called here")
+    for statement in inlined(bodies, title, "program", 2 if further else 1):
         run.take(statement)
     return run.source(title, frames, forward)
 
@@ -464,6 +539,7 @@ class _Run:
         self.waits: dict[int, float] = {}
         self.off: list[tuple[int, Statement]] = []  # moves after which an output is set, and by what
         self.settings: dict[str, str] = {}
+        self.bound: list[Statement] = []  # of a setting: from IF on, while it is not closed
         self.speed, self.radius, self.share = np.nan, np.nan, 100
 
     def take(self, statement: Statement) -> None:
@@ -472,7 +548,9 @@ class _Run:
         if word in ("start", "line", "point", "wait", "trigger") and (word == "start") == (at >= 0):
             raise statement.error("the program begins with PTP XSTART, and goes there once")
         first = parts[0] if parts else ""
-        if word == "speed":
+        if self.bound or word in ("bound", "else", "bounded"):
+            self._bounded(statement)
+        elif word == "speed":
             self.speed = float(first)
         elif word == "radius":
             self.radius = float(first) * 1e-3
@@ -496,6 +574,20 @@ class _Run:
                 raise statement.error("a trigger belongs to a line")
             self._move((), _posture(parts, statement) if parts else self.start, bool(parts) and bool(parts[7]))
 
+    def _bounded(self, statement: Statement) -> None:
+        """The next line of a setting that is bounded by the machine's: IF, the machine's, ELSE, the program's, ENDIF."""
+        self.bound.append(statement)
+        if statement.word != "bounded":
+            return
+        if [each.word for each in self.bound] != ["bound", "setting", "else", "setting", "bounded"]:
+            raise statement.error("no setting that is bounded by the machine's stands between IF and ENDIF")
+        (greatest, value), its, _, own, _ = (each.parts for each in self.bound)
+        key = own[0]
+        if (its, own) != ((key, greatest), (key, value)) or GREATEST.get(key) != greatest:
+            raise statement.error(f"{key} is not bounded by the machine's own")
+        self.settings[key] = value
+        self.bound = []
+
     def _move(self, pose: tuple[str, ...], axes: list[float], fly: bool) -> None:
         if self.waiting:
             self.triggers[len(self.points)] = self.waiting
@@ -507,8 +599,8 @@ class _Run:
         self.paces.append((self.speed if pose else np.nan, self.radius if pose else np.nan, self.share))
 
     def source(self, title: str, frames: dict[str, Array], forward: Forward) -> KrlProgram:
-        if not any(self.linear) or self.waiting:
-            raise InputError("no lines, or a trigger without one", file=SOURCE.file)
+        if not any(self.linear) or self.waiting or self.bound:
+            raise InputError("no lines, a trigger without one, or an IF without its end", file=SOURCE.file)
         m = len(self.points)
         for at, statement in self.off:
             if at not in (-1, m - 1):
@@ -566,7 +658,8 @@ def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
         q = [beside[:, : cell.rails], from_kuka(axes[:, :6]), beside[:, cell.rails :]]
         return cell.T_part_nozzle(np.column_stack(q))
 
-    source = read_krl(files[f"{name}.src"], files[f"{name}.dat"], forward)
+    further = {file[:-4]: text for file, text in files.items() if file.endswith(".src") and file != f"{name}.src"}
+    source = read_krl(files[f"{name}.src"], files[f"{name}.dat"], forward, further)
     program = named(source.program, output_numbers(plan.problem))
     start = program.start.copy()
     start[:6] = from_kuka(start[None, :6])[0]

@@ -1,0 +1,51 @@
+"""Programs in parts that a controller can load: sections cut to size, and packed into files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TypeVar
+
+from planner.export.moves import MoveSection
+
+Item = TypeVar("Item")
+
+CONTINUED = "continued"
+
+
+def cut(sections: Iterable[MoveSection], most: int) -> Iterator[MoveSection]:
+    """The sections, those of more than `most` moves in pieces; what follows the first piece is called continued."""
+    for section in sections:
+        for first in range(section.moves.start, section.moves.stop, most):
+            own = range(first, min(first + most, section.moves.stop))
+            about = section.about if own.start == section.moves.start else f"{CONTINUED} {section.about}".strip()
+            yield MoveSection(section.number, own, about)
+
+
+def packed(items: Iterable[Item], sizes: Iterable[int], most: int, count: int) -> list[list[Item]]:
+    """Items in groups, in their order, of at most `most` in size and `count` items; one that is larger stands alone."""
+    groups: list[list[Item]] = []
+    room = -1
+    for item, size in zip(items, sizes, strict=True):
+        if size > room or len(groups[-1]) == count:
+            groups.append([])
+            room = most
+        groups[-1].append(item)
+        room -= size
+    return groups
+
+
+def in_files(sections: Iterable[MoveSection], most: int) -> list[list[MoveSection]]:
+    """Sections in groups of at most `most` moves, none of them cut where that can be helped."""
+    pieces = list(cut(sections, most))
+    return packed(pieces, (len(piece.moves) for piece in pieces), most, max(1, len(pieces)))
+
+
+def numbered(name: str, k: int, longest: int, separator: str = "_") -> str:
+    """Name of the k-th part of a program, at most `longest` characters."""
+    ending = f"{separator}{k}"
+    return name[: longest - len(ending)] + ending
+
+
+def part_about(lines: Sequence[str], k: int, parts: int) -> list[str]:
+    """Header of the k-th of `parts` files: the first two lines of the program's own, and which part it is."""
+    return [*lines[:2], f"Part {k} of {parts}"]
