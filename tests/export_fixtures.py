@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell.cell import Cell, build_cell
-from planner.export import krl
+from planner.export import krl, urscript
 from planner.export.axes.gcode import axes_gcode, file_name
 from planner.export.extruder import gcode
 from planner.export.fit import from_matrix, lerp, slerp
@@ -22,7 +22,6 @@ from planner.export.plan_json import plan_json
 from planner.export.program import RobotProgram, pieces_of
 from planner.export.rapid.writer import pgf, rapid, rapid_files
 from planner.export.tables import write_table
-from planner.export.urscript import urscript
 from planner.motion.extrusion import feed_of_materials
 from planner.plan import Check, Event, Plan, Trajectory
 from planner.problem.cell import CellSpec
@@ -322,7 +321,7 @@ def golden_texts() -> dict[str, str]:
     short = make_plan(beads=1, length=0.002, positioner=False)
     return {
         **krl.write(make_plan(beads=1, length=0.010, arm="kr6_r900")),
-        "TwoBeads.script": urscript(make_plan(beads=1, length=0.010, positioner=False, arm="ur5e")),
+        **urscript.write(make_plan(beads=1, length=0.010, positioner=False, arm="ur5e")),
         "two_beads_joint_trajectory.json": joint_trajectory(short),
         "two_beads_extruder.json": switches(plan),
         "TwoBeads.mod": rapid(plan),

@@ -21,6 +21,7 @@ from planner.base.errors import InputError
 from planner.base.shipped import ROBOTS
 from planner.cell.cell import build_cell
 from planner.cell.robot import chain_of, read_robot
+from planner.export import urscript as language
 from planner.export.fit import OFF
 from planner.export.languages import chosen
 from planner.export.moves import ANGLE_TOLERANCE
@@ -30,8 +31,8 @@ from planner.export.urscript import (
     quaternions,
     read_urscript,
     rotation_vectors,
-    urscript,
     world_controller,
+    write,
 )
 from planner.plan import Plan
 from planner.problem import load_problem
@@ -55,6 +56,12 @@ DH = {
 def arc(**changes: object) -> Plan:
     """Beads round a cylinder by a UR5e."""
     return make_plan(positioner=False, arm="ur5e", **changes)  # type: ignore[arg-type]
+
+
+def urscript(plan: Plan) -> str:
+    """The program of a print that is no more than one."""
+    (text,) = write(plan).values()
+    return text
 
 
 def controller(key: str, q: Array) -> Array:
@@ -187,6 +194,52 @@ def test_rests_in_a_bead_are_kept() -> None:
     assert re.search(r"movep.*r=0\)\n    # cut, bead 0\n    sleep\(0.500\)", text)
     assert differences(resting, {NAME: text}) == []
     assert differences(resting, {NAME: text.replace("sleep(0.500)", "sleep(0.400)")}) != []
+
+
+def test_a_longer_print_is_programs_that_follow_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(language, "MOST_MOVES", 70)
+    plan = arc(beads=4)
+    files = write(plan)
+    names = [f"TwoBeads_{k}.script" for k in range(1, len(files) + 1)]
+    assert list(files) == names and len(names) > 2
+    assert f"Part 1 of {len(names)}, TwoBeads_1 to TwoBeads_{len(names)}: run each when" in files[names[0]]
+    for name, text in files.items():
+        assert text.count("\n    move") <= 70 and f"\ndef {name[:-7]}():" in text
+    whole = differences(plan, files)
+    assert whole == []
+    later = files[names[1]]
+    start = re.search(r"^  movej\(\[(-?\d\.\d)", later, re.MULTILINE)
+    assert start
+    for changed, message in (
+        (later.replace(start[0], start[0][:-1] + str((int(start[0][-1]) + 1) % 10)), "does not begin where"),
+        (re.sub(r"part = p\[-?0", "part = p[1", later), "another tool or part"),
+    ):
+        assert changed != later
+        with pytest.raises(InputError, match=message):
+            differences(plan, files | {names[1]: changed})
+    without = files | {
+        names[1]: later.replace("set_standard_digital_out(1, True)", "set_standard_digital_out(2, True)")
+    }
+    assert any("output" in each for each in differences(plan, without))
+    with pytest.raises(InputError, match="does not begin where"):
+        differences(plan, files | {names[1]: files[names[2]], names[2]: files[names[1]]})
+
+
+def test_a_bead_that_is_longer_than_a_program_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(language, "MOST_MOVES", 20)
+    files = write(arc())
+    assert len(files) == 3
+    assert re.search(r"# Note: \d+ moves without a place to stop", files["TwoBeads_1.script"])
+    assert differences(arc(), files) == []
+
+
+def test_blends_that_are_too_small_for_a_steady_speed_are_told() -> None:
+    text = urscript(arc())
+    told = re.search(r"# Note: (\d+) of (\d+) blends in beads are smaller than 1 mm, the smallest (\d\.\d+) mm:", text)
+    assert told
+    radii = [float(r) for r in re.findall(r"movep.* r=(0\.\d+)\)", text)]
+    small = [r for r in radii if 0.00004 < r < 0.001]
+    assert 0 < int(told[1]) <= len(small) and float(told[3]) in [round(1e3 * r, 3) for r in small]
 
 
 def test_a_solved_print_on_a_turned_base(tmp_path: Path) -> None:

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from functools import reduce
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array
 from planner.base.errors import InputError
-from planner.export.fit import from_matrix, to_matrix
+from planner.export.fit import angle, from_matrix, to_matrix
 from planner.export.grammar import Grammar, Statement, inlined
 from planner.export.moves import (
     STEP,
     Moves,
+    MoveSection,
     blend_differences,
     greatest_until_stop,
     move_radii,
@@ -24,8 +26,9 @@ from planner.export.moves import (
     sections,
     tip_acceleration,
 )
+from planner.export.parts import numbered, packed, part_about
 from planner.export.program import UNSPECIFIED, RobotProgram, Trigger, about, named
-from planner.export.rapid.text import module_name
+from planner.export.rapid.text import LONGEST_NAME, module_name
 from planner.export.readback import played_differences
 from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_urscript
 from planner.export.text import ascii_comment, number, require_writable, resting
@@ -71,7 +74,7 @@ def quaternions(vectors: Array) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Writer: one program with a function for each bead.
+# Writer: one program with a function for each bead, or several for a long print, to be run one after the other.
 #
 # Material is laid by movep, which keeps the tip's speed through circular blends, where movel was seen to speed up. The
 # maker describes no blend of movep with other moves, so run-in and run-out are movep too, and where it meets the movej of
@@ -85,6 +88,8 @@ SPEED = 4  # decimals of m/s and rad/s
 # A program goes on when a blend begins, so an output is switched that much before its place. Small enough to be no
 # error, and on a straight run-in, where it needs no room, large enough to be a blend.
 SWITCH_BLEND = 0.04e-3  # m
+MOST_MOVES = 1000  # of a program, where it can be cut between beads: users report that 1,000 to 2,500 do not load
+STEADY_BLEND = 1e-3  # m: below, movep was seen not to keep its speed
 
 
 @dataclass(frozen=True)
@@ -98,40 +103,57 @@ class MoveAccelerations:
     speed: Array
 
 
-def script_name(plan: Plan) -> str:
-    """File of the program."""
-    return f"{module_name(plan.name)}.script"
+def script_names(plan: Plan, count: int) -> list[str]:
+    """Names of the programs, of whose files they are the stems, in the order in which they are run."""
+    name = module_name(plan.name)
+    return [name] if count == 1 else [numbered(name, k, LONGEST_NAME) for k in range(1, count + 1)]
 
 
-def urscript(plan: Plan) -> str:
-    """Program of a verified plan (ASCII, m, rad). ValueError if it is not verified, or has no form in URScript."""
+def write(plan: Plan) -> dict[str, str]:
+    """File name → program of a verified plan (ASCII, m, rad). ValueError if it is not, or has no form in URScript."""
     require_writable(plan, unsupported_in_urscript(plan))
     moves = plan_moves(plan)
+    programs = _programs(plan, moves)
+    names = script_names(plan, len(programs))
+    return {f"{name}.script": _program(plan, moves, k, names, programs[k]) for k, name in enumerate(names)}
+
+
+def _programs(plan: Plan, moves: Moves) -> list[list[MoveSection]]:
+    """Sections of each program: cut only where the arm stops, and neither within a bead."""
+    rests = radii_of(plan, moves) == 0.0
+    runs: list[list[MoveSection]] = []
+    for section in sections(plan, moves):
+        first = section.moves.start
+        if runs and not rests[first - 1]:
+            runs[-1].append(section)
+        else:
+            runs.append([section])
+    sizes = [sum(len(section.moves) for section in run) for run in runs]
+    return [[section for run in group for section in run] for group in packed(runs, sizes, MOST_MOVES, len(runs))]
+
+
+def _program(plan: Plan, moves: Moves, k: int, names: list[str], own: list[MoveSection]) -> str:
+    """The k-th of the programs, with its sections."""
     T_controller_part = np.linalg.inv(world_controller(plan.cell)) @ plan.cell.T_world_holder
-    functions, calls = _functions(plan, moves)
-    off = [f"  set_standard_digital_out({k}, False)" for k in output_numbers(plan.problem).values()]
-    start = _joint_text(plan.trajectory.q[0])
+    functions, calls = _functions(plan, moves, own)
+    off = [f"  set_standard_digital_out({number}, False)" for number in output_numbers(plan.problem).values()]
+    start = _joint_text(moves.q[own[0].moves.start, :6])
     pace = pace_of(plan, moves)
     lines = [
-        *_header(plan),
-        f"def {module_name(plan.name)}():",
+        *_header(plan, moves, k, names, own),
+        f"def {names[k]}():",
         f"  set_tcp({_pose(plan.cell.T_flange_nozzle)})",
         f"  global part = {_pose(T_controller_part)}",
         *functions,
         *off,
         f"  movej({start}, a={number(pace.joint, 1)}, v={number(pace.speed[0], SPEED)}, r=0)",
-        *resting(moves.waits.get(-1, ()), MARK, SLEEP, 2),
+        *resting(moves.waits.get(-1, ()) if k == 0 else (), MARK, SLEEP, 2),
         *(f"  {name}()" for name in calls),
         *off,
         "end",
         "",
     ]
     return "\n".join(lines)
-
-
-def write(plan: Plan) -> dict[str, str]:
-    """The program of a verified plan, by the name of its file."""
-    return {script_name(plan): urscript(plan)}
 
 
 def pace_of(plan: Plan, moves: Moves) -> MoveAccelerations:
@@ -151,7 +173,7 @@ def radii_of(plan: Plan, moves: Moves) -> Array:
     return out
 
 
-def _header(plan: Plan) -> list[str]:
+def _header(plan: Plan, moves: Moves, k: int, names: list[str], own: list[MoveSection]) -> list[str]:
     t = plan.trajectory
     fastest = float(t.speed[t.deposit].max())
     texts = [
@@ -161,6 +183,25 @@ def _header(plan: Plan) -> list[str]:
         f"controller: {fastest * 8.0:.2f} mm of way in the 8 ms of a CB3, {fastest * 2.0:.2f} mm in an e-Series' 2 ms.",
         *outputs_about(plan.problem),
     ]
+    if k:
+        texts = part_about(texts, k + 1, len(names))
+    elif len(names) > 1:
+        texts.append(f"Part 1 of {len(names)}, {names[0]} to {names[-1]}: run each when the one before it has ended")
+    count = sum(len(section.moves) for section in own)
+    if count > MOST_MOVES:
+        texts.append(f"Note: {count} moves without a place to stop; programs of 1,000 to 2,500 were seen not to load")
+    laid = np.zeros(len(moves), dtype=bool)
+    laid[own[0].moves.start : own[-1].moves.stop] = True
+    blends = radii_of(plan, moves)[laid & moves.laid]
+    blends = blends[blends > SWITCH_BLEND]
+    if len(small := blends[blends < STEADY_BLEND]):
+        texts.append(
+            f"Note: {len(small)} of {len(blends)} blends in beads are smaller than {STEADY_BLEND * 1e3:.0f} mm, the "
+            f"smallest {1e3 * small.min():.3f} mm:"
+        )
+        texts.append(
+            "  movep was seen not to keep its speed there; targets further apart need a larger program.chord_mm"
+        )
     return [ascii_comment(MARK, text) for text in texts]
 
 
@@ -173,13 +214,13 @@ def _joint_text(q: Array) -> str:
     return "[" + ", ".join(number(v, ANGLE) for v in q) + "]"
 
 
-def _functions(plan: Plan, moves: Moves) -> tuple[list[str], list[str]]:
-    """All functions with moves, and their names in the order of calling."""
+def _functions(plan: Plan, moves: Moves, own: list[MoveSection]) -> tuple[list[str], list[str]]:
+    """Functions of sections, and their names in the order of calling."""
     bead = plan.trajectory.bead
     outputs = by_bead(plan, list(output_numbers(plan.problem).values()))
     texts = _moves(plan, moves, pace_of(plan, moves))
     lines, calls = [], []
-    for section in sections(plan, moves):
+    for section in own:
         calls.append(f"bead_{section.number:04d}" if section.number else "finish")
         lines.append(f"  def {calls[-1]}():")
         lines += [ascii_comment(MARK, section.about, 4)] if section.about else []
@@ -220,6 +261,7 @@ def _moves(plan: Plan, moves: Moves, pace: MoveAccelerations) -> list[str]:
 
 Forward = Callable[[Array], Array]
 
+JOINT = 1e-5  # m, rad: between the end of a program and the start of the next one; rounding gives a fifth of it
 NUMBER = r"-?[0-9]+(?:\.[0-9]+)?"
 NAME = r"[A-Za-z][A-Za-z0-9_]{0,63}"
 SIX = rf"({NUMBER}(?:, {NUMBER}){{5}})"
@@ -256,7 +298,7 @@ class Script:
 
 
 def read_urscript(text: str, forward: Forward) -> Script:
-    """Program of URScript text as `urscript.urscript` writes it; forward: joints (k, 6) → T_part_nozzle (k, 4, 4).
+    """Program of URScript text as `urscript.write` writes it; forward: joints (k, 6) → T_part_nozzle (k, 4, 4).
 
     Raises InputError with the line for a statement or name that is not known, or that stands where it must not.
     """
@@ -309,6 +351,27 @@ def read_urscript(text: str, forward: Forward) -> Script:
         triggers=_triggers(switched, m),
     )
     return Script(program, np.where(linear[:, None], np.nan, rows), how[:, :2])
+
+
+def joined(first: Script, then: Script) -> Script:
+    """Two programs that run one after the other. Raises InputError where the second begins elsewhere than the first ends."""
+    a, b = first.program, then.program
+    off = np.linalg.norm(a.position[-1] - b.position[0])
+    turned = angle(a.quat[-1:], b.quat[:1])[0]
+    if off > JOINT or turned > JOINT or not a.fine[-1]:
+        raise InputError(f"{b.module} does not begin where {a.module} comes to rest", file=GRAMMAR.file)
+    if not (np.array_equal(a.tool, b.tool) and np.array_equal(a.uframe, b.uframe)):
+        raise InputError(f"{b.module} has another tool or part than {a.module}", file=GRAMMAR.file)
+    if not np.array_equal(then.pace[0], first.pace[0]):
+        raise InputError(f"{b.module} begins at another speed than {a.module}", file=GRAMMAR.file)
+    later = len(a.linear) - 1
+    wait = a.wait.copy()
+    wait[-1] += b.wait[0]
+    row_wise = ("linear", "fine", "position", "quat", "conf", "external", "zone", "speed")
+    rows: dict[str, Any] = {name: np.concatenate([getattr(a, name), getattr(b, name)[1:]]) for name in row_wise}
+    triggers = a.triggers | {move + later: group for move, group in b.triggers.items()}
+    program = replace(a, **rows, wait=np.concatenate([wait, b.wait[1:]]), triggers=triggers)
+    return Script(program, np.concatenate([first.joints, then.joints[1:]]), np.concatenate([first.pace, then.pace[1:]]))
 
 
 def _six(statement: Statement) -> list[float]:
@@ -367,7 +430,10 @@ def _triggers(switched: list[tuple[int, str, bool]], m: int) -> dict[int, tuple[
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """Differences of the program from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
-    script = read_urscript(files[script_name(plan)], plan.cell.T_part_nozzle)
+    scripts = [
+        read_urscript(files[f"{name}.script"], plan.cell.T_part_nozzle) for name in script_names(plan, len(files))
+    ]
+    script = reduce(joined, scripts)
     program = named(script.program, output_numbers(plan.problem))
     T_controller_part = np.eye(4)
     T_controller_part[:3, :3], T_controller_part[:3, 3] = to_matrix(program.uframe[None, 3:])[0], program.uframe[:3]
