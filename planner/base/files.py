@@ -11,6 +11,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 
 from planner.base.errors import Complaint, InputError, OutputError
@@ -24,8 +25,15 @@ MARKS = {
     ".src": "; beadwise",
     ".gcode": "; beadwise",
     ".ngc": "; beadwise",
+    ".ls": '"beadwise print"',
+    ".JBI": "///COMM beadwise print",
+    ".pjx": "<!-- beadwise: ",
+    ".dtx": "<!-- beadwise: ",
+    ".pgx": "<!-- beadwise: ",
+    ".as": "; beadwise",
 }
 HEADER = 8  # lines in which the mark stands
+BEHIND = {".JBI": 100_000}  # likewise, of files whose positions come before it
 LONGEST = 1000  # characters of a line that are looked at
 COMPANIONS = {".mod": (".pgf", "_lines.csv"), ".src": (".dat",)}  # files that belong to a program, as its name goes on
 LOADED = re.compile(r'Load \\Dynamic,"HOME:"\\File:="([A-Za-z][A-Za-z0-9_]{0,31}\.mod)";')
@@ -70,7 +78,7 @@ def earlier_results(target: Path) -> list[Path]:
     found = {target / name for name in RESULTS}
     for suffix, mark in MARKS.items():
         for program in target.glob(f"*{suffix}"):
-            if any(mark in line for line in _first_lines(program)):
+            if any(mark in line for line in _first_lines(program, BEHIND.get(suffix, HEADER))):
                 found |= {program, *(program.with_name(program.stem + end) for end in COMPANIONS.get(suffix, ()))}
                 found |= {target / name for name in _loaded(program)}
     for switches in target.glob(f"*{SWITCHES}"):  # JSON has no comments: they are known by each other
@@ -80,11 +88,11 @@ def earlier_results(target: Path) -> list[Path]:
     return sorted(path for path in found if path.is_file())
 
 
-def _first_lines(path: Path) -> list[str]:
+def _first_lines(path: Path, count: int = HEADER) -> list[str]:
     if not path.is_file():
         return []
     with path.open(encoding="utf-8", errors="replace") as stream:
-        return [stream.readline(LONGEST) for _ in range(HEADER)]
+        return list(islice(iter(lambda: stream.readline(LONGEST), ""), count))
 
 
 def _loaded(program: Path) -> set[str]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
+from planner.export.arms import AXIS_5_NEGATIVE, BEHIND_AXIS_1, BEHIND_LOWER_ARM, percent
 from planner.export.external import carrying_axes, external_axes, external_read, external_written
 from planner.export.fit import from_matrix, to_matrix
 from planner.export.grammar import Grammar, Statement, inlined
@@ -18,7 +19,6 @@ from planner.export.moves import (
     Moves,
     MoveSection,
     blend_differences,
-    greatest_until_stop,
     move_radii,
     plan_moves,
     sections,
@@ -48,8 +48,6 @@ if TYPE_CHECKING:
 
 SIGNS = np.array([-1.0, 1.0, 1.0, -1.0, 1.0, -1.0])
 OFFSETS = np.radians([0.0, -90.0, 90.0, 0.0, 0.0, 0.0])
-# bits of a branch, which are those of ABB's cfx (`Trajectory.branch`)
-BEHIND_AXIS_1, BEHIND_LOWER_ARM, AXIS_5_NEGATIVE = 4, 2, 1
 
 
 def to_kuka(q: Array) -> Array:
@@ -261,17 +259,6 @@ def settings(plan: Plan, moves: Moves) -> dict[str, str]:
         "$VEL.ORI2": f"{turning:.1f}",
         "$ACC.CP": f"{tip_acceleration(plan.trajectory):.1f}",
     }
-
-
-def percent(plan: Plan, moves: Moves) -> list[int]:
-    """Speed of axes (m) [percent of their greatest] for each move, the plan's greatest until the next stop."""
-    t = plan.trajectory
-    limits = [plan.cell.arm_robot.model.velocityLimit]
-    if (station := plan.cell.holder_robot) is not None:
-        free = [station.joint_names.index(name) for name in plan.cell.holder.names]
-        limits.append(station.model.velocityLimit[free])
-    share = (np.abs(np.diff(t.q, axis=0)) / t.dt / np.concatenate(limits)).max(axis=1)
-    return [int(value) for value in np.clip(np.ceil(100.0 * greatest_until_stop(moves, share)), 1, 100)]
 
 
 def radii_of(plan: Plan, moves: Moves) -> Array:

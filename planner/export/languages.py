@@ -10,9 +10,13 @@ from typing import TYPE_CHECKING, Protocol, cast
 from planner.export.program import ProblemSetup, Setup
 from planner.export.support import (
     unsupported_in_axes,
+    unsupported_in_fanuc,
+    unsupported_in_inform,
+    unsupported_in_kawasaki,
     unsupported_in_krl,
     unsupported_in_rapid,
     unsupported_in_urscript,
+    unsupported_in_val3,
 )
 
 if TYPE_CHECKING:
@@ -61,6 +65,10 @@ LANGUAGES: dict[str, Language] = {
     "rapid": Language("RAPID", "rapid.language", unsupported_in_rapid),
     "urscript": Language("URScript", "urscript", unsupported_in_urscript),
     "krl": Language("KRL", "krl", unsupported_in_krl),
+    "fanuc": Language("FANUC TP", "fanuc", unsupported_in_fanuc),
+    "inform": Language("INFORM", "inform", unsupported_in_inform),
+    "val3": Language("VAL3", "val3", unsupported_in_val3),
+    "kawasaki": Language("Kawasaki AS", "kawasaki", unsupported_in_kawasaki),
     "joint_trajectory": Language("ROS JointTrajectory", "joint_trajectory", _always),
     "axes": Language("multi-axis G-code", "axes.gcode", unsupported_in_axes),
     "extruder": Language("the extruder's G-code", "extruder", _always),

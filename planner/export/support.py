@@ -20,6 +20,7 @@ Output = TypeVar("Output", int, str)
 
 EXTERNAL_AXES = 6  # of KRL: E1 to E6
 STANDARD_OUTPUTS = 8  # of a UR control box, numbered from 0
+VAL3_OUTPUTS = 16  # of the board that a CS8 or CS9 has, numbered from 0
 STATION = ("U", "V")  # letters of what moves a robot's part: genserkins hands them on to further joints
 
 
@@ -83,6 +84,46 @@ def unsupported_in_urscript(setup: Setup) -> str | None:
     last = max(output_numbers(setup.problem).values())
     if last >= STANDARD_OUTPUTS:
         return f"an extruder has the output {last}, and the last one is {STANDARD_OUTPUTS - 1}"
+    return None
+
+
+def unsupported_in_fanuc(setup: Setup) -> str | None:
+    """Why TP programs do not support a cell; None if they do."""
+    return _arm_alone(setup, 1, None)
+
+
+def unsupported_in_inform(setup: Setup) -> str | None:
+    """Why INFORM does not support a cell; None if it does."""
+    return _arm_alone(setup, 1, None)
+
+
+def unsupported_in_val3(setup: Setup) -> str | None:
+    """Why VAL3 does not support a cell; None if it does."""
+    return _arm_alone(setup, 0, VAL3_OUTPUTS)
+
+
+def unsupported_in_kawasaki(setup: Setup) -> str | None:
+    """Why AS does not support a cell; None if it does."""
+    return _arm_alone(setup, 1, None)
+
+
+def _arm_alone(setup: Setup, first: int, count: int | None) -> str | None:
+    """Why a language does not support a cell that moves a six-axis arm with a spherical wrist, and nothing else.
+
+    first  number of the first output; count: how many there are, None where that is the cell's
+    """
+    cell = setup.cell
+    if not cell.spherical:
+        return f"postures are told by those of a spherical wrist, which {cell.arm_robot.name} has not"
+    if cell.rails:
+        return f"it moves the arm alone, and here {cell.joint_names[0]} carries it"
+    if cell.holder_robot is not None:
+        return f"it moves the arm alone, and here {cell.holder_robot.name} moves the part"
+    numbers = output_numbers(setup.problem).values()
+    if min(numbers) < first:
+        return f"outputs count from {first}, and program.extruder_output is {min(numbers)}"
+    if count is not None and max(numbers) >= first + count:
+        return f"an extruder has the output {max(numbers)}, and the last one is {first + count - 1}"
     return None
 
 

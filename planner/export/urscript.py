@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array
 from planner.base.errors import InputError
+from planner.export.arms import switch_triggers
 from planner.export.fit import angle, from_matrix, to_matrix
 from planner.export.grammar import Grammar, Statement, inlined
 from planner.export.moves import (
@@ -27,7 +28,7 @@ from planner.export.moves import (
     tip_acceleration,
 )
 from planner.export.parts import numbered, packed, part_about
-from planner.export.program import UNSPECIFIED, RobotProgram, Trigger, about, named
+from planner.export.program import UNSPECIFIED, RobotProgram, about, named
 from planner.export.rapid.text import LONGEST_NAME, module_name
 from planner.export.readback import played_differences
 from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_urscript
@@ -348,7 +349,7 @@ def read_urscript(text: str, forward: Forward) -> Script:
         zone=how[:, 2],
         speed=np.column_stack([np.where(linear, how[:, 1], np.nan), np.full((m, 3), np.nan)]),
         wait=np.array([waits.get(i, 0.0) for i in range(m)]),
-        triggers=_triggers(switched, m),
+        triggers=switch_triggers(switched, m),
     )
     return Script(program, np.where(linear[:, None], np.nan, rows), how[:, :2])
 
@@ -408,20 +409,6 @@ def _function_bodies(text: str) -> tuple[str, dict[str, list[Statement]], dict[s
 
 def _frame(pose: Array) -> Array:
     return np.concatenate([pose[:3], quaternions(pose[None, 3:])[0]])
-
-
-def _triggers(switched: list[tuple[int, str, bool]], m: int) -> dict[int, tuple[Trigger, ...]]:
-    """Outputs that are switched after one of m moves, as if at its end; the blend there tells how much earlier it happens.
-
-    Before the first move they are set to where they should be; after the last one they are switched off once more.
-    """
-    found: dict[int, tuple[Trigger, ...]] = {}
-    for at, output, value in switched:
-        if at == 0 and value:
-            found[1] = (*found.get(1, ()), Trigger(0.0, True, value, output))
-        elif 0 < at < m - 1 or (at == m - 1 and value):
-            found[at] = (*found.get(at, ()), Trigger(0.0, False, value, output))
-    return found
 
 
 # ----------------------------------------------------------------------------------------------------

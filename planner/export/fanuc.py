@@ -1,0 +1,395 @@
+"""FANUC's TP programs as ASCII (.ls, for R-30iA and later): writer, reader, and check against the plan."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from planner.base.arrays import Array
+from planner.base.errors import InputError
+from planner.export.arms import (
+    AXIS_5_NEGATIVE,
+    BEHIND_AXIS_1,
+    BEHIND_LOWER_ARM,
+    ArmProgram,
+    Convention,
+    Step,
+    Steps,
+    arm_differences,
+    forward_of,
+    percent,
+    read_arm,
+)
+from planner.export.euler import fixed_xyz, from_fixed_xyz, written
+from planner.export.fit import to_matrix
+from planner.export.grammar import Grammar, Statement, inlined
+from planner.export.moves import Moves, MoveSection, move_radii, plan_moves, sections
+from planner.export.parts import in_files, numbered, part_about
+from planner.export.program import about
+from planner.export.rapid.text import module_name
+from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_fanuc
+from planner.export.text import number, require_writable
+
+if TYPE_CHECKING:
+    from planner.plan import Plan
+
+# ----------------------------------------------------------------------------------------------------
+# FANUC's axes and frames (ROS-Industrial, fanuc: URDF files and its coupling of J2 and J3): J3 is the forearm's angle to
+# the floor, whatever J2; J4 to J6 count against ours; the flange's x points up where ours points down; the world's origin
+# is level with J2. W P R are turns about fixed x, y and z.
+
+FANUC = Convention(
+    axes=np.array(
+        [
+            [1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0, 0.0, 0.0, 0.0],
+            [0.0, -1.0, -1.0, 0.0, 0.0, 0.0],
+            [0.0, 0.0, 0.0, -1.0, 0.0, 0.0],
+            [0.0, 0.0, 0.0, 0.0, -1.0, 0.0],
+            [0.0, 0.0, 0.0, 0.0, 0.0, -1.0],
+        ]
+    ),
+    offset=np.zeros(6),
+    flange=np.pi,
+    shoulder=True,
+)
+
+
+LETTERS = {"F": AXIS_5_NEGATIVE, "D": BEHIND_LOWER_ARM, "B": BEHIND_AXIS_1}
+
+
+def configs(plan: Plan, moves: Moves) -> list[str]:
+    """CONFIG of the target of each move: flip, elbow, front or back, and the turns of J1, J4 and J6.
+
+    As post-processors have it (RoboDK's; visose's Robots): N where J5 is negative; B where the wrist's centre is behind
+    axis 1, and there an elbow that would be up for reaching forwards is called down.
+    """
+    branch = plan.trajectory.branch[moves.sample].astype(np.intp)
+    axes = FANUC.counted(moves.q[1:, plan.cell.own])[:, [0, 3, 5]]
+    turns = (np.sign(axes) * np.floor((np.abs(axes) + np.pi) / (2.0 * np.pi))).astype(np.intp)
+    flips, downs, backs = ((branch & bit > 0).tolist() for bit in LETTERS.values())
+    return [
+        f"{'NF'[flip]} {'UD'[down != back]} {'TB'[back]}, {j1}, {j4}, {j6}"
+        for flip, down, back, (j1, j4, j6) in zip(flips, downs, backs, turns.tolist(), strict=True)
+    ]
+
+
+def branch_of(letters: str) -> int:
+    """Branch of the letters of a CONFIG."""
+    flip, elbow, base = letters.split(" ")
+    behind = (elbow == "D") != (base == "B")
+    return (flip == "F") * AXIS_5_NEGATIVE + behind * BEHIND_LOWER_ARM + (base == "B") * BEHIND_AXIS_1
+
+
+# ----------------------------------------------------------------------------------------------------
+# Writer: a program with its positions, or one that calls others.
+#
+# Material is laid by L with CNT100: the next motion begins as this one slows down, and speed is kept. How far corners are
+# rounded then no number says; CR, which has one, is an option. Outputs are switched by DB, on the path. What the program
+# can say of its speed is whole cm/min.
+
+LONGEST_NAME = 32  # of 36 that R-30iB takes
+LONGEST_REMARK = 32
+MOST_MOVES = 4000  # of a program; some 32,000 lines are said to be the most, and an editor has to show them
+REGISTER = 9  # of frame, tool and the position register that they are set by
+CM_MIN = 6000.0  # cm/min in a m/s
+FINE, FLY = "FINE", "CNT100"
+DIGITS = 3  # decimals of mm and degrees
+TICK = 0.01  # s: what waits are written to
+
+
+def write(plan: Plan) -> dict[str, str]:
+    """Files of a verified plan (ASCII, mm, degrees); ValueError if it is not, or has no form in TP programs."""
+    require_writable(plan, unsupported_in_fanuc(plan))
+    name, moves = fanuc_name(plan.name), plan_moves(plan)
+    own = in_files(sections(plan, moves), MOST_MOVES)
+    off = [f"DO[{k}]=OFF" for k in output_numbers(plan.problem).values()]
+    start = _joint_target(FANUC.counted(plan.trajectory.q[:1, plan.cell.own])[0])
+    header = _header(plan)
+    begin = [*_frames(plan), *off, f"J P[1] {percent(plan, moves)[0]}% {FINE}", *_rests(moves, -1)]
+    statements, targets = _statements(plan, moves), _targets(plan, moves)
+    if len(own) == 1:
+        body, positions = _body(moves, own[0], statements, targets, 1)
+        return {f"{name}.ls": _text(name, [*header, *begin, *body, *off], [start, *positions])}
+    names = [numbered(name, k, LONGEST_NAME) for k in range(1, len(own) + 1)]
+    files = {f"{name}.ls": _text(name, [*header, *begin, *(f"CALL {each}" for each in names), *off], [start])}
+    for k, (title, group) in enumerate(zip(names, own, strict=True), 1):
+        body, positions = _body(moves, group, statements, targets, 0)
+        remarks = [remark for text in part_about(about(plan), k, len(own)) for remark in _remarks(text)]
+        files[f"{title}.ls"] = _text(title, [*remarks, *body], positions)
+    return files
+
+
+def fanuc_name(name: str) -> str:
+    """Capitals, digits and at most 32 of them, of a problem's name."""
+    return module_name(name, LONGEST_NAME).upper()
+
+
+def planned_speeds(moves: Moves) -> Array:
+    """Speed (m) [m/s] that each line is written with."""
+    out: Array = np.maximum(np.round(moves.speed * CM_MIN), 1.0) / CM_MIN
+    return out
+
+
+def _text(name: str, lines: list[str], positions: list[str]) -> str:
+    """The file of a program of statements without their numbers."""
+    numbered_lines = [
+        f"{i:4d}:{line if line[:2] in ('J ', 'L ') else '  ' + line} ;" for i, line in enumerate(lines, 1)
+    ]
+    cells = [
+        f"P[{k}]{{\n   GP1:\n\tUF : {REGISTER}, UT : {REGISTER},{each}\n}};" for k, each in enumerate(positions, 1)
+    ]
+    return "\n".join(
+        [
+            f"/PROG  {name}",
+            "/ATTR",
+            'COMMENT\t\t= "beadwise print";',
+            f"LINE_COUNT\t= {len(lines)};",
+            "DEFAULT_GROUP\t= 1,*,*,*,*;",
+            "/MN",
+            *numbered_lines,
+            "/POS",
+            *cells,
+            "/END",
+            "",
+        ]
+    )
+
+
+def _remarks(text: str) -> list[str]:
+    """Remarks of one text, ASCII, each no longer than a remark may be."""
+    return [f"!{line}" for line in textwrap.wrap(re.sub(r"[^\x20-\x7e]|;", "?", text), LONGEST_REMARK)]
+
+
+def _header(plan: Plan) -> list[str]:
+    texts = [
+        *about(plan),
+        *outputs_about(plan.problem),
+        f"J1 to J6, as FANUC counts: {', '.join(plan.cell.arm.names)}",
+        f"Sets UFRAME, UTOOL and PR {REGISTER}",
+        "Payload: set it before",
+    ]
+    return [remark for text in texts for remark in _remarks(text)]
+
+
+def _rests(moves: Moves, i: int) -> list[str]:
+    waits = moves.waits.get(i, ())
+    total = sum(wait.time for wait in waits)
+    why = [remark for wait in waits if wait.why for remark in _remarks(wait.why)]
+    return [*why, *([f"WAIT   {total:.2f}(sec)"] if total >= 0.5 * TICK else [])]
+
+
+def _frames(plan: Plan) -> list[str]:
+    """Statements that set tool and frame; a negative number stands in brackets."""
+    lines = []
+    for register, T in (("UTOOL", FANUC.tool(plan.cell)), ("UFRAME", FANUC.part(plan.cell))):
+        values = [*(T[:3, 3] * 1e3), *written(fixed_xyz(T[None, :3, :3])[0], DIGITS)]
+        for i, value in enumerate(values, 1):
+            text = number(value, DIGITS)
+            lines.append(f"PR[{REGISTER},{i}]={f'({text})' if text.startswith('-') else text}")
+        lines += [f"{register}[{REGISTER}]=PR[{REGISTER}]", f"{register}_NUM={REGISTER}"]
+    return lines
+
+
+def _joint_target(axes: Array) -> str:
+    values = [f"J{i}=%10.{DIGITS}f deg" % value for i, value in enumerate(np.round(np.degrees(axes), DIGITS) + 0.0, 1)]
+    return "\t\n\t" + ",\t".join(values[:3]) + ",\n\t" + ",\t".join(values[3:])
+
+
+def _targets(plan: Plan, moves: Moves) -> list[str]:
+    """The position of each move, behind its frame and tool."""
+    joints = FANUC.counted(plan.trajectory.q[moves.sample][:, plan.cell.own])
+    wpr = written(fixed_xyz(to_matrix(moves.targets.quat[1:])), DIGITS)
+    rows = np.column_stack([np.round(moves.targets.position[1:] * 1e3, DIGITS) + 0.0, wpr])
+    length, angle = f"%10.{DIGITS}f  mm", f"%10.{DIGITS}f deg"
+    line = (
+        ",\t".join(f"{axis} ={length}" for axis in "XYZ") + ",\n\t" + ",\t".join(f"{axis} ={angle}" for axis in "WPR")
+    )
+    return [
+        f"\t\tCONFIG : '{said}',\n\t{line % tuple(row)}" if linear else _joint_target(axes)
+        for linear, row, axes, said in zip(
+            moves.linear.tolist(), rows.tolist(), joints, configs(plan, moves), strict=True
+        )
+    ]
+
+
+def _statements(plan: Plan, moves: Moves) -> list[tuple[list[str], str, list[str]]]:
+    """Of each move: statements before it, its own behind the position, and statements after it."""
+    bead = plan.trajectory.bead
+    outputs = by_bead(plan, list(output_numbers(plan.problem).values()))
+    speeds = np.round(planned_speeds(moves) * CM_MIN).astype(int).tolist()
+    shares, radii = percent(plan, moves), move_radii(plan, moves).tolist()
+    out = []
+    for i, linear in enumerate(moves.linear.tolist()):
+        begins, ends = (outputs[bead[at]] for at in (moves.sample[i - 1] if i else 0, moves.sample[i]))
+        before = [f"DO[{begins}]=ON"] if moves.on_start[i] else []
+        switched = [
+            f"DO[{ends}]={value}" for flag, value in ((moves.on_end[i], "ON"), (moves.off_end[i], "OFF")) if flag
+        ]
+        speed = f"{speeds[i]}cm/min" if linear else f"{shares[i]}%"
+        how = f"{speed} {FLY if radii[i] > 0.0 else FINE}"
+        on_path = [f"DB    0.0mm,{switched[0]}"] if switched and linear else []
+        out.append((before, " ".join([how, *on_path]), switched[len(on_path) :]))
+    return out
+
+
+def _body(
+    moves: Moves,
+    own: list[MoveSection],
+    statements: list[tuple[list[str], str, list[str]]],
+    targets: list[str],
+    taken: int,
+) -> tuple[list[str], list[str]]:
+    """Statements of sections, whose positions have the numbers after those that are taken, and those positions."""
+    lines: list[str] = []
+    positions: list[str] = []
+    for section in own:
+        lines += _remarks(section.about)
+        for i in section.moves:
+            before, how, after = statements[i]
+            positions.append(targets[i])
+            lines += before
+            lines.append(f"{'L' if moves.linear[i] else 'J'} P[{taken + len(positions)}] {how}")
+            lines += [*after, *_rests(moves, i)]
+    return lines, positions
+
+
+# ----------------------------------------------------------------------------------------------------
+# Reader: exactly the subset that the writer uses.
+
+NUMBER = r"-?[0-9]+(?:\.[0-9]+)?"
+NAME = r"[A-Z][A-Z0-9_]{0,31}"
+TERM = rf"({FINE}|{FLY})"
+GRAMMAR = Grammar.of(
+    "TP program",
+    "!",
+    {
+        "line": rf"L P\[([0-9]{{1,5}})\] ([0-9]{{1,5}})cm/min {TERM}(?: DB 0\.0mm,DO\[([0-9]{{1,4}})\]=(ON|OFF))?",
+        "point": rf"J P\[([0-9]{{1,5}})\] ([0-9]{{1,3}})% {TERM}",
+        "output": r"DO\[([0-9]{1,4})\]=(ON|OFF)",
+        "wait": rf"WAIT ({NUMBER})\(sec\)",
+        "register": rf"PR\[{REGISTER},([1-6])\]=\(?({NUMBER})\)?",
+        "frame": rf"(UTOOL|UFRAME)\[{REGISTER}\]=PR\[{REGISTER}\]",
+        "chosen": rf"(UTOOL|UFRAME)_NUM={REGISTER}",
+        "call": rf"CALL ({NAME})",
+    },
+)
+INSIDE = rf"P\[([0-9]{{1,5}})\]\{{ GP1: UF : {REGISTER}, UT : {REGISTER}, "
+JOINTS = re.compile(INSIDE + ", ".join(rf"J{i}= ({NUMBER}) deg" for i in range(1, 7)))
+POSE = re.compile(
+    INSIDE
+    + r"CONFIG : '([NF] [UD] [TB]), (-?[0-9]), (-?[0-9]), (-?[0-9])', "
+    + ", ".join(rf"{axis} = ({NUMBER}) mm" for axis in "XYZ")
+    + ", "
+    + ", ".join(rf"{axis} = ({NUMBER}) deg" for axis in "WPR")
+)
+Position = tuple[str, ...]  # of a pose: CONFIG's letters, its turns, and six numbers; of joints: six numbers
+
+
+def read_fanuc(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmProgram, list[str]]:
+    """Program of the texts of files by their programs' names, and the CONFIG of its lines, in their order.
+
+    Raises InputError with the line for a statement or position that is not known, or that stands where it must not.
+    """
+    bodies: dict[str, list[Statement]] = {}
+    places: dict[str, dict[str, Position]] = {}
+    for name, text in files.items():
+        bodies[name], places[name] = _program(text, name)
+    if main not in bodies:
+        raise InputError(f"there is no program {main}", file=GRAMMAR.file)
+    steps, frames, said = Steps(), {}, []
+    values: dict[str, float] = {}
+    for statement in inlined(bodies, main, "program"):
+        word, parts = statement.word, statement.parts
+        if word in ("line", "point"):
+            place = places[statement.file].get(parts[0], ())
+            if len(place) != {"line": 10, "point": 6}[word]:
+                raise statement.error(f"P[{parts[0]}] is not there, or of the other kind")
+            steps.moves.append(_step(statement, place))
+            said += [f"{place[0]}, {', '.join(place[1:4])}"] if word == "line" else []
+            if word == "line" and parts[3]:
+                steps.trigger(0.0, parts[4] == "ON", parts[3])
+        elif word == "output":
+            steps.switch(parts[0], parts[1] == "ON")
+        elif word == "wait":
+            steps.wait(float(parts[0]))
+        elif word == "register":
+            values[parts[0]] = float(parts[1])
+        elif steps.moves:
+            raise statement.misplaced("behind the first move")
+        elif word == "frame":
+            if len(values) != 6:
+                raise statement.error("a frame of a register that is not set")
+            frames[parts[0]] = _pose([values[str(i)] for i in range(1, 7)])
+        elif parts[0] not in frames:
+            raise statement.error(f"{parts[0]} is chosen and not set")
+    if len(frames) != 2:
+        raise InputError("no tool or frame is set", file=GRAMMAR.file)
+    program = read_arm(main, steps, frames["UTOOL"], frames["UFRAME"], forward_of(plan.cell, FANUC), GRAMMAR.file)
+    return program, said
+
+
+def _step(statement: Statement, place: Position) -> Step:
+    numbers = [float(value) for value in place[-6:]]
+    fine = statement.parts[2] == FINE
+    if statement.word == "point":
+        return Step(False, fine, np.radians(numbers), float(statement.parts[1]))
+    return Step(True, fine, _pose(numbers), float(statement.parts[1]) / CM_MIN, branch=branch_of(place[0]))
+
+
+def _pose(values: list[float]) -> Array:
+    return np.concatenate([np.array(values[:3]) * 1e-3, from_fixed_xyz(np.radians([values[3:]]))[0]])
+
+
+def _program(text: str, name: str) -> tuple[list[Statement], dict[str, Position]]:
+    """Statements and positions of a file."""
+    parts = re.fullmatch(
+        rf"/PROG +({NAME})\n/ATTR\n(?:[A-Z_]+\t+= [^\n;]*;\n)*/MN\n(.*?)/POS\n(.*?)/END\n", text, re.DOTALL | re.ASCII
+    )
+    if parts is None or parts[1] != name:
+        raise InputError(f"no complete program {name} with /MN, /POS and /END", file=name)
+    first = text[: parts.start(2)].count("\n") + 1
+    return list(_read_statements(parts[2], name, first)), _read_positions(parts[3], name)
+
+
+def _read_statements(text: str, name: str, first: int) -> Iterator[Statement]:
+    for k, raw in enumerate(text.splitlines(), 1):
+        line = first + k - 1
+        inner = re.fullmatch(r" *([0-9]+):(.*) ;", raw, re.ASCII)
+        if inner is None or int(inner[1]) != k:
+            raise InputError("a line without its number in order, or its semicolon", file=name, line=line)
+        said = re.sub(r"\s+", " ", inner[2]).strip()
+        if not said.startswith("!"):
+            yield GRAMMAR.statement(said, line, name)
+
+
+def _read_positions(text: str, name: str) -> dict[str, Position]:
+    found: dict[str, Position] = {}
+    for cell in text.split("};\n")[:-1]:
+        said = re.sub(r"\s+", " ", cell).strip()
+        match = POSE.fullmatch(said) or JOINTS.fullmatch(said)
+        if match is None or match[1] in found:
+            raise InputError(f"unknown position {said[:40]!r}, or one that stands there twice", file=name)
+        found[match[1]] = match.groups()[1:]
+    if text and not text.endswith("};\n"):
+        raise InputError("a position that does not end", file=name)
+    return found
+
+
+# ----------------------------------------------------------------------------------------------------
+# Check of what was read against the plan.
+
+
+def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
+    """Differences of the files from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
+    texts = {file.removesuffix(".ls"): text for file, text in files.items()}
+    read, said = read_fanuc(texts, fanuc_name(plan.name), plan)
+    moves = plan_moves(plan)
+    found = arm_differences(plan, moves, read, FANUC, np.radians(0.51 * 10.0**-DIGITS), planned_speeds(moves), TICK)
+    planned = [each for each, linear in zip(configs(plan, moves), moves.linear.tolist(), strict=True) if linear]
+    wrong = sum(a != b for a, b in zip(said, planned, strict=False))
+    return [*found, *([f"CONFIG differs at {wrong} targets"] if wrong else [])]

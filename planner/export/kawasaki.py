@@ -1,0 +1,282 @@
+"""AS language for Kawasaki's controllers (D to F series): writer, reader, and check against the plan."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from planner.base.arrays import Array
+from planner.base.errors import InputError
+from planner.export.arms import (
+    ArmProgram,
+    Convention,
+    Step,
+    Steps,
+    arm_differences,
+    forward_of,
+    percent,
+    read_arm,
+    signed,
+)
+from planner.export.euler import from_turning_zyz, turning_zyz, written
+from planner.export.fit import to_matrix
+from planner.export.grammar import Grammar, Statement, inlined
+from planner.export.moves import Moves, MoveSection, move_radii, plan_moves, sections
+from planner.export.parts import in_files, numbered
+from planner.export.program import about
+from planner.export.rapid.text import module_name
+from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_kawasaki
+from planner.export.text import ascii_comment, number, require_writable, resting
+
+if TYPE_CHECKING:
+    from planner.plan import Plan
+
+# ----------------------------------------------------------------------------------------------------
+# Kawasaki's axes and frames (its own URDF files, khi_robot): at zero the arm stands straight up and looks along +y of the
+# base frame, whose origin is at the foot; JT1, JT3 and JT5 count against ours; the flange's frame is the base's there.
+# O A T are turns about z, the new y and the new z.
+
+KAWASAKI = Convention(
+    axes=signed(-1.0, 1.0, -1.0, 1.0, -1.0, 1.0),
+    offset=np.array([0.0, 0.0, -0.5 * np.pi, 0.0, 0.0, 0.0]),
+    flange=-0.5 * np.pi,
+    base=-0.5 * np.pi,
+)
+
+# ----------------------------------------------------------------------------------------------------
+# Writer: one file with a main program, and one for each stretch of beads.
+#
+# Targets stand inline. Speed and accuracy, the distance at which the next motion begins, hold until they are set anew.
+# BREAK stands where the arm comes to rest. With PREFETCH.SIGINS off a signal is switched when its pose is reached; BASE is
+# the part's frame while the program runs.
+
+LONGEST_NAME = 15
+MOST_MOVES = 2000  # of a program
+MARK = ";"
+WAIT = "TWAIT {:.3f}"
+MM, DEGREES = 3, 4  # decimals
+SPEED = 1  # decimals of mm/s
+STEPS = 100.0  # of accuracy in a mm
+BEGIN = ("CP ON", "PREFETCH.SIGINS OFF", "ABS.SPEED ON")
+
+
+def as_name(name: str, longest: int = LONGEST_NAME) -> str:
+    """Small letters and digits, at most 15 of them, of a problem's name."""
+    return module_name(name, longest).lower()
+
+
+def write(plan: Plan) -> dict[str, str]:
+    """The file of a verified plan (ASCII, mm, degrees); ValueError if it is not, or has no form in AS."""
+    require_writable(plan, unsupported_in_kawasaki(plan))
+    name, moves = as_name(plan.name), plan_moves(plan)
+    own = in_files(sections(plan, moves), MOST_MOVES)
+    names = [numbered(name, k, LONGEST_NAME) for k in range(1, len(own) + 1)]
+    off = [f"SIGNAL -{k}" for k in output_numbers(plan.problem).values()]
+    start = _joints(KAWASAKI.counted(plan.trajectory.q[:1, plan.cell.own]))[0]
+    lines = [
+        f".PROGRAM {name}()",
+        *_header(plan),
+        *(f"  {text}" for text in BEGIN),
+        f"  TOOL {_pose(KAWASAKI.tool(plan.cell))}",
+        f"  BASE {_pose(KAWASAKI.part(plan.cell))}",
+        *(f"  {text}" for text in off),
+        f"  SPEED {percent(plan, moves)[0]} ALWAYS",
+        f"  JMOVE {start}",
+        "  BREAK",
+        *resting(moves.waits.get(-1, ()), MARK, WAIT, 2),
+        *(f"  CALL {each}" for each in names),
+        *(f"  {text}" for text in off),
+        "  BASE NULL",
+        ".END",
+    ]
+    targets = _targets(plan, moves)
+    for each, group in zip(names, own, strict=True):
+        lines += [f".PROGRAM {each}()", *_part(plan, moves, group, targets), ".END"]
+    return {f"{name}.as": "\n".join([*lines, ""])}
+
+
+def planned_speeds(moves: Moves) -> Array:
+    """Speed (m) [m/s] that each line is written with."""
+    out: Array = np.maximum(np.round(moves.speed * 1e3, SPEED), 10.0**-SPEED) * 1e-3
+    return out
+
+
+def _header(plan: Plan) -> list[str]:
+    texts = [
+        *about(plan),
+        *outputs_about(plan.problem),
+        f"JT1 to JT6, as Kawasaki counts: {', '.join(plan.cell.arm.names)}",
+        "Load: set it by WEIGHT before the first run",
+    ]
+    return [ascii_comment(MARK, text, 2) for text in texts]
+
+
+def _pose(T: Array) -> str:
+    return _poses(T[None, :3, 3], T[None, :3, :3])[0]
+
+
+def _poses(position: Array, R: Array) -> list[str]:
+    rows = np.column_stack([np.round(position * 1e3, MM) + 0.0, written(turning_zyz(R), DEGREES)])
+    form = "TRANS(" + ",".join([f"%.{MM}f"] * 3 + [f"%.{DEGREES}f"] * 3) + ")"
+    return [form % tuple(row) for row in rows.tolist()]
+
+
+def _joints(axes: Array) -> list[str]:
+    form = "#PPOINT(" + ",".join([f"%.{DEGREES}f"] * 6) + ")"
+    return [form % tuple(row) for row in (np.round(np.degrees(axes), DEGREES) + 0.0).tolist()]
+
+
+def _targets(plan: Plan, moves: Moves) -> list[str]:
+    """The target of each move."""
+    joints = _joints(KAWASAKI.counted(plan.trajectory.q[moves.sample][:, plan.cell.own]))
+    lines = _poses(moves.targets.position[1:], to_matrix(moves.targets.quat[1:]))
+    return [line if linear else axes for linear, line, axes in zip(moves.linear.tolist(), lines, joints, strict=True)]
+
+
+def _part(plan: Plan, moves: Moves, own: list[MoveSection], targets: list[str]) -> list[str]:
+    """Statements of sections."""
+    bead = plan.trajectory.bead
+    outputs = by_bead(plan, list(output_numbers(plan.problem).values()))
+    speeds, shares = (planned_speeds(moves) * 1e3).tolist(), percent(plan, moves)
+    radii = move_radii(plan, moves).tolist()
+    speed, accuracy, lines = "", "", []
+    for section in own:
+        lines += [ascii_comment(MARK, section.about, 2)] if section.about else []
+        for i in section.moves:
+            begins, ends = (outputs[bead[at]] for at in (moves.sample[i - 1] if i else 0, moves.sample[i]))
+            lines += [f"  SIGNAL {begins}"] if moves.on_start[i] else []
+            wanted = f"{number(speeds[i], SPEED)} MM/S" if moves.linear[i] else f"{shares[i]}"
+            if wanted != speed:
+                speed = wanted
+                lines.append(f"  SPEED {speed} ALWAYS")
+            near = number(max(np.floor(radii[i] * 1e3 * STEPS * (1.0 + 1e-9)), 1.0) / STEPS, 2)
+            if radii[i] > 0.0 and near != accuracy:
+                accuracy = near
+                lines.append(f"  ACCURACY {accuracy} ALWAYS")
+            lines.append(f"  {'LMOVE' if moves.linear[i] else 'JMOVE'} {targets[i]}")
+            lines += ["  BREAK"] if radii[i] == 0.0 else []
+            lines += [f"  SIGNAL {ends}"] if moves.on_end[i] else []
+            lines += [f"  SIGNAL -{ends}"] if moves.off_end[i] else []
+            lines += resting(moves.waits.get(i, ()), MARK, WAIT, 2)
+    return lines
+
+
+# ----------------------------------------------------------------------------------------------------
+# Reader: exactly the subset that the writer uses.
+
+NUMBER = r"-?[0-9]+(?:\.[0-9]+)?"
+NAME = r"[a-z][a-z0-9_]{0,14}"
+SIX = rf"({NUMBER}(?:,{NUMBER}){{5}})"
+GRAMMAR = Grammar.of(
+    "AS",
+    MARK,
+    {
+        "line": rf"LMOVE TRANS\({SIX}\)",
+        "point": rf"JMOVE #PPOINT\({SIX}\)",
+        "stop": r"BREAK",
+        "speed": rf"SPEED ({NUMBER}) MM/S ALWAYS",
+        "share": r"SPEED ([0-9]{1,3}) ALWAYS",
+        "accuracy": rf"ACCURACY ({NUMBER}) ALWAYS",
+        "output": r"SIGNAL (-?)([0-9]{1,4})",
+        "wait": rf"TWAIT ({NUMBER})",
+        "call": rf"CALL ({NAME})",
+        "frame": rf"(TOOL|BASE) TRANS\({SIX}\)",
+        "reset": r"BASE NULL",
+        "switch": r"(CP ON|PREFETCH\.SIGINS OFF|ABS\.SPEED ON)",
+        "define": rf"\.PROGRAM ({NAME})\(\)",
+        "end": r"\.END",
+    },
+)
+
+
+def read_kawasaki(text: str, plan: Plan) -> ArmProgram:
+    """Program of AS text as `write` writes it.
+
+    Raises InputError with the line for a statement or name that is not known, or that stands where it must not.
+    """
+    bodies = _bodies(text)
+    main = next(iter(bodies), "")
+    steps, frames, switches = Steps(), {}, []
+    speed, share, accuracy = np.nan, np.nan, np.nan
+    pending: list[Statement] = []  # a move, until it is known whether it stops
+
+    def move(fine: bool) -> None:
+        for statement in pending:
+            numbers = [float(value) for value in statement.parts[0].split(",")]
+            if statement.word == "line":
+                steps.moves.append(Step(True, fine, _read_pose(numbers), speed, accuracy))
+            else:
+                steps.moves.append(Step(False, fine, np.radians(numbers), share, accuracy))
+            if not (fine or accuracy > 0.0):
+                raise statement.error("a move that goes on without an accuracy")
+        pending.clear()
+
+    for statement in inlined(bodies, main, "program"):
+        word, parts = statement.word, statement.parts
+        if word == "stop":
+            if not pending:
+                raise statement.misplaced("behind no move")
+            move(True)
+            continue
+        move(False)
+        if word in ("line", "point"):
+            pending.append(statement)
+        elif word == "speed":
+            speed, share = 1e-3 * float(parts[0]), np.nan
+        elif word == "share":
+            speed, share = np.nan, float(parts[0])
+        elif word == "accuracy":
+            accuracy = 1e-3 * float(parts[0])
+        elif word == "output":
+            steps.switch(parts[1], not parts[0])
+        elif word == "wait":
+            steps.wait(float(parts[0]))
+        elif word == "reset":
+            frames["NULL"] = np.array([])
+        elif steps.moves or parts[0] in frames:
+            raise statement.misplaced("behind the first move, or twice")
+        elif word == "frame":
+            frames[parts[0]] = _read_pose([float(value) for value in parts[1].split(",")])
+        else:
+            switches.append(parts[0])
+    if pending or set(frames) != {"TOOL", "BASE", "NULL"} or tuple(switches) != BEGIN:
+        raise InputError("no stop at the end, or tool, base and switches are not set and reset", file=GRAMMAR.file)
+    return read_arm(main, steps, frames["TOOL"], frames["BASE"], forward_of(plan.cell, KAWASAKI), GRAMMAR.file)
+
+
+def _read_pose(numbers: list[float]) -> Array:
+    return np.concatenate([np.array(numbers[:3]) * 1e-3, from_turning_zyz(np.radians([numbers[3:]]))[0]])
+
+
+def _bodies(text: str) -> dict[str, list[Statement]]:
+    """Statements of each program of a file."""
+    bodies: dict[str, list[Statement]] = {}
+    current = ""
+    for statement in GRAMMAR.statements(text.split("\n")):
+        if (statement.word == "define") == bool(current):
+            raise statement.misplaced(f"{'inside' if current else 'outside'} a program")
+        if statement.word == "define":
+            current = statement.parts[0]
+            if current in bodies:
+                raise statement.error(f"program {current} stands there twice")
+            bodies[current] = []
+        elif statement.word == "end":
+            current = ""
+        else:
+            bodies[current].append(statement)
+    if current or not bodies:
+        raise InputError("no complete program", file=GRAMMAR.file)
+    return bodies
+
+
+# ----------------------------------------------------------------------------------------------------
+# Check of what was read against the plan.
+
+
+def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
+    """Differences of the file from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
+    read = read_kawasaki(files[f"{as_name(plan.name)}.as"], plan)
+    moves = plan_moves(plan)
+    return arm_differences(plan, moves, read, KAWASAKI, np.radians(0.51 * 10.0**-DEGREES), planned_speeds(moves))

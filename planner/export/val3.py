@@ -1,0 +1,453 @@
+"""VAL3 for Stäubli's controllers (CS8, CS9; version s7 and later): writer, reader, and check against the plan."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from planner.base.arrays import Array
+from planner.base.errors import InputError
+from planner.export.arms import (
+    ArmProgram,
+    Convention,
+    Step,
+    Steps,
+    arm_differences,
+    forward_of,
+    percent,
+    read_arm,
+    signed,
+)
+from planner.export.euler import from_turning_xyz, turning_xyz, written
+from planner.export.fit import to_matrix
+from planner.export.grammar import Grammar, Statement, inlined
+from planner.export.moves import Moves, MoveSection, move_radii, plan_moves, sections
+from planner.export.parts import in_files
+from planner.export.program import about
+from planner.export.rapid.text import module_name
+from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_val3
+from planner.export.text import ascii_comment, number, require_writable, resting
+
+if TYPE_CHECKING:
+    from planner.plan import Plan
+
+# ----------------------------------------------------------------------------------------------------
+# Stäubli's axes and frames (ROS-Industrial, staubli: URDF files): they count as ours do, but the arm stands straight up at
+# zero. The world's origin is level with axis 2. Rotations are turns about x, the new y and the new z.
+
+STAUBLI = Convention(
+    axes=signed(1.0, 1.0, 1.0, 1.0, 1.0, 1.0), offset=np.array([0.0, 0.0, 0.5 * np.pi, 0.0, 0.0, 0.0]), shoulder=True
+)
+
+# ----------------------------------------------------------------------------------------------------
+# Writer: an application, which is a folder with a project, data, and programs.
+#
+# Programs queue moves and run ahead of the arm, so a task of its own switches outputs: it waits until the controller's
+# number of the present move has passed that of the move to the place, which that move gave when it was queued. Lines keep
+# the posture of the joint move before them (ssame, esame, wsame). mdesc have speed and blend of a move; equal ones are one.
+
+LONGEST_NAME = 15  # of VAL3 before s7; later ones take more
+MOST_MOVES = 2000  # of a program and its arrays, of at most 9,999
+MARK = "//"
+WAIT = "waitEndMove()\ndelay({:.3f})"
+MM, DEGREES = 3, 4  # decimals
+SPEED = 1  # decimals of mm/s
+# Radii of blends [mm]: a dozen in each decade, so that few descriptors are needed
+LEVELS = np.round(
+    np.outer(10.0 ** np.arange(-3, 3), (1, 1.2, 1.5, 1.8, 2.2, 2.7, 3.3, 3.9, 4.7, 5.6, 6.8, 8.2)).ravel(), 3
+)
+UNBOUND = 99999  # mm/s or deg/s: another limit holds
+OUTPUT = "BasicIO-1\\%Q{}"  # where an output is linked to
+XML = '<?xml version="1.0" encoding="utf-8"?>'
+ABOUT = "<!-- beadwise: {} -->"  # which file of ours it is
+SPACE = "http://www.staubli.com/robotics/VAL3"
+XSI = 'xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance"'
+TASK = ("start", "stop", "extruder")  # programs of every application; others are part1, part2 …
+SWITCHING = (
+    "  for nSwitch=0 to size(nAt)-1",
+    "    wait(nAt[nSwitch]>=0)",
+    "    wait(getMoveId()>=nAt[nSwitch]+1)",
+    "    dOut[nOut[nSwitch]]=bOn[nSwitch]",
+    "  endFor",
+)
+FORGOTTEN = ("  for nSwitch=0 to size(nAt)-1", "    nAt[nSwitch]=-1", "  endFor")
+BEGIN_TASK, END_TASK = '  taskCreate "extruder",10,extruder()', '  taskKill("extruder")'
+
+
+@dataclass(frozen=True)
+class Paces:
+    """Movement descriptors: those of moves (m) by their numbers, and each as its attributes in the data file."""
+
+    of_move: list[int]
+    values: list[str]
+
+
+def val3_name(name: str) -> str:
+    """Name of the application, and of its folder."""
+    return module_name(name, LONGEST_NAME)
+
+
+def write(plan: Plan) -> dict[str, str]:
+    """Files of a verified plan (ASCII, mm, degrees); ValueError if it is not, or has no form in VAL3."""
+    require_writable(plan, unsupported_in_val3(plan))
+    name, moves = val3_name(plan.name), plan_moves(plan)
+    own = in_files(sections(plan, moves), MOST_MOVES)
+    paces, switches = _paces(plan, moves), _Switches(plan, moves)
+    parts = {f"part{k}": _part(moves, k, group, paces, switches) for k, group in enumerate(own, 1)}
+    off = [f"  dOut[{k}]=false" for k in range(len(output_numbers(plan.problem)))]
+    start = [
+        *_header(plan),
+        *FORGOTTEN,
+        *off,
+        BEGIN_TASK,
+        *_move(switches.after.get(-1, []), "movej(jStart[0],tNozzle,mPace[0])"),
+        *_lines(resting(moves.waits.get(-1, ()), MARK, WAIT, 0)),
+        *(f"  call {part}()" for part in parts),
+        "  waitEndMove()",
+        END_TASK,
+        *off,
+    ]
+    programs = {"start": start, **_fixed(plan), **parts}
+    return {
+        f"{name}.pjx": _project(name, programs),
+        f"{name}.dtx": _data(plan, moves, own, paces, switches),
+        **{f"{each}.pgx": _program(each, lines) for each, lines in programs.items()},
+    }
+
+
+def planned_speeds(moves: Moves) -> Array:
+    """Speed (m) [m/s] that each line is written with."""
+    out: Array = np.maximum(np.round(moves.speed * 1e3, SPEED), 10.0**-SPEED) * 1e-3
+    return out
+
+
+def _fixed(plan: Plan) -> dict[str, list[str]]:
+    """Programs that are the same for every print with as many outputs."""
+    off = [f"  dOut[{k}]=false" for k in range(len(output_numbers(plan.problem)))]
+    return {"stop": [END_TASK, *off], "extruder": list(SWITCHING)}
+
+
+def _lines(texts: Iterable[str]) -> list[str]:
+    return [f"  {line}" for text in texts for line in text.split("\n")]
+
+
+def _header(plan: Plan) -> list[str]:
+    texts = [
+        *about(plan),
+        *outputs_about(plan.problem),
+        f"Outputs are linked to {OUTPUT.format('')}0 and on, in {val3_name(plan.name)}.dtx",
+        f"j1 to j6, as Staubli counts: {', '.join(plan.cell.arm.names)}",
+        "Payload: set it before the first run",
+    ]
+    return [ascii_comment(MARK, text, 2) for text in texts]
+
+
+def _program(name: str, lines: Sequence[str]) -> str:
+    code = [XML, ABOUT.format(f"program {name}"), f'<Programs {XSI} xmlns="{SPACE}/Program/2">']
+    code += [f'  <Program name="{name}">', "    <Code><![CDATA[begin", *lines, "end]]></Code>", "  </Program>"]
+    return "\n".join([*code, "</Programs>", ""])
+
+
+def _project(name: str, programs: Iterable[str]) -> str:
+    lines = [XML, ABOUT.format("project"), f'<Project xmlns="{SPACE}/Project/3">']
+    lines += ['  <Parameters version="s7.3.1" stackSize="5000" millimeterUnit="true" />', "  <Programs>"]
+    lines += [f'    <Program file="{each}.pgx" />' for each in programs]
+    lines += ["  </Programs>", "  <Database>", f'    <Data file="{name}.dtx" />', "  </Database>", "  <Libraries />"]
+    return "\n".join([*lines, "</Project>", ""])
+
+
+def _array(name: str, kind: str, values: Sequence[str]) -> list[str]:
+    cells = [f'      <Value key="{k}" {value} />' for k, value in enumerate(values)]
+    head = f'    <Data name="{name}" access="private" xsi:type="array" type="{kind}" size="{len(values)}">'
+    return [head, *cells, "    </Data>"]
+
+
+def _frame(T: Array, father: str) -> str:
+    values = [*(T[:3, 3] * 1e3), *written(turning_xyz(T[None, :3, :3])[0], DEGREES)]
+    decimals = [MM] * 3 + [DEGREES] * 3
+    names = ("x", "y", "z", "rx", "ry", "rz")
+    said = " ".join(f'{n}="{number(v, d)}"' for n, v, d in zip(names, values, decimals, strict=True))
+    return f'{said} fatherId="{father}[0]"'
+
+
+def _joints(axes: Array) -> list[str]:
+    form = " ".join(f'j{i}="%.{DEGREES}f"' for i in range(1, 7))
+    return [form % tuple(row) for row in (np.round(np.degrees(axes), DEGREES) + 0.0).tolist()]
+
+
+def _points(moves: Moves) -> list[str]:
+    """Targets of all moves, as if each were a line."""
+    r = written(turning_xyz(to_matrix(moves.targets.quat[1:])), DEGREES)
+    rows = np.column_stack([np.round(moves.targets.position[1:] * 1e3, MM) + 0.0, r])
+    form = " ".join(f'{n}="%.{MM}f"' for n in "xyz") + " " + " ".join(f'r{n}="%.{DEGREES}f"' for n in "xyz")
+    form += ' shoulder="ssame" elbow="esame" wrist="wsame" fatherId="fPart[0]"'
+    return [form % tuple(row) for row in rows.tolist()]
+
+
+def _data(plan: Plan, moves: Moves, own: list[list[MoveSection]], paces: Paces, switches: _Switches) -> str:
+    cell = plan.cell
+    joints = _joints(STAUBLI.counted(plan.trajectory.q[moves.sample][:, cell.own]))
+    points = _points(moves)
+    blocks = [
+        _array("tNozzle", "tool", [_frame(STAUBLI.tool(cell), "flange")]),
+        _array("fPart", "frame", [_frame(STAUBLI.part(cell), "world")]),
+        _array("dOut", "dio", [f'link="{OUTPUT.format(k)}"' for k in output_numbers(plan.problem).values()]),
+        _array("mPace", "mdesc", paces.values),
+        _array("nAt", "num", ['value="-1"'] * len(switches.table)),
+        _array("nOut", "num", [f'value="{output}"' for output, _ in switches.table]),
+        _array("bOn", "bool", [f'value="{str(value).lower()}"' for _, value in switches.table]),
+        _array("nSwitch", "num", ['value="0"']),
+        _array("jStart", "jointRx", _joints(STAUBLI.counted(plan.trajectory.q[:1, cell.own]))),
+    ]
+    for k, group in enumerate(own, 1):
+        rows = [i for section in group for i in section.moves]
+        blocks.append(_array(f"jPath{k}", "jointRx", [joints[i] for i in rows if not moves.linear[i]] or joints[:1]))
+        blocks.append(_array(f"pPath{k}", "pointRx", [points[i] for i in rows if moves.linear[i]] or points[:1]))
+    lines = [XML, ABOUT.format("data"), f'<Database {XSI} xmlns="{SPACE}/Data/2">', "  <Datas>"]
+    lines += [line for block in blocks for line in block]
+    return "\n".join([*lines, "  </Datas>", "</Database>", ""])
+
+
+def _paces(plan: Plan, moves: Moves) -> Paces:
+    radii = move_radii(plan, moves) * 1e3 * (1.0 + 1e-9)
+    blends = LEVELS[np.maximum(np.searchsorted(LEVELS, radii, side="right") - 1, 0)]
+    numbers: dict[str, int] = {_pace(percent(plan, moves)[0], UNBOUND, "off", 0.0): 0}  # to the start
+    found = []
+    for linear, speed, share, radius, blend in zip(
+        moves.linear.tolist(),
+        (planned_speeds(moves) * 1e3).tolist(),
+        percent(plan, moves),
+        radii.tolist(),
+        blends.tolist(),
+        strict=True,
+    ):
+        kind = "off" if radius == 0.0 else "Cartesian" if linear else "Joint"
+        said = _pace(100, speed, kind, blend) if linear else _pace(share, UNBOUND, kind, blend)
+        found.append(numbers.setdefault(said, len(numbers)))
+    return Paces(found, list(numbers))
+
+
+def _pace(vel: int, tmax: float, blend: str, radius: float) -> str:
+    return (
+        f'accel="100" vel="{vel}" decel="100" tmax="{tmax:.{SPEED}f}" rmax="{UNBOUND}" '
+        f'blend="{blend}" leave="{radius:.{MM}f}" reach="{radius:.{MM}f}"'
+    )
+
+
+class _Switches:
+    """What is switched when: (output among ours, value) in order, and which of them follow each move."""
+
+    def __init__(self, plan: Plan, moves: Moves) -> None:
+        bead = plan.trajectory.bead
+        of_bead = by_bead(plan, list(range(len(output_numbers(plan.problem)))))
+        self.table: list[tuple[int, bool]] = []
+        self.after: dict[int, list[int]] = {}  # move, or -1 for that to the start → rows of the table
+        for i in range(len(moves)):
+            begins, ends = (of_bead[bead[at]] for at in (moves.sample[i - 1] if i else 0, moves.sample[i]))
+            for flag, at, row in (
+                (moves.on_start[i], i - 1, (begins, True)),
+                (moves.on_end[i], i, (ends, True)),
+                (moves.off_end[i], i, (ends, False)),
+            ):
+                if flag:
+                    self.after.setdefault(at, []).append(len(self.table))
+                    self.table.append(row)
+
+
+def _part(moves: Moves, k: int, own: list[MoveSection], paces: Paces, switches: _Switches) -> list[str]:
+    """Statements of the k-th program."""
+    lines: list[str] = []
+    counts = {True: 0, False: 0}
+    for section in own:
+        lines += [ascii_comment(MARK, section.about, 2)] if section.about else []
+        for i in section.moves:
+            linear = bool(moves.linear[i])
+            target = f"{'p' if linear else 'j'}Path{k}[{counts[linear]}]"
+            counts[linear] += 1
+            move = f"move{'l' if linear else 'j'}({target},tNozzle,mPace[{paces.of_move[i]}])"
+            lines += _move(switches.after.get(i, []), move)
+            lines += _lines(resting(moves.waits.get(i, ()), MARK, WAIT, 0))
+    return lines
+
+
+def _move(rows: Sequence[int], move: str) -> list[str]:
+    """Statements of a move, whose number switches (rows of their table) wait for."""
+    gives = f"nAt[{rows[0]}]=" if rows else ""
+    return [f"  {gives}{move}", *(f"  nAt[{row}]=nAt[{rows[0]}]" for row in rows[1:])]
+
+
+# ----------------------------------------------------------------------------------------------------
+# Reader: exactly the subset that the writer uses.
+
+NUMBER = r"-?[0-9]+(?:\.[0-9]+)?"
+NAME = r"[A-Za-z][A-Za-z0-9_]{0,31}"
+POSE = " ".join(rf'{n}="({NUMBER})"' for n in ("x", "y", "z", "rx", "ry", "rz"))
+KEY = '<Value key="([0-9]{1,5})" '
+DATA = Grammar.of(
+    "VAL3 data",
+    "<!--",
+    {
+        "array": rf'<Data name="({NAME})" access="private" xsi:type="array" type="([A-Za-z]+)" size="([0-9]{{1,5}})">',
+        "jointRx": KEY + " ".join(rf'j{i}="({NUMBER})"' for i in range(1, 7)) + " />",
+        "pointRx": rf'{KEY}{POSE} shoulder="ssame" elbow="esame" wrist="wsame" fatherId="fPart\[0\]" />',
+        "tool": rf'{KEY}{POSE} fatherId="flange\[0\]" />',
+        "frame": rf'{KEY}{POSE} fatherId="world\[0\]" />',
+        "mdesc": rf'{KEY}accel="100" vel="([0-9]{{1,3}})" decel="100" tmax="({NUMBER})" rmax="{UNBOUND}" '
+        rf'blend="(off|Joint|Cartesian)" leave="({NUMBER})" reach="\5" />',
+        "num": rf'{KEY}value="(-?[0-9]{{1,6}})" />',
+        "bool": rf'{KEY}value="(true|false)" />',
+        "dio": rf'{KEY}link="BasicIO-1\\%Q([0-9]{{1,2}})" />',
+        "end": r"</Data>",
+    },
+)
+MOVE = r"(Start|Path[0-9]{1,4})\[([0-9]{1,5})\],tNozzle,mPace\[([0-9]{1,6})\]\)"
+CODE = Grammar.of(
+    "VAL3",
+    MARK,
+    {
+        "line": r"(?:nAt\[([0-9]{1,6})\]=)?movel\(p" + MOVE,
+        "point": r"(?:nAt\[([0-9]{1,6})\]=)?movej\(j" + MOVE,
+        "also": r"nAt\[([0-9]{1,6})\]=nAt\[([0-9]{1,6})\]",
+        "rest": r"waitEndMove\(\)",
+        "wait": rf"delay\(({NUMBER})\)",
+        "output": r"dOut\[([0-9]{1,2})\]=false",
+        "call": rf"call ({NAME})\(\)",
+        "task": r'taskCreate "extruder",10,extruder\(\)',
+        "killed": r'taskKill\("extruder"\)',
+    },
+)
+Arrays = dict[str, list[tuple[str, ...]]]
+
+
+def read_val3(files: Mapping[str, str], name: str, plan: Plan) -> ArmProgram:
+    """Program of the texts of an application's files, by their names.
+
+    Raises InputError with the line for what is not known, stands where it must not, or is no whole application.
+    """
+    programs = [file.removesuffix(".pgx") for file in files if file.endswith(".pgx")]
+    if files.get(f"{name}.pjx") != _project(name, programs) or not set(TASK) <= set(programs):
+        raise InputError(f"no whole application {name} with its project and programs", file=CODE.file)
+    for fixed, lines in _fixed(plan).items():
+        if files[f"{fixed}.pgx"] != _program(fixed, lines):
+            raise InputError(f"{fixed}.pgx is not the program that belongs to it", file=CODE.file)
+    arrays = _arrays(files[f"{name}.dtx"])
+    bodies = {each: list(_code(files[f"{each}.pgx"], each)) for each in programs if each not in TASK[1:]}
+    outputs = [value for (value,) in arrays["dOut"]]
+    given: dict[int, int] = {}  # row of the table of switches → move after which it is
+    steps, tasks = Steps(), []
+    for statement in inlined(bodies, "start", "program"):
+        word, parts = statement.word, statement.parts
+        if word in ("line", "point"):
+            steps.moves.append(_step(statement, arrays))
+            if parts[0]:
+                given[int(parts[0])] = len(steps.moves) - 1
+        elif word == "also":
+            given[int(parts[0])] = given.get(int(parts[1]), -1)
+        elif word == "wait":
+            steps.wait(float(parts[0]))
+        elif word == "output":
+            steps.switch(outputs[_at(statement, parts[0], outputs)], False)
+        elif word in ("task", "killed"):
+            tasks.append((word, bool(steps.moves)))
+    if tasks != [("task", False), ("killed", True)]:
+        raise InputError(
+            "the task that switches outputs does not run from before the first move to the end", file=CODE.file
+        )
+    if list(given) != list(range(len(arrays["nAt"]))):
+        raise InputError("moves give other switches than the table has, or in another order", file=CODE.file)
+    for row, at in given.items():
+        (output,), (value,) = arrays["nOut"][row], arrays["bOn"][row]
+        if not int(output) < len(outputs):
+            raise InputError(f"there is no output {output}", file=DATA.file)
+        steps.switched.append((at, outputs[int(output)], value == "true"))
+    (tool,), (part,) = arrays["tNozzle"], arrays["fPart"]
+    return read_arm(name, steps, _pose(tool), _pose(part), forward_of(plan.cell, STAUBLI), CODE.file)
+
+
+def _step(statement: Statement, arrays: Arrays) -> Step:
+    _, path, key, pace = statement.parts
+    linear = statement.word == "line"
+    values = arrays.get(f"{'p' if linear else 'j'}{path}", [])
+    target = values[_at(statement, key, values)]
+    vel, tmax, blend, radius = arrays["mPace"][_at(statement, pace, arrays["mPace"])]
+    fine = blend == "off"
+    if not fine and (blend == "Cartesian") != linear:
+        raise statement.error(f"{blend} is no blend of this move")
+    numbers = np.array([float(value) for value in target])
+    if not linear:
+        return Step(False, fine, np.radians(numbers), float(vel), 1e-3 * float(radius))
+    return Step(True, fine, _pose(target), 1e-3 * float(tmax), 1e-3 * float(radius))
+
+
+def _at(statement: Statement, key: str, values: Sequence[object]) -> int:
+    if not int(key) < len(values):
+        raise statement.error(f"there is no element {key}")
+    return int(key)
+
+
+def _pose(values: Sequence[str]) -> Array:
+    numbers = [float(value) for value in values]
+    return np.concatenate([np.array(numbers[:3]) * 1e-3, from_turning_xyz(np.radians([numbers[3:]]))[0]])
+
+
+def _code(text: str, name: str) -> Iterator[Statement]:
+    """Statements of a program's file, without the loop that forgets an earlier run."""
+    lines = text.split("\n")
+    head, tail = _program(name, []).split("begin\n")
+    if not (text.startswith(f"{head}begin\n") and text.endswith(f"\n{tail}")):
+        raise InputError(f"no complete program {name}", file=f"{name}.pgx")
+    first, last = head.count("\n") + 1, len(lines) - tail.count("\n") - 1
+    inner = lines[first:last]
+    if name == "start":
+        loop = next((k for k in range(len(inner)) if tuple(inner[k : k + 3]) == FORGOTTEN), None)
+        if loop is None:
+            raise InputError("switches of an earlier run are not forgotten", file=f"{name}.pgx")
+        inner[loop : loop + 3] = [f"  {MARK}"] * 3
+    return CODE.statements(inner, first + 1, f"{name}.pgx")
+
+
+def _arrays(text: str) -> Arrays:
+    """The data, by their names."""
+    head, tail = (
+        f'{XML}\n{ABOUT.format("data")}\n<Database {XSI} xmlns="{SPACE}/Data/2">\n  <Datas>\n',
+        "  </Datas>\n</Database>\n",
+    )
+    if not (text.startswith(head) and text.endswith(tail)):
+        raise InputError("no complete data file", file=DATA.file)
+    found: Arrays = {}
+    name, kind, size = "", "", 0
+    for statement in DATA.statements(text[len(head) : -len(tail)].split("\n"), head.count("\n") + 1):
+        word, parts = statement.word, statement.parts
+        if word == "array":
+            if name or parts[0] in found:
+                raise statement.misplaced("within another one, or twice")
+            name, kind, size = parts[0], parts[1], int(parts[2])
+            found[name] = []
+        elif word == "end":
+            if not name or len(found[name]) != size:
+                raise statement.error(f"{name} has not the size that it says")
+            name = ""
+        elif word != kind or not name or int(parts[0]) != len(found[name]):
+            raise statement.misplaced("in an array of another kind, or out of its order")
+        else:
+            found[name].append(parts[1:])
+    needed = {"tNozzle", "fPart", "dOut", "mPace", "nAt", "nOut", "bOn", "nSwitch", "jStart"}
+    if name or not needed <= set(found) or not len(found["nAt"]) == len(found["nOut"]) == len(found["bOn"]):
+        raise InputError(
+            f"data are missing: {', '.join(sorted(needed - set(found))) or 'of the switches'}", file=DATA.file
+        )
+    return found
+
+
+# ----------------------------------------------------------------------------------------------------
+# Check of what was read against the plan.
+
+
+def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
+    """Differences of the files from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
+    read = read_val3(files, val3_name(plan.name), plan)
+    moves = plan_moves(plan)
+    return arm_differences(plan, moves, read, STAUBLI, np.radians(0.51 * 10.0**-DEGREES), planned_speeds(moves))
