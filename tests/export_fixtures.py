@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell.cell import Cell, build_cell
-from planner.export import krl, urscript
+from planner.export import fanuc, inform, kawasaki, krl, urscript, val3
 from planner.export.axes.gcode import axes_gcode, file_name
 from planner.export.extruder import gcode
 from planner.export.fit import from_matrix, lerp, slerp
@@ -336,6 +336,12 @@ def golden_texts() -> dict[str, str]:
     }
 
 
+def arm_texts() -> dict[str, str]:
+    """File name in tests/golden → what controllers are told that move an arm alone."""
+    plan = make_plan(beads=1, length=0.010, positioner=False, arm="kr6_r900")
+    return {name: text for language in (fanuc, inform, val3, kawasaki) for name, text in language.write(plan).items()}
+
+
 def axes_texts() -> dict[str, str]:
     """File name in tests/golden → what multi-axis machines are told today."""
     plan = make_plan(beads=1, length=0.008, dip=False)
@@ -365,7 +371,7 @@ def executed_beads(program: RobotProgram, step: float = 0.5e-3) -> list[tuple[Ar
 
 
 if __name__ == "__main__":  # after a change that is meant: write the golden files anew, and read the difference
-    for name, text in (golden_texts() | axes_texts()).items():
+    for name, text in (golden_texts() | arm_texts() | axes_texts()).items():
         (GOLDEN / name).write_text(text, encoding="utf-8", newline="\n")
 
 

@@ -101,6 +101,29 @@ def percent(plan: Plan, moves: Moves) -> list[int]:
     return [int(value) for value in np.clip(np.ceil(100.0 * greatest_until_stop(moves, share)), 1, 100)]
 
 
+def stepped_speeds(moves: Moves, step: float) -> Array:
+    """Speed (m) [m/s] of each move in whole steps [m/s], at least one.
+
+    Of moves that lay material each is rounded such that the sum of their times stays nearest to what was planned, so that
+    no bead runs late however long it is; of others, to the nearest.
+    """
+    low = np.maximum(np.floor(moves.speed / step + 1e-9), 1.0)
+    length, nearest = moves.length, np.maximum(np.round(moves.speed / step), 1.0)
+    planned, slow, fast = (length / speed for speed in (moves.speed, low * step, (low + 1.0) * step))
+    steps, late = nearest.tolist(), 0.0
+    for i, (laid, least, meant, longer, shorter) in enumerate(
+        zip(moves.laid.tolist(), low.tolist(), planned.tolist(), slow.tolist(), fast.tolist(), strict=True)
+    ):
+        if not laid:
+            late = 0.0
+            continue
+        up = abs(late + shorter - meant) < abs(late + longer - meant)
+        steps[i] = least + up
+        late += (shorter if up else longer) - meant
+    out: Array = np.array(steps) * step
+    return out
+
+
 def pose_of(T: Array) -> Array:
     """x y z, quaternion x y z w (7) of a pose (4, 4)."""
     return np.concatenate([T[:3, 3], from_matrix(T[None, :3, :3])[0]])
@@ -126,6 +149,7 @@ class Step:
     speed         of the tip [m/s] of a line; percent of a joint move
     zone          of the blend at its end [m]; NaN where the language does not say it
     branch        of a line, or UNSPECIFIED
+    via           x y z [m] (3) of an arc, on its way
     """
 
     linear: bool
@@ -134,6 +158,7 @@ class Step:
     speed: float
     zone: float = float("nan")
     branch: int = UNSPECIFIED
+    via: Array | None = None
 
 
 @dataclass
@@ -168,11 +193,13 @@ class ArmProgram:
     """A program (m moves) that was read: axes as the maker counts them, frames from the maker's flange and base.
 
     axes, share  (m, 6) [rad] and (m) [percent] of joint moves; NaN for others
+    off          outputs that are switched off before the first move, and behind the last one
     """
 
     program: RobotProgram
     axes: Array
     share: Array
+    off: tuple[frozenset[str], frozenset[str]]
 
 
 def switch_triggers(switched: list[tuple[int, str, bool]], m: int) -> dict[int, tuple[Trigger, ...]]:
@@ -214,6 +241,7 @@ def read_arm(
     fine: Flags = np.array([move.fine for move in moves], dtype=bool)
     conf: Indices = np.full((m, 4), UNSPECIFIED, dtype=np.intp)
     conf[:, 3] = [move.branch for move in moves]
+    arcs = np.array([np.full(3, np.nan) if move.via is None else move.via for move in moves])
     triggers = switch_triggers(steps.switched, m)
     for at, group in steps.triggers.items():
         triggers[at] = (*triggers.get(at, ()), *group)
@@ -234,8 +262,12 @@ def read_arm(
         speed=np.column_stack([np.where(linear, speed, np.nan), np.full((m, 3), np.nan)]),
         wait=np.array([steps.waits.get(i, 0.0) for i in range(m)]),
         triggers=triggers,
+        arcs=None if np.isnan(arcs).all() else arcs,
     )
-    return ArmProgram(program, axes, np.where(linear, np.nan, speed))
+    first, last = (
+        frozenset(output for at, output, value in steps.switched if at == k and not value) for k in (-1, m - 1)
+    )
+    return ArmProgram(program, axes, np.where(linear, np.nan, speed), (first, last))
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -250,17 +282,19 @@ def arm_differences(
     rounding: float,
     speeds: Array,
     tick: float = 0.0,
+    zones: Array | None = None,
 ) -> list[str]:
     """Differences of a program from its plan, in words.
 
     rounding  of the axes [rad]
     speeds    (m) [m/s] that lines are to have, as rounded in the file
     tick      what waits are rounded to [s]
+    zones     (m) [m] of blends where the language says them
     Blends whose size a language does not say are taken to be those that the tolerance allows.
     """
     cell = plan.cell
-    linear = np.concatenate([[False], moves.linear])
-    if not np.array_equal(linear, read.program.linear):
+    linear, circular = (np.concatenate([[False], kind]) for kind in (moves.linear, moves.circular))
+    if not (np.array_equal(linear, read.program.linear) and np.array_equal(circular, read.program.circular)):
         return [f"moves are not of the planned kinds: {len(read.program.linear)}, planned {len(linear)}"]
     radii = np.concatenate([[0.0], move_radii(plan, moves)])
     planned = np.array([sum(wait.time for wait in moves.waits.get(i, ())) for i in range(-1, len(moves))])
@@ -288,6 +322,11 @@ def arm_differences(
         found.append("speeds of lines are not the planned ones")
     if not np.array_equal(program.fine[1:], radii[1:] == 0.0):
         found.append("it stops elsewhere than planned")
+    if zones is not None and np.abs(program.zone[1:] - zones).max() > 1e-9:
+        found.append("blends are not the planned ones")
+    outputs = frozenset(map(str, output_numbers(plan.problem).values()))
+    if read.off != (outputs, outputs):
+        found.append("other outputs than the extruders' are switched off at the start, or at the end")
     return found
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +23,7 @@ from planner.export.arms import (
     forward_of,
     percent,
     read_arm,
+    stepped_speeds,
 )
 from planner.export.euler import fixed_xyz, from_fixed_xyz, written
 from planner.export.fit import to_matrix
@@ -105,7 +106,7 @@ TICK = 0.01  # s: what waits are written to
 def write(plan: Plan) -> dict[str, str]:
     """Files of a verified plan (ASCII, mm, degrees); ValueError if it is not, or has no form in TP programs."""
     require_writable(plan, unsupported_in_fanuc(plan))
-    name, moves = fanuc_name(plan.name), plan_moves(plan)
+    name, moves = fanuc_name(plan.name), plan_moves(plan, arcs=True)
     own = in_files(sections(plan, moves), MOST_MOVES)
     off = [f"DO[{k}]=OFF" for k in output_numbers(plan.problem).values()]
     start = _joint_target(FANUC.counted(plan.trajectory.q[:1, plan.cell.own])[0])
@@ -131,14 +132,13 @@ def fanuc_name(name: str) -> str:
 
 def planned_speeds(moves: Moves) -> Array:
     """Speed (m) [m/s] that each line is written with."""
-    out: Array = np.maximum(np.round(moves.speed * CM_MIN), 1.0) / CM_MIN
-    return out
+    return stepped_speeds(moves, 1.0 / CM_MIN)
 
 
 def _text(name: str, lines: list[str], positions: list[str]) -> str:
     """The file of a program of statements without their numbers."""
     numbered_lines = [
-        f"{i:4d}:{line if line[:2] in ('J ', 'L ') else '  ' + line} ;" for i, line in enumerate(lines, 1)
+        f"{i:4d}:{line if line[:2] in ('J ', 'L ', 'C ') else '  ' + line} ;" for i, line in enumerate(lines, 1)
     ]
     cells = [
         f"P[{k}]{{\n   GP1:\n\tUF : {REGISTER}, UT : {REGISTER},{each}\n}};" for k, each in enumerate(positions, 1)
@@ -200,21 +200,29 @@ def _joint_target(axes: Array) -> str:
     return "\t\n\t" + ",\t".join(values[:3]) + ",\n\t" + ",\t".join(values[3:])
 
 
-def _targets(plan: Plan, moves: Moves) -> list[str]:
-    """The position of each move, behind its frame and tool."""
+def _targets(plan: Plan, moves: Moves) -> list[list[str]]:
+    """The positions of each move, behind its frame and tool: of an arc two."""
     joints = FANUC.counted(plan.trajectory.q[moves.sample][:, plan.cell.own])
-    wpr = written(fixed_xyz(to_matrix(moves.targets.quat[1:])), DIGITS)
-    rows = np.column_stack([np.round(moves.targets.position[1:] * 1e3, DIGITS) + 0.0, wpr])
+    rows, vias = _rows(moves.targets.position[1:], moves.targets.quat[1:]), _rows(moves.via.position, moves.via.quat)
     length, angle = f"%10.{DIGITS}f  mm", f"%10.{DIGITS}f deg"
     line = (
         ",\t".join(f"{axis} ={length}" for axis in "XYZ") + ",\n\t" + ",\t".join(f"{axis} ={angle}" for axis in "WPR")
     )
-    return [
-        f"\t\tCONFIG : '{said}',\n\t{line % tuple(row)}" if linear else _joint_target(axes)
-        for linear, row, axes, said in zip(
-            moves.linear.tolist(), rows.tolist(), joints, configs(plan, moves), strict=True
-        )
-    ]
+    out = []
+    for linear, circular, via, row, axes, said in zip(
+        moves.linear.tolist(), moves.circular.tolist(), vias, rows, joints, configs(plan, moves), strict=True
+    ):
+        places = [via, row] if circular else [row]
+        poses = [f"\t\tCONFIG : '{said}',\n\t{line % tuple(place)}" for place in places]
+        out.append(poses if linear else [_joint_target(axes)])
+    return out
+
+
+def _rows(position: Array, quat: Array) -> list[list[float]]:
+    """X Y Z W P R as they are written [mm, deg]."""
+    wpr = written(fixed_xyz(to_matrix(quat)), DIGITS)
+    out: list[list[float]] = np.column_stack([np.round(position * 1e3, DIGITS) + 0.0, wpr]).tolist()
+    return out
 
 
 def _statements(plan: Plan, moves: Moves) -> list[tuple[list[str], str, list[str]]]:
@@ -241,7 +249,7 @@ def _body(
     moves: Moves,
     own: list[MoveSection],
     statements: list[tuple[list[str], str, list[str]]],
-    targets: list[str],
+    targets: list[list[str]],
     taken: int,
 ) -> tuple[list[str], list[str]]:
     """Statements of sections, whose positions have the numbers after those that are taken, and those positions."""
@@ -251,9 +259,12 @@ def _body(
         lines += _remarks(section.about)
         for i in section.moves:
             before, how, after = statements[i]
-            positions.append(targets[i])
+            numbers = [taken + len(positions) + k for k in range(1, len(targets[i]) + 1)]
+            positions += targets[i]
             lines += before
-            lines.append(f"{'L' if moves.linear[i] else 'J'} P[{taken + len(positions)}] {how}")
+            word = "C" if moves.circular[i] else "L" if moves.linear[i] else "J"
+            on_way = f"P[{numbers[0]}]    \n    :  " if moves.circular[i] else ""
+            lines.append(f"{word} {on_way}P[{numbers[-1]}] {how}")
             lines += [*after, *_rests(moves, i)]
     return lines, positions
 
@@ -264,11 +275,13 @@ def _body(
 NUMBER = r"-?[0-9]+(?:\.[0-9]+)?"
 NAME = r"[A-Z][A-Z0-9_]{0,31}"
 TERM = rf"({FINE}|{FLY})"
+PLACE = rf"P\[([0-9]{{1,5}})\] ([0-9]{{1,5}})cm/min {TERM}(?: DB 0\.0mm,DO\[([0-9]{{1,4}})\]=(ON|OFF))?"
 GRAMMAR = Grammar.of(
     "TP program",
     "!",
     {
-        "line": rf"L P\[([0-9]{{1,5}})\] ([0-9]{{1,5}})cm/min {TERM}(?: DB 0\.0mm,DO\[([0-9]{{1,4}})\]=(ON|OFF))?",
+        "arc": rf"C P\[([0-9]{{1,5}})\] {PLACE}",
+        "line": rf"L {PLACE}",
         "point": rf"J P\[([0-9]{{1,5}})\] ([0-9]{{1,3}})% {TERM}",
         "output": r"DO\[([0-9]{1,4})\]=(ON|OFF)",
         "wait": rf"WAIT ({NUMBER})\(sec\)",
@@ -305,14 +318,16 @@ def read_fanuc(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmProg
     values: dict[str, float] = {}
     for statement in inlined(bodies, main, "program"):
         word, parts = statement.word, statement.parts
-        if word in ("line", "point"):
-            place = places[statement.file].get(parts[0], ())
-            if len(place) != {"line": 10, "point": 6}[word]:
-                raise statement.error(f"P[{parts[0]}] is not there, or of the other kind")
-            steps.moves.append(_step(statement, place))
-            said += [f"{place[0]}, {', '.join(place[1:4])}"] if word == "line" else []
-            if word == "line" and parts[3]:
-                steps.trigger(0.0, parts[4] == "ON", parts[3])
+        if word in ("line", "arc", "point"):
+            keys = parts[:2] if word == "arc" else parts[:1]
+            there = [places[statement.file].get(key, ()) for key in keys]
+            if any(len(place) != (6 if word == "point" else 10) for place in there):
+                raise statement.error(f"P[{'] or P['.join(keys)}] is not there, or of the other kind")
+            how = parts[len(keys) :]
+            steps.moves.append(_step(word, how, there))
+            said += [] if word == "point" else [f"{there[-1][0]}, {', '.join(there[-1][1:4])}"]
+            if word != "point" and how[2]:
+                steps.trigger(0.0, how[3] == "ON", how[2])
         elif word == "output":
             steps.switch(parts[0], parts[1] == "ON")
         elif word == "wait":
@@ -333,12 +348,14 @@ def read_fanuc(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmProg
     return program, said
 
 
-def _step(statement: Statement, place: Position) -> Step:
-    numbers = [float(value) for value in place[-6:]]
-    fine = statement.parts[2] == FINE
-    if statement.word == "point":
-        return Step(False, fine, np.radians(numbers), float(statement.parts[1]))
-    return Step(True, fine, _pose(numbers), float(statement.parts[1]) / CM_MIN, branch=branch_of(place[0]))
+def _step(word: str, how: Sequence[str], places: Sequence[Position]) -> Step:
+    """A move by its word, its speed and termination, and its positions."""
+    place = places[-1]
+    numbers, fine = [float(value) for value in place[-6:]], how[1] == FINE
+    if word == "point":
+        return Step(False, fine, np.radians(numbers), float(how[0]))
+    via = np.array([float(value) for value in places[0][-6:-3]]) * 1e-3 if word == "arc" else None
+    return Step(True, fine, _pose(numbers), float(how[0]) / CM_MIN, branch=branch_of(place[0]), via=via)
 
 
 def _pose(values: list[float]) -> Array:
@@ -357,14 +374,15 @@ def _program(text: str, name: str) -> tuple[list[Statement], dict[str, Position]
 
 
 def _read_statements(text: str, name: str, first: int) -> Iterator[Statement]:
-    for k, raw in enumerate(text.splitlines(), 1):
-        line = first + k - 1
+    line = first
+    for k, raw in enumerate(text.replace("\n    :", "\0").splitlines(), 1):  # an arc goes on in a second line
         inner = re.fullmatch(r" *([0-9]+):(.*) ;", raw, re.ASCII)
         if inner is None or int(inner[1]) != k:
             raise InputError("a line without its number in order, or its semicolon", file=name, line=line)
-        said = re.sub(r"\s+", " ", inner[2]).strip()
+        said = re.sub(r"[\s\0]+", " ", inner[2]).strip()
         if not said.startswith("!"):
             yield GRAMMAR.statement(said, line, name)
+        line += 1 + raw.count("\0")
 
 
 def _read_positions(text: str, name: str) -> dict[str, Position]:
@@ -388,7 +406,7 @@ def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """Differences of the files from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
     texts = {file.removesuffix(".ls"): text for file, text in files.items()}
     read, said = read_fanuc(texts, fanuc_name(plan.name), plan)
-    moves = plan_moves(plan)
+    moves = plan_moves(plan, arcs=True)
     found = arm_differences(plan, moves, read, FANUC, np.radians(0.51 * 10.0**-DIGITS), planned_speeds(moves), TICK)
     planned = [each for each, linear in zip(configs(plan, moves), moves.linear.tolist(), strict=True) if linear]
     wrong = sum(a != b for a, b in zip(said, planned, strict=False))

@@ -24,6 +24,7 @@ from planner.export.arms import (
     percent,
     read_arm,
     signed,
+    stepped_speeds,
 )
 from planner.export.euler import fixed_xyz, from_fixed_xyz, written
 from planner.export.fit import to_matrix
@@ -69,7 +70,8 @@ def branch_of(config: str) -> int:
 #
 # Travel goes to angles (POSTYPE ANGLE), which leaves no doubt about the posture and needs no pulses of the robot; lines go
 # to poses in the user frame. A job cannot set frames without an option, so tool and user frame stand in its comments, which
-# are read back as well. A move without PL goes on at once, and corners are rounded by the servos' lag; PL=0 stops.
+# are read back as well. There are no arcs: MOVC goes through three points and more, and how a row of arcs is told apart is
+# not public. A move without PL goes on at once, and corners are rounded by the servos' lag; PL=0 stops.
 
 LONGEST_NAME = 24  # of 32 characters
 LONGEST_COMMENT = 31
@@ -108,8 +110,7 @@ def job_name(name: str) -> str:
 
 def planned_speeds(moves: Moves) -> Array:
     """Speed (m) [m/s] that each line is written with."""
-    out: Array = np.maximum(np.round(moves.speed * 1e3, SPEED), 10.0**-SPEED) * 1e-3
-    return out
+    return stepped_speeds(moves, 1e-3 * 10.0**-SPEED)
 
 
 Target = tuple[bool, str, str]  # whether it is a pose; its RCONF; its numbers

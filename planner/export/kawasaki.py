@@ -19,6 +19,7 @@ from planner.export.arms import (
     percent,
     read_arm,
     signed,
+    stepped_speeds,
 )
 from planner.export.euler import from_turning_zyz, turning_zyz, written
 from planner.export.fit import to_matrix
@@ -57,7 +58,7 @@ MOST_MOVES = 2000  # of a program
 MARK = ";"
 WAIT = "TWAIT {:.3f}"
 MM, DEGREES = 3, 4  # decimals
-SPEED = 1  # decimals of mm/s
+SPEED = 2  # decimals of mm/s
 STEPS = 100.0  # of accuracy in a mm
 BEGIN = ("CP ON", "PREFETCH.SIGINS OFF", "ABS.SPEED ON")
 
@@ -70,7 +71,7 @@ def as_name(name: str, longest: int = LONGEST_NAME) -> str:
 def write(plan: Plan) -> dict[str, str]:
     """The file of a verified plan (ASCII, mm, degrees); ValueError if it is not, or has no form in AS."""
     require_writable(plan, unsupported_in_kawasaki(plan))
-    name, moves = as_name(plan.name), plan_moves(plan)
+    name, moves = as_name(plan.name), plan_moves(plan, arcs=True)
     own = in_files(sections(plan, moves), MOST_MOVES)
     names = [numbered(name, k, LONGEST_NAME) for k in range(1, len(own) + 1)]
     off = [f"SIGNAL -{k}" for k in output_numbers(plan.problem).values()]
@@ -99,7 +100,15 @@ def write(plan: Plan) -> dict[str, str]:
 
 def planned_speeds(moves: Moves) -> Array:
     """Speed (m) [m/s] that each line is written with."""
-    out: Array = np.maximum(np.round(moves.speed * 1e3, SPEED), 10.0**-SPEED) * 1e-3
+    return stepped_speeds(moves, 1e-3 * 10.0**-SPEED)
+
+
+def planned_zones(plan: Plan, moves: Moves) -> Array:
+    """Accuracy (m) [m] of each move, as rounded in the file; 0 where it stops."""
+    radii = move_radii(plan, moves)
+    out: Array = np.where(
+        radii > 0.0, np.maximum(np.floor(radii * 1e3 * STEPS * (1.0 + 1e-9)), 1.0) / STEPS * 1e-3, 0.0
+    )
     return out
 
 
@@ -128,19 +137,25 @@ def _joints(axes: Array) -> list[str]:
     return [form % tuple(row) for row in (np.round(np.degrees(axes), DEGREES) + 0.0).tolist()]
 
 
-def _targets(plan: Plan, moves: Moves) -> list[str]:
-    """The target of each move."""
+def _targets(plan: Plan, moves: Moves) -> list[list[str]]:
+    """The statements of each move: of an arc two."""
     joints = _joints(KAWASAKI.counted(plan.trajectory.q[moves.sample][:, plan.cell.own]))
     lines = _poses(moves.targets.position[1:], to_matrix(moves.targets.quat[1:]))
-    return [line if linear else axes for linear, line, axes in zip(moves.linear.tolist(), lines, joints, strict=True)]
+    vias = _poses(moves.via.position, to_matrix(moves.via.quat))
+    return [
+        [f"  C1MOVE {via}", f"  C2MOVE {line}"] if circular else [f"  LMOVE {line}" if linear else f"  JMOVE {axes}"]
+        for linear, circular, via, line, axes in zip(
+            moves.linear.tolist(), moves.circular.tolist(), vias, lines, joints, strict=True
+        )
+    ]
 
 
-def _part(plan: Plan, moves: Moves, own: list[MoveSection], targets: list[str]) -> list[str]:
+def _part(plan: Plan, moves: Moves, own: list[MoveSection], targets: list[list[str]]) -> list[str]:
     """Statements of sections."""
     bead = plan.trajectory.bead
     outputs = by_bead(plan, list(output_numbers(plan.problem).values()))
     speeds, shares = (planned_speeds(moves) * 1e3).tolist(), percent(plan, moves)
-    radii = move_radii(plan, moves).tolist()
+    radii = planned_zones(plan, moves).tolist()
     speed, accuracy, lines = "", "", []
     for section in own:
         lines += [ascii_comment(MARK, section.about, 2)] if section.about else []
@@ -151,11 +166,11 @@ def _part(plan: Plan, moves: Moves, own: list[MoveSection], targets: list[str]) 
             if wanted != speed:
                 speed = wanted
                 lines.append(f"  SPEED {speed} ALWAYS")
-            near = number(max(np.floor(radii[i] * 1e3 * STEPS * (1.0 + 1e-9)), 1.0) / STEPS, 2)
+            near = number(radii[i] * 1e3, 2)
             if radii[i] > 0.0 and near != accuracy:
                 accuracy = near
                 lines.append(f"  ACCURACY {accuracy} ALWAYS")
-            lines.append(f"  {'LMOVE' if moves.linear[i] else 'JMOVE'} {targets[i]}")
+            lines += targets[i]
             lines += ["  BREAK"] if radii[i] == 0.0 else []
             lines += [f"  SIGNAL {ends}"] if moves.on_end[i] else []
             lines += [f"  SIGNAL -{ends}"] if moves.off_end[i] else []
@@ -173,7 +188,8 @@ GRAMMAR = Grammar.of(
     "AS",
     MARK,
     {
-        "line": rf"LMOVE TRANS\({SIX}\)",
+        "line": rf"(?:LMOVE|C2MOVE) TRANS\({SIX}\)",
+        "via": rf"C1MOVE TRANS\({SIX}\)",
         "point": rf"JMOVE #PPOINT\({SIX}\)",
         "stop": r"BREAK",
         "speed": rf"SPEED ({NUMBER}) MM/S ALWAYS",
@@ -200,17 +216,22 @@ def read_kawasaki(text: str, plan: Plan) -> ArmProgram:
     main = next(iter(bodies), "")
     steps, frames, switches = Steps(), {}, []
     speed, share, accuracy = np.nan, np.nan, np.nan
-    pending: list[Statement] = []  # a move, until it is known whether it stops
+    pending: list[Statement] = []  # a move, until it is known whether it stops; of an arc both statements
 
     def move(fine: bool) -> None:
-        for statement in pending:
-            numbers = [float(value) for value in statement.parts[0].split(",")]
-            if statement.word == "line":
-                steps.moves.append(Step(True, fine, _read_pose(numbers), speed, accuracy))
-            else:
-                steps.moves.append(Step(False, fine, np.radians(numbers), share, accuracy))
-            if not (fine or accuracy > 0.0):
-                raise statement.error("a move that goes on without an accuracy")
+        if not pending:
+            return
+        *first, last = pending
+        if bool(first) != last.text.startswith("C2MOVE"):
+            raise last.error("C1MOVE and C2MOVE belong together")
+        if not (fine or accuracy > 0.0):
+            raise last.error("a move that goes on without an accuracy")
+        numbers = [float(value) for value in last.parts[0].split(",")]
+        via = np.array([float(value) for value in first[0].parts[0].split(",")[:3]]) * 1e-3 if first else None
+        if last.word == "line":
+            steps.moves.append(Step(True, fine, _read_pose(numbers), speed, accuracy, via=via))
+        else:
+            steps.moves.append(Step(False, fine, np.radians(numbers), share, accuracy))
         pending.clear()
 
     for statement in inlined(bodies, main, "program"):
@@ -220,8 +241,9 @@ def read_kawasaki(text: str, plan: Plan) -> ArmProgram:
                 raise statement.misplaced("behind no move")
             move(True)
             continue
-        move(False)
-        if word in ("line", "point"):
+        if not (pending and pending[-1].word == "via" and word == "line"):
+            move(False)
+        if word in ("line", "via", "point"):
             pending.append(statement)
         elif word == "speed":
             speed, share = 1e-3 * float(parts[0]), np.nan
@@ -278,5 +300,6 @@ def _bodies(text: str) -> dict[str, list[Statement]]:
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """Differences of the file from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
     read = read_kawasaki(files[f"{as_name(plan.name)}.as"], plan)
-    moves = plan_moves(plan)
-    return arm_differences(plan, moves, read, KAWASAKI, np.radians(0.51 * 10.0**-DEGREES), planned_speeds(moves))
+    moves = plan_moves(plan, arcs=True)
+    rounding, speeds = np.radians(0.51 * 10.0**-DEGREES), planned_speeds(moves)
+    return arm_differences(plan, moves, read, KAWASAKI, rounding, speeds, zones=planned_zones(plan, moves))

@@ -11,7 +11,7 @@ import numpy as np
 
 from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
-from planner.export.arms import AXIS_5_NEGATIVE, BEHIND_AXIS_1, BEHIND_LOWER_ARM, percent
+from planner.export.arms import AXIS_5_NEGATIVE, BEHIND_AXIS_1, BEHIND_LOWER_ARM, percent, stepped_speeds
 from planner.export.external import carrying_axes, external_axes, external_read, external_written
 from planner.export.fit import from_matrix, to_matrix
 from planner.export.grammar import Grammar, Statement, inlined
@@ -182,7 +182,7 @@ class Subprogram:
 def write(plan: Plan) -> dict[str, str]:
     """Source and data files of a verified plan (ASCII, mm, degrees); ValueError if it is not, or has no form in KRL."""
     require_writable(plan, unsupported_in_krl(plan))
-    name, moves = krl_name(plan.name), plan_moves(plan)
+    name, moves = krl_name(plan.name), plan_moves(plan, arcs=True)
     header = _header(plan)
     subprograms = list(_subprograms(plan, moves))
     files = packed(subprograms, (each.size for each in subprograms), FILE_SIZE, LOCAL_PROGRAMS)
@@ -253,6 +253,7 @@ def settings(plan: Plan, moves: Moves) -> dict[str, str]:
         "$BASE": base,
         "$IPO_MODE": "#BASE",
         "$ORI_TYPE": "#VAR",
+        "$CIRC_TYPE": "#BASE",
         "$ADVANCE": f"{ADVANCE}",
         "$APO.CPTP": "50",
         "$VEL.ORI1": f"{turning:.1f}",
@@ -292,24 +293,36 @@ def _header(plan: Plan) -> list[str]:
 
 
 def _targets(plan: Plan, moves: Moves) -> list[str]:
-    """The aggregate of each move's target."""
+    """The aggregate of each move's target; of an arc, that of its middle before it."""
     t, own, k = plan.trajectory, plan.cell.own, moves.sample
     external = np.round(external_written(plan.cell, moves.targets.station[1:]), DEGREES) + 0.0
     joints = np.round(np.degrees(to_kuka(t.q[k, own])), DEGREES) + 0.0
-    abc = np.degrees(angles(to_matrix(moves.targets.quat[1:])))
-    lines = np.column_stack([np.round(moves.targets.position[1:] * 1e3, MM) + 0.0, np.round(abc, DEGREES) + 0.0])
+    lines, vias = (
+        _frames(moves.targets.position[1:], moves.targets.quat[1:]),
+        _frames(moves.via.position, moves.via.quat),
+    )
+    beside = np.round(external_written(plan.cell, moves.via.station), DEGREES) + 0.0
     states, turns = status(t.branch[k].astype(np.intp)).tolist(), turn(moves.q[1:, own]).tolist()
     extra = "".join(f",E{i} %.{DEGREES}f" for i in range(1, external.shape[1] + 1))
     axis = "{E6AXIS: " + ",".join(f"A{i} %.{DEGREES}f" for i in range(1, 7)) + extra + "}"
-    line = (
-        "{E6POS: " + ",".join(f"{n} %.{MM if n in 'XYZ' else DEGREES}f" for n in "XYZABC") + ",S %d,T %d" + extra + "}"
-    )
+    place = "{E6POS: " + ",".join(f"{n} %.{MM if n in 'XYZ' else DEGREES}f" for n in "XYZABC")
+    line, middle = f"{place},S %d,T %d{extra}}}", f"{place}{extra}}},"
+    first = [
+        middle % (*via, *e) if circular else ""
+        for circular, via, e in zip(moves.circular.tolist(), vias.tolist(), beside.tolist(), strict=True)
+    ]
     return [
-        line % (*p, s, w, *e) if linear else axis % (*q, *e)
-        for linear, p, q, s, w, e in zip(
-            moves.linear.tolist(), lines.tolist(), joints.tolist(), states, turns, external.tolist(), strict=True
+        via + line % (*p, s, w, *e) if linear else axis % (*q, *e)
+        for linear, via, p, q, s, w, e in zip(
+            moves.linear.tolist(), first, lines.tolist(), joints.tolist(), states, turns, external.tolist(), strict=True
         )
     ]
+
+
+def _frames(position: Array, quat: Array) -> Array:
+    """X Y Z A B C (m, 6) as they are written [mm, deg]."""
+    abc = np.degrees(angles(to_matrix(quat)))
+    return np.column_stack([np.round(position * 1e3, MM) + 0.0, np.round(abc, DEGREES) + 0.0])
 
 
 def _subprograms(plan: Plan, moves: Moves) -> Iterator[Subprogram]:
@@ -317,7 +330,7 @@ def _subprograms(plan: Plan, moves: Moves) -> Iterator[Subprogram]:
     bead = plan.trajectory.bead
     outputs = by_bead(plan, list(output_numbers(plan.problem).values()))
     targets, shares = _targets(plan, moves), percent(plan, moves)
-    speeds = np.maximum(np.round(moves.speed, SPEED), LEAST_SPEED).tolist()
+    speeds = stepped_speeds(moves, LEAST_SPEED).tolist()
     radii = radii_of(plan, moves).tolist()
     share, speed, radius = shares[0], -1.0, -1.0
     taken: set[str] = set()
@@ -347,7 +360,9 @@ def _subprograms(plan: Plan, moves: Moves) -> Iterator[Subprogram]:
                 ):
                     if switched:
                         lines.append(f"  TRIGGER WHEN {where}=0 DELAY=0 DO $OUT[{output}]={value}")
-                lines.append(f"  LIN {targets[i]}" + (" C_DIS" if radii[i] > 0.0 else ""))
+                lines.append(
+                    f"  {'CIRC' if moves.circular[i] else 'LIN'} {targets[i]}" + (" C_DIS" if radii[i] > 0.0 else "")
+                )
             lines += resting(moves.waits.get(i, ()), MARK, WAIT, 2)
         yield Subprogram(name, (*lines, "END"))
 
@@ -377,6 +392,7 @@ SOURCE = Grammar.of(
     "KRL",
     MARK,
     {
+        "arc": rf"CIRC \{{E6POS: {FRAME}{EXTERNAL}\}},\{{E6POS: {FRAME},S ([0-9]{{1,2}}),T ([0-9]{{1,2}}){EXTERNAL}\}}( C_DIS)?",
         "line": rf"LIN \{{E6POS: {FRAME},S ([0-9]{{1,2}}),T ([0-9]{{1,2}}){EXTERNAL}\}}( C_DIS)?",
         "point": rf"PTP \{{E6AXIS: {AXES}\}}( C_PTP)?",
         "speed": rf"\$VEL\.CP=({NUMBER})",
@@ -518,6 +534,7 @@ class _Run:
         self.start = start
         self.points: list[list[float]] = []  # twelve axes of each move; NaN for a line's first six
         self.lines: list[tuple[str, ...]] = []
+        self.vias: list[list[float]] = []  # of each move [m]; NaN where it is no arc
         self.linear: list[bool] = []
         self.fly: list[bool] = []
         self.paces: list[tuple[float, float, int]] = []  # speed, radius, percent
@@ -532,7 +549,7 @@ class _Run:
     def take(self, statement: Statement) -> None:
         word, parts = statement.word, statement.parts
         at = len(self.points) - 1
-        if word in ("start", "line", "point", "wait", "trigger") and (word == "start") == (at >= 0):
+        if word in ("start", "line", "arc", "point", "wait", "trigger") and (word == "start") == (at >= 0):
             raise statement.error("the program begins with PTP XSTART, and goes there once")
         first = parts[0] if parts else ""
         if self.bound or word in ("bound", "else", "bounded"):
@@ -551,14 +568,17 @@ class _Run:
             self.off.append((at, statement))
         elif word == "trigger":
             self.waiting += (Trigger(0.0, first == "DISTANCE", parts[2] == "TRUE", parts[1]),)
-        elif word == "line":
+        elif word in ("line", "arc"):
+            via, parts = (parts[:3], parts[7:]) if word == "arc" else (("nan",) * 3, parts)
             if not (self.speed > 0.0 and (self.radius > 0.0 or not parts[9])):
                 raise statement.error("a line without a speed, or approximated without a distance")
             external = _posture((*["0"] * 6, parts[8]), statement)[6:]
+            self.vias.append([1e-3 * float(value) for value in via])
             self._move(parts, [np.nan] * 6 + external, bool(parts[9]))
         elif word in ("start", "point"):
             if self.waiting:
                 raise statement.error("a trigger belongs to a line")
+            self.vias.append([np.nan] * 3)
             self._move((), _posture(parts, statement) if parts else self.start, bool(parts) and bool(parts[7]))
 
     def _bounded(self, statement: Statement) -> None:
@@ -625,6 +645,7 @@ class _Run:
             speed=np.column_stack([paces[:, 0], np.full((m, 3), np.nan)]),
             wait=np.array([self.waits.get(i, 0.0) for i in range(m)]),
             triggers=self.triggers,
+            arcs=None if np.isnan(self.vias).all() else np.array(self.vias),
         )
         return KrlProgram(program, axes[:, :6], turn, paces[:, 2].astype(np.intp), self.settings)
 
@@ -650,15 +671,15 @@ def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     program = named(source.program, output_numbers(plan.problem))
     start = program.start.copy()
     start[:6] = from_kuka(start[None, :6])[0]
-    moves = plan_moves(plan)
+    moves = plan_moves(plan, arcs=True)
     program = replace(program, start=start, joints=from_kuka(source.axes))
     return [*played_differences(plan, moves, program), *blend_differences(plan, program), *_moves(plan, moves, source)]
 
 
 def _moves(plan: Plan, moves: Moves, source: KrlProgram) -> list[str]:
     """Postures, Turn, speeds of axes and settings, one by one against those that the plan's moves have."""
-    linear = np.concatenate([[False], moves.linear])
-    if not np.array_equal(linear, source.program.linear):
+    linear, circular = (np.concatenate([[False], kind]) for kind in (moves.linear, moves.circular))
+    if not (np.array_equal(linear, source.program.linear) and np.array_equal(circular, source.program.circular)):
         return ["moves are not of the planned kinds"]
     q, found = moves.q[:, plan.cell.own], []
     off = np.abs(source.axes - to_kuka(q))[~linear].max()
@@ -670,7 +691,7 @@ def _moves(plan: Plan, moves: Moves, source: KrlProgram) -> list[str]:
     shares = np.array(percent(plan, moves))
     if not np.array_equal(source.share[~linear], np.concatenate([shares[:1], shares[~moves.linear]])):
         found.append("speeds of axes are not the planned ones")
-    lines = np.maximum(np.round(moves.speed[moves.linear], SPEED), LEAST_SPEED)
+    lines = stepped_speeds(moves, LEAST_SPEED)[moves.linear]
     if np.abs(source.program.speed[linear, 0] - lines).max() > 0.5 * LEAST_SPEED:
         found.append("speeds of lines are not the planned ones")
     if not np.array_equal(source.program.fine[1:], radii_of(plan, moves) == 0.0):

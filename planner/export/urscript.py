@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array
 from planner.base.errors import InputError
-from planner.export.arms import switch_triggers
+from planner.export.arms import stepped_speeds, switch_triggers
 from planner.export.fit import angle, from_matrix, to_matrix
 from planner.export.grammar import Grammar, Statement, inlined
 from planner.export.moves import (
@@ -77,10 +77,11 @@ def quaternions(vectors: Array) -> Array:
 # ----------------------------------------------------------------------------------------------------
 # Writer: one program with a function for each bead, or several for a long print, to be run one after the other.
 #
-# Material is laid by movep, which keeps the tip's speed through circular blends, where movel was seen to speed up. The
-# maker describes no blend of movep with other moves, so run-in and run-out are movep too, and where it meets the movej of
-# travel the arm stops. Poses are those of the nozzle in the part frame, `part`, which stands in the controller's base frame: a
-# part that was moved needs that one line changed.
+# Material is laid by movep, which keeps the tip's speed through circular blends, where movel was seen to speed up, and by
+# movec along arcs, which turns the tool evenly between their ends (mode 0). The maker describes no blend of movep with other
+# moves, so run-in and run-out are movep too, and where it meets the movej of travel the arm stops. Poses are those of the
+# nozzle in the part frame, `part`, which stands in the controller's base frame: a part that was moved needs that one line
+# changed.
 
 MARK = "#"  # begins a comment
 SLEEP = "sleep({:.3f})"
@@ -113,7 +114,7 @@ def script_names(plan: Plan, count: int) -> list[str]:
 def write(plan: Plan) -> dict[str, str]:
     """File name → program of a verified plan (ASCII, m, rad). ValueError if it is not, or has no form in URScript."""
     require_writable(plan, unsupported_in_urscript(plan))
-    moves = plan_moves(plan)
+    moves = plan_moves(plan, arcs=True)
     programs = _programs(plan, moves)
     names = script_names(plan, len(programs))
     return {f"{name}.script": _program(plan, moves, k, names, programs[k]) for k, name in enumerate(names)}
@@ -245,15 +246,20 @@ def _moves(plan: Plan, moves: Moves, pace: MoveAccelerations) -> list[str]:
     t = plan.trajectory
     k = moves.sample
     targets = np.column_stack([moves.targets.position[1:], rotation_vectors(moves.targets.quat[1:])])
+    vias = np.round(np.column_stack([moves.via.position, rotation_vectors(moves.via.quat)]), LENGTH) + 0.0
     rows = np.where(moves.linear[:, None], np.round(targets, LENGTH), np.round(t.q[k, :6], ANGLE)) + 0.0
     six = ", ".join([f"%.{LENGTH}f"] * 6)
-    speeds = np.where(moves.linear, np.maximum(np.round(moves.speed, SPEED), 10.0**-SPEED), pace.speed).tolist()
+    speeds = np.where(moves.linear, stepped_speeds(moves, 10.0**-SPEED), pace.speed).tolist()
     radii = radii_of(plan, moves).tolist()
     out = []
-    for row, linear, v, r in zip(rows.tolist(), moves.linear.tolist(), speeds, radii, strict=True):
-        what = f"movep(pose_trans(part, p[{six}])" if linear else f"movej([{six}]"
-        a = pace.tip if linear else pace.joint
-        out.append(f"    {what % tuple(row)}, a={a:.1f}, v={v:.{SPEED}f}, r={number(r, LENGTH) if r else 0})")
+    for row, via, linear, circular, v, r in zip(
+        rows.tolist(), vias.tolist(), moves.linear.tolist(), moves.circular.tolist(), speeds, radii, strict=True
+    ):
+        target = (f"pose_trans(part, p[{six}])" if linear else f"[{six}]") % tuple(row)
+        middle = f"pose_trans(part, p[{six}]), " % tuple(via) if circular else ""
+        word = "movec" if circular else "movep" if linear else "movej"
+        how = f"a={pace.tip if linear else pace.joint:.1f}, v={v:.{SPEED}f}, r={number(r, LENGTH) if r else 0}"
+        out.append(f"    {word}({middle}{target}, {how}{', mode=0' if circular else ''})")
     return out
 
 
@@ -272,6 +278,7 @@ GRAMMAR = Grammar.of(
     MARK,
     {
         "movep": rf"movep\(pose_trans\(part, p\[{SIX}\]\), {HOW}\)",
+        "movec": rf"movec\(pose_trans\(part, p\[{SIX}\]\), pose_trans\(part, p\[{SIX}\]\), {HOW}, mode=0\)",
         "movej": rf"movej\(\[{SIX}\], {HOW}\)",
         "output": r"set_standard_digital_out\(([0-7]), (True|False)\)",
         "wait": rf"sleep\(({NUMBER})\)",
@@ -309,7 +316,7 @@ def read_urscript(text: str, forward: Forward) -> Script:
     switched: list[tuple[int, str, bool]] = []
     for statement in inlined(bodies, title, "function"):
         at, first = len(moves) - 1, statement.parts[0]
-        if statement.word in ("movep", "movej"):
+        if statement.word in ("movep", "movec", "movej"):
             moves.append(statement)
         elif statement.word == "output":
             value = statement.parts[1] == "True"
@@ -323,12 +330,13 @@ def read_urscript(text: str, forward: Forward) -> Script:
     if len(moves) < 2 or moves[0].word != "movej":
         raise InputError("it does not begin with a movej, and go on", file=GRAMMAR.file)
     m = len(moves)
-    rows = np.array([_six(move) for move in moves])
-    how = np.array([[float(value) for value in move.parts[1:]] for move in moves])
+    rows = np.array([_six(move.parts[-4]) for move in moves])
+    arcs = np.array([_six(move.parts[0])[:3] if move.word == "movec" else [np.nan] * 3 for move in moves])
+    how = np.array([[float(value) for value in move.parts[-3:]] for move in moves])
     for move, (a, v, r) in zip(moves, how.tolist(), strict=True):
         if a <= 0.0 or v <= 0.0 or r < 0.0:
             raise move.error("acceleration and speed must be positive, the blend not negative")
-    linear = np.array([move.word == "movep" for move in moves])
+    linear = np.array([move.word != "movej" for move in moves])
     poses = forward(rows[~linear])
     position, quat = np.empty((m, 3)), np.empty((m, 4))
     position[linear], quat[linear] = rows[linear, :3], quaternions(rows[linear, 3:])
@@ -350,6 +358,7 @@ def read_urscript(text: str, forward: Forward) -> Script:
         speed=np.column_stack([np.where(linear, how[:, 1], np.nan), np.full((m, 3), np.nan)]),
         wait=np.array([waits.get(i, 0.0) for i in range(m)]),
         triggers=switch_triggers(switched, m),
+        arcs=arcs,
     )
     return Script(program, np.where(linear[:, None], np.nan, rows), how[:, :2])
 
@@ -368,15 +377,15 @@ def joined(first: Script, then: Script) -> Script:
     later = len(a.linear) - 1
     wait = a.wait.copy()
     wait[-1] += b.wait[0]
-    row_wise = ("linear", "fine", "position", "quat", "conf", "external", "zone", "speed")
+    row_wise = ("linear", "fine", "position", "quat", "conf", "external", "zone", "speed", "arcs")
     rows: dict[str, Any] = {name: np.concatenate([getattr(a, name), getattr(b, name)[1:]]) for name in row_wise}
     triggers = a.triggers | {move + later: group for move, group in b.triggers.items()}
     program = replace(a, **rows, wait=np.concatenate([wait, b.wait[1:]]), triggers=triggers)
     return Script(program, np.concatenate([first.joints, then.joints[1:]]), np.concatenate([first.pace, then.pace[1:]]))
 
 
-def _six(statement: Statement) -> list[float]:
-    return [float(value) for value in statement.parts[0].split(", ")]
+def _six(text: str) -> list[float]:
+    return [float(value) for value in text.split(", ")]
 
 
 def _function_bodies(text: str) -> tuple[str, dict[str, list[Statement]], dict[str, Array]]:
@@ -399,7 +408,7 @@ def _function_bodies(text: str) -> tuple[str, dict[str, list[Statement]], dict[s
         elif word in ("tool", "part"):
             if word in frames or len(open_) > 1:
                 raise statement.error(f"the {word} stands there twice, or in a function")
-            frames[word] = np.array(_six(statement))
+            frames[word] = np.array(_six(statement.parts[0]))
         else:
             bodies[open_[-1]].append(statement)
     if open_ or not bodies or len(frames) != 2:
@@ -427,7 +436,7 @@ def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     T_world_part = world_controller(plan.cell) @ T_controller_part
     uframe = np.concatenate([T_world_part[:3, 3], from_matrix(T_world_part[None, :3, :3])[0]])
     program = replace(program, uframe=uframe, joints=script.joints)
-    moves = plan_moves(plan)
+    moves = plan_moves(plan, arcs=True)
     return [
         *played_differences(plan, moves, program),
         *blend_differences(plan, program),
@@ -454,7 +463,9 @@ def _joint_moves(plan: Plan, moves: Moves, script: Script) -> list[str]:
     for words, chosen, planned in (("tip", ~joint, pace.tip), ("joint", joint, pace.joint)):
         if np.abs(script.pace[chosen, 0] - planned).max(initial=0.0) > 0.051:
             found.append(f"acceleration of a {words} differs from {planned:.1f}")
-    lines = np.maximum(np.round(moves.speed[moves.linear], SPEED), 10.0**-SPEED)
+    if not np.array_equal(script.program.circular[1:], moves.circular):
+        return [*found, "moves are not of the planned kinds"]
+    lines = stepped_speeds(moves, 10.0**-SPEED)[moves.linear]
     if len(lines) != np.count_nonzero(~joint) or np.abs(script.pace[~joint, 1] - lines).max() > 0.5 * 10.0**-SPEED:
         found.append("speeds of linear moves are not the planned ones")
     planned_speed = np.concatenate([pace.speed[:1], pace.speed[~moves.linear]])

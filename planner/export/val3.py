@@ -20,6 +20,7 @@ from planner.export.arms import (
     percent,
     read_arm,
     signed,
+    stepped_speeds,
 )
 from planner.export.euler import from_turning_xyz, turning_xyz, written
 from planner.export.fit import to_matrix
@@ -54,7 +55,7 @@ MOST_MOVES = 2000  # of a program and its arrays, of at most 9,999
 MARK = "//"
 WAIT = "waitEndMove()\ndelay({:.3f})"
 MM, DEGREES = 3, 4  # decimals
-SPEED = 1  # decimals of mm/s
+SPEED = 2  # decimals of mm/s
 # Radii of blends [mm]: a dozen in each decade, so that few descriptors are needed
 LEVELS = np.round(
     np.outer(10.0 ** np.arange(-3, 3), (1, 1.2, 1.5, 1.8, 2.2, 2.7, 3.3, 3.9, 4.7, 5.6, 6.8, 8.2)).ravel(), 3
@@ -93,7 +94,7 @@ def val3_name(name: str) -> str:
 def write(plan: Plan) -> dict[str, str]:
     """Files of a verified plan (ASCII, mm, degrees); ValueError if it is not, or has no form in VAL3."""
     require_writable(plan, unsupported_in_val3(plan))
-    name, moves = val3_name(plan.name), plan_moves(plan)
+    name, moves = val3_name(plan.name), plan_moves(plan, arcs=True)
     own = in_files(sections(plan, moves), MOST_MOVES)
     paces, switches = _paces(plan, moves), _Switches(plan, moves)
     parts = {f"part{k}": _part(moves, k, group, paces, switches) for k, group in enumerate(own, 1)}
@@ -120,7 +121,14 @@ def write(plan: Plan) -> dict[str, str]:
 
 def planned_speeds(moves: Moves) -> Array:
     """Speed (m) [m/s] that each line is written with."""
-    out: Array = np.maximum(np.round(moves.speed * 1e3, SPEED), 10.0**-SPEED) * 1e-3
+    return stepped_speeds(moves, 1e-3 * 10.0**-SPEED)
+
+
+def planned_zones(plan: Plan, moves: Moves) -> Array:
+    """Radius (m) [m] of the blend at the end of each move, the next smaller of LEVELS; 0 where it stops."""
+    radii = move_radii(plan, moves)
+    below = np.maximum(np.searchsorted(LEVELS, radii * 1e3 * (1.0 + 1e-9), side="right") - 1, 0)
+    out: Array = np.where(radii > 0.0, LEVELS[below] * 1e-3, 0.0)
     return out
 
 
@@ -178,10 +186,10 @@ def _joints(axes: Array) -> list[str]:
     return [form % tuple(row) for row in (np.round(np.degrees(axes), DEGREES) + 0.0).tolist()]
 
 
-def _points(moves: Moves) -> list[str]:
-    """Targets of all moves, as if each were a line."""
-    r = written(turning_xyz(to_matrix(moves.targets.quat[1:])), DEGREES)
-    rows = np.column_stack([np.round(moves.targets.position[1:] * 1e3, MM) + 0.0, r])
+def _points(position: Array, quat: Array) -> list[str]:
+    """Poses as lines and arcs have them."""
+    r = written(turning_xyz(to_matrix(quat)), DEGREES)
+    rows = np.column_stack([np.round(position * 1e3, MM) + 0.0, r])
     form = " ".join(f'{n}="%.{MM}f"' for n in "xyz") + " " + " ".join(f'r{n}="%.{DEGREES}f"' for n in "xyz")
     form += ' shoulder="ssame" elbow="esame" wrist="wsame" fatherId="fPart[0]"'
     return [form % tuple(row) for row in rows.tolist()]
@@ -190,7 +198,11 @@ def _points(moves: Moves) -> list[str]:
 def _data(plan: Plan, moves: Moves, own: list[list[MoveSection]], paces: Paces, switches: _Switches) -> str:
     cell = plan.cell
     joints = _joints(STAUBLI.counted(plan.trajectory.q[moves.sample][:, cell.own]))
-    points = _points(moves)
+    ends, vias = (
+        _points(moves.targets.position[1:], moves.targets.quat[1:]),
+        _points(moves.via.position, moves.via.quat),
+    )
+    points = [[via, end] if arc else [end] for arc, via, end in zip(moves.circular.tolist(), vias, ends, strict=True)]
     blocks = [
         _array("tNozzle", "tool", [_frame(STAUBLI.tool(cell), "flange")]),
         _array("fPart", "frame", [_frame(STAUBLI.part(cell), "world")]),
@@ -205,26 +217,26 @@ def _data(plan: Plan, moves: Moves, own: list[list[MoveSection]], paces: Paces, 
     for k, group in enumerate(own, 1):
         rows = [i for section in group for i in section.moves]
         blocks.append(_array(f"jPath{k}", "jointRx", [joints[i] for i in rows if not moves.linear[i]] or joints[:1]))
-        blocks.append(_array(f"pPath{k}", "pointRx", [points[i] for i in rows if moves.linear[i]] or points[:1]))
+        blocks.append(
+            _array(f"pPath{k}", "pointRx", [each for i in rows if moves.linear[i] for each in points[i]] or ends[:1])
+        )
     lines = [XML, ABOUT.format("data"), f'<Database {XSI} xmlns="{SPACE}/Data/2">', "  <Datas>"]
     lines += [line for block in blocks for line in block]
     return "\n".join([*lines, "  </Datas>", "</Database>", ""])
 
 
 def _paces(plan: Plan, moves: Moves) -> Paces:
-    radii = move_radii(plan, moves) * 1e3 * (1.0 + 1e-9)
-    blends = LEVELS[np.maximum(np.searchsorted(LEVELS, radii, side="right") - 1, 0)]
+    blends = planned_zones(plan, moves) * 1e3
     numbers: dict[str, int] = {_pace(percent(plan, moves)[0], UNBOUND, "off", 0.0): 0}  # to the start
     found = []
-    for linear, speed, share, radius, blend in zip(
+    for linear, speed, share, blend in zip(
         moves.linear.tolist(),
         (planned_speeds(moves) * 1e3).tolist(),
         percent(plan, moves),
-        radii.tolist(),
         blends.tolist(),
         strict=True,
     ):
-        kind = "off" if radius == 0.0 else "Cartesian" if linear else "Joint"
+        kind = "off" if blend == 0.0 else "Cartesian" if linear else "Joint"
         said = _pace(100, speed, kind, blend) if linear else _pace(share, UNBOUND, kind, blend)
         found.append(numbers.setdefault(said, len(numbers)))
     return Paces(found, list(numbers))
@@ -265,9 +277,12 @@ def _part(moves: Moves, k: int, own: list[MoveSection], paces: Paces, switches: 
         lines += [ascii_comment(MARK, section.about, 2)] if section.about else []
         for i in section.moves:
             linear = bool(moves.linear[i])
-            target = f"{'p' if linear else 'j'}Path{k}[{counts[linear]}]"
-            counts[linear] += 1
-            move = f"move{'l' if linear else 'j'}({target},tNozzle,mPace[{paces.of_move[i]}])"
+            taken = 2 if moves.circular[i] else 1
+            keys = range(counts[linear], counts[linear] + taken)
+            counts[linear] += taken
+            target = ",".join(f"{'p' if linear else 'j'}Path{k}[{key}]" for key in keys)
+            word = "c" if moves.circular[i] else "l" if linear else "j"
+            move = f"move{word}({target},tNozzle,mPace[{paces.of_move[i]}])"
             lines += _move(switches.after.get(i, []), move)
             lines += _lines(resting(moves.waits.get(i, ()), MARK, WAIT, 0))
     return lines
@@ -308,6 +323,7 @@ CODE = Grammar.of(
     "VAL3",
     MARK,
     {
+        "arc": r"(?:nAt\[([0-9]{1,6})\]=)?movec\(p(Path[0-9]{1,4})\[([0-9]{1,5})\],p" + MOVE,
         "line": r"(?:nAt\[([0-9]{1,6})\]=)?movel\(p" + MOVE,
         "point": r"(?:nAt\[([0-9]{1,6})\]=)?movej\(j" + MOVE,
         "also": r"nAt\[([0-9]{1,6})\]=nAt\[([0-9]{1,6})\]",
@@ -337,10 +353,13 @@ def read_val3(files: Mapping[str, str], name: str, plan: Plan) -> ArmProgram:
     bodies = {each: list(_code(files[f"{each}.pgx"], each)) for each in programs if each not in TASK[1:]}
     outputs = [value for (value,) in arrays["dOut"]]
     given: dict[int, int] = {}  # row of the table of switches → move after which it is
-    steps, tasks = Steps(), []
+    steps, tasks, before = Steps(), [], ""
     for statement in inlined(bodies, "start", "program"):
         word, parts = statement.word, statement.parts
-        if word in ("line", "point"):
+        if word in ("wait", "killed") and before != "rest":
+            raise statement.misplaced("before the arm has come to rest")
+        before = word
+        if word in ("line", "arc", "point"):
             steps.moves.append(_step(statement, arrays))
             if parts[0]:
                 given[int(parts[0])] = len(steps.moves) - 1
@@ -368,10 +387,13 @@ def read_val3(files: Mapping[str, str], name: str, plan: Plan) -> ArmProgram:
 
 
 def _step(statement: Statement, arrays: Arrays) -> Step:
-    _, path, key, pace = statement.parts
-    linear = statement.word == "line"
+    path, key, pace = statement.parts[-3:]
+    linear = statement.word != "point"
     values = arrays.get(f"{'p' if linear else 'j'}{path}", [])
-    target = values[_at(statement, key, values)]
+    target, via = values[_at(statement, key, values)], None
+    if statement.word == "arc":
+        there = arrays.get(f"p{statement.parts[1]}", [])
+        via = _pose(there[_at(statement, statement.parts[2], there)])[:3]
     vel, tmax, blend, radius = arrays["mPace"][_at(statement, pace, arrays["mPace"])]
     fine = blend == "off"
     if not fine and (blend == "Cartesian") != linear:
@@ -379,7 +401,7 @@ def _step(statement: Statement, arrays: Arrays) -> Step:
     numbers = np.array([float(value) for value in target])
     if not linear:
         return Step(False, fine, np.radians(numbers), float(vel), 1e-3 * float(radius))
-    return Step(True, fine, _pose(target), 1e-3 * float(tmax), 1e-3 * float(radius))
+    return Step(True, fine, _pose(target), 1e-3 * float(tmax), 1e-3 * float(radius), via=via)
 
 
 def _at(statement: Statement, key: str, values: Sequence[object]) -> int:
@@ -449,5 +471,6 @@ def _arrays(text: str) -> Arrays:
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """Differences of the files from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
     read = read_val3(files, val3_name(plan.name), plan)
-    moves = plan_moves(plan)
-    return arm_differences(plan, moves, read, STAUBLI, np.radians(0.51 * 10.0**-DEGREES), planned_speeds(moves))
+    moves = plan_moves(plan, arcs=True)
+    rounding, speeds = np.radians(0.51 * 10.0**-DEGREES), planned_speeds(moves)
+    return arm_differences(plan, moves, read, STAUBLI, rounding, speeds, zones=planned_zones(plan, moves))
