@@ -35,6 +35,7 @@ NUMBER = r"-?[0-9]+(?:\.[0-9]+)?(?:E[0-9]+)?"
 _NUMBER = re.compile(NUMBER)
 NAME = r"[A-Za-z][A-Za-z0-9_]{0,31}"
 NEST = r"\[[-0-9.,E\[\]]*\]"
+NEST_TARGET = r"\[\[[-0-9.,E]*(?:\],\[[-0-9.,E]*)*\]\]"  # ends where another one begins, whatever is in it
 NEST_ZONE = r"\[FALSE(?:,[0-9.]+){6}\]"
 POSE = r"\[\[[-0-9.,E]*\],\[[-0-9.,E]*\]\]"
 MOST_TRIGGERS = 8  # ABB, RAPID reference, TriggL: T1 to T8
@@ -61,7 +62,7 @@ GRAMMAR = Grammar.of(
         "proc": rf"PROC ({NAME})\(\)",
         "demand": rf"TriggIO ({NAME}),({NUMBER})(\\Start)?\\AOp:=({NAME}),({NUMBER});",
         "absolute": rf"MoveAbsJ ({NEST}),({NAME}),fine,({NAME})\\WObj:=({NAME});",
-        MISSHAPEN: _MOVE.replace("{target}", NEST),
+        MISSHAPEN: _MOVE.replace("{target}", NEST_TARGET),
         "wait": rf"WaitTime ({NUMBER});",
         "unit": rf"(ActUnit|DeactUnit) ({NAME});",
         "output": rf"SetDO ({NAME}),([01]);",
