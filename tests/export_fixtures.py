@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from planner.cell.cell import Cell, build_cell
 from planner.export import fanuc, inform, kawasaki, krl, urscript, val3
+from planner.export.arcs import segments
 from planner.export.axes.gcode import axes_gcode, file_name
 from planner.export.extruder import gcode
 from planner.export.fit import from_matrix, lerp, slerp
@@ -297,9 +298,7 @@ def demand_plan(**program: Any) -> Plan:
 
 def in_modules(plan: Plan, moves: int) -> Plan:
     """The plan with a program in modules of so many moves, fewer than a problem may ask for."""
-    spec = SimpleNamespace(**vars(plan.problem))
-    spec.program = spec.program.model_copy(update={"module_moves": moves})
-    return replace(plan, problem=spec)
+    return written_with(plan, module_moves=moves)
 
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -358,15 +357,23 @@ def axes_texts() -> dict[str, str]:
     return found
 
 
+def written_with(plan: Plan, **program: Any) -> Plan:
+    """The plan with other settings of the program, which the motion does not know."""
+    spec = SimpleNamespace(**vars(plan.problem))
+    spec.program = spec.program.model_copy(update=program)
+    return replace(plan, problem=spec)  # type: ignore[arg-type]
+
+
 def executed_beads(program: RobotProgram, step: float = 0.5e-3) -> list[tuple[Array, ...]]:
     """Position (k, 3) [m], orientation (k, 4) and external axes (k, 6), at most `step` [m] apart, of each stretch with the extruder on."""
     out = []
     for piece in (piece for on, piece in pieces_of(program) if on):
-        parts = np.maximum(1, np.ceil(np.linalg.norm(np.diff(piece.position, axis=0), axis=1) / step)).astype(np.intp)
+        ways = segments(piece.position[:-1], piece.via, piece.position[1:], piece.circular)
+        parts = np.maximum(1, np.ceil(ways.length / step)).astype(np.intp)
         a = np.append(np.repeat(np.arange(len(parts)), parts), len(parts) - 1)
         u = np.append((np.arange(len(a) - 1) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[a[:-1]], 1.0)
         quat = slerp(piece.quat[a], piece.quat[a + 1], u)
-        out.append((lerp(piece.position, a, a + 1, u), quat, lerp(piece.external, a, a + 1, u)))
+        out.append((ways.take(a).at(u), quat, lerp(piece.external, a, a + 1, u)))
     return out
 
 
