@@ -347,7 +347,8 @@ def zones_of(plan: Plan, moves: Moves) -> list[str]:
     keeps within its tolerance, and else the largest that does.
 
     Zones that meet leave no trace of the corner in the speed, and a controller cuts those to half of a move that reach
-    beyond (measured on an IRB 6640: z1 among lines of 11 mm costs a third of the speed).
+    beyond (measured on an IRB 6640: z1 among lines of 11 mm costs a third of the speed). Between a joint move and a line
+    at most z0: a joint move does not end in the direction of its chord, and a bead may begin or end there.
     """
     reach, bend = corners(moves.segments)
     half, bend = 0.5 * reach[1:], bend[1:]
@@ -357,6 +358,8 @@ def zones_of(plan: Plan, moves: Moves) -> list[str]:
     within = np.maximum(np.searchsorted(sizes, most, side="right") - 1, 0)
     usual = np.maximum(np.where(half <= most, covering, np.minimum(within, covering)), 0)
     usual = np.where((names.index("z0") > usual) & (most >= np.minimum(half, ZONES["z0"])), names.index("z0"), usual)
+    mixed = np.append(moves.linear[1:], moves.linear[-1]) != moves.linear
+    usual = np.where(mixed, np.minimum(usual, names.index("z0")), usual)
     return ["fine" if fine else names[k] for fine, k in zip(moves.fine.tolist(), usual.tolist(), strict=True)]
 
 
