@@ -34,11 +34,12 @@ from planner.export.extruder import gcode
 from planner.export.fit import angle, by_samples, continuous, fewest, from_matrix, slerp, thin, to_matrix
 from planner.export.grammar import Statement
 from planner.export.plan_json import plan_json
+from planner.export.player.play import play
 from planner.export.rapid import writer
 from planner.export.rapid.reader import NUMBER, numbers, read_rapid
 from planner.export.rapid.text import comment, module_name
 from planner.export.rapid.writer import rapid, rapid_files
-from planner.export.readback import compare
+from planner.export.readback import compare, judge
 from planner.export.tables import write_table
 from planner.export.text import number
 from planner.export.write import write_plan, write_robot_code, write_trajectory
@@ -304,6 +305,14 @@ def test_without_run_in_the_extruder_goes_on_at_the_start_of_the_bead():
     text = rapid(replace(plan, problem=spec))
     moves = moves_of(text)
     assert [move.trigger for move in moves if move.trigger] == ["trgOnStart", "trgOff"] * 2
+    # joint moves come and go there, in directions that are not those of their chords
+    ends = [
+        zone for a, b in itertools.pairwise(moves) if (a.word == "MoveJ") != (b.word == "MoveJ") for zone in [a.zone]
+    ]
+    assert len(ends) == 4 and set(ends) <= {"zon0_1", "z0", "fine"}
+    played = read_rapid(text)
+    found = judge(plan, played, play(played, plan.cell))
+    assert found.corner < 0.05e-3 and found.differences() == []
     assert compare(plan, read_rapid(text)).differences() == []
 
 
