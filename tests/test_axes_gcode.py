@@ -387,7 +387,8 @@ def test_a_spiral_to_the_pole_is_printed_as_planned(name: str) -> None:
         wanted = t.axis[b - 1] + share * (t.axis[b] - t.axis[b - 1])
         angle = np.linalg.norm(wanted - directions[inside], axis=1)
         off, lean = np.where(gap < off, gap, off), np.where(gap < off, angle, lean)
-    assert off.max() < 0.05e-3 and lean.max() < np.radians(0.1)
+    # between samples the tip may leave its chord by a little more than at them
+    assert off.max() < plan.problem.program.chord + 0.01e-3 and lean.max() < np.radians(0.1)
     assert times[-1] <= t.t[-1] + 2e-3
     for at in (begin, end):
         assert np.interp(at, times, filament) == pytest.approx(np.interp(at, t.t, t.feed) * 1e3, abs=0.02)
@@ -414,7 +415,7 @@ def test_modes_come_first_and_a_program_says_what_it_is_for() -> None:
     assert [line.split()[0] for line in lines[3:6]] == ["G0"] * 3
     assert lines[-2:] == ["G94", "M400"]
     lines = [line for line in written("fork")[1].splitlines() if not line.startswith(";")]
-    assert lines[:4] == ["G17 G21 G40 G49 G80 G90", "G64 P0.0200", "G92 W0", "M428"] and "G93" in lines
+    assert lines[:4] == ["G17 G21 G40 G49 G80 G90", "G64 P0.0500", "G92 W0", "M428"] and "G93" in lines
     assert lines[-3:] == ["G94", "M429", "M2"]
 
 

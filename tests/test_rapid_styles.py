@@ -61,7 +61,8 @@ def test_the_flow_is_asked_for_where_it_is_laid(run_in):
         (r"aoDemand,6\.0000", "aoDemand,5.0000", "off by"),
         (r"(trgOff)\\T2:=trgFlow000", r"\1\\T2:=trgFlow100", "outside of beads"),
         (r"(trgOn)\\T2:=trgFlow100", r"\1", "off by"),
-        (r"TriggL (.*),trgFlow055,z0", r"MoveL \1,z0", "off by"),
+        (r"TriggC (.*),trgFlow044,z1", r"MoveC \1,z1", "off by"),
+        (r"(TriggL .*),trgFlow095,", r"\1,trgFlow099,", "off by"),
     ],
 )
 def test_another_flow_is_found(pattern, new, difference):
@@ -98,7 +99,8 @@ def test_modules_say_what_one_module_says(style):
     assert len([name for name in files if name.endswith(".mod")]) > 5
     assert files["TwoBeads.pgf"] == rapid_files(plan)["TwoBeads.pgf"]
     parts = read_rapid_files(files)
-    for name in ("position", "quat", "conf", "external", "linear", "speed", "wait", "fine"):
+    assert whole.circular.any()
+    for name in ("position", "via", "quat", "conf", "external", "linear", "circular", "speed", "wait", "fine"):
         np.testing.assert_array_equal(getattr(whole, name), getattr(parts, name))
     assert (whole.triggers, whole.sends, whole.demands) == (parts.triggers, parts.sends, parts.demands)
 
@@ -109,11 +111,12 @@ def test_a_foreign_parser_accepts_modules_and_demands(monkeypatch):
     monkeypatch.setattr(config.CONFIG, "indentation_size", 4)
     check = pytest.importorskip("rapidchecker.check")
     whitespace = pytest.importorskip("rapidchecker.whitespace_checks")
-    files = rapid_files(in_modules(demand_plan(), 12))
-    text = "\n".join(files["AskedBead.mod"].split("\n"))
-    for each in (text, "\n".join(re.sub(r"(.*MoveL .*\n)+", r"\1", files["AskedBead_1.mod"]).split("\n"))):
-        assert check.check_format(each) == []
-        assert whitespace.check_whitespace(each) == []
+    files = rapid_files(in_modules(demand_plan(), 4))
+    modules = [text for name, text in files.items() if name.endswith(".mod")]
+    assert len(modules) == 4 and any("TriggC " in text and "trgOn\\T2:=" in text for text in modules)
+    for text in modules:
+        assert check.check_format(text) == []
+        assert whitespace.check_whitespace(text) == []
 
 
 def procedure(name, moves, rests):
@@ -154,12 +157,18 @@ def test_modules_end_where_the_robot_rests():
         ("OneBead.mod", "        RAISE;\n", "", "other errors"),
         ("OneBead_1.mod", "PROC Bead0001Part1", "PROC Start", "twice"),
         ("OneBead_1.mod", "MODULE OneBead_1", "MODULE OneBead_1\n    CONST speeddata vel1:=[1,1,1,1];", "nothing else"),
-        ("OneBead_1.mod", "vel41,z0", "vel777,z0", "unknown name"),
+        (
+            "OneBead_1.mod",
+            "MODULE OneBead_1",
+            "MODULE OneBead_1\n    CONST zonedata zon0_1:=[FALSE,0.1,0.1,0.1,0.01,0.1,0.01];",
+            "nothing else",
+        ),
+        ("OneBead_1.mod", "vel42_3,z5", "vel777,z5", "unknown name"),
         ("OneBead_1.mod", "    ENDPROC", "    ENDPROC\n    ENDPROC", "outside a procedure"),
     ],
 )
 def test_reader_refuses_other_modules(file, old, new, message):
-    files = dict(rapid_files(in_modules(socket_plan(), 12)))
+    files = dict(rapid_files(in_modules(socket_plan(), 3)))
     assert old in files[file]
     files[file] = files[file].replace(old, new, 1)
     with pytest.raises(InputError, match=message) as error:
@@ -168,7 +177,7 @@ def test_reader_refuses_other_modules(file, old, new, message):
 
 
 def test_modules_are_loaded_at_rest_and_all_of_them():
-    files = rapid_files(in_modules(make_plan(), 100))
+    files = rapid_files(in_modules(make_plan(), 30))
     moved = files["TwoBeads.mod"].replace(r"        Load \Dynamic", "        SKIP", 1)
     with pytest.raises(InputError, match="unknown statement"):
         read_rapid_files(files | {"TwoBeads.mod": moved})

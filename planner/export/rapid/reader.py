@@ -270,7 +270,7 @@ class _Run:
         self.sent = 0
         self.calls: list[str] = []  # of the socket's procedures
         for module in self.others.values():
-            if module.tool or module.wobj or module.speeds or module.triggers or module.server:
+            if any((module.tool, module.wobj, module.speeds, module.zones, module.triggers, module.server)):
                 raise InputError("a module that is loaded has procedures and nothing else", file=module.file)
         known: dict[str, str] = {}
         for module in modules:
