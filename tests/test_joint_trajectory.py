@@ -165,7 +165,7 @@ def test_any_point_that_was_moved_is_found(k: int, joint: int) -> None:
         (add("positions", 40, 3, 0.002), "angle"),
         (add("velocities", 40, 3, 0.5), "velocity"),
         (add("accelerations", 40, 3, 20.0), "acceleration"),
-        (lambda data: data["points"].pop(40), "acceleration"),
+        (lambda data: data["points"].pop(39), "acceleration"),
         (lambda data: data["points"].pop(), "it takes"),
         (
             lambda data: data["points"][40]["time_from_start"].update(
