@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -33,6 +33,7 @@ from planner.simulate.board_file import FileBoard, Output, Printed, print_file
 
 SLOWER = 1.05  # times as long as planned
 ACCELERATION = 1500.0  # mm/s^2
+JOINS, RESTS = FileBoard(), FileBoard("reprap", ACCELERATION)
 _BEAD = re.compile(r"; bead ([0-9]+), layer [0-9]+")
 
 
@@ -41,12 +42,11 @@ class Case:
     """A file, the board that prints it, and how many times as long as planned the robot takes."""
 
     words: str
-    spec: dict[str, object]
-    board: FileBoard = FileBoard()
+    spec: Mapping[str, object]
+    board: FileBoard = JOINS
     slower: float = 1.0
 
 
-RESTS = FileBoard("reprap", ACCELERATION)
 _FREE, _TOLD = {"sync": "free"}, {"rests": True, "acceleration_mm_s2": ACCELERATION}
 CASES = (
     Case("free", _FREE),

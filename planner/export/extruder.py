@@ -14,7 +14,7 @@ from planner.base.arrays import Indices
 from planner.base.errors import InputError
 from planner.export.board import DONE, FIRMWARES, GRACE, SELECTS, lasts, rate_for, repeat, select, wait_for
 from planner.export.grammar import Grammar, Statement
-from planner.export.in_step import NEAR, Stretch, early, fed_within, stretches
+from planner.export.in_step import NEAR, Stretch, early, fed_within, laid_filament, stretches
 from planner.plan.plan import SELECTS as SELECTING
 from planner.plan.plan import materials_of, used
 
@@ -127,10 +127,9 @@ BLOCK_S = 0.02  # shortest command [s]: a board that is fed faster than 50 lines
 FLOW_STEP = 0.01  # blocks whose flow is equal to this share of the largest flow become one command
 NOTHING = -1  # label of what belongs neither to a bead nor to an event
 FIRST_EVENT = -2  # label of the first event; those of later ones count down
-SLOWER = (
-    0.1  # share of a bead's time for which it is laid on after its planned end, at most: the robot may have stopped
-)
-FEWEST = 3  # repetitions of a bead's last block, at least
+TAIL_S = 0.01  # block that is repeated where the robot is late [s]: by so much, and some lines, a bead ends behind it
+SLOWER = 0.1  # share of a bead's time by which it may last longer than planned: the robot may have stopped
+FEWEST = 10  # repetitions of a bead's last block that are allowed at least
 AMOUNT_DIGITS, RATE_DIGITS = 5, 3  # of E [mm] and F [mm/min]
 ORDER = "order"
 
@@ -275,9 +274,9 @@ def _in_step(plan: Plan, parts: Sequence[Part], found: Sequence[Stretch]) -> tup
         waiting = [part for part in waiting if part not in before and part not in within]
         said, _ = _said(board, [_earlier(plan, part, now) for part in before], now)
         lines += [*said, wait_for(board.firmware, stretch.number, True)]
-        lines += _within(plan, within, stretch)
-        lines.append(wait_for(board.firmware, stretch.number, False))
-        now = stretch.off
+        said, now = _within(plan, within, stretch)
+        lines += [*said, wait_for(board.firmware, stretch.number, False)]
+        now = max(now, stretch.off)
     said, now = _said(board, waiting, now)
     return lines + said, now
 
@@ -298,8 +297,8 @@ def _earlier(plan: Plan, part: Part, since: float) -> Part:
     return part._replace(start=part.start - by, end=part.end - by)
 
 
-def _within(plan: Plan, parts: Sequence[Part], stretch: Stretch) -> list[str]:
-    """Lines of a stretch, from its beginning on."""
+def _within(plan: Plan, parts: Sequence[Part], stretch: Stretch) -> tuple[list[str], float]:
+    """Lines of a stretch, from its beginning on, and when they are over by the plan's time [s]."""
     board, dt = plan.problem.program.board, plan.trajectory.dt
     firmware, own = FIRMWARES[board.firmware], _clipped(parts, stretch, dt)
     if len(own) < firmware.least:
@@ -314,25 +313,37 @@ def _within(plan: Plan, parts: Sequence[Part], stretch: Stretch) -> list[str]:
         and abs(last.end - stretch.off) <= 1.5 * dt
     )
     if not follows or last is None:
-        return _said(board, own, stretch.on)[0]
+        return _said(board, own, stretch.on)
     own, last = _last_block(own)
     said, now = _said(board, own, stretch.on)
     lines = [*said, *_pause(last.start - now), *([f"; {last.about}"] if last.about else []), DONE]
     most = max(FEWEST, round(SLOWER * (stretch.off - stretch.on) / (last.end - last.start)))
-    return [*lines, repeat(stretch.number, most), *(f"  {line}" for line in (_extruded(board, last)[0], DONE))]
+    repeated = (f"  {line}" for line in (_extruded(board, last)[0], DONE))
+    return [*lines, repeat(stretch.number, most), *repeated], stretch.off
 
 
 def _last_block(parts: Sequence[Part]) -> tuple[list[Part], Part]:
-    """Parts but for a block at the end of the last ones, and that block: half as long again at most, if there is enough."""
+    """Parts but for a block at the end of the last ones, and that block: TAIL_S long, or a little longer."""
     *own, last = parts
-    while own and last.end - last.start < BLOCK_S and own[-1].kind == "" and last.start - own[-1].end < 1e-9:
-        before = own.pop()
-        last = last._replace(start=before.start, filament=before.filament + last.filament, about=before.about)
-    if last.end - last.start > 1.5 * BLOCK_S:
-        first = _share(last, 0.0, 1.0 - BLOCK_S / (last.end - last.start))
-        own.append(first)
+    while own and last.end - last.start < TAIL_S and _joined(own[-1], last):
+        last = _both(own.pop(), last)
+    if last.end - last.start > 1.2 * TAIL_S:
+        first = _share(last, 0.0, 1.0 - TAIL_S / (last.end - last.start))
         last = last._replace(start=first.end, filament=last.filament - first.filament, about="")
+        if own and first.end - first.start < TAIL_S and _joined(own[-1], first):
+            first = _both(own.pop(), first)
+        own.append(first)
     return own, last
+
+
+def _joined(part: Part, following: Part) -> bool:
+    """Whether both are a bead's, and one follows the other at once."""
+    return not part.kind and not following.kind and following.start - part.end < 1e-9
+
+
+def _both(part: Part, following: Part) -> Part:
+    """Two parts as one, evenly."""
+    return part._replace(end=following.end, filament=part.filament + following.filament)
 
 
 def _clipped(parts: Sequence[Part], stretch: Stretch, dt: float) -> list[Part]:
@@ -600,16 +611,18 @@ def _out_of_step(plan: Plan, planned: Sequence[Stretch], steps: Sequence[Step]) 
     found, within = [], fed_within(plan, tuple(planned))
     near = LATE + t.dt + (RAMPS if board.from_rest else 0.0)
     behind = NEAR if plan.problem.process.extruder.lag > 0.0 else 0.0
+    # primes and retracts carry what a bead lays in the sample that they share with it
+    shared = AMOUNT + 2.0 * float(np.abs(np.diff(laid_filament(t))).max(initial=0.0))
     for k, each in enumerate(planned):
         on, off = steps[2 * k], steps[2 * k + 1]
         if on.ready > each.on + near:
             found.append(f"the board is {on.ready - each.on:.3g} s late for the bead that begins at {each.on:.3f} s")
         if off.ready > each.off + near + behind:
             found.append(f"the bead that ends at {each.off:.3f} s is laid {off.ready - each.off:.3g} s longer")
-        if abs(off.filament - within[k]) > AMOUNT:
+        if abs(off.filament - within[k]) > shared:
             extra = (off.filament - within[k]) * 1e3
             found.append(f"the bead that begins at {each.on:.3f} s gets {extra:+.3g} mm of filament")
-        if off.longest is not None and off.longest > FEWEST * 1.5 * BLOCK_S + 1.1 * SLOWER * (each.off - each.on):
+        if off.longest is not None and off.longest > FEWEST * 1.5 * TAIL_S + 1.1 * SLOWER * (each.off - each.on):
             found.append(f"the bead that ends at {each.off:.3f} s is laid on for too long, or for another output")
     return found
 

@@ -7,9 +7,9 @@ MODULE OneBead
     !   reach: 0 mm (limit 0)
     ! 16 moves, 9 of them along beads, whose toolpath has 12 waypoints
     ! Note: 6 lines are sent at fly-by points, as early as the controller reads ahead
-    !   first bead 0, line 75 of OneBead.mod
+    !   first bead 0, line 76 of OneBead.mod
     ! Note: 2 moves on beads are slowed by accelerations of the joints, the worst to 64 % of its speed
-    !   first bead 0, line 87 of OneBead.mod
+    !   first bead 0, line 88 of OneBead.mod
 
     ! The load below is a placeholder: identify it on the robot before the first run.
     PERS tooldata tPen:=[TRUE,[[-44.510,9.900,113.950],[1.0000000,0.0000000,0.0000000,0.0000000]],[1,[0,0,50],[1,0,0,0],0,0,0]];
@@ -60,10 +60,11 @@ MODULE OneBead
         MoveJ [[-2.311,98.797,-2.950],[0.6040228,0.7333283,0.1695307,0.2620026],[0,1,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel200,fine,tPen\WObj:=wobjPart;
         ! heat
         BwLine 1,"M83";
-        BwLine 2,"M140 S60";
-        BwLine 3,"M104 S200";
-        BwLine 4,"M190 S60";
-        BwLine 5,"M109 S200";
+        BwLine 2,"T0";
+        BwLine 3,"M140 S60";
+        BwLine 4,"M104 S200";
+        BwLine 5,"M190 S60";
+        BwLine 6,"M109 S200";
         WaitTime 4.000;
         BwSettle 900;
     ENDPROC
@@ -73,24 +74,24 @@ MODULE OneBead
         MoveJ [[-1.416,45.895,28.637],[0.5616108,0.5616110,0.4296428,0.4296434],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel200,fine,tPen\WObj:=wobjPart;
         MoveL [[-1.773,44.454,29.261],[0.5520929,0.5520929,0.4418070,0.4418070],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel33,z0,tPen\WObj:=wobjPart;
         TriggL [[-2.083,42.905,30.033],[0.5416803,0.5416803,0.4545134,0.4545134],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel45,trgOn,z0,tPen\WObj:=wobjPart;
-        BwLine 6,"G1 E0.24760 F309.500";
+        BwLine 7,"G1 E0.24760 F309.500";
         MoveL [[-2.366,41.008,30.957],[0.5286482,0.5286482,0.4696073,0.4696073],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel44,z0,tPen\WObj:=wobjPart;
-        BwLine 7,"G1 E0.19956 F299.340";
+        BwLine 8,"G1 E0.19956 F299.340";
         MoveL [[-2.516,39.415,31.569],[0.5174528,0.5174528,0.4819155,0.4819155],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel43,z0,tPen\WObj:=wobjPart;
-        BwLine 8,"G1 E0.15964 F299.325";
+        BwLine 9,"G1 E0.15964 F299.325";
         MoveL [[-2.583,38.136,31.882],[0.5082829,0.5082829,0.4915776,0.4915776],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel41,z0,tPen\WObj:=wobjPart;
-        BwLine 9,"G1 E0.15965 F299.344";
+        BwLine 10,"G1 E0.15965 F299.344";
         MoveL [[-2.601,36.855,32.006],[0.4989327,0.4989327,0.5010650,0.5010650],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel40,z0,tPen\WObj:=wobjPart;
-        BwLine 10,"G1 E0.11974 F299.350";
-        MoveL [[-2.584,35.894,31.967],[0.4918019,0.4918019,0.5080658,0.5080658],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel40,z0,tPen\WObj:=wobjPart;
         BwLine 11,"G1 E0.11974 F299.350";
+        MoveL [[-2.584,35.894,31.967],[0.4918019,0.4918019,0.5080658,0.5080658],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel40,z0,tPen\WObj:=wobjPart;
+        BwLine 12,"G1 E0.11974 F299.350";
         MoveL [[-2.537,34.936,31.805],[0.4845871,0.4845871,0.5149518,0.5149518],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel41,fine,tPen\WObj:=wobjPart;
         ! cut, bead 0
         WaitTime 1.000;
-        BwLine 12,"M106 P0 S1";
-        BwLine 13,"G4 P500";
-        BwLine 14,"M106 P0 S0";
-        BwLine 15,"G4 P500";
+        BwLine 13,"M106 P0 S1";
+        BwLine 14,"G4 P500";
+        BwLine 15,"M106 P0 S0";
+        BwLine 16,"G4 P500";
         WaitTime 2.000;
         BwSettle 900;
         MoveL [[-2.451,33.820,31.496],[0.4760402,0.4760402,0.5228630,0.5228630],[0,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel41,z0,tPen\WObj:=wobjPart;
@@ -117,7 +118,7 @@ MODULE OneBead
         SocketListen bwServer;
         TPWrite "Waiting for the relay at port 1025";
         SocketAccept bwServer,bwClient\Time:=600;
-        SocketSend bwClient\Str:="H OneBead 15\0A";
+        SocketSend bwClient\Str:="H OneBead 16\0A";
         WHILE NOT bwGo DO
             BwHear 2;
         ENDWHILE
