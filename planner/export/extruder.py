@@ -172,6 +172,10 @@ def gcode(plan: Plan) -> str:
         wired = ", ".join(f"{signal} to input {number}" for signal, number in inputs)
         notes = [f"; it waits for the robot at both ends of each bead: {wired} ({FIRMWARES[board.firmware].wired})"]
         notes.append("; start it first, then the robot's program")
+        if plan.problem.process.fibre is not None:
+            notes.append(
+                "; fibre is cut by the board's clock since its bead began: style socket ties cuts to their places"
+            )
     name = re.sub(r"[^\x20-\x7e]", "?", plan.name)
     size = f"{len(plan.beads)} beads in {plan.layers} layers"
     total = (t.feed[-1] - t.feed[0]) * 1e3
@@ -213,7 +217,7 @@ def parts_of(plan: Plan) -> tuple[Part, ...]:
 def _said(board: BoardSpec, parts: Sequence[Part], now: float) -> tuple[list[str], float]:
     """Lines for parts that follow each other from time `now` [s] on, and when they are over."""
     lines: list[str] = []
-    for part in parts:
+    for part in _enough(parts, FIRMWARES[board.firmware].least):
         if part.kind == ORDER:
             text, start, took = list(part.lines), part.start, part.end - part.start
         else:
@@ -225,6 +229,36 @@ def _said(board: BoardSpec, parts: Sequence[Part], now: float) -> tuple[list[str
         lines += [f"; {part.about}"] if part.about else []
         lines += text
     return lines, now
+
+
+def _enough(parts: Sequence[Part], least: int) -> list[Part]:
+    """The same, but the first of filament that moves without a pause is divided, where there are too few to begin at once."""
+    found: list[Part] = []
+    run: list[Part] = []
+    for part in parts:
+        if run and (part.kind == ORDER or part.start - run[-1].end > 0.5e-3):
+            found, run = [*found, *_divided(run, least)], []
+        if part.kind == ORDER:
+            found.append(part)
+        else:
+            run.append(part)
+    return [*found, *_divided(run, least)]
+
+
+def _divided(run: Sequence[Part], least: int) -> list[Part]:
+    """At least so many parts, the first of them divided; none of none."""
+    pieces = least - len(run) + 1
+    if not run or pieces <= 1:
+        return list(run)
+    own = [_share(run[0], k / pieces, (k + 1) / pieces) for k in range(pieces)]
+    return [own[0], *(piece._replace(about="") for piece in own[1:]), *run[1:]]
+
+
+def _share(part: Part, since: float, until: float) -> Part:
+    """A part between two shares of its time; its filament rounded as it is written."""
+    start, whole = part.start, part.end - part.start
+    fed = [round(share * part.filament, AMOUNT_DIGITS) for share in (since, until)]
+    return part._replace(start=start + since * whole, end=start + until * whole, filament=fed[1] - fed[0])
 
 
 def _extruded(board: BoardSpec, part: Part) -> tuple[str, float]:
@@ -267,17 +301,23 @@ def own_time(board: BoardSpec, parts: Sequence[Part], duration: float) -> str:
 def _in_step(plan: Plan, parts: Sequence[Part], found: Sequence[Stretch]) -> tuple[list[str], float]:
     """Lines that wait for the robot at both ends of each stretch, and when they are over by the plan's time [s]."""
     board, dt = plan.problem.program.board, plan.trajectory.dt
-    waiting, lines, now = list(parts), [], 0.0
+    waiting: list[Part] = []
+    lines: list[str] = []
+    now, taken = 0.0, 0
     for stretch in found:
+        while taken < len(parts) and parts[taken].start < stretch.off + NEAR:
+            waiting.append(parts[taken])
+            taken += 1
         before = [part for part in waiting if _is_before(part, stretch, dt)]
-        within = [part for part in waiting if part not in before and _is_within(part, stretch, dt)]
-        waiting = [part for part in waiting if part not in before and part not in within]
+        later = [part for part in waiting if not _is_before(part, stretch, dt)]
+        within = [part for part in later if _is_within(part, stretch, dt)]
+        waiting = [part for part in later if not _is_within(part, stretch, dt)]
         said, _ = _said(board, [_earlier(plan, part, now) for part in before], now)
         lines += [*said, wait_for(board.firmware, stretch.number, True)]
         said, now = _within(plan, within, stretch)
         lines += [*said, wait_for(board.firmware, stretch.number, False)]
         now = max(now, stretch.off)
-    said, now = _said(board, waiting, now)
+    said, now = _said(board, [*waiting, *parts[taken:]], now)
     return lines + said, now
 
 
@@ -301,8 +341,6 @@ def _within(plan: Plan, parts: Sequence[Part], stretch: Stretch) -> tuple[list[s
     """Lines of a stretch, from its beginning on, and when they are over by the plan's time [s]."""
     board, dt = plan.problem.program.board, plan.trajectory.dt
     firmware, own = FIRMWARES[board.firmware], _clipped(parts, stretch, dt)
-    if len(own) < firmware.least:
-        own = _divided(own, firmware.least)
     last = own[-1] if own else None
     follows = (
         firmware.loops
@@ -365,22 +403,6 @@ def _clipped(parts: Sequence[Part], stretch: Stretch, dt: float) -> list[Part]:
         else:
             pool += part.filament
     return found
-
-
-def _share(part: Part, since: float, until: float) -> Part:
-    """A part between two shares of its time; its filament rounded as it is written."""
-    start, lasts_ = part.start, part.end - part.start
-    fed = [round(share * part.filament, AMOUNT_DIGITS) for share in (since, until)]
-    return part._replace(start=start + since * lasts_, end=start + until * lasts_, filament=fed[1] - fed[0])
-
-
-def _divided(parts: Sequence[Part], least: int) -> list[Part]:
-    """The same with the first one divided, so that there are enough to begin at once."""
-    if not parts or parts[0].kind == ORDER:
-        return list(parts)
-    pieces = least - len(parts) + 1
-    own = [_share(parts[0], k / pieces, (k + 1) / pieces) for k in range(pieces)]
-    return [own[0], *(piece._replace(about="") for piece in own[1:]), *parts[1:]]
 
 
 def _chunks(t: Trajectory) -> tuple[Indices, Labels]:
