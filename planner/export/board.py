@@ -85,6 +85,11 @@ _SELECTS = re.compile(SELECTS, re.ASCII)
 DONE = "M400"  # waits until all has moved
 
 
+def least_time(board: BoardSpec, rate: float) -> float:
+    """How long [s] a line that moves filament at a mean rate [mm/s] has to last, so that there is time for its ramps."""
+    return 4.0 * rate / (board.acceleration * 1e3) if board.from_rest else 0.0
+
+
 def rate_for(board: BoardSpec, amount: Array, seconds: Array) -> Array:
     """Rate (n) [mm/s] at which filament (n) [mm] moves in a time (n) [s]: evenly, or with ramps from rest to rest.
 

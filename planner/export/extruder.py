@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Indices
 from planner.base.errors import InputError
-from planner.export.board import DONE, FIRMWARES, GRACE, SELECTS, lasts, rate_for, repeat, select, wait_for
+from planner.export.board import DONE, FIRMWARES, GRACE, SELECTS, lasts, least_time, rate_for, repeat, select, wait_for
 from planner.export.grammar import Grammar, Statement
 from planner.export.in_step import NEAR, Stretch, early, fed_within, laid_filament, stretches
 from planner.plan.plan import SELECTS as SELECTING
@@ -129,7 +129,8 @@ NOTHING = -1  # label of what belongs neither to a bead nor to an event
 FIRST_EVENT = -2  # label of the first event; those of later ones count down
 TAIL_S = 0.01  # block that is repeated where the robot is late [s]: by so much, and some lines, a bead ends behind it
 SLOWER = 0.1  # share of a bead's time by which it may last longer than planned: the robot may have stopped
-FEWEST = 10  # repetitions of a bead's last block that are allowed at least
+LONGER = 0.1  # s by which any bead may
+ENOUGH = 2.0  # times what a board that rests needs for a line: its rate is then below twice the mean
 AMOUNT_DIGITS, RATE_DIGITS = 5, 3  # of E [mm] and F [mm/min]
 ORDER = "order"
 
@@ -163,6 +164,7 @@ def gcode(plan: Plan) -> str:
     duration = float(t.t[-1] - t.t[0])
     parts = parts_of(plan)
     if board.sync == "free":
+        parts = tuple(_reached(board, parts))
         body, now = _said(board, parts, 0.0)
         notes = [f"; it runs by time alone: {own_time(board, parts, duration)}"]
     else:
@@ -229,6 +231,27 @@ def _said(board: BoardSpec, parts: Sequence[Part], now: float) -> tuple[list[str
         lines += [f"; {part.about}"] if part.about else []
         lines += text
     return lines, now
+
+
+def _reached(board: BoardSpec, parts: Sequence[Part]) -> list[Part]:
+    """The same, but what follows each other within a bead is one where ramps would be most of a line of a board that rests."""
+    found: list[Part] = []
+    for part in parts:
+        if found and _joined(found[-1], part) and not _is_reached(board, found[-1]):
+            part = _both(found.pop(), part)
+        found.append(part)
+    out: list[Part] = []
+    for part in found:  # what is left over at an end
+        if out and _joined(out[-1], part) and not _is_reached(board, part):
+            part = _both(out.pop(), part)
+        out.append(part)
+    return out
+
+
+def _is_reached(board: BoardSpec, part: Part) -> bool:
+    """Whether a part takes as long as a board with ramps needs for it."""
+    took = part.end - part.start
+    return took >= ENOUGH * least_time(board, abs(part.filament) / took)
 
 
 def _enough(parts: Sequence[Part], least: int) -> list[Part]:
@@ -340,7 +363,7 @@ def _earlier(plan: Plan, part: Part, since: float) -> Part:
 def _within(plan: Plan, parts: Sequence[Part], stretch: Stretch) -> tuple[list[str], float]:
     """Lines of a stretch, from its beginning on, and when they are over by the plan's time [s]."""
     board, dt = plan.problem.program.board, plan.trajectory.dt
-    firmware, own = FIRMWARES[board.firmware], _clipped(parts, stretch, dt)
+    firmware, own = FIRMWARES[board.firmware], _reached(board, _clipped(parts, stretch, dt))
     last = own[-1] if own else None
     follows = (
         firmware.loops
@@ -352,23 +375,24 @@ def _within(plan: Plan, parts: Sequence[Part], stretch: Stretch) -> tuple[list[s
     )
     if not follows or last is None:
         return _said(board, own, stretch.on)
-    own, last = _last_block(own)
+    own, last = _last_block(board, own)
     said, now = _said(board, own, stretch.on)
     lines = [*said, *_pause(last.start - now), *([f"; {last.about}"] if last.about else []), DONE]
-    most = max(FEWEST, round(SLOWER * (stretch.off - stretch.on) / (last.end - last.start)))
+    most = max(1, round(max(LONGER, SLOWER * (stretch.off - stretch.on)) / (last.end - last.start)))
     repeated = (f"  {line}" for line in (_extruded(board, last)[0], DONE))
     return [*lines, repeat(stretch.number, most), *repeated], stretch.off
 
 
-def _last_block(parts: Sequence[Part]) -> tuple[list[Part], Part]:
-    """Parts but for a block at the end of the last ones, and that block: TAIL_S long, or a little longer."""
+def _last_block(board: BoardSpec, parts: Sequence[Part]) -> tuple[list[Part], Part]:
+    """Parts but for a block at the end of the last ones, and that block: TAIL_S long, or as long as a board that rests needs."""
     *own, last = parts
-    while own and last.end - last.start < TAIL_S and _joined(own[-1], last):
+    tail = max(TAIL_S, least_time(board, last.filament / (last.end - last.start)))
+    while own and last.end - last.start < tail and _joined(own[-1], last):
         last = _both(own.pop(), last)
-    if last.end - last.start > 1.2 * TAIL_S:
-        first = _share(last, 0.0, 1.0 - TAIL_S / (last.end - last.start))
+    if last.end - last.start > 1.2 * tail:
+        first = _share(last, 0.0, 1.0 - tail / (last.end - last.start))
         last = last._replace(start=first.end, filament=last.filament - first.filament, about="")
-        if own and first.end - first.start < TAIL_S and _joined(own[-1], first):
+        if own and first.end - first.start < tail and _joined(own[-1], first):
             first = _both(own.pop(), first)
         own.append(first)
     return own, last
@@ -644,7 +668,7 @@ def _out_of_step(plan: Plan, planned: Sequence[Stretch], steps: Sequence[Step]) 
         if abs(off.filament - within[k]) > shared:
             extra = (off.filament - within[k]) * 1e3
             found.append(f"the bead that begins at {each.on:.3f} s gets {extra:+.3g} mm of filament")
-        if off.longest is not None and off.longest > FEWEST * 1.5 * TAIL_S + 1.1 * SLOWER * (each.off - each.on):
+        if off.longest is not None and off.longest > 1.5 * LONGER + 1.1 * SLOWER * (each.off - each.on):
             found.append(f"the bead that ends at {each.off:.3f} s is laid on for too long, or for another output")
     return found
 

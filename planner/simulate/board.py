@@ -191,12 +191,15 @@ class _Job:
 
 
 class Board:
-    """The board's state. Times [s] are its own and never go back."""
+    """The board's state. Times [s] are its own and never go back.
 
-    def __init__(self, faults: Faults | None = None) -> None:
+    tool  that is selected; None, as after a start of RepRapFirmware: it refuses to extrude then
+    """
+
+    def __init__(self, faults: Faults | None = None, tool: int | None = None) -> None:
         self.record = Record()
         self.halted = False
-        self.tool: int | None = None  # RepRapFirmware has none until one is selected, and refuses to extrude
+        self.tool = tool
         self._faults = faults or Faults()
         self._time = 0.0
         self._partial = b""
