@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from benchmarks.in_step import CASES, Case, apart, for_board, worst
-from planner.base.errors import InputError
+from planner.base.errors import EXIT_INPUT, InputError
 from planner.export.extruder import FILE, differences, gcode
 from planner.export.in_step import SEEN, stretches
 from planner.plan import Plan
+from planner.planning.solve_command import main
 from planner.problem import load_problem
 from planner.problem.settings import BoardSpec
 from planner.simulate.board_file import GRACE, LEAST_SPEED, FileBoard, Output, print_file
@@ -17,6 +20,7 @@ from tests.export_fixtures import make_plan, with_board
 from tests.solved import small_problem, solve_alone
 
 APART = 0.020  # s
+SHORT = make_plan(beads=1, length=0.020)
 HELD = [
     case for case in CASES if case.words.startswith("in step") and not case.words.startswith("in step, Marlin, robot")
 ]
@@ -263,3 +267,24 @@ def test_what_a_board_cannot_is_refused(changes: list[str], says: str) -> None:
     with pytest.raises(InputError) as refused:
         load_problem(small_problem().file, changes)
     assert says in str(refused.value)
+
+
+def test_what_a_board_cannot_ends_with_exit_code_2(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(small_problem().file), "--set", "program.board.firmware=klipper"]) == EXIT_INPUT
+    said = capsys.readouterr().err
+    assert "program.board.firmware" in said and "sync: free" in said and "Traceback" not in said
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.data())
+def test_a_reader_of_garbled_files_finds_no_other_error(data: st.DataObject) -> None:
+    plan = SHORT
+    lines = gcode(plan).splitlines()
+    k = data.draw(st.integers(0, len(lines) - 1))
+    other = st.sampled_from(lines) | st.text(st.characters(codec="ascii", exclude_categories=["Cc"]), max_size=30)
+    line = data.draw(other)
+    found = spoilt(plan, "\n".join([*lines[:k], line, *lines[k + 1 :]]) + "\n")
+    same = line.strip() == lines[k].strip() and line.startswith(" ") == lines[k].startswith(" ")
+    blank = not line.strip() or line.strip().startswith(";")
+    if not same and not (blank and lines[k].startswith(";")):
+        assert found or line.strip() in ("M83", "M400"), (k, line, lines[k])
