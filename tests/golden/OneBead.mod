@@ -5,11 +5,11 @@ MODULE OneBead
     ! Verified before it was written:
     !   position_error: 0.0021 mm (limit 0.05)
     !   reach: 0 mm (limit 0)
-    ! 16 moves, 9 of them along beads, whose toolpath has 12 waypoints
-    ! Note: 6 lines are sent at fly-by points, as early as the controller reads ahead
-    !   first bead 0, line 76 of OneBead.mod
-    ! Note: 2 moves on beads are slowed by accelerations of the joints, the worst to 64 % of its speed
-    !   first bead 0, line 88 of OneBead.mod
+    ! 8 moves, 3 of them along beads, whose toolpath has 12 waypoints
+    ! Note: 2 lines are sent at fly-by points, as early as the controller reads ahead
+    !   first bead 0, line 71 of OneBead.mod
+    ! Note: 2 moves on beads are slowed by accelerations of the joints, the worst to 88 % of its speed
+    !   first bead 0, line 75 of OneBead.mod
 
     ! The load below is a placeholder: identify it on the robot before the first run.
     PERS tooldata tPen:=[TRUE,[[-44.510,9.900,113.950],[1.0000000,0.0000000,0.0000000,0.0000000]],[1,[0,0,50],[1,0,0,0],0,0,0]];
@@ -17,12 +17,7 @@ MODULE OneBead
     !   [[0.000,0.000,0.000],[1.0000000,0.0000000,0.0000000,0.0000000]]
     PERS wobjdata wobjPart:=[FALSE,TRUE,"",[[450.000,-50.000,380.000],[1.0000000,0.0000000,0.0000000,0.0000000]],[[0.000,0.000,0.000],[1.0000000,0.0000000,0.0000000,0.0000000]]];
 
-    CONST speeddata vel26:=[26,180,1000,100];
-    CONST speeddata vel33:=[33,180,1000,100];
-    CONST speeddata vel40:=[40,180,1000,100];
-    CONST speeddata vel41:=[41,180,1000,100];
-    CONST speeddata vel43:=[43,180,1000,100];
-    CONST speeddata vel44:=[44,180,1000,100];
+    CONST speeddata vel42_3:=[42.3,180,1000,100];
     CONST speeddata vel45:=[45,180,1000,100];
     CONST speeddata vel200:=[200,180,1000,100];
 
@@ -41,6 +36,7 @@ MODULE OneBead
         SingArea\Off;
         ConfJ\On;
         ConfL\Off;
+        CirPathMode\ObjectFrame;
         SetDO doExtrude,0;
         TriggIO trgOn,0\DOp:=doExtrude,1;
         TriggIO trgOff,0\DOp:=doExtrude,0;
@@ -72,33 +68,21 @@ MODULE OneBead
     PROC Bead0001()
         ! Bead 0, layer 0: 11.8 mm
         MoveJ [[-1.416,45.895,28.637],[0.5616108,0.5616110,0.4296428,0.4296434],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel200,fine,tPen\WObj:=wobjPart;
-        MoveL [[-1.773,44.454,29.261],[0.5520929,0.5520929,0.4418070,0.4418070],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel33,z0,tPen\WObj:=wobjPart;
-        TriggL [[-2.083,42.905,30.033],[0.5416803,0.5416803,0.4545134,0.4545134],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel45,trgOn,z0,tPen\WObj:=wobjPart;
-        BwLine 7,"G1 E0.24760 F309.500";
-        MoveL [[-2.366,41.008,30.957],[0.5286482,0.5286482,0.4696073,0.4696073],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel44,z0,tPen\WObj:=wobjPart;
-        BwLine 8,"G1 E0.19956 F299.340";
-        MoveL [[-2.516,39.415,31.569],[0.5174528,0.5174528,0.4819155,0.4819155],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel43,z0,tPen\WObj:=wobjPart;
-        BwLine 9,"G1 E0.15964 F299.325";
-        MoveL [[-2.583,38.136,31.882],[0.5082829,0.5082829,0.4915776,0.4915776],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel41,z0,tPen\WObj:=wobjPart;
-        BwLine 10,"G1 E0.15965 F299.344";
-        MoveL [[-2.601,36.855,32.006],[0.4989327,0.4989327,0.5010650,0.5010650],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel40,z0,tPen\WObj:=wobjPart;
-        BwLine 11,"G1 E0.11974 F299.350";
-        MoveL [[-2.584,35.894,31.967],[0.4918019,0.4918019,0.5080658,0.5080658],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel40,z0,tPen\WObj:=wobjPart;
-        BwLine 12,"G1 E0.11974 F299.350";
-        MoveL [[-2.537,34.936,31.805],[0.4845871,0.4845871,0.5149518,0.5149518],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel41,fine,tPen\WObj:=wobjPart;
+        TriggL [[-2.083,42.905,30.033],[0.5416803,0.5416803,0.4545134,0.4545134],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel45,trgOn,z5,tPen\WObj:=wobjPart;
+        BwLine 7,"G1 E0.50702 F304.212";
+        MoveC [[-2.368,40.968,30.969],[0.5280799,0.5280799,0.4702463,0.4702463],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],[[-2.545,38.934,31.700],[0.5140227,0.5140227,0.4855725,0.4855725],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel42_3,z5,tPen\WObj:=wobjPart;
+        BwLine 8,"G1 E0.49891 F299.346";
+        MoveC [[-2.600,36.941,31.996],[0.4995210,0.4995210,0.5004786,0.5004786],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],[[-2.537,34.936,31.805],[0.4845871,0.4845871,0.5149518,0.5149518],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel42_3,fine,tPen\WObj:=wobjPart;
         ! cut, bead 0
         WaitTime 1.000;
-        BwLine 13,"M106 P0 S1";
-        BwLine 14,"G4 P500";
-        BwLine 15,"M106 P0 S0";
-        BwLine 16,"G4 P500";
+        BwLine 9,"M106 P0 S1";
+        BwLine 10,"G4 P500";
+        BwLine 11,"M106 P0 S0";
+        BwLine 12,"G4 P500";
         WaitTime 2.000;
         BwSettle 900;
-        MoveL [[-2.451,33.820,31.496],[0.4760402,0.4760402,0.5228630,0.5228630],[0,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel41,z0,tPen\WObj:=wobjPart;
-        MoveL [[-2.307,32.548,31.003],[0.4661143,0.4661143,0.5317306,0.5317306],[0,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel43,z0,tPen\WObj:=wobjPart;
-        TriggL [[-2.088,31.125,30.329],[0.4547504,0.4547504,0.5414813,0.5414813],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel44,trgOff,z0,tPen\WObj:=wobjPart;
-        MoveL [[-1.656,29.043,29.284],[0.4376021,0.4376021,0.5554317,0.5554317],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel45,z0,tPen\WObj:=wobjPart;
-        MoveL [[-1.416,28.105,28.857],[0.4296436,0.4296436,0.5616105,0.5616105],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel26,fine,tPen\WObj:=wobjPart;
+        TriggC [[-2.361,32.979,31.185],[0.4698560,0.4698560,0.5284272,0.5284272],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],[[-2.088,31.125,30.329],[0.4547504,0.4547504,0.5414813,0.5414813],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel42_3,trgOff,z5,tPen\WObj:=wobjPart;
+        MoveL [[-1.416,28.105,28.857],[0.4296436,0.4296436,0.5616105,0.5616105],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel45,fine,tPen\WObj:=wobjPart;
     ENDPROC
 
     PROC Finish()
@@ -118,7 +102,7 @@ MODULE OneBead
         SocketListen bwServer;
         TPWrite "Waiting for the relay at port 1025";
         SocketAccept bwServer,bwClient\Time:=600;
-        SocketSend bwClient\Str:="H OneBead 16\0A";
+        SocketSend bwClient\Str:="H OneBead 12\0A";
         WHILE NOT bwGo DO
             BwHear 2;
         ENDWHILE
