@@ -27,7 +27,7 @@ from planner.motion.extrusion import feed_of_materials
 from planner.plan import Check, Event, Plan, Trajectory
 from planner.problem.cell import CellSpec
 from planner.problem.process import ProcessSpec
-from planner.problem.settings import MachineSpec, ProgramSpec
+from planner.problem.settings import BoardSpec, MachineSpec, ProgramSpec
 
 Array = NDArray[np.float64]
 
@@ -294,6 +294,14 @@ def demand_plan(**program: Any) -> Plan:
     spec = problem(False, style="demand", **program)
     spec.name = "asked_bead"
     return replace(plan, problem=spec)
+
+
+def with_board(plan: Plan, **board: Any) -> Plan:
+    """The plan for an extruder's board with these keys."""
+    program = plan.problem.program.model_copy(update={"board": BoardSpec(**board)})
+    if isinstance(plan.problem, SimpleNamespace):
+        return replace(plan, problem=SimpleNamespace(**vars(plan.problem) | {"program": program}))  # type: ignore[arg-type]
+    return replace(plan, problem=plan.problem.model_copy(update={"program": program}))
 
 
 def in_modules(plan: Plan, moves: int) -> Plan:

@@ -411,8 +411,8 @@ def test_others_read_every_line(name: str) -> None:
 
 def test_modes_come_first_and_a_program_says_what_it_is_for() -> None:
     lines = [line for line in written("trunnion")[1].splitlines() if not line.startswith(";")]
-    assert lines[:3] == ["G21", "G90", "M83"] and lines.index("G93") == 6
-    assert [line.split()[0] for line in lines[3:6]] == ["G0"] * 3
+    assert lines[:5] == ["G21", "G90", "M203 I0.6", "M83", "T0"] and lines.index("G93") == 8
+    assert [line.split()[0] for line in lines[5:8]] == ["G0"] * 3
     assert lines[-2:] == ["G94", "M400"]
     lines = [line for line in written("fork")[1].splitlines() if not line.startswith(";")]
     assert lines[:4] == ["G17 G21 G40 G49 G80 G90", "G64 P0.0500", "G92 W0", "M428"] and "G93" in lines

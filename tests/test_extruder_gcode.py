@@ -14,7 +14,7 @@ from planner.export.extruder import FILE, differences, gcode, read_gcode
 from planner.plan import Event, Plan
 from planner.problem import load_problem
 from planner.problem.process import ProcessSpec
-from tests.export_fixtures import make_plan
+from tests.export_fixtures import make_plan, with_board
 from tests.solved import small_problem
 
 CUT = ["M106 P0 S1", "G4 P500", "M106 P0 S0", "G4 P500"]
@@ -26,11 +26,11 @@ def gcode_differences(plan: Plan, text: str) -> list[str]:
 
 
 def with_process(plan: Plan, **changes: object) -> Plan:
-    """A plan whose process is told otherwise, by the keys of the file."""
+    """A plan whose process is told otherwise, by the keys of the file, and whose board runs by time alone."""
     usual = {"speed_mm_s": 40, "travel_speed_mm_s": 200, "bead": {"width_mm": 0.6, "height_mm": 0.5}}
     own = ProcessSpec(**usual | changes)
     problem = type(plan.problem)(**vars(plan.problem) | {"process": own})
-    return replace(plan, problem=problem)
+    return with_board(replace(plan, problem=problem), sync="free")
 
 
 def heated(**start: object) -> Plan:
@@ -57,7 +57,7 @@ def times_of(text: str) -> list[tuple[float, str]]:
 
 
 def test_fibre_is_cut_by_the_published_macro_in_the_wait_that_is_planned() -> None:
-    plan = with_fibre()
+    plan = with_board(with_fibre(), sync="free")
     text = gcode(plan)
     assert gcode_differences(plan, text) == []
     lines, said = text.splitlines(), times_of(text)
@@ -111,7 +111,7 @@ def test_heat_is_waited_for_before_time_begins() -> None:
     plan = heated(nozzle_c=280, bed_c=60, heat="wait")
     text = gcode(plan)
     lines = [line for line in text.splitlines() if not line.startswith(";")]
-    assert lines[:5] == ["M83", "M140 S60", "M104 S280", "M190 S60", "M109 S280"]
+    assert lines[2:8] == ["M83", "T0", "M140 S60", "M104 S280", "M190 S60", "M109 S280"]
     assert gcode_differences(plan, text) == []
     late = text.replace("M109 S280\n", "G4 P1\nM109 S280\n", 1)
     with pytest.raises(InputError, match="would lose the robot"):
@@ -145,7 +145,7 @@ def test_the_fan_follows_the_layers() -> None:
         ("M106 P1 S153", "M106 P1 S255", "told other things"),
         ("M106 P1 S153\n", "", "told other things"),
         ("; fan on\nM106 P1 S153\n", "M106 P1 S153\nG4 P40\n", "it lasts"),
-        ("M83\n", "M83\nM106 P0 S1\n", "told other things"),
+        ("T0\n", "T0\nM106 P0 S1\n", "told other things"),
     ],
 )
 def test_a_board_that_is_told_otherwise_is_found(old: str, new: str, difference: str) -> None:

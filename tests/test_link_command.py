@@ -56,7 +56,11 @@ def secrets(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def machine(request: pytest.FixtureRequest) -> Iterator[Simulated]:
     with start(
-        pace=4.0, read=reader(program(LINES, moves=21)), rws_password=PASSWORD, **getattr(request, "param", {})
+        pace=4.0,
+        read=reader(program(LINES, moves=21)),
+        rws_password=PASSWORD,
+        board_tool=0,
+        **getattr(request, "param", {}),
     ) as made:
         yield made
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from export_fixtures import make_plan
+from export_fixtures import make_plan, with_board
 from solved import small_problem, solve_alone, write_small
 
 import planner.export
@@ -372,7 +372,7 @@ def test_rapid_waits_at_home_for_the_change() -> None:
     ],
 )
 def test_gcode_that_was_spoilt_is_told(old: str, new: str, difference: str) -> None:
-    plan = make_plan(materials=("pla", "pva"))
+    plan = with_board(make_plan(materials=("pla", "pva")), sync="free")
     text = gcode(plan)
     assert gcode_differences(plan, text) == [] and text.count(old) == 1
     assert any(difference in each for each in gcode_differences(plan, text.replace(old, new)))
@@ -383,7 +383,7 @@ def test_gcode_of_one_material_is_held_against_its_plan_too(tmp_path: Path, monk
     text = gcode(plan)
     assert gcode_differences(plan, text) == []
     spoilt = text.replace("G1 E0.99770", "G1 E1.09770", 1)
-    assert gcode_differences(plan, spoilt)[0] == "the extruder gets +0.1 mm of filament"
+    assert gcode_differences(plan, spoilt)[0] == "tool T0 gets +0.1 mm of filament"
     with pytest.raises(InputError, match="unknown line"):
         read_gcode(text + "M999\n")
     monkeypatch.setattr("planner.export.extruder.write", lambda plan: {FILE: spoilt})

@@ -64,11 +64,11 @@ def test_reader_says_what_is_sent_where_and_when():
     assert program.send_rests[cut][at] == pytest.approx(1.0) and program.wait[cut] == pytest.approx(3.0)
     assert program.fine[cut] and program.linear[cut]
     heat = program.sends[0]
-    assert heat == ("M83", "M140 S60", "M104 S200", "M190 S60", "M109 S200")
+    assert heat == ("M83", "T0", "M140 S60", "M104 S200", "M190 S60", "M109 S200")
     assert program.wait[0] == pytest.approx(4.0)
     # whatever the board acknowledges late is waited for before anything else is sent
     text = rapid_files(plan)["OneBead.mod"]
-    assert '        BwLine 5,"M109 S200";\n        WaitTime 4.000;\n        BwSettle 900;\n' in text
+    assert '        BwLine 6,"M109 S200";\n        WaitTime 4.000;\n        BwSettle 900;\n' in text
     assert re.search(r' {8}BwLine \d+,"G4 P500";\n {8}WaitTime 2\.000;\n {8}BwSettle 900;\n', text)
 
 

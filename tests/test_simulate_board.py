@@ -25,7 +25,7 @@ def framed(n: int, text: str) -> bytes:
 
 
 def board(*faults: str) -> Board:
-    return Board(Faults(faults_of(faults, BOARD_FAULTS)))
+    return Board(Faults(faults_of(faults, BOARD_FAULTS)), tool=0)
 
 
 def texts(replies) -> list[str]:
@@ -44,6 +44,14 @@ def test_moves_take_their_time_and_feed_their_tool() -> None:
     assert not b.idle and b.record.filament == {}
     b.advance(1.0)
     assert b.idle and b.record.filament == {1: 2.0}
+
+
+def test_without_a_tool_it_refuses_to_extrude() -> None:
+    b = Board()
+    said = texts(b.receive(framed(1, "M83") + framed(2, "G1 E2 F120") + framed(3, "T0") + framed(4, "G1 E2 F120"), 0.0))
+    assert said == ["ok N1", "Error: Attempting to extrude with no tool selected", "ok N2", "ok N3", "ok N4"]
+    b.advance(10.0)
+    assert b.record.filament == {0: 2.0}
 
 
 def test_e_is_absolute_until_m83() -> None:
@@ -152,7 +160,7 @@ def test_what_is_no_fault_is_told(word: str) -> None:
 )
 def test_however_lines_arrive_each_is_done_once_in_order(lines, cuts, pauses) -> None:
     data = b"".join(framed(n, text) for n, text in enumerate(lines, 1))
-    b, now, said, k = Board(), 0.0, [], 0
+    b, now, said, k = Board(tool=0), 0.0, [], 0
     while data:
         piece, data = data[: cuts[k % len(cuts)]], data[cuts[k % len(cuts)] :]
         said += b.receive(piece, now)
@@ -166,7 +174,7 @@ def test_however_lines_arrive_each_is_done_once_in_order(lines, cuts, pauses) ->
 @settings(max_examples=60, deadline=None)
 @given(st.binary(max_size=2000), st.integers(1, 300))
 def test_any_bytes_leave_it_standing(data: bytes, cut: int) -> None:
-    b = Board()
+    b = Board(tool=0)
     for k in range(0, len(data), cut):
         b.receive(data[k : k + cut], 0.01 * k)
     if not b.halted:
@@ -190,7 +198,9 @@ def heard(connection: socket.socket, count: int) -> bytes:
 
 
 def test_network_of_the_board() -> None:
-    with closing(BoardServer("127.0.0.1", 0, 100.0, faults_of(["delay@3:0.2", "drop@5"], BOARD_FAULTS))) as server:
+    with closing(
+        BoardServer("127.0.0.1", 0, 100.0, faults_of(["delay@3:0.2", "drop@5"], BOARD_FAULTS), tool=0)
+    ) as server:
         with closing(socket.create_connection(server.address, timeout=3.0)) as one:
             one.sendall(framed(1, "G1 E99 F1"))  # too early: thrown away
             time.sleep(DISCARDED + 0.4)  # it counts from when it has seen the connection

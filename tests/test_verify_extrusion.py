@@ -21,6 +21,7 @@ from planner.plan import Event, Plan, Trajectory
 from planner.problem import load_problem
 from planner.toolpath.bead import Toolpath
 from planner.verify.verdict import Report, verify
+from tests.export_fixtures import with_board
 
 Array = NDArray[np.float64]
 MM = 1e-3
@@ -369,7 +370,7 @@ def driven(text: str) -> tuple[Array, Array]:
     now, at, out = 0.0, 0.0, [(0.0, 0.0)]
     for line in text.splitlines():
         words = line.split(";")[0].split()
-        if not words or words[0] in ("M83", "M104", "M140"):
+        if not words or words[0] in ("M83", "M104", "M140", "M203", "M595", "T0"):
             continue
         value = {word[0]: float(word[1:]) for word in words[1:]}
         if words[0] == "G4":
@@ -390,7 +391,7 @@ def driven(text: str) -> tuple[Array, Array]:
 def test_gcode_read_back_moves_the_filament_as_planned(make: Callable[[], Plan]) -> None:
     plan = make()
     t = plan.trajectory
-    instants, filament = driven(gcode(plan))
+    instants, filament = driven(gcode(with_board(plan, sync="free")))
     assert instants[-1] == pytest.approx(t.t[-1], abs=1e-3)
     assert filament[-1] == pytest.approx(t.feed[-1] / MM, abs=1e-4)
     off = np.interp(t.t, instants, filament) - t.feed / MM
@@ -403,7 +404,7 @@ def test_gcode_says_what_happens_when() -> None:
     plan = with_moves()
     text = gcode(plan)
     assert "M104" not in text and "M140" not in text
-    said = [line for line in text.splitlines()[2:] if line.startswith(";")]
+    said = [line for line in text.splitlines()[4:] if line.startswith(";")]
     beads = [[f"; prime, bead {i}", f"; bead {i}, layer 0", f"; retract, bead {i}"] for i in range(3)]
     assert said == ["; heat", "; purge", *(line for bead in beads for line in bead)]
     assert text.count("G1 E-") == 3

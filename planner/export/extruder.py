@@ -5,24 +5,30 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Indices
-from planner.export.grammar import Grammar
-from planner.plan.plan import SELECTS, materials_of, used
+from planner.base.errors import InputError
+from planner.export.board import DONE, FIRMWARES, GRACE, SELECTS, lasts, least_time, rate_for, repeat, select, wait_for
+from planner.export.grammar import Grammar, Statement
+from planner.export.in_step import NEAR, Stretch, early, fed_within, laid_filament, stretches
+from planner.plan.plan import SELECTS as SELECTING
+from planner.plan.plan import materials_of, used
 
 if TYPE_CHECKING:
     from planner.plan import Event, Plan, Trajectory
     from planner.problem.process import FanSpec
+    from planner.problem.settings import BoardSpec
 
 # ----------------------------------------------------------------------------------------------------
 # Orders to the board besides moving filament: heating, tools, fan and cutter.
 
 PAUSE = "G4 P"  # and milliseconds
 FULL = 255  # of S in M106
+FAN = ("M106 ", "M107 ")
 AHEAD = 3.0  # samples by which the fan is switched before filament moves: never behind a command that has begun
 
 
@@ -47,31 +53,33 @@ class Order:
         return tuple(found)
 
 
-def orders(plan: Plan) -> tuple[Order, ...]:
-    """All orders by time; their lines are empty where the board need do nothing.
+def orders(plan: Plan, firmware: str = "") -> tuple[Order, ...]:
+    """All orders by time, for a firmware (default: the board's); their lines are empty where it need do nothing.
 
     Temperatures are set and not waited for, but with `heat: wait` before any time has passed: only what takes a known
     time keeps pace with the robot.
     """
     t = plan.trajectory
-    found = [_of_event(plan, event) for event in t.events if event.amount == 0.0]
+    firmware = firmware or plan.problem.program.board.firmware
+    found = [_of_event(plan, event, firmware) for event in t.events if event.amount == 0.0]
     if plan.problem.process.fan is not None:
         found += _of_fan(plan.problem.process.fan, t, plan.problem.process.extruder.lag)
     return tuple(sorted(found, key=lambda order: order.start))
 
 
-def _of_event(plan: Plan, event: Event) -> Order:
+def _of_event(plan: Plan, event: Event, firmware: str) -> Order:
     process = plan.problem.process
     if event.kind == "heat":
-        return Order(event.start, event.words, _heating(plan))
+        return Order(event.start, event.words, _heating(plan, firmware))
     if event.kind == "cut" and process.fibre is not None:
         return Order(event.start, event.words, process.fibre.code, process.fibre.code_time)
     named = materials_of(plan.problem)
-    tools = tuple(f"T{each.tool}" for each in named if event.kind in SELECTS and each.name == event.material)
+    now = [each.tool for each in named if event.kind in SELECTING and each.name == event.material]
+    tools = tuple(select(firmware, tool) for tool in now)
     return Order(event.start, event.words, tools)
 
 
-def _heating(plan: Plan) -> tuple[str, ...]:
+def _heating(plan: Plan, firmware: str) -> tuple[str, ...]:
     start = plan.problem.process.start
     named = materials_of(plan.problem)
     nozzles = [(f" T{each.tool}", each.nozzle_c) for each in named] or [("", start.nozzle_c)]
@@ -80,8 +88,10 @@ def _heating(plan: Plan) -> tuple[str, ...]:
     if start.heat == "wait":
         if start.bed_c is not None:
             lines.append(f"M190 S{start.bed_c:g}")
-        if named:
+        if named and firmware == "reprap":
             lines.append("M116")  # M109 of several tools would select them, one after the other
+        elif named:
+            lines += [f"M109{tool} S{celsius:g}" for tool, celsius in nozzles if celsius is not None]
         elif start.nozzle_c is not None:
             lines.append(f"M109 S{start.nozzle_c:g}")
         lines.append("; all is hot: the robot's program starts now")
@@ -105,7 +115,10 @@ def _of_fan(fan: FanSpec, t: Trajectory, lag: float) -> list[Order]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Writer: extrusion.gcode for RepRapFirmware, the extruder alone.
+# Writer: extrusion.gcode, the extruder alone.
+#
+# By default the file waits for the robot's output at both ends of each bead. What it moves within one, and between two,
+# has its own times from there on. At a bead's end RepRapFirmware goes on laying it until the output goes off.
 
 Labels = NDArray[np.int64]
 
@@ -114,6 +127,27 @@ BLOCK_S = 0.02  # shortest command [s]: a board that is fed faster than 50 lines
 FLOW_STEP = 0.01  # blocks whose flow is equal to this share of the largest flow become one command
 NOTHING = -1  # label of what belongs neither to a bead nor to an event
 FIRST_EVENT = -2  # label of the first event; those of later ones count down
+TAIL_S = 0.01  # block that is repeated where the robot is late [s]: by so much, and some lines, a bead ends behind it
+SLOWER = 0.1  # share of a bead's time by which it may last longer than planned: the robot may have stopped
+LONGER = 0.1  # s by which any bead may
+ENOUGH = 2.0  # times what a board that rests needs for a line: its rate is then below twice the mean
+AMOUNT_DIGITS, RATE_DIGITS = 5, 3  # of E [mm] and F [mm/min]
+ORDER = "order"
+
+
+class Part(NamedTuple):
+    """What the board does from `start` to `end` [s]: filament [mm] at a constant rate, or lines of its own.
+
+    kind   that of an event, ORDER, or none: a bead's
+    about  comment above it, empty if it goes on with what is above
+    """
+
+    start: float
+    end: float
+    filament: float
+    kind: str
+    about: str
+    lines: tuple[str, ...] = ()
 
 
 def write(plan: Plan) -> dict[str, str]:
@@ -126,47 +160,135 @@ def gcode(plan: Plan) -> str:
 
     Heating, tools, fan and cutter come from `orders`. The robot waits at home for as long as its problem says.
     """
+    t, board = plan.trajectory, plan.problem.program.board
+    duration = float(t.t[-1] - t.t[0])
+    parts = parts_of(plan)
+    if board.sync == "free":
+        parts = tuple(_reached(board, parts))
+        body, now = _said(board, parts, 0.0)
+        notes = [f"; it runs by time alone: {own_time(board, parts, duration)}"]
+    else:
+        found = stretches(plan)
+        body, now = _in_step(plan, parts, found)
+        inputs = dict.fromkeys((each.signal, each.number) for each in found)
+        wired = ", ".join(f"{signal} to input {number}" for signal, number in inputs)
+        notes = [f"; it waits for the robot at both ends of each bead: {wired} ({FIRMWARES[board.firmware].wired})"]
+        notes.append("; start it first, then the robot's program")
+        if plan.problem.process.fibre is not None:
+            notes.append(
+                "; fibre is cut by the board's clock since its bead began: style socket ties cuts to their places"
+            )
+    name = re.sub(r"[^\x20-\x7e]", "?", plan.name)
+    size = f"{len(plan.beads)} beads in {plan.layers} layers"
+    total = (t.feed[-1] - t.feed[0]) * 1e3
+    lines = [
+        f"; {name}: extrusion in time with the robot, strategy {plan.strategy}",
+        f"; {size}, {total:.3f} mm of filament, {duration:.3f} s from the robot's first motion",
+        *notes,
+        *FIRMWARES[board.firmware].begin,
+        "M83",
+        *(() if materials_of(plan.problem) else (select(board.firmware, board.first_tool),)),
+        *body,
+        *_pause(duration - now),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def parts_of(plan: Plan) -> tuple[Part, ...]:
+    """All that the board does, by the plan's time [s] from its start."""
     t = plan.trajectory
     cuts, label = _chunks(t)
     fed = t.feed * 1e3
     # differences of rounded totals: rounding never adds up, neither in filament nor in time
-    amount = np.diff(np.round(fed[cuts] - fed[0], 5))
+    amount = np.diff(np.round(fed[cuts] - fed[0], AMOUNT_DIGITS))
     clock = t.t[cuts] - t.t[0]
-    # a G1 lasts E / F, which a rounded E sets only nearly: what is lost or gained goes into the pauses
-    rate = np.round(np.abs(amount) / np.diff(clock) * 60.0, 3)
-    lasts = np.where(rate > 0.0, np.abs(amount) / np.where(rate > 0.0, rate, 1.0) * 60.0, 0.0)
-    what = [(order.start, order.time, [f"; {order.words}", *order.lines]) for order in orders(plan)]
+    layer = t.layer[(cuts[:-1] + cuts[1:] + 1) // 2]
+    found = [Part(each.start, each.start + each.time, 0.0, ORDER, each.words, each.lines) for each in orders(plan)]
     last = NOTHING
-    for e, f, took, end, who, layer in zip(
-        amount.tolist(),
-        rate.tolist(),
-        lasts.tolist(),
-        clock[1:].tolist(),
-        label.tolist(),
-        t.layer[(cuts[:-1] + cuts[1:] + 1) // 2].tolist(),
-        strict=True,
-    ):
-        if f <= 0.0:
-            continue
-        about = [f"; {t.events[FIRST_EVENT - who].words}"] if who <= FIRST_EVENT else [f"; bead {who}, layer {layer}"]
-        what.append((end - took, took, [*(about if who not in (last, NOTHING) else []), f"G1 E{e:.5f} F{f:.3f}"]))
+    for k in np.flatnonzero(np.round(np.abs(amount) / np.diff(clock) * 60.0, RATE_DIGITS) > 0.0).tolist():
+        who = int(label[k])
+        event = t.events[FIRST_EVENT - who] if who <= FIRST_EVENT else None
+        about = f"bead {who}, layer {layer[k]}" if event is None else event.words
+        new = who not in (last, NOTHING)
+        kind = "" if event is None else event.kind
+        found.append(Part(float(clock[k]), float(clock[k + 1]), float(amount[k]), kind, about if new else ""))
         last = last if who == NOTHING else who
+    return tuple(sorted(found, key=lambda part: part.start))
 
-    name = re.sub(r"[^\x20-\x7e]", "?", plan.name)
-    size = f"{len(plan.beads)} beads in {plan.layers} layers"
-    total, seconds = fed[-1] - fed[0], t.t[-1] - t.t[0]
-    lines = [
-        f"; {name}: extrusion in time with the robot, strategy {plan.strategy}",
-        f"; {size}, {total:.3f} mm of filament, {seconds:.3f} s from the robot's first motion",
-        "M83",
-    ]
-    now = 0.0
-    for start, took, own in sorted(what, key=lambda each: each[0]):
+
+def _said(board: BoardSpec, parts: Sequence[Part], now: float) -> tuple[list[str], float]:
+    """Lines for parts that follow each other from time `now` [s] on, and when they are over."""
+    lines: list[str] = []
+    for part in _enough(parts, FIRMWARES[board.firmware].least):
+        if part.kind == ORDER:
+            text, start, took = list(part.lines), part.start, part.end - part.start
+        else:
+            line, took = _extruded(board, part)
+            text = [line]
+            start = part.end - took  # a line lasts E / F, which a rounded E sets only nearly: the rest is a pause's
         lines += _pause(start - now)
         now += _pause_length(start - now) + took
-        lines += own
-    lines += _pause(float(clock[-1]) - now)
-    return "\n".join(lines) + "\n"
+        lines += [f"; {part.about}"] if part.about else []
+        lines += text
+    return lines, now
+
+
+def _reached(board: BoardSpec, parts: Sequence[Part]) -> list[Part]:
+    """The same, but what follows each other within a bead is one where ramps would be most of a line of a board that rests."""
+    found: list[Part] = []
+    for part in parts:
+        if found and _joined(found[-1], part) and not _is_reached(board, found[-1]):
+            part = _both(found.pop(), part)
+        found.append(part)
+    out: list[Part] = []
+    for part in found:  # what is left over at an end
+        if out and _joined(out[-1], part) and not _is_reached(board, part):
+            part = _both(out.pop(), part)
+        out.append(part)
+    return out
+
+
+def _is_reached(board: BoardSpec, part: Part) -> bool:
+    """Whether a part takes as long as a board with ramps needs for it."""
+    took = part.end - part.start
+    return took >= ENOUGH * least_time(board, abs(part.filament) / took)
+
+
+def _enough(parts: Sequence[Part], least: int) -> list[Part]:
+    """The same, but the first of filament that moves without a pause is divided, where there are too few to begin at once."""
+    found: list[Part] = []
+    run: list[Part] = []
+    for part in parts:
+        if run and (part.kind == ORDER or part.start - run[-1].end > 0.5e-3):
+            found, run = [*found, *_divided(run, least)], []
+        if part.kind == ORDER:
+            found.append(part)
+        else:
+            run.append(part)
+    return [*found, *_divided(run, least)]
+
+
+def _divided(run: Sequence[Part], least: int) -> list[Part]:
+    """At least so many parts, the first of them divided; none of none."""
+    pieces = least - len(run) + 1
+    if not run or pieces <= 1:
+        return list(run)
+    own = [_share(run[0], k / pieces, (k + 1) / pieces) for k in range(pieces)]
+    return [own[0], *(piece._replace(about="") for piece in own[1:]), *run[1:]]
+
+
+def _share(part: Part, since: float, until: float) -> Part:
+    """A part between two shares of its time; its filament rounded as it is written."""
+    start, whole = part.start, part.end - part.start
+    fed = [round(share * part.filament, AMOUNT_DIGITS) for share in (since, until)]
+    return part._replace(start=start + since * whole, end=start + until * whole, filament=fed[1] - fed[0])
+
+
+def _extruded(board: BoardSpec, part: Part) -> tuple[str, float]:
+    """The line that moves a part's filament in its time, and how long it takes [s]."""
+    amount, seconds = np.array(round(part.filament, AMOUNT_DIGITS)), np.array(part.end - part.start)
+    rate = np.round(rate_for(board, amount, seconds) * 60.0, RATE_DIGITS)
+    return f"G1 E{amount:.{AMOUNT_DIGITS}f} F{rate:.{RATE_DIGITS}f}", float(lasts(board, amount, rate / 60.0))
 
 
 def _pause_length(seconds: float) -> float:
@@ -177,6 +299,134 @@ def _pause_length(seconds: float) -> float:
 def _pause(seconds: float) -> list[str]:
     ms = round(_pause_length(seconds) * 1e3)
     return [f"G4 P{ms}"] if ms else []
+
+
+def own_time(board: BoardSpec, parts: Sequence[Part], duration: float) -> str:
+    """How long a board takes by itself for a file that waits for nobody, in words."""
+    lines, now = _said(board, parts, 0.0)
+    firmware = FIRMWARES[board.firmware]
+    own = max(now, duration)
+    if board.from_rest:
+        how = f"{firmware.title} moves filament from rest to rest, at {board.acceleration * 1e3:g} mm/s2"
+        return f"{own:.3f} s as {how}"
+    if board.firmware == "marlin":
+        return f"{own:.3f} s as {firmware.title} joins moves"
+    text = ["G4"] + [line[:2] for line in lines if line[:1] == "G"]
+    idle = sum(a == "G4" and b == "G1" for a, b in zip(text[:-1], text[1:], strict=True))
+    later = own + idle * GRACE
+    return f"{own:.3f} s as {firmware.title} joins moves; up to {later:.3f} s before 3.3, which does not know M595 R"
+
+
+# ----------------------------------------------------------------------------------------------------
+# In step with the robot.
+
+
+def _in_step(plan: Plan, parts: Sequence[Part], found: Sequence[Stretch]) -> tuple[list[str], float]:
+    """Lines that wait for the robot at both ends of each stretch, and when they are over by the plan's time [s]."""
+    board, dt = plan.problem.program.board, plan.trajectory.dt
+    waiting: list[Part] = []
+    lines: list[str] = []
+    now, taken = 0.0, 0
+    for stretch in found:
+        while taken < len(parts) and parts[taken].start < stretch.off + NEAR:
+            waiting.append(parts[taken])
+            taken += 1
+        before = [part for part in waiting if _is_before(part, stretch, dt)]
+        later = [part for part in waiting if not _is_before(part, stretch, dt)]
+        within = [part for part in later if _is_within(part, stretch, dt)]
+        waiting = [part for part in later if not _is_within(part, stretch, dt)]
+        said, _ = _said(board, [_earlier(plan, part, now) for part in before], now)
+        lines += [*said, wait_for(board.firmware, stretch.number, True)]
+        said, now = _within(plan, within, stretch)
+        lines += [*said, wait_for(board.firmware, stretch.number, False)]
+        now = max(now, stretch.off)
+    said, now = _said(board, [*waiting, *parts[taken:]], now)
+    return lines + said, now
+
+
+def _is_before(part: Part, stretch: Stretch, dt: float) -> bool:
+    return part.start < stretch.on - NEAR if part.kind == "" else part.start < stretch.on + 0.5 * dt
+
+
+def _is_within(part: Part, stretch: Stretch, dt: float) -> bool:
+    return part.start < stretch.off + NEAR if part.kind == "" else part.start < stretch.off - 1.5 * dt
+
+
+def _earlier(plan: Plan, part: Part, since: float) -> Part:
+    """A prime, or the fan, a little earlier: the board is to be ready when the robot comes."""
+    if part.kind != "prime" and not any(line.startswith(FAN) for line in part.lines):
+        return part
+    by = early(plan.trajectory, part.start, since)
+    return part._replace(start=part.start - by, end=part.end - by)
+
+
+def _within(plan: Plan, parts: Sequence[Part], stretch: Stretch) -> tuple[list[str], float]:
+    """Lines of a stretch, from its beginning on, and when they are over by the plan's time [s]."""
+    board, dt = plan.problem.program.board, plan.trajectory.dt
+    firmware, own = FIRMWARES[board.firmware], _reached(board, _clipped(parts, stretch, dt))
+    last = own[-1] if own else None
+    follows = (
+        firmware.loops
+        and last is not None
+        and plan.problem.process.extruder.lag == 0.0
+        and last.kind == ""
+        and last.filament > 0.0
+        and abs(last.end - stretch.off) <= 1.5 * dt
+    )
+    if not follows or last is None:
+        return _said(board, own, stretch.on)
+    own, last = _last_block(board, own)
+    said, now = _said(board, own, stretch.on)
+    lines = [*said, *_pause(last.start - now), *([f"; {last.about}"] if last.about else []), DONE]
+    most = max(1, round(max(LONGER, SLOWER * (stretch.off - stretch.on)) / (last.end - last.start)))
+    repeated = (f"  {line}" for line in (_extruded(board, last)[0], DONE))
+    return [*lines, repeat(stretch.number, most), *repeated], stretch.off
+
+
+def _last_block(board: BoardSpec, parts: Sequence[Part]) -> tuple[list[Part], Part]:
+    """Parts but for a block at the end of the last ones, and that block: TAIL_S long, or as long as a board that rests needs."""
+    *own, last = parts
+    tail = max(TAIL_S, least_time(board, last.filament / (last.end - last.start)))
+    while own and last.end - last.start < tail and _joined(own[-1], last):
+        last = _both(own.pop(), last)
+    if last.end - last.start > 1.2 * tail:
+        first = _share(last, 0.0, 1.0 - tail / (last.end - last.start))
+        last = last._replace(start=first.end, filament=last.filament - first.filament, about="")
+        if own and first.end - first.start < tail and _joined(own[-1], first):
+            first = _both(own.pop(), first)
+        own.append(first)
+    return own, last
+
+
+def _joined(part: Part, following: Part) -> bool:
+    """Whether both are a bead's, and one follows the other at once."""
+    return not part.kind and not following.kind and following.start - part.end < 1e-9
+
+
+def _both(part: Part, following: Part) -> Part:
+    """Two parts as one, evenly."""
+    return part._replace(end=following.end, filament=part.filament + following.filament)
+
+
+def _clipped(parts: Sequence[Part], stretch: Stretch, dt: float) -> list[Part]:
+    """Parts of a stretch that begin no earlier than it, and end with it where no more than a sample is over."""
+    found: list[Part] = []
+    pool, about = 0.0, ""
+    for part in parts:
+        about = about or part.about
+        start, end = max(part.start, stretch.on), part.end
+        if 0.0 < end - stretch.off <= 1.5 * dt:
+            end = stretch.off
+        if part.kind:
+            found.append(part)
+        elif end - start > 0.5 * dt:
+            found.append(part._replace(start=start, end=end, filament=part.filament + pool, about=about))
+            pool, about = 0.0, ""
+        elif found and not found[-1].kind:
+            found[-1] = found[-1]._replace(filament=found[-1].filament + part.filament)
+        else:
+            pool += part.filament
+    return found
 
 
 def _chunks(t: Trajectory) -> tuple[Indices, Labels]:
@@ -207,94 +457,230 @@ def _chunks(t: Trajectory) -> tuple[Indices, Labels]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Reader and check: each tool gets the filament that the plan has for it, and in time.
+# Reader and check: each tool gets the filament that the plan has for it, in time, and in step with the robot.
 
 AMOUNT = 1e-5  # m of filament that a tool may get too much or too little, in all
 LATE = 2e-3  # s, and a sample: by which an order may stand behind or before its instant
+RAMPS = 0.02  # s by which a bead may end late on a board whose ramps take longer than a line may
 GRAMMAR = Grammar.of(
     "G-code",
     ";",
     {
         "feed": r"G1 E(-?\d+\.\d+) F(\d+\.\d+)",
         "pause": r"G4 P(\d+)",
-        "tool": r"T(\d+)",
-        "wait": r"M116|M1(?:09|90) S[\d.]+",
+        "tool": SELECTS,
+        "signal": r"M(577|226) P(\d{1,3}) S([01])",
+        "repeat": r"while sensors\.gpIn\[(\d{1,3})\]\.value == 1 && iterations < (\d{1,6})",
+        "done": DONE,
+        "wait": r"M116|M1(?:09|90)(?: T\d+)? S[\d.]+",
         "order": r"M(?:42|104|106|107|140|280)(?: [A-Z]-?[\d.]+)*",
+        "begin": "|".join(line for firmware in FIRMWARES.values() for line in map(re.escape, firmware.begin)),
         "mode": r"M83",
     },
     called="line",
 )
 
 
+class Step(NamedTuple):
+    """A wait for the robot: the line without its number, the input, and whether it is to be on; when the board is ready
+    for it [s], and the filament [m] since the one before; how long [s] its last line is repeated at most, if it is."""
+
+    code: str
+    number: int
+    on: bool
+    ready: float
+    filament: float
+    longest: float | None = None
+
+
 @dataclass(frozen=True)
 class Extrusion:
-    """What the program does: filament in all [m] by tool (None before any is selected), when tools are selected [s],
-    the other lines for the board with their times [s], and how long it lasts [s]."""
+    """What the program does: filament in all [m] by tool, when tools are selected [s], the other lines for the board with
+    their times [s], where it waits for the robot, lines of its beginning, and how long it lasts [s]."""
 
     filament: dict[int | None, float]
     selections: tuple[tuple[float, int], ...]
     orders: tuple[tuple[float, str], ...]
     duration: float
+    steps: tuple[Step, ...] = ()
+    begin: tuple[str, ...] = ()
 
 
-def read_gcode(text: str) -> Extrusion:
-    """Extrusion of a program as `writer.gcode` writes it. Raises InputError with the line of anything else.
+def read_gcode(text: str, board: BoardSpec | None = None, signals: Sequence[float] = ()) -> Extrusion:
+    """Extrusion of a program as `gcode` writes it, by the clock of a board whose waits end at `signals` [s] or later.
 
-    Relative filament is asked for before all else, and temperatures are waited for only before time has passed.
+    Raises InputError with the line of anything else: relative filament and a tool are asked for before filament moves,
+    temperatures are waited for only before time has passed, and only the last block of a bead is repeated.
     """
-    filament: dict[int | None, float] = {}
-    selections: list[tuple[float, int]] = []
-    ordered: list[tuple[float, str]] = []
-    now, tool, relative = 0.0, None, False
-    for statement in GRAMMAR.statements(text.splitlines()):
+    state = _Reading(board)
+    raw = text.splitlines()
+    for statement in GRAMMAR.statements(raw):
+        indented = raw[statement.line - 1].startswith(" ")
+        if indented != (state.repeated in ("repeat", "feed")):
+            raise statement.misplaced("outside of what is repeated" if indented else "where a line is repeated")
+        state.take(statement, signals)
+    if state.repeated:
+        raise InputError("it ends where a line is repeated", file=GRAMMAR.file, line=len(raw))
+    return Extrusion(
+        state.filament,
+        tuple(state.selections),
+        tuple(state.ordered),
+        state.now,
+        tuple(state.steps),
+        tuple(state.begin),
+    )
+
+
+class _Reading:
+    """What has been read so far; `repeated` is the line before within a repetition, or none."""
+
+    def __init__(self, board: BoardSpec | None) -> None:
+        self.board = board
+        self.filament: dict[int | None, float] = {}
+        self.selections: list[tuple[float, int]] = []
+        self.ordered: list[tuple[float, str]] = []
+        self.steps: list[Step] = []
+        self.begin: list[str] = []
+        self.now, self.repeated = 0.0, ""
+        self._loop: tuple[int, int] | None = None  # input, and most repetitions
+        self._took = 0.0
+        self._tool: int | None = None
+        self._relative = self._done = False
+        self._fed = 0.0
+
+    def take(self, statement: Statement, signals: Sequence[float]) -> None:
+        """One line more."""
         word, parts = statement.word, statement.parts
-        if word == "mode":
-            relative = True
-        elif not relative:
+        if word == "begin":
+            self.begin.append(statement.text)
+        elif word == "mode":
+            self._relative = True
+        elif not self._relative:
             raise statement.misplaced("before M83")
-        elif word == "wait" and now > 0.0:
+        elif self.repeated:
+            self._repeat(statement)
+        elif word == "wait" and self.now > 0.0:
             raise statement.error(f"{statement.text!r} would lose the robot, which waits by time")
         elif word in ("wait", "order"):
-            ordered.append((now, statement.text))
+            self.ordered.append((self.now, statement.text))
         elif word == "tool":
-            tool = int(parts[0])
-            selections.append((now, tool))
+            self._tool = int(parts[0] or parts[1] or 0)
+            self.selections.append((self.now, self._tool))
         elif word == "pause":
-            now += int(parts[0]) * 1e-3
-        else:
-            amount = float(parts[0]) * 1e-3
-            filament[tool] = filament.get(tool, 0.0) + amount
-            now += abs(amount) / (float(parts[1]) * 1e-3 / 60.0)
-    return Extrusion(filament, tuple(selections), tuple(ordered), now)
+            self.now += int(parts[0]) * 1e-3
+        elif word == "signal":
+            self._wait(parts, signals)
+        elif word == "repeat":
+            if not self._done:
+                raise statement.misplaced(f"without {DONE} before it")
+            self.repeated, self._loop = "repeat", (int(parts[0]), int(parts[1]))
+        elif word == "feed":
+            self._feed(statement)
+        self._done = word == "done"
+
+    def _repeat(self, statement: Statement) -> None:
+        """A line that is repeated: filament, and the wait until it has moved; once by the plan."""
+        if statement.word != {"repeat": "feed", "feed": "done"}[self.repeated]:
+            raise statement.misplaced("where a line is repeated")
+        if statement.word == "feed":
+            self._feed(statement)
+        self.repeated = {"feed": "feed", "done": ""}[statement.word]
+
+    def _feed(self, statement: Statement) -> None:
+        if self._tool is None:
+            raise statement.misplaced("before a tool is selected")
+        amount, rate = float(statement.parts[0]), float(statement.parts[1]) / 60.0
+        if not rate > 0.0:
+            raise statement.error(f"{statement.text!r} takes for ever")
+        self.filament[self._tool] = self.filament.get(self._tool, 0.0) + amount * 1e-3
+        self._fed += amount * 1e-3
+        took = abs(amount) / rate if self.board is None else lasts(self.board, np.array(amount), np.array(rate))
+        self._took = float(took)
+        self.now += self._took
+
+    def _wait(self, parts: tuple[str, ...], signals: Sequence[float]) -> None:
+        code, number, on = f"M{parts[0]}", int(parts[1]), parts[2] == "1"
+        longest = None
+        if self._loop is not None:
+            longest = self._loop[1] * self._took if self._loop[0] == number else np.inf  # another input is looked at
+        self.steps.append(Step(code, number, on, self.now, self._fed, longest))
+        if len(self.steps) <= len(signals):
+            self.now = max(self.now, signals[len(self.steps) - 1])
+        self._fed, self._loop = 0.0, None
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """Differences of the program from the plan, beyond rounding, in words. InputError for an unknown line."""
-    t, written = plan.trajectory, read_gcode(files[FILE])
+    t, board = plan.trajectory, plan.problem.program.board
+    found_stretches = stretches(plan) if board.sync == "signal" else ()
+    signals = [at for each in found_stretches for at in (each.on, each.off)]
+    written = read_gcode(files[FILE], board, signals)
     found = filament_differences(plan, written.filament)
     tools = {each.name: each.tool for each in materials_of(plan.problem)}
-    planned = [(event.start, tools[event.material]) for event in t.events if event.kind in SELECTS]
+    planned = [(event.start, tools[event.material]) for event in t.events if event.kind in SELECTING and tools]
+    planned = planned if tools else [(0.0, board.first_tool)]
     if [tool for _, tool in planned] != [tool for _, tool in written.selections]:
         found.append("other tools are selected than the plan's")
     else:
         late = [abs(at - start) for (at, _), (start, _) in zip(written.selections, planned, strict=True)]
         if not max(late, default=0.0) <= LATE + t.dt:
             found.append(f"a tool is selected {max(late):.3g} s off its time")
-    planned_orders = [(due, line) for order in orders(plan) for due, line in order.due if line.startswith("M")]
+    planned_orders = [(due - _sooner(plan, due, line, signals), line) for due, line in _planned_orders(plan)]
     found += order_differences(planned_orders, written.orders, LATE + t.dt, "the board is told other things")
-    if not abs(written.duration - float(t.t[-1] - t.t[0])) <= LATE + t.dt:
+    if written.begin != FIRMWARES[board.firmware].begin:
+        found.append("it does not begin as the board's firmware asks for")
+    found += _out_of_step(plan, found_stretches, written.steps)
+    if not abs(written.duration - float(t.t[-1] - t.t[0])) <= LATE + t.dt + (RAMPS if board.from_rest else 0.0):
         found.append(f"it lasts {written.duration:.3f} s")
     return found
 
 
+def _planned_orders(plan: Plan) -> list[tuple[float, str]]:
+    return [(due, line) for order in orders(plan) for due, line in order.due if line.startswith("M")]
+
+
+def _sooner(plan: Plan, due: float, line: str, signals: Sequence[float]) -> float:
+    """By how much [s] the fan is switched earlier, so that the board is ready when the robot comes."""
+    if not line.startswith(FAN) or not signals or due > signals[-1]:
+        return 0.0
+    k = int(np.searchsorted(signals, due, side="right"))
+    return early(plan.trajectory, due, signals[k - 1] if k else 0.0) if k % 2 == 0 else 0.0
+
+
+def _out_of_step(plan: Plan, planned: Sequence[Stretch], steps: Sequence[Step]) -> list[str]:
+    """Whether the board waits for the planned signals, is ready for each, and moves each bead's filament in between."""
+    board, t = plan.problem.program.board, plan.trajectory
+    code = FIRMWARES[board.firmware].wait.split(" ")[0]
+    waits = [(code, each.number, on) for each in planned for on in (True, False)]
+    if [(step.code, step.number, step.on) for step in steps] != waits:
+        return ["it waits for other signals of the robot than the plan's, or in another order"]
+    found, within = [], fed_within(plan, tuple(planned))
+    near = LATE + t.dt + (RAMPS if board.from_rest else 0.0)
+    behind = NEAR if plan.problem.process.extruder.lag > 0.0 else 0.0
+    # primes and retracts carry what a bead lays in the sample that they share with it
+    shared = AMOUNT + 2.0 * float(np.abs(np.diff(laid_filament(t))).max(initial=0.0))
+    for k, each in enumerate(planned):
+        on, off = steps[2 * k], steps[2 * k + 1]
+        if on.ready > each.on + near:
+            found.append(f"the board is {on.ready - each.on:.3g} s late for the bead that begins at {each.on:.3f} s")
+        if off.ready > each.off + near + behind:
+            found.append(f"the bead that ends at {each.off:.3f} s is laid {off.ready - each.off:.3g} s longer")
+        if abs(off.filament - within[k]) > shared:
+            extra = (off.filament - within[k]) * 1e3
+            found.append(f"the bead that begins at {each.on:.3f} s gets {extra:+.3g} mm of filament")
+        if off.longest is not None and off.longest > 1.5 * LONGER + 1.1 * SLOWER * (each.off - each.on):
+            found.append(f"the bead that ends at {each.off:.3f} s is laid on for too long, or for another output")
+    return found
+
+
 def filament_differences(plan: Plan, filament: Mapping[int | None, float]) -> list[str]:
-    """Tools that get more or less filament [m] in all than planned; the tool is None where a plan has but one."""
+    """Tools that get more or less filament [m] in all than planned; None where none is selected."""
     t = plan.trajectory
     planned: dict[int | None, float] = {each.material.tool: each.filament for each in used(plan) if each.beads}
-    planned = planned or {None: float(t.feed[-1] - t.feed[0])}
+    planned = planned or {plan.problem.program.board.first_tool: float(t.feed[-1] - t.feed[0])}
     off = {tool: filament.get(tool, 0.0) - planned.get(tool, 0.0) for tool in {*planned, *filament}}
     return [
-        f"{'the extruder' if tool is None else f'tool T{tool}'} gets {amount * 1e3:+.3g} mm of filament"
+        f"{'no tool' if tool is None else f'tool T{tool}'} gets {amount * 1e3:+.3g} mm of filament"
         for tool, amount in sorted(off.items(), key=str)
         if not abs(amount) <= AMOUNT
     ]

@@ -18,7 +18,7 @@ from planner.problem.cell import CellSpec, CollisionSpec
 from planner.problem.fields import IDENTIFIER, Section, key, one_of, refusal
 from planner.problem.layers import KINDS, AnyLayersSpec, GcodeLayersSpec, WaypointLayersSpec, check_body
 from planner.problem.part import PartSpec
-from planner.problem.process import ProcessSpec, check_materials
+from planner.problem.process import ProcessSpec, check_board, check_materials
 from planner.problem.settings import STRATEGY_NAMES, ProgramSpec, ResolveSpec, StrategyName
 from planner.problem.yaml_file import (
     Keys,
@@ -243,4 +243,5 @@ def _validated(data: dict[str, Any], source: ValueSources) -> Problem:
     except ValidationError as error:
         raise first_mistake(error.errors(include_url=False), source, Problem) from None
     check_materials(problem)
+    check_board(problem)
     return problem

@@ -24,6 +24,7 @@ from planner.problem.fields import (
     one_of,
     refusal,
 )
+from planner.problem.settings import INPUTS
 from planner.problem.yaml_file import describe
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ LEAST_WAIT = 0.1  # s: five of the coarsest samples, so that filament of two mat
 
 CUT_PAUSE = 0.5  # s; Tawfik et al., section III.B: the cutter, on a fan's output, closes and opens in so long each
 MOST_LINES = 20
+KLIPPER_LACKS = ("M42", "M280")  # of the orders that a cut may have
 _ORDER = re.compile(r"M(42|106|107|280)( [A-Z]-?\d{1,6}(\.\d{1,4})?)*|G4 P\d{1,6}")
 
 FIBRE_RAMP_DEG = 30  # Tawfik et al., section III.A.2: laid down at this angle, the end of the fibre sticks
@@ -181,6 +183,29 @@ def check_materials(problem: Problem) -> None:
         first = taken.setdefault(signal.lower(), name)  # RAPID does not tell capitals from small letters
         if first != name:
             raise problem.error(field, f"{signal!r} is already the name of {first}", "give each its own name")
+
+
+def check_board(problem: Problem) -> None:
+    """Raise the InputError of a tool that the extruder's board has not, or of an order or input that its firmware has not."""
+    process, board = problem.process, problem.program.board
+    for name in process.materials:
+        tool = process.tool(name)
+        if board.tools is not None and tool not in board.tools:
+            hint = f"program.board.tools has {', '.join(map(str, board.tools))}"
+            raise problem.error(f"process.materials.{name}.tool", f"the board has no tool {tool}", hint)
+    last = board.input + max(len(process.materials), 1) - 1
+    if board.sync == "signal" and last >= INPUTS[board.firmware]:
+        reason = f"{len(process.materials)} materials go up to input {last}, which {board.firmware} has not"
+        raise problem.error("program.board.input", reason, f"at most {INPUTS[board.firmware] - len(process.materials)}")
+    if board.firmware != "klipper":
+        return
+    if process.fan is not None and process.fan.number:
+        reason = f"Klipper's M106 knows no fan {process.fan.number}"
+        raise problem.error("process.fan.number", reason, "its fan is 0")
+    for line in process.fibre.code if process.fibre is not None else ():
+        if line.startswith(KLIPPER_LACKS):
+            reason = f"Klipper has no {line.split(' ')[0]}, which cuts the fibre"
+            raise problem.error("process.fibre.cut_code", reason, "use M106, M107 and G4")
 
 
 def _order(value: Any) -> str:

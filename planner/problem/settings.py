@@ -50,6 +50,13 @@ USUAL_LANGUAGE: LanguageName = "joint_trajectory"  # of arms whose file names no
 Identifier = Annotated[str, IDENTIFIER]
 StyleName = Literal["output", "demand", "socket"]
 STYLE_NAMES: tuple[str, ...] = get_args(StyleName)
+FirmwareName = Literal["reprap", "marlin", "klipper"]
+FIRMWARES: tuple[str, ...] = get_args(FirmwareName)
+SyncName = Literal["signal", "free"]
+SYNCS: tuple[str, ...] = get_args(SyncName)
+# Numbers below which an input can be waited for: RepRapFirmware's MaxGpInPorts of its largest boards (M577 P), and the
+# byte of Marlin's pin numbers (M226 P). Klipper waits for none.
+INPUTS = {"reprap": 56, "marlin": 256}
 FIRST_PORT, LAST_PORT = 1025, 4999  # ABB, RAPID reference, SocketBind: free for programs
 _ADDRESS = r"^[0-9]{1,3}(\.[0-9]{1,3}){3}$"  # roughly, for editors
 # names that the program gives itself: procedures, speeds, triggers, and what serves the socket; and ABB's own data
@@ -231,6 +238,66 @@ class SocketSpec(Section):
     port: Annotated[int, Quantity("", FIRST_PORT, LAST_PORT, whole=True)] = key("port", "of the controller", FIRST_PORT)
 
 
+class BoardSpec(Section):
+    """The board that moves filament with `extrusion.gcode`: its firmware, and how it keeps pace with the robot."""
+
+    firmware: Annotated[FirmwareName, one_of(FIRMWARES)] = key("firmware", f"one of {', '.join(FIRMWARES)}", "reprap")
+    sync: Annotated[SyncName, one_of(SYNCS)] = key(
+        "sync",
+        "what keeps it in step: signal, it waits for the robot's output at both ends of each bead, which klipper cannot; "
+        "or free, time alone",
+        "signal",
+    )
+    input: Annotated[int, Quantity("", 0, max(INPUTS.values()) - 1, whole=True)] = key(
+        "input",
+        "number of the input to which the extruder's output is wired: J of M950 (reprap), or the pin's (marlin); "
+        "those of further materials come after it",
+        1,
+    )
+    tools: Annotated[tuple[Annotated[int, Quantity("", 0, 99, whole=True)], ...], UNIQUE] | None = key(
+        "tools",
+        "numbers of its tools; a print of one material selects the first; default: tool 0, or those of the materials",
+        None,
+    )
+    rests: Truth | None = key(
+        "rests",
+        "whether it moves filament from rest to rest, so that each line is written faster by what its ramps take; "
+        "default: klipper does",
+        None,
+    )
+    acceleration: Annotated[float, Quantity("mm/s2", 10, 1e6)] = key(
+        "acceleration_mm_s2", "of filament that moves from rest to rest [mm/s2]", 1500
+    )
+
+    @property
+    def from_rest(self) -> bool:
+        """Whether each line moves filament from rest to rest."""
+        return self.firmware == "klipper" if self.rests is None else self.rests
+
+    @property
+    def first_tool(self) -> int:
+        """Number of the tool that a print of one material selects."""
+        return 0 if self.tools is None else self.tools[0]
+
+    @model_validator(mode="after")
+    def _what_its_firmware_can(self) -> BoardSpec:
+        if self.tools == ():
+            reason = "a board without a tool moves no filament"
+            raise refusal(reason, "give the numbers of its tools, for example [0]", fields=["tools"])
+        if self.sync == "free":
+            return self
+        if self.firmware not in INPUTS:
+            raise refusal(
+                f"{self.firmware} has no command that waits for an input",
+                "sync: free runs by time alone; or take program.style demand or socket; see docs/gcode.md",
+                fields=["firmware", "sync"],
+            )
+        if self.input >= INPUTS[self.firmware]:
+            reason = f"{self.firmware} has no input {self.input}"
+            raise refusal(reason, f"valid: 0 to {INPUTS[self.firmware] - 1}", fields=["firmware", "input"])
+        return self
+
+
 class ProgramSpec(Section):
     """The robot program: how it drives the extruder, its names, and how finely its straight lines divide a bead."""
 
@@ -258,6 +325,7 @@ class ProgramSpec(Section):
     demand_most: Annotated[float, Quantity("", 1e-6, 1e9)] = key(
         "demand_most", "greatest value that it can have; a plan that asks for more is refused", 10
     )
+    board: BoardSpec = key("board", "what moves filament with extrusion.gcode; each has a default", {})
     module_moves: Annotated[int, Quantity("", 100, 1_000_000, whole=True)] = key(
         "module_moves",
         "moves of a RAPID module; a program of more is split into modules that are loaded on the way",

@@ -191,12 +191,15 @@ class _Job:
 
 
 class Board:
-    """The board's state. Times [s] are its own and never go back."""
+    """The board's state. Times [s] are its own and never go back.
 
-    def __init__(self, faults: Faults | None = None) -> None:
+    tool  that is selected; None, as after a start of RepRapFirmware: it refuses to extrude then
+    """
+
+    def __init__(self, faults: Faults | None = None, tool: int | None = None) -> None:
         self.record = Record()
         self.halted = False
-        self.tool = 0
+        self.tool = tool
         self._faults = faults or Faults()
         self._time = 0.0
         self._partial = b""
@@ -257,7 +260,7 @@ class Board:
 
     def temperatures(self) -> tuple[float, float]:
         """Of the selected tool's nozzle and of the bed [°C]."""
-        return self._nozzles[self.tool].at(self._time), self._bed.at(self._time)
+        return self._nozzles[self.tool or 0].at(self._time), self._bed.at(self._time)
 
     def _next_end(self) -> float | None:
         if self._queue:
@@ -326,15 +329,17 @@ class Board:
         if code in ("G0", "G1"):
             if {"X", "Y", "Z"} & set(words):
                 return f"Error: {code}: insufficient axes homed"
+            if self.tool is None and "E" in words:
+                return "Error: Attempting to extrude with no tool selected"
             self._feed = words["F"] / 60.0 if words.get("F", 0.0) > 0.0 else self._feed
             amount = words.get("E", 0.0) - (0.0 if self._relative or "E" not in words else self._position)
             self._position += amount
-            words = {"E": amount, "T": self.tool}
+            words = {"E": amount, "T": self.tool or 0}
             lasts = abs(amount) / self._feed
         else:
             lasts = 0.0
             if code in ("M104", "M140"):
-                words = {"T": self.tool, **words}
+                words = {"T": self.tool or 0, **words}
                 limit = (NOZZLE if code == "M104" else BED).limit
                 if not 0.0 <= words.get("S", 0.0) < limit or not 0 <= words["T"] < TOOLS:
                     return f"Error: {code}: no such temperature or tool"
@@ -381,7 +386,7 @@ class Board:
             return words.get("P", 0.0) * 1e-3 + words.get("S", 0.0)
         cooling = "R" in words
         target = words.get("R", words.get("S"))
-        tool = int(words.get("T", self.tool)) % TOOLS
+        tool = int(words.get("T", self.tool or 0)) % TOOLS
         if code == "M190":
             self._bed = self._bed if target is None else self._bed.set(min(target, BED.limit - 1.0), self._time)
             return max(0.0, self._bed.reached(cooling) - self._time)
@@ -398,7 +403,7 @@ class Board:
             self._position = words.get("E", self._position)
         elif code == "M105":
             nozzle, bed = self.temperatures()
-            goal = self._nozzles[self.tool].target
+            goal = self._nozzles[self.tool or 0].target
             out.append(Reply(f"T:{nozzle:.1f} /{goal:.1f} B:{bed:.1f} /{self._bed.target:.1f}"))
         elif code == "M115":
             out.append(Reply("FIRMWARE_NAME: Beadwise board simulator FIRMWARE_VERSION: 1 ELECTRONICS: none"))

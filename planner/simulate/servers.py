@@ -69,10 +69,16 @@ class BoardServer:
     """A board with its network, in a thread of its own. Board time runs `pace` times as fast as the wall's."""
 
     def __init__(
-        self, host: str, port: int, pace: float = 1.0, faults: Sequence[Fault] = (), password: str = ""
+        self,
+        host: str,
+        port: int,
+        pace: float = 1.0,
+        faults: Sequence[Fault] = (),
+        password: str = "",
+        tool: int | None = None,
     ) -> None:
         self._faults, self._password, self._pace = Faults(faults), password, pace
-        self._board = Board(self._faults)
+        self._board = Board(self._faults, tool)
         self._lock = threading.Lock()
         self._begin = time.monotonic()
         self._listener = bound_socket(host, port)

@@ -63,13 +63,15 @@ def start(
     board_faults: Sequence[str] = (),
     rws_password: str = "robotics",
     board_password: str = "",
+    board_tool: int | None = None,
     read: Reader | None = None,
     cell: Cell | None = None,
 ) -> Simulated:
     """Start both simulators on free ports; faults as words such as `drop@25` (see `faults`).
 
     read: modules (name → text) → program, in place of our own reader of RAPID; cell: whose limits the motion keeps,
-    where programmed speeds alone are not enough. Raises InputError for what is no fault.
+    where programmed speeds alone are not enough. board_tool: selected on the board from the start.
+    Raises InputError for what is no fault.
     """
     of_controller = faults_of(controller_faults, CONTROLLER_FAULTS)
     of_board = faults_of(board_faults, BOARD_FAULTS)
@@ -78,5 +80,5 @@ def start(
     move = own_clock if cell is None else partial(played_motion, cell=cell)
     controller = Controller(program, pace, of_controller, read, move)
     rws = RwsServer(host, 0, controller, Access(password=rws_password))
-    board = BoardServer(host, 0, pace, of_board, board_password)
+    board = BoardServer(host, 0, pace, of_board, board_password, board_tool)
     return Simulated(rws.address, program, board.address, controller, (rws, board))

@@ -7,9 +7,9 @@ MODULE OneBead
     !   reach: 0 mm (limit 0)
     ! 8 moves, 3 of them along beads, whose toolpath has 12 waypoints
     ! Note: 2 lines are sent at fly-by points, as early as the controller reads ahead
-    !   first bead 0, line 70 of OneBead.mod
+    !   first bead 0, line 71 of OneBead.mod
     ! Note: 2 moves on beads are slowed by accelerations of the joints, the worst to 88 % of its speed
-    !   first bead 0, line 74 of OneBead.mod
+    !   first bead 0, line 75 of OneBead.mod
 
     ! The load below is a placeholder: identify it on the robot before the first run.
     PERS tooldata tPen:=[TRUE,[[-44.510,9.900,113.950],[1.0000000,0.0000000,0.0000000,0.0000000]],[1,[0,0,50],[1,0,0,0],0,0,0]];
@@ -56,10 +56,11 @@ MODULE OneBead
         MoveJ [[-2.311,98.797,-2.950],[0.6040228,0.7333283,0.1695307,0.2620026],[0,1,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel200,fine,tPen\WObj:=wobjPart;
         ! heat
         BwLine 1,"M83";
-        BwLine 2,"M140 S60";
-        BwLine 3,"M104 S200";
-        BwLine 4,"M190 S60";
-        BwLine 5,"M109 S200";
+        BwLine 2,"T0";
+        BwLine 3,"M140 S60";
+        BwLine 4,"M104 S200";
+        BwLine 5,"M190 S60";
+        BwLine 6,"M109 S200";
         WaitTime 4.000;
         BwSettle 900;
     ENDPROC
@@ -68,16 +69,16 @@ MODULE OneBead
         ! Bead 0, layer 0: 11.8 mm
         MoveJ [[-1.416,45.895,28.637],[0.5616108,0.5616110,0.4296428,0.4296434],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel200,fine,tPen\WObj:=wobjPart;
         TriggL [[-2.083,42.905,30.033],[0.5416803,0.5416803,0.4545134,0.4545134],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel45,trgOn,z5,tPen\WObj:=wobjPart;
-        BwLine 6,"G1 E0.50702 F304.212";
+        BwLine 7,"G1 E0.50702 F304.212";
         MoveC [[-2.368,40.968,30.969],[0.5280799,0.5280799,0.4702463,0.4702463],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],[[-2.545,38.934,31.700],[0.5140227,0.5140227,0.4855725,0.4855725],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel42_3,z5,tPen\WObj:=wobjPart;
-        BwLine 7,"G1 E0.49891 F299.346";
+        BwLine 8,"G1 E0.49891 F299.346";
         MoveC [[-2.600,36.941,31.996],[0.4995210,0.4995210,0.5004786,0.5004786],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],[[-2.537,34.936,31.805],[0.4845871,0.4845871,0.5149518,0.5149518],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel42_3,fine,tPen\WObj:=wobjPart;
         ! cut, bead 0
         WaitTime 1.000;
-        BwLine 8,"M106 P0 S1";
-        BwLine 9,"G4 P500";
-        BwLine 10,"M106 P0 S0";
-        BwLine 11,"G4 P500";
+        BwLine 9,"M106 P0 S1";
+        BwLine 10,"G4 P500";
+        BwLine 11,"M106 P0 S0";
+        BwLine 12,"G4 P500";
         WaitTime 2.000;
         BwSettle 900;
         TriggC [[-2.361,32.979,31.185],[0.4698560,0.4698560,0.5284272,0.5284272],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],[[-2.088,31.125,30.329],[0.4547504,0.4547504,0.5414813,0.5414813],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel42_3,trgOff,z5,tPen\WObj:=wobjPart;
@@ -101,7 +102,7 @@ MODULE OneBead
         SocketListen bwServer;
         TPWrite "Waiting for the relay at port 1025";
         SocketAccept bwServer,bwClient\Time:=600;
-        SocketSend bwClient\Str:="H OneBead 11\0A";
+        SocketSend bwClient\Str:="H OneBead 12\0A";
         WHILE NOT bwGo DO
             BwHear 2;
         ENDWHILE

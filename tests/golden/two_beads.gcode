@@ -10,7 +10,9 @@
 ; The robot's clearances hold for its own head and ways: look at those of this machine.
 G21
 G90
+M203 I0.6
 M83
+T0
 G0 Z65.4994
 G0 X3.9722 Y-63.9419 A91.0447 C-76.0038
 G0 Z60.4994

@@ -61,7 +61,8 @@ FLAVOURS = {
         relative=True,
         unit=1e-3,
         pause="G4 P{:.0f}",
-        begin=("G21", "G90", "M83"),
+        # M203 I: the least speed, also under G93, is 0.5 mm/s (30 mm/min) unless set, and 0.01 mm/s is the lowest
+        begin=("G21", "G90", "M203 I0.6", "M83"),
         end=("M400",),
         order=lambda line: line,
     ),

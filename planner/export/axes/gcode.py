@@ -13,6 +13,7 @@ from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
 from planner.export.axes.flavours import FLAVOURS, Flavour, feed_length
 from planner.export.axes.machine import FiveAxes, Followed, Machine, PoseMachine, above, follow, machine_of, spec_of
+from planner.export.board import select
 from planner.export.extruder import Order, order_differences, orders
 from planner.export.fit import by_samples, continuous, lerp, thin
 from planner.export.grammar import Grammar, Statement
@@ -20,6 +21,7 @@ from planner.export.moves import ANGLE_TOLERANCE, ON_TIME, ROUNDING, TIME_TOLERA
 from planner.export.program import resumed, verified
 from planner.export.support import STATION
 from planner.export.text import ascii_comment, beyond, number
+from planner.plan.plan import materials_of
 
 if TYPE_CHECKING:
     from planner.plan import Plan
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
 
 FILAMENT_TOLERANCE = 5e-6  # m of filament that a line may be ahead or behind
 STILL = 1e-7  # m, rad by which nothing moves
+BOARD = "reprap"  # firmware whose orders the flavours translate
 
 
 def kept(plan: Plan, motion: Followed, due: Array) -> Indices:
@@ -99,7 +102,7 @@ def axes_gcode(plan: Plan) -> str:
     spec = spec_of(plan)
     flavour = FLAVOURS[spec.flavour]
     motion = follow(plan)
-    waiting = orders(plan)
+    waiting = orders(plan, BOARD)
     at = kept(plan, motion, np.array([order.start for order in waiting]))
     lines = [*_header(plan, motion, len(at)), *_start_lines(plan, spec, flavour, motion)]
     lines += _lines(plan, spec, flavour, motion, at, list(waiting))
@@ -159,7 +162,7 @@ def _fastest(motion: Followed) -> str:
 
 def _start_lines(plan: Plan, spec: MachineSpec, flavour: Flavour, motion: Followed) -> list[str]:
     """Modes, and the way to the first target: up, across, and down on machines whose axes are not the robot's."""
-    lines = list(flavour.begin)
+    lines = [*flavour.begin, *_selected(spec, first_tool(plan))]
     if spec.flavour == "linuxcnc":
         lines.append(f"G64 P{plan.problem.program.chord * 1e3:.4f}")
         lines.append(f"G92 {spec.filament}0")
@@ -172,6 +175,16 @@ def _start_lines(plan: Plan, spec: MachineSpec, flavour: Flavour, motion: Follow
     else:
         lines.append("G0 " + " ".join(f"{name}{number(value, DECIMALS)}" for name, value in first.items()))
     return [*lines, "G93" if spec.feed == "inverse_time" else "G94"]
+
+
+def first_tool(plan: Plan) -> int | None:
+    """The tool that a print of one material selects before all else; None where its materials have names."""
+    return None if materials_of(plan.problem) else plan.problem.program.board.first_tool
+
+
+def _selected(spec: MachineSpec, tool: int | None) -> list[str]:
+    """The line that selects a tool before the first move, where filament cannot be pushed without."""
+    return [select(BOARD, tool)] if tool is not None and spec.flavour == "reprap" else []
 
 
 def _rows(motion: Followed, at: NDArray[np.intp]) -> Array:
@@ -275,8 +288,11 @@ class AxesProgram:
     orders: tuple[tuple[float, str], ...]
 
 
-def read_axes(text: str, spec: MachineSpec, letters: Sequence[str]) -> AxesProgram:
-    """The program for a machine with these letters (X, Y, Z, then what turns); InputError with the line of all else."""
+def read_axes(text: str, spec: MachineSpec, letters: Sequence[str], tool: int | None = 0) -> AxesProgram:
+    """The program for a machine with these letters (X, Y, Z, then what turns); InputError with the line of all else.
+
+    tool  selected before the first move, where the flavour asks for one; None where orders do that
+    """
     lines = text.splitlines()
     for n, line in enumerate(lines, 1):
         if len(line) > MOST_CHARACTERS:
@@ -285,7 +301,7 @@ def read_axes(text: str, spec: MachineSpec, letters: Sequence[str]) -> AxesProgr
     if mode not in lines:
         raise InputError(f"{mode} is missing", file=GRAMMAR.file)
     start = lines.index(mode)
-    place = _read_start(lines[:start], spec, letters)
+    place = _read_start(lines[:start], spec, letters, _selected(spec, tool))
     flavour = FLAVOURS[spec.flavour]
     end = [*(["G94"] if spec.feed == "inverse_time" else []), *([spec.tcp_off] if spec.tcp else []), *flavour.end]
     if lines[-len(end) :] != end:
@@ -320,9 +336,11 @@ def read_axes(text: str, spec: MachineSpec, letters: Sequence[str]) -> AxesProgr
     )
 
 
-def _read_start(lines: Sequence[str], spec: MachineSpec, letters: Sequence[str]) -> dict[str, float]:
+def _read_start(
+    lines: Sequence[str], spec: MachineSpec, letters: Sequence[str], selected: Sequence[str]
+) -> dict[str, float]:
     """Where the modes and the way to the first place leave the machine, by letter."""
-    must = [*FLAVOURS[spec.flavour].begin]
+    must = [*FLAVOURS[spec.flavour].begin, *selected]
     if spec.flavour == "linuxcnc":
         must.append(f"G92 {spec.filament}0")
     must += [spec.tcp_on] if spec.tcp else []
@@ -372,7 +390,8 @@ def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     machine = machine_of(spec)
     t = plan.trajectory
     station = t.q[:, len(plan.cell.arm) :] if isinstance(machine, PoseMachine) else np.empty((len(t), 0))
-    program = read_axes(files[file_name(plan)], spec, ("X", "Y", "Z", *machine.letters, *STATION[: station.shape[1]]))
+    letters = ("X", "Y", "Z", *machine.letters, *STATION[: station.shape[1]])
+    program = read_axes(files[file_name(plan)], spec, letters, first_tool(plan))
     tip, quat = t.tip.copy(), continuous(t.quat)
     if not isinstance(machine, PoseMachine):
         first, last = above(plan)
@@ -465,6 +484,6 @@ def _fed(plan: Plan, program: AxesProgram) -> list[str]:
 def _order_differences(plan: Plan, program: AxesProgram) -> list[str]:
     """Orders to the board, and their times."""
     flavour = FLAVOURS[spec_of(plan).flavour]
-    planned = [(due, flavour.order(line)) for order in orders(plan) for due, line in order.due]
+    planned = [(due, flavour.order(line)) for order in orders(plan, BOARD) for due, line in order.due]
     others = "other things are said of heat, tools, fan and cutter"
     return order_differences(planned, program.orders, ORDER_LATE + plan.trajectory.dt, others)

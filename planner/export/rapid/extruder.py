@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
+from planner.export.board import select
 from planner.export.extruder import orders
+from planner.export.in_step import laid_filament
 from planner.export.moves import Moves, deposits
-from planner.plan.plan import filament_areas
+from planner.plan.plan import filament_areas, materials_of
 
 if TYPE_CHECKING:
     from planner.plan import Event, Plan, Trajectory
@@ -27,15 +29,6 @@ def event_samples(trajectory: Trajectory) -> Indices:
     """Samples at which the extruder begins or ends to move filament besides depositing: lines begin or end there."""
     edges = [_samples(trajectory, event) for event in trajectory.events if event.amount != 0.0]
     return np.unique(np.array(edges, dtype=np.intp))
-
-
-def laid_filament(trajectory: Trajectory) -> Array:
-    """Filament (n) [m] that was fed until each sample, without what events move: primes, retracts and purges."""
-    fed: Array = trajectory.feed - trajectory.feed[0]
-    for event in trajectory.events:
-        if event.amount != 0.0:
-            fed = fed - event.amount * np.clip((trajectory.t - event.start) / event.duration, 0.0, 1.0)
-    return fed
 
 
 def _samples(t: Trajectory, event: Event) -> tuple[int, int]:
@@ -129,7 +122,7 @@ def lines_of(plan: Plan, moves: Moves) -> tuple[SocketLine, ...]:
     Raises InputError for a line of the problem's own that no string of RAPID can hold.
     """
     t = plan.trajectory
-    due = [(0.0, RELATIVE, -1, 0), *_ordered(plan), *_feeding(t, moves)]
+    due = [*((0.0, text, -1, 0) for text in first_lines(plan)), *_ordered(plan), *_feeding(t, moves)]
     arrivals = np.concatenate([[0.0], t.t[moves.sample] - t.t[0]])
     leaves = np.append(t.t[moves.start] - t.t[0], np.inf)
     found = []
@@ -142,6 +135,12 @@ def lines_of(plan: Plan, moves: Moves) -> tuple[SocketLine, ...]:
         after = min(max(at - arrivals[place], 0.0), leaves[place] - arrivals[place])
         found.append(SocketLine(place - 1, float(after), at, bead, layer, text))
     return tuple(found)
+
+
+def first_lines(plan: Plan) -> tuple[str, ...]:
+    """What the board is told before all else: relative filament, and its tool where materials have no names."""
+    board = plan.problem.program.board
+    return (RELATIVE, *(() if materials_of(plan.problem) else (select(board.firmware, board.first_tool),)))
 
 
 def table(lines: tuple[SocketLine, ...]) -> str:

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from planner.base.arrays import Array
+from planner.export.board import selected_tool
 from planner.export.extruder import AMOUNT, filament_differences, orders
 from planner.export.moves import deposits
 from planner.export.program import RobotProgram
-from planner.export.rapid.extruder import COLUMNS, PERCENT, RELATIVE, flow
+from planner.export.rapid.extruder import COLUMNS, PERCENT, first_lines, flow
 from planner.export.rapid.reader import read_rapid_files
 from planner.export.rapid.text import module_name
 from planner.export.rapid.writer import rapid_files as write
@@ -31,7 +32,6 @@ LONGER = (
 )
 ROUNDING = 2e-6  # m; a trigger nearer to a move's end, or start, stands there
 _EXTRUDES = re.compile(r"G1 E(-?\d+\.\d+) F(\d+\.\d+)", re.ASCII)
-_SELECTS = re.compile(r"T(\d+)", re.ASCII)
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
@@ -50,7 +50,7 @@ def line_differences(plan: Plan, program: RobotProgram, table: str) -> list[str]
     sent = [text for move in sorted(program.sends) for text in program.sends[move]]
     planned = [text for order in orders(plan) for text in order.lines if not text.startswith(";")]
     found = [] if _listed(table) == list(enumerate(sent, 1)) else ["the table of lines lists others than are sent"]
-    if [text for text in sent if not _EXTRUDES.fullmatch(text)] != [RELATIVE, *planned]:
+    if [text for text in sent if not _EXTRUDES.fullmatch(text)] != [*first_lines(plan), *planned]:
         found.append("the board is told other things than the plan's, or in another order")
     return found + _fed_otherwise(plan, sent) + _fed_elsewhere(plan, program)
 
@@ -67,8 +67,8 @@ def _fed_otherwise(plan: Plan, sent: list[str]) -> list[str]:
     filament: dict[int | None, float] = {}
     tool = None
     for text in sent:
-        if selects := _SELECTS.fullmatch(text):
-            tool = int(selects[1])
+        if (selects := selected_tool(text)) is not None:
+            tool = selects
         elif extrudes := _EXTRUDES.fullmatch(text):
             filament[tool] = filament.get(tool, 0.0) + float(extrudes[1]) * 1e-3
     return filament_differences(plan, filament)

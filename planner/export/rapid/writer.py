@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from planner.base.arrays import Array, Indices
 from planner.export.external import carrying_axes, external_axes, external_written
 from planner.export.fit import continuous, from_matrix
+from planner.export.in_step import laid_filament
 from planner.export.moves import Moves, Wait, corner_tolerance, corners, fit_of, plan_moves, sections
 from planner.export.player.play import limited, play
 from planner.export.primitives import Poses
@@ -29,7 +30,6 @@ from planner.export.rapid.extruder import (
     SocketLine,
     demand_of,
     event_samples,
-    laid_filament,
     lines_of,
     server,
     server_declarations,

@@ -1,0 +1,83 @@
+"""When a board waits for the robot: stretches for which the output of an extruder is on, and what is due before one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from planner.base.arrays import Array
+from planner.export.moves import deposits
+from planner.export.support import by_bead
+from planner.plan.plan import materials_of
+
+if TYPE_CHECKING:
+    from planner.plan import Plan, Trajectory
+
+SEEN = (
+    0.05  # s for which an output must be off to be waited for: boards look at their inputs some hundred times a second
+)
+NEAR = 0.024  # s by which pressure is built up before a bead, and let off behind it, at most (motion.extrusion)
+# A prime has ended, and the fan is switched, a little before the robot is due: no controller is ahead of its program by
+# more than what zones cut off. By so much more a prime comes early.
+READY, SHARE = 0.02, 0.02  # s, and of the time since what came before
+
+HOME = ("heat", "purge", "change", "select", "retract")  # events that a prime does not move before
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """From when to when [s after the trajectory's start] an output is on, its signal and the board's input for it."""
+
+    on: float
+    off: float
+    signal: str
+    number: int
+
+
+def stretches(plan: Plan) -> tuple[Stretch, ...]:
+    """All of a plan, in order of time; those between which an output is off too shortly to be seen are one."""
+    t, program = plan.trajectory, plan.problem.program
+    signals = [each.signal for each in materials_of(plan.problem)] or [program.extruder_signal]
+    own = by_bead(plan, signals)
+    found: list[Stretch] = []
+    for a, b in zip(*(ends.tolist() for ends in deposits(t)), strict=True):
+        signal = own[int(t.bead[a])]
+        on, off = float(t.t[a] - t.t[0]), float(t.t[b] - t.t[0])
+        if found and found[-1].signal == signal and on - found[-1].off < SEEN:
+            found[-1] = Stretch(found[-1].on, off, signal, found[-1].number)
+        else:
+            found.append(Stretch(on, off, signal, program.board.input + signals.index(signal)))
+    return tuple(found)
+
+
+def early(t: Trajectory, at: float, since: float) -> float:
+    """By how much [s] what is due `at` a time before a bead comes earlier; the output went off at time `since`."""
+    begin = float(t.t[0])
+    ends = [event.start + event.duration - begin for event in t.events if event.kind in HOME]
+    free = max([since, *(end for end in ends if end <= at)])
+    return min(READY + SHARE * (at - free), at - free)
+
+
+def laid_filament(trajectory: Trajectory) -> Array:
+    """Filament (n) [m] that was fed until each sample, without what events move: primes, retracts and purges."""
+    fed: Array = trajectory.feed - trajectory.feed[0]
+    for event in trajectory.events:
+        if event.amount != 0.0:
+            fed = fed - event.amount * np.clip((trajectory.t - event.start) / event.duration, 0.0, 1.0)
+    return fed
+
+
+def fed_within(plan: Plan, found: tuple[Stretch, ...]) -> Array:
+    """Filament (k) [m] that beads take in each stretch, with the pressure that is built up before and let off behind it."""
+    t = plan.trajectory
+    at, laid = t.t - t.t[0], laid_filament(t)
+    events = [
+        sum(event.amount for event in t.events if event.amount and each.on + t.dt < event.start < each.off - t.dt)
+        for each in found
+    ]
+    begin = np.interp([each.on - NEAR for each in found], at, laid)
+    end = np.interp([each.off + NEAR for each in found], at, laid)
+    out: Array = end - begin + np.array(events)
+    return out
