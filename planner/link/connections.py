@@ -7,7 +7,10 @@ import os
 import re
 import socket
 import sys
+import threading
 import time
+from collections.abc import Hashable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from planner.base.errors import EXIT_NOT_VERIFIED, InputError, PlannerError
@@ -75,6 +78,64 @@ def connect(address: Address, what: str, patience: float = 0.0) -> socket.socket
         if hasattr(socket, name):  # not every system has all of these
             made.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
     return made
+
+
+# ----------------------------------------------------------------------------------------------------
+# Deadlines. A time limit of a socket counts from its last byte, so that a peer that drips holds a request for ever.
+
+
+class Cutter:
+    """Ends what goes on over some sockets once its time is over, however often a byte still comes."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._sockets: dict[Hashable, socket.socket] = {}
+        self._late = False
+
+    def watch(self, name: Hashable, made: socket.socket) -> None:
+        """Cut this one, too. It is held a second time, for TLS takes a socket away from whoever made it."""
+        with self._lock:
+            before, self._sockets[name] = self._sockets.get(name), made.dup()
+            late = self._late
+        if before is not None:
+            before.close()
+        if late:
+            self._cut()
+
+    def forget(self, name: Hashable) -> None:
+        """It is closed."""
+        with self._lock:
+            kept = self._sockets.pop(name, None)
+        if kept is not None:
+            kept.close()
+
+    @contextmanager
+    def within(self, seconds: float) -> Iterator[None]:
+        """Cut every socket unless the block ends within a time [s]; raises TimeoutError then."""
+        with self._lock:
+            self._late = False
+        timer = threading.Timer(seconds, self._cut)
+        timer.daemon = True
+        timer.start()
+        try:
+            yield
+        except Exception:
+            if self._late:  # whatever it says: its socket was cut under it
+                raise TimeoutError from None
+            raise
+        finally:
+            timer.cancel()
+        if self._late:
+            raise TimeoutError
+
+    def _cut(self) -> None:
+        with self._lock:
+            self._late = True
+            for each in self._sockets.values():
+                try:
+                    each.shutdown(socket.SHUT_RDWR)
+                except OSError:
+                    continue  # it is closed already
 
 
 # ----------------------------------------------------------------------------------------------------
