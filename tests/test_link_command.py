@@ -22,7 +22,7 @@ from planner.base.errors import InputError
 from planner.export.rapid.writer import rapid_files
 from planner.link import command, demo
 from planner.link import run as board
-from planner.link import rws as robot
+from planner.link import robot
 from planner.link.command import Show, duration, main, place, progress
 from planner.link.connections import Address, Secret, connect, parse_address, password
 from planner.link.program_lines import ProgramLine, ProgramLines
@@ -31,6 +31,7 @@ from planner.simulate.controller import Controller
 from planner.simulate.rws import Access, RwsServer
 from planner.simulate.start import Simulated, start
 
+PGF = b"<Program>\n\t<Module>Made.mod</Module>\n</Program>\n"
 LINES = ["M83", *(f"G1 E0.{k} F600" for k in range(100, 118)), "M104 S0"]
 PASSWORD, HEAD_PASSWORD = "r0b0tics-of-ours", "h3ad"
 
@@ -266,8 +267,8 @@ def test_web_services_2(tmp_path: Path) -> None:
     try:
         rws = Rws(Address(*server.address), 2, "Default User", Secret(PASSWORD), scheme="http")
         robot.check_ready(rws)
-        robot.bring(rws, {"Made.mod": MODULE.encode()}, lambda text: None)
-        assert controller.files() == ["Made.mod"] and controller.modules() == ["Made"]
+        robot.bring(rws, {"Made.mod": MODULE.encode(), "Made.pgf": PGF}, lambda text: None)
+        assert controller.files() == ["Made.mod", "Made.pgf"] and controller.modules() == ["Made"]
         rws.start()
         assert rws.running()
         rws.stop()
@@ -340,7 +341,7 @@ def test_a_program_in_modules(files: Path) -> None:
     load = '        Load \\Dynamic,"HOME:"\\File:="Made_{}.mod";\n        UnLoad "HOME:"\\File:="Made_{}.mod";\n'
     calls = "".join(load.format(k, k) for k in (1, 2))
     files.write_text(files.read_text().replace("PROC main()\n", f"PROC main()\n{calls}"))
-    for name in ("Made_1.mod", "Made_3.mod", "Made.pgf"):
+    for name in ("Made_1.mod", "Made_3.mod"):
         files.with_name(name).write_text(f"{name}\nENDMODULE\n")
     with pytest.raises(InputError, match=r"there is no file .*Made_2\.mod"):
         robot.program_files(files)
@@ -348,7 +349,12 @@ def test_a_program_in_modules(files: Path) -> None:
     with pytest.raises(InputError, match=r"Made_2\.mod: does not end with ENDMODULE"):
         robot.program_files(files)
     files.with_name("Made_2.mod").write_text("two\nENDMODULE\n")
-    assert list(robot.program_files(files)) == ["Made.mod", "Made_1.mod", "Made_2.mod", "Made.pgf"]
+    made = robot.program_files(files)
+    assert list(made) == ["Made.mod", "Made_1.mod", "Made_2.mod", "Made.pgf"]
+    assert b"<Module>Made.mod</Module>" in made["Made.pgf"]  # made for it where none was written
+    files.with_name("Made.pgf").write_bytes(PGF.replace(b"Made", b"Other"))
+    with pytest.raises(InputError, match=r"Made\.pgf: does not name Made\.mod alone"):
+        robot.program_files(files)
 
 
 def test_the_demo_with_a_program_as_it_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
