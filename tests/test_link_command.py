@@ -20,9 +20,8 @@ from simulate_fixtures import MODULE, program, reader
 
 from planner.base.errors import InputError
 from planner.export.rapid.writer import rapid_files
-from planner.link import command, demo
+from planner.link import command, demo, robot
 from planner.link import run as board
-from planner.link import robot
 from planner.link.command import Show, duration, main, place, progress
 from planner.link.connections import Address, Secret, connect, parse_address, password
 from planner.link.program_lines import ProgramLine, ProgramLines

@@ -7,7 +7,7 @@ import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -18,10 +18,20 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 from planner.base.command_line import Command, exit_code
 from planner.base.errors import EXIT_INTERRUPTED, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError
-from planner.link.connections import Address, LinkError, Secret, connect, parse_address, password
+from planner.link.connections import (
+    CONNECT_TIME,
+    PIECE,
+    Address,
+    LinkError,
+    Secret,
+    connect,
+    parse_address,
+    password,
+)
 from planner.link.ftp import HOME as FTP_HOME
 from planner.link.ftp import PORT as FTP_PORT
 from planner.link.ftp import Ftp
+from planner.link.messages import stop as stop_words
 from planner.link.program_lines import NO_BEAD, ProgramLines, read_program_lines
 from planner.link.relay import LogNote, Relay, RelaySide, RunOutcome
 from planner.link.robot import RobotWatch, bring, check_ready, check_together, program_files, start, stop_robot
@@ -139,12 +149,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _demo(options: argparse.Namespace, say: Callable[[str], None]) -> int:
-    from planner.link.demo import PASSWORD, demo_program, simulated  # the planner takes seconds to be imported
+    from planner.link import demo  # the planner takes seconds to be imported
 
-    options.program = options.program or demo_program(say)
-    options.secret = Secret(PASSWORD)
-    with simulated(options.pace) as (options.controller, options.socket, options.head):
-        return _run(options, say)
+    options.program = options.program or demo.demo_program(say)
+    options.secret = Secret(demo.PASSWORD)
+    with demo.simulated(options.pace) as (options.controller, options.socket, options.head):
+        code = _run(options, say)
+        if code == EXIT_VERIFIED and not options.dry_run:
+            with closing(_rws(options, options.secret)) as rws:
+                demo.show_steps(rws, options.program, say)
+        return code
 
 
 def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
@@ -165,7 +179,7 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
         log.write([LogNote("board", 0, text) for text in greeting])
         with _way(options, secret) as way:
             bring(rws, files, say, way)
-        with _stopping(rws) as started:
+        with _stopping(rws, options.socket) as started:
             program = stack.enter_context(connect(options.socket, "the program on the controller", JOIN_TIME))
             requests = stack.enter_context(closing(Requests()))
             relay = Relay(lines, time.monotonic(), options.cold)
@@ -206,17 +220,27 @@ class _Started:
 
 
 @contextmanager
-def _stopping(rws: Rws) -> Iterator[_Started]:
-    """Start the program; whatever goes wrong before it is over stops it."""
+def _stopping(rws: Rws, program: Address) -> Iterator[_Started]:
+    """Start the program; whatever goes wrong before it is over stops it, over the web services or its own socket."""
     started = _Started()
     try:
         start(rws)
         yield started
     except BaseException as error:
         if not started.over and (wrong := stop_robot(rws)) is not None:
-            first = f" after: {error}" if isinstance(error, LinkError | InputError) else ""
+            _turn_away(program)
+            first = f", after: {error}" if isinstance(error, LinkError | InputError) else ""
             raise LinkError(f"stop the robot by hand, its program may run: {wrong}{first}") from None
         raise
+
+
+def _turn_away(program: Address) -> None:
+    """A program that waits for the link, and cannot be stopped otherwise, ends when the link comes and goes."""
+    with suppress(LinkError, InputError, OSError), connect(program, "the program on the controller") as made:
+        made.sendall(stop_words("the link has failed"))
+        made.settimeout(CONNECT_TIME)
+        while made.recv(PIECE):
+            continue
 
 
 def _told(

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import ftplib
-import io
-import posixpath
 import re
 import socket
 from collections.abc import Callable
@@ -37,6 +35,8 @@ class Ftp:
 
     def close(self) -> None:
         """End the session."""
+        if self._ftp.sock is None:
+            return
         try:
             with self._cutter.within(QUICK):
                 self._ftp.quit()
@@ -50,7 +50,7 @@ class Ftp:
         except TimeoutError:
             self._ftp.close()
             raise LinkError(f"the controller's FTP server at {self._address} does not answer in time") from None
-        except (ftplib.Error, OSError, EOFError) as error:
+        except (ftplib.Error, OSError, EOFError, ValueError) as error:  # ValueError: an answer that is no text
             self._ftp.close()
             raise LinkError(f"the controller's FTP server at {self._address}: {_words(error)}") from None
         except (InputError, LinkError):
@@ -74,7 +74,11 @@ class Ftp:
         self._ftp.voidcmd("TYPE I")
 
     def _store(self, name: str, data: bytes) -> None:
-        self._ftp.storbinary(f"STOR {posixpath.basename(name)}", io.BytesIO(data))
+        with self._ftp.transfercmd(f"STOR {name}") as made:
+            made.sendall(data)
+            made.shutdown(socket.SHUT_WR)  # closing alone ends nothing, for the socket is watched
+        self._cutter.forget("data")
+        self._ftp.voidresp()
         size = self._ftp.size(name)
         if size != len(data):
             raise LinkError(f"{name} arrived with {size} of {len(data)} bytes")

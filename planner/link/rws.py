@@ -127,6 +127,8 @@ class Rws:
         self._session = sessions.Session()
         self._session.trust_env = False
         self._session.verify = str(verify) if isinstance(verify, Path) else verify
+        if verify is False:  # it was asked for, and need not be said at every request
+            sessions.packages.urllib3.disable_warnings(sessions.packages.urllib3.exceptions.InsecureRequestWarning)
         self._session.headers.update(self._dialect.headers)
         for prefix in ("http://", "https://"):
             self._session.mount(prefix, _adapter(self._cutter))
