@@ -53,11 +53,16 @@ class FtpServer:
             raise InputError(
                 f"cannot listen on {host}:{port}: {error.strerror or error}", field="--ftp-port"
             ) from error
-        self._ending = the_ending
+        self._ending, self._count = the_ending, the_count
         self._server.daemon_threads = True
         self.address: tuple[str, int] = self._server.server_address[:2]  # type: ignore[assignment]
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.05,), name="ftp", daemon=True)
         self._thread.start()
+
+    @property
+    def commands(self) -> int:
+        """Commands that came so far, after the login."""
+        return self._count[0]
 
     def close(self) -> None:
         """End the threads and close all sockets."""
