@@ -135,9 +135,7 @@ MODULE BeadwiseStream
     PROC BsHear()
         ! Takes what is here with one reading, and no more, for the motion waits for moves meanwhile; the PC sends a frame
         ! at least twice a second, if only to say that it is there.
-        VAR num before;
         VAR num many;
-        before:=bsTaken;
         many:=SocketPeek(bsClient) DIV bsFrame;
         IF many>bsAtOnce THEN
             many:=bsAtOnce;
@@ -149,8 +147,6 @@ MODULE BeadwiseStream
             ENDFOR
             ClkReset bsQuiet;
             ClkStart bsQuiet;
-        ENDIF
-        IF bsTaken>before THEN
             BsCredit;
         ENDIF
         IF ClkRead(bsQuiet)>bsSilence THEN

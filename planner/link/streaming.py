@@ -9,7 +9,9 @@ import socket
 import struct
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from importlib.resources import files
 from ipaddress import AddressValueError, IPv4Address
@@ -23,6 +25,9 @@ from planner.base.command_line import Command, exit_code
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, OutputError, PlannerError
 from planner.export.program import RobotProgram, Trigger
 from planner.export.rapid.reader import read_rapid_files
+from planner.link.connections import Address, parse_address
+from planner.link.feed import BoardFeed, FeedStopped, feeding
+from planner.link.run import PASSWORD as BOARD_PASSWORD
 
 # ----------------------------------------------------------------------------------------------------
 # Frames: one for each move of a program (see BeadwiseStream.mod).
@@ -67,6 +72,10 @@ class Stream:
     lines: dict[int, tuple[str, ...]]
     _values: Array
     _codes: NDArray[np.int64]
+
+    def rests(self, frame: int) -> bool:
+        """Whether the robot stands at the end of a frame."""
+        return float(self._values[frame - 1, 18]) == 0.0
 
     def frames(self) -> Iterator[bytes]:
         """All frames in order."""
@@ -223,15 +232,15 @@ class Sender:
             self._take(raw.decode("ascii", errors="replace"))
         self._received_at = now
 
-    def due(self, now: float) -> bytes:
-        """What is to be sent now. Raises StreamStopped where the controller has been silent for too long."""
+    def due(self, now: float, hold: int | None = None) -> bytes:
+        """What is to be sent now; nothing beyond frame `hold`. Raises StreamStopped where the controller is silent for too long."""
         if self.finished:
             return b""
         if now - self._received_at > self._patience:
             raise self._stopped(f"the controller has said nothing for {self._patience:.0f} s")
         out = b""
         if self._capacity is not None:
-            last = min(self.total, self.done + self._capacity, self.sent + MOST_SENT)
+            last = min(self.total, self.done + self._capacity, self.sent + MOST_SENT, hold or self.total)
             out = b"".join(next(self._frames) for _ in range(last - self.sent))
             self.sent = max(last, self.sent)
         if not out and now - self._sent_at >= ALIVE_EVERY:
@@ -267,6 +276,45 @@ class Sender:
 
     def _stopped(self, reason: str) -> StreamStopped:
         return StreamStopped(f"{reason}; {self.done} of {self.total} moves were begun")
+
+
+# ----------------------------------------------------------------------------------------------------
+# Lines for the extruder's board, of style socket.
+
+SLOW = ("G4", "M109", "M116", "M190", "M191", "M400")  # acknowledged when they are over: the robot rests until then
+MOST_BEHIND = 16  # lines by which the board may lag behind the robot, as in a program of style socket
+
+
+class LineFeed:
+    """Gives the board its lines as their moves are handed to the motion."""
+
+    def __init__(self, stream: Stream, board: BoardFeed) -> None:
+        """Raises InputError for a line that takes long and is not at a rest."""
+        self._board, self._left = board, deque(stream.lines.items())
+        self._holds: deque[tuple[int, int]] = deque()  # frame, and lines up to and with it
+        count = 0
+        for frame, texts in stream.lines.items():
+            count += len(texts)
+            if any(text.split(" ", 1)[0] in SLOW for text in texts):
+                if not stream.rests(frame):
+                    raise InputError(f"waits for {texts[0]!r} in motion", field="program.style")
+                self._holds.append((frame, count))
+
+    def step(self, done: int) -> int | None:
+        """Frames were handed over; the frame beyond which none may be sent yet. Raises FeedStopped."""
+        while self._left and self._left[0][0] <= done:
+            for text in self._left.popleft()[1]:
+                self._board.feed.add(text)
+        self._board.step()
+        if self._board.feed.behind > MOST_BEHIND:
+            raise FeedStopped(f"the board is {self._board.feed.behind} lines behind the robot")
+        while self._holds and self._board.feed.acknowledged >= self._holds[0][1]:
+            self._holds.popleft()
+        return self._holds[0][0] if self._holds else None
+
+    def finish(self) -> None:
+        """The motion is over; wait for the board. Raises FeedStopped."""
+        self._board.finish()
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -359,6 +407,8 @@ PORT = 1026
 CONNECTING = 10.0  # s
 LAST_WORDS = 2.0  # s in which the controller may say that it has stopped
 LOOK = 0.01  # s between looks at the clock
+FEED_LOOK = 0.001  # s between looks at the board
+BOARD_PORT = 23  # telnet
 LARGEST = 256 << 20  # bytes of all modules
 BLOCK = 4096  # bytes read at once
 LONGEST_NAME = 80  # bytes of a module's first line
@@ -382,9 +432,11 @@ def stream_command() -> Command:
             "out/my_part --controller 192.168.125.1": "send to a controller that runs the module already",
         },
         {0: "finished", 2: "wrong input", 3: "stopped before the end", 130: "interrupted"},
+        [f"the board's password, if it has one, comes from {BOARD_PASSWORD}"],
     )
     parser.add_argument("folder", type=Path, metavar="OUT_DIR", help="results of planner.solve")
     parser.add_argument("--controller", metavar="HOST[:PORT]", help=f"the controller (port {PORT} unless said)")
+    parser.add_argument("--head", metavar="HOST[:PORT]", help="the extruder's board, for style socket (port 23)")
     parser.add_argument(
         "--server", type=Path, metavar="FILE", help=f"write {MODULE}.mod for this plan, to be loaded on the controller"
     )
@@ -402,6 +454,9 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
 def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     program, demand = program_in(options.folder)
     stream = stream_of(program)
+    if options.controller is not None and bool(stream.lines) != (options.head is not None):
+        what = "sends lines to the extruder's board: say where it is" if stream.lines else "has no lines for a board"
+        raise InputError(f"the program {what}", field="--head")
     host, port = _address(options.controller) if options.controller else ("127.0.0.1", PORT)
     if options.server is not None:
         if not _is_ipv4(host):
@@ -414,7 +469,9 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
         except OSError as error:
             raise OutputError(f"cannot write {options.server}: {error.strerror or error}") from error
     if options.controller is not None:
-        sender = send(stream, host, port, say)
+        with ExitStack() as stack:
+            board = None if options.head is None else stack.enter_context(feeding(_head(options.head)))
+            sender = send(stream, host, port, say, None if board is None else LineFeed(stream, board))
         say(f"finished after {sender.total - 1} moves; the robot waited for moves {sender.starved} times within beads")
     return EXIT_VERIFIED
 
@@ -447,11 +504,18 @@ def program_in(folder: Path) -> tuple[RobotProgram, str]:
     return read_rapid_files(texts), "" if found is None else found[1]
 
 
-def send(stream: Stream, host: str, port: int, say: Callable[[str], None]) -> Sender:
-    """Send all of a stream, from connection to end.
+def _head(text: str) -> Address:
+    try:
+        return parse_address(text, BOARD_PORT)
+    except ValueError as error:
+        raise InputError(str(error), field="--head") from None
 
-    Raises InputError where nobody answers, StreamStopped where it ended before its time; then, and when interrupted,
-    the controller was told to stop as far as it can be told.
+
+def send(stream: Stream, host: str, port: int, say: Callable[[str], None], lines: LineFeed | None = None) -> Sender:
+    """Send all of a stream, from connection to end, and its lines to the board.
+
+    Raises InputError where nobody answers, StreamStopped and FeedStopped where it ended before its time; then, and when
+    interrupted, the controller was told to stop as far as it can be told.
     """
     try:
         connection = socket.create_connection((host, port), timeout=CONNECTING)
@@ -462,20 +526,28 @@ def send(stream: Stream, host: str, port: int, say: Callable[[str], None]) -> Se
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         sender, waiting = Sender(stream, time.monotonic()), bytearray()
         try:
-            _pump(connection, sender, waiting, say)
-        except (StreamStopped, KeyboardInterrupt):
+            _pump(connection, sender, waiting, say, lines)
+        except (StreamStopped, FeedStopped, KeyboardInterrupt):
             _tell(connection, sender.stop(bytes(waiting)))
             raise
+    if lines is not None:
+        lines.finish()
     return sender
 
 
-def _pump(connection: socket.socket, sender: Sender, waiting: bytearray, say: Callable[[str], None]) -> None:
-    reported = 0.0
+def _pump(
+    connection: socket.socket, sender: Sender, waiting: bytearray, say: Callable[[str], None], lines: LineFeed | None
+) -> None:
+    reported, hold = 0.0, None
     connection.setblocking(False)
     while not sender.finished:
+        if lines is not None:
+            hold = lines.step(sender.done)
         if not waiting:
-            waiting += sender.due(time.monotonic())
-        readable, writable, _ = select.select([connection], [connection] if waiting else [], [], LOOK)
+            waiting += sender.due(time.monotonic(), hold)
+        readable, writable, _ = select.select(
+            [connection], [connection] if waiting else [], [], LOOK if lines is None else FEED_LOOK
+        )
         try:
             if readable:
                 data = connection.recv(BLOCK)

@@ -277,7 +277,7 @@ class StreamServer:
                 self._buffer.take(frame_of(data[k : k + FRAME]))
         for number in range(before + 1, self._buffer.taken + 1):
             self._fault(number)
-        if self._buffer.taken > before:
+        if whole:
             self._credit()
         return data[whole:]
 
