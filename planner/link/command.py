@@ -172,6 +172,9 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
         check_ready(rws)
         board, greeting = open_board(options.head)
         stack.enter_context(board)
+        if options.dry_run and options.upload == "ftp":
+            with _way(options, secret):
+                say("FTP is ready")
         say(f"controller and board are ready: {lines.module}, {len(lines)} lines")
         if options.dry_run:
             return EXIT_VERIFIED
@@ -226,12 +229,12 @@ def _stopping(rws: Rws, program: Address) -> Iterator[_Started]:
     try:
         start(rws)
         yield started
-    except BaseException as error:
+    finally:
         if not started.over and (wrong := stop_robot(rws)) is not None:
             _turn_away(program)
+            error = sys.exc_info()[1]
             first = f", after: {error}" if isinstance(error, LinkError | InputError) else ""
             raise LinkError(f"stop the robot by hand, its program may run: {wrong}{first}") from None
-        raise
 
 
 def _turn_away(program: Address) -> None:

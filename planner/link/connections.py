@@ -9,9 +9,9 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Hashable, Iterator
-from contextlib import contextmanager
+from collections.abc import Hashable
 from dataclasses import dataclass
+from types import TracebackType
 
 from planner.base.errors import EXIT_NOT_VERIFIED, InputError, PlannerError
 
@@ -100,7 +100,7 @@ class Cutter:
         if before is not None:
             before.close()
         if late:
-            self._cut()
+            self.cut()
 
     def forget(self, name: Hashable) -> None:
         """It is closed."""
@@ -109,26 +109,19 @@ class Cutter:
         if kept is not None:
             kept.close()
 
-    @contextmanager
-    def within(self, seconds: float) -> Iterator[None]:
-        """Cut every socket unless the block ends within a time [s]; raises TimeoutError then."""
+    def within(self, seconds: float) -> _Within:
+        """A block in which every socket is cut once a time is over [s]; raises TimeoutError then."""
         with self._lock:
             self._late = False
-        timer = threading.Timer(seconds, self._cut)
-        timer.daemon = True
-        timer.start()
-        try:
-            yield
-        except Exception:
-            if self._late:  # whatever it says: its socket was cut under it
-                raise TimeoutError from None
-            raise
-        finally:
-            timer.cancel()
-        if self._late:
-            raise TimeoutError
+        return _Within(self, seconds)
 
-    def _cut(self) -> None:
+    @property
+    def late(self) -> bool:
+        """The last block's time was over before it ended."""
+        return self._late
+
+    def cut(self) -> None:
+        """End all that goes on."""
         with self._lock:
             self._late = True
             for each in self._sockets.values():
@@ -136,6 +129,23 @@ class Cutter:
                     each.shutdown(socket.SHUT_RDWR)
                 except OSError:
                     continue  # it is closed already
+
+
+class _Within:
+    def __init__(self, cutter: Cutter, seconds: float) -> None:
+        self._cutter, self._timer = cutter, threading.Timer(seconds, cutter.cut)
+        self._timer.daemon = True
+
+    def __enter__(self) -> None:
+        self._timer.start()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._timer.cancel()
+        # whatever was said of it, its socket was cut under it
+        if self._cutter.late and (kind is None or issubclass(kind, Exception)):
+            raise TimeoutError from None
 
 
 # ----------------------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ import socket
 import time
 from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 from planner.base.errors import EXIT_NOT_VERIFIED, PlannerError
 from planner.link.connections import PIECE, Address
@@ -146,8 +146,7 @@ def feeding(address: Address) -> Iterator[BoardFeed]:
     connection, _ = open_board(address)
     with connection:
         feed = BoardFeed(connection)
-        try:
+        with ExitStack() as unless_done:
+            unless_done.callback(feed.make_safe)
             yield feed
-        except BaseException:
-            feed.make_safe()
-            raise
+            unless_done.pop_all()

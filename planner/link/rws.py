@@ -170,12 +170,14 @@ class Rws:
         """Hold what loading and the program pointer need; nobody else may change them meanwhile."""
         place = f"rw/mastership/{self._dialect.domain}"
         self._act(place, "request")
+        done = False
         try:
             yield
-        except BaseException:
-            with suppress(LinkError, InputError):  # what went wrong before is what must be told
-                self._act(place, "release", seconds=STOP_TIME)
-            raise
+            done = True
+        finally:
+            if not done:
+                with suppress(LinkError, InputError):  # what went wrong before is what must be told
+                    self._act(place, "release", seconds=STOP_TIME)
         self._act(place, "release")
 
     def load(self, program: str) -> None:
