@@ -25,6 +25,7 @@ from planner.export.rapid.writer import rapid, rapid_files
 from planner.link import streaming as stream_sender
 from planner.link.streaming import (
     ALIVE_EVERY,
+    CIRCULAR,
     END,
     LENGTH,
     LINEAR,
@@ -77,7 +78,10 @@ def test_frames_hold_what_the_program_does() -> None:
     np.testing.assert_allclose(numbers[:, 13], 1e3 * program.speed[:, 0], rtol=1e-6)
     np.testing.assert_allclose(numbers[:, 18], 1e3 * program.zone, atol=1e-7)
     assert [f.conf for f in moves] == [tuple(row) for row in program.conf.tolist()]
-    assert [f.kind == LINEAR for f in moves] == program.linear.tolist()
+    assert [f.kind in (LINEAR, CIRCULAR) for f in moves] == program.linear.tolist()
+    assert [f.kind == CIRCULAR for f in moves] == program.circular.tolist() and program.circular.any()
+    arcs = np.array([f.via for f in moves if f.kind == CIRCULAR])
+    np.testing.assert_allclose(arcs, 1e3 * program.via[program.circular], atol=1e-4)
     # at rest only where the program rests, and so at no place within a bead
     assert [f.numbers[18] == 0.0 for f in moves] == program.fine.tolist() and not program.fine.all()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -86,17 +86,12 @@ def test_the_command_finds_the_output_of_the_flow(tmp_path) -> None:
 # ---- arcs -----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class WithArcs(RobotProgram):
-    arcs: np.ndarray | None = None
-
-
 def test_arcs_take_their_length() -> None:
     """A half circle of radius 10 mm takes as long as its 31.4 mm, not its diameter."""
     program = straight(moves=3, step=0.02, speed=0.1)
     via = np.full((3, 3), np.nan)
     via[2] = [0.03, 0.01, 0.0]
-    stream = stream_of(WithArcs(**{**vars(program), "arcs": via}))
+    stream = stream_of(replace(program, arcs=via))
     frames = [frame_of(data) for data in stream.frames()]
     assert [f.kind for f in frames[1:4]] == [1, 1, CIRCULAR] and frames[3].via == pytest.approx((30.0, 10.0, 0.0))
     buffer = Buffer()

@@ -128,11 +128,9 @@ def stream_of(program: RobotProgram) -> Stream:
     values[:, 13:17] = speed * [1e3, 180.0 / np.pi, 1e3, 180.0 / np.pi]
     values[1:, 17] = program.wait
     values[1:, 18] = program.zone * 1e3
-    arcs: Array | None = getattr(program, "arcs", None)
-    if arcs is not None:
-        circular = np.append(False, ~np.isnan(arcs[:, 0]))
-        codes[circular, 0] = CIRCULAR
-        values[circular, 19:22] = arcs[circular[1:]] * 1e3
+    circular = np.append(False, program.circular)
+    codes[circular, 0] = CIRCULAR
+    values[circular, 19:22] = program.via[program.circular] * 1e3
     _flows(program, codes, values)
     # what is due before the first move comes with the joints; frame 1 is those
     lines = {move + 2: texts for move, texts in sorted(program.sends.items())}
@@ -145,7 +143,7 @@ def _flows(program: RobotProgram, codes: NDArray[np.int64], values: Array) -> No
     if not program.demands:
         return
     now = 0.0
-    steps = np.linalg.norm(np.diff(program.position, axis=0, prepend=program.position[:1]), axis=1)
+    steps = np.append(0.0, program.segments.length)
     for move in range(len(program.position)):
         frame = move + 1
         values[frame, 22:] = now
@@ -183,7 +181,7 @@ def _flags(triggers: tuple[Trigger, ...], signals: list[str]) -> tuple[int, int]
 
 def _longest(program: RobotProgram) -> float:
     """Time of the longest single move or wait [s]."""
-    step = np.linalg.norm(np.diff(program.position, axis=0), axis=1) / program.speed[1:, 0]
+    step = program.segments.length / program.speed[1:, 0]
     same = np.abs(np.einsum("ij,ij->i", program.quat[1:], program.quat[:-1])).clip(0.0, 1.0)
     turn = 2.0 * np.arccos(same) / program.speed[1:, 1]
     axes = np.nan_to_num(np.abs(np.diff(program.external, axis=0))).max(axis=1, initial=0.0) / program.speed[1:, 3]

@@ -18,6 +18,7 @@ import numpy as np
 from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.cell.cell import Cell
+from planner.export.arcs import Segments
 from planner.export.player.play import play
 from planner.export.player.played import Played
 from planner.export.program import RobotProgram
@@ -66,12 +67,13 @@ class ProgramMotion(Protocol):
 class OwnClock:
     """Motion at the programmed speeds, without acceleration: each move takes as long as its slowest part.
 
-    ends (m,) when each move ends, its wait not counted; starts (m,); position (m, 3) of the targets
+    ends (m,) when each move ends, its wait not counted; starts (m,); first (3,) target; way (m - 1) from each to the next
     """
 
     starts: Array
     ends: Array
-    position: Array
+    first: Array
+    way: Segments
     duration: float
     happenings: tuple[MotionEvent, ...]
 
@@ -80,13 +82,13 @@ class OwnClock:
         i = min(int(np.searchsorted(self.ends, time)), len(self.ends) - 1)
         lasts = self.ends[i] - self.starts[i]
         share = 1.0 if lasts <= 0.0 else float(np.clip((time - self.starts[i]) / lasts, 0.0, 1.0))
-        before = self.position[max(0, i - 1)]
-        return i, before + share * (self.position[i] - before)
+        return i, self.first if i == 0 else self.way.take(np.array([i - 1])).at(np.array([share]))[0]
 
 
 def own_clock(program: RobotProgram) -> OwnClock:
     """The motion of a program by its own speeds and lengths."""
-    step = np.linalg.norm(np.diff(program.position, axis=0), axis=1)
+    way = program.segments
+    step = way.length
     same = np.abs(np.einsum("ij,ij->i", program.quat[1:], program.quat[:-1])).clip(0.0, 1.0)
     turn = 2.0 * np.arccos(same)
     axes = np.nan_to_num(np.abs(np.diff(program.external, axis=0))).max(axis=1, initial=0.0)
@@ -98,7 +100,7 @@ def own_clock(program: RobotProgram) -> OwnClock:
     ends = starts + lasts
     length = np.concatenate([[0.0], step])
     happenings = (*_outputs(program, starts, lasts, length), *lines(program, ends, after))
-    return OwnClock(starts, ends, program.position, float(after[-1]), in_order(happenings))
+    return OwnClock(starts, ends, program.position[0], way, float(after[-1]), in_order(happenings))
 
 
 def in_order(happenings: Iterable[MotionEvent]) -> tuple[MotionEvent, ...]:
