@@ -215,20 +215,21 @@ def certificate(folder: Path) -> tuple[Path, Path] | None:
 
 def show(findings: Sequence[Finding]) -> int:
     """Print a table; the number of runs with which something is wrong."""
-    missed = sum(not each.struck for each in findings)
-    table = Table(title=f"{len(findings) - missed} prints with a fault, and {missed} that were over before it came")
+    struck = [each for each in findings if each.struck]
+    missed = len(findings) - len(struck)
+    table = Table(title=f"{len(struck)} prints with a fault ({missed} more were over before it came)")
     for column in ("layer", "fault", "runs", "printed all the same", "stopped or refused", "worst, s", "wrong"):
         table.add_column(column, justify="left" if column in ("layer", "fault") else "right")
-    for layer, kind in sorted({(each.case.layer, each.case.kind) for each in findings}):
-        group = [each for each in findings if (each.case.layer, each.case.kind) == (layer, kind)]
+    for layer, kind in sorted({(each.case.layer, each.case.kind) for each in struck}):
+        group = [each for each in struck if (each.case.layer, each.case.kind) == (layer, kind)]
         printed = sum(each.code == 0 for each in group)
         worst = max(each.seconds for each in group)
         bad = sum(bool(each.wrong) for each in group)
         table.add_row(layer, kind, str(len(group)), str(printed), str(len(group) - printed), f"{worst:.1f}", str(bad))
     Console(width=110).print(table)
-    codes = Counter(each.code for each in findings)
+    codes = Counter(each.code for each in struck)
     print("exit codes:", ", ".join(f"{code}: {n}" for code, n in sorted(codes.items())))
-    print("told to stop the robot by hand:", sum(each.by_hand for each in findings))
+    print("told to stop the robot by hand:", sum(each.by_hand for each in struck))
     wrong = [each for each in findings if each.wrong]
     for what in ("lost or doubled", "other lines", "left moving", "moving when the link had ended"):
         print(f"{what}: {sum(what in each.wrong for each in findings)}")

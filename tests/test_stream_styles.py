@@ -146,8 +146,8 @@ def test_lines_go_to_the_board_with_the_moves() -> None:
         (("drop@6",), (), "the board closed the connection"),
         (("garbage@6",), (), "the board sent"),
         (("fatal@6",), (), "the board reports"),
-        ((), ("drop@8",), "connection"),
-        ((), ("stop@8",), "stopped at the controller"),
+        ((), ("drop@5",), "connection"),
+        ((), ("stop@5",), "stopped at the controller"),
     ],
 )
 def test_either_side_that_fails_stops_both(
