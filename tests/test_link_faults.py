@@ -11,7 +11,7 @@ import pytest
 from benchmarks.link_faults import LAYERS, LINES, REQUESTS, SAFE, STOPPING, Case, case_of, certificate, run, wrong_with
 
 
-@pytest.mark.slow(keep=("web-error-9",))
+@pytest.mark.slow(keep=("1-web-error-9",))
 @pytest.mark.parametrize(
     ("layer", "kind", "at"),
     [

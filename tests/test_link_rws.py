@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import socket
 import subprocess
@@ -13,11 +14,14 @@ from pathlib import Path
 
 import pytest
 import requests
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from requests.auth import HTTPBasicAuth, HTTPDigestAuth
 from simulate_fixtures import MODULE, program
 
 from planner.base.errors import InputError
 from planner.link import demo, robot
+from planner.link import rws as client
 from planner.link.connections import Address, Cutter, LinkError, Secret
 from planner.link.ftp import Ftp
 from planner.link.robot import RobotWatch, bring, start, stop_robot
@@ -26,6 +30,7 @@ from planner.simulate.board import faults_of
 from planner.simulate.controller import OTHER_PROGRAM, Controller
 from planner.simulate.ftp import FTP_FAULTS, FtpAccess, FtpServer
 from planner.simulate.rws import FILES_V2, FORM, RWS_FAULTS, Access, RwsServer
+from planner.simulate.web_socket import SocketClosed, WebSocket
 
 PASSWORD = "r0b0tics-of-ours"
 SECOND = MODULE.replace("Made", "Second")
@@ -435,6 +440,47 @@ def test_a_start_that_starts_nothing_is_noticed(monkeypatch: pytest.MonkeyPatch)
         monkeypatch.setattr(controller, "start", lambda: None)
         with pytest.raises(LinkError, match=r"took the start, and runs nothing \(motors: motoron\)"):
             start(rws)
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.text(max_size=8),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(
+            st.sampled_from(["_embedded", "_state", "state", "status", "msg", "resources", "opmode"]), inner
+        )
+    ),
+    max_leaves=12,
+)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.binary(max_size=200) | JSON.map(lambda value: json.dumps(value).encode()), st.sampled_from([1, 2]))
+def test_no_answer_is_believed_or_ends_in_a_traceback(body: bytes, version: int) -> None:
+    """Whatever comes with a 200 gives a mode or is told; whatever comes with a 500 gives a line of words."""
+    rws = Rws(Address("127.0.0.1", 1), version, USER, Secret(PASSWORD))
+    rws._asked = lambda *asked: client._Answer(200, "", body)  # type: ignore[method-assign]
+    try:
+        assert isinstance(rws.mode(), str) and all(isinstance(name, str) for name in rws.modules())
+    except LinkError as error:
+        assert "gives no opmode" in str(error)
+    words = client._reason(client._Answer(500, "", body))
+    assert words and words.isprintable() and len(words) <= 200
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.binary(max_size=40), max_size=5))
+def test_no_frames_upset_the_simulated_web_socket(pieces: list[bytes]) -> None:
+    here, there = socket.socketpair()
+    with here, there:
+        end = WebSocket(here)
+        for piece in pieces:
+            there.sendall(piece)
+            try:
+                frames = end.heard(0.0)
+            except SocketClosed:
+                return
+            assert all(0 <= opcode < 16 and len(text) <= 125 for opcode, text in frames)
 
 
 # ---- FTP ------------------------------------------------------------------------------------------------------------
