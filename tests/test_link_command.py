@@ -10,6 +10,8 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -25,8 +27,9 @@ from planner.link import run as board
 from planner.link.command import Show, duration, main, place, progress
 from planner.link.connections import Address, Secret, connect, parse_address, password
 from planner.link.program_lines import ProgramLine, ProgramLines
-from planner.link.rws import Rws
+from planner.link.rws import DIALECTS, Rws
 from planner.simulate.controller import Controller
+from planner.simulate.ftp import FtpAccess, FtpServer
 from planner.simulate.rws import Access, RwsServer
 from planner.simulate.start import Simulated, start
 
@@ -94,6 +97,26 @@ def test_a_dry_run_starts_nothing(files: Path, machine: Simulated) -> None:
     assert main(arguments(files, machine, "--dry-run")) == 0
     assert machine.state() is None and machine.controller.files() == [] and carried_out(machine) == []
     assert not files.with_name("log.jsonl").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("machine", [{"in_use": True}, {"in_use": True, "version": 2}], indirect=True)
+def test_a_second_print_with_files_over_ftp_and_an_empty_task(
+    files: Path, machine: Simulated, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+    request: pytest.FixtureRequest,
+) -> None:  # fmt: skip
+    """On a controller in use: a print, the same again, and the task is left empty."""
+    version = request.node.callspec.params["machine"].get("version", 1)
+    monkeypatch.setitem(DIALECTS, 2, replace(DIALECTS[2], scheme="http"))
+    assert main(arguments(files, machine, "--rws", str(version))) == 0
+    again = ["--rws", str(version), "--log", str(files.with_name("again.jsonl")), "--upload", "ftp", "--unload"]
+    with closing(FtpServer("127.0.0.1", 0, machine.controller, FtpAccess(password=PASSWORD))) as ftp:
+        assert main(arguments(files, machine, *again, "--ftp-port", str(ftp.address[1]))) == 0
+        assert main(arguments(files, machine, *again, "--ftp-port", str(ftp.address[1]), "--dry-run")) == 0
+    assert "FTP is ready" in capsys.readouterr().err
+    assert [gcode for n, gcode in machine.board_record().accepted if n is not None] == 2 * LINES
+    assert machine.controller.modules() == []
+    assert sum(each.startswith("PUT") for each in machine.requests()) == 2  # those of the first print
 
 
 @pytest.mark.slow

@@ -203,8 +203,8 @@ class Rws:
 
     def subscribe(self) -> ExecutionEvents:
         """Be told the state of execution whenever it changes. Raises LinkError where the controller has no such thing."""
-        form = {"resources": "1", "1": EXECUTION, "1-p": "1"}
-        answer = self._ask("POST", "subscription", form, self._dialect.form)
+        # as ABB's samples have it: with the semicolon as it is, which controllers are known to want
+        answer = self._ask("POST", "subscription", f"resources=1&1={EXECUTION}&1-p=1".encode(), self._dialect.form)
         place = urlsplit(answer.location).path
         group = re.fullmatch(r"/poll/([0-9]{1,9})", place)
         if answer.status != 201 or group is None:
