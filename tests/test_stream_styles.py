@@ -111,7 +111,7 @@ def streamed(
     """Lines that the board carried out, what it got without a number, and why the robot's stream ended."""
     stream = stream_of(with_lines())
     with (
-        closing(BoardServer("127.0.0.1", 0, 20.0, faults_of(board_faults, BOARD_FAULTS))) as board,
+        closing(BoardServer("127.0.0.1", 0, 200.0, faults_of(board_faults, BOARD_FAULTS))) as board,
         closing(StreamServer("127.0.0.1", 0, PACE, faults_of(stream_faults, STREAM_FAULTS))) as robot,
     ):
         try:
@@ -214,7 +214,7 @@ def test_the_command_wants_the_board_where_there_are_lines(tmp_path, capsys) -> 
     assert "sends lines to the extruder's board: say where it is" in capsys.readouterr().err
     assert main([str(tmp_path), "--controller", "127.0.0.1:1", "--head", "a b"]) == 2
     with (
-        closing(BoardServer("127.0.0.1", 0, 20.0)) as board,
+        closing(BoardServer("127.0.0.1", 0, 200.0)) as board,
         closing(StreamServer("127.0.0.1", 0, PACE)) as robot,
     ):
         words = ["--controller", "{}:{}".format(*robot.address), "--head", "{}:{}".format(*board.address)]
