@@ -313,9 +313,7 @@ def test_stopping_goes_on_past_whatever_is_answered() -> None:
     with serving() as (server, controller), closing(session(server)) as rws:
         bring(rws, files_of(MODULE), silent)
         start(rws)
-        n = len(server.requests())
-        kinds = ("drip@{}:4", "error@{}", "drop@{}", "login@{}", "lose@{}", "nonsense@{}")
-        server._desk.faults._left += faults_of([kind.format(n + k) for k, kind in enumerate(kinds, 1)], RWS_FAULTS)
+        server.inject("drip@1:4", "error@2", "drop@3", "login@4", "lose@5", "nonsense@6")
         since = time.monotonic()
         assert stop_robot(rws) is None
         assert not controller.running and time.monotonic() - since < robot.STOP_TIME
@@ -344,9 +342,7 @@ def test_the_cutter_spares_what_is_in_time() -> None:
 # ---- watched --------------------------------------------------------------------------------------------------------
 
 
-def watched(
-    faults: tuple[str, ...], deed: Callable[[Controller, RwsServer], None], version: int = 1
-) -> tuple[str, float, bool]:
+def watched(deed: Callable[[Controller, RwsServer], None], version: int = 1) -> tuple[str, float, bool]:
     """Why a watch asked for the end after something was done, how long it took [s], and whether it was subscribed."""
     asked: list[str] = []
     said = threading.Event()
@@ -358,10 +354,8 @@ def watched(
     with serving(version) as (server, controller), closing(session(server, version)) as rws:
         bring(rws, files_of(MODULE), silent)
         start(rws)
-        n = len(server.requests())
-        server._desk.faults._left += faults_of(faults, RWS_FAULTS)
         watch = RobotWatch(rws, ask, lambda: False)
-        until(lambda: watch.subscribed or len(server.requests()) > n + 1)
+        until(lambda: watch.subscribed)
         deed(controller, server)
         since = time.monotonic()
         said.wait(20.0)
@@ -380,32 +374,30 @@ def until(holds: Callable[[], bool], seconds: float = 5.0) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("version", [1, 2])
 def test_a_stop_on_the_controller_is_told(version: int) -> None:
-    reason, took, subscribed = watched((), lambda controller, _: controller.stop(), version)
+    reason, took, subscribed = watched(lambda controller, _: controller.stop(), version)
     assert reason == "the program was stopped on the controller" and subscribed and took < 3.0
 
 
 @pytest.mark.slow
 def test_without_a_subscription_it_is_asked() -> None:
-    faults = tuple(f"refuse@{n}" for n in range(14, 17))
-
-    def stop(controller: Controller, server: RwsServer) -> None:
-        server._desk._deaf = True
+    def lose(controller: Controller, server: RwsServer) -> None:
+        server.inject("deaf@1")
+        with closing(session(server)) as other:
+            other.mode()
         controller.stop()
 
-    assert watched(faults, stop)[0] == "the program was stopped on the controller"
+    reason, took, subscribed = watched(lose)
+    assert reason == "the program was stopped on the controller" and not subscribed and took < 5.0
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["error", "login", "refuse", "garbage", "nonsense"])
 def test_web_services_that_fail_end_the_run(kind: str) -> None:
     def fail(controller: Controller, server: RwsServer) -> None:
-        n = len(server.requests())
         # all looks of the watch (each asks again after a 401); the stop, which comes after, finds them as they should be
-        server._desk.faults._left += faults_of(
-            [f"{kind}@{n + k}" for k in range(1, 4 if kind != "login" else 7)], RWS_FAULTS
-        )
+        server.inject(*(f"{kind}@{k}" for k in range(1, 4 if kind != "login" else 7)))
 
-    reason, took, _ = watched((), fail)
+    reason, took, _ = watched(fail)
     assert "cannot be watched any more" in reason and took < 15.0
 
 

@@ -30,7 +30,7 @@ from urllib.parse import parse_qs, unquote, urlsplit
 from urllib.request import parse_http_list, parse_keqv_list
 
 from planner.base.errors import InputError
-from planner.simulate.board import Fault, Faults
+from planner.simulate.board import Fault, Faults, faults_of
 from planner.simulate.controller import LARGEST_FILE, TASK, Controller, Denied
 from planner.simulate.web_socket import CLOSE, PING, PONG, TEXT, SocketClosed, WebSocket, accepted
 
@@ -124,6 +124,10 @@ class RwsServer:
         """What was asked so far by those who were let in."""
         return list(self._desk.asked)
 
+    def inject(self, *words: str) -> None:
+        """Let more go wrong, as `error@1`: at requests counted from the next one."""
+        self._desk.inject(faults_of(words, RWS_FAULTS))
+
     def close(self) -> None:
         """End the threads and close all sockets."""
         self._desk.ending.set()
@@ -159,7 +163,8 @@ class _Desk:
         self.nonce, self.opaque = secrets.token_hex(16), secrets.token_hex(8)
         self.ending = threading.Event()
         self.asked: list[str] = []
-        self.faults = Faults(faults)
+        self._faults = Faults(faults)
+        self._more, self._more_from = Faults(), 0
         self._lock = threading.Lock()
         self._sessions: set[str] = set()
         self._master: dict[str, str] = {}  # domain → session that holds it
@@ -209,10 +214,15 @@ class _Desk:
             self.asked.append(what)
             number = len(self.asked)
             for kind in RWS_FAULTS:
-                if found := self.faults.take(kind, number):
+                if found := self._faults.take(kind, number) or self._more.take(kind, number - self._more_from):
                     self._deaf = self._deaf or kind == "deaf"
                     return kind, found
         return None
+
+    def inject(self, faults: Sequence[Fault]) -> None:
+        """Faults at requests counted from the next one; those that were injected before are forgotten."""
+        with self._lock:
+            self._more, self._more_from = Faults(faults), len(self.asked)
 
     def deaf(self) -> bool:
         """Whether subscriptions are to be closed; once."""
