@@ -10,6 +10,8 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -20,17 +22,18 @@ from simulate_fixtures import MODULE, program, reader
 
 from planner.base.errors import InputError
 from planner.export.rapid.writer import rapid_files
-from planner.link import command, demo
+from planner.link import command, demo, robot
 from planner.link import run as board
-from planner.link import rws as robot
 from planner.link.command import Show, duration, main, place, progress
 from planner.link.connections import Address, Secret, connect, parse_address, password
 from planner.link.program_lines import ProgramLine, ProgramLines
-from planner.link.rws import Rws
+from planner.link.rws import DIALECTS, Rws
 from planner.simulate.controller import Controller
+from planner.simulate.ftp import FtpAccess, FtpServer
 from planner.simulate.rws import Access, RwsServer
 from planner.simulate.start import Simulated, start
 
+PGF = b"<Program>\n\t<Module>Made.mod</Module>\n</Program>\n"
 LINES = ["M83", *(f"G1 E0.{k} F600" for k in range(100, 118)), "M104 S0"]
 PASSWORD, HEAD_PASSWORD = "r0b0tics-of-ours", "h3ad"
 
@@ -98,6 +101,26 @@ def test_a_dry_run_starts_nothing(files: Path, machine: Simulated) -> None:
     assert main(arguments(files, machine, "--dry-run")) == 0
     assert machine.state() is None and machine.controller.files() == [] and carried_out(machine) == []
     assert not files.with_name("log.jsonl").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("machine", [{"in_use": True}, {"in_use": True, "version": 2}], indirect=True)
+def test_a_second_print_with_files_over_ftp_and_an_empty_task(
+    files: Path, machine: Simulated, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+    request: pytest.FixtureRequest,
+) -> None:  # fmt: skip
+    """On a controller in use: a print, the same again, and the task is left empty."""
+    version = request.node.callspec.params["machine"].get("version", 1)
+    monkeypatch.setitem(DIALECTS, 2, replace(DIALECTS[2], scheme="http"))
+    assert main(arguments(files, machine, "--rws", str(version))) == 0
+    again = ["--rws", str(version), "--log", str(files.with_name("again.jsonl")), "--upload", "ftp", "--unload"]
+    with closing(FtpServer("127.0.0.1", 0, machine.controller, FtpAccess(password=PASSWORD))) as ftp:
+        assert main(arguments(files, machine, *again, "--ftp-port", str(ftp.address[1]))) == 0
+        assert main(arguments(files, machine, *again, "--ftp-port", str(ftp.address[1]), "--dry-run")) == 0
+    assert "FTP is ready" in capsys.readouterr().err
+    assert [gcode for n, gcode in machine.board_record().accepted if n is not None] == 2 * LINES
+    assert machine.controller.modules() == []
+    assert sum(each.startswith("PUT") for each in machine.requests()) == 2  # those of the first print
 
 
 @pytest.mark.slow
@@ -270,8 +293,8 @@ def test_web_services_2(tmp_path: Path) -> None:
     try:
         rws = Rws(Address(*server.address), 2, "Default User", Secret(PASSWORD), scheme="http")
         robot.check_ready(rws)
-        robot.bring(rws, {"Made.mod": MODULE.encode()}, lambda text: None)
-        assert controller.files() == ["Made.mod"] and controller.modules() == ["Made"]
+        robot.bring(rws, {"Made.mod": MODULE.encode(), "Made.pgf": PGF}, lambda text: None)
+        assert controller.files() == ["Made.mod", "Made.pgf"] and controller.modules() == ["Made"]
         rws.start()
         assert rws.running()
         rws.stop()
@@ -344,7 +367,7 @@ def test_a_program_in_modules(files: Path) -> None:
     load = '        Load \\Dynamic,"HOME:"\\File:="Made_{}.mod";\n        UnLoad "HOME:"\\File:="Made_{}.mod";\n'
     calls = "".join(load.format(k, k) for k in (1, 2))
     files.write_text(files.read_text().replace("PROC main()\n", f"PROC main()\n{calls}"))
-    for name in ("Made_1.mod", "Made_3.mod", "Made.pgf"):
+    for name in ("Made_1.mod", "Made_3.mod"):
         files.with_name(name).write_text(f"{name}\nENDMODULE\n")
     with pytest.raises(InputError, match=r"there is no file .*Made_2\.mod"):
         robot.program_files(files)
@@ -352,7 +375,12 @@ def test_a_program_in_modules(files: Path) -> None:
     with pytest.raises(InputError, match=r"Made_2\.mod: does not end with ENDMODULE"):
         robot.program_files(files)
     files.with_name("Made_2.mod").write_text("two\nENDMODULE\n")
-    assert list(robot.program_files(files)) == ["Made.mod", "Made_1.mod", "Made_2.mod", "Made.pgf"]
+    made = robot.program_files(files)
+    assert list(made) == ["Made.mod", "Made_1.mod", "Made_2.mod", "Made.pgf"]
+    assert b"<Module>Made.mod</Module>" in made["Made.pgf"]  # made for it where none was written
+    files.with_name("Made.pgf").write_bytes(PGF.replace(b"Made", b"Other"))
+    with pytest.raises(InputError, match=r"Made\.pgf: does not name Made\.mod alone"):
+        robot.program_files(files)
 
 
 def test_the_demo_with_a_program_as_it_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

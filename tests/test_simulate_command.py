@@ -63,6 +63,8 @@ def test_an_interrupt_while_it_is_being_imported_is_quiet(command: str, package:
     [
         ("board --fault dorp@3", "did you mean drop?"),
         ("stream --fault drop", "is no fault"),
+        ("controller --port 0 --web-fault dorp@3", "did you mean drop?"),
+        ("controller --port 0 --ftp-port 0 --ftp-fault cat@3", "did you mean cut?"),
         ("controller --certificate x", "needs its key"),
         ("controller --certificate x --key y --port 0", "no certificate"),
         ("board --host 203.0.113.1", "cannot listen on 203.0.113.1"),

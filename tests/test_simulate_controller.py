@@ -17,7 +17,7 @@ from simulate_fixtures import MODULE, Client, program, reader
 from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.writer import rapid, rapid_files
 from planner.simulate.controller import OUTPUT, SEND, SETTLE, Controller, own_clock, played_motion
-from planner.simulate.rws import FORM_V2, USER, Access, RwsServer
+from planner.simulate.rws import FILES_V2, FORM_V2, USER, Access, RwsServer
 from planner.simulate.servers import TIMEOUT, WINDOW
 from planner.simulate.start import Simulated, start
 
@@ -29,9 +29,17 @@ def client_of(simulated: Simulated, password: str = "robotics") -> RWS:
 
 
 def load(rws: RWS, text: str = MODULE) -> None:
-    rws.upload_file("HOME:/Made.mod", text.encode())
-    rws._do_post("rw/rapid/tasks/T_ROB1?action=loadmod", {"modulepath": "HOME:/Made.mod", "replace": "true"})
+    rws.upload_file("$HOME/Made.mod", text.encode())
+    load_module(rws, "Made", replace="true")
     rws.resetpp()
+
+
+def load_module(rws: RWS, name: str, **form: str) -> None:
+    rws._do_post("rw/mastership/rapid?action=request", {})
+    try:
+        rws._do_post("rw/rapid/tasks/T_ROB1?action=loadmod", {"modulepath": f"$HOME/{name}.mod", **form})
+    finally:
+        rws._do_post("rw/mastership/rapid?action=release", {})
 
 
 def until(holds: Callable[[], bool], seconds: float = 15.0) -> bool:
@@ -90,12 +98,12 @@ def test_a_program_that_we_write_runs_from_upload_to_end() -> None:
 def test_files_of_the_controller() -> None:
     with start() as simulated:
         rws = client_of(simulated)
-        rws.upload_file("HOME:/a.mod", b"abc")
-        rws.upload_file("$HOME/b.mod", b"abcd")
-        assert rws.list_files("HOME:") == ["a.mod", "b.mod"] and rws.read_file("HOME:/b.mod") == b"abcd"
-        rws.delete_file("HOME:/a.mod")
-        assert rws.list_files("HOME:") == ["b.mod"]
-        for path in ("HOME:/../x", "HOME:/a/b.mod", "/etc/passwd", "HOME:/.."):
+        rws.upload_file("$HOME/a.mod", b"abc")
+        rws.upload_file("$home/b.mod", b"abcd")
+        assert rws.list_files("$HOME") == ["a.mod", "b.mod"] and rws.read_file("$HOME/b.mod") == b"abcd"
+        rws.delete_file("$HOME/a.mod")
+        assert rws.list_files("$HOME") == ["b.mod"]
+        for path in ("$HOME/../x", "$HOME/a/b.mod", "/etc/passwd", "$HOME/..", "HOME:/a.mod", "%24HOME/a.mod"):
             with pytest.raises(Exception, match="Not Found"):
                 rws.upload_file(path.replace("..", "%2e%2e"), b"")
 
@@ -112,7 +120,7 @@ def test_what_is_not_allowed_is_denied() -> None:
             rws.resetpp()
         load(rws)
         with pytest.raises(Exception, match="loaded already"):
-            rws._do_post("rw/rapid/tasks/T_ROB1?action=loadmod", {"modulepath": "HOME:/Made.mod"})
+            load_module(rws, "Made")
         simulated.controller.motors = "motoroff"
         with pytest.raises(Exception, match="motors"):
             rws.start()
@@ -197,15 +205,14 @@ def test_a_program_in_modules_is_found_in_home() -> None:
     modules = {name: text for name, text in made.items() if name.endswith(".mod")}
     with start(pace=50.0) as simulated:
         rws = client_of(simulated)
-        rws.upload_file("HOME:/Old.mod", made["TwoBeads.mod"].replace("TwoBeads", "Old").encode())
+        rws.upload_file("$HOME/Old.mod", made["TwoBeads.mod"].replace("TwoBeads", "Old").encode())
         for name, text in list(modules.items())[:-1]:
-            rws.upload_file(f"HOME:/{name}", text.encode())
-        loading = {"modulepath": "HOME:/TwoBeads.mod", "replace": "true"}
-        rws._do_post("rw/rapid/tasks/T_ROB1?action=loadmod", loading)
+            rws.upload_file(f"$HOME/{name}", text.encode())
+        load_module(rws, "TwoBeads", replace="true")
         with pytest.raises(Exception, match="errors"):
             rws.resetpp()
         name, text = list(modules.items())[-1]
-        rws.upload_file(f"HOME:/{name}", text.encode())
+        rws.upload_file(f"$HOME/{name}", text.encode())
         rws.resetpp()
         rws.start(cycle="once")
         assert len(modules) > 2 and until(lambda: simulated.state().reason == "finished")
@@ -326,7 +333,8 @@ def test_version_2_with_a_certificate(tmp_path) -> None:
 
         assert requests.get(base + "/rw/panel/opmode", verify=str(tmp_path / "cert")).status_code == 401
         assert session.get(base + "/rw/panel/opmode").json()["state"][0]["opmode"] == "AUTO"
-        assert session.put(base + "/fileservice/$HOME/Made.mod", MODULE.encode()).status_code == 201
+        session.put(base + "/fileservice/$HOME/Made.mod", MODULE.encode(), headers={"Content-Type": FILES_V2[0]})
+        assert controller.files() == ["Made.mod"]
         path = "/rw/rapid/tasks/T_ROB1/loadmod"
         assert post(path, modulepath="$HOME/Made.mod") == 403
         assert post("/rw/mastership/edit/request") == 204

@@ -25,10 +25,12 @@ from planner.export.rapid.writer import rapid, rapid_files
 from planner.link import streaming as stream_sender
 from planner.link.streaming import (
     ALIVE_EVERY,
+    CIRCULAR,
     END,
     LENGTH,
     LINEAR,
     PATIENCE,
+    VALUES,
     Sender,
     StreamStopped,
     main,
@@ -76,7 +78,10 @@ def test_frames_hold_what_the_program_does() -> None:
     np.testing.assert_allclose(numbers[:, 13], 1e3 * program.speed[:, 0], rtol=1e-6)
     np.testing.assert_allclose(numbers[:, 18], 1e3 * program.zone, atol=1e-7)
     assert [f.conf for f in moves] == [tuple(row) for row in program.conf.tolist()]
-    assert [f.kind == LINEAR for f in moves] == program.linear.tolist()
+    assert [f.kind in (LINEAR, CIRCULAR) for f in moves] == program.linear.tolist()
+    assert [f.kind == CIRCULAR for f in moves] == program.circular.tolist() and program.circular.any()
+    arcs = np.array([f.via for f in moves if f.kind == CIRCULAR])
+    np.testing.assert_allclose(arcs, 1e3 * program.via[program.circular], atol=1e-4)
     # at rest only where the program rests, and so at no place within a bead
     assert [f.numbers[18] == 0.0 for f in moves] == program.fine.tolist() and not program.fine.all()
 
@@ -103,22 +108,21 @@ def test_frames_say_how_far_the_next_rest_is() -> None:
 @settings(max_examples=100, deadline=None)
 @given(st.integers(0, LENGTH * 8 - 1))
 def test_a_bit_that_changed_is_noticed(bit: int) -> None:
-    data = bytearray(packed(77, LINEAR, values=[1.5 * k for k in range(19)], conf=[-1, 0, 1, 4], left=3))
+    data = bytearray(packed(77, LINEAR, values=[1.5 * k for k in range(VALUES)], conf=[-1, 0, 1, 4], left=3))
     data[bit // 8] ^= 1 << bit % 8
     with pytest.raises(StreamEnded, match="checksum"):
         frame_of(bytes(data))
 
 
 def test_words_that_changed_places_are_noticed() -> None:
-    data = packed(77, LINEAR, values=[1.5 * k for k in range(19)], left=3)
+    data = packed(77, LINEAR, values=[1.5 * k for k in range(VALUES)], left=3)
     with pytest.raises(StreamEnded, match="checksum"):
         frame_of(data[:8] + data[12:16] + data[8:12] + data[16:])
 
 
 def test_what_cannot_be_streamed_is_refused() -> None:
-    for other in (straight(("M83",)), replace(straight(), demands={1: ((0.0, 5.0),)})):
-        with pytest.raises(InputError, match="style output"):
-            stream_of(other)
+    with pytest.raises(InputError, match="a flow that changes at the ends"):
+        stream_of(replace(straight(), demands={1: ((0.005, 5.0),)}))
     for trigger in (Trigger(0.001, False, True, "do"), Trigger(0.0, True, False, "do")):
         with pytest.raises(InputError, match="ends of moves"):
             stream_of(replace(straight(), triggers={1: (trigger,)}))
@@ -140,21 +144,25 @@ def test_all_three_tell_the_same() -> None:
     assert number_in("bsSilence") == server.SILENCE > 2 * ALIVE_EVERY
     assert number_in("bsStarving") == server.STARVING
     assert number_in("bsVersion") == stream_sender.VERSION
+    assert number_in("bsAtOnce") == stream_sender.AT_ONCE == server.MESSAGE and server.MESSAGE * server.FRAME <= 1024
+    assert f"FOR i FROM 0 TO {(LENGTH - 4) // 2 - 1} DO" in TEXT and f"at+{LENGTH - 3},said" in TEXT
 
 
 def test_rapid_unpacks_what_was_packed() -> None:
     """Its statements are carried out here, on frames of a plan."""
-    statements = re.findall(r"UnpackRawBytes bsRaw,(\d+),new\.([\w.]+)\\(Float4|Hex1|IntX:=(\w+));", TEXT)
+    statements = re.findall(r"UnpackRawBytes bsRaw,at\+(\d+),new\.([\w.]+)\\(Float4|Hex1|IntX:=(\w+));", TEXT)
     formats = {"Float4": "<f", "Hex1": "<B", "UINT": "<H", "UDINT": "<I", "SINT": "<b"}
     order = ["at.x", "at.y", "at.z", "turn.q1", "turn.q2", "turn.q3", "turn.q4"]
     order += [f"axes.eax_{letter}" for letter in "abcdef"]
     order += ["speed.v_tcp", "speed.v_ori", "speed.v_leax", "speed.v_reax", "wait", "zone"]
+    last = ["via.x", "via.y", "via.z", "flowStart", "flowEnd"]
     for data in list(stream_of(printed()).frames())[:60]:
         found = {
             name: struct.unpack_from(formats[kind or form], data, int(at) - 1)[0] for at, name, form, kind in statements
         }
         frame = frame_of(data)
         assert [found[name] for name in order] == list(frame.numbers)
+        assert [found[name] for name in last] == [*frame.via, *frame.flow]
         assert [found[f"conf.{name}"] for name in ("cf1", "cf4", "cf6", "cfx")] == list(frame.conf)
         whole = (found["number"], found["kind"], found["flags"], found["tool"], found["left"])
         assert whole == (frame.number, frame.kind, frame.flags, frame.tool, frame.left)
@@ -179,7 +187,7 @@ def test_a_foreign_parser_accepts_the_module(monkeypatch) -> None:
     assert [float(v) for v in re.findall(r"[-\d.]+", ours.replace("STN1", ""))] == [
         float(v) for v in re.findall(r"[-\d.]+", theirs.replace("STN1", ""))
     ]
-    assert made.count("doSupport") == 4 and "TriggIO bsOn{2},0\\DOp:=doSupport,1;" in made
+    assert made.count("doSupport") == 3 and "TriggIO bsEnding{s},0\\DOp:=doSupport,bsState{2};" in made
 
 
 # ---- back-pressure, in time that passes only here -----------------------------------------------------------------
@@ -190,7 +198,7 @@ def simulated(program: RobotProgram, capacity: int, latency: float, step: float)
     stream, now = stream_of(program), 0.0
     sender, buffer = Sender(stream, now), Buffer(capacity)
     there: list[tuple[float, bytes]] = []
-    back = [(latency, f"B 1 {capacity}\n".encode())]
+    back = [(latency, f"B 2 {capacity}\n".encode())]
     for _ in range(200_000):
         if sender.finished:
             return buffer
@@ -264,7 +272,7 @@ def test_it_sets_off_once_the_bead_is_there_or_nothing_more_fits() -> None:
 
 def begun(moves: int = 20) -> Sender:
     sender = Sender(stream_of(straight(moves=moves)), 0.0)
-    sender.receive(b"B 1 8\n", 0.0)
+    sender.receive(b"B 2 8\n", 0.0)
     assert len(sender.due(0.0)) == 8 * LENGTH
     return sender
 
@@ -272,7 +280,7 @@ def begun(moves: int = 20) -> Sender:
 @pytest.mark.parametrize(
     "said",
     [
-        *(b"C 9 0\n", b"C 2 3\n", b"C 4 4\nC 3 3\n", b"C 4 4\nC 5 3\n", b"B 1 8\n", b"E 21 0\n", b"E 8 0\n", b"C 1\n"),
+        *(b"C 9 0\n", b"C 2 3\n", b"C 4 4\nC 3 3\n", b"C 4 4\nC 5 3\n", b"B 2 8\n", b"E 21 0\n", b"E 8 0\n", b"C 1\n"),
         *(b"hello\n", b"C 01 0\n", b"C 1 0 \n", b"\xff\n", b"C 1" + b"1" * 200, b"X 3 jam\n", b"C -1 0\n", b"\n"),
     ],
 )
@@ -289,7 +297,7 @@ def test_credit_in_pieces_lets_it_go_on() -> None:
     assert [frame_of(sender.due(0.2)[:LENGTH]).number, sender.sent] == [9, 13]
     sender = Sender(stream_of(straight()), 0.0)
     with pytest.raises(StreamStopped):
-        sender.receive(b"B 2 8\n", 0.0)
+        sender.receive(b"B 1 8\n", 0.0)
 
 
 def test_it_says_that_it_is_there_and_notices_silence() -> None:

@@ -21,21 +21,27 @@ from planner.base.errors import InputError
 from planner.export.plan_json import plan_json
 from planner.export.tables import write_table
 from planner.link import guided_motion as egm
+from planner.link.connections import Address
+from planner.link.feed import Feed, FeedStopped, feeding
 from planner.link.guided_motion import (
     DEVIATION,
     GAP,
+    LEAD,
     NEAR_START,
     PERIOD,
+    SLICE,
     EgmState,
     EgmStopped,
+    FilamentFeed,
     Follower,
     JointPlan,
     Limiter,
     read_plan,
 )
 from planner.plan import Plan
-from planner.simulate.board import EGM_FAULTS, faults_of
+from planner.simulate.board import BOARD_FAULTS, EGM_FAULTS, faults_of
 from planner.simulate.egm import EgmRobot
+from planner.simulate.servers import BoardServer
 
 DEGREES = np.pi / 180.0
 VELOCITY, ACCELERATION = np.array([2.0, 3.0]), np.array([15.0, 30.0])
@@ -359,3 +365,119 @@ def test_the_command_says_what_is_wrong(tmp_path, capsys) -> None:
     assert egm.main([str(tmp_path)]) == 2 and "no plan here" in capsys.readouterr().err
     folder_of(make_plan(), tmp_path)
     assert egm.main([str(tmp_path), "--port", "70000"]) == 2 and "cannot listen" in capsys.readouterr().err
+
+
+# ---- with the extruder ----------------------------------------------------------------------------------------------
+
+
+def with_filament(plan: JointPlan) -> JointPlan:
+    """Three millimetres a second from 0.2 s on, a rest, and on again."""
+    t = PERIOD * np.arange(len(plan.q))
+    rate = np.where((t > 0.2) & ((t < 0.4) | (t > 0.5)), 3.0, 0.0)
+    return replace(plan, filament=np.concatenate([[0.0], np.cumsum(rate[1:]) * PERIOD]))
+
+
+def moved_by(lines: list[str]) -> list[float]:
+    return [float(line.split()[1][1:]) for line in lines if line.startswith("G1")]
+
+
+@pytest.mark.parametrize("lag", [0.0101, 0.03, 0.08])
+def test_filament_is_due_when_the_robot_is_there(lag: float) -> None:
+    """Whatever the robot's lag, which nobody is told: a slice is handed over as its start is reached, and all of it in sum."""
+    plan = with_filament(bow())
+    follower, at, feed = Follower(plan), plan.q[0].copy(), Feed()
+    filament, handed = FilamentFeed(plan.filament, feed), []
+    outwards = plan.q[: len(plan.q) // 2, 0]
+    for k in range(1000):
+        reference = follower.answer(EgmState(at.copy(), True, k * PERIOD))
+        filament.step(follower.robot)
+        # where the robot truly is along the plan, until it turns back
+        handed += [float(np.interp(at[0], outwards, np.arange(len(outwards)))) for line in feed._waiting if "E" in line]
+        feed._waiting.clear()
+        at += (1.0 - np.exp(-PERIOD / lag)) * (reference - at)
+        if follower.over:
+            break
+    assert follower.over and len(plan.q) - 1 - follower.robot < 10
+    starts = SLICE * np.array([2, 3, 5])  # of the slices with filament on the way out
+    assert np.abs(np.array(handed[:3]) - (starts - LEAD)).max() <= 2.5  # samples of 4 ms
+
+
+def test_all_filament_arrives_and_no_more() -> None:
+    plan = with_filament(bow())
+    feed = Feed()
+    filament, lines = FilamentFeed(plan.filament, feed), []
+    for sample in np.arange(0.0, len(plan.q), 0.5):
+        filament.step(sample)
+        lines += list(feed._waiting)
+        feed._waiting.clear()
+    assert lines[0] == "M83" and sum(moved_by(lines)) == pytest.approx(plan.filament[-1], abs=1e-5)
+    rates = [float(line.split()[2][1:]) for line in lines[1:]]
+    assert max(rates) == pytest.approx(180.0, rel=1e-3)  # 3 mm/s
+    with pytest.raises(FeedStopped, match="lines behind the robot"):
+        FilamentFeed(plan.filament, Feed()).step(len(plan.q))
+
+
+def test_filament_of_a_plan_is_read(tmp_path) -> None:
+    plan = make_plan()
+    read = read_plan(folder_of(plan, tmp_path))
+    np.testing.assert_allclose(read.filament, 1e3 * plan.trajectory.feed, atol=1e-5)
+    every = slice(0, None, 2)
+    coarse = {k: v[every] for k, v in vars(plan.trajectory).items() if isinstance(v, np.ndarray)}
+    again = read_plan(folder_of(replace(plan, trajectory=replace(plan.trajectory, dt=0.008, **coarse)), tmp_path))
+    assert (np.diff(again.filament) >= 0.0).all() and again.filament[-1] == pytest.approx(read.filament[-1], abs=1e-3)
+
+
+def fed(board_faults: tuple[str, ...] = (), robot_faults: tuple[str, ...] = ()) -> tuple[list[str], list[str | None]]:
+    """Lines that the board carried out, with a number and without."""
+    plan, messages = with_filament(short()), egm.egm_messages()
+    accepted: list[tuple[int | None, str]] = []
+    with (
+        closing(BoardServer("127.0.0.1", 0, 1.0, faults_of(board_faults, BOARD_FAULTS))) as board,
+        egm.listening("127.0.0.1", 0) as here,
+    ):
+        try:
+            with feeding(Address(*board.address)) as feed:
+                start = np.degrees(plan.q[0])
+                with closing(EgmRobot(here.getsockname(), start, 1.0, faults_of(robot_faults, EGM_FAULTS))):
+                    egm.follow(plan, here, messages, lambda text: None, feed)
+                feed.finish()
+        finally:
+            time.sleep(0.1)
+            accepted += board.record().accepted
+            fed.accepted = accepted  # type: ignore[attr-defined]
+    return [g for n, g in accepted if n is not None], [g for n, g in accepted if n is None]
+
+
+def test_robot_and_extruder_are_guided_together() -> None:
+    numbered, plain = fed()
+    assert numbered[0] == "M83" and sum(moved_by(numbered)) == pytest.approx(
+        with_filament(short()).filament[-1], abs=1e-5
+    )
+    assert "M106 P0 S0" not in plain
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("board", "robot", "error", "words"),
+    [
+        (("error@3",), (), FeedStopped, "the board reports"),
+        (("drop@3",), (), FeedStopped, "the board closed the connection"),
+        ((), ("mute@90",), EgmStopped, "said nothing for 0.5 s"),
+        ((), ("stop@90",), EgmStopped, "has stopped"),
+    ],
+)
+def test_either_that_fails_stops_the_other(board, robot, error, words) -> None:
+    with pytest.raises(error, match=words):
+        fed(board, robot)
+    accepted = fed.accepted  # type: ignore[attr-defined]
+    pushed = sum(moved_by([g for n, g in accepted if n is not None]))
+    assert pushed < with_filament(short()).filament[-1] - 0.2
+    if robot:
+        assert accepted[-1] == (None, "M106 P0 S0")
+
+
+def test_the_command_refuses_a_wrong_board(tmp_path, capsys) -> None:
+    folder_of(make_plan(), tmp_path)
+    for words in (["--head", "a b"], ["--head", "127.0.0.1:1"]):
+        assert egm.main([str(tmp_path), "--port", "0", *words]) in (2, 3)
+    assert "--head" in capsys.readouterr().err

@@ -8,6 +8,7 @@ from planner.base.errors import InputError
 EXTRAS = {
     "tornado": "view",
     "requests": "link",
+    "websocket": "link",
     "abb_robot_client": "link",
     "google": "link",  # protobuf, which abb_robot_client's messages need
     "dask": "cluster",

@@ -1,6 +1,7 @@
 MODULE BeadwiseStream
     ! Takes moves from a PC while the robot runs them: the PC's side is python -m planner.link.stream.
-    ! Frames of 96 bytes come in, numbered and with a checksum; lines of ASCII go back, ended by LF:
+    ! Frames of 116 bytes come in, numbered and with a checksum, up to eight with one reading, which takes some 6 ms
+    ! however much is read; lines of ASCII go back, ended by LF:
     !   B version capacity    after the connection: how many frames fit here
     !   C taken done          frames that have come, and frames handed to the motion: no frame beyond done + capacity
     !   E n starved           finished after n frames; starved times the robot waited for frames within a bead
@@ -20,6 +21,9 @@ MODULE BeadwiseStream
         num wait;
         num zone;
         num left;
+        pos via;
+        num flowStart;
+        num flowEnd;
     ENDRECORD
 
     ! --- of the plan ---
@@ -28,16 +32,20 @@ MODULE BeadwiseStream
     PERS tooldata tBeadwise:=[TRUE,[[0,0,100],[1,0,0,0]],[1,[0,0,50],[1,0,0,0],0,0,0]];
     PERS wobjdata wobjBeadwise:=[FALSE,TRUE,"",[[0,0,0],[1,0,0,0]],[[0,0,0],[1,0,0,0]]];
     ! --- of every plan ---
-    CONST num bsVersion:=1;
+    CONST num bsVersion:=2;
     CONST num bsCapacity:=256;
-    CONST num bsFrame:=96;
+    CONST num bsFrame:=116;
+    CONST num bsAtOnce:=8;
     CONST num bsSilence:=2;
     CONST num bsJoining:=600;
     CONST num bsStarving:=0.5;
 
-    VAR triggdata bsOn{8};
-    VAR triggdata bsOff{8};
-    VAR triggdata bsOnStart{8};
+    ! of as many moves as the motion may run ahead by: what a move waits for must not be changed
+    VAR triggdata bsStarting{16};
+    VAR triggdata bsEnding{16};
+    VAR triggdata bsFlowing{16};
+    VAR triggdata bsFlowOn{16};
+    VAR num bsState{8};
     VAR socketdev bsServer;
     VAR socketdev bsClient;
     VAR rawbytes bsRaw;
@@ -47,14 +55,29 @@ MODULE BeadwiseStream
     VAR num bsTaken:=0;
     VAR num bsDone:=0;
     VAR num bsStarved:=0;
+    VAR num bsTold:=0;
     VAR bool bsResting:=TRUE;
     VAR bool bsHalted:=FALSE;
 
     ! --- of the plan ---
-    PROC BsOutputs()
-        TriggIO bsOn{1},0\DOp:=doExtrude,1;
-        TriggIO bsOff{1},0\DOp:=doExtrude,0;
-        TriggIO bsOnStart{1},0\Start\DOp:=doExtrude,1;
+    PROC BsTrigg(bsstep next,robtarget via,robtarget target,zonedata zone)
+        VAR num s;
+        s:=1+bsDone MOD 16;
+        TEST next.tool
+        CASE 0:
+            IF BitCheck(next.flags,1) bsState{1}:=1;
+            TriggIO bsStarting{s},0\Start\DOp:=doExtrude,bsState{1};
+            IF BitCheck(next.flags,2) bsState{1}:=1;
+            IF BitCheck(next.flags,3) bsState{1}:=0;
+            TriggIO bsEnding{s},0\DOp:=doExtrude,bsState{1};
+        DEFAULT:
+            BsStop "unknown tool";
+        ENDTEST
+        IF next.kind=7 THEN
+            TriggC via,target,next.speed,bsStarting{s}\T2:=bsEnding{s},zone,tBeadwise\WObj:=wobjBeadwise;
+        ELSE
+            TriggL target,next.speed,bsStarting{s}\T2:=bsEnding{s},zone,tBeadwise\WObj:=wobjBeadwise;
+        ENDIF
     ENDPROC
 
     PROC BsAllOff()
@@ -70,7 +93,6 @@ MODULE BeadwiseStream
         SingArea\Off;
         ConfJ\On;
         ConfL\Off;
-        BsOutputs;
         BsAllOff;
         BsUnits TRUE;
         BsOpen;
@@ -90,6 +112,10 @@ MODULE BeadwiseStream
         bsTaken:=0;
         bsDone:=0;
         bsStarved:=0;
+        bsTold:=0;
+        FOR i FROM 1 TO 8 DO
+            bsState{i}:=0;
+        ENDFOR
         bsResting:=TRUE;
         bsHalted:=FALSE;
         SocketClose bsClient;
@@ -107,16 +133,20 @@ MODULE BeadwiseStream
     ENDPROC
 
     PROC BsHear()
-        ! Takes all frames that are here; the PC sends one at least twice a second, if only to say that it is there.
-        VAR num before;
-        before:=bsTaken;
-        WHILE SocketPeek(bsClient)>=bsFrame DO
-            SocketReceive bsClient\RawData:=bsRaw\ReadNoOfBytes:=bsFrame\Time:=bsSilence;
-            BsTake;
+        ! Takes what is here with one reading, and no more, for the motion waits for moves meanwhile; the PC sends a frame
+        ! at least twice a second, if only to say that it is there.
+        VAR num many;
+        many:=SocketPeek(bsClient) DIV bsFrame;
+        IF many>bsAtOnce THEN
+            many:=bsAtOnce;
+        ENDIF
+        IF many>0 THEN
+            SocketReceive bsClient\RawData:=bsRaw\ReadNoOfBytes:=many*bsFrame\Time:=bsSilence;
+            FOR i FROM 0 TO many-1 DO
+                BsTake i*bsFrame;
+            ENDFOR
             ClkReset bsQuiet;
             ClkStart bsQuiet;
-        ENDWHILE
-        IF bsTaken>before THEN
             BsCredit;
         ENDIF
         IF ClkRead(bsQuiet)>bsSilence THEN
@@ -127,13 +157,14 @@ MODULE BeadwiseStream
     ENDPROC
 
     PROC BsCredit()
+        bsTold:=bsDone;
         SocketSend bsClient\Str:="C "+NumToStr(bsTaken,0)+" "+NumToStr(bsDone,0)+"\0A";
     ERROR
         BsStop "connection lost";
     ENDPROC
 
-    PROC BsTake()
-        ! One frame: checked and put into the ring.
+    PROC BsTake(num at)
+        ! The frame behind so many bytes: checked and put into the ring.
         VAR bsstep new;
         VAR num sum;
         VAR num sums;
@@ -141,56 +172,61 @@ MODULE BeadwiseStream
         VAR num said;
         VAR num saids;
         VAR num slot;
-        FOR i FROM 0 TO 45 DO
-            UnpackRawBytes bsRaw,1+2*i,word\IntX:=UINT;
+        FOR i FROM 0 TO 55 DO
+            UnpackRawBytes bsRaw,at+1+2*i,word\IntX:=UINT;
             sum:=(sum+word) MOD 65535;
             sums:=(sums+sum) MOD 65535;
         ENDFOR
-        UnpackRawBytes bsRaw,93,said\IntX:=UINT;
-        UnpackRawBytes bsRaw,95,saids\IntX:=UINT;
+        UnpackRawBytes bsRaw,at+113,said\IntX:=UINT;
+        UnpackRawBytes bsRaw,at+115,saids\IntX:=UINT;
         IF sum<>said OR sums<>saids THEN
             BsStop "wrong checksum";
         ENDIF
-        UnpackRawBytes bsRaw,1,new.number\IntX:=UDINT;
-        UnpackRawBytes bsRaw,5,new.kind\Hex1;
-        UnpackRawBytes bsRaw,6,new.flags\Hex1;
-        UnpackRawBytes bsRaw,7,new.tool\Hex1;
+        UnpackRawBytes bsRaw,at+1,new.number\IntX:=UDINT;
+        UnpackRawBytes bsRaw,at+5,new.kind\Hex1;
+        UnpackRawBytes bsRaw,at+6,new.flags\Hex1;
+        UnpackRawBytes bsRaw,at+7,new.tool\Hex1;
         IF new.kind=6 THEN
             RETURN;
         ENDIF
         IF new.kind=5 THEN
             BsStop "the PC asked for it";
         ENDIF
-        IF new.number<>bsTaken+1 OR new.kind<1 OR new.kind>4 OR new.tool>7 THEN
+        IF new.number<>bsTaken+1 OR new.kind<1 OR new.kind=5 OR new.kind>7 OR new.tool>7 THEN
             BsStop "a frame out of order";
         ENDIF
         IF bsTaken-bsDone>=bsCapacity THEN
             BsStop "more frames than fit";
         ENDIF
-        UnpackRawBytes bsRaw,9,new.at.x\Float4;
-        UnpackRawBytes bsRaw,13,new.at.y\Float4;
-        UnpackRawBytes bsRaw,17,new.at.z\Float4;
-        UnpackRawBytes bsRaw,21,new.turn.q1\Float4;
-        UnpackRawBytes bsRaw,25,new.turn.q2\Float4;
-        UnpackRawBytes bsRaw,29,new.turn.q3\Float4;
-        UnpackRawBytes bsRaw,33,new.turn.q4\Float4;
-        UnpackRawBytes bsRaw,37,new.conf.cf1\IntX:=SINT;
-        UnpackRawBytes bsRaw,38,new.conf.cf4\IntX:=SINT;
-        UnpackRawBytes bsRaw,39,new.conf.cf6\IntX:=SINT;
-        UnpackRawBytes bsRaw,40,new.conf.cfx\IntX:=SINT;
-        UnpackRawBytes bsRaw,41,new.axes.eax_a\Float4;
-        UnpackRawBytes bsRaw,45,new.axes.eax_b\Float4;
-        UnpackRawBytes bsRaw,49,new.axes.eax_c\Float4;
-        UnpackRawBytes bsRaw,53,new.axes.eax_d\Float4;
-        UnpackRawBytes bsRaw,57,new.axes.eax_e\Float4;
-        UnpackRawBytes bsRaw,61,new.axes.eax_f\Float4;
-        UnpackRawBytes bsRaw,65,new.speed.v_tcp\Float4;
-        UnpackRawBytes bsRaw,69,new.speed.v_ori\Float4;
-        UnpackRawBytes bsRaw,73,new.speed.v_leax\Float4;
-        UnpackRawBytes bsRaw,77,new.speed.v_reax\Float4;
-        UnpackRawBytes bsRaw,81,new.wait\Float4;
-        UnpackRawBytes bsRaw,85,new.zone\Float4;
-        UnpackRawBytes bsRaw,89,new.left\IntX:=UINT;
+        UnpackRawBytes bsRaw,at+9,new.at.x\Float4;
+        UnpackRawBytes bsRaw,at+13,new.at.y\Float4;
+        UnpackRawBytes bsRaw,at+17,new.at.z\Float4;
+        UnpackRawBytes bsRaw,at+21,new.turn.q1\Float4;
+        UnpackRawBytes bsRaw,at+25,new.turn.q2\Float4;
+        UnpackRawBytes bsRaw,at+29,new.turn.q3\Float4;
+        UnpackRawBytes bsRaw,at+33,new.turn.q4\Float4;
+        UnpackRawBytes bsRaw,at+37,new.conf.cf1\IntX:=SINT;
+        UnpackRawBytes bsRaw,at+38,new.conf.cf4\IntX:=SINT;
+        UnpackRawBytes bsRaw,at+39,new.conf.cf6\IntX:=SINT;
+        UnpackRawBytes bsRaw,at+40,new.conf.cfx\IntX:=SINT;
+        UnpackRawBytes bsRaw,at+41,new.axes.eax_a\Float4;
+        UnpackRawBytes bsRaw,at+45,new.axes.eax_b\Float4;
+        UnpackRawBytes bsRaw,at+49,new.axes.eax_c\Float4;
+        UnpackRawBytes bsRaw,at+53,new.axes.eax_d\Float4;
+        UnpackRawBytes bsRaw,at+57,new.axes.eax_e\Float4;
+        UnpackRawBytes bsRaw,at+61,new.axes.eax_f\Float4;
+        UnpackRawBytes bsRaw,at+65,new.speed.v_tcp\Float4;
+        UnpackRawBytes bsRaw,at+69,new.speed.v_ori\Float4;
+        UnpackRawBytes bsRaw,at+73,new.speed.v_leax\Float4;
+        UnpackRawBytes bsRaw,at+77,new.speed.v_reax\Float4;
+        UnpackRawBytes bsRaw,at+81,new.wait\Float4;
+        UnpackRawBytes bsRaw,at+85,new.zone\Float4;
+        UnpackRawBytes bsRaw,at+89,new.left\IntX:=UINT;
+        UnpackRawBytes bsRaw,at+93,new.via.x\Float4;
+        UnpackRawBytes bsRaw,at+97,new.via.y\Float4;
+        UnpackRawBytes bsRaw,at+101,new.via.z\Float4;
+        UnpackRawBytes bsRaw,at+105,new.flowStart\Float4;
+        UnpackRawBytes bsRaw,at+109,new.flowEnd\Float4;
         bsTaken:=new.number;
         slot:=1+(bsTaken-1) MOD bsCapacity;
         bsRing{slot}:=new;
@@ -226,11 +262,10 @@ MODULE BeadwiseStream
         VAR bsstep next;
         VAR robtarget target;
         VAR zonedata zone;
+        VAR robtarget via;
         VAR num slot;
-        VAR num k;
         slot:=1+bsDone MOD bsCapacity;
         next:=bsRing{slot};
-        k:=next.tool+1;
         IF next.kind=4 THEN
             WaitRob\InPos;
             SocketSend bsClient\Str:="E "+NumToStr(bsDone,0)+" "+NumToStr(bsStarved,0)+"\0A";
@@ -241,27 +276,24 @@ MODULE BeadwiseStream
         ENDIF
         zone:=[next.zone=0,next.zone,next.zone,next.zone,next.zone/10,next.zone,next.zone/10];
         target:=[next.at,next.turn,next.conf,next.axes];
-        IF next.kind=3 THEN
+        via:=[next.via,next.turn,next.conf,next.axes];
+        IF BitAnd(next.flags,31)<>0 THEN
+            BsTrigg next,via,target,zone;
+        ELSEIF next.kind=3 THEN
             MoveAbsJ BsJoints(next),next.speed,zone,tBeadwise\WObj:=wobjBeadwise;
         ELSEIF next.kind=2 THEN
             MoveJ target,next.speed,zone,tBeadwise\WObj:=wobjBeadwise;
-        ELSEIF next.flags=0 THEN
-            MoveL target,next.speed,zone,tBeadwise\WObj:=wobjBeadwise;
-        ELSEIF next.flags=1 THEN
-            TriggL target,next.speed,bsOnStart{k},zone,tBeadwise\WObj:=wobjBeadwise;
-        ELSEIF next.flags=2 THEN
-            TriggL target,next.speed,bsOn{k},zone,tBeadwise\WObj:=wobjBeadwise;
-        ELSEIF next.flags=4 THEN
-            TriggL target,next.speed,bsOff{k},zone,tBeadwise\WObj:=wobjBeadwise;
-        ELSEIF next.flags=5 THEN
-            TriggL target,next.speed,bsOnStart{k}\T2:=bsOff{k},zone,tBeadwise\WObj:=wobjBeadwise;
+        ELSEIF next.kind=7 THEN
+            MoveC via,target,next.speed,zone,tBeadwise\WObj:=wobjBeadwise;
         ELSE
-            BsStop "unknown triggers";
+            MoveL target,next.speed,zone,tBeadwise\WObj:=wobjBeadwise;
         ENDIF
         bsResting:=next.zone=0;
         BsWait next.wait;
         bsDone:=bsDone+1;
-        BsCredit;
+        IF bsResting OR BitCheck(next.flags,6) OR bsDone-bsTold>=bsAtOnce THEN
+            BsCredit;
+        ENDIF
     ERROR
         IF ERRNO=ERR_SOCK_CLOSED THEN
             BsStop "connection lost";

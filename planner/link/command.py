@@ -7,7 +7,7 @@ import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -17,12 +17,26 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
 from planner.base.command_line import Command, exit_code
-from planner.base.errors import EXIT_INTERRUPTED, EXIT_NOT_VERIFIED, EXIT_VERIFIED
-from planner.link.connections import LinkError, Secret, connect, parse_address, password
+from planner.base.errors import EXIT_INTERRUPTED, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError
+from planner.link.connections import (
+    CONNECT_TIME,
+    PIECE,
+    Address,
+    LinkError,
+    Secret,
+    connect,
+    parse_address,
+    password,
+)
+from planner.link.ftp import HOME as FTP_HOME
+from planner.link.ftp import PORT as FTP_PORT
+from planner.link.ftp import Ftp
+from planner.link.messages import stop as stop_words
 from planner.link.program_lines import NO_BEAD, ProgramLines, read_program_lines
 from planner.link.relay import LogNote, Relay, RelaySide, RunOutcome
+from planner.link.robot import RobotWatch, bring, check_ready, check_together, program_files, start, stop_robot
 from planner.link.run import INTERRUPTED, Log, RelayRun, Requests, open_board, signals_as
-from planner.link.rws import DIALECTS, USER, RobotWatch, Rws, bring, check_ready, check_together, program_files
+from planner.link.rws import DIALECTS, USER, Rws
 
 # ----------------------------------------------------------------------------------------------------
 # Progress, and how a run ended.
@@ -135,12 +149,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _demo(options: argparse.Namespace, say: Callable[[str], None]) -> int:
-    from planner.link.demo import PASSWORD, demo_program, simulated  # the planner takes seconds to be imported
+    from planner.link import demo  # the planner takes seconds to be imported
 
-    options.program = options.program or demo_program(say)
-    options.secret = Secret(PASSWORD)
-    with simulated(options.pace) as (options.controller, options.socket, options.head):
-        return _run(options, say)
+    options.program = options.program or demo.demo_program(say)
+    options.secret = Secret(demo.PASSWORD)
+    with demo.simulated(options.pace) as (options.controller, options.socket, options.head):
+        code = _run(options, say)
+        if code == EXIT_VERIFIED and not options.dry_run:
+            with closing(_rws(options, options.secret)) as rws:
+                demo.show_steps(rws, options.program, say)
+        return code
 
 
 def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
@@ -154,13 +172,17 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
         check_ready(rws)
         board, greeting = open_board(options.head)
         stack.enter_context(board)
+        if options.dry_run and options.upload == "ftp":
+            with _way(options, secret):
+                say("FTP is ready")
         say(f"controller and board are ready: {lines.module}, {len(lines)} lines")
         if options.dry_run:
             return EXIT_VERIFIED
         log = stack.enter_context(closing(Log(options.log or _log_path(options.program))))
         log.write([LogNote("board", 0, text) for text in greeting])
-        bring(rws, files, say)
-        with _stopping(rws) as started:
+        with _way(options, secret) as way:
+            bring(rws, files, say, way)
+        with _stopping(rws, options.socket) as started:
             program = stack.enter_context(connect(options.socket, "the program on the controller", JOIN_TIME))
             requests = stack.enter_context(closing(Requests()))
             relay = Relay(lines, time.monotonic(), options.cold)
@@ -170,7 +192,28 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
                 outcome = RelayRun(relay, sockets, requests, log, robot.stop, show).run()
                 trouble = robot.close()
                 started.over = True
+        if options.unload:
+            _unload(rws, say)
         return _told(lines, outcome, trouble, problem, log, say)
+
+
+@contextmanager
+def _way(options: argparse.Namespace, secret: Secret) -> Iterator[Ftp | None]:
+    """The way of the files to the controller: over FTP where that was asked for."""
+    if options.upload != "ftp":
+        yield None
+        return
+    address = Address(options.controller.host, options.ftp_port)
+    with closing(Ftp(address, options.user, secret, options.ftp_folder)) as way:
+        yield way
+
+
+def _unload(rws: Rws, say: Callable[[str], None]) -> None:
+    try:
+        with rws.mastership():
+            rws.unload()
+    except (LinkError, InputError) as error:
+        say(f"the program stays loaded: {error}")
 
 
 class _Started:
@@ -180,18 +223,27 @@ class _Started:
 
 
 @contextmanager
-def _stopping(rws: Rws) -> Iterator[_Started]:
-    """Start the program; whatever goes wrong before it is over stops it."""
+def _stopping(rws: Rws, program: Address) -> Iterator[_Started]:
+    """Start the program; whatever goes wrong before it is over stops it, over the web services or its own socket."""
     started = _Started()
     try:
-        rws.start()
+        start(rws)
         yield started
     finally:
-        if not started.over:
-            try:
-                rws.stop()
-            except LinkError as error:
-                raise LinkError(f"stop the robot by hand, its program may run: {error}") from None
+        if not started.over and (wrong := stop_robot(rws)) is not None:
+            _turn_away(program)
+            error = sys.exc_info()[1]
+            first = f", after: {error}" if isinstance(error, LinkError | InputError) else ""
+            raise LinkError(f"stop the robot by hand, its program may run: {wrong}{first}") from None
+
+
+def _turn_away(program: Address) -> None:
+    """A program that waits for the link, and cannot be stopped otherwise, ends when the link comes and goes."""
+    with suppress(LinkError, InputError, OSError), connect(program, "the program on the controller") as made:
+        made.sendall(stop_words("the link has failed"))
+        made.settimeout(CONNECT_TIME)
+        while made.recv(PIECE):
+            continue
 
 
 def _told(
@@ -208,7 +260,9 @@ def _told(
 
 
 def _rws(options: argparse.Namespace, secret: Secret) -> Rws:
-    return Rws(options.controller, options.rws, options.user, secret, verify=not options.insecure)
+    return Rws(
+        options.controller, options.rws, options.user, secret, verify=options.certificate or not options.insecure
+    )
 
 
 def _problem_of(module: bytes) -> str:
@@ -244,6 +298,13 @@ def link_command() -> Command:
     parser.add_argument("--user", default=USER, help=f"of the web services (default {USER!r})")
     parser.add_argument("--rws", type=int, choices=sorted(DIALECTS), default=1, help="1: IRC5, 2: OmniCore (default 1)")
     parser.add_argument("--insecure", action="store_true", help="do not check the controller's certificate (2 only)")
+    parser.add_argument("--certificate", type=Path, metavar="PEM", help="to check the controller's with (2 only)")
+    parser.add_argument("--upload", choices=("rws", "ftp"), default="rws", help="way of the files (default rws)")
+    parser.add_argument("--ftp-port", type=int, default=FTP_PORT, metavar="PORT", help=f"of FTP (default {FTP_PORT})")
+    parser.add_argument(
+        "--ftp-folder", default=FTP_HOME, metavar="FOLDER", help=f"the controller's HOME there (default {FTP_HOME})"
+    )
+    parser.add_argument("--unload", action="store_true", help="unload the program when it is over")
     parser.add_argument("--log", type=Path, metavar="FILE.jsonl", help="default: beside the program, named by the time")
     parser.add_argument("--cold", action="store_true", help="switch the heaters off when a run is stopped")
     parser.add_argument("--dry-run", action="store_true", help="look whether all is ready; nothing is sent or started")
@@ -263,6 +324,8 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
         return options
     if None in (options.program, options.controller, options.head):
         parser.error("give PROGRAM.mod, --controller and --head, or --demo")
+    if options.certificate is not None and not options.certificate.is_file():
+        parser.error(f"--certificate: there is no file {options.certificate}")
     try:
         options.controller = parse_address(options.controller, DIALECTS[options.rws].port)
         options.head = parse_address(options.head, BOARD_PORT)

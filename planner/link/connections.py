@@ -7,8 +7,11 @@ import os
 import re
 import socket
 import sys
+import threading
 import time
+from collections.abc import Hashable
 from dataclasses import dataclass
+from types import TracebackType
 
 from planner.base.errors import EXIT_NOT_VERIFIED, InputError, PlannerError
 
@@ -75,6 +78,74 @@ def connect(address: Address, what: str, patience: float = 0.0) -> socket.socket
         if hasattr(socket, name):  # not every system has all of these
             made.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
     return made
+
+
+# ----------------------------------------------------------------------------------------------------
+# Deadlines. A time limit of a socket counts from its last byte, so that a peer that drips holds a request for ever.
+
+
+class Cutter:
+    """Ends what goes on over some sockets once its time is over, however often a byte still comes."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._sockets: dict[Hashable, socket.socket] = {}
+        self._late = False
+
+    def watch(self, name: Hashable, made: socket.socket) -> None:
+        """Cut this one, too. It is held a second time, for TLS takes a socket away from whoever made it."""
+        with self._lock:
+            before, self._sockets[name] = self._sockets.get(name), made.dup()
+            late = self._late
+        if before is not None:
+            before.close()
+        if late:
+            self.cut()
+
+    def forget(self, name: Hashable) -> None:
+        """It is closed."""
+        with self._lock:
+            kept = self._sockets.pop(name, None)
+        if kept is not None:
+            kept.close()
+
+    def within(self, seconds: float) -> _Within:
+        """A block in which every socket is cut once a time is over [s]; raises TimeoutError then."""
+        with self._lock:
+            self._late = False
+        return _Within(self, seconds)
+
+    @property
+    def late(self) -> bool:
+        """The last block's time was over before it ended."""
+        return self._late
+
+    def cut(self) -> None:
+        """End all that goes on."""
+        with self._lock:
+            self._late = True
+            for each in self._sockets.values():
+                try:
+                    each.shutdown(socket.SHUT_RDWR)
+                except OSError:
+                    continue  # it is closed already
+
+
+class _Within:
+    def __init__(self, cutter: Cutter, seconds: float) -> None:
+        self._cutter, self._timer = cutter, threading.Timer(seconds, cutter.cut)
+        self._timer.daemon = True
+
+    def __enter__(self) -> None:
+        self._timer.start()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._timer.cancel()
+        # whatever was said of it, its socket was cut under it
+        if self._cutter.late and (kind is None or issubclass(kind, Exception)):
+            raise TimeoutError from None
 
 
 # ----------------------------------------------------------------------------------------------------

@@ -5,20 +5,24 @@ The only module of the link that knows of the simulators, and of them only where
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import re
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
 from planner.base.errors import EXIT_VERIFIED, InputError
 from planner.export.rapid.reader import read_rapid_files
-from planner.link.connections import Address
+from planner.link.connections import Address, LinkError
+from planner.link.robot import bring, program_files, start, stop_robot
+from planner.link.rws import Rws
 from planner.planning.solve_command import main as solve
-from planner.simulate.start import start
+from planner.simulate.start import start as start_simulators
 
 PROBLEM = "cylinder_logo"
 CHANGES = ("layers.count=1", "program.style=socket")
 PASSWORD = "simulated"  # of a controller that listens on this computer only, for as long as the demo takes
 FOLDER = Path("out/demo")
+SECOND = "SecondProgram"
 
 
 def demo_program(say: Callable[[str], None]) -> Path:
@@ -35,10 +39,40 @@ def demo_program(say: Callable[[str], None]) -> Path:
 
 
 @contextmanager
-def simulated(pace: float) -> Iterator[tuple[Address, Address, Address]]:
-    """Both simulators: where the controller's web services, its program and the board listen."""
-    with start(pace=pace, rws_password=PASSWORD) as made:
+def simulated(pace: float, version: int = 1) -> Iterator[tuple[Address, Address, Address]]:
+    """Both simulators: where the controller's web services, its program and the board listen.
+
+    The web services are strict, and another program is loaded, as on a controller that somebody uses.
+    """
+    with start_simulators(pace=pace, rws_password=PASSWORD, version=version, in_use=True) as made:
         yield Address(*made.rws), Address(*made.program), Address(*made.board)
+
+
+def show_steps(rws: Rws, program: Path, say: Callable[[str], None]) -> None:
+    """What a day at the controller takes, besides a print: a second run, a stop, a second program, an empty task.
+
+    Raises LinkError where the controller does not do one of them.
+    """
+    files = program_files(program)
+    quiet: Callable[[str], None] = lambda text: None  # noqa: E731
+    for which, what in ((files, program.stem), (_renamed(files, program.stem), SECOND), (files, program.stem)):
+        bring(rws, which, quiet)
+        start(rws)
+        say(f"{what}: uploaded, loaded alone, and running")
+        if (wrong := stop_robot(rws)) is not None:
+            raise LinkError(f"{what} does not stop: {wrong}")
+        say(f"{what}: stopped")
+    with rws.mastership():
+        rws.unload()
+    if rws.modules():
+        raise LinkError("the task is not empty")
+    say("unloaded: the task is empty")
+
+
+def _renamed(files: Mapping[str, bytes], stem: str) -> dict[str, bytes]:
+    """A program under another name, as a second one."""
+    old, new = re.compile(rb"\b" + stem.encode() + rb"(?=\b|_\d)"), SECOND.encode()
+    return {name.replace(stem, SECOND): old.sub(new, data) for name, data in files.items()}
 
 
 def _found() -> Path | None:

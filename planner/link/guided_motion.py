@@ -1,4 +1,4 @@
-"""Sends a plan's joints to a controller every 4 ms by externally guided motion (EGM)."""
+"""Sends a plan's joints to a controller every 4 ms by externally guided motion (EGM), and its filament to the board."""
 
 from __future__ import annotations
 
@@ -22,6 +22,8 @@ from planner.base.arrays import Array
 from planner.base.command_line import Command, exit_code
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, PlannerError
 from planner.base.extras import missing_extra
+from planner.link.connections import Address, parse_address
+from planner.link.feed import BoardFeed, Feed, FeedStopped, feeding
 
 # ----------------------------------------------------------------------------------------------------
 # Limiter: however goals jump, no step goes beyond the joints' speed and acceleration.
@@ -78,11 +80,13 @@ class JointPlan:
     """Joints at EGM's rate (n samples): six of the arm, then all axes of the station in its own order.
 
     q (n, m) [rad]; velocity, acceleration (m) limits [rad/s, rad/s²], 0 for an axis that is held
+    filament (n,) that the motor has pushed since the start [mm], the board's own unit; None where nobody asks for it
     """
 
     q: Array
     velocity: Array
     acceleration: Array
+    filament: Array | None = None
 
 
 def read_plan(folder: Path) -> JointPlan:
@@ -106,11 +110,11 @@ def read_plan(folder: Path) -> JointPlan:
         raise InputError("guided motion moves no axes that slide", file=path)
     if any(not 0.0 < value < math.inf for pair in limits.values() for value in pair):
         raise InputError("a limit that is no positive number", file=path)
-    moved = _table(folder / "trajectory.csv", names)
+    moved, filament = _table(folder / "trajectory.csv", names)
     order = [*arm, *(name for name, _ in holder)]
     columns = [np.full(len(moved), held[name]) if name in held else moved[:, names.index(name)] for name in order]
     both = np.array([limits.get(name, (0.0, 0.0)) for name in order])
-    return JointPlan(np.column_stack(columns), both[:, 0], both[:, 1])
+    return JointPlan(np.column_stack(columns), both[:, 0], both[:, 1], filament)
 
 
 def _json(path: Path) -> dict[str, Any]:
@@ -127,17 +131,17 @@ def _json(path: Path) -> dict[str, Any]:
     return data
 
 
-def _table(path: Path, names: list[str]) -> Array:
-    """The named columns at EGM's rate (n, k)."""
+def _table(path: Path, names: list[str]) -> tuple[Array, Array]:
+    """The named columns at EGM's rate (n, k), and the filament (n)."""
     try:
         if path.stat().st_size > LARGEST_TABLE:
             raise InputError(f"larger than {LARGEST_TABLE >> 20} MB", file=path)
         with path.open(encoding="ascii") as stream:
             head = stream.readline().strip().split(",")
-            missing = [name for name in ("t_s", *names) if name not in head]
+            missing = [name for name in ("t_s", *names, "e_mm") if name not in head]
             if missing:
                 raise InputError(f"no column {missing[0]!r}", file=path, line=1)
-            columns = [head.index(name) for name in ("t_s", *names)]
+            columns = [head.index(name) for name in ("t_s", *names, "e_mm")]
             rows = np.loadtxt(stream, delimiter=",", usecols=columns, ndmin=2)
     except (OSError, ValueError) as error:
         raise InputError(f"cannot be read: {error}", file=path) from error
@@ -146,10 +150,11 @@ def _table(path: Path, names: list[str]) -> Array:
         raise InputError("not a trajectory with even steps", file=path)
     if steps.max() > LONGEST_STEP + UNEVEN:
         raise InputError(f"steps of {steps.max():g} s, but no plan has more than {LONGEST_STEP:g} s", file=path, line=3)
-    instants = np.arange(0.0, rows[-1, 0] + PERIOD, PERIOD)
+    t, joints, filament = rows[:, 0], rows[:, 1:-1], rows[:, -1]
     if abs(steps[0] - PERIOD) < UNEVEN:
-        return rows[:, 1:]
-    return np.asarray(CubicSpline(rows[:, 0], rows[:, 1:])(np.minimum(instants, rows[-1, 0])))
+        return joints, filament
+    instants = np.minimum(np.arange(0.0, t[-1] + PERIOD, PERIOD), t[-1])
+    return np.asarray(CubicSpline(t, joints)(instants)), np.interp(instants, t, filament)
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -185,13 +190,15 @@ class Follower:
     """Answers each word of the controller with the next reference. The plan's time goes on only with the answers.
 
     sample, total   of the plan, at EGM's rate; `over` once the robot stands at the last one
+    robot           sample at which the robot itself is, which follows its references late
     """
 
     def __init__(self, plan: JointPlan) -> None:
-        self._plan, self.total, self.over = plan, len(plan.q), False
+        self._plan, self.total, self.over, self.robot = plan, len(plan.q), False, 0.0
         self._place, self._rate, self._stopping = 0.0, 0.0, False
         self._limiter: Limiter | None = None
         self._sent: deque[Array] = deque(maxlen=round(LAG / PERIOD))
+        self._places: deque[float] = deque(maxlen=round(LAG / PERIOD))
         self._clock, self._settling = 0.0, 0.0
 
     @property
@@ -231,6 +238,7 @@ class Follower:
         self._place = min(self._place + self._rate, self.total - 1.0)
         reference = self._limiter.next(self._at(self._place))
         self._sent.append(reference)
+        self._places.append(self._place)
         self._finish(state.joints)
         return reference
 
@@ -245,10 +253,15 @@ class Follower:
         self._limiter = Limiter(state.joints, self._plan.velocity, self._plan.acceleration, PERIOD)
         self._clock = state.clock
         self._sent.append(self._limiter.at)
+        self._places.append(0.0)
         return self._limiter.at
 
     def _watch(self, joints: Array) -> None:
-        low, high = np.min(self._sent, axis=0), np.max(self._sent, axis=0)
+        sent = np.array(self._sent)
+        # the newest of the references that are nearest: where they stand, so does the robot
+        nearest = len(sent) - 1 - int(np.abs(sent[::-1] - joints).max(axis=1).argmin())
+        self.robot = max(self.robot, self._places[nearest])
+        low, high = sent.min(axis=0), sent.max(axis=0)
         away = np.maximum(low - joints, joints - high)
         if away.max() > DEVIATION:
             worst = int(away.argmax())
@@ -278,6 +291,39 @@ class Follower:
 
 
 # ----------------------------------------------------------------------------------------------------
+# The filament, in time with the robot: short moves of the extruder, each when the robot comes to where it belongs.
+
+SLICE = 25  # samples of a move of the extruder: 0.1 s, so that little is left in the board's queue when the robot stops
+LEAD = 5  # samples by which a move is sent early: what network and board take
+MOST_SLICES = 5  # by which the board may lag behind
+LEAST = 1e-5  # mm, the last digit that is written
+
+
+class FilamentFeed:
+    """Hands a plan's filament to a feed, as the robot gets along. One extruder, which is hot and selected."""
+
+    def __init__(self, filament: Array, feed: Feed) -> None:
+        """filament (n,) [mm] that was pushed since the start, at EGM's rate."""
+        self._filament, self._feed = filament, feed
+        self._next, self._said = 0, float(filament[0])
+        feed.add("M83")
+
+    def step(self, robot: float) -> None:
+        """The robot is at a sample. Raises FeedStopped where the board lags behind."""
+        last = len(self._filament) - 1
+        while self._next < last and self._next <= robot + LEAD:
+            end = min(self._next + SLICE, last)
+            amount = round(float(self._filament[end]) - self._said, 5)
+            if abs(amount) >= LEAST:
+                rate = 60.0 * abs(amount) / ((end - self._next) * PERIOD)
+                self._feed.add(f"G1 E{amount:.5f} F{rate:.3f}")
+                self._said += amount
+            self._next = end
+        if self._feed.behind > MOST_SLICES:
+            raise FeedStopped(f"the board is {self._feed.behind} lines behind the robot")
+
+
+# ----------------------------------------------------------------------------------------------------
 # The command.
 #
 # python -m planner.link.egm OUT_DIR
@@ -286,6 +332,7 @@ HOST, PORT = "127.0.0.1", 6510  # ABB's port
 JOINING = 120.0  # s in which the controller's first word must come
 LONGEST = 4096  # bytes of a datagram
 REPORT_EVERY = 0.1  # share of the plan
+BOARD_PORT = 23  # telnet
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -309,6 +356,7 @@ def egm_command() -> Command:
     parser.add_argument("folder", type=Path, metavar="OUT_DIR", help="results of planner.solve")
     parser.add_argument("--host", default=HOST, help=f"own address that the controller sends to (default {HOST})")
     parser.add_argument("--port", type=int, default=PORT, help=f"own UDP port (default {PORT})")
+    parser.add_argument("--head", metavar="HOST[:PORT]", help="the extruder's board, which gets the filament (port 23)")
     return parser
 
 
@@ -317,9 +365,21 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     plan = read_plan(options.folder)
     with listening(options.host, options.port) as here:
         say(f"waiting for the controller on {options.host}:{here.getsockname()[1]} (UDP)")
-        follow(plan, here, messages, say)
+        if options.head is None:
+            follow(plan, here, messages, say)
+        else:
+            with feeding(_head(options.head)) as board:
+                follow(plan, here, messages, say, board)
+                board.finish()
     say("finished")
     return EXIT_VERIFIED
+
+
+def _head(text: str) -> Address:
+    try:
+        return parse_address(text, BOARD_PORT)
+    except ValueError as error:
+        raise InputError(str(error), field="--head") from None
 
 
 def egm_messages() -> ModuleType:
@@ -342,25 +402,58 @@ def listening(host: str, port: int) -> socket.socket:
     return out
 
 
-def follow(plan: JointPlan, here: socket.socket, messages: ModuleType, say: Callable[[str], None]) -> Follower:
-    """Guide the robot through the plan. Raises EgmStopped where it ended before; an interrupt brings it to rest."""
-    follower = Follower(plan)
+def follow(
+    plan: JointPlan,
+    here: socket.socket,
+    messages: ModuleType,
+    say: Callable[[str], None],
+    board: BoardFeed | None = None,
+) -> Follower:
+    """Guide the robot through the plan, and give its filament to the board.
+
+    Raises EgmStopped where it ended before. An interrupt brings the robot to rest, and so does the board's FeedStopped.
+    """
+    follower, extruder = Follower(plan), None if board is None else _Extruder(plan, board)
     try:
-        _loop(follower, here, messages, say)
-    except KeyboardInterrupt:
+        _loop(follower, here, messages, say, extruder)
+        if extruder is not None:
+            extruder.step(follower.total, begun=True)
+    except (KeyboardInterrupt, FeedStopped):
         follower.stop()
         _loop(follower, here, messages, lambda text: None)
         raise
     return follower
 
 
-def _loop(follower: Follower, here: socket.socket, messages: ModuleType, say: Callable[[str], None]) -> None:
+class _Extruder:
+    """The filament of a plan on its way to the board."""
+
+    def __init__(self, plan: JointPlan, board: BoardFeed) -> None:
+        if plan.filament is None:
+            raise InputError("the plan has no filament", field="--head")
+        self._filament, self._board = FilamentFeed(plan.filament, board.feed), board
+
+    def step(self, robot: float, begun: bool) -> None:
+        if begun:
+            self._filament.step(robot)
+        self._board.step()
+
+
+def _loop(
+    follower: Follower,
+    here: socket.socket,
+    messages: ModuleType,
+    say: Callable[[str], None],
+    extruder: _Extruder | None = None,
+) -> None:
     numbers, reported = 0, 0.0
     peer: tuple[str, int] | None = None
     began = received_at = time.monotonic()
     while not follower.over:
         data, peer = _newest(here, peer)
         now = time.monotonic()
+        if extruder is not None:
+            extruder.step(follower.robot, follower.begun)
         if not data:
             limit = SILENCE if follower.begun else JOINING
             if now - received_at > limit:

@@ -9,7 +9,9 @@ import socket
 import struct
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from importlib.resources import files
 from ipaddress import AddressValueError, IPv4Address
@@ -23,22 +25,34 @@ from planner.base.command_line import Command, exit_code
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, OutputError, PlannerError
 from planner.export.program import RobotProgram, Trigger
 from planner.export.rapid.reader import read_rapid_files
+from planner.link.connections import Address, parse_address
+from planner.link.feed import BoardFeed, FeedStopped, feeding
+from planner.link.run import PASSWORD as BOARD_PASSWORD
 
 # ----------------------------------------------------------------------------------------------------
 # Frames: one for each move of a program (see BeadwiseStream.mod).
 #
-# A frame is 96 bytes, little-endian: number, kind, flags of the triggers, tool, place [mm], orientation w x y z,
+# A frame is 116 bytes, little-endian: number, kind, flags of the triggers, tool, place [mm], orientation w x y z,
 # configuration, external axes [deg], speeds [mm/s, deg/s], wait [s], zone [mm], how many frames there are up to and with
-# the next rest, and two sums over all that.
+# the next rest, a point on the way of an arc [mm], the flow that is asked for from the move's start and from its end on
+# [unit of the analog output], and two sums over all that.
+#
+# A controller's task takes some 6.5 ms to read a message, however long it is. So frames go out together, and it reads as
+# many at once as its raw bytes hold.
 
-BODY = struct.Struct("<IBBBx3f4f4b6f4fffHxx")
+BODY = struct.Struct("<IBBBx3f4f4b6f4fffHxx3f2f")
 SUMS = struct.Struct("<HH")
 LENGTH = BODY.size + SUMS.size
-LINEAR, JOINT, ABSOLUTE, END, STOP, ALIVE = range(1, 7)
-ON_AT_START, ON_AT_END, OFF_AT_END = 1, 2, 4
+MESSAGE = 1024  # bytes of RAPID's rawbytes
+AT_ONCE = MESSAGE // LENGTH  # frames that a controller reads at once
+LINEAR, JOINT, ABSOLUTE, END, STOP, ALIVE, CIRCULAR = range(1, 8)
+ON_AT_START, ON_AT_END, OFF_AT_END, FLOW_AT_START, FLOW_AT_END, TELL = 1, 2, 4, 8, 16, 32
+SWITCHES = ON_AT_START | ON_AT_END | OFF_AT_END
 COMBINED = {0, ON_AT_START, ON_AT_END, OFF_AT_END, ON_AT_START | OFF_AT_END}
+VALUES = 24
 MOST_LEFT = 65535
 MOST_TOOLS = 8
+NEAR_START = 1e-6  # m
 UNUSED = 9e9  # of external axes, as in RAPID
 _WORDS = struct.Struct(f"<{BODY.size // 2}H")
 
@@ -49,13 +63,19 @@ class Stream:
 
     signals   outputs of the extruders, by the frames' tool
     longest   time of the longest single move or wait [s], at the programmed speeds
+    lines     frame → what the extruder's board gets once the controller has handed the frame to its motion
     """
 
     total: int
     signals: tuple[str, ...]
     longest: float
+    lines: dict[int, tuple[str, ...]]
     _values: Array
     _codes: NDArray[np.int64]
+
+    def rests(self, frame: int) -> bool:
+        """Whether the robot stands at the end of a frame."""
+        return float(self._values[frame - 1, 18]) == 0.0
 
     def frames(self) -> Iterator[bytes]:
         """All frames in order."""
@@ -74,9 +94,9 @@ def packed(
     conf: list[int] | None = None,
     left: int = 0,
 ) -> bytes:
-    """One frame; values: place, orientation, external axes, speeds, wait and zone (19)."""
-    v = values or [0.0] * 19
-    body = BODY.pack(number, kind, flags, tool, *v[:7], *(conf or [0] * 4), *v[7:], left)
+    """One frame; values: place, orientation, external axes, speeds, wait, zone, via point and two flows (24)."""
+    v = values or [0.0] * VALUES
+    body = BODY.pack(number, kind, flags, tool, *v[:7], *(conf or [0] * 4), *v[7:19], left, *v[19:])
     first = second = 0
     for word in _WORDS.unpack(body):
         first = (first + word) % 65535
@@ -85,9 +105,7 @@ def packed(
 
 
 def stream_of(program: RobotProgram) -> Stream:
-    """The frames of a program. Raises InputError for what only the program itself can do."""
-    if program.sends or program.demands:
-        raise InputError("only programs of style output are streamed", field="program.style")
+    """The frames of a program of any style. Raises InputError for what only the program itself can do."""
     m = len(program.position)
     signals: list[str] = []
     codes = np.zeros((m + 1, 8), np.int64)
@@ -100,7 +118,7 @@ def stream_of(program: RobotProgram) -> Stream:
     ahead = np.append(np.flatnonzero(rests), m + 1)  # the end stops whatever still moves
     index = np.arange(m + 1)
     codes[:, 7] = np.minimum(ahead[np.searchsorted(ahead, index)] - index + 1, MOST_LEFT)
-    values = np.zeros((m + 1, 19))
+    values = np.zeros((m + 1, VALUES))
     values[0, :6] = _degrees(program.start[:6])
     values[0, 7:13] = _degrees(program.start[6:])
     values[1:, :3] = program.position * 1e3
@@ -110,7 +128,34 @@ def stream_of(program: RobotProgram) -> Stream:
     values[:, 13:17] = speed * [1e3, 180.0 / np.pi, 1e3, 180.0 / np.pi]
     values[1:, 17] = program.wait
     values[1:, 18] = program.zone * 1e3
-    return Stream(m + 2, tuple(signals), _longest(program), values, codes)
+    circular = np.append(False, program.circular)
+    codes[circular, 0] = CIRCULAR
+    values[circular, 19:22] = program.via[program.circular] * 1e3
+    _flows(program, codes, values)
+    # what is due before the first move comes with the joints; frame 1 is those
+    lines = {move + 2: texts for move, texts in sorted(program.sends.items())}
+    codes[[frame - 1 for frame in lines], 1] |= TELL
+    return Stream(m + 2, tuple(signals), _longest(program), lines, values, codes)
+
+
+def _flows(program: RobotProgram, codes: NDArray[np.int64], values: Array) -> None:
+    """The flow of style demand, at the ends of moves; what a move does not set stays as it was before."""
+    if not program.demands:
+        return
+    now = 0.0
+    steps = np.append(0.0, program.segments.length)
+    for move in range(len(program.position)):
+        frame = move + 1
+        values[frame, 22:] = now
+        for distance, value in program.demands.get(move, ()):
+            if distance == 0.0:
+                codes[frame, 1] |= FLOW_AT_END
+                values[frame, 23] = now = value
+            elif distance >= steps[move] - NEAR_START:
+                codes[frame, 1] |= FLOW_AT_START
+                values[frame, 22:] = now = value
+            else:
+                raise InputError("only a flow that changes at the ends of moves is streamed", field="program.style")
 
 
 def _degrees(radians: Array) -> Array:
@@ -136,7 +181,7 @@ def _flags(triggers: tuple[Trigger, ...], signals: list[str]) -> tuple[int, int]
 
 def _longest(program: RobotProgram) -> float:
     """Time of the longest single move or wait [s]."""
-    step = np.linalg.norm(np.diff(program.position, axis=0), axis=1) / program.speed[1:, 0]
+    step = program.segments.length / program.speed[1:, 0]
     same = np.abs(np.einsum("ij,ij->i", program.quat[1:], program.quat[:-1])).clip(0.0, 1.0)
     turn = 2.0 * np.arccos(same) / program.speed[1:, 1]
     axes = np.nan_to_num(np.abs(np.diff(program.external, axis=0))).max(axis=1, initial=0.0) / program.speed[1:, 3]
@@ -146,10 +191,10 @@ def _longest(program: RobotProgram) -> float:
 # ----------------------------------------------------------------------------------------------------
 # The sender, without sockets: answers of the controller in, bytes out.
 
-VERSION = 1
+VERSION = 2
 LONGEST_LINE = 80  # characters, as RAPID's strings
 ALIVE_EVERY = 0.5  # s; the controller stops after 2 s of silence
-AT_ONCE = 64  # frames sent before looking at what comes back
+MOST_SENT = 8 * AT_ONCE  # frames sent before looking at what comes back
 PATIENCE = 30.0  # s without a word of the controller, beside its longest move
 SLOWEST = 10.0  # times as long as programmed: an operator may lower the speed that far
 _WORD = re.compile(r"([BCE]) (0|[1-9][0-9]{0,8}) (0|[1-9][0-9]{0,8})|X (0|[1-9][0-9]{0,8}) (.{1,70})")
@@ -185,15 +230,15 @@ class Sender:
             self._take(raw.decode("ascii", errors="replace"))
         self._received_at = now
 
-    def due(self, now: float) -> bytes:
-        """What is to be sent now. Raises StreamStopped where the controller has been silent for too long."""
+    def due(self, now: float, hold: int | None = None) -> bytes:
+        """What is to be sent now; nothing beyond frame `hold`. Raises StreamStopped where the controller is silent for too long."""
         if self.finished:
             return b""
         if now - self._received_at > self._patience:
             raise self._stopped(f"the controller has said nothing for {self._patience:.0f} s")
         out = b""
         if self._capacity is not None:
-            last = min(self.total, self.done + self._capacity, self.sent + AT_ONCE)
+            last = min(self.total, self.done + self._capacity, self.sent + MOST_SENT, hold or self.total)
             out = b"".join(next(self._frames) for _ in range(last - self.sent))
             self.sent = max(last, self.sent)
         if not out and now - self._sent_at >= ALIVE_EVERY:
@@ -232,14 +277,57 @@ class Sender:
 
 
 # ----------------------------------------------------------------------------------------------------
+# Lines for the extruder's board, of style socket.
+
+SLOW = ("G4", "M109", "M116", "M190", "M191", "M400")  # acknowledged when they are over: the robot rests until then
+MOST_BEHIND = 16  # lines by which the board may lag behind the robot, as in a program of style socket
+
+
+class LineFeed:
+    """Gives the board its lines as their moves are handed to the motion."""
+
+    def __init__(self, stream: Stream, board: BoardFeed) -> None:
+        """Raises InputError for a line that takes long and is not at a rest."""
+        self._board, self._left = board, deque(stream.lines.items())
+        self._holds: deque[tuple[int, int]] = deque()  # frame, and lines up to and with it
+        count = 0
+        for frame, texts in stream.lines.items():
+            count += len(texts)
+            if any(text.split(" ", 1)[0] in SLOW for text in texts):
+                if not stream.rests(frame):
+                    raise InputError(f"waits for {texts[0]!r} in motion", field="program.style")
+                self._holds.append((frame, count))
+
+    def step(self, done: int) -> int | None:
+        """Frames were handed over; the frame beyond which none may be sent yet. Raises FeedStopped."""
+        while self._left and self._left[0][0] <= done:
+            for text in self._left.popleft()[1]:
+                self._board.feed.add(text)
+        self._board.step()
+        if self._board.feed.behind > MOST_BEHIND:
+            raise FeedStopped(f"the board is {self._board.feed.behind} lines behind the robot")
+        while self._holds and self._board.feed.acknowledged >= self._holds[0][1]:
+            self._holds.popleft()
+        return self._holds[0][0] if self._holds else None
+
+    def finish(self) -> None:
+        """The motion is over; wait for the board. Raises FeedStopped."""
+        self._board.finish()
+
+
+# ----------------------------------------------------------------------------------------------------
 # The module for the controller, with a plan's tool, work object, station and outputs.
 
 MODULE = "BeadwiseStream"
+_DEMAND = re.compile(r"\\AOp:=(\w+),")
 _PARTS = re.compile(r"( *! --- of the plan ---\n).*?(?= *! --- of every plan ---\n)", re.DOTALL)
 
 
-def server_module(program: RobotProgram, signals: Sequence[str], address: str, port: int) -> str:
-    """Text of the RAPID module that serves a program's stream at an address of the controller."""
+def server_module(program: RobotProgram, signals: Sequence[str], address: str, port: int, demand: str = "") -> str:
+    """Text of the RAPID module that serves a program's stream at an address of the controller.
+
+    demand  analog output that takes the flow; empty for none
+    """
     text = files("planner.link").joinpath(f"{MODULE}.mod").read_text("ascii")
     moved = "FALSE" if program.station else "TRUE"
     frames = f'[FALSE,{moved},"{program.station}",{_pose(program.uframe)},{_pose(program.oframe)}]'
@@ -251,12 +339,7 @@ def server_module(program: RobotProgram, signals: Sequence[str], address: str, p
         f"PERS tooldata tBeadwise:=[TRUE,{_pose(program.tool)},{load}];",
         f"PERS wobjdata wobjBeadwise:={frames};",
     ]
-    outputs, off = [], []
-    for k, name in enumerate(signals, 1):
-        outputs.append(f"TriggIO bsOn{{{k}}},0\\DOp:={name},1;")
-        outputs.append(f"TriggIO bsOff{{{k}}},0\\DOp:={name},0;")
-        outputs.append(f"TriggIO bsOnStart{{{k}}},0\\Start\\DOp:={name},1;")
-        off.append(f"SetDO {name},0;")
+    off = [f"SetDO {name},0;" for name in signals] + ([f"SetAO {demand},0;"] if demand else [])
     units = ["! No station: the part stands still."]
     if program.station:
         units = [
@@ -267,12 +350,40 @@ def server_module(program: RobotProgram, signals: Sequence[str], address: str, p
             "ENDIF",
         ]
     procedures = [
-        *_procedure("BsOutputs()", outputs),
-        *_procedure("BsAllOff()", off),
+        *_procedure("BsTrigg(bsstep next,robtarget via,robtarget target,zonedata zone)", _triggers(signals, demand)),
+        *_procedure("BsAllOff()", off or ["! No output: the extruder has its own connection."]),
         *_procedure("BsUnits(bool active)", units),
     ]
     new = iter(("\n".join(f"    {line}" for line in data) + "\n", "\n".join(procedures) + "\n"))
     return _PARTS.sub(lambda match: match[1] + next(new), text)
+
+
+def _triggers(signals: Sequence[str], demand: str) -> list[str]:
+    """Statements of a move with outputs: both of its ends set all of them, to what they are or are to be."""
+    if not signals and not demand:
+        return ['BsStop "no output here";']
+    out = ["VAR num s;", "s:=1+bsDone MOD 16;"]
+    if signals:
+        out.append("TEST next.tool")
+    for k, name in enumerate(signals, 1):
+        out += [
+            f"CASE {k - 1}:",
+            f"    IF BitCheck(next.flags,1) bsState{{{k}}}:=1;",
+            f"    TriggIO bsStarting{{s}},0\\Start\\DOp:={name},bsState{{{k}}};",
+            f"    IF BitCheck(next.flags,2) bsState{{{k}}}:=1;",
+            f"    IF BitCheck(next.flags,3) bsState{{{k}}}:=0;",
+            f"    TriggIO bsEnding{{s}},0\\DOp:={name},bsState{{{k}}};",
+        ]
+    if signals:
+        out += ["DEFAULT:", '    BsStop "unknown tool";', "ENDTEST"]
+    names = ["bsStarting{s}", "bsEnding{s}"] if signals else []
+    if demand:
+        names += ["bsFlowing{s}", "bsFlowOn{s}"]
+        out.append(f"TriggIO bsFlowing{{s}},0\\Start\\AOp:={demand},next.flowStart;")
+        out.append(f"TriggIO bsFlowOn{{s}},0\\AOp:={demand},next.flowEnd;")
+    used = names[0] + "".join(f"\\T{k}:={name}" for k, name in enumerate(names[1:], 2))
+    rest = f"next.speed,{used},zone,tBeadwise\\WObj:=wobjBeadwise;"
+    return [*out, "IF next.kind=7 THEN", f"    TriggC via,target,{rest}", "ELSE", f"    TriggL target,{rest}", "ENDIF"]
 
 
 def _procedure(head: str, lines: Sequence[str]) -> list[str]:
@@ -294,6 +405,8 @@ PORT = 1026
 CONNECTING = 10.0  # s
 LAST_WORDS = 2.0  # s in which the controller may say that it has stopped
 LOOK = 0.01  # s between looks at the clock
+FEED_LOOK = 0.001  # s between looks at the board
+BOARD_PORT = 23  # telnet
 LARGEST = 256 << 20  # bytes of all modules
 BLOCK = 4096  # bytes read at once
 LONGEST_NAME = 80  # bytes of a module's first line
@@ -317,9 +430,11 @@ def stream_command() -> Command:
             "out/my_part --controller 192.168.125.1": "send to a controller that runs the module already",
         },
         {0: "finished", 2: "wrong input", 3: "stopped before the end", 130: "interrupted"},
+        [f"the board's password, if it has one, comes from {BOARD_PASSWORD}"],
     )
     parser.add_argument("folder", type=Path, metavar="OUT_DIR", help="results of planner.solve")
     parser.add_argument("--controller", metavar="HOST[:PORT]", help=f"the controller (port {PORT} unless said)")
+    parser.add_argument("--head", metavar="HOST[:PORT]", help="the extruder's board, for style socket (port 23)")
     parser.add_argument(
         "--server", type=Path, metavar="FILE", help=f"write {MODULE}.mod for this plan, to be loaded on the controller"
     )
@@ -335,8 +450,11 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 
 def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
-    program = program_in(options.folder)
+    program, demand = program_in(options.folder)
     stream = stream_of(program)
+    if options.controller is not None and bool(stream.lines) != (options.head is not None):
+        what = "sends lines to the extruder's board: say where it is" if stream.lines else "has no lines for a board"
+        raise InputError(f"the program {what}", field="--head")
     host, port = _address(options.controller) if options.controller else ("127.0.0.1", PORT)
     if options.server is not None:
         if not _is_ipv4(host):
@@ -345,11 +463,13 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
             )
         try:
             _check_own(options.server)
-            options.server.write_text(server_module(program, stream.signals, host, port), "ascii", newline="\n")
+            options.server.write_text(server_module(program, stream.signals, host, port, demand), "ascii", newline="\n")
         except OSError as error:
             raise OutputError(f"cannot write {options.server}: {error.strerror or error}") from error
     if options.controller is not None:
-        sender = send(stream, host, port, say)
+        with ExitStack() as stack:
+            board = None if options.head is None else stack.enter_context(feeding(_head(options.head)))
+            sender = send(stream, host, port, say, None if board is None else LineFeed(stream, board))
         say(f"finished after {sender.total - 1} moves; the robot waited for moves {sender.starved} times within beads")
     return EXIT_VERIFIED
 
@@ -362,8 +482,11 @@ def _check_own(path: Path) -> None:
                 raise InputError(f"holds something else than {MODULE}.mod, and stays as it is", file=path)
 
 
-def program_in(folder: Path) -> RobotProgram:
-    """The RAPID program in a folder of results. Raises InputError where there is none, or it cannot be read."""
+def program_in(folder: Path) -> tuple[RobotProgram, str]:
+    """The RAPID program in a folder of results, and its analog output of the flow, if it has one.
+
+    Raises InputError where there is none, or it cannot be read.
+    """
     paths = [path for path in sorted(folder.glob("*.mod")) if path.stem != MODULE]
     if not paths:
         raise InputError("no RAPID program here", file=folder, hint="solve a problem first: python -m planner.solve")
@@ -375,14 +498,22 @@ def program_in(folder: Path) -> RobotProgram:
             texts[path.name] = path.read_text("ascii")
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(f"cannot be read: {error}", file=path) from error
-    return read_rapid_files(texts)
+    found = next((match for text in texts.values() if (match := _DEMAND.search(text))), None)
+    return read_rapid_files(texts), "" if found is None else found[1]
 
 
-def send(stream: Stream, host: str, port: int, say: Callable[[str], None]) -> Sender:
-    """Send all of a stream, from connection to end.
+def _head(text: str) -> Address:
+    try:
+        return parse_address(text, BOARD_PORT)
+    except ValueError as error:
+        raise InputError(str(error), field="--head") from None
 
-    Raises InputError where nobody answers, StreamStopped where it ended before its time; then, and when interrupted,
-    the controller was told to stop as far as it can be told.
+
+def send(stream: Stream, host: str, port: int, say: Callable[[str], None], lines: LineFeed | None = None) -> Sender:
+    """Send all of a stream, from connection to end, and its lines to the board.
+
+    Raises InputError where nobody answers, StreamStopped and FeedStopped where it ended before its time; then, and when
+    interrupted, the controller was told to stop as far as it can be told.
     """
     try:
         connection = socket.create_connection((host, port), timeout=CONNECTING)
@@ -393,20 +524,28 @@ def send(stream: Stream, host: str, port: int, say: Callable[[str], None]) -> Se
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         sender, waiting = Sender(stream, time.monotonic()), bytearray()
         try:
-            _pump(connection, sender, waiting, say)
-        except (StreamStopped, KeyboardInterrupt):
+            _pump(connection, sender, waiting, say, lines)
+        except (StreamStopped, FeedStopped, KeyboardInterrupt):
             _tell(connection, sender.stop(bytes(waiting)))
             raise
+    if lines is not None:
+        lines.finish()
     return sender
 
 
-def _pump(connection: socket.socket, sender: Sender, waiting: bytearray, say: Callable[[str], None]) -> None:
-    reported = 0.0
+def _pump(
+    connection: socket.socket, sender: Sender, waiting: bytearray, say: Callable[[str], None], lines: LineFeed | None
+) -> None:
+    reported, hold = 0.0, None
     connection.setblocking(False)
     while not sender.finished:
+        if lines is not None:
+            hold = lines.step(sender.done)
         if not waiting:
-            waiting += sender.due(time.monotonic())
-        readable, writable, _ = select.select([connection], [connection] if waiting else [], [], LOOK)
+            waiting += sender.due(time.monotonic(), hold)
+        readable, writable, _ = select.select(
+            [connection], [connection] if waiting else [], [], LOOK if lines is None else FEED_LOOK
+        )
         try:
             if readable:
                 data = connection.recv(BLOCK)

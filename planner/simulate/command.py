@@ -10,8 +10,8 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
-from contextlib import closing
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
 
@@ -21,9 +21,10 @@ from planner.cell.cell import build_cell
 from planner.export.program import RobotProgram
 from planner.problem import load_problem
 from planner.simulate.board import BOARD_FAULTS, CONTROLLER_FAULTS, EGM_FAULTS, STREAM_FAULTS, faults_of
-from planner.simulate.controller import Controller, ProgramMotion, own_clock, played_motion
+from planner.simulate.controller import OTHER_PROGRAM, Controller, ProgramMotion, own_clock, played_motion
 from planner.simulate.egm import ARM_AXES, EgmRobot
-from planner.simulate.rws import Access, RwsServer
+from planner.simulate.ftp import FTP_FAULTS, FtpAccess, FtpServer
+from planner.simulate.rws import RWS_FAULTS, Access, RwsServer
 from planner.simulate.servers import HOST, BoardServer
 from planner.simulate.stream import StreamServer
 
@@ -68,7 +69,12 @@ def simulate_command() -> Command:
         one = kinds.add_parser(
             kind,
             formatter_class=argparse.RawDescriptionHelpFormatter,
-            epilog="faults, once each at a line:\n" + "\n".join(f"  {name:8} {what}" for name, what in faults.items()),
+            epilog=_told("a line", faults)
+            + (
+                "\n" + _told("a request", RWS_FAULTS) + "\n" + _told("a command of FTP", FTP_FAULTS)
+                if kind == "controller"
+                else ""
+            ),
         )
         to = "speak to" if kind == "egm" else "listen on"
         one.add_argument("--host", default=HOST, help=f"address to {to} (default {HOST}: this computer only)")
@@ -81,9 +87,21 @@ def simulate_command() -> Command:
             one.add_argument("--rws", type=int, choices=(1, 2), default=1, help="version of Robot Web Services")
             one.add_argument("--certificate", type=Path, metavar="PEM", help="for https, with --key")
             one.add_argument("--key", type=Path, metavar="PEM")
+            one.add_argument("--lenient", action="store_true", help="do what can be understood, as documented or not")
+            one.add_argument(
+                "--web-fault", action="append", default=[], metavar="KIND@REQUEST[:VALUE]", help="repeatable"
+            )
+            one.add_argument("--ftp-port", type=_port, metavar="PORT", help="listen for FTP there, too")
+            one.add_argument(
+                "--ftp-fault", action="append", default=[], metavar="KIND@COMMAND[:VALUE]", help="repeatable"
+            )
         if kind == "egm":
             one.add_argument("--start", type=_joints, required=True, metavar="DEG,DEG,…", help="joints it stands at")
     return parser
+
+
+def _told(where: str, faults: Mapping[str, str]) -> str:
+    return f"faults, once each at {where}:\n" + "\n".join(f"  {name:8} {what}" for name, what in faults.items())
 
 
 def _joints(text: str) -> tuple[float, ...]:
@@ -146,13 +164,25 @@ def _controller(options: argparse.Namespace) -> None:
     if options.problem is not None:
         move = partial(played_motion, cell=build_cell(load_problem(options.problem)))
     password = os.environ.get(RWS_PASSWORD, Access.password)
-    access = Access(password=password, version=options.rws, certificate=options.certificate, key=options.key)
-    with (
-        closing(Controller((options.host, options.program_port), options.pace, faults, None, move)) as controller,
-        closing(RwsServer(options.host, options.port, controller, access)) as rws,
-    ):
-        where = f"{rws.address[0]}:{rws.address[1]}"
-        _wait(f"controller on {where}, its programs on port {options.program_port}")
+    access = Access(
+        password=password,
+        version=options.rws,
+        certificate=options.certificate,
+        key=options.key,
+        strict=not options.lenient,
+    )
+    loaded = {} if options.lenient else OTHER_PROGRAM
+    with ExitStack() as stack:
+        controller = Controller((options.host, options.program_port), options.pace, faults, None, move, loaded)
+        stack.enter_context(closing(controller))
+        web_faults = faults_of(options.web_fault, RWS_FAULTS)
+        rws = stack.enter_context(closing(RwsServer(options.host, options.port, controller, access, web_faults)))
+        what = f"controller on {rws.address[0]}:{rws.address[1]}, its programs on port {options.program_port}"
+        if options.ftp_port is not None:
+            ftp_faults, who = faults_of(options.ftp_fault, FTP_FAULTS), FtpAccess(password=password)
+            ftp = stack.enter_context(closing(FtpServer(options.host, options.ftp_port, controller, who, ftp_faults)))
+            what += f", FTP on port {ftp.address[1]}"
+        _wait(what)
 
 
 def _wait(what: str, over: Callable[[], str] = str) -> None:

@@ -18,6 +18,7 @@ import numpy as np
 from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.cell.cell import Cell
+from planner.export.arcs import Segments
 from planner.export.player.play import play
 from planner.export.player.played import Played
 from planner.export.program import RobotProgram
@@ -66,12 +67,13 @@ class ProgramMotion(Protocol):
 class OwnClock:
     """Motion at the programmed speeds, without acceleration: each move takes as long as its slowest part.
 
-    ends (m,) when each move ends, its wait not counted; starts (m,); position (m, 3) of the targets
+    ends (m,) when each move ends, its wait not counted; starts (m,); first (3,) target; way (m - 1) from each to the next
     """
 
     starts: Array
     ends: Array
-    position: Array
+    first: Array
+    way: Segments
     duration: float
     happenings: tuple[MotionEvent, ...]
 
@@ -80,13 +82,13 @@ class OwnClock:
         i = min(int(np.searchsorted(self.ends, time)), len(self.ends) - 1)
         lasts = self.ends[i] - self.starts[i]
         share = 1.0 if lasts <= 0.0 else float(np.clip((time - self.starts[i]) / lasts, 0.0, 1.0))
-        before = self.position[max(0, i - 1)]
-        return i, before + share * (self.position[i] - before)
+        return i, self.first if i == 0 else self.way.take(np.array([i - 1])).at(np.array([share]))[0]
 
 
 def own_clock(program: RobotProgram) -> OwnClock:
     """The motion of a program by its own speeds and lengths."""
-    step = np.linalg.norm(np.diff(program.position, axis=0), axis=1)
+    way = program.segments
+    step = way.length
     same = np.abs(np.einsum("ij,ij->i", program.quat[1:], program.quat[:-1])).clip(0.0, 1.0)
     turn = 2.0 * np.arccos(same)
     axes = np.nan_to_num(np.abs(np.diff(program.external, axis=0))).max(axis=1, initial=0.0)
@@ -98,7 +100,7 @@ def own_clock(program: RobotProgram) -> OwnClock:
     ends = starts + lasts
     length = np.concatenate([[0.0], step])
     happenings = (*_outputs(program, starts, lasts, length), *lines(program, ends, after))
-    return OwnClock(starts, ends, program.position, float(after[-1]), in_order(happenings))
+    return OwnClock(starts, ends, program.position[0], way, float(after[-1]), in_order(happenings))
 
 
 def in_order(happenings: Iterable[MotionEvent]) -> tuple[MotionEvent, ...]:
@@ -368,8 +370,12 @@ MOST_FILES = 1000
 RESTART_TIME = 2.0  # wall s in which a controller that restarts answers nothing
 TASK = "T_ROB1"
 _PLAIN = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
-_HOME = re.compile(r"(?i)(?:\$home|home:)/?")
+_HOME = re.compile(r"(?i)(?:\$home/|home/|home:/?)")
 _MODULE = re.compile(r"(?im)^\s*MODULE\s+([A-Za-z]\w{0,31})")
+_MAIN = re.compile(r"(?im)^\s*PROC\s+main\s*\(")
+_LISTED = re.compile(r"<Module>\s*([^<\s]{1,64})\s*</Module>")
+# what a controller that was in use has loaded: a program of somebody else's
+OTHER_PROGRAM = {"MainModule": "MODULE MainModule\n    PROC main()\n    ENDPROC\nENDMODULE\n"}
 
 Reader = Callable[[Mapping[str, str]], RobotProgram]
 
@@ -388,6 +394,7 @@ class Controller:
     address   where programs listen for who takes their lines
     read      modules (name → text) → program; raises InputError
     move      program → its motion; raises InputError for what cannot be reached
+    loaded    modules (name → text) of the program that is loaded already
     """
 
     def __init__(
@@ -397,12 +404,13 @@ class Controller:
         faults: Sequence[Fault] = (),
         read: Reader | None = None,
         move: Callable[[RobotProgram], ProgramMotion] = own_clock,
+        loaded: Mapping[str, str] | None = None,
     ) -> None:
         self._address, self._pace, self._faults = address, pace, tuple(faults)
         self._read, self._move = read or read_modules, move
         self._home = Path(tempfile.mkdtemp(prefix="beadwise-controller-"))
         self._lock = threading.RLock()
-        self._modules: dict[str, str] = {}
+        self._modules: dict[str, str] = dict(loaded or {})
         self._run: ProgramRun | None = None
         self._silent_until = 0.0
         self.motors, self.mode = "motoron", "AUTO"
@@ -464,20 +472,53 @@ class Controller:
         return sorted(each.name for each in self._home.iterdir())
 
     def load(self, path: str, replace: bool) -> None:
-        """Load a module into the task; the program pointer is lost."""
+        """Load a module into the task, in place of one of that name; the program pointer is lost."""
         with self._lock:
             self._stopped()
-            try:
-                text = self.get(path).decode("ascii")
-            except UnicodeDecodeError as error:
-                raise Denied(400, "the module is not ASCII") from error
-            match = _MODULE.search(text)
-            if match is None:
-                raise Denied(400, "no MODULE in the file")
-            if match[1] in self._modules and not replace:
-                raise Denied(400, f"module {match[1]} is loaded already")
+            name, text = self._module(path)
+            if name in self._modules and not replace:
+                raise Denied(400, f"module {name} is loaded already")
             self._end_run()
-            self._modules[match[1]] = text
+            self._run = None
+            self._modules[name] = text
+
+    def load_program(self, path: str, replace: bool) -> None:
+        """Load all modules that a .pgf in HOME names; with `replace`, in place of the whole program that is there."""
+        with self._lock:
+            self._stopped()
+            if not path.lower().endswith(".pgf"):
+                raise Denied(400, "a program is loaded from its .pgf")
+            listed = _LISTED.findall(self.get(path).decode("latin-1"))
+            if not listed:
+                raise Denied(400, "the program file names no module")
+            folder = path[: len(path) - len(path.rpartition("/")[2])]
+            modules = dict(self._module(folder + each) for each in listed)
+            if not replace and (both := sorted(modules.keys() & self._modules.keys())):
+                raise Denied(400, f"module {both[0]} is loaded already")
+            self._end_run()
+            self._run = None
+            self._modules = modules if replace else {**self._modules, **modules}
+
+    def unload_program(self) -> None:
+        """Unload all modules of the program."""
+        with self._lock:
+            self._stopped()
+            if not self._modules:
+                raise Denied(400, "no program is loaded")
+            self._end_run()
+            self._run = None
+            self._modules = {}
+
+    def _module(self, path: str) -> tuple[str, str]:
+        """Name and text of a module in a file."""
+        try:
+            text = self.get(path).decode("ascii")
+        except UnicodeDecodeError as error:
+            raise Denied(400, "the module is not ASCII") from error
+        match = _MODULE.search(text)
+        if match is None:
+            raise Denied(400, "no MODULE in the file")
+        return match[1], text
 
     def unload(self, name: str) -> None:
         """Unload a module."""
@@ -486,6 +527,7 @@ class Controller:
             if name not in self._modules:
                 raise Denied(404, "no such module")
             self._end_run()
+            self._run = None
             del self._modules[name]
 
     def modules(self) -> list[str]:
@@ -499,6 +541,9 @@ class Controller:
             self._stopped()
             if not self._modules:
                 raise Denied(400, "no program is loaded")
+            mains = [name for name, text in self._modules.items() if _MAIN.search(text)]
+            if len(mains) > 1:
+                raise Denied(400, f"main is ambiguous: it is in {' and in '.join(mains)}")
             try:
                 program = self._read({**self._loaded_by(self._modules.values()), **self._modules})
                 motion = self._move(program)

@@ -8,12 +8,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from types import TracebackType
 
 from planner.cell.cell import Cell
 from planner.simulate.board import BOARD_FAULTS, CONTROLLER_FAULTS, Record, faults_of
-from planner.simulate.controller import Controller, Reader, RunState, own_clock, played_motion
-from planner.simulate.rws import Access, RwsServer
+from planner.simulate.controller import OTHER_PROGRAM, Controller, Reader, RunState, own_clock, played_motion
+from planner.simulate.rws import RWS_FAULTS, Access, RwsServer
 from planner.simulate.servers import HOST, BoardServer, bound_socket
 
 
@@ -21,7 +22,7 @@ from planner.simulate.servers import HOST, BoardServer, bound_socket
 class Simulated:
     """Both simulators, running until `close` or the end of a with block.
 
-    rws       (host, port) of the controller's web services, 1.0, user "Default User"
+    rws       (host, port) of the controller's web services, user "Default User"
     program   (host, port) where its program listens once it was started
     board     (host, port)
     """
@@ -39,6 +40,10 @@ class Simulated:
     def board_record(self) -> Record:
         """What the board has done."""
         return self._servers[1].record()
+
+    def requests(self) -> list[str]:
+        """What the controller's web services were asked."""
+        return self._servers[0].requests()
 
     def close(self) -> None:
         """End both."""
@@ -61,6 +66,11 @@ def start(
     host: str = HOST,
     controller_faults: Sequence[str] = (),
     board_faults: Sequence[str] = (),
+    rws_faults: Sequence[str] = (),
+    version: int = 1,
+    strict: bool = True,
+    in_use: bool = False,
+    tls: tuple[Path, Path] | None = None,
     rws_password: str = "robotics",
     board_password: str = "",
     board_tool: int | None = None,
@@ -69,16 +79,20 @@ def start(
 ) -> Simulated:
     """Start both simulators on free ports; faults as words such as `drop@25` (see `faults`).
 
+    version, strict: of the web services (see `rws`); tls: certificate and key for https; in_use: another program is loaded.
     read: modules (name → text) → program, in place of our own reader of RAPID; cell: whose limits the motion keeps,
     where programmed speeds alone are not enough. board_tool: selected on the board from the start.
     Raises InputError for what is no fault.
     """
     of_controller = faults_of(controller_faults, CONTROLLER_FAULTS)
     of_board = faults_of(board_faults, BOARD_FAULTS)
+    of_rws = faults_of(rws_faults, RWS_FAULTS)
     with bound_socket(host, 0) as free:
         program: tuple[str, int] = free.getsockname()
     move = own_clock if cell is None else partial(played_motion, cell=cell)
-    controller = Controller(program, pace, of_controller, read, move)
-    rws = RwsServer(host, 0, controller, Access(password=rws_password))
+    controller = Controller(program, pace, of_controller, read, move, OTHER_PROGRAM if in_use else None)
+    certificate, key = tls or (None, None)
+    access = Access(password=rws_password, version=version, strict=strict, certificate=certificate, key=key)
+    rws = RwsServer(host, 0, controller, access, of_rws)
     board = BoardServer(host, 0, pace, of_board, board_password, board_tool)
     return Simulated(rws.address, program, board.address, controller, (rws, board))

@@ -19,15 +19,17 @@ import numpy as np
 
 from planner.base.arrays import Array
 from planner.simulate.board import Fault, Faults
-from planner.simulate.servers import BLOCK, bound_socket
+from planner.simulate.servers import bound_socket
 
-FRAME = 96  # bytes
+VERSION = 2
+FRAME = 116  # bytes
+MESSAGE = 8  # frames that are read at once: RAPID's raw bytes hold 1024 bytes
 CAPACITY = 256  # frames
 SILENCE = 2.0  # s
 STARVING = 0.5  # s that the robot waits for moves within a bead
 AHEAD = 4  # moves handed to the motion beyond the one that runs
 LOOK = 0.005  # s
-_FIELDS = struct.Struct("<I4B3f4f4b6f4f2fH2x")
+_FIELDS = struct.Struct("<I4B3f4f4b6f4f2fH2x3f2f")
 
 
 class StreamEnded(Exception):
@@ -36,7 +38,10 @@ class StreamEnded(Exception):
 
 @dataclass(frozen=True)
 class Frame:
-    """A frame as it came. numbers: place, orientation, axes, speeds, wait, zone (19), in the frame's own units."""
+    """A frame as it came. numbers: place, orientation, axes, speeds, wait, zone (19), in the frame's own units.
+
+    via: point on the way of an arc; flow: from the move's start, and from its end on
+    """
 
     number: int
     kind: int
@@ -45,6 +50,8 @@ class Frame:
     numbers: tuple[float, ...]
     conf: tuple[int, ...]
     left: int
+    via: tuple[float, ...]
+    flow: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -69,7 +76,7 @@ def frame_of(data: bytes) -> Frame:
         raise StreamEnded("wrong checksum")
     number, kind, flags, tool, _, *rest = _FIELDS.unpack(data[:-4])
     numbers, conf, left = (*rest[:7], *rest[11:23]), tuple(rest[7:11]), rest[23]
-    return Frame(number, kind, flags, tool, numbers, conf, left)
+    return Frame(number, kind, flags, tool, numbers, conf, left, tuple(rest[24:27]), (rest[27], rest[28]))
 
 
 class Buffer:
@@ -92,7 +99,7 @@ class Buffer:
             return
         if frame.kind == 5:
             raise StreamEnded("the PC asked for it")
-        if frame.number != len(self._frames) + 1 or not 1 <= frame.kind <= 4 or frame.tool > 7:
+        if frame.number != len(self._frames) + 1 or frame.kind not in (1, 2, 3, 4, 7) or frame.tool > 7:
             raise StreamEnded("a frame out of order")
         if len(self._held) >= self._capacity:
             raise StreamEnded("more frames than fit")
@@ -154,11 +161,25 @@ class Buffer:
         angle = np.degrees(2.0 * np.arccos(min(1.0, abs(float(old[3:7] @ new[3:7])))))
         axes = float(np.abs(old[7:13] - new[7:13]).max())
         step = float(np.linalg.norm(new[:3] - old[:3]))
+        if frame.kind == 7:
+            step = _arc_length(old[:3], np.array(frame.via), new[:3])
         return max(step / tip, angle / turning, axes / rotating) + frame.numbers[17]
 
 
+def _arc_length(start: Array, via: Array, end: Array) -> float:
+    """Length of the arc through three points, by its inscribed angle."""
+    a, b, chord = via - start, end - via, end - start
+    sine = float(np.linalg.norm(np.cross(a, b)) / (np.linalg.norm(a) * np.linalg.norm(b)))
+    turned = float(np.arctan2(sine, float(a @ b) / float(np.linalg.norm(a) * np.linalg.norm(b))))
+    return float(np.linalg.norm(chord)) * (turned / sine if sine > 1e-9 else 1.0)
+
+
 class StreamServer:
-    """A buffer on TCP, in a thread of its own, for one stream. latency: how late its words are [wall s]."""
+    """A buffer on TCP, in a thread of its own, for one stream.
+
+    latency   how late its words are [wall s]
+    reading   time that it takes to read a message [wall s], in which it does nothing else; at_most: frames in one
+    """
 
     def __init__(
         self,
@@ -168,9 +189,11 @@ class StreamServer:
         faults: Sequence[Fault] = (),
         capacity: int = CAPACITY,
         latency: float = 0.0,
+        reading: float = 0.0,
+        at_most: int = MESSAGE,
     ) -> None:
         self._buffer, self._capacity, self._faults = Buffer(capacity, pace), capacity, Faults(faults)
-        self._latency = latency
+        self._latency, self._reading, self._at_most = latency, reading, at_most
         self._words: deque[tuple[float, bytes]] = deque()
         self._lock, self._ending, self._mute = threading.Lock(), threading.Event(), False
         self._listener = bound_socket(host, port)
@@ -222,7 +245,7 @@ class StreamServer:
 
     def _run(self, connection: socket.socket) -> None:
         partial, received_at = b"", time.monotonic()
-        self._say(f"B 1 {self._capacity}")
+        self._say(f"B {VERSION} {self._capacity}")
         with selectors.DefaultSelector() as selector:
             selector.register(connection, selectors.EVENT_READ)
             while not self._buffer.finished:
@@ -230,11 +253,12 @@ class StreamServer:
                     raise StreamEnded("ended at the controller")
                 if selector.select(LOOK):
                     try:
-                        data = connection.recv(BLOCK * 4)
+                        data = connection.recv(self._at_most * FRAME - len(partial))
                     except OSError as error:
                         raise StreamEnded("connection lost") from error
                     if not data:
                         raise StreamEnded("connection lost")
+                    time.sleep(self._reading)
                     partial, received_at = self._take(partial + data), time.monotonic()
                 if time.monotonic() - received_at > SILENCE:
                     raise StreamEnded("silence of the PC")
@@ -253,7 +277,7 @@ class StreamServer:
                 self._buffer.take(frame_of(data[k : k + FRAME]))
         for number in range(before + 1, self._buffer.taken + 1):
             self._fault(number)
-        if self._buffer.taken > before:
+        if whole:
             self._credit()
         return data[whole:]
 
