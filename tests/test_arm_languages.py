@@ -9,6 +9,7 @@ from functools import cache
 from importlib import import_module
 from types import SimpleNamespace
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -165,6 +166,12 @@ def test_postures_that_makers_show(language: str, ours: tuple[int, ...], theirs:
 @pytest.mark.parametrize("name", sorted(arm_texts()))
 def test_golden_files(name: str) -> None:
     assert arm_texts()[name] == (GOLDEN / name).read_text(encoding="utf-8")
+
+
+def test_an_application_is_xml() -> None:
+    for name, text in written("val3").items():
+        root = ElementTree.fromstring(text)
+        assert root.tag.rsplit("}")[-1] == {"pjx": "Project", "dtx": "Database", "pgx": "Programs"}[name.split(".")[1]]
 
 
 def matrix(values: tuple[float, ...], order: str) -> Array:

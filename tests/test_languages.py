@@ -57,23 +57,39 @@ def test_languages_that_are_asked_for_stand_in_their_own_order(tmp_path: Path) -
     ]
 
 
-ARMS = {"urscript": {"arm": "ur5e", "positioner": False}, "krl": {"arm": "kr6_r900"}}
+ARMS = {
+    "urscript": {"arm": "ur5e", "positioner": False},
+    "krl": {"arm": "kr6_r900"},
+}
 
 
-@pytest.mark.parametrize("language", ["rapid", "joint_trajectory", *ARMS])
-def test_a_resumed_print_says_from_which_bead_on(language: str, tmp_path: Path) -> None:
-    plan = asked(language, **ARMS.get(language, {}))
+def resumed(plan: Plan) -> Plan:
+    """The plan as the rest of one that had a bead before it."""
     t, beads = plan.trajectory, plan.toolpath.beads
     first = SimpleNamespace(**vars(beads[0]) | {"layer": 0})
     toolpath = SimpleNamespace(**vars(plan.toolpath) | {"beads": (first, *beads), "layers_from": lambda first: 1})
     later = replace(t, bead=np.where(t.bead < 0, t.bead, t.bead + 1).astype(t.bead.dtype), first_bead=1)
-    paths = write_robot_code(replace(plan, trajectory=later, toolpath=toolpath), tmp_path)  # type: ignore[arg-type]
+    return replace(plan, trajectory=later, toolpath=toolpath)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("language", ["rapid", "joint_trajectory", *ARMS])
+def test_a_resumed_print_says_from_which_bead_on(language: str, tmp_path: Path) -> None:
+    paths = write_robot_code(resumed(asked(language, **ARMS.get(language, {}))), tmp_path)
     for path in paths[:-1]:
         assert re.search(r"(?i)two_?beads_?from_?1", path.name)
     text = paths[0].read_text(encoding="utf-8")
     if language != "joint_trajectory":
         assert "Resumes at bead 1: those before it must be there" in text
         assert re.findall(r"(?i)bead_?(\d{4})\(\)", text).count("0003") >= 1 and "0001()" not in text
+
+
+@pytest.mark.parametrize("language", ["fanuc", "inform", "val3", "kawasaki"])
+def test_a_resumed_print_says_so_where_beads_have_no_programs(language: str, tmp_path: Path) -> None:
+    paths = write_robot_code(resumed(asked(language, arm="kr6_r900", positioner=False)), tmp_path)
+    assert re.search(r"(?i)twobeadsfrom1\.", paths[0].name)
+    text = "\n".join(path.read_text(encoding="utf-8") for path in paths)
+    whole = re.sub(r"( ;)?\n *(\d+:  !|' )", " ", text)  # remarks that go on in the next line
+    assert "Resumes at bead 1: those before it must be there" in whole
 
 
 def test_none_may_be_asked_for(tmp_path: Path) -> None:

@@ -22,9 +22,7 @@ from planner.base.shipped import ROBOTS
 from planner.cell.cell import build_cell
 from planner.cell.robot import chain_of, read_robot
 from planner.export import urscript as language
-from planner.export.fit import OFF
 from planner.export.languages import chosen
-from planner.export.moves import ANGLE_TOLERANCE
 from planner.export.support import unsupported_in_urscript
 from planner.export.urscript import (
     differences,
@@ -39,7 +37,9 @@ from planner.problem import load_problem
 
 Array = NDArray[np.float64]
 NAME = "TwoBeads.script"
-MOVE = re.compile(r"(movep|movej)\((?:pose_trans\(part, p)?\[(.*?)\]\)?, a=([\d.]+), v=([\d.]+), r=([\d.]+)\)")
+MOVE = re.compile(
+    r"(move[pcj])\((?:pose_trans\(part, p\[[^]]*\]\), )?(?:pose_trans\(part, p)?\[([^]]*)\]\)?, a=([\d.]+), v=([\d.]+), r=([\d.]+)(?:, mode=0)?\)"
+)
 # The maker's tables: d1, a2, a3, d4, d5, d6 [m]
 DH = {
     "ur3": (0.1519, -0.24365, -0.21325, 0.11235, 0.08535, 0.0819),
@@ -125,14 +125,17 @@ def test_targets_are_where_the_plan_has_the_nozzle() -> None:
         T = frame(move.values)
         off = np.linalg.norm(planned[:, :3, 3] - T[:3, 3], axis=1)
         k = int(np.argmin(off))
-        assert off[k] < OFF * plan.problem.program.chord + 2e-6
-        assert Rotation.from_matrix(planned[k, :3, :3].T @ T[:3, :3]).magnitude() < OFF * ANGLE_TOLERANCE + 5e-6
+        assert off[k] < plan.problem.program.chord
+        assert Rotation.from_matrix(planned[k, :3, :3].T @ T[:3, :3]).magnitude() < np.radians(0.1)
         lines += 1
-    assert lines > 30
+    assert lines > 10
 
 
 def test_blends_share_no_line_and_keep_to_the_tolerance() -> None:
-    plan, moves = arc(), moves_of(urscript(arc()))
+    spec = SimpleNamespace(**vars(arc().problem))
+    spec.program = arc().problem.program.model_copy(update={"arcs": False})
+    plan = replace(arc(), problem=spec)  # type: ignore[arg-type]
+    moves = moves_of(urscript(plan))
     beads = [list(group) for line, group in itertools.groupby(moves, lambda m: m.word == "movep") if line]
     assert len(beads) == 2
     for bead in beads:
@@ -191,20 +194,20 @@ def test_rests_in_a_bead_are_kept() -> None:
     """A cut fibre: the arm stops in the bead, and waits."""
     resting = resting_in_a_bead(arc(dip=False))
     text = urscript(resting)
-    assert re.search(r"movep.*r=0\)\n    # cut, bead 0\n    sleep\(0.500\)", text)
+    assert re.search(r"move[pc].*r=0.*\)\n    # cut, bead 0\n    sleep\(0.500\)", text)
     assert differences(resting, {NAME: text}) == []
     assert differences(resting, {NAME: text.replace("sleep(0.500)", "sleep(0.400)")}) != []
 
 
 def test_a_longer_print_is_programs_that_follow_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(language, "MOST_MOVES", 70)
+    monkeypatch.setattr(language, "MOST_MOVES", 45)
     plan = arc(beads=4)
     files = write(plan)
     names = [f"TwoBeads_{k}.script" for k in range(1, len(files) + 1)]
     assert list(files) == names and len(names) > 2
     assert f"Part 1 of {len(names)}, TwoBeads_1 to TwoBeads_{len(names)}: run each when" in files[names[0]]
     for name, text in files.items():
-        assert text.count("\n    move") <= 70 and f"\ndef {name[:-7]}():" in text
+        assert text.count("\n    move") <= 45 and f"\ndef {name[:-7]}():" in text
     whole = differences(plan, files)
     assert whole == []
     later = files[names[1]]
@@ -237,7 +240,7 @@ def test_blends_that_are_too_small_for_a_steady_speed_are_told() -> None:
     text = urscript(arc())
     told = re.search(r"# Note: (\d+) of (\d+) blends in beads are smaller than 1 mm, the smallest (\d\.\d+) mm:", text)
     assert told
-    radii = [float(r) for r in re.findall(r"movep.* r=(0\.\d+)\)", text)]
+    radii = [float(r) for r in re.findall(r"move[pc].* r=(0\.\d+)", text)]
     small = [r for r in radii if 0.00004 < r < 0.001]
     assert 0 < int(told[1]) <= len(small) and float(told[3]) in [round(1e3 * r, 3) for r in small]
 
@@ -257,7 +260,7 @@ def test_a_solved_print_on_a_turned_base(tmp_path: Path) -> None:
 
 def test_lines_are_within_bounds() -> None:
     text = urscript(replace(arc(), strategy="ladder ü" + "x" * 300))
-    assert text.isascii() and all(len(line) <= 150 for line in text.split("\n"))
+    assert text.isascii() and all(len(line) <= 230 for line in text.split("\n"))
 
 
 # ---- what cannot be said ------------------------------------------------------------------------------------------
@@ -293,7 +296,8 @@ def test_outputs_that_the_control_box_has_not() -> None:
 
 # ---- what is read back --------------------------------------------------------------------------------------------
 
-LINE, JOINT = r"movep\(pose_trans\(part, p\[(.*?)\]", r"movej\(\[(.*?)\]"
+TARGET = r"movec.*, pose_trans\(part, p\[(.*?)\]"
+LINE, JOINT = r"(?:movep\(|, )pose_trans\(part, p\[(.*?)\]\), a", r"movej\(\[(.*?)\]"
 
 
 def shifted(column: int, amount: float) -> Callable[[re.Match[str]], str]:
@@ -319,8 +323,15 @@ def tampered(pattern: str, change: Callable[[re.Match[str]], str], which: int) -
 
 
 @pytest.mark.parametrize("which", range(0, 42, 3))
-def test_any_target_moved_by_a_fifth_of_a_millimetre_is_found(which: int) -> None:
-    assert any("path" in difference for difference in tampered(LINE, shifted(0, 0.2e-3), which))
+def test_any_target_of_an_arc_moved_by_a_quarter_of_a_millimetre_is_found(which: int) -> None:
+    assert any("path" in difference for difference in tampered(TARGET, shifted(0, 0.25e-3), which))
+
+
+@pytest.mark.parametrize("which", range(0, 42, 3))
+def test_any_target_moved_by_two_millimetres_is_found(which: int) -> None:
+    """On the way into a bead, where nothing is laid, paths are not as narrow."""
+    found = tampered(LINE, shifted(0, 2.1e-3), which)
+    assert any("path" in difference or "travel" in difference for difference in found)
 
 
 @pytest.mark.parametrize("which", range(0, 90, 13))
@@ -332,11 +343,11 @@ def test_any_joint_of_travel_that_was_moved_is_found(which: int, joint: int) -> 
 @pytest.mark.parametrize(
     ("pattern", "change", "which", "named"),
     [
-        (LINE, shifted(4, 0.01), 12, "angle"),
+        (TARGET, shifted(4, 0.01), 2, "axis"),
         (JOINT, shifted(5, 2 * np.pi), 12, "joints"),
         (r"set_tcp\(p\[(.*?)\]", shifted(2, 1e-4), 0, "frames"),
         (r"part = p\[(.*?)\]", shifted(0, 1e-4), 0, "frames"),
-        (r"part = p\[(.*?)\]", shifted(5, 0.01), 0, "angle"),
+        (r"part = p\[(.*?)\]", shifted(5, 0.01), 0, "axis"),
         (r"movep.*, v=(\d\.\d+)", shifted(0, 0.004), 9, "speed"),
         (r"movej.*, v=(\d\.\d+)", shifted(0, 0.004), 9, "speeds of joint moves"),
         (r"movep.*, a=(\d+\.\d)", shifted(0, 1.0), 9, "acceleration of a tip"),
@@ -347,7 +358,8 @@ def test_any_joint_of_travel_that_was_moved_is_found(which: int, joint: int) -> 
         (r"    set_standard.*True\)\n", said("True", "False"), 0, "path"),
         (r"    set_standard.*True\)\n", said("(1", "(2"), 0, "output"),
         (r"    set_standard.*False\)\n", lambda m: "", 0, "path"),
-        (r" *movep.*\n", lambda m: "", 5, "path"),
+        (r" *movep.*\n", lambda m: "", 5, "not of the planned kinds"),
+        (r"movec\(pose_trans\(part, p\[(.*?)\]", shifted(1, 0.5e-3), 2, "path"),
         (r"  bead_0002\(\)\n", lambda m: "", 0, "path"),
     ],
 )

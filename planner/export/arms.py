@@ -161,9 +161,9 @@ class Step:
     via: Array | None = None
 
 
-@dataclass
+@dataclass(frozen=True)
 class Steps:
-    """What the statements of a program have done so far.
+    """What the statements of a program have done so far: grows with each of them.
 
     switched  (move, output, value) of outputs that are switched after a move; with `triggers` on the path of a move
     """

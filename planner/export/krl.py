@@ -149,8 +149,8 @@ def axes(degrees: Array, external: Array) -> str:
 
 LOCAL_PROGRAMS = 250  # of a .src; KUKA takes 255
 SUBPROGRAM = 1000  # moves of one
-# bytes of a .src: some 3,000 lines, beyond which the pendant's editor was seen to hang. KSS 8.3 was seen to hold 4 MB of
-# programs in all, whatever the size of each; the header says how many these have.
+# bytes of a .src: some 4,000 lines; users report that the pendant's editor slows down beyond 5,000. KSS 8.3 was seen to hold
+# 4 MB of programs in all, whatever the size of each; the header says how many these have.
 FILE_SIZE = 400_000
 LOADED = 4_000_000
 
