@@ -20,6 +20,7 @@ SMALLEST = {
     "collision": ["peer_cap"],
     "collision_cost": ["peer_cap", *COARSE],
     "optimiser": [*COARSE, "--cases", "300", "--sizes", "300"],
+    "profile": ["peer_cap@100"],
     "programs": ["peer_cap", *COARSE],
     "relay": ["--seconds", "0.2", "--rate", "100"],
     "strategies": ["peer_cap", *COARSE],
