@@ -1,6 +1,8 @@
 """The optimiser's figures in one run: strategies on the logo, the peers' cases, rates of search and refinement, scaling.
 
 python -m benchmarks.optimiser [--logo OTHER.svg]
+
+All of it takes as long as the largest size of the last part does.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks import peer_cases, scaling, strategies
+from benchmarks.run import whole_number
 from planner.base.errors import EXIT_VERIFIED, PlannerError
 from planner.base.versions import versions
 from planner.cell.cell import build_cell
@@ -30,7 +33,9 @@ from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import tasks_of
 
 LAYER = ["layers.count=1"]
+COMPARED = ("as_published", "fixed", "ladder", "sqp")
 ROLLS = 36
+CASES = 10_000  # waypoints of the peers' cases
 
 
 def searched(waypoints: int) -> list[str]:
@@ -68,25 +73,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.optimiser", description=__doc__)
     parser.add_argument("--logo", type=Path, metavar="SVG", help="a drawing in place of the project's own, as well")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="of the logos' problem")
+    parser.add_argument("--cases", type=whole_number, default=CASES, metavar="N", help="waypoints of the peers' cases")
+    parser.add_argument(
+        "--sizes", nargs="+", type=whole_number, default=list(scaling.SIZES), metavar="N", help="of scaling"
+    )
     options = parser.parse_args(arguments)
     console = Console(width=150)
     try:
-        logos = [load_problem("cylinder_logo", LAYER)]
+        chosen = [*LAYER, *options.set]
+        logos = [load_problem("cylinder_logo", chosen)]
         if options.logo is not None:
-            other = load_problem("cylinder_logo", [*LAYER, f"layers.source.svg={options.logo.resolve()}"])
+            other = load_problem("cylinder_logo", [*chosen, f"layers.source.svg={options.logo.resolve()}"])
             logos.append(other.model_copy(update={"name": options.logo.stem}))
         for problem in logos:
             table = Table(*strategies.COLUMNS, title=f"{problem.name}, one layer", title_justify="left")
-            for strategy in ("as_published", "fixed", "ladder", "sqp"):
-                table.add_row(*strategies.row(problem, strategy))
+            for strategy in COMPARED:
+                table.add_row(*strategies.row(strategy, problem, strategy))
             console.print(table)
         rates = Table("CPU time, all cores together", "rate")
-        rates.add_row(*searched(10_000))
+        rates.add_row(*searched(options.cases))
         for problem in logos:
             rates.add_row(*refined(problem))
         console.print(rates)
-        peer_cases.main(["--waypoints", "10000", "--strategy", "sqp"])
-        scaling.main([])
+        peer_cases.main(["--waypoints", f"{options.cases}", "--strategy", "sqp"])
+        scaling.main(["--waypoints", *map(str, options.sizes)])
     except PlannerError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code

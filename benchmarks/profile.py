@@ -39,6 +39,9 @@ class InLine:
     def __exit__(self, *_: object) -> None:
         """Nothing waits."""
 
+    def shutdown(self, *_: object, **__: object) -> None:
+        """Nothing is left to do."""
+
     def map(self, function: Callable[..., Any], *items: Iterable[Any]) -> list[Any]:
         """Results for all items, in their order."""
         return [function(*each) for each in zip(*items, strict=False)]

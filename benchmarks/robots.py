@@ -32,7 +32,13 @@ BENT = {  # deg: postures in which arms of each kind are easily seen
     "offset_wrist": (0, -60, 80, -110, -90, 0),
     "seven_axes": (0, 30, 0, -80, 0, 60, 0),
 }
-OTHERS = {"panda": (0, -30, 0, -120, 0, 100, 45), "xarm7": (0, -10, 0, 70, 0, 60, 0), "irbp_a250": (25, 0)}
+OTHERS = {
+    "panda": (0, -30, 0, -120, 0, 100, 45),
+    "xarm7": (0, -10, 0, 70, 0, 60, 0),
+    "irbp_a250": (25, 0),
+    "track_3m": (0,),
+    "gantry_xy": (0, 0),
+}
 FINEST = 0.04  # m: triangles are cut to this size, so that nearer ones hide farther ones
 LIGHT = np.array([0.35, -0.55, 0.76])
 COLOURS = ((0.62, 0.66, 0.72), (0.93, 0.60, 0.25))  # of every second link

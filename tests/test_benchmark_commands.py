@@ -8,6 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks import optimiser, strategies
+from benchmarks.peer_cases import write_case
+from planner.problem import load_problem
+
 ROOT = Path(__file__).resolve().parents[1]
 STARTED_BY_OTHERS = {"single", "peers.one", "peers.run_pink", "peers.run_roboplan", "peers.run_tesseract"}
 COARSE = ["--set", "resolve.rung_mm=10", "--set", "resolve.roll_step_deg=30", "--set", "resolve.knot_mm=5"]
@@ -15,6 +19,8 @@ SMALLEST = {
     "bound": ["planar_gcode", *COARSE],
     "collision": ["peer_cap"],
     "collision_cost": ["peer_cap", *COARSE],
+    "optimiser": [*COARSE, "--cases", "300", "--sizes", "300"],
+    "profile": ["peer_cap@100"],
     "programs": ["peer_cap", *COARSE],
     "relay": ["--seconds", "0.2", "--rate", "100"],
     "strategies": ["peer_cap", *COARSE],
@@ -59,3 +65,11 @@ def test_a_command_says_how_it_is_used(name: str, capsys: pytest.CaptureFixture[
 def test_a_command_runs(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main_of(name)(SMALLEST[name]) == 0
     assert capsys.readouterr().out.strip()
+
+
+def test_the_parts_of_the_optimisers_figures_run(tmp_path: Path) -> None:
+    problem = load_problem(write_case("peer_cap", 60, tmp_path))
+    label, verified, at_speed, *_ = strategies.row("ladder", problem, "ladder")
+    assert (label, verified) == ("ladder", "yes") and at_speed.endswith(" %")
+    for _, rate in (optimiser.searched(60), optimiser.refined(problem)):
+        assert float(rate.split()[0]) > 0.0

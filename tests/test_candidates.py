@@ -44,6 +44,8 @@ def planned(by: str, speed: float, time: float, verified: bool = True) -> Planne
         ([("own", 0.95, 100.0), ("other", 0.97, 105.0)], "other"),  # 1 % at speed is worth 5 % of the time
         ([("own", 0.95, 100.0), ("other", 0.94, 97.0)], "own"),
         ([("own", 0.95, 100.0), ("other", 0.94, 50.0)], "other"),
+        ([("own", 0.999, 100.0), ("other", 1.0, 99.8)], "other"),  # as good in both, where the own plan is not
+        ([("own", 0.93, 99.0), ("other", 1.0, 101.5), ("third", 0.9, 100.5)], "other"),
     ],
 )
 def test_speed_and_time_are_weighed(plans: list[tuple[str, float, float]], best: str) -> None:

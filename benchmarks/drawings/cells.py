@@ -84,7 +84,6 @@ def frames(picture: Path) -> None:
     add_arrow(whole, np.zeros(3), T_world_flange[:3, 3], "T_world_flange", (0.0, 0.2, 0.3))
     add_arrow(whole, np.zeros(3), T_world_plate[:3, 3], "T_world_plate", (0.0, 0.1, -0.12))
     frame_view(whole, (-0.2, -0.4, -0.1), (0.9, 0.4, 0.85), 1.25)
-    whole.view_init(18, 62)
 
     near = figure.add_axes((0.54, 0.0, 0.46, 1.0), projection="3d")
     add_shapes(near, shapes)
@@ -94,7 +93,6 @@ def frames(picture: Path) -> None:
     add_arrow(near, T_world_part[:3, 3], T_world_nozzle[:3, 3], "T_part_nozzle", (0.0, 0.1, 0.0))
     middle = T_world_nozzle[:3, 3]
     frame_view(near, tuple(middle - 0.15), tuple(middle + 0.15), 1.35)
-    near.view_init(18, 62)
     figure.savefig(picture, dpi=DPI)
     plt.close(figure)
 
@@ -120,7 +118,6 @@ def rolls(picture: Path) -> None:
             title = f"roll {degrees:.0f}°: σ = {sigma[best]:.3f}"
         add_shapes(axes, shapes)
         frame_view(axes, (-0.15, -0.35, 0.0), (0.7, 0.35, 0.85), 1.5)
-        axes.view_init(18, 62)
         axes.set_title(title, fontsize=10, color=INK, y=-0.09)
     figure.savefig(picture, dpi=DPI)
     plt.close(figure)

@@ -19,6 +19,7 @@ from planner.cell.solids import Body, Frustum, triangles_of
 Array = NDArray[np.float64]
 FINEST = 0.04  # m: triangles are cut to this size, so that nearer ones hide farther ones
 LIGHT = np.array([0.45, 0.5, 0.74])  # the drawings look at the cell from +x, +y
+VIEW = (18, 62)  # degrees of elevation and azimuth: there
 ARM, HOLDER, HEAD, PART = (0.72, 0.75, 0.79), (0.80, 0.77, 0.70), (0.93, 0.60, 0.25), (0.66, 0.76, 0.86)
 AXES = ("#b3261e", "#1b7837", "#2456a6")  # x, y, z
 INK = "#1c2733"
@@ -125,8 +126,9 @@ def add_arrow(axes: Axes3D, a: Array, b: Array, name: str, bend: tuple[float, fl
 
 
 def frame_view(axes: Axes3D, low: tuple[float, float, float], high: tuple[float, float, float], zoom: float) -> None:
-    """Show a box of the world [m], true to scale, without axes."""
+    """Show a box of the world [m], true to scale, without axes, from above and the front."""
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     axes.set_box_aspect(np.subtract(high, low), zoom=zoom)
     axes.computed_zorder = False
     axes.set_axis_off()
+    axes.view_init(*VIEW)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
@@ -57,7 +57,7 @@ class Robot:
         """Names in joint order, base first."""
         return tuple(self.model.names[1:])
 
-    @property
+    @cached_property
     def slides(self) -> tuple[bool, ...]:
         """Of each joint whether it slides: its places are metres."""
         return tuple(not joint_axis(self.model, i)[:3].any() for i in range(1, self.model.njoints))

@@ -36,11 +36,15 @@ TINY = 2_000
 SOME_TRAVEL = 0.05  # of the print's time
 LARGE = 20_000  # waypoints above which a verified plan is taken as it is: the others would take too long
 SAME_SPEED = 1e-3  # share of the length at speed within which two plans are as good
+AS_GOOD_SPEED, AS_GOOD_TIME = (
+    9e-4,
+    1.019,
+)  # less at speed, times the least time, with which a plan is as good as any in both
 WORTH_TIMING = 5e-4  # share of the time that paths must save before they are timed and verified
 SAME_TIME = 1.01  # times the least cost within which the default's own plan is taken
 SPEED_PRICE = 5.0  # 1 % of the length at speed is worth so many per cent of the print's time
 FAR_BEYOND = 0.1  # rad beyond a cone, and
-FAR_BEHIND = 0.01  # share of the time lost more, from which refining does not bring paths back
+FAR_BEHIND = 0.01  # share of the time lost more, from which refining seldom brings paths back
 
 
 @dataclass(frozen=True)
@@ -124,7 +128,7 @@ def _simpler_paths(
         lost = sum(price.lost for price in given_prices(model, own.paths, settings).values())
         margin = SAME_SPEED if _travel_share(own) > TRAVEL_SHARE else -WORTH_TIMING
         most = np.inf if waypoints <= TINY else lost + margin * ideal
-        worth_refining = lost + FAR_BEHIND * ideal
+        worth_refining = np.inf if waypoints <= TINY else lost + FAR_BEHIND * ideal
 
     def within(paths: Sequence[JointPath], beyond: float, most: float) -> bool:
         prices = given_prices(model, paths, settings).values()
@@ -149,12 +153,17 @@ def _simpler_paths(
 
 
 def _best(plans: Sequence[PlannedPaths]) -> PlannedPaths:
-    """Of verified plans the one that costs least; the first, the default's own if it is there, if it costs about as little."""
-    most = max(plan.at_speed for plan in plans)
+    """Of verified plans the one that costs least, among those that are about as good as any of them both at speed and in
+    time, where there are such; the first, the default's own if it is there, if it costs about as little."""
+    most, soonest = max(plan.at_speed for plan in plans), min(plan.print_time for plan in plans)
+    as_good = [
+        plan for plan in plans if plan.at_speed >= most - AS_GOOD_SPEED and plan.print_time <= AS_GOOD_TIME * soonest
+    ]
 
     def cost(plan: PlannedPaths) -> float:
         slow = most - plan.at_speed
         return plan.print_time * (1.0 + SPEED_PRICE * (slow if slow > SAME_SPEED else 0.0))
 
-    least = min(plans, key=cost)
-    return plans[0] if cost(plans[0]) <= SAME_TIME * cost(least) else least
+    among = as_good or plans
+    least = min(among, key=cost)
+    return among[0] if cost(among[0]) <= SAME_TIME * cost(least) else least

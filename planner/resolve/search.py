@@ -225,6 +225,11 @@ def _from_rung(ladder, r: int, arrived, limits, turns, cost, back) -> None:
     """
     q, price, holder_step, time = ladder.q, ladder.price, ladder.holder_step, ladder.time[r]
     A, B, C, L = cost.shape
+    counting = turns.number.size > 0
+    need = holder_step / (
+        SPEED_SHARE * limits.v[limits.wraps.size]
+    )  # s of the swept joint for a step, which any edge costs
+    step_price = TURN_PRICE * time * min(need / time, 1.0) ** 2 + (1.0 + DIP_PRICE) * max(0.0, need - time)
     from_a, straight_a = _neighbours(A, ladder.roll_from[r] - ladder.roll_from[r - 1], ladder.periodic)
     from_b, straight_b = _neighbours(B, ladder.holder_from[r] - ladder.holder_from[r - 1], ladder.periodic)
     for i in range(A):
@@ -235,7 +240,7 @@ def _from_rung(ladder, r: int, arrived, limits, turns, cost, back) -> None:
                 if own == np.inf:
                     continue
                 for label in range(L):
-                    if not _held(turns, label, q[r, i, b, c], angle):
+                    if counting and not _held(turns, label, q[r, i, b, c], angle):
                         continue
                     best, best_k, straight_k = np.inf, -1, -1
                     for which in range(9):
@@ -244,10 +249,12 @@ def _from_rung(ladder, r: int, arrived, limits, turns, cost, back) -> None:
                         i0, b0 = from_a[i, m], from_b[b, n]
                         if i0 < 0 or b0 < 0 or straight_a[i, m] < 0 or straight_b[b, n] < 0 or (n != 1 and B == 1):
                             continue
-                        before_angle = (ladder.holder_from[r - 1] + b0) * holder_step
-                        label0 = _label_before(turns, label, q[r - 1, i0, b0, c], q[r, i, b, c], before_angle, angle)
+                        label0 = 0
+                        if counting:
+                            angle0 = (ladder.holder_from[r - 1] + b0) * holder_step
+                            label0 = _label_before(turns, label, q[r - 1, i0, b0, c], q[r, i, b, c], angle0, angle)
                         before = arrived[i0, b0, c, label0] if label0 >= 0 else np.inf
-                        if before == np.inf or before + own > best:
+                        if before == np.inf or before + (step_price if n != 1 else 0.0) + own > best:
                             continue
                         if price[r, straight_a[i, m], straight_b[b, n], c] == np.inf:
                             continue
