@@ -57,7 +57,7 @@ def from_turning_zyz(angles: Array) -> Array:
 
 def written(angles: Array, decimals: int) -> Array:
     """Angles [rad] in degrees, rounded; half a turn is never negative, so that it is one value on every processor."""
-    out: Array = np.asarray(np.round(np.degrees(angles), decimals) + 0.0, dtype=np.float64)
+    out: Array = np.round(np.degrees(angles), decimals).astype(np.float64) + 0.0
     out[out == -180.0] = 180.0
     return out
 
