@@ -77,7 +77,7 @@ def test_own_clock_takes_what_the_slowest_part_takes() -> None:
 
 def test_a_program_that_we_write_runs_from_upload_to_end() -> None:
     plan = make_plan()
-    with start(pace=50.0) as simulated:
+    with start(pace=10.0) as simulated:
         rws = client_of(simulated)
         assert rws.get_operation_mode() == "AUTO" and rws.get_controller_state() == "motoron"
         assert rws.get_tasks()["T_ROB1"].motiontask
