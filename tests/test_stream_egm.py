@@ -410,8 +410,8 @@ def test_all_filament_arrives_and_no_more() -> None:
         filament.step(sample)
         lines += list(feed._waiting)
         feed._waiting.clear()
-    assert lines[0] == "M83" and sum(moved_by(lines)) == pytest.approx(plan.filament[-1], abs=1e-5)
-    rates = [float(line.split()[2][1:]) for line in lines[1:]]
+    assert lines[:2] == ["M83", "T0"] and sum(moved_by(lines)) == pytest.approx(plan.filament[-1], abs=1e-5)
+    rates = [float(line.split()[2][1:]) for line in lines[2:]]
     assert max(rates) == pytest.approx(180.0, rel=1e-3)  # 3 mm/s
     with pytest.raises(FeedStopped, match="lines behind the robot"):
         FilamentFeed(plan.filament, Feed()).step(len(plan.q))
@@ -450,7 +450,7 @@ def fed(board_faults: tuple[str, ...] = (), robot_faults: tuple[str, ...] = ()) 
 
 def test_robot_and_extruder_are_guided_together() -> None:
     numbered, plain = fed()
-    assert numbered[0] == "M83" and sum(moved_by(numbered)) == pytest.approx(
+    assert numbered[:2] == ["M83", "T0"] and sum(moved_by(numbered)) == pytest.approx(
         with_filament(short()).filament[-1], abs=1e-5
     )
     assert "M106 P0 S0" not in plain

@@ -300,13 +300,14 @@ LEAST = 1e-5  # mm, the last digit that is written
 
 
 class FilamentFeed:
-    """Hands a plan's filament to a feed, as the robot gets along. One extruder, which is hot and selected."""
+    """Hands a plan's filament to a feed, as the robot gets along. One extruder, which is hot."""
 
-    def __init__(self, filament: Array, feed: Feed) -> None:
-        """filament (n,) [mm] that was pushed since the start, at EGM's rate."""
+    def __init__(self, filament: Array, feed: Feed, tool: int = 0) -> None:
+        """filament (n,) [mm] that was pushed since the start, at EGM's rate; tool that pushes it, by its number."""
         self._filament, self._feed = filament, feed
         self._next, self._said = 0, float(filament[0])
         feed.add("M83")
+        feed.add(f"T{tool}")  # a board of RepRapFirmware without a tool refuses to extrude
 
     def step(self, robot: float) -> None:
         """The robot is at a sample. Raises FeedStopped where the board lags behind."""
@@ -333,6 +334,7 @@ JOINING = 120.0  # s in which the controller's first word must come
 LONGEST = 4096  # bytes of a datagram
 REPORT_EVERY = 0.1  # share of the plan
 BOARD_PORT = 23  # telnet
+MOST_TOOL = 99  # number of a tool, as in program.board.tools
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -357,7 +359,14 @@ def egm_command() -> Command:
     parser.add_argument("--host", default=HOST, help=f"own address that the controller sends to (default {HOST})")
     parser.add_argument("--port", type=int, default=PORT, help=f"own UDP port (default {PORT})")
     parser.add_argument("--head", metavar="HOST[:PORT]", help="the extruder's board, which gets the filament (port 23)")
+    parser.add_argument("--tool", type=_tool, default=0, metavar="N", help="number of its tool (default 0)")
     return parser
+
+
+def _tool(text: str) -> int:
+    if not (text.isascii() and text.isdigit()) or int(text) > MOST_TOOL:
+        raise argparse.ArgumentTypeError(f"{text!r} is not the number of a tool, 0 to {MOST_TOOL}")
+    return int(text)
 
 
 def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
@@ -369,7 +378,7 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
             follow(plan, here, messages, say)
         else:
             with feeding(_head(options.head)) as board:
-                follow(plan, here, messages, say, board)
+                follow(plan, here, messages, say, board, options.tool)
                 board.finish()
     say("finished")
     return EXIT_VERIFIED
@@ -408,12 +417,13 @@ def follow(
     messages: ModuleType,
     say: Callable[[str], None],
     board: BoardFeed | None = None,
+    tool: int = 0,
 ) -> Follower:
-    """Guide the robot through the plan, and give its filament to the board.
+    """Guide the robot through the plan, and give its filament to the board's tool of this number.
 
     Raises EgmStopped where it ended before. An interrupt brings the robot to rest, and so does the board's FeedStopped.
     """
-    follower, extruder = Follower(plan), None if board is None else _Extruder(plan, board)
+    follower, extruder = Follower(plan), None if board is None else _Extruder(plan, board, tool)
     try:
         _loop(follower, here, messages, say, extruder)
         if extruder is not None:
@@ -428,10 +438,10 @@ def follow(
 class _Extruder:
     """The filament of a plan on its way to the board."""
 
-    def __init__(self, plan: JointPlan, board: BoardFeed) -> None:
+    def __init__(self, plan: JointPlan, board: BoardFeed, tool: int) -> None:
         if plan.filament is None:
             raise InputError("the plan has no filament", field="--head")
-        self._filament, self._board = FilamentFeed(plan.filament, board.feed), board
+        self._filament, self._board = FilamentFeed(plan.filament, board.feed, tool), board
 
     def step(self, robot: float, begun: bool) -> None:
         if begun:
