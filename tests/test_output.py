@@ -30,7 +30,7 @@ def for_machine(flavour: str) -> Plan:
 
 
 MADE: dict[str, tuple[str, Callable[[], Plan]]] = {
-    "modules": ("rapid", lambda: in_modules(make_plan(), 100)),
+    "modules": ("rapid", lambda: in_modules(make_plan(), 30)),
     "socket": ("rapid", socket_plan),
     "urscript": ("urscript", lambda: short(positioner=False, arm="ur5e")),
     "krl": ("krl", lambda: short(arm="kr6_r900")),
