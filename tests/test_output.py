@@ -30,11 +30,7 @@ def for_machine(flavour: str) -> Plan:
 
 
 MADE: dict[str, tuple[str, Callable[[], Plan]]] = {
-<<<<<<< HEAD
-    "modules": ("rapid", lambda: in_modules(make_plan(), 40)),
-=======
     "modules": ("rapid", lambda: in_modules(make_plan(), 30)),
->>>>>>> 31e509e831d4c804cf9340fd068e46f2c2bc48a8
     "socket": ("rapid", socket_plan),
     "urscript": ("urscript", lambda: short(positioner=False, arm="ur5e")),
     "krl": ("krl", lambda: short(arm="kr6_r900")),
