@@ -9,6 +9,7 @@ import pytest
 from planner.base.errors import InputError
 from planner.export.arcs import segments
 from planner.export.languages import LANGUAGES
+from planner.export.moves import TIME_TOLERANCE
 from planner.export.player.play import ACCELERATION, limited, play
 from planner.export.player.played import laid_moves, laid_spans, laid_targets
 from planner.export.rapid.extruder import flow
@@ -93,10 +94,9 @@ def test_the_flow_that_is_asked_for_lays_what_was_planned():
     t = np.array([event.t for event in asked])
     assert (np.diff(t) >= 0.0).all()
     volume = (np.array([event.value for event in asked])[:-1] * np.diff(t)).sum() / plan.problem.program.demand_scale
-    # what is laid for longer, as the joints allow it and speeds are evened, gets as much more
-    longer = judge(plan, program, played).laid
-    assert 0.99 < longer < 1.03
-    assert volume == pytest.approx(longer * 1e9 * flow(plan).sum() * plan.trajectory.dt, rel=0.01)
+    planned = 1e9 * flow(plan) * plan.trajectory.dt  # mm3 of each sample
+    late = planned.max() / plan.trajectory.dt * TIME_TOLERANCE  # speeds are even as long as they keep the clock
+    assert volume == pytest.approx(planned.sum(), abs=late)
 
 
 def moved_trigger(program, at, by):
@@ -176,7 +176,7 @@ def test_whatever_is_tampered_with_is_found(what):
 def test_a_wide_zone_at_a_corner_is_found():
     plan = written_with(PLAN, arcs=False)
     program, at = read_rapid(rapid(plan)), ON + 5
-    zone, position = program.zone.copy(), program.position.copy()
+    zone, position = np.minimum(program.zone, 0.1e-3), program.position.copy()
     zone[at] = 5e-3
     way = position[at] - position[at - 1]
     position[at + 1] = position[at] + np.cross(way, [0, 0, 1.0])
