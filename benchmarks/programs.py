@@ -1,4 +1,5 @@
-"""Programs read back and played: how near they are to their plans, and how long writing, reading and playing takes.
+"""Programs in RAPID: what they ask of a controller, how near they are to their plans when they are played, and how long
+writing, reading and playing takes.
 
 python -m benchmarks.programs [PROBLEM ...] [--set layers.count=1]
 """
@@ -16,7 +17,9 @@ from rich.console import Console
 from rich.table import Table
 
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, PlannerError
+from planner.export.moves import FitFigures, Moves, deposits, fit_of, plan_moves, rests_of
 from planner.export.player.play import limited, play
+from planner.export.rapid.extruder import event_samples, laid_filament
 from planner.export.rapid.reader import read_rapid_files
 from planner.export.rapid.writer import rapid_files
 from planner.export.readback import judge
@@ -24,8 +27,12 @@ from planner.plan import Plan
 from planner.planning.pipeline import solve
 from planner.problem import load_problem, shipped_problems
 
-COLUMNS = ("problem", "waypoints", "targets", "path", "corner", "angle", "events", "time laid", "worst bead")
-COLUMNS += ("slow moves", "write", "read", "play", "judge")
+HARD = 16e-3  # s, of a move that is shorter than any controller's usual cycle of interpolation and look-ahead
+ASKED = ("problem", "waypoints", "lines", "arcs", "joint moves", "targets/s on beads", "most in 1 s", "shortest")
+ASKED += ("under least time", f"under {1e3 * HARD:g} ms", "wider", "off by", "turned by", "changes of speed")
+PLAYED = ("problem", "path", "axis", "corner", "events", "late", "time laid", "worst bead", "slow moves")
+PLAYED += ("write", "read", "play", "judge")
+WINDOW = 1.0  # s
 Value = TypeVar("Value")
 
 
@@ -36,20 +43,54 @@ def timed(work: Callable[[], Value]) -> tuple[Value, float]:
     return out, time.perf_counter() - start
 
 
+def moves_of(plan: Plan) -> tuple[Moves, FitFigures]:
+    """The moves that the plan's program in RAPID has, and how they fit."""
+    style = plan.problem.program.style
+    also = event_samples(plan.trajectory) if style == "socket" else None
+    fed = laid_filament(plan.trajectory) if style != "output" else None
+    moves = plan_moves(plan, also, fed, arcs=True)
+    return moves, fit_of(plan, moves, fed)
+
+
+def asked(plan: Plan) -> list[str]:
+    """What a plan's program asks of a controller: as many cells as ASKED has, but for the problem's name."""
+    moves, found = moves_of(plan)
+    t, laid = plan.trajectory, moves.laid
+    clock = rests_of(t, *deposits(t)).clock
+    took = (clock[moves.sample] - clock[moves.start])[laid]
+    ends = clock[moves.sample[laid]]
+    most = int((np.searchsorted(ends, ends + WINDOW - 1e-9) - np.arange(len(ends))).max(initial=0))
+    changes = np.count_nonzero(np.diff(moves.speed[laid]))
+    return [
+        f"{sum(len(bead.s) for bead in plan.toolpath.beads):,}",
+        f"{np.count_nonzero(moves.linear & ~moves.circular):,}",
+        f"{np.count_nonzero(moves.circular):,}",
+        f"{np.count_nonzero(~moves.linear):,}",
+        f"{len(took) / took.sum():.1f}",
+        str(most),
+        f"{1e3 * found.shortest:.0f} ms",
+        f"{len(found.short):,}",
+        f"{np.count_nonzero(took < HARD - 1e-9):,}",
+        f"{len(found.wide):,}",
+        f"{1e3 * found.off:.3f} mm",
+        f"{np.degrees(found.turned):.3f}°",
+        f"{changes:,}",
+    ]
+
+
 def row(plan: Plan) -> tuple[list[str], list[str]]:
-    """Cells of one plan's program, and what it does otherwise than the plan."""
+    """How near a plan's program is to it, as PLAYED has it, and what it does otherwise than the plan."""
     files, writing = timed(lambda: rapid_files(plan))
     program, reading = timed(lambda: read_rapid_files(files))
     played, playing = timed(lambda: play(program, plan.cell))
     found, judging = timed(lambda: judge(plan, program, played))
     agreement = found.agreement
     cells = [
-        f"{sum(len(bead.s) for bead in plan.toolpath.beads):,}",
-        f"{len(program.linear):,}",
         f"{1e3 * agreement.path:.3f} mm",
+        f"{np.degrees(agreement.axis):.3f}°",
         f"{1e3 * found.corner:.3f} mm",
-        f"{np.degrees(agreement.angle):.3f}°",
         f"{1e3 * agreement.event:.4f} mm",
+        f"{1e3 * agreement.late:.1f} ms",
         f"{100 * (found.laid - 1):+.2f} %",
         f"{100 * (found.worst - 1):+.1f} %",
         str(sum(each.moves for each in limited(program, played))),
@@ -64,19 +105,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("problems", nargs="*", metavar="PROBLEM", help="default: all that ship")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     options = parser.parse_args(arguments)
-    table = Table(*COLUMNS, title="Programs against their plans", title_justify="left")
+    first = Table(*ASKED, title="What programs ask of a controller", title_justify="left")
+    second = Table(*PLAYED, title="Programs as they are played, against their plans", title_justify="left")
     code = EXIT_VERIFIED
     try:
         for name in options.problems or shipped_problems():
-            cells, differences = row(solve(load_problem(name, options.set)))
-            table.add_row(name, *cells)
+            plan = solve(load_problem(name, options.set))
+            first.add_row(name, *asked(plan))
+            cells, differences = row(plan)
+            second.add_row(name, *cells)
             for difference in differences:
                 Console(stderr=True).print(f"{name}: {difference}", markup=False)
                 code = EXIT_NOT_VERIFIED
     except PlannerError as error:
         Console(stderr=True).print(f"error: {error}", markup=False)
         return error.exit_code
-    Console(width=180).print(table)
+    for table in (first, second):
+        Console(width=180).print(table)
     return code
 
 

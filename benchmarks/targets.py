@@ -19,9 +19,9 @@ from rich.console import Console
 from rich.table import Table
 
 from planner.base.errors import EXIT_VERIFIED, PlannerError
-from planner.export.fit import TERMS, Poses, misfits
 from planner.export.languages import LANGUAGES
 from planner.export.moves import Moves, deposits, plan_moves, rests_of, way_of
+from planner.export.primitives import TERMS, misfits
 from planner.export.rapid.reader import read_rapid_files
 from planner.export.rapid.writer import rapid_files
 from planner.plan import Plan
@@ -30,14 +30,14 @@ from planner.problem import load_problem
 
 USUAL = ("peer_cap", "fibre_plane", "hemisphere_honeycomb")  # solved in seconds
 COLUMNS = ("problem", "waypoints", "moves", "along beads", "waypoints each", "below 0.6 mm", "limited by", "time")
-USED = 0.7  # of a tolerance: a line that uses less of all of them ends where it must
+USED = 0.7  # of a tolerance: a move that uses less of all of them ends where it must
 NARROW = 0.6e-3  # m: twice the smallest zone
 
 
 def row(plan: Plan) -> list[str]:
     """Cells of one plan: its waypoints, and what stands for them."""
     start = time.process_time()
-    moves = plan_moves(plan)
+    moves = plan_moves(plan, arcs=True)
     took = time.process_time() - start
     length = moves.length[moves.laid]
     waypoints = sum(len(bead.points) for bead in plan.beads)
@@ -48,12 +48,15 @@ def row(plan: Plan) -> list[str]:
 
 
 def limits(plan: Plan, moves: Moves) -> dict[str, int]:
-    """How many lines along beads each tolerance keeps from being longer: the one that a line uses up most."""
+    """How many moves along beads each tolerance keeps from being longer: the one that a move uses up most."""
     t = plan.trajectory
     way = way_of(plan, rests_of(t, *deposits(t)))
-    table = way.poses.table.copy()
-    table[moves.start], table[moves.sample] = moves.targets.table[:-1], moves.targets.table[1:]
-    used = misfits(way, Poses(table), moves.start[moves.laid], moves.sample[moves.laid])
+    aim = way.pose.copy()
+    aim[moves.start], aim[moves.sample] = moves.targets.table[:-1], moves.targets.table[1:]
+    own = np.flatnonzero(moves.laid)
+    used = misfits(
+        way._replace(aim=aim), moves.start[own], moves.sample[own], moves.circular[own], moves.via.position[own]
+    )
     most = np.where(used.max(axis=1) >= USED, used.argmax(axis=1), len(TERMS))
     counts = np.bincount(most, minlength=len(TERMS) + 1).tolist()
     return dict(zip((*TERMS, "ends"), counts, strict=True))
@@ -61,7 +64,7 @@ def limits(plan: Plan, moves: Moves) -> dict[str, int]:
 
 def repeated(plan: Plan, targets: int) -> Plan:
     """The plan's motion, from home to home, as often as at least so many targets need; its events are left out."""
-    t, times = plan.trajectory, -(-targets // len(plan_moves(plan)))
+    t, times = plan.trajectory, -(-targets // len(plan_moves(plan, arcs=True)))
     rows = {
         name: np.concatenate([values] * times) for name, values in vars(t).items() if isinstance(values, np.ndarray)
     }

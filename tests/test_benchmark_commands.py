@@ -24,6 +24,7 @@ SMALLEST = {
     "programs": ["peer_cap", *COARSE],
     "relay": ["--seconds", "0.2", "--rate", "100"],
     "strategies": ["peer_cap", *COARSE],
+    "targets": ["peer_cap", *COARSE],
     "timing": ["peer_cap", *COARSE],
 }
 
