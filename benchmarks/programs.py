@@ -28,9 +28,28 @@ from planner.planning.pipeline import solve
 from planner.problem import load_problem, shipped_problems
 
 HARD = 16e-3  # s, of a move that is shorter than any controller's usual cycle of interpolation and look-ahead
-ASKED = ("problem", "waypoints", "lines", "arcs", "joint moves", "targets/s on beads", "most in 1 s", "shortest")
+ASKED: tuple[str, ...] = (
+    "problem",
+    "waypoints",
+    "lines",
+    "arcs",
+    "joint moves",
+    "targets/s on beads",
+    "most in 1 s",
+    "shortest",
+)
 ASKED += ("under least time", f"under {1e3 * HARD:g} ms", "wider", "off by", "turned by", "changes of speed")
-PLAYED = ("problem", "path", "axis", "corner", "events", "late", "time laid", "worst bead", "slow moves")
+PLAYED: tuple[str, ...] = (
+    "problem",
+    "path",
+    "axis",
+    "corner",
+    "events",
+    "late",
+    "time laid",
+    "worst bead",
+    "slow moves",
+)
 PLAYED += ("write", "read", "play", "judge")
 WINDOW = 1.0  # s
 Value = TypeVar("Value")

@@ -65,7 +65,7 @@ def limits(plan: Plan, moves: Moves) -> dict[str, int]:
 def repeated(plan: Plan, targets: int) -> Plan:
     """The plan's motion, from home to home, as often as at least so many targets need; its events are left out."""
     t, times = plan.trajectory, -(-targets // len(plan_moves(plan, arcs=True)))
-    rows = {
+    rows: dict[str, Any] = {
         name: np.concatenate([values] * times) for name, values in vars(t).items() if isinstance(values, np.ndarray)
     }
     n, beads = len(t), len(plan.toolpath.beads)
