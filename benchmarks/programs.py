@@ -17,9 +17,10 @@ from rich.console import Console
 from rich.table import Table
 
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, PlannerError
+from planner.export.in_step import laid_filament
 from planner.export.moves import FitFigures, Moves, deposits, fit_of, plan_moves, rests_of
 from planner.export.player.play import limited, play
-from planner.export.rapid.extruder import event_samples, laid_filament
+from planner.export.rapid.extruder import event_samples
 from planner.export.rapid.reader import read_rapid_files
 from planner.export.rapid.writer import rapid_files
 from planner.export.readback import judge
