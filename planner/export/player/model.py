@@ -38,7 +38,7 @@ class MotionModel:
 # What a program says, on a controller that does just that: accelerations of the cell, no jerk, parabolas in zones.
 PLAIN = MotionModel("as programmed")
 
-# Fitted to 48 runs of one corner in RobotStudio and to a real run of curve 1, of an IRB 6640-180/2.55; 146 other runs were
+# Fitted to 48 runs of one corner in RobotStudio and to a real run of curve 1, of an IRB 6640-180/2.55; 144 other runs were
 # held out (docs/controller_model.md; hehonglu123/ABB_Primitive_Study and Motion-Primitive-Planning). A real IRC5 ran 62
 # lines a second at full speed, and braked from that within
 # 0.1 m, so that it knows 6 of them at least.
