@@ -82,6 +82,7 @@ ABB_WIDTHS = {
     "irb1200_09": AbbWidths((105, 105, 210, 80), 95, (88, 190), (110, 130), (62, 110, 200), 42, 38, 32),
     "irb1200_07": AbbWidths((105, 105, 210, 80), 95, (88, 190), (110, 130), (62, 110, 200), 42, 38, 32),
     "irb2600": AbbWidths((220, 456, 511, 100), 195, (165, 380), (170, 180), (105, 260, 330), 65, 52, 50),
+    "irb6640": AbbWidths((360, 600, 760, 150), 350, (300, 640), (280, 260), (180, 420, 480), 170, 140, 160),
 }
 DISC = 22.0  # thickness of a flange, with room for the round end of a print head on it
 FORK = 12.0  # thickness of the two plates that hold an ABB wrist

@@ -130,7 +130,7 @@ def test_files_of_two_processes_are_the_same(tmp_path: Path, monkeypatch: pytest
     for name, both in (("here", False), ("beside", True)):
         (tmp_path / name).mkdir()
         write_files(plan, tmp_path / name, second_process=both)
-    assert len(_files(tmp_path / "here")) == 6
+    assert len(_files(tmp_path / "here")) == 7
     assert _files(tmp_path / "here") == _files(tmp_path / "beside")
 
 

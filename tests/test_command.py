@@ -32,6 +32,7 @@ VERIFIED = {
     "Small.mod",
     "Small.pgf",
     "extrusion.gcode",
+    "forecast.json",
     "report.html",
 }
 REFUSED = {"plan.json", "report.html"}

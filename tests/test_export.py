@@ -102,7 +102,7 @@ def test_same_plan_same_bytes(tmp_path):
         write_plan(plan, tmp_path / folder)
         write_robot_code(plan, tmp_path / folder)
     names = sorted(path.name for path in (tmp_path / "a").iterdir())
-    assert names == ["TwoBeads.mod", "TwoBeads.pgf", "extrusion.gcode", "plan.json", "trajectory.csv"]
+    assert names == ["TwoBeads.mod", "TwoBeads.pgf", "extrusion.gcode", "forecast.json", "plan.json", "trajectory.csv"]
     for name in names:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from planner.base.errors import Complaint, InputError, OutputError
 from planner.base.processes import ignored_interrupts
 
-RESULTS = ("plan.json", "trajectory.csv", "report_part.stl", "extrusion.gcode", "report.html")
+RESULTS = ("plan.json", "trajectory.csv", "report_part.stl", "extrusion.gcode", "report.html", "forecast.json")
 # Comments that stand in the header of programs that are ours, and of no one else's, by suffix.
 MARKS = {
     ".mod": "! beadwise",

@@ -13,7 +13,7 @@ from planner.base.errors import InputError
 from planner.export.fit import from_matrix, to_matrix
 from planner.export.moves import Moves, blend_differences, greatest_until_stop, move_radii
 from planner.export.program import UNSPECIFIED, RobotProgram, Trigger, named
-from planner.export.readback import played_differences
+from planner.export.readback import filled, played_differences
 from planner.export.support import output_numbers
 
 if TYPE_CHECKING:
@@ -297,19 +297,7 @@ def arm_differences(
     if not (np.array_equal(linear, read.program.linear) and np.array_equal(circular, read.program.circular)):
         return [f"moves are not of the planned kinds: {len(read.program.linear)}, planned {len(linear)}"]
     radii = np.concatenate([[0.0], move_radii(plan, moves)])
-    planned = np.array([sum(wait.time for wait in moves.waits.get(i, ())) for i in range(-1, len(moves))])
-    rounded = np.abs(read.program.wait - planned) <= 0.501 * tick
-    start, own = convention.joints(read.axes[:1])[0], plan.trajectory.q[0, cell.own]
-    near = np.abs(start - own).max() <= 3.0 * rounding  # of a joint that three of the maker's axes make
-    program = replace(
-        named(read.program, output_numbers(plan.problem)),
-        start=np.concatenate([own if near else start, np.full(6, np.nan)]),
-        wait=np.where(rounded, planned, read.program.wait),
-        tool=pose_of(convention.T_flange_maker @ matrix_of(read.program.tool)),
-        uframe=pose_of(convention.T_world_base(cell) @ matrix_of(read.program.uframe)),
-        joints=convention.joints(read.axes),
-        zone=np.where(np.isnan(read.program.zone), radii, read.program.zone),
-    )
+    program = _in_the_cell(plan, moves, read, convention, rounding, tick)
     said = replace(program, zone=read.program.zone)  # blends that the language does not say are nobody's to judge
     found = [*played_differences(plan, moves, program), *blend_differences(plan, said)]
     off = np.abs(read.axes - convention.counted(moves.q[:, cell.own]))[~linear].max()
@@ -328,6 +316,34 @@ def arm_differences(
     if read.off != (outputs, outputs):
         found.append("other outputs than the extruders' are switched off at the start, or at the end")
     return found
+
+
+def arm_program(plan: Plan, moves: Moves, read: ArmProgram, convention: Convention, rounding: float) -> RobotProgram:
+    """A program of the plan's moves as it can be played, what its language leaves open as the plan has it.
+
+    rounding  of the axes [rad]
+    """
+    return filled(plan, moves, _in_the_cell(plan, moves, read, convention, rounding, 0.0))
+
+
+def _in_the_cell(
+    plan: Plan, moves: Moves, read: ArmProgram, convention: Convention, rounding: float, tick: float
+) -> RobotProgram:
+    """What was read in the cell's own frames and joints, with the plan's waits and blends where they are left open."""
+    radii = np.concatenate([[0.0], move_radii(plan, moves)])
+    planned = np.array([sum(wait.time for wait in moves.waits.get(i, ())) for i in range(-1, len(moves))])
+    rounded = np.abs(read.program.wait - planned) <= 0.501 * tick
+    start, own = convention.joints(read.axes[:1])[0], plan.trajectory.q[0, plan.cell.own]
+    near = np.abs(start - own).max() <= 3.0 * rounding  # of a joint that three of the maker's axes make
+    return replace(
+        named(read.program, output_numbers(plan.problem)),
+        start=np.concatenate([own if near else start, np.full(6, np.nan)]),
+        wait=np.where(rounded, planned, read.program.wait),
+        tool=pose_of(convention.T_flange_maker @ matrix_of(read.program.tool)),
+        uframe=pose_of(convention.T_world_base(plan.cell) @ matrix_of(read.program.uframe)),
+        joints=convention.joints(read.axes),
+        zone=np.where(np.isnan(read.program.zone), radii, read.program.zone),
+    )
 
 
 def forward_of(cell: Cell, convention: Convention) -> Callable[[Array], Array]:

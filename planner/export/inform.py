@@ -20,6 +20,7 @@ from planner.export.arms import (
     Step,
     Steps,
     arm_differences,
+    arm_program,
     forward_of,
     percent,
     read_arm,
@@ -31,7 +32,7 @@ from planner.export.fit import to_matrix
 from planner.export.grammar import Grammar, Statement, inlined
 from planner.export.moves import Moves, MoveSection, move_radii, plan_moves, sections
 from planner.export.parts import in_files, numbered, part_about
-from planner.export.program import about
+from planner.export.program import RobotProgram, about
 from planner.export.rapid.text import module_name
 from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_inform
 from planner.export.text import number, require_writable
@@ -344,6 +345,13 @@ def _read_positions(text: str, first: int, name: str) -> Iterator[Target]:
 
 # ----------------------------------------------------------------------------------------------------
 # Check of what was read against the plan.
+
+
+def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
+    """The program of the files, with what they leave open as the plan has it. InputError for an unknown line."""
+    texts = {file.removesuffix(".JBI"): text for file, text in files.items()}
+    read, _ = read_inform(texts, job_name(plan.name), plan)
+    return arm_program(plan, plan_moves(plan), read, YASKAWA, np.radians(0.51 * 10.0**-DEGREES))
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:

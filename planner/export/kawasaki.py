@@ -15,6 +15,7 @@ from planner.export.arms import (
     Step,
     Steps,
     arm_differences,
+    arm_program,
     forward_of,
     percent,
     read_arm,
@@ -26,7 +27,7 @@ from planner.export.fit import to_matrix
 from planner.export.grammar import Grammar, Statement, inlined
 from planner.export.moves import Moves, MoveSection, move_radii, plan_moves, sections
 from planner.export.parts import in_files, numbered
-from planner.export.program import about
+from planner.export.program import RobotProgram, about
 from planner.export.rapid.text import module_name
 from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_kawasaki
 from planner.export.text import ascii_comment, number, require_writable, resting
@@ -295,6 +296,12 @@ def _bodies(text: str) -> dict[str, list[Statement]]:
 
 # ----------------------------------------------------------------------------------------------------
 # Check of what was read against the plan.
+
+
+def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
+    """The program of the files, with what they leave open as the plan has it. InputError for an unknown line."""
+    read = read_kawasaki(files[f"{as_name(plan.name)}.as"], plan)
+    return arm_program(plan, plan_moves(plan, arcs=True), read, KAWASAKI, np.radians(0.51 * 10.0**-DEGREES))
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:

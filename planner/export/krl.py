@@ -27,7 +27,7 @@ from planner.export.moves import (
 from planner.export.parts import cut, numbered, packed, part_about
 from planner.export.program import UNSPECIFIED, RobotProgram, Trigger, about, named
 from planner.export.rapid.text import module_name
-from planner.export.readback import played_differences
+from planner.export.readback import filled, played_differences
 from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_krl
 from planner.export.text import ascii_comment, number, require_writable, resting
 
@@ -656,8 +656,20 @@ class _Run:
 ROUNDING = np.radians(1.01e-4)  # of axes
 
 
+def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
+    """The program of both files, with the plan's postures at its targets. InputError for an unknown line."""
+    return filled(plan, plan_moves(plan, arcs=True), _read(plan, files)[1])
+
+
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """Differences of both files from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
+    source, written = _read(plan, files)
+    moves = plan_moves(plan, arcs=True)
+    return [*played_differences(plan, moves, written), *blend_differences(plan, written), *_moves(plan, moves, source)]
+
+
+def _read(plan: Plan, files: Mapping[str, str]) -> tuple[KrlProgram, RobotProgram]:
+    """Both files, and what they do in the cell's own joints."""
     name, cell = krl_name(plan.name), plan.cell
     free = [k for k, axis in enumerate(external_axes(cell)) if axis.held is None]
 
@@ -668,12 +680,10 @@ def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
 
     further = {file[:-4]: text for file, text in files.items() if file.endswith(".src") and file != f"{name}.src"}
     source = read_krl(files[f"{name}.src"], files[f"{name}.dat"], forward, further)
-    program = named(source.program, output_numbers(plan.problem))
-    start = program.start.copy()
+    written = named(source.program, output_numbers(plan.problem))
+    start = written.start.copy()
     start[:6] = from_kuka(start[None, :6])[0]
-    moves = plan_moves(plan, arcs=True)
-    program = replace(program, start=start, joints=from_kuka(source.axes))
-    return [*played_differences(plan, moves, program), *blend_differences(plan, program), *_moves(plan, moves, source)]
+    return source, replace(written, start=start, joints=from_kuka(source.axes))
 
 
 def _moves(plan: Plan, moves: Moves, source: KrlProgram) -> list[str]:

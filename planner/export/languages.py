@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Protocol, cast
 
-from planner.export.program import ProblemSetup, Setup
+from planner.export.program import ProblemSetup, RobotProgram, Setup
 from planner.export.support import (
     unsupported_in_axes,
     unsupported_in_fanuc,
@@ -32,6 +32,10 @@ class _LanguageModule(Protocol):
     def differences(self, plan: Plan, files: Mapping[str, str]) -> list[str]: ...
 
 
+class _RobotModule(_LanguageModule, Protocol):
+    def program(self, plan: Plan, files: Mapping[str, str]) -> RobotProgram: ...
+
+
 @dataclass(frozen=True)
 class Language:
     """A language of robot controllers, or of extruders.
@@ -52,6 +56,10 @@ class Language:
     def differences(self, plan: Plan, files: Mapping[str, str]) -> list[str]:
         """Differences of files from the plan, beyond rounding, in words. InputError for what cannot be read."""
         return self._module.differences(plan, files)
+
+    def program(self, plan: Plan, files: Mapping[str, str]) -> RobotProgram:
+        """The program of files as it can be played; of a language that CONTROLLERS has a row for."""
+        return cast("_RobotModule", self._module).program(plan, files)
 
     @property
     def _module(self) -> _LanguageModule:

@@ -24,6 +24,7 @@ from planner.export.moves import (
     rested_for,
     samples_of_rest,
 )
+from planner.export.player.path import corner_depth
 from planner.export.player.play import play
 from planner.export.player.played import Played, laid_spans, laid_targets
 from planner.export.program import UNSPECIFIED, ProgramPiece, RobotProgram, pieces_of
@@ -524,7 +525,7 @@ def judge(plan: Plan, program: RobotProgram, played: Played) -> Readback:
         ratio = took / planned
         laid, worst = float(took.sum() / planned.sum()), float(ratio[np.argmax(np.abs(ratio - 1.0))])
     inside, edges = laid_targets(played)
-    cut = _cut(program, played)
+    cut = corner_depth(program, played)
     return Readback(
         agreement=compare(plan, nozzle),
         laid=laid,
@@ -534,27 +535,6 @@ def judge(plan: Plan, program: RobotProgram, played: Played) -> Readback:
         stops=int(np.count_nonzero(inside & program.fine & (program.wait == 0.0))),
         strays=played.strays,
     )
-
-
-def _cut(program: RobotProgram, played: Played) -> Array:
-    """How far the parabola within a target's zone passes inside of the target (m) [m]; 0 where the robot rests."""
-    steps = np.diff(played.position, axis=0)
-    size = np.linalg.norm(steps, axis=1)
-    unit = steps / np.where(size > 0.0, size, 1.0)[:, None]
-    moves = np.bincount(played.move, size, minlength=len(program.zone))
-    knot = played.target[:-1]  # the last one is an end
-    comes, goes = unit[knot - 1], unit[knot]
-    # an arc's direction at its end: half a chord's turn beyond that of its last chord
-    arc, first, move = program.circular[played.move], np.maximum(knot - 2, 0), played.move
-    turns = arc[knot - 1] & (move[first] == move[knot - 1])
-    comes = np.where(turns[:, None], comes + 0.5 * (comes - unit[first]), comes)
-    after = np.minimum(knot + 1, len(unit) - 1)
-    turns = arc[knot] & (move[after] == move[knot])
-    goes = np.where(turns[:, None], goes - 0.5 * (unit[after] - goes), goes)
-    reach = np.minimum(program.zone[:-1], 0.5 * np.minimum(moves[:-1], moves[1:]))
-    # the middle of a parabola whose tangents reach so far to both sides
-    cut = 0.25 * reach * np.linalg.norm(goes - comes, axis=1)
-    return np.append(np.where(program.fine[:-1], 0.0, cut), 0.0)
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -569,14 +549,19 @@ def played_differences(plan: Plan, moves: Moves, program: RobotProgram) -> list[
     Configurations that its targets do not name are those of the planned postures, which is what the controller must
     come to by itself: it gets the joints where each line begins, and keeps its configuration along lines.
     """
+    if len(program.linear) != len(moves.sample) + 1:
+        found = f"it has {len(program.linear)} moves, not {len(moves.sample) + 1}"
+        return [*compare(plan, program).differences(), found]
+    return readback(plan, filled(plan, moves, program))
+
+
+def filled(plan: Plan, moves: Moves, program: RobotProgram) -> RobotProgram:
+    """A program of as many moves as the plan's with what its language leaves open: configurations, speeds and zones."""
     at = np.concatenate([[0], moves.sample])
-    if len(program.linear) != len(at):
-        return [*compare(plan, program).differences(), f"it has {len(program.linear)} moves, not {len(at)}"]
     planned = np.column_stack([quadrants(moves.q[:, plan.cell.own]), plan.trajectory.branch[at]])
-    filled = replace(
+    return replace(
         program,
         conf=np.where(program.conf == UNSPECIFIED, planned, program.conf),
         speed=np.where(np.isnan(program.speed), FAST, program.speed),
         zone=np.nan_to_num(program.zone),  # of travel: by how much it is rounded is the controller's to choose
     )
-    return readback(plan, filled)

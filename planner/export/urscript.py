@@ -30,7 +30,7 @@ from planner.export.moves import (
 from planner.export.parts import numbered, packed, part_about
 from planner.export.program import UNSPECIFIED, RobotProgram, about, named
 from planner.export.rapid.text import LONGEST_NAME, module_name
-from planner.export.readback import played_differences
+from planner.export.readback import filled, played_differences
 from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_urscript
 from planner.export.text import ascii_comment, number, require_writable, resting
 
@@ -424,25 +424,35 @@ def _frame(pose: Array) -> Array:
 # Check of what was read against the plan.
 
 
+def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
+    """The program, with the plan's postures at its targets. InputError for an unknown line."""
+    return filled(plan, plan_moves(plan, arcs=True), _read(plan, files)[1])
+
+
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """Differences of the program from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
+    script, written = _read(plan, files)
+    moves = plan_moves(plan, arcs=True)
+    return [
+        *played_differences(plan, moves, written),
+        *blend_differences(plan, written),
+        *_early(written),
+        *_joint_moves(plan, moves, script),
+    ]
+
+
+def _read(plan: Plan, files: Mapping[str, str]) -> tuple[Script, RobotProgram]:
+    """The script, and what it does in the cell's own frames."""
     scripts = [
         read_urscript(files[f"{name}.script"], plan.cell.T_part_nozzle) for name in script_names(plan, len(files))
     ]
     script = reduce(joined, scripts)
-    program = named(script.program, output_numbers(plan.problem))
+    written = named(script.program, output_numbers(plan.problem))
     T_controller_part = np.eye(4)
-    T_controller_part[:3, :3], T_controller_part[:3, 3] = to_matrix(program.uframe[None, 3:])[0], program.uframe[:3]
+    T_controller_part[:3, :3], T_controller_part[:3, 3] = to_matrix(written.uframe[None, 3:])[0], written.uframe[:3]
     T_world_part = world_controller(plan.cell) @ T_controller_part
     uframe = np.concatenate([T_world_part[:3, 3], from_matrix(T_world_part[None, :3, :3])[0]])
-    program = replace(program, uframe=uframe, joints=script.joints)
-    moves = plan_moves(plan, arcs=True)
-    return [
-        *played_differences(plan, moves, program),
-        *blend_differences(plan, program),
-        *_early(program),
-        *_joint_moves(plan, moves, script),
-    ]
+    return script, replace(written, uframe=uframe, joints=script.joints)
 
 
 def _early(program: RobotProgram) -> list[str]:

@@ -16,6 +16,7 @@ from planner.export.arms import (
     Step,
     Steps,
     arm_differences,
+    arm_program,
     forward_of,
     percent,
     read_arm,
@@ -27,7 +28,7 @@ from planner.export.fit import to_matrix
 from planner.export.grammar import Grammar, Statement, inlined
 from planner.export.moves import Moves, MoveSection, move_radii, plan_moves, sections
 from planner.export.parts import in_files
-from planner.export.program import about
+from planner.export.program import RobotProgram, about
 from planner.export.rapid.text import module_name
 from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_val3
 from planner.export.text import ascii_comment, number, require_writable, resting
@@ -466,6 +467,12 @@ def _arrays(text: str) -> Arrays:
 
 # ----------------------------------------------------------------------------------------------------
 # Check of what was read against the plan.
+
+
+def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
+    """The program of the files, with what they leave open as the plan has it. InputError for an unknown line."""
+    read = read_val3(files, val3_name(plan.name), plan)
+    return arm_program(plan, plan_moves(plan, arcs=True), read, STAUBLI, np.radians(0.51 * 10.0**-DEGREES))
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:

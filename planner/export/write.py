@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from planner.base.errors import OutputError, Refusal
+from planner.export.controllers import CONTROLLERS
+from planner.export.forecast import FORECAST, Forecast, forecast, forecast_json
 from planner.export.languages import LANGUAGES, chosen
 from planner.export.plan_json import plan_json, refusal_json
 from planner.export.rapid.text import module_name, written_notes
@@ -44,21 +47,36 @@ def write_refusal(problem: Problem, strategy: str, refusal: Refusal, folder: Pat
 
 
 def write_robot_code(plan: Plan, folder: Path) -> tuple[Path, ...]:
-    """Write a verified plan in the languages that were chosen for it; returns the paths.
+    """Write a verified plan in the languages that were chosen for it; returns the paths of the programs.
 
+    What controllers will make of them is written beside them, as forecast.json.
     All programs are read back and held against the plan before anything is written. ValueError if the plan is not
     verified, RuntimeError if a program differs from the plan (both mistakes of this code or its caller),
     InputError for a language that was asked for and does not support the cell, OutputError where the files cannot be written.
     """
     require_writable(plan)
     texts: dict[str, str] = {}
+    foretold: dict[str, Forecast] = {}
     for name in chosen(plan).names:
         language = LANGUAGES[name]
         own = language.write(plan)
         if differences := language.differences(plan, own):
             raise RuntimeError(f"{language.title} does not repeat the plan: " + "; ".join(differences))
         texts |= own
+        if name in CONTROLLERS:
+            foretold[name] = forecast(language.program(plan, own), plan.cell, CONTROLLERS[name])
+    if foretold:
+        _write_text(folder / FORECAST, forecast_json(foretold))
     return tuple(_write_text(folder / name, text) for name, text in texts.items())
+
+
+def forecast_words(folder: Path) -> tuple[str, ...]:
+    """What the controllers will make of the programs of a folder, in words; none without a program."""
+    path = folder / FORECAST
+    if not path.exists():
+        return ()
+    with path.open(encoding="utf-8") as stream:
+        return tuple(words for each in json.load(stream)["forecasts"].values() for words in each["words"])
 
 
 def program_notes(plan: Plan, folder: Path) -> tuple[str, ...]:

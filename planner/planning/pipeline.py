@@ -19,7 +19,7 @@ from planner.base.versions import versions
 from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import NOTHING, Obstacles
 from planner.export.languages import check_languages
-from planner.export.write import write_part, write_plan, write_robot_code, write_trajectory
+from planner.export.write import forecast_words, write_part, write_plan, write_robot_code, write_trajectory
 from planner.motion.dips import find_dips
 from planner.motion.timing.timed_path import TimedPath, bound_time, time_path
 from planner.motion.trajectory import join
@@ -453,21 +453,25 @@ def write_files(plan: Plan, folder: Path, stages: Stages | None = None, second_p
     stages = stages or Stages()
     with stages.stage("export"):
         if not plan.verified:
-            _write_tables(plan, folder)
+            _write_tables(plan, folder, tuple)
         elif second_process and _waypoints(plan.toolpath) >= WORTH_A_FORK and spare_core():
             with in_background(write_robot_code, plan, folder) as wait:
-                _write_tables(plan, folder)
-                wait()
+                _write_tables(plan, folder, lambda: _written(wait, folder))
         else:
-            write_robot_code(plan, folder)
-            _write_tables(plan, folder)
+            _write_tables(plan, folder, lambda: _written(lambda: write_robot_code(plan, folder), folder))
     seconds = {**plan.timing_s, **stages.seconds}
     plan = replace(plan, timing_s={**seconds, "total": sum(seconds.values())})
     write_plan(plan, folder)
     return plan
 
 
-def _write_tables(plan: Plan, folder: Path) -> None:
-    write_report(plan, folder / "report.html")
+def _written(programs: Callable[[], object], folder: Path) -> tuple[str, ...]:
+    """What controllers will make of programs, once these are written."""
+    programs()
+    return forecast_words(folder)
+
+
+def _write_tables(plan: Plan, folder: Path, forecast: Callable[[], Sequence[str]]) -> None:
     write_trajectory(plan, folder)
     write_part(plan, folder)
+    write_report(plan, folder / "report.html", forecast)

@@ -19,7 +19,7 @@ from planner.base.files import results_folder
 from planner.base.progress import Stages
 from planner.cell.cell import build_cell
 from planner.export.languages import chosen
-from planner.export.write import program_notes, write_refusal
+from planner.export.write import forecast_words, program_notes, write_refusal
 from planner.plan import resumed_name
 from planner.planning.options import options_of
 from planner.planning.pipeline import solve, write_files
@@ -69,7 +69,7 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
             errors.print(f"try: {hint}", markup=False, soft_wrap=True)
         errors.print(f"see {folder / 'report.html'}", markup=False, soft_wrap=True)
         return EXIT_NOT_VERIFIED
-    print_summary(plan, folder, chosen(plan).words, program_notes(plan, folder))
+    print_summary(plan, folder, chosen(plan).words, program_notes(plan, folder), forecast_words(folder))
     return EXIT_VERIFIED if plan.verified else EXIT_NOT_VERIFIED
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -97,8 +97,17 @@ def _cell(value: float | None, key: str, factor: float, digits: int) -> tuple[st
 DEFAULT_DT = 0.004
 
 
-def write_report(plan: Plan, path: Path) -> None:
+FORECAST = Markup("<!-- forecast -->")  # the place of what is known only when all programs are written
+
+
+def _no_forecast() -> tuple[str, ...]:
+    return ()
+
+
+def write_report(plan: Plan, path: Path, forecast: Callable[[], Sequence[str]] = _no_forecast) -> None:
     """Write one self-contained report.html, at most 8 MB however long the plan.
+
+    forecast: what controllers will make of the plan's programs, in sentences; asked for when all else is drawn.
 
     `plan.settings["overrides"]`, if there, holds the `dotted.key=value` arguments of the command line.
     Raises OutputError where `path` cannot be written.
@@ -135,6 +144,7 @@ def write_report(plan: Plan, path: Path) -> None:
         places=[(place, float(t.t[place.sample])) for place in listed],
         others=others,
         summary=summary_table(plan.strategy, plan.metrics, plan.baseline),
+        forecast=FORECAST,
         worst=[place for place in places if place.kind in ("fail", "worst")],
         where=where_words,
         dips_section=dips_section(plan),
@@ -150,7 +160,9 @@ def write_report(plan: Plan, path: Path) -> None:
         command=_command(plan),
         making=_making(plan),
     )
-    page.write_text(Path(path), text)
+    sentences = forecast()
+    section = render("forecast", sentences=sentences) if sentences else ""
+    page.write_text(Path(path), text.replace(FORECAST, section, 1))
 
 
 def summary_table(strategy: str, metrics: Mapping[str, float], baseline: Mapping[str, Mapping[str, float]]) -> Markup:

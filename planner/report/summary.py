@@ -44,8 +44,10 @@ ROWS = (
 )
 
 
-def print_summary(plan: Plan, folder: Path, programs: str = "", program_notes: Sequence[str] = ()) -> None:
-    """Print verdict, summary table, notes, failed checks, which programs there are, and the place of the results."""
+def print_summary(
+    plan: Plan, folder: Path, programs: str = "", program_notes: Sequence[str] = (), forecast: Sequence[str] = ()
+) -> None:
+    """Print verdict, summary table, notes, failed checks, programs with what controllers will make of them, and the folder."""
     out = Console(highlight=False)
     m = plan.metrics
     size = f"{counted(m['beads'], 'bead')}, {counted(m['layers'], 'layer')}, {m['deposited_length_mm'] / 1e3:.2f} m"
@@ -67,6 +69,8 @@ def print_summary(plan: Plan, folder: Path, programs: str = "", program_notes: S
     if plan.resolved_by not in ("", plan.strategy):
         notes.append(f"note: the paths of strategy {plan.resolved_by} print better here, and were taken")
     notes += [f"note on the RAPID program: {note}" for note in program_notes]
+    told = "; ".join(program_notes)
+    notes += [f"forecast: {sentence}" for sentence in forecast if sentence.removeprefix("WARNING: ") not in told]
     for line in (
         *notes,
         _dips(plan),

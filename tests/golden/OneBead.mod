@@ -8,7 +8,7 @@ MODULE OneBead
     ! 8 moves, 3 of them along beads, whose toolpath has 12 waypoints
     ! Note: 2 lines are sent at fly-by points, as early as the controller reads ahead
     !   first bead 0, line 71 of OneBead.mod
-    ! Note: 2 moves on beads are slowed by accelerations of the joints, the worst to 88 % of its speed
+    ! Note: 2 moves on beads are slowed by accelerations of the joints, the worst to 76 % of its speed
     !   first bead 0, line 75 of OneBead.mod
 
     ! The load below is a placeholder: identify it on the robot before the first run.

@@ -8,6 +8,8 @@ MODULE TwoBeads
     ! Material pla: tool T1 of the extruder's board, output doExtrude
     ! Material pva: tool T0 of the extruder's board, output doSupport
     ! 84 moves, 10 of them along beads, whose toolpath has 40 waypoints
+    ! Note: 4 moves on beads are slowed by accelerations of the joints, the worst to 93 % of its speed
+    !   first bead 0, line 96 of TwoBeads.mod
 
     ! The load below is a placeholder: identify it on the robot before the first run.
     PERS tooldata tPen:=[TRUE,[[-44.510,9.900,113.950],[1.0000000,0.0000000,0.0000000,0.0000000]],[1,[0,0,50],[1,0,0,0],0,0,0]];

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.export.fit import continuous, from_matrix
-from planner.export.player.controller import TIP, PostureKnots, knots_of, pace
+from planner.export.player.controller import PostureKnots, knots_of
+from planner.export.player.model import PLAIN, MotionModel
+from planner.export.player.pace import TIP, pace
 from planner.export.player.played import TIMES, Played, ProgramEvent, laid_moves
 from planner.export.program import RobotProgram
 
@@ -77,30 +79,28 @@ def _sorted(found: list[Limited]) -> tuple[Limited, ...]:
 # ----------------------------------------------------------------------------------------------------
 # The player.
 #
-# The model. Lines and arcs are followed exactly in the part, joint moves exactly in joints. The speed on every stretch is that of
-# the slowest of the tip, reorientation and the station's axes, each as programmed, and of the joints with their own
-# limits (ABB, RAPID reference: MoveL, speeddata). Speed changes as quickly as the cell's joint acceleration limits allow.
-# At `fine` targets and in waits the robot stands still; corners are taken within their zones at the speed at which joints
-# can turn from one line to the next (zonedata: a parabola, no longer than half of the neighbouring lines).
+# The model. Lines and arcs are followed exactly in the part, joint moves exactly in joints. The speed on every stretch is
+# that of the slowest of the tip, reorientation and the station's axes, each as programmed, and of the joints with their own
+# limits (ABB, RAPID reference: MoveL, speeddata). Speed changes as quickly as the cell's joint accelerations and the ramps of
+# the controller's model allow. At `fine` targets and in waits the robot stands still; corners are taken within their zones at
+# the speed at which joints can turn from one line to the next (zonedata: no longer than half of the neighbouring lines).
 #
-# What it leaves out: jerk and the lag of servos; loads; how a controller itself shares acceleration between joints, and
-# its speed-up in corners; the parabola's place (a corner is passed at its target, where the true one passes inside by at
-# most a quarter of the zone's radius times the angle). Logic after a fly-by target happens as the target is passed, where a
-# controller runs ahead of the motion by a fraction of a second. Deposition times follow from programmed speeds and
-# hold well; travel times are optimistic by the ramps of jerk.
+# What is played passes corners at their targets; how far inside the true path lies is told by `path.deviation`. Loads and
+# settling are left out. Logic after a fly-by target happens as the target is passed, where a controller runs ahead of the
+# motion by a fraction of a second.
 
 ORDER = {"output": 0, "demand": 1, "send": 2, "wait": 3}  # of what happens at the same time
 
 
-def play(program: RobotProgram, cell: Cell) -> Played:
+def play(program: RobotProgram, cell: Cell, model: MotionModel = PLAIN) -> Played:
     """A program over time, from its start posture at t = 0 to its last target; in time linear in its moves.
 
     The path is that of the cell's own nozzle, in the cell's own part frame, when the joints go where the program's
-    tool and work object send them. Raises InputError for targets that cannot be reached as the program says, and for
-    axes that the cell has not.
+    tool and work object send them. model: of the controller; the plain one does what a program says. Raises InputError
+    for targets that cannot be reached as the program says, and for axes that the cell has not.
     """
     knots = knots_of(program, cell)
-    times = pace(program, cell, knots)
+    times = pace(program, cell, knots, model)
     T = cell.T_part_nozzle(np.ascontiguousarray(knots.q))
     played = Played(
         q=knots.q,

@@ -34,6 +34,11 @@ ROUNDING = 2e-6  # m; a trigger nearer to a move's end, or start, stands there
 _EXTRUDES = re.compile(r"G1 E(-?\d+\.\d+) F(\d+\.\d+)", re.ASCII)
 
 
+def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
+    """The program of the modules. InputError for an unknown line."""
+    return read_rapid_files(files)
+
+
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """Differences of the modules from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
     program = read_rapid_files(files)

@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Indices
+from planner.export.controllers import CONTROLLERS
 from planner.export.external import carrying_axes, external_axes, external_written
 from planner.export.fit import continuous, from_matrix
+from planner.export.forecast import judged
 from planner.export.in_step import laid_filament
 from planner.export.moves import Moves, Wait, corner_tolerance, corners, fit_of, plan_moves, sections
 from planner.export.player.play import limited, play
@@ -440,7 +442,11 @@ def _sends(program: RobotProgram) -> ProgramNote | None:
 
 
 def _paces(plan: Plan, program: RobotProgram) -> list[ProgramNote]:
-    return [ProgramNote(each.words, each.first) for each in limited(program, play(program, plan.cell))]
+    controller = CONTROLLERS["rapid"]
+    played = play(program, plan.cell, controller.motion)
+    told = judged(program, played, controller)
+    slow = [ProgramNote(each.words, each.first) for each in limited(program, played)]
+    return [*slow, *(ProgramNote(warning, told.nearest) for warning in told.warnings)]
 
 
 def note_lines(notes: tuple[ProgramNote, ...], plan: Plan, moves: Moves, files: Mapping[str, str]) -> list[str]:

@@ -1,0 +1,214 @@
+"""What a controller will make of a program: speed on beads, distance from the lines, and targets that come too fast for it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from planner.base.arrays import Array, Indices
+from planner.export.controllers import Controller
+from planner.export.player.path import deviation
+from planner.export.player.play import play
+from planner.export.player.played import TIMES, Played, laid_moves
+from planner.export.program import RobotProgram
+
+if TYPE_CHECKING:
+    from planner.cell.cell import Cell
+
+FORECAST = "forecast.json"  # the file of a results folder
+FORMAT = "beadwise forecast 1"
+AT_SPEED = 0.02  # of the programmed speed: more slowly is not at speed, as in the plan's own figures
+SECOND = 1.0  # s in which targets are counted
+MANY = 0.001  # of all moves on beads that may be shorter than is warned of: a corner here and there is no trouble
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What a controller makes of a program, as its model has it (SI units).
+
+    controller   which one
+    assumed      its model is assumed and not fitted to recordings
+    time         of the whole program
+    programmed   mean speed that is programmed on beads; mean, least: predicted; share: of their length at speed
+    off          greatest distance of the tip from the programmed path on beads
+    slowest      move on a bead that has the least speed; -1 without beads
+    targets      of the program; laid: moves on beads
+    per_second   targets on beads, on the mean; most: in the second that has most of them
+    closest      least time between two targets on a bead; nearest: the move that takes it, -1 without beads
+    close        how many moves on beads are shorter than is warned of
+    warnings     what is beyond the controller's known limits, in words
+    """
+
+    controller: str
+    assumed: bool
+    time: float
+    programmed: float
+    mean: float
+    least: float
+    share: float
+    off: float
+    slowest: int
+    targets: int
+    laid: int
+    per_second: float
+    most: int
+    closest: float
+    nearest: int
+    close: int
+    warnings: tuple[str, ...]
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """What is to be expected, a sentence each."""
+        if not self.laid:
+            return (f"{self.controller}: {self.targets} moves, none on beads, {self.time:.1f} s",)
+        model = ", by an assumed model" if self.assumed else ""
+        return (
+            f"{self.controller}{model}: {1e3 * self.mean:.1f} mm/s on beads of {1e3 * self.programmed:.1f} programmed, "
+            f"at least {1e3 * self.least:.1f}; {100 * self.share:.1f} % of their length at speed (within 2 %); "
+            f"at most {1e3 * self.off:.2f} mm off the lines",
+            f"{self.targets} targets; on beads {self.per_second:.0f} a second, {self.most} in the second with most, "
+            f"the closest after {1e3 * self.closest:.1f} ms",
+            *(f"WARNING: {warning}" for warning in self.warnings),
+        )
+
+    @property
+    def figures(self) -> dict[str, object]:
+        """The same for forecast.json: numbers by name and unit, and the words."""
+        return {
+            "controller": self.controller,
+            "assumed": self.assumed,
+            "time_s": self.time,
+            "programmed_mm_s": 1e3 * self.programmed,
+            "mean_mm_s": 1e3 * self.mean,
+            "least_mm_s": 1e3 * self.least,
+            "at_speed_fraction": self.share,
+            "off_mm": 1e3 * self.off,
+            "targets": self.targets,
+            "targets_on_beads": self.laid,
+            "targets_per_second": self.per_second,
+            "targets_in_a_second_max": self.most,
+            "closest_ms": 1e3 * self.closest,
+            "closer_than_warned": self.close,
+            "warnings": list(self.warnings),
+            "words": list(self.words),
+        }
+
+
+def forecast_json(found: Mapping[str, Forecast]) -> str:
+    """Text of forecast.json: a forecast for each language."""
+    table = {name: each.figures for name, each in found.items()}
+    return json.dumps({"format": FORMAT, "forecasts": table}, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def forecast(program: RobotProgram, cell: Cell, controller: Controller) -> Forecast:
+    """What a controller makes of a program. Raises InputError for one that cannot be played."""
+    return judged(program, play(program, cell, controller.motion), controller)
+
+
+def judged(program: RobotProgram, played: Played, controller: Controller) -> Forecast:
+    """The forecast of a program that was played with the controller's motion."""
+    laid = laid_moves(played)
+    m, count = len(laid), int(laid.sum())
+    took = np.bincount(played.move, played.phases[:, TIMES].sum(axis=1), minlength=m)
+    length = np.bincount(played.move, np.linalg.norm(np.diff(played.position, axis=0), axis=1), minlength=m)
+    laid &= length > 0.0
+    if not laid.any():
+        return _without_beads(played, controller, m)
+    meant = length / program.speed[:, 0]
+    nominal = np.where(laid, np.maximum(took, 1e-9), np.inf)
+    close = laid & (took < controller.warned_time)
+    least = _least(played)
+    slowest = int(np.argmin(np.where(laid, least, np.inf)))
+    nearest = int(np.argmin(nominal))
+    ways = np.flatnonzero(laid[played.move])
+    most = _most(played.arrive[laid])
+    at_speed = _at_speed(program, played, ways)
+    total = float(took[laid].sum())
+    figures = Forecast(
+        controller=controller.title,
+        assumed=len(controller.motion.assumed) > 1,
+        time=played.duration,
+        programmed=float(length[laid].sum() / meant[laid].sum()),
+        mean=float(length[laid].sum() / total),
+        least=float(least[slowest]),
+        share=at_speed,
+        off=float(deviation(program, played, controller.motion).at[laid].max()),
+        slowest=slowest,
+        targets=m,
+        laid=count,
+        per_second=count / total,
+        most=most,
+        closest=float(nominal[nearest]),
+        nearest=nearest,
+        close=int(close.sum()),
+        warnings=(),
+    )
+    return _warned(figures, controller)
+
+
+def _warned(figures: Forecast, controller: Controller) -> Forecast:
+    """The same with what is beyond the controller's known limits."""
+    found = []
+    if figures.close > MANY * figures.laid:
+        found.append(
+            f"{figures.close} of {figures.laid} moves on beads take less than {1e3 * controller.warned_time:g} ms "
+            f"({controller.source})"
+        )
+    if figures.most > controller.most_per_second:
+        found.append(
+            f"{figures.most} targets in a second, and {controller.most_per_second:.0f} are known to be taken in"
+        )
+    if controller.most_targets is not None and figures.targets > controller.most_targets:
+        found.append(
+            f"{figures.targets} targets in one program, and users report trouble beyond {controller.most_targets}"
+        )
+    return replace(figures, warnings=tuple(found))
+
+
+def _without_beads(played: Played, controller: Controller, targets: int) -> Forecast:
+    none = float("nan")
+    assumed = len(controller.motion.assumed) > 1
+    return Forecast(
+        controller.title, assumed, played.duration, none, none, none, none, 0.0, -1, targets, 0, 0.0, 0, none, -1, 0, ()
+    )
+
+
+def _least(played: Played) -> Array:
+    """Least speed of the tip on each move (m) [m/s], at its ends and between, where it does not rest; inf where it does."""
+    v0, a, begin, _, b, end = played.phases.T
+    middle = v0 + a * begin
+    v1 = middle + b * end
+    # path is metres of the tip wherever the tip sets the pace
+    slow = np.minimum(np.where(v0 > 0.0, v0, np.inf), np.where(v1 > 1e-9, v1, np.inf))
+    slow = np.where(played.length > 0.0, np.minimum(slow, np.where(middle > 0.0, middle, np.inf)), np.inf)
+    out = np.full(len(played.target), np.inf)
+    np.minimum.at(out, played.move, slow)
+    return out
+
+
+def _at_speed(program: RobotProgram, played: Played, ways: Indices) -> float:
+    """Share of the length of ways on which the tip is within AT_SPEED of what is programmed."""
+    v0, a, begin, even, b, end = played.phases[ways].T
+    least = (1.0 - AT_SPEED) * program.speed[played.move[ways], 0]
+    top = v0 + a * begin
+    v1 = top + b * end
+    length = played.length[ways]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # of each ramp, the part above `least`: from there to the top, with even acceleration
+        up = np.where(v0 >= least, begin, np.where(a != 0.0, np.maximum(top - least, 0.0) / np.abs(a), 0.0))
+        down = np.where(v1 >= least, end, np.where(b != 0.0, np.maximum(top - least, 0.0) / np.abs(b), 0.0))
+    fast = np.where(top >= least, 0.5 * (np.maximum(v0, least) + top) * up, 0.0) + np.where(
+        top >= least, top * even, 0.0
+    )
+    fast += np.where(top >= least, 0.5 * (np.maximum(v1, least) + top) * down, 0.0)
+    return float(np.minimum(fast, length).sum() / length.sum())
+
+
+def _most(arrive: Array) -> int:
+    """Most of the times (k), ascending, that lie within one second."""
+    return int((np.searchsorted(arrive, arrive + SECOND, side="left") - np.arange(len(arrive))).max(initial=0))

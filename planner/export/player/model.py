@@ -1,0 +1,68 @@
+"""How controllers move: what a player needs to know of one to foretell pace and path. One frozen value for each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+
+@dataclass(frozen=True)
+class MotionModel:
+    """A controller's way of moving.
+
+    ramp          how long the S-shaped ramp from rest to 1 m/s takes [s]; to other speeds it grows with their cube root
+    peak          greatest acceleration of a ramp over its mean: that is what the joints must have
+    corner        share of the joints' accelerations that is used where a programmed path turns at a target
+    settling      time that joints have for such a turn beside that in which the zone is passed [s]: it is what makes
+                  small zones passable
+    sharing       exponent by which the programmed speed and that of a corner are combined: inf is the lesser of the two
+    depth         of a corner's path within its zone, as a share of that of a parabola
+    lag           time constant by which the arm follows its commands [s], which rounds what the path turns
+    ahead_moves   moves ahead of the one that runs for which the controller can brake
+    move_time     what planning of a move takes at most [s]: on the mean of `ahead_moves` moves, none is shorter
+    assumed       which of these no public recording shows
+    """
+
+    name: str
+    ramp: float = 0.0
+    peak: float = 1.0
+    corner: float = 1.0
+    settling: float = 0.0
+    sharing: float = float("inf")
+    depth: float = 1.0
+    lag: float = 0.0
+    ahead_moves: int = 10**9
+    move_time: float = 0.0
+    assumed: tuple[str, ...] = ()
+
+
+# What a program says, on a controller that does just that: accelerations of the cell, no jerk, parabolas in zones.
+PLAIN = MotionModel("as programmed")
+
+# Fitted to 48 runs of one corner in RobotStudio and to a real run of curve 1, of an IRB 6640-180/2.55; 144 other runs were
+# held out (docs/controller_model.md; hehonglu123/ABB_Primitive_Study and Motion-Primitive-Planning). A real IRC5 ran 62
+# lines a second at full speed, and braked from that within
+# 0.1 m, so that it knows 6 of them at least.
+ABB = MotionModel(
+    "ABB IRC5",
+    ramp=0.18,
+    peak=1.35,
+    corner=0.5,
+    settling=0.037,
+    sharing=3.5,
+    depth=0.87,
+    lag=0.0197,
+    ahead_moves=10,
+    move_time=0.016,
+    assumed=("ahead_moves",),
+)
+
+# ASSUMED: of other controllers no recording was found. They move as that one does, and know fewer or more moves ahead.
+ASSUMED = ("ramp", "peak", "corner", "settling", "sharing", "depth", "lag", "ahead_moves", "move_time")
+ASSUMED_ABB = {
+    "krl": replace(ABB, name="KUKA KR C", ahead_moves=3, move_time=0.012, assumed=ASSUMED),
+    "urscript": replace(ABB, name="Universal Robots", move_time=0.008, assumed=ASSUMED),
+    "fanuc": replace(ABB, name="FANUC", assumed=ASSUMED),
+    "inform": replace(ABB, name="Yaskawa", move_time=0.008, assumed=ASSUMED),
+    "val3": replace(ABB, name="Stäubli", move_time=0.008, assumed=ASSUMED),
+    "kawasaki": replace(ABB, name="Kawasaki", move_time=0.008, assumed=ASSUMED),
+}
