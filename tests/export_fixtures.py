@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell.cell import Cell, build_cell
-from planner.export import fanuc, inform, kawasaki, krl, urscript, val3
+from planner.export import fanuc, inform, kawasaki, krl, melfa, urscript, val3
 from planner.export.arcs import segments
 from planner.export.axes.gcode import axes_gcode, file_name
 from planner.export.extruder import gcode
@@ -346,7 +346,9 @@ def golden_texts() -> dict[str, str]:
 def arm_texts() -> dict[str, str]:
     """File name in tests/golden → what controllers are told that move an arm alone."""
     plan = make_plan(beads=1, length=0.010, positioner=False, arm="kr6_r900")
-    return {name: text for language in (fanuc, inform, val3, kawasaki) for name, text in language.write(plan).items()}
+    return {
+        name: text for language in (fanuc, inform, val3, kawasaki, melfa) for name, text in language.write(plan).items()
+    }
 
 
 def axes_texts() -> dict[str, str]:

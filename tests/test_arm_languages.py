@@ -1,4 +1,4 @@
-"""FANUC, INFORM, VAL3 and AS: golden files, readings with nothing of ours, and programs that were tampered with."""
+"""FANUC, INFORM, VAL3, AS and MELFA-BASIC: golden files, readings with nothing of ours, and programs that were tampered with."""
 
 from __future__ import annotations
 
@@ -26,14 +26,15 @@ from planner.export.fanuc import FANUC
 from planner.export.inform import YASKAWA
 from planner.export.kawasaki import KAWASAKI
 from planner.export.languages import LANGUAGES
+from planner.export.melfa import MITSUBISHI
 from planner.export.moves import MoveSection, plan_moves
-from planner.export.parts import cut, in_files, packed
+from planner.export.parts import cut, in_files, numbered, packed
 from planner.export.val3 import STAUBLI
 from planner.plan import Plan
 
 Array = NDArray[np.float64]
 Files = dict[str, str]
-ARMS = ("fanuc", "inform", "val3", "kawasaki")
+ARMS = ("fanuc", "inform", "val3", "kawasaki", "melfa")
 
 
 def module(language: str) -> Any:
@@ -75,7 +76,8 @@ LEVEL: Joints = (
     ((C4, 0, 0), NO, (-1, 0, 0)),
 )
 LEVEL_TOOL = Rotation.from_euler("xyz", [np.pi, -RIGHT, 0.0]).as_matrix()
-# upright at zero: staubli_rx160, and khi_rs007n, whose arm looks along y and whose own base is at the foot
+# upright at zero: staubli_rx160; rv7frl of melfa_description, whose own base is at the foot; and khi_rs007n, likewise, whose
+# arm looks along y
 UPRIGHT: Joints = (
     ((0, 0, C1), NO, (0, 0, 1)),
     ((A1, 0, 0), NO, (0, 1, 0)),
@@ -122,6 +124,7 @@ MAKERS: dict[str, tuple[Convention, Callable[[Array], Array], Array]] = {
     "inform": (YASKAWA, yaskawa_flange, np.array([0, 0, C1])),
     "val3": (STAUBLI, lambda axes: flange(UPRIGHT, axes), np.array([0, 0, C1])),
     "kawasaki": (KAWASAKI, lambda axes: flange(KHI, axes), np.zeros(3)),
+    "melfa": (MITSUBISHI, lambda axes: flange(UPRIGHT, axes), np.zeros(3)),
 }
 
 
@@ -153,6 +156,7 @@ def test_axes_and_frames_are_the_makers(language: str) -> None:
         ("inform", (10, 20, 30, 40, 50, 60), (10, 20, -30, -40, -50, -60)),
         ("val3", (0, 0, 0, 0, 90, 0), (0, 0, 90, 0, 90, 0)),
         ("kawasaki", (0, 0, 0, 0, 90, 0), (0, 0, -90, 0, -90, 0)),
+        ("melfa", (0, 0, 0, 0, 90, 0), (0, 0, 90, 0, 90, 0)),  # where A, B and C are 180, 0 and 180 degrees
     ],
 )
 def test_postures_that_makers_show(language: str, ours: tuple[int, ...], theirs: tuple[int, ...]) -> None:
@@ -211,6 +215,9 @@ def said(language: str, files: Files) -> tuple[list[tuple[float, ...]], list[tup
             numbers(r'j1="[^/]*/>', re.sub(r'j\d="', '"', text).replace('key="', 'j1="')),
         )
         axes = [each[-6:] for each in numbers(r'j1=".*" />', text)]
+    elif language == "melfa":
+        part, (tool,) = np.eye(4), (matrix(v, "xyz") for v in numbers(r"Tool .*", text))
+        poses, axes = numbers(r"P\d+=\(.*\)\(", text), numbers(r"J\d+=.*", text)
     else:
         found = {
             m[1]: matrix(tuple(map(float, m[2].split(","))), "ZYZ")
@@ -221,7 +228,7 @@ def said(language: str, files: Files) -> tuple[list[tuple[float, ...]], list[tup
     return poses, axes, tool, part
 
 
-ORDER = {"fanuc": "xyz", "inform": "xyz", "val3": "XYZ", "kawasaki": "ZYZ"}
+ORDER = {"fanuc": "xyz", "inform": "xyz", "melfa": "xyz", "val3": "XYZ", "kawasaki": "ZYZ"}
 
 
 @pytest.mark.parametrize("language", ARMS)
@@ -229,11 +236,14 @@ def test_targets_are_where_the_plan_has_the_nozzle(language: str) -> None:
     """The maker's axes, tool and part frame alone put each target where the plan's joints have it."""
     plan = arc()
     poses, axes, tool, part = said(language, written(language))
+    if language == "melfa":  # whose positions are in the base frame
+        part = np.eye(4)
     q = plan.trajectory.q
     convention = MAKERS[language][0]
     planned = np.array([np.linalg.inv(part) @ controller(language, row) @ tool for row in convention.counted(q)])
     moves = plan_moves(plan, arcs=language != "inform")
-    middles = moves.circular.sum() if language in ("fanuc", "val3") else 0  # which stand among the positions there
+    # which stand among the positions there, with the beginnings of arcs besides
+    middles = {"fanuc": 1, "val3": 1, "melfa": 2}.get(language, 0) * moves.circular.sum()
     assert len(poses) == moves.linear.sum() + middles and len(axes) == len(moves) + 1 - moves.linear.sum()
     near = 2.0 * plan.problem.program.chord
     for values in poses:
@@ -254,9 +264,9 @@ def test_the_program_repeats_the_plan(language: str, changes: dict[str, object])
     assert differences(language, written(language, **changes), arc(**changes)) == []
 
 
-@pytest.mark.parametrize("language", ["fanuc", "val3", "kawasaki"])
+@pytest.mark.parametrize("language", ["fanuc", "val3", "kawasaki", "melfa"])
 def test_arcs_are_written_unless_they_are_not_wanted(language: str) -> None:
-    word = {"fanuc": r"\d:C P\[", "val3": r"movec\(", "kawasaki": "C1MOVE "}[language]
+    word = {"fanuc": r"\d:C P\[", "val3": r"movec\(", "kawasaki": "C1MOVE ", "melfa": "Mvr "}[language]
     count = plan_moves(arc(), arcs=True).circular.sum()
     assert count > 3 and len(re.findall(word, "".join(written(language).values()))) == count
     spec = SimpleNamespace(**vars(arc().problem))
@@ -275,6 +285,7 @@ def test_rests_in_a_bead_are_kept(language: str) -> None:
         "inform": r"PL=0\n' cut, bead 0\nTIMER T=0.50\n",
         "val3": r"\n  // cut, bead 0\n  waitEndMove\(\)\n  delay\(0.500\)\n",
         "kawasaki": r"  BREAK\n  ; cut, bead 0\n  TWAIT 0.500\n",
+        "melfa": r" Cnt 0\n\d+ ' cut, bead 0\n\d+ Dly 0.500\n",
     }[language]
     name = next(name for name, text in files.items() if re.search(pattern, text))
     assert differences(language, files, plan) == []
@@ -295,12 +306,18 @@ def test_a_longer_program_is_programs_that_are_called(language: str, monkeypatch
     monkeypatch.setattr(module(language), "MOST_MOVES", 12)
     files: Files = module(language).write(arc())
     assert differences(language, files) == []
-    move = {"fanuc": r"\d:[JLC] ", "inform": "MOV[JL]", "val3": "move[jlc]", "kawasaki": "JMOVE|LMOVE|C2MOVE"}[language]
+    move = {
+        "fanuc": r"\d:[JLC] ",
+        "inform": "MOV[JL]",
+        "val3": "move[jlc]",
+        "kawasaki": "JMOVE|LMOVE|C2MOVE",
+        "melfa": r"\d (?:Mov|Mvs|Mvr) ",
+    }[language]
     texts = files.values() if language != "kawasaki" else re.split(r"(?=\.PROGRAM)", next(iter(files.values())))[1:]
     counts = [len(re.findall(move, text)) for text in texts]
     assert max(counts) == 12 and sum(counts) == len(plan_moves(arc(), arcs=language != "inform")) + 1
     last = max(re.findall(r"(?:_|part)(\d)\b", "\n".join([*files, *files.values()])))
-    for gone in ([f"TWOBEADS_{last}.ls"], [f"TWOBEADS_{last}.JBI"], [f"part{last}.pgx"]):
+    for gone in ([f"TWOBEADS_{last}.ls"], [f"TWOBEADS_{last}.JBI"], [f"part{last}.pgx"], [f"TWOBEADS_{last}.prg"]):
         if set(gone) <= set(files):
             with pytest.raises(InputError):
                 differences(language, {name: text for name, text in files.items() if name not in gone})
@@ -335,6 +352,8 @@ def test_what_cannot_be_said(language: str) -> None:
     assert reason(moved.cell) == "it moves the arm alone, and here ABB IRBP A250 moves the part"
     with pytest.raises(ValueError, match="moves the part"):
         module(language).write(moved)
+    if language == "melfa":  # whose outputs count from 0, and are as many as the cell has
+        return
     wanted = 40 if language == "val3" else 0
     spec = SimpleNamespace(**vars(arc().problem))
     spec.program = arc().problem.program.model_copy(update={"extruder_output": wanted})
@@ -416,6 +435,23 @@ TAMPERED: dict[str, list[Tampering]] = {
         (".dtx", r'type="num" size="4">\n.*value="0"', to('value="0"', 'value="1"'), 0, "there is no output"),
         ("part1.pgx", r"nAt\[(\d)\]=(move.*)\n(.*)(move.*)", lambda m: f"{m[2]}\n  nAt[{m[1]}]={m[4]}", 0, "event"),
     ],
+    "melfa": [
+        ("_1.prg", r"P1=.*", more(2.0), 0, ""),
+        ("_1.prg", r"P2=.*", more(DEGREE, 4), 0, "does not begin"),
+        ("_1.prg", r"J5=.*", more(0.01, 3), 0, "axes differ"),
+        ("_1.prg", r"P1=.*\)\(\d", lambda m: m[0][:-1] + str(int(m[0][-1]) ^ 1), 0, "flags"),
+        ("_1.prg", r"P1=.*,0\)", lambda m: m[0][:-2] + "16)", 0, "flags"),
+        ("S.prg", r"Tool .*", more(0.1), 0, "frames"),
+        ("_1.prg", r"Spd .*", more(5.0), 0, "speeds of lines"),
+        ("_1.prg", r"JOvrd \d+", lambda m: "JOvrd 99", 0, "speeds of axes"),
+        ("_1.prg", r"Cnt 1,.*", lambda m: "Cnt 1,9.00,9.00", 3, "blends"),
+        ("_1.prg", r"Cnt 1,.*", lambda m: "Cnt 0", 9, "stops"),
+        ("_1.prg", r"Wth M_Out\(1\)=1", to("=1", "=0"), 0, "path"),
+        ("_1.prg", r"Wth M_Out\(1\)=1", to("(1)", "(2)"), 0, "output"),
+        ("_1.prg", r" Wth M_Out\(1\)=0", gone, 0, "path"),
+        ("S.prg", r"M_Out\(1\)=0", to("(1)", "(2)"), 0, "outputs"),
+        ("_1.prg", r"Mvr (P\d+),(P\d+),(P\d+)", lambda m: f"Mvr {m[1]},{m[3]},{m[2]}", 1, ""),
+    ],
     "kawasaki": [
         (".as", r"C2MOVE .*", more(MM), 2, "path"),
         (".as", r"C1MOVE .*", more(0.5), 2, "path"),
@@ -493,6 +529,16 @@ def test_a_program_that_says_something_else_is_found(
         ("val3", ".dtx", 'size="1"', 'size="2"', "has not the size"),
         ("val3", ".dtx", 'shoulder="ssame"', 'shoulder="lefty"', "unknown statement"),
         ("val3", ".dtx", 'name="nAt"', 'name="nAr"', "data are missing"),
+        ("melfa", "_1.prg", "Mvs P", "Mva P", "unknown statement"),
+        ("melfa", "_1.prg", "\n5 ", "\n6 ", "number in order"),
+        ("melfa", "_1.prg", " End\n", " Cnt 0\n", "without its number"),
+        ("melfa", "_1.prg", "Mvs P1", "Mvs P999", "there is no position P999"),
+        ("melfa", "_1.prg", "\nP2=(", "\nP1=(", "twice"),
+        ("melfa", "_1.prg", "\nP2=(", "\nP2=(nan", "unknown position"),
+        ("melfa", "_1.prg", "Mvr P2,", "Mvr P3,", "does not begin where"),
+        ("melfa", "S.prg", "Ovrd 100", "Ovrd 10", "unknown statement"),
+        ("melfa", "S.prg", "Base P_NBase", "Ovrd 100", "base and override"),
+        ("melfa", "S.prg", "TWOBEADS_1", "TWOBEADS_2", "is no program"),
         ("kawasaki", ".as", "LMOVE TRANS", "XMOVE TRANS", "unknown statement"),
         ("kawasaki", ".as", "  CP ON\n", "", "switches are not set"),
         ("kawasaki", ".as", "  BASE NULL\n", "", "not set and reset"),
@@ -525,10 +571,10 @@ def test_any_file_that_lacks_a_line_or_has_one_twice_is_found(language: str, dat
         found = differences(language, files | {name: changed})
     except InputError:
         return
-    bare = re.sub(r"^ *\d+:", "", lines[k]).strip()
+    bare = re.sub(r"^ *\d+:|^\d+ (?=[A-Z'])", "", lines[k]).strip()
     harmless = bare.startswith(("!", "'", "//", ";", "<!--")) or re.match(r"[A-Z_]+\t+= ", bare)
     repeated = twice and re.match(
-        r"SPEED|ACCURACY|PR\[9|U[A-Z]+(\[9\]=|_NUM)|///|waitEnd|SIGNAL|DOUT|DO\[|dOut|nAt", bare
+        r"SPEED|ACCURACY|BASE NULL|Spd|JOvrd|Cnt|PR\[9|U[A-Z]+(\[9\]=|_NUM)|///|waitEnd|SIGNAL|DOUT|DO\[|dOut|nAt", bare
     )
     # the same speed may stand in what is called
     spared = not twice and re.match(r"SPEED \d+ |///TOOL|PR\[9", bare)
@@ -555,6 +601,12 @@ def test_sections_are_cut_to_size(lengths: list[int], most: int) -> None:
     assert [i for piece in pieces for i in piece.moves] == list(range(ends[-1]))
     assert all(len(piece.moves) <= most for piece in pieces)
     assert all(sum(len(piece.moves) for piece in group) <= most for group in in_files(whole, most))
+
+
+def test_parts_of_a_resumed_print_keep_their_place_in_the_name() -> None:
+    assert numbered("TwoBeads", 3, 24) == "TwoBeads_3"
+    assert numbered("AVeryLongNameOfAPrFrom12", 3, 24) == "AVeryLongNameOfAFrom12_3"
+    assert numbered("TWOBEADFROM1", 12, 12) == "TWOBFROM1_12"
 
 
 def test_speeds_in_steps_never_let_a_bead_run_late() -> None:

@@ -11,7 +11,19 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 # Of sources, pictures, references, servers and clusters.
 OF_SOME = {"trimesh", "shapely", "svgelements", "pyvrp", "OCP", "PIL", "matplotlib", "casadi", "osqp", "tornado"}
-LANGUAGES = ("axes", "extruder", "fanuc", "inform", "joint_trajectory", "kawasaki", "krl", "rapid", "urscript", "val3")
+LANGUAGES = (
+    "axes",
+    "extruder",
+    "fanuc",
+    "inform",
+    "joint_trajectory",
+    "kawasaki",
+    "krl",
+    "melfa",
+    "rapid",
+    "urscript",
+    "val3",
+)
 
 
 def modules_after(code: str) -> set[str]:

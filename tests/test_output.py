@@ -36,7 +36,7 @@ MADE: dict[str, tuple[str, Callable[[], Plan]]] = {
     "krl": ("krl", lambda: short(arm="kr6_r900")),
     **{
         name: (name, lambda: short(positioner=False, arm="kr6_r900"))
-        for name in ("fanuc", "inform", "val3", "kawasaki")
+        for name in ("fanuc", "inform", "val3", "kawasaki", "melfa")
     },
     "joint_trajectory": ("joint_trajectory", lambda: short(positioner=False)),
     "reprap": ("axes", lambda: for_machine("reprap")),
@@ -49,7 +49,9 @@ def test_no_program_of_an_earlier_plan_stays(kind: str, tmp_path: Path) -> None:
     """A program that is there beside a plan that was not verified would be taken for that plan's."""
     language, made = MADE[kind]
     written = LANGUAGES[language].write(replace(made(), versions=versions()))
-    assert len(written) >= {"modules": 4, "socket": 3, "krl": 2, "val3": 6, "joint_trajectory": 2}.get(kind, 1)
+    assert len(written) >= {"modules": 4, "socket": 3, "krl": 2, "val3": 6, "melfa": 2, "joint_trajectory": 2}.get(
+        kind, 1
+    )
     for name, text in written.items():
         (tmp_path / name).write_text(text, encoding="utf-8")
     with results_folder(tmp_path) as fresh:
@@ -68,6 +70,7 @@ def test_programs_of_others_stay(tmp_path: Path) -> None:
         "pick.ls": "/PROG  PICK\n/END\n",
         "PICK.JBI": "/JOB\n//NAME PICK\n",
         "start.pgx": "<Programs />\n",
+        "PICK.prg": "1 Mov J1\n2 End\n",
         "pick.as": ".PROGRAM pick()\n.END\n",
         "pick_joint_trajectory.json": "{}\n",
         "pick_extruder.json": '{"nozzle": 0.4}\n',

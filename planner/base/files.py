@@ -31,6 +31,7 @@ MARKS = {
     ".dtx": "<!-- beadwise: ",
     ".pgx": "<!-- beadwise: ",
     ".as": "; beadwise",
+    ".prg": "' beadwise",
 }
 HEADER = 8  # lines in which the mark stands
 BEHIND = {".JBI": 100_000}  # likewise, of files whose positions come before it

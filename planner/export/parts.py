@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TypeVar
 
@@ -41,9 +42,11 @@ def in_files(sections: Iterable[MoveSection], most: int) -> list[list[MoveSectio
 
 
 def numbered(name: str, k: int, longest: int, separator: str = "_") -> str:
-    """Name of the k-th part of a program, at most `longest` characters."""
-    ending = f"{separator}{k}"
-    return name[: longest - len(ending)] + ending
+    """Name of the k-th part of a program, at most `longest` characters; where a print resumes stays in it."""
+    resumed = re.search(r"(?i)from\d+$", name)
+    tail = (resumed[0] if resumed else "") + f"{separator}{k}"
+    whole = name[: resumed.start()] if resumed else name
+    return whole[: longest - len(tail)] + tail
 
 
 def part_about(lines: Sequence[str], k: int, parts: int) -> list[str]:

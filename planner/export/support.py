@@ -107,6 +107,11 @@ def unsupported_in_kawasaki(setup: Setup) -> str | None:
     return _arm_alone(setup, 1, None)
 
 
+def unsupported_in_melfa(setup: Setup) -> str | None:
+    """Why MELFA-BASIC does not support a cell; None if it does."""
+    return _arm_alone(setup, 0, None)
+
+
 def _arm_alone(setup: Setup, first: int, count: int | None) -> str | None:
     """Why a language does not support a cell that moves a six-axis arm with a spherical wrist, and nothing else.
 

@@ -44,7 +44,9 @@ QPName = Literal["interior_point", "osqp"]
 QP_NAMES: tuple[str, ...] = get_args(QPName)
 TimingName = Literal["jerk_limited", "toppra"]
 TIMING_NAMES: tuple[str, ...] = get_args(TimingName)
-LanguageName = Literal["rapid", "urscript", "krl", "fanuc", "inform", "val3", "kawasaki", "joint_trajectory", "axes"]
+LanguageName = Literal[
+    "rapid", "urscript", "krl", "fanuc", "inform", "val3", "kawasaki", "melfa", "joint_trajectory", "axes"
+]
 LANGUAGE_NAMES: tuple[str, ...] = get_args(LanguageName)
 USUAL_LANGUAGE: LanguageName = "joint_trajectory"  # of arms whose file names none
 Identifier = Annotated[str, IDENTIFIER]
