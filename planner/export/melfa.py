@@ -290,7 +290,7 @@ def read_melfa(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmProg
         bodies[name], places[name] = _program(text, name)
     if main not in bodies:
         raise InputError(f"there is no program {main}", file=GRAMMAR.file)
-    run = _Run(np.linalg.inv(MITSUBISHI.part(plan.cell)))
+    run = _Run(np.asarray(np.linalg.inv(MITSUBISHI.part(plan.cell)), dtype=np.float64))
     for statement in inlined(bodies, main, "program"):
         run.take(statement, places[statement.file])
     run.near = 0.0
