@@ -20,6 +20,7 @@ from planner.export.arms import (
     Step,
     Steps,
     arm_differences,
+    arm_program,
     forward_of,
     matrix_of,
     percent,
@@ -33,7 +34,7 @@ from planner.export.fit import from_matrix, to_matrix
 from planner.export.grammar import Grammar, Statement, inlined
 from planner.export.moves import Moves, MoveSection, move_radii, plan_moves, sections
 from planner.export.parts import in_files, numbered, part_about
-from planner.export.program import about
+from planner.export.program import RobotProgram, about
 from planner.export.rapid.text import module_name
 from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_melfa
 from planner.export.text import ascii_comment, number, require_writable
@@ -410,6 +411,12 @@ def _program(text: str, name: str) -> tuple[list[Statement], Places]:
 
 # ----------------------------------------------------------------------------------------------------
 # Check of what was read against the plan.
+
+
+def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
+    """The program of the files, with what they leave open as the plan has it. InputError for an unknown line."""
+    read, _ = read_melfa({file.removesuffix(".prg"): text for file, text in files.items()}, melfa_name(plan.name), plan)
+    return arm_program(plan, plan_moves(plan, arcs=True), read, MITSUBISHI, np.radians(0.51 * 10.0**-DEGREES))
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:

@@ -65,4 +65,5 @@ ASSUMED_ABB = {
     "inform": replace(ABB, name="Yaskawa", move_time=0.008, assumed=ASSUMED),
     "val3": replace(ABB, name="Stäubli", move_time=0.008, assumed=ASSUMED),
     "kawasaki": replace(ABB, name="Kawasaki", move_time=0.008, assumed=ASSUMED),
+    "melfa": replace(ABB, name="Mitsubishi", assumed=ASSUMED),
 }
