@@ -49,7 +49,7 @@ class Written:
 
 @dataclass(frozen=True)
 class Planned:
-    """What the plan says: time of the whole [s], filament [mm], length that is laid [mm]."""
+    """What the plan says: time of the whole [s], filament [mm], way of the tip while filament is pushed [mm]."""
 
     time: float
     filament: float
@@ -60,7 +60,7 @@ class Planned:
         """That of a plan."""
         t = plan.trajectory
         step = np.linalg.norm(np.diff(t.tip, axis=0), axis=1)
-        laid = float(step[np.diff(t.extruded) > 0.0].sum())
+        laid = float(step[np.diff(t.feed) > 0.0].sum())
         return cls(float(t.t[-1] - t.t[0]), 1e3 * float(t.feed[-1] - t.feed[0]), 1e3 * laid)
 
 
