@@ -6,9 +6,10 @@ BIN := .venv/bin
 READY := .venv/.ready
 DOCS := .venv-docs
 PEERS := .venv-peers
+THIRD := .venv-third-party
 FLOORS := .venv-floors
 
-.PHONY: solve test test-all test-floors lint format docs docs-serve peers requirements clean
+.PHONY: solve test test-all test-floors lint format docs docs-serve peers third-party requirements clean
 
 solve: $(READY)
 	$(BIN)/python -m planner.solve $(PROBLEM)
@@ -45,12 +46,16 @@ docs-serve: $(DOCS)/.ready
 peers: $(READY) $(PEERS)/.ready
 	$(BIN)/python -m benchmarks.peers --python $(PEERS)/bin/python
 
+# Written programs through parsers and interpreters of other people; docs/third_party.md names Debian's packages.
+third-party: $(READY) $(THIRD)/.ready
+	$(BIN)/python -m benchmarks.third_party --python $(THIRD)/bin/python
+
 # Writes requirements.txt anew from what is installed; for whoever changes a version in pyproject.toml.
 requirements: $(READY)
 	$(BIN)/pip freeze --exclude-editable > requirements.txt
 
 clean:
-	rm -rf .venv $(DOCS) $(PEERS) $(FLOORS) out site
+	rm -rf .venv $(DOCS) $(PEERS) $(THIRD) $(FLOORS) out site
 
 $(READY): requirements.txt pyproject.toml
 	$(PYTHON) -m venv .venv
@@ -66,6 +71,11 @@ $(DOCS)/.ready: requirements-docs.txt
 $(PEERS)/.ready: requirements-peers.txt
 	$(PYTHON) -m venv $(PEERS)
 	$(PEERS)/bin/pip install --quiet --disable-pip-version-check --requirement requirements-peers.txt
+	touch $@
+
+$(THIRD)/.ready: requirements-third-party.txt
+	$(PYTHON) -m venv $(THIRD)
+	$(THIRD)/bin/pip install --quiet --disable-pip-version-check --requirement requirements-third-party.txt
 	touch $@
 
 $(FLOORS)/.ready: pyproject.toml
