@@ -125,24 +125,24 @@ def test_ladder_keeps_at_least_the_singularity_margin_of_fixed(logo: str) -> Non
 
 
 def test_rapid_program_replays_the_plan(logo: str) -> None:
-    """Read back and run through: the same beads on the same path, both ways, within 0.05 mm."""
+    """Read back and run through: the same beads on the same path, both ways, within 0.1 mm, their ends within 0.05 mm."""
     plan = solved(logo, "ladder")
     program = read_rapid(rapid(plan))
     agreement = compare(plan, program)
-    assert agreement.path <= 0.05e-3
+    widest = plan.problem.program.widening * plan.problem.program.chord
+    assert agreement.path <= widest == 0.1e-3
     assert agreement.conf == 0
     assert agreement.differences() == []
 
-    beads = executed_beads(program)
+    beads = executed_beads(program, step=0.02e-3)
     assert len(beads) == len(plan.toolpath.beads)
     trajectory = plan.trajectory
     for i, (position, *_) in enumerate(beads):
         planned = dense(trajectory.tip[trajectory.bead == i])
-        written = dense(position)
-        assert cKDTree(planned).query(written)[0].max() <= 0.05e-3
-        assert cKDTree(written).query(planned)[0].max() <= 0.05e-3
+        assert cKDTree(planned).query(position)[0].max() <= widest + 0.01e-3
+        assert cKDTree(position).query(planned)[0].max() <= widest + 0.01e-3
         for end in (0, -1):
-            assert np.linalg.norm(planned[end] - written[end]) <= 0.05e-3
+            assert np.linalg.norm(planned[end] - position[end]) <= 0.05e-3
 
 
 def dense(points: Array) -> Array:

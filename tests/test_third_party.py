@@ -48,7 +48,15 @@ def test_ros_tells_the_time_of_the_last_point():
 
 def test_programs_are_written_in_all_languages_that_can_say_them(tmp_path):
     found = {each.language: each for each in written(small_plan(), tmp_path)}
-    assert {"rapid", "krl", "joint_trajectory", "axes linuxcnc", "axes reprap", "extruder"} <= set(found)
+    assert {
+        "rapid",
+        "krl",
+        "joint_trajectory",
+        "axes linuxcnc",
+        "axes reprap",
+        "extruder reprap",
+        "extruder klipper",
+    } <= set(found)
     assert all(each.files or each.reason for each in found.values())
     assert [file.suffix for file in found["axes linuxcnc"].files] == [".ngc"]
     assert not found["fanuc"].files and "moves the arm alone" in found["fanuc"].reason

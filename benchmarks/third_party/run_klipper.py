@@ -52,7 +52,7 @@ FIRST_COMMAND, FIRST_ANSWER = 10, 60  # numbers of the messages, any that differ
 PROCESSOR = {"CLOCK_FREQ": 50_000_000, "MCU": "board", "ADC_MAX": 4095, "STATS_SUMSQ_BASE": 256}
 PRINTER = """\
 [mcu]
-serial: /dev/null
+serial: board.serial
 [printer]
 kinematics: none
 max_velocity: 300

@@ -90,7 +90,8 @@ def _linuxcnc(python: Path, files: tuple[Path, ...]) -> list[str]:
     return [str(python), str(HERE / "run_linuxcnc.py"), str(files[0]), "W"]
 
 
-GCODE = ("axes linuxcnc", "axes reprap", "extruder")
+# Waits and loops of RepRapFirmware (M577, while) and the words of Klipper are in no grammar that was found.
+GCODE = ("axes linuxcnc", "axes reprap", "extruder marlin")
 TOOLS = (
     Tool("rapidchecker", ("rapid",), (".mod",), _parser("rapidchecker")),
     Tool("krllint", ("krl",), (".src", ".dat"), _parser("krllint")),
@@ -98,7 +99,7 @@ TOOLS = (
     Tool("libxml2 (lxml)", ("rapid",), (".pgf",), _parser("lxml")),
     Tool("rosbags", ("joint_trajectory",), ("_joint_trajectory.json",), _parser("rosbags")),
     Tool("tree-sitter-gcode", GCODE, (".ngc", ".gcode"), _parser("tree_sitter_gcode")),
-    Tool("pygcode", ("axes reprap", "extruder"), (".gcode",), _parser("pygcode")),
+    Tool("pygcode", ("axes reprap", "extruder marlin"), (".gcode",), _parser("pygcode")),
     Tool("LinuxCNC", ("axes linuxcnc",), (".ngc",), _linuxcnc, "linuxcnc-uspace"),
-    Tool("Klipper", ("extruder",), (".gcode",), _klipper),
+    Tool("Klipper", ("extruder klipper",), (".gcode",), _klipper),
 )

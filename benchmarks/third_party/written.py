@@ -10,7 +10,7 @@ import numpy as np
 
 from planner.export.languages import LANGUAGES
 from planner.plan import Plan
-from planner.problem.settings import MachineSpec, RotarySpec
+from planner.problem.settings import BoardSpec, MachineSpec, RotarySpec
 
 # Machines for the G-code of several axes: a head that turns twice and follows the tip, and a trunnion.
 FORK = MachineSpec(
@@ -28,13 +28,15 @@ TRUNNION = MachineSpec(
     rotary=(RotarySpec(letter="A", direction=(1, 0, 0)), RotarySpec(letter="C", direction=(0, 0, 1))),
 )
 MACHINES = (FORK, TRUNNION)
+# The extruder's boards; Klipper's cannot wait for the robot.
+BOARDS = (BoardSpec(), BoardSpec(firmware="marlin"), BoardSpec(firmware="klipper", sync="free"))
 
 
 @dataclass(frozen=True)
 class Written:
     """Files of one language.
 
-    language  key of LANGUAGES; `axes` with its flavour behind a space
+    language  key of LANGUAGES; `axes` with its flavour behind a space, `extruder` with its board's firmware
     files     none where the language cannot say the plan; `reason` says why
     """
 
@@ -67,11 +69,19 @@ class Planned:
 def written(plan: Plan, folder: Path) -> Iterator[Written]:
     """Write a plan in all languages and for all machines."""
     for name in LANGUAGES:
-        for machine in MACHINES if name == "axes" else (None,):
-            program = plan.problem.program.model_copy(update={"machine": machine})
+        for label, changes in _variants(name):
+            program = plan.problem.program.model_copy(update={"machine": None, **changes})
             problem = plan.problem.model_copy(update={"program": program})
-            label = name if machine is None else f"{name} {machine.flavour}"
             yield _one(name, label, replace(plan, problem=problem), folder / label.replace(" ", "_"))
+
+
+def _variants(name: str) -> list[tuple[str, dict[str, object]]]:
+    """What a language is called in the table, and the settings of the program, for each kind that it has."""
+    if name == "axes":
+        return [(f"axes {machine.flavour}", {"machine": machine}) for machine in MACHINES]
+    if name == "extruder":
+        return [(f"extruder {board.firmware}", {"board": board}) for board in BOARDS]
+    return [(name, {})]
 
 
 def _one(name: str, label: str, plan: Plan, folder: Path) -> Written:
