@@ -10,22 +10,26 @@ import numpy as np
 
 from planner.export.languages import LANGUAGES
 from planner.plan import Plan
-from planner.problem.settings import BoardSpec, MachineSpec, RotarySpec
+from planner.problem.settings import BoardSpec, MachineSpec
 
 # Machines for the G-code of several axes: a head that turns twice and follows the tip, and a trunnion.
-FORK = MachineSpec(
-    flavour="linuxcnc",
-    type="head_head",
-    tcp=True,
-    rotary=(
-        RotarySpec(letter="C", direction=(0, 0, 1), centre_mm=(0, 0, 200)),
-        RotarySpec(letter="B", direction=(0, 1, 0), centre_mm=(0, 0, 150)),
-    ),
+FORK = MachineSpec.model_validate(
+    {
+        "flavour": "linuxcnc",
+        "type": "head_head",
+        "tcp": True,
+        "rotary": [
+            {"letter": "C", "direction": [0, 0, 1], "centre_mm": [0, 0, 200]},
+            {"letter": "B", "direction": [0, 1, 0], "centre_mm": [0, 0, 150]},
+        ],
+    }
 )
-TRUNNION = MachineSpec(
-    flavour="reprap",
-    type="table_table",
-    rotary=(RotarySpec(letter="A", direction=(1, 0, 0)), RotarySpec(letter="C", direction=(0, 0, 1))),
+TRUNNION = MachineSpec.model_validate(
+    {
+        "flavour": "reprap",
+        "type": "table_table",
+        "rotary": [{"letter": "A", "direction": [1, 0, 0]}, {"letter": "C", "direction": [0, 0, 1]}],
+    }
 )
 MACHINES = (FORK, TRUNNION)
 # The extruder's boards; Klipper's cannot wait for the robot.
