@@ -18,17 +18,17 @@ FORK = MachineSpec.model_validate(
         "flavour": "linuxcnc",
         "type": "head_head",
         "tcp": True,
-        "rotary": [
-            {"letter": "C", "direction": [0, 0, 1], "centre_mm": [0, 0, 200]},
-            {"letter": "B", "direction": [0, 1, 0], "centre_mm": [0, 0, 150]},
-        ],
+        "rotary": (
+            {"letter": "C", "direction": (0, 0, 1), "centre_mm": (0, 0, 200)},
+            {"letter": "B", "direction": (0, 1, 0), "centre_mm": (0, 0, 150)},
+        ),
     }
 )
 TRUNNION = MachineSpec.model_validate(
     {
         "flavour": "reprap",
         "type": "table_table",
-        "rotary": [{"letter": "A", "direction": [1, 0, 0]}, {"letter": "C", "direction": [0, 0, 1]}],
+        "rotary": ({"letter": "A", "direction": (1, 0, 0)}, {"letter": "C", "direction": (0, 0, 1)}),
     }
 )
 MACHINES = (FORK, TRUNNION)
