@@ -250,8 +250,8 @@ def turned_at(share: Array, reach: Array, is_target: Flags, model: MotionModel) 
         out: Array = 2.0 * reach * np.where(is_target, model.corner, 1.0) * share
         return out
     a = np.where(is_target, model.corner, 1.0) * share
-    linear = 0.5 * a * np.where(is_target, model.settling, 0.0)
-    with np.errstate(invalid="ignore", over="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):  # where joints do not turn at all, a is infinite
+        linear = 0.5 * a * np.where(is_target, model.settling, 0.0)
         square = (linear + np.sqrt(linear**2 + 2.0 * reach * a)) ** 2
     return np.where(np.isfinite(a), square, np.inf)
 
