@@ -42,7 +42,7 @@ from planner.simulate.start import Simulated, start
 
 PASSWORD = "simulated"
 MODULE = "Faults"
-LINES = ("M83", *(f"G1 E0.{k} F600" for k in range(100, 118)), "M104 S0")
+LINES = ("M83", "T0", *(f"G1 E0.{k} F600" for k in range(100, 118)), "M104 S0")
 PACE = 0.7  # the robot moves for 3 s
 REQUESTS = 16  # of a run without faults, from the first question to the last look
 COMMANDS = 9  # of FTP
