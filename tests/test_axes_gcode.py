@@ -545,7 +545,7 @@ def test_damage_is_an_input_error_or_read_as_it_stands(data: st.DataObject) -> N
     text = (GOLDEN / "two_beads.gcode").read_text(encoding="utf-8")
     for _ in range(data.draw(st.integers(1, 3))):
         at = data.draw(st.integers(0, len(text) - 1))
-        text = text[:at] + data.draw(st.text("GMXYZACEFP0123456789.-; \n\0é", max_size=3)) + text[at + 1 :]
+        text = text[:at] + data.draw(st.text("GMXYZACEFPIJ0123456789.-; \n\0é", max_size=3)) + text[at + 1 :]
     try:
         program = read_axes(text, spec("trunnion"), ("X", "Y", "Z", "A", "C"))
     except InputError as error:

@@ -77,6 +77,19 @@ class Canon:
         self.filament += pushed
         self.path += xyz if pushed > 0.0 else 0.0
 
+    def arc_feed(self, *told):
+        end_x, end_y, centre_x, centre_y, turns, end_z, *others = told
+        end = [end_x, end_y, end_z, *others]
+        a = math.atan2(self.at[1] - centre_y, self.at[0] - centre_x)
+        b = math.atan2(end_y - centre_y, end_x - centre_x)
+        swept = (b - a) % math.tau if turns > 0 else (a - b) % math.tau
+        length = math.hypot(end_x - centre_x, end_y - centre_y) * swept * MM
+        pushed = (end[self.filament_axis] - self.at[self.filament_axis]) * MM
+        self.at = end
+        self.time += 60.0 * length / self.rate
+        self.filament += pushed
+        self.path += length if pushed > 0.0 else 0.0
+
     def __getattr__(self, name):
         if name.startswith("__"):
             raise AttributeError(name)

@@ -6,6 +6,10 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from planner.problem.settings import MachineSpec
 
 #
 # LinuxCNC knows no heaters and fans. Its M100 to M199 run programs of the user's with two numbers, P and Q, so the
@@ -78,3 +82,11 @@ def feed_length(flavour: str, moved: Mapping[str, float]) -> float:
     groups = ("XYZ", "UVW", "ABC") if flavour == "linuxcnc" else ("XYZ", "ABCUVW", "E")
     lengths = (math.hypot(*(moved.get(letter, 0.0) for letter in group)) for group in groups)
     return next((length for length in lengths if length > 0.0), 0.0)
+
+
+def arcs_said(spec: MachineSpec) -> bool:
+    """Whether arcs can be told with their time.
+
+    RepRapFirmware cuts them into lines itself; what it makes of a whole arc's inverse time is not documented.
+    """
+    return spec.flavour == "linuxcnc" or spec.feed == "per_minute"

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
-from planner.export.axes.flavours import FLAVOURS, Flavour, feed_length
+from planner.export.arcs import Segments, segments
+from planner.export.axes.arcs import centre_and_swept, via_point, with_arcs
+from planner.export.axes.flavours import FLAVOURS, Flavour, arcs_said, feed_length
 from planner.export.axes.machine import FiveAxes, Followed, Machine, PoseMachine, above, follow, machine_of, spec_of
 from planner.export.board import select
 from planner.export.extruder import Order, order_differences, orders
@@ -35,8 +37,10 @@ STILL = 1e-7  # m, rad by which nothing moves
 BOARD = "reprap"  # firmware whose orders the flavours translate
 
 
-def kept(plan: Plan, motion: Followed, due: Array) -> Indices:
-    """Samples of the motion that become targets, the first and the last among them.
+def kept(plan: Plan, motion: Followed, due: Array) -> tuple[Indices, Array]:
+    """Samples of the motion that become targets (m), the first and the last among them; points on the way of arcs.
+
+    The points (m, 3) are X Y Z [m] of the move that ends at each target, NaN where it is a line.
 
     due: times [s] at which orders to the board stand between moves.
     """
@@ -56,7 +60,12 @@ def kept(plan: Plan, motion: Followed, due: Array) -> Indices:
         if event.amount:
             ends = np.array([event.start, event.start + event.duration]) - plan.trajectory.t[0]
             must[np.minimum(np.searchsorted(motion.t, ends - ON_TIME), n - 1)] = True
-    return thin(np.flatnonzero(must), by_samples(_Misfit(plan, motion)))
+    targets = thin(np.flatnonzero(must), by_samples(_Misfit(plan, motion)))
+    program = plan.problem.program
+    if not (program.arcs and arcs_said(spec_of(plan))):
+        return targets, np.full((len(targets), 3), np.nan)
+    tolerance = (program.chord - ROUNDING, FILAMENT_TOLERANCE, TIME_TOLERANCE)
+    return with_arcs(motion, targets, np.flatnonzero(must), tolerance)
 
 
 class _Misfit:
@@ -103,9 +112,9 @@ def axes_gcode(plan: Plan) -> str:
     flavour = FLAVOURS[spec.flavour]
     motion = follow(plan)
     waiting = orders(plan, BOARD)
-    at = kept(plan, motion, np.array([order.start for order in waiting]))
+    at, via = kept(plan, motion, np.array([order.start for order in waiting]))
     lines = [*_header(plan, motion, len(at)), *_start_lines(plan, spec, flavour, motion)]
-    lines += _lines(plan, spec, flavour, motion, at, list(waiting))
+    lines += _lines(plan, motion, at, via, list(waiting))
     lines += ["G94"] if spec.feed == "inverse_time" else []
     lines += [spec.tcp_off] if spec.tcp else []
     return "\n".join([*lines, *flavour.end]) + "\n"
@@ -193,10 +202,10 @@ def _rows(motion: Followed, at: NDArray[np.intp]) -> Array:
     return np.round(np.column_stack([motion.straight[at] * 1e3, turning]), DECIMALS) + 0.0
 
 
-def _lines(
-    plan: Plan, spec: MachineSpec, flavour: Flavour, motion: Followed, at: NDArray[np.intp], waiting: list[Order]
-) -> list[str]:
+def _lines(plan: Plan, motion: Followed, at: NDArray[np.intp], via: Array, waiting: list[Order]) -> list[str]:
     """Moves and pauses to all targets, and the orders between them."""
+    spec = spec_of(plan)
+    flavour = FLAVOURS[spec.flavour]
     names, rows = letters_of(plan, motion), _rows(motion, at)
     fed = np.round(motion.feed[at] * 1e3, FILAMENT_DECIMALS)
     bead, layer, laid = (values[motion.sample] for values in (plan.trajectory.bead, plan.trajectory.layer, motion.laid))
@@ -227,10 +236,15 @@ def _lines(
             continue
         lasts = max(lasts, SHORTEST)
         moved = dict(zip(names, (b - a).tolist(), strict=True)) | {spec.filament: filament}
-        length = feed_length(spec.flavour, moved)
+        length, code = feed_length(spec.flavour, moved), "G1"
+        if not np.isnan(via[i, 0]):
+            centre, swept = centre_and_swept(a, via[i] * 1e3, b)
+            offset = np.round(centre - a[:2], DECIMALS) + 0.0
+            length, code = float(np.hypot(*offset)) * abs(swept), "G3" if swept > 0.0 else "G2"
+            words += [f"{letter}{number(v, DECIMALS)}" for letter, v in zip("IJ", offset.tolist(), strict=True)]
         rate = round(FAST / lasts if spec.feed == "inverse_time" else FAST * length / lasts, 4)
         rate = max(rate, 1e-4)
-        lines.append(f"G1 {' '.join(words)} F{rate:.4f}")
+        lines.append(f"{code} {' '.join(words)} F{rate:.4f}")
         now += FAST / rate if spec.feed == "inverse_time" else FAST * length / rate
     for order in waiting:
         lines += _order(flavour, order)[0]
@@ -261,7 +275,7 @@ GRAMMAR = Grammar.of(
     "G-code",
     ";",
     {
-        "move": r"G([01])((?: [A-Z]-?\d{1,7}\.\d{4,5})+)",
+        "move": r"G([0-3])((?: [A-Z]-?\d{1,7}\.\d{4,5})+)",
         "pause": r"G4 P(\d{1,8}(?:\.\d{3})?)",
         "order": r"M(?:42|104|106|107|109|116|140|190|280)(?: [A-Z]-?\d{1,6}(?:\.\d{1,4})?)*|T\d{1,2}(?: M6)?",
         "blend": r"G64 P\d\.\d{4}",
@@ -278,6 +292,7 @@ class AxesProgram:
     straight, turning   (m, 3), (m, k + e) X Y Z and all others but the filament's, in the order of the letters
     filament            (m)  pushed so far [m]
     time                (m)  since the first place [s]; two places are the same where the machine pauses
+    via                 (m, 3) X Y Z on the way of the arc that ends at each place, NaN for lines
     orders              (time, line) of all that is no motion
     """
 
@@ -285,6 +300,7 @@ class AxesProgram:
     turning: Array
     filament: Array
     time: Array
+    via: Array
     orders: tuple[tuple[float, str], ...]
 
 
@@ -308,32 +324,62 @@ def read_axes(text: str, spec: MachineSpec, letters: Sequence[str], tool: int | 
         raise InputError(f"it does not end with {', '.join(end)}", file=GRAMMAR.file, line=len(lines))
     places, filament, time = [list(place.values())], [0.0], [0.0]
     ordered: list[tuple[float, str]] = []
+    vias = [[np.nan] * 3]
     now, pushed = 0.0, 0.0
     for statement in GRAMMAR.statements(lines[start + 1 : -len(end)], start + 2):
         if statement.word == "order":
             ordered.append((now, statement.text))
             continue
+        via = [np.nan] * 3
         if statement.word == "pause":
             now += float(statement.parts[0]) * flavour.unit
         else:
-            words = _words(statement, "1")
+            words = _words(statement, "123")
+            centre = [words.pop(letter, None) for letter in "IJ"] if statement.parts[0] != "1" else None
             rate = words.pop("F", 0.0)
             own = words.pop(spec.filament, None)
             if not rate > 0.0 or not words.keys() <= place.keys() or not (words or own is not None):
                 raise GRAMMAR.unknown(statement.text, statement.line)
             moved = 0.0 if own is None else own if flavour.relative else own - pushed
             steps = {letter: value - place[letter] for letter, value in words.items()} | {spec.filament: moved}
+            length = feed_length(spec.flavour, steps)
+            if centre is not None:
+                via, length = _arc(statement, place, words, centre)
             place |= words
-            length = 1.0 if mode == "G93" else feed_length(spec.flavour, steps)
+            length = 1.0 if mode == "G93" else length
             now += 60.0 * length / rate
             pushed = pushed + moved
         places.append(list(place.values()))
+        vias.append(via)
         filament.append(pushed)
         time.append(now)
     table = np.array(places)
     return AxesProgram(
-        table[:, :3] * 1e-3, np.radians(table[:, 3:]), np.array(filament) * 1e-3, np.array(time), tuple(ordered)
+        straight=table[:, :3] * 1e-3,
+        turning=np.radians(table[:, 3:]),
+        filament=np.array(filament) * 1e-3,
+        time=np.array(time),
+        via=np.array(vias) * 1e-3,
+        orders=tuple(ordered),
     )
+
+
+def _arc(
+    statement: Statement, place: Mapping[str, float], words: Mapping[str, float], offset: Sequence[float | None]
+) -> tuple[list[float], float]:
+    """A point on the way of a G2 or G3 from a place, and the arc's length [mm].
+
+    Raises InputError where anything but X and Y moves, or the centre is not as far from the end as from the beginning.
+    """
+    i, j = offset
+    if words.keys() <= {"X", "Y"} and i is not None and j is not None:
+        begin, end = np.array([place["X"], place["Y"]]), np.array([words.get(letter, place[letter]) for letter in "XY"])
+        clockwise = statement.parts[0] == "2"
+        via = via_point(begin * 1e-3, end * 1e-3, (begin + (i, j)) * 1e-3, clockwise)
+        if via is not None:
+            swept = centre_and_swept(begin, via * 1e3, end)[1]
+            return [*(via * 1e3).tolist(), place["Z"]], float(np.hypot(i, j)) * abs(swept)
+    raise GRAMMAR.unknown(statement.text, statement.line)
 
 
 def _read_start(
@@ -362,9 +408,9 @@ def _read_start(
     return {name: place[name] for name in letters}
 
 
-def _words(statement: Statement, motion: str) -> dict[str, float]:
-    """Values of a G0 or G1 by letter. Raises InputError for any other statement, and for a letter that comes twice."""
-    if statement.word == "move" and statement.parts[0] == motion:
+def _words(statement: Statement, motions: str) -> dict[str, float]:
+    """Values of a move by letter, one of the G of `motions`. Raises InputError for any other statement, and for a letter that comes twice."""
+    if statement.word == "move" and statement.parts[0] in motions:
         found = [(word[0], float(word[1:])) for word in statement.parts[1].split()]
         if len({letter for letter, _ in found}) == len(found):
             return dict(found)
@@ -417,6 +463,7 @@ def _moved(
     """Where the program's lines leave the path, its directions, its times or the part's axes."""
     k = len(machine.letters)
     places = machine.tip(program.straight, program.turning[:, :k])
+    arcs = _ways(machine, program, places)
     best = np.full(len(tip), np.inf)
     lean, late, shifted = np.full(len(tip), np.inf), np.full(len(tip), np.inf), np.zeros(len(tip))
     own = np.searchsorted(program.time, clock) - 1
@@ -426,9 +473,12 @@ def _moved(
         share = np.clip((clock - program.time[a]) / np.where(lasts > 0.0, lasts, 1.0), 0.0, 1.0)
         u = nearest_fraction(places[a], places[a + 1], tip, share)
         u = np.where(np.linalg.norm(places[a + 1] - places[a], axis=1) < STANDS, share, u)
+        own_arc = arcs.take(a)
+        u = np.where(own_arc.circular, own_arc.fraction(tip, share), u)
         turning = lerp(program.turning, a, a + 1, u)
         straight = lerp(program.straight, a, a + 1, u)
-        off = np.linalg.norm(machine.tip(straight, turning[:, :k]) - tip, axis=1)
+        there = np.where(own_arc.circular[:, None], own_arc.at(u), machine.tip(straight, turning[:, :k]))
+        off = np.linalg.norm(there - tip, axis=1)
         nearer = off < best - 1e-9
         best = np.where(nearer, off, best)
         lean = np.where(nearer, machine.leaning(turning[:, :k], quat), lean)
@@ -450,6 +500,16 @@ def _moved(
             ("the tip is {:.3g} s off its time", float(late[laid].max(initial=0.0)), LATE),
         ]
     )
+
+
+def _ways(machine: Machine, program: AxesProgram, places: Array) -> Segments:
+    """The tip's way in the part from each place to the next; of moves that are no arcs it is not looked at.
+
+    What turns stands still on arcs, so that they are arcs in the part as well.
+    """
+    circular = ~np.isnan(program.via[1:, 0])
+    via = np.where(circular[:, None], program.via[1:], program.straight[1:])
+    return segments(places[:-1], machine.tip(via, program.turning[1:, : len(machine.letters)]), places[1:], circular)
 
 
 def _beyond_reach(machine: Machine, program: AxesProgram) -> list[str]:

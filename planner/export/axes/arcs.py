@@ -1,0 +1,112 @@
+"""Circular moves in the XY plane, in G-code: where they take the place of lines, how they are written and read."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.base.arrays import Array, Flags, Indices
+from planner.export.arcs import segments
+from planner.export.axes.machine import Followed
+from planner.export.primitives import LEAST_CHORD, LEAST_SWEPT, MOST_SWEPT
+
+LEAST_LINES = 2  # that an arc takes the place of
+MOST_LINES = 256  # likewise: bounds the work, not the print
+SAME = 0.05e-6  # m, and rad: less than half a unit of what is written; an axis that moves by less stands still
+RADII_APART = 0.5e-6  # m between an arc's radii at both ends; rounding makes 0.3 um at most
+
+
+def centre_and_swept(begin: Array, via: Array, end: Array) -> tuple[Array, float]:
+    """Centre (2) and angle, positive anticlockwise [rad], of the arc in XY through three points (2 or 3).
+
+    The angle is 0 where the points lie on a line.
+    """
+    three = np.zeros((3, 3))
+    three[:, :2] = begin[:2], via[:2], end[:2]
+    arc = segments(three[:1], three[1:2], three[2:], np.array([True]))
+    sign = 1.0 if np.cross(arc.e1[0], arc.e2[0])[2] > 0.0 else -1.0
+    return arc.centre[0, :2], sign * float(arc.swept[0])
+
+
+def via_point(begin: Array, end: Array, centre: Array, clockwise: bool) -> Array | None:
+    """The middle (2) of an arc in XY as G2 (clockwise) and G3 have it; None where there is no such arc."""
+    a, b = begin - centre, end - centre
+    if abs(np.hypot(*a) - np.hypot(*b)) > RADII_APART or np.allclose(a, b, atol=SAME):
+        return None
+    turn = np.arctan2(a[0] * b[1] - a[1] * b[0], a @ b) % (2.0 * np.pi)
+    half = 0.5 * (turn - 2.0 * np.pi if clockwise else turn)
+    c, s = np.cos(half), np.sin(half)
+    out: Array = centre + np.array([c * a[0] - s * a[1], s * a[0] + c * a[1]])
+    return out
+
+
+def with_arcs(
+    motion: Followed, at: Indices, must: Indices, tolerance: tuple[float, float, float]
+) -> tuple[Indices, Array]:
+    """Fewer targets: those of lines `at` (sorted), without those that arcs make needless; and points on the arcs' way.
+
+    must       targets that stay, sorted
+    tolerance  chord [m], filament [m], time [s] that an arc may miss a sample by
+    Returns samples (m) and points (m, 3) X Y Z of the move that ends there, NaN for lines.
+    """
+    level = _level(motion)
+    edges = np.searchsorted(at, must)
+    kept, vias = [int(at[0])], [np.full(3, np.nan)]
+    i = 0
+    while i < len(at) - 1:
+        end = int(edges[np.searchsorted(edges, i, side="right")])
+        end = min(end, i + MOST_LINES, int(np.searchsorted(at, level[at[i]], side="right")) - 1)
+        taken, via = _longest(motion, at, i, end, tolerance)
+        kept.append(int(at[taken]))
+        vias.append(via)
+        i = taken
+    return np.array(kept, dtype=np.intp), np.array(vias)
+
+
+def _level(motion: Followed) -> Indices:
+    """For each sample the last one up to which nothing moves but X, Y and filament."""
+    others = np.column_stack([motion.straight[:, 2:], motion.angles, motion.station])
+    moves = np.flatnonzero((np.abs(np.diff(others, axis=0)) > SAME * 0.01).any(axis=1))
+    ends = np.append(moves, len(motion) - 1)
+    out: Indices = ends[np.searchsorted(ends, np.arange(len(motion)))]
+    return out
+
+
+def _longest(
+    motion: Followed, at: Indices, i: int, end: int, tolerance: tuple[float, float, float]
+) -> tuple[int, Array]:
+    """The target that the longest arc from target i reaches, and its via point; the next target where there is none."""
+    best, via, reach = i + 1, np.full(3, np.nan), min(i + LEAST_LINES, end)
+    high = end + 1
+    while high - best > 1:
+        found = _arc(motion, int(at[i]), int(at[reach]), tolerance)
+        if found is None:
+            high = reach
+        else:
+            best, via = reach, found
+        # twice as far each time while it fits, then halving what is left
+        reach = min(2 * best - i, end) if high > end else (best + high) // 2
+    return best, via
+
+
+def _arc(motion: Followed, a: int, b: int, tolerance: tuple[float, float, float]) -> Array | None:
+    """Via point (3) of the arc that meets samples a to b, and the middles between them; None where none does."""
+    p, t, feed = motion.straight[a : b + 1], motion.t[a : b + 1], motion.feed[a : b + 1]
+    chord, filament, late = tolerance
+    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))])
+    middle = int(np.argmin(np.abs(path - 0.5 * path[-1])))
+    via = p[middle]
+    arc = segments(p[:1], via[None], p[-1:], np.array([True]))
+    if np.linalg.norm(p[-1] - p[0]) < LEAST_CHORD or not LEAST_SWEPT <= arc.swept[0] <= MOST_SWEPT:
+        return None
+    points, times, fed = (np.concatenate([v, 0.5 * (v[1:] + v[:-1])]) for v in (p, t, feed))
+    flows = motion.laid[a : b + 1]
+    laid: Flags = np.concatenate([flows, flows[1:] & flows[:-1]])
+    share = (times - t[0]) / (t[-1] - t[0])
+    own = arc.take(np.zeros(len(points), dtype=np.intp))
+    u = own.fraction(points, share)
+    worst = max(
+        float(np.linalg.norm(own.at(u) - points, axis=1).max()) / chord,
+        float(np.abs(feed[0] + u * (feed[-1] - feed[0]) - fed).max()) / filament,
+        float((np.abs(share - u) * laid).max()) * (t[-1] - t[0]) / late,
+    )
+    return via if worst <= 1.0 else None
