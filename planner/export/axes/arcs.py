@@ -11,7 +11,8 @@ from planner.export.primitives import LEAST_CHORD, LEAST_SWEPT, MOST_SWEPT
 
 LEAST_LINES = 2  # that an arc takes the place of
 MOST_LINES = 256  # likewise: bounds the work, not the print
-SAME = 0.05e-6  # m, and rad: less than half a unit of what is written; an axis that moves by less stands still
+STEADY = 0.5e-9  # m, rad between two samples of an axis that rests: rounding, which stays below what is written
+SAME_PLACE = 0.05e-6  # m between the ends of an arc: half a unit of what is written
 RADII_APART = 0.5e-6  # m between an arc's radii at both ends; rounding makes 0.3 um at most
 
 
@@ -30,7 +31,7 @@ def centre_and_swept(begin: Array, via: Array, end: Array) -> tuple[Array, float
 def via_point(begin: Array, end: Array, centre: Array, clockwise: bool) -> Array | None:
     """The middle (2) of an arc in XY as G2 (clockwise) and G3 have it; None where there is no such arc."""
     a, b = begin - centre, end - centre
-    if abs(np.hypot(*a) - np.hypot(*b)) > RADII_APART or np.allclose(a, b, atol=SAME):
+    if abs(np.hypot(*a) - np.hypot(*b)) > RADII_APART or np.allclose(a, b, atol=SAME_PLACE):
         return None
     turn = np.arctan2(a[0] * b[1] - a[1] * b[0], a @ b) % (2.0 * np.pi)
     half = 0.5 * (turn - 2.0 * np.pi if clockwise else turn)
@@ -65,7 +66,7 @@ def with_arcs(
 def _level(motion: Followed) -> Indices:
     """For each sample the last one up to which nothing moves but X, Y and filament."""
     others = np.column_stack([motion.straight[:, 2:], motion.angles, motion.station])
-    moves = np.flatnonzero((np.abs(np.diff(others, axis=0)) > SAME * 0.01).any(axis=1))
+    moves = np.flatnonzero((np.abs(np.diff(others, axis=0)) > STEADY).any(axis=1))
     ends = np.append(moves, len(motion) - 1)
     out: Indices = ends[np.searchsorted(ends, np.arange(len(motion)))]
     return out

@@ -218,6 +218,9 @@ def _lines(plan: Plan, motion: Followed, at: NDArray[np.intp], via: Array, waiti
             lines += written
             now += took
         a, b = rows[i - 1], rows[i]
+        circular = not np.isnan(via[i, 0])
+        if circular:
+            b[2:] = a[2:]  # they rest, but for what rounds the other way
         own = int(bead[at[i]])
         if laid[at[i]] and own != last:
             lines.append(f"; bead {own}, layer {layer[at[i]]}")
@@ -237,7 +240,7 @@ def _lines(plan: Plan, motion: Followed, at: NDArray[np.intp], via: Array, waiti
         lasts = max(lasts, SHORTEST)
         moved = dict(zip(names, (b - a).tolist(), strict=True)) | {spec.filament: filament}
         length, code = feed_length(spec.flavour, moved), "G1"
-        if not np.isnan(via[i, 0]):
+        if circular:
             centre, swept = centre_and_swept(a, via[i] * 1e3, b)
             offset = np.round(centre - a[:2], DECIMALS) + 0.0
             length, code = float(np.hypot(*offset)) * abs(swept), "G3" if swept > 0.0 else "G2"
