@@ -4,7 +4,7 @@ python run_klipper.py FILE
 
 Klipper plans every motion and writes what it would send to the board's processor, whose commands a dictionary names.
 Prints a JSON object: version, accepted, said (commands that it does not know), time [s], filament [mm]. Each tool of the
-file is an extruder with the macro that Klipper's own documentation gives for T0 and T1.
+file is an extruder, with the macro that Klipper's own documentation gives for T0 and T1.
 """
 
 from __future__ import annotations
@@ -142,7 +142,8 @@ def filament(words: str) -> float:
 def main(file: Path) -> None:
     """The command line."""
     program = file.read_text(encoding="utf-8")
-    tools = 1 + max((int(n) for n in re.findall(r"^T(\d+)", program, re.MULTILINE)), default=0)
+    named = re.findall(r"^(?:T|ACTIVATE_EXTRUDER EXTRUDER=extruder)(\d+)", program, re.MULTILINE)
+    tools = 1 + max(map(int, named), default=0)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         board(folder, tools)
