@@ -13,7 +13,12 @@ from benchmarks.peer_cases import write_case
 from planner.problem import load_problem
 
 ROOT = Path(__file__).resolve().parents[1]
-STARTED_BY_OTHERS = {"single", "peers.one", "peers.run_pink", "peers.run_roboplan", "peers.run_tesseract"}
+STARTED_BY_OTHERS = {
+    "single",
+    "peers.one",
+    *(f"peers.run_{name}" for name in ("pink", "roboplan", "tesseract")),
+    *(f"third_party.run_{name}" for name in ("klipper", "linuxcnc", "parsers")),
+}
 COARSE = ["--set", "resolve.rung_mm=10", "--set", "resolve.roll_step_deg=30", "--set", "resolve.knot_mm=5"]
 SMALLEST = {
     "bound": ["planar_gcode", *COARSE],
