@@ -77,7 +77,7 @@ def asked(plan: Plan) -> list[str]:
     moves, found = moves_of(plan)
     t, laid = plan.trajectory, moves.laid
     clock = rests_of(t, *deposits(t)).clock
-    took = (clock[moves.sample] - clock[moves.start])[laid]
+    took = (moves.length / moves.speed)[laid]
     ends = clock[moves.sample[laid]]
     most = int((np.searchsorted(ends, ends + WINDOW - 1e-9) - np.arange(len(ends))).max(initial=0))
     changes = np.count_nonzero(np.diff(moves.speed[laid]))
@@ -88,7 +88,7 @@ def asked(plan: Plan) -> list[str]:
         f"{np.count_nonzero(~moves.linear):,}",
         f"{len(took) / took.sum():.1f}",
         str(most),
-        f"{1e3 * found.shortest:.0f} ms",
+        f"{1e3 * found.shortest:.1f} ms",
         f"{len(found.short):,}",
         f"{np.count_nonzero(took < HARD - 1e-9):,}",
         f"{len(found.wide):,}",

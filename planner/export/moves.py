@@ -396,7 +396,7 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
         linear=is_linear,
         circular=circular,
         laid=laid,
-        speed=np.where(laid, even_speeds(length, took, whole, plan.problem.process.speed), peaks),
+        speed=np.where(laid, even_speeds(length, took, whole, plan.problem.process.speed, program.least_time), peaks),
         turn=angle(leaves[:, 3:7], comes[:, 3:7]) / took,
         axis=rates[:, turns].max(axis=1, initial=0.0),
         slide=rates[:, ~turns].max(axis=1, initial=0.0),
@@ -441,11 +441,14 @@ def way_of(plan: Plan, rests: Rests, fed: Array | None = None) -> SampledWay:
 # How well moves fit.
 
 
+SHORTER = 1e-6  # s by which the time of a move may be less than the least
+
+
 @dataclass(frozen=True)
 class FitFigures:
     """Moves that lay material and are not as they should be.
 
-    short     those that take less than the least time; shortest: the least of their times [s]
+    short     those that take less than the least time at their programmed speed; shortest: the least of their times [s]
     wide      those that miss the bead by more than the usual tolerances; off, turned: the nozzle's tip off the bead [m]
               and its axis off the plan's [rad], at most
     """
@@ -466,12 +469,12 @@ def fit_of(plan: Plan, moves: Moves, fed: Array | None = None) -> FitFigures:
     aim[moves.start], aim[moves.sample] = moves.targets.table[:-1], moves.targets.table[1:]
     way = way._replace(aim=aim)
     laid = np.flatnonzero(moves.laid)
-    took = rests.clock[moves.sample[laid]] - rests.clock[moves.start[laid]]
+    took = (moves.length / moves.speed)[laid]
     used = misfits(way, moves.start[laid], moves.sample[laid], moves.circular[laid], moves.via.position[laid])
     wide = used.max(axis=1, initial=0.0) > 1.0 + 1e-6
     worst = (used[wide, :2] * way.tolerance[1, :2]).max(axis=0, initial=0.0)
     return FitFigures(
-        short=laid[took < plan.problem.program.least_time - 1e-9],
+        short=laid[took < plan.problem.program.least_time - SHORTER],
         shortest=float(took.min(initial=np.inf)),
         wide=laid[wide],
         off=float(worst[0]),
@@ -483,31 +486,53 @@ def fit_of(plan: Plan, moves: Moves, fed: Array | None = None) -> FitFigures:
 # Speeds: one for as many moves as keep the clock, so that speed data change only where the speed does.
 
 STEPS = ((0.01, 1e-4), (0.001, 1e-5), (0.0, 1e-6))  # from a speed [m/s] on, speeds are multiples of the second [m/s]
+ON_STEP = 1e-9  # of a speed, by which rounding may leave its step
+CATCHING_UP = 1.01  # times the plan's greatest speed, with which a program that is late may go on: hardly faster
 
 
-def even_speeds(length: Array, took: Array, group: Indices, usual: float) -> Array:
+def even_speeds(length: Array, took: Array, group: Indices, usual: float, least: float) -> Array:
     """Programmed speeds (m) [m/s] with which moves of given lengths [m] pass their targets when planned, to TIME_TOLERANCE.
 
     took   (m) time of each move [s]
     group  (m) moves of one number share a clock, which begins with the first; 0: the mean speed of the move itself
     usual  speed that is taken wherever it keeps the clock [m/s]
+    least  time that each move is given, even if it took less, as far as the clock can be kept [s]
     """
-    return _even_speeds(length, took, group, usual, TIME_TOLERANCE)
+    own = group > 0
+    fastest = max(usual, float((length[own] / took[own]).max(initial=0.0)))
+    return _even_speeds(length, took, group, usual, SpeedRules(least, TIME_TOLERANCE, CATCHING_UP * fastest))
+
+
+class SpeedRules(NamedTuple):
+    """What programmed speeds keep to.
+
+    least    time of a move [s]
+    most     time by which a target may be passed too early or too late [s]
+    fastest  speed of a move [m/s]
+    """
+
+    least: float
+    most: float
+    fastest: float
 
 
 @njit(cache=True)
-def _stepped(speed: float) -> float:
-    """The nearest speed that programs have [m/s]."""
+def _stepped(slowness: float, floor: float) -> float:
+    """The nearest slowness [s/m] whose speed programs have; where it may not be below `floor`, the next above."""
+    speed = 1.0 / slowness
     step = STEPS[2][1]
     for k in range(len(STEPS)):
         if speed >= STEPS[k][0]:
             step = STEPS[k][1]
             break
-    return max(np.rint(speed / step), 1.0) * step
+    steps = max(np.rint(speed / step), 1.0)
+    if steps > 1.0 and steps * step * floor > 1.0 + ON_STEP:
+        steps -= 1.0
+    return 1.0 / (steps * step)
 
 
 @njit(cache=True)
-def _even_speeds(length: Array, took: Array, group: Indices, usual: float, most: float) -> Array:
+def _even_speeds(length: Array, took: Array, group: Indices, usual: float, rules: SpeedRules) -> Array:
     """`even_speeds`: each speed holds for as many moves as it can; what the clock is late by goes on to the next."""
     out = np.empty(len(length))
     i, late = 0, 0.0
@@ -518,26 +543,29 @@ def _even_speeds(length: Array, took: Array, group: Indices, usual: float, most:
             continue
         if i == 0 or group[i - 1] != group[i]:
             late = 0.0
-        slowness_low, slowness_high, way, time = 0.0, np.inf, 0.0, 0.0
-        speed, end, after = _stepped(length[i] / took[i]), i, late
+        # bounds of slowness: of the clock, and of the least time and greatest speed, which give way where both cannot be had
+        low, high, floor, way, time = 0.0, np.inf, 0.0, 0.0, 0.0
+        slowness, end, after = 0.0, i, late
         k = i
         while k < len(length) and group[k] == group[i]:
             way, time = way + length[k], time + took[k]
-            slowness_low = max(slowness_low, (time - late - most) / way)
-            slowness_high = min(slowness_high, (time - late + most) / way)
-            if slowness_low > slowness_high:
+            low, high = max(low, (time - late - rules.most) / way), min(high, (time - late + rules.most) / way)
+            floor = max(floor, rules.least / length[k], 1.0 / rules.fastest)
+            if k == i:
+                floor = min(floor, high)
+            if max(low, floor) > high and k > i:
                 break
-            ideal = min(max((time - late) / way, slowness_low), slowness_high)
+            ideal = min(max((time - late) / way, low, floor), high)
             if ideal <= 0.0:
                 break
-            if slowness_low <= 1.0 / usual <= slowness_high:
-                chosen = usual
+            if max(low, floor) <= 1.0 / usual <= high and late <= 0.5 * rules.most:
+                chosen = 1.0 / usual
             else:
-                chosen = _stepped(1.0 / ideal)
-            if slowness_low <= 1.0 / chosen <= slowness_high or k == i:
-                speed, end, after = chosen, k, late + way / chosen - time
+                chosen = _stepped(ideal, floor)
+            if k == i or max(low, floor * (1.0 - ON_STEP)) <= chosen <= high:
+                slowness, end, after = chosen, k, late + way * chosen - time
             k += 1
-        out[i : end + 1] = speed
+        out[i : end + 1] = 1.0 / slowness
         late, i = after, end + 1
     return out
 
