@@ -106,6 +106,7 @@ BLOCK = 200_000  # samples looked at, and
 PIECES = 64  # pieces compared at once: bounds the memory
 
 
+ROUNDED = 5e-6  # m by which a path may be off by the numbers in a file, and by joints that carry the nozzle
 # rad, of the fields of `Agreement`, before they are widened; where the path turns quickly, it counts which sample is taken
 AXIS, SWING, FREE = np.radians(0.105), np.radians(0.51), np.radians(0.26)
 LATE_TARGET = 12e-3  # s
@@ -149,7 +150,7 @@ class Agreement:
     def differences(self) -> list[str]:
         """Every difference beyond what rounding and thinning may cause, in words."""
         limits = {
-            "path": (self.widest + 0.03e-3, "m"),
+            "path": (self.widest + ROUNDED, "m"),
             "travel": (1e-3, "m"),
             "axis": (self.widening * AXIS, "rad"),
             "swing": (self.widening * SWING, "rad"),
@@ -463,8 +464,8 @@ def _frames(plan: Plan, program: RobotProgram) -> tuple[float, float]:
 # of the time in which material is laid: wide, for it is a model's, which small prints full of corners stretch by 5 per
 # cent; shipped problems stay within half a per cent (`python -m benchmarks.programs`)
 LATE = 0.1
-# m by which corners may be cut, as far as `Agreement` lets paths differ: in beads beyond the tolerance, and in travel
-ROUNDING, TRAVEL = 0.03e-3, 1e-3
+# m by which corners in travel may be cut, as far as `Agreement` lets paths differ
+TRAVEL = 1e-3
 
 
 @dataclass(frozen=True)
@@ -493,7 +494,7 @@ class Readback:
         found = self.agreement.differences()
         if not abs(self.laid - 1.0) <= LATE:
             found.append(f"time of deposition is {self.laid:.4g} of the plan's (limit {LATE:g} from 1)")
-        in_bead = ("a corner in a bead is cut by {:.3g} m", self.corner, self.agreement.widest + ROUNDING)
+        in_bead = ("a corner in a bead is cut by {:.3g} m", self.corner, self.agreement.widest + ROUNDED)
         found += beyond([in_bead, ("a corner in travel is cut by {:.3g} m", self.swing, TRAVEL)])
         if self.stops:
             found.append(f"the robot stops at {self.stops} targets within beads")
