@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from solved import bed_plan
 
 from planner.base.errors import InputError
-from planner.export.arms import Convention, stepped_speeds
+from planner.export.arms import Convention
 from planner.export.fanuc import FANUC
 from planner.export.inform import YASKAWA
 from planner.export.kawasaki import KAWASAKI
@@ -29,6 +29,7 @@ from planner.export.languages import LANGUAGES
 from planner.export.melfa import MITSUBISHI
 from planner.export.moves import MoveSection, plan_moves
 from planner.export.parts import cut, in_files, numbered, packed
+from planner.export.speeds import stepped_speeds
 from planner.export.val3 import STAUBLI
 from planner.plan import Plan
 

@@ -9,7 +9,6 @@ import pytest
 from planner.base.errors import InputError
 from planner.export.arcs import segments
 from planner.export.languages import LANGUAGES
-from planner.export.moves import TIME_TOLERANCE
 from planner.export.player.play import ACCELERATION, limited, play
 from planner.export.player.played import laid_moves, laid_spans, laid_targets
 from planner.export.rapid.extruder import flow
@@ -17,6 +16,7 @@ from planner.export.rapid.reader import read_rapid, read_rapid_files
 from planner.export.rapid.text import ZONES
 from planner.export.rapid.writer import rapid, rapid_files, zones_of
 from planner.export.readback import judge, readback
+from planner.export.speeds import TIME_TOLERANCE
 from tests.export_fixtures import demand_plan, make_plan, socket_plan, written_with
 
 PLAN = make_plan()

@@ -19,10 +19,7 @@ from planner.export.moves import (
     AXIS_TOLERANCE,
     FREE_TOLERANCE,
     SHORTER,
-    STEPS,
-    TIME_TOLERANCE,
     corners,
-    even_speeds,
     fit_of,
     plan_moves,
 )
@@ -38,6 +35,7 @@ from planner.export.primitives import (
     fit,
     misfits,
 )
+from planner.export.speeds import STEPS, TIME_TOLERANCE, even_speeds
 from planner.plan import Plan
 
 Array = NDArray[np.float64]

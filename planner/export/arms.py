@@ -101,29 +101,6 @@ def percent(plan: Plan, moves: Moves) -> list[int]:
     return [int(value) for value in np.clip(np.ceil(100.0 * greatest_until_stop(moves, share)), 1, 100)]
 
 
-def stepped_speeds(moves: Moves, step: float) -> Array:
-    """Speed (m) [m/s] of each move in whole steps [m/s], at least one.
-
-    Of moves that lay material each is rounded such that the sum of their times stays nearest to what was planned, so that
-    no bead runs late however long it is; of others, to the nearest.
-    """
-    low = np.maximum(np.floor(moves.speed / step + 1e-9), 1.0)
-    length, nearest = moves.length, np.maximum(np.round(moves.speed / step), 1.0)
-    planned, slow, fast = (length / speed for speed in (moves.speed, low * step, (low + 1.0) * step))
-    steps, late = nearest.tolist(), 0.0
-    for i, (laid, least, meant, longer, shorter) in enumerate(
-        zip(moves.laid.tolist(), low.tolist(), planned.tolist(), slow.tolist(), fast.tolist(), strict=True)
-    ):
-        if not laid:
-            late = 0.0
-            continue
-        up = abs(late + shorter - meant) < abs(late + longer - meant)
-        steps[i] = least + up
-        late += (shorter if up else longer) - meant
-    out: Array = np.array(steps) * step
-    return out
-
-
 def pose_of(T: Array) -> Array:
     """x y z, quaternion x y z w (7) of a pose (4, 4)."""
     return np.concatenate([T[:3, 3], from_matrix(T[None, :3, :3])[0]])

@@ -25,7 +25,6 @@ from planner.export.arms import (
     percent,
     read_arm,
     signed,
-    stepped_speeds,
 )
 from planner.export.euler import fixed_xyz, from_fixed_xyz, written
 from planner.export.fit import to_matrix
@@ -34,6 +33,7 @@ from planner.export.moves import Moves, MoveSection, move_radii, plan_moves, sec
 from planner.export.parts import in_files, numbered, part_about
 from planner.export.program import RobotProgram, about
 from planner.export.rapid.text import module_name
+from planner.export.speeds import stepped_speeds
 from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_inform
 from planner.export.text import number, require_writable
 

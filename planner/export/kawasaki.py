@@ -20,7 +20,6 @@ from planner.export.arms import (
     percent,
     read_arm,
     signed,
-    stepped_speeds,
 )
 from planner.export.euler import from_turning_zyz, turning_zyz, written
 from planner.export.fit import to_matrix
@@ -29,6 +28,7 @@ from planner.export.moves import Moves, MoveSection, move_radii, plan_moves, sec
 from planner.export.parts import in_files, numbered
 from planner.export.program import RobotProgram, about
 from planner.export.rapid.text import module_name
+from planner.export.speeds import stepped_speeds
 from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_kawasaki
 from planner.export.text import ascii_comment, number, require_writable, resting
 

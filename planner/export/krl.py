@@ -11,7 +11,7 @@ import numpy as np
 
 from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
-from planner.export.arms import AXIS_5_NEGATIVE, BEHIND_AXIS_1, BEHIND_LOWER_ARM, percent, stepped_speeds
+from planner.export.arms import AXIS_5_NEGATIVE, BEHIND_AXIS_1, BEHIND_LOWER_ARM, percent
 from planner.export.external import carrying_axes, external_axes, external_read, external_written
 from planner.export.fit import from_matrix, to_matrix
 from planner.export.grammar import Grammar, Statement, inlined
@@ -28,6 +28,7 @@ from planner.export.parts import cut, numbered, packed, part_about
 from planner.export.program import UNSPECIFIED, RobotProgram, Trigger, about, named
 from planner.export.rapid.text import module_name
 from planner.export.readback import filled, played_differences
+from planner.export.speeds import stepped_speeds
 from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_krl
 from planner.export.text import ascii_comment, number, require_writable, resting
 

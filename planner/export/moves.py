@@ -10,10 +10,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Flags, Indices
-from planner.base.compiled import njit
 from planner.export.arcs import Segments, segments
 from planner.export.fit import angle, by_samples, continuous, fewest, lerp, slerp, to_matrix
 from planner.export.primitives import FitRules, Poses, SampledWay, fit, misfits
+from planner.export.speeds import TIME_TOLERANCE, even_speeds
 
 if TYPE_CHECKING:
     from planner.export.program import RobotProgram
@@ -234,7 +234,6 @@ AXIS_TOLERANCE = np.radians(0.0995)  # of the nozzle's axis [rad]; rounding take
 FREE_TOLERANCE = np.radians(0.25)  # [rad]
 SLIDE_TOLERANCE = 0.8e-3  # [m], of axes that slide, likewise
 ANGLE_TOLERANCE = np.radians(0.045)  # of joints and orientation, in languages that name joints or axes [rad]
-TIME_TOLERANCE = 8e-3  # [s]; keeps dips of the speed in the program
 LONGEST = 25e-3  # [m] of path between two targets in a bead
 TRAVEL_TOLERANCE = 0.3e-3  # [m]; moves that lay nothing against the planned tip path
 TRAVEL_ANGLE_TOLERANCE = np.radians(0.5)
@@ -480,94 +479,6 @@ def fit_of(plan: Plan, moves: Moves, fed: Array | None = None) -> FitFigures:
         off=float(worst[0]),
         turned=float(worst[1]),
     )
-
-
-# ----------------------------------------------------------------------------------------------------
-# Speeds: one for as many moves as keep the clock, so that speed data change only where the speed does.
-
-STEPS = ((0.01, 1e-4), (0.001, 1e-5), (0.0, 1e-6))  # from a speed [m/s] on, speeds are multiples of the second [m/s]
-ON_STEP = 1e-9  # of a speed, by which rounding may leave its step
-CATCHING_UP = 1.01  # times the plan's greatest speed, with which a program that is late may go on: hardly faster
-
-
-def even_speeds(length: Array, took: Array, group: Indices, usual: float, least: float) -> Array:
-    """Programmed speeds (m) [m/s] with which moves of given lengths [m] pass their targets when planned, to TIME_TOLERANCE.
-
-    took   (m) time of each move [s]
-    group  (m) moves of one number share a clock, which begins with the first; 0: the mean speed of the move itself
-    usual  speed that is taken wherever it keeps the clock [m/s]
-    least  time that each move is given, even if it took less, as far as the clock can be kept [s]
-    """
-    own = group > 0
-    fastest = max(usual, float((length[own] / took[own]).max(initial=0.0)))
-    return _even_speeds(length, took, group, usual, SpeedRules(least, TIME_TOLERANCE, CATCHING_UP * fastest))
-
-
-class SpeedRules(NamedTuple):
-    """What programmed speeds keep to.
-
-    least    time of a move [s]
-    most     time by which a target may be passed too early or too late [s]
-    fastest  speed of a move [m/s]
-    """
-
-    least: float
-    most: float
-    fastest: float
-
-
-@njit(cache=True)
-def _stepped(slowness: float, floor: float) -> float:
-    """The nearest slowness [s/m] whose speed programs have; where it may not be below `floor`, the next above."""
-    speed = 1.0 / slowness
-    step = STEPS[2][1]
-    for k in range(len(STEPS)):
-        if speed >= STEPS[k][0]:
-            step = STEPS[k][1]
-            break
-    steps = max(np.rint(speed / step), 1.0)
-    if steps > 1.0 and steps * step * floor > 1.0 + ON_STEP:
-        steps -= 1.0
-    return 1.0 / (steps * step)
-
-
-@njit(cache=True)
-def _even_speeds(length: Array, took: Array, group: Indices, usual: float, rules: SpeedRules) -> Array:
-    """`even_speeds`: each speed holds for as many moves as it can; what the clock is late by goes on to the next."""
-    out = np.empty(len(length))
-    i, late = 0, 0.0
-    while i < len(length):
-        if group[i] == 0:
-            out[i] = max(length[i] / took[i], STEPS[2][1])
-            i += 1
-            continue
-        if i == 0 or group[i - 1] != group[i]:
-            late = 0.0
-        # bounds of slowness: of the clock, and of the least time and greatest speed, which give way where both cannot be had
-        low, high, floor, way, time = 0.0, np.inf, 0.0, 0.0, 0.0
-        slowness, end, after = 0.0, i, late
-        k = i
-        while k < len(length) and group[k] == group[i]:
-            way, time = way + length[k], time + took[k]
-            low, high = max(low, (time - late - rules.most) / way), min(high, (time - late + rules.most) / way)
-            floor = max(floor, rules.least / length[k], 1.0 / rules.fastest)
-            if k == i:
-                floor = min(floor, high)
-            if max(low, floor) > high and k > i:
-                break
-            ideal = min(max((time - late) / way, low, floor), high)
-            if ideal <= 0.0:
-                break
-            if max(low, floor) <= 1.0 / usual <= high and late <= 0.5 * rules.most:
-                chosen = 1.0 / usual
-            else:
-                chosen = _stepped(ideal, floor)
-            if k == i or max(low, floor * (1.0 - ON_STEP)) <= chosen <= high:
-                slowness, end, after = chosen, k, late + way * chosen - time
-            k += 1
-        out[i : end + 1] = 1.0 / slowness
-        late, i = after, end + 1
-    return out
 
 
 # ----------------------------------------------------------------------------------------------------

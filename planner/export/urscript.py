@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array
 from planner.base.errors import InputError
-from planner.export.arms import stepped_speeds, switch_triggers
+from planner.export.arms import switch_triggers
 from planner.export.fit import angle, from_matrix, to_matrix
 from planner.export.grammar import Grammar, Statement, inlined
 from planner.export.moves import (
@@ -31,6 +31,7 @@ from planner.export.parts import numbered, packed, part_about
 from planner.export.program import UNSPECIFIED, RobotProgram, about, named
 from planner.export.rapid.text import LONGEST_NAME, module_name
 from planner.export.readback import filled, played_differences
+from planner.export.speeds import stepped_speeds
 from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_urscript
 from planner.export.text import ascii_comment, number, require_writable, resting
 

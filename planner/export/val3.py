@@ -21,7 +21,6 @@ from planner.export.arms import (
     percent,
     read_arm,
     signed,
-    stepped_speeds,
 )
 from planner.export.euler import from_turning_xyz, turning_xyz, written
 from planner.export.fit import to_matrix
@@ -30,6 +29,7 @@ from planner.export.moves import Moves, MoveSection, move_radii, plan_moves, sec
 from planner.export.parts import in_files
 from planner.export.program import RobotProgram, about
 from planner.export.rapid.text import module_name
+from planner.export.speeds import stepped_speeds
 from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_val3
 from planner.export.text import ascii_comment, number, require_writable, resting
 

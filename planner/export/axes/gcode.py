@@ -19,8 +19,9 @@ from planner.export.board import select
 from planner.export.extruder import Order, order_differences, orders
 from planner.export.fit import by_samples, continuous, lerp, thin
 from planner.export.grammar import Grammar, Statement
-from planner.export.moves import ANGLE_TOLERANCE, ON_TIME, ROUNDING, TIME_TOLERANCE, nearest_fraction
+from planner.export.moves import ANGLE_TOLERANCE, ON_TIME, ROUNDING, nearest_fraction
 from planner.export.program import resumed, verified
+from planner.export.speeds import TIME_TOLERANCE
 from planner.export.support import STATION
 from planner.export.text import ascii_comment, beyond, number
 from planner.plan.plan import materials_of
