@@ -12,6 +12,7 @@ from planner.base.errors import nearest_name
 from planner.cell.kinematics.chain import Chain
 from planner.cell.kinematics.inverse import Corrected, OnRail
 from planner.cell.kinematics.offset_wrist import OffsetWrist
+from planner.cell.kinematics.placed_wrist import PlacedWrist
 from planner.cell.kinematics.seven_axes import SevenAxes
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
 from planner.cell.robot import Robot, chain_of, load_robot
@@ -151,7 +152,7 @@ def _joined(robot: Robot, free: tuple[str, ...], held: dict[str, float], arm: Ro
 
 
 def _on_rail(arm: Robot, chain: Chain) -> OnRail:
-    if not isinstance(arm.inverse, SphericalWrist | OffsetWrist | SevenAxes | Corrected):
+    if not isinstance(arm.inverse, SphericalWrist | PlacedWrist | OffsetWrist | SevenAxes | Corrected):
         raise TypeError(f"{arm.key} is no arm that stands")
     rest = getattr(getattr(arm.inverse, "nominal", arm.inverse), "rest", None)
     return OnRail(arm.inverse, chain, (*(0.0,) * len(chain), *(() if rest is None else (rest,))))

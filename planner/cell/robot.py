@@ -18,6 +18,7 @@ from planner.cell.kinematics.axes import OtherGeometry
 from planner.cell.kinematics.chain import Chain
 from planner.cell.kinematics.inverse import Corrected, InverseKinematics
 from planner.cell.kinematics.offset_wrist import OffsetWrist, read_offset_wrist
+from planner.cell.kinematics.placed_wrist import PlacedWrist, read_spherical_wrist
 from planner.cell.kinematics.seven_axes import SevenAxes, read_seven_axes
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
 from planner.cell.robot_file import KINDS, LENGTHS, RobotFile, is_number, read_robot_file
@@ -28,6 +29,7 @@ from planner.problem.settings import LANGUAGE_NAMES, USUAL_LANGUAGE
 
 _INVERSE = ("spherical_wrist", "inverse_kinematics")  # keys, one of which an arm has
 _SAME_POSE = 1e-9  # m: closed form and URDF are one arm
+_ROUNDED = 1e-4  # m: so near they are one but for a URDF's rounded angles, such as 1.57 of a quarter turn
 _POSTURES = 20
 
 
@@ -165,15 +167,19 @@ def _inverse(file: RobotFile, model: pin.Model) -> InverseKinematics | None:
     inverse = _spherical(file, chain) if field == "spherical_wrist" else _read_off(file, chain)
     q = np.random.default_rng(1).uniform(-np.pi, np.pi, (_POSTURES, len(chain)))
     seen, own = chain.poses(q), inverse.poses(q)
-    if np.allclose(seen, own, rtol=0.0, atol=_SAME_POSE):
-        return inverse
+    apart = np.abs(seen - own).max(axis=(1, 2))
+    if apart.max() <= _SAME_POSE:
+        return inverse.arm if isinstance(inverse, PlacedWrist) and inverse.usual else inverse
     if not isinstance(inverse, SphericalWrist):
         return Corrected(inverse, chain)
-    worst = int(np.argmax(np.abs(seen - own).max(axis=(1, 2))))
+    if apart.max() <= _ROUNDED:
+        return Corrected(read_spherical_wrist(chain), chain)
+    worst = int(np.argmax(apart))
+    at, by = (np.round(T[worst, :3, 3] * 1e3, 3) for T in (seen, own))
     raise file.error(
         field,
-        "these lengths and the URDF disagree about the flange",
-        f"URDF says {np.round(seen[worst, :3, 3] * 1e3, 3)} mm, the lengths {np.round(own[worst, :3, 3] * 1e3, 3)} mm",
+        f"these lengths and the URDF disagree about the flange: URDF says {at} mm, the lengths {by} mm",
+        "where its zero, senses of axes or frames are others, inverse_kinematics: spherical_wrist reads them off the URDF",
     )
 
 
@@ -188,7 +194,7 @@ def _spherical(file: RobotFile, chain: Chain) -> SphericalWrist:
     return SphericalWrist(*(float(lengths[key]) * 1e-3 for key in LENGTHS))
 
 
-def _read_off(file: RobotFile, chain: Chain) -> OffsetWrist | SevenAxes:
+def _read_off(file: RobotFile, chain: Chain) -> PlacedWrist | OffsetWrist | SevenAxes:
     kind = file.data["inverse_kinematics"]
     if kind not in KINDS:
         raise file.error("inverse_kinematics", f"unknown kind {kind!r}", f"known: {', '.join(KINDS)}")
@@ -199,6 +205,8 @@ def _read_off(file: RobotFile, chain: Chain) -> OffsetWrist | SevenAxes:
     try:
         if kind == "offset_wrist":
             return read_offset_wrist(chain)
+        if kind == "spherical_wrist":
+            return read_spherical_wrist(chain)
         file.known("redundant_joint", "joint", redundant, chain.names)
         return read_seven_axes(chain, chain.names.index(str(redundant)))
     except OtherGeometry as error:

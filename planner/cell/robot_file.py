@@ -17,7 +17,7 @@ from planner.problem.settings import LANGUAGE_NAMES, USUAL_LANGUAGE
 from planner.problem.yaml_file import Keys, ValueSources, read_yaml_file
 
 LENGTHS = tuple(f"{name}_mm" for name in ("a1", "a2", "b", "c1", "c2", "c3", "c4"))  # of a spherical wrist's arm
-KINDS = ("offset_wrist", "seven_axes")  # spherical wrists have a section of their own, with their lengths
+KINDS = ("spherical_wrist", "offset_wrist", "seven_axes")
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,8 @@ KEYS = {
         "what of this file nobody has published; listings and the checks say so", "[jerk_rad_s3]", "nothing", _NAMES
     ),
     "spherical_wrist": RobotKey(
-        "of an arm whose last three axes meet: its seven lengths [mm], as Brandstötter et al. name them (OPW)",
+        "of an arm whose last three axes meet, counted from upper arm upright and forearm level: its seven lengths [mm], as "
+        "Brandstötter et al. name them (OPW), held against the URDF; in place of inverse_kinematics",
         "{a1_mm: 70, a2_mm: 0, b_mm: 0, c1_mm: 352, c2_mm: 360, c3_mm: 380, c4_mm: 65}",
         "none",
         {
@@ -107,7 +108,8 @@ KEYS = {
         },
     ),
     "inverse_kinematics": RobotKey(
-        f"of another arm, what it is like: {' or '.join(KINDS)}; a robot without this and spherical_wrist only holds parts",
+        f"what an arm is like, whose lengths, zero and senses of axes are read off the URDF: {', '.join(KINDS)}; a robot without "
+        "this and spherical_wrist only holds parts",
         "offset_wrist",
         "none",
         {"enum": list(KINDS)},
