@@ -19,6 +19,7 @@ from planner.cell.solids import Body
 from planner.problem import Problem
 from planner.problem.cell import CellSpec, PositionerSpec
 
+_STRAIGHT = 1e-3  # sine of joint 5 at zero below which axes 4 and 6 are parallel there, as makers count
 _ROUNDING = 1e-9  # rad: an angle at the end of its range is inside, though degrees became radians
 
 
@@ -116,6 +117,15 @@ class Cell:
     def spherical(self) -> bool:
         """Whether the arm's wrist is spherical and its own six joints are those of the usual industrial arm."""
         return isinstance(self.inverse.arm if isinstance(self.inverse, OnRail) else self.inverse, SphericalWrist)
+
+    @property
+    def straight_at(self) -> float:
+        """Where joint 5 of six stands when axes 4 and 6 are parallel [rad], or half a turn from there: 0 mostly."""
+        if len(self.solved) != 6 or self.given not in ((), tuple(range(self.rails))):
+            return 0.0
+        fourth, fifth, sixth = self.arm.screws[self.rails + 3 : self.rails + 6, 3:]
+        angle = float(np.arctan2(np.cross(fourth, sixth) @ fifth, fourth @ sixth))
+        return -angle if abs(np.sin(angle)) > _STRAIGHT else 0.0
 
     @property
     def wrist(self) -> SphericalWrist:

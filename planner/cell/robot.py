@@ -13,7 +13,7 @@ import pinocchio as pin
 from planner.base.arrays import Array
 from planner.base.errors import nearest_name
 from planner.base.shipped import ROBOTS
-from planner.cell.bodies import read_bodies
+from planner.cell.bodies import BodyRules, read_bodies
 from planner.cell.kinematics.axes import OtherGeometry
 from planner.cell.kinematics.chain import Chain
 from planner.cell.kinematics.inverse import Corrected, InverseKinematics
@@ -127,8 +127,13 @@ def read_robot(path: Path) -> Robot:
         inverse=_inverse(file, model),
         assumed=file.texts("assumed"),
         language=_language(file),
-        bodies=read_bodies(urdf, model, file.of_these("without", "link", urdf.links())),
+        bodies=read_bodies(urdf, model, _body_rules(file, urdf)),
     )
+
+
+def _body_rules(file: RobotFile, urdf: Urdf) -> BodyRules:
+    links = urdf.links()
+    return BodyRules(file.of_these("without", "link", links), file.pieces(links), file.link_pairs(links))
 
 
 def _language(file: RobotFile) -> str:

@@ -29,6 +29,7 @@ class CheckedBody:
     solid, T_carrier_solid         it and its pose (4, 4)
     geometry, T_carrier_geometry   coal's
     centre, reach                  of a ball around it (3), in the carrier's frame [m]
+    link, beside                   whose it is, and which links of its robot it may touch, as its file says
     """
 
     name: str
@@ -41,6 +42,8 @@ class CheckedBody:
     T_carrier_geometry: Array
     centre: Array
     reach: float
+    link: str = ""
+    beside: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -158,7 +161,7 @@ class CellBodies:
 def pairs(bodies: CellBodies, nozzle: float, arm: float) -> tuple[Pair, ...]:
     """Pairs that can hit each other, with the distances that the head keeps, and links and fixtures [m].
 
-    Neighbouring links touch. Bodies of one robot that are too near in whatever posture belong together. What does not
+    Neighbouring links touch, and those that a robot's file names. Bodies of one robot that are too near in whatever posture belong together. What does not
     move in the part frame, where the nozzle lays its first layer, is looked at with part and print.
     """
     found = []
@@ -206,7 +209,8 @@ def _candidates(bodies: CellBodies) -> Iterator[tuple[int, int, int]]:
         for j, b in enumerate(things):
             if _same(a, b):
                 carried = CARRIED in (a.kind, b.kind)
-                if a.joints < b.joints and (b.joints - a.joints > 1 or carried):
+                named = a.kind == b.kind and b.link in a.beside
+                if a.joints < b.joints and (b.joints - a.joints > 1 or carried) and not named:
                     yield i, j, a.joints
             elif i < j and HEAD in (a.kind, b.kind):
                 other = b if a.kind == HEAD else a
@@ -302,7 +306,9 @@ def _thing(body: Body, kind: str, carrier: int, joints: int, T_carrier_frame: Ar
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     reach = float(np.linalg.norm(vertices - middle, axis=1).max()) / float(np.cos(np.pi / _CORNERS))
     centre = T[:3, :3] @ middle + T[:3, 3]
-    return CheckedBody(body.name, kind, carrier, joints, body.solid, T, geometry, T @ shift, centre, reach)
+    return CheckedBody(
+        body.name, kind, carrier, joints, body.solid, T, geometry, T @ shift, centre, reach, body.link, body.beside
+    )
 
 
 def _joint_poses(robot: Robot, q: Array, T_world_base: Array) -> Array:
