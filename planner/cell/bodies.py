@@ -114,36 +114,58 @@ def _solids(urdf: Urdf, shape: ET.Element, field: str, pieces: int) -> tuple[Seq
 
 
 def _link_hulls(urdf: Urdf, shape: ET.Element, field: str, pieces: int) -> list[Hull]:
-    mesh = read_link_mesh(urdf, shape, field)
     try:
         if pieces > 1:
+            mesh = _link_mesh(urdf, shape, field)
             return [Hull(points) for points in convex_pieces(mesh.vertices[mesh.triangles], pieces)]
-        return [Hull(lean_hull(mesh.vertices))]
+        return [Hull(lean_hull(np.asarray(_loaded(urdf, shape, field).vertices(), dtype=np.float64)))]
     except (QhullError, ValueError):
         name = shape.get("filename", "").rsplit("/", 1)[-1]
         raise urdf.error(shape, field, f"mesh {name} encloses nothing", "all its points lie in one plane") from None
 
 
-def read_link_mesh(urdf: Urdf, shape: ET.Element, field: str) -> Mesh:
+def _link_mesh(urdf: Urdf, shape: ET.Element, field: str) -> Mesh:
     """The triangles of a <mesh>, in the shape's frame [m]. Raises InputError for one that cannot be read."""
+    read = _loaded(urdf, shape, field)
+    corners = (read.tri_indices(i) for i in range(read.num_tris))
+    triangles = np.array([(each[0], each[1], each[2]) for each in corners], dtype=np.int64).reshape(-1, 3)
+    return Mesh(np.asarray(read.vertices(), dtype=np.float64), triangles)
+
+
+def drawn_meshes(urdf: Urdf, link: str, tag: str, place: Array) -> list[tuple[coal.CollisionGeometry, Array]]:
+    """The meshes of a link's shapes of a tag, `visual` or `collision`, as they are, hollows and all, and their poses
+    (4, 4), the link's frame being at `place`.
+
+    Raises InputError for meshes that cannot be read.
+    """
+    out, field = [], f"link {link}"
+    for element in urdf.links()[link].findall(tag):
+        shape = element.find("geometry/mesh")
+        if shape is not None:
+            xyz, rpy = origin_of(urdf, element, field)
+            T = place @ pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz)).homogeneous
+            out.append((_loaded(urdf, shape, field), T))
+    return out
+
+
+def _loaded(urdf: Urdf, shape: ET.Element, field: str) -> coal.BVHModelBase:
     path = _mesh_path(urdf, shape, field)
     scale = np.array(urdf.numbers(shape, "scale", field, 3, "1 1 1"))
     try:
         read = coal.MeshLoader().load(str(path), scale)
-        vertices = np.asarray(read.vertices(), dtype=np.float64)
     except ValueError as error:
         told = [
             line for line in str(error).splitlines() if line and not line.startswith(("From", "in func", "at line"))
         ]
         hint = told[1] if len(told) > 1 else None
         raise urdf.error(shape, field, f"mesh {path.name} cannot be read", hint) from None
+    vertices = read.vertices()
     if not np.isfinite(vertices).all():
         raise urdf.error(shape, field, f"mesh {path.name} holds numbers that are not finite")
     if (size := float(np.ptp(vertices, axis=0).max(initial=0.0))) > FARTHEST:
         hint = 'sizes are metres; of a file in mm, scale="0.001 0.001 0.001"'
         raise urdf.error(shape, field, f"mesh {path.name} is {size:g} m large", hint)
-    corners = (read.tri_indices(i) for i in range(read.num_tris))
-    return Mesh(vertices, np.array([(each[0], each[1], each[2]) for each in corners], dtype=np.int64).reshape(-1, 3))
+    return read
 
 
 def _mesh_path(urdf: Urdf, shape: ET.Element, field: str) -> Path:

@@ -168,7 +168,7 @@ def _inverse(file: RobotFile, model: pin.Model) -> InverseKinematics | None:
     if slides := [name for i, name in enumerate(model.names[1:], 1) if not joint_axis(model, i)[:3].any()]:
         hint = "a rail has a file of its own, and carries the arm: cell.base of the problem file"
         raise file.error(field, f"joint {slides[0]} slides, and those of an arm turn", hint)
-    chain = _fold(model, data["tip"], np.eye(4), np.eye(4), tuple(model.names[1:]), {})
+    chain = base_to_tip(model, data["tip"])
     inverse = _spherical(file, chain) if field == "spherical_wrist" else _read_off(file, chain)
     q = np.random.default_rng(1).uniform(-np.pi, np.pi, (_POSTURES, len(chain)))
     seen, own = chain.poses(q), inverse.poses(q)
@@ -216,6 +216,11 @@ def _read_off(file: RobotFile, chain: Chain) -> PlacedWrist | OffsetWrist | Seve
         return read_seven_axes(chain, chain.names.index(str(redundant)))
     except OtherGeometry as error:
         raise file.error("inverse_kinematics", f"not an arm of the kind {kind}: {error}") from None
+
+
+def base_to_tip(model: pin.Model, tip: str) -> Chain:
+    """Chain from a model's base to a link over all its joints."""
+    return _fold(model, tip, np.eye(4), np.eye(4), tuple(model.names[1:]), {})
 
 
 def chain_of(

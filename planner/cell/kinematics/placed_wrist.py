@@ -177,13 +177,13 @@ def _sense(axis: Array, along: Array) -> float:
 def _wrist_centre(lines: JointAxes) -> Array:
     """Where axes 4, 5 and 6 meet (3): the place nearest to all three. OtherGeometry if they do not."""
     projections = [np.eye(3) - np.outer(d, d) for d in lines.directions[3:]]
-    centre = np.linalg.solve(
-        sum(projections), sum(P @ p for P, p in zip(projections, lines.points[3:], strict=True))
-    )
+    centre = np.linalg.solve(sum(projections), sum(P @ p for P, p in zip(projections, lines.points[3:], strict=True)))
     misses = [np.linalg.norm(P @ (centre - p)) for P, p in zip(projections, lines.points[3:], strict=True)]
     if max(misses) > _NEAR:
         aside = float(np.linalg.norm(lines.meet(3, 4) - lines.meet(4, 5)))
-        raise OtherGeometry(f"axes 4, 5, 6 do not meet in one point: 4 and 6 are {aside * 1e3:.0f} mm apart along axis 5")
+        raise OtherGeometry(
+            f"axes 4, 5, 6 do not meet in one point: 4 and 6 are {aside * 1e3:.0f} mm apart along axis 5"
+        )
     return np.asarray(centre)
 
 
