@@ -72,7 +72,7 @@ def survey(urdf: Urdf, tip: str | None) -> Survey:
         raise InputError(f"no link {tip!r}", file=urdf.path, hint=f"did you mean {near}?" if near else None)
     joints = [joint for joint in joints_to(urdf, tip) if joint.get("type") != "fixed"]
     ranges, slow = _left_open(joints)
-    model = model_of(urdf, tip, {name: (-np.pi, np.pi) for name in ranges}, bool(slow))
+    model = model_of(urdf, tip, dict.fromkeys(ranges, (-np.pi, np.pi)), bool(slow))
     chain = base_to_tip(model, tip)
     kind, redundant = _kind(urdf, chain)
     own = [float(speed) for speed in model.velocityLimit]
@@ -103,7 +103,7 @@ def survey(urdf: Urdf, tip: str | None) -> Survey:
         kind=kind,
         redundant=redundant,
         joints=chain.names,
-        ranges={name: (-ASSUMED_TURN, ASSUMED_TURN) for name in ranges},
+        ranges=dict.fromkeys(ranges, (-ASSUMED_TURN, ASSUMED_TURN)),
         speeds=tuple(speeds) if slow else None,
         acceleration=acceleration,
         jerk=tuple(_round(JERK * value) for value in acceleration),

@@ -13,9 +13,9 @@ from planner.base.errors import InputError, Refusal
 from planner.cell.robot import Robot
 from planner.cell.robots_command import reach
 from planner.new.posture import FAR, HIGH, ROUND, reached
+from planner.plan import Plan
 from planner.planning.check_command import examine
 from planner.planning.pipeline import solve
-from planner.plan import Plan
 from planner.problem.problem import parse_problem
 
 ABOVE = 0.05  # m above the cap, where the print begins and ends

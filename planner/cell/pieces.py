@@ -1,7 +1,8 @@
 """Meshes as convex bodies: few planes around a fine one, and a bent one as a few pieces.
 
-Its surface is cut by planes, and each piece becomes its hull. A hull of what lies on one side of a plane holds all of the solid there, so that the pieces hold the whole solid; each cut
-is the one, of some across each axis, that takes away most of what the hulls fill in vain.
+Its surface is cut by planes, and each piece becomes its hull. A hull of what lies on one side of a plane holds all of the
+solid there, so that the pieces hold the whole solid; each cut is the one, of some across each axis, that takes away most of
+what the hulls fill in vain.
 """
 
 from __future__ import annotations

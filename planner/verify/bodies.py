@@ -161,8 +161,9 @@ class CellBodies:
 def pairs(bodies: CellBodies, nozzle: float, arm: float) -> tuple[Pair, ...]:
     """Pairs that can hit each other, with the distances that the head keeps, and links and fixtures [m].
 
-    Neighbouring links touch, and those that a robot's file names. Bodies of one robot that are too near in whatever posture belong together. What does not
-    move in the part frame, where the nozzle lays its first layer, is looked at with part and print.
+    Neighbouring links touch, and those that a robot's file names. Bodies of one robot that are too near in whatever posture
+    belong together. What does not move in the part frame, where the nozzle lays its first layer, is looked at with part and
+    print.
     """
     found = []
     for i, j, above in _candidates(bodies):
