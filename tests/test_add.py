@@ -54,7 +54,9 @@ def test_public_arms_are_added_as_they_are(name: str, tmp_path: Path) -> None:
 
 
 def test_what_is_assumed_of_a_joint_that_says_little() -> None:
-    text = urdf_of(KR10).replace(' velocity="9.0"', "").replace('"joint_6" type="revolute"', '"joint_6" type="continuous"')
+    text = (
+        urdf_of(KR10).replace(' velocity="9.0"', "").replace('"joint_6" type="revolute"', '"joint_6" type="continuous"')
+    )
     found = survey(urdf(text), None)
     assert found.ranges == {"joint_6": (-360.0, 360.0)}
     assert found.speeds == (4.0, 5.0, 6.0, 7.0, 8.0, surveying.ASSUMED_SPEED)
@@ -127,7 +129,9 @@ def test_a_file_that_is_there_stays(tmp_path: Path) -> None:
     assert (tmp_path / "arm.yaml").read_text(encoding="utf-8") == "mine"
 
 
-def test_xacro_names_its_extra(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_xacro_names_its_extra(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "xacrodoc", None)
     (tmp_path / "arm.xacro").write_text("<robot/>", encoding="utf-8")
     assert main(["add", str(tmp_path / "arm.xacro"), "--out", str(tmp_path / "arm.yaml")]) == 2
@@ -194,7 +198,9 @@ def test_a_fine_ball_becomes_leaner_and_holds_it() -> None:
     assert (points @ lean.planes[:, :3].T + lean.planes[:, 3]).max() < 1e-9
     assert lean.volume < 1.03 * Hull(points).volume
     coarse = points[:100]
-    np.testing.assert_array_equal(np.sort(lean_hull(coarse), axis=0), np.sort(coarse[np.unique(Hull(coarse)._hull.vertices)], axis=0))
+    np.testing.assert_array_equal(
+        np.sort(lean_hull(coarse), axis=0), np.sort(coarse[np.unique(Hull(coarse)._hull.vertices)], axis=0)
+    )
 
 
 def forked(folder: Path, drawn: str = "visual") -> Path:

@@ -132,9 +132,7 @@ def anywhere(lengths: SphericalWrist, seed: int, twist: float = 0.0) -> Chain:
     end = np.eye(4)
     end[:3, :3], end[0, 3] = pin.exp3(np.array([0.0, np.pi / 2, 0.0])), c4
     tip = before @ end @ pin.exp6(np.concatenate([np.zeros(3), rng.normal(size=3)])).homogeneous
-    return Chain(
-        tuple(f"j{k}" for k in range(6)), np.array(placements), np.hstack([directions, np.zeros((6, 3))]), tip
-    )
+    return Chain(tuple(f"j{k}" for k in range(6)), np.array(placements), np.hstack([directions, np.zeros((6, 3))]), tip)
 
 
 mm = st.integers
@@ -150,7 +148,9 @@ def test_any_frames_give_the_same_arm(lengths: SphericalWrist, seed: int) -> Non
     chain = anywhere(lengths, seed)
     read = read_spherical_wrist(chain)
     # signs of lengths are a matter of how joints are counted; c1 and c4 depend on where base and tip were put
-    np.testing.assert_allclose(np.abs(read.parameters[[0, 2, 4, 5]]), np.abs(lengths.parameters[[0, 2, 4, 5]]), atol=1e-9)
+    np.testing.assert_allclose(
+        np.abs(read.parameters[[0, 2, 4, 5]]), np.abs(lengths.parameters[[0, 2, 4, 5]]), atol=1e-9
+    )
     q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (40, 6))
     T = chain.poses(q)
     np.testing.assert_allclose(read.poses(q), T, rtol=0, atol=1e-9)
@@ -213,7 +213,9 @@ def test_compiled_entry_is_the_same() -> None:
 
 def test_a_shipped_arm_is_read_as_its_own_lengths(tmp_path: Path) -> None:
     text = (ROBOTS / "irb2600.yaml").read_text(encoding="utf-8")
-    rows = ["inverse_kinematics: spherical_wrist" if row.startswith("spherical_wrist") else row for row in text.splitlines()]
+    rows = [
+        "inverse_kinematics: spherical_wrist" if row.startswith("spherical_wrist") else row for row in text.splitlines()
+    ]
     file = tmp_path / "own.yaml"
     file.write_text("\n".join(rows).replace("urdf: ", f"urdf: {ROBOTS}/"), encoding="utf-8")
     own, shipped = read_robot(file).inverse, read_robot(ROBOTS / "irb2600.yaml").inverse
