@@ -117,7 +117,7 @@ def test_two_arms_need_a_name() -> None:
     other = one.replace("link_", "left_link_").replace("joint_", "left_joint_").replace("tool0", "left_tool0")
     inner = other[other.index("\n") : other.index("</robot>")].replace('<link name="base_link"></link>', "")
     text = one.replace("</robot>", inner.replace('name="flange"', 'name="left_flange"') + "</robot>")
-    with pytest.raises(InputError, match="several arms: tool0, left_tool0.*--tip"):
+    with pytest.raises(InputError, match=r"several arms: tool0, left_tool0.*--tip"):
         survey(urdf(text), None)
     assert survey(urdf(text), "left_tool0").joints[0] == "left_joint_1"
 
