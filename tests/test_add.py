@@ -132,7 +132,7 @@ def test_a_file_that_is_there_stays(tmp_path: Path) -> None:
 def test_xacro_names_its_extra(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "xacrodoc", None)
+    monkeypatch.setitem(sys.modules, "xacro", None)
     (tmp_path / "arm.xacro").write_text("<robot/>", encoding="utf-8")
     assert main(["add", str(tmp_path / "arm.xacro"), "--out", str(tmp_path / "arm.yaml")]) == 2
     assert "beadwise[xacro]" in capsys.readouterr().err

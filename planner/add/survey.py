@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
+from xml.parsers.expat import ExpatError
 
 import numpy as np
 
@@ -228,7 +229,8 @@ def key_of(name: str) -> str:
 def expanded(path: Path) -> str:
     """The URDF text that a xacro file makes, packages looked for around it. Raises ImportError without xacrodoc, InputError
     for what xacro does not take."""
-    from xacrodoc import XacroDoc, packages  # an extra
+    from xacro import XacroException  # with xacrodoc, an extra
+    from xacrodoc import XacroDoc, packages
 
     folder = path.resolve().parent
     while not (folder / "package.xml").is_file() and folder != folder.parent:
@@ -237,6 +239,6 @@ def expanded(path: Path) -> str:
     try:
         packages.look_in([str(around)])
         return str(XacroDoc.from_file(str(path), resolve_packages=False).to_urdf_string())
-    except Exception as error:  # xacro raises whatever a macro does
+    except (XacroException, ExpatError, OSError, ValueError, RuntimeError) as error:
         words = " ".join(str(error).split())
         raise InputError("xacro does not take it", file=path, hint=words[:300]) from None

@@ -14,6 +14,7 @@ EXTRAS = {
     "dask": "cluster",
     "distributed": "cluster",
     "jupyterlab": "notebooks",
+    "xacro": "xacro",
     "xacrodoc": "xacro",
 }
 

@@ -209,7 +209,7 @@ def robots_command() -> Command:
             "": "all that ship: joints, reach, limits",
             "irb1600_145": "one of them: every joint's limits, every body, what is assumed",
             "my_robot.yaml": "whether a robot's file of your own is read as you mean it",
-            "add its.urdf": "make such a file from a published URDF: see its own --help",
+            "add --help": "how such a file is made from a published URDF",
         },
         {0: "told", 2: "wrong input"},
     )
