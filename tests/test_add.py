@@ -78,6 +78,15 @@ def test_a_gripper_is_no_part_of_the_arm() -> None:
     assert any("nozzle.axis" in note for note in found.notes)
 
 
+def test_of_several_frames_of_a_flange_it_is_one_whose_z_leaves_it() -> None:
+    """A `flange` with x out of it, as ROS has it, and a maker's own beside it."""
+    text = urdf_of(KR10).replace("tool0", "maker_flange").replace(
+        "</robot>",
+        '<link name="flange"/><joint name="f" type="fixed"><parent link="link_6"/><child link="flange"/></joint></robot>',
+    )  # fmt: skip
+    assert survey(urdf(text), None).tip == "maker_flange"
+
+
 def test_the_flange_may_be_named() -> None:
     text = urdf_of(KR10)
     assert survey(urdf(text), "link_6").tip == "link_6"

@@ -33,6 +33,7 @@ FLANGES = (
 )  # names that links of flanges bear, best first
 ASSUMED_SPEED = 1.5  # rad/s of a joint whose URDF tells none: slower than most
 ASSUMED_TURN = 360.0  # deg to either side, of a joint without ends
+ALONG = 0.99  # cosine: a frame's z leaves the flange along the last axis
 RISE = 0.25  # s in which a joint is assumed to reach its speed
 JERK = 50.0  # 1/s: assumed jerk by acceleration, as of the arms that ship
 
@@ -84,7 +85,7 @@ def survey(urdf: Urdf, tip: str | None) -> Survey:
         f"flange: link {tip}{'' if named else ', found by its name and place'}; "
         + (
             "its z points out of it"
-            if outwards[2] > 0.99
+            if outwards[2] > ALONG
             else f"the last axis leaves it along {np.round(outwards, 3) + 0.0}: nozzle.axis of a problem is that, not [0, 0, 1]"
         ),
         f"base: link {next(iter(_bases(urdf)))}, the frame that problems count from",
@@ -144,14 +145,14 @@ def _flange(urdf: Urdf, ways: dict[str, int]) -> str:
             file=urdf.path,
             hint="only arms with a closed-form inverse can be planned with",
         )
-    for name in FLANGES:
-        named = [link for link in arms if re.fullmatch(rf"(.*[_/-])?{name}", link)]
-        if named:
-            if len({ways[link] for link in named}) > 1 or len(named) > 1:
-                named = [link for link in named if ways[link] == max(ways[other] for other in named)]
-            if len(named) > 1:
-                raise InputError(f"several arms: {', '.join(named)}", file=urdf.path, hint="--tip says which one")
-            return named[0]
+    named = [link for link in arms if _rank(link) < len(FLANGES)]
+    if named:
+        most_axes = max(ways[link] for link in named)
+        named = [link for link in named if ways[link] == most_axes]
+        if len({_last_joint(urdf, link) for link in named}) > 1:
+            raise InputError(f"several arms: {', '.join(named)}", file=urdf.path, hint="--tip says which one")
+        # of the frames of one flange, one whose z points out of it, which other frames of the same name may not
+        return min(named, key=lambda link: (_outwards(_chain(urdf, link))[2] < ALONG, _rank(link), len(link)))
     if most > max(AXES):
         raise InputError(
             f"{most} joints in a row, and no link is named as a flange",
@@ -164,6 +165,22 @@ def _flange(urdf: Urdf, ways: dict[str, int]) -> str:
     if len(carried) > 1:
         raise InputError(f"several arms end in {', '.join(carried)}", file=urdf.path, hint="--tip says which one")
     return carried[0]
+
+
+def _rank(link: str) -> int:
+    """How like a flange's a link's name is: the index in FLANGES, its length for no such name."""
+    return next((k for k, name in enumerate(FLANGES) if re.fullmatch(rf"(.*[_/-])?{name}", link)), len(FLANGES))
+
+
+def _last_joint(urdf: Urdf, link: str) -> str:
+    """The joint that moves a link and nothing before it."""
+    return [joint.get("name", "") for joint in joints_to(urdf, link) if joint.get("type") != "fixed"][-1]
+
+
+def _chain(urdf: Urdf, link: str) -> Chain:
+    """The joints to a link, whatever they leave open."""
+    open_, _ = _left_open([joint for joint in joints_to(urdf, link) if joint.get("type") != "fixed"])
+    return base_to_tip(model_of(urdf, link, dict.fromkeys(open_, (-np.pi, np.pi)), True), link)
 
 
 def _left_open(joints: Sequence[ET.Element]) -> tuple[list[str], list[str]]:

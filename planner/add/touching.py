@@ -20,7 +20,7 @@ from planner.cell.bodies import BodyRules, drawn_meshes, read_bodies
 from planner.cell.kinematics.chain import joint_move
 from planner.cell.robot import Robot, joint_axis
 from planner.cell.solids import Body, Hull
-from planner.cell.urdf import Urdf
+from planner.cell.urdf import Urdf, link_frame
 from planner.verify.bodies import coal_geometry
 
 APART = (2, 3)  # joints between links that are looked at: those between farther ones lead almost anywhere
@@ -140,7 +140,7 @@ def _drawn(urdf: Urdf, robot: Robot, joint: int) -> list[Placed]:
         try:
             found = []
             for link in links:
-                place = model.frames[model.getFrameId(link)].placement.homogeneous
+                place = model.frames[link_frame(model, link)].placement.homogeneous
                 own = drawn_meshes(urdf, link, tag, place)
                 found.append(own)
         except InputError:

@@ -24,7 +24,7 @@ from planner.base.arrays import Array
 from planner.base.errors import Complaint
 from planner.cell.pieces import convex_pieces, lean_hull
 from planner.cell.solids import Body, Box, Capsule, ConvexSolid, Frustum, Hull, Mesh, Solid
-from planner.cell.urdf import FARTHEST, Urdf, hanging_on, origin_of
+from planner.cell.urdf import FARTHEST, Urdf, hanging_on, link_frame, origin_of
 from planner.problem import Problem
 from planner.problem.cell import BodySpec, NozzleSpec
 from planner.problem.stl import read_corners
@@ -68,7 +68,7 @@ def read_bodies(urdf: Urdf, model: pin.Model, rules: BodyRules) -> tuple[tuple[B
     for name, link in urdf.links().items():
         if name in absent:
             continue
-        frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
+        frame = model.frames[link_frame(model, name)]
         for element in link.findall("collision"):
             own = element.get("name")
             called = f"{name} ({own})" if own else name

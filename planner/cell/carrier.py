@@ -17,6 +17,7 @@ from planner.cell.kinematics.seven_axes import SevenAxes
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
 from planner.cell.robot import Robot, chain_of, load_robot
 from planner.cell.solids import Body
+from planner.cell.urdf import link_frame
 from planner.problem import Problem
 from planner.problem.cell import CarrierSpec
 
@@ -123,7 +124,7 @@ def _joined(robot: Robot, free: tuple[str, ...], held: dict[str, float], arm: Ro
     locked = [robot.model.getJointId(name) for name in held]
     model = pin.buildReducedModel(robot.model, locked, q)
     taken = {*arm.joint_names, *(frame.name for frame in arm.model.frames)}
-    tip = model.getFrameId(robot.tip)
+    tip = link_frame(model, robot.tip)
     for i in range(1, model.njoints):
         if model.names[i] in taken:
             model.names[i] = f"base_{model.names[i]}"

@@ -23,7 +23,7 @@ from planner.cell.kinematics.seven_axes import SevenAxes, read_seven_axes
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
 from planner.cell.robot_file import KINDS, LENGTHS, RobotFile, is_number, read_robot_file
 from planner.cell.solids import Body
-from planner.cell.urdf import Urdf, model_of, read_urdf, sliding_joints, turning_joints
+from planner.cell.urdf import Urdf, link_frame, model_of, read_urdf, sliding_joints, turning_joints
 from planner.problem import Problem
 from planner.problem.settings import LANGUAGE_NAMES, USUAL_LANGUAGE
 
@@ -252,7 +252,7 @@ def _fold(
         else:
             turn = pin.AngleAxis(held[name] if axis[:3].any() else 0.0, axis[:3]).toRotationMatrix()
             T = T @ pin.SE3(turn, held[name] * axis[3:]).homogeneous
-    frame = model.frames[model.getFrameId(tip)]
+    frame = model.frames[link_frame(model, tip)]
     T = T @ frame.placement.homogeneous @ T_tip_tool
     n = len(names)
     return Chain(tuple(names), np.array(placements).reshape(n, 4, 4), np.array(axes).reshape(n, 6), T)
@@ -263,7 +263,7 @@ def bodies_with_tip(robot: Robot, free: Collection[str], held: Mapping[str, floa
     model, data = robot.model, robot.model.createData()
     q = np.array([held.get(name, 0.0) for name in robot.joint_names])
     pin.forwardKinematics(model, data, q)
-    T_tip_base = pin.updateFramePlacement(model, data, model.getFrameId(robot.tip)).inverse()
+    T_tip_base = pin.updateFramePlacement(model, data, link_frame(model, robot.tip)).inverse()
     first = max((1 + robot.joint_names.index(name) for name in free), default=0)
     return tuple(
         Body(body.name, body.solid, (T_tip_base * data.oMi[i]).homogeneous @ body.T_frame_solid)

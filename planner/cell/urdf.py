@@ -188,6 +188,11 @@ def model_of(urdf: Urdf, tip: str, ranges: Ranges, speeds_given: bool) -> pin.Mo
         raise InputError("is no URDF that can be read", file=urdf.path, hint=str(error)) from None
 
 
+def link_frame(model: pin.Model, link: str) -> int:
+    """Index of a link's frame in a model, where joints may bear the same name."""
+    return int(model.getFrameId(link, pin.FrameType.BODY))
+
+
 def origin_of(urdf: Urdf, element: ET.Element, field: str) -> tuple[list[float], list[float]]:
     """Where a joint or a shape stands: xyz [m] and the angles rpy [rad] about fixed axes, each zero if not given."""
     origin = element.find("origin")

@@ -13,6 +13,7 @@ from planner.base.arrays import Array
 from planner.cell.cell import Cell
 from planner.cell.robot import Robot
 from planner.cell.solids import Body, Box, Capsule, Frustum, Mesh, Solid, triangles_of
+from planner.cell.urdf import link_frame
 from planner.verify.executed import joint_poses
 
 ARM, HEAD, HOLDER, CARRIED, FIXTURE = "arm", "head", "holder", "carried", "fixture"
@@ -71,7 +72,7 @@ class CellBodies:
         """All bodies of the cell: links, print head, fixtures and what is carried."""
         things = [_thing(body, FIXTURE, 0, 0, np.eye(4)) for body in cell.fixtures]
         arm = cell.arm_robot
-        T_last_flange = arm.model.frames[arm.model.getFrameId(arm.tip)].placement.homogeneous
+        T_last_flange = arm.model.frames[link_frame(arm.model, arm.tip)].placement.homogeneous
         na = arm.model.njoints - 1
         things += [
             _thing(body, ARM, i, i, np.eye(4) if i else cell.T_world_base)
@@ -89,7 +90,7 @@ class CellBodies:
             for i, bodies in enumerate(holder.bodies)
             for body in bodies
         ]
-        T_last_plate = holder.model.frames[holder.model.getFrameId(holder.tip)].placement.homogeneous
+        T_last_plate = holder.model.frames[link_frame(holder.model, holder.tip)].placement.homogeneous
         things += [_thing(body, CARRIED, na + nh, nh, T_last_plate @ cell.T_plate_part) for body in cell.carried]
         return cls(cell, tuple(things))
 

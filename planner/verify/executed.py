@@ -14,6 +14,7 @@ from planner.base.compiled import njit
 from planner.base.singular_values import least_singular_value
 from planner.cell.cell import Cell
 from planner.cell.robot import joint_axis
+from planner.cell.urdf import link_frame
 from planner.plan import Trajectory
 
 UNKNOWN = -1  # branch that is numbered by no convention but that of the inverse kinematics itself
@@ -149,7 +150,7 @@ def _branch(cell: Cell, T_base_flange: Array, q: Array, det: Array) -> NDArray[n
     """
     arm, k = cell.arm_robot, cell.rails
     model, data = arm.model, arm.model.createData()
-    flange = model.getFrameId(arm.tip)
+    flange = link_frame(model, arm.tip)
 
     def wrist_to_flange(posture: Array) -> tuple[float, float]:
         J = pin.computeFrameJacobian(model, data, posture, flange, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)[:, k:]
@@ -201,7 +202,7 @@ def _nozzle(cell: Cell, q: Array) -> tuple[Array, Array]:
     """Nozzle poses in the arm's base (n, 4, 4) and Jacobians at the nozzle tip (n, 6, na) there, at postures q (n, nj)."""
     arm, model = cell.arm_robot, cell.arm_robot.model
     data = model.createData()
-    flange = model.frames[model.getFrameId(arm.tip)]
+    flange = model.frames[link_frame(model, arm.tip)]
     last, turning = _pose_memory([data.oMi[flange.parentJoint]]), data.J.T.reshape(-1)
     poses, J = np.empty((len(q), 12)), np.empty((len(q), model.nv * 6))
     jacobians = pin.computeJointJacobians  # of what lies in the base's origin, and moves with the last joint
@@ -236,7 +237,7 @@ def _part(cell: Cell, q_free: Array) -> Array:
     held = np.array([cell.held.get(name, 0.0) for name in names])
     q = np.tile(held, (int(np.count_nonzero(turned)), 1))
     q[:, free] = q_free[turned]
-    tip = model.frames[model.getFrameId(cell.holder_robot.tip)]
+    tip = model.frames[link_frame(model, cell.holder_robot.tip)]
     T = joint_poses(model, q)[:, tip.parentJoint - 1] @ tip.placement.homogeneous
     return (cell.T_world_holder_base @ T @ cell.T_plate_part)[np.cumsum(turned) - 1]
 
