@@ -1,6 +1,6 @@
 """Public URDFs of arms, each added as it was published: is it read, are all branches found, is a print verified?
 
-python -m benchmarks.urdfs FOLDER [NAME …] [--no-print]
+python -m benchmarks.urdfs FOLDER [NAME …] [--no-print | --peer-cap]
 
 A row for each .urdf and .xacro file of the folder, or those whose names begin so. Branches are compared with what Newton's
 method finds from many random starts, which knows nothing of the closed forms.
@@ -20,8 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.add.command import added
+from planner.add.files import Cap
 from planner.add.trial import trial
 from planner.base.errors import InputError, PlannerError
+from planner.base.shipped import PROBLEMS
 from planner.cell.kinematics.chain import refine
 from planner.cell.robot import Robot, chain_of
 
@@ -90,7 +92,16 @@ def _apart(a: Array, b: Array) -> float:
     return float(np.abs(np.remainder(a - b + np.pi, 2.0 * np.pi) - np.pi).max())
 
 
-def row(path: Path, printing: bool) -> Row:
+def peer_cap() -> Cap:
+    """What the problem peer_cap prints, as it is."""
+    path = PROBLEMS / "peer_cap.txt"
+    rows = np.loadtxt(path)
+    return Cap(
+        float(np.linalg.norm(rows[0, :3])) * 1e-3, float(np.arccos(rows[:, 5].min())), path.read_text(encoding="utf-8")
+    )
+
+
+def row(path: Path, printing: bool, cap: Cap | None = None) -> Row:
     """Add one robot in a folder of its own."""
     begin = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
@@ -102,7 +113,7 @@ def row(path: Path, printing: bool) -> Row:
             hint = f" ({error.hint})" if isinstance(error, InputError) and error.hint else ""
             return Row(path.stem, seconds=time.perf_counter() - begin, remark=f"refused: {words}{hint}")
         found, lacking, worst = branches_of(made.robot)
-        tried = trial(made.robot, file, made.found.outwards) if printing else None
+        tried = trial(made.robot, file, made.found.outwards, cap) if printing else None
     plan = None if tried is None else tried.plan
     return Row(
         path.stem,
@@ -122,14 +133,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("folder", type=Path, help="where .urdf and .xacro files are")
     parser.add_argument("names", nargs="*", help="beginnings of the names of those that are wanted")
     parser.add_argument("--no-print", action="store_true", help="plan nothing")
+    parser.add_argument(
+        "--peer-cap", action="store_true", help="print what the problem peer_cap does, whatever the reach"
+    )
     options = parser.parse_args(arguments)
+    cap = peer_cap() if options.peer_cap else None
     paths = sorted(path for path in options.folder.iterdir() if path.suffix in (".urdf", ".xacro"))
     if options.names:
         paths = [path for path in paths if path.name.startswith(tuple(options.names))]
     print(COLUMNS.format("URDF", "inverse", "branches", "error", "touching", "at speed", "s", ""))
     rows = []
     for path in paths:
-        rows.append(row(path, not options.no_print))
+        rows.append(row(path, not options.no_print, cap))
         print(rows[-1], flush=True)
     read = [each for each in rows if each.kind != "-"]
     complete = sum(len(set(each.branches.split("/"))) == 1 for each in read)

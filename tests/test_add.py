@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from planner.add import survey as surveying
 from planner.add.command import added, main
-from planner.add.files import cap_text, nozzle_of
+from planner.add.files import nozzle_of, spiral
 from planner.add.survey import key_of, survey
 from planner.base.errors import InputError, OutputError
 from planner.cell.bodies import BodyRules, read_bodies
@@ -279,7 +279,7 @@ def test_mistakes_about_bodies_are_told(line: str, field: str, said: str, tmp_pa
 
 
 def test_the_cap_is_a_spiral_of_even_steps() -> None:
-    rows = np.array([[float(word) for word in line.split()] for line in cap_text(60.0).splitlines()])
+    rows = np.array([[float(word) for word in line.split()] for line in spiral(60.0).splitlines()])
     np.testing.assert_allclose(np.linalg.norm(rows[:, :3], axis=1), 60.0, atol=1e-4)
     np.testing.assert_allclose(rows[:, :3], 60.0 * rows[:, 3:], atol=1e-3)
     steps = np.linalg.norm(np.diff(rows[:, :3], axis=0), axis=1)

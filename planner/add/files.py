@@ -67,13 +67,24 @@ PITCH_MM, STEP_MM = 3.0, 1.0
 BED_MM = 20.0
 
 
-def cap_mm(reach: float) -> float:
-    """Radius of the cap for an arm of some reach [m]."""
-    return float(np.clip(np.round(CAP_MM * reach / REACH), LEAST_MM, CAP_MM))
+@dataclass(frozen=True)
+class Cap:
+    """A cap of a sphere and a path on it: radius [m], angle from its top to its rim [rad], waypoints as lines
+    x y z nx ny nz [mm] from the sphere's centre."""
+
+    radius: float
+    polar: float
+    waypoints: str
 
 
-def cap_text(radius_mm: float) -> str:
-    """Waypoints of a spiral from the top of a cap to its rim, x y z nx ny nz, from the cap's centre."""
+def cap_for(reach: float) -> Cap:
+    """A spiral on a cap as large as suits an arm's reach [m]."""
+    radius_mm = float(np.clip(np.round(CAP_MM * reach / REACH), LEAST_MM, CAP_MM))
+    return Cap(radius_mm * 1e-3, POLAR, spiral(radius_mm))
+
+
+def spiral(radius_mm: float) -> str:
+    """Waypoints of a spiral from the top of a cap to its rim, as those of a Cap."""
     turns = POLAR * radius_mm / PITCH_MM
     fine = np.linspace(0.0, 2.0 * np.pi * turns, 20000)
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(_cap(fine, turns) * radius_mm, axis=0), axis=1))])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.add.files import BENDS, POLAR, TrialNozzle, cap_mm, cap_text, nozzle_of, print_text
+from planner.add.files import BENDS, Cap, TrialNozzle, cap_for, nozzle_of, print_text
 from planner.base.arrays import Array
 from planner.base.errors import InputError, Refusal
 from planner.cell.robot import Robot
@@ -34,31 +34,29 @@ class Trial:
     reason: str
 
 
-def trial(robot: Robot, file: Path, outwards: Array, strategy: str | None = None) -> Trial:
+def trial(robot: Robot, file: Path, outwards: Array, cap: Cap | None = None) -> Trial:
     """Plan a spiral on a cap with a robot whose file stands already; outwards: where the last axis leaves the flange, in the
-    flange frame. Its nozzle is bent as that of the problem peer_cap, or straight."""
+    flange frame; cap: another than suits its reach. The nozzle is bent as that of the problem peer_cap, or straight."""
     far = reach(robot) or 0.0
-    radius = cap_mm(far)
+    cap = cap or cap_for(far)
     key = file.stem
     name = f"{key}_print" if key[:1].isalpha() else f"print_{key}"
-    cap = file.parent / f"{name}.txt"
-    cap.write_text(cap_text(radius), encoding="utf-8")
-    reason = f"no place was found where it reaches all of a cap of {radius:g} mm"
+    waypoints = file.parent / f"{name}.txt"
+    waypoints.write_text(cap.waypoints, encoding="utf-8")
+    reason = f"no place was found where it reaches all of a cap of {cap.radius * 1e3:g} mm"
     for nozzle in (nozzle_of(outwards, bend) for bend in BENDS):
-        for place in _places(robot, nozzle, radius * 1e-3, far):
-            tried = _tried(robot, file, name, nozzle, place, radius * 1e-3, strategy)
+        for place in _places(robot, nozzle, cap, far):
+            tried = _tried(robot, file, name, nozzle, place, cap)
             if isinstance(tried, Trial):
                 return tried
             reason = tried
-    cap.unlink()
+    waypoints.unlink()
     return Trial(name, "", None, reason)
 
 
-def _tried(
-    robot: Robot, file: Path, name: str, nozzle: TrialNozzle, place: Array, radius: float, strategy: str | None
-) -> Trial | str:
+def _tried(robot: Robot, file: Path, name: str, nozzle: TrialNozzle, place: Array, cap: Cap) -> Trial | str:
     """A verified print at a place [m], or why there is none."""
-    above, down = _groups(radius)[0]
+    above, down = _groups(cap)[0]
     reason = "no posture there is free of collisions"
     for posture in reached(robot, nozzle.tip, place + above, down, nozzle.axis).postures[:HOMES]:
         home = (np.round(np.degrees(posture), 1) + 0.0).tolist()
@@ -69,7 +67,7 @@ def _tried(
             reason = str(mistakes[0])
             continue
         try:
-            plan = solve(problem, strategy, baseline=False)
+            plan = solve(problem, baseline=False)
         except (Refusal, InputError) as error:
             return str(error)
         if plan.verified:
@@ -79,24 +77,24 @@ def _tried(
     return reason
 
 
-def _groups(radius: float) -> list[tuple[Array, Array]]:
+def _groups(cap: Cap) -> list[tuple[Array, Array]]:
     """Places (k, 3) [m] of the cap that the arm has to reach, from its centre, and the nozzle's axis there: first one above
     it and its top, then those on its rim."""
-    out = [(np.array([[0.0, 0.0, radius + ABOVE], [0.0, 0.0, radius]]), np.array([0.0, 0.0, -1.0]))]
+    out = [(np.array([[0.0, 0.0, cap.radius + ABOVE], [0.0, 0.0, cap.radius]]), np.array([0.0, 0.0, -1.0]))]
     for turn in np.arange(6) * np.pi / 3.0:
-        normal = np.array([np.sin(POLAR) * np.cos(turn), np.sin(POLAR) * np.sin(turn), np.cos(POLAR)])
-        out.append((radius * normal[None], -normal))
+        normal = np.array([np.sin(cap.polar) * np.cos(turn), np.sin(cap.polar) * np.sin(turn), np.cos(cap.polar)])
+        out.append((cap.radius * normal[None], -normal))
     return out
 
 
-def _places(robot: Robot, nozzle: TrialNozzle, radius: float, far: float) -> list[Array]:
+def _places(robot: Robot, nozzle: TrialNozzle, cap: Cap, far: float) -> list[Array]:
     """Round places (3) [m] of the cap's centre before the arm, the best first, none beside another."""
     rated = []
     for high in (*HIGH, BACK):
         for share in FAR:
             at = np.round(np.array([share, 0.0, high]) * far / ROUND) * ROUND
             worth = 1.0
-            for points, axis in _groups(radius):
+            for points, axis in _groups(cap):
                 if worth > 0.0:
                     worth = min(worth, reached(robot, nozzle.tip, at + points, axis, nozzle.axis).worth)
             if worth > 0.0:
