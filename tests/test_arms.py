@@ -460,7 +460,7 @@ IRB140 = (ROBOTS / "irb140.yaml").read_text(encoding="utf-8")
         (UR5, ("[10, 10, 10, 15, 15, 15]", "[10, 10, 10]"), "acceleration_rad_s2", "6 positive numbers"),
         (UR5, ("[10, 10, 10, 15, 15, 15]", "[10, 10, 10, 15, 15, 0]"), "acceleration_rad_s2", "6 positive numbers"),
         (UR5, ("[500, 500, 500, 750, 750, 750]", "[a, b, c, d, e, f]"), "jerk_rad_s3", "6 positive numbers"),
-        (UR5, ("offset_wrist", "ofset_wrist"), "inverse_kinematics", "known: offset_wrist"),
+        (UR5, ("offset_wrist", "ofset_wrist"), "inverse_kinematics", "known: spherical_wrist"),
         (UR5, ("offset_wrist", "seven_axes"), "inverse_kinematics", "redundant_joint"),
         (UR5, ("inverse_kinematics: offset_wrist", "redundant_joint: a\ninverse_kinematics: offset_wrist"),
          "redundant_joint", "and no other"),

@@ -28,7 +28,9 @@ COMMANDS = {
     "solve": CommandModule("planner.planning.solve_command", "plan a print: from a problem file to a robot program"),
     "check": CommandModule("planner.planning.check_command", "read a problem and its files without planning it"),
     "new": CommandModule("planner.new.command", "make a problem file of your own"),
-    "robots": CommandModule("planner.cell.robots_command", "the robots that ship, or one of them in detail"),
+    "robots": CommandModule(
+        "planner.add.command", "the robots that ship, one of them in detail, or one of your own added"
+    ),
     "place": CommandModule("planner.place.command", "search for the place from which a part is printed best"),
     "register": CommandModule("planner.register.command", "find where the part really is, from touched places"),
     "view": CommandModule("planner.view.command", "a report in the browser, made anew when its problem is saved"),

@@ -7,6 +7,8 @@ as they are sold for printing beside walls.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from urllib.parse import unquote, urlparse
@@ -15,13 +17,14 @@ from xml.etree import ElementTree as ET
 import coal
 import numpy as np
 import pinocchio as pin
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import QhullError
 from scipy.spatial.transform import Rotation
 
 from planner.base.arrays import Array
 from planner.base.errors import Complaint
+from planner.cell.pieces import convex_pieces, lean_hull
 from planner.cell.solids import Body, Box, Capsule, ConvexSolid, Frustum, Hull, Mesh, Solid
-from planner.cell.urdf import FARTHEST, Urdf, hanging_on, origin_of
+from planner.cell.urdf import FARTHEST, Urdf, hanging_on, link_frame, origin_of
 from planner.problem import Problem
 from planner.problem.cell import BodySpec, NozzleSpec
 from planner.problem.stl import read_corners
@@ -36,41 +39,63 @@ _LENGTH = 40e-3  # m
 _TUBE = 15e-3  # m, radius of what holds it, from its upper end to the middle of the flange
 
 
-def read_bodies(urdf: Urdf, model: pin.Model, without: tuple[str, ...]) -> tuple[tuple[Body, ...], ...]:
+@dataclass(frozen=True)
+class BodyRules:
+    """How a robot's file wants the shapes of its URDF to be taken.
+
+    without    links that are left out, with what hangs on them
+    pieces     by link, how many convex pieces at most each of its meshes becomes; one where a link is not named
+    may_touch  pairs of links that may be in touch
+    """
+
+    without: tuple[str, ...] = ()
+    pieces: Mapping[str, int] = field(default_factory=dict)
+    may_touch: tuple[tuple[str, str], ...] = ()
+
+    def beside(self, link: str) -> frozenset[str]:
+        """The links that one link may touch."""
+        return frozenset(b if a == link else a for a, b in self.may_touch if link in (a, b))
+
+
+def read_bodies(urdf: Urdf, model: pin.Model, rules: BodyRules) -> tuple[tuple[Body, ...], ...]:
     """Bodies by the joint of the model that carries them (0: none does), in that joint's frame.
 
-    A link's body bears its name, with the shape's own in brackets where it has one. Meshes become their convex hulls.
-    Links `without`, and what hangs on them, are left out. Raises InputError for shapes that cannot be read.
+    A link's body bears its name, with the shape's own in brackets where it has one. Meshes become convex hulls, or some
+    pieces of them. Raises InputError for shapes that cannot be read.
     """
     bodies: list[list[Body]] = [[] for _ in range(model.njoints)]
-    absent = hanging_on(urdf, without)
+    absent = hanging_on(urdf, rules.without)
     for name, link in urdf.links().items():
         if name in absent:
             continue
-        frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
+        frame = model.frames[link_frame(model, name)]
         for element in link.findall("collision"):
             own = element.get("name")
-            body = _link_body(urdf, element, f"{name} ({own})" if own else name, f"link {name}", frame.placement)
-            bodies[frame.parentJoint].append(body)
+            called = f"{name} ({own})" if own else name
+            T, solids = _link_solids(urdf, element, f"link {name}", frame.placement, rules.pieces.get(name, 1))
+            bodies[frame.parentJoint] += [Body(called, solid, T, name, rules.beside(name)) for solid in solids]
     return tuple(map(tuple, bodies))
 
 
-def _link_body(urdf: Urdf, element: ET.Element, name: str, field: str, place: pin.SE3) -> Body:
+def _link_solids(
+    urdf: Urdf, element: ET.Element, field: str, place: pin.SE3, pieces: int
+) -> tuple[Array, Sequence[ConvexSolid]]:
+    """Where the solids of a <collision> lie in the joint's frame (4, 4), and these."""
     geometry = element.find("geometry")
     shapes = [] if geometry is None else list(geometry)
     if len(shapes) != 1:
         raise urdf.error(element, field, "a collision needs one shape", f"one of {', '.join(SHAPES)}")
-    solid, shift = _solid(urdf, shapes[0], field)
+    solids, shift = _solids(urdf, shapes[0], field, pieces)
     xyz, rpy = origin_of(urdf, element, field)
     T = place.homogeneous @ pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz)).homogeneous
     T[:3, 3] -= shift * T[:3, 2]
-    return Body(name, solid, T)
+    return T, solids
 
 
-def _solid(urdf: Urdf, shape: ET.Element, field: str) -> tuple[ConvexSolid, float]:
-    """The solid, and how far below the shape's origin its own lies along z [m]."""
+def _solids(urdf: Urdf, shape: ET.Element, field: str, pieces: int) -> tuple[Sequence[ConvexSolid], float]:
+    """The solids of a shape, and how far below the shape's origin their own lies along z [m]."""
     if shape.tag == "mesh":
-        return _link_hull(urdf, shape, field), 0.0
+        return _link_hulls(urdf, shape, field, pieces), 0.0
     keys = {"box": ("size",), "sphere": ("radius",)}.get(shape.tag, ("radius", "length"))
     if shape.tag not in SHAPES:
         raise urdf.error(shape, field, f"unknown shape <{shape.tag}>", f"one of {', '.join(SHAPES)}")
@@ -80,36 +105,67 @@ def _solid(urdf: Urdf, shape: ET.Element, field: str) -> tuple[ConvexSolid, floa
     if max(values) > FARTHEST:
         raise urdf.error(shape, field, f"the {shape.tag} has a size of {max(values):g} m", "sizes are metres")
     if shape.tag == "box":
-        return Box((values[0], values[1], values[2])), 0.0
+        return [Box((values[0], values[1], values[2]))], 0.0
     if shape.tag == "sphere":
-        return Capsule(values[0], 0.0), 0.0
+        return [Capsule(values[0], 0.0)], 0.0
     if shape.tag == "capsule":
-        return Capsule(values[0], values[1]), 0.0
-    return Frustum(values[0], values[0], values[1]), 0.5 * values[1]
+        return [Capsule(values[0], values[1])], 0.0
+    return [Frustum(values[0], values[0], values[1])], 0.5 * values[1]
 
 
-def _link_hull(urdf: Urdf, shape: ET.Element, field: str) -> Hull:
+def _link_hulls(urdf: Urdf, shape: ET.Element, field: str, pieces: int) -> list[Hull]:
+    try:
+        if pieces > 1:
+            mesh = _link_mesh(urdf, shape, field)
+            return [Hull(points) for points in convex_pieces(mesh.vertices[mesh.triangles], pieces)]
+        return [Hull(lean_hull(np.asarray(_loaded(urdf, shape, field).vertices(), dtype=np.float64)))]
+    except (QhullError, ValueError):
+        name = shape.get("filename", "").rsplit("/", 1)[-1]
+        raise urdf.error(shape, field, f"mesh {name} encloses nothing", "all its points lie in one plane") from None
+
+
+def _link_mesh(urdf: Urdf, shape: ET.Element, field: str) -> Mesh:
+    """The triangles of a <mesh>, in the shape's frame [m]. Raises InputError for one that cannot be read."""
+    read = _loaded(urdf, shape, field)
+    corners = (read.tri_indices(i) for i in range(read.num_tris))
+    triangles = np.array([(each[0], each[1], each[2]) for each in corners], dtype=np.int64).reshape(-1, 3)
+    return Mesh(np.asarray(read.vertices(), dtype=np.float64), triangles)
+
+
+def drawn_meshes(urdf: Urdf, link: str, tag: str, place: Array) -> list[tuple[coal.CollisionGeometry, Array]]:
+    """The meshes of a link's shapes of a tag, `visual` or `collision`, as they are, hollows and all, and their poses
+    (4, 4), the link's frame being at `place`.
+
+    Raises InputError for meshes that cannot be read.
+    """
+    out, field = [], f"link {link}"
+    for element in urdf.links()[link].findall(tag):
+        shape = element.find("geometry/mesh")
+        if shape is not None:
+            xyz, rpy = origin_of(urdf, element, field)
+            T = place @ pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz)).homogeneous
+            out.append((_loaded(urdf, shape, field), T))
+    return out
+
+
+def _loaded(urdf: Urdf, shape: ET.Element, field: str) -> coal.BVHModelBase:
     path = _mesh_path(urdf, shape, field)
     scale = np.array(urdf.numbers(shape, "scale", field, 3, "1 1 1"))
     try:
-        vertices = np.asarray(coal.MeshLoader().load(str(path), scale).vertices(), dtype=np.float64)
+        read = coal.MeshLoader().load(str(path), scale)
     except ValueError as error:
         told = [
             line for line in str(error).splitlines() if line and not line.startswith(("From", "in func", "at line"))
         ]
         hint = told[1] if len(told) > 1 else None
         raise urdf.error(shape, field, f"mesh {path.name} cannot be read", hint) from None
+    vertices = read.vertices()
     if not np.isfinite(vertices).all():
         raise urdf.error(shape, field, f"mesh {path.name} holds numbers that are not finite")
     if (size := float(np.ptp(vertices, axis=0).max(initial=0.0))) > FARTHEST:
         hint = 'sizes are metres; of a file in mm, scale="0.001 0.001 0.001"'
         raise urdf.error(shape, field, f"mesh {path.name} is {size:g} m large", hint)
-    try:
-        return Hull(vertices[ConvexHull(vertices).vertices])
-    except (QhullError, ValueError):
-        raise urdf.error(
-            shape, field, f"mesh {path.name} encloses nothing", "all its points lie in one plane"
-        ) from None
+    return read
 
 
 def _mesh_path(urdf: Urdf, shape: ET.Element, field: str) -> Path:

@@ -12,10 +12,12 @@ from planner.base.errors import nearest_name
 from planner.cell.kinematics.chain import Chain
 from planner.cell.kinematics.inverse import Corrected, OnRail
 from planner.cell.kinematics.offset_wrist import OffsetWrist
+from planner.cell.kinematics.placed_wrist import PlacedWrist
 from planner.cell.kinematics.seven_axes import SevenAxes
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
 from planner.cell.robot import Robot, chain_of, load_robot
 from planner.cell.solids import Body
+from planner.cell.urdf import link_frame
 from planner.problem import Problem
 from planner.problem.cell import CarrierSpec
 
@@ -122,7 +124,7 @@ def _joined(robot: Robot, free: tuple[str, ...], held: dict[str, float], arm: Ro
     locked = [robot.model.getJointId(name) for name in held]
     model = pin.buildReducedModel(robot.model, locked, q)
     taken = {*arm.joint_names, *(frame.name for frame in arm.model.frames)}
-    tip = model.getFrameId(robot.tip)
+    tip = link_frame(model, robot.tip)
     for i in range(1, model.njoints):
         if model.names[i] in taken:
             model.names[i] = f"base_{model.names[i]}"
@@ -151,7 +153,7 @@ def _joined(robot: Robot, free: tuple[str, ...], held: dict[str, float], arm: Ro
 
 
 def _on_rail(arm: Robot, chain: Chain) -> OnRail:
-    if not isinstance(arm.inverse, SphericalWrist | OffsetWrist | SevenAxes | Corrected):
+    if not isinstance(arm.inverse, SphericalWrist | PlacedWrist | OffsetWrist | SevenAxes | Corrected):
         raise TypeError(f"{arm.key} is no arm that stands")
     rest = getattr(getattr(arm.inverse, "nominal", arm.inverse), "rest", None)
     return OnRail(arm.inverse, chain, (*(0.0,) * len(chain), *(() if rest is None else (rest,))))

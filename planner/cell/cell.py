@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -13,12 +13,14 @@ from planner.cell.bodies import fixture_bodies, head_bodies
 from planner.cell.carrier import Carrier, carried_arm, in_words
 from planner.cell.kinematics.chain import Chain
 from planner.cell.kinematics.inverse import InverseKinematics, OnRail, given_joints, with_rest
+from planner.cell.kinematics.placed_wrist import PlacedWrist
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
 from planner.cell.robot import Robot, chain_of, load_robot
 from planner.cell.solids import Body
 from planner.problem import Problem
 from planner.problem.cell import CellSpec, PositionerSpec
 
+_STRAIGHT = 1e-3  # sine of joint 5 at zero below which axes 4 and 6 are parallel there, as makers count
 _ROUNDING = 1e-9  # rad: an angle at the end of its range is inside, though degrees became radians
 
 
@@ -116,6 +118,59 @@ class Cell:
     def spherical(self) -> bool:
         """Whether the arm's wrist is spherical and its own six joints are those of the usual industrial arm."""
         return isinstance(self.inverse.arm if isinstance(self.inverse, OnRail) else self.inverse, SphericalWrist)
+
+    @property
+    def tells_posture(self) -> bool:
+        """Whether a pose and a branch tell a posture as controllers of industrial arms have it: `as_counted` is one of a
+        spherical wrist, counted as data sheets do."""
+        return self.spherical or isinstance(self.inverse, PlacedWrist)
+
+    def counted(self, q: Array) -> Array:
+        """Joints (m, n) of `as_counted` at postures q (m, n)."""
+        if not isinstance(self.inverse, PlacedWrist):
+            return q
+        na = len(self.arm)
+        return np.column_stack([self.inverse.counted(q[:, :na]), q[:, na:]])
+
+    @property
+    def as_counted(self) -> Cell:
+        """The same cell, the joints of an arm with a spherical wrist counted as data sheets do, from upper arm upright and
+        forearm level, between the frames that controllers have; itself where they are, and for other arms.
+
+        Of the arm's model only speeds are the same: poses are those of the chain `arm`.
+        """
+        placed = self.inverse
+        if not isinstance(placed, PlacedWrist):
+            return self
+        T_flange_nozzle = placed.T_end_flange @ self.T_flange_nozzle
+        T_world_base = self.T_world_base @ placed.T_base_foot
+        own = placed.arm.chain(self.arm.names)
+        placements = np.concatenate([T_world_base[None] @ own.placements[:1], own.placements[1:]])
+        na, limits = len(self.arm), self.limits
+        ends = np.sort([self.counted(each[None])[0] for each in (limits.q_min, limits.q_max)], axis=0)
+        return replace(
+            self,
+            arm=Chain(own.names, placements, own.axes, own.T_last_tip @ T_flange_nozzle),
+            limits=replace(
+                limits,
+                q_min=np.append(ends[0, :na], limits.q_min[na:]),
+                q_max=np.append(ends[1, :na], limits.q_max[na:]),
+            ),
+            inverse=placed.arm,
+            T_world_base=T_world_base,
+            T_flange_nozzle=T_flange_nozzle,
+            home=self.counted(self.home[None])[0],
+            arm_robot=replace(self.arm_robot, inverse=placed.arm),
+        )
+
+    @property
+    def straight_at(self) -> float:
+        """Where joint 5 of six stands when axes 4 and 6 are parallel [rad], or half a turn from there: 0 mostly."""
+        if len(self.solved) != 6 or self.given not in ((), tuple(range(self.rails))):
+            return 0.0
+        fourth, fifth, sixth = self.arm.screws[self.rails + 3 : self.rails + 6, 3:]
+        angle = float(np.arctan2(np.cross(fourth, sixth) @ fifth, fourth @ sixth))
+        return -angle if abs(np.sin(angle)) > _STRAIGHT else 0.0
 
     @property
     def wrist(self) -> SphericalWrist:

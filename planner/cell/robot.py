@@ -13,21 +13,23 @@ import pinocchio as pin
 from planner.base.arrays import Array
 from planner.base.errors import nearest_name
 from planner.base.shipped import ROBOTS
-from planner.cell.bodies import read_bodies
+from planner.cell.bodies import BodyRules, read_bodies
 from planner.cell.kinematics.axes import OtherGeometry
 from planner.cell.kinematics.chain import Chain
 from planner.cell.kinematics.inverse import Corrected, InverseKinematics
 from planner.cell.kinematics.offset_wrist import OffsetWrist, read_offset_wrist
+from planner.cell.kinematics.placed_wrist import PlacedWrist, read_spherical_wrist
 from planner.cell.kinematics.seven_axes import SevenAxes, read_seven_axes
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
 from planner.cell.robot_file import KINDS, LENGTHS, RobotFile, is_number, read_robot_file
 from planner.cell.solids import Body
-from planner.cell.urdf import Urdf, model_of, read_urdf, sliding_joints, turning_joints
+from planner.cell.urdf import Urdf, link_frame, model_of, read_urdf, sliding_joints, turning_joints
 from planner.problem import Problem
 from planner.problem.settings import LANGUAGE_NAMES, USUAL_LANGUAGE
 
 _INVERSE = ("spherical_wrist", "inverse_kinematics")  # keys, one of which an arm has
 _SAME_POSE = 1e-9  # m: closed form and URDF are one arm
+_ROUNDED = 1e-4  # m: so near they are one but for a URDF's rounded angles, such as 1.57 of a quarter turn
 _POSTURES = 20
 
 
@@ -125,8 +127,13 @@ def read_robot(path: Path) -> Robot:
         inverse=_inverse(file, model),
         assumed=file.texts("assumed"),
         language=_language(file),
-        bodies=read_bodies(urdf, model, file.of_these("without", "link", urdf.links())),
+        bodies=read_bodies(urdf, model, _body_rules(file, urdf)),
     )
+
+
+def _body_rules(file: RobotFile, urdf: Urdf) -> BodyRules:
+    links = urdf.links()
+    return BodyRules(file.of_these("without", "link", links), file.pieces(links), file.link_pairs(links))
 
 
 def _language(file: RobotFile) -> str:
@@ -161,19 +168,23 @@ def _inverse(file: RobotFile, model: pin.Model) -> InverseKinematics | None:
     if slides := [name for i, name in enumerate(model.names[1:], 1) if not joint_axis(model, i)[:3].any()]:
         hint = "a rail has a file of its own, and carries the arm: cell.base of the problem file"
         raise file.error(field, f"joint {slides[0]} slides, and those of an arm turn", hint)
-    chain = _fold(model, data["tip"], np.eye(4), np.eye(4), tuple(model.names[1:]), {})
+    chain = base_to_tip(model, data["tip"])
     inverse = _spherical(file, chain) if field == "spherical_wrist" else _read_off(file, chain)
     q = np.random.default_rng(1).uniform(-np.pi, np.pi, (_POSTURES, len(chain)))
     seen, own = chain.poses(q), inverse.poses(q)
-    if np.allclose(seen, own, rtol=0.0, atol=_SAME_POSE):
-        return inverse
+    apart = np.abs(seen - own).max(axis=(1, 2))
+    if apart.max() <= _SAME_POSE:
+        return inverse.arm if isinstance(inverse, PlacedWrist) and inverse.usual else inverse
     if not isinstance(inverse, SphericalWrist):
         return Corrected(inverse, chain)
-    worst = int(np.argmax(np.abs(seen - own).max(axis=(1, 2))))
+    if apart.max() <= _ROUNDED:
+        return Corrected(read_spherical_wrist(chain), chain)
+    worst = int(np.argmax(apart))
+    at, by = (np.round(T[worst, :3, 3] * 1e3, 3) for T in (seen, own))
     raise file.error(
         field,
-        "these lengths and the URDF disagree about the flange",
-        f"URDF says {np.round(seen[worst, :3, 3] * 1e3, 3)} mm, the lengths {np.round(own[worst, :3, 3] * 1e3, 3)} mm",
+        f"these lengths and the URDF disagree about the flange: URDF says {at} mm, the lengths {by} mm",
+        "where its zero, senses of axes or frames are others, inverse_kinematics: spherical_wrist reads them off the URDF",
     )
 
 
@@ -188,7 +199,7 @@ def _spherical(file: RobotFile, chain: Chain) -> SphericalWrist:
     return SphericalWrist(*(float(lengths[key]) * 1e-3 for key in LENGTHS))
 
 
-def _read_off(file: RobotFile, chain: Chain) -> OffsetWrist | SevenAxes:
+def _read_off(file: RobotFile, chain: Chain) -> PlacedWrist | OffsetWrist | SevenAxes:
     kind = file.data["inverse_kinematics"]
     if kind not in KINDS:
         raise file.error("inverse_kinematics", f"unknown kind {kind!r}", f"known: {', '.join(KINDS)}")
@@ -199,10 +210,17 @@ def _read_off(file: RobotFile, chain: Chain) -> OffsetWrist | SevenAxes:
     try:
         if kind == "offset_wrist":
             return read_offset_wrist(chain)
+        if kind == "spherical_wrist":
+            return read_spherical_wrist(chain)
         file.known("redundant_joint", "joint", redundant, chain.names)
         return read_seven_axes(chain, chain.names.index(str(redundant)))
     except OtherGeometry as error:
         raise file.error("inverse_kinematics", f"not an arm of the kind {kind}: {error}") from None
+
+
+def base_to_tip(model: pin.Model, tip: str) -> Chain:
+    """Chain from a model's base to a link over all its joints."""
+    return _fold(model, tip, np.eye(4), np.eye(4), tuple(model.names[1:]), {})
 
 
 def chain_of(
@@ -234,7 +252,7 @@ def _fold(
         else:
             turn = pin.AngleAxis(held[name] if axis[:3].any() else 0.0, axis[:3]).toRotationMatrix()
             T = T @ pin.SE3(turn, held[name] * axis[3:]).homogeneous
-    frame = model.frames[model.getFrameId(tip)]
+    frame = model.frames[link_frame(model, tip)]
     T = T @ frame.placement.homogeneous @ T_tip_tool
     n = len(names)
     return Chain(tuple(names), np.array(placements).reshape(n, 4, 4), np.array(axes).reshape(n, 6), T)
@@ -245,7 +263,7 @@ def bodies_with_tip(robot: Robot, free: Collection[str], held: Mapping[str, floa
     model, data = robot.model, robot.model.createData()
     q = np.array([held.get(name, 0.0) for name in robot.joint_names])
     pin.forwardKinematics(model, data, q)
-    T_tip_base = pin.updateFramePlacement(model, data, model.getFrameId(robot.tip)).inverse()
+    T_tip_base = pin.updateFramePlacement(model, data, link_frame(model, robot.tip)).inverse()
     first = max((1 + robot.joint_names.index(name) for name in free), default=0)
     return tuple(
         Body(body.name, body.solid, (T_tip_base * data.oMi[i]).homogeneous @ body.T_frame_solid)

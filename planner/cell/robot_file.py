@@ -17,7 +17,8 @@ from planner.problem.settings import LANGUAGE_NAMES, USUAL_LANGUAGE
 from planner.problem.yaml_file import Keys, ValueSources, read_yaml_file
 
 LENGTHS = tuple(f"{name}_mm" for name in ("a1", "a2", "b", "c1", "c2", "c3", "c4"))  # of a spherical wrist's arm
-KINDS = ("offset_wrist", "seven_axes")  # spherical wrists have a section of their own, with their lengths
+MOST_PIECES = 12  # of a link
+KINDS = ("spherical_wrist", "offset_wrist", "seven_axes")
 
 
 @dataclass(frozen=True)
@@ -92,11 +93,24 @@ KEYS = {
         _RANGES,
     ),
     "without": RobotKey("links of the URDF whose collision shapes do not count", "[hand]", "none", _NAMES),
+    "pieces": RobotKey(
+        f"by link, how many convex pieces its meshes are cut into, {MOST_PIECES} at most; a bent link fills its bend otherwise",
+        "{link_3: 4}",
+        "one hull for each mesh",
+        {"type": "object", "additionalProperties": {"type": "integer", "minimum": 1, "maximum": MOST_PIECES}},
+    ),
+    "may_touch": RobotKey(
+        "pairs of links that may be in touch, besides those beside each other: the real ones never are, or always",
+        "[[link_4, link_6]]",
+        "none",
+        {"type": "array", "items": {**_NAMES, "minItems": 2, "maxItems": 2}},
+    ),
     "assumed": RobotKey(
         "what of this file nobody has published; listings and the checks say so", "[jerk_rad_s3]", "nothing", _NAMES
     ),
     "spherical_wrist": RobotKey(
-        "of an arm whose last three axes meet: its seven lengths [mm], as Brandstötter et al. name them (OPW)",
+        "of an arm whose last three axes meet, counted from upper arm upright and forearm level: its seven lengths [mm], as "
+        "Brandstötter et al. name them (OPW), held against the URDF; in place of inverse_kinematics",
         "{a1_mm: 70, a2_mm: 0, b_mm: 0, c1_mm: 352, c2_mm: 360, c3_mm: 380, c4_mm: 65}",
         "none",
         {
@@ -107,7 +121,8 @@ KEYS = {
         },
     ),
     "inverse_kinematics": RobotKey(
-        f"of another arm, what it is like: {' or '.join(KINDS)}; a robot without this and spherical_wrist only holds parts",
+        f"what an arm is like, whose lengths, zero and senses of axes are read off the URDF: {', '.join(KINDS)}; a robot without "
+        "this and spherical_wrist only holds parts",
         "offset_wrist",
         "none",
         {"enum": list(KINDS)},
@@ -160,6 +175,26 @@ class RobotFile:
         given = self.texts(field)
         for name in given:
             self.known(field, kind, name, names)
+        return given
+
+    def pieces(self, links: Collection[str]) -> dict[str, int]:
+        """Numbers of convex pieces by link; none where it is left out."""
+        given = self.data.get("pieces", {})
+        if not isinstance(given, dict):
+            raise self.error("pieces", "must be numbers by link", "for example {link_3: 4}")
+        for name, count in given.items():
+            self.known("pieces", "link", name, links)
+            if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MOST_PIECES:
+                raise self.error("pieces", f"{name} must have a whole number of pieces", f"1 to {MOST_PIECES}")
+        return given
+
+    def link_pairs(self, links: Collection[str]) -> tuple[tuple[str, str], ...]:
+        """Pairs of links that may be in touch; none where it is left out."""
+        given = self.data.get("may_touch", ())
+        if not isinstance(given, tuple) or not all(isinstance(pair, tuple) and len(pair) == 2 for pair in given):
+            raise self.error("may_touch", "must be pairs of links", "for example [[link_4, link_6]]")
+        for name in (name for pair in given for name in pair):
+            self.known("may_touch", "link", name, links)
         return given
 
     def numbers(self, field: str, count: int) -> Array:

@@ -20,6 +20,8 @@ from planner.base.errors import EXIT_VERIFIED, InputError
 from planner.base.shipped import ROBOTS
 from planner.cell.kinematics.inverse import Corrected, InverseKinematics
 from planner.cell.kinematics.offset_wrist import OffsetWrist
+from planner.cell.kinematics.placed_wrist import PlacedWrist
+from planner.cell.kinematics.seven_axes import SevenAxes
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
 from planner.cell.robot import Robot, chain_of, names_meant, read_robot, robot_names
 from planner.cell.robot_file import read_robot_file
@@ -38,13 +40,13 @@ def reach(robot: Robot) -> float | None:
     inverse = robot.inverse
     if inverse is None:
         return None
-    back = inverse.c4 if isinstance(inverse, SphericalWrist) else 0.0
-    chain = chain_of(robot, np.eye(4), np.eye(4), robot.joint_names, {})
+    T_flange_wrist = _wrist(inverse)
+    chain = chain_of(robot, np.eye(4), np.eye(4) if T_flange_wrist is None else T_flange_wrist, robot.joint_names, {})
     at, axis = chain.placements[0, :3, 3], chain.placements[0, :3, :3] @ chain.axes[0, :3]
 
     def away(q: Array) -> Array:
         T = chain.poses(np.atleast_2d(q))
-        return np.asarray(np.linalg.norm(np.cross(T[:, :3, 3] - back * T[:, :3, 2] - at, axis), axis=1))
+        return np.asarray(np.linalg.norm(np.cross(T[:, :3, 3] - at, axis), axis=1))
 
     low = np.maximum(robot.model.lowerPositionLimit, -np.pi)
     high = np.minimum(robot.model.upperPositionLimit, np.pi)
@@ -54,14 +56,30 @@ def reach(robot: Robot) -> float | None:
     return max(-float(minimize(lambda q: -away(q)[0], start, bounds=ends).fun) for start in starts)
 
 
+def _wrist(inverse: InverseKinematics) -> Array | None:
+    """Where the last three axes meet, in the flange's frame (4, 4); None where they do not."""
+    if isinstance(inverse, Corrected):
+        return None if isinstance(inverse.nominal, SevenAxes) else _wrist(inverse.nominal)
+    back = np.eye(4)
+    if isinstance(inverse, SphericalWrist):
+        back[2, 3] = -inverse.c4
+        return back
+    if isinstance(inverse, PlacedWrist):
+        back[2, 3] = -inverse.arm.c4
+        return np.asarray(np.linalg.inv(inverse.T_end_flange) @ back)
+    return None
+
+
 def kind(inverse: InverseKinematics | None, joints: Sequence[str]) -> str:
     """What kind of inverse kinematics a robot has, in words."""
     if inverse is None:
         return "no arm: it holds the part, or carries an arm"
     if isinstance(inverse, Corrected):
         return f"{kind(inverse.nominal, joints)}, refined to the URDF"
-    if isinstance(inverse, SphericalWrist):
-        return "spherical wrist, 8 branches"
+    if isinstance(inverse, SphericalWrist | PlacedWrist):
+        arm = inverse if isinstance(inverse, SphericalWrist) else inverse.arm
+        lengths = ", ".join(f"{name} {1e3 * value + 0.0:.4g}" for name, value in vars(arm).items())
+        return f"spherical wrist, 8 branches; mm: {lengths}"
     if isinstance(inverse, OffsetWrist):
         return "offset wrist, 8 branches"
     given = inverse.redundant_joint
@@ -109,7 +127,7 @@ def details(path: Path, robot: Robot) -> list[Table | str]:
 
 def _facts(robot: Robot) -> list[str]:
     farthest = reach(robot)
-    point = "wrist" if isinstance(robot.inverse, SphericalWrist) else "flange"
+    point = "flange" if robot.inverse is None or _wrist(robot.inverse) is None else "wrist"
     count = sum(map(len, robot.bodies))
     mark = "*" if any("links" in word for word in robot.assumed) else ""
     return [
@@ -191,6 +209,7 @@ def robots_command() -> Command:
             "": "all that ship: joints, reach, limits",
             "irb1600_145": "one of them: every joint's limits, every body, what is assumed",
             "my_robot.yaml": "whether a robot's file of your own is read as you mean it",
+            "add --help": "how such a file is made from a published URDF",
         },
         {0: "told", 2: "wrong input"},
     )

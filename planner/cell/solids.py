@@ -93,11 +93,22 @@ Solid = ConvexSolid | Mesh
 
 @dataclass(frozen=True)
 class Body:
-    """A named solid and its pose T_frame_solid (4, 4) in the frame that carries it."""
+    """A named solid and its pose T_frame_solid (4, 4) in the frame that carries it.
+
+    link    of a robot: the URDF's link that it belongs to
+    beside  names of links of the same robot with which it may be in touch
+    """
 
     name: str
     solid: Solid
     T_frame_solid: Array
+    link: str = ""
+    beside: frozenset[str] = frozenset()
+
+
+def in_touch(a: Body, b: Body) -> bool:
+    """Whether two bodies of one robot may be in touch, as its file says."""
+    return b.link in a.beside
 
 
 @dataclass(frozen=True)

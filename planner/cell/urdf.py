@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from planner.base.errors import InputError, nearest_name
 
+XACRO = "run xacro on it first, or name it .xacro and give it to beadwise robots add"
 LARGEST = 20_000_000  # bytes of a URDF: meshes stand in files of their own
 FARTHEST = 20.0  # m: what is farther or larger has its length in millimetres
 TYPES = ("fixed", "revolute", "continuous", "prismatic", "planar", "floating")
@@ -59,6 +60,11 @@ def read_urdf(path: Path) -> Urdf:
         raise InputError(f"cannot be read: {error.strerror}", file=path) from None
     if len(data) > LARGEST:
         raise InputError(f"is larger than {LARGEST // 10**6} MB", file=path)
+    return parse_urdf(data, path)
+
+
+def parse_urdf(data: bytes, path: Path) -> Urdf:
+    """Read a URDF from its text, as if it stood in a file that need not be there yet."""
     parser, builder = expat.ParserCreate(), ET.TreeBuilder()
     lines: dict[ET.Element, int] = {}
 
@@ -83,7 +89,7 @@ def read_urdf(path: Path) -> Urdf:
     urdf = Urdf(path, root, lines)
     for element in root.iter():
         if element.tag.startswith("xacro:"):
-            raise urdf.error(element, element.tag, "is a macro, this file is no URDF yet", "run xacro on it first")
+            raise urdf.error(element, element.tag, "is a macro, this file is no URDF yet", XACRO)
     for tag in ("link", "joint"):
         seen: set[str] = set()
         for element in root.findall(tag):
@@ -180,6 +186,11 @@ def model_of(urdf: Urdf, tip: str, ranges: Ranges, speeds_given: bool) -> pin.Mo
         return pin.buildModelFromXML(ET.tostring(own, encoding="unicode"))
     except ValueError as error:
         raise InputError("is no URDF that can be read", file=urdf.path, hint=str(error)) from None
+
+
+def link_frame(model: pin.Model, link: str) -> int:
+    """Index of a link's frame in a model, where joints may bear the same name."""
+    return int(model.getFrameId(link, pin.FrameType.BODY))
 
 
 def origin_of(urdf: Urdf, element: ET.Element, field: str) -> tuple[list[float], list[float]]:

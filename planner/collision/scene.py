@@ -16,7 +16,7 @@ from planner.base.processes import in_blocks
 from planner.cell.cell import Cell, rigid_inverse
 from planner.cell.kinematics.chain import Chain, joint_move
 from planner.cell.robot import Robot, joint_axis
-from planner.cell.solids import SIZES, Body, Capsule, Frustum, Hull, Mesh, packed
+from planner.cell.solids import SIZES, Body, Capsule, Frustum, Hull, Mesh, in_touch, packed
 from planner.collision.margins import hit_along, lacking_at, least_margins
 from planner.collision.point_tree import PointTree, point_tree
 from planner.collision.print_body import TIP_SLOPE, PrintBody, print_body, standing, tip_slack
@@ -137,7 +137,7 @@ def may_touch(a: CollisionBody, b: CollisionBody, last: int) -> bool:
         return False
     whose = {a.whose, b.whose}
     if whose == {ARM}:
-        return abs(a.link - b.link) > 1
+        return abs(a.link - b.link) > 1 and not in_touch(a.body, b.body)
     if whose == {ARM, HEAD}:
         return min(a.link, b.link) < last
     if whose & {ARM, HEAD}:

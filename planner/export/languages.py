@@ -43,23 +43,29 @@ class Language:
     module       below planner.export, with `write` and `differences`; loaded when it is first asked, for all of them
                  together take half a second
     unsupported  why a program of this cell cannot be written in it; None if it can
+    counted      it tells postures as controllers of industrial arms count joints, whatever the arm's URDF does
     """
 
     title: str
     module: str
     unsupported: Callable[[Setup], str | None]
+    counted: bool = False
+
+    def plan(self, plan: Plan) -> Plan:
+        """The plan with the joints that programs in this language speak of."""
+        return plan.as_counted if self.counted else plan
 
     def write(self, plan: Plan) -> dict[str, str]:
         """File name → text, of a verified plan."""
-        return self._module.write(plan)
+        return self._module.write(self.plan(plan))
 
     def differences(self, plan: Plan, files: Mapping[str, str]) -> list[str]:
         """Differences of files from the plan, beyond rounding, in words. InputError for what cannot be read."""
-        return self._module.differences(plan, files)
+        return self._module.differences(self.plan(plan), files)
 
     def program(self, plan: Plan, files: Mapping[str, str]) -> RobotProgram:
         """The program of files as it can be played; of a language that CONTROLLERS has a row for."""
-        return cast("_RobotModule", self._module).program(plan, files)
+        return cast("_RobotModule", self._module).program(self.plan(plan), files)
 
     @property
     def _module(self) -> _LanguageModule:
@@ -71,14 +77,14 @@ def _always(setup: Setup) -> None:
 
 
 LANGUAGES: dict[str, Language] = {
-    "rapid": Language("RAPID", "rapid.language", unsupported_in_rapid),
+    "rapid": Language("RAPID", "rapid.language", unsupported_in_rapid, counted=True),
     "urscript": Language("URScript", "urscript", unsupported_in_urscript),
-    "krl": Language("KRL", "krl", unsupported_in_krl),
-    "fanuc": Language("FANUC TP", "fanuc", unsupported_in_fanuc),
-    "inform": Language("INFORM", "inform", unsupported_in_inform),
-    "val3": Language("VAL3", "val3", unsupported_in_val3),
-    "kawasaki": Language("Kawasaki AS", "kawasaki", unsupported_in_kawasaki),
-    "melfa": Language("MELFA-BASIC", "melfa", unsupported_in_melfa),
+    "krl": Language("KRL", "krl", unsupported_in_krl, counted=True),
+    "fanuc": Language("FANUC TP", "fanuc", unsupported_in_fanuc, counted=True),
+    "inform": Language("INFORM", "inform", unsupported_in_inform, counted=True),
+    "val3": Language("VAL3", "val3", unsupported_in_val3, counted=True),
+    "kawasaki": Language("Kawasaki AS", "kawasaki", unsupported_in_kawasaki, counted=True),
+    "melfa": Language("MELFA-BASIC", "melfa", unsupported_in_melfa, counted=True),
     "joint_trajectory": Language("ROS JointTrajectory", "joint_trajectory", _always),
     "axes": Language("multi-axis G-code", "axes.gcode", unsupported_in_axes),
     "extruder": Language("the extruder's G-code", "extruder", _always),

@@ -47,7 +47,7 @@ def by_bead(plan: Plan, outputs: Sequence[Output]) -> list[Output]:
 def unsupported_in_rapid(setup: Setup) -> str | None:
     """Why RAPID does not support a cell; None if it does."""
     arm, holder = setup.cell.arm_robot, setup.cell.holder_robot
-    if not setup.cell.spherical:
+    if not setup.cell.tells_posture:
         return f"the configuration of a target is that of a spherical wrist, which {arm.name} has not"
     if holder is not None and len(holder.joint_names) > RAPID_EXTERNAL_AXES:
         return f"{holder.name} has more axes than RAPID's {RAPID_EXTERNAL_AXES} external ones"
@@ -59,7 +59,7 @@ def unsupported_in_rapid(setup: Setup) -> str | None:
 def unsupported_in_krl(setup: Setup) -> str | None:
     """Why KRL does not support a cell; None if it does."""
     arm, holder = setup.cell.arm_robot, setup.cell.holder_robot
-    if not setup.cell.spherical:
+    if not setup.cell.tells_posture:
         return f"KR C controllers move arms with six axes and a spherical wrist, which {arm.name} is not"
     if holder is not None and holder.inverse is not None:
         return f"the part is held by an arm, {holder.name}, and external axes are those of a positioner"
@@ -118,7 +118,7 @@ def _arm_alone(setup: Setup, first: int, count: int | None) -> str | None:
     first  number of the first output; count: how many there are, None where that is the cell's
     """
     cell = setup.cell
-    if not cell.spherical:
+    if not cell.tells_posture:
         return f"postures are told by those of a spherical wrist, which {cell.arm_robot.name} has not"
     if cell.rails:
         return f"it moves the arm alone, and here {cell.joint_names[0]} carries it"

@@ -64,7 +64,7 @@ def write_robot_code(plan: Plan, folder: Path) -> tuple[Path, ...]:
             raise RuntimeError(f"{language.title} does not repeat the plan: " + "; ".join(differences))
         texts |= own
         if name in CONTROLLERS:
-            foretold[name] = forecast(language.program(plan, own), plan.cell, CONTROLLERS[name])
+            foretold[name] = forecast(language.program(plan, own), language.plan(plan).cell, CONTROLLERS[name])
     if foretold:
         _write_text(folder / FORECAST, forecast_json(foretold))
     return tuple(_write_text(folder / name, text) for name, text in texts.items())

@@ -19,6 +19,7 @@ HIGH = (0.0, 0.15, 0.3, 0.45)  # and heights
 MOST_POSTURES = 8
 DIFFERENT = np.radians(25.0)  # of some joint: postures that are nearer are one
 ROUND = 0.01  # m: places are round figures
+OUT = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -30,16 +31,15 @@ class Reached:
     postures: Array
 
 
-def reached(robot: Robot, tip: Array, points: Array, axis: Array) -> Reached:
+def reached(robot: Robot, tip: Array, points: Array, axis: Array, along: Array = OUT) -> Reached:
     """How well an arm at the world's origin reaches points (k, 3) [m] with its nozzle along an axis (world).
 
-    tip  of the nozzle in the flange frame [m]; the nozzle points along the flange's z.
+    tip, along  of the nozzle in the flange frame [m], and where it points there; the flange's z mostly
     """
     inverse, model = robot.inverse, robot.model
     if inverse is None:
         raise ValueError(f"{robot.key} is no arm")
-    T_flange_nozzle = np.eye(4)
-    T_flange_nozzle[:3, 3] = tip
+    T_flange_nozzle = frame_from_z(tip, along)
     turns = np.linspace(0.0, 2.0 * np.pi, ROLLS, endpoint=False)
     about = np.tile(np.eye(4), (ROLLS, 1, 1))
     about[:, 0, 0] = about[:, 1, 1] = np.cos(turns)

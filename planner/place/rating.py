@@ -79,6 +79,7 @@ class MarginsAsked(NamedTuple):
     comfort (3)      sigma, angle to a limit and wrist's angle [rad] that are comfortable
     floor            of these terms over comfort: a posture that is not above it does not count
     upright          least cosine of the layer's normal to the vertical
+    straight         where joint 5 stands when the wrist is straight [rad]
     """
 
     samples: Ints
@@ -86,6 +87,7 @@ class MarginsAsked(NamedTuple):
     comfort: Array
     floor: float
     upright: float
+    straight: float
 
 
 class MarginsFilled(NamedTuple):
@@ -155,7 +157,7 @@ def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked,
                     if asked.wrist == SPHERICAL:
                         wrist = abs(eight[c, 4])
                     elif asked.wrist == OFFSET:
-                        wrist = np.arcsin(abs(np.sin(eight[c, 4])))
+                        wrist = np.arcsin(abs(np.sin(eight[c, 4] - asked.straight)))
                     if away < LIMIT_ROOM or away <= floor * comfort[1] or wrist <= floor * comfort[2]:
                         continue
                     # a spherical wrist turned over has the same axes, one of them reversed: the same rates and sigma
@@ -395,7 +397,7 @@ def score_of_paths(cell: Cell, paths: Sequence[JointPath]) -> float:
         jacobians = cell.arm.jacobians(q[:, :na])[:, :, list(cell.solved)]
         sigma = float(np.linalg.svd(jacobians, compute_uv=False)[:, -1].min())
         limit = float(np.minimum(q - cell.limits.q_min, cell.limits.q_max - q).min())
-        wrist = float(np.abs(np.arcsin(np.sin(q[:, 4]))).min()) if na == 6 else np.inf
+        wrist = float(np.abs(np.arcsin(np.sin(q[:, 4] - cell.straight_at))).min()) if na == 6 else np.inf
         least = min(least, float((np.array([sigma, limit, wrist]) / COMFORT).min()))
         ideal += float(task.s[task.last] - task.s[task.first]) / task.speed
         bound += bound_time(cell, path)
@@ -449,7 +451,7 @@ def _postures(
     terms = np.zeros((r, grid.rolls, grid.holders, BRANCHES, 4), dtype=np.float32)
     arguments = (
         arm_numbers(cell), arm_limits(cell), swept, grid.numbers, rung_numbers(demand), obstacles.table,
-        MarginsAsked(course.samples, wrist, COMFORT, float(floor), float(np.cos(min(cone, np.pi)) - 1e-9)),
+        MarginsAsked(course.samples, wrist, COMFORT, float(floor), float(np.cos(min(cone, np.pi)) - 1e-9), cell.straight_at),
         MarginsFilled(q, terms, course.lacking),
     )  # fmt: skip
     in_threads(lambda first, last: evaluate_margins(first, last, *arguments), r)

@@ -6,7 +6,7 @@ SI units and radians, but for metrics, whose names have their units, and columns
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -229,6 +229,14 @@ class Plan:
     def verified(self) -> bool:
         """True if every check of the verifier holds, within the tolerance too where one was asked for."""
         return self.holds_as_planned and (self.headroom is None or self.headroom.holds)
+
+    @property
+    def as_counted(self) -> Plan:
+        """The same motion, joints and frames of the arm as controllers count them: see `Cell.as_counted`."""
+        cell = self.cell.as_counted
+        if cell is self.cell:
+            return self
+        return replace(self, cell=cell, trajectory=replace(self.trajectory, q=self.cell.counted(self.trajectory.q)))
 
     @property
     def t(self) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from planner.add.command import add_command
 from planner.base.command_line import Command
 from planner.cell.robots_command import robots_command
 from planner.export.plan_json import DIP_KEYS, KEYS, SPLIT_KEYS
@@ -84,8 +85,8 @@ def names(given: Mapping[str, str]) -> str:
 def commands() -> tuple[Command, ...]:
     """The parsers of all commands."""
     makers = (
-        solve_command, check_command, new_command, view_command, place_command, register_command, robots_command, link_command,
-        stream_command, egm_command, simulate_command, reference_command,
+        solve_command, check_command, new_command, view_command, place_command, register_command, robots_command,
+        add_command, link_command, stream_command, egm_command, simulate_command, reference_command,
     )  # fmt: skip
     return tuple(make() for make in makers)
 

@@ -13,6 +13,7 @@ from planner.base.arrays import Array
 from planner.cell.cell import Cell
 from planner.cell.robot import Robot
 from planner.cell.solids import Body, Box, Capsule, Frustum, Mesh, Solid, triangles_of
+from planner.cell.urdf import link_frame
 from planner.verify.executed import joint_poses
 
 ARM, HEAD, HOLDER, CARRIED, FIXTURE = "arm", "head", "holder", "carried", "fixture"
@@ -29,6 +30,7 @@ class CheckedBody:
     solid, T_carrier_solid         it and its pose (4, 4)
     geometry, T_carrier_geometry   coal's
     centre, reach                  of a ball around it (3), in the carrier's frame [m]
+    link, beside                   whose it is, and which links of its robot it may touch, as its file says
     """
 
     name: str
@@ -41,6 +43,8 @@ class CheckedBody:
     T_carrier_geometry: Array
     centre: Array
     reach: float
+    link: str = ""
+    beside: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -68,7 +72,7 @@ class CellBodies:
         """All bodies of the cell: links, print head, fixtures and what is carried."""
         things = [_thing(body, FIXTURE, 0, 0, np.eye(4)) for body in cell.fixtures]
         arm = cell.arm_robot
-        T_last_flange = arm.model.frames[arm.model.getFrameId(arm.tip)].placement.homogeneous
+        T_last_flange = arm.model.frames[link_frame(arm.model, arm.tip)].placement.homogeneous
         na = arm.model.njoints - 1
         things += [
             _thing(body, ARM, i, i, np.eye(4) if i else cell.T_world_base)
@@ -86,7 +90,7 @@ class CellBodies:
             for i, bodies in enumerate(holder.bodies)
             for body in bodies
         ]
-        T_last_plate = holder.model.frames[holder.model.getFrameId(holder.tip)].placement.homogeneous
+        T_last_plate = holder.model.frames[link_frame(holder.model, holder.tip)].placement.homogeneous
         things += [_thing(body, CARRIED, na + nh, nh, T_last_plate @ cell.T_plate_part) for body in cell.carried]
         return cls(cell, tuple(things))
 
@@ -158,8 +162,9 @@ class CellBodies:
 def pairs(bodies: CellBodies, nozzle: float, arm: float) -> tuple[Pair, ...]:
     """Pairs that can hit each other, with the distances that the head keeps, and links and fixtures [m].
 
-    Neighbouring links touch. Bodies of one robot that are too near in whatever posture belong together. What does not
-    move in the part frame, where the nozzle lays its first layer, is looked at with part and print.
+    Neighbouring links touch, and those that a robot's file names. Bodies of one robot that are too near in whatever posture
+    belong together. What does not move in the part frame, where the nozzle lays its first layer, is looked at with part and
+    print.
     """
     found = []
     for i, j, above in _candidates(bodies):
@@ -206,7 +211,8 @@ def _candidates(bodies: CellBodies) -> Iterator[tuple[int, int, int]]:
         for j, b in enumerate(things):
             if _same(a, b):
                 carried = CARRIED in (a.kind, b.kind)
-                if a.joints < b.joints and (b.joints - a.joints > 1 or carried):
+                named = a.kind == b.kind and b.link in a.beside
+                if a.joints < b.joints and (b.joints - a.joints > 1 or carried) and not named:
                     yield i, j, a.joints
             elif i < j and HEAD in (a.kind, b.kind):
                 other = b if a.kind == HEAD else a
@@ -302,7 +308,9 @@ def _thing(body: Body, kind: str, carrier: int, joints: int, T_carrier_frame: Ar
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     reach = float(np.linalg.norm(vertices - middle, axis=1).max()) / float(np.cos(np.pi / _CORNERS))
     centre = T[:3, :3] @ middle + T[:3, 3]
-    return CheckedBody(body.name, kind, carrier, joints, body.solid, T, geometry, T @ shift, centre, reach)
+    return CheckedBody(
+        body.name, kind, carrier, joints, body.solid, T, geometry, T @ shift, centre, reach, body.link, body.beside
+    )
 
 
 def _joint_poses(robot: Robot, q: Array, T_world_base: Array) -> Array:

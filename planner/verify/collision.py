@@ -16,6 +16,7 @@ import numpy as np
 from planner.base.arrays import Array, Ints
 from planner.cell.cell import Cell
 from planner.cell.solids import Body, Mesh, Packed, packed, triangles_of
+from planner.cell.urdf import link_frame
 from planner.collision.point_tree import SolidNumbers, least_distances, search_room
 from planner.collision.print_body import PrintBody
 from planner.plan import Approach, CellView, Check, Trajectory
@@ -85,7 +86,7 @@ def part_thing(bodies: CellBodies) -> CheckedBody:
     else:
         joints = robot.model.njoints - 1
         carrier = len(cell.arm) + joints
-        T = robot.model.frames[robot.model.getFrameId(robot.tip)].placement.homogeneous @ cell.T_plate_part
+        T = robot.model.frames[link_frame(robot.model, robot.tip)].placement.homogeneous @ cell.T_plate_part
     return CheckedBody("part", "carried", carrier, joints, None, T, None, T, T[:3, 3], 0.0)  # type: ignore[arg-type]
 
 

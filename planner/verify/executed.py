@@ -13,9 +13,12 @@ from planner.base.arrays import Array, read_only
 from planner.base.compiled import njit
 from planner.base.singular_values import least_singular_value
 from planner.cell.cell import Cell
+from planner.cell.robot import joint_axis
+from planner.cell.urdf import link_frame
 from planner.plan import Trajectory
 
 UNKNOWN = -1  # branch that is numbered by no convention but that of the inverse kinematics itself
+_STRAIGHT = 1e-3  # sine of joint 5 at zero below which axes 4 and 6 are parallel there, as makers count
 BLOCK = 8192  # samples at once: bounds the memory, since a Jacobian takes more than all that is kept of a sample
 
 
@@ -147,12 +150,12 @@ def _branch(cell: Cell, T_base_flange: Array, q: Array, det: Array) -> NDArray[n
     """
     arm, k = cell.arm_robot, cell.rails
     model, data = arm.model, arm.model.createData()
-    flange = model.getFrameId(arm.tip)
+    flange = link_frame(model, arm.tip)
 
     def wrist_to_flange(posture: Array) -> tuple[float, float]:
         J = pin.computeFrameJacobian(model, data, posture, flange, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)[:, k:]
         pin.updateFramePlacement(model, data, flange)
-        wrist = data.oMi[5 + k].translation
+        wrist = _crossing(data.oMi[6 + k], joint_axis(model, 6 + k)[:3], data.oMi[5 + k], joint_axis(model, 5 + k)[:3])
         return float(np.linalg.norm(data.oMf[flange].translation - wrist)), float(np.linalg.det(J))
 
     # forearm horizontal forwards, axis 5 bent: no bit is set here
@@ -164,6 +167,24 @@ def _branch(cell: Cell, T_base_flange: Array, q: Array, det: Array) -> NDArray[n
     wrist = np.sin(q[:, 4 + k]) < 0.0
     elbow = (det * reference < 0.0) ^ shoulder ^ wrist
     return (4 * shoulder + 2 * elbow + wrist).astype(np.int8)
+
+
+def _crossing(one: pin.SE3, its_axis: Array, other: pin.SE3, other_axis: Array) -> Array:
+    """The place (3) on one joint's axis that is nearest to another's; axes (3) are in the joints' own frames."""
+    u, v = one.rotation @ its_axis, other.rotation @ other_axis
+    away = other.translation - one.translation
+    across = u @ v
+    out: Array = one.translation + (away @ u - across * (away @ v)) / (1.0 - across * across) * u
+    return out
+
+
+def straight_at(cell: Cell) -> float:
+    """Where joint 5 of six stands when axes 4 and 6 are parallel [rad], or half a turn from there; 0 where it is so at 0."""
+    model, k = cell.arm_robot.model, cell.rails
+    J = pin.computeJointJacobians(model, model.createData(), pin.neutral(model))
+    fourth, fifth, sixth = J[3:, k + 3 : k + 6].T
+    angle = float(np.arctan2(np.cross(fourth, sixth) @ fifth, fourth @ sixth))
+    return -angle if abs(np.sin(angle)) > _STRAIGHT else 0.0
 
 
 def _from_first_axis(model: pin.Model, rail: Array, places: Array) -> Array:
@@ -181,7 +202,7 @@ def _nozzle(cell: Cell, q: Array) -> tuple[Array, Array]:
     """Nozzle poses in the arm's base (n, 4, 4) and Jacobians at the nozzle tip (n, 6, na) there, at postures q (n, nj)."""
     arm, model = cell.arm_robot, cell.arm_robot.model
     data = model.createData()
-    flange = model.frames[model.getFrameId(arm.tip)]
+    flange = model.frames[link_frame(model, arm.tip)]
     last, turning = _pose_memory([data.oMi[flange.parentJoint]]), data.J.T.reshape(-1)
     poses, J = np.empty((len(q), 12)), np.empty((len(q), model.nv * 6))
     jacobians = pin.computeJointJacobians  # of what lies in the base's origin, and moves with the last joint
@@ -216,7 +237,7 @@ def _part(cell: Cell, q_free: Array) -> Array:
     held = np.array([cell.held.get(name, 0.0) for name in names])
     q = np.tile(held, (int(np.count_nonzero(turned)), 1))
     q[:, free] = q_free[turned]
-    tip = model.frames[model.getFrameId(cell.holder_robot.tip)]
+    tip = model.frames[link_frame(model, cell.holder_robot.tip)]
     T = joint_poses(model, q)[:, tip.parentJoint - 1] @ tip.placement.homogeneous
     return (cell.T_world_holder_base @ T @ cell.T_plate_part)[np.cumsum(turned) - 1]
 

@@ -35,7 +35,7 @@ from planner.verify.checks import (
     place,
 )
 from planner.verify.collision import keep_apart, sweep_cell
-from planner.verify.executed import executed_motion
+from planner.verify.executed import executed_motion, straight_at
 from planner.verify.material import extrusion
 from planner.verify.nozzle import beyond, by_the_tip
 
@@ -254,8 +254,10 @@ def _singularity(judged: Judged) -> Findings:
     series = {"sigma": motion.sigma}
     sides = [np.sign(motion.det)]
     if len(cell.solved) == len(cell.arm) - cell.rails:
-        # joint 5 is singular at 0 and at half a turn; of seven axes, other joints can be
+        # joint 5 is singular where axes 4 and 6 are parallel; of seven axes, other joints can be
         fifth = t.q[:, 4 + cell.rails]
+        if away := straight_at(cell):
+            fifth = fifth - away
         sides.append(np.sign(np.sin(fifth)))
         series["wrist_deg"] = np.degrees(np.abs(np.arcsin(np.sin(fifth))))
         if cell.spherical:

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array
 from planner.base.compiled import njit
-from planner.cell.kinematics import offset_wrist, seven_axes_kernel, spherical_wrist
+from planner.cell.kinematics import offset_wrist, placed_wrist, seven_axes_kernel, spherical_wrist
 from planner.cell.kinematics.axes import wrap
 from planner.cell.kinematics.chain import Chain, chain_state, refine
 from planner.cell.kinematics.offset_wrist import OffsetWrist
+from planner.cell.kinematics.placed_wrist import PlacedWrist
 from planner.cell.kinematics.seven_axes import SevenAxes
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
 
@@ -30,7 +31,7 @@ _ITERATIONS = 20  # two or three do, a few more beside singularities
 class Corrected:
     """The closed form of the nearest ideal arm, and the chain from base to flange that counts."""
 
-    nominal: OffsetWrist | SevenAxes
+    nominal: PlacedWrist | OffsetWrist | SevenAxes
     chain: Chain
 
     @property
@@ -119,7 +120,7 @@ class OnRail:
     rest   all these joints' angles or places where nobody gives any [rad, m]
     """
 
-    arm: SphericalWrist | OffsetWrist | SevenAxes | Corrected
+    arm: SphericalWrist | PlacedWrist | OffsetWrist | SevenAxes | Corrected
     rail: Chain
     rest: tuple[float, ...]
 
@@ -206,11 +207,12 @@ def _seen_from_arm(p: Array, given: Array, R: Array, t: Array, out: Array) -> No
 # ----------------------------------------------------------------------------------------------------
 # What everybody needs of an arm's inverse kinematics, whatever its kind; and one compiled entry to all kinds.
 
-SPHERICAL_WRIST, OFFSET_WRIST, SEVEN_AXES, CORRECTED, ON_RAIL = 0, 1, 2, 4, 8
-_solve_spherical, _solve_offset, _solve_seven = (
+SPHERICAL_WRIST, OFFSET_WRIST, SEVEN_AXES, PLACED_WRIST, CORRECTED, ON_RAIL = 0, 1, 2, 3, 4, 8
+_solve_spherical, _solve_offset, _solve_seven, _solve_placed = (
     spherical_wrist.solve_one,
     offset_wrist.solve_one,
     seven_axes_kernel.solve_one,
+    placed_wrist.solve_one,
 )
 
 
@@ -263,6 +265,8 @@ def kind_of(inverse: InverseKinematics) -> int:
         return CORRECTED + kind_of(inverse.nominal)
     if isinstance(inverse, SphericalWrist):
         return SPHERICAL_WRIST
+    if isinstance(inverse, PlacedWrist):
+        return PLACED_WRIST
     return OFFSET_WRIST if isinstance(inverse, OffsetWrist) else SEVEN_AXES
 
 
@@ -333,6 +337,8 @@ def _solve_standing(kind: int, p: Array, redundant: float, R: Array, t: Array, q
         _solve_spherical(own, R, t, q, ok)
     elif kind % CORRECTED == OFFSET_WRIST:
         _solve_offset(own, R, t, q, ok)
+    elif kind % CORRECTED == PLACED_WRIST:
+        _solve_placed(own, R, t, q, ok)
     else:
         _solve_seven(own, redundant, R, t, q, ok)
     if kind >= CORRECTED:

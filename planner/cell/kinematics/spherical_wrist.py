@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array
 from planner.base.compiled import njit
+from planner.cell.kinematics.chain import Chain
 
 # ----------------------------------------------------------------------------------------------------
 # The Jacobian of a spherical-wrist arm, and its inverse, in closed form, compiled.
@@ -156,6 +157,15 @@ class SphericalWrist:
     def redundant_joint(self) -> int | None:
         """None: six joints, six coordinates of a pose."""
         return None
+
+    def chain(self, names: tuple[str, ...]) -> Chain:
+        """The arm as joints in series, base to flange."""
+        places = [(0, 0, 0), (self.a1, 0, self.c1), (0, 0, self.c2), (0, self.b, -self.a2), (self.c3, 0, 0), (0, 0, 0)]
+        axes = [(0, 0, 1), (0, 1, 0), (0, 1, 0), (1, 0, 0), (0, 1, 0), (1, 0, 0)]
+        placements = np.tile(np.eye(4), (6, 1, 1))
+        placements[:, :3, 3] = places
+        tip = np.array([[0, 0, 1, self.c4], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1]], dtype=float)
+        return Chain(names, placements, np.hstack([np.array(axes, dtype=float), np.zeros((6, 3))]), tip)
 
     def poses(self, q: Array) -> Array:
         """Flange poses T_base_flange (m, 4, 4) of postures q (m, 6)."""

@@ -1,0 +1,1 @@
+"""A robot of one's own: its file from a published URDF, and a print to try it with."""

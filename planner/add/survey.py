@@ -1,0 +1,261 @@
+"""What a URDF says of an arm: its flange, its kind, its limits; and what has to be assumed since it does not."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree as ET
+from xml.parsers.expat import ExpatError
+
+import numpy as np
+
+from planner.base.arrays import Array
+from planner.base.errors import InputError, nearest_name
+from planner.cell.kinematics.axes import OtherGeometry
+from planner.cell.kinematics.chain import Chain
+from planner.cell.kinematics.offset_wrist import read_offset_wrist
+from planner.cell.kinematics.placed_wrist import read_spherical_wrist
+from planner.cell.kinematics.seven_axes import read_seven_axes
+from planner.cell.robot import base_to_tip
+from planner.cell.urdf import Urdf, joints_to, model_of
+
+AXES = (6, 7)  # of arms that have a closed form
+FLANGES = (
+    "tool0",
+    "flange",
+    "ee_link",
+    "tcp",
+    "tool",
+    "link_t",
+    "link_ee",
+)  # names that links of flanges bear, best first
+ASSUMED_SPEED = 1.5  # rad/s of a joint whose URDF tells none: slower than most
+ASSUMED_TURN = 360.0  # deg to either side, of a joint without ends
+ALONG = 0.99  # cosine: a frame's z leaves the flange along the last axis
+RISE = 0.25  # s in which a joint is assumed to reach its speed
+JERK = 50.0  # 1/s: assumed jerk by acceleration, as of the arms that ship
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What was found of an arm in a URDF, and what was assumed.
+
+    tip      link of the flange; outwards (3): which way axis 6 or 7 leaves it, in the tip's frame
+    kind     of its inverse kinematics, and the redundant joint of seven
+    joints   names, base first; ranges [deg] of those that the URDF leaves open; speeds [rad/s], None: the URDF's own
+    notes    what was found and assumed, in words
+    """
+
+    urdf: Urdf
+    name: str
+    tip: str
+    outwards: Array
+    kind: str
+    redundant: str | None
+    joints: tuple[str, ...]
+    ranges: dict[str, tuple[float, float]]
+    speeds: tuple[float, ...] | None
+    acceleration: tuple[float, ...]
+    jerk: tuple[float, ...]
+    assumed: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def survey(urdf: Urdf, tip: str | None) -> Survey:
+    """Read an arm off a URDF. Raises InputError where none is found, or none that can be planned with."""
+    named = tip is not None
+    ways = _arms(urdf)
+    if tip is None:
+        tip = _flange(urdf, ways)
+    elif tip not in urdf.links():
+        near = nearest_name(tip, urdf.links())
+        raise InputError(f"no link {tip!r}", file=urdf.path, hint=f"did you mean {near}?" if near else None)
+    joints = [joint for joint in joints_to(urdf, tip) if joint.get("type") != "fixed"]
+    ranges, slow = _left_open(joints)
+    model = model_of(urdf, tip, dict.fromkeys(ranges, (-np.pi, np.pi)), bool(slow))
+    chain = base_to_tip(model, tip)
+    kind, redundant = _kind(urdf, chain)
+    own = [float(speed) for speed in model.velocityLimit]
+    speeds = [ASSUMED_SPEED if name in slow else speed for name, speed in zip(chain.names, own, strict=True)]
+    acceleration = tuple(_round(speed / RISE) for speed in speeds)
+    outwards = _outwards(chain)
+    notes = [
+        f"flange: link {tip}{'' if named else ', found by its name and place'}; "
+        + (
+            "its z points out of it"
+            if outwards[2] > ALONG
+            else f"the last axis leaves it along {np.round(outwards, 3) + 0.0}: nozzle.axis of a problem is that, not [0, 0, 1]"
+        ),
+        f"base: link {next(iter(_bases(urdf)))}, the frame that problems count from",
+    ]
+    if ranges:
+        notes.append(f"assumed: {', '.join(ranges)} without ends turn {ASSUMED_TURN:g} degrees either way")
+    if slow:
+        notes.append(f"assumed: {', '.join(slow)}, of which the URDF tells no speed, {ASSUMED_SPEED} rad/s")
+    notes.append(
+        f"assumed: joints reach their speed in {RISE} s, with a jerk of {JERK:g} times that acceleration a second"
+    )
+    return Survey(
+        urdf=urdf,
+        name=urdf.root.get("name") or urdf.path.stem,
+        tip=tip,
+        outwards=outwards,
+        kind=kind,
+        redundant=redundant,
+        joints=chain.names,
+        ranges=dict.fromkeys(ranges, (-ASSUMED_TURN, ASSUMED_TURN)),
+        speeds=tuple(speeds) if slow else None,
+        acceleration=acceleration,
+        jerk=tuple(_round(JERK * value) for value in acceleration),
+        assumed=(
+            "acceleration_rad_s2",
+            "jerk_rad_s3",
+            *(["speed_rad_s"] if slow else []),
+            *(["range_deg"] if ranges else []),
+        ),
+        notes=tuple(notes),
+    )
+
+
+def _bases(urdf: Urdf) -> list[str]:
+    hanging = {joint.find("child").get("link") for joint in urdf.root.findall("joint")}  # type: ignore[union-attr]
+    return [name for name in urdf.links() if name not in hanging]
+
+
+def _arms(urdf: Urdf) -> dict[str, int]:
+    """How many joints lead to each link of which all turn, each by its own motor."""
+    found = {}
+    for link in urdf.links():
+        moving = [joint for joint in joints_to(urdf, link) if joint.get("type") != "fixed"]
+        if all(joint.get("type") in ("revolute", "continuous") and joint.find("mimic") is None for joint in moving):
+            found[link] = len(moving)
+    return found
+
+
+def _flange(urdf: Urdf, ways: dict[str, int]) -> str:
+    """The link that is the flange: behind six or seven joints, one with a flange's name before others."""
+    arms = [link for link, count in ways.items() if count in AXES]
+    most = max(ways.values(), default=0)
+    if not arms:
+        many = ", ".join(f"{count} to {link}" for link, count in list(ways.items())[-3:])
+        raise InputError(
+            f"no arm of six or seven axes: {many}",
+            file=urdf.path,
+            hint="only arms with a closed-form inverse can be planned with",
+        )
+    named = [link for link in arms if _rank(link) < len(FLANGES)]
+    if named:
+        most_axes = max(ways[link] for link in named)
+        named = [link for link in named if ways[link] == most_axes]
+        if len({_last_joint(urdf, link) for link in named}) > 1:
+            raise InputError(f"several arms: {', '.join(named)}", file=urdf.path, hint="--tip says which one")
+        # of the frames of one flange, one whose z points out of it, which other frames of the same name may not
+        return min(named, key=lambda link: (_outwards(_chain(urdf, link))[2] < ALONG, _rank(link), len(link)))
+    if most > max(AXES):
+        raise InputError(
+            f"{most} joints in a row, and no link is named as a flange",
+            file=urdf.path,
+            hint=f"--tip says which of {', '.join(arms)}",
+        )
+    count = max(ways[link] for link in arms)
+    last = [link for link in arms if ways[link] == count]
+    carried = [link for link in last if joints_to(urdf, link)[-1].get("type") != "fixed"]
+    if len(carried) > 1:
+        raise InputError(f"several arms end in {', '.join(carried)}", file=urdf.path, hint="--tip says which one")
+    return carried[0]
+
+
+def _rank(link: str) -> int:
+    """How like a flange's a link's name is: the index in FLANGES, its length for no such name."""
+    return next((k for k, name in enumerate(FLANGES) if re.fullmatch(rf"(.*[_/-])?{name}", link)), len(FLANGES))
+
+
+def _last_joint(urdf: Urdf, link: str) -> str:
+    """The joint that moves a link and nothing before it."""
+    return [joint.get("name", "") for joint in joints_to(urdf, link) if joint.get("type") != "fixed"][-1]
+
+
+def _chain(urdf: Urdf, link: str) -> Chain:
+    """The joints to a link, whatever they leave open."""
+    open_, _ = _left_open([joint for joint in joints_to(urdf, link) if joint.get("type") != "fixed"])
+    return base_to_tip(model_of(urdf, link, dict.fromkeys(open_, (-np.pi, np.pi)), True), link)
+
+
+def _left_open(joints: Sequence[ET.Element]) -> tuple[list[str], list[str]]:
+    """Names of joints without ends, and of those without speed."""
+    open_, slow = [], []
+    for joint in joints:
+        limit, name = joint.find("limit"), joint.get("name", "")
+        ends = None if limit is None else (limit.get("lower"), limit.get("upper"))
+        if joint.get("type") == "continuous" or ends is None or None in ends or ends[0] == ends[1]:
+            open_.append(name)
+        if limit is None or not _positive(limit.get("velocity")):
+            slow.append(name)
+    return open_, slow
+
+
+def _positive(text: str | None) -> bool:
+    try:
+        return text is not None and float(text) > 0.0
+    except ValueError:
+        return False
+
+
+def _kind(urdf: Urdf, chain: Chain) -> tuple[str, str | None]:
+    """The inverse kinematics that an arm has, and its redundant joint; InputError, with what each lacks, for any other."""
+    lacking = []
+    if len(chain) == 7:
+        for joint in (2, 6):
+            try:
+                read_seven_axes(chain, joint)
+                return "seven_axes", chain.names[joint]
+            except OtherGeometry as error:
+                lacking.append(f"seven_axes with {chain.names[joint]}: {error}")
+    else:
+        for name, read in (("spherical_wrist", read_spherical_wrist), ("offset_wrist", read_offset_wrist)):
+            try:
+                read(chain)
+                return name, None
+            except OtherGeometry as error:
+                lacking.append(f"{name}: {error}")
+    raise InputError("this arm has no closed-form inverse that is known here", file=urdf.path, hint="; ".join(lacking))
+
+
+def _outwards(chain: Chain) -> Array:
+    """The direction (3) of the last axis in the tip's frame, away from the arm."""
+    axis = chain.T_last_tip[:3, :3].T @ chain.axes[-1, :3]
+    side = axis[int(np.argmax(np.abs(axis)))]
+    if abs(axis[2]) > 0.9:
+        side = axis[2]
+    elif abs(along := float(chain.T_last_tip[:3, 3] @ chain.axes[-1, :3])) > 1e-3:
+        side = along
+    return np.asarray(np.sign(side) * axis)
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.3g}")
+
+
+def key_of(name: str) -> str:
+    """A file's name from that of a robot."""
+    return re.sub(r"[^A-Za-z0-9_]+", "_", name).strip("_").lower() or "my_robot"
+
+
+def expanded(path: Path) -> str:
+    """The URDF text that a xacro file makes, packages looked for around it. Raises ImportError without xacrodoc, InputError
+    for what xacro does not take."""
+    from xacro import XacroException  # with xacrodoc, an extra
+    from xacrodoc import XacroDoc, packages
+
+    folder = path.resolve().parent
+    while not (folder / "package.xml").is_file() and folder != folder.parent:
+        folder = folder.parent
+    around = folder.parent if (folder / "package.xml").is_file() else path.resolve().parent
+    try:
+        packages.look_in([str(around)])
+        return str(XacroDoc.from_file(str(path), resolve_packages=False).to_urdf_string())
+    except (XacroException, ExpatError, OSError, ValueError, RuntimeError) as error:
+        words = " ".join(str(error).split())
+        raise InputError("xacro does not take it", file=path, hint=words[:300]) from None

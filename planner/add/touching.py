@@ -1,0 +1,190 @@
+"""Which links of an arm touch that ought not to, posture by posture, and whether the drawn ones do as well.
+
+Bodies are convex, and a hull fills the bends of a link: a fork and the flange that turns in it overlap as hulls where the
+real ones never meet. So links next to each other but one or two, which only the joints between them move, are looked at in
+postures all over the ranges of these joints: as hulls, and as the URDF draws them, triangle by triangle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import coal
+import numpy as np
+
+from planner.base.arrays import Array
+from planner.base.errors import InputError
+from planner.cell.bodies import BodyRules, drawn_meshes, read_bodies
+from planner.cell.kinematics.chain import joint_move
+from planner.cell.robot import Robot, joint_axis
+from planner.cell.solids import Body, Hull
+from planner.cell.urdf import Urdf, link_frame
+from planner.verify.bodies import coal_geometry
+
+APART = (2, 3)  # joints between links that are looked at: those between farther ones lead almost anywhere
+POSTURES = 500  # of the joints between two links
+NEAR = 5e-3  # m: nearer hulls would be told as touching
+SELDOM = 0.02  # of the postures: hulls that touch less often cost next to nothing, and are looked at
+MOSTLY = 0.5  # of the postures in which drawn links overlap: they are drawn into each other
+BENT = 0.05  # of the postures in which hulls touch, and the drawn links do not: worth to cut into pieces
+PIECES = 4
+
+Placed = tuple[coal.CollisionGeometry, Array]
+
+
+@dataclass(frozen=True)
+class Touching:
+    """What a robot's file should say of its bodies, and why, in words."""
+
+    may_touch: tuple[tuple[str, str], ...]
+    pieces: dict[str, int]
+    notes: tuple[str, ...]
+
+
+class _Shares(NamedTuple):
+    """Of how many postures two links touch: as hulls, and as they are drawn (None: they are not)."""
+
+    hulls: float
+    drawn: float | None
+
+
+def touching(urdf: Urdf, robot: Robot) -> Touching:
+    """Look at all links of an arm that are next to each other but one or two."""
+    pairs: list[tuple[str, str]] = []
+    pieces: dict[str, int] = {}
+    notes: list[str] = []
+    bodies = robot.bodies
+    for apart in APART:
+        for i in range(len(bodies) - apart):
+            j = i + apart
+            if not (bodies[i] and bodies[j]):
+                continue
+            postures = _postures(robot, i, j)
+            found = _shares(urdf, robot, (bodies[i], bodies[j]), (i, j), postures)
+            if not SELDOM < found.hulls < 1.0 or found.drawn is None:
+                if found.drawn is None and found.hulls >= MOSTLY:
+                    notes.append(f"{_names(bodies[i])} and {_names(bodies[j])} touch in {found.hulls:.0%} of postures")
+                    pairs += _pairs(bodies[i], bodies[j])
+                continue
+            if found.drawn == 0.0 or found.drawn >= MOSTLY:
+                how = "never touch as they are drawn" if found.drawn == 0.0 else "are drawn into each other"
+                notes.append(
+                    f"{_names(bodies[i])} and {_names(bodies[j])} {how}, and their hulls do in {found.hulls:.0%} of postures: "
+                    "not looked at"
+                )
+                pairs += _pairs(bodies[i], bodies[j])
+            elif found.hulls - found.drawn > BENT:
+                better = _cut(urdf, robot, (i, j), postures, found)
+                pieces |= better
+                if better:
+                    notes.append(
+                        f"{' and '.join(better)} cut into up to {PIECES} convex pieces: its hull fills its bend"
+                    )
+    return Touching(tuple(pairs), pieces, tuple(notes))
+
+
+def _names(bodies: Sequence[Body]) -> str:
+    return "/".join(dict.fromkeys(body.link for body in bodies))
+
+
+def _pairs(first: Sequence[Body], second: Sequence[Body]) -> list[tuple[str, str]]:
+    return [(a, b) for a in dict.fromkeys(x.link for x in first) for b in dict.fromkeys(x.link for x in second)]
+
+
+def _postures(robot: Robot, i: int, j: int) -> list[Array]:
+    """Poses (4, 4) of joint frame j in joint frame i all over the ranges of the joints between them."""
+    model = robot.model
+    low = np.maximum(model.lowerPositionLimit[i:j], -np.pi)
+    high = np.minimum(model.upperPositionLimit[i:j], np.pi)
+    q = np.random.default_rng(0).uniform(low, high, (POSTURES, j - i))
+    q[0] = np.clip(0.0, low, high)
+    out = []
+    for posture in q:
+        T = np.eye(4)
+        for k, angle in zip(range(i + 1, j + 1), posture, strict=True):
+            T = T @ model.jointPlacements[k].homogeneous @ joint_move(joint_axis(model, k), angle)
+        out.append(T)
+    return out
+
+
+def _shares(
+    urdf: Urdf,
+    robot: Robot,
+    bodies: tuple[Sequence[Body], Sequence[Body]],
+    between: tuple[int, int],
+    postures: list[Array],
+) -> _Shares:
+    own, other = ([_placed(body) for body in each] for each in bodies)
+    near = [_distance(own, other, T) < NEAR for T in postures]
+    if not any(near):
+        return _Shares(0.0, None)
+    drawn = [_drawn(urdf, robot, k) for k in between]
+    if not (drawn[0] and drawn[1]):
+        return _Shares(float(np.mean(near)), None)
+    meet = [close and _meet(drawn[0], drawn[1], T) for close, T in zip(near, postures, strict=True)]
+    return _Shares(float(np.mean(near)), float(np.mean(meet)))
+
+
+def _placed(body: Body) -> Placed:
+    geometry, shift = coal_geometry(body.solid)
+    return geometry, body.T_frame_solid @ shift
+
+
+def _drawn(urdf: Urdf, robot: Robot, joint: int) -> list[Placed]:
+    """The meshes of all links that a joint carries, as they are seen, or as their bodies are; none if one cannot be read."""
+    model = robot.model
+    links = dict.fromkeys(body.link for body in robot.bodies[joint])
+    for tag in ("visual", "collision"):
+        try:
+            found = []
+            for link in links:
+                place = model.frames[link_frame(model, link)].placement.homogeneous
+                own = drawn_meshes(urdf, link, tag, place)
+                found.append(own)
+        except InputError:
+            continue
+        if all(found):
+            return [each for own in found for each in own]
+    return []
+
+
+def _distance(own: Sequence[Placed], other: Sequence[Placed], T: Array) -> float:
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    least = np.inf
+    for a, T_a in own:
+        for b, T_b in other:
+            result.clear()
+            least = min(least, coal.distance(a, _transform(T_a), b, _transform(T @ T_b), request, result))
+    return float(least)
+
+
+def _meet(own: Sequence[Placed], other: Sequence[Placed], T: Array) -> bool:
+    request, result = coal.CollisionRequest(), coal.CollisionResult()
+    for a, T_a in own:
+        for b, T_b in other:
+            result.clear()
+            if coal.collide(a, _transform(T_a), b, _transform(T @ T_b), request, result):
+                return True
+    return False
+
+
+def _transform(T: Array) -> coal.Transform3s:
+    return coal.Transform3s(T[:3, :3], T[:3, 3])
+
+
+def _cut(urdf: Urdf, robot: Robot, between: tuple[int, int], postures: list[Array], found: _Shares) -> dict[str, int]:
+    """The links to cut into pieces so that hulls touch in at most half of the postures in which they do in vain."""
+    links = dict.fromkeys(body.link for k in between for body in robot.bodies[k] if isinstance(body.solid, Hull))
+    wanted = dict.fromkeys(links, PIECES)
+    if not wanted:
+        return {}
+    bodies = read_bodies(urdf, robot.model, BodyRules(pieces=wanted))
+    pair = (bodies[between[0]], bodies[between[1]])
+    after = _shares(urdf, replace(robot, bodies=bodies), pair, between, postures)
+    if after.hulls - (found.drawn or 0.0) > 0.5 * (found.hulls - (found.drawn or 0.0)):
+        return {}
+    return {
+        link: count for link, count in wanted.items() if sum(body.link == link for each in pair for body in each) > 1
+    }

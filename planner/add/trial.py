@@ -1,0 +1,107 @@
+"""A print to try an arm with: where it may stand, from which posture it begins, and whether a plan is verified."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from planner.add.files import BENDS, Cap, TrialNozzle, cap_for, nozzle_of, print_text
+from planner.base.arrays import Array
+from planner.base.errors import InputError, Refusal
+from planner.cell.robot import Robot
+from planner.cell.robots_command import reach
+from planner.new.posture import FAR, HIGH, ROUND, reached
+from planner.plan import Plan
+from planner.planning.check_command import examine
+from planner.planning.pipeline import solve
+from planner.problem.problem import parse_problem
+
+ABOVE = 0.05  # m above the cap, where the print begins and ends
+PLACES = 3  # best places that are tried, one after another
+HOMES = 4  # postures that are tried at each
+BACK = -0.15  # height of a place as a share of the reach, for arms whose base is above what they do best
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A print to try: its name, its file's text, its verified plan; or, where there is none, why not."""
+
+    name: str
+    text: str
+    plan: Plan | None
+    reason: str
+
+
+def trial(robot: Robot, file: Path, outwards: Array, cap: Cap | None = None) -> Trial:
+    """Plan a spiral on a cap with a robot whose file stands already; outwards: where the last axis leaves the flange, in the
+    flange frame; cap: another than suits its reach. The nozzle is bent as that of the problem peer_cap, or straight."""
+    far = reach(robot) or 0.0
+    cap = cap or cap_for(far)
+    key = file.stem
+    name = f"{key}_print" if key[:1].isalpha() else f"print_{key}"
+    waypoints = file.parent / f"{name}.txt"
+    waypoints.write_text(cap.waypoints, encoding="utf-8")
+    reason = f"no place was found where it reaches all of a cap of {cap.radius * 1e3:g} mm"
+    for nozzle in (nozzle_of(outwards, bend) for bend in BENDS):
+        for place in _places(robot, nozzle, cap, far):
+            tried = _tried(robot, file, name, nozzle, place, cap)
+            if isinstance(tried, Trial):
+                return tried
+            reason = tried
+    waypoints.unlink()
+    return Trial(name, "", None, reason)
+
+
+def _tried(robot: Robot, file: Path, name: str, nozzle: TrialNozzle, place: Array, cap: Cap) -> Trial | str:
+    """A verified print at a place [m], or why there is none."""
+    above, down = _groups(cap)[0]
+    reason = "no posture there is free of collisions"
+    for posture in reached(robot, nozzle.tip, place + above, down, nozzle.axis).postures[:HOMES]:
+        home = (np.round(np.degrees(posture), 1) + 0.0).tolist()
+        text = print_text(name, file, f"{name}.txt", nozzle, place, home)
+        problem = parse_problem(text, file.parent / f"{name}.yaml")
+        mistakes = examine(problem).mistakes
+        if mistakes:
+            reason = str(mistakes[0])
+            continue
+        try:
+            plan = solve(problem, baseline=False)
+        except (Refusal, InputError) as error:
+            return str(error)
+        if plan.verified:
+            return Trial(name, text, plan, "")
+        failed = [check.name for check in plan.checks if not check.ok]
+        return f"planned, not verified: {', '.join(failed)}"
+    return reason
+
+
+def _groups(cap: Cap) -> list[tuple[Array, Array]]:
+    """Places (k, 3) [m] of the cap that the arm has to reach, from its centre, and the nozzle's axis there: first one above
+    it and its top, then those on its rim."""
+    out = [(np.array([[0.0, 0.0, cap.radius + ABOVE], [0.0, 0.0, cap.radius]]), np.array([0.0, 0.0, -1.0]))]
+    for turn in np.arange(6) * np.pi / 3.0:
+        normal = np.array([np.sin(cap.polar) * np.cos(turn), np.sin(cap.polar) * np.sin(turn), np.cos(cap.polar)])
+        out.append((cap.radius * normal[None], -normal))
+    return out
+
+
+def _places(robot: Robot, nozzle: TrialNozzle, cap: Cap, far: float) -> list[Array]:
+    """Round places (3) [m] of the cap's centre before the arm, the best first, none beside another."""
+    rated = []
+    for high in (*HIGH, BACK):
+        for share in FAR:
+            at = np.round(np.array([share, 0.0, high]) * far / ROUND) * ROUND
+            worth = 1.0
+            for points, axis in _groups(cap):
+                if worth > 0.0:
+                    worth = min(worth, reached(robot, nozzle.tip, at + points, axis, nozzle.axis).worth)
+            if worth > 0.0:
+                rated.append((worth, at))
+    rated.sort(key=lambda each: -each[0])
+    out: list[Array] = []
+    for _, at in rated:
+        if len(out) < PLACES and all(np.linalg.norm(at - other) > 0.08 * far for other in out):
+            out.append(at)
+    return out

@@ -1,0 +1,316 @@
+"""`python -m planner.robots add`: from a URDF to a robot's file that is read, and to a print that is verified."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+
+from planner.add import survey as surveying
+from planner.add.command import added, main
+from planner.add.files import nozzle_of, spiral
+from planner.add.survey import key_of, survey
+from planner.base.errors import InputError, OutputError
+from planner.cell.bodies import BodyRules, read_bodies
+from planner.cell.cell import build_cell
+from planner.cell.pieces import MOST_PLANES, convex_pieces, lean_hull
+from planner.cell.robot import read_robot
+from planner.cell.solids import Hull
+from planner.cell.urdf import Urdf, model_of, parse_urdf
+from planner.problem import load_problem
+from planner.verify.bodies import CellBodies, pairs
+from tests.public_arms import ARMS, urdf_of
+
+Array = NDArray[np.float64]
+KR10 = ARMS["KUKA KR 10 R1420"]
+
+
+def urdf(text: str) -> Urdf:
+    return parse_urdf(text.encode(), Path("arm.urdf"))
+
+
+def written(folder: Path, text: str) -> Path:
+    (folder / "arm.urdf").write_text(text, encoding="utf-8")
+    return folder / "arm.urdf"
+
+
+# --- what is found ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_public_arms_are_added_as_they_are(name: str, tmp_path: Path) -> None:
+    file, made = added(written(tmp_path, urdf_of(ARMS[name], bodies=True)), tmp_path / "arm.yaml")
+    assert made.found.kind == "spherical_wrist"
+    assert made.found.tip == "tool0"
+    assert made.found.assumed == ("acceleration_rad_s2", "jerk_rad_s3")
+    assert read_robot(file).assumed == made.found.assumed
+    assert made.robot.joint_names == tuple(f"joint_{k}" for k in range(1, 7))
+    assert "Written by: beadwise robots add arm.urdf" in file.read_text(encoding="utf-8")
+
+
+def test_what_is_assumed_of_a_joint_that_says_little() -> None:
+    text = (
+        urdf_of(KR10).replace(' velocity="9.0"', "").replace('"joint_6" type="revolute"', '"joint_6" type="continuous"')
+    )
+    found = survey(urdf(text), None)
+    assert found.ranges == {"joint_6": (-360.0, 360.0)}
+    assert found.speeds == (4.0, 5.0, 6.0, 7.0, 8.0, surveying.ASSUMED_SPEED)
+    assert set(found.assumed) == {"acceleration_rad_s2", "jerk_rad_s3", "speed_rad_s", "range_deg"}
+    assert sum("assumed" in note for note in found.notes) == 3
+    np.testing.assert_allclose(found.acceleration, np.array(found.speeds) / surveying.RISE)
+
+
+def test_a_gripper_is_no_part_of_the_arm() -> None:
+    text = urdf_of(KR10).replace("tool0", "hand").replace(
+        "</robot>",
+        '<link name="finger"/><joint name="grip" type="prismatic"><parent link="hand"/><child link="finger"/>'
+        '<limit lower="0" upper="0.04" velocity="0.1" effort="1"/></joint></robot>',
+    )  # fmt: skip
+    found = survey(urdf(text), None)
+    assert found.tip == "link_6"  # no link is named as a flange: the last one that turns
+    assert len(found.joints) == 6
+    np.testing.assert_allclose(found.outwards, [1, 0, 0], atol=1e-12)
+    assert any("nozzle.axis" in note for note in found.notes)
+
+
+def test_of_several_frames_of_a_flange_it_is_one_whose_z_leaves_it() -> None:
+    """A `flange` with x out of it, as ROS has it, and a maker's own beside it."""
+    text = urdf_of(KR10).replace("tool0", "maker_flange").replace(
+        "</robot>",
+        '<link name="flange"/><joint name="f" type="fixed"><parent link="link_6"/><child link="flange"/></joint></robot>',
+    )  # fmt: skip
+    assert survey(urdf(text), None).tip == "maker_flange"
+
+
+def test_the_flange_may_be_named() -> None:
+    text = urdf_of(KR10)
+    assert survey(urdf(text), "link_6").tip == "link_6"
+    with pytest.raises(InputError, match="did you mean tool0"):
+        survey(urdf(text), "tool")
+
+
+def test_seven_axes_and_offset_wrists_are_known_by_their_geometry() -> None:
+    for shipped, kind in (("iiwa", "seven_axes"), ("ur5e", "offset_wrist"), ("irb140", "spherical_wrist")):
+        path = Path(surveying.__file__).parents[2] / "robots" / f"{shipped}.urdf"
+        found = survey(parse_urdf(path.read_bytes(), path), None)
+        assert found.kind == kind
+        assert found.redundant == ("joint_3" if kind == "seven_axes" else None)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (('<joint name="joint_4" type="revolute">', '<joint name="joint_4" type="fixed">'), "no arm of six or seven axes"),
+        (('xyz="0.08 0.0 0.0"', 'xyz="0.08 0.0 0.08"'), "no closed-form inverse.*axes 5 and 6 pass each other by 80.0 mm"),
+        (('<joint name="joint_6" type="revolute">', '<joint name="joint_6" type="revolute"><mimic joint="joint_5"/>'),
+         "no arm of six or seven axes"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_planned_with_is_refused_and_nothing_written(
+    change: tuple[str, str], said: str, tmp_path: Path
+) -> None:
+    text = urdf_of(KR10)
+    assert change[0] in text
+    with pytest.raises(InputError, match=said):
+        added(written(tmp_path, text.replace(*change)), tmp_path / "arm.yaml")
+    assert [path.name for path in tmp_path.iterdir()] == ["arm.urdf"]
+
+
+def test_two_arms_need_a_name() -> None:
+    one = urdf_of(KR10)
+    other = one.replace("link_", "left_link_").replace("joint_", "left_joint_").replace("tool0", "left_tool0")
+    inner = other[other.index("\n") : other.index("</robot>")].replace('<link name="base_link"></link>', "")
+    text = one.replace("</robot>", inner.replace('name="flange"', 'name="left_flange"') + "</robot>")
+    with pytest.raises(InputError, match=r"several arms: tool0, left_tool0.*--tip"):
+        survey(urdf(text), None)
+    assert survey(urdf(text), "left_tool0").joints[0] == "left_joint_1"
+
+
+def test_a_file_that_is_there_stays(tmp_path: Path) -> None:
+    (tmp_path / "arm.yaml").write_text("mine", encoding="utf-8")
+    with pytest.raises(OutputError, match="is there already"):
+        added(written(tmp_path, urdf_of(KR10)), tmp_path / "arm.yaml")
+    assert (tmp_path / "arm.yaml").read_text(encoding="utf-8") == "mine"
+
+
+def test_xacro_names_its_extra(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "xacro", None)
+    (tmp_path / "arm.xacro").write_text("<robot/>", encoding="utf-8")
+    assert main(["add", str(tmp_path / "arm.xacro"), "--out", str(tmp_path / "arm.yaml")]) == 2
+    assert "beadwise[xacro]" in capsys.readouterr().err
+
+
+def test_a_missing_urdf(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["add", str(tmp_path / "none.urdf")]) == 2
+    assert "none.urdf: cannot be read" in capsys.readouterr().err
+
+
+def test_names_become_keys() -> None:
+    assert key_of("Stäubli TX2-60") == "st_ubli_tx2_60"
+    assert key_of("!") == "my_robot"
+
+
+def test_other_words_are_those_of_the_listing(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["irb14"]) == 2
+    assert "did you mean irb140?" in capsys.readouterr().err
+
+
+# --- bodies: pieces, links that may touch ------------------------------------------------------------------------
+
+
+def fork() -> trimesh.Trimesh:
+    """Two prongs on a bridge, as a wrist has them: its hull fills what is between them."""
+    boxes = [
+        trimesh.creation.box((0.3, 0.04, 0.1), trimesh.transformations.translation_matrix((0.15, y, 0)))
+        for y in (-0.08, 0.08)
+    ]
+    return trimesh.util.concatenate([*boxes, trimesh.creation.box((0.06, 0.2, 0.1))])
+
+
+def test_a_fork_is_cut_into_its_prongs() -> None:
+    mesh = fork()
+    corners = np.asarray(mesh.vertices)[mesh.faces]
+    pieces = [Hull(points) for points in convex_pieces(corners, 4)]
+    assert 2 <= len(pieces) <= 4
+    assert sum(piece.volume for piece in pieces) < 0.75 * Hull(np.asarray(mesh.vertices)).volume
+    inside = np.asarray(trimesh.sample.sample_surface(mesh, 2000, seed=0)[0])
+    depth = np.min([(inside @ piece.planes[:, :3].T + piece.planes[:, 3]).max(axis=1) for piece in pieces], axis=0)
+    assert depth.max() < 1e-9  # no place of the body is left out
+    between = np.array([0.25, 0.0, 0.0])
+    assert all((piece.planes[:, :3] @ between + piece.planes[:, 3]).max() > 0.01 for piece in pieces)
+
+
+def test_a_convex_body_stays_whole() -> None:
+    mesh = trimesh.creation.box((0.3, 0.04, 0.1))
+    assert len(convex_pieces(np.asarray(mesh.vertices)[mesh.faces], 6)) == 1
+
+
+def test_a_flat_body_has_no_pieces() -> None:
+    flat = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0], [0, 1, 0]]], dtype=float)
+    with pytest.raises(ValueError, match="one plane"):
+        convex_pieces(flat, 3)
+
+
+def test_a_fine_ball_becomes_leaner_and_holds_it() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(4000, 3))
+    points *= 0.1 / np.linalg.norm(points, axis=1)[:, None]
+    lean = Hull(lean_hull(points))
+    assert len(lean.planes) < MOST_PLANES / 2
+    assert (points @ lean.planes[:, :3].T + lean.planes[:, 3]).max() < 1e-9
+    assert lean.volume < 1.03 * Hull(points).volume
+    coarse = points[:100]
+    np.testing.assert_array_equal(
+        np.sort(lean_hull(coarse), axis=0), np.sort(coarse[np.unique(Hull(coarse)._hull.vertices)], axis=0)
+    )
+
+
+def forked(folder: Path, drawn: str = "visual") -> Path:
+    """An arm whose link 4 ends in a fork, in which the flange turns: hulls touch where the bodies do not."""
+    fork().export(folder / "fork.stl")
+    mesh = '<geometry><mesh filename="fork.stl"/></geometry>'
+    place = '<origin xyz="0.4 0 0"/>'
+    text = urdf_of(KR10).replace(
+        '<link name="link_4"></link>',
+        f'<link name="link_4"><{drawn}>{place}{mesh}</{drawn}><collision>{place}{mesh}</collision></link>',
+    )
+    ball = '<collision><origin xyz="{} 0 0"/><geometry><box size="0.05 0.03 0.03"/></geometry></collision>'
+    text = text.replace('<link name="link_6"></link>', f'<link name="link_6">{ball.format(-0.03)}</link>')
+    return written(folder, text)
+
+
+def test_links_that_only_touch_as_hulls_are_named_or_cut(tmp_path: Path) -> None:
+    """Without a drawing of the flange the fork counts as it is read: the file says so, and pieces part them."""
+    path = forked(tmp_path)
+    parsed = parse_urdf(path.read_bytes(), path)
+    model = model_of(parsed, "tool0", {}, False)
+    whole, cut = (read_bodies(parsed, model, BodyRules(pieces=each)) for each in ({}, {"link_4": 4}))
+    assert len(whole[4]) == 1
+    assert len(cut[4]) > 1
+    assert {body.link for body in cut[4]} == {"link_4"}
+
+
+def test_named_links_are_not_looked_at(tmp_path: Path) -> None:
+    file, _ = added(written(tmp_path, urdf_of(KR10, bodies=True)), tmp_path / "arm.yaml")
+
+    def looked_at(text: str) -> set[tuple[str, str]]:
+        file.write_text(text, encoding="utf-8")
+        cell = build_cell(
+            load_problem("peer_cap", [f"cell.arm={file}", "cell.limits={}", "cell.home_deg=[0, -90, 100, 0, 60, 0]"])
+        )
+        bodies = CellBodies.of(cell)
+        return {(bodies.things[p.a].name, bodies.things[p.b].name) for p in pairs(bodies, 0.005, 0.005)}
+
+    text = file.read_text(encoding="utf-8")
+    before = looked_at(text)
+    assert ("link_2", "link_4") in before or ("link_1", "link_3") in before
+    after = looked_at(text + "may_touch: [[link_4, link_2], [link_1, link_3]]\n")
+    assert before - after <= {("link_2", "link_4"), ("link_1", "link_3")}
+    assert not after & {("link_2", "link_4"), ("link_1", "link_3")}
+
+
+@pytest.mark.parametrize(
+    ("line", "field", "said"),
+    [
+        ("may_touch: [[link_4, link_9]]", "may_touch", "no link 'link_9'"),
+        ("may_touch: [link_4, link_6]", "may_touch", "pairs of links"),
+        ("pieces: {link_4: 0}", "pieces", "whole number of pieces"),
+        ("pieces: {link_44: 2}", "pieces", "did you mean link_4"),
+        ("pieces: 4", "pieces", "numbers by link"),
+    ],
+)
+def test_mistakes_about_bodies_are_told(line: str, field: str, said: str, tmp_path: Path) -> None:
+    file, _ = added(written(tmp_path, urdf_of(KR10, bodies=True)), tmp_path / "arm.yaml")
+    file.write_text(file.read_text(encoding="utf-8") + line + "\n", encoding="utf-8")
+    with pytest.raises(InputError, match=said) as caught:
+        read_robot(file)
+    assert caught.value.field == field
+    assert caught.value.line is not None
+
+
+# --- the print ----------------------------------------------------------------------------------------------------
+
+
+def test_the_cap_is_a_spiral_of_even_steps() -> None:
+    rows = np.array([[float(word) for word in line.split()] for line in spiral(60.0).splitlines()])
+    np.testing.assert_allclose(np.linalg.norm(rows[:, :3], axis=1), 60.0, atol=1e-4)
+    np.testing.assert_allclose(rows[:, :3], 60.0 * rows[:, 3:], atol=1e-3)
+    steps = np.linalg.norm(np.diff(rows[:, :3], axis=0), axis=1)
+    assert steps.max() < 1.02
+    assert steps.min() > 0.7  # its first turns are narrow, and chords shorter than arcs
+
+
+@pytest.mark.parametrize("outwards", [(0, 0, 1), (1, 0, 0), (0, -1, 0)])
+def test_the_nozzle_stands_before_the_flange(outwards: tuple[int, int, int]) -> None:
+    nozzle = nozzle_of(np.array(outwards, dtype=float), np.radians(45.0))
+    np.testing.assert_allclose(nozzle.tip, 0.1 * np.array(outwards))
+    assert nozzle.axis @ np.array(outwards) == pytest.approx(np.cos(np.radians(45.0)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["KUKA KR 10 R1420", "Yaskawa MotoMini", "Stäubli TX2-90"])
+def test_an_added_arm_prints(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = written(tmp_path, urdf_of(ARMS[name], bodies=True))
+    assert main(["add", str(path), "--out", str(tmp_path / "arm.yaml")]) == 0
+    captured = capsys.readouterr()
+    assert "verified: " in captured.err
+    shown = [Path(line) for line in captured.out.splitlines()]
+    assert [each.name for each in shown] == ["arm.yaml", "arm_print.yaml", "report.html"]
+    assert all(each.is_file() for each in shown)
+
+
+@pytest.mark.slow
+def test_an_arm_that_hardly_moves_prints_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    stiff = replace(KR10, ranges=((-1, 1), *KR10.ranges[1:]))
+    path = written(tmp_path, urdf_of(stiff, bodies=True))
+    assert main(["add", str(path), "--out", str(tmp_path / "arm.yaml")]) == 3
+    assert "no print was verified: " in capsys.readouterr().err
+    assert (tmp_path / "arm.yaml").is_file()
+    assert not list(tmp_path.glob("arm_print.*"))

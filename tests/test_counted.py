@@ -1,0 +1,110 @@
+"""Arms as controllers count them: whatever a URDF's zero, programs speak of the makers' axes and frames."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from planner.cell.cell import Cell, build_cell
+from planner.export.fanuc import FANUC
+from planner.export.inform import YASKAWA
+from planner.export.krl import to_kuka
+from planner.export.languages import LANGUAGES
+from planner.export.val3 import STAUBLI
+from planner.planning.pipeline import solve
+from planner.problem import load_problem
+from tests.public_arms import ARMS, urdf_of
+from tests.test_placed_wrist import TEXT
+
+Array = NDArray[np.float64]
+SMALL = ("resolve.rung_mm=10", "resolve.roll_step_deg=30")
+OF = {"KUKA": "krl", "Fanuc": "fanuc", "Yaskawa": "inform", "Stäubli": "val3", "ABB": "rapid"}
+
+
+def cell_of(name: str, folder: Path, *overrides: str) -> Cell:
+    (folder / "arm.urdf").write_text(urdf_of(ARMS[name]), encoding="utf-8")
+    (folder / "arm.yaml").write_text(TEXT.format(name="arm") + f"language: {OF[name.split()[0]]}\n", encoding="utf-8")
+    middle = np.degrees(np.radians([0.5 * (low + high) for low, high in ARMS[name].ranges])).round(1).tolist()
+    return build_cell(
+        load_problem(
+            "peer_cap", [f"cell.arm={folder / 'arm.yaml'}", "cell.limits={}", f"cell.home_deg={middle}", *overrides]
+        )
+    )
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_the_cell_as_counted_is_the_same_arm(name: str, tmp_path: Path) -> None:
+    cell = cell_of(name, tmp_path, "cell.base_mm=[100, -50, 30]", "cell.base_rpy_deg=[0, 10, 40]")
+    twin = cell.as_counted
+    assert cell.tells_posture
+    assert twin.spherical
+    q = np.random.default_rng(0).uniform(-3, 3, (50, 6))
+    theta = cell.counted(q)
+    np.testing.assert_allclose(twin.arm.poses(theta), cell.arm.poses(q), rtol=0, atol=1e-12)
+    T_base_flange = np.linalg.inv(twin.T_world_base) @ twin.arm.poses(theta) @ np.linalg.inv(twin.T_flange_nozzle)
+    np.testing.assert_allclose(twin.inverse.poses(theta), T_base_flange, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(twin.inverse.branches(theta), cell.inverse.branches(q))
+    assert (twin.limits.q_min < twin.limits.q_max).all()
+    inside = cell.counted(np.random.default_rng(1).uniform(cell.limits.q_min, cell.limits.q_max, (50, 6)))
+    assert ((inside >= twin.limits.q_min) & (inside <= twin.limits.q_max)).all()
+
+
+def axes_of(name: str, cell: Cell, q: Array) -> Array:
+    """What the maker's controller would show."""
+    theta = cell.counted(q)
+    if name.startswith("KUKA"):
+        return to_kuka(theta)
+    conventions = {"Fanuc": FANUC, "Yaskawa": YASKAWA, "Stäubli": STAUBLI}
+    return conventions[name.split()[0]].counted(theta)
+
+
+@pytest.mark.parametrize(
+    "name", ["KUKA KR 6 R700 sixx", "KUKA KR 16-2", "Yaskawa GP25", "Stäubli TX2-60", "Stäubli RX160"]
+)
+def test_public_urdfs_count_as_their_makers(name: str, tmp_path: Path) -> None:
+    """What URDFs of ROS-Industrial have as joints are the makers' own axes: two ways to the same numbers."""
+    q = np.random.default_rng(2).uniform(-1, 1, (20, 6))
+    np.testing.assert_allclose(axes_of(name, cell_of(name, tmp_path), q), q, rtol=0, atol=1e-12)
+
+
+def test_of_fanuc_the_third_axis_is_coupled_to_the_second(tmp_path: Path) -> None:
+    """The controller's J3 is the forearm's angle to the ground, the URDF's joint 3 that to the upper arm."""
+    q = np.random.default_rng(2).uniform(-1, 1, (20, 6))
+    axes = axes_of("Fanuc M-10iA", cell_of("Fanuc M-10iA", tmp_path), q)
+    np.testing.assert_allclose(axes[:, [0, 1, 3, 4, 5]], q[:, [0, 1, 3, 4, 5]], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(axes[:, 2], q[:, 2] - q[:, 1], rtol=0, atol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "home"),
+    [
+        ("KUKA KR 10 R1420", [0, -75, 110, 0, 35, 0]), ("Fanuc M-10iA", [0, 0, -20, 0, -60, 0]),
+        ("Yaskawa GP25", [0, 0, -20, 0, -60, 0]), ("Stäubli TX2-90", [0, 20, 90, 0, 60, 0]),
+        ("ABB IRB 2400", [0, 0, 20, 0, 60, 0]),
+    ],
+)  # fmt: skip
+def test_programs_of_public_arms_are_written_and_read_back(name: str, home: list[float], tmp_path: Path) -> None:
+    cell_of(name, tmp_path)
+    at = {"Stäubli": "[600, 0, 150]"}.get(name.split()[0], "[800, 0, 300]")
+    problem = load_problem(
+        "peer_cap",
+        [
+            f"cell.arm={tmp_path / 'arm.yaml'}",
+            "cell.limits={}",
+            f"cell.home_deg={home}",
+            f"cell.bed_mm={at}",
+            "cell.fixtures={}",
+            *SMALL,
+        ],
+    )
+    plan = solve(problem, "ladder", baseline=False)
+    assert plan.verified, [check for check in plan.checks if not check.ok]
+    language = LANGUAGES[OF[name.split()[0]]]
+    assert language.unsupported(plan) is None
+    files = language.write(plan)
+    assert language.differences(plan, files) == []
+    assert len(language.program(plan, files).linear) > 10
