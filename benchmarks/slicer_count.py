@@ -17,6 +17,11 @@ _WORD = re.compile(r"([A-Z]) ?([-+]?[0-9]*\.?[0-9]+)")
 _BEGINS = ("LAYER_CHANGE", "CHANGE_LAYER", "BEFORE_LAYER_CHANGE", "AFTER_LAYER_CHANGE", "BEGIN_LAYER_", "; --- layer ")
 _OVER = ("layer end", "End of Gcode", "EXECUTABLE_BLOCK_END", "MACHINE_END_GCODE_START", "*** G-code Postfix")
 _BESIDE = {"prime": "purge", "wipe": "purge", "purge": "purge", "ooze": "purge"}
+_PLAIN = {
+    *("perimeter", "infill", "skirt", "brim", "support material", "support material interface", "bridge", "gap fill"),
+    *("inner perimeter", "outer perimeter", "solid layer", "support", "dense support", "raft", "prime pillar"),
+    "ooze shield",
+}
 
 
 @dataclass(frozen=True)
@@ -61,8 +66,7 @@ def _kind(remark: str) -> str | None:
     if remark.startswith("'") and remark.count("'") > 1:
         name = remark.split("'")[1].lower().removesuffix(" path")
         return None if name.startswith(("destring", "travel")) else name
-    plain = {"perimeter", "infill", "skirt", "brim", "support material", "support material interface"}
-    return remark if remark in plain else None
+    return remark if remark in _PLAIN else None
 
 
 def _sweep(

@@ -106,7 +106,9 @@ def parser() -> argparse.ArgumentParser:
     """The options of the command."""
     command = argparse.ArgumentParser(prog="python -m benchmarks.slicers", description=(__doc__ or "").splitlines()[0])
     command.add_argument("folder", type=Path, metavar="FOLDER")
-    command.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a value of the problem instead")
+    command.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="a value of the problem instead"
+    )
     command.add_argument("--beads", action="store_true", help="round corners and lay the beads as well")
     command.add_argument("--out", type=Path, default=OUT, metavar="FILE.csv", help=f"default: {OUT}")
     return command

@@ -75,15 +75,18 @@ def kind_in(text: str) -> str | None:
     """The kind of line that a comment names, if it names one."""
     match = KIND.fullmatch(text)
     if match is None:
-        return text if text in _OF_SLIC3R else None
+        return text if text in _KINDS_ALONE else None
     kind = (match[1] or match[2]).strip()
     return None if kind.lower().startswith(_TRAVEL) else kind
 
 
-# behind its lines, where Slic3r was asked for comments
-_OF_SLIC3R = frozenset(
-    ("perimeter", "infill", "skirt", "brim", "support material", "support material interface", "bridge", "gap fill")
-)
+# comments that are a kind and nothing else: of Slic3r behind its lines, where it was asked for them, and of Simplify3D 3
+_KINDS_ALONE = frozenset(
+    (
+        "perimeter", "infill", "skirt", "brim", "support material", "support material interface", "bridge", "gap fill",
+        "inner perimeter", "outer perimeter", "solid layer", "support", "dense support", "raft", "prime pillar", "ooze shield",
+    )
+)  # fmt: skip
 
 
 def slicer_of(text: str) -> str:

@@ -289,6 +289,7 @@ class _Machine:
         """What a comment says of what follows."""
         if marks.LAYER.fullmatch(text):
             self.printing, self.ended = True, False
+            self._close_level()
         elif (self.printing or self.ended) and marks.END.fullmatch(text):
             self.close()
             self.printing, self.ended = not self.marked, self.marked
@@ -302,11 +303,11 @@ class _Machine:
         if match := marks.HEIGHT.fullmatch(text):
             height = 1e-3 * float(match[1] or match[2] or match[3])
             if height != self.height:
-                self._height_changes()
+                self._close_level()
             self.height = height if height > 0.0 else None
 
-    def _height_changes(self) -> None:
-        """A spiral goes on through its layers."""
+    def _close_level(self) -> None:
+        """A layer ends here; but a spiral goes on through its layers."""
         if self._z and self._z[-1] - self._z[0] <= _LEVEL:
             self.close()
 
@@ -501,6 +502,8 @@ class _Machine:
             slow, fast = self.speeds
             if self.speed < slow or self.speed > fast:
                 self.speeds = min(slow, self.speed), max(fast, self.speed)
+        if not self.marked and z - z0 > _LEVEL:
+            self._close_level()
         if not self._x:
             self._x, self._y, self._z = [x0], [y0], [z0]
             self._kind, self._share = self.kind, self.share

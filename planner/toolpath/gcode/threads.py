@@ -137,6 +137,13 @@ def _in_layers(threads: Sequence[Thread], levels: Array, file: Path, usual: floa
         if height is None:
             spiral = thread.z - float(thread.points[0, 2]) > max(1.5 * (usual or np.inf), SAME_LEVEL)
             height = usual if spiral and usual is not None else float(levels[layer]) - below
+        if layer == 0 and thread.z - float(thread.points[0, 2]) > height + SAME_LEVEL:
+            raise InputError(
+                f"rises from the bed to {thread.z * 1e3:.3f} mm while material flows",
+                file=file,
+                line=int(thread.lines[0]),
+                hint="begin a spiral on a level first layer: one solid layer at the bottom",
+            )
         if not SIZES[0] <= height <= SIZES[1]:
             raise InputError(
                 f"this layer is {height * 1e3:.3f} mm high",
