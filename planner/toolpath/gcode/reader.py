@@ -38,6 +38,7 @@ _MACRO = re.compile(r"[A-Za-z_]{3}\w*|[@%].*", re.DOTALL)  # a macro's name of a
 _BRACKETS = re.compile(r"\([^)]*\)")
 _HOMING = {"G28", "G161", "G162"}
 _AXES = re.compile(r"[XYZ]\s*[-+.\d]")
+_TOOLS = 100  # greater numbers are no tools: T255 and T1000 mean other things to Bambu's printers
 _BINARY = b"GCDE"  # how PrusaSlicer's binary files begin
 _PLATE = re.compile(r"Metadata/plate_\d+\.gcode")
 
@@ -340,7 +341,9 @@ class _Machine:
     def _take(self, tool: str) -> None:
         """Another tool: what prints next is its own thread."""
         self.close()
-        self.tool = int(float(tool))
+        number = int(float(tool))
+        if number < _TOOLS:
+            self.tool = number
 
     def _take_plane(self, plane: str, rest: str) -> None:
         self.plane = plane
