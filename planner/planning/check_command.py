@@ -55,7 +55,10 @@ def examine(problem: Problem, whole: bool = False) -> Examination:
         robot = problem.cell.positioner.robot
         _tried(mistakes, lambda: _robot(problem, "cell.positioner.robot", robot))
     quick = is_quick(problem)
-    first = quick and not whole and getattr(problem.layers, "count", 1) > 1
+    count = (
+        1 if isinstance(problem.layers, GcodeLayersSpec) else getattr(problem.layers, "count", 1)
+    )  # its layers differ
+    first = quick and not whole and count > 1
     toolpath = None
     if quick or whole:
         toolpath = _tried(mistakes, lambda: _toolpath(one_layer(problem) if first else problem))

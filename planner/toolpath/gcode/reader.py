@@ -108,7 +108,7 @@ def read_gcode(path: Path, chord_tolerance: float, where: Complaint | None = Non
     Raises InputError with file and line for a line that cannot be read, or that a level print has no place for.
     """
     complain = partial(InputError, file=path) if where is None else where
-    text = _text(path, complain)
+    text = text_of(path, complain)
     first = 0 if marks.marked(text) else marks.start_ends(text)
     machine = _Machine(path, chord_tolerance, text, first)
     for number, line in enumerate(_lines(text), 1):
@@ -135,8 +135,8 @@ def read_gcode(path: Path, chord_tolerance: float, where: Complaint | None = Non
     )
 
 
-def _text(path: Path, complain: Complaint) -> str:
-    """The file's text; signs that are no UTF-8 may stand in comments."""
+def text_of(path: Path, complain: Complaint) -> str:
+    """The text of a file of G-code, unpacked; signs that are no UTF-8 may stand in comments. Raises InputError."""
     data = read_bytes(path, LARGEST_FILE, complain)
     if data.startswith(b"PK\x03\x04"):
         data = _unpacked(path, data, complain)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +47,8 @@ def choose(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> Chosen:
     file = spec.source.gcode
     notes = list(_of_file(file, read))
     kept, told = _without_shares(problem, spec, read)
+    notes += told
+    kept, told = _levelled(file, kept, read.height)
     notes += told
     kept, told = _by_height(file, kept)
     notes += told
@@ -107,6 +109,26 @@ def _without_shares(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) ->
     if not kept:
         raise problem.error("layers.source.leave_out", f"nothing else is in {source.gcode.name}", "leave out less")
     return kept, notes
+
+
+def _levelled(file: Path, threads: list[Thread], usual: float | None) -> tuple[list[Thread], list[str]]:
+    """The threads, those that rise within their layer laid level at its height.
+
+    A scarf begins on the layer below, beside lines that stand as high as the layer already: there the nozzle would touch
+    both. Its flow grows as it rises, and so does the bead.
+    """
+    out = []
+    for thread in threads:
+        rise, most = thread.z - float(thread.points[0, 2]), thread.height or usual or 0.0
+        if 0.0 < rise <= most + SAME_LEVEL:
+            flat = thread.points.copy()
+            flat[:, 2] = thread.z
+            out.append(replace(thread, points=flat))
+        else:
+            out.append(thread)
+    count = sum(a is not b for a, b in zip(threads, out, strict=True))
+    pieces = f"{count} piece{'s rise within their layer and are' if count > 1 else ' rises within its layer and is'}"
+    return out, [f"{file.name}: {pieces} laid level, as high as it ends"] if count else []
 
 
 def _by_height(file: Path, threads: list[Thread]) -> tuple[list[Thread], list[str]]:
