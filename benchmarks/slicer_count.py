@@ -16,7 +16,7 @@ from pathlib import Path
 _WORD = re.compile(r"([A-Z]) ?([-+]?[0-9]*\.?[0-9]+)")
 _BEGINS = ("LAYER_CHANGE", "CHANGE_LAYER", "BEFORE_LAYER_CHANGE", "AFTER_LAYER_CHANGE", "BEGIN_LAYER_", "; --- layer ")
 _OVER = ("layer end", "End of Gcode", "EXECUTABLE_BLOCK_END", "MACHINE_END_GCODE_START", "*** G-code Postfix")
-_BESIDE = {"prime": "purge", "wipe": "purge", "purge": "purge", "ooze": "purge"}
+_BESIDE = {"iron": "ironing", "prime": "purge", "wipe": "purge", "purge": "purge", "ooze": "purge"}
 _PLAIN = {
     *("perimeter", "infill", "skirt", "brim", "support material", "support material interface", "bridge", "gap fill"),
     *("inner perimeter", "outer perimeter", "solid layer", "support", "dense support", "raft", "prime pillar"),
@@ -154,8 +154,16 @@ def _counts_anew(events: list[tuple[str, str]], begin: int) -> bool:
     """Whether E counts from the move before, where no command says it: then its numbers do not grow."""
     if any(what == "code" and re.match(r"M8[23]\b", text) for what, text in events):
         return False
-    moves = (text for what, text in events[begin:] if what == "code" and text.startswith("G1") and "X" in text)
-    numbers = [float(found[1]) for text in moves if (found := re.search(r"E([-+]?[0-9]*\.?[0-9]+)", text))]
-    numbers = numbers[len(numbers) // 4 :]
-    shrinks = sum(a >= b for a, b in zip(numbers[:-1], numbers[1:], strict=True))
-    return shrinks > 0.25 * len(numbers)
+    up = down = 0
+    last = math.inf
+    for what, text in events[begin:]:
+        if what != "code":
+            continue
+        if text.startswith("G92"):
+            last = math.inf
+        elif text.startswith("G1") and "X" in text and (found := re.search(r"E([-+]?[0-9]*\.?[0-9]+)", text)):
+            value = float(found[1])
+            up += last < value
+            down += value < last < math.inf
+            last = value
+    return 2 * down > up

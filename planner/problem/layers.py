@@ -41,7 +41,7 @@ from planner.problem.yaml_file import describe, shorten
 CoverName = Literal["rows", "weighted_greedy", "greedy", "tour"]
 COVER_NAMES: tuple[str, ...] = get_args(CoverName)
 
-ShareName = Literal["purge", "skirt", "brim", "support"]
+ShareName = Literal["purge", "skirt", "brim", "support", "ironing"]
 SHARE_NAMES: tuple[str, ...] = get_args(ShareName)
 
 METHODS = ("curved", "planar")
@@ -87,7 +87,7 @@ class GcodeSpec(SourceSection):
         "leave_out",
         f"of {', '.join(SHARE_NAMES)}, what is not printed, as the slicer's comments call it; skirt is a brim too where a "
         "slicer has one name for both",
-        ("purge",),
+        ("purge", "ironing"),
     )
     crumbs: Annotated[float, Quantity("", 0, 0.5)] = key(
         "leave_out_share",

@@ -61,7 +61,7 @@ EXAMPLES: dict[str, str] = {
     "layer_gravity_deg": "30",
     "least_laid_mm": "8",
     "least_mm": "[0, 0, -50]",
-    "leave_out": "[purge, skirt]",
+    "leave_out": "[purge, ironing, skirt]",
     "leave_out_share": "0.02",
     "length_mm": "2",
     "letter": "B",

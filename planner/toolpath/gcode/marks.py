@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from functools import cache
 from itertools import islice
 
@@ -44,18 +43,19 @@ _START_ENDS = re.compile(r"^G21\b[^;\n]*; set units to millimeters", re.MULTILIN
 _LAYER_HEIGHT = re.compile(rf"^;[ \t]*(?:Layer height: |layer_height = )({NUMBER})", re.MULTILINE)
 _VOLUME = re.compile(r"^;FLAVOR:(?:UltiGCode|.*\(Volumetric\))|^; use_volumetric_e = 1", re.MULTILINE)
 _SAID = re.compile(r"^[ \t]*M8[23]\b", re.MULTILINE)
-_FILAMENT = re.compile(rf"^G0?1 [^;\n]*[XY][^;\n]*E({NUMBER})", re.MULTILINE)
-_LOOKED_AT = 2000  # moves
-_FALLING = 0.3  # share of them with no more E than the one before: a length from the start would grow in nearly all
+_FILAMENT = re.compile(rf"^(?:G92\b|G0?1 [^;\n]*[XY][^;\n]*E({NUMBER}))", re.MULTILINE)
+_LOOKED_AT = 4000  # moves
+_FALLING = 0.5  # times as often as it rises: a length from the start hardly ever falls, steps do as often as they rise
+_EQUAL = 10.0  # times as often as it changes: steps of one length; travel may be written with the E of before, but not so often
 
 OWN = "the printer's own"
-PURGE, SKIRT, BRIM, SUPPORT = "purge", "skirt", "brim", "support"
+PURGE, SKIRT, BRIM, SUPPORT, IRONING = "purge", "skirt", "brim", "support", "ironing"
 _TRAVEL = "destring", "travel", "wipe"  # what KISSlicer calls its ways between paths
 
 
 @cache
 def share_of(kind: str) -> str:
-    """What a kind of line is beside the part: purge, skirt, brim or support; the printer's own; or nothing, the part."""
+    """What a kind of line is beside the part: purge, skirt, brim, support or ironing; the printer's own; or nothing, the part."""
     words = kind.lower()
     if words == "custom":
         return OWN
@@ -64,6 +64,7 @@ def share_of(kind: str) -> str:
         (SKIRT, ("skirt",)),
         (BRIM, ("brim",)),
         (SUPPORT, ("support",)),
+        (IRONING, ("ironing",)),
     ):
         if any(name in words for name in names):
             return part
@@ -124,10 +125,14 @@ def is_relative(text: str) -> bool:
     if _SAID.search(text):
         return False
     first = _ANY_LAYER.search(text)
-    found = islice(_FILAMENT.finditer(text, first.end() if first else 0), _LOOKED_AT)
-    numbers = [float(match[1]) for match in found]
-    return len(numbers) > 1 and sum(b <= a for a, b in _pairs(numbers)) > _FALLING * (len(numbers) - 1)
-
-
-def _pairs(numbers: list[float]) -> Iterator[tuple[float, float]]:
-    return zip(numbers[:-1], numbers[1:], strict=True)
+    rises = falls = equal = 0
+    before: float | None = None
+    for match in islice(_FILAMENT.finditer(text, first.end() if first else 0), _LOOKED_AT):
+        if match[1] is None:  # G92 begins anew
+            before = None
+            continue
+        number = float(match[1])
+        if before is not None:
+            rises, falls, equal = rises + (number > before), falls + (number < before), equal + (number == before)
+        before = number
+    return falls > _FALLING * rises or equal > _EQUAL * (rises + falls)

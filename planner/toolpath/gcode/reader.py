@@ -29,6 +29,7 @@ LARGEST_FILE = 200_000_000  # bytes: some six million moves
 FARTHEST = 100.0  # m: a hall
 STEEPEST = 0.25  # rise of a line over its length: a spiral's and a scarf's are far below, and the nozzle stays upright
 _LEVEL = 1e-6  # m by which z may change in a level move
+_ROUNDED = 2e-5  # m by which a short move may rise, as z is written
 _INCH = 25.4e-3
 _FAST = re.compile(rf"G[01]((?: [XYZEF]{NUMBER})+) *(?=;|$)")  # nearly all lines
 _LINE = re.compile(r"(?:N\d+\s*)?([GMT])\s*(\d+(?:\.\d+)?)(.*?)(?:\*\s*\d+)?\s*", re.IGNORECASE)
@@ -517,7 +518,7 @@ class _Machine:
             raise self._wrong(
                 "z goes down while material flows", "lines are level or rise, as in a spiral: no curved layers"
             )
-        if rise > max(STEEPEST * length, _LEVEL):
+        if rise > max(STEEPEST * length, _ROUNDED):
             steep = f"z rises by {rise * 1e3:.3f} mm in {length * 1e3:.3f} mm while material flows"
             raise self._wrong(steep, f"by at most {STEEPEST:g} of the way: the nozzle stays upright")
 

@@ -12,7 +12,7 @@ from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.problem import Problem
 from planner.problem.layers import GcodeLayersSpec
-from planner.toolpath.gcode.marks import BRIM, PURGE, SKIRT, SUPPORT
+from planner.toolpath.gcode.marks import BRIM, IRONING, PURGE, SKIRT, SUPPORT
 from planner.toolpath.gcode.reader import GcodeFile, Thread
 
 SAME_LEVEL = 5e-6  # m: z of one layer differs by less, however it is rounded
@@ -96,7 +96,7 @@ def _without_shares(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) ->
     """The threads without what the problem leaves out by its kind."""
     source, notes = spec.source, []
     kept = [thread for thread in read.threads if thread.share not in source.leave_out]
-    for share in (PURGE, SKIRT, BRIM, SUPPORT):
+    for share in (PURGE, SKIRT, BRIM, SUPPORT, IRONING):
         own = [thread for thread in read.threads if thread.share == share]
         if not own:
             continue
