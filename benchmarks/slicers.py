@@ -69,12 +69,11 @@ def _chosen(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile, file: Path
     """What is printed of a file, and how that agrees with the count."""
     chosen = choose(problem, spec, read)
     check_sizes(problem, spec, read, chosen)
-    printed = sum(step.thread.length for step in chosen.steps)
+    printed, above = (sum(step.thread.length for step in steps) for steps in (chosen.steps, chosen.above))
     left_out = sum(thread.length for thread in read.threads if thread.share in spec.source.leave_out)
-    own = sum(thread.length for thread in read.threads) - left_out
+    specks = sum(thread.length for thread in read.threads) - left_out - printed - above
     counted = count(file).lengths
     there = 1e-3 * sum(length for owner, length in counted.items() if owner not in spec.source.leave_out)
-    specks = 0.0 if spec.count is not None else own - printed
     return {
         "layers": chosen.steps[-1].layer + 1,
         "beads": len(chosen.steps),
@@ -82,7 +81,7 @@ def _chosen(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile, file: Path
         "specks_m": f"{specks:.3f}",
         "left_out_m": f"{left_out:.3f}",
         "counted_m": f"{there:.3f}",
-        "difference_pct": f"{100.0 * ((printed + specks) / there - 1.0):.3f}" if there else "",
+        "difference_pct": f"{100.0 * ((printed + above + specks) / there - 1.0):.3f}" if there else "",
         "notes": " | ".join(note.removeprefix(f"{file.name}: ") for note in chosen.notes),
     }
 

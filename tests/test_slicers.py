@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from benchmarks import slicers
 from benchmarks.slicer_count import count
 from planner.base.errors import InputError
+from planner.planning.check_command import examine
 from planner.problem import load_problem
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
@@ -395,7 +396,7 @@ def test_the_lowest_layers_alone(build: Build) -> None:
     text = HEAD + "".join(f"G1 X0 Y0 Z{z}\nG1 X10 E.5\n" for z in (0.2, 0.4, 0.6))
     toolpath = build(text, "layers.count=2")
     assert [bead.layer for bead in toolpath.beads] == [0, 1]
-    assert "part.gcode: the lowest 2 of 3 layers, as layers.count asks" in toolpath.notes
+    assert "part.gcode: the lowest 2 of 3 layers" in toolpath.notes
     assert len(build(text, "layers.count=3").beads) == 3
     with pytest.raises(InputError, match=r"layers\.count.*part\.gcode has 3 layers \(valid: 1 to 3\)"):
         build(text, "layers.count=4")
@@ -526,3 +527,16 @@ def test_the_command_has_a_row_for_each_file(tmp_path: Path, capsys: pytest.Capt
     said = capsys.readouterr().out
     assert "ideaMaker: 1 files, 1 read, 1 within 0.5 % of the count" in said
     assert slicers.main([str(tmp_path / "none")]) == 2
+
+
+def test_check_lays_the_lowest_layer_and_looks_at_all(tmp_path: Path) -> None:
+    found = examine(load_problem("planar_gcode"))
+    assert found.first_layer and found.toolpath is not None
+    assert {bead.layer for bead in found.toolpath.beads} == {0}
+    (tmp_path / "part.gcode").write_text(HEAD + "G1 Z.2\nG1 X10 E.5\nG1 Z.4\nG1 X0 E9999\n")
+    wide = examine(
+        load_problem(
+            "planar_gcode", [f"layers.source.gcode={tmp_path / 'part.gcode'}", "layers.source.origin_mm=[0, 0, 0]"]
+        )
+    )
+    assert [mistake.line for mistake in wide.mistakes] == [8]

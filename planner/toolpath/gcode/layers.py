@@ -103,6 +103,7 @@ def slicer_print(problem: Problem, spec: GcodeLayersSpec) -> Toolpath:
     read = read_gcode(source.gcode, process.chord_tolerance, partial(problem.error, "layers.source.gcode"))
     chosen = choose(problem, spec, read)
     origin = np.asarray(source.origin)
+    check_sizes(problem, spec, read, chosen)  # of all layers, before any is laid
     filament = _filament(problem, spec, read)
     file, materials = source.gcode, _materials(problem, spec, chosen.steps)
     beads = []
@@ -116,7 +117,7 @@ def slicer_print(problem: Problem, spec: GcodeLayersSpec) -> Toolpath:
 def check_sizes(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile, chosen: Chosen) -> None:
     """Raise InputError, as `slicer_print` does, for a thread that extrudes for no bead that can be meant."""
     process, filament = problem.process, _filament(problem, spec, read)
-    for step in chosen.steps:
+    for step in (*chosen.steps, *chosen.above):
         samples = max(int(step.thread.length / process.corner_tolerance * SAMPLES_PER_TOLERANCE), 8) + 1
         sizes_of(step, filament, process.section, spec.source.gcode, samples)
 

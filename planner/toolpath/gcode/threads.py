@@ -31,9 +31,10 @@ class Step:
 
 @dataclass(frozen=True)
 class Chosen:
-    """What is printed of a file, in order, and what there is to say of it."""
+    """What is printed of a file, in order, what is above as many layers as are asked for, and what there is to say of it."""
 
     steps: tuple[Step, ...]
+    above: tuple[Step, ...]
     notes: tuple[str, ...]
 
 
@@ -61,10 +62,16 @@ def choose(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> Chosen:
             "the part frame's xy plane is the bed: z = 0 in most files",
         )
     steps = list(_in_layers(kept, levels, file, read.height))
-    steps, told = _lowest(problem, spec, steps, len(levels))
-    notes += told
     steps, told = _without_specks(problem, spec, steps)
-    return Chosen(tuple(steps), (*notes, *told))
+    notes += told
+    layers = steps[-1].layer + 1
+    asked = layers if spec.count is None else spec.count
+    if asked > layers:
+        raise problem.error("layers.count", f"{file.name} has {layers} layers", f"valid: 1 to {layers}")
+    if asked < layers:
+        notes.append(f"{file.name}: the lowest {asked} of {layers} layers")
+    printed, above = (tuple(step for step in steps if (step.layer < asked) == low) for low in (True, False))
+    return Chosen(printed, above, tuple(notes))
 
 
 def _of_file(file: Path, read: GcodeFile) -> Iterator[str]:
@@ -174,16 +181,6 @@ def _in_layers(threads: Sequence[Thread], levels: Array, file: Path, usual: floa
                 hint="z = 0 is the bed, and each layer rises",
             )
         yield Step(thread, layer, height)
-
-
-def _lowest(problem: Problem, spec: GcodeLayersSpec, steps: list[Step], layers: int) -> tuple[list[Step], list[str]]:
-    """As many layers as are asked for."""
-    if spec.count is None or spec.count == layers:
-        return steps, []
-    if spec.count > layers:
-        raise problem.error("layers.count", f"{spec.source.gcode.name} has {layers} layers", f"valid: 1 to {layers}")
-    kept = [step for step in steps if step.layer < spec.count]
-    return kept, [f"{spec.source.gcode.name}: the lowest {spec.count} of {layers} layers, as layers.count asks"]
 
 
 def _without_specks(problem: Problem, spec: GcodeLayersSpec, steps: list[Step]) -> tuple[list[Step], list[str]]:
