@@ -539,4 +539,4 @@ def test_check_lays_the_lowest_layer_and_looks_at_all(tmp_path: Path) -> None:
             "planar_gcode", [f"layers.source.gcode={tmp_path / 'part.gcode'}", "layers.source.origin_mm=[0, 0, 0]"]
         )
     )
-    assert [mistake.line for mistake in wide.mistakes] == [8]
+    assert [mistake.line for mistake in wide.mistakes] == [7]

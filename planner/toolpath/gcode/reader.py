@@ -27,9 +27,7 @@ from planner.toolpath.gcode.marks import NUMBER, OWN, PURGE
 
 LARGEST_FILE = 200_000_000  # bytes: some six million moves
 FARTHEST = 100.0  # m: a hall
-STEEPEST = 0.25  # rise of a line over its length: a spiral's and a scarf's are far below, and the nozzle stays upright
 _LEVEL = 1e-6  # m by which z may change in a level move
-_ROUNDED = 2e-5  # m by which a short move may rise, as z is written
 _INCH = 25.4e-3
 _FAST = re.compile(rf"G[01]((?: [XYZEF]{NUMBER})+) *(?=;|$)")  # nearly all lines
 _LINE = re.compile(r"(?:N\d+\s*)?([GMT])\s*(\d+(?:\.\d+)?)(.*?)(?:\*\s*\d+)?\s*", re.IGNORECASE)
@@ -435,8 +433,6 @@ class _Machine:
         self.x, self.y, self.z = x, y, z
         if pushed > 0.0 and (x != x0 or y != y0):
             if self._starts(x0, y0, z0, x, y, z):
-                length = math.hypot(x - x0, y - y0)
-                self._rises(z - z0, length)
                 self._x.append(x)
                 self._y.append(y)
                 self._z.append(z)
@@ -459,7 +455,6 @@ class _Machine:
         points = self._chords(start, end, words, clockwise)
         steps = np.hypot(*np.diff(np.vstack([start, points]), axis=0).T)
         length = float(steps.sum())
-        self._rises(z - z0, length)
         self._x += points[:, 0].tolist()
         self._y += points[:, 1].tolist()
         self._z += (z0 + (z - z0) * np.cumsum(steps) / length).tolist()
@@ -502,6 +497,12 @@ class _Machine:
             self.lost = self.lost or lost
             self.before += 1
             return False
+        if z - z0 < -_LEVEL:
+            reason, hint = (
+                "z goes down while material flows",
+                "lines are level or rise, as in a spiral: no curved layers",
+            )
+            raise self._wrong(reason, hint)
         if self.speed == self.speed:
             slow, fast = self.speeds
             if self.speed < slow or self.speed > fast:
@@ -512,15 +513,6 @@ class _Machine:
             self._x, self._y, self._z = [x0], [y0], [z0]
             self._kind, self._share = self.kind, self.share
         return True
-
-    def _rises(self, rise: float, length: float) -> None:
-        if rise < -_LEVEL:
-            raise self._wrong(
-                "z goes down while material flows", "lines are level or rise, as in a spiral: no curved layers"
-            )
-        if rise > max(STEEPEST * length, _ROUNDED):
-            steep = f"z rises by {rise * 1e3:.3f} mm in {length * 1e3:.3f} mm while material flows"
-            raise self._wrong(steep, f"by at most {STEEPEST:g} of the way: the nozzle stays upright")
 
     def close(self) -> None:
         """End what is being extruded."""

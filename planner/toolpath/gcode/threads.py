@@ -17,6 +17,8 @@ from planner.toolpath.gcode.reader import GcodeFile, Thread
 
 SAME_LEVEL = 5e-6  # m: z of one layer differs by less, however it is rounded
 SIZES = (1e-5, 50e-3)  # m: widths and heights of beads that can be meant
+STEEPEST = 0.25  # rise of a line over its length: a spiral's is far below, and the nozzle stays upright
+_ROUNDED = 2e-5  # m by which a short step may rise, as z is written
 _NAMED = 4  # commands that a note names, and lines
 
 
@@ -132,10 +134,25 @@ def _levelled(file: Path, threads: list[Thread], usual: float | None) -> tuple[l
             flat[:, 2] = thread.z
             out.append(replace(thread, points=flat))
         else:
+            _check_slope(file, thread)
             out.append(thread)
     count = sum(a is not b for a, b in zip(threads, out, strict=True))
     pieces = f"{count} piece{'s rise within their layer and are' if count > 1 else ' rises within its layer and is'}"
     return out, [f"{file.name}: {pieces} laid level, as high as it ends"] if count else []
+
+
+def _check_slope(file: Path, thread: Thread) -> None:
+    """Raise InputError, with file and line, where a thread rises steeply."""
+    rise, way = np.diff(thread.points[:, 2]), np.hypot(*np.diff(thread.points[:, :2], axis=0).T)
+    steep = rise > np.maximum(STEEPEST * way, _ROUNDED)
+    if steep.any():
+        i = int(np.argmax(steep))
+        raise InputError(
+            f"z rises by {rise[i] * 1e3:.3f} mm in {way[i] * 1e3:.3f} mm while material flows",
+            file=file,
+            line=int(thread.lines[i]),
+            hint=f"by at most {STEEPEST:g} of the way: the nozzle stays upright",
+        )
 
 
 def _by_height(file: Path, threads: list[Thread]) -> tuple[list[Thread], list[str]]:
