@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import zipfile
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +17,13 @@ from benchmarks import slicers
 from benchmarks.slicer_count import count
 from planner.base.errors import InputError
 from planner.planning.check_command import examine
-from planner.problem import load_problem
+from planner.problem import Problem, load_problem
+from planner.problem.layers import GcodeLayersSpec
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.gcode.layers import LevelLayers
+from planner.toolpath.gcode.layers import LevelLayers, check_sizes
 from planner.toolpath.gcode.reader import GcodeFile, read_gcode
+from planner.toolpath.gcode.threads import choose
 
 CHORD = 1e-5
 Read = Callable[[str], GcodeFile]
@@ -473,6 +476,11 @@ def test_start_code_may_hold_anything_and_the_print_not(read: Read) -> None:
         assert caught.value.line == 7
 
 
+@cache
+def _planar() -> Problem:
+    return load_problem("planar_gcode", ["layers.source.origin_mm=[0, 0, 0]"])
+
+
 noise = st.sampled_from(
     [
         "M104 S210", "M73 P12 R3", "SET_VELOCITY_LIMIT ACCEL=5000", "EXCLUDE_OBJECT_START NAME=a_b-1", "M486 S1", "T0",
@@ -500,6 +508,41 @@ def test_what_a_printer_is_told_between_beads_changes_nothing(
     found = read_gcode(path, CHORD)
     assert lines_of(found) == lines_of(plain)
     assert [t.filament.tolist() for t in found.threads] == [t.filament.tolist() for t in plain.threads]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.sampled_from([BAMBU, IDEAMAKER, KISS, SLIC3R, vase(2)]),
+    st.lists(
+        st.tuples(st.integers(0, 10_000), st.text(st.sampled_from("GXYZE0123.-; :'MT\n"), max_size=4)),
+        min_size=1,
+        max_size=4,
+    ),
+)
+def test_a_damaged_file_is_read_or_refused_by_line(
+    tmp_path_factory: pytest.TempPathFactory, text: str, changes: list[tuple[int, str]]
+) -> None:
+    path = tmp_path_factory.mktemp("damaged") / "part.gcode"
+    for where, instead in changes:
+        at = where % len(text)
+        text = text[:at] + instead + text[at + len(instead) :]
+    path.write_text(text)
+    problem = _planar()
+    assert isinstance(problem.layers, GcodeLayersSpec)
+    source = problem.layers.source.model_copy(update={"gcode": path})
+    spec = problem.layers.model_copy(update={"source": source})
+    try:
+        read = read_gcode(path, CHORD)
+        chosen = choose(problem, spec, read)
+        check_sizes(problem, spec, read, chosen)
+    except InputError as error:
+        assert "\n" not in str(error)
+        assert error.line is not None or error.field is not None or "extrudes nothing" in error.reason
+    else:
+        for step in chosen.steps:
+            assert np.isfinite(step.thread.points).all()
+            assert step.thread.length > 0.0 and (step.thread.filament > 0.0).all()
+            assert 1e-5 <= step.height <= 0.05
 
 
 # The independent count, and the command

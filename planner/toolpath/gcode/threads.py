@@ -19,6 +19,7 @@ SAME_LEVEL = 5e-6  # m: z of one layer differs by less, however it is rounded
 SIZES = (1e-5, 50e-3)  # m: widths and heights of beads that can be meant
 STEEPEST = 0.25  # rise of a line over its length: a spiral's is far below, and the nozzle stays upright
 _ROUNDED = 2e-5  # m by which a short step may rise, as z is written
+_PAUSES = frozenset(("M0", "M1", "M25", "M226", "M600", "M601", "PAUSE"))  # stops, and changes of filament
 _NAMED = 4  # commands that a note names, and lines
 
 
@@ -88,9 +89,10 @@ def _of_file(file: Path, read: GcodeFile) -> Iterator[str]:
     if not read.marked and not read.before:
         yield f"{file.name}: no comment says where a layer begins, so all that is extruded is read, from the first move on"
     if read.passed:
-        named = ", ".join(f"{name} {count:,}" for name, count in read.passed[:_NAMED])
-        rest = sum(count for _, count in read.passed[_NAMED:])
-        more = f" and {rest:,} of {len(read.passed) - _NAMED} more kinds" if rest else ""
+        passed = sorted(read.passed, key=lambda each: each[0] not in _PAUSES)  # these first, then the most frequent
+        named = ", ".join(f"{name} {count:,}" for name, count in passed[:_NAMED])
+        rest = sum(count for _, count in passed[_NAMED:])
+        more = f" and {rest:,} of {len(passed) - _NAMED} more kinds" if rest else ""
         yield f"{file.name}: commands of the printer passed over since the first layer: {named}{more}"
     if read.guessed:
         yield f"{file.name}: neither M82 nor M83 says how E counts; from the move before, as its numbers do"
