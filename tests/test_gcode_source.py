@@ -21,8 +21,9 @@ from planner.planning.solve_command import main
 from planner.problem import find_problem, load_problem
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.gcode.arcs import arc_by_centre, centre_by_radius
 from planner.toolpath.gcode.layers import LevelLayers
-from planner.toolpath.gcode.reader import GcodeFile, arc_by_centre, centre_by_radius, read_gcode
+from planner.toolpath.gcode.reader import GcodeFile, read_gcode
 
 Array = NDArray[np.float64]
 CHORD = 1e-5
@@ -44,7 +45,7 @@ def read(tmp_path: Path) -> Read:
 
 def threads(file: GcodeFile) -> list[list[list[float]]]:
     """Points in mm of all that is extruded, z with them."""
-    return [(np.column_stack([t.points, np.full(len(t.points), t.z)]) * 1e3).round(6).tolist() for t in file.threads]
+    return [(t.points * 1e3).round(6).tolist() for t in file.threads]
 
 
 # Round trip
@@ -127,9 +128,9 @@ def test_what_is_written_is_read(
     own = found.threads if mark else found.threads[-len(expected) :]
     assert len(own) == len(expected)
     for thread, (points, filament, z) in zip(own, expected, strict=True):
-        assert thread.points * 1e6 == pytest.approx(points, abs=2e-3)
+        assert thread.points[:, :2] * 1e6 == pytest.approx(points, abs=2e-3)
         assert thread.filament * 1e6 == pytest.approx(filament, abs=1e-2)
-        assert thread.z * 1e6 == pytest.approx(z, abs=1e-2)
+        assert thread.points[:, 2] * 1e6 == pytest.approx(z, abs=1e-2)
 
 
 # Reading
@@ -305,8 +306,8 @@ def test_g92_says_where_the_nozzle_is(read: Read) -> None:
 
 def test_arcs_are_those_of_a_circle(read: Read) -> None:
     quarter = read("G92 X10 Y0 Z1 E0\nG3 X0 Y10 I-10 J0 E5\n").threads[0]
-    assert np.hypot(*quarter.points.T) == pytest.approx(10e-3, abs=1e-12)
-    assert (np.diff(np.arctan2(*quarter.points.T[::-1])) > 0).all()
+    assert np.hypot(*quarter.points[:, :2].T) == pytest.approx(10e-3, abs=1e-12)
+    assert (np.diff(np.arctan2(quarter.points[:, 1], quarter.points[:, 0])) > 0).all()
     assert quarter.filament.sum() == pytest.approx(5e-3)
     assert np.ptp(quarter.filament) < 1e-12
     back = read("G92 X0 Y10 Z1 E0\nG2 X10 Y0 R10 E5\n").threads[0]
@@ -314,7 +315,7 @@ def test_arcs_are_those_of_a_circle(read: Read) -> None:
     circle = read("G92 X10 Y0 Z1 E0\nG2 I-10 E5\n").threads[0]
     assert np.linalg.norm(np.diff(circle.points, axis=0), axis=1).sum() == pytest.approx(20e-3 * math.pi, rel=1e-3)
     relative = read("G92 X10 Y0 Z1 E0\nG91\nG20\nG3 X-1 Y1 I-1 E1\n").threads[0]
-    assert relative.points[-1] * 1e3 == pytest.approx([10 - 25.4, 25.4])
+    assert relative.points[-1, :2] * 1e3 == pytest.approx([10 - 25.4, 25.4])
 
 
 @settings(max_examples=80)
@@ -346,9 +347,9 @@ WRONG = [
     ("Gl X1 Y1", "is no command", ""),
     ("1;2", "is no command", ""),
     ("G5 X1 Y1 I1 J1", "G5 is not known", "G0, G1, G2 and G3"),
-    ("G18", "G18 is not known", ""),
-    ("G92.1", "G92.1 is not known", ""),
-    ("G1 X10 Z1 E1", "z changes while material flows", "no spiral vase"),
+    ("G18\nG2 X9 I4.5 E1", "an arc extrudes in the plane of G18", "level"),
+    ("G2 X9 I4.5 P2 E1", "an arc of several turns", "P1"),
+    ("G1 X10 Z0.1 E1", "z goes down while material flows", "no curved layers"),
     ("G1 X1e-05 E1", "cannot read 'X1e-05 E1'", ""),
     ("G1 X9999999 E1", "X is farther than 100 m", ""),
     ("G1 X9 E1 F0", "F is 0", "greater than 0"),
@@ -358,7 +359,7 @@ WRONG = [
     ("G2 I0 J0 E1", "centre is where it starts", ""),
     ("G2 X9 R2 E1", "cannot join points 9.000 mm apart", ""),
     ("G2 R2 E1", "ends where it starts", ""),
-    ("M200 D1.75", "E is a volume here", "volumetric"),
+    ("G1 X9 E1\nM200 D1.75", "E becomes a volume here", "one of both"),
     ("G28\nG1 X1 Y1 E1", "nothing says where the nozzle is", "before it"),
     ("G28\nG2 X1 Y1 I1 E1", "nothing says where the nozzle is", "before it"),
 ]  # fmt: skip
@@ -389,12 +390,10 @@ def test_any_text_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, t
             assert (thread.filament > 0).all()
 
 
-def test_another_tool_is_refused_once_it_prints(read: Read) -> None:
-    text = "T1\nT0\n" + START + "G1 X9 E1\n"
-    assert len(read(text).threads) == 1
-    with pytest.raises(InputError, match="takes tool 1 after tool 0") as caught:
-        read(text + "G1 X20\nT1\n")
-    assert caught.value.line == 9
+def test_another_tool_begins_a_thread_and_is_told(read: Read, tmp_path: Path) -> None:
+    text = "T1\nT0\n" + START + "G1 X9 E1\nT1\nG1 X20 E1\n"
+    assert [thread.tool for thread in read(text).threads] == [0, 1]
+    assert "part.gcode: tools 0, 1 print in turn; here one nozzle lays all of it" in built(tmp_path, text).notes
 
 
 @pytest.mark.parametrize(
@@ -452,16 +451,14 @@ def test_beads_hold_what_the_file_extrudes(tmp_path: Path, style: str, section: 
     assert [bead.layer for bead in toolpath.beads] == [0, 0, 1]
     for bead, thread, height in zip(toolpath.beads, file.threads, (0.2e-3, 0.2e-3, 0.15e-3), strict=True):
         assert bead.height == pytest.approx(height)
-        assert bead.points[[0, -1]] == pytest.approx(
-            np.column_stack([thread.points[[0, -1]] + [1e-3, 2e-3], [thread.z] * 2])
-        )
+        assert bead.points[[0, -1]] == pytest.approx(thread.points[[0, -1]] + [1e-3, 2e-3, 0.0])
         assert bead.normals.tolist() == [[0.0, 0.0, 1.0]] * len(bead.s)
         rounded = distance_to_polyline(bead.points, bead.source)
         assert rounded.max() <= problem.process.corner_tolerance
         held = trapezoid(bead_area(bead, problem.process), bead.s)
         assert held == pytest.approx(AREA * thread.filament.sum(), rel=0.03)  # a rounded corner is shorter
         straight = np.hypot(*(bead.points[:, :2] - [21e-3, 12e-3]).T) > 2e-3
-        area = AREA * thread.filament[0] / np.hypot(*(thread.points[1] - thread.points[0]))
+        area = AREA * thread.filament[0] / np.linalg.norm(thread.points[1] - thread.points[0])
         assert bead_area(bead, problem.process)[straight] == pytest.approx(area, rel=1e-6)
 
 
@@ -482,17 +479,22 @@ def test_widths_follow_the_extrusion_along_a_bead(tmp_path: Path) -> None:
 
 def test_specks_are_left_out_and_counted(tmp_path: Path) -> None:
     text = START + "G1 X10 E0.5\nG1 X30\nG1 X30.3 E0.02\nG1 X50\nG1 X50.3 E0.02\nG1 Y20\nG1 X40 E0.5\n"
-    toolpath = built(tmp_path, text)
+    toolpath = built(tmp_path, text, source=", leave_out_share: 0.03")
     assert len(toolpath.beads) == 2
-    share = 0.04 / 1.04
-    assert f"part.gcode: 2 pieces shorter than a bead is wide left out, {share:.2%} of the material" in toolpath.notes
+    share = 0.6 / 20.9
+    pieces = "2 pieces shorter than a bead is wide, 0.5 mm"
+    assert f"part.gcode: {pieces}, left out, {share:.2%} of the length (lines 7, 9)" in toolpath.notes
+    with pytest.raises(InputError, match=rf"{pieces}, would be left out, {share:.2%} of the length") as caught:
+        built(tmp_path, text)
+    assert caught.value.line == 7
+    assert "leave_out_share, now 0.01" in (caught.value.hint or "")
 
 
 def test_what_the_file_says_of_itself_is_told(tmp_path: Path) -> None:
     notes = built(tmp_path, PRUSA, "bead: {width_mm: 0.4}").notes
     assert notes[0] == "part.gcode: 1 move that extrudes before the first layer left out"
-    assert "beads are 0.451 to 0.481 mm wide and 0.150 to 0.200 mm high" in notes[1]
-    assert "20 to 40 mm/s, do not count" in notes[2]
+    assert "beads are 0.451 to 0.481 mm wide and 0.150 to 0.200 mm high" in notes[-2]
+    assert "20 to 40 mm/s, do not count" in notes[-1]
 
 
 def test_small_loops_are_rounded_less_not_lost(tmp_path: Path) -> None:
@@ -506,11 +508,11 @@ def test_small_loops_are_rounded_less_not_lost(tmp_path: Path) -> None:
 
 BAD_PRINTS = [
     # G-code, process, source, field or line, reason, hint
-    (START + "G1 X9 E1\nG1 Z0.6\nG1 X0 E1\nG1 Z0.2\nG1 X9 E1\n", "", "", 9, "z goes down from 0.600 to 0.200 mm", "all"),
     (START.replace("Z0.2", "Z0") + "G1 X9 E1\n", "", "", "layers.source.origin_mm", "0.000 mm above the bed", ""),
     (START + "G1 X9 E1\n", "", ", origin_mm: [0, 0, -1]", "layers.source.origin_mm", "-0.800 mm above the bed", ""),
     (START + "G1 X9 E10000\n", "", "", 5, "bead 13362.", "M82 or M83"),
     (START + "G1 X9 E1\nG1 X20 E0.00001\n", "", "", 6, "bead 0.000 mm wide", "M82 or M83"),
+    (START + "G1 X9 E1\n;LAYER:1\nG1 X8 Z1 E1\n", "", "", 7, "z rises by 0.800 mm in 1.000 mm", "upright"),
     (START + "G1 X0.3 E1\n", "", "", "process.bead.width_mm", "shorter than a bead is wide", "specks"),
     (START + "G1 X9 E1\n", "bead: {width_mm: 0.5, height_mm: 0.2}", "", "process.bead", "stands in the G-code", "leave"),
     (START + "G1 X9 E1\n", "", ", svg: a.svg", "layers.source.svg", "both svg and gcode", "one"),

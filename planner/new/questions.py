@@ -28,7 +28,7 @@ from planner.problem.layers import AerofoilSpec
 from planner.problem.part import CylinderSpec, SphereSpec
 from planner.problem.process import BeadSpec, ProcessSpec
 from planner.problem.stl import read_corners
-from planner.toolpath.gcode.reader import LARGEST_FILE
+from planner.toolpath.gcode.reader import text_of
 from planner.toolpath.svg.document import read_document
 
 # ----------------------------------------------------------------------------------------------------
@@ -231,7 +231,7 @@ def _waypoints(value: Callable[..., Any], folder: Path) -> None:
 
 
 def _gcode(value: Callable[..., Any], folder: Path) -> None:
-    value("file", "the G-code", "", file_in(folder, lambda path: read_text(path, LARGEST_FILE, _plainly)))
+    value("file", "the G-code", "", file_in(folder, lambda path: text_of(path, _plainly)))
 
 
 def _mesh(value: Callable[..., Any], folder: Path) -> None:

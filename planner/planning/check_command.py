@@ -44,7 +44,7 @@ class Examination:
 def examine(problem: Problem, whole: bool = False) -> Examination:
     """Read every file that a problem names, and make its cell and, where that is quick or `whole` asks for it, its toolpath.
 
-    Quick are curves and files of points; of those in equal layers the first layer is made. Each of these is looked at
+    Quick are curves and files of points; of those in layers the first one is made. Each of these is looked at
     even where another one has a mistake.
     """
     mistakes: list[InputError] = []
@@ -55,7 +55,8 @@ def examine(problem: Problem, whole: bool = False) -> Examination:
         robot = problem.cell.positioner.robot
         _tried(mistakes, lambda: _robot(problem, "cell.positioner.robot", robot))
     quick = is_quick(problem)
-    first = quick and not whole and getattr(problem.layers, "count", 1) > 1
+    count = getattr(problem.layers, "count", 1)  # None: all that a file has
+    first = quick and not whole and (count is None or count > 1)
     toolpath = None
     if quick or whole:
         toolpath = _tried(mistakes, lambda: _toolpath(one_layer(problem) if first else problem))

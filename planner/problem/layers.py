@@ -22,6 +22,7 @@ from planner.problem.drawings import (
 )
 from planner.problem.fields import (
     PATH,
+    UNIQUE,
     Form,
     Position,
     Quantity,
@@ -39,6 +40,9 @@ from planner.problem.yaml_file import describe, shorten
 
 CoverName = Literal["rows", "weighted_greedy", "greedy", "tour"]
 COVER_NAMES: tuple[str, ...] = get_args(CoverName)
+
+ShareName = Literal["purge", "skirt", "brim", "support", "ironing"]
+SHARE_NAMES: tuple[str, ...] = get_args(ShareName)
 
 METHODS = ("curved", "planar")
 _POINTS = "file of the section's points, counted from the folder of the problem file"
@@ -79,6 +83,21 @@ class GcodeSpec(SourceSection):
         None,
     )
     origin: Position = key("origin_mm", "the file's origin in the part frame, whose z = 0 is the bed [mm]", (0, 0, 0))
+    leave_out: Annotated[tuple[Annotated[ShareName, one_of(SHARE_NAMES)], ...], UNIQUE] = key(
+        "leave_out",
+        f"of {', '.join(SHARE_NAMES)}, what is not printed, as the slicer's comments call it; skirt is a brim too where a "
+        "slicer has one name for both",
+        ("purge", "ironing"),
+    )
+    crumbs: Annotated[float, Quantity("", 0, 0.5)] = key(
+        "leave_out_share",
+        "share of the length up to which pieces shorter than a bead is wide are left out; if there are more, the file is "
+        "refused",
+        0.01,
+    )
+    tools: tuple[MaterialName, ...] | None = key(
+        "tool_materials", "the material of each tool in the file, that of tool 0 first; default: layers.material", None
+    )
 
 
 class GcodeLayersSpec(Section):
@@ -87,6 +106,9 @@ class GcodeLayersSpec(Section):
     bodies: ClassVar[tuple[str, ...]] = ()
 
     source: GcodeSpec = key("source", "where the G-code comes from")
+    count: Annotated[int, Quantity("", 1, 100_000, whole=True)] | None = key(
+        "count", "number of layers, from the lowest; default: all in the file", None
+    )
     material: MaterialName | None = material_key("all beads")
 
 

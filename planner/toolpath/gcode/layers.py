@@ -11,21 +11,22 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array
-from planner.base.errors import InputError
+from planner.base.errors import InputError, nearest_name
 from planner.base.geometry import arc_lengths
 from planner.problem import Problem
 from planner.problem.layers import GcodeLayersSpec
 from planner.problem.process import SectionName
 from planner.toolpath.bead import Bead, Toolpath
-from planner.toolpath.gcode.reader import GcodeFile, Thread, read_gcode
-from planner.toolpath.plane_paths import PlaneCurve, densify, length, make_bead, round_corners
+from planner.toolpath.gcode.reader import GcodeFile, read_gcode
+from planner.toolpath.gcode.threads import SIZES, Chosen, Step, choose
+from planner.toolpath.plane_paths import SAMPLES_PER_TOLERANCE, PlaneCurve, densify, length, make_bead, round_corners
 from planner.toolpath.svg.outlines import PlanePath
 
-SAME_LEVEL = 5e-6  # m: z of one layer differs by less, however it is rounded
-SIZES = (1e-5, 50e-3)  # m: widths and heights of beads that can be meant
+VOLUMETRIC = 1e-6  # m^2: of a filament whose millimetres are cubic ones
 _SHRUNK = 0.8  # of its length that a path keeps when it is rounded: else it is rounded less
 _FEWER = 0.5  # times the tolerance then
 _TRIES = 8
+_FADING = 0.05  # of a thread, at most, that is thinner than any bead
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ class LevelLayers:
             own = [bead for bead in beads if bead.layer == level]
             centres = np.vstack([bead.points[:, :2] for bead in own])
             radii = np.concatenate([0.5 * bead.width for bead in own])
-            layers.append(Layer(float(own[0].points[0, 2]), cKDTree(centres), radii))
+            layers.append(Layer(max(float(bead.points[-1, 2]) for bead in own), cKDTree(centres), radii))
         return cls(tuple(layers), tuple(bead.layer for bead in beads))
 
     def before(self, bead: int) -> LevelLayers:
@@ -92,53 +93,61 @@ class LevelLayers:
         return self.normals(tips)
 
 
-@dataclass(frozen=True)
-class _Step:
-    """A thread with its layer, counted from 0, and its height [m]."""
-
-    thread: Thread
-    layer: int
-    height: float
-
-
 def slicer_print(problem: Problem, spec: GcodeLayersSpec) -> Toolpath:
     """Lay a bead along whatever the file extrudes without interruption, in its order.
 
-    A bead is as high as its layer and has the volume that the file extrudes. Pieces shorter than the width in the
-    problem are left out. Raises InputError for a file that cannot be read, and for layers that do not rise.
+    A bead is as high as its layer and has the volume that the file extrudes; what is left out is told in the notes.
+    Raises InputError for a file that cannot be read, and for what cannot be printed as level layers.
     """
-    process, file = problem.process, spec.source.gcode
-    read = read_gcode(file, process.chord_tolerance, partial(problem.error, "layers.source.gcode"))
-    long = [thread for thread in read.threads if length(thread.points) >= process.bead.width]
-    if not long:
-        reason = f"all that {file.name} extrudes is shorter than a bead is wide"
-        raise problem.error("process.bead.width_mm", reason, "shorter pieces are specks, which are left out")
-    origin = np.asarray(spec.source.origin)
-    diameter = spec.source.filament_diameter or process.filament_diameter
-    if long[0].z + origin[2] <= 0.0:
-        raise problem.error(
-            "layers.source.origin_mm",
-            f"the first layer is {(long[0].z + origin[2]) * 1e3:.3f} mm above the bed",
-            "the part frame's xy plane is the bed: z = 0 in most files",
-        )
+    process, source = problem.process, spec.source
+    read = read_gcode(source.gcode, process.chord_tolerance, partial(problem.error, "layers.source.gcode"))
+    chosen = choose(problem, spec, read)
+    origin = np.asarray(source.origin)
+    check_sizes(problem, spec, read, chosen)  # of all layers, before any is laid
+    filament = _filament(problem, spec, read)
+    file, materials = source.gcode, _materials(problem, spec, chosen.steps)
     beads = []
-    for number, step in enumerate(_layers(long, file), 1):
+    for number, step in enumerate(chosen.steps, 1):
         name = f"path {number}" + (f" ({step.thread.kind})" if step.thread.kind else "")
-        curve, sizes = _laid(step, process.corner_tolerance, 0.25 * np.pi * diameter**2, process.section, file, name)
-        beads.append(_bead(step, curve, sizes, origin))
-    return Toolpath(tuple(beads), LevelLayers.of(beads), notes=tuple(_notes(file, read, long, beads)))
+        curve, sizes = _laid(step, process.corner_tolerance, filament, process.section, file, name)
+        beads.append(_bead(step, curve, sizes, origin, materials[step.thread.tool]))
+    return Toolpath(tuple(beads), LevelLayers.of(beads), notes=(*chosen.notes, *_sizes_and_speeds(file, read, beads)))
 
 
-def _notes(file: Path, read: GcodeFile, long: Sequence[Thread], beads: Sequence[Bead]) -> Iterator[str]:
-    """What was left out, and what the file says that the problem says otherwise."""
-    if read.before:
-        moves = "1 move that extrudes" if read.before == 1 else f"{read.before} moves that extrude"
-        yield f"{file.name}: {moves} before the first layer left out"
-    specks = len(read.threads) - len(long)
-    if specks:
-        lost = 1.0 - sum(t.filament.sum() for t in long) / sum(t.filament.sum() for t in read.threads)
-        pieces = "1 piece" if specks == 1 else f"{specks} pieces"
-        yield f"{file.name}: {pieces} shorter than a bead is wide left out, {lost:.2%} of the material"
+def check_sizes(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile, chosen: Chosen) -> None:
+    """Raise InputError, as `slicer_print` does, for a thread that extrudes for no bead that can be meant."""
+    process, filament = problem.process, _filament(problem, spec, read)
+    for step in (*chosen.steps, *chosen.above):
+        samples = max(int(step.thread.length / process.corner_tolerance * SAMPLES_PER_TOLERANCE), 8) + 1
+        sizes_of(step, filament, process.section, spec.source.gcode, samples)
+
+
+def _filament(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> float:
+    """Cross-section of the filament that E counts [m^2]."""
+    diameter = spec.source.filament_diameter or problem.process.filament_diameter
+    return VOLUMETRIC if read.volume else 0.25 * float(np.pi) * diameter**2
+
+
+def _materials(problem: Problem, spec: GcodeLayersSpec, steps: Sequence[Step]) -> dict[int, str]:
+    """The material of each tool that prints, by its number; nothing where the problem does not say."""
+    names = spec.source.tools
+    materials = {step.thread.tool: "" for step in steps}
+    if names is None:
+        return materials
+    for tool in materials:
+        if tool >= len(names):
+            reason = f"tool {tool} of {spec.source.gcode.name} has no material"
+            raise problem.error("layers.source.tool_materials", reason, "one for each tool, that of tool 0 first")
+        if names[tool] not in problem.process.materials:
+            near = nearest_name(names[tool], tuple(problem.process.materials))
+            hint = f"did you mean {near}?" if near else "a name in process.materials"
+            raise problem.error("layers.source.tool_materials", f"there is no material {names[tool]!r}", hint)
+        materials[tool] = names[tool]
+    return materials
+
+
+def _sizes_and_speeds(file: Path, read: GcodeFile, beads: Sequence[Bead]) -> Iterator[str]:
+    """What the file says that the problem says otherwise."""
     width, height = (
         np.array([[size.min(), size.max()] for size in (getattr(bead, name) for bead in beads)]) * 1e3
         for name in ("width", "height")
@@ -158,57 +167,51 @@ def _range(least: float, greatest: float, digits: int) -> str:
     return " to ".join(dict.fromkeys(texts))
 
 
-def _layers(threads: Sequence[Thread], file: Path) -> Iterator[_Step]:
-    """The threads with their layers and heights, that of a comment or the rise over the layer before."""
-    layer, top, below = -1, -np.inf, 0.0
-    for thread in threads:
-        wrong = partial(InputError, file=file, line=int(thread.lines[0]))
-        if thread.z < top - SAME_LEVEL:
-            raise wrong(
-                f"z goes down from {top * 1e3:.3f} to {thread.z * 1e3:.3f} mm",
-                hint="layers rise: print all objects at once, not one after another",
-            )
-        if thread.z > top + SAME_LEVEL:
-            layer, top, below = layer + 1, thread.z, max(top, 0.0) if layer >= 0 else 0.0
-        height = top - below if thread.height is None else thread.height
-        if not SIZES[0] <= height <= SIZES[1]:
-            raise wrong(f"this layer is {height * 1e3:.3f} mm high", hint="z = 0 is the bed, and each layer rises")
-        yield _Step(thread, layer, height)
-
-
 def _laid(
-    step: _Step, tolerance: float, filament: float, section: SectionName, file: Path, name: str
+    step: Step, tolerance: float, filament: float, section: SectionName, file: Path, name: str
 ) -> tuple[PlaneCurve, tuple[Array, Array]]:
     """A thread rounded, and width and height (n) [m] at its samples, so that these hold its volume.
 
     filament: area of its cross-section [m^2]. Short pieces are rounded less, so that they do not shrink.
     """
-    path = PlanePath(name, step.thread.points, False)
+    path = PlanePath(name, step.thread.points[:, :2], False)
     curve = round_corners(path, tolerance)
     for _ in range(_TRIES):
         if length(curve.points) >= _SHRUNK * length(path.points):
             break
         tolerance *= _FEWER
         curve = round_corners(path, tolerance)
-    arc = arc_lengths(path.points)
-    volume = filament * np.concatenate([[0.0], np.cumsum(step.thread.filament)])
+    return curve, sizes_of(step, filament, section, file, len(curve.points))
+
+
+def sizes_of(step: Step, filament: float, section: SectionName, file: Path, samples: int) -> tuple[Array, Array]:
+    """Width and height (n) [m] of a thread's bead at as many places, evenly along it, so that these hold its volume.
+
+    filament: area of its cross-section [m^2]. A scarf's end, where the flow fades away, keeps the least width. Raises
+    InputError, with file and line, for a bead that cannot be meant.
+    """
+    thread = step.thread
+    arc = arc_lengths(thread.points)
+    volume = filament * np.concatenate([[0.0], np.cumsum(thread.filament)])
     # samples stand evenly on the input: each has the mean of the half step before it and the one behind it
-    n = len(curve.points)
+    n = samples
     edges = np.interp(np.arange(2 * n + 1) - 1.0, [0.0, 2.0 * n - 2.0], [0.0, arc[-1]])
     held = np.interp(edges, arc, volume)
     area = (held[2::2] - held[:-1:2]) / (edges[2::2] - edges[:-1:2])
     width, height = _section(area, step.height, section)
-    bad = ~((width >= SIZES[0]) & (width <= SIZES[1]))
+    thin, bad = width < SIZES[0], width > SIZES[1]
+    if thin.mean() > _FADING:
+        bad |= thin
     if bad.any():
         i = int(np.argmax(bad))
-        k = min(int(np.searchsorted(arc, edges[2 * i + 1], side="right")) - 1, len(step.thread.lines) - 1)
+        k = min(int(np.searchsorted(arc, edges[2 * i + 1], side="right")) - 1, len(thread.lines) - 1)
         raise InputError(
             f"extrudes for a bead {width[i] * 1e3:.3f} mm wide at a height of {height[i] * 1e3:.3f} mm",
             file=file,
-            line=int(step.thread.lines[k]),
+            line=int(thread.lines[k]),
             hint="check M82 or M83, and layers.source.filament_diameter_mm",
         )
-    return curve, (width, height)
+    return np.maximum(width, SIZES[0]), np.maximum(height, SIZES[0])
 
 
 def _section(area: Array, height: float, section: SectionName) -> tuple[Array, Array]:
@@ -224,10 +227,13 @@ def _section(area: Array, height: float, section: SectionName) -> tuple[Array, A
     return np.where(thin, thread, width), np.where(thin, thread, height)
 
 
-def _bead(step: _Step, curve: PlaneCurve, sizes: tuple[Array, Array], origin: Array) -> Bead:
-    n, up = len(curve.points), step.thread.z
-    points, source = (
-        np.column_stack([plane, np.full(len(plane), up)]) + origin for plane in (curve.points, densify(curve.source))
+def _bead(step: Step, curve: PlaneCurve, sizes: tuple[Array, Array], origin: Array, material: str) -> Bead:
+    thread, n = step.thread, len(curve.points)
+    way = arc_lengths(thread.points[:, :2])  # along which z rises, and which the samples divide evenly
+    source = densify(curve.source)
+    points, dense = (
+        np.column_stack([plane, np.interp(at, way, thread.points[:, 2])]) + origin
+        for plane, at in ((curve.points, np.linspace(0.0, way[-1], n)), (source, arc_lengths(source)))
     )
     upright, roll_zero = np.tile([0.0, 0.0, 1.0], (n, 1)), np.tile([1.0, 0.0, 0.0], (n, 1))
-    return make_bead(curve.name, step.layer, points, upright, roll_zero, source, *sizes)
+    return make_bead(curve.name, step.layer, points, upright, roll_zero, dense, *sizes, material=material)

@@ -5,9 +5,12 @@ Nothing is kept of the printer that the file was made for. Arcs become polylines
 
 from __future__ import annotations
 
+import io
 import math
 import re
-from collections.abc import Callable
+import zipfile
+from collections import Counter
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,214 +20,303 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array, ReadOnlyArrays
 from planner.base.errors import Complaint, InputError
-from planner.base.files import read_text
-
-_OFF = 0.01, 5e-5  # share of the radius, and m, by which an arc's ends may differ in it: files are rounded
-_MOST_CHORDS = 10_000
+from planner.base.files import read_bytes
+from planner.toolpath.gcode import marks
+from planner.toolpath.gcode.arcs import NoArc, arc_by_centre, centre_by_radius
+from planner.toolpath.gcode.marks import NUMBER, OWN, PURGE
 
 LARGEST_FILE = 200_000_000  # bytes: some six million moves
 FARTHEST = 100.0  # m: a hall
-_LEVEL = 1e-6  # m by which z may change in a move that extrudes
+_LEVEL = 1e-6  # m by which z may change in a level move
 _INCH = 25.4e-3
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
+_FAST = re.compile(rf"G[01]((?: [XYZEF]{NUMBER})+) *(?=;|$)")  # nearly all lines
 _LINE = re.compile(r"(?:N\d+\s*)?([GMT])\s*(\d+(?:\.\d+)?)(.*?)(?:\*\s*\d+)?\s*", re.IGNORECASE)
 # a small e behind a digit is an exponent, which G-code does not have: read as E it would be another extrusion
-_WORDS = re.compile(rf"\s*([A-Za-z])\s*({_NUMBER})(?=\s|[A-Za-df-z]|$)\s*")
+_WORDS = re.compile(rf"\s*([A-Za-z])\s*({NUMBER})(?=\s|[A-Za-df-z]|$)\s*")
 _MACRO = re.compile(r"[A-Za-z_]{3}\w*|[@%].*", re.DOTALL)  # a macro's name of a printer's own firmware, and marks
 _BRACKETS = re.compile(r"\([^)]*\)")
-# homing aside, what moves nothing of the print: dwell, retraction by the firmware, planes and levelling
-_HARMLESS = {f"G{n}" for n in (4, 12, 17, 26, 27, 29, 30, 31, 32, 33, 34, 40, 49, 53, 54, 60, 80, 94)}
 _HOMING = {"G28", "G161", "G162"}
-# Marks that slicers leave in comments: Cura; PrusaSlicer, SuperSlicer, OrcaSlicer; Bambu Studio; Simplify3D.
-_LAYER = re.compile(r"LAYER:\s*-?\d+|LAYER_CHANGE|CHANGE_LAYER|layer \d+, Z\b.*")
-_KIND = re.compile(r"(?:TYPE:|FEATURE:|feature )\s*(.+)")
-_HEIGHT = re.compile(rf"(?:HEIGHT:|LAYER_HEIGHT:)\s*({_NUMBER})|tool H({_NUMBER}) W.*")
-
-
-class NoArc(ValueError):
-    """There is no such arc; the message says why."""
-
-
-def arc_by_centre(start: Array, end: Array, centre: Array, clockwise: bool, chord_tolerance: float) -> Array:
-    """Points (n, 2) of an arc from start (2, exclusive) to end (2, inclusive) [m]; a whole circle where these are one.
-
-    Chords leave the arc by at most `chord_tolerance` [m]. Raises NoArc.
-    """
-    a, b = start - centre, end - centre
-    r, last = float(np.hypot(*a)), float(np.hypot(*b))
-    if r == 0.0:
-        raise NoArc("the arc's centre is where it starts")
-    if abs(last - r) > max(_OFF[0] * r, _OFF[1]):
-        raise NoArc(f"the arc starts {r * 1e3:.3f} mm from its centre and ends {last * 1e3:.3f} mm from it")
-    first = float(np.arctan2(a[1], a[0]))
-    sweep = float(np.arctan2(b[1], b[0])) - first
-    sweep = -((-sweep) % (2.0 * np.pi)) if clockwise else sweep % (2.0 * np.pi)
-    if sweep == 0.0 or np.array_equal(start, end):
-        sweep = -2.0 * np.pi if clockwise else 2.0 * np.pi
-    step = 2.0 * np.arccos(max(1.0 - chord_tolerance / r, 0.0))
-    n = int(min(max(np.ceil(abs(sweep) / step), 1), _MOST_CHORDS))
-    u = np.arange(1, n + 1) / n
-    radius = r + (last - r) * u
-    angle = first + sweep * u
-    points = centre + radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-    points[-1] = end
-    return np.asarray(points)
-
-
-def centre_by_radius(start: Array, end: Array, radius: float, clockwise: bool) -> Array:
-    """Centre (2) of the arc of a radius [m] from start to end; a negative radius is that of the longer arc. Raises NoArc."""
-    way = end - start
-    half = 0.5 * float(np.hypot(*way))
-    if half == 0.0:
-        raise NoArc("an arc by its radius ends where it starts")
-    if half > abs(radius) + _OFF[1]:
-        raise NoArc(f"an arc of radius {abs(radius) * 1e3:.3f} mm cannot join points {half * 2e3:.3f} mm apart")
-    away = float(np.sqrt(max(radius**2 - half**2, 0.0)))
-    left = np.array([-way[1], way[0]]) / (2.0 * half)
-    # of a counter-clockwise arc of less than half a turn the centre lies to the left
-    side = -1.0 if clockwise == (radius > 0.0) else 1.0
-    return np.asarray(0.5 * (start + end) + side * away * left)
+_AXES = re.compile(r"[XYZ]\s*[-+.\d]")
+_TOOLS = 100  # greater numbers are no tools: T255 and T1000 mean other things to Bambu's printers
+_BINARY = b"GCDE"  # how PrusaSlicer's binary files begin
+_PLATE = re.compile(r"Metadata/plate_\d+\.gcode")
 
 
 @dataclass(frozen=True)
 class Thread(ReadOnlyArrays):
-    """What is extruded without interruption, in one layer.
+    """What is extruded without interruption, level or rising.
 
-    points (n, 2) [m], n at least 2; filament (n - 1) [m] pushed and lines (n - 1) of the file, of each step
-    z, and height where a comment says it [m]; kind as a comment says it, or nothing
+    points (n, 3) [m], n at least 2; filament (n - 1) [m] pushed and lines (n - 1) of the file, of each step
+    height [m] where a comment says it; kind as a comment says it, or nothing, and what that is beside the part; tool
     """
 
     points: Array
     filament: Array
     lines: NDArray[np.int64]
-    z: float
     height: float | None
     kind: str
+    share: str
+    tool: int
+
+    @property
+    def z(self) -> float:
+        """Its greatest height above z = 0 [m]: that of its layer."""
+        return float(self.points[-1, 2])
+
+    @property
+    def length(self) -> float:
+        """Length [m]."""
+        return float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
 
 
 @dataclass(frozen=True)
 class GcodeFile:
     """What a file extrudes, in its order.
 
-    before  moves that extrude before the first layer, which are left out
-    speeds  least and greatest speed of extruding moves [m/s]; empty where the file gives none
+    before, after, between  moves that extrude in the printer's own code, which are left out
+    passed   commands that were passed over from the first layer on, and how often
+    speeds   least and greatest speed of extruding moves [m/s]; empty where the file gives none
+    slicer   what wrote the file, if it says so; marked: it says where layers begin
+    height   of most layers [m], if it says so
+    volume   E is a volume, in mm^3, not a length: a filament of 1 mm^2
+    guessed  E counts from the move before, as the numbers say and no command
+    flow     of M221, where it is not all
     """
 
     threads: tuple[Thread, ...]
     before: int
+    after: int
+    between: int
+    passed: tuple[tuple[str, int], ...]
     speeds: tuple[float, ...]
+    slicer: str
+    marked: bool
+    height: float | None
+    volume: bool
+    guessed: bool
+    flow: float
 
 
 def read_gcode(path: Path, chord_tolerance: float, where: Complaint | None = None) -> GcodeFile:
     """Read a file of G-code; arcs become chords that leave them by at most `chord_tolerance` [m].
 
-    Read are moves (G0 to G3), units (G20, G21), absolute and relative coordinates (G90, G91, M82, M83), and G92.
-    Where slicers mark layers in comments, the printer's own lines before the first layer are left out. What moves no
-    axis is passed over. `where(reason, hint=...)` makes the InputError for what is wrong with the file as a whole.
+    Read are moves (G0 to G3), units (G20, G21), absolute and relative coordinates (G90, G91, M82, M83), G92, tools and
+    M200. Where slicers mark layers in comments, the printer's own lines before the first and after the last are left out,
+    whatever they are. Other commands are passed over and counted. A packed file of Bambu Studio (3MF) is unpacked.
+    `where(reason, hint=...)` makes the InputError for what is wrong with the file as a whole.
     Raises InputError with file and line for a line that cannot be read, or that a level print has no place for.
     """
     complain = partial(InputError, file=path) if where is None else where
-    lines = read_text(path, LARGEST_FILE, complain)
-    marked = any(_LAYER.fullmatch(_comment(line)) for line in lines if ";" in line)
-    machine = _Machine(path, chord_tolerance, printing=not marked)
-    for number, line in enumerate(lines, 1):
+    text = text_of(path, complain)
+    first = 0 if marks.marked(text) else marks.start_ends(text)
+    machine = _Machine(path, chord_tolerance, text, first)
+    for number, line in enumerate(_lines(text), 1):
         machine.read(number, line)
     machine.close()
     if not machine.threads:
+        if machine.lost is not None:
+            raise machine.lost
         raise complain(f"{path.name} extrudes nothing", hint="G-code of a slicer, with E")
-    speeds = (min(machine.speeds), max(machine.speeds)) if machine.speeds else ()
-    return GcodeFile(tuple(machine.threads), machine.before, speeds)
+    slow, fast = machine.speeds
+    return GcodeFile(
+        threads=tuple(machine.threads),
+        before=machine.before,
+        after=machine.after,
+        between=machine.between,
+        passed=tuple(machine.passed.most_common()),
+        speeds=(slow, fast) if fast > 0.0 else (),
+        slicer=marks.slicer_of(text),
+        marked=machine.marked,
+        height=marks.usual_height(text),
+        volume=machine.volume,
+        guessed=machine.guessed,
+        flow=machine.flow,
+    )
 
 
-def _comment(line: str) -> str:
-    """What stands behind the semicolon."""
-    return line.partition(";")[2].strip()
+def text_of(path: Path, complain: Complaint) -> str:
+    """The text of a file of G-code, unpacked; signs that are no UTF-8 may stand in comments. Raises InputError."""
+    data = read_bytes(path, LARGEST_FILE, complain)
+    if data.startswith(b"PK\x03\x04"):
+        data = _unpacked(path, data, complain)
+    if data.startswith(_BINARY):
+        raise complain(
+            f"{path.name} is binary G-code",
+            hint="export it as text: in PrusaSlicer, binary G-code is a printer setting",
+        )
+    data = data.removeprefix(b"\xef\xbb\xbf")
+    if b"\r" in data:
+        data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        pass
+    for number, line in enumerate(data.split(b"\n"), 1):
+        try:
+            line.partition(b";")[0].decode("utf-8")
+        except UnicodeDecodeError:
+            raise InputError("is not UTF-8 text", file=path, line=number, hint="save it as plain text") from None
+    return data.decode("utf-8", "replace")
+
+
+def _unpacked(path: Path, data: bytes, complain: Complaint) -> bytes:
+    """The G-code of the one plate in a packed file."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as packed:
+            plates = [info for info in packed.infolist() if _PLATE.fullmatch(info.filename)]
+            if len(plates) == 1 and plates[0].file_size <= LARGEST_FILE:
+                return packed.read(plates[0])
+    except (zipfile.BadZipFile, OSError, EOFError, RuntimeError, NotImplementedError, ValueError):
+        raise complain(f"{path.name} is a damaged archive") from None
+    hint = "unpack the one that is meant" if plates else "slice it first: a model is no G-code"
+    raise complain(f"{path.name} is an archive with G-code of {len(plates)} plates", hint=hint)
+
+
+def _lines(text: str) -> Iterator[str]:
+    """One line after the other: a list of millions would need more memory than the text."""
+    at = 0
+    while (end := text.find("\n", at)) >= 0:
+        yield text[at:end]
+        at = end + 1
+    yield text[at:]
 
 
 class _Machine:
     """A printer that follows the lines: where it is, and what it has extruded."""
 
-    def __init__(self, path: Path, chord_tolerance: float, printing: bool) -> None:
+    def __init__(self, path: Path, chord_tolerance: float, text: str, first: int) -> None:
         self.wrong: Complaint = partial(InputError, file=path)
         self.chord_tolerance = chord_tolerance
-        self.printing = printing
+        self.marked = marks.marked(text)
+        self.first = first  # line from which on all is the print's, in a file without marks
+        self.printing = not self.marked and first == 0
+        self.ended = False
         self.threads: list[Thread] = []
-        self.before = 0
-        self.speeds: set[float] = set()
-        self.place = np.full(3, math.nan)  # nobody knows before it is said
+        self.before = self.after = self.between = 0
+        self.passed: Counter[str] = Counter()
+        self.lost: InputError | None = None
+        self.speeds = (math.inf, 0.0)
+        self.x = self.y = self.z = math.nan  # nobody knows before it is said
         self.filament = 0.0
         self.unit = 1e-3
         self.relative = False
-        self.filament_relative: bool | None = None  # None: as the other axes
+        self.guessed = marks.is_relative(text)
+        self.filament_relative: bool | None = True if self.guessed else None  # None: as the other axes
+        self.volume = marks.is_volume(text)
+        self.flow = 1.0
         self.speed = math.nan
-        self.tool: int | None = None
+        self.plane = "G17"
+        self.tool = 0
         self.height: float | None = None
-        self.kind = ""
+        self.kind, self.share = "", ""
+        self.stretches: set[str] = set()
         self.number = 0
-        self._z, self._kind = math.nan, ""
-        self._points: list[Array] = []
+        self._kind, self._share = "", ""
+        self._x: list[float] = []
+        self._y: list[float] = []
+        self._z: list[float] = []
         self._pushed: list[float] = []
         self._lines: list[int] = []
-        self.commands: dict[str, Callable[[dict[str, float]], None]] = {
-            "G0": self._straight,
-            "G1": self._straight,
+        self.commands: dict[str, Callable[[str], None]] = {
+            **dict.fromkeys(("G0", "G1"), self._straight),
             "G2": partial(self._arc, True),
             "G3": partial(self._arc, False),
+            "G10": self._retract,
+            "G11": self._retract,
+            "G17": partial(self._take_plane, "G17"),
+            "G18": partial(self._take_plane, "G18"),
+            "G19": partial(self._take_plane, "G19"),
+            "G20": partial(self._take_unit, _INCH),
+            "G21": partial(self._take_unit, 1e-3),
+            **dict.fromkeys(_HOMING, self._home),
+            "G90": partial(self._count, False),
+            "G91": partial(self._count, True),
             "G92": self._set,
+            "M82": partial(self._count_filament, False),
+            "M83": partial(self._count_filament, True),
+            "M200": self._take_volume,
+            "M221": self._take_flow,
         }
 
     def read(self, number: int, line: str) -> None:
         """Follow a line."""
         self.number = number
-        if ";" in line:
-            self._remark(_comment(line))
-        code = _BRACKETS.sub(" ", line.partition(";")[0]).strip()
-        if not code:
+        if number == self.first:
+            self.printing = True
+        match = _FAST.match(line)
+        if match is not None and match.end() == len(line):
+            self._plain(match[1])
             return
+        if ";" in line:
+            self._remark(line.partition(";")[2].strip())
+        if match is not None:
+            self._plain(match[1])
+            return
+        code = line.partition(";")[0].strip()
+        if "(" in code:
+            code = _BRACKETS.sub(" ", code).strip()
+        if code:
+            self._follow(code)
+
+    def _follow(self, code: str) -> None:
         match = _LINE.fullmatch(code)
         if match is None:
-            if _MACRO.match(code) and not re.match(rf"[A-Z]\s*{_NUMBER}", code, re.IGNORECASE):
-                return
-            raise self._wrong(f"{code[:40]!r} is no command", "G or M and its number first")
+            if _MACRO.match(code) and not re.match(rf"[A-Z]\s*{NUMBER}", code, re.IGNORECASE):
+                self._pass(code.split()[0])
+            elif self.printing:
+                raise self._wrong(f"{code[:40]!r} is no command", "G or M and its number first")
+            return
         letter, name, rest = match[1].upper(), match[2].lstrip("0") or "0", match[3]
-        self._follow(f"{letter}{name}", rest)
-
-    def _follow(self, command: str, rest: str) -> None:
+        command = f"{letter}{name}"
         if command in self.commands:
-            self.commands[command](self._words(rest))
-        elif command in ("G20", "G21"):
-            self.unit = _INCH if command == "G20" else 1e-3
-        elif command in ("G90", "G91"):
-            self.relative = command == "G91"
-        elif command in ("M82", "M83"):
-            self.filament_relative = command == "M83"
-        elif command in ("G10", "G11"):
-            self.close()
-        elif command in _HOMING:
-            axes = [i for i, axis in enumerate("XYZ") if axis in rest.upper()] or [0, 1, 2]
-            self.close()
-            self.place[axes] = math.nan
-        elif command == "M200" and self._words(rest).get("D", 0.0) > 0.0:
-            raise self._wrong("E is a volume here", "turn volumetric extrusion off in the slicer")
-        elif command.startswith("T"):
-            self._take(int(float(command[1:])))
-        elif command.startswith("G") and command not in _HARMLESS:
+            self.commands[command](rest)
+        elif letter == "T":
+            self._take(name)
+        elif letter == "G" and self.printing and name in ("5", "5.1", "6") and _AXES.search(rest.upper()):
             raise self._wrong(f"{command} is not known", "moves are G0, G1, G2 and G3")
+        else:
+            self._pass(command)
+
+    def _pass(self, command: str) -> None:
+        """Count what is passed over; nobody asks what start and end code hold."""
+        if self.printing:
+            self.passed[command] += 1
 
     def _wrong(self, reason: str, hint: str | None = None) -> InputError:
         return self.wrong(reason, line=self.number, hint=hint)
 
     def _remark(self, text: str) -> None:
         """What a comment says of what follows."""
-        if _LAYER.fullmatch(text):
-            self.printing = True
-        elif match := _KIND.fullmatch(text):
-            self.kind = match[1].strip()
-        elif match := _HEIGHT.fullmatch(text):
-            height = 1e-3 * float(match[1] or match[2])
+        if marks.LAYER.fullmatch(text):
+            self.printing, self.ended = True, False
+            self._close_level()
+        elif (self.printing or self.ended) and marks.END.fullmatch(text):
+            self.close()
+            self.printing, self.ended = not self.marked, self.marked
+        elif (kind := marks.kind_in(text)) is not None:
+            self.kind = kind
+            self._share_out()
+        elif match := marks.STRETCH.fullmatch(text):
+            change = self.stretches.add if match[2] == "START" else self.stretches.discard
+            change(match[1])
+            self._share_out()
+        if match := marks.HEIGHT.fullmatch(text):
+            height = 1e-3 * float(match[1] or match[2] or match[3])
             if height != self.height:
-                self.close()
-            self.height = height
+                self._close_level()
+            self.height = height if height > 0.0 else None
+
+    def _close_level(self) -> None:
+        """A layer ends here; but a spiral goes on through its layers."""
+        if self._z and self._z[-1] - self._z[0] <= _LEVEL:
+            self.close()
+
+    def _share_out(self) -> None:
+        """What is printed from here on belongs to something else: another thread."""
+        share = PURGE if self.stretches else marks.share_of(self.kind)
+        if share != self.share:
+            self.close()
+            self.share = share
 
     def _words(self, rest: str) -> dict[str, float]:
         """Letters and their numbers."""
@@ -236,98 +328,200 @@ class _Machine:
                 raise self._wrong(f"cannot read {rest[at : at + 20]!r}", "letters, each with a number")
             letter = match[1].upper()
             if letter in found:
-                raise self._wrong(f"{letter} stands in this line twice")
+                raise self._twice(letter)
             found[letter] = float(match[2])
             at = match.end()
         return found
 
-    def _take(self, tool: int) -> None:
-        """Another tool: only before anything is printed."""
-        if self.tool is not None and tool != self.tool and (self.threads or self._pushed):
-            raise self._wrong(f"takes tool {tool} after tool {self.tool}", "print with one tool: one material is laid")
-        self.tool = tool
+    def _twice(self, letter: str) -> InputError:
+        return self._wrong(f"{letter} stands in this line twice")
 
-    def _set(self, words: dict[str, float]) -> None:
+    # What changes how lines are read
+    def _take(self, tool: str) -> None:
+        """Another tool: what prints next is its own thread."""
+        self.close()
+        number = int(float(tool))
+        if number < _TOOLS:
+            self.tool = number
+
+    def _take_plane(self, plane: str, rest: str) -> None:
+        self.plane = plane
+
+    def _take_unit(self, unit: float, rest: str) -> None:
+        self.unit = unit
+
+    def _take_volume(self, rest: str) -> None:
+        volume = self._words(rest).get("D", 1.0 if self.volume else 0.0) > 0.0
+        if volume != self.volume and (self.threads or self._pushed):
+            raise self._wrong("E becomes a volume here, or a length again", "one of both in all of a file")
+        self.volume = volume
+
+    def _take_flow(self, rest: str) -> None:
+        match = re.search(rf"S\s*({NUMBER})", rest)
+        if match:
+            self.flow = 0.01 * float(match[1])
+
+    def _count(self, relative: bool, rest: str) -> None:
+        self.relative = relative
+
+    def _count_filament(self, relative: bool, rest: str) -> None:
+        self.filament_relative = relative
+
+    def _retract(self, rest: str) -> None:
+        if not rest.strip():  # with words it is a temperature or an offset of a tool
+            self.close()
+
+    def _home(self, rest: str) -> None:
+        axes = [axis for axis in "XYZ" if axis in rest.upper()] or ["X", "Y", "Z"]
+        self.close()
+        for axis in axes:
+            setattr(self, axis.lower(), math.nan)
+
+    def _set(self, rest: str) -> None:
         """G92: here is what is said; all axes at 0 if nothing is."""
-        words = words or dict.fromkeys("XYZE", 0.0)
-        for i, axis in enumerate("XYZ"):
+        words = self._words(rest) or dict.fromkeys("XYZE", 0.0)
+        for axis in "XYZ":
             if axis in words:
                 self.close()
-                self.place[i] = self.unit * words[axis]
+                setattr(self, axis.lower(), self.unit * words[axis])
         self.filament = self.unit * words.get("E", self.filament / self.unit)
 
-    def _goal(self, words: dict[str, float]) -> tuple[Array, float]:
-        """Where a move ends (3) [m], and the filament [m] that it pushes."""
-        goal = self.place.copy()
-        for i, axis in enumerate("XYZ"):
-            if axis in words:
-                goal[i] = self.unit * words[axis] + (goal[i] if self.relative else 0.0)
-                if abs(goal[i]) > FARTHEST:
-                    raise self._wrong(f"{axis} is farther than {FARTHEST:g} m from the origin")
-        pushed = 0.0
+    # Moves
+    def _plain(self, text: str) -> None:
+        """A move along a line, whose words are known to be well formed."""
+        tokens = text.split()
+        words = {token[0]: float(token[1:]) for token in tokens}
+        if len(words) != len(tokens):
+            letters = [token[0] for token in tokens]
+            raise self._twice(next(letter for letter in letters if letters.count(letter) > 1))
+        self._line(words)
+
+    def _straight(self, rest: str) -> None:
+        try:
+            words = self._words(rest)
+        except InputError:
+            if self.printing:
+                raise
+            return  # what start code fills in when it is printed
+        self._line(words)
+
+    def _goal(self, words: dict[str, float]) -> tuple[float, float, float, float]:
+        """Where a move ends, and the filament that it pushes [m]."""
+        unit, x, y, z, pushed = self.unit, self.x, self.y, self.z, 0.0
+        if "X" in words:
+            x = unit * words["X"] + (x if self.relative else 0.0)
+        if "Y" in words:
+            y = unit * words["Y"] + (y if self.relative else 0.0)
+        if "Z" in words:
+            z = unit * words["Z"] + (z if self.relative else 0.0)
+        if abs(x) > FARTHEST or abs(y) > FARTHEST or abs(z) > FARTHEST:
+            axis = "XYZ"[[abs(x) > FARTHEST, abs(y) > FARTHEST, True].index(True)]
+            raise self._wrong(f"{axis} is farther than {FARTHEST:g} m from the origin")
         if "E" in words:
             relative = self.relative if self.filament_relative is None else self.filament_relative
-            end = self.unit * words["E"] + (self.filament if relative else 0.0)
+            end = unit * words["E"] + (self.filament if relative else 0.0)
             pushed, self.filament = end - self.filament, end
         if "F" in words:
-            if words["F"] <= 0.0:
+            if words["F"] <= 0.0 and self.printing:
                 raise self._wrong(f"F is {words['F']:g}", "a speed is greater than 0")
-            self.speed = self.unit * words["F"] / 60.0
-        return goal, pushed
+            self.speed = unit * words["F"] / 60.0
+        return x, y, z, pushed
 
-    def _straight(self, words: dict[str, float]) -> None:
-        goal, pushed = self._goal(words)
-        self._move(goal, goal[None, :2], pushed)
+    def _line(self, words: dict[str, float]) -> None:
+        x, y, z, pushed = self._goal(words)
+        x0, y0, z0 = self.x, self.y, self.z
+        self.x, self.y, self.z = x, y, z
+        if pushed > 0.0 and (x != x0 or y != y0):
+            if self._starts(x0, y0, z0, x, y, z):
+                self._x.append(x)
+                self._y.append(y)
+                self._z.append(z)
+                self._pushed.append(pushed)
+                self._lines.append(self.number)
+        elif x != x0 or y != y0 or z != z0 or pushed != 0.0:
+            self.close()
 
-    def _arc(self, clockwise: bool, words: dict[str, float]) -> None:
-        start = self.place[:2].copy()
-        goal, pushed = self._goal(words)
-        end = goal[:2]
-        if np.isnan([*start, *end]).any():
-            raise self._wrong("an arc starts here, and nothing says where the nozzle is", "X and Y before it")
+    def _arc(self, clockwise: bool, rest: str) -> None:
+        words = self._words(rest)
+        x, y, z, pushed = self._goal(words)
+        x0, y0, z0 = self.x, self.y, self.z
+        self.x, self.y, self.z = x, y, z
+        if pushed <= 0.0:  # a lift along a spiral, or another way to somewhere
+            self.close()
+            return
+        if not self._starts(x0, y0, z0, x, y, z):
+            return
+        start, end = np.array([x0, y0]), np.array([x, y])
+        points = self._chords(start, end, words, clockwise)
+        steps = np.hypot(*np.diff(np.vstack([start, points]), axis=0).T)
+        length = float(steps.sum())
+        self._x += points[:, 0].tolist()
+        self._y += points[:, 1].tolist()
+        self._z += (z0 + (z - z0) * np.cumsum(steps) / length).tolist()
+        self._pushed += (pushed * steps / length).tolist()
+        self._lines += [self.number] * len(points)
+
+    def _chords(self, start: Array, end: Array, words: dict[str, float], clockwise: bool) -> Array:
+        """Points (n, 2) of an arc, without its start."""
         by_centre, by_radius = "I" in words or "J" in words, "R" in words
-        if by_centre == by_radius or "P" in words:
-            raise self._wrong("an arc needs its centre (I, J) or its radius (R)", "one of them, and no P")
+        if by_centre == by_radius:
+            raise self._wrong("an arc needs its centre (I, J) or its radius (R)", "one of them")
+        if words.get("P", 1.0) > 1.0:
+            raise self._wrong("an arc of several turns extrudes", "no P, or P1")
+        if self.plane != "G17":
+            raise self._wrong(f"an arc extrudes in the plane of {self.plane}", "G17: level arcs only")
         try:
             if by_centre:
                 centre = start + self.unit * np.array([words.get("I", 0.0), words.get("J", 0.0)])
             else:
                 centre = centre_by_radius(start, end, self.unit * words["R"], clockwise)
-            points = arc_by_centre(start, end, centre, clockwise, self.chord_tolerance)
+            return arc_by_centre(start, end, centre, clockwise, self.chord_tolerance)
         except NoArc as error:
             raise self._wrong(str(error)) from None
-        self._move(goal, points, pushed)
 
-    def _move(self, goal: Array, way: Array, pushed: float) -> None:
-        """Move to the goal (3) by way of points (n, 2), the goal's last, pushing filament [m]."""
-        start, self.place = self.place, goal
-        steps = np.hypot(*np.diff(np.vstack([start[:2], way]), axis=0).T)
-        length = float(steps.sum())  # NaN where the start is not known
-        if length == 0.0 and pushed == 0.0 and goal[2] == start[2]:
-            return
-        if pushed <= 0.0 or length == 0.0:
+    def _starts(self, x0: float, y0: float, z0: float, x: float, y: float, z: float) -> bool:
+        """Whether what is extruded on a move belongs to the print; it goes on with a thread, or begins one."""
+        if not self.printing or self.share == OWN:
             self.close()
-            return
-        if not self.printing:
+            if self.printing:
+                self.between += 1
+            elif self.ended:
+                self.after += 1
+            else:
+                self.before += 1
+            return False
+        if math.isnan(x0 + y0 + z0 + x + y + z):
+            lost = self._wrong("extrudes, and nothing says where the nozzle is", "X, Y and Z before it")
+            if self.threads or self._pushed:
+                raise lost
+            self.lost = self.lost or lost
             self.before += 1
-            return
-        if not (math.isfinite(length) and np.isfinite([start[2], goal[2]]).all()):
-            raise self._wrong("extrudes, and nothing says where the nozzle is", "X, Y and Z before it")
-        if abs(goal[2] - start[2]) > _LEVEL:
-            raise self._wrong("z changes while material flows", "level layers only: no spiral vase")
-        if math.isfinite(self.speed):
-            self.speeds.add(self.speed)
-        if not self._points:
-            self._points, self._z, self._kind = [start[:2].copy()], float(goal[2]), self.kind
-        self._points += list(way)
-        self._pushed += (pushed * steps / length).tolist()
-        self._lines += [self.number] * len(way)
+            return False
+        if z - z0 < -_LEVEL:
+            reason, hint = (
+                "z goes down while material flows",
+                "lines are level or rise, as in a spiral: no curved layers",
+            )
+            raise self._wrong(reason, hint)
+        if self.speed == self.speed:
+            slow, fast = self.speeds
+            if self.speed < slow or self.speed > fast:
+                self.speeds = min(slow, self.speed), max(fast, self.speed)
+        if not self.marked and z - z0 > _LEVEL:
+            self._close_level()
+        if not self._x:
+            self._x, self._y, self._z = [x0], [y0], [z0]
+            self._kind, self._share = self.kind, self.share
+        return True
 
     def close(self) -> None:
         """End what is being extruded."""
         if self._pushed:
-            moved = np.hypot(*np.diff(self._points, axis=0).T) > 0.0
-            points = np.array(self._points)[np.append(True, moved)]
+            points = np.column_stack([self._x, self._y, self._z])
+            moved = np.abs(np.diff(points[:, :2], axis=0)).max(axis=1) > 0.0
             pushed, lines = np.array(self._pushed)[moved], np.array(self._lines, dtype=np.int64)[moved]
-            self.threads.append(Thread(points, pushed, lines, self._z, self.height, self._kind))
-        self._points, self._pushed, self._lines = [], [], []
+            thread = Thread(
+                points[np.append(True, moved)], pushed, lines, self.height, self._kind, self._share, self.tool
+            )
+            self.threads.append(thread)
+        self._x, self._y, self._z, self._pushed, self._lines = [], [], [], [], []

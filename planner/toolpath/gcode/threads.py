@@ -1,0 +1,235 @@
+"""Which of a slicer's threads are printed, in what layers, how high, and what to say of the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from planner.base.arrays import Array
+from planner.base.errors import InputError
+from planner.problem import Problem
+from planner.problem.layers import GcodeLayersSpec
+from planner.toolpath.gcode.marks import BRIM, IRONING, PURGE, SKIRT, SUPPORT
+from planner.toolpath.gcode.reader import GcodeFile, Thread
+
+SAME_LEVEL = 5e-6  # m: z of one layer differs by less, however it is rounded
+SIZES = (1e-5, 50e-3)  # m: widths and heights of beads that can be meant
+STEEPEST = 0.25  # rise of a line over its length: a spiral's is far below, and the nozzle stays upright
+_ROUNDED = 2e-5  # m by which a short step may rise, as z is written
+_PAUSES = frozenset(("M0", "M1", "M25", "M226", "M600", "M601", "PAUSE"))  # stops, and changes of filament
+_NAMED = 4  # commands that a note names, and lines
+
+
+@dataclass(frozen=True)
+class Step:
+    """A thread with its layer, counted from 0, and its height [m]."""
+
+    thread: Thread
+    layer: int
+    height: float
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """What is printed of a file, in order, what is above as many layers as are asked for, and what there is to say of it."""
+
+    steps: tuple[Step, ...]
+    above: tuple[Step, ...]
+    notes: tuple[str, ...]
+
+
+def choose(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> Chosen:
+    """Choose the threads that are printed, and sort them into layers.
+
+    Left out is what the problem leaves out, all above its number of layers, and pieces shorter than a bead is wide, up to
+    the share of the length that the problem allows. Where z goes down, as between objects that are printed one after
+    another, the threads are printed by height. Raises InputError where too much would be left out, or too little is left.
+    """
+    file = spec.source.gcode
+    notes = list(_of_file(file, read))
+    kept, told = _without_shares(problem, spec, read)
+    notes += told
+    kept, told = _levelled(file, kept, read.height)
+    notes += told
+    kept, told = _by_height(file, kept)
+    notes += told
+    levels = _levels(kept)
+    bottom = float(levels[0]) + spec.source.origin[2]
+    if bottom <= 0.0:
+        raise problem.error(
+            "layers.source.origin_mm",
+            f"the first layer is {bottom * 1e3:.3f} mm above the bed",
+            "the part frame's xy plane is the bed: z = 0 in most files",
+        )
+    steps = list(_in_layers(kept, levels, file, read.height))
+    steps, told = _without_specks(problem, spec, steps)
+    notes += told
+    layers = steps[-1].layer + 1
+    asked = layers if spec.count is None else spec.count
+    if asked > layers:
+        raise problem.error("layers.count", f"{file.name} has {layers} layers", f"valid: 1 to {layers}")
+    if asked < layers:
+        notes.append(f"{file.name}: the lowest {asked} of {layers} layers")
+    printed, above = (tuple(step for step in steps if (step.layer < asked) == low) for low in (True, False))
+    return Chosen(printed, above, tuple(notes))
+
+
+def _of_file(file: Path, read: GcodeFile) -> Iterator[str]:
+    """What of the file was passed over as the printer's own, and what it leaves unsaid."""
+    for count, where in (
+        (read.before, "before the first layer"),
+        (read.after, "after the last layer"),
+        (read.between, "in the printer's own code between layers"),
+    ):
+        if count:
+            yield f"{file.name}: {count} move{'s that extrude' if count > 1 else ' that extrudes'} {where} left out"
+    if not read.marked and not read.before:
+        yield f"{file.name}: no comment says where a layer begins, so all that is extruded is read, from the first move on"
+    if read.passed:
+        passed = sorted(read.passed, key=lambda each: each[0] not in _PAUSES)  # these first, then the most frequent
+        named = ", ".join(f"{name} {count:,}" for name, count in passed[:_NAMED])
+        rest = sum(count for _, count in passed[_NAMED:])
+        more = f" and {rest:,} of {len(passed) - _NAMED} more kinds" if rest else ""
+        yield f"{file.name}: commands of the printer passed over since the first layer: {named}{more}"
+    if read.guessed:
+        yield f"{file.name}: neither M82 nor M83 says how E counts; from the move before, as its numbers do"
+    if read.flow != 1.0:
+        yield f"{file.name}: M221 asks the printer for {read.flow:.0%} of its flow, which is its own matter"
+    tools = sorted({thread.tool for thread in read.threads})
+    if len(tools) > 1:
+        yield f"{file.name}: tools {', '.join(map(str, tools))} print in turn; here one nozzle lays all of it"
+
+
+def _without_shares(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> tuple[list[Thread], list[str]]:
+    """The threads without what the problem leaves out by its kind."""
+    source, notes = spec.source, []
+    kept = [thread for thread in read.threads if thread.share not in source.leave_out]
+    for share in (PURGE, SKIRT, BRIM, SUPPORT, IRONING):
+        own = [thread for thread in read.threads if thread.share == share]
+        if not own:
+            continue
+        names = ", ".join(dict.fromkeys(thread.kind for thread in own))
+        size = f"{len(own)} piece{'s' if len(own) > 1 else ''} of {share} ({names}), {_metres(own)} m"
+        if share in source.leave_out:
+            notes.append(f"{source.gcode.name}: {size}, left out")
+        else:
+            notes.append(f"{source.gcode.name}: {size}, printed; layers.source.leave_out would leave it out")
+    if not kept:
+        raise problem.error("layers.source.leave_out", f"nothing else is in {source.gcode.name}", "leave out less")
+    return kept, notes
+
+
+def _levelled(file: Path, threads: list[Thread], usual: float | None) -> tuple[list[Thread], list[str]]:
+    """The threads, those that rise within their layer laid level at its height.
+
+    A scarf begins on the layer below, beside lines that stand as high as the layer already: there the nozzle would touch
+    both. Its flow grows as it rises, and so does the bead.
+    """
+    out = []
+    for thread in threads:
+        rise, most = thread.z - float(thread.points[0, 2]), thread.height or usual or 0.0
+        if 0.0 < rise <= most + SAME_LEVEL:
+            flat = thread.points.copy()
+            flat[:, 2] = thread.z
+            out.append(replace(thread, points=flat))
+        else:
+            _check_slope(file, thread)
+            out.append(thread)
+    count = sum(a is not b for a, b in zip(threads, out, strict=True))
+    pieces = f"{count} piece{'s rise within their layer and are' if count > 1 else ' rises within its layer and is'}"
+    return out, [f"{file.name}: {pieces} laid level, as high as it ends"] if count else []
+
+
+def _check_slope(file: Path, thread: Thread) -> None:
+    """Raise InputError, with file and line, where a thread rises steeply."""
+    rise, way = np.diff(thread.points[:, 2]), np.hypot(*np.diff(thread.points[:, :2], axis=0).T)
+    steep = rise > np.maximum(STEEPEST * way, _ROUNDED)
+    if steep.any():
+        i = int(np.argmax(steep))
+        raise InputError(
+            f"z rises by {rise[i] * 1e3:.3f} mm in {way[i] * 1e3:.3f} mm while material flows",
+            file=file,
+            line=int(thread.lines[i]),
+            hint=f"by at most {STEEPEST:g} of the way: the nozzle stays upright",
+        )
+
+
+def _by_height(file: Path, threads: list[Thread]) -> tuple[list[Thread], list[str]]:
+    """The threads in the order of their heights, if z goes down between them."""
+    falls = [after for before, after in zip(threads[:-1], threads[1:], strict=True) if after.z < before.z - SAME_LEVEL]
+    if not falls:
+        return threads, []
+    where = ", ".join(str(int(thread.lines[0])) for thread in falls[:_NAMED]) + (", ..." if len(falls) > _NAMED else "")
+    lines = f"line{'s' if len(falls) > 1 else ''} {where}"
+    note = f"{file.name}: z goes down at {lines}; layers are printed from the lowest on instead, all objects at once"
+    levels = _levels(threads)
+    numbers = np.searchsorted(levels, [thread.z - SAME_LEVEL for thread in threads])
+    return [threads[i] for i in np.argsort(numbers, kind="stable")], [note]
+
+
+def _levels(threads: Sequence[Thread]) -> Array:
+    """The heights (n) [m] at which layers end, rising."""
+    heights = np.sort([thread.z for thread in threads])
+    return heights[np.append(True, np.diff(heights) > SAME_LEVEL)]
+
+
+def _in_layers(threads: Sequence[Thread], levels: Array, file: Path, usual: float | None) -> Iterator[Step]:
+    """The threads with their layers and heights: those of a comment, else the rise over the layer below."""
+    for thread in threads:
+        layer = int(np.searchsorted(levels, thread.z + SAME_LEVEL)) - 1
+        below = float(levels[layer - 1]) if layer > 0 else 0.0
+        height = thread.height
+        if height is None:
+            spiral = thread.z - float(thread.points[0, 2]) > max(1.5 * (usual or np.inf), SAME_LEVEL)
+            height = usual if spiral and usual is not None else float(levels[layer]) - below
+        if layer == 0 and thread.z - float(thread.points[0, 2]) > height + SAME_LEVEL:
+            raise InputError(
+                f"rises from the bed to {thread.z * 1e3:.3f} mm while material flows",
+                file=file,
+                line=int(thread.lines[0]),
+                hint="begin a spiral on a level first layer: one solid layer at the bottom",
+            )
+        if not SIZES[0] <= height <= SIZES[1]:
+            raise InputError(
+                f"this layer is {height * 1e3:.3f} mm high",
+                file=file,
+                line=int(thread.lines[0]),
+                hint="z = 0 is the bed, and each layer rises",
+            )
+        yield Step(thread, layer, height)
+
+
+def _without_specks(problem: Problem, spec: GcodeLayersSpec, steps: list[Step]) -> tuple[list[Step], list[str]]:
+    """The threads that are as long as a bead is wide."""
+    width, name = problem.process.bead.width, spec.source.gcode.name
+    lengths = np.array([step.thread.length for step in steps])
+    short = lengths < width
+    if not short.any():
+        return steps, []
+    if short.all():
+        reason = f"all that {name} extrudes is shorter than a bead is wide"
+        raise problem.error("process.bead.width_mm", reason, "shorter pieces are specks, which are left out")
+    share, most = float(lengths[short].sum() / lengths.sum()), spec.source.crumbs
+    count = int(short.sum())
+    pieces = f"{count} piece{'s' if count > 1 else ''} shorter than a bead is wide, {width * 1e3:g} mm"
+    lines = [int(steps[i].thread.lines[0]) for i in np.flatnonzero(short)]
+    if share > most:
+        raise InputError(
+            f"{pieces}, would be left out, {share:.2%} of the length; this is the first",
+            file=spec.source.gcode,
+            line=lines[0],
+            hint=f"choose a smaller process.bead.width_mm, or a greater layers.source.leave_out_share, now {most:g}",
+        )
+    where = ", ".join(map(str, lines[:_NAMED])) + (", ..." if count > _NAMED else "")
+    kept = [step for step, leave in zip(steps, short, strict=True) if not leave]
+    # a layer of specks alone is none
+    numbers = {layer: i for i, layer in enumerate(sorted({step.layer for step in kept}))}
+    kept = [Step(step.thread, numbers[step.layer], step.height) for step in kept]
+    return kept, [f"{name}: {pieces}, left out, {share:.2%} of the length (line{'s' if count > 1 else ''} {where})"]
+
+
+def _metres(threads: Sequence[Thread]) -> str:
+    return f"{sum(thread.length for thread in threads):.3f}"
