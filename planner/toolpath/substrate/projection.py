@@ -25,8 +25,8 @@ from planner.problem.drawings import (
     ProjectedPatternSpec,
     SvgSpec,
 )
+from planner.problem.mesh_files import read_facets
 from planner.problem.part import MeshSpec, PartSpec, StepSpec
-from planner.problem.stl import read_facets
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.nurbs import nurbs_paths
 from planner.toolpath.ordering import reverse, shorten_travel
@@ -42,16 +42,9 @@ from planner.toolpath.plane_paths import (
 )
 from planner.toolpath.step.files import read_step
 from planner.toolpath.step.top import FaceTop, NotSmooth, UpperFaces
-from planner.toolpath.substrate.bodies import (
-    Facing,
-    MeshTop,
-    Part,
-    SubstrateBody,
-    TooRoughMesh,
-    exact_body,
-    reach_beside,
-)
+from planner.toolpath.substrate.bodies import Facing, SubstrateBody, exact_body
 from planner.toolpath.substrate.mesh_surface import FacetTree
+from planner.toolpath.substrate.mesh_top import MeshTop, Part, TooRoughMesh, reach_beside
 from planner.toolpath.substrate.patterns import NoPattern, pattern
 from planner.toolpath.svg.outlines import PlanePath, read_svg
 from planner.toolpath.task import roll_zeros
@@ -258,7 +251,10 @@ def _laid(substrate: Substrate, rows: Sequence[Sequence[PlaneCurve]], width: flo
     beads = substrate.lay(rows, width, height)
     grown = replace(substrate, layers=tuple(bead.layer for bead in beads))
     body = substrate.body
-    return Toolpath(tuple(beads), grown, body.shape(), solid=body.facets.corners if isinstance(body, MeshTop) else None)
+    if not isinstance(body, MeshTop):
+        return Toolpath(tuple(beads), grown, body.shape())
+    notes = (f"part.mesh: {body.words}",) if body.words else ()
+    return Toolpath(tuple(beads), grown, body.shape(), notes, body.facets.corners)
 
 
 def _size_key(source: SvgSpec | PatternSpec | CurvesSpec) -> str:
@@ -304,7 +300,7 @@ def _body(problem: Problem, part: PartSpec, paths: Sequence[PlanePath], outline:
     _check_all(problem, facets, paths, outline)
     near = np.vstack(outline)
     reach = reach_beside(facets, near, REACH * problem.process.bead.width)
-    return smooth_top(facets, near, reach, partial(problem.error, "part.mesh.file"))
+    return smooth_top(facets, near, reach, part.mesh.smooth, partial(problem.error, "part.mesh.file"))
 
 
 def top_facets(spec: MeshSpec, where: Complaint) -> FacetTree:
@@ -315,15 +311,18 @@ def top_facets(spec: MeshSpec, where: Complaint) -> FacetTree:
     return facets
 
 
-def smooth_top(facets: FacetTree, curves: Array, reach: float, where: Complaint, part: Part | None = None) -> MeshTop:
-    """The mesh with a smooth surface near curves (n, 2), else InputError; for `reach` and `part` see MeshTop.near."""
+def smooth_top(
+    facets: FacetTree, curves: Array, reach: float, bound: float | None, where: Complaint, part: Part | None = None
+) -> MeshTop:
+    """The mesh with a smooth surface near curves (n, 2), else InputError; for the others see MeshTop.near."""
     try:
-        return MeshTop.near(facets, curves, reach, part)
+        return MeshTop.near(facets, curves, reach, part, bound)
     except TooRoughMesh as error:
         x, y = error.place * 1e3
         raise where(
             f"the smooth surface through the facets is {error.gap * 1e3:.3f} mm off them at x {x:.1f}, y {y:.1f} mm",
-            "there is an edge under the curves, or facets are too large: keep off the edge, or export a finer mesh",
+            f"there is an edge under the curves, or facets are too large: keep off the edge, or export a finer mesh"
+            f"{error.words}",
         ) from None
 
 

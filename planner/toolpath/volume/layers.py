@@ -17,12 +17,12 @@ from planner.base.arrays import Array
 from planner.base.errors import Complaint
 from planner.problem import Problem
 from planner.problem.layers import GuideSpec, VolumeLayersSpec
-from planner.problem.stl import read_facets
+from planner.problem.mesh_files import read_facets
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.ordering import shorten_travel
 from planner.toolpath.plane_paths import PlaneCurve, densify, length, make_bead, round_corners, seam_on_smooth_part
-from planner.toolpath.substrate.bodies import MeshTop, TooRoughMesh, reach_beside
 from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField
+from planner.toolpath.substrate.mesh_top import MeshTop, TooRoughMesh, reach_beside
 from planner.toolpath.svg.outlines import PlanePath
 from planner.toolpath.task import roll_zeros
 from planner.toolpath.volume.sections import Heights, Morph, MorphedLayers, NotClosed, Solid, TooFine, polygons
@@ -57,7 +57,9 @@ def stack_of(problem: Problem, spec: VolumeLayersSpec, solid: Solid, tree: Facet
     lowest = GuideSpec.model_construct(z=float(solid.vertices[:, 2].min()), mesh=None)
     lower, base = _heights(problem, spec.lower or lowest, "layers.lower", plane, reach)
     if spec.upper is None:
-        top = _smooth(tree, plane, reach, spec.source.mesh.name, partial(problem.error, "layers.source.mesh"))
+        top = _smooth(
+            tree, plane, reach, spec.source.smooth, spec.source.mesh.name, partial(problem.error, "layers.source.mesh")
+        )
         upper = _over(top)
     else:
         upper, _ = _heights(problem, spec.upper, "layers.upper", plane, reach)
@@ -85,7 +87,7 @@ def _heights(
             f"{guide.mesh.file.name} does not reach over the whole body: nothing at x {x:.1f}, y {y:.1f} mm",
             f"a larger surface, or move it by {field}.mesh.origin_mm",
         )
-    top = _smooth(facets, plane, reach, guide.mesh.file.name, complain)
+    top = _smooth(facets, plane, reach, guide.mesh.smooth, guide.mesh.file.name, complain)
     return _over(top), top
 
 
@@ -93,14 +95,17 @@ def _over(top: MeshTop) -> Heights:
     return lambda places: top.surface.at(places)[0][:, 2]
 
 
-def _smooth(facets: FacetTree, plane: Array, reach: float, name: str, complain: Complaint) -> MeshTop:
+def _smooth(
+    facets: FacetTree, plane: Array, reach: float, bound: float | None, name: str, complain: Complaint
+) -> MeshTop:
     try:
-        return MeshTop.near(facets, plane, reach_beside(facets, plane, reach))
+        return MeshTop.near(facets, plane, reach_beside(facets, plane, reach), bound=bound)
     except TooRoughMesh as error:
         x, y = error.place * 1e3
         raise complain(
             f"the smooth surface through the top of {name} is {error.gap * 1e3:.3f} mm off it at x {x:.1f}, y {y:.1f} mm",
-            "there is an edge or a wall, or facets are too large: give layers.upper a smooth surface above the body's top",
+            "there is an edge or a wall, or facets are too large: give layers.upper a smooth surface above the body's top"
+            f"{error.words}",
         ) from None
 
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
-from planner.toolpath.substrate.bodies import MeshTop
 from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField, fit
+from planner.toolpath.substrate.mesh_top import MeshTop
 
 Heights = Callable[[Array], Array]  # of places x, y (n, 2): z (n) [m]
 _BEND = 0.2  # of the way from the least to the greatest height, over which the thickness bends towards the least
