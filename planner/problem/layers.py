@@ -11,6 +11,7 @@ from pydantic import Discriminator, Tag, model_validator
 
 from planner.base.errors import nearest_name
 from planner.problem.drawings import (
+    Crumbs,
     LayersSpec,
     OnPartSpec,
     PatternSpec,
@@ -19,6 +20,7 @@ from planner.problem.drawings import (
     ProjectedLayersSpec,
     ProjectedPatternSpec,
     SourceSection,
+    crumbs_key,
 )
 from planner.problem.fields import (
     PATH,
@@ -317,6 +319,7 @@ class SolidSpec(SourceSection):
         "rpy_deg", "the file turned about x, then y, then z of the part frame [deg]", (0, 0, 0)
     )
     smooth: Smooth | None = smooth_key()
+    crumbs: Crumbs = crumbs_key("the volume, too narrow for a bead,")
 
     @property
     def file(self) -> MeshSpec:

@@ -86,16 +86,21 @@ def read_corners(
     corners = np.asarray(mesh.vertices, dtype=float)[faces] * mm
     if not (np.abs(corners) <= FARTHEST).all():  # NaN is not
         raise where(f"{name} has a corner that is no number, or farther than {FARTHEST / 1e3:g} m from the origin")
-    edges = np.roll(corners, -1, axis=1) - corners
-    across = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-    longest = np.linalg.norm(edges, axis=2).max(axis=1)
-    keep = across > _THINNEST * np.maximum(longest, _THINNEST)
-    if not keep.any():
+    areas = with_area(corners)
+    if len(areas) == 0:
         raise where(f"{name} holds no facet that has an area")
     mesh.merge_vertices()
     if mesh.is_watertight and mesh.volume < 0.0:
         raise where(f"{name} is inside out: its facets face inwards", hint="flip its normals in a CAD program")
-    return np.asarray((corners if lines else corners[keep]) * 1e-3)
+    return np.asarray((corners if lines else areas) * 1e-3)
+
+
+def with_area(corners: Array) -> Array:
+    """Those of facets (n, 3, 3) that have an area."""
+    edges = np.roll(corners, -1, axis=1) - corners
+    across = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    longest = np.linalg.norm(edges, axis=2).max(axis=1)
+    return corners[across > _THINNEST * np.maximum(longest, _THINNEST)]
 
 
 def unit_of(path: Path, where: Complaint) -> str:

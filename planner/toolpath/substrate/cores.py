@@ -17,6 +17,7 @@ from planner.problem.layers import CoreLayersSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.ordering import shorten_travel
 from planner.toolpath.plane_paths import PlaneCurve, densify, length, make_bead, round_corners
+from planner.toolpath.substrate.clipping import trim_curve, trim_path
 from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField
 from planner.toolpath.substrate.mesh_top import FARTHEST_FROM_FACETS, MeshTop, reach_beside
 from planner.toolpath.substrate.projection import (
@@ -26,8 +27,6 @@ from planner.toolpath.substrate.projection import (
     placed,
     smooth_top,
     top_facets,
-    trim_curve,
-    trim_path,
 )
 from planner.toolpath.svg.outlines import PlanePath
 from planner.toolpath.task import roll_zeros

@@ -40,10 +40,13 @@ _NEXT = 1e-3  # m: points of curves this near follow each other
 
 
 class TooRoughMesh(ValueError):
-    """Every smooth surface leaves the facets by `gap` at `place` (2) [m] at least: they have an edge there, or noise."""
+    """Every smooth surface leaves the facets by `gap` at `place` (2) [m] at least: they have an edge there, or noise.
 
-    def __init__(self, gap: float, place: Array) -> None:
-        self.gap, self.place = gap, place
+    gaps (n)  how far the closest one leaves them at the curves
+    """
+
+    def __init__(self, gap: float, place: Array, gaps: Array) -> None:
+        self.gap, self.place, self.gaps = gap, place, gaps
         super().__init__(f"the facets are {gap * 1e3:.3f} mm off any smooth surface")
 
     @property
@@ -87,7 +90,8 @@ class MeshTop:
         that is None by FARTHEST_FROM_FACETS, or by MOST_UNASKED where they are coarse or noisy. Raises TooRoughMesh.
         """
         near = _Near.of(facets, curves, reach)
-        closest, too_far = (np.inf, curves[0]), 0.0
+        closest: _Step | None = None
+        too_far = 0.0
         for target, why in near.targets(bound):
             steps = list(near.steps(target, part))
             kept = _kept(steps, near, bound)
@@ -97,9 +101,11 @@ class MeshTop:
                 return near.top(step, told, too_far)
             least = min(steps, key=lambda step: step.gap)
             too_far = least.gap if why and least.gap > MOST_UNASKED else 0.0
-            if least.gap < closest[0]:
-                closest = least.gap, curves[least.worst]
-        raise TooRoughMesh(*closest)
+            if closest is None or least.gap < closest.gap:
+                closest = least
+        if closest is None:
+            raise TooRoughMesh(np.inf, curves[0], np.full(len(curves), np.inf))
+        raise TooRoughMesh(closest.gap, curves[closest.worst], closest.gaps)
 
     @property
     def words(self) -> str:
@@ -146,14 +152,21 @@ class MeshTop:
 class _Step:
     """A smooth surface with knots `apart` [m]: how far it is off what it goes through at curves (n), and off the facets.
 
-    gap    greatest distance from the facets, at the curve's point `worst`
+    gaps   likewise from the facets (n)
     """
 
     surface: HeightField
     apart: float
     off: Array
-    gap: float
-    worst: int
+    gaps: Array
+
+    @property
+    def worst(self) -> int:
+        return int(np.argmax(self.gaps))
+
+    @property
+    def gap(self) -> float:
+        return float(self.gaps[self.worst])
 
     @property
     def rms(self) -> float:
@@ -236,8 +249,7 @@ class _Near:
             flat = np.minimum(normals[:, 2], up)
             off = np.where(there, (points[:, 2] - z) * np.minimum(normals[:, 2], target.normals[found, 2]), 0.0)
             gaps = np.abs(points[:, 2] - self.z) * flat
-            worst = int(np.argmax(gaps))
-            yield _Step(surface, side / knots, off, float(gaps[worst]), worst)
+            yield _Step(surface, side / knots, off, gaps)
             knots *= 2
 
     def rough(self, off: Array) -> bool:
