@@ -101,8 +101,8 @@ def printed_of(problem: Problem, toolpath: Toolpath) -> float:
 
 
 def told_of(notes: Sequence[str]) -> float:
-    """The share that is said to be left out."""
-    found = [re.search(r"([\d.]+)% of the (?:length|volume)", note) for note in notes if "left out" in note]
+    """The share that is said to be left out, or open."""
+    found = [re.search(r"([\d.]+)% of the (?:length|volume)", note) for note in notes]
     return sum(0.01 * float(each.group(1)) for each in found if each)
 
 

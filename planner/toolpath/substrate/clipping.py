@@ -22,11 +22,12 @@ _AROUND = 5  # samples of a curve to either side over which facets' slopes are a
 _DRAWN = 10  # dense points from one that is drawn to the next
 _ROUNDED_UP = 1e-3  # of a share that a hint names
 
-FITS, OFF, STEEP, EDGE, SHORT = range(5)
+FITS, OFF, STEEP, EDGE, FOLDS, SHORT = range(6)
 _WORDS = {
     OFF: "off the part",
     STEEP: f"where it is steeper than {STEEPEST:g} degrees",
     EDGE: "at edges of the part",
+    FOLDS: "where it is bent inwards so tightly that layers would fold",
     SHORT: "too short for a bead",
 }
 
@@ -116,12 +117,15 @@ class Clipped:
             OFF: f"path {cut.name!r} leaves the part at x {x:.1f}, y {y:.1f} mm",
             STEEP: f"path {cut.name!r} comes to a wall of {STEEPEST:g} degrees or more at x {x:.1f}, y {y:.1f} mm",
             EDGE: f"path {cut.name!r} crosses an edge of the part at x {x:.1f}, y {y:.1f} mm",
+            FOLDS: f"the part is bent inwards too tightly under path {cut.name!r} at x {x:.1f}, y {y:.1f} mm: layers would fold",
             SHORT: f"path {cut.name!r} is only {length(cut.points) * 1e3:.3f} mm long at this size",
         }[cut.why]
         hint = f"make it smaller or move it (layers.centre_mm); the part may lean by {STEEPEST:g} degrees"
         field = "layers.source"
         if cut.why == SHORT:
             field, hint = size_key, f"at least as long as the bead is wide, {problem.process.bead.width * 1e3:g} mm"
+        if cut.why == FOLDS:
+            field, hint = "layers.count", "fewer or thinner layers, or layers.offset: z"
         if self.paths:
             needed = np.ceil(self.share / _ROUNDED_UP + 0.5) * _ROUNDED_UP
             hint += f"; layers.source.leave_out_share: {min(needed, 1.0):.3g} leaves out what cannot be printed"

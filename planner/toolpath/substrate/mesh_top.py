@@ -93,8 +93,8 @@ class MeshTop:
         closest: _Step | None = None
         too_far = 0.0
         for target, why in near.targets(bound):
-            steps = list(near.steps(target, part))
-            kept = _kept(steps, near, bound)
+            steps: list[_Step] = []
+            kept = _kept(near.steps(target, part), steps, near, bound)
             if kept is not None:
                 step, noisy = kept
                 told = "asked" if bound is not None and bound > FARTHEST_FROM_FACETS else "noisy" if noisy else why
@@ -270,15 +270,22 @@ class _Near:
         return MeshTop(self.facets, step.surface, step.gap, why, (float(turned.max()), float(turned.mean())), too_far)
 
 
-def _kept(steps: list[_Step], near: _Near, bound: float | None) -> tuple[_Step, bool] | None:
-    """Which of the surfaces is laid, and whether what it leaves out is noise; None where all are too far off."""
-    if bound is not None and bound > FARTHEST_FROM_FACETS:
-        return next(((step, False) for step in steps if step.gap <= bound), None)
-    far = MOST_UNASKED if bound is None else FARTHEST_FROM_FACETS
-    best = None
-    for before, step in zip([None, *steps[:-1]], steps, strict=True):
-        close = best is not None and best.most <= FARTHEST_FROM_FACETS and best.gap <= far
-        if best is not None and close and (step.apart < near.least or step.most > _BETTER * best.most):
+def _kept(
+    ever_finer: Iterator[_Step], steps: list[_Step], near: _Near, bound: float | None
+) -> tuple[_Step, bool] | None:
+    """Which of the surfaces is laid, and whether what it leaves out is noise; None where all are too far off.
+
+    Those that were looked at are appended to `steps`.
+    """
+    asked = bound is not None and bound > FARTHEST_FROM_FACETS
+    far = MOST_UNASKED if bound is None else bound if asked else FARTHEST_FROM_FACETS
+    best: _Step | None = None
+    for step in ever_finer:
+        before = steps[-1] if steps else None
+        steps.append(step)
+        if asked and step.gap <= far:
+            return step, False
+        if best is not None and _close(best, far) and (step.apart < near.least or step.most > _BETTER * best.most):
             break
         if before is not None and bound is None and before.gap <= far and step.rms > _STALLS * before.rms:
             even = before.most <= _EVEN * float(np.median(np.abs(before.off)))
@@ -286,8 +293,12 @@ def _kept(steps: list[_Step], near: _Near, bound: float | None) -> tuple[_Step, 
                 return before, True
         if best is None or step.most < best.most:
             best = step
-    close = best is not None and best.most <= FARTHEST_FROM_FACETS and best.gap <= far
-    return (best, False) if best is not None and close else None
+    return (best, False) if best is not None and not asked and _close(best, far) else None
+
+
+def _close(step: _Step, far: float) -> bool:
+    """Whether a surface is as near to what it goes through as facets need, and near enough to the facets [m]."""
+    return step.most <= FARTHEST_FROM_FACETS and step.gap <= far
 
 
 def _over(corners: Array, low: Array, high: Array) -> Flags:

@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.base.arrays import Array, Flags
+from planner.base.arrays import Array, Flags, Ints
 from planner.base.errors import Complaint
 from planner.problem import Problem
 from planner.problem.drawings import (
@@ -43,6 +43,7 @@ from planner.toolpath.step.top import FaceTop, NotSmooth, UpperFaces
 from planner.toolpath.substrate.bodies import Facing, SubstrateBody, exact_body
 from planner.toolpath.substrate.clipping import (
     FITS,
+    FOLDS,
     OFF,
     SHORT,
     SHORTEST,
@@ -189,12 +190,14 @@ def project_curves(
     clipped.check(problem, _size_key(source), source.crumbs)
     body, clipped = _body(problem, part, clipped, source)
     substrate = Substrate(body, spec.height, spec.offset == "z")
+    clipped = clipped.without(_bends(substrate, spec.count), width)
+    clipped.check(problem, _size_key(source), source.crumbs)
 
     curves: list[PlaneCurve] = []
     cuts = list(clipped.cuts)
     for path in clipped.paths:
         start = seam_on_smooth_part(path) if path.closed else path
-        share = _share(problem, substrate, spec.count, path.name, densify(path.points))
+        share = _share(substrate, spec.count, densify(path.points))
         curve = round_corners(start, process.corner_tolerance, share)
         if length(path.points) < SHORTEST * width and length(curve.points) < width:
             cuts.append(Cut(path.name, SHORT, path.points))
@@ -396,19 +399,13 @@ def _step_body(problem: Problem, spec: StepSpec, upper: UpperFaces, clipped: Cli
         ) from None
 
 
-def _share(problem: Problem, substrate: Substrate, count: int, name: str, dense: Array) -> Callable[[Array], Array]:
-    """How much shorter a line is in the plane than on the part, at least over the layers, at points (n, 2) of a path.
+def _bends(substrate: Substrate, count: int) -> Callable[[Array], Ints]:
+    """What keeps places x, y (n, 2) from being printed on: layers fold where the part is bent inwards tightly."""
+    return lambda plane: np.where(substrate.stretch(plane, count - 1)[1] < _FOLDED, FOLDS, FITS)
 
-    Raises InputError for layers that would fold.
-    """
-    last = count - 1
-    reserve = substrate.stretch(dense, last)[1]
-    if reserve.min() < _FOLDED:
-        x, y = dense[int(np.argmin(reserve))] * 1e3
-        raise problem.error(
-            "layers.count",
-            f"the part is bent inwards too tightly under path {name!r} at x {x:.1f}, y {y:.1f} mm: layers would fold",
-            "fewer or thinner layers, or layers.offset: z",
-        )
-    tree, values = cKDTree(dense), np.maximum(substrate.stretch(dense, 0)[0], substrate.stretch(dense, last)[0])
+
+def _share(substrate: Substrate, count: int, dense: Array) -> Callable[[Array], Array]:
+    """How much shorter a line is in the plane than on the part, at least over the layers, at points (n, 2) of a path."""
+    tree = cKDTree(dense)
+    values = np.maximum(substrate.stretch(dense, 0)[0], substrate.stretch(dense, count - 1)[0])
     return lambda plane: np.asarray(1.0 / (RESERVE * values[tree.query(plane)[1]]))

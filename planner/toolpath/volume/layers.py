@@ -41,6 +41,7 @@ _CUT = 1e-3  # m: longest edge of the facets that are bent with the layers; 1.3 
 _SHORTEST = 3.0  # bead widths: a shorter path is left out
 _REACHED = 0.75  # bead widths from a wall's middle line: what is farther is left out; corners of a right angle are not
 _SEEN = 0.05  # squared bead widths: less is no place
+_OPEN = 0.005  # of the volume: less is not told
 _NAMED = 5  # numbers of layers that are named
 _RESERVE = 1.02  # the stretch varies within a tolerance
 _BELOW = 1e-5  # m by which a body may reach below the bed: rounding
@@ -357,6 +358,7 @@ class _Lost:
     """What of a body is not printed: numbers of whole layers, paths that are too short by layer, and narrow places.
 
     share   of the body's volume
+    open    share that is left open between walls, too near each other for a line of infill
     places  outlines (n, 2) in layers (index) of what is too narrow for a bead
     """
 
@@ -364,6 +366,7 @@ class _Lost:
     short: tuple[tuple[int, PlanePath], ...]
     places: tuple[tuple[int, Array], ...]
     share: float
+    open: float
 
     def check(self, problem: Problem, name: str, most: float) -> None:
         """Raise InputError where a share above `most` is lost."""
@@ -415,19 +418,21 @@ def _lost(
     """What is not printed of the regions that layers cover."""
     width = problem.process.bead.width
     whole = sum(region.area for region in regions)
-    lost, places = 0.0, []
+    lost, between, places = 0.0, 0.0, []
     for layer, (region, row) in enumerate(zip(regions, rows, strict=True)):
         narrow = region
         if row:  # what a bead's width leaves out at walls and in corners; corners are rounded anyway
             reached = _inset(region, 0.5 * width).buffer(_REACHED * width)
             narrow = polygons(region.difference(reached))
+            filled = _inset(region, (spec.perimeters + 0.5) * width).buffer(_REACHED * width)
+            between += polygons(_inset(region, spec.perimeters * width).difference(filled)).area
             lost += sum(_area(path, width, spec.infill.density) for path in short[layer])
         narrow = shapely.MultiPolygon([part for part in narrow.geoms if not row or part.area > _SEEN * width**2])
         lost += narrow.area
         places += [(layer, np.asarray(part.exterior.coords)) for part in narrow.geoms]
     left = tuple(layer for layer, row in enumerate(rows) if not row)
     pieces = tuple((layer, path) for layer, paths in enumerate(short) if layer not in left for path in paths)
-    return _Lost(left, pieces, tuple(places), lost / whole)
+    return _Lost(left, pieces, tuple(places), lost / whole, between / whole)
 
 
 def _area(path: PlanePath, width: float, density: float) -> float:
@@ -446,6 +451,8 @@ def _notes(
     notes = [f"{name}: {count} layers, {high.min():.3f} to {high.max():.3f} mm high along z"]
     if lost.words:
         notes.append(f"{name}: {lost.words}")
+    if lost.open > _OPEN:
+        notes.append(f"{name}: {lost.open:.2%} of the volume stays open, between walls too near each other for a line")
     if base is not None and base.words:
         notes.append(f"layers.lower.mesh: {base.words}")
     return tuple(notes)
