@@ -266,8 +266,10 @@ class _Near:
 
     def top(self, step: _Step, why: str, too_far: float) -> MeshTop:
         """The mesh with that surface."""
-        turned = angles_between(step.surface.at(self.curves)[1], self.facets.normals[self.found])
-        return MeshTop(self.facets, step.surface, step.gap, why, (float(turned.max()), float(turned.mean())), too_far)
+        points, normals = step.surface.at(self.curves)
+        turned = angles_between(normals, self.facets.normals[self.found])
+        gap = max(step.gap, float(self.facets.distance(points).max()))
+        return MeshTop(self.facets, step.surface, gap, why, (float(turned.max()), float(turned.mean())), too_far)
 
 
 def _kept(
