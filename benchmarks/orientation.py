@@ -24,7 +24,8 @@ from planner.planning.pipeline import solve
 from planner.problem import load_problem
 from planner.toolpath.bead import Bead
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.substrate.bodies import Ball, MeshTop
+from planner.toolpath.substrate.bodies import Ball
+from planner.toolpath.substrate.mesh_top import MeshTop
 from planner.toolpath.substrate.projection import Substrate
 
 Array = NDArray[np.float64]

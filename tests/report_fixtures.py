@@ -104,7 +104,9 @@ def make_plan(
     return Plan(
         problem=make_problem(name),
         cell=SimpleNamespace(joint_names=names, limits=limits, arm_robot=robot, holder_robot=table, spherical=True),
-        toolpath=SimpleNamespace(beads=make_beads(4 * layers), layers=layers, shape=SHAPE, notes=(), splits=()),
+        toolpath=SimpleNamespace(
+            beads=make_beads(4 * layers), layers=layers, shape=SHAPE, notes=(), splits=(), left_out=()
+        ),
         strategy="ladder",
         trajectory=trajectory,
         checks=checks,

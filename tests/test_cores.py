@@ -23,9 +23,9 @@ from planner.problem import load_problem
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.plane_paths import PlaneCurve, densify
+from planner.toolpath.substrate.clipping import trim_curve, trim_path
 from planner.toolpath.substrate.cores import CoreSurface, even_levels, varying_levels
 from planner.toolpath.substrate.mesh_surface import HeightField
-from planner.toolpath.substrate.projection import trim_curve, trim_path
 from planner.toolpath.svg.outlines import PlanePath
 
 Array = NDArray[np.float64]

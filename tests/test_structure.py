@@ -24,7 +24,7 @@ HEAVY = {
     "shapely": {"toolpath.step", "toolpath.svg", "toolpath.volume"},
     "svgelements": {"toolpath"},
     "OCP": {"toolpath.step.reader"},
-    "trimesh": {"problem.stl", "export.tables", "report.picture"},
+    "trimesh": {"problem.mesh_files", "export.tables", "report.picture"},
     "pyvrp": {"toolpath.coverage.tours"},
     "pydantic": {"problem", "view.content"},
     "ruamel": {"problem"},

@@ -14,6 +14,8 @@ EXTRAS = {
     "dask": "cluster",
     "distributed": "cluster",
     "jupyterlab": "notebooks",
+    "lxml": "meshes",
+    "networkx": "meshes",
     "xacro": "xacro",
     "xacrodoc": "xacro",
 }

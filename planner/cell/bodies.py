@@ -27,7 +27,7 @@ from planner.cell.solids import Body, Box, Capsule, ConvexSolid, Frustum, Hull, 
 from planner.cell.urdf import FARTHEST, Urdf, hanging_on, link_frame, origin_of
 from planner.problem import Problem
 from planner.problem.cell import BodySpec, NozzleSpec
-from planner.problem.stl import read_corners
+from planner.problem.mesh_files import read_corners
 
 SHAPES = ("box", "cylinder", "sphere", "capsule", "mesh")
 THINNEST = 1e-6  # m: what is thinner is a mistake

@@ -25,9 +25,9 @@ from planner.problem.cell import CellSpec, NozzleSpec, PositionerSpec
 from planner.problem.drawings import LayersSpec, PatternSpec, SvgSpec
 from planner.problem.fields import Model, described, read_value
 from planner.problem.layers import AerofoilSpec
+from planner.problem.mesh_files import read_corners
 from planner.problem.part import CylinderSpec, SphereSpec
 from planner.problem.process import BeadSpec, ProcessSpec
-from planner.problem.stl import read_corners
 from planner.toolpath.gcode.reader import text_of
 from planner.toolpath.svg.document import read_document
 

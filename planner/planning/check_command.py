@@ -143,7 +143,7 @@ def _read(problem: Problem, field: str, path: Path) -> None:
 
         check_step(path, where)
     elif field.endswith((".mesh", ".file")):
-        from planner.problem.stl import read_corners
+        from planner.problem.mesh_files import read_corners
 
         read_corners(path, where)
     else:

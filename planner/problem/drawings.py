@@ -23,6 +23,20 @@ MOST_POINTS = 5000  # of a curve
 LIGHTEST, HEAVIEST = 1e-3, 1e3  # weights: beyond, a curve is nothing but its heaviest points
 
 
+Crumbs = Annotated[float, Quantity("", 0, 1)]
+
+
+def crumbs_key(what: str) -> Crumbs:
+    """The field of how much of a source may be left out."""
+    field: Crumbs = key(
+        "leave_out_share", f"share of {what} that may be left out; if it were more, the print is refused", 0.01
+    )
+    return field
+
+
+_CURVES = "the length, off the part, at its walls and edges, or too short for a bead,"
+
+
 class SourceSection(Section):
     """A source of toolpaths; refused where another source is named beside it."""
 
@@ -40,6 +54,7 @@ class SvgSpec(SourceSection):
 
     svg: Annotated[Path, PATH] = key("svg", "the drawing, counted from the folder of the problem file")
     width: Annotated[float, Quantity("mm", 0.1, 15_000)] = key("width_mm", "width of the drawing on the part [mm]")
+    crumbs: Crumbs = crumbs_key(_CURVES)
 
 
 class PatternSpec(SourceSection):
@@ -55,6 +70,7 @@ class PatternSpec(SourceSection):
     outline: Annotated[Literal["rectangle", "ellipse"], one_of(("rectangle", "ellipse"))] = key(
         "outline", "shape of what it covers: rectangle or ellipse", "rectangle"
     )
+    crumbs: Crumbs = crumbs_key(_CURVES)
 
 
 class LayersSpec(Section):
@@ -213,6 +229,7 @@ class CurvesSpec(SourceSection):
     curves: Annotated[tuple[CurveSpec, ...], BeforeValidator(_some_curves)] = key(
         "curves", "NURBS curves, each with degree, points_mm and, if wanted, weights and knots"
     )
+    crumbs: Crumbs = crumbs_key(_CURVES)
 
 
 class ProjectedCurvesSpec(ProjectedLayersSpec):

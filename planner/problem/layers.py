@@ -11,6 +11,7 @@ from pydantic import Discriminator, Tag, model_validator
 
 from planner.base.errors import nearest_name
 from planner.problem.drawings import (
+    Crumbs,
     LayersSpec,
     OnPartSpec,
     PatternSpec,
@@ -19,6 +20,7 @@ from planner.problem.drawings import (
     ProjectedLayersSpec,
     ProjectedPatternSpec,
     SourceSection,
+    crumbs_key,
 )
 from planner.problem.fields import (
     PATH,
@@ -34,7 +36,18 @@ from planner.problem.fields import (
     one_of,
     refusal,
 )
-from planner.problem.part import ANY_FACES, Faces, MeshSpec, PartSpec
+from planner.problem.part import (
+    ANY_FACES,
+    Faces,
+    MeshSpec,
+    PartSpec,
+    Scale,
+    Smooth,
+    Unit,
+    scale_key,
+    smooth_key,
+    unit_key,
+)
 from planner.problem.process import MaterialName, material_key
 from planner.problem.yaml_file import describe, shorten
 
@@ -318,16 +331,24 @@ class CoreLayersSpec(OnPartSpec):
 class SolidSpec(SourceSection):
     """The body that is printed."""
 
-    mesh: Annotated[Path, PATH] = key("mesh", "a closed STL file, in mm, counted from the folder of the problem file")
+    mesh: Annotated[Path, PATH] = key(
+        "mesh", "a closed file of facets (STL, PLY, OBJ, OFF or 3MF), counted from the folder of the problem file"
+    )
+    unit: Unit | None = unit_key()
+    scale: Scale = scale_key()
     origin: Position = key("origin_mm", "the file's origin in the part frame, once the file is turned [mm]", (0, 0, 0))
     rpy: Annotated[Vector, Quantity("deg", -360, 360, count=3)] = key(
         "rpy_deg", "the file turned about x, then y, then z of the part frame [deg]", (0, 0, 0)
     )
+    smooth: Smooth | None = smooth_key()
+    crumbs: Crumbs = crumbs_key("the volume, too narrow for a bead,")
 
     @property
     def file(self) -> MeshSpec:
         """The same as any file of facets."""
-        return MeshSpec.model_construct(file=self.mesh, origin=self.origin, rpy=self.rpy)
+        return MeshSpec.model_construct(
+            file=self.mesh, unit=self.unit, scale=self.scale, origin=self.origin, rpy=self.rpy, smooth=self.smooth
+        )
 
 
 class GuideSpec(MiddleSpec):

@@ -65,16 +65,53 @@ class EllipsoidSpec(Section):
     centre: Position = key("centre_mm", "its centre in the part frame [mm]", (0, 0, 0))
 
 
+# How a file of facets becomes a body in millimetres; keys of whatever names such a file.
+
+UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "ft": 304.8, "um": 1e-3}  # mm
+UnitName = Literal["mm", "cm", "m", "in", "ft", "um"]
+Unit = Annotated[UnitName, one_of(tuple(UNITS))]
+Scale = Annotated[float, Quantity("", 1e-6, 1e6)]
+Smooth = Annotated[float, Quantity("mm", 0.05, 5)]
+
+
+def unit_key() -> Unit | None:
+    """The field of a file's unit."""
+    field: Unit | None = key("unit", f"of the file's lengths: {', '.join(UNITS)}; default: what it says, else mm", None)
+    return field
+
+
+def scale_key() -> Scale:
+    """The field of the factor that a file is enlarged by."""
+    field: Scale = key("scale", "by how much the file is enlarged about its origin, before it is turned", 1)
+    return field
+
+
+def smooth_key() -> Smooth | None:
+    """The field of how far a smooth surface may leave facets."""
+    field: Smooth | None = key(
+        "smooth_mm",
+        "how far beads may lie off the facets, on the smoothest surface that keeps to that [mm]; "
+        "default: 0.05, and up to 0.5 where facets are coarse or noisy",
+        None,
+    )
+    return field
+
+
 class MeshSpec(Section):
     """A body from a file of facets; what is seen of it from above is printed on."""
 
-    file: Annotated[Path, PATH] = key("file", "the STL file, in mm, counted from the folder of the problem file")
+    file: Annotated[Path, PATH] = key(
+        "file", "the file (STL, PLY, OBJ, OFF or 3MF), counted from the folder of the problem file"
+    )
+    unit: Unit | None = unit_key()
+    scale: Scale = scale_key()
     origin: Position = key("origin_mm", "the file's origin in the part frame, once the file is turned [mm]", (0, 0, 0))
     rpy: Annotated[Vector, Quantity("deg", -360, 360, count=3)] = key(
         "rpy_deg",
         "the file turned about x, then y, then z of the part frame [deg]; [90, 0, 0] where y points up",
         (0, 0, 0),
     )
+    smooth: Smooth | None = smooth_key()
 
 
 Face = int | str  # its number in the file, from 1, or its name

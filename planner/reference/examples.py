@@ -103,6 +103,8 @@ EXAMPLES: dict[str, str] = {
     "rpy_deg": "[90, 0, 0]",
     "rung_mm": "3",
     "slope_deg": "15",
+    "scale": "0.5",
+    "smooth_mm": "0.2",
     "smooth_normals_deg": "5",
     "socket": "{address: 192.168.125.1}",
     "speed": "0.5",

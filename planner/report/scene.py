@@ -78,6 +78,13 @@ def bead_lines(beads: Sequence[Bead], budget: int) -> dict[str, Any]:
     return _geometry(points[kept], normals[kept], np.flatnonzero(np.isin(kept, first)))
 
 
+def cut_lines(lines: Sequence[Array]) -> dict[str, Any]:
+    """Lines (n, 3) of what is not printed, in the part frame: `point`, `normal` and `first`."""
+    points = np.concatenate(list(lines))
+    first = np.concatenate([[0], np.cumsum([len(line) for line in lines])[:-1]]).astype(np.intp)
+    return _geometry(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)), first)
+
+
 def _geometry(points: Array, normals: Array, first: NDArray[np.intp]) -> dict[str, Any]:
     return {
         "point": [coarse(points[:, k]) for k in range(3)],
@@ -285,6 +292,9 @@ def plan_scene(plan: Plan, places: Sequence[ReportPlace]) -> dict[str, Any]:
     cell = cell_data(plan.cell, plan.view)
     width = _width(plan.beads)
     earlier = plan.toolpath.beads[: plan.first_bead]
+    still = [bead_lines(earlier, EARLIER_BUDGET) | {"width": width, "colour": EARLIER}] if earlier else []
+    if plan.toolpath.left_out:
+        still.append(cut_lines(plan.toolpath.left_out) | {"width": 0.5 * width, "colour": ALARM})
     facing = -traj.axis[traj.deposit].mean(axis=0) if traj.deposit.any() else np.zeros(3)
     return {
         "cell": cell,
@@ -294,7 +304,7 @@ def plan_scene(plan: Plan, places: Sequence[ReportPlace]) -> dict[str, Any]:
         "end": float(traj.t[-1]),
         "facing": facing.round(4).tolist(),
         "lines": plan_lines(plan) | {"width": width},
-        "still": [bead_lines(earlier, EARLIER_BUDGET) | {"width": width, "colour": EARLIER}] if earlier else [],
+        "still": still,
         "places": places_data(plan, places),
         "dips": dip_marks(plan),
         "events": [[float(e.start), float(e.duration), e.words] for e in traj.events if e.duration > 0.0],

@@ -164,6 +164,7 @@ class Toolpath:
     solid  (n, 3, 3) facets [m] of the whole body, where they are known exactly; else its shape stands for it
     notes  sentences for the user: what was left out of the input, or changed in it
     splits where drawn beads are laid in pieces
+    left_out  lines (n, 3) of what was drawn and is not printed [m], to be shown
     """
 
     beads: tuple[Bead, ...]
@@ -172,6 +173,7 @@ class Toolpath:
     notes: tuple[str, ...] = ()
     solid: Array | None = None
     splits: tuple[Split, ...] = ()
+    left_out: tuple[Array, ...] = ()
 
     @property
     def length(self) -> float:

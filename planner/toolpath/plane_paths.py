@@ -309,17 +309,6 @@ def length(points: Array) -> float:
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
-def check_length(problem: Problem, path: PlanePath, size_key: str = "layers.source.width_mm") -> None:
-    """Raise InputError, naming `size_key`, for a path shorter than its bead is wide."""
-    drawn, width = length(path.points), problem.process.bead.width
-    if drawn < width:
-        raise problem.error(
-            size_key,
-            f"path {path.name!r} is only {drawn * 1e3:.3f} mm long at this size",
-            f"at least as long as the bead is wide, {width * 1e3:g} mm",
-        )
-
-
 def check_size(problem: Problem, name: str, drawn: float, rounded: float, hint: str) -> None:
     """Raise InputError for a path that its rounding shortens too much; lengths drawn and rounded [m]."""
     if rounded < _SHRUNK * drawn:

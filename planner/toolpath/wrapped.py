@@ -14,7 +14,6 @@ from planner.toolpath.bead import Bead, Toolpath, cylinder_shape
 from planner.toolpath.ordering import reverse, shorten_travel
 from planner.toolpath.plane_paths import (
     PlaneCurve,
-    check_length,
     check_size,
     densify,
     length,
@@ -22,6 +21,7 @@ from planner.toolpath.plane_paths import (
     round_corners,
     seam_on_smooth_part,
 )
+from planner.toolpath.substrate.clipping import Clipped
 from planner.toolpath.svg.outlines import PlanePath, read_svg
 
 
@@ -96,10 +96,10 @@ def wrap_drawing(problem: Problem, spec: LayersSpec) -> Toolpath:
     # On the outermost layer x is longest. Rounded in that layer's own metric once, all layers hold the
     # tolerance, have the same shape, and lie exactly above each other.
     stretch = np.array([1.0 + spec.count * spec.height / cylinder.radius, 1.0])
+    clipped = Clipped.of([replace(path, points=path.points * stretch) for path in paths], process.bead.width)
+    clipped.check(problem, "layers.source.width_mm", spec.source.crumbs)
     curves = []
-    for path in paths:
-        path = replace(path, points=path.points * stretch)
-        check_length(problem, path)
+    for path in clipped.paths:
         curve = round_corners(seam_on_smooth_part(path) if path.closed else path, process.corner_tolerance)
         wider = "choose a smaller tolerance, or a greater layers.source.width_mm"
         check_size(problem, path.name, length(path.points), length(curve.points), wider)
@@ -111,7 +111,8 @@ def wrap_drawing(problem: Problem, spec: LayersSpec) -> Toolpath:
         beads += wrap_layer(curves, cylinder, layer, spec.height, process.bead.width, process.bead.height)
         curves = [reverse(curve) for curve in reversed(curves)]  # the next layer starts where this one ended
     shape = cylinder_shape(cylinder.radius, cylinder.height, cylinder.centre)
-    return Toolpath(tuple(beads), cylinder, shape)
+    specks = tuple(cylinder.wrap(cut.points / stretch, spec.height)[0] for cut in clipped.cuts)
+    return Toolpath(tuple(beads), cylinder, shape, clipped.notes, left_out=specks)
 
 
 def _check_fit(problem: Problem, paths: tuple[PlanePath, ...], cylinder: Cylinder) -> None:

@@ -17,8 +17,9 @@ from planner.problem.layers import CoreLayersSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.ordering import shorten_travel
 from planner.toolpath.plane_paths import PlaneCurve, densify, length, make_bead, round_corners
-from planner.toolpath.substrate.bodies import FARTHEST_FROM_FACETS, MeshTop, reach_beside
+from planner.toolpath.substrate.clipping import trim_curve, trim_path
 from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField
+from planner.toolpath.substrate.mesh_top import FARTHEST_FROM_FACETS, MeshTop, reach_beside
 from planner.toolpath.substrate.projection import (
     REACH,
     RESERVE,
@@ -26,8 +27,6 @@ from planner.toolpath.substrate.projection import (
     placed,
     smooth_top,
     top_facets,
-    trim_curve,
-    trim_path,
 )
 from planner.toolpath.svg.outlines import PlanePath
 from planner.toolpath.task import roll_zeros
@@ -226,7 +225,7 @@ def lay_core(problem: Problem, spec: CoreLayersSpec) -> Toolpath:
     beads = _lay(surface, rows, process.bead.width, share)
     surface = replace(surface, layers=tuple(bead.layer for bead in beads))
     body = surface.body
-    return Toolpath(tuple(beads), surface, body.shape(), _notes(left_out, shortest), body.facets.corners)
+    return Toolpath(tuple(beads), surface, body.shape(), _notes(body, left_out, shortest), body.facets.corners)
 
 
 def _space(problem: Problem, spec: CoreLayersSpec) -> _Space:
@@ -308,12 +307,14 @@ def _surface(
     for facets in (space.body, space.middle):
         if isinstance(facets, FacetTree):
             reach = reach_beside(facets, near, reach)
-    body = smooth_top(space.body, near, reach, partial(problem.error, "part.mesh.file"), part)
+    own = problem.part.mesh.smooth if problem.part is not None and problem.part.mesh is not None else None
+    body = smooth_top(space.body, near, reach, own, partial(problem.error, "part.mesh.file"), part)
     lower = body.surface
     if isinstance(space.middle, float):
         middle = lower.level(space.middle)
     else:
-        middle = smooth_top(space.middle, near, reach, partial(problem.error, _MIDDLE), part).surface
+        bound = None if spec.up_to.mesh is None else spec.up_to.mesh.smooth
+        middle = smooth_top(space.middle, near, reach, bound, partial(problem.error, _MIDDLE), part).surface
         if middle.step < lower.step:
             lower = lower.refined(middle)
         middle = middle.refined(lower)
@@ -367,9 +368,10 @@ def _lay(surface: CoreSurface, rows: Sequence[Sequence[PlaneCurve]], width: floa
     return beads
 
 
-def _notes(left_out: Sequence[float], shortest: float) -> tuple[str, ...]:
-    if not left_out:
-        return ()
-    total, count = sum(left_out) * 1e3, len(left_out)
-    pieces = "1 piece" if count == 1 else f"{count} pieces"
-    return (f"{pieces} of layers shorter than {shortest * 1e3:g} mm left out, {total:.1f} mm in all",)
+def _notes(body: MeshTop, left_out: Sequence[float], shortest: float) -> tuple[str, ...]:
+    notes = [f"part.mesh: {body.words}"] if body.words else []
+    if left_out:
+        total, count = sum(left_out) * 1e3, len(left_out)
+        pieces = "1 piece" if count == 1 else f"{count} pieces"
+        notes.append(f"{pieces} of layers shorter than {shortest * 1e3:g} mm left out, {total:.1f} mm in all")
+    return tuple(notes)

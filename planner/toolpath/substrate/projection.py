@@ -1,6 +1,6 @@
 """Plane curves projected along z onto a body, layer on layer (Pollard et al., section 4.1).
 
-Curves that leave their region are cut there, together with the input paths they stand for.
+What of them cannot be printed is cut, told and drawn (`clipping.py`).
 """
 
 from __future__ import annotations
@@ -12,9 +12,8 @@ from functools import partial
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.base.arrays import Array, Flags
+from planner.base.arrays import Array, Flags, Ints
 from planner.base.errors import Complaint
-from planner.base.geometry import arc_lengths
 from planner.problem import Problem
 from planner.problem.drawings import (
     CurvesSpec,
@@ -25,15 +24,14 @@ from planner.problem.drawings import (
     ProjectedPatternSpec,
     SvgSpec,
 )
+from planner.problem.mesh_files import read_facets
 from planner.problem.part import MeshSpec, PartSpec, StepSpec
-from planner.problem.stl import read_facets
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.nurbs import nurbs_paths
 from planner.toolpath.ordering import reverse, shorten_travel
 from planner.toolpath.plane_paths import (
     PlaneCurve,
     arc_length,
-    check_length,
     check_size,
     densify,
     length,
@@ -42,29 +40,39 @@ from planner.toolpath.plane_paths import (
 )
 from planner.toolpath.step.files import read_step
 from planner.toolpath.step.top import FaceTop, NotSmooth, UpperFaces
-from planner.toolpath.substrate.bodies import (
-    Facing,
-    MeshTop,
-    Part,
-    SubstrateBody,
-    TooRoughMesh,
-    exact_body,
-    reach_beside,
+from planner.toolpath.substrate.bodies import Facing, SubstrateBody, exact_body
+from planner.toolpath.substrate.clipping import (
+    FITS,
+    FOLDS,
+    OFF,
+    SHORT,
+    SHORTEST,
+    STEEP,
+    STEEPEST,
+    Clipped,
+    Cut,
+    at_edges,
+    creases,
+    lost_pieces,
+    off_or_steep,
+    trim_curve,
 )
+from planner.toolpath.substrate.curved_facets import CREASE
 from planner.toolpath.substrate.mesh_surface import FacetTree
+from planner.toolpath.substrate.mesh_top import FARTHEST_FROM_FACETS, MeshTop, Part, TooRoughMesh, reach_beside
 from planner.toolpath.substrate.patterns import NoPattern, pattern
 from planner.toolpath.svg.outlines import PlanePath, read_svg
 from planner.toolpath.task import roll_zeros
 
 _ASIDE = 1e-5  # m, to either side, for the slope of what a plane point is mapped to
 
-_SAME = 1e-9  # m: vertices nearer than this to a cut are the cut
-
-STEEPEST = 75.0  # deg from the horizontal: beyond, a hair's breadth aside is a long way down, and the nozzle lies flat
 REACH = 2.0  # bead widths beside a curve within which the surface counts
 _SWING = 0.9  # of the corner tolerance, by which a rounded curve leaves a straight line between corners
 RESERVE = 1.02  # the stretch varies within a tolerance
 _EDGES = 1e-3  # m between points of faces' edges
+_EDGE_ROUNDS = 5  # of cutting paths where edges keep surfaces from being smooth
+_FROM_EDGES, _LEAST_FROM_EDGES = 2.0, 1e-3  # bead widths and m from an edge at which paths are cut
+_BEFORE_EDGES = 0.8  # of that: so far beside paths the surface is known
 _FOLDED = 0.2  # of the way from the body to a layer that folds: nearer to folding it is no layer
 
 
@@ -167,60 +175,6 @@ class Substrate:
         ]
 
 
-def trim_path(path: PlanePath, dense: Array, keep: Flags) -> list[PlanePath]:
-    """The pieces of a polyline where its dense points (n, 2) are kept (n); closed if all of a closed one are."""
-    if keep.all():
-        return [path]
-    arc = arc_lengths(dense)
-    return [
-        PlanePath(path.name, _between(path.points, *ends), False)
-        for ends in (_unrolled(arc, *run) for run in _runs(keep, path.closed))
-        if ends[1] - ends[0] > _SAME
-    ]
-
-
-def trim_curve(curve: PlaneCurve, keep: Flags) -> list[PlaneCurve]:
-    """The pieces of a rounded curve whose samples are kept (n), from sample to sample; at least two samples each."""
-    if keep.all():
-        return [curve]
-    last = len(keep) - 1
-    total = length(curve.source)
-    pieces = []
-    for first, end in _runs(keep, curve.closed):
-        if end == first:
-            continue
-        index = np.arange(first, end + 1)
-        index = np.where(index > last, index - last, index)  # past the seam of a closed curve
-        source = _between(curve.source, first * total / last, end * total / last)
-        pieces.append(replace(curve, points=curve.points[index], source=source, closed=False))
-    return pieces
-
-
-def _runs(keep: Flags, closed: bool) -> list[tuple[int, int]]:
-    """First and last place of each run of kept places (n), not all of them; past n - 1 where it crosses the seam."""
-    change = np.flatnonzero(np.diff(np.concatenate([[0], keep.astype(np.int8), [0]])))
-    runs = [(int(first), int(end) - 1) for first, end in change.reshape(-1, 2)]
-    if closed and len(runs) > 1 and runs[0][0] == 0 and runs[-1][1] == len(keep) - 1:
-        runs = [*runs[1:-1], (runs[-1][0], len(keep) - 1 + runs[0][1])]
-    return runs
-
-
-def _unrolled(arc: Array, first: int, end: int) -> tuple[float, float]:
-    """Arc lengths of the places `first` and `end`, the latter past the seam where it is no place of its own."""
-    last = len(arc) - 1
-    return float(arc[first]), float(arc[end]) if end <= last else float(arc[-1] + arc[end - last])
-
-
-def _between(points: Array, low: float, high: float) -> Array:
-    """A polyline (n, 2) from one arc length to another [m], which may lie a round further on a closed one."""
-    arc = arc_lengths(points)
-    if high > arc[-1] + _SAME:
-        points, arc = np.vstack([points, points[1:]]), np.concatenate([arc, arc[-1] + arc[1:]])
-    inner = points[(arc > low + _SAME) & (arc < high - _SAME)]
-    ends = np.column_stack([np.interp([low, high], arc, points[:, k]) for k in range(2)])
-    return np.vstack([ends[:1], inner, ends[1:]])
-
-
 def project_curves(
     problem: Problem, spec: ProjectedDrawingSpec | ProjectedPatternSpec | ProjectedCurvesSpec
 ) -> Toolpath:
@@ -231,34 +185,56 @@ def project_curves(
     process, source, part = problem.process, spec.source, problem.part
     if part is None:
         raise problem.error("part", "is missing", f"the body to project onto: {' or '.join(spec.bodies)}")
-    paths = [placed(path, spec) for path in paths_of(problem, source)]
-    outline = [densify(path.points) for path in paths]
-    body = _body(problem, part, paths, outline)
+    width, least = process.bead.width, np.cos(np.radians(STEEPEST))
+    clipped = Clipped.of([placed(path, spec) for path in paths_of(problem, source)], width)
+    clipped.check(problem, _size_key(source), source.crumbs)
+    body, clipped = _body(problem, part, clipped, source)
     substrate = Substrate(body, spec.height, spec.offset == "z")
+    clipped = clipped.without(_bends(substrate, spec.count), width)
+    clipped.check(problem, _size_key(source), source.crumbs)
 
-    curves = []
-    for path, dense in zip(paths, outline, strict=True):
-        check_length(problem, path, _size_key(source))
+    curves: list[PlaneCurve] = []
+    cuts = list(clipped.cuts)
+    for path in clipped.paths:
         start = seam_on_smooth_part(path) if path.closed else path
-        share = _share(problem, substrate, spec.count, path.name, dense)
+        share = _share(substrate, spec.count, densify(path.points))
         curve = round_corners(start, process.corner_tolerance, share)
+        if length(path.points) < SHORTEST * width and length(curve.points) < width:
+            cuts.append(Cut(path.name, SHORT, path.points))
+            continue
         hint = f"choose a smaller tolerance, or a greater {_size_key(source)}"
         check_size(problem, path.name, length(path.points), length(curve.points), hint)
-        _check_there(problem, body, path.name, curve.points)
-        curves.append(curve)
+        up = body.upward(curve.points)
+        reasons = np.where(np.isnan(up), OFF, np.where(up < least, STEEP, FITS))
+        for piece in trim_curve(curve, reasons == FITS):
+            if piece is curve or length(piece.points) >= SHORTEST * width:
+                curves.append(piece)
+            else:
+                cuts.append(Cut(path.name, SHORT, piece.points))
+        cuts += lost_pieces(curve, reasons)
+    clipped = replace(clipped, cuts=tuple(cuts), paths=clipped.paths if curves else ())
+    clipped.check(problem, _size_key(source), source.crumbs)
     rows = [shorten_travel(curves)]
     while len(rows) < spec.count:  # the next layer starts where this one ended
         rows.append([reverse(curve) for curve in reversed(rows[-1])])
     if spec.facing is not None and isinstance(body, MeshTop):
         substrate = substrate.facing(rows, spec.facing, body.facets)
-    return _laid(substrate, rows, process.bead.width, process.bead.height)
+    toolpath = _laid(substrate, rows, width, process.bead.height)
+    if not clipped.cuts:
+        return toolpath
+    plane = np.vstack([curve.points for curve in curves])
+    left_out = clipped.drawn_on(plane, substrate.project(plane, 0)[0][:, 2])
+    return replace(toolpath, notes=(*toolpath.notes, *clipped.notes), left_out=left_out)
 
 
 def _laid(substrate: Substrate, rows: Sequence[Sequence[PlaneCurve]], width: float, height: float) -> Toolpath:
     beads = substrate.lay(rows, width, height)
     grown = replace(substrate, layers=tuple(bead.layer for bead in beads))
     body = substrate.body
-    return Toolpath(tuple(beads), grown, body.shape(), solid=body.facets.corners if isinstance(body, MeshTop) else None)
+    if not isinstance(body, MeshTop):
+        return Toolpath(tuple(beads), grown, body.shape())
+    notes = (f"part.mesh: {body.words}",) if body.words else ()
+    return Toolpath(tuple(beads), grown, body.shape(), notes, body.facets.corners)
 
 
 def _size_key(source: SvgSpec | PatternSpec | CurvesSpec) -> str:
@@ -290,21 +266,87 @@ def placed(path: PlanePath, spec: OnPartSpec) -> PlanePath:
     return replace(path, points=points)
 
 
-def _body(problem: Problem, part: PartSpec, paths: Sequence[PlanePath], outline: Sequence[Array]) -> SubstrateBody:
-    """The body, once it is known that all paths fall onto it."""
+def _body(
+    problem: Problem, part: PartSpec, clipped: Clipped, source: SvgSpec | PatternSpec | CurvesSpec
+) -> tuple[SubstrateBody, Clipped]:
+    """The body, and what of the paths falls onto it where it can be printed on."""
+
+    def fitting(body: SubstrateBody | FacetTree | UpperFaces) -> Clipped:
+        return _fitting(problem, body, clipped, source)
+
     exact = exact_body(part)
     if exact is not None:
-        _check_all(problem, exact, paths, outline)
-        return exact
+        return exact, fitting(exact)
     if part.step is not None:
-        return _step_body(problem, part.step, paths, outline)
+        upper = _upper_faces(problem, part.step)
+        there = fitting(upper)
+        return _step_body(problem, part.step, upper, there), there
     if part.mesh is None:
         raise problem.error("part", f"a {part.body} is nothing to project onto")
     facets = top_facets(part.mesh, partial(problem.error, "part.mesh.file"))
-    _check_all(problem, facets, paths, outline)
-    near = np.vstack(outline)
-    reach = reach_beside(facets, near, REACH * problem.process.bead.width)
-    return smooth_top(facets, near, reach, partial(problem.error, "part.mesh.file"))
+    return _mesh_body(problem, part.mesh, facets, fitting(facets), source.crumbs)
+
+
+def _fitting(
+    problem: Problem,
+    body: SubstrateBody | FacetTree | UpperFaces,
+    clipped: Clipped,
+    source: SvgSpec | PatternSpec | CurvesSpec,
+) -> Clipped:
+    """What of the paths falls onto a body where it is not too steep; InputError where too much is lost."""
+    if not any(np.isfinite(body.upward(densify(path.points))).any() for path in clipped.paths):
+        raise problem.error(
+            "layers.centre_mm", "no curve falls onto the part", "the middle of the curves, x and y of the part frame"
+        )
+    there = clipped.without(off_or_steep(body.upward), problem.process.bead.width)
+    there.check(problem, _size_key(source), source.crumbs)
+    return there
+
+
+def _mesh_body(
+    problem: Problem, spec: MeshSpec, facets: FacetTree, clipped: Clipped, most: float
+) -> tuple[MeshTop, Clipped]:
+    """The mesh with a smooth surface near paths, which are cut where edges forbid it, by a share `most` of all at most."""
+    width = problem.process.bead.width
+    beside = max(_FROM_EDGES * width, _LEAST_FROM_EDGES)
+
+    def laid(outline: Sequence[Array], cut: bool) -> MeshTop:
+        near = np.vstack(outline)
+        reach = reach_beside(facets, near, REACH * width)
+        if not cut:
+            return MeshTop.near(facets, near, reach, bound=spec.smooth)
+        tree = cKDTree(near)  # beyond an edge is another surface
+        return MeshTop.near(
+            facets, near, min(reach, _BEFORE_EDGES * beside), lambda grid: _within(tree, grid, beside), spec.smooth
+        )
+
+    outline = [densify(path.points) for path in clipped.paths]
+    try:
+        return laid(outline, False), clipped
+    except TooRoughMesh as error:
+        refused, last = error, error
+    more = ""
+    sharp = creases(outline, lambda plane: facets.normals[facets.top(plane)[1]], CREASE)
+    for attempt in range(_EDGE_ROUNDS):
+        first = attempt == 0 and len(sharp) > 0
+        places = sharp if first else np.vstack(outline)[last.gaps > FARTHEST_FROM_FACETS]
+        clipped = clipped.without(at_edges(places, beside), width)
+        if not clipped.paths:
+            break
+        if clipped.share > most:
+            share = np.ceil(clipped.share * 1e2) / 1e2
+            more = f"; or cut the curves there, with a layers.source.leave_out_share of {share:g} or more"
+            break
+        outline = [densify(path.points) for path in clipped.paths]
+        try:
+            return laid(outline, True), clipped
+        except TooRoughMesh as error:
+            last = error
+    raise _too_rough(refused, partial(problem.error, "part.mesh.file"), more)
+
+
+def _within(tree: cKDTree, plane: Array, beside: float) -> Flags:
+    return np.asarray(tree.query(plane)[0] <= _BEFORE_EDGES * beside)
 
 
 def top_facets(spec: MeshSpec, where: Complaint) -> FacetTree:
@@ -315,75 +357,55 @@ def top_facets(spec: MeshSpec, where: Complaint) -> FacetTree:
     return facets
 
 
-def smooth_top(facets: FacetTree, curves: Array, reach: float, where: Complaint, part: Part | None = None) -> MeshTop:
-    """The mesh with a smooth surface near curves (n, 2), else InputError; for `reach` and `part` see MeshTop.near."""
+def smooth_top(
+    facets: FacetTree, curves: Array, reach: float, bound: float | None, where: Complaint, part: Part | None = None
+) -> MeshTop:
+    """The mesh with a smooth surface near curves (n, 2), else InputError; for the others see MeshTop.near."""
     try:
-        return MeshTop.near(facets, curves, reach, part)
+        return MeshTop.near(facets, curves, reach, part, bound)
     except TooRoughMesh as error:
-        x, y = error.place * 1e3
-        raise where(
-            f"the smooth surface through the facets is {error.gap * 1e3:.3f} mm off them at x {x:.1f}, y {y:.1f} mm",
-            "there is an edge under the curves, or facets are too large: keep off the edge, or export a finer mesh",
-        ) from None
+        raise _too_rough(error, where) from None
 
 
-def _step_body(problem: Problem, spec: StepSpec, paths: Sequence[PlanePath], outline: Sequence[Array]) -> SubstrateBody:
-    """The upper faces of a STEP file with a smooth surface on them, once it is known that all paths fall onto them."""
+def _too_rough(error: TooRoughMesh, where: Complaint, more: str = "") -> Exception:
+    x, y = error.place * 1e3
+    return where(
+        f"the smooth surface through the facets is {error.gap * 1e3:.3f} mm off them at x {x:.1f}, y {y:.1f} mm",
+        "there is an edge under the curves, or facets are too large: keep off the edge, or export a finer mesh"
+        f"{error.words}{more}",
+    )
+
+
+def _upper_faces(problem: Problem, spec: StepSpec) -> UpperFaces:
+    """The faces of a STEP file that look upwards."""
     complain = partial(problem.error, "part.step.file")
     upper = UpperFaces.of(read_step(spec, _EDGES, complain))
     if upper is None:
         raise complain(f"no face of {spec.file.name} looks upwards", hint="turn it with part.step.rpy_deg")
-    _check_all(problem, upper, paths, outline)
+    return upper
+
+
+def _step_body(problem: Problem, spec: StepSpec, upper: UpperFaces, clipped: Clipped) -> SubstrateBody:
+    """The upper faces of a STEP file with a smooth surface on them."""
+    outline = np.vstack([densify(path.points) for path in clipped.paths])
     try:
-        return FaceTop.near(upper, np.vstack(outline), REACH * problem.process.bead.width)
+        return FaceTop.near(upper, outline, REACH * problem.process.bead.width)
     except NotSmooth as error:
         x, y = error.place * 1e3
-        raise complain(
+        raise problem.error(
+            "part.step.file",
             f"the faces are {error.gap * 1e3:.3f} mm off any smooth surface at x {x:.1f}, y {y:.1f} mm",
             "there is an edge or a step under the curves: keep off it",
         ) from None
 
 
-def _check_all(
-    problem: Problem, body: SubstrateBody | FacetTree | UpperFaces, paths: Sequence[PlanePath], outline: Sequence[Array]
-) -> None:
-    if not any(np.isfinite(body.upward(points)).any() for points in outline):
-        raise problem.error(
-            "layers.centre_mm", "no curve falls onto the part", "the middle of the curves, x and y of the part frame"
-        )
-    for path, points in zip(paths, outline, strict=True):
-        _check_there(problem, body, path.name, points)
+def _bends(substrate: Substrate, count: int) -> Callable[[Array], Ints]:
+    """What keeps places x, y (n, 2) from being printed on: layers fold where the part is bent inwards tightly."""
+    return lambda plane: np.where(substrate.stretch(plane, count - 1)[1] < _FOLDED, FOLDS, FITS)
 
 
-def _check_there(problem: Problem, body: FacetTree | UpperFaces | SubstrateBody, name: str, plane: Array) -> None:
-    """Raise InputError where a curve leaves the part, or where this is too steep."""
-    up = body.upward(plane)
-    off = ~(up >= np.cos(np.radians(STEEPEST)))
-    if not off.any():
-        return
-    i = int(np.argmax(off))
-    x, y = plane[i] * 1e3
-    what = "leaves the part" if np.isnan(up[i]) else f"comes to a wall of {np.degrees(np.arccos(up[i])):.0f} degrees"
-    raise problem.error(
-        "layers.source",
-        f"path {name!r} {what} at x {x:.1f}, y {y:.1f} mm",
-        f"make it smaller or move it (layers.centre_mm); the part may lean by {STEEPEST:g} degrees",
-    )
-
-
-def _share(problem: Problem, substrate: Substrate, count: int, name: str, dense: Array) -> Callable[[Array], Array]:
-    """How much shorter a line is in the plane than on the part, at least over the layers, at points (n, 2) of a path.
-
-    Raises InputError for layers that would fold.
-    """
-    last = count - 1
-    reserve = substrate.stretch(dense, last)[1]
-    if reserve.min() < _FOLDED:
-        x, y = dense[int(np.argmin(reserve))] * 1e3
-        raise problem.error(
-            "layers.count",
-            f"the part is bent inwards too tightly under path {name!r} at x {x:.1f}, y {y:.1f} mm: layers would fold",
-            "fewer or thinner layers, or layers.offset: z",
-        )
-    tree, values = cKDTree(dense), np.maximum(substrate.stretch(dense, 0)[0], substrate.stretch(dense, last)[0])
+def _share(substrate: Substrate, count: int, dense: Array) -> Callable[[Array], Array]:
+    """How much shorter a line is in the plane than on the part, at least over the layers, at points (n, 2) of a path."""
+    tree = cKDTree(dense)
+    values = np.maximum(substrate.stretch(dense, 0)[0], substrate.stretch(dense, count - 1)[0])
     return lambda plane: np.asarray(1.0 / (RESERVE * values[tree.query(plane)[1]]))

@@ -17,12 +17,12 @@ from planner.base.arrays import Array
 from planner.base.errors import Complaint
 from planner.problem import Problem
 from planner.problem.layers import GuideSpec, VolumeLayersSpec
-from planner.problem.stl import read_facets
+from planner.problem.mesh_files import read_facets, with_area
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.ordering import shorten_travel
 from planner.toolpath.plane_paths import PlaneCurve, densify, length, make_bead, round_corners, seam_on_smooth_part
-from planner.toolpath.substrate.bodies import MeshTop, TooRoughMesh, reach_beside
 from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField
+from planner.toolpath.substrate.mesh_top import MeshTop, TooRoughMesh, reach_beside
 from planner.toolpath.svg.outlines import PlanePath
 from planner.toolpath.task import roll_zeros
 from planner.toolpath.volume.sections import Heights, Morph, MorphedLayers, NotClosed, Solid, TooFine, polygons
@@ -39,6 +39,10 @@ _HAIR = 1e-6  # m: the outermost lines lie so far inside, else they are found or
 _TILT_GRID = 120  # places along the body's longer side at which the tilt is looked at
 _CUT = 1e-3  # m: longest edge of the facets that are bent with the layers; 1.3 um off them where 100 mm is their radius
 _SHORTEST = 3.0  # bead widths: a shorter path is left out
+_REACHED = 0.75  # bead widths from a wall's middle line: what is farther is left out; corners of a right angle are not
+_SEEN = 0.05  # squared bead widths: less is no place
+_OPEN = 0.005  # of the volume: less is not told
+_NAMED = 5  # numbers of layers that are named
 _RESERVE = 1.02  # the stretch varies within a tolerance
 _BELOW = 1e-5  # m by which a body may reach below the bed: rounding
 _MOST_LAYERS = 2000
@@ -57,7 +61,9 @@ def stack_of(problem: Problem, spec: VolumeLayersSpec, solid: Solid, tree: Facet
     lowest = GuideSpec.model_construct(z=float(solid.vertices[:, 2].min()), mesh=None)
     lower, base = _heights(problem, spec.lower or lowest, "layers.lower", plane, reach)
     if spec.upper is None:
-        top = _smooth(tree, plane, reach, spec.source.mesh.name, partial(problem.error, "layers.source.mesh"))
+        top = _smooth(
+            tree, plane, reach, spec.source.smooth, spec.source.mesh.name, partial(problem.error, "layers.source.mesh")
+        )
         upper = _over(top)
     else:
         upper, _ = _heights(problem, spec.upper, "layers.upper", plane, reach)
@@ -85,7 +91,7 @@ def _heights(
             f"{guide.mesh.file.name} does not reach over the whole body: nothing at x {x:.1f}, y {y:.1f} mm",
             f"a larger surface, or move it by {field}.mesh.origin_mm",
         )
-    top = _smooth(facets, plane, reach, guide.mesh.file.name, complain)
+    top = _smooth(facets, plane, reach, guide.mesh.smooth, guide.mesh.file.name, complain)
     return _over(top), top
 
 
@@ -93,14 +99,17 @@ def _over(top: MeshTop) -> Heights:
     return lambda places: top.surface.at(places)[0][:, 2]
 
 
-def _smooth(facets: FacetTree, plane: Array, reach: float, name: str, complain: Complaint) -> MeshTop:
+def _smooth(
+    facets: FacetTree, plane: Array, reach: float, bound: float | None, name: str, complain: Complaint
+) -> MeshTop:
     try:
-        return MeshTop.near(facets, plane, reach_beside(facets, plane, reach))
+        return MeshTop.near(facets, plane, reach_beside(facets, plane, reach), bound=bound)
     except TooRoughMesh as error:
         x, y = error.place * 1e3
         raise complain(
             f"the smooth surface through the top of {name} is {error.gap * 1e3:.3f} mm off it at x {x:.1f}, y {y:.1f} mm",
-            "there is an edge or a wall, or facets are too large: give layers.upper a smooth surface above the body's top",
+            "there is an edge or a wall, or facets are too large: give layers.upper a smooth surface above the body's top"
+            f"{error.words}",
         ) from None
 
 
@@ -199,9 +208,9 @@ def fill_mesh(problem: Problem, spec: VolumeLayersSpec) -> Toolpath:
     """
     complain = partial(problem.error, "layers.source.mesh")
     name = spec.source.mesh.name
-    corners = read_facets(spec.source.file, complain)
+    corners = read_facets(spec.source.file, complain, lines=True)
     solid = _solid(corners, name, complain)
-    morph, base = stack_of(problem, spec, solid, FacetTree.of(corners))
+    morph, base = stack_of(problem, spec, solid, FacetTree.of(with_area(corners)))
     longest = max(_CUT, float(np.ptp(solid.vertices[:, :2], axis=0).max()) / 400.0)
     try:
         fine = solid.finer(longest)
@@ -209,16 +218,19 @@ def fill_mesh(problem: Problem, spec: VolumeLayersSpec) -> Toolpath:
         raise complain(f"{name} takes {error} to be cut finely", "a mesh of fewer facets") from None
     regions = _regions(problem, spec, morph, fine)
     _check_tilt(problem, spec, morph, regions)
-    rows, left_out = _layer_rows(problem, spec, morph, regions)
-    if not rows:
+    rows, short = _layer_rows(problem, spec, morph, regions)
+    if not any(rows):
         reason = (
             f"nothing in {name} is long enough to be printed with a bead {problem.process.bead.width * 1e3:g} mm wide"
         )
         raise problem.error("process.bead.width_mm", reason, "a narrower bead, or a larger part")
+    lost = _lost(problem, spec, regions, rows, short)
+    lost.check(problem, name, spec.source.crumbs)
     beads = _lay(morph, rows, problem.process.bead.width, problem.process.bead.height / spec.height)
     surface = MorphedLayers(morph, base, tuple(regions), tuple(bead.layer for bead in beads))
     shape, beneath = (None, None) if base is None else (base.shape(), base.facets.corners)
-    return Toolpath(tuple(beads), surface, shape, _notes(name, morph, len(rows), regions, beads, left_out), beneath)
+    notes = _notes(name, morph, rows, beads, lost, base)
+    return Toolpath(tuple(beads), surface, shape, notes, beneath, left_out=lost.drawn_in(morph))
 
 
 def _solid(corners: Array, name: str, complain: Complaint) -> Solid:
@@ -282,14 +294,15 @@ def _check_tilt(
 
 def _layer_rows(
     problem: Problem, spec: VolumeLayersSpec, morph: Morph, regions: Sequence[shapely.MultiPolygon]
-) -> tuple[list[list[_Line]], list[float]]:
-    """The rounded paths of each layer in print order, and the lengths of those that are too short [m]."""
+) -> tuple[list[list[_Line]], list[list[PlanePath]]]:
+    """The rounded paths of each layer in print order, none where it is too narrow, and those that are too short."""
     process = problem.process
     width, shortest = process.bead.width, _SHORTEST * process.bead.width
     lines_of = spec.infill.material or ""
     apart = lines_of not in ("", spec.material or next(iter(process.materials), ""))
     rows: list[list[_Line]] = []
-    short: list[float] = []
+    short: list[list[PlanePath]] = []
+    before: list[_Line] = []
     for layer, region in enumerate(regions):
         surface = morph.field(layer + 1)
         name = f"layer {layer + 1}"
@@ -300,15 +313,14 @@ def _layer_rows(
         if apart and layer % 2:  # so that the material changes once a layer
             groups.reverse()
         row: list[_Line] = []
+        short.append([])
         for paths, material in groups:
-            short += [size for size in (length(path.points) for path in paths) if size < shortest]
+            short[-1] += [path for path in paths if length(path.points) < shortest]
             long = [path for path in paths if length(path.points) >= shortest]
             curves = [_rounded(path, surface, process.corner_tolerance) for path in long]
-            before = row or (rows[-1] if rows else [])
             start = before[-1].curve.points[-1] if before else None
             row += [_Line(curve, material) for curve in shorten_travel(curves, start)]
-        if not row:
-            break  # what lies above would hang in the air
+            before = row or before
         rows.append(row)
     return rows, short
 
@@ -341,22 +353,106 @@ def _lay(morph: Morph, rows: Sequence[Sequence[_Line]], width: float, share: flo
     return beads
 
 
-def _notes(
-    name: str,
-    morph: Morph,
-    rows: int,
+@dataclass(frozen=True)
+class _Lost:
+    """What of a body is not printed: numbers of whole layers, paths that are too short by layer, and narrow places.
+
+    share   of the body's volume
+    open    share that is left open between walls, too near each other for a line of infill
+    places  outlines (n, 2) in layers (index) of what is too narrow for a bead
+    """
+
+    layers: tuple[int, ...]
+    short: tuple[tuple[int, PlanePath], ...]
+    places: tuple[tuple[int, Array], ...]
+    share: float
+    open: float
+
+    def check(self, problem: Problem, name: str, most: float) -> None:
+        """Raise InputError where a share above `most` is lost."""
+        if self.share <= most:
+            return
+        lost = self.places[0] if self.places else (self.short[0][0], self.short[0][1].points)
+        x, y = lost[1].mean(axis=0) * 1e3
+        width = problem.process.bead.width * 1e3
+        needed = np.ceil(self.share * 1e3 + 0.5) * 1e-3
+        raise problem.error(
+            "process.bead.width_mm",
+            f"{self.share:.1%} of {name} is too narrow for a bead {width:g} mm wide, first in layer {lost[0] + 1} at "
+            f"x {x:.1f}, y {y:.1f} mm",
+            f"a narrower bead, or a larger part; layers.source.leave_out_share: {min(needed, 1.0):.3g} leaves that out",
+        )
+
+    def drawn_in(self, morph: Morph) -> tuple[Array, ...]:
+        """It as lines (n, 3) to be drawn."""
+        lines = [(layer, path.points) for layer, path in self.short] + list(self.places)
+        return tuple(morph.field(layer + 1).at(points)[0] for layer, points in lines)
+
+    @property
+    def words(self) -> str:
+        """What is left out; empty for nothing."""
+        parts = []
+        if self.layers:
+            numbers = ", ".join(str(layer + 1) for layer in self.layers[:_NAMED])
+            more = ", ..." if len(self.layers) > _NAMED else ""
+            parts.append(f"{_count(len(self.layers), 'layer')} too narrow for a bead (number {numbers}{more})")
+        if self.short:
+            total = sum(length(path.points) for _, path in self.short) * 1e3
+            parts.append(f"{_count(len(self.short), 'path')} shorter than 3 bead widths, {total:.1f} mm in all")
+        if self.places:
+            parts.append(f"{_count(len(self.places), 'place')} narrower than a bead")
+        return f"left out {self.share:.2%} of the volume: {'; '.join(parts)}" if parts else ""
+
+
+def _count(number: int, what: str) -> str:
+    return f"1 {what}" if number == 1 else f"{number} {what}s"
+
+
+def _lost(
+    problem: Problem,
+    spec: VolumeLayersSpec,
     regions: Sequence[shapely.MultiPolygon],
-    beads: Sequence[Bead],
-    short: Sequence[float],
+    rows: Sequence[Sequence[_Line]],
+    short: Sequence[Sequence[PlanePath]],
+) -> _Lost:
+    """What is not printed of the regions that layers cover."""
+    width = problem.process.bead.width
+    whole = sum(region.area for region in regions)
+    lost, between, places = 0.0, 0.0, []
+    for layer, (region, row) in enumerate(zip(regions, rows, strict=True)):
+        narrow = region
+        if row:  # what a bead's width leaves out at walls and in corners; corners are rounded anyway
+            reached = _inset(region, 0.5 * width).buffer(_REACHED * width)
+            narrow = polygons(region.difference(reached))
+            filled = _inset(region, (spec.perimeters + 0.5) * width).buffer(_REACHED * width)
+            between += polygons(_inset(region, spec.perimeters * width).difference(filled)).area
+            lost += sum(_area(path, width, spec.infill.density) for path in short[layer])
+        narrow = shapely.MultiPolygon([part for part in narrow.geoms if not row or part.area > _SEEN * width**2])
+        lost += narrow.area
+        places += [(layer, np.asarray(part.exterior.coords)) for part in narrow.geoms]
+    left = tuple(layer for layer, row in enumerate(rows) if not row)
+    pieces = tuple((layer, path) for layer, paths in enumerate(short) if layer not in left for path in paths)
+    return _Lost(left, pieces, tuple(places), lost / whole, between / whole)
+
+
+def _area(path: PlanePath, width: float, density: float) -> float:
+    """What a path would have filled: a wall with all within it, a line with its share of what is open beside it [m^2]."""
+    if path.closed:
+        return float(shapely.Polygon(path.points).buffer(0.5 * width).area)
+    return length(path.points) * width / density
+
+
+def _notes(
+    name: str, morph: Morph, rows: Sequence[Sequence[_Line]], beads: Sequence[Bead], lost: _Lost, base: MeshTop | None
 ) -> tuple[str, ...]:
-    """How high layers are, and what was left out."""
+    """How high layers are, what was left out, and what was smoothed."""
     high = np.concatenate([morph.thickness.at(bead.points[:, :2])[0][:, 2] for bead in beads]) * 1e3
-    notes = [f"{name}: {rows} layers, {high.min():.3f} to {high.max():.3f} mm high along z"]
-    if short:
-        pieces = "1 path" if len(short) == 1 else f"{len(short)} paths"
-        notes.append(f"{name}: {pieces} shorter than 3 bead widths left out, {sum(short) * 1e3:.1f} mm in all")
-    if rows < len(regions):
-        left = len(regions) - rows
-        above = "1 layer" if left == 1 else f"{left} layers"
-        notes.append(f"{name}: {above} left out from layer {rows + 1} on, too narrow for a bead")
+    count = sum(1 for row in rows if row)
+    notes = [f"{name}: {count} layers, {high.min():.3f} to {high.max():.3f} mm high along z"]
+    if lost.words:
+        notes.append(f"{name}: {lost.words}")
+    if lost.open > _OPEN:
+        notes.append(f"{name}: {lost.open:.2%} of the volume stays open, between walls too near each other for a line")
+    if base is not None and base.words:
+        notes.append(f"layers.lower.mesh: {base.words}")
     return tuple(notes)

@@ -14,10 +14,12 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
-from planner.toolpath.substrate.bodies import MeshTop
 from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField, fit
+from planner.toolpath.substrate.mesh_top import MeshTop
 
 Heights = Callable[[Array], Array]  # of places x, y (n, 2): z (n) [m]
 _BEND = 0.2  # of the way from the least to the greatest height, over which the thickness bends towards the least
@@ -29,6 +31,8 @@ _WHOLE = 1e-6  # layers: so little more than a whole number is that number
 
 MOST_FACETS = 2_000_000  # once they are
 _DECIMALS = 9  # of a metre: corners that are one corner differ by rounding, once the file is turned
+_SAME_ANGLE = 6  # decimals of a radian: facets of two bodies that lie on each other
+_HAIR = 1e-8  # m between bodies that touch
 _AREA = 1e-12  # m^2: an outline around less is none
 
 
@@ -157,11 +161,58 @@ class MorphedLayers:
 
 
 class NotClosed(ValueError):
-    """A body with a hole in its skin, or with skins that meet in one edge, at `place` (3) [m]."""
+    """A body with a hole in its skin, at `place` (3) [m]."""
 
     def __init__(self, place: Array) -> None:
         self.place = place
         super().__init__("the mesh is not closed")
+
+
+def _sides_that_meet(vertices: Array, facets: Ints) -> tuple[Ints, Ints]:
+    """Pairs of sides of facets (m, 3) that are one edge of a body's skin: 3 times the facet and the corner they begin at.
+
+    Where more than two meet, as two bodies touch there, it is those with material between them. Raises NotClosed.
+    """
+    ends = np.stack([facets, np.roll(facets, -1, axis=1)], axis=-1).reshape(-1, 2)
+    forward = ends[:, 0] < ends[:, 1]
+    key = ends.min(axis=1) * len(vertices) + ends.max(axis=1)
+    ahead, back = np.flatnonzero(forward), np.flatnonzero(~forward)
+    ahead, back = ahead[np.argsort(key[ahead], kind="stable")], back[np.argsort(key[back], kind="stable")]
+    if len(ahead) != len(back) or (key[ahead] != key[back]).any():
+        once, count = np.unique(key, return_counts=True)
+        balance = np.bincount(np.searchsorted(once, key), np.where(forward, 1.0, -1.0))
+        worst = once[np.argmax(np.where(balance != 0.0, 1 + (count == 1), 0))]
+        raise NotClosed(vertices[[worst // len(vertices), worst % len(vertices)]].mean(axis=0))
+    first = np.flatnonzero(np.diff(key[ahead], prepend=-1))
+    count = np.diff(first, append=len(ahead))
+    for start, n in zip(first[count > 1].tolist(), count[count > 1].tolist(), strict=True):
+        run = slice(start, start + n)
+        back[run] = _with_material_between(vertices, facets, ahead[run], back[run])
+    return ahead, back
+
+
+def _with_material_between(vertices: Array, facets: Ints, ahead: Ints, back: Ints) -> Ints:
+    """Of the sides (n) that run back along an edge, in the order of those (n) that run ahead: the one with which each
+    bounds material."""
+    foot, head = vertices[facets.ravel()[ahead[0]]], vertices[facets.ravel()[back[0]]]
+    along = (head - foot) / np.linalg.norm(head - foot)
+    sides = np.concatenate([ahead, back])
+    wing = vertices[facets[sides // 3, (sides + 2) % 3]] - foot
+    wing = wing - (wing @ along)[:, None] * along
+    x = wing[0] / np.linalg.norm(wing[0])
+    angle = np.round(np.arctan2(wing @ np.cross(along, x), wing @ x), _SAME_ANGLE)
+    # around the edge material begins at a side that runs back, and ends at the next that runs ahead
+    order = np.lexsort((np.arange(len(sides)) >= len(ahead), angle))
+    order = np.concatenate([order, order])
+    open_sides: list[int] = []
+    partner: dict[int, int] = {}
+    for i in order.tolist():
+        if i >= len(ahead):
+            if i not in open_sides and i not in partner.values():
+                open_sides.append(i)
+        elif i not in partner and open_sides:
+            partner[i] = open_sides.pop()
+    return np.array([back[partner[i] - len(ahead)] for i in range(len(ahead))])
 
 
 class TooFine(ValueError):
@@ -177,17 +228,21 @@ class Solid(ReadOnlyArrays):
 
     @classmethod
     def of(cls, corners: Array) -> Solid:
-        """The body with facets (m, 3, 3). Raises NotClosed where an edge has not exactly one facet to either side."""
+        """The body with facets (m, 3, 3), or several that may touch: where they do, each keeps vertices of its own.
+
+        Raises NotClosed where an edge has not as many facets to one side as to the other.
+        """
         vertices, number = np.unique(np.round(corners.reshape(-1, 3), _DECIMALS), axis=0, return_inverse=True)
         facets = number.reshape(-1, 3).astype(np.int64)
-        edges = np.stack([facets, np.roll(facets, -1, axis=1)], axis=-1).reshape(-1, 2)
-        key = edges[:, 0] * len(vertices) + edges[:, 1]
-        back = edges[:, 1] * len(vertices) + edges[:, 0]
-        once, count = np.unique(key, return_counts=True)
-        alone = ~np.isin(back, key) | (count[np.searchsorted(once, key)] > 1)
-        if alone.any():
-            raise NotClosed(vertices[edges[np.argmax(alone)]].mean(axis=0))
-        return cls(vertices, facets)
+        facets = facets[(facets != np.roll(facets, 1, axis=1)).all(axis=1)]
+        one, other = _sides_that_meet(vertices, facets)
+        # corners that go together: where a side begins, the other one ends
+        after_one, after_other = one - one % 3 + (one + 1) % 3, other - other % 3 + (other + 1) % 3
+        row, column = np.concatenate([one, after_one]), np.concatenate([after_other, other])
+        joined = coo_array((np.ones(len(row), dtype=np.int8), (row, column)), shape=(facets.size, facets.size))
+        _, fan = connected_components(joined, directed=False)
+        own, number = np.unique(np.column_stack([facets.ravel(), fan]), axis=0, return_inverse=True)
+        return cls(vertices[own[:, 0]], number.reshape(-1, 3).astype(np.int64))
 
     @property
     def volume(self) -> float:
@@ -273,13 +328,29 @@ class Solid(ReadOnlyArrays):
 
 
 def _region(outlines: list[Array]) -> shapely.MultiPolygon:
-    """What outlines enclose, counted even and odd, so that it does not matter which way they run."""
+    """What outlines enclose: those of bodies that overlap together, without what runs the other way round within them."""
     whole: shapely.Geometry = shapely.MultiPolygon()
-    rings = [polygons(shapely.make_valid(shapely.Polygon(outline))) for outline in outlines]
-    for ring in sorted(rings, key=lambda ring: -ring.area):
+    rings = [(polygons(shapely.make_valid(shapely.Polygon(outline))), _turns_left(outline)) for outline in outlines]
+    for ring, outer in sorted(rings, key=lambda each: -each[0].area):
         if ring.area > _AREA:
-            whole = whole.symmetric_difference(ring)
-    return polygons(whole)
+            hole = not outer and whole.intersection(ring).area > 0.5 * ring.area
+            whole = whole.difference(ring) if hole else whole.union(ring)
+    return _joined(polygons(whole))
+
+
+def _joined(region: shapely.MultiPolygon) -> shapely.MultiPolygon:
+    """The same without the hair that rounding leaves between bodies that touch."""
+    parts = shapely.get_parts(region)
+    one, other = shapely.STRtree(parts).query(parts, predicate="dwithin", distance=_HAIR)
+    if (one == other).all():
+        return region
+    return polygons(region.buffer(_HAIR, join_style="mitre").buffer(-_HAIR, join_style="mitre"))
+
+
+def _turns_left(outline: Array) -> bool:
+    """Whether an outline (k, 2) runs counter-clockwise."""
+    x, y = outline.T
+    return bool((x * np.roll(y, -1) - y * np.roll(x, -1)).sum() > 0.0)
 
 
 def polygons(found: shapely.Geometry) -> shapely.MultiPolygon:

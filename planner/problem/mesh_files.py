@@ -1,0 +1,255 @@
+"""Facets of a body from a file: STL, PLY, OBJ, OFF or 3MF; what cannot be printed on is refused."""
+
+from __future__ import annotations
+
+import io
+import re
+import struct
+import warnings
+import zipfile
+import zlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from planner.base.arrays import Array
+from planner.base.errors import Complaint
+from planner.base.extras import missing_extra
+from planner.base.files import read_bytes
+from planner.problem.part import UNITS, MeshSpec
+
+if TYPE_CHECKING:
+    import trimesh
+
+MOST_FACETS = 2_000_000  # read in 5 s with 1.5 GB as a binary STL file
+FARTHEST = 100_000.0  # mm from the origin: a hall
+LARGEST_FILE = 600_000_000  # bytes: so many as text
+SUFFIXES = (".stl", ".ply", ".obj", ".off", ".3mf")
+SMALLEST, GREATEST = 5.0, 20_000.0  # mm across, of what is printed or printed on: else its unit is another one
+_LIKELY = (20.0, 2000.0)  # mm across: units that make it so are named
+_HEADER = 84  # bytes of a binary STL file before its facets, of _FACET bytes each
+_FACET = 50
+_THINNEST = 1e-9  # mm, height of a facet over its longest side: below, it is a line and has no normal
+_MODEL_HEAD = 65_536  # bytes of a 3MF model in which its unit stands
+_UNITS_3MF = {"micron": "um", "millimeter": "mm", "centimeter": "cm", "inch": "in", "foot": "ft", "meter": "m"}
+# What trimesh's readers raise at files that are none, or damaged.
+_UNREADABLE = (
+    ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, NotImplementedError, RuntimeError,
+    SyntaxError, TypeError, ValueError, Warning, struct.error, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+
+
+def read_facets(spec: MeshSpec, where: Complaint, lines: bool = False) -> Array:
+    """Facets (n, 3, 3) of a body [m] in the part frame; otherwise as `read_corners`.
+
+    Raises the InputError of `where` also for a body that is too small or too large to be one.
+    """
+    corners = read_corners(spec.file, where, spec.unit, spec.scale, lines)
+    across = float(np.ptp(corners.reshape(-1, 3), axis=0).max()) * 1e3
+    if not SMALLEST <= across <= GREATEST:
+        unit = spec.unit or unit_of(spec.file, where)
+        sizes = {name: across * mm / UNITS[unit] for name, mm in UNITS.items() if name != unit}
+        likely = [
+            f"unit: {name} makes it {size:.4g} mm" for name, size in sizes.items() if _LIKELY[0] <= size <= _LIKELY[1]
+        ]
+        what = f"{spec.file.name} is {across:.4g} mm across" + (
+            "" if spec.scale == 1.0 else f" at scale {spec.scale:g}"
+        )
+        hint = "; ".join([*likely, "or give scale"]) if likely else "give unit and scale, by which it is enlarged"
+        raise where(f"{what}, with lengths in {unit}", hint=hint)
+    turn = Rotation.from_euler("xyz", spec.rpy).as_matrix()
+    return np.asarray(corners @ turn.T + np.asarray(spec.origin))
+
+
+def read_corners(
+    path: Path, where: Complaint, unit: str | None = None, scale: float = 1.0, lines: bool = False
+) -> Array:
+    """Facets (n, 3, 3) of a file [m], counter-clockwise seen from outside; without an area only if `lines`.
+
+    `where(reason, hint=...)` makes the InputError for what is wrong with the file, as for what stands inside out.
+    unit: of the file's lengths, one of UNITS; by default what it says itself, else mm.
+    """
+    data = read_bytes(path, LARGEST_FILE, where, _FEWER)
+    kind = _kind(path, data)
+    mesh = _READERS[kind](path, data, where)
+    name = path.name
+    faces = np.asarray(mesh.faces).reshape(-1, 3)
+    if len(faces) == 0:
+        raise where(f"{name} holds no facets")
+    if len(faces) > MOST_FACETS:
+        raise where(f"{name} has {len(faces)} facets", hint=_FEWER)
+    if faces.min() < 0 or faces.max() >= len(mesh.vertices):
+        raise where(f"{name} is damaged: a facet names a corner that is not there, of {len(mesh.vertices)}")
+    mm = UNITS[unit or _unit(kind, data)] * scale
+    corners = np.asarray(mesh.vertices, dtype=float)[faces] * mm
+    if not (np.abs(corners) <= FARTHEST).all():  # NaN is not
+        raise where(f"{name} has a corner that is no number, or farther than {FARTHEST / 1e3:g} m from the origin")
+    areas = with_area(corners)
+    if len(areas) == 0:
+        raise where(f"{name} holds no facet that has an area")
+    mesh.merge_vertices()
+    if mesh.is_watertight and mesh.volume < 0.0:
+        raise where(f"{name} is inside out: its facets face inwards", hint="flip its normals in a CAD program")
+    return np.asarray((corners if lines else areas) * 1e-3)
+
+
+def with_area(corners: Array) -> Array:
+    """Those of facets (n, 3, 3) that have an area."""
+    edges = np.roll(corners, -1, axis=1) - corners
+    across = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    longest = np.linalg.norm(edges, axis=2).max(axis=1)
+    return corners[across > _THINNEST * np.maximum(longest, _THINNEST)]
+
+
+def unit_of(path: Path, where: Complaint) -> str:
+    """The unit that a file says its lengths are in, else mm."""
+    data = read_bytes(path, LARGEST_FILE, where, _FEWER)
+    return _unit(_kind(path, data), data)
+
+
+_FEWER = f"make a mesh of fewer facets, at most {MOST_FACETS}"
+
+
+def _kind(path: Path, data: bytes) -> str:
+    """What a file is, by its first bytes, and where these say nothing by its name; else STL."""
+    first = data[:6].lstrip()
+    if first[:3] == b"ply" and first[3:4] in (b"\n", b"\r"):
+        return "ply"
+    if first[:2] == b"PK":
+        return "3mf"
+    if first[:3] == b"OFF" or path.suffix.lower() == ".off":
+        return "off"
+    return "obj" if path.suffix.lower() == ".obj" else "stl"
+
+
+def _unit(kind: str, data: bytes) -> str:
+    """The unit that a file says its lengths are in, else mm."""
+    if kind != "3mf":
+        return "mm"
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            name = next(name for name in archive.namelist() if name.lower().endswith(".model"))
+            with archive.open(name) as model:
+                head = model.read(_MODEL_HEAD)
+    except (*_UNREADABLE, StopIteration):
+        return "mm"
+    found = re.search(rb"<model\b[^>]*\bunit\s*=\s*[\"'](\w+)", head)
+    return _UNITS_3MF.get(found.group(1).decode("ascii", "replace"), "mm") if found else "mm"
+
+
+# Trimesh takes a third of a second to be imported: only where there is a file to read.
+
+
+def _stl(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
+    """Some binary files begin with the word of text files: what counts is whether there are facets in words."""
+    text = data.lstrip()[:5].lower() == b"solid" and (b"facet" in data[:4096].lower() or len(data) < _HEADER)
+    return _text(path, data, where) if text else _binary(path, data, where)
+
+
+def _binary(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
+    import trimesh
+
+    if len(data) < _HEADER:
+        raise where(f"{path.name} is no STL file: it has {len(data)} bytes")
+    (count,) = struct.unpack("<I", data[80:_HEADER])
+    there = (len(data) - _HEADER) // _FACET
+    if len(data) != _HEADER + _FACET * count:
+        raise where(f"{path.name} is no STL file, or damaged: it announces {count} facets and has room for {there}")
+    _check_count(path, count, where)
+    parts = trimesh.exchange.stl.load_stl_binary(io.BytesIO(data))
+    return trimesh.Trimesh(vertices=parts["vertices"], faces=parts["faces"], process=False)
+
+
+def _text(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
+    import trimesh
+
+    words = data.lower()
+    count = words.count(b"endfacet")
+    _check_count(path, count, where)
+    reason = f"{path.name} is damaged"
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            mesh = trimesh.load_mesh(io.BytesIO(data), file_type="stl_ascii", process=False)
+    except (ValueError, IndexError, KeyError, TypeError, Warning, trimesh.exchange.stl.HeaderError) as error:
+        raise where(f"{reason}: {error}") from error
+    found = len(mesh.faces)
+    if not words.count(b"facet normal") == count == words.count(b"vertex") / 3 or b"endsolid" not in words:
+        raise where(f"{reason}: it ends, or has a gap, within a facet")
+    if not 0 < found <= count:
+        raise where(f"{reason}: {count} facets are begun and {found} can be read")
+    return mesh
+
+
+def _ply(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
+    head = data[: data.find(b"end_header")].decode("ascii", "replace") if b"end_header" in data else ""
+    counts = re.search(r"^element\s+face\s+(\d+)", head, re.MULTILINE)
+    if counts is None or int(counts.group(1)) == 0:
+        raise where(f"{path.name} holds no facets", hint="points alone are no surface: make a mesh of them")
+    announced = int(counts.group(1))
+    _check_count(path, announced, where)
+    mesh = _by_trimesh(path, data, "ply", where)
+    if len(mesh.faces) < announced:
+        raise where(f"{path.name} is damaged: it announces {announced} facets and {len(mesh.faces)} can be read")
+    return mesh
+
+
+def _obj(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
+    count = len(re.findall(rb"^[ \t]*f[ \t]", data, re.MULTILINE))
+    _check_count(path, count, where)
+    mesh = _by_trimesh(path, data, "obj", where, skip_materials=True)
+    if len(mesh.faces) < count:
+        raise where(f"{path.name} is damaged: of {count} facets {len(mesh.faces)} can be read")
+    return mesh
+
+
+def _off(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
+    return _by_trimesh(path, data, "off", where)
+
+
+def _3mf(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
+    try:
+        import lxml.etree  # noqa: F401
+        import networkx  # noqa: F401
+    except ImportError as error:
+        missing = missing_extra(error, "a 3MF file")
+        if missing is None:
+            raise
+        raise where(missing.reason, hint=missing.hint) from None
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            size = sum(each.file_size for each in archive.infolist())
+    except _UNREADABLE as error:
+        raise where(f"{path.name} is no 3MF file, or damaged: {error}") from None
+    if size > LARGEST_FILE:
+        raise where(f"{path.name} is larger than {LARGEST_FILE // 10**6} MB once it is unpacked", hint=_FEWER)
+    return _by_trimesh(path, data, "3mf", where)
+
+
+def _by_trimesh(path: Path, data: bytes, kind: str, where: Complaint, **options: Any) -> trimesh.Trimesh:
+    """All bodies of a file as one mesh, in their places."""
+    import trimesh
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found: Any = trimesh.load(io.BytesIO(data), file_type=kind, process=False, **options)
+            mesh = found.to_mesh() if isinstance(found, trimesh.Scene) else found
+    except _UNREADABLE as error:
+        said = " ".join(str(error).split())[:120]
+        raise where(f"{path.name} is no {kind.upper()} file, or damaged" + (f": {said}" if said else "")) from None
+    if not isinstance(mesh, trimesh.Trimesh):
+        raise where(f"{path.name} holds no facets", hint="points and lines alone are no surface: make a mesh of them")
+    return mesh
+
+
+_READERS = {"stl": _stl, "ply": _ply, "obj": _obj, "off": _off, "3mf": _3mf}
+
+
+def _check_count(path: Path, count: int, where: Complaint) -> None:
+    if count == 0:
+        raise where(f"{path.name} holds no facets")
+    if count > MOST_FACETS:
+        raise where(f"{path.name} has {count} facets", hint=_FEWER)
