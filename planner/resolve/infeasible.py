@@ -31,7 +31,7 @@ from planner.toolpath.task import NozzleTask
 # Nothing here is guessed: a change is only named after the same nodes and the same search have been tried with it.
 
 TILTS = (5.0, 10.0, 20.0)  # deg from the surface normal
-_NEARER = (1e-3, 0.5e-3, 0.2e-3, 0.0)  # m of clearance of nozzle and head, where more is asked for
+NEARER = (1e-3, 0.5e-3, 0.2e-3, 0.0)  # m of clearance of nozzle and head, where more is asked for
 _AZIMUTHS = 12  # directions in which the nozzle is tilted
 _TURN_STEP, _MOST_TURN = 15.0, 180.0  # deg, of a held axis from where it is
 _MOVES = (0.025, 0.05, 0.1, 0.2, 0.4, 0.8)  # m, of the part; beyond what is missing, where that is known
@@ -178,7 +178,7 @@ def _tilt_hints(stuck: Stuck) -> tuple[str, ...]:
 def _nearer_hints(stuck: Stuck) -> tuple[str, ...]:
     """The greatest distance of nozzle and head that would do: less than is asked for, and still no contact."""
     found: tuple[int, float] = (0, 0.0)
-    for nozzle in _NEARER:
+    for nozzle in NEARER:
         nearer = stuck.obstacles.with_nozzle_at(stuck.cell, nozzle)
         gives = 0 if nearer is None else replace(stuck, obstacles=nearer).serves(stuck.cell)
         if gives > found[0]:
