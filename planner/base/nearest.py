@@ -9,7 +9,6 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array, read_only
 from planner.base.compiled import njit
 
-
 _IN_DOUBT = 1e-5  # m: what is nearer than this by its nearest vertices is not looked at again
 _FIRST_AGAIN = 8  # vertices that are looked at then, and ever twice as many
 
