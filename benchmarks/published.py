@@ -62,6 +62,7 @@ class Job:
     look: Look | None
     shrink: bool
     own_beads: bool
+    lift_mm: float
     limit: float | None
 
 
@@ -75,7 +76,8 @@ def planned(job: Job) -> Row:
     on, file = job.on, Path(job.file)
     run = run_of(job)
     try:
-        placed = place(job.look or look_at(file), job.meaning, on.bead, on.reach, job.shrink, job.own_beads)
+        look = job.look or look_at(file)
+        placed = place(look, job.meaning, on.bead, on.reach, job.shrink, job.own_beads, job.lift_mm)
         with tempfile.TemporaryDirectory() as folder:
             source = json.dumps({"source": placed.source(shrunk(file, placed, Path(folder)))})
             # JSON is YAML; what is printed is the file alone, on whatever carries the part
@@ -109,12 +111,13 @@ def jobs_of(options: argparse.Namespace) -> list[Job]:
     asked = " ".join([
         f"cell={problem.name}", *(f"{key}={value}" for key, value in words.items() if value), *settings,
         *(["layers"] if options.layers else []), *(["to fit"] if options.scale else []),
-        *(["own beads"] if options.own_beads else []),
+        *(["own beads"] if options.own_beads else []), *([f"lift={options.lift:g}"] if options.lift else []),
     ])  # fmt: skip
     return [
         Job(
             str(file.resolve()), file.relative_to(options.folder).as_posix(), asked, on, meaning,
-            looks.get(file.parent), options.scale, options.own_beads, options.limit,
+            looks.get(file.parent), options.scale, options.own_beads, options.lift,
+            options.limit,
         )
         for file in files
     ]  # fmt: skip
@@ -179,6 +182,13 @@ def parser() -> argparse.ArgumentParser:
         "--own-beads",
         action="store_true",
         help="beads as high as layers of a file lie apart, and as wide as its passes",
+    )
+    command.add_argument(
+        "--lift",
+        type=float,
+        default=0.0,
+        metavar="MM",
+        help="parts stand so much higher, as on a stub: for sideways normals",
     )
     command.add_argument("--unit", choices=("mm", "m"))
     command.add_argument("--up", choices=("y", "z"), help="the files' axis that points up")

@@ -154,11 +154,12 @@ def place(
     reach: float,
     shrink: bool,
     own_beads: bool = False,
+    lift_mm: float = 0.0,
 ) -> Placed:
     """Put a part onto the middle of bed or table, its lowest waypoint a bead's height above it.
 
     bead: width and height [m]; reach: of the nozzle [m]; shrink: a part whose largest side is more than FIT of that is made
-    so large; own_beads: a bead is as high as the file's layers lie apart, and as wide as its passes, where they do.
+    so large; lift_mm: how much higher it stands, on a stub; own_beads: a bead is as high as the file's layers lie apart, and as wide as its passes, where they do.
     """
     unit = given.unit or look.unit or unit_of(float((look.high - look.low).max()), look.spacing)
     mean = look.normals / look.count
@@ -174,7 +175,7 @@ def place(
     to_mm = scale * _TO_MM[unit]
     own = _own_bead(look.spacing, to_mm, bead) if own_beads else None
     height = bead[1] * 1e3 if own is None else own[1]
-    origin = (-middle[0], -middle[1], height - scale * low[2])
+    origin = (-middle[0], -middle[1], height + lift_mm - scale * low[2])
     x, y, z = (round(float(value), 3) + 0.0 for value in origin)
     split = look.spacing.split
     # a little more than the step itself, however it is rounded

@@ -13,7 +13,9 @@ from planner.toolpath.waypoints.reader import SPLIT
 
 Array = NDArray[np.float64]
 
-LONE_SHARE = 0.0  # of the length, that waypoints which stand alone may make up: short paths join them in what is left out
+LONE_SHARE = (
+    0.0  # of the length, that waypoints which stand alone may make up: short paths join them in what is left out
+)
 _LOOKED_AT = 400  # waypoints, about, whose neighbours are looked for
 _NEIGHBOURS = 192  # of each: what is nearest is mostly its own pass
 _OWN_PASS = 4.0  # times the distance of two places, that the way along the path between them is shorter on one pass

@@ -18,7 +18,7 @@ from planner.base.errors import Blocked, Refusal
 from planner.base.processes import cores
 from planner.cell.cell import Cell, translation
 from planner.cell.robot import chain_of
-from planner.collision.scene import NOTHING, Obstacles
+from planner.collision.scene import NOTHING, PART, Obstacles
 from planner.resolve.joint_path import JointPath, SampledTasks, flange_poses, postures, refuse_at, spread, upright
 from planner.resolve.nodes import Grid, Nodes, evaluate, full_grid
 from planner.resolve.reach import CLEAR_ROOM, LIMIT_ROOM
@@ -372,7 +372,8 @@ def refuse_rung(
             now = np.full(len(tried), demand.now[demand.rung[rung]])
             margin, which = obstacles.margins(tried, now, np.inf, CLEAR_ROOM)
             k = int(np.argmax(margin))
-            every = _collision(obstacles, int(which[k]), float(margin[k]), "every posture of the search here")
+            standing = obstacles.standing(cell, tried[k], float(now[k]), float(margin[k]) + CLEAR_ROOM)
+            every = _collision(obstacles, int(which[k]), float(margin[k]), "every posture of the search here", standing)
             refuse(every, kind=Blocked)
         reason = "no posture on the search's grid, though there are some between its steps: search finer"
         refuse_at(task, i, reason, hints=partial(path_hints, stuck, task.tip[i]))
@@ -413,8 +414,10 @@ def refuse_collision(cell: Cell, paths: Sequence[JointPath], obstacles: Obstacle
         refuse_at(paths[worst].task, i, what)
 
 
-def _collision(obstacles: Obstacles, which: int, margin: float, subject: str) -> str:
+def _collision(obstacles: Obstacles, which: int, margin: float, subject: str, standing: Sequence[str] = ()) -> str:
+    """standing: what stands with the part, where it is that which is too near, see `Obstacles.standing`."""
     one, other = obstacles.names(which)
+    other = " or ".join(standing) if other == PART and standing else other
     return f"collision of {one} with {other}: {subject} lacks {-margin * 1e3:.1f} mm of clearance"
 
 
