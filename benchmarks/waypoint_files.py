@@ -159,7 +159,8 @@ def place(
     """Put a part onto the middle of bed or table, its lowest waypoint a bead's height above it.
 
     bead: width and height [m]; reach: of the nozzle [m]; shrink: a part whose largest side is more than FIT of that is made
-    so large; lift_mm: how much higher it stands, on a stub; own_beads: a bead is as high as the file's layers lie apart, and as wide as its passes, where they do.
+    so large; own_beads: a bead is as high as the file's layers lie apart, and as wide as its passes, where they do;
+    lift_mm: how much higher the part stands, on a stub.
     """
     unit = given.unit or look.unit or unit_of(float((look.high - look.low).max()), look.spacing)
     mean = look.normals / look.count

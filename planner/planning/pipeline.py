@@ -34,6 +34,7 @@ from planner.planning.finer import ROUNDS, with_finer_samples, worst_off
 from planner.planning.options import DEFAULT_DT, MAX_DT, MIN_DT
 from planner.planning.pieces import MORE_ROOM, in_pieces
 from planner.planning.robustness import assess_robustness
+from planner.planning.tried import hints_that_hold
 from planner.problem import Problem, load_problem
 from planner.report.html import write_report
 from planner.resolve.bound import MOST_CHOSEN, MOST_WAYPOINTS, bound_any_path
@@ -116,7 +117,12 @@ def solve(
                 return _planned_in_pieces(strategy, given, dt, stages, shared, first_bead)
             return _planned(strategy, given, dt, stages, shared, over)
 
-        (given, planned, maps), nearer = _as_clear_as_can_be(strategy, given, print_of, stages, over)
+        try:
+            (given, planned, maps), nearer = _as_clear_as_can_be(strategy, given, print_of, stages, over)
+        except Refusal as refusal:
+            again = partial(solve, strategy=strategy, dt=dt, first_bead=first_bead, baseline=False)
+            refusal.trying(partial(hints_that_hold, problem, toolpath, plan=again))
+            raise
         problem, toolpath = given.problem, given.toolpath
         if nearer is not None:
             toolpath = replace(toolpath, notes=(*toolpath.notes, nearer.words))

@@ -7,14 +7,14 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from planner.base.arrays import Array
-from planner.base.errors import Blocked, Refusal
+from planner.base.errors import Blocked, Change, MovedBy, Refusal
 from planner.base.processes import cores
 from planner.cell.cell import Cell, translation
 from planner.cell.robot import chain_of
@@ -156,8 +156,9 @@ def _finer_hints(stuck: Stuck) -> tuple[str, ...]:
     if replace(stuck, grid=replace(stuck.grid, roll_step=roll, holder_step=table)).serves(stuck.cell) != _ALONG:
         return ()
     swept = len(stuck.cell.chosen) > 0 and stuck.grid.swept is not None
-    steps = f"roll_step_deg: {np.degrees(roll):g}" + (f", table_step_deg: {np.degrees(table):g}" if swept else "")
-    return (f"resolve: {{{steps}}} {_GIVES[_ALONG]}",)
+    steps = {"roll_step_deg": f"{np.degrees(roll):g}"} | ({"table_step_deg": f"{np.degrees(table):g}"} if swept else {})
+    what = f"resolve: {{{', '.join(f'{key}: {value}' for key, value in steps.items())}}}"
+    return (_change(_ALONG, (what, tuple((f"resolve.{key}", value) for key, value in steps.items()))),)
 
 
 def _tilt_hints(stuck: Stuck) -> tuple[str, ...]:
@@ -167,7 +168,9 @@ def _tilt_hints(stuck: Stuck) -> tuple[str, ...]:
     for tilt in TILTS:
         if stuck.serves_tilted(np.radians(tilt)):
             if leans:
-                return (f"process.cones.nozzle_normal_deg: {tilt:g} lets the nozzle lean clear here",)
+                key = "process.cones.nozzle_normal_deg"
+                more = tuple((f"{key}: {each:g}", ((key, f"{each:g}"),)) for each in TILTS if each >= tilt)
+                return (Change(f"{key}: {tilt:g} lets the nozzle lean clear here", more),)
             return (
                 f"a nozzle tilted {tilt:g} deg from the surface normal has a posture here, but the search keeps it on the "
                 "normal: turn the part, or the normals",
@@ -185,12 +188,21 @@ def _nearer_hints(stuck: Stuck) -> tuple[str, ...]:
             found = gives, nozzle
         if gives == _ALONG:
             break
-    return (f"collision.nozzle_mm: {found[1] * 1e3:g} {_GIVES[found[0]]}",) if found[0] else ()
+    if not found[0]:
+        return ()
+    key = "collision.nozzle_mm"
+    less = (f"{each * 1e3:g}" for each in NEARER if each <= found[1])
+    return (_change(found[0], *((f"{key}: {mm}", ((key, mm),)) for mm in less)),)
+
+
+def _change(gives: int, *tries: tuple[str, tuple[tuple[str, Any], ...]]) -> Change:
+    """The hint of a change, of which the least one, the first, gives this in the coarse search."""
+    return Change(f"{tries[0][0]} {_GIVES[gives]}", tries)
 
 
 def _turn_hints(stuck: Stuck, wanted: int) -> tuple[str, ...]:
     """For each held axis of the positioner the nearest angle that helps."""
-    hints = []
+    hints: list[Change] = []
     for name, now in stuck.cell.held.items():
         found: tuple[int, float] = (0, 0.0)
         no_path = 0
@@ -202,7 +214,9 @@ def _turn_hints(stuck: Stuck, wanted: int) -> tuple[str, ...]:
             if gives == _ALONG or no_path == _ENOUGH:
                 break
         if found[0] >= wanted:
-            hints.append(f"cell.positioner.held_deg: {{{name}: {np.degrees(found[1]):g}}} {_GIVES[found[0]]}")
+            key, angle_deg = "cell.positioner.held_deg", f"{np.degrees(found[1]):g}"
+            what = f"{key}: {{{name}: {angle_deg}}}"
+            hints.append(_change(found[0], (what, ((f"{key}.{name}", angle_deg),))))
     return tuple(hints)
 
 
@@ -258,7 +272,8 @@ def _move_hints(stuck: Stuck, point: Array, missing: float | None, wanted: int) 
         mm = round(distance * 1e3, 1)
     field = "cell.bed_mm" if stuck.cell.holder_robot is None else "cell.positioner.origin_mm"
     x, y, z = (round(float(v), 1) + 0.0 for v in mm * ways[way])
-    return (f"{field}: the part moved {mm:g} mm {way}, by [{x:g}, {y:g}, {z:g}], {_GIVES[gives]}",)
+    what = f"{field}: the part moved {mm:g} mm {way}, by [{x:g}, {y:g}, {z:g}],"
+    return (_change(gives, (what, ((field, MovedBy((x, y, z))),))),)
 
 
 def _directions(cell: Cell, point: Array) -> dict[str, Array]:
