@@ -2,7 +2,7 @@
 
 The file is read again here. At each waypoint that the tip passes, the axis may be off the file's normal by what smoothing
 may turn it and by what the nozzle may lean. Where a corner is rounded the tip passes beside a waypoint, with a mean of the
-normals around it: there it may be off by what they differ from one waypoint to the next, too.
+normals around it: there it may be off by what these differ, too.
 """
 
 from __future__ import annotations
@@ -25,9 +25,8 @@ from planner.verify.checks import DIGITS, EVERYWHERE, Findings, Judged, place
 
 ROOM = np.radians(0.05)  # by which an axis may be off what it is to follow
 _PASSED = 2e-5  # m: a tip that comes so near to a waypoint passes it
-_AROUND = (
-    50.0  # corner tolerances along the path, to either side of a rounded corner, in which normals are a mean of others
-)
+_CORNER = np.radians(5.0)  # turn of the path at a waypoint: less is rounded nowhere
+_WIDEST = 25.0  # corner tolerances: half the length of path over which a rounded corner is a mean, at most; it reaches twice that
 _SAMPLES = 4  # nearest ones of the motion, that a waypoint's own is among where passes cross
 _TO_SI = {"mm": 1e-3, "m": 1.0}
 
@@ -48,9 +47,8 @@ def file_normals(judged: Judged) -> Findings:
     normals = _not_the_other_way(normals)
     off, away, at = _off_at_waypoints(judged, points, normals)
     passed = away <= process.corner_tolerance + _PASSED  # crumbs, and beads that are not printed, are elsewhere
-    allowed = bound + _unlike_neighbours(normals) * _beside_corners(
-        points, passed & (away > _PASSED), process.corner_tolerance
-    )
+    rounded = passed & (away > _PASSED) & (_turns(points) > _CORNER)
+    allowed = bound + _unlike_others(points, normals, rounded, process.corner_tolerance)
     beyond = np.where(passed, off - allowed, -np.inf)
     i = int(np.argmax(beyond))
     if not passed.any():
@@ -123,18 +121,32 @@ def _not_the_other_way(normals: Array) -> Array:
     return np.where((normals * around).sum(axis=1)[:, None] < 0.0, -normals, normals)
 
 
-def _unlike_neighbours(normals: Array) -> Array:
-    """The greater angle (n) [rad] to the normals before and after."""
-    turn = angles_between(normals[1:], normals[:-1])
-    return np.maximum(np.append(turn, 0.0), np.insert(turn, 0, 0.0))
+def _turns(points: Array) -> Array:
+    """By how much (n) [rad] the way to points (n, 3) and the way on differ; 0 at both ends."""
+    way = np.diff(points, axis=0)
+    return np.concatenate([[0.0], angles_between(way[1:], way[:-1]), [0.0]])[: len(points)]
 
 
-def _beside_corners(points: Array, corner: NDArray[np.bool_], tolerance: float) -> NDArray[np.bool_]:
-    """Which points (n, 3) lie along the path beside a rounded corner, or are one."""
-    if not corner.any():
-        return corner
-    s = arc_lengths(points)
-    places = s[corner]
-    after = np.clip(np.searchsorted(places, s), 1, max(len(places) - 1, 1))
-    nearest = np.minimum(np.abs(s - places[after - 1]), np.abs(s - places[np.minimum(after, len(places) - 1)]))
-    return np.asarray(nearest <= _AROUND * tolerance)
+def _unlike_others(points: Array, normals: Array, rounded: NDArray[np.bool_], tolerance: float) -> Array:
+    """Beside a rounded corner the greatest angle (n) [rad] of a normal to those that a mean may be of; else 0."""
+    out = np.zeros(len(points))
+    if not rounded.any():
+        return out
+    s, reach = arc_lengths(points), _WIDEST * tolerance
+    near = np.flatnonzero(_distance_to(s[rounded], s) <= 2.0 * reach)
+    for way in (-1, 1):
+        i, k = near, 0
+        while len(i):
+            k += way
+            i = i[(i + k >= 0) & (i + k < len(s))]
+            i = i[np.abs(s[i + k] - s[i]) <= reach]
+            out[i] = np.maximum(out[i], angles_between(normals[i + k], normals[i]))
+    return out
+
+
+def _distance_to(places: Array, s: Array) -> Array:
+    """Distance (n) of arc lengths s (n) from the nearest of some places, which are in order."""
+    after = np.searchsorted(places, s)
+    return np.minimum(
+        np.abs(s - places[np.maximum(after - 1, 0)]), np.abs(s - places[np.minimum(after, len(places) - 1)])
+    )
