@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from planner.base.geometry import arc_lengths
+from planner.base.geometry import arc_lengths, subdivided
 from planner.toolpath.waypoints.reader import SPLIT
 
 Array = NDArray[np.float64]
@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 LONE_SHARE = (
     0.0  # of the length, that waypoints which stand alone may make up: short paths join them in what is left out
 )
+_PLACES, _PER_STEP = 4000, 3.0  # along all of the path, and in a usual step, at most: what may be a neighbour
 _LOOKED_AT = 400  # waypoints, about, whose neighbours are looked for
 _NEIGHBOURS = 192  # of each: what is nearest is mostly its own pass
 _OWN_PASS = 4.0  # times the distance of two places, that the way along the path between them is shorter on one pass
@@ -42,8 +43,21 @@ def spacing_of(points: Array, normals: Array) -> Spacing:
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     moving = steps[steps > 0.0]
     step = float(np.median(moving)) if len(moving) else np.nan
-    beside, above = _neighbours(points, normals)
-    return Spacing(step, beside, above, _split(steps))
+    split = _split(steps)
+    longest = SPLIT * step if split is None else split
+    printed = np.where(steps <= longest, steps, 0.0)
+    spacing = max(float(printed.sum()) / _PLACES, step / _PER_STEP) if len(moving) else 1.0
+    beside, above = _neighbours(*_denser(points, normals, np.ceil(printed / spacing)))
+    return Spacing(step, beside, above, split)
+
+
+def _denser(points: Array, normals: Array, parts: Array) -> tuple[Array, Array]:
+    """Places along the path, so that nearest ones are not those of waypoints that stand far apart: so many (n - 1) in each
+    step, one at least."""
+    k, share = subdivided(np.maximum(parts, 1.0).astype(np.int64))
+    share = share[:, None]
+    dense = [np.vstack([rows[k] + share * (rows[k + 1] - rows[k]), rows[-1:]]) for rows in (points, normals)]
+    return dense[0], dense[1]
 
 
 def _neighbours(points: Array, normals: Array) -> tuple[float, float]:
