@@ -16,8 +16,8 @@ from planner.toolpath.bead import Toolpath
 from planner.toolpath.task import noise_of
 from planner.toolpath.waypoints.beads import NOTED
 
-MOST_WAYPOINTS = 4_000  # of a print that is planned for its hints
-MOST_PLANS = 6  # for all hints of a refusal
+MOST_WAYPOINTS = 20_000  # planned for all hints of a refusal together,
+MOST_PLANS = 6  # and in so many plans
 _UNTRIED = "not planned to the end"
 _SMOOTHING = "layers.source.smooth_normals_deg"
 _SMOOTHINGS = ("1", "3")  # deg
@@ -26,12 +26,11 @@ PlanOf = Callable[[Problem], Plan]  # raises Refusal or InputError
 
 
 def hints_that_hold(problem: Problem, toolpath: Toolpath, hints: Hints, plan: PlanOf) -> Hints:
-    """Those hints whose changes give a verified plan, told with how it prints, and those that are no changes; on large prints
-    all of them, told to be untried."""
+    """Those hints whose changes give a verified plan, told with how it prints; those that are no changes; and those for which
+    the print is too large, told to be untried."""
     hints = (*hints, *_smoothing(problem, toolpath))
-    if sum(len(bead.s) for bead in toolpath.beads) > MOST_WAYPOINTS:
-        return tuple(f"{hint} ({_UNTRIED})" if isinstance(hint, Change) else hint for hint in hints)
-    left, told = MOST_PLANS, []
+    waypoints = sum(len(bead.s) for bead in toolpath.beads)
+    left, told = min(MOST_PLANS, MOST_WAYPOINTS // waypoints), []
     for hint in hints:
         if not isinstance(hint, Change):
             told.append(hint)
