@@ -14,6 +14,7 @@ from planner.planning.clearance import coming_nearer, may_come_nearer
 from planner.planning.context import context_of
 from planner.planning.pipeline import load, solve, write
 from planner.problem import Problem
+from planner.resolve.ladder import ladder
 from planner.toolpath.build import build_toolpath
 from planner.verify.verdict import verify
 
@@ -90,3 +91,18 @@ def test_a_distance_of_ones_own_is_refused_with_the_one_that_would_do(tmp_path: 
     with pytest.raises(Refusal) as caught:
         solve(flat(tmp_path, RIM.format(0.9), "collision.nozzle_mm=2"), baseline=False)
     assert any(hint.startswith("collision.nozzle_mm: 0.5") for hint in caught.value.hints)
+
+
+@pytest.mark.parametrize("down", [True, False])
+def test_a_path_that_runs_down_its_normals_is_told(tmp_path: Path, down: bool) -> None:
+    """Normals lean 40 degrees along a level path: the nozzle's face is in the bead behind it, or ahead of it above nothing."""
+    problem = flat(tmp_path)
+    (tmp_path / "flat.txt").write_text(
+        "\n".join(f"{x / 2} 0 20.5 {-0.643 if down else 0.643} 0 0.766" for x in range(30))
+    )
+    given = context_of(problem, build_cell(problem), build_toolpath(problem))
+    if down:
+        with pytest.raises(Refusal, match=r"collision of nozzle .*; the path runs 40 deg down its own normals here"):
+            ladder(given.cell, given.tasks, problem.resolve, given.obstacles)
+    else:
+        assert len(ladder(given.cell, given.tasks, problem.resolve, given.obstacles)) == 1

@@ -319,6 +319,7 @@ _GIVES = {_HERE: "gives postures here, though no path all along", _ALONG: "gives
 # ----------------------------------------------------------------------------------------------------
 # Why there is no path: which rung ran out of candidates, and for what reason.
 
+STEEP = np.radians(20.0)  # between path and surface: the face's edge is a third of its radius beneath the tip
 SLIGHT = 1e-4  # m of clearance that a path between rungs may lack
 _TRIED = 72  # rolls and holder angles that the diagnosis looks at
 
@@ -389,6 +390,10 @@ def refuse_rung(
             k = int(np.argmax(margin))
             standing = obstacles.standing(cell, tried[k], float(now[k]), float(margin[k]) + CLEAR_ROOM)
             every = _collision(obstacles, int(which[k]), float(margin[k]), "every posture of the search here", standing)
+            down = _descent(task, i)
+            if down > STEEP:
+                every += f"; the path runs {np.degrees(down):.0f} deg down its own normals here, so that a nozzle on them dips "
+                every += "into what it has just laid"
             refuse(every, kind=Blocked)
         reason = "no posture on the search's grid, though there are some between its steps: search finer"
         refuse_at(task, i, reason, hints=partial(path_hints, stuck, task.tip[i]))
@@ -434,6 +439,13 @@ def _collision(obstacles: Obstacles, which: int, margin: float, subject: str, st
     one, other = obstacles.names(which)
     other = " or ".join(standing) if other == PART and standing else other
     return f"collision of {one} with {other}: {subject} lacks {-margin * 1e3:.1f} mm of clearance"
+
+
+def _descent(task: NozzleTask, i: int) -> float:
+    """Angle [rad] by which the path at sample i runs into the surface that its normal stands on."""
+    way = task.tip[min(i + 1, len(task) - 1)] - task.tip[max(i - 1, 0)]
+    length = float(np.linalg.norm(way))
+    return float(np.arcsin(np.clip(-(way @ task.normals[i]) / length, -1.0, 1.0))) if length > 0.0 else 0.0
 
 
 def _postures_at(cell: Cell, demand: SampledTasks, grid: Grid, rung: int, min_sigma: float) -> Array:
