@@ -45,7 +45,7 @@ class On:
 
     cell: str
     strategy: str
-    height: float
+    bead: tuple[float, float]  # width and height
     reach: float
     settings: tuple[str, ...]
 
@@ -61,6 +61,8 @@ class Job:
     meaning: Meaning
     look: Look | None
     shrink: bool
+    own_beads: bool
+    lift_mm: float
     limit: float | None
 
 
@@ -74,11 +76,14 @@ def planned(job: Job) -> Row:
     on, file = job.on, Path(job.file)
     run = run_of(job)
     try:
-        placed = place(job.look or look_at(file), job.meaning, on.height, on.reach, job.shrink)
+        look = job.look or look_at(file)
+        placed = place(look, job.meaning, on.bead, on.reach, job.shrink, job.own_beads, job.lift_mm)
         with tempfile.TemporaryDirectory() as folder:
             source = json.dumps({"source": placed.source(shrunk(file, placed, Path(folder)))})
             # JSON is YAML; what is printed is the file alone, on whatever carries the part
-            settings = (f"layers={source}", "part=null", f"process.bead.height_mm={on.height * 1e3:g}", *on.settings)
+            width, height = placed.bead_mm or (on.bead[0] * 1e3, on.bead[1] * 1e3)
+            bead = (f"process.bead.width_mm={width:g}", f"process.bead.height_mm={height:g}")
+            settings = (f"layers={source}", "part=null", *bead, *on.settings)
             row = run_apart((Run(on.cell, on.strategy, settings, 0, run.planner), job.limit))
     except PlannerError as error:
         return row_without_plan(run, f"refused: {_short(str(error), job)}", {})
@@ -98,19 +103,21 @@ def jobs_of(options: argparse.Namespace) -> list[Job]:
     problem = load_problem(options.cell, [each for each in options.set if not each.startswith("layers.")])
     cell = build_cell(problem)
     strategy = options.strategy or problem.strategy
-    settings, height = tuple(options.set), problem.process.bead.height
-    on = On(found_anywhere(problem), strategy, height, reach(cell), settings)
+    settings, bead = tuple(options.set), problem.process.bead
+    on = On(found_anywhere(problem), strategy, (bead.width, bead.height), reach(cell), settings)
     meaning = Meaning(options.unit, options.up, options.normals)
     looks = looks_of(files) if options.layers else {}
     words = {"unit": meaning.unit, "up": meaning.up, "normals": meaning.normals}
     asked = " ".join([
         f"cell={problem.name}", *(f"{key}={value}" for key, value in words.items() if value), *settings,
         *(["layers"] if options.layers else []), *(["to fit"] if options.scale else []),
+        *(["own beads"] if options.own_beads else []), *([f"lift={options.lift:g}"] if options.lift else []),
     ])  # fmt: skip
     return [
         Job(
             str(file.resolve()), file.relative_to(options.folder).as_posix(), asked, on, meaning,
-            looks.get(file.parent), options.scale, options.limit,
+            looks.get(file.parent), options.scale, options.own_beads, options.lift,
+            options.limit,
         )
         for file in files
     ]  # fmt: skip
@@ -171,6 +178,18 @@ def parser() -> argparse.ArgumentParser:
         "--layers", action="store_true", help="files of a folder are layers of one part: placed together, planned each"
     )
     command.add_argument("--scale", action="store_true", help="shrink what is too big for the arm")
+    command.add_argument(
+        "--own-beads",
+        action="store_true",
+        help="beads as high as layers of a file lie apart, and as wide as its passes",
+    )
+    command.add_argument(
+        "--lift",
+        type=float,
+        default=0.0,
+        metavar="MM",
+        help="parts stand so much higher, as on a stub: for sideways normals",
+    )
     command.add_argument("--unit", choices=("mm", "m"))
     command.add_argument("--up", choices=("y", "z"), help="the files' axis that points up")
     command.add_argument("--normals", choices=("outward", "inward"), help="against the nozzle, or along it")

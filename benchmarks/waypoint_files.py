@@ -6,22 +6,23 @@ that a wrong guess can be seen and put right.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.waypoint_spacing import Spacing, spacing_of, unit_of
 from planner.base.errors import InputError
 from planner.toolpath.waypoints.reader import LENGTHS, read_columns
 
 Array = NDArray[np.float64]
 
 SUFFIXES = (".txt", ".csv", ".xyz", ".dat", ".npz")
-SMALLEST_MM = 5.0  # a part whose box has a diagonal of fewer units than this is in metres
 LEANING = 0.2  # a mean of unit normals, along an axis, that is less than this says nothing of up and down
 FIT = 0.4  # of the nozzle's reach: the largest side of a part that may be expected to be printable all round
 _TO_MM = {"mm": 1.0, "m": 1e3}
@@ -29,13 +30,15 @@ _TO_MM = {"mm": 1.0, "m": 1e3}
 
 @dataclass(frozen=True)
 class Look:
-    """What the numbers of a file, or of several, are: low, high (3) of the points, the sum (3) of unit normals, count."""
+    """What the numbers of a file, or of several, are: low, high (3) of the points, the sum (3) of unit normals, count, and
+    how far apart waypoints, passes and layers lie."""
 
     low: Array
     high: Array
     normals: Array
     count: int
     unit: str | None  # where a header says it
+    spacing: Spacing
 
 
 @dataclass(frozen=True)
@@ -57,19 +60,23 @@ class Placed:
     origin_mm: tuple[float, float, float]
     scale: float
     side_mm: float  # the largest, before
+    split_mm: float | None = None  # where steps are too uneven for the reader's own rule
+    bead_mm: tuple[float, float] | None = None  # width and height, where they are the file's own
 
     @property
     def words(self) -> list[str]:
         """For the table."""
         at = " ".join(f"{value:g}" for value in self.origin_mm)
         out = [f"unit={self.unit}", f"up={self.up}", f"normals={self.normals}", f"origin_mm={at}"]
-        return [*out, f"side_mm={self.side_mm:.0f}"] + ([f"scale={self.scale:g}"] if self.scale != 1.0 else [])
+        out += [f"side_mm={self.side_mm:.0f}"] + ([f"scale={self.scale:g}"] if self.scale != 1.0 else [])
+        out += [] if self.split_mm is None else [f"split_mm={self.split_mm:.4g}"]
+        return out + ([] if self.bead_mm is None else [f"bead_mm={self.bead_mm[0]:g}x{self.bead_mm[1]:g}"])
 
-    def source(self, file: Path) -> dict[str, str | list[float]]:
+    def source(self, file: Path) -> dict[str, str | float | list[float]]:
         """The section `layers.source` of the problem."""
         return {
             "waypoints": str(file), "unit": self.unit, "up": self.up, "normals": self.normals,
-            "origin_mm": list(self.origin_mm),
+            "origin_mm": list(self.origin_mm), **({} if self.split_mm is None else {"split_mm": self.split_mm}),
         }  # fmt: skip
 
 
@@ -110,7 +117,10 @@ def look_at(file: Path) -> Look:
     points, normals = points[good], normals[good]
     lengths = np.linalg.norm(normals, axis=1)
     normals = normals / np.where(lengths > 0.0, lengths, 1.0)[:, None]
-    return Look(points.min(axis=0), points.max(axis=0), normals.sum(axis=0), len(points), unit)
+    spacing = spacing_of(points, normals)
+    if "bead" in values:  # the file says where beads begin
+        spacing = replace(spacing, split=None)
+    return Look(points.min(axis=0), points.max(axis=0), normals.sum(axis=0), len(points), unit, spacing)
 
 
 def together(looks: Iterable[Look]) -> Look:
@@ -122,15 +132,37 @@ def together(looks: Iterable[Look]) -> Look:
         np.sum([each.normals for each in every], axis=0),
         sum(each.count for each in every),
         next((each.unit for each in every if each.unit is not None), None),
+        Spacing(
+            step=_median([each.spacing.step for each in every]),
+            beside=_median([each.spacing.beside for each in every]),
+            above=_median([each.spacing.above for each in every]),
+            split=None,
+        ),
     )
 
 
-def place(look: Look, given: Meaning, height: float, reach: float, shrink: bool) -> Placed:
-    """Put a part onto the middle of bed or table, its lowest waypoint a bead's height [m] above it.
+def _median(values: Sequence[float]) -> float:
+    """Of those that are numbers; NaN where none is."""
+    numbers = [value for value in values if np.isfinite(value)]
+    return float(np.median(numbers)) if numbers else math.nan
 
-    reach: of the nozzle [m]; shrink: a part whose largest side is more than FIT of that is made so large.
+
+def place(
+    look: Look,
+    given: Meaning,
+    bead: tuple[float, float],
+    reach: float,
+    shrink: bool,
+    own_beads: bool = False,
+    lift_mm: float = 0.0,
+) -> Placed:
+    """Put a part onto the middle of bed or table, its lowest waypoint a bead's height above it.
+
+    bead: width and height [m]; reach: of the nozzle [m]; shrink: a part whose largest side is more than FIT of that is made
+    so large; own_beads: a bead is as high as the file's layers lie apart, and as wide as its passes, where they do;
+    lift_mm: how much higher the part stands, on a stub.
     """
-    unit = given.unit or look.unit or ("mm" if np.linalg.norm(look.high - look.low) >= SMALLEST_MM else "m")
+    unit = given.unit or look.unit or unit_of(float((look.high - look.low).max()), look.spacing)
     mean = look.normals / look.count
     up = given.up or ("y" if abs(mean[1]) > max(abs(mean[2]), LEANING) else "z")
     along = float(mean[1] if up == "y" else mean[2])
@@ -141,9 +173,25 @@ def place(look: Look, given: Meaning, height: float, reach: float, shrink: bool)
     largest = FIT * reach * 1e3
     scale = float(f"{largest / side:.3g}") if shrink and side > largest else 1.0
     middle = 0.5 * scale * (low + high)
-    origin = (-middle[0], -middle[1], height * 1e3 - scale * low[2])
+    to_mm = scale * _TO_MM[unit]
+    own = _own_bead(look.spacing, to_mm, bead) if own_beads else None
+    height = bead[1] * 1e3 if own is None else own[1]
+    origin = (-middle[0], -middle[1], height + lift_mm - scale * low[2])
     x, y, z = (round(float(value), 3) + 0.0 for value in origin)
-    return Placed(unit, up, normals, (x, y, z), scale, side)
+    split = look.spacing.split
+    # a little more than the step itself, however it is rounded
+    return Placed(
+        unit, up, normals, (x, y, z), scale, side, None if split is None else round(1.0001 * to_mm * split, 6), own
+    )
+
+
+def _own_bead(spacing: Spacing, to_mm: float, bead: tuple[float, float]) -> tuple[float, float] | None:
+    """Width and height [mm] that the file's passes speak for; None where it has no layers."""
+    if not np.isfinite(spacing.above):
+        return None
+    height = float(f"{to_mm * spacing.above:.2g}")
+    width = float(f"{to_mm * spacing.beside:.2g}") if np.isfinite(spacing.beside) else bead[0] * 1e3
+    return max(width, height), height
 
 
 def _turned(point: Array, up: str) -> Array:

@@ -24,6 +24,7 @@ from planner.toolpath.build import build_toolpath
 from planner.toolpath.interpolation import interpolate
 from planner.toolpath.task import NozzleTask
 from planner.toolpath.waypoints.reader import SAME_PLACE, distinct
+from planner.toolpath.waypoints.surfels import Surfels
 
 Array = NDArray[np.float64]
 DT = 0.004
@@ -277,3 +278,19 @@ def test_a_path_beneath_another_pass_is_named_with_its_line(lower: float, tmp_pa
         build_toolpath(problem)
     assert f"path 2 runs {lower - 0.5:.2f} mm deep in what another pass lies on" in caught.value.reason
     assert caught.value.line == 13 + 7
+
+
+def test_how_far_layers_lie_apart_is_told_along_their_normals(tmp_path: Path) -> None:
+    across = [" ".join(map(str, (6.0, k - 6.0, RADIUS - 4.0, 0, 0, 1))) for k in range(13)]
+    (tmp_path / "bad.txt").write_text("\n".join([row(k, 0) for k in range(13)] + across), encoding="utf-8")
+    (tmp_path / "two.yaml").write_text(
+        CAP.format(options=", split_mm: 2", speed=40, strategy="ladder"), encoding="utf-8"
+    )
+    toolpath = build_toolpath(load_problem(tmp_path / "two.yaml"))
+    upper, lower = toolpath.beads
+    gap = np.linalg.norm(upper.points[:, None] - lower.points[None], axis=2)
+    i = int(gap.min(axis=0).argmin())
+    surface = toolpath.surface
+    assert isinstance(surface, Surfels)
+    assert surface.nearest_layer(lower.points[i]) == pytest.approx(gap.min(), rel=0.05)
+    assert surface.nearest_layer(lower.points[i] + [0.0, 0.0, 0.5]) == np.inf

@@ -84,7 +84,7 @@ def test_columns_are_those_of_the_table() -> None:
 def test_keys_of_plan_json() -> None:
     data = json.loads((ROOT / "tests" / "golden" / "plan.json").read_text(encoding="utf-8"))
     assert list(data) == [key for key in KEYS if key in data]
-    assert set(KEYS) - set(data) <= {"materials", "splits", "tolerance", "refusal"}
+    assert set(KEYS) - set(data) <= {"materials", "nearer", "splits", "tolerance", "refusal"}
     dips = json.loads(plan_json(small_plan()))["dips"]
     assert [list(dip) for dip in dips] == [list(DIP_KEYS)] * len(dips)
     assert dips

@@ -18,6 +18,7 @@ from planner.problem import load_problem
 from planner.toolpath.build import build_toolpath
 
 HEIGHT, REACH = 0.8e-3, 0.9  # m
+BEAD = (1e-3, HEIGHT)
 OVER = np.linspace(0.0, 2.0 * np.pi, 60)
 RING = np.column_stack([100 + 20 * np.cos(OVER), -40 + 20 * np.sin(OVER), 7 + 0 * OVER])  # mm, z up
 UPWARDS = np.tile([0.0, 0.1, 1.0], (len(OVER), 1))
@@ -70,7 +71,7 @@ def test_files_are_found_in_their_order(folder: Path) -> None:
 )
 def test_every_format_is_the_same_ring(folder: Path, name: str, unit: str, up: str, normals: str) -> None:
     """However it is written, it stands in the middle, a bead's height above the bed, its normals upwards."""
-    placed = place(look_at(folder / name), Meaning(), HEIGHT, REACH, shrink=True)
+    placed = place(look_at(folder / name), Meaning(), BEAD, REACH, shrink=True)
     assert (placed.unit, placed.up, placed.normals, placed.scale) == (unit, up, normals, 1.0)
     source = json.dumps({"source": placed.source(folder / name)})
     problem = load_problem("curved_plate", [f"layers={source}", "part=null", "process.bead.height_mm=0.8"])
@@ -81,18 +82,18 @@ def test_every_format_is_the_same_ring(folder: Path, name: str, unit: str, up: s
 
 
 def test_what_is_given_is_not_guessed(folder: Path) -> None:
-    placed = place(look_at(folder / "10.txt"), Meaning("m", "y", "inward"), HEIGHT, REACH, shrink=False)
+    placed = place(look_at(folder / "10.txt"), Meaning("m", "y", "inward"), BEAD, REACH, shrink=False)
     assert (placed.unit, placed.up, placed.normals, placed.scale) == ("m", "y", "inward", 1.0)
     round_about = np.hstack([RING, np.column_stack([np.cos(OVER), np.sin(OVER), 0 * OVER])])  # a cylinder's
     np.savetxt(folder / "10.txt", round_about)
-    placed = place(look_at(folder / "10.txt"), Meaning(), HEIGHT, REACH, shrink=False)
+    placed = place(look_at(folder / "10.txt"), Meaning(), BEAD, REACH, shrink=False)
     assert (placed.up, placed.normals) == ("z", "outward")
 
 
 def test_what_is_too_big_is_shrunk_where_that_is_asked_for(folder: Path) -> None:
     look = look_at(folder / "huge.dat")
-    assert place(look, Meaning(), HEIGHT, REACH, shrink=False).scale == 1.0
-    placed = place(look, Meaning(), HEIGHT, REACH, shrink=True)
+    assert place(look, Meaning(), BEAD, REACH, shrink=False).scale == 1.0
+    placed = place(look, Meaning(), BEAD, REACH, shrink=True)
     assert placed.side_mm == 8000.0 and placed.scale == pytest.approx(FIT * REACH / 8.0, rel=1e-2)
     assert f"scale={placed.scale:g}" in placed.words and "side_mm=8000" in placed.words
     assert np.array(placed.origin_mm) == pytest.approx([-4000 * placed.scale, 0.0, 0.8])
@@ -101,7 +102,58 @@ def test_what_is_too_big_is_shrunk_where_that_is_asked_for(folder: Path) -> None
 def test_layers_stay_on_each_other(folder: Path) -> None:
     both = together([look_at(folder / "layers" / f"{k}.xyz") for k in (0, 1)])
     assert both.count == 2 * len(OVER)
-    assert place(both, Meaning(), HEIGHT, REACH, shrink=False).origin_mm == pytest.approx((-100, 40, -6.2), abs=0.1)
+    assert place(both, Meaning(), BEAD, REACH, shrink=False).origin_mm == pytest.approx((-100, 40, -6.2), abs=0.1)
+
+
+def stack(side: float, step: float, layer: float) -> np.ndarray:
+    """Waypoints of four passes beside each other, each two layers high, all in mm."""
+    x = np.arange(0.0, side + 0.5 * step, step)
+    rows = [
+        np.column_stack([x[:: 1 - 2 * (k % 2)], np.full(len(x), 1.5 * layer * k), np.full(len(x), layer * n)])
+        for n in range(2)
+        for k in range(4)
+    ]
+    return np.hstack([np.vstack(rows), np.tile([0.0, 0.0, 1.0], (len(rows) * len(x), 1))])
+
+
+@pytest.mark.parametrize("unit", ["mm", "m"])
+@pytest.mark.parametrize(
+    ("side", "step", "layer"),
+    [(3.0, 0.2, 0.2), (4.9, 0.5, 0.4), (40.0, 0.5, 0.5), (300.0, 5.0, 4.0), (900.0, 10.0, 8.0)],
+)
+def test_the_unit_is_told_by_steps_and_passes_too(
+    tmp_path: Path, unit: str, side: float, step: float, layer: float
+) -> None:
+    """A layer of 3 mm is not one of 3 m: its steps would be 200 mm long."""
+    values = stack(side, step, layer) * ([1e-3 if unit == "m" else 1.0] * 3 + [1.0] * 3)
+    np.savetxt(tmp_path / "a.txt", values, fmt="%.7g")
+    look = look_at(tmp_path / "a.txt")
+    for each in (look, together([look, look])):
+        placed = place(each, Meaning(), BEAD, REACH, shrink=False, own_beads=True)
+        assert placed.unit == unit
+        assert placed.side_mm == pytest.approx(side, rel=0.15)
+        assert placed.bead_mm == pytest.approx((1.5 * layer, layer), rel=0.02)
+        assert placed.origin_mm[2] == pytest.approx(layer, rel=0.02)
+    assert place(look, Meaning(), BEAD, REACH, shrink=False).bead_mm is None
+
+
+def test_one_pass_says_nothing_of_beads(folder: Path) -> None:
+    assert place(look_at(folder / "10.txt"), Meaning(), BEAD, REACH, shrink=False, own_beads=True).bead_mm is None
+
+
+def test_uneven_steps_are_not_torn_into_waypoints_that_stand_alone(tmp_path: Path) -> None:
+    """A meander written by its corners: its long sides are steps of the path."""
+    ends = [(0.0, 20.0), (20.0, 0.0)]
+    corners = [[ends[k % 2][i], 0.8 * k + over] for k in range(25) for i, over in ((0, 0.0), (1, 0.0), (1, 0.4))]
+    meander = np.hstack([corners, np.tile([0.5, 0.0, 0.0, 1.0], (len(corners), 1))])
+    np.savetxt(tmp_path / "meander.txt", np.vstack([meander, meander[::-1] + [100, 0, 0, 0, 0, 0]]), fmt="%.5g")
+    placed = place(look_at(tmp_path / "meander.txt"), Meaning(), BEAD, REACH, shrink=False)
+    assert placed.split_mm == pytest.approx(20.0, rel=1e-3) and f"split_mm={placed.split_mm:.4g}" in placed.words
+    source = json.dumps({"source": placed.source(tmp_path / "meander.txt")})
+    settings = [f"layers={source}", "part=null", "process.bead={width_mm: 0.8, height_mm: 0.5}"]
+    assert len(build_toolpath(load_problem("curved_plate", settings)).beads) == 2
+    np.savetxt(tmp_path / "even.txt", stack(40.0, 0.5, 0.5), fmt="%.5g")
+    assert place(look_at(tmp_path / "even.txt"), Meaning(), BEAD, REACH, shrink=False).split_mm is None
 
 
 @pytest.fixture

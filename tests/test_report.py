@@ -451,7 +451,7 @@ def test_deposition_time_stands_beside_both_bounds(tmp_path: Path, capsys: pytes
     assert f"over the bound without jerk limits │ {over[1]:.3f}" in out
     worst = max(plan.dips, key=lambda dip: dip.lost)
     assert f"{len(plan.dips)} dips cost" in out and f"the dearest: bead {worst.bead}, layer {worst.layer + 1}" in out
-    assert "joint_4 jerk; process.speed_mm_s: 18 would avoid it" in out
+    assert "joint_4 jerk; process.speed_mm_s: 18 would avoid it on this path (not planned anew)" in out
     assert with_ratios({"deposition_time_s": 3.0, "bound_deposition_time_s": 0.0}) == {
         "deposition_time_s": 3.0,
         "bound_deposition_time_s": 0.0,

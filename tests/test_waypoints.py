@@ -11,11 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import CubicSpline, make_interp_spline
 
 from benchmarks.peer_cases import CASES, SHIPPED, cap, cylinder, waypoint_text, write_case
 from benchmarks.scaling import sheet
 from planner.base.errors import InputError
+from planner.base.geometry import arc_lengths
 from planner.base.nearest import distance_to_polyline
 from planner.problem import Problem, find_problem, load_problem
 from planner.problem.layers import WaypointsSpec
@@ -632,3 +633,27 @@ def test_a_published_file_is_read(tmp_path: Path) -> None:
     path = make_interp_spline(np.arange(len(bead.s)), bead.points, k=5)(np.linspace(0, len(bead.s) - 1, 100_000))
     assert distance_to_polyline(points, path).max() <= problem.process.corner_tolerance
     assert np.median(distance_to_polyline(points, path)) < 5e-6
+
+
+@pytest.mark.parametrize("corner", [False, True])
+def test_waypoints_that_stand_too_close_together_are_not_all_sampled(corner: bool) -> None:
+    """A published blade has them 0.035 mm apart: over such steps joints have no third derivatives but noise."""
+    u = np.arange(0.0, 30.0, 0.035)  # mm along an arc, then off from it
+    bent = np.where(u > 15.0, np.radians(80.0), 0.0) if corner else 0.0 * u
+    heading = u / 40.0 + bent
+    steps = 0.035e-3 * np.column_stack([np.cos(heading), np.sin(heading), 0.0 * u])
+    points = np.cumsum(steps, axis=0)
+    normals = np.column_stack([0.2 * np.sin(u / 12.0), 0.0 * u, np.ones(len(u))])
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    curve = interpolate(points, normals, TOLERANCE, 4e-4, 3e-4)
+    assert len(curve.points) < len(points) / (2.5 if corner else 4.0)
+    s = arc_lengths(curve.points)
+    path, spin = CubicSpline(s, curve.points), CubicSpline(s, curve.normals)
+    every = np.linspace(0.0, s[-1], 20 * len(s))
+    off = distance_to_polyline(points, path(every))
+    away = np.abs(u - 15.0) > 12.0 if corner else u >= 0.0
+    assert off[away].max() < 2e-6
+    assert off.max() < (TOLERANCE if corner else 2e-6)
+    at = np.interp(arc_lengths(points), [0.0, arc_lengths(points)[-1]], [0.0, s[-1]])
+    if not corner:
+        assert np.degrees(np.linalg.norm(spin(at) - normals, axis=1)).max() < 0.01

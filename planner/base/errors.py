@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,28 @@ class OutputError(PlannerError):
     exit_code = EXIT_INPUT
 
 
+class Change(str):
+    """A hint that can be tried: a change of the problem that helped a search, in words.
+
+    tries: from the least change on, what is changed in words, and each field of it with its value as after `--set`, or a
+    MovedBy
+    """
+
+    tries: tuple[tuple[str, tuple[tuple[str, Any], ...]], ...]
+
+    def __new__(cls, words: str, tries: tuple[tuple[str, tuple[tuple[str, Any], ...]], ...] = ()) -> Change:
+        change = super().__new__(cls, words)
+        change.tries = tries
+        return change
+
+
+@dataclass(frozen=True)
+class MovedBy:
+    """In place of a field's value: a vector [mm] that is added to it."""
+
+    vector: tuple[float, float, float]
+
+
 class Refusal(PlannerError):
     """There is no plan, and this is where and why.
 
@@ -96,6 +119,11 @@ class Refusal(PlannerError):
         if callable(self._hints):
             self._hints = self._hints()
         return self._hints
+
+    def trying(self, tried: Callable[[Hints], Hints]) -> None:
+        """Have its hints tried, by what makes of hints those that hold, when they are first asked for."""
+        given = self._hints
+        self._hints = lambda: tried(given() if callable(given) else given)
 
     def __reduce__(self) -> str | tuple[Any, ...]:
         self._hints = self.hints  # what finds them cannot go to another process

@@ -9,18 +9,38 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array, read_only
 from planner.base.compiled import njit
 
+_IN_DOUBT = 1e-5  # m: what is nearer than this by its nearest vertices is not looked at again
+_FIRST_AGAIN = 8  # vertices that are looked at then, and ever twice as many
+
 
 def distance_to_polyline(points: Array, polyline: Array) -> Array:
-    """Distances (n) from points (n, 3) to a polyline (m, 3) whose vertices lie close together.
+    """Distances (n) [m] from points (n, 3) to a polyline (m, 3).
 
-    Exact if a point's nearest segment touches one of its two nearest vertices (two, because a closed polyline has
-    its first vertex twice), as it does when vertices are closer to each other than the line is to itself elsewhere.
+    Exact where they are more than _IN_DOUBT, and else if a point's nearest segment touches one of its two nearest vertices
+    (two, because a closed polyline has its first vertex twice), as it does when vertices are closer to each other than the
+    line is to itself elsewhere. Where a line crosses itself, the nearest vertex may be another pass's.
     """
     if len(points) == 0:
         return np.zeros(0)
     # a tree of sliding midpoints is built in half the time, and as good for points in a row
-    _, nearest = cKDTree(polyline, balanced_tree=False, compact_nodes=False).query(points, k=2)
-    return _distances(read_only(points), read_only(polyline), nearest)
+    tree = cKDTree(polyline, balanced_tree=False, compact_nodes=False)
+    points, polyline = read_only(points), read_only(polyline)
+    _, nearest = tree.query(points, k=2)
+    found = _distances(points, polyline, nearest)
+    half = 0.5 * float(np.linalg.norm(np.diff(polyline, axis=0), axis=1).max(initial=0.0))
+    doubt, count = np.flatnonzero(found > _IN_DOUBT), _FIRST_AGAIN
+    while len(doubt):
+        count = min(count, len(polyline))
+        away, nearest = tree.query(points[doubt], k=count)
+        found[doubt] = _distances(read_only(points[doubt]), polyline, nearest.reshape(len(doubt), count))
+        # one end of the nearest segment is at most half a segment farther away than the segment itself
+        doubt = (
+            doubt[(away.reshape(len(doubt), count)[:, -1] < found[doubt] + half)]
+            if count < len(polyline)
+            else doubt[:0]
+        )
+        count *= 2
+    return found
 
 
 @njit(cache=True)

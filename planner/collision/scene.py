@@ -164,18 +164,21 @@ def looked_at(a: CollisionBody, b: CollisionBody, part_frame: int) -> bool:
 PART = "part or print"
 BLOCK = 1024  # postures along which what was far enough is remembered
 _FAR = 0.2  # m: greater margins are not told apart along a motion
+_SAME_MARGIN = 1e-4  # m: margins that differ by more are of different bodies
 _POSTURES = 64  # a pair of an arm's own bodies that touches at all of so many belongs together
 
 
 @dataclass(frozen=True)
 class Around:
     """What obstacles are made of besides the cell: clearances of head and robots [m], the slack of the head's near the
-    tip (n beads, see `nearest_point`), and the points of part and print in the part frame, with what does not move there."""
+    tip (n beads, see `nearest_point`), and the points of part and print in the part frame, with what does not move there;
+    body: whose these points are."""
 
     nozzle: float
     arm: float
     slack: Array
     part: PointTree
+    body: PrintBody | None = None
 
 
 @dataclass(frozen=True)
@@ -219,6 +222,16 @@ class Obstacles:
         if self.around is None or nozzle >= self.around.nozzle:
             return None
         return _assembled(cell, replace(self.around, nozzle=nozzle))
+
+    def standing(self, cell: Cell, q: Array, now: float, margin: float) -> tuple[str, ...]:
+        """Names of the bodies that stand with the part where it is one of them, not part or print, that leaves a posture
+        q (nj) at a time of the print so little margin [m]; none where it is not."""
+        around = self.around
+        if around is None or around.body is None or not around.body.bodies:
+            return ()
+        alone = _assembled(cell, replace(around, part=around.body.without_bodies.tree))
+        without, _ = alone.margins(q[None], np.array([now]), np.inf)
+        return around.body.names[: around.body.bodies] if without[0] > margin + _SAME_MARGIN else ()
 
     def margins(self, q: Array, now: Array, enough: float, more: float = 0.0) -> tuple[Array, Ints]:
         """Least clearance (n) beyond what is needed at postures q (n, nj) at times of the print now (n), if below
@@ -297,7 +310,7 @@ def obstacles_of(problem: Problem, cell: Cell, toolpath: Toolpath, body: PrintBo
     """What may touch in a problem's cell while a toolpath is printed; body: as for `verify`."""
     body = body or print_body(toolpath, standing(cell))
     keep = problem.collision
-    return _assembled(cell, Around(keep.nozzle, keep.arm, tip_slack(problem.cell.nozzle, toolpath), body.tree))
+    return _assembled(cell, Around(keep.nozzle, keep.arm, tip_slack(problem.cell.nozzle, toolpath), body.tree, body))
 
 
 def _assembled(cell: Cell, around: Around) -> Obstacles:

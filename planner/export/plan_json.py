@@ -104,6 +104,7 @@ KEYS = {
     "checks": "each with name, worst value, limit, unit, ok, and where the worst is",
     "metrics": "by name",
     "notes": "what was left out of the input, or changed in it, in sentences",
+    "nearer": "what nozzle and head keep from part and print, where that is less than usual, and why; only then",
     "splits": "where drawn beads are laid in pieces, each as a bead; only where process.split_beads made some",
     "dips": "stretches where the tip is slower than commanded, each with cause and remedies",
     "events": "what the extruder and its heating do besides, in order of time",
@@ -155,6 +156,7 @@ def plan_json(plan: Plan) -> str:
         "checks": checks,
         "metrics": plan.metrics,
         "notes": plan.toolpath.notes,
+        **_nearer(plan),
         **_splits(plan),
         "dips": [_dip(dip) for dip in plan.dips],
         "events": [
@@ -177,6 +179,14 @@ def plan_json(plan: Plan) -> str:
         "settings": plan.settings,
     }
     return json.dumps(_plain(data), indent=1, allow_nan=False) + "\n"
+
+
+def _nearer(plan: Plan) -> dict[str, Any]:
+    """What is kept where it is less than usual; nothing where it is not."""
+    if plan.nearer is None:
+        return {}
+    kept, usual = (round(each * 1e3, DIP_DECIMALS) for each in (plan.nearer.kept, plan.nearer.usual))
+    return {"nearer": {"nozzle_mm": kept, "usual_mm": usual, "because": plan.nearer.because}}
 
 
 def _splits(plan: Plan) -> dict[str, Any]:

@@ -24,6 +24,7 @@ class Measure:
 
 
 ONLY_LEAN = "process.cones.nozzle_normal_deg is not 0"
+ONLY_WAYPOINTS = "a file of waypoints is printed, and smoothing or a cone may turn the nozzle from its normals"
 ONLY_SWITCHED = "process.extruder.motor is on_off"
 ONLY_MOTOR = "process.extruder.motor is not on_off"
 ONLY_BOUNDED = (
@@ -113,6 +114,12 @@ METRICS: dict[str, Measure] = {
         "deg",
         "how far the nozzle's axis is off the surface normal, or leaves its cone about it",
         "axis by forward kinematics, normal of the input surface there",
+    ),
+    "file_normal_max_deg": Measure(
+        "deg",
+        "how far the nozzle's axis is off the normals as the file of waypoints has them",
+        "axis by forward kinematics where the tip passes each waypoint, against its normal in the file, read again",
+        ONLY_WAYPOINTS,
     ),
     "tilt_max_deg": Measure(
         "deg",
@@ -329,6 +336,13 @@ CHECKS: dict[str, Measure] = {
         "robot and extruder rest for each change, and purge",
         "time without motion; the limit is two samples",
         "process.materials are several",
+    ),
+    "axis near the file's normals": Measure(
+        "deg",
+        "smoothing turns the nozzle from the normals of a file of waypoints by no more than it may",
+        "see file_normal_max_deg; the limit is layers.source.smooth_normals_deg, 3 unless it is given, and what the nozzle may "
+        "lean; where a corner is rounded, what normals differ there besides",
+        ONLY_WAYPOINTS,
     ),
     "nozzle tip outside the part": Measure(
         "mm", "the tip never enters the part as far as it is printed", "see tip_clearance_min_mm"

@@ -152,6 +152,27 @@ class Dip:
         return CAUSES.get(self.limit) or f"{self.joint} {self.limit}"
 
 
+@dataclass(frozen=True)
+class Nearer:
+    """Nozzle and head keep less from part and print than usual, since there is no way with that; distances in metres.
+
+    because  why not, in words
+    """
+
+    kept: float
+    usual: float
+    because: str
+
+    @property
+    def words(self) -> str:
+        """As a note for the user."""
+        kept, usual = (f"{each * 1e3:g}" for each in (self.kept, self.usual))
+        return (
+            f"nozzle and head keep {kept} mm from part and print instead of {usual}, and are verified by that: {self.because}; "
+            f"collision.nozzle_mm: {usual} asks for all of it"
+        )
+
+
 def resumed_name(name: str, first_bead: int) -> str:
     """What a problem's print is called that begins with a bead; the problem's own name if that is the first one."""
     return f"{name}_from_{first_bead}" if first_bead else name
@@ -177,6 +198,7 @@ class Plan:
     view:     the bodies of the cell, for pictures
     paths:    joints along each bead that is laid, by arc length, before they were timed; with roll and tilt
     roll_maps: what roll could have been chosen: along the whole print, then along the beads where it is tightest
+    nearer:   what nozzle and head keep from part and print, where it is less than usual; the problem says it, too
     """
 
     problem: Problem
@@ -198,6 +220,7 @@ class Plan:
     view: CellView | None = None
     paths: tuple[JointPath, ...] = ()
     roll_maps: tuple[RollMap, ...] = ()
+    nearer: Nearer | None = None
 
     @property
     def first_bead(self) -> int:

@@ -24,15 +24,17 @@ from planner.motion.dips import find_dips
 from planner.motion.timing.timed_path import TimedPath, bound_time, time_path
 from planner.motion.trajectory import join
 from planner.motion.travel.plan import Travel, carried_travels, plan_travels
-from planner.plan import Plan, Trajectory
+from planner.plan import Nearer, Plan, Trajectory
 from planner.plan.robustness import Robustness, Tolerance, parse_tolerance
 from planner.planning.candidates import DEFAULT, PlannedPaths, best_of_all
+from planner.planning.clearance import coming_nearer, lacks_clearance_only, may_come_nearer
 from planner.planning.context import PlanningContext, context_of
 from planner.planning.distributed import sqp_over
 from planner.planning.finer import ROUNDS, with_finer_samples, worst_off
 from planner.planning.options import DEFAULT_DT, MAX_DT, MIN_DT
 from planner.planning.pieces import MORE_ROOM, in_pieces
 from planner.planning.robustness import assess_robustness
+from planner.planning.tried import hints_that_hold
 from planner.problem import Problem, load_problem
 from planner.report.html import write_report
 from planner.resolve.bound import MOST_CHOSEN, MOST_WAYPOINTS, bound_any_path
@@ -109,11 +111,21 @@ def solve(
         check_cones(problem, cell, given.tasks)
     with _baseline_beside(baseline and strategy != BASELINE, given, dt, second_process) as baseline_metrics:
         shared = second_process and _waypoints(toolpath) >= WORTH_A_FORK
-        if pieces:
-            given, planned, maps = _planned_in_pieces(strategy, given, dt, stages, shared, first_bead)
-        else:
-            given, planned, maps = _planned(strategy, given, dt, stages, shared, over)
-        toolpath = given.toolpath
+
+        def print_of(given: PlanningContext, over: Spread | None = None) -> Planned:
+            if pieces:
+                return _planned_in_pieces(strategy, given, dt, stages, shared, first_bead)
+            return _planned(strategy, given, dt, stages, shared, over)
+
+        try:
+            (given, planned, maps), nearer = _as_clear_as_can_be(strategy, given, print_of, stages, over)
+        except Refusal as refusal:
+            again = partial(solve, strategy=strategy, dt=dt, first_bead=first_bead, baseline=False)
+            refusal.trying(partial(hints_that_hold, problem, toolpath, plan=again))
+            raise
+        problem, toolpath = given.problem, given.toolpath
+        if nearer is not None:
+            toolpath = replace(toolpath, notes=(*toolpath.notes, nearer.words))
         trajectory, report, rest = planned.trajectory, planned.report, planned.paths[first_bead:]
         with stages.stage("dips"):
             dips = find_dips(problem, cell, toolpath, planned.paths, trajectory)
@@ -144,11 +156,12 @@ def solve(
         headroom=judged,
         paths=tuple(rest),
         roll_maps=maps,
+        nearer=nearer,
     )
 
 
 def try_out(problem: Problem, toolpath: Toolpath, strategy: str, second_process: bool = False) -> Report:
-    """What verification says of the plan that `solve` would make, without dips and baseline.
+    """What verification says of the plan that `solve` would make, without dips and baseline, and with all of its clearance.
 
     toolpath: the problem's own, which does not depend on its cell. Raises Refusal where there is no plan at all.
     """
@@ -199,6 +212,35 @@ def _within(first_bead: int, toolpath: Toolpath) -> int:
 
 
 Planned = tuple[PlanningContext, PlannedPaths, tuple[RollMap, ...]]  # what was planned, the plan, and its maps of roll
+
+
+def _as_clear_as_can_be(
+    strategy: str,
+    given: PlanningContext,
+    print_of: Callable[..., Planned],
+    stages: Stages,
+    over: Spread | None,
+) -> tuple[Planned, Nearer | None]:
+    """What is planned, with the usual clearance of nozzle and head; where that cannot be kept, and nobody asked for it, with
+    the greatest that gives a verified plan. Raises Refusal."""
+    refusal, found = None, None
+    try:
+        found = print_of(given, over)
+    except Refusal as none:
+        refusal = none
+    stuck = found is None or lacks_clearance_only(found[1].report)
+    if stuck and strategy not in UNAWARE and may_come_nearer(given.problem):
+        because = "a plan with that comes too near" if refusal is None else str(refusal)
+        for told, nearer in coming_nearer(given, because, stages):
+            try:  # other processes read the problem as it was
+                again = print_of(nearer)
+            except Refusal:
+                continue
+            if again[1].verified:
+                return again, told
+    if found is None:
+        raise refusal or RuntimeError("no plan and no refusal")
+    return found, None
 
 
 def _planned(

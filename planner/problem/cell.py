@@ -78,7 +78,10 @@ class CollisionSpec(Section):
     """How far everything in the cell keeps apart."""
 
     nozzle: Annotated[float, Quantity("mm", 0, 100)] = key(
-        "nozzle_mm", "least distance of nozzle and print head from all but what lies at the nozzle's tip [mm]", 2
+        "nozzle_mm",
+        "least distance of nozzle and print head from all but what lies at the nozzle's tip [mm]; default: 2, or where no "
+        "verified plan keeps that, the first of 1, 0.5, 0.2 and 0 that one keeps",
+        2,
     )
     arm: Annotated[float, Quantity("mm", 0, 1000)] = key(
         "arm_mm", "least distance of the robots' links from each other, from fixtures, part and print [mm]", 5

@@ -105,7 +105,9 @@ def _dips(plan: Plan) -> str:
     lost = sum(dip.lost for dip in dips)
     count = "1 dip costs" if len(dips) == 1 else f"{len(dips)} dips cost"
     text = f"{count} {lost:.2f} s; the dearest: {place_words(worst)}, {worst.speed * 1e3:.1f} mm/s, {worst.cause}"
-    return text + (f"; {worst.remedies[0].words} would avoid it" if worst.remedies else "")
+    return text + (
+        f"; {worst.remedies[0].words} would avoid it on this path (not planned anew)" if worst.remedies else ""
+    )
 
 
 def _number(value: float, decimals: int) -> str:

@@ -49,6 +49,7 @@ METRICS = (
     MetricLabel("jerk_ratio_max", "Joint jerk, worst share of its limit", "%", 1, 100, "down", 100),
     MetricLabel("position_error_max_mm", "Tip off the planned line, worst", "mm", 4, better="down"),
     MetricLabel("axis_error_max_deg", "Nozzle axis off the surface normal, worst", "°", 4, better="down"),
+    MetricLabel("file_normal_max_deg", "Nozzle axis off the file’s own normals, worst", "°", 3, better="down"),
     MetricLabel("tilt_max_deg", "Nozzle leans from the surface normal, at most", "°", 2, better="down"),
     MetricLabel("tilt_bead_error_max_mm", "  that leaves a bead's edges off its height by", "mm", 4, better="down"),
     MetricLabel("path_deviation_max_mm", "Rounded corners: off the drawn path, worst", "mm", 3, better="down"),

@@ -7,18 +7,18 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from planner.base.arrays import Array
-from planner.base.errors import Blocked, Refusal
+from planner.base.errors import Blocked, Change, MovedBy, Refusal
 from planner.base.processes import cores
 from planner.cell.cell import Cell, translation
 from planner.cell.robot import chain_of
-from planner.collision.scene import NOTHING, Obstacles
+from planner.collision.scene import NOTHING, PART, Obstacles
 from planner.resolve.joint_path import JointPath, SampledTasks, flange_poses, postures, refuse_at, spread, upright
 from planner.resolve.nodes import Grid, Nodes, evaluate, full_grid
 from planner.resolve.reach import CLEAR_ROOM, LIMIT_ROOM
@@ -31,7 +31,7 @@ from planner.toolpath.task import NozzleTask
 # Nothing here is guessed: a change is only named after the same nodes and the same search have been tried with it.
 
 TILTS = (5.0, 10.0, 20.0)  # deg from the surface normal
-_NEARER = (1e-3, 0.5e-3, 0.2e-3, 0.0)  # m of clearance of nozzle and head, where more is asked for
+NEARER = (1e-3, 0.5e-3, 0.2e-3, 0.0)  # m of clearance of nozzle and head, where more is asked for
 _AZIMUTHS = 12  # directions in which the nozzle is tilted
 _TURN_STEP, _MOST_TURN = 15.0, 180.0  # deg, of a held axis from where it is
 _MOVES = (0.025, 0.05, 0.1, 0.2, 0.4, 0.8)  # m, of the part; beyond what is missing, where that is known
@@ -156,8 +156,9 @@ def _finer_hints(stuck: Stuck) -> tuple[str, ...]:
     if replace(stuck, grid=replace(stuck.grid, roll_step=roll, holder_step=table)).serves(stuck.cell) != _ALONG:
         return ()
     swept = len(stuck.cell.chosen) > 0 and stuck.grid.swept is not None
-    steps = f"roll_step_deg: {np.degrees(roll):g}" + (f", table_step_deg: {np.degrees(table):g}" if swept else "")
-    return (f"resolve: {{{steps}}} {_GIVES[_ALONG]}",)
+    steps = {"roll_step_deg": f"{np.degrees(roll):g}"} | ({"table_step_deg": f"{np.degrees(table):g}"} if swept else {})
+    what = f"resolve: {{{', '.join(f'{key}: {value}' for key, value in steps.items())}}}"
+    return (_change(_ALONG, (what, tuple((f"resolve.{key}", value) for key, value in steps.items()))),)
 
 
 def _tilt_hints(stuck: Stuck) -> tuple[str, ...]:
@@ -167,7 +168,9 @@ def _tilt_hints(stuck: Stuck) -> tuple[str, ...]:
     for tilt in TILTS:
         if stuck.serves_tilted(np.radians(tilt)):
             if leans:
-                return (f"process.cones.nozzle_normal_deg: {tilt:g} lets the nozzle lean clear here",)
+                key = "process.cones.nozzle_normal_deg"
+                more = tuple((f"{key}: {each:g}", ((key, f"{each:g}"),)) for each in TILTS if each >= tilt)
+                return (Change(f"{key}: {tilt:g} lets the nozzle lean clear here", more),)
             return (
                 f"a nozzle tilted {tilt:g} deg from the surface normal has a posture here, but the search keeps it on the "
                 "normal: turn the part, or the normals",
@@ -178,19 +181,28 @@ def _tilt_hints(stuck: Stuck) -> tuple[str, ...]:
 def _nearer_hints(stuck: Stuck) -> tuple[str, ...]:
     """The greatest distance of nozzle and head that would do: less than is asked for, and still no contact."""
     found: tuple[int, float] = (0, 0.0)
-    for nozzle in _NEARER:
+    for nozzle in NEARER:
         nearer = stuck.obstacles.with_nozzle_at(stuck.cell, nozzle)
         gives = 0 if nearer is None else replace(stuck, obstacles=nearer).serves(stuck.cell)
         if gives > found[0]:
             found = gives, nozzle
         if gives == _ALONG:
             break
-    return (f"collision.nozzle_mm: {found[1] * 1e3:g} {_GIVES[found[0]]}",) if found[0] else ()
+    if not found[0]:
+        return ()
+    key = "collision.nozzle_mm"
+    less = (f"{each * 1e3:g}" for each in NEARER if each <= found[1])
+    return (_change(found[0], *((f"{key}: {mm}", ((key, mm),)) for mm in less)),)
+
+
+def _change(gives: int, *tries: tuple[str, tuple[tuple[str, Any], ...]]) -> Change:
+    """The hint of a change, of which the least one, the first, gives this in the coarse search."""
+    return Change(f"{tries[0][0]} {_GIVES[gives]}", tries)
 
 
 def _turn_hints(stuck: Stuck, wanted: int) -> tuple[str, ...]:
     """For each held axis of the positioner the nearest angle that helps."""
-    hints = []
+    hints: list[Change] = []
     for name, now in stuck.cell.held.items():
         found: tuple[int, float] = (0, 0.0)
         no_path = 0
@@ -202,7 +214,9 @@ def _turn_hints(stuck: Stuck, wanted: int) -> tuple[str, ...]:
             if gives == _ALONG or no_path == _ENOUGH:
                 break
         if found[0] >= wanted:
-            hints.append(f"cell.positioner.held_deg: {{{name}: {np.degrees(found[1]):g}}} {_GIVES[found[0]]}")
+            key, angle_deg = "cell.positioner.held_deg", f"{np.degrees(found[1]):g}"
+            what = f"{key}: {{{name}: {angle_deg}}}"
+            hints.append(_change(found[0], (what, ((f"{key}.{name}", angle_deg),))))
     return tuple(hints)
 
 
@@ -258,7 +272,8 @@ def _move_hints(stuck: Stuck, point: Array, missing: float | None, wanted: int) 
         mm = round(distance * 1e3, 1)
     field = "cell.bed_mm" if stuck.cell.holder_robot is None else "cell.positioner.origin_mm"
     x, y, z = (round(float(v), 1) + 0.0 for v in mm * ways[way])
-    return (f"{field}: the part moved {mm:g} mm {way}, by [{x:g}, {y:g}, {z:g}], {_GIVES[gives]}",)
+    what = f"{field}: the part moved {mm:g} mm {way}, by [{x:g}, {y:g}, {z:g}],"
+    return (_change(gives, (what, ((field, MovedBy((x, y, z))),))),)
 
 
 def _directions(cell: Cell, point: Array) -> dict[str, Array]:
@@ -304,6 +319,7 @@ _GIVES = {_HERE: "gives postures here, though no path all along", _ALONG: "gives
 # ----------------------------------------------------------------------------------------------------
 # Why there is no path: which rung ran out of candidates, and for what reason.
 
+STEEP = np.radians(20.0)  # between path and surface: the face's edge is a third of its radius beneath the tip
 SLIGHT = 1e-4  # m of clearance that a path between rungs may lack
 _TRIED = 72  # rolls and holder angles that the diagnosis looks at
 
@@ -372,7 +388,12 @@ def refuse_rung(
             now = np.full(len(tried), demand.now[demand.rung[rung]])
             margin, which = obstacles.margins(tried, now, np.inf, CLEAR_ROOM)
             k = int(np.argmax(margin))
-            every = _collision(obstacles, int(which[k]), float(margin[k]), "every posture of the search here")
+            standing = obstacles.standing(cell, tried[k], float(now[k]), float(margin[k]) + CLEAR_ROOM)
+            every = _collision(obstacles, int(which[k]), float(margin[k]), "every posture of the search here", standing)
+            down = _descent(task, i)
+            if down > STEEP:
+                every += f"; the path runs {np.degrees(down):.0f} deg down its own normals here, so that a nozzle on them dips "
+                every += "into what it has just laid"
             refuse(every, kind=Blocked)
         reason = "no posture on the search's grid, though there are some between its steps: search finer"
         refuse_at(task, i, reason, hints=partial(path_hints, stuck, task.tip[i]))
@@ -413,9 +434,18 @@ def refuse_collision(cell: Cell, paths: Sequence[JointPath], obstacles: Obstacle
         refuse_at(paths[worst].task, i, what)
 
 
-def _collision(obstacles: Obstacles, which: int, margin: float, subject: str) -> str:
+def _collision(obstacles: Obstacles, which: int, margin: float, subject: str, standing: Sequence[str] = ()) -> str:
+    """standing: what stands with the part, where it is that which is too near, see `Obstacles.standing`."""
     one, other = obstacles.names(which)
+    other = " or ".join(standing) if other == PART and standing else other
     return f"collision of {one} with {other}: {subject} lacks {-margin * 1e3:.1f} mm of clearance"
+
+
+def _descent(task: NozzleTask, i: int) -> float:
+    """Angle [rad] by which the path at sample i runs into the surface that its normal stands on."""
+    way = task.tip[min(i + 1, len(task) - 1)] - task.tip[max(i - 1, 0)]
+    length = float(np.linalg.norm(way))
+    return float(np.arcsin(np.clip(-(way @ task.normals[i]) / length, -1.0, 1.0))) if length > 0.0 else 0.0
 
 
 def _postures_at(cell: Cell, demand: SampledTasks, grid: Grid, rung: int, min_sigma: float) -> Array:

@@ -44,6 +44,9 @@ _LOOKS = np.linspace(0.0, 1.0, 7)[1:-1]  # places within a step where that is lo
 _MOST_CELLS = 8_000_000  # of a grid on which corners are averaged: some 2 GB
 _RESOLVED = 1e-5  # m, third difference of the direction, times the step: below, a sample a waypoint is enough
 _MOST_PER_STEP = 4.0  # samples
+# Waypoints that stand so close together tell nothing that those farther apart do not; joints by the millimetre that are
+# known no better than to some digits have no third derivatives over such steps, and the print would be slow by their noise.
+_TOO_DENSE, _ENOUGH = 1e-4, 2.5e-4  # m, usual distance of waypoints; distance of samples that is enough then
 _SHAKY = 0.05  # third difference of normals from which on they count as rough
 _BESIDE = 8  # waypoints from an end that are beside it
 _LESS = 1.0 - 1e-6  # share of a distance below which another one counts as less
@@ -109,6 +112,8 @@ def interpolate(points: Array, normals: Array, tolerance: float, apart: float, e
     corners = _round(path, chord, sharp, turn, tolerance)
 
     per_step = np.maximum(_samples_per_step(points, normals, chord, sharp), step / (_LOOSEST * apart))
+    if float(np.median(step)) < _TOO_DENSE:
+        per_step = np.minimum(per_step, np.maximum(_fewest_per_step(points, normals, chord, sharp), step / _ENOUGH))
     density = SampleDensity.of_steps(chord, per_step)
     for corner in corners:
         at = chord[sharp]
@@ -208,6 +213,16 @@ def _samples_per_step(points: Array, normals: Array, chord: Array, sharp: NDArra
         shaky = maximum_filter1d(shaky, 5, mode="constant")
     needed = np.maximum((rough / _RESOLVED) ** 0.25, (shaky / _SHAKY) ** 0.5)
     return np.asarray(np.clip(needed, 1.0, _MOST_PER_STEP))
+
+
+def _fewest_per_step(points: Array, normals: Array, chord: Array, sharp: NDArray[np.int64]) -> Array:
+    """How many samples, or what part of one, each step (m - 1) of dense waypoints needs: as far as they bend over _ENOUGH."""
+    every = max(int(_ENOUGH / float(np.median(np.diff(chord)))), 1)
+    kept = np.union1d(np.arange(0, len(chord), every), np.append(sharp, len(chord) - 1))
+    few = np.unique(np.searchsorted(kept, sharp))
+    few = few[(few > 0) & (few < len(kept) - 1)]
+    needed = _samples_per_step(points[kept], normals[kept], chord[kept], few) / np.diff(kept)
+    return np.repeat(needed, np.diff(kept))
 
 
 def _calm_spline(chord: Array, rows: Array, sharp: NDArray[np.int64]) -> tuple[BSpline, NDArray[np.int64]]:

@@ -36,6 +36,7 @@ from planner.verify.checks import (
 )
 from planner.verify.collision import keep_apart, sweep_cell
 from planner.verify.executed import executed_motion, straight_at
+from planner.verify.input_normals import file_normals
 from planner.verify.material import extrusion
 from planner.verify.nozzle import beyond, by_the_tip
 
@@ -83,6 +84,7 @@ def verify(
             _records(judged),
             _limits(judged),
             _geometry(judged),
+            file_normals(judged),
             _coverage(judged),
             _singularity(judged),
             _speed(judged),

@@ -20,13 +20,13 @@ from planner.base.geometry import angles_between, arc_lengths, subdivided
 from planner.problem import Problem
 from planner.problem.layers import WaypointLayersSpec
 from planner.problem.process import ProcessSpec
-from planner.toolpath.bead import Bead, Surface, Toolpath
+from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.interpolation import Interpolated, TooRough, interpolate
 from planner.toolpath.plane_paths import check_size, length, make_bead
 from planner.toolpath.task import noise_of, roll_zeros
 from planner.toolpath.waypoints.normals import UNASKED, calm_normals
 from planner.toolpath.waypoints.reader import Waypoints, read_waypoints
-from planner.toolpath.waypoints.surfels import with_layers
+from planner.toolpath.waypoints.surfels import Surfels, with_layers
 
 MOST_TURN = 90.0  # deg, of the normal from one waypoint to the next: no surface that a nozzle can follow turns further
 STEEPEST = 0.8  # sine of the angle between path and surface; steeper over half its length, it is on no surface
@@ -34,6 +34,7 @@ LOOKS_PER_WIDTH = 4.0  # places in each bead's width of a path at which it is se
 NOTED = np.radians(0.05)  # noise of half the normals; of those that come from formulas it is less than a tenth
 CLEAR = 2e-5  # m, and a tenth of a bead's height: how far it must be, since it may be that far off its path
 
+_UNLIKE = 1.5  # times a bead's height from which on layers are evidently farther apart than that
 _APART = 0.5  # of the bead's width: passes lie no closer to each other
 _PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
 
@@ -102,7 +103,7 @@ def _check_slope(path: Waypoints, file: Path) -> None:
         )
 
 
-def check_clear(path: Waypoints, bead: Bead, surface: Surface, file: Path) -> None:
+def check_clear(path: Waypoints, bead: Bead, surface: Surfels, file: Path) -> None:
     """Raise InputError, with file and line, where the nozzle would lay the path's bead inside the part.
 
     surface: what the first layer lies on and all that is printed before the bead. Inside is where passes contradict
@@ -116,11 +117,15 @@ def check_clear(path: Waypoints, bead: Bead, surface: Surface, file: Path) -> No
         i = int(np.argmin(gap))
         depth = f"{-gap[i] * 1e3:.2f} mm deep " if gap[i] < -CLEAR else ""
         _, nearest = cKDTree(path.points).query(points[i])
+        hint = "passes that cross or lie beside each other stand at one height, or a bead's height apart"
+        layer, height = surface.nearest_layer(points[i]), float(bead.height.min())
+        if layer > _UNLIKE * height:
+            hint += f"; here the nearest one above or below is {layer * 1e3:.1f} mm away, beads are {height * 1e3:g} mm high"
         raise InputError(
             f"near here {path.name} runs {depth}in what another pass lies on",
             file=file,
             line=int(path.lines[nearest]),
-            hint="passes that cross or lie beside each other stand at one height, or a bead's height apart",
+            hint=hint,
         )
 
 

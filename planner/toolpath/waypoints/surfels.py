@@ -20,6 +20,7 @@ FAR = 50e-3  # m: what is farther away than this is that far away
 SHELL = 10e-3  # m of solid beneath a disc
 _NEIGHBOURS = 8  # that are looked at to see what lies beneath a waypoint
 _STENCIL = 6  # samples through which normals are interpolated
+_ABOVE = 0.9  # of the distance, along the normal: a place of another layer
 _MANY = 2_000  # points, fewer than which threads take longer to start than to search
 _STEPS = 3  # of Newton's method for the nearest place on a bead
 
@@ -76,6 +77,15 @@ class Surfels:
         inside = (above < 0.0) & (above > -SHELL) & (aside <= -above)
         distance = np.where(inside, -1.0, 1.0) * np.hypot(above, aside)
         return np.where(nearest < 0, FAR, distance)
+
+    def nearest_layer(self, point: Array) -> float:
+        """Distance [m] of a point (3) from the nearest sample that lies above or below it, along its own normal; infinite where
+        none does within FAR."""
+        near = self.tip_tree.query_ball_point(point, FAR)
+        way = point - self.tips[near]
+        away = np.linalg.norm(way, axis=1)
+        above = np.abs((way * self.outward[near]).sum(axis=1)) > _ABOVE * away
+        return float(away[above & (away > 0.0)].min(initial=np.inf))
 
     def normals(self, points: Array) -> Array:
         """Outward unit normals (n, 3) at the places of the beads nearest to points (n, 3)."""

@@ -1,0 +1,61 @@
+"""Clearance given up where nothing else is left: nozzle and head nearer to part and print than usual, but never in them.
+
+A user's own `collision.nozzle_mm` is never lowered.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from planner.base.errors import Refusal
+from planner.base.progress import Stages
+from planner.plan import Nearer
+from planner.planning.context import PlanningContext, context_of
+from planner.problem import Problem
+from planner.resolve.infeasible import NEARER
+from planner.resolve.ladder import ladder
+from planner.verify.verdict import Report
+
+NOZZLE_CHECK = "nozzle clear of part and print"
+
+
+def may_come_nearer(problem: Problem) -> bool:
+    """Whether nozzle and head keep the usual distance because the problem says nothing of it."""
+    return "nozzle" not in problem.collision.model_fields_set
+
+
+def lacks_clearance_only(report: Report) -> bool:
+    """Whether a plan fails for the distance of nozzle and head alone."""
+    return {check.name for check in report.checks if not check.ok} == {NOZZLE_CHECK}
+
+
+def coming_nearer(given: PlanningContext, because: str, stages: Stages) -> Iterator[tuple[Nearer, PlanningContext]]:
+    """The same print with nozzle and head ever nearer to it, as far as that leads anywhere: no search finds a way at a greater
+    distance if none does without any.
+
+    because: why the usual distance cannot be kept, in words
+    """
+    usual, last = given.problem.collision.nozzle, NEARER[-1]
+    in_one_go = not given.problem.process.split_beads  # else a bead need not have a way of its own
+    if in_one_go and not _has_way(_keeping(given, last), stages):
+        return
+    for kept in (each for each in NEARER if each < usual):
+        nearer = _keeping(given, kept)
+        if not in_one_go or kept == last or _has_way(nearer, stages):
+            yield Nearer(kept, usual, because), nearer
+
+
+def _keeping(given: PlanningContext, kept: float) -> PlanningContext:
+    """The same where nozzle and head keep this distance [m]."""
+    spec = given.problem.collision.model_copy(update={"nozzle": kept})
+    problem = given.problem.model_copy(update={"collision": spec})
+    return context_of(problem, given.cell, given.toolpath, given.first_bead, given.terms)
+
+
+def _has_way(given: PlanningContext, stages: Stages) -> bool:
+    with stages.stage("resolve"):
+        try:
+            ladder(given.cell, given.tasks, given.problem.resolve, given.obstacles)
+        except Refusal:
+            return False
+    return True

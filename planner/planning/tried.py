@@ -1,0 +1,85 @@
+"""What a refusal advises, tried: each change is planned to the end, and told only if that gives a verified plan.
+
+A search that finds a way with a change has not timed, refined or verified anything. Large prints take too long to be planned
+for every hint: there it is said that nothing but the search has been tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from planner.base.errors import Change, Hints, InputError, MovedBy, Refusal
+from planner.plan import Plan
+from planner.problem import Problem, load_problem
+from planner.problem.layers import WaypointLayersSpec
+from planner.toolpath.bead import Toolpath
+from planner.toolpath.task import noise_of
+from planner.toolpath.waypoints.beads import NOTED
+
+MOST_WAYPOINTS = 20_000  # planned for all hints of a refusal together,
+MOST_PLANS = 6  # and in so many plans
+_UNTRIED = "not planned to the end"
+_SMOOTHING = "layers.source.smooth_normals_deg"
+_SMOOTHINGS = ("1", "3")  # deg
+
+PlanOf = Callable[[Problem], Plan]  # raises Refusal or InputError
+
+
+def hints_that_hold(problem: Problem, toolpath: Toolpath, hints: Hints, plan: PlanOf) -> Hints:
+    """Those hints whose changes give a verified plan, told with how it prints; those that are no changes; and those for which
+    the print is too large, told to be untried."""
+    hints = (*hints, *_smoothing(problem, toolpath))
+    waypoints = sum(len(bead.s) for bead in toolpath.beads)
+    left, told = min(MOST_PLANS, MOST_WAYPOINTS // waypoints), []
+    for hint in hints:
+        if not isinstance(hint, Change):
+            told.append(hint)
+            continue
+        for what, fields in hint.tries:
+            if not left:
+                told.append(f"{hint} ({_UNTRIED})")
+                break
+            left -= 1
+            found = _verified(problem, fields, plan)
+            if found is not None:
+                told.append(
+                    f"{what} gives a verified plan, at speed on {found.metrics['at_speed_fraction']:.1%} of the length"
+                )
+                break
+    return tuple(told)
+
+
+def _verified(problem: Problem, fields: tuple[tuple[str, object], ...], plan: PlanOf) -> Plan | None:
+    """A verified plan of the problem with fields changed; None where there is none."""
+    try:
+        found = plan(load_problem(problem.file, [*problem.overrides, *(_setting(problem, *each) for each in fields)]))
+    except (Refusal, InputError):
+        return None
+    return found if found.verified else None
+
+
+def _setting(problem: Problem, field: str, value: object) -> str:
+    """A field's new value as after `--set`."""
+    if not isinstance(value, MovedBy):
+        return f"{field}={value}"
+    cell = problem.cell
+    if cell.positioner is not None:
+        origin = cell.positioner.origin
+        now, field = (origin, field) if origin is not None else (cell.positioner.base, "cell.positioner.base_mm")
+    else:
+        now = cell.bed
+    there = [round(1e3 * a + by, 6) for a, by in zip(now or (0.0, 0.0, 0.0), value.vector, strict=True)]
+    return f"{field}={there}"
+
+
+def _smoothing(problem: Problem, toolpath: Toolpath) -> Hints:
+    """Smoothing of noisy normals, where the problem forbids it."""
+    layers = problem.layers
+    if (
+        not isinstance(layers, WaypointLayersSpec)
+        or layers.source.smoothing != 0.0
+        or noise_of(toolpath.beads)[0] <= NOTED
+    ):
+        return ()
+    tries = tuple((f"{_SMOOTHING}: {deg}", ((_SMOOTHING, deg),)) for deg in _SMOOTHINGS)
+    return (Change(f"{_SMOOTHING}: {_SMOOTHINGS[-1]} smooths normals that are noisy", tries),)

@@ -1,0 +1,152 @@
+"""The nozzle's axis against the normals as a file of waypoints has them, however they were smoothed before planning.
+
+The file is read again here. At each waypoint that the tip passes, the axis may be off the file's normal by what smoothing
+may turn it and by what the nozzle may lean. Where a corner is rounded the tip passes beside a waypoint, with a mean of the
+normals around it: there it may be off by what these differ, too.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache, partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from planner.base.arrays import Array, Ints, read_only
+from planner.base.errors import InputError
+from planner.base.geometry import angles_between, arc_lengths
+from planner.plan import Check
+from planner.problem.layers import WaypointLayersSpec, WaypointsSpec
+from planner.toolpath.waypoints.normals import UNASKED
+from planner.toolpath.waypoints.reader import read_columns
+from planner.verify.checks import DIGITS, EVERYWHERE, Findings, Judged, place
+
+ROOM = np.radians(0.05)  # by which an axis may be off what it is to follow
+_PASSED = 2e-5  # m: a tip that comes so near to a waypoint passes it
+_CORNER = np.radians(5.0)  # turn of the path at a waypoint: less is rounded nowhere
+_WIDEST = 25.0  # corner tolerances: half the length of path over which a rounded corner is a mean, at most; it reaches twice that
+_SAMPLES = 4  # nearest ones of the motion, that a waypoint's own is among where passes cross
+_TO_SI = {"mm": 1e-3, "m": 1.0}
+
+
+def file_normals(judged: Judged) -> Findings:
+    """The check that the axis keeps to the file's own normals; nothing where no file of waypoints is printed, or nothing
+    may turn the nozzle from its normals."""
+    layers, process = judged.problem.layers, judged.problem.process
+    if not isinstance(layers, WaypointLayersSpec):
+        return Findings()
+    smoothed = layers.source.smoothing
+    if smoothed is None:
+        smoothed = UNASKED if process.cones.tilt == 0.0 else 0.0
+    bound = smoothed + process.cones.tilt
+    if bound == 0.0:
+        return Findings()
+    points, normals = _as_the_file_says(layers.source)
+    normals = _not_the_other_way(normals)
+    off, away, at = _off_at_waypoints(judged, points, normals)
+    passed = away <= process.corner_tolerance + _PASSED  # crumbs, and beads that are not printed, are elsewhere
+    rounded = passed & (away > _PASSED) & (_turns(points) > _CORNER)
+    allowed = bound + _unlike_others(points, normals, rounded, process.corner_tolerance)
+    beyond = np.where(passed, off - allowed, -np.inf)
+    i = int(np.argmax(beyond))
+    if not passed.any():
+        name, worst, where, sample = "axis near the file's normals", 0.0, EVERYWHERE, -1
+        return Findings((Check(name, worst, np.degrees(bound), "deg", True, where, sample=sample),), {_METRIC: 0.0})
+    check = Check(
+        "axis near the file's normals",
+        float(np.degrees(off[i])),
+        float(np.degrees(allowed[i])),
+        "deg",
+        bool(beyond[i] <= ROOM + DIGITS),
+        place(judged.trajectory, int(at[i])),
+        sample=int(at[i]),
+    )
+    return Findings((check,), {_METRIC: float(np.degrees(off[passed].max()))})
+
+
+_METRIC = "file_normal_max_deg"
+
+
+def _as_the_file_says(spec: WaypointsSpec) -> tuple[Array, Array]:
+    """Points [m] and outward unit normals (n, 3) in the part frame, as they stand in the file."""
+    stamp = spec.waypoints.stat()
+    x, n = _read(spec.waypoints, spec.unit, stamp.st_mtime_ns, stamp.st_size)
+    x, n = _TO_SI[spec.unit] * x, n / np.linalg.norm(n, axis=1)[:, None]
+    if spec.up == "y":
+        x, n = (np.stack([a[:, 0], -a[:, 2], a[:, 1]], axis=1) for a in (x, n))
+    return x + np.asarray(spec.origin), n if spec.normals == "outward" else -n
+
+
+@lru_cache(maxsize=2)
+def _read(path: Path, unit: str, changed: int, size: int) -> tuple[Array, Array]:
+    """The file's columns; `changed` and `size` tell one file from what stood there before."""
+    values = read_columns(path, unit, partial(InputError, file=path)).values
+    points, normals = (np.stack([values[name] for name in names], axis=1) for names in ("xyz", ("nx", "ny", "nz")))
+    return read_only(points), read_only(normals)
+
+
+def _off_at_waypoints(judged: Judged, points: Array, normals: Array) -> tuple[Array, Array, Ints]:
+    """Angle (n) [rad] of the axis from the normals at waypoints (n, 3), how far (n) [m] the tip passes beside them, and at
+    which sample (n). Of passes that are about as near, the one whose axis is nearest."""
+    t, motion = judged.trajectory, judged.motion
+    laid = np.flatnonzero(t.deposit)
+    if not len(laid):
+        none = np.full(len(points), np.inf)
+        return none, none, np.zeros(len(points), dtype=np.int64)
+    _, near = cKDTree(motion.tip[laid]).query(points, k=min(_SAMPLES, len(laid)))
+    best, away, at = np.full(len(points), np.inf), np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
+    for k in near.reshape(len(points), -1).T:
+        for other in (np.maximum(k - 1, 0), np.minimum(k + 1, len(laid) - 1)):
+            i, j = laid[k], laid[other]
+            j = np.where(t.bead[i] == t.bead[j], j, i)
+            way = motion.tip[j] - motion.tip[i]
+            share = ((points - motion.tip[i]) * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-30)
+            share = np.clip(share, 0.0, 1.0)[:, None]
+            distance = np.linalg.norm(motion.tip[i] + share * way - points, axis=1)
+            off = angles_between(-(motion.axis[i] + share * (motion.axis[j] - motion.axis[i])), normals)
+            nearer = (distance < away - _PASSED) | ((distance < away + _PASSED) & (off < best))
+            best, away, at = (
+                np.where(nearer, new, old) for new, old in ((off, best), (np.minimum(distance, away), away), (i, at))
+            )
+    return best, away, at
+
+
+def _not_the_other_way(normals: Array) -> Array:
+    """Normals (n, 3), single ones turned round that point away from those before and after."""
+    around = np.zeros_like(normals)
+    around[1:] += normals[:-1]
+    around[:-1] += normals[1:]
+    return np.where((normals * around).sum(axis=1)[:, None] < 0.0, -normals, normals)
+
+
+def _turns(points: Array) -> Array:
+    """By how much (n) [rad] the way to points (n, 3) and the way on differ; 0 at both ends."""
+    way = np.diff(points, axis=0)
+    return np.concatenate([[0.0], angles_between(way[1:], way[:-1]), [0.0]])[: len(points)]
+
+
+def _unlike_others(points: Array, normals: Array, rounded: NDArray[np.bool_], tolerance: float) -> Array:
+    """Beside a rounded corner the greatest angle (n) [rad] of a normal to those that a mean may be of; else 0."""
+    out = np.zeros(len(points))
+    if not rounded.any():
+        return out
+    s, reach = arc_lengths(points), _WIDEST * tolerance
+    near = np.flatnonzero(_distance_to(s[rounded], s) <= 2.0 * reach)
+    for way in (-1, 1):
+        i, k = near, 0
+        while len(i):
+            k += way
+            i = i[(i + k >= 0) & (i + k < len(s))]
+            i = i[np.abs(s[i + k] - s[i]) <= reach]
+            out[i] = np.maximum(out[i], angles_between(normals[i + k], normals[i]))
+    return out
+
+
+def _distance_to(places: Array, s: Array) -> Array:
+    """Distance (n) of arc lengths s (n) from the nearest of some places, which are in order."""
+    after = np.searchsorted(places, s)
+    return np.minimum(
+        np.abs(s - places[np.maximum(after - 1, 0)]), np.abs(s - places[np.minimum(after, len(places) - 1)])
+    )
