@@ -395,6 +395,17 @@ def test_objects_one_after_another_are_printed_at_once(build: Build) -> None:
     )
 
 
+def test_over_a_gap_a_layer_is_as_high_as_its_flow_says(build: Build) -> None:
+    levels = (0.2, 0.4, 0.6, 0.94, 1.03, 1.23)  # over the third there is a gap of a raft, and after it less
+    text = HEAD + ";Layer height: 0.2\n" + "".join(f"G1 X0 Y0 Z{z}\nG1 X10 E.3\n" for z in levels)
+    assert [bead.height[0] for bead in build(text).beads] == pytest.approx([0.2e-3] * 6)
+    thick = text.replace("Z0.94\nG1 X10 E.3", "Z0.94\nG1 X10 E.51")
+    assert build(thick).beads[3].height[0] == pytest.approx(0.34e-3), "as wide as others only if it is so high"
+    low = build(HEAD + ";LAYER:0\n;HEIGHT:0.2\nG1 Z.5\nG1 X10 E.3\n")
+    note = "the first layer is 0.200 mm high and ends 0.500 mm above the bed; layers.source.origin_mm would lower it"
+    assert f"part.gcode: {note}" in low.notes
+
+
 def test_the_lowest_layers_alone(build: Build) -> None:
     text = HEAD + "".join(f"G1 X0 Y0 Z{z}\nG1 X10 E.5\n" for z in (0.2, 0.4, 0.6))
     toolpath = build(text, "layers.count=2")

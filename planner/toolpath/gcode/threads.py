@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.base.arrays import Array
+from planner.base.arrays import Array, Ints
 from planner.base.errors import InputError
 from planner.problem import Problem
 from planner.problem.layers import GcodeLayersSpec
@@ -20,6 +20,8 @@ SIZES = (1e-5, 50e-3)  # m: widths and heights of beads that can be meant
 STEEPEST = 0.25  # rise of a line over its length: a spiral's is far below, and the nozzle stays upright
 _ROUNDED = 2e-5  # m by which a short step may rise, as z is written
 _PAUSES = frozenset(("M0", "M1", "M25", "M226", "M600", "M601", "PAUSE"))  # stops, and changes of filament
+_LOW = 0.7  # of its place above the bed, a first layer's height: then it lies on nothing
+_ODD = 1.5  # times the usual height, or its part: a rise that may be no height
 _NAMED = 4  # commands that a note names, and lines
 
 
@@ -67,6 +69,12 @@ def choose(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> Chosen:
     steps = list(_in_layers(kept, levels, file, read.height))
     steps, told = _without_specks(problem, spec, steps)
     notes += told
+    first = steps[0]
+    if first.layer == 0 and first.height < _LOW * bottom:
+        notes.append(
+            f"{file.name}: the first layer is {first.height * 1e3:.3f} mm high and ends {bottom * 1e3:.3f} mm above the bed; "
+            "layers.source.origin_mm would lower it"
+        )
     layers = steps[-1].layer + 1
     asked = layers if spec.count is None else spec.count
     if asked > layers:
@@ -177,14 +185,11 @@ def _levels(threads: Sequence[Thread]) -> Array:
 
 
 def _in_layers(threads: Sequence[Thread], levels: Array, file: Path, usual: float | None) -> Iterator[Step]:
-    """The threads with their layers and heights: those of a comment, else the rise over the layer below."""
-    for thread in threads:
-        layer = int(np.searchsorted(levels, thread.z + SAME_LEVEL)) - 1
-        below = float(levels[layer - 1]) if layer > 0 else 0.0
-        height = thread.height
-        if height is None:
-            spiral = thread.z - float(thread.points[0, 2]) > max(1.5 * (usual or np.inf), SAME_LEVEL)
-            height = usual if spiral and usual is not None else float(levels[layer]) - below
+    """The threads with their layers and heights: those of a comment, else what the layer's rise and flow say."""
+    layers = np.searchsorted(levels, [thread.z + SAME_LEVEL for thread in threads]) - 1
+    heights = _heights(threads, layers, levels, usual)
+    for thread, layer in zip(threads, layers.tolist(), strict=True):
+        height = float(heights[layer]) if thread.height is None else thread.height
         if layer == 0 and thread.z - float(thread.points[0, 2]) > height + SAME_LEVEL:
             raise InputError(
                 f"rises from the bed to {thread.z * 1e3:.3f} mm while material flows",
@@ -200,6 +205,28 @@ def _in_layers(threads: Sequence[Thread], levels: Array, file: Path, usual: floa
                 hint="z = 0 is the bed, and each layer rises",
             )
         yield Step(thread, layer, height)
+
+
+def _heights(threads: Sequence[Thread], layers: Ints, levels: Array, usual: float | None) -> Array:
+    """Heights (n) [m] of layers that no comment tells: how far each rises over the one below.
+
+    Over a raft there is a gap, after it a layer that rises less than it is high, and a spiral's layer ends with its last
+    turn. So where a rise is not as usual, the flow decides: a layer is as high as usual if its beads are then nearer to
+    others in width.
+    """
+    rises = np.diff(levels, prepend=0.0)
+    if usual is None:
+        usual = float(np.median(rises))
+    odd = np.abs(np.log(np.maximum(rises, 1e-9) / usual)) > np.log(_ODD)
+    if not odd.any():
+        return rises
+    flow, length = np.zeros(len(levels)), np.zeros(len(levels))
+    np.add.at(flow, layers, [float(thread.filament.sum()) for thread in threads])
+    np.add.at(length, layers, [thread.length for thread in threads])
+    area = flow / length
+    width = float(np.median(area[~odd])) / usual if (~odd).any() else float(np.median(area)) / usual
+    by_rise, by_usual = (np.abs(np.log(area / each / width)) for each in (np.maximum(rises, 1e-9), usual))
+    return np.where(odd & (by_usual < by_rise), usual, rises)
 
 
 def _without_specks(problem: Problem, spec: GcodeLayersSpec, steps: list[Step]) -> tuple[list[Step], list[str]]:
