@@ -19,7 +19,7 @@ from planner.planning.pipeline import solve
 from planner.problem.problem import parse_problem
 
 ABOVE = 0.05  # m above the cap, where the print begins and ends
-PLACES = 3  # best places that are tried, one after another
+PLACES = 6  # best places that are tried, one after another
 HOMES = 4  # postures that are tried at each
 BACK = -0.15  # height of a place as a share of the reach, for arms whose base is above what they do best
 
