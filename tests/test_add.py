@@ -147,6 +147,45 @@ def test_xacro_names_its_extra(
     assert "beadwise[xacro]" in capsys.readouterr().err
 
 
+def described(folder: Path) -> Path:
+    """A ROS package whose xacro file includes a macro of another one beside it."""
+    for name in ("arm_support", "arm_macros"):
+        (folder / name / "urdf").mkdir(parents=True)
+        (folder / name / "package.xml").write_text(
+            f"<package format='2'><name>{name}</name><version>1.0.0</version><description>an arm</description>"
+            "<maintainer email='a@b.example'>a</maintainer><license>none</license></package>",
+            encoding="utf-8",
+        )
+    body = urdf_of(KR10)
+    body = body[body.index("\n") : body.index("</robot>")].replace('name="link_', 'name="${prefix}link_')
+    body = body.replace('link="link_', 'link="${prefix}link_')
+    space = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
+    macro = f'<robot {space}><xacro:macro name="kr10" params="prefix">{body}</xacro:macro></robot>'
+    (folder / "arm_macros" / "urdf" / "macro.xacro").write_text(macro, encoding="utf-8")
+    file = folder / "arm_support" / "urdf" / "kr10.xacro"
+    include = '<xacro:include filename="$(find arm_macros)/urdf/macro.xacro"/>'
+    file.write_text(f'<robot name="KR 10" {space}>{include}<xacro:kr10 prefix="a_"/></robot>', encoding="utf-8")
+    return file
+
+
+def test_a_xacro_file_is_expanded_with_the_packages_around_it(tmp_path: Path) -> None:
+    pytest.importorskip("xacrodoc")
+    file, made = added(described(tmp_path), tmp_path / "kr10.yaml")
+    assert made.found.name == "KR 10"
+    assert made.found.tip == "tool0"
+    assert (tmp_path / "arm_support" / "urdf" / "kr10.urdf").is_file()
+    assert read_robot(file).joint_names == made.found.joints
+
+
+def test_a_xacro_file_that_is_wrong_is_told(tmp_path: Path) -> None:
+    pytest.importorskip("xacrodoc")
+    path = described(tmp_path)
+    path.write_text(path.read_text(encoding="utf-8").replace("xacro:kr10", "xacro:kr11"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"xacro does not take it.*kr11"):
+        added(path, tmp_path / "kr10.yaml")
+    assert not (tmp_path / "kr10.yaml").exists()
+
+
 def test_a_missing_urdf(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["add", str(tmp_path / "none.urdf")]) == 2
     assert "none.urdf: cannot be read" in capsys.readouterr().err

@@ -29,7 +29,7 @@ NEAR = 5e-3  # m: nearer hulls would be told as touching
 SELDOM = 0.02  # of the postures: hulls that touch less often cost next to nothing, and are looked at
 MOSTLY = 0.5  # of the postures in which drawn links overlap: they are drawn into each other
 BENT = 0.05  # of the postures in which hulls touch, and the drawn links do not: worth to cut into pieces
-PIECES = 4
+PIECES = (4, 8)  # tried, fewest first
 
 Placed = tuple[coal.CollisionGeometry, Array]
 
@@ -52,45 +52,44 @@ class _Shares(NamedTuple):
 
 def touching(urdf: Urdf, robot: Robot) -> Touching:
     """Look at all links of an arm that are next to each other but one or two."""
-    pairs: list[tuple[str, str]] = []
-    pieces: dict[str, int] = {}
-    notes: list[str] = []
-    bodies = robot.bodies
+    out, bodies = Touching((), {}, ()), robot.bodies
     for apart in APART:
         for i in range(len(bodies) - apart):
-            j = i + apart
-            if not (bodies[i] and bodies[j]):
-                continue
-            postures = _postures(robot, i, j)
-            found = _shares(urdf, robot, (bodies[i], bodies[j]), (i, j), postures)
-            if not SELDOM < found.hulls < 1.0 or found.drawn is None:
-                if found.drawn is None and found.hulls >= MOSTLY:
-                    notes.append(f"{_names(bodies[i])} and {_names(bodies[j])} touch in {found.hulls:.0%} of postures")
-                    pairs += _pairs(bodies[i], bodies[j])
-                continue
-            if found.drawn == 0.0 or found.drawn >= MOSTLY:
-                how = "never touch as they are drawn" if found.drawn == 0.0 else "are drawn into each other"
-                notes.append(
-                    f"{_names(bodies[i])} and {_names(bodies[j])} {how}, and their hulls do in {found.hulls:.0%} of postures: "
-                    "not looked at"
-                )
-                pairs += _pairs(bodies[i], bodies[j])
-            elif found.hulls - found.drawn > BENT:
-                better = _cut(urdf, robot, (i, j), postures, found)
-                pieces |= better
-                if better:
-                    notes.append(
-                        f"{' and '.join(better)} cut into up to {PIECES} convex pieces: its hull fills its bend"
-                    )
-    return Touching(tuple(pairs), pieces, tuple(notes))
+            if bodies[i] and bodies[i + apart]:
+                own = _judged(urdf, robot, (i, i + apart))
+                out = Touching(out.may_touch + own.may_touch, out.pieces | own.pieces, out.notes + own.notes)
+    return out
+
+
+def _judged(urdf: Urdf, robot: Robot, between: tuple[int, int]) -> Touching:
+    """What to say of the bodies that two joints carry."""
+    first, second = (robot.bodies[k] for k in between)
+    postures = _postures(robot, *between)
+    found = _shares(urdf, robot, (first, second), between, postures)
+    both = f"{_names(first)} and {_names(second)}"
+    if not SELDOM < found.hulls < 1.0:  # those that touch always are left out wherever collisions are looked for
+        return Touching((), {}, ())
+    if found.drawn is None:
+        if found.hulls < MOSTLY:
+            return Touching((), {}, ())
+        return Touching(_pairs(first, second), {}, (f"{both} touch in {found.hulls:.0%} of postures: not looked at",))
+    if found.drawn == 0.0 or found.drawn >= MOSTLY:
+        how = "never touch as they are drawn" if found.drawn == 0.0 else "are drawn into each other"
+        note = f"{both} {how}, and their hulls touch in {found.hulls:.0%} of postures: not looked at"
+        return Touching(_pairs(first, second), {}, (note,))
+    better = _cut(urdf, robot, between, postures, found) if found.hulls - found.drawn > BENT else {}
+    if not better:
+        return Touching((), {}, ())
+    note = f"{' and '.join(better)} cut into up to {max(better.values())} convex pieces: a hull fills the bend"
+    return Touching((), better, (note,))
 
 
 def _names(bodies: Sequence[Body]) -> str:
     return "/".join(dict.fromkeys(body.link for body in bodies))
 
 
-def _pairs(first: Sequence[Body], second: Sequence[Body]) -> list[tuple[str, str]]:
-    return [(a, b) for a in dict.fromkeys(x.link for x in first) for b in dict.fromkeys(x.link for x in second)]
+def _pairs(first: Sequence[Body], second: Sequence[Body]) -> tuple[tuple[str, str], ...]:
+    return tuple((a, b) for a in dict.fromkeys(x.link for x in first) for b in dict.fromkeys(x.link for x in second))
 
 
 def _postures(robot: Robot, i: int, j: int) -> list[Array]:
@@ -177,14 +176,12 @@ def _transform(T: Array) -> coal.Transform3s:
 def _cut(urdf: Urdf, robot: Robot, between: tuple[int, int], postures: list[Array], found: _Shares) -> dict[str, int]:
     """The links to cut into pieces so that hulls touch in at most half of the postures in which they do in vain."""
     links = dict.fromkeys(body.link for k in between for body in robot.bodies[k] if isinstance(body.solid, Hull))
-    wanted = dict.fromkeys(links, PIECES)
-    if not wanted:
-        return {}
-    bodies = read_bodies(urdf, robot.model, BodyRules(pieces=wanted))
-    pair = (bodies[between[0]], bodies[between[1]])
-    after = _shares(urdf, replace(robot, bodies=bodies), pair, between, postures)
-    if after.hulls - (found.drawn or 0.0) > 0.5 * (found.hulls - (found.drawn or 0.0)):
-        return {}
-    return {
-        link: count for link, count in wanted.items() if sum(body.link == link for each in pair for body in each) > 1
-    }
+    vain = found.hulls - (found.drawn or 0.0)
+    for most in PIECES if links else ():
+        wanted = dict.fromkeys(links, most)
+        bodies = read_bodies(urdf, robot.model, BodyRules(pieces=wanted))
+        pair = (bodies[between[0]], bodies[between[1]])
+        after = _shares(urdf, replace(robot, bodies=bodies), pair, between, postures)
+        if after.hulls - (found.drawn or 0.0) <= 0.5 * vain:
+            return {link: most for link in links if sum(body.link == link for each in pair for body in each) > 1}
+    return {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +20,8 @@ from planner.planning.pipeline import solve
 from planner.problem.problem import parse_problem
 
 ABOVE = 0.05  # m above the cap, where the print begins and ends
-PLACES = 3  # best places that are tried, one after another
+PLACES = 20  # best places that are looked at, one after another
+PLANS = 6  # that are tried with each nozzle: those of places without a posture that is free cost next to nothing
 HOMES = 4  # postures that are tried at each
 BACK = -0.15  # height of a place as a share of the reach, for arms whose base is above what they do best
 
@@ -34,6 +36,13 @@ class Trial:
     reason: str
 
 
+class _Failure(NamedTuple):
+    """Why there is no verified print at a place, and whether one was planned there."""
+
+    reason: str
+    planned: bool
+
+
 def trial(robot: Robot, file: Path, outwards: Array, cap: Cap | None = None) -> Trial:
     """Plan a spiral on a cap with a robot whose file stands already; outwards: where the last axis leaves the flange, in the
     flange frame; cap: another than suits its reach. The nozzle is bent as that of the problem peer_cap, or straight."""
@@ -45,16 +54,19 @@ def trial(robot: Robot, file: Path, outwards: Array, cap: Cap | None = None) -> 
     waypoints.write_text(cap.waypoints, encoding="utf-8")
     reason = f"no place was found where it reaches all of a cap of {cap.radius * 1e3:g} mm"
     for nozzle in (nozzle_of(outwards, bend) for bend in BENDS):
+        planned = 0
         for place in _places(robot, nozzle, cap, far):
             tried = _tried(robot, file, name, nozzle, place, cap)
             if isinstance(tried, Trial):
                 return tried
-            reason = tried
+            reason, planned = tried.reason, planned + tried.planned
+            if planned == PLANS:
+                break
     waypoints.unlink()
     return Trial(name, "", None, reason)
 
 
-def _tried(robot: Robot, file: Path, name: str, nozzle: TrialNozzle, place: Array, cap: Cap) -> Trial | str:
+def _tried(robot: Robot, file: Path, name: str, nozzle: TrialNozzle, place: Array, cap: Cap) -> Trial | _Failure:
     """A verified print at a place [m], or why there is none."""
     above, down = _groups(cap)[0]
     reason = "no posture there is free of collisions"
@@ -69,12 +81,12 @@ def _tried(robot: Robot, file: Path, name: str, nozzle: TrialNozzle, place: Arra
         try:
             plan = solve(problem, baseline=False)
         except (Refusal, InputError) as error:
-            return str(error)
+            return _Failure(str(error), True)
         if plan.verified:
             return Trial(name, text, plan, "")
         failed = [check.name for check in plan.checks if not check.ok]
-        return f"planned, not verified: {', '.join(failed)}"
-    return reason
+        return _Failure(f"planned, not verified: {', '.join(failed)}", True)
+    return _Failure(reason, False)
 
 
 def _groups(cap: Cap) -> list[tuple[Array, Array]]:
