@@ -13,9 +13,7 @@ from planner.toolpath.waypoints.reader import SPLIT
 
 Array = NDArray[np.float64]
 
-LONE_SHARE = (
-    0.0  # of the length, that waypoints which stand alone may make up: short paths join them in what is left out
-)
+_TOGETHER = 2  # waypoints: no more of them are a crumb, where steps are uneven
 _PLACES, _PER_STEP = 4000, 3.0  # along all of the path, and in a usual step, at most: what may be a neighbour
 _LOOKED_AT = 400  # waypoints, about, whose neighbours are looked for
 _NEIGHBOURS = 192  # of each: what is nearest is mostly its own pass
@@ -77,26 +75,25 @@ def _neighbours(points: Array, normals: Array) -> tuple[float, float]:
 
 
 def _split(steps: Array) -> float | None:
-    """Where steps are so uneven that the reader's rule would leave waypoints alone: the least step that leaves few."""
-    if len(steps) < 2 or _lone_share(steps, SPLIT * float(np.median(steps))) <= LONE_SHARE:
+    """Where steps are so uneven that the reader's rule would leave waypoints alone: the least step that leaves none alone,
+    nor two."""
+    if len(steps) < 2 or _fewest_together(steps, SPLIT * float(np.median(steps))) > 1:
         return None
     choices = np.unique(steps)
     low, high = 0, len(choices) - 1  # at the longest nothing is split
     while low < high:
         middle = (low + high) // 2
-        if _lone_share(steps, float(choices[middle])) <= LONE_SHARE:
+        if _fewest_together(steps, float(choices[middle])) > _TOGETHER:
             high = middle
         else:
             low = middle + 1
     return float(choices[high])
 
 
-def _lone_share(steps: Array, split: float) -> float:
-    """The share of the length that waypoints would make up which stand alone, if longer steps than this were none."""
-    cut = np.concatenate([[True], steps > split, [True]])
-    lone = int((cut[:-1] & cut[1:]).sum())
-    kept = steps[steps <= split]
-    return lone * float(np.median(kept)) / float(kept.sum()) if kept.any() else 1.0
+def _fewest_together(steps: Array, split: float) -> int:
+    """How many waypoints the shortest part of a path has, if longer steps than this were none of it."""
+    ends = np.flatnonzero(np.concatenate([[True], steps > split, [True]]))
+    return int(np.diff(ends).min())
 
 
 def unit_of(side: float, spacing: Spacing) -> str:
