@@ -101,7 +101,10 @@ def printed_of(problem: Problem, toolpath: Toolpath) -> float:
 
 
 def told_of(notes: Sequence[str]) -> float:
-    """The share that is said to be left out, or open."""
+    """The share that is said to be left out, or not to be filled."""
+    held = [re.search(r"beads hold ([\d.]+)% of the volume", note) for note in notes]
+    if any(held):
+        return 1.0 - sum(0.01 * float(each.group(1)) for each in held if each)
     found = [re.search(r"([\d.]+)% of the (?:length|volume)", note) for note in notes]
     return sum(0.01 * float(each.group(1)) for each in found if each)
 
