@@ -461,3 +461,13 @@ def test_too_much_that_is_too_narrow_is_refused(tmp_path: Path) -> None:
     toolpath = build_toolpath(load_problem(tmp_path / "a.yaml", (f"layers.source.leave_out_share={share}",)))
     assert max(bead.layer for bead in toolpath.beads) == 3
     assert "12 layers too narrow for a bead" in " ".join(toolpath.notes)
+
+
+def test_a_facet_that_faces_the_other_way_is_named(tmp_path: Path) -> None:
+    facets = boxes((SIDE, (0, 0, 3)))
+    facets[3] = facets[3][::-1]
+    write(tmp_path / "block.stl", facets)
+    (tmp_path / "a.yaml").write_text(PROBLEM.format(more=""))
+    with pytest.raises(InputError, match="facets that face opposite ways beside the edge") as caught:
+        build_toolpath(load_problem(tmp_path / "a.yaml"))
+    assert "unify its normals" in str(caught.value)

@@ -254,6 +254,11 @@ def _solid(corners: Array, name: str, complain: Complaint) -> Solid:
         solid = Solid.of(corners)
     except NotClosed as error:
         x, y, z = error.place * 1e3
+        if error.opposite:
+            raise complain(
+                f"{name} has facets that face opposite ways beside the edge at x {x:.2f}, y {y:.2f}, z {z:.2f} mm",
+                "unify its normals in a CAD or mesh program: which side is inside must be known",
+            ) from None
         raise complain(
             f"{name} is not closed: an edge at x {x:.2f}, y {y:.2f}, z {z:.2f} mm has not one facet to either side",
             "mend it in a CAD or mesh program: what is inside must be known",
