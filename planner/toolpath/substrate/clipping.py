@@ -70,7 +70,12 @@ class Clipped:
                 paths.append(path)
                 continue
             for reason in np.unique(why[why != FITS]).tolist():
-                cuts += [Cut(path.name, reason, piece.points) for piece in trim_path(path, dense, why == reason)]
+                there = why == reason
+                beside = np.zeros(len(why), dtype=bool)
+                beside[1:] |= there[:-1]
+                beside[:-1] |= there[1:]
+                lost = there | (beside & (why == FITS))  # up to what is kept
+                cuts += [Cut(path.name, reason, piece.points) for piece in trim_path(path, dense, lost)]
             for piece in trim_path(path, dense, why == FITS):
                 if length(piece.points) < SHORTEST * width:
                     cuts.append(Cut(path.name, SHORT, piece.points))

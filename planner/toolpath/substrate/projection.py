@@ -362,7 +362,10 @@ def top_facets(spec: MeshSpec, where: Complaint) -> FacetTree:
     """The facets of a mesh, some of which face upwards, else InputError; for `where` see read_facets."""
     facets = FacetTree.of(read_facets(spec, where))
     if facets.normals[:, 2].max() <= 0.0:
-        raise where(f"no facet of {spec.file.name} faces upwards", hint="turn it with rpy_deg, or flip its facets in a mesh program")
+        raise where(
+            f"no facet of {spec.file.name} faces upwards",
+            hint="turn it with rpy_deg, or flip its facets in a mesh program",
+        )
     return facets
 
 
