@@ -41,7 +41,6 @@ COLUMNS = (
     "notes", "seconds",
 )  # fmt: skip
 NO_TOP = ("layers.upper", "layers.tilt_deg")  # what the refusal of a body says whose top is no layer
-COVERED = 0.7  # of a mesh's sides, by the pattern
 LINES_MM = 4.0  # apart
 WIDTH_MM, HEIGHT_MM = 1.5, 1.0  # of beads that fill a mesh
 COARSE = ("resolve.rung_mm=8", "resolve.roll_step_deg=20")
@@ -49,7 +48,10 @@ COARSE = ("resolve.rung_mm=8", "resolve.roll_step_deg=20")
 
 @dataclass(frozen=True)
 class MeshJob:
-    """A mesh, taken for a substrate or a volume, made `size` [mm] large along its longest side, on a problem's cell."""
+    """A mesh, taken for a substrate or a volume, made `size` [mm] large along its longest side, on a problem's cell.
+
+    cover  share of its sides that the pattern covers
+    """
 
     file: str
     name: str
@@ -58,6 +60,7 @@ class MeshJob:
     size: float
     leave_out: float
     plan: bool
+    cover: float = 0.7
 
 
 def problem_of(job: MeshJob, level: bool = False) -> tuple[Problem, Row]:
@@ -70,7 +73,7 @@ def problem_of(job: MeshJob, level: bool = False) -> tuple[Problem, Row]:
     mesh = {"scale": scale, "origin_mm": [round(float(each), 6) for each in origin]}
     share = {"leave_out_share": job.leave_out}
     if job.kind == "substrate":
-        sides = [max(round(COVERED * float(side), 3), 0.1) for side in size[:2]]
+        sides = [max(round(job.cover * float(side), 3), 0.1) for side in size[:2]]
         source = {"pattern": "zigzag", "cell_mm": LINES_MM, "size_mm": sides, **share}
         layers: dict[str, object] = {"source": source, "project": "z", "count": 1, "height_mm": 0.5}
         settings = [f"part={json.dumps({'mesh': {'file': job.file, **mesh}})}", f"layers={json.dumps(layers)}"]
@@ -101,7 +104,10 @@ def printed_of(problem: Problem, toolpath: Toolpath) -> float:
 
 
 def told_of(notes: Sequence[str]) -> float:
-    """The share that is said to be left out, or open."""
+    """The share that is said to be left out, or not to be filled."""
+    held = [re.search(r"beads hold ([\d.]+)% of the volume", note) for note in notes]
+    if any(held):
+        return 1.0 - sum(0.01 * float(each.group(1)) for each in held if each)
     found = [re.search(r"([\d.]+)% of the (?:length|volume)", note) for note in notes]
     return sum(0.01 * float(each.group(1)) for each in found if each)
 

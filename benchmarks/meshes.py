@@ -40,7 +40,7 @@ def jobs_of(options: argparse.Namespace) -> list[MeshJob]:
     return [
         MeshJob(
             str(file.resolve()), file.relative_to(folder).as_posix(), kind, options.cell, options.size,
-            options.leave_out, not options.toolpath,
+            options.leave_out, not options.toolpath, options.cover,
         )
         for file in files
         for kind in options.kind or KINDS
@@ -95,6 +95,9 @@ def parser() -> argparse.ArgumentParser:
     )
     command.add_argument(
         "--leave-out", type=float, default=1.0, metavar="SHARE", help="leave_out_share of the problem; default: 1"
+    )
+    command.add_argument(
+        "--cover", type=float, default=0.7, metavar="SHARE", help="of a substrate's sides, by the pattern; default: 0.7"
     )
     command.add_argument("--toolpath", action="store_true", help="only lay beads, do not plan the robot's motion")
     command.add_argument("--limit", type=some_seconds, metavar="SECONDS", help="end what takes longer")

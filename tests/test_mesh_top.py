@@ -220,7 +220,7 @@ def test_a_refusal_names_how_far_a_surface_would_be(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="mm off them at x") as caught:
         build_toolpath(load_problem("hemisphere_honeycomb", changes))
     said = str(caught.value)
-    smooth, share = said.split("smooth_mm: ")[1].split()[0], said.split("leave_out_share of ")[1].split()[0]
+    smooth, share = said.split("smooth_mm: ")[1].split()[0], said.split("leave_out_share: ")[1].split()[0]
     rounded = build_toolpath(load_problem("hemisphere_honeycomb", (*changes, f"part.mesh.smooth_mm={smooth}")))
     assert len(rounded.beads) == 1
     cut = build_toolpath(load_problem("hemisphere_honeycomb", (*changes, f"layers.source.leave_out_share={share}")))

@@ -11,8 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from planner.base.errors import InputError
 from planner.motion.extrusion import bead_area
 from planner.planning.solve_command import main
 from planner.problem import find_problem, load_problem
@@ -380,3 +384,90 @@ def test_bad_input_is_refused(name: str, tmp_path: Path, capsys: pytest.CaptureF
     assert words in " ".join(told.split())
     assert "Traceback" not in told
     assert not (tmp_path / "out").exists()
+
+
+# Several bodies, and what is too narrow
+
+
+def boxes(*places: tuple[tuple[float, float, float], tuple[float, float, float]]) -> Array:
+    """Facets of boxes [mm], each with its sides and its middle."""
+    found = []
+    for sides, middle in places:
+        box = trimesh.creation.box(sides)
+        box.apply_translation(middle)
+        found.append(np.asarray(box.triangles))
+    return np.concatenate(found)
+
+
+SIDE = (10.0, 10.0, 6.0)
+BODIES = {
+    "face to face": (boxes((SIDE, (0, 0, 3)), (SIDE, (10, 0, 3))), 200.0, 1),
+    "edge to edge": (boxes((SIDE, (0, 0, 3)), (SIDE, (10, 10, 3))), 200.0, 2),
+    "on each other": (boxes((SIDE, (0, 0, 3)), (SIDE, (0, 0, 9))), 100.0, 1),
+    "overlapping": (boxes((SIDE, (0, 0, 3)), (SIDE, (5, 0, 3))), 150.0, 1),
+    "apart": (boxes((SIDE, (0, 0, 3)), (SIDE, (30, 0, 3))), 200.0, 2),
+    "one in the other": (boxes((SIDE, (0, 0, 3)), ((4, 4, 6), (0, 0, 3))), 100.0, 1),
+    "a cavity": (np.concatenate([boxes((SIDE, (0, 0, 3))), boxes(((4, 4, 4), (0, 0, 3)))[:, ::-1]]), 84.0, 1),
+}
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_several_bodies_are_one_region(name: str) -> None:
+    facets, area, pieces = BODIES[name]
+    solid = Solid.of(facets * 1e-3)
+    region = solid.section(solid.vertices[:, 2], 2.9e-3)
+    assert region.area * 1e6 == pytest.approx(area, rel=1e-6)
+    assert len(region.geoms) == pieces
+
+
+@settings(max_examples=40)
+@given(
+    st.lists(st.tuples(*[st.integers(0, 3)] * 3), min_size=1, max_size=8, unique=True),
+    st.integers(0, 3),
+)
+def test_blocks_that_touch_anyhow_have_the_area_of_their_cells(cells: list[tuple[int, int, int]], level: int) -> None:
+    """Blocks of a lattice that share faces, edges and corners."""
+    facets = boxes(*[((10.0, 10.0, 10.0), (10.0 * x, 10.0 * y, 10.0 * z + 5.0)) for x, y, z in cells])
+    solid = Solid.of(facets * 1e-3)
+    assert solid.volume == pytest.approx(len(cells) * 1e-6)
+    region = solid.section(solid.vertices[:, 2], 10e-3 * level + 4.9e-3)
+    assert region.area * 1e6 == pytest.approx(100.0 * sum(z == level for _, _, z in cells), abs=1e-3)
+
+
+def test_a_layer_too_narrow_is_left_out_and_told(tmp_path: Path) -> None:
+    """A ball stands on a point: its lowest layers are specks."""
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=6.0)
+    ball.apply_translation([0, 0, 6.24])
+    write(tmp_path / "block.stl", np.asarray(ball.triangles))
+    text = PROBLEM.format(more="  upper: {z_mm: 12}\n  lower: {z_mm: 0}")
+    (tmp_path / "a.yaml").write_text(text)
+    toolpath = build_toolpath(load_problem(tmp_path / "a.yaml"))
+    note = next(note for note in toolpath.notes if "left out" in note)
+    assert "too narrow for a bead (number 1" in note and len(toolpath.left_out) > 0
+    assert min(bead.layer for bead in toolpath.beads) > 0
+    strict = load_problem(tmp_path / "a.yaml", ("layers.source.leave_out_share=0",))
+    with pytest.raises(InputError, match=r"is too narrow for a bead 0\.6 mm wide, first in layer 1"):
+        build_toolpath(strict)
+
+
+def test_too_much_that_is_too_narrow_is_refused(tmp_path: Path) -> None:
+    """A plate of 8 mm with a fin of 0.4 mm: printed without the fin only where that is said."""
+    facets = boxes(((8.0, 8.0, 2.0), (0, 0, 1)), ((0.4, 8.0, 6.0), (0, 0, 5)))
+    write(tmp_path / "block.stl", facets)
+    (tmp_path / "a.yaml").write_text(PROBLEM.format(more="  upper: {z_mm: 8}"))
+    with pytest.raises(InputError, match="too narrow for a bead") as caught:
+        build_toolpath(load_problem(tmp_path / "a.yaml"))
+    share = str(caught.value).rpartition("leave_out_share: ")[2].split()[0]
+    toolpath = build_toolpath(load_problem(tmp_path / "a.yaml", (f"layers.source.leave_out_share={share}",)))
+    assert max(bead.layer for bead in toolpath.beads) == 3
+    assert "12 layers too narrow for a bead" in " ".join(toolpath.notes)
+
+
+def test_a_facet_that_faces_the_other_way_is_named(tmp_path: Path) -> None:
+    facets = boxes((SIDE, (0, 0, 3)))
+    facets[3] = facets[3][::-1]
+    write(tmp_path / "block.stl", facets)
+    (tmp_path / "a.yaml").write_text(PROBLEM.format(more=""))
+    with pytest.raises(InputError, match="facets that face opposite ways beside the edge") as caught:
+        build_toolpath(load_problem(tmp_path / "a.yaml"))
+    assert "unify its normals" in str(caught.value)

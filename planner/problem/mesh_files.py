@@ -199,14 +199,19 @@ def _ply(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
 def _obj(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
     count = len(re.findall(rb"^[ \t]*f[ \t]", data, re.MULTILINE))
     _check_count(path, count, where)
-    mesh = _by_trimesh(path, data, "obj", where, skip_materials=True)
+    mesh = _by_trimesh(path, _as_utf8(data), "obj", where, skip_materials=True)
     if len(mesh.faces) < count:
         raise where(f"{path.name} is damaged: of {count} facets {len(mesh.faces)} can be read")
     return mesh
 
 
 def _off(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
-    return _by_trimesh(path, data, "off", where)
+    return _by_trimesh(path, _as_utf8(data), "off", where)
+
+
+def _as_utf8(data: bytes) -> bytes:
+    """A text whose numbers are ASCII, whatever its comments are written in."""
+    return data.decode("utf-8", "replace").encode()
 
 
 def _3mf(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:

@@ -97,7 +97,8 @@ def wrap_drawing(problem: Problem, spec: LayersSpec) -> Toolpath:
     # tolerance, have the same shape, and lie exactly above each other.
     stretch = np.array([1.0 + spec.count * spec.height / cylinder.radius, 1.0])
     clipped = Clipped.of([replace(path, points=path.points * stretch) for path in paths], process.bead.width)
-    clipped.check(problem, "layers.source.width_mm", spec.source.crumbs)
+    if clipped.share > spec.source.crumbs or not clipped.paths:
+        raise clipped.refusal(problem, "layers.source.width_mm", clipped.share if clipped.paths else None)
     curves = []
     for path in clipped.paths:
         curve = round_corners(seam_on_smooth_part(path) if path.closed else path, process.corner_tolerance)

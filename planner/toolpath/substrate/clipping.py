@@ -13,6 +13,7 @@ from planner.base.arrays import Array, Flags, Ints
 from planner.base.geometry import arc_lengths
 from planner.problem import Problem
 from planner.toolpath.plane_paths import PlaneCurve, densify, length
+from planner.toolpath.substrate.mesh_top import TooRoughMesh
 from planner.toolpath.svg.outlines import PlanePath
 
 STEEPEST = 75.0  # deg from the horizontal: beyond, a hair's breadth aside is a long way down, and the nozzle lies flat
@@ -69,7 +70,12 @@ class Clipped:
                 paths.append(path)
                 continue
             for reason in np.unique(why[why != FITS]).tolist():
-                cuts += [Cut(path.name, reason, piece.points) for piece in trim_path(path, dense, why == reason)]
+                there = why == reason
+                beside = np.zeros(len(why), dtype=bool)
+                beside[1:] |= there[:-1]
+                beside[:-1] |= there[1:]
+                lost = there | (beside & (why == FITS))  # up to what is kept
+                cuts += [Cut(path.name, reason, piece.points) for piece in trim_path(path, dense, lost)]
             for piece in trim_path(path, dense, why == FITS):
                 if length(piece.points) < SHORTEST * width:
                     cuts.append(Cut(path.name, SHORT, piece.points))
@@ -106,13 +112,15 @@ class Clipped:
             lines.append(np.column_stack([some, heights[tree.query(some)[1]]]))
         return tuple(lines)
 
-    def check(self, problem: Problem, size_key: str, most: float) -> None:
-        """Raise InputError where more than a share `most` of the length is left out, or all of it."""
-        if not self.cuts or (self.share <= most and self.paths):
-            return
+    def check(self, most: float) -> None:
+        """Raise TooMuchCut where more than a share `most` of the length is left out, or all of it."""
+        if self.cuts and (self.share > most or not self.paths):
+            raise TooMuchCut(self)
+
+    def refusal(self, problem: Problem, size_key: str, needed: float | None) -> Exception:
+        """The InputError that says what is lost first, and the share that leaves out what cannot be printed, if one does."""
         cut = self.cuts[0]
         x, y = cut.points[0] * 1e3
-        lost = f", and with the rest of this kind {self.share:.1%} of the length" if len(self.cuts) > 1 else ""
         reason = {
             OFF: f"path {cut.name!r} leaves the part at x {x:.1f}, y {y:.1f} mm",
             STEEP: f"path {cut.name!r} comes to a wall of {STEEPEST:g} degrees or more at x {x:.1f}, y {y:.1f} mm",
@@ -120,16 +128,32 @@ class Clipped:
             FOLDS: f"the part is bent inwards too tightly under path {cut.name!r} at x {x:.1f}, y {y:.1f} mm: layers would fold",
             SHORT: f"path {cut.name!r} is only {length(cut.points) * 1e3:.3f} mm long at this size",
         }[cut.why]
-        hint = f"make it smaller or move it (layers.centre_mm); the part may lean by {STEEPEST:g} degrees"
-        field = "layers.source"
-        if cut.why == SHORT:
-            field, hint = size_key, f"at least as long as the bead is wide, {problem.process.bead.width * 1e3:g} mm"
-        if cut.why == FOLDS:
-            field, hint = "layers.count", "fewer or thinner layers, or layers.offset: z"
-        if self.paths:
-            needed = np.ceil(self.share / _ROUNDED_UP + 0.5) * _ROUNDED_UP
-            hint += f"; layers.source.leave_out_share: {min(needed, 1.0):.3g} leaves out what cannot be printed"
-        raise problem.error(field, reason + lost, hint)
+        field, hint = {
+            SHORT: (size_key, f"at least as long as the bead is wide, {problem.process.bead.width * 1e3:g} mm"),
+            FOLDS: ("layers.count", "fewer or thinner layers, or layers.offset: z"),
+        }.get(
+            cut.why,
+            (
+                "layers.source",
+                f"make it smaller or move it (layers.centre_mm); the part may lean by {STEEPEST:g} degrees",
+            ),
+        )
+        if needed is not None:
+            hint += f"; layers.source.leave_out_share: {share_words(needed)} leaves out what cannot be printed"
+        return problem.error(field, reason, hint)
+
+
+class TooMuchCut(ValueError):
+    """More is cut from curves than may be left out; edges of a mesh, where it is `rough` there."""
+
+    def __init__(self, clipped: Clipped, rough: TooRoughMesh | None = None) -> None:
+        self.clipped, self.rough = clipped, rough
+        super().__init__(f"{clipped.share:.1%} of the length cannot be printed")
+
+
+def share_words(share: float) -> str:
+    """A share that is at least this, as it stands in a problem file."""
+    return f"{min(np.ceil(share / _ROUNDED_UP + 0.01) * _ROUNDED_UP, 1.0):.3g}"
 
 
 def off_or_steep(upward: Callable[[Array], Array]) -> Callable[[Array], Ints]:

@@ -6,6 +6,7 @@ What of them cannot be printed is cut, told and drawn (`clipping.py`).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -13,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Flags, Ints
-from planner.base.errors import Complaint
+from planner.base.errors import Complaint, InputError
 from planner.problem import Problem
 from planner.problem.drawings import (
     CurvesSpec,
@@ -51,10 +52,12 @@ from planner.toolpath.substrate.clipping import (
     STEEPEST,
     Clipped,
     Cut,
+    TooMuchCut,
     at_edges,
     creases,
     lost_pieces,
     off_or_steep,
+    share_words,
     trim_curve,
 )
 from planner.toolpath.substrate.curved_facets import CREASE
@@ -180,18 +183,48 @@ def project_curves(
 ) -> Toolpath:
     """Round the corners of plane paths, order them and lay their layers on the part.
 
-    Raises InputError for paths that miss the part or leave it, and for a part that nothing can be laid on.
+    Raises InputError where more of the paths cannot be printed than may be left out, and for a part that nothing can be
+    laid on.
     """
+    try:
+        substrate, clipped, curves = _plane_curves(problem, spec, spec.source.crumbs)
+    except TooMuchCut as error:
+        needed = None
+        if error.clipped.paths:
+            with suppress(InputError, TooMuchCut):
+                needed = _plane_curves(problem, spec, 1.0)[1].share
+        if error.rough is None:
+            raise error.clipped.refusal(problem, _size_key(spec.source), needed) from None
+        cut = "" if needed is None else f"; layers.source.leave_out_share: {share_words(needed)} cuts the curves there"
+        raise _too_rough(error.rough, partial(problem.error, "part.mesh.file"), cut) from None
+    bead, body = problem.process.bead, substrate.body
+    rows = [shorten_travel(curves)]
+    while len(rows) < spec.count:  # the next layer starts where this one ended
+        rows.append([reverse(curve) for curve in reversed(rows[-1])])
+    if spec.facing is not None and isinstance(body, MeshTop):
+        substrate = substrate.facing(rows, spec.facing, body.facets)
+    toolpath = _laid(substrate, rows, bead.width, bead.height)
+    if not clipped.cuts:
+        return toolpath
+    plane = np.vstack([curve.points for curve in curves])
+    left_out = clipped.drawn_on(plane, substrate.project(plane, 0)[0][:, 2])
+    return replace(toolpath, notes=(*toolpath.notes, *clipped.notes), left_out=left_out)
+
+
+def _plane_curves(
+    problem: Problem, spec: ProjectedDrawingSpec | ProjectedPatternSpec | ProjectedCurvesSpec, most: float
+) -> tuple[Substrate, Clipped, list[PlaneCurve]]:
+    """The part and the rounded curves on it, and what was cut from them; TooMuchCut beyond a share `most` of the length."""
     process, source, part = problem.process, spec.source, problem.part
     if part is None:
         raise problem.error("part", "is missing", f"the body to project onto: {' or '.join(spec.bodies)}")
     width, least = process.bead.width, np.cos(np.radians(STEEPEST))
     clipped = Clipped.of([placed(path, spec) for path in paths_of(problem, source)], width)
-    clipped.check(problem, _size_key(source), source.crumbs)
-    body, clipped = _body(problem, part, clipped, source)
+    clipped.check(most)
+    body, clipped = _body(problem, part, clipped, most)
     substrate = Substrate(body, spec.height, spec.offset == "z")
     clipped = clipped.without(_bends(substrate, spec.count), width)
-    clipped.check(problem, _size_key(source), source.crumbs)
+    clipped.check(most)
 
     curves: list[PlaneCurve] = []
     cuts = list(clipped.cuts)
@@ -213,18 +246,8 @@ def project_curves(
                 cuts.append(Cut(path.name, SHORT, piece.points))
         cuts += lost_pieces(curve, reasons)
     clipped = replace(clipped, cuts=tuple(cuts), paths=clipped.paths if curves else ())
-    clipped.check(problem, _size_key(source), source.crumbs)
-    rows = [shorten_travel(curves)]
-    while len(rows) < spec.count:  # the next layer starts where this one ended
-        rows.append([reverse(curve) for curve in reversed(rows[-1])])
-    if spec.facing is not None and isinstance(body, MeshTop):
-        substrate = substrate.facing(rows, spec.facing, body.facets)
-    toolpath = _laid(substrate, rows, width, process.bead.height)
-    if not clipped.cuts:
-        return toolpath
-    plane = np.vstack([curve.points for curve in curves])
-    left_out = clipped.drawn_on(plane, substrate.project(plane, 0)[0][:, 2])
-    return replace(toolpath, notes=(*toolpath.notes, *clipped.notes), left_out=left_out)
+    clipped.check(most)
+    return substrate, clipped, curves
 
 
 def _laid(substrate: Substrate, rows: Sequence[Sequence[PlaneCurve]], width: float, height: float) -> Toolpath:
@@ -266,40 +289,29 @@ def placed(path: PlanePath, spec: OnPartSpec) -> PlanePath:
     return replace(path, points=points)
 
 
-def _body(
-    problem: Problem, part: PartSpec, clipped: Clipped, source: SvgSpec | PatternSpec | CurvesSpec
-) -> tuple[SubstrateBody, Clipped]:
+def _body(problem: Problem, part: PartSpec, clipped: Clipped, most: float) -> tuple[SubstrateBody, Clipped]:
     """The body, and what of the paths falls onto it where it can be printed on."""
-
-    def fitting(body: SubstrateBody | FacetTree | UpperFaces) -> Clipped:
-        return _fitting(problem, body, clipped, source)
-
     exact = exact_body(part)
     if exact is not None:
-        return exact, fitting(exact)
+        return exact, _fitting(problem, exact, clipped, most)
     if part.step is not None:
         upper = _upper_faces(problem, part.step)
-        there = fitting(upper)
+        there = _fitting(problem, upper, clipped, most)
         return _step_body(problem, part.step, upper, there), there
     if part.mesh is None:
         raise problem.error("part", f"a {part.body} is nothing to project onto")
     facets = top_facets(part.mesh, partial(problem.error, "part.mesh.file"))
-    return _mesh_body(problem, part.mesh, facets, fitting(facets), source.crumbs)
+    return _mesh_body(problem, part.mesh, facets, _fitting(problem, facets, clipped, most), most)
 
 
-def _fitting(
-    problem: Problem,
-    body: SubstrateBody | FacetTree | UpperFaces,
-    clipped: Clipped,
-    source: SvgSpec | PatternSpec | CurvesSpec,
-) -> Clipped:
-    """What of the paths falls onto a body where it is not too steep; InputError where too much is lost."""
+def _fitting(problem: Problem, body: SubstrateBody | FacetTree | UpperFaces, clipped: Clipped, most: float) -> Clipped:
+    """What of the paths falls onto a body where it is not too steep."""
     if not any(np.isfinite(body.upward(densify(path.points))).any() for path in clipped.paths):
         raise problem.error(
             "layers.centre_mm", "no curve falls onto the part", "the middle of the curves, x and y of the part frame"
         )
     there = clipped.without(off_or_steep(body.upward), problem.process.bead.width)
-    there.check(problem, _size_key(source), source.crumbs)
+    there.check(most)
     return there
 
 
@@ -325,7 +337,6 @@ def _mesh_body(
         return laid(outline, False), clipped
     except TooRoughMesh as error:
         refused, last = error, error
-    more = ""
     sharp = creases(outline, lambda plane: facets.normals[facets.top(plane)[1]], CREASE)
     for attempt in range(_EDGE_ROUNDS):
         first = attempt == 0 and len(sharp) > 0
@@ -334,15 +345,13 @@ def _mesh_body(
         if not clipped.paths:
             break
         if clipped.share > most:
-            share = np.ceil(clipped.share * 1e2) / 1e2
-            more = f"; or cut the curves there, with a layers.source.leave_out_share of {share:g} or more"
-            break
+            raise TooMuchCut(clipped, refused)
         outline = [densify(path.points) for path in clipped.paths]
         try:
             return laid(outline, True), clipped
         except TooRoughMesh as error:
             last = error
-    raise _too_rough(refused, partial(problem.error, "part.mesh.file"), more)
+    raise _too_rough(refused, partial(problem.error, "part.mesh.file"))
 
 
 def _within(tree: cKDTree, plane: Array, beside: float) -> Flags:
@@ -353,7 +362,10 @@ def top_facets(spec: MeshSpec, where: Complaint) -> FacetTree:
     """The facets of a mesh, some of which face upwards, else InputError; for `where` see read_facets."""
     facets = FacetTree.of(read_facets(spec, where))
     if facets.normals[:, 2].max() <= 0.0:
-        raise where(f"no facet of {spec.file.name} faces upwards", hint="turn it with rpy_deg")
+        raise where(
+            f"no facet of {spec.file.name} faces upwards",
+            hint="turn it with rpy_deg, or flip its facets in a mesh program",
+        )
     return facets
 
 

@@ -32,6 +32,7 @@ _REACH = 2.0  # bead widths beside the body within which its surfaces count
 
 _FARTHEST = 3.0  # line distances, to the next line's end: farther, the zig-zag ends
 _BESIDE = 0.1  # bead widths by which the way from line to line may leave the region: the bead at the wall takes it
+_FAR_OFF = 0.1  # of the length that is wanted
 _SPECK = 0.1  # bead widths: a line shorter than this only touches the region
 _TRIES = 3  # distances of lines that are tried
 _HAIR = 1e-6  # m: the outermost lines lie so far inside, else they are found or not by chance
@@ -42,6 +43,7 @@ _SHORTEST = 3.0  # bead widths: a shorter path is left out
 _REACHED = 0.75  # bead widths from a wall's middle line: what is farther is left out; corners of a right angle are not
 _SEEN = 0.05  # squared bead widths: less is no place
 _OPEN = 0.005  # of the volume: less is not told
+_HELD = 0.95  # of the volume: so much and more is as asked
 _NAMED = 5  # numbers of layers that are named
 _RESERVE = 1.02  # the stretch varies within a tolerance
 _BELOW = 1e-5  # m by which a body may reach below the bed: rounding
@@ -146,21 +148,31 @@ def _inset(region: shapely.MultiPolygon, by: float) -> shapely.MultiPolygon:
 
 
 def _filling(polygon: shapely.Polygon, width: float, density: float) -> list[Array]:
-    """Zig-zags (k, 2) whose length comes nearest to that share: their turns count, and there are whole lines only."""
+    """Zig-zags (k, 2) whose length comes nearest to that share: their turns count, and there are whole lines only.
+
+    The outermost lines lie at the polygon's ends; where that is far from the share, as in round ones, half a distance within.
+    """
     wanted = density * polygon.buffer(0.5 * width, join_style="mitre").area / width
-    apart, best, least = width / density, [], np.inf
-    for _ in range(_TRIES):
-        chains = list(_chains(polygon, width, max(apart, width)))
-        total = sum(length(chain) for chain in chains)
-        if abs(total - wanted) < least:
-            best, least = chains, abs(total - wanted)
-        apart *= total / wanted
+    best: list[Array] = []
+    least = np.inf
+    for aside in (0.0, 0.5):
+        apart = width / density
+        for _ in range(_TRIES):
+            chains = list(_chains(polygon, width, max(apart, width), aside))
+            total = sum(length(chain) for chain in chains)
+            if abs(total - wanted) < least:
+                best, least = chains, abs(total - wanted)
+            apart *= total / wanted
+            if apart <= 0.0:
+                break
+        if least <= _FAR_OFF * wanted:
+            break
     return best
 
 
-def _chains(polygon: shapely.Polygon, width: float, apart: float) -> Iterator[Array]:
-    """Zig-zags (k, 2) along x through a polygon, their lines `apart` [m] or a little more or less."""
-    rows = _zigzag_rows(polygon, apart, _SPECK * width)
+def _chains(polygon: shapely.Polygon, width: float, apart: float, aside: float) -> Iterator[Array]:
+    """Zig-zags (k, 2) along x through a polygon, their lines `apart` [m] or a little more or less; see _zigzag_rows."""
+    rows = _zigzag_rows(polygon, apart, _SPECK * width, aside)
     near = shapely.prepared.prep(polygon.buffer(_BESIDE * width))
     while any(rows):
         first = next(i for i, row in enumerate(rows) if row)
@@ -180,12 +192,16 @@ def _chains(polygon: shapely.Polygon, width: float, apart: float) -> Iterator[Ar
         yield np.vstack(chain)
 
 
-def _zigzag_rows(polygon: shapely.Polygon, apart: float, least: float) -> list[list[Array]]:
-    """Lines (2, 2) within a polygon, row by row upwards, each from left to right; longer than `least` [m]."""
+def _zigzag_rows(polygon: shapely.Polygon, apart: float, least: float, aside: float) -> list[list[Array]]:
+    """Lines (2, 2) within a polygon, row by row upwards, each from left to right; longer than `least` [m].
+
+    The outermost are so many distances `aside` from its ends.
+    """
     left, low, right, high = polygon.bounds
-    count = max(round((high - low) / apart), 1) + 1
+    count = max(round((high - low) / apart - 2.0 * aside), 1 if aside == 0.0 else 0) + 1
+    inside = max(_HAIR, aside * (high - low) / (count - 1.0 + 2.0 * aside))
     rows = []
-    for y in np.linspace(low + _HAIR, high - _HAIR, count):
+    for y in np.linspace(low + inside, high - inside, count):
         across = shapely.LineString([(left - apart, y), (right + apart, y)]).intersection(polygon)
         pieces = [np.asarray(part.coords) for part in shapely.get_parts(across) if part.length > least]
         rows.append(sorted(pieces, key=lambda piece: float(piece[0, 0])))
@@ -238,6 +254,11 @@ def _solid(corners: Array, name: str, complain: Complaint) -> Solid:
         solid = Solid.of(corners)
     except NotClosed as error:
         x, y, z = error.place * 1e3
+        if error.opposite:
+            raise complain(
+                f"{name} has facets that face opposite ways beside the edge at x {x:.2f}, y {y:.2f}, z {z:.2f} mm",
+                "unify its normals in a CAD or mesh program: which side is inside must be known",
+            ) from None
         raise complain(
             f"{name} is not closed: an edge at x {x:.2f}, y {y:.2f}, z {z:.2f} mm has not one facet to either side",
             "mend it in a CAD or mesh program: what is inside must be known",
@@ -359,6 +380,7 @@ class _Lost:
 
     share   of the body's volume
     open    share that is left open between walls, too near each other for a line of infill
+    held    what beads hold of what walls and infill ask for
     places  outlines (n, 2) in layers (index) of what is too narrow for a bead
     """
 
@@ -367,6 +389,7 @@ class _Lost:
     places: tuple[tuple[int, Array], ...]
     share: float
     open: float
+    held: float
 
     def check(self, problem: Problem, name: str, most: float) -> None:
         """Raise InputError where a share above `most` is lost."""
@@ -418,21 +441,24 @@ def _lost(
     """What is not printed of the regions that layers cover."""
     width = problem.process.bead.width
     whole = sum(region.area for region in regions)
-    lost, between, places = 0.0, 0.0, []
+    lost, between, wanted, laid, places = 0.0, 0.0, 0.0, 0.0, []
     for layer, (region, row) in enumerate(zip(regions, rows, strict=True)):
         narrow = region
+        within = _inset(region, spec.perimeters * width)
+        wanted += region.area - (1.0 - spec.infill.density) * within.area
+        laid += sum(length(line.curve.points) for line in row) * width
         if row:  # what a bead's width leaves out at walls and in corners; corners are rounded anyway
             reached = _inset(region, 0.5 * width).buffer(_REACHED * width)
             narrow = polygons(region.difference(reached))
             filled = _inset(region, (spec.perimeters + 0.5) * width).buffer(_REACHED * width)
-            between += polygons(_inset(region, spec.perimeters * width).difference(filled)).area
+            between += polygons(within.difference(filled)).area
             lost += sum(_area(path, width, spec.infill.density) for path in short[layer])
         narrow = shapely.MultiPolygon([part for part in narrow.geoms if not row or part.area > _SEEN * width**2])
         lost += narrow.area
         places += [(layer, np.asarray(part.exterior.coords)) for part in narrow.geoms]
     left = tuple(layer for layer, row in enumerate(rows) if not row)
     pieces = tuple((layer, path) for layer, paths in enumerate(short) if layer not in left for path in paths)
-    return _Lost(left, pieces, tuple(places), lost / whole, between / whole)
+    return _Lost(left, pieces, tuple(places), lost / whole, between / whole, laid / wanted)
 
 
 def _area(path: PlanePath, width: float, density: float) -> float:
@@ -453,6 +479,11 @@ def _notes(
         notes.append(f"{name}: {lost.words}")
     if lost.open > _OPEN:
         notes.append(f"{name}: {lost.open:.2%} of the volume stays open, between walls too near each other for a line")
+    if lost.held < _HELD:
+        notes.append(
+            f"{name}: beads hold {lost.held:.1%} of the volume that walls and infill ask for, as lines are whole and corners "
+            "rounded; narrower beads hold more"
+        )
     if base is not None and base.words:
         notes.append(f"layers.lower.mesh: {base.words}")
     return tuple(notes)

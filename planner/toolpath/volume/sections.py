@@ -161,10 +161,10 @@ class MorphedLayers:
 
 
 class NotClosed(ValueError):
-    """A body with a hole in its skin, at `place` (3) [m]."""
+    """A body with a hole in its skin, or two facets that face opposite ways beside an edge, at `place` (3) [m]."""
 
-    def __init__(self, place: Array) -> None:
-        self.place = place
+    def __init__(self, place: Array, opposite: bool) -> None:
+        self.place, self.opposite = place, opposite
         super().__init__("the mesh is not closed")
 
 
@@ -181,8 +181,9 @@ def _sides_that_meet(vertices: Array, facets: Ints) -> tuple[Ints, Ints]:
     if len(ahead) != len(back) or (key[ahead] != key[back]).any():
         once, count = np.unique(key, return_counts=True)
         balance = np.bincount(np.searchsorted(once, key), np.where(forward, 1.0, -1.0))
-        worst = once[np.argmax(np.where(balance != 0.0, 1 + (count == 1), 0))]
-        raise NotClosed(vertices[[worst // len(vertices), worst % len(vertices)]].mean(axis=0))
+        worst = int(np.argmax(np.where(balance != 0.0, 1 + (count % 2), 0)))  # holes before what faces the other way
+        ends_of = [once[worst] // len(vertices), once[worst] % len(vertices)]
+        raise NotClosed(vertices[ends_of].mean(axis=0), bool(count[worst] % 2 == 0))
     first = np.flatnonzero(np.diff(key[ahead], prepend=-1))
     count = np.diff(first, append=len(ahead))
     for start, n in zip(first[count > 1].tolist(), count[count > 1].tolist(), strict=True):
