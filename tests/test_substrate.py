@@ -235,9 +235,7 @@ def test_layers_lie_on_each_other(tmp_path: Path, mesh: bool, offset: str) -> No
         surface = toolpath.surface.before(i + 1)
         gap = surface.signed_distance(bead.points)
         steep = bead.normals[:, 2] if offset == "z" else np.ones(len(bead.s))
-        rough = (
-            6e-5 if mesh else 5e-6 if offset == "z" else 1e-9
-        )  # 0.5 mm above a ball moved upwards is not on a ball
+        rough = 6e-5 if mesh else 5e-6 if offset == "z" else 1e-9  # 0.5 mm above a ball moved upwards is not on a ball
         np.testing.assert_allclose(gap, spacing * steep, atol=rough)
         np.testing.assert_allclose(bead.height, spacing * steep)
         np.testing.assert_allclose(surface.normals(bead.points), bead.normals, atol=1e-8)
