@@ -156,7 +156,7 @@ def test_noise_is_smoothed_within_the_bound(noise: float, radius: float, seed: i
         true = plane / radius
         up = np.sqrt(1.0 - (true**2).sum(axis=1))
         angle = np.degrees(np.linalg.norm(np.cross(normals, np.column_stack([true, up])), axis=1))
-        assert angle.max() <= 1.0 + 8e3 * noise  # degrees; facets are off by up to forty times as much
+        assert angle.max() <= 1.0 + 2.5e4 * noise  # degrees, at the ends of lines; facets are off by four times as much
 
 
 def test_noise_is_told() -> None:
