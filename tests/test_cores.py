@@ -172,6 +172,8 @@ def test_short_pieces_are_left_out_and_counted() -> None:
     assert min(bead.length for bead in toolpath.beads) >= 1.8e-3
     (note,) = toolpath.notes
     assert "pieces of layers shorter than 1.8 mm left out" in note
+    with pytest.raises(InputError, match=r"30\.9 mm of the layers are in pieces too short.*leave_out_share: 0\.002"):
+        core("aerofoil_core", "layers.source.leave_out_share=0.001")
 
 
 def test_a_steep_part_is_left_out() -> None:

@@ -17,7 +17,7 @@ from planner.problem.layers import CoreLayersSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.ordering import shorten_travel
 from planner.toolpath.plane_paths import PlaneCurve, densify, length, make_bead, round_corners
-from planner.toolpath.substrate.clipping import trim_curve, trim_path
+from planner.toolpath.substrate.clipping import share_words, trim_curve, trim_path
 from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField
 from planner.toolpath.substrate.mesh_top import FARTHEST_FROM_FACETS, MeshTop, reach_beside
 from planner.toolpath.substrate.projection import (
@@ -220,12 +220,21 @@ def lay_core(problem: Problem, spec: CoreLayersSpec) -> Toolpath:
             break
     if not rows:
         raise _no_room(problem, "no layer has a piece that is long enough")
+    _check_left_out(problem, spec.source.crumbs, sum(left_out), sum(length(each.points) for row in rows for each in row))
     surface = replace(surface, levels=tuple(laid))
     share = process.bead.height / spec.height
     beads = _lay(surface, rows, process.bead.width, share)
     surface = replace(surface, layers=tuple(bead.layer for bead in beads))
     body = surface.body
     return Toolpath(tuple(beads), surface, body.shape(), _notes(body, left_out, shortest), body.facets.corners)
+
+
+def _check_left_out(problem: Problem, most: float, lost: float, laid: float) -> None:
+    """InputError where pieces that are too short make up more than a share `most` of what was to be laid [m]."""
+    if lost > most * (lost + laid):
+        share = share_words(lost / (lost + laid))
+        reason = f"{lost * 1e3:.1f} mm of the layers are in pieces too short for a bead"
+        raise problem.error("layers.source", reason, f"layers.source.leave_out_share: {share} leaves them out")
 
 
 def _space(problem: Problem, spec: CoreLayersSpec) -> _Space:
