@@ -220,7 +220,9 @@ def lay_core(problem: Problem, spec: CoreLayersSpec) -> Toolpath:
             break
     if not rows:
         raise _no_room(problem, "no layer has a piece that is long enough")
-    _check_left_out(problem, spec.source.crumbs, sum(left_out), sum(length(each.points) for row in rows for each in row))
+    _check_left_out(
+        problem, spec.source.crumbs, sum(left_out), sum(length(each.points) for row in rows for each in row)
+    )
     surface = replace(surface, levels=tuple(laid))
     share = process.bead.height / spec.height
     beads = _lay(surface, rows, process.bead.width, share)
