@@ -14,6 +14,7 @@ from planner.problem import load_problem
 
 ROOT = Path(__file__).resolve().parents[1]
 STARTED_BY_OTHERS = {
+    "mesh_runs",
     "single",
     "peers.one",
     *(f"peers.run_{name}" for name in ("pink", "roboplan", "tesseract")),

@@ -189,7 +189,7 @@ def test_bad_curves_are_refused_by_field(curves: str, field: str, words: str) ->
     [
         ("[{degree: 3, points_mm: [[0, 0], [90, 90], [0, 90], [90, 0]]}]", "curve 1 turns back on itself at x 45.00"),
         ("[{degree: 2, points_mm: [[0, 0], [0, 0], [0, 0]]}]", "'curve 1' is only 0.000 mm long"),
-        ("[{degree: 2, points_mm: [[0, 0], [50, 0], [200, 0]]}]", "'curve 1' leaves the part at x 110.1"),
+        ("[{degree: 2, points_mm: [[0, 0], [50, 0], [200, 0]]}]", "'curve 1' leaves the part at x 110.0"),
         ("[{degree: 2, points_mm: [[0, 0], [10, 5], [20, 0]]}]", "too short to be cut fibre"),
     ],
 )
