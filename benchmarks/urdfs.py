@@ -19,13 +19,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.add.command import added
-from planner.add.files import Cap
-from planner.add.trial import trial
 from planner.base.errors import InputError, PlannerError
 from planner.base.shipped import PROBLEMS
 from planner.cell.kinematics.chain import refine
 from planner.cell.robot import Robot, chain_of
+from planner.robots.command import added
+from planner.robots.files import Cap
+from planner.robots.trial import trial
 
 Array = NDArray[np.float64]
 POSTURES, STARTS = 5, 400  # whose poses are solved, and Newton's starts for each

@@ -13,13 +13,13 @@ SOURCES = ROOT / "planner"
 # Rooms of planner/ in layers: a room imports from those in layers before its own, and from itself.
 LAYERS = (
     "base", "problem", "cell", "toolpath", "collision", "resolve", "plan", "motion", "verify", "export report", "planning",
-    "solve check robots add new place register view link simulate reference",
+    "solve check robots new place register view link simulate reference",
 )  # fmt: skip
 # Packages that only some commands or problems need, or that are slow to import: the modules that may name them.
 HEAVY = {
     "numba": {"base.compiled"},
     "pinocchio": {"cell.bodies", "cell.carrier", "cell.cell", "cell.robot", "cell.urdf", "verify.executed"},
-    "coal": {"add.touching", "cell.bodies", "verify.bodies"},
+    "coal": {"robots.touching", "cell.bodies", "verify.bodies"},
     "ruckig": {"motion.travel"},
     "shapely": {"toolpath.step", "toolpath.svg", "toolpath.volume"},
     "svgelements": {"toolpath"},
@@ -38,8 +38,8 @@ HEAVY = {
     "distributed": {"base.distribution"},
     "requests": {"link"},
     "websocket": {"link"},
-    "xacro": {"add.survey"},
-    "xacrodoc": {"add.survey"},
+    "xacro": {"robots.survey"},
+    "xacrodoc": {"robots.survey"},
 }
 # What the verifier must not see, so that it judges the planner with none of the planner's own code.
 JUDGED = {"resolve", "motion", "cell.kinematics", "planning"}

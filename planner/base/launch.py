@@ -29,7 +29,7 @@ COMMANDS = {
     "check": CommandModule("planner.planning.check_command", "read a problem and its files without planning it"),
     "new": CommandModule("planner.new.command", "make a problem file of your own"),
     "robots": CommandModule(
-        "planner.add.command", "the robots that ship, one of them in detail, or one of your own added"
+        "planner.robots.command", "the robots that ship, one of them in detail, or one of your own added"
     ),
     "place": CommandModule("planner.place.command", "search for the place from which a part is printed best"),
     "register": CommandModule("planner.register.command", "find where the part really is, from touched places"),

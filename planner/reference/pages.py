@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from planner.add.command import add_command
 from planner.base.command_line import Command
 from planner.cell.robots_command import robots_command
 from planner.export.plan_json import DIP_KEYS, KEYS, SPLIT_KEYS
@@ -19,6 +18,7 @@ from planner.planning.options import solve_command
 from planner.reference.command import reference_command
 from planner.reference.markdown import table
 from planner.register.command import register_command
+from planner.robots.command import add_command
 from planner.simulate.command import simulate_command
 from planner.view.command import view_command
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.add.survey import Survey
-from planner.add.touching import Touching
 from planner.base.arrays import Array
 from planner.base.shipped import PROBLEM_SCHEMA
 from planner.problem.yaml_file import yaml_text
+from planner.robots.survey import Survey
+from planner.robots.touching import Touching
 
 ROBOT_SCHEMA = PROBLEM_SCHEMA.with_name("robot.schema.json")
 

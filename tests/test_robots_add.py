@@ -11,10 +11,6 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from planner.add import survey as surveying
-from planner.add.command import added, main
-from planner.add.files import nozzle_of, spiral
-from planner.add.survey import key_of, survey
 from planner.base.errors import InputError, OutputError
 from planner.cell.bodies import BodyRules, read_bodies
 from planner.cell.cell import build_cell
@@ -23,6 +19,10 @@ from planner.cell.robot import read_robot
 from planner.cell.solids import Hull
 from planner.cell.urdf import Urdf, model_of, parse_urdf
 from planner.problem import load_problem
+from planner.robots import survey as surveying
+from planner.robots.command import added, main
+from planner.robots.files import nozzle_of, spiral
+from planner.robots.survey import key_of, survey
 from planner.verify.bodies import CellBodies, pairs
 from tests.public_arms import ARMS, urdf_of
 

@@ -11,10 +11,6 @@ from pathlib import Path
 
 from rich.console import Console
 
-from planner.add.files import robot_text
-from planner.add.survey import Survey, expanded, key_of, survey
-from planner.add.touching import Touching, touching
-from planner.add.trial import Trial, trial
 from planner.base.command_line import Command, exit_code, one_of
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, OutputError
 from planner.cell import robots_command
@@ -22,6 +18,10 @@ from planner.cell.robot import Robot, read_robot
 from planner.cell.urdf import Urdf, parse_urdf, read_urdf
 from planner.planning.pipeline import write
 from planner.problem.settings import LANGUAGE_NAMES
+from planner.robots.files import robot_text
+from planner.robots.survey import Survey, expanded, key_of, survey
+from planner.robots.touching import Touching, touching
+from planner.robots.trial import Trial, trial
 
 NOTHING = Touching((), {}, ())
 

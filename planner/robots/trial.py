@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planner.add.files import BENDS, Cap, TrialNozzle, cap_for, nozzle_of, print_text
 from planner.base.arrays import Array
 from planner.base.errors import InputError, Refusal
 from planner.cell.robot import Robot
@@ -18,6 +17,7 @@ from planner.plan import Plan
 from planner.planning.check_command import examine
 from planner.planning.pipeline import solve
 from planner.problem.problem import parse_problem
+from planner.robots.files import BENDS, Cap, TrialNozzle, cap_for, nozzle_of, print_text
 
 ABOVE = 0.05  # m above the cap, where the print begins and ends
 PLACES = 20  # best places that are looked at, one after another

@@ -1,1 +1,0 @@
-"""A robot of one's own: its file from a published URDF, and a print to try it with."""
