@@ -26,7 +26,7 @@ from planner.problem import load_problem
 from planner.problem.settings import ResolveSpec
 from planner.resolve.joint_path import JointPath
 from planner.resolve.ladder import ladder
-from planner.resolve.reference.nlp import Solution, solve_nlp
+from planner.resolve.reference.nlp import NlpSolution, solve_nlp
 from planner.resolve.refine import evaluate, refine_stretch
 from planner.resolve.segment import Model, PathSegment, PathState
 from planner.resolve.sqp import SplinePath, given_prices, sigma_floor, start_track, whole
@@ -84,7 +84,7 @@ def start(cell: Cell, track: SplinePath, floor: float) -> tuple[Model, PathSegme
     return model, stretch, state
 
 
-def compare(case: Case, folder: Path) -> tuple[float, float, float, float, float, Solution, int]:
+def compare(case: Case, folder: Path) -> tuple[float, float, float, float, float, NlpSolution, int]:
     """Price of the ladder, of sqp and its seconds, of nlp and its seconds; what IPOPT says; samples."""
     cell, path, settings = ladders_path(case, folder)
     given = given_prices(model_of(cell), [path], settings)

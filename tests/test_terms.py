@@ -21,8 +21,8 @@ from planner.resolve.segment import ROOM, Clearances, Model, PathSegment, PathSt
 from planner.resolve.sqp import refine_paths, start_track, whole
 from planner.resolve.terms import (
     DEFAULT,
-    Clearance,
-    Cones,
+    BodyClearance,
+    ConeBounds,
     Effort,
     JointLimits,
     Singularity,
@@ -85,7 +85,7 @@ def everything(state: PathState) -> Watch:
 
 
 @pytest.mark.parametrize(
-    "term", [TimeLost(2.0), Effort(0.7), JointLimits(3.0), Singularity(0.5), Cones(), Tilt(2.0), Travel(1.5)],
+    "term", [TimeLost(2.0), Effort(0.7), JointLimits(3.0), Singularity(0.5), ConeBounds(), Tilt(2.0), Travel(1.5)],
     ids=lambda term: term.name,
 )  # fmt: skip
 def test_a_term_of_the_program_is_its_price_to_first_order(term: Term, start_of: Callable[..., Start]) -> None:
@@ -113,13 +113,13 @@ def test_a_term_of_the_program_is_its_price_to_first_order(term: Term, start_of:
 
 def test_what_clearance_lacks_falls_as_its_rows_say(start_of: Callable[..., Start]) -> None:
     """Of margins that change as their slopes say."""
-    model, stretch, state = start_of(Clearance())
+    model, stretch, state = start_of(BodyClearance())
     rng = np.random.default_rng(5)
     n, m = state.sigma_slope.shape
     sample = np.sort(rng.choice(n, 40, replace=False))
     near = Clearances(np.ones(n), sample, ROOM + rng.uniform(-1e-3, 1e-3, 40), rng.normal(size=(40, m)))
     state = replace(state, near=near)
-    term = Clearance()
+    term = BodyClearance()
     assert term.price(model, stretch, state) > 0.0
     rows = term.further(model, stretch, state, 0.1)
     assert rows is not None

@@ -118,7 +118,7 @@ def matrix_of(pose: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Step:
+class ProgramStep:
     """A move.
 
     linear, fine  a line or an arc; it comes to rest at its end
@@ -139,13 +139,13 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Steps:
+class ProgramSteps:
     """What the statements of a program have done so far: grows with each of them.
 
     switched  (move, output, value) of outputs that are switched after a move; with `triggers` on the path of a move
     """
 
-    moves: list[Step] = field(default_factory=list)
+    moves: list[ProgramStep] = field(default_factory=list)
     waits: dict[int, float] = field(default_factory=dict)
     switched: list[tuple[int, str, bool]] = field(default_factory=list)
     triggers: dict[int, tuple[Trigger, ...]] = field(default_factory=dict)
@@ -194,7 +194,7 @@ def switch_triggers(switched: list[tuple[int, str, bool]], m: int) -> dict[int, 
 
 
 def read_arm(
-    title: str, steps: Steps, tool: Array, part: Array, forward: Callable[[Array], Array], file: str
+    title: str, steps: ProgramSteps, tool: Array, part: Array, forward: Callable[[Array], Array], file: str
 ) -> ArmProgram:
     """A program of steps, the first of which goes to the start in joints.
 

@@ -8,7 +8,7 @@ from planner.export.player.model import ABB, ASSUMED_ABB, MotionModel
 
 
 @dataclass(frozen=True)
-class Controller:
+class ControllerLimits:
     """A controller, for which programs are written in a language.
 
     motion        how it moves
@@ -29,23 +29,23 @@ class Controller:
         return 1.0 / self.warned_time
 
 
-CONTROLLERS: dict[str, Controller] = {
+CONTROLLERS: dict[str, ControllerLimits] = {
     # A real IRC5 ran 62 evenly spaced lines a second, 16.0 ms each, at full speed (recordings of curve 2, hehonglu123/
     # Motion-Primitive-Planning); nothing shorter was found. Its curve 1, 25.7 ms a line, shows no trace in the
     # speed. Users with frames of a few ms report "50078 too many closely spaced positions". Programs are split and loaded.
-    "rapid": Controller("ABB IRC5 / OmniCore", ABB, 0.016, None, "recordings of a real IRC5"),
+    "rapid": ControllerLimits("ABB IRC5 / OmniCore", ABB, 0.016, None, "recordings of a real IRC5"),
     # ASSUMED: two interpolation cycles of 12 ms (KR C2, KR C4), as no recording is public. $ADVANCE: at most 5 moves ahead,
     # 3 by default (KUKA System Software, system variables).
-    "krl": Controller("KUKA KR C", ASSUMED_ABB["krl"], 0.024, None, "assumed: two cycles of 12 ms"),
+    "krl": ControllerLimits("KUKA KR C", ASSUMED_ABB["krl"], 0.024, None, "assumed: two cycles of 12 ms"),
     # ASSUMED: a control cycle of a CB3 is 8 ms, of an e-Series 2 ms. Users report that a program of more than 1,000 to
     # 2,500 targets does not load.
-    "urscript": Controller("Universal Robots", ASSUMED_ABB["urscript"], 0.008, 1000, "assumed: a cycle of 8 ms"),
+    "urscript": ControllerLimits("Universal Robots", ASSUMED_ABB["urscript"], 0.008, 1000, "assumed: a cycle of 8 ms"),
     # ASSUMED, all of them: no recording was found. An interpolation period is taken to be 8 ms for FANUC, 7.1 ms for
     # Mitsubishi, 4 ms for Yaskawa, Stäubli and Kawasaki; moves of less than two of them are warned of.
-    "fanuc": Controller("FANUC R-30iB", ASSUMED_ABB["fanuc"], 0.016, None, "assumed: two periods of 8 ms"),
-    "inform": Controller("Yaskawa", ASSUMED_ABB["inform"], 0.008, None, "assumed: two periods of 4 ms"),
-    "val3": Controller("Stäubli CS9", ASSUMED_ABB["val3"], 0.008, None, "assumed: two periods of 4 ms"),
-    "kawasaki": Controller("Kawasaki", ASSUMED_ABB["kawasaki"], 0.008, None, "assumed: two periods of 4 ms"),
-    "melfa": Controller("Mitsubishi CR800", ASSUMED_ABB["melfa"], 0.016, None, "assumed: two periods of 7.1 ms"),
+    "fanuc": ControllerLimits("FANUC R-30iB", ASSUMED_ABB["fanuc"], 0.016, None, "assumed: two periods of 8 ms"),
+    "inform": ControllerLimits("Yaskawa", ASSUMED_ABB["inform"], 0.008, None, "assumed: two periods of 4 ms"),
+    "val3": ControllerLimits("Stäubli CS9", ASSUMED_ABB["val3"], 0.008, None, "assumed: two periods of 4 ms"),
+    "kawasaki": ControllerLimits("Kawasaki", ASSUMED_ABB["kawasaki"], 0.008, None, "assumed: two periods of 4 ms"),
+    "melfa": ControllerLimits("Mitsubishi CR800", ASSUMED_ABB["melfa"], 0.016, None, "assumed: two periods of 7.1 ms"),
     # A further language: its row here, its motion in player/model.py, and `program` in its module.
 }

@@ -481,7 +481,7 @@ GRAMMAR = Grammar.of(
 )
 
 
-class Step(NamedTuple):
+class BoardStep(NamedTuple):
     """A wait for the robot: the line without its number, the input, and whether it is to be on; when the board is ready
     for it [s], and the filament [m] since the one before; how long [s] its last line is repeated at most, if it is."""
 
@@ -502,7 +502,7 @@ class Extrusion:
     selections: tuple[tuple[float, int], ...]
     orders: tuple[tuple[float, str], ...]
     duration: float
-    steps: tuple[Step, ...] = ()
+    steps: tuple[BoardStep, ...] = ()
     begin: tuple[str, ...] = ()
 
 
@@ -539,7 +539,7 @@ class _Reading:
         self.filament: dict[int | None, float] = {}
         self.selections: list[tuple[float, int]] = []
         self.ordered: list[tuple[float, str]] = []
-        self.steps: list[Step] = []
+        self.steps: list[BoardStep] = []
         self.begin: list[str] = []
         self.now, self.repeated = 0.0, ""
         self._loop: tuple[int, int] | None = None  # input, and most repetitions
@@ -603,7 +603,7 @@ class _Reading:
         longest = None
         if self._loop is not None:
             longest = self._loop[1] * self._took if self._loop[0] == number else np.inf  # another input is looked at
-        self.steps.append(Step(code, number, on, self.now, self._fed, longest))
+        self.steps.append(BoardStep(code, number, on, self.now, self._fed, longest))
         if len(self.steps) <= len(signals):
             self.now = max(self.now, signals[len(self.steps) - 1])
         self._fed, self._loop = 0.0, None
@@ -647,7 +647,7 @@ def _sooner(plan: Plan, due: float, line: str, signals: Sequence[float]) -> floa
     return early(plan.trajectory, due, signals[k - 1] if k else 0.0) if k % 2 == 0 else 0.0
 
 
-def _out_of_step(plan: Plan, planned: Sequence[Stretch], steps: Sequence[Step]) -> list[str]:
+def _out_of_step(plan: Plan, planned: Sequence[Stretch], steps: Sequence[BoardStep]) -> list[str]:
     """Whether the board waits for the planned signals, is ready for each, and moves each bead's filament in between."""
     board, t = plan.problem.program.board, plan.trajectory
     code = FIRMWARES[board.firmware].wait.split(" ")[0]

@@ -17,8 +17,8 @@ from planner.export.arms import (
     BEHIND_LOWER_ARM,
     ArmProgram,
     Convention,
-    Step,
-    Steps,
+    ProgramStep,
+    ProgramSteps,
     arm_differences,
     arm_program,
     forward_of,
@@ -315,7 +315,7 @@ def read_fanuc(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmProg
         bodies[name], places[name] = _program(text, name)
     if main not in bodies:
         raise InputError(f"there is no program {main}", file=GRAMMAR.file)
-    steps, frames, said = Steps(), {}, []
+    steps, frames, said = ProgramSteps(), {}, []
     values: dict[str, float] = {}
     for statement in inlined(bodies, main, "program"):
         word, parts = statement.word, statement.parts
@@ -349,14 +349,14 @@ def read_fanuc(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmProg
     return program, said
 
 
-def _step(word: str, how: Sequence[str], places: Sequence[Position]) -> Step:
+def _step(word: str, how: Sequence[str], places: Sequence[Position]) -> ProgramStep:
     """A move by its word, its speed and termination, and its positions."""
     place = places[-1]
     numbers, fine = [float(value) for value in place[-6:]], how[1] == FINE
     if word == "point":
-        return Step(False, fine, np.radians(numbers), float(how[0]))
+        return ProgramStep(False, fine, np.radians(numbers), float(how[0]))
     via = np.array([float(value) for value in places[0][-6:-3]]) * 1e-3 if word == "arc" else None
-    return Step(True, fine, _pose(numbers), float(how[0]) / CM_MIN, branch=branch_of(place[0]), via=via)
+    return ProgramStep(True, fine, _pose(numbers), float(how[0]) / CM_MIN, branch=branch_of(place[0]), via=via)
 
 
 def _pose(values: list[float]) -> Array:

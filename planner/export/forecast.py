@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from planner.base.arrays import Array, Indices
-from planner.export.controllers import Controller
+from planner.export.controllers import ControllerLimits
 from planner.export.player.path import deviation
 from planner.export.player.play import play
 from planner.export.player.played import TIMES, Played, laid_moves
@@ -105,12 +105,12 @@ def forecast_json(found: Mapping[str, Forecast]) -> str:
     return json.dumps({"format": FORMAT, "forecasts": table}, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
-def forecast(program: RobotProgram, cell: Cell, controller: Controller) -> Forecast:
+def forecast(program: RobotProgram, cell: Cell, controller: ControllerLimits) -> Forecast:
     """What a controller makes of a program. Raises InputError for one that cannot be played."""
     return judged(program, play(program, cell, controller.motion), controller)
 
 
-def judged(program: RobotProgram, played: Played, controller: Controller) -> Forecast:
+def judged(program: RobotProgram, played: Played, controller: ControllerLimits) -> Forecast:
     """The forecast of a program that was played with the controller's motion."""
     laid = laid_moves(played)
     m, count = len(laid), int(laid.sum())
@@ -151,7 +151,7 @@ def judged(program: RobotProgram, played: Played, controller: Controller) -> For
     return _warned(figures, controller)
 
 
-def _warned(figures: Forecast, controller: Controller) -> Forecast:
+def _warned(figures: Forecast, controller: ControllerLimits) -> Forecast:
     """The same with what is beyond the controller's known limits."""
     found = []
     if figures.close > MANY * figures.laid:
@@ -170,7 +170,7 @@ def _warned(figures: Forecast, controller: Controller) -> Forecast:
     return replace(figures, warnings=tuple(found))
 
 
-def _without_beads(played: Played, controller: Controller, targets: int) -> Forecast:
+def _without_beads(played: Played, controller: ControllerLimits, targets: int) -> Forecast:
     none = float("nan")
     assumed = len(controller.motion.assumed) > 1
     return Forecast(

@@ -17,8 +17,8 @@ from planner.export.arms import (
     BEHIND_LOWER_ARM,
     ArmProgram,
     Convention,
-    Step,
-    Steps,
+    ProgramStep,
+    ProgramSteps,
     arm_differences,
     arm_program,
     forward_of,
@@ -275,7 +275,7 @@ def read_inform(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmPro
         bodies[name], places[name] = _read_job(text, name)
     if main not in bodies:
         raise InputError(f"there is no job {main}", file=JOB.file)
-    steps, said = Steps(), []
+    steps, said = ProgramSteps(), []
     frames: dict[str, list[float]] = {}
     for statement in inlined(bodies, main, "job"):
         word, parts = statement.word, statement.parts
@@ -287,9 +287,9 @@ def read_inform(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmPro
             if word == "line":
                 said.append(there[k][1])
                 pose, speed = _pose(numbers), 1e-3 * float(parts[1])
-                steps.moves.append(Step(True, bool(parts[2]), pose, speed, branch=branch_of(there[k][1])))
+                steps.moves.append(ProgramStep(True, bool(parts[2]), pose, speed, branch=branch_of(there[k][1])))
             else:
-                steps.moves.append(Step(False, bool(parts[2]), np.radians(numbers), float(parts[1])))
+                steps.moves.append(ProgramStep(False, bool(parts[2]), np.radians(numbers), float(parts[1])))
         elif word == "output":
             steps.switch(parts[0], parts[1] == "ON")
         elif word == "wait":

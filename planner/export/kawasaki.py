@@ -12,8 +12,8 @@ from planner.base.errors import InputError
 from planner.export.arms import (
     ArmProgram,
     Convention,
-    Step,
-    Steps,
+    ProgramStep,
+    ProgramSteps,
     arm_differences,
     arm_program,
     forward_of,
@@ -215,7 +215,7 @@ def read_kawasaki(text: str, plan: Plan) -> ArmProgram:
     """
     bodies = _bodies(text)
     main = next(iter(bodies), "")
-    steps, frames, switches = Steps(), {}, []
+    steps, frames, switches = ProgramSteps(), {}, []
     speed, share, accuracy = np.nan, np.nan, np.nan
     pending: list[Statement] = []  # a move, until it is known whether it stops; of an arc both statements
 
@@ -230,9 +230,9 @@ def read_kawasaki(text: str, plan: Plan) -> ArmProgram:
         numbers = [float(value) for value in last.parts[0].split(",")]
         via = np.array([float(value) for value in first[0].parts[0].split(",")[:3]]) * 1e-3 if first else None
         if last.word == "line":
-            steps.moves.append(Step(True, fine, _read_pose(numbers), speed, accuracy, via=via))
+            steps.moves.append(ProgramStep(True, fine, _read_pose(numbers), speed, accuracy, via=via))
         else:
-            steps.moves.append(Step(False, fine, np.radians(numbers), share, accuracy))
+            steps.moves.append(ProgramStep(False, fine, np.radians(numbers), share, accuracy))
         pending.clear()
 
     for statement in inlined(bodies, main, "program"):

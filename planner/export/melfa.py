@@ -17,8 +17,8 @@ from planner.export.arms import (
     BEHIND_LOWER_ARM,
     ArmProgram,
     Convention,
-    Step,
-    Steps,
+    ProgramStep,
+    ProgramSteps,
     arm_differences,
     arm_program,
     forward_of,
@@ -307,11 +307,11 @@ class _Run:
 
     def __init__(self, T_part_base: Array) -> None:
         self.T_part_base = T_part_base
-        self.steps, self.said = Steps(), list[str]()
+        self.steps, self.said = ProgramSteps(), list[str]()
         self.settings: list[str] = []
         self.tool: Array | None = None
         self.speed, self.share, self.near = np.nan, np.nan, 0.0
-        self.pending: Step | None = None  # a move, until it is known how it ends
+        self.pending: ProgramStep | None = None  # a move, until it is known how it ends
         self.pending_near = 0.0
 
     def take(self, statement: Statement, places: Places) -> None:
@@ -363,7 +363,7 @@ class _Run:
         self.pending_near = self.near
         numbers, flag = places[keys[-1]]
         if word == "point":
-            self.pending = Step(False, False, np.radians(numbers), self.share)
+            self.pending = ProgramStep(False, False, np.radians(numbers), self.share)
             return
         self.said.append(flag)
         pose = self._pose(numbers)
@@ -373,7 +373,7 @@ class _Run:
             begin, via = self._pose(places[keys[0]][0]), self._pose(places[keys[1]][0])[:3]
             if before is None or (before.linear and np.abs(before.target - begin).max() > 1e-9):
                 raise statement.error("an arc does not begin where the move before it ends")
-        self.pending = Step(True, False, pose, self.speed, branch=branch_of(int(flag.split(",")[0])), via=via)
+        self.pending = ProgramStep(True, False, pose, self.speed, branch=branch_of(int(flag.split(",")[0])), via=via)
 
     def _pose(self, values: list[float]) -> Array:
         """In the part frame."""

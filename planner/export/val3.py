@@ -13,8 +13,8 @@ from planner.base.errors import InputError
 from planner.export.arms import (
     ArmProgram,
     Convention,
-    Step,
-    Steps,
+    ProgramStep,
+    ProgramSteps,
     arm_differences,
     arm_program,
     forward_of,
@@ -354,7 +354,7 @@ def read_val3(files: Mapping[str, str], name: str, plan: Plan) -> ArmProgram:
     bodies = {each: list(_code(files[f"{each}.pgx"], each)) for each in programs if each not in TASK[1:]}
     outputs = [value for (value,) in arrays["dOut"]]
     given: dict[int, int] = {}  # row of the table of switches → move after which it is
-    steps, tasks, before = Steps(), [], ""
+    steps, tasks, before = ProgramSteps(), [], ""
     for statement in inlined(bodies, "start", "program"):
         word, parts = statement.word, statement.parts
         if word in ("wait", "killed") and before != "rest":
@@ -387,7 +387,7 @@ def read_val3(files: Mapping[str, str], name: str, plan: Plan) -> ArmProgram:
     return read_arm(name, steps, _pose(tool), _pose(part), forward_of(plan.cell, STAUBLI), CODE.file)
 
 
-def _step(statement: Statement, arrays: Arrays) -> Step:
+def _step(statement: Statement, arrays: Arrays) -> ProgramStep:
     path, key, pace = statement.parts[-3:]
     linear = statement.word != "point"
     values = arrays.get(f"{'p' if linear else 'j'}{path}", [])
@@ -401,8 +401,8 @@ def _step(statement: Statement, arrays: Arrays) -> Step:
         raise statement.error(f"{blend} is no blend of this move")
     numbers = np.array([float(value) for value in target])
     if not linear:
-        return Step(False, fine, np.radians(numbers), float(vel), 1e-3 * float(radius))
-    return Step(True, fine, _pose(target), 1e-3 * float(tmax), 1e-3 * float(radius), via=via)
+        return ProgramStep(False, fine, np.radians(numbers), float(vel), 1e-3 * float(radius))
+    return ProgramStep(True, fine, _pose(target), 1e-3 * float(tmax), 1e-3 * float(radius), via=via)
 
 
 def _at(statement: Statement, key: str, values: Sequence[object]) -> int:

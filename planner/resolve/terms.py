@@ -209,7 +209,7 @@ class Singularity(Term):
 
 
 @dataclass(frozen=True)
-class Cones(Term):
+class ConeBounds(Term):
     """sum step * HARD_PRICE max(0, lean - cone) for each direction that is bounded [rad]: a bound, without a weight.
 
     Its rows are facets of a polygon around the cone; those of a sample and a cone share a slack.
@@ -243,7 +243,7 @@ class Cones(Term):
 
 
 @dataclass(frozen=True)
-class Clearance(Term):
+class BodyClearance(Term):
     """sum step * HARD_PRICE CLEARANCE_UNIT max(0, ROOM - margin) [m] of the nearest bodies: a bound, without a weight."""
 
     name = "clearance"
@@ -317,8 +317,8 @@ def terms_of(weights: WeightsSpec, own: Sequence[Term] = ()) -> tuple[Term, ...]
         Effort(weights.effort),
         JointLimits(weights.joint_limits),
         Singularity(weights.singularity),
-        Cones(),
-        Clearance(),
+        ConeBounds(),
+        BodyClearance(),
         Tilt(weights.tilt),
         Travel(weights.travel),
         *own,

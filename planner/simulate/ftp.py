@@ -43,12 +43,12 @@ class FtpServer:
     ) -> None:
         the_faults, the_count, the_ending = Faults(faults), [0], threading.Event()
 
-        class Handler(_Handler):
+        class FtpHandler(_Handler):
             the_controller, the_access, faults = controller, access, the_faults
             count, ending = the_count, the_ending
 
         try:
-            self._server = socketserver.ThreadingTCPServer((host, port), Handler)
+            self._server = socketserver.ThreadingTCPServer((host, port), FtpHandler)
         except OSError as error:
             raise InputError(
                 f"cannot listen on {host}:{port}: {error.strerror or error}", field="--ftp-port"

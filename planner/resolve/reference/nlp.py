@@ -404,7 +404,7 @@ _FINISH = {
 
 
 @dataclass(frozen=True)
-class Solution:
+class NlpSolution:
     """What IPOPT made of a path: its state, the steps, and what it said at the end."""
 
     state: PathState
@@ -433,7 +433,7 @@ def by_ipopt(cell: Cell) -> Improve:
     return lambda model, stretch, state: solve_nlp(cell, model, stretch, state).state
 
 
-def solve_nlp(cell: Cell, model: Model, stretch: PathSegment, state: PathState) -> Solution:
+def solve_nlp(cell: Cell, model: Model, stretch: PathSegment, state: PathState) -> NlpSolution:
     """Refine a state; what comes back never costs more than what was given, and stays on its branch."""
     program = program_of(cell, model, stretch, len(state.c))
     lbx, ubx = bounds_of(model, stretch, state)
@@ -447,7 +447,7 @@ def solve_nlp(cell: Cell, model: Model, stretch: PathSegment, state: PathState) 
         steps += int(solver.stats()["iter_count"])
         status = str(solver.stats()["return_status"])
         state = _cheaper(cell, model, stretch, state, x)
-    return Solution(state, steps, status)
+    return NlpSolution(state, steps, status)
 
 
 def _cheaper(cell: Cell, model: Model, stretch: PathSegment, state: PathState, x: Array) -> PathState:

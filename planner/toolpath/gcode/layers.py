@@ -18,7 +18,7 @@ from planner.problem.layers import GcodeLayersSpec
 from planner.problem.process import SectionName
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.gcode.reader import GcodeFile, read_gcode
-from planner.toolpath.gcode.threads import SIZES, Chosen, Step, choose
+from planner.toolpath.gcode.threads import SIZES, ChosenThreads, PrintedThread, choose
 from planner.toolpath.plane_paths import SAMPLES_PER_TOLERANCE, PlaneCurve, densify, length, make_bead, round_corners
 from planner.toolpath.svg.outlines import PlanePath
 
@@ -114,7 +114,7 @@ def slicer_print(problem: Problem, spec: GcodeLayersSpec) -> Toolpath:
     return Toolpath(tuple(beads), LevelLayers.of(beads), notes=(*chosen.notes, *_sizes_and_speeds(file, read, beads)))
 
 
-def check_sizes(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile, chosen: Chosen) -> None:
+def check_sizes(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile, chosen: ChosenThreads) -> None:
     """Raise InputError, as `slicer_print` does, for a thread that extrudes for no bead that can be meant."""
     process, filament = problem.process, _filament(problem, spec, read)
     for step in (*chosen.steps, *chosen.above):
@@ -128,7 +128,7 @@ def _filament(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> float
     return VOLUMETRIC if read.volume else 0.25 * float(np.pi) * diameter**2
 
 
-def _materials(problem: Problem, spec: GcodeLayersSpec, steps: Sequence[Step]) -> dict[int, str]:
+def _materials(problem: Problem, spec: GcodeLayersSpec, steps: Sequence[PrintedThread]) -> dict[int, str]:
     """The material of each tool that prints, by its number; nothing where the problem does not say."""
     names = spec.source.tools
     materials = {step.thread.tool: "" for step in steps}
@@ -168,7 +168,7 @@ def _range(least: float, greatest: float, digits: int) -> str:
 
 
 def _laid(
-    step: Step, tolerance: float, filament: float, section: SectionName, file: Path, name: str
+    step: PrintedThread, tolerance: float, filament: float, section: SectionName, file: Path, name: str
 ) -> tuple[PlaneCurve, tuple[Array, Array]]:
     """A thread rounded, and width and height (n) [m] at its samples, so that these hold its volume.
 
@@ -184,7 +184,9 @@ def _laid(
     return curve, sizes_of(step, filament, section, file, len(curve.points))
 
 
-def sizes_of(step: Step, filament: float, section: SectionName, file: Path, samples: int) -> tuple[Array, Array]:
+def sizes_of(
+    step: PrintedThread, filament: float, section: SectionName, file: Path, samples: int
+) -> tuple[Array, Array]:
     """Width and height (n) [m] of a thread's bead at as many places, evenly along it, so that these hold its volume.
 
     filament: area of its cross-section [m^2]. A scarf's end, where the flow fades away, keeps the least width. Raises
@@ -227,7 +229,7 @@ def _section(area: Array, height: float, section: SectionName) -> tuple[Array, A
     return np.where(thin, thread, width), np.where(thin, thread, height)
 
 
-def _bead(step: Step, curve: PlaneCurve, sizes: tuple[Array, Array], origin: Array, material: str) -> Bead:
+def _bead(step: PrintedThread, curve: PlaneCurve, sizes: tuple[Array, Array], origin: Array, material: str) -> Bead:
     thread, n = step.thread, len(curve.points)
     way = arc_lengths(thread.points[:, :2])  # along which z rises, and which the samples divide evenly
     source = densify(curve.source)

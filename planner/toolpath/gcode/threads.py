@@ -26,7 +26,7 @@ _NAMED = 4  # commands that a note names, and lines
 
 
 @dataclass(frozen=True)
-class Step:
+class PrintedThread:
     """A thread with its layer, counted from 0, and its height [m]."""
 
     thread: Thread
@@ -35,15 +35,15 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Chosen:
+class ChosenThreads:
     """What is printed of a file, in order, what is above as many layers as are asked for, and what there is to say of it."""
 
-    steps: tuple[Step, ...]
-    above: tuple[Step, ...]
+    steps: tuple[PrintedThread, ...]
+    above: tuple[PrintedThread, ...]
     notes: tuple[str, ...]
 
 
-def choose(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> Chosen:
+def choose(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> ChosenThreads:
     """Choose the threads that are printed, and sort them into layers.
 
     Left out is what the problem leaves out, all above its number of layers, and pieces shorter than a bead is wide, up to
@@ -82,7 +82,7 @@ def choose(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> Chosen:
     if asked < layers:
         notes.append(f"{file.name}: the lowest {asked} of {layers} layers")
     printed, above = (tuple(step for step in steps if (step.layer < asked) == low) for low in (True, False))
-    return Chosen(printed, above, tuple(notes))
+    return ChosenThreads(printed, above, tuple(notes))
 
 
 def _of_file(file: Path, read: GcodeFile) -> Iterator[str]:
@@ -184,7 +184,7 @@ def _levels(threads: Sequence[Thread]) -> Array:
     return heights[np.append(True, np.diff(heights) > SAME_LEVEL)]
 
 
-def _in_layers(threads: Sequence[Thread], levels: Array, file: Path, usual: float | None) -> Iterator[Step]:
+def _in_layers(threads: Sequence[Thread], levels: Array, file: Path, usual: float | None) -> Iterator[PrintedThread]:
     """The threads with their layers and heights: those of a comment, else what the layer's rise and flow say."""
     layers = np.searchsorted(levels, [thread.z + SAME_LEVEL for thread in threads]) - 1
     heights = _heights(threads, layers, levels, usual)
@@ -204,7 +204,7 @@ def _in_layers(threads: Sequence[Thread], levels: Array, file: Path, usual: floa
                 line=int(thread.lines[0]),
                 hint="z = 0 is the bed, and each layer rises",
             )
-        yield Step(thread, layer, height)
+        yield PrintedThread(thread, layer, height)
 
 
 def _heights(threads: Sequence[Thread], layers: Ints, levels: Array, usual: float | None) -> Array:
@@ -229,7 +229,9 @@ def _heights(threads: Sequence[Thread], layers: Ints, levels: Array, usual: floa
     return np.where(odd & (by_usual < by_rise), usual, rises)
 
 
-def _without_specks(problem: Problem, spec: GcodeLayersSpec, steps: list[Step]) -> tuple[list[Step], list[str]]:
+def _without_specks(
+    problem: Problem, spec: GcodeLayersSpec, steps: list[PrintedThread]
+) -> tuple[list[PrintedThread], list[str]]:
     """The threads that are as long as a bead is wide."""
     width, name = problem.process.bead.width, spec.source.gcode.name
     lengths = np.array([step.thread.length for step in steps])
@@ -254,7 +256,7 @@ def _without_specks(problem: Problem, spec: GcodeLayersSpec, steps: list[Step]) 
     kept = [step for step, leave in zip(steps, short, strict=True) if not leave]
     # a layer of specks alone is none
     numbers = {layer: i for i, layer in enumerate(sorted({step.layer for step in kept}))}
-    kept = [Step(step.thread, numbers[step.layer], step.height) for step in kept]
+    kept = [PrintedThread(step.thread, numbers[step.layer], step.height) for step in kept]
     return kept, [f"{name}: {pieces}, left out, {share:.2%} of the length (line{'s' if count > 1 else ''} {where})"]
 
 
