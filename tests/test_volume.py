@@ -364,7 +364,7 @@ BAD: dict[str, tuple[Array, str, str, str]] = {
     "both guides": (block(flat(3.0)), "  upper: {z_mm: 1, mesh: {file: small.stl}}", "layers.upper", "both"),
     "no guide": (block(flat(3.0)), "  lower: {}", "layers.lower", "neither"),
     "heights": (block(flat(3.0)), "  least_height_mm: 0.5", "layers.least_height_mm", "not less"),
-    "too small": (block(flat(3.0), size=(1.0, 0.5)), "", "process.bead.width_mm", "long enough"),
+    "too small": (block(flat(6.0), size=(1.0, 0.5)), "", "process.bead.width_mm", "long enough"),
     "too many layers": (block(flat(3000.0)), "", "layers.height_mm", "6000 layers"),
     "material": (block(flat(3.0)), "  material: pva", "layers.material", "no material"),
     "perimeters": (block(flat(3.0)), "  perimeters: 1.5", "layers.perimeters", "whole number"),

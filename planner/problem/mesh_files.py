@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from planner.base.arrays import Array
+from planner.base.arrays import Array, Ints
 from planner.base.errors import Complaint
 from planner.base.extras import missing_extra
 from planner.base.files import read_bytes
@@ -86,13 +86,20 @@ def read_corners(
     corners = np.asarray(mesh.vertices, dtype=float)[faces] * mm
     if not (np.abs(corners) <= FARTHEST).all():  # NaN is not
         raise where(f"{name} has a corner that is no number, or farther than {FARTHEST / 1e3:g} m from the origin")
-    areas = with_area(corners)
+    mesh.merge_vertices()
+    areas = with_area(corners[_once(np.asarray(mesh.faces))])
     if len(areas) == 0:
         raise where(f"{name} holds no facet that has an area")
-    mesh.merge_vertices()
     if mesh.is_watertight and mesh.volume < 0.0:
         raise where(f"{name} is inside out: its facets face inwards", hint="flip its normals in a CAD program")
     return np.asarray((corners if lines else areas) * 1e-3)
+
+
+def _once(faces: Ints) -> Ints:
+    """Which of facets (n, 3), by the numbers of their corners, to keep: of equal ones, facing the same way, the first."""
+    first = np.argmin(faces, axis=1)
+    turned = np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)
+    return np.sort(np.unique(turned, axis=0, return_index=True)[1])
 
 
 def with_area(corners: Array) -> Array:
