@@ -118,8 +118,9 @@ class Clipped:
             raise TooMuchCut(self)
 
     def refusal(self, problem: Problem, size_key: str, needed: float | None) -> Exception:
-        """The InputError that says what is lost first, and the share that leaves out what cannot be printed, if one does."""
-        cut = self.cuts[0]
+        """The InputError that says what most is lost by, and the share that leaves out what cannot be printed, if one does."""
+        lost = {why: sum(length(cut.points) for cut in self.cuts if cut.why == why) for why in _WORDS}
+        cut = next(cut for cut in self.cuts if cut.why == max(lost, key=lost.__getitem__))
         x, y = cut.points[0] * 1e3
         reason = {
             OFF: f"path {cut.name!r} leaves the part at x {x:.1f}, y {y:.1f} mm",
