@@ -119,7 +119,10 @@ class Clipped:
 
     def refusal(self, problem: Problem, size_key: str, needed: float | None) -> Exception:
         """The InputError that says what most is lost by, and the share that leaves out what cannot be printed, if one does."""
-        lost = {why: sum(length(cut.points) for cut in self.cuts if cut.why == why) for why in _WORDS}
+        lost = {
+            why: sum(length(cut.points) for cut in self.cuts if cut.why == why)
+            for why in {cut.why for cut in self.cuts}
+        }
         cut = next(cut for cut in self.cuts if cut.why == max(lost, key=lost.__getitem__))
         x, y = cut.points[0] * 1e3
         reason = {
