@@ -113,6 +113,14 @@ def _lines(text: str, indent: int, glue: str = "", later: int = 6) -> str:
     )
 
 
+def yaml_file(text: str) -> Path:
+    """The type of an argument that is the path of a YAML file, which need not be there yet."""
+    path = Path(text)
+    if path.suffix not in (".yaml", ".yml"):
+        raise argparse.ArgumentTypeError(f"{text!r} does not end in .yaml")
+    return path
+
+
 def one_of(names: Sequence[str]) -> Callable[[str], str]:
     """The type of an argument that is one of some names; the nearest is suggested for any other."""
 

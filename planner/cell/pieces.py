@@ -1,8 +1,8 @@
 """Meshes as convex bodies: few planes around a fine one, and a bent one as a few pieces.
 
-Its surface is cut by planes, and each piece becomes its hull. A hull of what lies on one side of a plane holds all of the
-solid there, so that the pieces hold the whole solid; each cut is the one, of some across each axis, that takes away most of
-what the hulls fill in vain.
+The surface is cut by planes, and each piece is replaced by its hull. The hull of what lies on one side of a plane contains
+all of the solid there, so the pieces contain the whole solid. Of some cuts across each axis the one is taken that removes
+most of the volume that hulls add to the solid.
 """
 
 from __future__ import annotations

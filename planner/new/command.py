@@ -12,7 +12,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from planner.base.command_line import Command, exit_code
+from planner.base.command_line import Command, exit_code, yaml_file
 from planner.base.errors import EXIT_VERIFIED, InputError, OutputError
 from planner.new.problem_file import modeline, problem_text
 from planner.new.questions import Answers, Asker, answers_to, name_of
@@ -87,19 +87,14 @@ def new_command() -> Command:
             130: "interrupted, or the input ended; nothing written",
         },
     )
-    parser.add_argument("file", nargs="?", type=_file, default=USUAL_FILE, metavar="FILE", help="default my_print.yaml")
+    parser.add_argument(
+        "file", nargs="?", type=yaml_file, default=USUAL_FILE, metavar="FILE", help="default my_print.yaml"
+    )
     parser.add_argument(
         "--from", dest="start", metavar="NAME", help="begin from a problem that ships, or a file; no questions"
     )
     parser.add_argument("--yes", action="store_true", help="no questions: the default answers")
     return parser
-
-
-def _file(text: str) -> Path:
-    path = Path(text)
-    if path.suffix not in (".yaml", ".yml"):
-        raise argparse.ArgumentTypeError(f"{text!r} does not end in .yaml")
-    return path
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from planner.base.command_line import Command, exit_code, one_of
+from planner.base.command_line import Command, exit_code, one_of, yaml_file
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, OutputError
 from planner.cell import robots_command
 from planner.cell.robot import Robot, read_robot
@@ -20,10 +20,8 @@ from planner.planning.pipeline import write
 from planner.problem.settings import LANGUAGE_NAMES
 from planner.robots.files import robot_text
 from planner.robots.survey import Survey, expanded, key_of, survey
-from planner.robots.touching import Touching, touching
+from planner.robots.touching import NOTHING, Touching, touching
 from planner.robots.trial import Trial, trial
-
-NOTHING = Touching((), {}, ())
 
 
 def add_command() -> Command:
@@ -46,20 +44,13 @@ def add_command() -> Command:
     parser.add_argument(
         "urdf", type=Path, metavar="URDF", help="the URDF, or a xacro file; its meshes stay where they are"
     )
-    parser.add_argument("--out", type=_file, metavar="FILE", help="the file to write, my_robot.yaml")
+    parser.add_argument("--out", type=yaml_file, metavar="FILE", help="the file to write, my_robot.yaml")
     parser.add_argument("--tip", metavar="LINK", help="the link that is the flange, if it is not found by itself")
     parser.add_argument(
         "--language", type=one_of(LANGUAGE_NAMES), metavar="NAME", help="what its controller is programmed in"
     )
     parser.add_argument("--no-print", action="store_true", help="do not plan a print")
     return parser
-
-
-def _file(text: str) -> Path:
-    path = Path(text)
-    if path.suffix not in (".yaml", ".yml"):
-        raise argparse.ArgumentTypeError(f"{text!r} does not end in .yaml")
-    return path
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -111,10 +102,10 @@ def added(urdf: Path, file: Path | None, tip: str | None = None, language: str |
         touch = touching(read, robot)
         file.write_text(robot_text(found, touch, source, file, language), encoding="utf-8")
         return file, Added(found, touch, read_robot(file))
-    except OSError as error:
-        raise OutputError(f"cannot write {error.filename}: {error.strerror}") from error
-    except InputError:
+    except (OSError, InputError) as error:
         file.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise OutputError(f"cannot write {error.filename}: {error.strerror}") from error
         raise
 
 

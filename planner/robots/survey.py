@@ -22,15 +22,7 @@ from planner.cell.robot import base_to_tip
 from planner.cell.urdf import Urdf, joints_to, model_of
 
 AXES = (6, 7)  # of arms that have a closed form
-FLANGES = (
-    "tool0",
-    "flange",
-    "ee_link",
-    "tcp",
-    "tool",
-    "link_t",
-    "link_ee",
-)  # names that links of flanges bear, best first
+FLANGES = ("tool0", "flange", "ee_link", "tcp", "tool", "link_t", "link_ee")  # names of flange links, best first
 ASSUMED_SPEED = 1.5  # rad/s of a joint whose URDF tells none: slower than most
 ASSUMED_TURN = 360.0  # deg to either side, of a joint without ends
 ALONG = 0.99  # cosine: a frame's z leaves the flange along the last axis
@@ -168,7 +160,7 @@ def _flange(urdf: Urdf, ways: dict[str, int]) -> str:
 
 
 def _rank(link: str) -> int:
-    """How like a flange's a link's name is: the index in FLANGES, its length for no such name."""
+    """Rank of a link's name among those of flanges: its index in FLANGES, or their number if it is none of them."""
     return next((k for k, name in enumerate(FLANGES) if re.fullmatch(rf"(.*[_/-])?{name}", link)), len(FLANGES))
 
 

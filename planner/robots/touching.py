@@ -1,8 +1,8 @@
-"""Which links of an arm touch that ought not to, posture by posture, and whether the drawn ones do as well.
+"""Which links of an arm touch as hulls, posture by posture, and whether they do as drawn.
 
 Bodies are convex, and a hull fills the bends of a link: a fork and the flange that turns in it overlap as hulls where the
-real ones never meet. So links next to each other but one or two, which only the joints between them move, are looked at in
-postures all over the ranges of these joints: as hulls, and as the URDF draws them, triangle by triangle.
+real ones never meet. So links that are two or three joints apart are compared in postures drawn from the ranges of these
+joints: as hulls, and as the URDF draws them, triangle by triangle.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from planner.cell.solids import Body, Hull
 from planner.cell.urdf import Urdf, link_frame
 from planner.verify.bodies import coal_geometry
 
-APART = (2, 3)  # joints between links that are looked at: those between farther ones lead almost anywhere
+APART = (2, 3)  # joints between the links that are compared: more joints lead almost anywhere
 POSTURES = 500  # of the joints between two links
-NEAR = 5e-3  # m: nearer hulls would be told as touching
-SELDOM = 0.02  # of the postures: hulls that touch less often cost next to nothing, and are looked at
+NEAR = 5e-3  # m: nearer hulls count as touching
+SELDOM = 0.02  # of the postures: hulls that touch less often cost next to nothing, and stay checked
 MOSTLY = 0.5  # of the postures in which drawn links overlap: they are drawn into each other
-BENT = 0.05  # of the postures in which hulls touch, and the drawn links do not: worth to cut into pieces
+BENT = 0.05  # of the postures in which hulls touch, and the drawn links do not: worth cutting into pieces
 PIECES = (4, 8)  # tried, fewest first
 
 Placed = tuple[coal.CollisionGeometry, Array]
@@ -43,6 +43,9 @@ class Touching:
     notes: tuple[str, ...]
 
 
+NOTHING = Touching((), {}, ())
+
+
 class _Shares(NamedTuple):
     """Of how many postures two links touch: as hulls, and as they are drawn (None: they are not)."""
 
@@ -51,8 +54,8 @@ class _Shares(NamedTuple):
 
 
 def touching(urdf: Urdf, robot: Robot) -> Touching:
-    """Look at all links of an arm that are next to each other but one or two."""
-    out, bodies = Touching((), {}, ()), robot.bodies
+    """Compare all links of an arm that are two or three joints apart."""
+    out, bodies = NOTHING, robot.bodies
     for apart in APART:
         for i in range(len(bodies) - apart):
             if bodies[i] and bodies[i + apart]:
@@ -68,10 +71,10 @@ def _judged(urdf: Urdf, robot: Robot, between: tuple[int, int]) -> Touching:
     found = _shares(urdf, robot, (first, second), between, postures)
     both = f"{_names(first)} and {_names(second)}"
     if not SELDOM < found.hulls < 1.0:  # those that touch always are left out wherever collisions are looked for
-        return Touching((), {}, ())
+        return NOTHING
     if found.drawn is None:
         if found.hulls < MOSTLY:
-            return Touching((), {}, ())
+            return NOTHING
         return Touching(_pairs(first, second), {}, (f"{both} touch in {found.hulls:.0%} of postures: not looked at",))
     if found.drawn == 0.0 or found.drawn >= MOSTLY:
         how = "never touch as they are drawn" if found.drawn == 0.0 else "are drawn into each other"
@@ -79,7 +82,7 @@ def _judged(urdf: Urdf, robot: Robot, between: tuple[int, int]) -> Touching:
         return Touching(_pairs(first, second), {}, (note,))
     better = _cut(urdf, robot, between, postures, found) if found.hulls - found.drawn > BENT else {}
     if not better:
-        return Touching((), {}, ())
+        return NOTHING
     note = f"{' and '.join(better)} cut into up to {max(better.values())} convex pieces: a hull fills the bend"
     return Touching((), better, (note,))
 

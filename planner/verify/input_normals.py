@@ -29,6 +29,8 @@ _CORNER = np.radians(5.0)  # turn of the path at a waypoint: less is rounded now
 _WIDEST = 25.0  # corner tolerances: half the length of path over which a rounded corner is a mean, at most; it reaches twice that
 _SAMPLES = 4  # nearest ones of the motion, that a waypoint's own is among where passes cross
 _TO_SI = {"mm": 1e-3, "m": 1.0}
+_OPPOSITE = 180.0  # deg
+_NAME, _METRIC = "axis near the file's normals", "file_normal_max_deg"
 
 
 def file_normals(judged: Judged) -> Findings:
@@ -51,11 +53,11 @@ def file_normals(judged: Judged) -> Findings:
     allowed = bound + _unlike_others(points, normals, rounded, process.corner_tolerance)
     beyond = np.where(passed, off - allowed, -np.inf)
     i = int(np.argmax(beyond))
-    if not passed.any():
-        name, worst, where, sample = "axis near the file's normals", 0.0, EVERYWHERE, -1
-        return Findings((Check(name, worst, np.degrees(bound), "deg", True, where, sample=sample),), {_METRIC: 0.0})
+    if not passed.any():  # what is laid is not what the file says, and as far off as can be
+        none = Check(_NAME, _OPPOSITE, float(np.degrees(bound)), "deg", False, EVERYWHERE, sample=-1)
+        return Findings((none,), {_METRIC: _OPPOSITE})
     check = Check(
-        "axis near the file's normals",
+        _NAME,
         float(np.degrees(off[i])),
         float(np.degrees(allowed[i])),
         "deg",
@@ -64,9 +66,6 @@ def file_normals(judged: Judged) -> Findings:
         sample=int(at[i]),
     )
     return Findings((check,), {_METRIC: float(np.degrees(off[passed].max()))})
-
-
-_METRIC = "file_normal_max_deg"
 
 
 def _as_the_file_says(spec: WaypointsSpec) -> tuple[Array, Array]:

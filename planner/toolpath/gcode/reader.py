@@ -397,13 +397,18 @@ class _Machine:
         self._line(words)
 
     def _straight(self, rest: str) -> None:
+        words = self._move_words(rest)
+        if words is not None:
+            self._line(words)
+
+    def _move_words(self, rest: str) -> dict[str, float] | None:
+        """Words of a move; None in start code whose numbers the printer fills in."""
         try:
-            words = self._words(rest)
+            return self._words(rest)
         except InputError:
             if self.printing:
                 raise
-            return  # what start code fills in when it is printed
-        self._line(words)
+            return None
 
     def _goal(self, words: dict[str, float]) -> tuple[float, float, float, float]:
         """Where a move ends, and the filament that it pushes [m]."""
@@ -442,7 +447,9 @@ class _Machine:
             self.close()
 
     def _arc(self, clockwise: bool, rest: str) -> None:
-        words = self._words(rest)
+        words = self._move_words(rest)
+        if words is None:
+            return
         x, y, z, pushed = self._goal(words)
         x0, y0, z0 = self.x, self.y, self.z
         self.x, self.y, self.z = x, y, z
