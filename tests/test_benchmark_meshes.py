@@ -24,6 +24,7 @@ def job(folder: Path, kind: str, leave_out: float = 1.0) -> MeshJob:
     return MeshJob(str(folder / "ball.ply"), "ball.ply", kind, "hemisphere_honeycomb", 30.0, leave_out, False)
 
 
+@pytest.mark.slow
 def test_a_ball_of_any_unit_is_laid_as_both(tmp_path: Path) -> None:
     save(tmp_path)
     for kind in ("substrate", "volume"):

@@ -118,6 +118,7 @@ def test_a_drawing_keeps_all_but_its_specks(tmp_path: Path) -> None:
         laid(source, "layers.source.leave_out_share=0")
 
 
+@pytest.mark.slow
 def test_a_pattern_over_a_step_is_cut_at_its_edge(tmp_path: Path) -> None:
     """A ledge of 3 mm across a block: both treads are printed, what lies at the riser is not."""
     low = trimesh.creation.box([40.0, 40.0, 10.0])

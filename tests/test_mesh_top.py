@@ -121,6 +121,7 @@ def test_coarse_facets_give_the_surface_that_their_corners_stand_on(corners: Arr
     assert off_facets(body, plane) <= body.gap * 1.001
 
 
+@pytest.mark.slow
 def test_facets_too_coarse_are_followed_and_what_would_help_is_named() -> None:
     """A ball of 320 facets: the ball itself is 0.66 mm off them."""
     facets, plane = ball(0.05, 2), lines(0.02)
@@ -182,6 +183,7 @@ def test_a_bump_is_no_noise() -> None:
     assert body.at(np.zeros((1, 2)))[0][0, 2] == pytest.approx(0.3e-3, abs=5e-5)
 
 
+@pytest.mark.slow
 def test_edges_stay_sharp_unless_they_may_be_rounded() -> None:
     x = (np.arange(81) - 40) * 1e-3
     roof = sheet(-np.abs(x)[:, None] * np.ones(81), 1e-3)
@@ -211,6 +213,7 @@ def test_coarse_and_noisy_bodies_print_at_speed(tmp_path: Path, name: str) -> No
     assert any("beads lie on a smooth surface" in note for note in plan.toolpath.notes)
 
 
+@pytest.mark.slow
 def test_a_refusal_names_how_far_a_surface_would_be(tmp_path: Path) -> None:
     x = (np.arange(41) - 20) * 1.0
     roof = trimesh.Trimesh(**trimesh.triangles.to_kwargs(sheet(30.0 - np.abs(x)[:, None] * np.ones(41), 1.0)))

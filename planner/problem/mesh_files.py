@@ -87,7 +87,8 @@ def read_corners(
     if not (np.abs(corners) <= FARTHEST).all():  # NaN is not
         raise where(f"{name} has a corner that is no number, or farther than {FARTHEST / 1e3:g} m from the origin")
     mesh.merge_vertices()
-    areas = with_area(corners[_once(np.asarray(mesh.faces))])
+    corners = corners[_once(np.asarray(mesh.faces))]
+    areas = with_area(corners)
     if len(areas) == 0:
         raise where(f"{name} holds no facet that has an area")
     if mesh.is_watertight and mesh.volume < 0.0:
