@@ -43,7 +43,7 @@ from benchmarks.summary import (
 )
 from planner.base.command_line import exit_code
 from planner.base.errors import EXIT_VERIFIED, InputError
-from planner.base.files import results_folder
+from planner.base.results import results_folder
 from planner.problem.settings import STRATEGY_NAMES
 from planner.verify.checks import SPEED_TOLERANCE
 from planner.verify.verdict import AXIS_TOLERANCE, POSITION_TOLERANCE
@@ -251,7 +251,7 @@ def _yes(value: bool) -> str:
 
 def write_report(rows: Sequence[Row], folder: Path) -> None:
     """Write the report and its figures, all or none. Raises OutputError where the folder cannot be written."""
-    with results_folder(folder, lambda target: ()) as fresh:
+    with results_folder(folder, "benchmarks.report") as fresh:
         figures = draw_figures(results_of(of_one_commit(rows)[0]), fresh)
         (fresh / REPORT).write_text("\n".join(report(rows, figures)) + "\n", encoding="utf-8")
 

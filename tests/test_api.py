@@ -126,7 +126,13 @@ def test_write_puts_all_files_in_place_or_none(tmp_path: Path) -> None:
     assert done.timing_s["total"] >= done.timing_s["export"] > 0.0 and "export" not in plan.timing_s
     failing = replace(plan, checks=(replace(plan.checks[0], ok=False), *plan.checks[1:]))
     write(failing, folder)
-    assert {path.name for path in folder.iterdir()} == {"plan.json", "trajectory.csv", "report.html", "report_part.stl"}
+    assert {path.name for path in folder.iterdir()} == {
+        "plan.json",
+        "trajectory.csv",
+        "report.html",
+        "report_part.stl",
+        "manifest.json",
+    }
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError):
         write(plan, tmp_path / "file")

@@ -21,6 +21,7 @@ from solved import SVG, line_of, write_small
 
 import planner.planning.pipeline
 from planner.base.errors import EXIT_VERIFIED
+from planner.base.results import results_folder
 from planner.planning.solve_command import main
 from planner.problem import shipped_problems
 
@@ -34,8 +35,9 @@ VERIFIED = {
     "extrusion.gcode",
     "forecast.json",
     "report.html",
+    "manifest.json",
 }
-REFUSED = {"plan.json", "report.html"}
+REFUSED = {"plan.json", "report.html", "manifest.json"}
 COMPILING = "compiling kernels, "  # said on stderr where numba's cache is empty
 OUT_OF_REACH = ("origin_mm: [633.5, 9.87, 380]", "origin_mm: [1500, 9.87, 380]")
 
@@ -388,7 +390,7 @@ def test_plan_that_fails_a_check(run: Callable[..., Outcome], tmp_path: Path) ->
     assert "FAILED singularity margin" in outcome.out
     assert "NOT verified: no robot code was written" in outcome.out
     folder = tmp_path / "out" / "small"
-    assert {path.name for path in folder.iterdir()} == {"plan.json", "report.html", "trajectory.csv", "report_part.stl"}
+    assert {path.name for path in folder.iterdir()} == REFUSED | {"trajectory.csv", "report_part.stl"}
     plan = json.loads((folder / "plan.json").read_text(encoding="utf-8"))
     assert plan["verified"] is False
     assert [check["name"] for check in plan["checks"] if not check["ok"]] == ["singularity margin"]
@@ -421,7 +423,7 @@ def test_plan_that_fails_a_check_removes_stale_robot_code(run: Callable[..., Out
     assert run("small.yaml", "--quiet").code == 0
     old = (folder / "plan.json").read_bytes()
     assert run("small.yaml", "--strategy", "as_published", "--set", "resolve.min_sigma=0.3", "--quiet").code == 3
-    assert {path.name for path in folder.iterdir()} == {"plan.json", "report.html", "trajectory.csv", "report_part.stl"}
+    assert {path.name for path in folder.iterdir()} == REFUSED | {"trajectory.csv", "report_part.stl"}
     assert (folder / "plan.json").read_bytes() != old
 
 
@@ -562,8 +564,8 @@ def test_exit_code_of_the_process(tmp_path: Path) -> None:
 HELD_UP = """
 import sys, time
 from pathlib import Path
-import planner.base.files, planner.planning.pipeline
-from planner.planning.solve_command import main
+import planner.base.results, planner.planning.pipeline
+from planner.base.launch import launch
 
 def hold(module, name, before):
     real = getattr(module, name)
@@ -578,12 +580,14 @@ def hold(module, name, before):
     setattr(module, name, held)
 
 hold({module}, {name!r}, {before})
-sys.exit(main({arguments!r}))
+sys.exit(launch("solve", {arguments!r}))
 """
 
 
-def interrupted(folder: Path, module: str, name: str, before: bool, seconds: float = 60.0) -> Outcome:
-    """SIGINT to a process that is held up before or after a function; the outcome, when it has ended."""
+def interrupted(
+    folder: Path, module: str, name: str, before: bool, seconds: float = 60.0, number: int = signal.SIGINT
+) -> Outcome:
+    """A signal to a process that is held up before or after a function; the outcome, when it has ended."""
     arguments = ["small.yaml", "--out", "results"]
     script = HELD_UP.format(module=module, name=name, before=before, seconds=seconds, arguments=arguments)
     with subprocess.Popen(
@@ -600,7 +604,7 @@ def interrupted(folder: Path, module: str, name: str, before: bool, seconds: flo
                 assert process.poll() is None, process.communicate()
                 assert time.monotonic() < deadline
                 time.sleep(0.02)
-            process.send_signal(signal.SIGINT)
+            process.send_signal(number)
             out, err = process.communicate(timeout=30.0)
         finally:
             process.kill()
@@ -632,14 +636,20 @@ PLACES = {
 }
 
 
-@pytest.mark.slow(keep=("before the resolving", "when all is written aside"))
+def put_earlier(folder: Path) -> None:
+    """Results as an earlier run left them."""
+    with results_folder(folder, "solve") as fresh:
+        for name in VERIFIED - {"manifest.json"}:
+            (fresh / name).write_text("earlier")
+
+
+@pytest.mark.slow(keep=("before the resolving-SIGINT", "when all is written aside-SIGTERM"))
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
 @pytest.mark.parametrize("place", PLACES)
-def test_interruption_leaves_earlier_results(tmp_path: Path, place: str) -> None:
+def test_interruption_leaves_earlier_results(tmp_path: Path, place: str, number: int) -> None:
     write_small(tmp_path)
-    (tmp_path / "results").mkdir()
-    for name in VERIFIED:
-        (tmp_path / "results" / name).write_text("earlier")
-    nothing_came_of_it(tmp_path, place)
+    put_earlier(tmp_path / "results")
+    nothing_came_of_it(tmp_path, place, number)
 
 
 def test_interruption_of_a_first_run_leaves_no_folder(tmp_path: Path) -> None:
@@ -647,9 +657,9 @@ def test_interruption_of_a_first_run_leaves_no_folder(tmp_path: Path) -> None:
     nothing_came_of_it(tmp_path, "when all is written aside")
 
 
-def nothing_came_of_it(folder: Path, place: str) -> None:
+def nothing_came_of_it(folder: Path, place: str, number: int = signal.SIGINT) -> None:
     before = contents(folder)
-    outcome = interrupted(folder, *PLACES[place])
+    outcome = interrupted(folder, *PLACES[place], number=number)
     assert outcome.code == 130
     assert "Traceback" not in outcome.err
     assert [line for line in outcome.err.splitlines() if line.strip()] == ["interrupted: nothing was written"]
@@ -657,18 +667,17 @@ def nothing_came_of_it(folder: Path, place: str) -> None:
     assert contents(folder) == before
 
 
-def test_interruption_while_files_change_places(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
+def test_interruption_while_files_change_places(tmp_path: Path, number: int) -> None:
     """All of the new files or all of the old ones, and a message that says which."""
     write_small(tmp_path)
-    (tmp_path / "results").mkdir()
-    for name in VERIFIED:
-        (tmp_path / "results" / name).write_text("earlier")
-    outcome = interrupted(tmp_path, "planner.base.files.os", "replace", True, seconds=1.0)
+    put_earlier(tmp_path / "results")
+    outcome = interrupted(tmp_path, "planner.base.results.os", "replace", True, seconds=1.0, number=number)
     assert "Traceback" not in outcome.err
     after = contents(tmp_path / "results")
     assert set(after) == VERIFIED
-    new = {name for name, text in after.items() if text != b"earlier"}
-    assert new in (set(), VERIFIED)
+    new = {name for name, text in after.items() if text != b"earlier"} - {"manifest.json"}
+    assert new in (set(), VERIFIED - {"manifest.json"})
     if new:
         assert json.loads(after["plan.json"] or b"")["verified"] is True
         assert "nothing was written" not in outcome.err
@@ -676,8 +685,10 @@ def test_interruption_while_files_change_places(tmp_path: Path) -> None:
         assert outcome.code == 130
 
 
-def test_interruption_of_a_real_run(tmp_path: Path) -> None:
-    """Nothing held up: as soon as the folder for the results stands, Ctrl-C."""
+@pytest.mark.slow(keep=("SIGINT",))
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
+def test_interruption_of_a_real_run(tmp_path: Path, number: int) -> None:
+    """Nothing held up: as soon as the folder for the results stands, Ctrl-C, or what a system sends that goes down."""
     with subprocess.Popen(
         [sys.executable, "-m", "planner.solve", "cylinder_logo", "--out", "results"],
         cwd=tmp_path,
@@ -688,12 +699,12 @@ def test_interruption_of_a_real_run(tmp_path: Path) -> None:
     ) as process:
         try:
             deadline = time.monotonic() + 60.0
-            while not list(tmp_path.glob("results/.writing-*")):
+            while not list(tmp_path.glob("results/.beadwise-writing-*")):
                 assert process.poll() is None, process.communicate()
                 assert time.monotonic() < deadline
                 time.sleep(0.01)
             time.sleep(0.3)
-            process.send_signal(signal.SIGINT)
+            process.send_signal(number)
             out, err = process.communicate(timeout=60.0)
         finally:
             process.kill()

@@ -475,7 +475,7 @@ def test_command_draws_the_map_alone(tmp_path: Path, capsys: pytest.CaptureFixtu
     problem = write_small(tmp_path)
     options = ["--out", str(tmp_path / "out"), "--best", "0", "--quiet", "--range", "z=370:390"]
     assert main([str(problem), *options]) == EXIT_VERIFIED
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [TABLE, PICTURE]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["manifest.json", TABLE, PICTURE]
     assert "as it stands" in capsys.readouterr().out
 
 

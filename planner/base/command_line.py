@@ -27,6 +27,11 @@ def exit_code(run: Callable[[], int], say: Callable[[str], None], interrupted: s
     except KeyboardInterrupt:
         say(f"interrupted: {interrupted}")
         return EXIT_INTERRUPTED
+    except SystemError as error:  # what Python makes of Ctrl-C that came while a compiled function returned
+        if not isinstance(error.__cause__, KeyboardInterrupt):
+            raise
+        say(f"interrupted: {interrupted}")
+        return EXIT_INTERRUPTED
     except ImportError as error:
         missing = missing_extra(error, "this command")
         if missing is None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 import multiprocessing
+import os
 import re
 import sys
 from collections import deque
@@ -25,7 +26,7 @@ from typing import Any, TypeVar
 
 from planner.base.errors import InputError, PlannerError
 from planner.base.extras import missing_extra
-from planner.base.processes import ignored_interrupts
+from planner.base.signals import end_with_parent, ignored_interrupts
 from planner.base.versions import versions
 
 Item = TypeVar("Item")
@@ -183,7 +184,7 @@ def _in_processes(
 def _start(processes: dict[Connection, SpawnProcess]) -> Connection:
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
-    processes[here] = context.Process(target=_serve, args=(there,), daemon=True)
+    processes[here] = context.Process(target=_serve, args=(there, os.getpid()), daemon=True)
     with ignored_interrupts():  # Ctrl-C is for who started it, who ends it
         processes[here].start()
     there.close()
@@ -199,8 +200,9 @@ def _end(processes: dict[Connection, SpawnProcess], pipe: Connection) -> int | N
     return process.exitcode
 
 
-def _serve(pipe: Connection) -> None:
+def _serve(pipe: Connection, parent: int) -> None:
     """Answer every item with its outcome, until the other end is gone; a bug ends the process with its traceback."""
+    end_with_parent(parent)
     while True:
         try:
             name, item = pipe.recv()

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 from planner.base.errors import EXIT_INPUT, EXIT_INTERRUPTED, EXIT_VERIFIED, nearest_name
 from planner.base.extras import missing_extra
+from planner.base.signals import terminations_interrupt
 
 
 class CommandModule(NamedTuple):
@@ -80,6 +81,7 @@ def launch(name: str, arguments: Sequence[str] | None = None) -> int:
             raise
         print(f"error: {missing}", file=sys.stderr)
         return missing.exit_code
+    terminations_interrupt()
     code: int = run(arguments)
     gc.freeze()  # what is left goes back to the system as a whole
     return code

@@ -1,38 +1,24 @@
-"""Functions in processes or threads of their own, so that the second core works too; and Ctrl-C held off."""
+"""Functions in processes or threads of their own, so that the second core works too."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
-import signal
 import sys
-import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from planner.base.errors import PlannerError
+from planner.base.signals import end_with_parent, ignored_interrupts, taken_as_systems_do, terminations_held
 
 Job = Callable[[], Iterable["Job"]]
 
 _PARTS_A_CORE = 4  # so that a core that was given easy parts has some left to take
-
-
-@contextmanager
-def ignored_interrupts() -> Iterator[None]:
-    """Ctrl-C is ignored in the block, and by processes that are started in it from their first instant on."""
-    if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread may set signal handlers, and only it gets Ctrl-C
-        return
-    previous = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, previous)
 
 
 def spare_core() -> bool:
@@ -51,14 +37,15 @@ def in_background(function: Callable[..., Any], *arguments: Any) -> Iterator[Cal
     """Run `function(*arguments)` beside the block, which gets what waits for its result; only where `spare_core`.
 
     The process is a copy of this one: it starts in a hundredth of a second, has everything, and shares the memory
-    of whatever neither of them changes. It ends with the block, finished or not. Ctrl-C is the block's to handle:
-    the process does not see it. A PlannerError there is raised where the result is asked for; any other exception
-    shows its traceback and raises RuntimeError there.
+    of whatever neither of them changes. It ends with the block, finished or not, and with this process, however that
+    ends. Ctrl-C is the block's to handle: the process does not see it. A PlannerError there is raised where the result
+    is asked for; any other exception shows its traceback and raises RuntimeError there.
     """
     context = multiprocessing.get_context("fork")
     receiver, sender = context.Pipe(duplex=False)
-    child = context.Process(target=_send_result, args=(sender, function, arguments), daemon=True)
-    with ignored_interrupts():
+    ours = Fork(os.getpid(), receiver, sender)
+    child = context.Process(target=_send_result, args=(ours, function, arguments), daemon=True)
+    with ignored_interrupts(), terminations_held():
         child.start()
     sender.close()
 
@@ -145,9 +132,20 @@ def in_turn(jobs: Iterable[Job]) -> None:
             pool.shutdown(cancel_futures=True)
 
 
-def _send_result(sender: Connection, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+class Fork(NamedTuple):
+    """What a forked process has of the one that started it: its number, and both ends of the pipe to it."""
+
+    parent: int
+    receiver: Connection
+    sender: Connection
+
+
+def _send_result(fork: Fork, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+    end_with_parent(fork.parent)
+    taken_as_systems_do()
+    fork.receiver.close()  # else what is sent would wait for ever for itself
     try:
         result, error = function(*arguments), None
     except PlannerError as refused:
         result, error = None, refused
-    sender.send((result, error))
+    fork.sender.send((result, error))

@@ -20,8 +20,8 @@ from rich.table import Table
 from planner.base.command_line import Command, exit_code
 from planner.base.distribution import crew as spread_crew
 from planner.base.errors import EXIT_VERIFIED, OutputError
-from planner.base.files import results_folder
 from planner.base.progress import Stages
+from planner.base.results import results_folder
 from planner.cell.cell import build_cell
 from planner.place.site import ANGLES, FREEDOMS, Asked, PartPlace, axes_of, changed_fields, place_of, site_of
 from planner.place.study import Crew, PlaceOutcome, Slice, Study, crew_of, study
@@ -184,7 +184,7 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
         axes = axes_of(problem, cell, place_of(problem), options.free, options.range)
         beside = options.jobs > 1 or options.scheduler is not None
         # a folder that cannot be written, and a scheduler that does not answer, are told at once
-        with results_folder(folder, lambda _: ()) as fresh, spread_crew(options.jobs, options.scheduler) as over:
+        with results_folder(folder, "place") as fresh, spread_crew(options.jobs, options.scheduler) as over:
             with stages.stage("toolpath"):
                 site = site_of(asked, problem, cell, axes)
             crew = crew_of(asked, site, over, beside)

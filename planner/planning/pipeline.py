@@ -12,9 +12,9 @@ import numpy as np
 
 from planner.base.distribution import Spread
 from planner.base.errors import InputError, Refusal, nearest_name
-from planner.base.files import results_folder
 from planner.base.processes import beside, in_background, in_halves, spare_core
 from planner.base.progress import Stages
+from planner.base.results import results_folder
 from planner.base.versions import versions
 from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import NOTHING, Obstacles
@@ -51,6 +51,7 @@ from planner.verify.collision import check_start
 from planner.verify.verdict import Report, verify
 
 BASELINE = "as_published"
+RESULTS_BY = "solve"  # whose files they are, in manifests
 WORTH_A_FORK = 5_000  # waypoints above which sharing the work takes less time than copying the process for it
 
 
@@ -478,12 +479,12 @@ def _baseline(given: PlanningContext, dt: float) -> dict[str, dict[str, float]]:
 
 
 def write(plan: Plan, folder: str | Path) -> Plan:
-    """Write a plan's files into a folder, as the command does, in place of earlier results there: all or none of them.
+    """Write a plan's files into a folder, as the command does, in place of an earlier plan's: all or none of them.
 
     plan.json, trajectory.csv, report.html and report_part.stl of any plan, robot code only of a verified one.
     Returns the plan with the times that this took. Raises OutputError where the folder cannot be written.
     """
-    with results_folder(Path(folder)) as fresh:
+    with results_folder(Path(folder), RESULTS_BY) as fresh:
         return write_files(plan, fresh)
 
 

@@ -15,14 +15,14 @@ from rich.console import Console
 from planner.base.command_line import exit_code
 from planner.base.distribution import crew
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, Refusal
-from planner.base.files import results_folder
 from planner.base.progress import Stages
+from planner.base.results import results_folder
 from planner.cell.cell import build_cell
 from planner.export.languages import chosen
 from planner.export.write import forecast_words, program_notes, write_refusal
 from planner.plan import resumed_name
 from planner.planning.options import options_of
-from planner.planning.pipeline import solve, write_files
+from planner.planning.pipeline import RESULTS_BY, solve, write_files
 from planner.problem import Problem, load_problem
 from planner.problem.describe import print_shipped
 from planner.report import page as libraries
@@ -43,13 +43,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace, errors: Console) -> int:
+    told: list[str] = []
     with Stages(None if options.quiet else errors) as stages:
         with stages.stage("load"):
             problem = load_problem(options.problem, options.set)
         strategy = options.strategy or problem.strategy
         folder = options.out or Path("out") / resumed_name(problem.name, options.from_bead)
         # first of all: a folder that cannot be written, and a scheduler that does not answer, are told at once
-        with results_folder(folder) as fresh, crew(options.jobs, options.scheduler) as over:
+        with results_folder(folder, RESULTS_BY, told.append) as fresh, crew(options.jobs, options.scheduler) as over:
             libraries.begin()  # one core has nothing else to do before the search
             shared = over if options.jobs > 1 or options.scheduler is not None else None
             try:
@@ -63,6 +64,8 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
             else:
                 plan = write_files(plan, fresh, stages, second_process=True)
                 reason = None
+    for sentence in told:
+        errors.print(f"note: {sentence}", markup=False, soft_wrap=True)
     if reason is not None:
         errors.print(f"no plan: {reason}", markup=False, soft_wrap=True)
         for hint in reason.hints:

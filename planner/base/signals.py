@@ -1,0 +1,59 @@
+"""Signals that end a process: held off for a moment, taken as Ctrl-C, or sent to what was started when its parent ends."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of Linux
+
+
+@contextmanager
+def ignored_interrupts(terminations: bool = False) -> Iterator[None]:
+    """Ctrl-C, and SIGTERM with `terminations`, is ignored in the block, and by processes that are started in it from
+    their first instant on."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread may set signal handlers, and only it gets Ctrl-C
+        return
+    numbers = (signal.SIGINT, signal.SIGTERM) if terminations else (signal.SIGINT,)
+    previous = {number: signal.signal(number, signal.SIG_IGN) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def terminations_interrupt() -> None:
+    """From here on SIGTERM ends this process as Ctrl-C does: what is half-written goes, processes that it started end."""
+    if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+
+
+def end_with_parent(parent: int) -> None:
+    """From here on this process ends with the one that started it, of that number, however that ends (on Linux)."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None, use_errno=True).prctl(_DEATH_SIGNAL, signal.SIGKILL)
+        if os.getppid() != parent:  # it ended before it could be asked for
+            os._exit(1)
+
+
+@contextmanager
+def terminations_held() -> Iterator[None]:
+    """SIGTERM waits in the block, and in processes that are forked in it until they take it as systems do."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def taken_as_systems_do() -> None:
+    """SIGTERM, which was held back when this process was forked, ends it at once: the parent's handler is of no use here."""
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
