@@ -16,6 +16,7 @@ from typing import NamedTuple
 from planner.base.errors import EXIT_INPUT, EXIT_INTERRUPTED, EXIT_VERIFIED, nearest_name
 from planner.base.extras import missing_extra
 from planner.base.signals import terminations_interrupt
+from planner.base.terminal import forgive_output
 
 
 class CommandModule(NamedTuple):
@@ -49,6 +50,7 @@ def main() -> int:
     name, arguments = (sys.argv[1], sys.argv[2:]) if len(sys.argv) > 1 else ("--help", [])
     if name in COMMANDS:
         return launch(name, arguments)
+    forgive_output()
     if name == "--version":
         from importlib.metadata import version
 
@@ -72,6 +74,7 @@ def usage() -> str:
 
 def launch(name: str, arguments: Sequence[str] | None = None) -> int:
     """Import a command and run it with arguments, the process's own if there are none; returns its exit code."""
+    forgive_output()
     try:
         with _importing():
             run = importlib.import_module(COMMANDS[name].module).main
