@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from test_waypoints import case_text
@@ -135,6 +135,23 @@ def test_columns_that_mean_nothing_are_told(spec: Callable[..., WaypointsSpec]) 
     assert found.notes == ("a.csv: columns that are not used: speed, qw",)
 
 
+@given(st.data())
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_vertices_of_an_obj_file_are_waypoints(spec: Callable[..., WaypointsSpec], data: st.DataObject) -> None:
+    """Points and normals, in whatever order lines of the two kinds stand."""
+    count = data.draw(st.integers(2, 8))
+    points = np.arange(3.0 * count).reshape(-1, 3)
+    normals = np.array([[0.1 * k, 0.0, 1.0] for k in range(count)])
+    rows = [("v", points), ("vn", normals)]
+    order = data.draw(st.permutations(["v"] * count + ["vn"] * count))
+    left = {name: iter(table) for name, table in rows}
+    lines = [f"{name}  " + " ".join(f"{value:g}" for value in next(left[name])) for name in order]
+    (bead,) = read_waypoints(spec("a.txt", "\n".join(["# a list", *lines, "e 0.2", ""]), smooth_normals_deg=0)).beads
+    assert bead.points * 1e3 == pytest.approx(points)
+    assert bead.normals == pytest.approx(normals / np.linalg.norm(normals, axis=1)[:, None])
+    assert bead.lines.tolist() == [i for i, name in enumerate(order, 2) if name == "v"]
+
+
 def test_repeated_waypoints_are_counted(spec: Callable[..., WaypointsSpec]) -> None:
     columns = line(7, bead=[1, 1, 1, 1, 2, 2, 2]) | {"x": np.array([0, 1, 1, 2, 2, 3, 3.0])}
     found = read_waypoints(spec("a.csv", csv(columns)))
@@ -176,6 +193,10 @@ WRONG = [
     ("a.csv", f"{HEADER}\n{GOOD}\n1,0,0,0,0,0\n", 3, "the normal is zero", "direction"),
     ("a.csv", f"{HEADER}\n{GOOD}\n", None, "no two different waypoints", ""),
     ("a.csv", f"{HEADER}\n", None, "holds no waypoints", ""),
+    ("a.obj", "v 0 0 0\nv 1 0 0\nvn 0 0 1\n", None, "has 2 points (v) and 1 normals (vn)", "a normal for each"),
+    ("a.obj", "vn 0 0 1\n", None, "has 0 points (v) and 1 normals (vn)", ""),
+    ("a.obj", "v 0 0 0\nvn 0 0 1\nv 1 0\nvn 0 0 1\n", 3, "is no point or normal of three numbers", ""),
+    ("a.obj", "v 0 0 0\nvn 0 0 1\nv 1 0 z\nvn 0 0 1\n", 3, "is no point or normal of three numbers", ""),
     ("a.npz", packed(**(line(3) | {"z": np.array([0, np.nan, 0])})), 2, "'nan' is not a number", ""),
     ("a.npz", packed(**(line(3) | {"nz": np.array([1, 1, 0])})), 3, "the normal is zero", ""),
     ("a.npz", packed(**(line(3) | {"y": np.zeros(4)})), None, "array y has 4 numbers, x has 3", ""),

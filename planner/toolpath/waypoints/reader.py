@@ -30,6 +30,7 @@ OPTIONAL = ("layer", "bead", "width", "height")
 LENGTHS = ("x", "y", "z", "width", "height")
 LARGEST_FILE = 500_000_000  # bytes: some five million waypoints
 COMMENTS = ("#", "//", "%", ";")
+_OBJ_WORDS = ("v", "vn", "vt", "o", "g", "mtllib")  # a file of vertices begins with
 _NAMING = 3  # of the needed names that a line of words must hold to be a header that names columns
 _UNIT = re.compile(r"\s*[\[(]\s*(mm|m)\s*[\])]")
 # what numpy and zipfile raise at files that are cut off, damaged, encrypted, or lie about their size
@@ -144,6 +145,8 @@ def _name(word: str) -> tuple[str, str | None]:
 # Text
 def _text(path: Path, unit: str, complain: Complaint) -> Columns:
     lines = read_text(path, LARGEST_FILE, complain)
+    if _first_word(lines) in _OBJ_WORDS:
+        return _vertices(path, lines, complain)
     layout, numbers = _layout(path, lines, unit)
     if not numbers:
         raise complain(f"{path.name} holds no waypoints", hint="lines x y z nx ny nz, in mm")
@@ -159,6 +162,44 @@ def _text(path: Path, unit: str, complain: Complaint) -> Columns:
         table = np.array([_row(path, layout, row, i) for row, i in zip(rows, numbers, strict=True)])
     values = {name: table[:, k] for k, name in enumerate(layout.places)}
     return Columns(values, np.array(numbers, dtype=np.int64), layout.unused)
+
+
+def _first_word(lines: Sequence[str]) -> str:
+    """The first word that is no comment; none in an empty file."""
+    content = (line for line in lines if line.strip() and not line.lstrip().startswith(COMMENTS))
+    return next(content, "").partition(" ")[0]
+
+
+def _vertices(path: Path, lines: Sequence[str], complain: Complaint) -> Columns:
+    """Waypoints as an OBJ file has them: all points in lines `v x y z`, and as many normals in lines `vn nx ny nz`."""
+    rows: dict[str, list[int]] = {"v": [], "vn": []}
+    others: set[str] = set()
+    for i, line in enumerate(lines, 1):
+        word = line.split(None, 1)[0] if line.strip() else ""
+        if word in rows:
+            rows[word].append(i)
+        elif word and not word.startswith(COMMENTS):
+            others.add(word[:40])
+    points, normals = rows["v"], rows["vn"]
+    if not points or len(points) != len(normals):
+        counts = f"{len(points)} points (v) and {len(normals)} normals (vn)"
+        raise complain(f"{path.name} has {counts}", hint="a normal for each point, in their order")
+    table = np.hstack([_numbered(path, lines, points), _numbered(path, lines, normals)])
+    values = {name: table[:, k] for k, name in enumerate(NEEDED)}
+    return Columns(values, np.array(points, dtype=np.int64), tuple(sorted(others)))
+
+
+def _numbered(path: Path, lines: Sequence[str], numbers: Sequence[int]) -> Array:
+    """The three numbers behind the first word of lines (n) → (n, 3); InputError for the first line without them."""
+    try:
+        return np.array([line.split()[1:4] for line in (lines[i - 1] for i in numbers)], dtype=float).reshape(-1, 3)
+    except ValueError:
+        wrong = next(
+            i
+            for i in numbers
+            if [number(word) for word in lines[i - 1].split()[1:4]].count(None) or len(lines[i - 1].split()) < 4
+        )
+        raise InputError("is no point or normal of three numbers", file=path, line=wrong) from None
 
 
 def _layout(path: Path, lines: list[str], unit: str) -> tuple[_Layout, list[int]]:
