@@ -26,7 +26,7 @@ from benchmarks.rows import BETWEEN, EMPTY, Row, Run, read_rows, row_without_pla
 from benchmarks.run import fill, some_seconds
 from benchmarks.single import beadwise, run_apart
 from benchmarks.usage import commit, machine
-from benchmarks.waypoint_files import Look, Meaning, files_in, look_at, place, shrunk, together
+from benchmarks.waypoint_files import Look, Meaning, as_the_file_counts, files_in, look_at, place, shrunk, together
 from planner.base.command_line import exit_code
 from planner.base.errors import EXIT_VERIFIED, InputError, PlannerError
 from planner.cell.cell import build_cell
@@ -76,7 +76,8 @@ def planned(job: Job) -> Row:
     on, file = job.on, Path(job.file)
     run = run_of(job)
     try:
-        look = job.look or look_at(file)
+        own = look_at(file)
+        look = own if job.look is None else as_the_file_counts(job.look, own)
         placed = place(look, job.meaning, on.bead, on.reach, job.shrink, job.own_beads, job.lift_mm)
         with tempfile.TemporaryDirectory() as folder:
             source = json.dumps({"source": placed.source(shrunk(file, placed, Path(folder)))})

@@ -124,12 +124,16 @@ def look_at(file: Path) -> Look:
 
 
 def together(looks: Iterable[Look]) -> Look:
-    """Several files as one; there is one at least."""
+    """Several files as one; there is one at least. Some may count their normals the other way: most decide."""
     every = list(looks)
+    sums = [each.normals for each in every]
+    largest = max(sums, key=lambda normals: float(normals @ normals))
+    aligned = np.sum([normals * (1.0 if normals @ largest >= 0.0 else -1.0) for normals in sums], axis=0)
+    most = aligned if float(np.sum(sums, axis=0) @ aligned) >= 0.0 else -aligned
     return Look(
         np.min([each.low for each in every], axis=0),
         np.max([each.high for each in every], axis=0),
-        np.sum([each.normals for each in every], axis=0),
+        most,
         sum(each.count for each in every),
         next((each.unit for each in every if each.unit is not None), None),
         Spacing(
@@ -139,6 +143,12 @@ def together(looks: Iterable[Look]) -> Look:
             split=None,
         ),
     )
+
+
+def as_the_file_counts(look: Look, own: Look) -> Look:
+    """What several files are together, with normals the other way where one of them points clearly against the others."""
+    against = float(own.normals @ look.normals) < 0.0 and float(np.linalg.norm(own.normals)) > LEANING * own.count
+    return replace(look, normals=-look.normals) if against else look
 
 
 def _median(values: Sequence[float]) -> float:

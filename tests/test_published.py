@@ -12,7 +12,7 @@ from benchmarks import published, run
 from benchmarks.published import jobs_of, left, main, parser, planned, summary
 from benchmarks.rows import Row, Run, make_row, read_rows
 from benchmarks.single import Job as SingleJob
-from benchmarks.waypoint_files import FIT, Meaning, files_in, look_at, place, together
+from benchmarks.waypoint_files import FIT, Meaning, as_the_file_counts, files_in, look_at, place, together
 from planner.base.errors import InputError
 from planner.problem import load_problem
 from planner.toolpath.build import build_toolpath
@@ -58,6 +58,18 @@ def test_files_are_found_in_their_order(folder: Path) -> None:
         files_in(folder, ["*.md"])
     with pytest.raises(InputError, match="no such folder"):
         files_in(folder / "none", [])
+
+
+def test_a_layer_may_count_its_normals_the_other_way(folder: Path) -> None:
+    """Two of three layers point up; the third one is the other way round, and is placed as such."""
+    sideways = np.hstack([RING + [0, 0, 2], -UPWARDS])
+    np.savetxt(folder / "layers" / "2.xyz", sideways, fmt="%.4f")
+    looks = [look_at(folder / "layers" / f"{k}.xyz") for k in (0, 1, 2)]
+    for order in ((0, 1, 2), (2, 1, 0)):
+        all_three = together([looks[k] for k in order])
+        for k, normals in ((0, "outward"), (1, "outward"), (2, "inward")):
+            placed = place(as_the_file_counts(all_three, looks[k]), Meaning(), BEAD, REACH, False)
+            assert (placed.up, placed.normals) == ("z", normals)
 
 
 @pytest.mark.parametrize(

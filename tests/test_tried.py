@@ -79,7 +79,9 @@ def test_what_is_not_tried_is_said_to_be_untried(tmp_path: Path) -> None:
     told = hints_that_hold(problem, toolpath, many, plan := Planner(lambda p: False))
     assert len(plan.asked) == MOST_PLANS
     assert told == tuple(f"{hint} (not planned to the end)" for hint in many[MOST_PLANS:])
-    large: Any = SimpleNamespace(beads=[SimpleNamespace(s=np.zeros(MOST_WAYPOINTS + 1))])
+    large: Any = SimpleNamespace(
+        beads=[SimpleNamespace(s=np.zeros(MOST_WAYPOINTS + 1), normals=np.array([[0.0, 0.0, 1.0]]))]
+    )
     quick = problem_of(tmp_path, smooth="1")
     assert hints_that_hold(quick, large, (many[0], "turn"), Planner(lambda p: True)) == (
         f"{many[0]} (not planned to the end)", "turn",
@@ -136,3 +138,13 @@ def test_a_refusal_of_a_solve_names_a_lean_with_which_it_is_verified(tmp_path: P
     field, lean = hint.split()[:2]
     again = problem_of(tmp_path, *problem.overrides, f"{field.rstrip(':')}={lean}")
     assert solve(again, baseline=False).verified
+
+
+def test_normals_that_point_down_may_be_meant_the_other_way(tmp_path: Path) -> None:
+    problem = problem_of(tmp_path, "layers.source.normals=inward")
+    with pytest.raises(Refusal) as caught:
+        solve(problem)
+    first = caught.value.hints[0]
+    assert first.startswith("layers.source.normals: outward (they point down on the whole) gives a verified plan")
+    upward = problem_of(tmp_path)
+    assert hints_that_hold(upward, build_toolpath(upward), (), Planner(lambda _: True)) == ()

@@ -28,7 +28,7 @@ PlanOf = Callable[[Problem], Plan]  # raises Refusal or InputError
 def hints_that_hold(problem: Problem, toolpath: Toolpath, hints: Hints, plan: PlanOf) -> Hints:
     """Those hints whose changes give a verified plan, told with how it prints; those that are no changes; and those for which
     the print is too large, told to be untried."""
-    hints = (*hints, *_smoothing(problem, toolpath))
+    hints = (*_other_side(problem, toolpath), *hints, *_smoothing(problem, toolpath))
     waypoints = sum(len(bead.s) for bead in toolpath.beads)
     left, told = min(MOST_PLANS, MOST_WAYPOINTS // waypoints), []
     for hint in hints:
@@ -70,6 +70,16 @@ def _setting(problem: Problem, field: str, value: object) -> str:
         now = cell.bed
     there = [round(1e3 * a + by, 6) for a, by in zip(now or (0.0, 0.0, 0.0), value.vector, strict=True)]
     return f"{field}={there}"
+
+
+def _other_side(problem: Problem, toolpath: Toolpath) -> Hints:
+    """The other sense of a file's normals, where they point down on the whole."""
+    layers = problem.layers
+    if not isinstance(layers, WaypointLayersSpec) or sum(bead.normals[:, 2].mean() for bead in toolpath.beads) >= 0.0:
+        return ()
+    other = "outward" if layers.source.normals == "inward" else "inward"
+    what = f"layers.source.normals: {other} (they point down on the whole)"
+    return (Change(what, ((what, (("layers.source.normals", other),)),)),)
 
 
 def _smoothing(problem: Problem, toolpath: Toolpath) -> Hints:
