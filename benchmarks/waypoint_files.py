@@ -24,18 +24,20 @@ Array = NDArray[np.float64]
 
 SUFFIXES = (".txt", ".csv", ".xyz", ".dat", ".npz")
 LEANING = 0.2  # a mean of unit normals, along an axis, that is less than this says nothing of up and down
+AVOIDED = 0.5  # of what normals have along another axis: less than this along an axis is that they turn round it
 FIT = 0.4  # of the nozzle's reach: the largest side of a part that may be expected to be printable all round
 _TO_MM = {"mm": 1.0, "m": 1e3}
 
 
 @dataclass(frozen=True)
 class Look:
-    """What the numbers of a file, or of several, are: low, high (3) of the points, the sum (3) of unit normals, count, and
-    how far apart waypoints, passes and layers lie."""
+    """What the numbers of a file, or of several, are: low, high (3) of the points, the sum (3) of unit normals and of their
+    components' sizes, count, and how far apart waypoints, passes and layers lie."""
 
     low: Array
     high: Array
     normals: Array
+    spread: Array
     count: int
     unit: str | None  # where a header says it
     spacing: Spacing
@@ -120,7 +122,15 @@ def look_at(file: Path) -> Look:
     spacing = spacing_of(points, normals)
     if "bead" in values:  # the file says where beads begin
         spacing = replace(spacing, split=None)
-    return Look(points.min(axis=0), points.max(axis=0), normals.sum(axis=0), len(points), unit, spacing)
+    return Look(
+        points.min(axis=0),
+        points.max(axis=0),
+        normals.sum(axis=0),
+        np.abs(normals).sum(axis=0),
+        len(points),
+        unit,
+        spacing,
+    )
 
 
 def together(looks: Iterable[Look]) -> Look:
@@ -134,6 +144,7 @@ def together(looks: Iterable[Look]) -> Look:
         np.min([each.low for each in every], axis=0),
         np.max([each.high for each in every], axis=0),
         most,
+        np.sum([each.spread for each in every], axis=0),
         sum(each.count for each in every),
         next((each.unit for each in every if each.unit is not None), None),
         Spacing(
@@ -174,7 +185,7 @@ def place(
     """
     unit = given.unit or look.unit or unit_of(float((look.high - look.low).max()), look.spacing)
     mean = look.normals / look.count
-    up = given.up or ("y" if abs(mean[1]) > max(abs(mean[2]), LEANING) else "z")
+    up = given.up or _up(mean, look.spread)
     along = float(mean[1] if up == "y" else mean[2])
     normals = given.normals or ("inward" if along < -LEANING else "outward")
     low, high = (_TO_MM[unit] * _turned(corner, up) for corner in (look.low, look.high))
@@ -193,6 +204,13 @@ def place(
     return Placed(
         unit, up, normals, (x, y, z), scale, side, None if split is None else round(1.0001 * to_mm * split, 6), own
     )
+
+
+def _up(mean: Array, spread: Array) -> str:
+    """Along y or z, whichever normals lean to; or else, where they point all round a part, along the axis that they avoid."""
+    if max(abs(mean[1]), abs(mean[2])) > LEANING:
+        return "y" if abs(mean[1]) > abs(mean[2]) else "z"
+    return "y" if spread[1] < AVOIDED * spread[2] else "z"
 
 
 def _own_bead(spacing: Spacing, to_mm: float, bead: tuple[float, float]) -> tuple[float, float] | None:

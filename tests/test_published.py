@@ -72,6 +72,15 @@ def test_a_layer_may_count_its_normals_the_other_way(folder: Path) -> None:
             assert (placed.up, placed.normals) == ("z", normals)
 
 
+@pytest.mark.parametrize("axis", ["y", "z"])
+def test_normals_all_round_a_part_tell_its_axis(tmp_path: Path, axis: str) -> None:
+    wall = np.column_stack([20 * np.cos(OVER), 20 * np.sin(OVER), 5 + 0 * OVER, np.cos(OVER), np.sin(OVER), 0 * OVER])
+    table = wall if axis == "z" else np.hstack([y_up(wall[:, :3]), y_up(wall[:, 3:])])
+    np.savetxt(tmp_path / "wall.txt", table, fmt="%.4f")
+    placed = place(look_at(tmp_path / "wall.txt"), Meaning(), BEAD, REACH, False)
+    assert (placed.up, placed.normals) == (axis, "outward")
+
+
 @pytest.mark.parametrize(
     ("name", "unit", "up", "normals"),
     [
