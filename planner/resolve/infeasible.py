@@ -391,7 +391,7 @@ def refuse_rung(
             standing = obstacles.standing(cell, tried[k], float(now[k]), float(margin[k]) + CLEAR_ROOM)
             every = _collision(obstacles, int(which[k]), float(margin[k]), "every posture of the search here", standing)
             down = _descent(task, i)
-            if down > STEEP:
+            if down > STEEP and task.first <= i <= task.last:  # run-ins come down by themselves
                 every += f"; the path runs {np.degrees(down):.0f} deg down its own normals here, so that a nozzle on them dips "
                 every += "into what it has just laid"
             refuse(every, kind=Blocked)
