@@ -119,6 +119,7 @@ class Bead(ReadOnlyArrays):
     width, height (n,) of the bead [m]
     closed         the last point is the first one again (both are kept)
     material       its name in process.materials; empty where they have no names
+    short_runs     whether run-in and run-out are as short as may be, where longer ones cannot be had
     """
 
     name: str
@@ -132,6 +133,7 @@ class Bead(ReadOnlyArrays):
     height: Array
     closed: bool
     material: str = ""
+    short_runs: tuple[bool, bool] = (False, False)
 
     @property
     def length(self) -> float:
