@@ -25,6 +25,9 @@ Array = NDArray[np.float64]
 SUFFIXES = (".txt", ".csv", ".xyz", ".dat", ".npz")
 LEANING = 0.2  # a mean of unit normals, along an axis, that is less than this says nothing of up and down
 AVOIDED = 0.5  # of what normals have along another axis: less than this along an axis is that they turn round it
+LAYERS = 4  # files of which the order may say where a part grows to,
+STEADY = 0.9  # where so much of their middles' spread is a straight line in that order (correlation)
+MOSTLY = 0.8  # that is along y or z: so much of its unit vector
 FIT = 0.4  # of the nozzle's reach: the largest side of a part that may be expected to be printable all round
 _TO_MM = {"mm": 1.0, "m": 1e3}
 
@@ -32,7 +35,8 @@ _TO_MM = {"mm": 1.0, "m": 1e3}
 @dataclass(frozen=True)
 class Look:
     """What the numbers of a file, or of several, are: low, high (3) of the points, the sum (3) of unit normals and of their
-    components' sizes, count, and how far apart waypoints, passes and layers lie."""
+    components' sizes, count, how far apart waypoints, passes and layers lie, and the unit vector (3) along which layers
+    follow each other; None where no order of files says that."""
 
     low: Array
     high: Array
@@ -41,6 +45,7 @@ class Look:
     count: int
     unit: str | None  # where a header says it
     spacing: Spacing
+    growth: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -134,7 +139,8 @@ def look_at(file: Path) -> Look:
 
 
 def together(looks: Iterable[Look]) -> Look:
-    """Several files as one; there is one at least. Some may count their normals the other way: most decide."""
+    """Several files as one, in the order of layers; there is one at least. Some may count their normals the other way: most
+    decide."""
     every = list(looks)
     sums = [each.normals for each in every]
     largest = max(sums, key=lambda normals: float(normals @ normals))
@@ -153,7 +159,21 @@ def together(looks: Iterable[Look]) -> Look:
             above=_median([each.spacing.above for each in every]),
             split=None,
         ),
+        _growth(np.array([0.5 * (each.low + each.high) for each in every])),
     )
+
+
+def _growth(middles: Array) -> Array | None:
+    """The unit vector (3) along which middles (n, 3) of layers move steadily; None where they do not."""
+    if len(middles) < LAYERS:
+        return None
+    order = np.arange(len(middles)) - 0.5 * (len(middles) - 1)
+    way = order @ middles
+    length = float(np.linalg.norm(way))
+    if length == 0.0:
+        return None
+    along = middles @ way / length
+    return way / length if np.corrcoef(order, along)[0, 1] >= STEADY else None
 
 
 def as_the_file_counts(look: Look, own: Look) -> Look:
@@ -185,7 +205,7 @@ def place(
     """
     unit = given.unit or look.unit or unit_of(float((look.high - look.low).max()), look.spacing)
     mean = look.normals / look.count
-    up = given.up or _up(mean, look.spread)
+    up = given.up or _up(mean, look.spread, look.growth)
     along = float(mean[1] if up == "y" else mean[2])
     normals = given.normals or ("inward" if along < -LEANING else "outward")
     low, high = (_TO_MM[unit] * _turned(corner, up) for corner in (look.low, look.high))
@@ -206,8 +226,13 @@ def place(
     )
 
 
-def _up(mean: Array, spread: Array) -> str:
-    """Along y or z, whichever normals lean to; or else, where they point all round a part, along the axis that they avoid."""
+def _up(mean: Array, spread: Array, growth: Array | None) -> str:
+    """Along y or z, where layers follow each other and normals lean along it; else whichever normals lean to; or else, where
+    they point all round a part, along the axis that they avoid."""
+    if growth is not None:
+        axis = 1 if growth[1] > growth[2] else 2
+        if growth[axis] > MOSTLY and abs(mean[axis]) > LEANING:
+            return "y" if axis == 1 else "z"
     if max(abs(mean[1]), abs(mean[2])) > LEANING:
         return "y" if abs(mean[1]) > abs(mean[2]) else "z"
     return "y" if spread[1] < AVOIDED * spread[2] else "z"

@@ -72,6 +72,20 @@ def test_a_layer_may_count_its_normals_the_other_way(folder: Path) -> None:
             assert (placed.up, placed.normals) == ("z", normals)
 
 
+def test_layers_that_follow_each_other_tell_up(tmp_path: Path) -> None:
+    """Normals lean 60 degrees aside, more than up; layers go up along y. Out of order they say nothing."""
+    leaning = np.tile([0.0, -np.cos(np.radians(60)), np.sin(np.radians(60))], (len(OVER), 1))
+    looks = []
+    for k in range(5):
+        np.savetxt(tmp_path / f"{k}.txt", np.hstack([y_up(RING) + [0, k, 0.3 * k], leaning]), fmt="%.4f")
+        looks.append(look_at(tmp_path / f"{k}.txt"))
+    placed = place(together(looks), Meaning(), BEAD, REACH, False)
+    assert (placed.up, placed.normals) == ("y", "inward")
+    for some in ([3, 0, 4, 1, 2], [0, 1]):
+        placed = place(together([looks[k] for k in some]), Meaning(), BEAD, REACH, False)
+        assert (placed.up, placed.normals) == ("z", "outward")
+
+
 @pytest.mark.parametrize("axis", ["y", "z"])
 def test_normals_all_round_a_part_tell_its_axis(tmp_path: Path, axis: str) -> None:
     wall = np.column_stack([20 * np.cos(OVER), 20 * np.sin(OVER), 5 + 0 * OVER, np.cos(OVER), np.sin(OVER), 0 * OVER])
