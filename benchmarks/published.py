@@ -192,7 +192,7 @@ def parser() -> argparse.ArgumentParser:
         help="parts stand so much higher, as on a stub: for sideways normals",
     )
     command.add_argument("--unit", choices=("mm", "m"))
-    command.add_argument("--up", choices=("y", "z"), help="the files' axis that points up")
+    command.add_argument("--up", choices=("x", "y", "z"), help="the files' axis that points up")
     command.add_argument("--normals", choices=("outward", "inward"), help="against the nozzle, or along it")
     command.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="change a field of the problem"

@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 SUFFIXES = (".txt", ".csv", ".xyz", ".dat", ".npz")
 LEANING = 0.2  # a mean of unit normals, along an axis, that is less than this says nothing of up and down
 AVOIDED = 0.5  # of what normals have along another axis: less than this along an axis is that they turn round it
+WALL = 0.9  # a mean of unit normals along x that is more than this is a wall's, which is laid on its back
 LAYERS = 4  # files of which the order may say where a part grows to,
 STEADY = 0.9  # where so much of their middles' spread is a straight line in that order (correlation)
 MOSTLY = 0.8  # that is along y or z: so much of its unit vector
@@ -206,7 +207,7 @@ def place(
     unit = given.unit or look.unit or unit_of(float((look.high - look.low).max()), look.spacing)
     mean = look.normals / look.count
     up = given.up or _up(mean, look.spread, look.growth)
-    along = float(mean[1] if up == "y" else mean[2])
+    along = float(mean["xyz".index(up)])
     normals = given.normals or ("inward" if along < -LEANING else "outward")
     low, high = (_TO_MM[unit] * _turned(corner, up) for corner in (look.low, look.high))
     low, high = np.minimum(low, high), np.maximum(low, high)
@@ -227,12 +228,14 @@ def place(
 
 
 def _up(mean: Array, spread: Array, growth: Array | None) -> str:
-    """Along y or z, where layers follow each other and normals lean along it; else whichever normals lean to; or else, where
-    they point all round a part, along the axis that they avoid."""
+    """Along y or z, where layers follow each other and normals lean along it; else whichever normals lean to; along x where
+    nearly all point there, as on a wall; or else, where they point all round a part, along the axis that they avoid."""
     if growth is not None:
         axis = 1 if growth[1] > growth[2] else 2
         if growth[axis] > MOSTLY and abs(mean[axis]) > LEANING:
             return "y" if axis == 1 else "z"
+    if abs(mean[0]) > WALL:
+        return "x"
     if max(abs(mean[1]), abs(mean[2])) > LEANING:
         return "y" if abs(mean[1]) > abs(mean[2]) else "z"
     return "y" if spread[1] < AVOIDED * spread[2] else "z"
@@ -249,7 +252,8 @@ def _own_bead(spacing: Spacing, to_mm: float, bead: tuple[float, float]) -> tupl
 
 def _turned(point: Array, up: str) -> Array:
     """A point of the file in the part's axes."""
-    return np.array([point[0], -point[2], point[1]]) if up == "y" else point
+    x, y, z = point
+    return np.array({"x": (y, z, x), "y": (x, -z, y), "z": (x, y, z)}[up])
 
 
 def shrunk(file: Path, placed: Placed, folder: Path) -> Path:

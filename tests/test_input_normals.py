@@ -100,10 +100,11 @@ def test_nothing_is_checked_where_nothing_may_turn_the_nozzle(tmp_path: Path) ->
     assert file_normals(SimpleNamespace(problem=load("cylinder_logo"))) == Findings()  # type: ignore[arg-type]
 
 
-def test_units_axes_and_senses_are_the_files(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("up", "order", "signs"), [("y", [0, 2, 1], [1, 1, -1]), ("x", [2, 0, 1], [1, 1, 1])])
+def test_units_axes_and_senses_are_the_files(tmp_path: Path, up: str, order: list[int], signs: list[int]) -> None:
     points, normals = line(0.5)
-    as_y_up = [rows[:, [0, 2, 1]] * [1, 1, -1] for rows in (1e-3 * points - [0, 0, 2e-3], -7.0 * normals)]
-    problem = problem_of(tmp_path, *as_y_up, ", unit: m, up: y, normals: inward, origin_mm: [0, 0, 2]")
+    as_written = [rows[:, order] * signs for rows in (1e-3 * points - [0, 0, 2e-3], -7.0 * normals)]
+    problem = problem_of(tmp_path, *as_written, f", unit: m, up: {up}, normals: inward, origin_mm: [0, 0, 2]")
     (check,) = found(problem, *moving(points, normals, 601)).checks
     assert check.ok and check.worst < 0.01
 

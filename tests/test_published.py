@@ -86,6 +86,20 @@ def test_layers_that_follow_each_other_tell_up(tmp_path: Path) -> None:
         assert (placed.up, placed.normals) == ("z", "outward")
 
 
+@pytest.mark.parametrize(("sense", "normals"), [(1.0, "outward"), (-1.0, "inward")])
+def test_a_wall_is_laid_on_its_back(folder: Path, sense: float, normals: str) -> None:
+    """Its waypoints stand in y and z, its normals along x."""
+    wall = np.hstack([np.roll(RING, 1, axis=1), sense * np.roll(UPWARDS, 1, axis=1)])
+    np.savetxt(folder / "wall.txt", wall, fmt="%.4f")
+    placed = place(look_at(folder / "wall.txt"), Meaning(), BEAD, REACH, False)
+    assert (placed.up, placed.normals) == ("x", normals)
+    problem = load_problem(
+        "curved_plate", [f"layers={json.dumps({'source': placed.source(folder / 'wall.txt')})}", "part=null"]
+    )
+    (bead,) = build_toolpath(problem).beads
+    assert bead.normals[:, 2].min() > 0.99 and np.ptp(bead.points[:, 2]) < 1e-6
+
+
 @pytest.mark.parametrize("axis", ["y", "z"])
 def test_normals_all_round_a_part_tell_its_axis(tmp_path: Path, axis: str) -> None:
     wall = np.column_stack([20 * np.cos(OVER), 20 * np.sin(OVER), 5 + 0 * OVER, np.cos(OVER), np.sin(OVER), 0 * OVER])

@@ -128,7 +128,14 @@ def read_text(path: Path, text: str) -> tuple[Waypoints, ...]:
 
     return read_waypoints(
         WaypointsSpec.model_construct(
-            waypoints=File(path), unit="mm", up="z", normals="outward", origin=(0, 0, 0), split=1e9, smoothing=0.0
+            waypoints=File(path),
+            unit="mm",
+            up="z",
+            normals="outward",
+            origin=(0, 0, 0),
+            split=1e9,
+            smoothing=0.0,
+            crumbs=0.0,
         )
     ).beads
 
@@ -225,6 +232,18 @@ def test_a_few_crumbs_are_left_out_and_told(spec: Callable[..., WaypointsSpec]) 
     )
 
 
+def test_one_normal_that_points_the_other_way_is_turned_in_a_short_file(spec: Callable[..., WaypointsSpec]) -> None:
+    """It loses nothing, so its share of the length does not count; among three it cannot be told which is wrong."""
+    rows = [f"{x} 0 0 {UP}" for x in range(4)]
+    stray = ["0 0 0 0 0 -2", *rows[1:]]
+    found = read_waypoints(spec("\n".join(stray)))
+    np.testing.assert_allclose(found.beads[0].normals, np.tile([0.0, 0.0, 1.0], (4, 1)), atol=1e-12)
+    assert "turned round 1 normal that points the other way (line 1)" in found.notes[0]
+    for text, share in (("\n".join(stray), 0.0), ("\n".join(stray[:3]), 0.01)):
+        (bead,) = read_waypoints(spec(text, leave_out_share=share)).beads
+        assert bead.normals[0, 2] == -1.0
+
+
 def test_normals_between_ones_that_point_the_other_way_stay(spec: Callable[..., WaypointsSpec]) -> None:
     """A good one between two bad ones is not turned, and a corner keeps its waypoint."""
     points = [(0, k) for k in range(100)] + [(k, 100) for k in range(101)]
@@ -274,6 +293,9 @@ def test_axes_normals_and_origin(spec: Callable[..., WaypointsSpec]) -> None:
     (bead,) = read_waypoints(given).beads
     assert bead.points * 1e3 == pytest.approx(np.array([[11, -3, 7], [12, -3, 7]]))
     assert bead.normals[0] == pytest.approx(np.array([0, 1, 2]) / 5**0.5)
+    (bead,) = read_waypoints(spec("1 2 3 1 0 -2\n1 2 4 1 0 -2\n", up="x")).beads
+    assert bead.points * 1e3 == pytest.approx(np.array([[2, 3, 1], [2, 4, 1]]))
+    assert bead.normals[0] * 5**0.5 == pytest.approx(np.array([0, -2, 1]))
 
 
 @pytest.mark.slow
@@ -567,7 +589,7 @@ def mistake(folder: Path, old: str, new: str) -> InputError:
 MISTAKES = [
     ('waypoints: "points.txt"', "waypoint: a.txt", "layers.source.waypoint", "unknown key", "did you mean waypoints?"),
     ('waypoints: "points.txt"', "waypoints: a.txt, slpit_mm: 3", "layers.source.slpit_mm", "unknown", "split_mm"),
-    ('waypoints: "points.txt"', "waypoints: a.txt, up: x", "layers.source.up", "'x'", "choices: z, y"),
+    ('waypoints: "points.txt"', "waypoints: a.txt, up: w", "layers.source.up", "'w'", "choices: z, y, x"),
     ('waypoints: "points.txt"', "waypoints: a.txt, normals: in", "layers.source.normals", "'in'", "inward"),
     ('waypoints: "points.txt"', "waypoints: a.txt, svg: b.svg", "layers.source.svg", "both svg and waypoints", "one"),
     ('waypoints: "points.txt"', "up: y", "layers.source.waypoints", "is missing", "x y z nx ny nz"),

@@ -136,8 +136,8 @@ class WaypointsSpec(SourceSection):
     unit: Annotated[Literal["mm", "m"], one_of(("mm", "m"))] = key(
         "unit", "of the file's points, widths and heights: mm or m", "mm"
     )
-    up: Annotated[Literal["z", "y"], one_of(("z", "y"))] = key(
-        "up", "the file's axis that is the part frame's z; y turns (x, y, z) to (x, -z, y)", "z"
+    up: Annotated[Literal["z", "y", "x"], one_of(("z", "y", "x"))] = key(
+        "up", "the file's axis that is the part frame's z; y turns (x, y, z) to (x, -z, y), x to (y, z, x)", "z"
     )
     normals: Annotated[Literal["outward", "inward"], one_of(("outward", "inward"))] = key(
         "normals", "where the file's normals point: outward, against the nozzle, or inward, along it", "outward"

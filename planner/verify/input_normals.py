@@ -75,6 +75,8 @@ def _as_the_file_says(spec: WaypointsSpec) -> tuple[Array, Array]:
     x, n = _TO_SI[spec.unit] * x, n / np.linalg.norm(n, axis=1)[:, None]
     if spec.up == "y":
         x, n = (np.stack([a[:, 0], -a[:, 2], a[:, 1]], axis=1) for a in (x, n))
+    elif spec.up == "x":
+        x, n = (np.roll(a, -1, axis=1) for a in (x, n))
     return x + np.asarray(spec.origin), n if spec.normals == "outward" else -n
 
 

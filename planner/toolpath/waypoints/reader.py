@@ -43,6 +43,7 @@ SAME_POINT = 0.02  # of the median step: points nearer than this to the one befo
 SAME_PLACE = 1e-7  # m: so are points nearer than this, whatever the steps; files are rounded to that
 _NAMED_LINES = 5  # lines that a note names
 _AROUND = 3  # waypoints to either side that say which way a normal points,
+_FEWEST = 3  # so many at least, or else it may be these that are wrong,
 _AGREE = 0.3  # if the sum of their normals is at least this long, for each of them,
 _OPPOSITE = 0.7  # and the cosine of its angle to that is less than the negative of this
 SIZES = (1e-5, 50e-3)  # m: widths and heights of beads, from a fibre to large concrete beads
@@ -378,12 +379,17 @@ def _rows(columns: Columns, spec: WaypointsSpec) -> _Rows:
     scale, values = _TO_SI[spec.unit], columns.values
     points = scale * np.column_stack([values[name] for name in ("x", "y", "z")])
     normals = np.column_stack([values[name] for name in ("nx", "ny", "nz")])
-    if spec.up == "y":
-        points, normals = (np.column_stack([a[:, 0], -a[:, 2], a[:, 1]]) for a in (points, normals))
+    points, normals = (_upright(a, spec.up) for a in (points, normals))
     normals = normals / np.linalg.norm(normals, axis=1)[:, None] * (1.0 if spec.normals == "outward" else -1.0)
     width, height = (scale * values[name] if name in values else None for name in ("width", "height"))
     moved = points + np.asarray(spec.origin)
     return _Rows(moved, normals, columns.lines, width, height, values.get("layer"), values.get("bead"))
+
+
+def _upright(vectors: Array, up: str) -> Array:
+    """Vectors (n, 3) in axes of which z is the file's axis that points up."""
+    x, y, z = vectors.T
+    return np.column_stack({"x": (y, z, x), "y": (x, -z, y), "z": (x, y, z)}[up])
 
 
 def _check(columns: Columns, path: Path, unit: str) -> None:
@@ -467,7 +473,8 @@ def _without_crumbs(parts: Sequence[_Rows], share: float, width: float) -> tuple
 
     Crumbs are waypoints that stand alone and paths shorter than their bead is wide (`width` [m] where the file does not
     say): they are left out. A normal that points the other way than those around it is turned round. If all that makes up
-    more than a share of the length, nothing is changed: the file may mean something else.
+    more than a share of the length, nothing is changed: the file may mean something else. A single such normal loses
+    nothing, and is turned round however short the file is, unless the share is zero.
     """
     everything = dict(enumerate(parts, 1))
     steps = np.concatenate([np.linalg.norm(np.diff(part.points, axis=0), axis=1) for part in parts])
@@ -489,7 +496,8 @@ def _without_crumbs(parts: Sequence[_Rows], share: float, width: float) -> tuple
             stray += part.lines[turned].tolist()
             lost += usual * int(turned.sum())
             kept[i] = replace(part, normals=np.where(turned[:, None], -part.normals, part.normals))
-    if not kept or lost > share * total:
+    spared = usual if len(stray) == 1 and share > 0.0 else 0.0
+    if not kept or lost - spared > share * total:
         return everything, ""
     told = [
         f"{what} {len(lines)} {one if len(lines) == 1 else many} ({_lines(lines)})"
@@ -516,7 +524,7 @@ def _other_way(normals: Array) -> NDArray[np.bool_]:
     first, last = np.maximum(np.arange(n) - _AROUND, 0), np.minimum(np.arange(n) + _AROUND + 1, n)
     others = ends[last] - ends[first] - normals
     size = np.linalg.norm(others, axis=1)
-    agree = size > _AGREE * (last - first - 1)
+    agree = (last - first > _FEWEST) & (size > _AGREE * (last - first - 1))
     return np.asarray(agree & ((normals * others).sum(axis=1) < -_OPPOSITE * size))
 
 
