@@ -10,11 +10,16 @@ import pytest
 from planner.base.errors import Refusal
 from planner.base.progress import Stages
 from planner.cell.cell import build_cell
-from planner.planning.clearance import coming_nearer, may_come_nearer
+from planner.collision.scene import NOTHING
+from planner.planning import clearance, pipeline
+from planner.planning.clearance import coming_nearer, leads_on, may_come_nearer
 from planner.planning.context import context_of
 from planner.planning.pipeline import load, solve, write
 from planner.problem import Problem
+from planner.resolve.drawn import passable
+from planner.resolve.joint_path import refuse_at
 from planner.resolve.ladder import ladder
+from planner.resolve.strategies import STRATEGIES
 from planner.toolpath.build import build_toolpath
 from planner.verify.verdict import verify
 
@@ -106,3 +111,44 @@ def test_a_path_that_runs_down_its_normals_is_told(tmp_path: Path, down: bool) -
             ladder(given.cell, given.tasks, problem.resolve, given.obstacles)
     else:
         assert len(ladder(given.cell, given.tasks, problem.resolve, given.obstacles)) == 1
+
+
+def down(folder: Path, *overrides: str) -> Problem:
+    """A pass that runs 45 degrees down its own normals: the nozzle's face dips into what it has just laid."""
+    problem = flat(folder, *overrides)
+    rows = [f"{x / 2} 0 {6 - x / 2} 0 0 1" for x in range(13)]
+    (folder / "flat.txt").write_text("x y z nx ny nz\n" + "\n".join(rows) + "\n")
+    return problem
+
+
+@pytest.mark.parametrize(
+    "far", [[], ["cell.positioner.origin_mm=[4000, 0, 600]"]], ids=["in the print", "out of reach"]
+)
+def test_what_nothing_can_pass_is_refused_after_one_search(
+    tmp_path: Path, far: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    searches = []
+
+    def counted(*given: object) -> object:
+        searches.append(given)
+        return ladder(*given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(pipeline, "ladder", counted)
+    monkeypatch.setattr(clearance, "ladder", counted)
+    monkeypatch.setitem(STRATEGIES, "ladder", counted)
+    with pytest.raises(Refusal, match="lacks" if not far else "out of the arm's reach"):
+        solve(down(tmp_path, *far), baseline=False)
+    assert len(searches) == 1
+
+
+def test_a_place_is_passable_where_something_drawn_there_is_clear(tmp_path: Path) -> None:
+    for print_of, free in ((down, False), (flat, True)):
+        problem = print_of(tmp_path)
+        given = context_of(problem, build_cell(problem), build_toolpath(problem))
+        task = given.tasks[0]
+        middle = len(task) // 2
+        with pytest.raises(Refusal) as refused:
+            refuse_at(task, middle, "of a test")
+        assert leads_on(given, refused.value, 0.0) is free
+        # what no one is near to is clear
+        assert passable(given.cell, given.tasks, refused.value, NOTHING)

@@ -12,6 +12,7 @@ from planner.base.progress import Stages
 from planner.plan import Nearer
 from planner.planning.context import PlanningContext, context_of
 from planner.problem import Problem
+from planner.resolve.drawn import passable
 from planner.resolve.infeasible import NEARER
 from planner.resolve.ladder import ladder
 from planner.verify.verdict import Report
@@ -29,14 +30,32 @@ def lacks_clearance_only(report: Report) -> bool:
     return {check.name for check in report.checks if not check.ok} == {NOZZLE_CHECK}
 
 
-def coming_nearer(given: PlanningContext, because: str, stages: Stages) -> Iterator[tuple[Nearer, PlanningContext]]:
+def leads_on(given: PlanningContext, refusal: Refusal, kept: float | None = None) -> bool:
+    """Whether a print that is refused at a place may have a way there: not where nothing drawn there is clear of part and
+    print, or of all else.
+
+    kept: the distance of nozzle and head [m], if it is another one than the problem's
+    """
+    obstacles = given.obstacles
+    if kept is not None:
+        obstacles = obstacles.with_nozzle_at(given.cell, kept) or obstacles
+    return passable(given.cell, given.tasks, refusal, obstacles)
+
+
+def coming_nearer(
+    given: PlanningContext, because: str, stages: Stages, refusal: Refusal | None = None
+) -> Iterator[tuple[Nearer, PlanningContext]]:
     """The same print with nozzle and head ever nearer to it, as far as that leads anywhere: no search finds a way at a greater
     distance if none does without any.
 
-    because: why the usual distance cannot be kept, in words
+    because: why the usual distance cannot be kept, in words; refusal: the one that says so, if there is no plan at all
     """
     usual, last = given.problem.collision.nozzle, NEARER[-1]
     in_one_go = not given.problem.process.split_beads  # else a bead need not have a way of its own
+    if refusal is not None:
+        with stages.stage("resolve"):
+            if not leads_on(given, refusal, last):  # which takes a hundredth of a search's time
+                return
     if in_one_go and not _has_way(_keeping(given, last), stages):
         return
     for kept in (each for each in NEARER if each < usual):

@@ -28,7 +28,7 @@ from planner.motion.travel.plan import Travel, carried_travels, plan_travels
 from planner.plan import Nearer, Plan, Trajectory
 from planner.plan.robustness import Robustness, Tolerance, parse_tolerance
 from planner.planning.candidates import DEFAULT, PlannedPaths, best_of_all
-from planner.planning.clearance import coming_nearer, lacks_clearance_only, may_come_nearer
+from planner.planning.clearance import coming_nearer, lacks_clearance_only, leads_on, may_come_nearer
 from planner.planning.context import PlanningContext, context_of
 from planner.planning.distributed import sqp_over
 from planner.planning.finer import ROUNDS, with_finer_samples, worst_off
@@ -239,9 +239,9 @@ def _as_clear_as_can_be(
     stuck = found is None or lacks_clearance_only(found[1].report)
     if stuck and strategy not in UNAWARE and may_come_nearer(given.problem):
         because = "a plan with that comes too near" if refusal is None else str(refusal)
-        ways = coming_nearer(given, because, stages)
+        ways = coming_nearer(given, because, stages, refusal)
         if refusal is not None and refusal.run is not None and strategy == DEFAULT and may_be_short(given.problem):
-            ways = chain(ways, coming_nearer(all_short(given, refusal), because, stages))
+            ways = chain(ways, coming_nearer(all_short(given, refusal), because, stages, refusal))
         for told, nearer in ways:
             try:  # other processes read the problem as it was
                 again = print_of(nearer)
@@ -293,7 +293,7 @@ def _planned(
             with stages.stage("map"):
                 mapped = maps()
     except Refusal as none:
-        if not others:
+        if not others or not leads_on(given, none):
             raise
         refusal = none
     if own is not None and rounds:

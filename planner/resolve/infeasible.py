@@ -19,6 +19,7 @@ from planner.base.processes import cores
 from planner.cell.cell import Cell, translation
 from planner.cell.robot import chain_of
 from planner.collision.scene import NOTHING, PART, Obstacles
+from planner.resolve.drawn import SLIGHT, repeated
 from planner.resolve.joint_path import JointPath, SampledTasks, flange_poses, postures, refuse_at, spread, upright
 from planner.resolve.nodes import Grid, Nodes, evaluate, full_grid
 from planner.resolve.reach import CLEAR_ROOM, LIMIT_ROOM
@@ -320,7 +321,6 @@ _GIVES = {_HERE: "gives postures here, though no path all along", _ALONG: "gives
 # Why there is no path: which rung ran out of candidates, and for what reason.
 
 STEEP = np.radians(20.0)  # between path and surface: the face's edge is a third of its radius beneath the tip
-SLIGHT = 1e-4  # m of clearance that a path between rungs may lack
 _TRIED = 72  # rolls and holder angles that the diagnosis looks at
 
 
@@ -356,7 +356,7 @@ def refuse_rung(
     if cell.chosen and grid.swept is not None:
         zero, unit = nodes.scale
         chosen[:, grid.swept] = zero + unit * swept
-    spot = _repeat(task, i, len(roll))
+    spot = repeated(task, i, len(roll))
     T = flange_poses(cell, spot, roll, upright(spot), chosen[:, :nh])
     redundant = chosen[:, nh:] if cell.given else None
     q, ok = cell.inverse.solve(T, redundant)
@@ -476,19 +476,3 @@ def _hit(cell: Cell, found: LadderRoute, obstacles: Obstacles) -> tuple[int, int
     margin, which = obstacles.margins(q, demand.now[demand.rung], np.inf, CLEAR_ROOM)
     worst = int(np.argmin(margin))
     return worst, int(which[worst]), float(margin[worst])
-
-
-def _repeat(task: NozzleTask, i: int, n: int) -> NozzleTask:
-    """A task that stays n times at sample i of another."""
-    one = [i] * n
-    return NozzleTask(
-        task.bead,
-        task.name,
-        task.layer,
-        task.tip[one],
-        task.frames[one],
-        np.arange(n, dtype=float),
-        0,
-        n - 1,
-        task.speed,
-    )

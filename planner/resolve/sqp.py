@@ -17,7 +17,7 @@ from planner.base.processes import Job, cores, in_turn
 from planner.cell.cell import Cell
 from planner.collision.scene import NOTHING, Obstacles
 from planner.problem.settings import ResolveSpec
-from planner.resolve.infeasible import SLIGHT
+from planner.resolve.drawn import SLIGHT
 from planner.resolve.joint_path import MARGIN, JointPath, choose_turns
 from planner.resolve.ladder import ladder, runs_backwards
 from planner.resolve.quadratic import solve_qp

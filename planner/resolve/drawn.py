@@ -1,0 +1,100 @@
+"""Postures drawn at random at one place of a path: the cheapest look at whether anything could pass there at all.
+
+A search tries a grid all along; one place at which nothing drawn is clear ends every search, whatever its grid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from planner.base.arrays import Array
+from planner.base.errors import Refusal
+from planner.base.geometry import TURN
+from planner.cell.cell import Cell
+from planner.collision.scene import Obstacles
+from planner.resolve.joint_path import flange_poses, upright
+from planner.resolve.reach import grid_scale
+from planner.toolpath.task import NozzleTask
+
+PLACES = 48  # spread over a print that are looked at besides the one where a search ended
+FEW, DRAWN = 150, 4_000  # rolls and angles of all chosen joints drawn at each, each with all branches of the arm
+SLIGHT = 1e-4  # m of clearance that a path between rungs may lack
+_SAME = 1e-6  # m: a sample that a refusal names is no farther from the point that it gives
+
+
+def repeated(task: NozzleTask, i: int, n: int) -> NozzleTask:
+    """A task that stays n times at sample i of another."""
+    one = [i] * n
+    return NozzleTask(
+        task.bead,
+        task.name,
+        task.layer,
+        task.tip[one],
+        task.frames[one],
+        np.arange(n, dtype=float),
+        0,
+        n - 1,
+        task.speed,
+    )
+
+
+def passable(cell: Cell, tasks: Sequence[NozzleTask], refusal: Refusal, obstacles: Obstacles) -> bool:
+    """Whether there may be a way past the place that a refusal names, and others spread along all beads: at each some
+    posture drawn is clear of obstacles.
+
+    True where the nozzle may lean, which is not drawn. What is refused on a grid may pass on another one at the place where
+    that ended, and still have no way elsewhere.
+    """
+    if any(task.cones.tilt > 0.0 for task in tasks):
+        return True
+    return all(_passed(cell, tasks[k], i, obstacles) for k, i in (*_named(tasks, refusal), *_spread(tasks)))
+
+
+def _passed(cell: Cell, task: NozzleTask, i: int, obstacles: Obstacles) -> bool:
+    """Whether something drawn at sample i of a task is clear: few postures first, and many where none of those is."""
+    for n in (FEW, DRAWN):
+        q = postures_drawn(cell, task, i, n)
+        margin, _ = obstacles.margins(q, np.full(len(q), float(task.moments[i])), 0.0)
+        if (margin >= -SLIGHT).any():
+            return True
+    return False
+
+
+def _named(tasks: Sequence[NozzleTask], refusal: Refusal) -> tuple[tuple[int, int], ...]:
+    """The task and the sample that a refusal names, if it names any."""
+    k = next((k for k, task in enumerate(tasks) if task.bead == refusal.bead), None)
+    if k is None or refusal.point_mm is None or refusal.waypoint is None:
+        return ()
+    there = np.flatnonzero(np.linalg.norm(tasks[k].tip - 1e-3 * np.array(refusal.point_mm), axis=1) < _SAME)
+    if not len(there):
+        return ()
+    return ((k, int(there[np.argmin(np.abs(there - (tasks[k].first + refusal.waypoint)))])),)
+
+
+def _spread(tasks: Sequence[NozzleTask]) -> tuple[tuple[int, int], ...]:
+    """Tasks and samples spread evenly over all of a print, its first and last among them."""
+    ends = np.cumsum([len(task) for task in tasks])
+    places = np.unique(np.linspace(0, ends[-1] - 1, min(PLACES, int(ends[-1]))).round().astype(np.int64))
+    of = np.searchsorted(ends, places, side="right")
+    return tuple((int(k), int(at - (ends[k] - len(tasks[k])))) for k, at in zip(of, places, strict=True))
+
+
+def postures_drawn(cell: Cell, task: NozzleTask, i: int, n: int) -> Array:
+    """Postures (m, nj) at sample i of a task within the joints' ranges: n rolls and angles of the chosen joints, all branches."""
+    na, nh, limits = len(cell.arm), len(cell.holder), cell.limits
+    draw = np.random.default_rng(0)
+    roll = draw.uniform(0.0, TURN, n)
+    joints = list(cell.chosen)
+    half = np.array([np.pi * grid_scale(limits, joint)[1] for joint in joints])
+    home = cell.home[joints]
+    low, high = np.maximum(limits.q_min[joints], home - half), np.minimum(limits.q_max[joints], home + half)
+    chosen = draw.uniform(low, high, (n, len(joints)))
+    spot = repeated(task, i, n)
+    redundant = chosen[:, nh:] if cell.given else None
+    q, ok = cell.inverse.solve(flange_poses(cell, spot, roll, upright(spot), chosen[:, :nh]), redundant)
+    middle = 0.5 * (limits.q_min[:na] + limits.q_max[:na])
+    q = np.where(limits.turns[:na], middle + np.remainder(q - middle + np.pi, TURN) - np.pi, q)
+    k, branch = np.nonzero(ok & ((q >= limits.q_min[:na]) & (q <= limits.q_max[:na])).all(axis=2))
+    return np.hstack([q[k, branch], chosen[k, :nh]])
