@@ -114,9 +114,9 @@ def test_a_path_that_runs_down_its_normals_is_told(tmp_path: Path, down: bool) -
 
 
 def down(folder: Path, *overrides: str) -> Problem:
-    """A pass that runs 45 degrees down its own normals: the nozzle's face dips into what it has just laid."""
+    """A pass that runs 45 degrees down its own normals, and level at its end: the nozzle's face dips into what it has laid."""
     problem = flat(folder, *overrides)
-    rows = [f"{x / 2} 0 {6 - x / 2} 0 0 1" for x in range(13)]
+    rows = [f"{x / 2} 0 {max(6 - x / 2, 1)} 0 0 1" for x in range(17)]
     (folder / "flat.txt").write_text("x y z nx ny nz\n" + "\n".join(rows) + "\n")
     return problem
 
@@ -146,9 +146,13 @@ def test_a_place_is_passable_where_something_drawn_there_is_clear(tmp_path: Path
         problem = print_of(tmp_path)
         given = context_of(problem, build_cell(problem), build_toolpath(problem))
         task = given.tasks[0]
-        middle = len(task) // 2
+        middle = len(task) // 3
         with pytest.raises(Refusal) as refused:
             refuse_at(task, middle, "of a test")
         assert leads_on(given, refused.value, 0.0) is free
+        # a nozzle that leans as steeply as the path descends is clear
+        leaning = print_of(tmp_path, "process.cones.nozzle_normal_deg=45")
+        given = context_of(leaning, build_cell(leaning), build_toolpath(leaning))
+        assert leads_on(given, refused.value, 0.0)
         # what no one is near to is clear
         assert passable(given.cell, given.tasks, refused.value, NOTHING)

@@ -19,7 +19,8 @@ from planner.resolve.reach import grid_scale
 from planner.toolpath.task import NozzleTask
 
 PLACES = 48  # spread over a print that are looked at besides the one where a search ended
-FEW, DRAWN = 150, 4_000  # rolls and angles of all chosen joints drawn at each, each with all branches of the arm
+FEW, DRAWN = 150, 4_000  # rolls, leans and angles of all chosen joints drawn at each, each with all branches of the arm
+_BEYOND = 1.5  # times the cone: it is about the true normal, and frames stand on smoothed ones
 SLIGHT = 1e-4  # m of clearance that a path between rungs may lack
 _SAME = 1e-6  # m: a sample that a refusal names is no farther from the point that it gives
 
@@ -44,11 +45,8 @@ def passable(cell: Cell, tasks: Sequence[NozzleTask], refusal: Refusal, obstacle
     """Whether there may be a way past the place that a refusal names, and others spread along all beads: at each some
     posture drawn is clear of obstacles.
 
-    True where the nozzle may lean, which is not drawn. What is refused on a grid may pass on another one at the place where
-    that ended, and still have no way elsewhere.
+    What is refused on a grid may pass on another one at the place where that ended, and still have no way elsewhere.
     """
-    if any(task.cones.tilt > 0.0 for task in tasks):
-        return True
     return all(_passed(cell, tasks[k], i, obstacles) for k, i in (*_named(tasks, refusal), *_spread(tasks)))
 
 
@@ -82,7 +80,8 @@ def _spread(tasks: Sequence[NozzleTask]) -> tuple[tuple[int, int], ...]:
 
 
 def postures_drawn(cell: Cell, task: NozzleTask, i: int, n: int) -> Array:
-    """Postures (m, nj) at sample i of a task within the joints' ranges: n rolls and angles of the chosen joints, all branches."""
+    """Postures (m, nj) at sample i of a task within the joints' ranges: n rolls, leans and angles of the chosen joints, all
+    branches. Leans go a little beyond what the cone about the normal allows; no other cone is kept to."""
     na, nh, limits = len(cell.arm), len(cell.holder), cell.limits
     draw = np.random.default_rng(0)
     roll = draw.uniform(0.0, TURN, n)
@@ -91,9 +90,13 @@ def postures_drawn(cell: Cell, task: NozzleTask, i: int, n: int) -> Array:
     home = cell.home[joints]
     low, high = np.maximum(limits.q_min[joints], home - half), np.minimum(limits.q_max[joints], home + half)
     chosen = draw.uniform(low, high, (n, len(joints)))
-    spot = repeated(task, i, n)
+    spot, lean = repeated(task, i, n), upright(task)[[i] * n]
+    if task.cones.tilt > 0.0:
+        most = min(_BEYOND * task.cones.tilt, np.pi)
+        size, azimuth = most * np.sqrt(draw.uniform(0.0, 1.0, n)), draw.uniform(0.0, TURN, n)
+        lean = size[:, None] * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
     redundant = chosen[:, nh:] if cell.given else None
-    q, ok = cell.inverse.solve(flange_poses(cell, spot, roll, upright(spot), chosen[:, :nh]), redundant)
+    q, ok = cell.inverse.solve(flange_poses(cell, spot, roll, lean, chosen[:, :nh]), redundant)
     middle = 0.5 * (limits.q_min[:na] + limits.q_max[:na])
     q = np.where(limits.turns[:na], middle + np.remainder(q - middle + np.pi, TURN) - np.pi, q)
     k, branch = np.nonzero(ok & ((q >= limits.q_min[:na]) & (q <= limits.q_max[:na])).all(axis=2))
