@@ -80,7 +80,8 @@ def planned(job: Job) -> Row:
         look = own if job.look is None else as_the_file_counts(job.look, own)
         placed = place(look, job.meaning, on.bead, on.reach, job.shrink, job.own_beads, job.lift_mm)
         with tempfile.TemporaryDirectory() as folder:
-            source = json.dumps({"source": placed.source(shrunk(file, placed, Path(folder)))})
+            read = shrunk(file, placed, Path(folder))
+            source = json.dumps({"source": placed.source(read)})
             # JSON is YAML; what is printed is the file alone, on whatever carries the part
             width, height = placed.bead_mm or (on.bead[0] * 1e3, on.bead[1] * 1e3)
             bead = (f"process.bead.width_mm={width:g}", f"process.bead.height_mm={height:g}")
@@ -89,7 +90,8 @@ def planned(job: Job) -> Row:
     except PlannerError as error:
         return row_without_plan(run, f"refused: {_short(str(error), job)}", {})
     said = BETWEEN.join([job.asked, *placed.words])
-    return {**row, "problem": job.name, "set": said, "reason": _short(str(row["reason"]), job)}
+    reason = str(row["reason"]).replace(str(read), job.name)  # the n-th waypoint of a copy stands for a line
+    return {**row, "problem": job.name, "set": said, "reason": _short(reason, job)}
 
 
 def _short(reason: str, job: Job) -> str:

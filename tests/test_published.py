@@ -212,8 +212,10 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[SingleJob]:
 
     def run_apart(job: SingleJob) -> Row:
         out.append(job)
-        load_problem(job[0].problem, job[0].settings)
-        return make_row(job[0], found=True, verified=True, waypoints=60)
+        problem = load_problem(job[0].problem, job[0].settings)
+        return make_row(
+            job[0], found=True, verified=True, waypoints=60, reason=f"{problem.layers.source.waypoints}:7: told"
+        )
 
     monkeypatch.setattr(published, "run_apart", run_apart)
     monkeypatch.setattr(run, "line", lambda row: str(row["problem"]))
@@ -264,6 +266,7 @@ def test_a_shrunk_copy_is_planned(folder: Path, asked: list[SingleJob]) -> None:
     assert job.asked == "cell=curved_plate up=z layers.source.split_mm=500 to fit" and "scale=" in str(row["set"])
     assert asked[0][0].settings[-1] == "layers.source.split_mm=500"
     assert "huge.npz" in asked[0][0].settings[0] and row["problem"] == "huge.dat"
+    assert row["reason"] == "huge.dat:7: told"
     assert not left([job], [row], anywhere=True) and left([job], [], anywhere=True) == [job]
 
 
