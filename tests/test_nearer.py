@@ -138,7 +138,7 @@ def test_what_nothing_can_pass_is_refused_after_one_search(
     monkeypatch.setitem(STRATEGIES, "ladder", counted)
     with pytest.raises(Refusal, match="lacks" if not far else "out of the arm's reach"):
         solve(down(tmp_path, *far), baseline=False)
-    assert len(searches) == 1
+    assert len(searches) == (2 if far else 1)  # out of reach in a run-in: once more with that shortened
 
 
 def test_a_place_is_passable_where_something_drawn_there_is_clear(tmp_path: Path) -> None:
