@@ -23,7 +23,7 @@ def searched() -> tuple[Cell, LadderRoute, float, float]:
     tasks = make_tasks(build_toolpath(problem), problem.process.speed, problem.process.run_in)[:2]
     found = ladder_route(cell, tasks, problem.resolve)
     grid = found.nodes.grid
-    whole = full_grid(found.demand, grid.roll_step, grid.holder_step, True, grid.swept, grid.held)
+    whole = full_grid(found.demand, 8, grid.roll_step, grid.holder_step, True, grid.swept, grid.held)
     sigma = problem.resolve.min_sigma
     best, _ = best_route(evaluate(cell, found.demand, whole, sigma), found.demand, cell.limits)
     assert best is not None
@@ -50,6 +50,6 @@ def test_longer_pieces_bound_no_worse(searched: tuple[Cell, LadderRoute, float, 
 def test_one_rung_at_a_time_is_the_sum_of_the_cheapest_nodes(searched: tuple[Cell, LadderRoute, float, float]) -> None:
     cell, found, sigma, _ = searched
     grid = found.nodes.grid
-    whole = full_grid(found.demand, grid.roll_step, grid.holder_step, True, grid.swept, grid.held)
+    whole = full_grid(found.demand, 8, grid.roll_step, grid.holder_step, True, grid.swept, grid.held)
     prices = evaluate(cell, found.demand, whole, sigma).price
     assert lower_bound(cell, found, sigma, 1) == pytest.approx(prices.min(axis=(1, 2, 3)).sum(), rel=1e-9)

@@ -186,7 +186,7 @@ def test_nodes_against_a_slow_reference(
         spot = ["cell.positioner=null", "cell.bed_mm=[-600, -30, 380]", "cell.base_mm=[10, 20, 30]"]
         cell = build_cell(load_problem("cylinder_logo", spot))
     demand = sample_tasks(tasks[:3], 10e-3)
-    grid = full_grid(demand, np.radians(40), np.radians(60), len(cell.holder) > 0)
+    grid = full_grid(demand, 8, np.radians(40), np.radians(60), len(cell.holder) > 0)
     assert (grid.rolls, grid.holders) == (9, 6 if holder == "table" else 1)
     min_sigma = 0.05
     nodes = evaluate(cell, demand, grid, min_sigma)
@@ -231,11 +231,11 @@ def test_prices_near_a_singularity_follow_sigma(
 
 def test_steps_are_rounded_to_divide_the_circle(tasks: tuple[NozzleTask, ...]) -> None:
     demand = sample_tasks(tasks, 10e-3)
-    grid = full_grid(demand, np.radians(50.0), np.radians(360.0 / 7), True)
+    grid = full_grid(demand, 8, np.radians(50.0), np.radians(360.0 / 7), True)
     assert (grid.rolls, grid.holders) == (8, 7)
     assert grid.rolls * grid.roll_step == pytest.approx(TURN)
     assert grid.periodic
-    assert full_grid(demand, 0.5, 0.5, False).holders == 1
+    assert full_grid(demand, 8, 0.5, 0.5, False).holders == 1
 
 
 # --- the search -------------------------------------------------------------------------------------------------

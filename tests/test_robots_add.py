@@ -18,11 +18,13 @@ from planner.cell.pieces import MOST_PLANES, convex_pieces, lean_hull
 from planner.cell.robot import read_robot
 from planner.cell.solids import Hull
 from planner.cell.urdf import Urdf, model_of, parse_urdf
+from planner.export.support import unsupported_in_rapid
 from planner.problem import load_problem
 from planner.robots import survey as surveying
 from planner.robots.command import added, main
 from planner.robots.files import nozzle_of, spiral
 from planner.robots.survey import key_of, survey
+from planner.robots.trial import trial
 from planner.verify.bodies import CellBodies, pairs
 from tests.public_arms import ARMS, urdf_of
 
@@ -94,6 +96,11 @@ def test_the_flange_may_be_named() -> None:
         survey(urdf(text), "tool")
 
 
+def test_axes_4_and_6_that_pass_each_other_are_no_obstacle() -> None:
+    found = survey(urdf(urdf_of(KR10).replace('xyz="0.08 0.0 0.0"', 'xyz="0.08 0.0 0.08"')), None)
+    assert (found.kind, found.redundant) == ("skew_wrist", None)
+
+
 def test_seven_axes_and_offset_wrists_are_known_by_their_geometry() -> None:
     for shipped, kind in (("iiwa", "seven_axes"), ("ur5e", "offset_wrist"), ("irb140", "spherical_wrist")):
         path = Path(surveying.__file__).parents[2] / "robots" / f"{shipped}.urdf"
@@ -106,7 +113,7 @@ def test_seven_axes_and_offset_wrists_are_known_by_their_geometry() -> None:
     ("change", "said"),
     [
         (('<joint name="joint_4" type="revolute">', '<joint name="joint_4" type="fixed">'), "no arm of six or seven axes"),
-        (('xyz="0.08 0.0 0.0"', 'xyz="0.08 0.0 0.08"'), "no closed-form inverse.*axes 5 and 6 pass each other by 80.0 mm"),
+        (('xyz="0.66 0.0 0.0"', 'xyz="0.66 0.0 0.08"'), "no inverse kinematics.*axes 4 and 5 pass each other by 80.0 mm"),
         (('<joint name="joint_6" type="revolute">', '<joint name="joint_6" type="revolute"><mimic joint="joint_5"/>'),
          "no arm of six or seven axes"),
     ],
@@ -343,6 +350,21 @@ def test_an_added_arm_prints(name: str, tmp_path: Path, capsys: pytest.CaptureFi
     shown = [Path(line) for line in captured.out.splitlines()]
     assert [each.name for each in shown] == ["arm.yaml", "arm_print.yaml", "report.html"]
     assert all(each.is_file() for each in shown)
+
+
+@pytest.mark.slow
+def test_an_arm_without_a_closed_form_prints(tmp_path: Path) -> None:
+    """Axis 6 passes the meeting of 4 and 5 by 80 mm: a verified plan, joint by joint; RAPID's targets could not tell."""
+    text = urdf_of(KR10, bodies=True).replace('xyz="0.08 0.0 0.0"', 'xyz="0.08 0.0 0.08"')
+    file, made = added(written(tmp_path, text), tmp_path / "arm.yaml")
+    assert made.found.kind == "skew_wrist"
+    tried = trial(made.robot, file, made.found.outwards)
+    assert tried.plan is not None, tried.reason
+    assert tried.plan.verified
+    assert "wrist_margin_deg" not in tried.plan.metrics  # joint 5 straight is no singularity of such an arm
+    reason = unsupported_in_rapid(tried.plan)
+    assert reason is not None
+    assert "spherical wrist" in reason
 
 
 @pytest.mark.slow

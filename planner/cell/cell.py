@@ -14,6 +14,7 @@ from planner.cell.carrier import Carrier, carried_arm, in_words
 from planner.cell.kinematics.chain import Chain
 from planner.cell.kinematics.inverse import InverseKinematics, OnRail, given_joints, with_rest
 from planner.cell.kinematics.placed_wrist import PlacedWrist
+from planner.cell.kinematics.skew_wrist import SkewWrist
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
 from planner.cell.robot import Robot, chain_of, load_robot
 from planner.cell.solids import Body
@@ -48,7 +49,7 @@ class Cell:
     arm        chain from the world to the nozzle frame (z = nozzle axis), with the joints that carry the arm, if any
     holder     chain from the world to the part frame; only the free axes, none for a fixed bed
     limits     of the arm's joints, then the holder's
-    inverse    closed-form inverse kinematics of the arm, base to flange
+    inverse    inverse kinematics of the arm, base to flange
     T_world_base, T_flange_nozzle   what stands at the two ends of `inverse`
     T_world_holder                  the part frame with the holder's free axes at 0
     T_world_holder_base, T_plate_part   what stands at the two ends of the holder: its base, the part on its plate
@@ -162,6 +163,11 @@ class Cell:
             home=self.counted(self.home[None])[0],
             arm_robot=replace(self.arm_robot, inverse=placed.arm),
         )
+
+    @property
+    def straightens(self) -> bool:
+        """Whether the arm, of six axes, is singular where axes 4 and 6 are parallel."""
+        return len(self.arm) == 6 and not isinstance(self.inverse, SkewWrist)
 
     @property
     def straight_at(self) -> float:

@@ -20,6 +20,7 @@ from planner.cell.kinematics.inverse import Corrected, InverseKinematics
 from planner.cell.kinematics.offset_wrist import OffsetWrist, read_offset_wrist
 from planner.cell.kinematics.placed_wrist import PlacedWrist, read_spherical_wrist
 from planner.cell.kinematics.seven_axes import SevenAxes, read_seven_axes
+from planner.cell.kinematics.skew_wrist import SkewWrist, read_skew_wrist
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
 from planner.cell.robot_file import KINDS, LENGTHS, RobotFile, is_number, read_robot_file
 from planner.cell.solids import Body
@@ -175,7 +176,7 @@ def _inverse(file: RobotFile, model: pin.Model) -> InverseKinematics | None:
     apart = np.abs(seen - own).max(axis=(1, 2))
     if apart.max() <= _SAME_POSE:
         return inverse.arm if isinstance(inverse, PlacedWrist) and inverse.usual else inverse
-    if not isinstance(inverse, SphericalWrist):
+    if isinstance(inverse, PlacedWrist | OffsetWrist | SevenAxes):
         return Corrected(inverse, chain)
     if apart.max() <= _ROUNDED:
         return Corrected(read_spherical_wrist(chain), chain)
@@ -199,7 +200,7 @@ def _spherical(file: RobotFile, chain: Chain) -> SphericalWrist:
     return SphericalWrist(*(float(lengths[key]) * 1e-3 for key in LENGTHS))
 
 
-def _read_off(file: RobotFile, chain: Chain) -> PlacedWrist | OffsetWrist | SevenAxes:
+def _read_off(file: RobotFile, chain: Chain) -> PlacedWrist | OffsetWrist | SkewWrist | SevenAxes:
     kind = file.data["inverse_kinematics"]
     if kind not in KINDS:
         raise file.error("inverse_kinematics", f"unknown kind {kind!r}", f"known: {', '.join(KINDS)}")
@@ -210,6 +211,8 @@ def _read_off(file: RobotFile, chain: Chain) -> PlacedWrist | OffsetWrist | Seve
     try:
         if kind == "offset_wrist":
             return read_offset_wrist(chain)
+        if kind == "skew_wrist":
+            return read_skew_wrist(chain)
         if kind == "spherical_wrist":
             return read_spherical_wrist(chain)
         file.known("redundant_joint", "joint", redundant, chain.names)

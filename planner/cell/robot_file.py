@@ -18,7 +18,7 @@ from planner.problem.yaml_file import Keys, ValueSources, read_yaml_file
 
 LENGTHS = tuple(f"{name}_mm" for name in ("a1", "a2", "b", "c1", "c2", "c3", "c4"))  # of a spherical wrist's arm
 MOST_PIECES = 12  # of a link
-KINDS = ("spherical_wrist", "offset_wrist", "seven_axes")
+KINDS = ("spherical_wrist", "offset_wrist", "skew_wrist", "seven_axes")
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from planner.cell.kinematics.inverse import Corrected, InverseKinematics
 from planner.cell.kinematics.offset_wrist import OffsetWrist
 from planner.cell.kinematics.placed_wrist import PlacedWrist
 from planner.cell.kinematics.seven_axes import SevenAxes
+from planner.cell.kinematics.skew_wrist import SkewWrist
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
 from planner.cell.robot import Robot, chain_of, names_meant, read_robot, robot_names
 from planner.cell.robot_file import read_robot_file
@@ -82,6 +83,8 @@ def kind(inverse: InverseKinematics | None, joints: Sequence[str]) -> str:
         return f"spherical wrist, 8 branches; mm: {lengths}"
     if isinstance(inverse, OffsetWrist):
         return "offset wrist, 8 branches"
+    if isinstance(inverse, SkewWrist):
+        return "axes 4 and 6 pass each other, up to 16 postures"
     given = inverse.redundant_joint
     return f"seven axes, {'' if given is None else joints[given]} chosen, {inverse.branch_count} branches"
 

@@ -15,12 +15,12 @@ from planner.base.geometry import TURN
 from planner.base.processes import in_threads
 from planner.cell.cell import Cell
 from planner.cell.kinematics.chain import chain_state, largest_singular_value, pose_of
-from planner.cell.kinematics.inverse import SPHERICAL_WRIST, solve_one
+from planner.cell.kinematics.inverse import SPHERICAL_WRIST, branches_of, solve_one
 from planner.collision.scene import NOTHING, Obstacles
 from planner.collision.table import workspace_for
 from planner.motion.timing.timed_path import bound_time
 from planner.resolve.joint_path import JointPath, SampledTasks, sample_tasks
-from planner.resolve.nodes import BRANCHES, full_grid
+from planner.resolve.nodes import full_grid
 from planner.resolve.prices import SIGMA_COMFORT
 from planner.resolve.reach import (
     LIMIT_ROOM,
@@ -114,8 +114,9 @@ def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked,
     n_rolls, n_holders, na = q_out.shape[1], q_out.shape[2], q_out.shape[4]
     middle = 0.5 * (q_min + q_max)
     crowded = len(table.pair) + len(table.look) > 0
-    room = room_for_poses(na, swept.holder.shape[1])
-    eight, ok, J, J6, Jp, Ji = room.eight, room.ok, room.J, room.J6, room.Jp, room.Ji
+    slots = branches_of(kind)
+    room = room_for_poses(na, swept.holder.shape[1], slots)
+    branch_q, ok, J, J6, Jp, Ji = room.postures, room.ok, room.J, room.J6, room.Jp, room.Ji
     R, z_axis, T_world_task, T_rolled = room.R, room.z_axis, room.T_world_task, room.T_rolled
     T_world_part, T_base_nozzle, T_base_flange = room.T_world_part, room.T_base_nozzle, room.T_base_flange
     origins, directions, posture = room.origins, room.directions, room.posture
@@ -123,7 +124,7 @@ def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked,
     T_base_world, T_nozzle_flange = arm.T_base_world, arm.T_nozzle_flange
     twist, rate, weight, samples = rungs.twist, rungs.rate, rungs.weight, asked.samples
     roll_from, redundant = grid.roll_from, swept.redundant
-    known, sigmas, shares = np.empty(8, dtype=np.bool_), np.empty(8), np.empty(8)
+    known, sigmas, shares = np.empty(slots, dtype=np.bool_), np.empty(slots), np.empty(slots)
     for r in range(first, last):
         given = redundant[r].copy()
         bodies = workspace_for(table)  # anew: what it remembers of other rungs would depend on the threads
@@ -147,24 +148,24 @@ def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked,
                 )
                 if swept.sweeps >= 2:
                     given[swept.sweeps - 2] = angle
-                solve_one(kind, p, given, T_base_flange[:3, :3], T_base_flange[:3, 3], eight, ok)
+                solve_one(kind, p, given, T_base_flange[:3, :3], T_base_flange[:3, 3], branch_q, ok)
                 known[:] = False
-                for c in range(8):
+                for c in range(slots):
                     if not ok[c]:
                         continue
-                    away = nearest_turns(eight[c], middle, q_min, q_max, limits.turns)
+                    away = nearest_turns(branch_q[c], middle, q_min, q_max, limits.turns)
                     wrist = np.inf
                     if asked.wrist == SPHERICAL:
-                        wrist = abs(eight[c, 4])
+                        wrist = abs(branch_q[c, 4])
                     elif asked.wrist == OFFSET:
-                        wrist = np.arcsin(abs(np.sin(eight[c, 4] - asked.straight)))
+                        wrist = np.arcsin(abs(np.sin(branch_q[c, 4] - asked.straight)))
                     if away < LIMIT_ROOM or away <= floor * comfort[1] or wrist <= floor * comfort[2]:
                         continue
                     # a spherical wrist turned over has the same axes, one of them reversed: the same rates and sigma
                     pair = c // 2 if kind == SPHERICAL_WRIST else c
                     if not known[pair]:
                         sigmas[pair], shares[pair] = 0.0, 0.0
-                        chain_state(placements, axes, T_last_tip, eight[c], origins, directions, T_rolled)
+                        chain_state(placements, axes, T_last_tip, branch_q[c], origins, directions, T_rolled)
                         if inverse_in_part(origins, directions, solved, T_world_part, T_world_task, J, Jp, Ji):
                             sigmas[pair] = 1.0 / largest_singular_value(Ji, J6, Jp)
                         if sigmas[pair] > floor * comfort[0]:
@@ -172,11 +173,11 @@ def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked,
                         known[pair] = True
                     if sigmas[pair] <= floor * comfort[0]:
                         continue
-                    if crowded and lacks_clearance(table, bodies, posture, eight[c], now, lacking, a):
+                    if crowded and lacks_clearance(table, bodies, posture, branch_q[c], now, lacking, a):
                         continue
                     terms[r, a, b, c] = (sigmas[pair], away, wrist, shares[pair])
                     for j in range(na):
-                        q_out[r, a, b, c, j] = eight[c, j]
+                        q_out[r, a, b, c, j] = branch_q[c, j]
 
 
 @njit(cache=True)
@@ -397,7 +398,7 @@ def score_of_paths(cell: Cell, paths: Sequence[JointPath]) -> float:
         jacobians = cell.arm.jacobians(q[:, :na])[:, :, list(cell.solved)]
         sigma = float(np.linalg.svd(jacobians, compute_uv=False)[:, -1].min())
         limit = float(np.minimum(q - cell.limits.q_min, cell.limits.q_max - q).min())
-        wrist = float(np.abs(np.arcsin(np.sin(q[:, 4] - cell.straight_at))).min()) if na == 6 else np.inf
+        wrist = float(np.abs(np.arcsin(np.sin(q[:, 4] - cell.straight_at))).min()) if cell.straightens else np.inf
         least = min(least, float((np.array([sigma, limit, wrist]) / COMFORT).min()))
         ideal += float(task.s[task.last] - task.s[task.first]) / task.speed
         bound += bound_time(cell, path)
@@ -443,12 +444,14 @@ def _postures(
     r, na, nh = len(demand.rung), len(cell.arm), len(cell.holder)
     held = np.tile(cell.home[list(cell.chosen)], (r, 1))
     index = max(nh - 1, 0) if cell.chosen else None
-    grid = full_grid(demand, course.roll_step, course.holder_step, index is not None, index, held)
+    grid = full_grid(
+        demand, cell.inverse.branch_count, course.roll_step, course.holder_step, index is not None, index, held
+    )
     swept = swept_joint(cell, index, held)
-    wrist = NO_WRIST if na != 6 else (SPHERICAL if cell.spherical else OFFSET)
+    wrist = NO_WRIST if not cell.straightens else (SPHERICAL if cell.spherical else OFFSET)
     cone = min(demand.cones.layer_gravity, demand.cones.tilt + demand.cones.nozzle_gravity)
-    q = np.zeros((r, grid.rolls, grid.holders, BRANCHES, na), dtype=np.float32)
-    terms = np.zeros((r, grid.rolls, grid.holders, BRANCHES, 4), dtype=np.float32)
+    q = np.zeros((r, grid.rolls, grid.holders, cell.inverse.branch_count, na), dtype=np.float32)
+    terms = np.zeros((r, grid.rolls, grid.holders, cell.inverse.branch_count, 4), dtype=np.float32)
     arguments = (
         arm_numbers(cell), arm_limits(cell), swept, grid.numbers, rung_numbers(demand), obstacles.table,
         MarginsAsked(course.samples, wrist, COMFORT, float(floor), float(np.cos(min(cone, np.pi)) - 1e-9), cell.straight_at),

@@ -30,7 +30,7 @@ from planner.base.compiled import njit
 from planner.base.processes import in_blocks
 from planner.cell.cell import Cell
 from planner.cell.kinematics.chain import chain_state, invert6, jacobian_at, mul4, pose_of
-from planner.cell.kinematics.inverse import ON_RAIL, SPHERICAL_WRIST, solve_one
+from planner.cell.kinematics.inverse import ON_RAIL, SPHERICAL_WRIST, branches_of, solve_one
 from planner.resolve.joint_path import sample_tasks
 from planner.resolve.reach import arm_numbers, flange_pose, nearest_turns
 from planner.toolpath.task import NozzleTask
@@ -93,7 +93,7 @@ class CellNumbers(NamedTuple):
 class BoundRoom(NamedTuple):
     """Room for one thread, filled anew at each pose."""
 
-    eight: Array
+    postures: Array
     ok: NDArray[np.bool_]
     lines: Array
     Ja: Array
@@ -113,10 +113,10 @@ class BoundRoom(NamedTuple):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _room(na, nh, m, facets):
+def _room(na, nh, m, facets, branches):
     nj = na + nh
     return BoundRoom(
-        np.empty((8, na)), np.empty(8, dtype=np.bool_), np.empty((2, nj, 3)), np.empty((6, na)),
+        np.empty((branches, na)), np.empty(branches, dtype=np.bool_), np.empty((2, nj, 3)), np.empty((6, na)),
         np.empty((6, nh)), np.empty((3, 3)), np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 4, 4)), np.empty((nj, 6)),
         np.empty((7, 6)),
         np.empty((m + 2, nj)), np.empty((m + 2, m + 2, 6)), np.empty((facets, m + 2, m + 2)), np.empty((4, nj)),
@@ -408,7 +408,7 @@ def _greatest(i, roll, angles, floor, arm, cell, path, room, last) -> float:
     pose_of(path.frames[i], path.tip[i], T[1])
     mul4(T[0], T[1], T[2])
     flange_pose(arm.T_base_world, arm.T_nozzle_flange, T[2], np.array((0.0, 0.0, 1.0)), roll, room.R, T[3], T[4], T[5])
-    solve_one(arm.kind, arm.parameters, given[: max(n_given, 1)], T[5][:3, :3], T[5][:3, 3], room.eight, room.ok)
+    solve_one(arm.kind, arm.parameters, given[: max(n_given, 1)], T[5][:3, :3], T[5][:3, 3], room.postures, room.ok)
     tip = T[2][:3, 3]
     X, X1, Z = np.empty(6), np.empty(6), np.zeros(6)
     twist, rate = path.twist[i], path.rate[i]
@@ -430,14 +430,16 @@ def _greatest(i, roll, angles, floor, arm, cell, path, room, last) -> float:
     middle = 0.5 * (cell.q_min + cell.q_max)
     paired = arm.kind == SPHERICAL_WRIST or arm.kind == ON_RAIL + SPHERICAL_WRIST
     best, done, most = -1.0, -1, np.empty(2 + len(chosen))
-    for branch in range(8):
+    for branch in range(len(room.ok)):
         if not room.ok[branch] or (paired and done == branch // 2):
             continue
-        away = nearest_turns(room.eight[branch], middle[:na], cell.q_min[:na], cell.q_max[:na], cell.turns[:na])
+        away = nearest_turns(room.postures[branch], middle[:na], cell.q_min[:na], cell.q_max[:na], cell.turns[:na])
         if away < -_FLAT:
             continue
         done = branch // 2  # turned over, a spherical wrist has the same axes
-        chain_state(arm.placements, arm.axes, arm.T_last_tip, room.eight[branch], origins[:na], directions[:na], T[3])
+        chain_state(
+            arm.placements, arm.axes, arm.T_last_tip, room.postures[branch], origins[:na], directions[:na], T[3]
+        )
         jacobian_at(origins[:na], directions[:na], tip, room.Ja)
         for j in range(na):
             for k in range(6):
@@ -492,7 +494,7 @@ def at_full_speed(samples, few, arm, cell, path, rolls, lattice, good) -> None:
     """Fill good (k) for samples (k): the index of a pose that allows the commanded speed, -1 where none of the `few` poses
     after the one before does."""
     m = lattice.shape[1]
-    room = _room(len(arm.placements), len(cell.placements), m, len(cell.triples))
+    room = _room(len(arm.placements), len(cell.placements), m, len(cell.triples), branches_of(arm.kind))
     poses, now, last, angles = rolls * len(lattice), 0, np.zeros(1, dtype=np.int64), np.empty(m)
     for k in range(samples.size):
         good[k] = -1
@@ -509,7 +511,7 @@ def at_full_speed(samples, few, arm, cell, path, rolls, lattice, good) -> None:
 def greatest_rates(samples, arm, cell, path, rolls, lattice, steps, rates) -> None:
     """Fill rates (k) for samples (k): the greatest speed over the commanded one that any pose allows, at most 1."""
     m = lattice.shape[1]
-    room = _room(len(arm.placements), len(cell.placements), m, len(cell.triples))
+    room = _room(len(arm.placements), len(cell.placements), m, len(cell.triples), branches_of(arm.kind))
     poses, now, last, angles = rolls * len(lattice), 0, np.zeros(1, dtype=np.int64), np.empty(m)
     starts, found = np.empty(_STARTS, dtype=np.int64), np.empty(_STARTS)
     place, trial = np.empty(1 + m), np.empty(1 + m)

@@ -110,7 +110,9 @@ class Stuck:
         grid = self.grid
         held = None if grid.held is None else grid.held[rungs]
         has_holder = len(self.cell.chosen) > 0 and grid.swept is not None
-        return full_grid(demand, grid.roll_step, grid.holder_step, has_holder, grid.swept, held)
+        return full_grid(
+            demand, self.cell.inverse.branch_count, grid.roll_step, grid.holder_step, has_holder, grid.swept, held
+        )
 
 
 def stuck_at(

@@ -137,7 +137,8 @@ def lower_bound(
         for part in np.array_split(np.arange(rungs.start, rungs.stop), count):
             few = demand.only(part, [0, len(part)])
             held = None if grid.held is None else grid.held[part]
-            whole = full_grid(few, grid.roll_step, grid.holder_step, swept is not None, swept, held)
+            steps = grid.roll_step, grid.holder_step
+            whole = full_grid(few, cell.inverse.branch_count, *steps, swept is not None, swept, held)
             route, _ = best_route(evaluate(cell, few, whole, min_sigma, obstacles), few, cell.limits)
             if route is None:  # rounding alone: the found route lies on this grid
                 return 0.0
@@ -435,7 +436,7 @@ def _one_after_the_other(
     first = found.nodes.grid.swept
     for swept in [*(j for j in range(k) if j != first), first]:
         held = _between_rungs(found, demand, k)
-        grid = full_grid(demand, settings.roll_step, settings.table_step, True, swept, held)
+        grid = full_grid(demand, cell.inverse.branch_count, settings.roll_step, settings.table_step, True, swept, held)
         search = ClearSearch(cell, demand, grid, settings.min_sigma, obstacles)
         route, stuck = search.best(guides, share)
         if route is not None:
@@ -479,7 +480,7 @@ def _after_table(
     """The best route of heading and branch while the table follows a path that the cones allow."""
     held = table_path(cell, guides, demand)
     demand = carried(cell, guides, demand, held)
-    grid = full_grid(demand, settings.roll_step, 1.0, False, None, held)
+    grid = full_grid(demand, cell.inverse.branch_count, settings.roll_step, 1.0, False, None, held)
     return _best_on(grid, cell, guides, demand, settings, obstacles, share)
 
 
@@ -498,7 +499,8 @@ def _first_look(
     def search_at(rest: Array, demand: SampledTasks) -> ClearSearch:
         held = np.tile(home, (len(demand.rung), 1))
         held[:, others] = rest
-        grid = full_grid(demand, _ROUGH * settings.roll_step, _ROUGH * settings.table_step, True, swept, held)
+        steps = _ROUGH * settings.roll_step, _ROUGH * settings.table_step
+        grid = full_grid(demand, cell.inverse.branch_count, *steps, True, swept, held)
         return ClearSearch(cell, demand, grid, settings.min_sigma, obstacles)
 
     lattice = [_rest_angles(cell, j, _ROUGH * settings.table_step, len(others)) for j in others]
@@ -589,7 +591,7 @@ def _coarse_grid(
     swept = max(len(cell.holder) - 1, 0)
     for rough in (1.0, _ROUGH):
         steps = rough * settings.roll_step, rough * settings.table_step
-        grid = full_grid(demand, *steps, len(cell.chosen) > 0, swept, held)
+        grid = full_grid(demand, cell.inverse.branch_count, *steps, len(cell.chosen) > 0, swept, held)
         if len(demand.rung) * grid.rolls * grid.holders * grid.branch.shape[1] <= most:
             break
     return demand, grid

@@ -14,7 +14,7 @@ from planner.base.compiled import njit
 from planner.base.processes import in_threads
 from planner.cell.cell import Cell
 from planner.cell.kinematics.chain import chain_state, largest_singular_value, mul4, pose_of
-from planner.cell.kinematics.inverse import SPHERICAL_WRIST, solve_one
+from planner.cell.kinematics.inverse import SPHERICAL_WRIST, branches_of, solve_one
 from planner.cell.kinematics.spherical_wrist import inverse_jacobian, sines_of, solve_within
 from planner.collision.scene import NOTHING, Obstacles
 from planner.collision.table import workspace_for
@@ -158,17 +158,18 @@ def evaluate_nodes(first, last, arm, limits, swept, grid, rungs, table, floors, 
     q_least, q_most = q_min + LIMIT_ROOM - _ROUNDING, q_max - LIMIT_ROOM + _ROUNDING
     comfort = max(SIGMA_COMFORT, min_sigma)
     crowded = len(table.pair) + len(table.look) > 0
-    room = room_for_poses(na, swept.holder.shape[1])
+    slots = branches_of(kind)
+    room = room_for_poses(na, swept.holder.shape[1], slots)
     placements, axes, T_last_tip = arm.placements, arm.axes, arm.T_last_tip
     origins, directions, J, T_world_part = room.origins, room.directions, room.J, room.T_world_part
-    eight, ok, J6, Jp, Ji = room.eight, room.ok, room.J6, room.Jp, room.Ji
+    branch_q, ok, J6, Jp, Ji = room.postures, room.ok, room.J6, room.Jp, room.Ji
     R, z_axis, T_world_task, T_rolled = room.R, room.z_axis, room.T_world_task, room.T_rolled
     T_base_nozzle, T_base_flange, posture = room.T_base_nozzle, room.T_base_flange, room.posture
     T_nozzle_flange, roll_from, redundant, now = arm.T_nozzle_flange, grid.roll_from, swept.redundant, rungs.now
-    known, sigmas, times = np.empty(8, dtype=np.int64), np.empty(8), np.empty(8)
+    known, sigmas, times = np.empty(slots, dtype=np.int64), np.empty(slots), np.empty(slots)
     for r in range(first, last):
         given = redundant[r].copy()
-        wanted = np.zeros(8, dtype=np.bool_)
+        wanted = np.zeros(slots, dtype=np.bool_)
         for c in range(n_branches):
             wanted[branch[r, c]] = True
         here = slice(start[r], stop[r])
@@ -206,26 +207,26 @@ def evaluate_nodes(first, last, arm, limits, swept, grid, rungs, table, floors, 
                     T_base_world, T_nozzle_flange, T_world_task, z_axis, roll, R, T_rolled, T_base_nozzle, T_base_flange
                 )
                 if kind == SPHERICAL_WRIST:
-                    solve_within(p, T_base_flange[:3, :3], T_base_flange[:3, 3], q_least, q_most, wanted, eight, ok)
+                    solve_within(p, T_base_flange[:3, :3], T_base_flange[:3, 3], q_least, q_most, wanted, branch_q, ok)
                 else:
                     if swept.sweeps >= 2:
                         given[swept.sweeps - 2] = angle
-                    solve_one(kind, p, given, T_base_flange[:3, :3], T_base_flange[:3, 3], eight, ok)
+                    solve_one(kind, p, given, T_base_flange[:3, :3], T_base_flange[:3, 3], branch_q, ok)
                 known[:] = -1
                 for c in range(n_branches):
                     k = branch[r, c]
                     if not ok[k]:
                         continue
-                    away = nearest_turns(eight[k], middle, q_min, q_max, limits.turns)
+                    away = nearest_turns(branch_q[k], middle, q_min, q_max, limits.turns)
                     if away < LIMIT_ROOM:
                         continue
                     # a spherical wrist turned over has the same axes, one of them reversed: the same rates and sigma
                     pair = k // 2 if kind == SPHERICAL_WRIST else k
                     if known[pair] < 0:
                         if kind == SPHERICAL_WRIST:
-                            regular = inverse_jacobian(p, sines_of(eight[k]), T_base_nozzle[:3, 3], Ji)
+                            regular = inverse_jacobian(p, sines_of(branch_q[k]), T_base_nozzle[:3, 3], Ji)
                         else:
-                            chain_state(placements, axes, T_last_tip, eight[k], origins, directions, T_rolled)
+                            chain_state(placements, axes, T_last_tip, branch_q[k], origins, directions, T_rolled)
                             regular = inverse_in_part(
                                 origins, directions, solved, T_world_part, T_world_task, J, Jp, Ji
                             )
@@ -238,14 +239,14 @@ def evaluate_nodes(first, last, arm, limits, swept, grid, rungs, table, floors, 
                     sigma, lost = sigmas[pair], times[pair]
                     if sigma < min_sigma or sigma == 0.0:
                         continue
-                    if crowded and lacks_clearance(table, bodies, posture, eight[k], now[i0], head, a):
+                    if crowded and lacks_clearance(table, bodies, posture, branch_q[k], now[i0], head, a):
                         continue
                     close = max(0.0, SIGMA_COMFORT / sigma - 1.0)
                     near = max(0.0, 1.0 - away / LIMIT_COMFORT)
                     lost += duration * (SIGMA_PRICE * close * close + LIMIT_PRICE * near * near) + leans
                     price[r, a, b, c] = lost
                     for j in range(na):
-                        q_out[r, a, b, c, j] = eight[k, j]
+                        q_out[r, a, b, c, j] = branch_q[k, j]
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -253,8 +254,6 @@ def evaluate_nodes(first, last, arm, limits, swept, grid, rungs, table, floors, 
 #
 # A node is a roll, a holder angle and a branch. Its price is in seconds: the time that the joints' limits would
 # take away from a print at the commanded speed if roll and holder rested there, plus margins' worth of time.
-
-BRANCHES = 8  # of every kind of arm
 
 
 @dataclass(frozen=True)
@@ -329,6 +328,7 @@ def nodes_of(nodes: Nodes, rungs: slice) -> Nodes:
 
 def full_grid(
     demand: SampledTasks,
+    branches: int,
     roll_step: float,
     holder_step: float,
     has_holder: bool,
@@ -340,7 +340,7 @@ def full_grid(
     rolls = int(np.ceil(2 * np.pi / roll_step - 1e-9))
     holders = int(np.ceil(2 * np.pi / holder_step - 1e-9)) if has_holder else 1
     zero = np.zeros(r, dtype=np.int64)
-    branch = np.tile(np.arange(BRANCHES), (r, 1))
+    branch = np.tile(np.arange(branches), (r, 1))
     return Grid(2 * np.pi / rolls, 2 * np.pi / holders, zero, zero, rolls, holders, True, branch, swept, held)
 
 

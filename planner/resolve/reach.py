@@ -112,7 +112,7 @@ class PoseRoom(NamedTuple):
     R (3, 3), T_held, T_rolled (4, 4)       on the way
     T_part_task, T_world_part, T_world_task, T_base_nozzle, T_base_flange (4, 4)   a rung's task, and its poses
     z_axis (3)                              about which the nozzle rolls
-    eight (8, na), ok (8)                   postures of all branches [rad], and which there are
+    postures (branches, na), ok (branches)  of all branches [rad], and which there are
     origins, directions (na, 3), J (6, na)  of the chain; Jp, Ji (6, 6): columns that count, and their inverse; J6 (6, 6)
     posture (1, na + nh)                    arm and holder
     """
@@ -126,7 +126,7 @@ class PoseRoom(NamedTuple):
     T_base_nozzle: Array
     T_base_flange: Array
     z_axis: Array
-    eight: Array
+    postures: Array
     ok: Flags
     origins: Array
     directions: Array
@@ -202,12 +202,12 @@ def _holder_around(cell: Cell, swept: int, held: Array) -> tuple[Array, Array, A
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def room_for_poses(na, nh):
-    """A thread's room, for an arm of na joints and a holder of nh."""
+def room_for_poses(na, nh, branches):
+    """A thread's room, for an arm of na joints and a number of branches, and a holder of nh joints."""
     return PoseRoom(
         np.empty((3, 3)), np.empty((4, 4)), np.empty((4, 4)),
         np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4)), np.array((0.0, 0.0, 1.0)),
-        np.empty((8, na)), np.empty(8, dtype=np.bool_),
+        np.empty((branches, na)), np.empty(branches, dtype=np.bool_),
         np.empty((na, 3)), np.empty((na, 3)), np.empty((6, na)), np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6)),
         np.empty((1, na + nh)),
     )  # fmt: skip

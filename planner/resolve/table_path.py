@@ -20,7 +20,7 @@ from planner.base.compiled import njit
 from planner.base.processes import in_threads
 from planner.cell.cell import Cell
 from planner.cell.kinematics.chain import chain_state, largest_singular_value, mul4
-from planner.cell.kinematics.inverse import SPHERICAL_WRIST, solve_one
+from planner.cell.kinematics.inverse import SPHERICAL_WRIST, branches_of, solve_one
 from planner.cell.kinematics.spherical_wrist import inverse_jacobian, sines_of
 from planner.resolve.joint_path import SampledTasks, leaned, least_cone, spread
 from planner.resolve.prices import (
@@ -263,7 +263,7 @@ def _find_cells(up, T_world_part, normals, tips, cone):
 def _posture_prices(cell: Cell, middles: Array, speed: float) -> NDArray[np.float32]:
     """Prices (v, headings, 8) [s/s] of the arm's postures with the nozzle straight down at positions (v, 3), its tip moving at
     a speed [m/s]: closeness, and what that speed needs of the joints'."""
-    price = np.full((len(middles), _HEADINGS, 8), NO_POSTURE_PRICE, dtype=np.float32)
+    price = np.full((len(middles), _HEADINGS, cell.inverse.branch_count), NO_POSTURE_PRICE, dtype=np.float32)
     redundant = cell.home[list(cell.given)] if cell.given else np.zeros(1)
     arm, limits = arm_numbers(cell), arm_limits(cell)
 
@@ -281,9 +281,10 @@ def _price_postures(arm, limits, middles, redundant, speed, price) -> None:
     q_min, q_max, v_max = limits.q_min, limits.q_max, limits.v_max
     na, headings = q_min.size, price.shape[1]
     middle = 0.5 * (q_min + q_max)
-    room = room_for_poses(na, 0)
-    T_world_nozzle, T_base_nozzle, T_base_flange, eight, ok = (
-        room.T_world_task, room.T_base_nozzle, room.T_base_flange, room.eight, room.ok
+    slots = branches_of(kind)
+    room = room_for_poses(na, 0, slots)
+    T_world_nozzle, T_base_nozzle, T_base_flange, branch_q, ok = (
+        room.T_world_task, room.T_base_nozzle, room.T_base_flange, room.postures, room.ok
     )  # fmt: skip
     T_still = np.eye(4)
     Ji, J6, Jp, J = room.Ji, room.J6, room.Jp, room.J
@@ -299,18 +300,24 @@ def _price_postures(arm, limits, middles, redundant, speed, price) -> None:
             T_world_nozzle[2, 2] = -1.0
             mul4(arm.T_base_world, T_world_nozzle, T_base_nozzle)
             mul4(T_base_nozzle, arm.T_nozzle_flange, T_base_flange)
-            solve_one(kind, p, redundant, T_base_flange[:3, :3], T_base_flange[:3, 3], eight, ok)
-            for k in range(8):
+            solve_one(kind, p, redundant, T_base_flange[:3, :3], T_base_flange[:3, 3], branch_q, ok)
+            for k in range(slots):
                 if not ok[k]:
                     continue
-                away = nearest_turns(eight[k], middle, q_min, q_max, limits.turns)
+                away = nearest_turns(branch_q[k], middle, q_min, q_max, limits.turns)
                 if away < LIMIT_ROOM:
                     continue
                 if kind == SPHERICAL_WRIST:
-                    regular = inverse_jacobian(p, sines_of(eight[k]), T_base_nozzle[:3, 3], Ji)
+                    regular = inverse_jacobian(p, sines_of(branch_q[k]), T_base_nozzle[:3, 3], Ji)
                 else:
                     chain_state(
-                        arm.placements, arm.axes, arm.T_last_tip, eight[k], room.origins, room.directions, room.T_rolled
+                        arm.placements,
+                        arm.axes,
+                        arm.T_last_tip,
+                        branch_q[k],
+                        room.origins,
+                        room.directions,
+                        room.T_rolled,
                     )
                     regular = inverse_in_part(room.origins, room.directions, solved, T_still, T_world_nozzle, J, Jp, Ji)
                 if not regular:

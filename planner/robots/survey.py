@@ -18,10 +18,11 @@ from planner.cell.kinematics.chain import Chain
 from planner.cell.kinematics.offset_wrist import read_offset_wrist
 from planner.cell.kinematics.placed_wrist import read_spherical_wrist
 from planner.cell.kinematics.seven_axes import read_seven_axes
+from planner.cell.kinematics.skew_wrist import read_skew_wrist
 from planner.cell.robot import base_to_tip
 from planner.cell.urdf import Urdf, joints_to, model_of
 
-AXES = (6, 7)  # of arms that have a closed form
+AXES = (6, 7)  # of arms that can be planned with
 FLANGES = ("tool0", "flange", "ee_link", "tcp", "tool", "link_t", "link_ee")  # names of flange links, best first
 ASSUMED_SPEED = 1.5  # rad/s of a joint whose URDF tells none: slower than most
 ASSUMED_TURN = 360.0  # deg to either side, of a joint without ends
@@ -206,13 +207,18 @@ def _kind(urdf: Urdf, chain: Chain) -> tuple[str, str | None]:
             except OtherGeometry as error:
                 lacking.append(f"seven_axes with {chain.names[joint]}: {error}")
     else:
-        for name, read in (("spherical_wrist", read_spherical_wrist), ("offset_wrist", read_offset_wrist)):
+        kinds = (
+            ("spherical_wrist", read_spherical_wrist),
+            ("offset_wrist", read_offset_wrist),
+            ("skew_wrist", read_skew_wrist),
+        )
+        for name, read in kinds:
             try:
                 read(chain)
                 return name, None
             except OtherGeometry as error:
                 lacking.append(f"{name}: {error}")
-    raise InputError("this arm has no closed-form inverse that is known here", file=urdf.path, hint="; ".join(lacking))
+    raise InputError("this arm has no inverse kinematics that is known here", file=urdf.path, hint="; ".join(lacking))
 
 
 def _outwards(chain: Chain) -> Array:

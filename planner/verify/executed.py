@@ -19,6 +19,8 @@ from planner.plan import Trajectory
 
 UNKNOWN = -1  # branch that is numbered by no convention but that of the inverse kinematics itself
 _STRAIGHT = 1e-3  # sine of joint 5 at zero below which axes 4 and 6 are parallel there, as makers count
+_PARALLEL = 0.02  # sine between axes that count as parallel
+_MEETS = 5e-3  # m: axes of a measured wrist that ought to meet are as near to each other
 BLOCK = 8192  # samples at once: bounds the memory, since a Jacobian takes more than all that is kept of a sample
 
 
@@ -185,6 +187,21 @@ def straight_at(cell: Cell) -> float:
     fourth, fifth, sixth = J[3:, k + 3 : k + 6].T
     angle = float(np.arctan2(np.cross(fourth, sixth) @ fifth, fourth @ sixth))
     return -angle if abs(np.sin(angle)) > _STRAIGHT else 0.0
+
+
+def wrist_straightens(cell: Cell) -> bool:
+    """Whether a six-axis arm is singular where axes 4 and 6 are parallel: all three axes of its wrist meet, or axis 4 is
+    parallel to axis 3. Where axis 6 passes the meeting of 4 and 5, nothing happens there."""
+    model, k = cell.arm_robot.model, cell.rails
+    data = model.createData()
+    J = pin.computeJointJacobians(model, data, pin.neutral(model))
+    third, fourth = J[3:, k + 2 : k + 4].T
+    if np.linalg.norm(np.cross(third, fourth)) < _PARALLEL:
+        return True
+    meeting = _crossing(data.oMi[4 + k], joint_axis(model, 4 + k)[:3], data.oMi[5 + k], joint_axis(model, 5 + k)[:3])
+    sixth = data.oMi[6 + k]
+    away = meeting - sixth.translation
+    return bool(np.linalg.norm(np.cross(away, sixth.rotation @ joint_axis(model, 6 + k)[:3])) < _MEETS)
 
 
 def _from_first_axis(model: pin.Model, rail: Array, places: Array) -> Array:

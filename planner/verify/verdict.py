@@ -35,7 +35,7 @@ from planner.verify.checks import (
     place,
 )
 from planner.verify.collision import keep_apart, sweep_cell
-from planner.verify.executed import executed_motion, straight_at
+from planner.verify.executed import executed_motion, straight_at, wrist_straightens
 from planner.verify.input_normals import file_normals
 from planner.verify.material import extrusion
 from planner.verify.nozzle import beyond, by_the_tip
@@ -255,8 +255,8 @@ def _singularity(judged: Judged) -> Findings:
     metrics: dict[str, float] = {}
     series = {"sigma": motion.sigma}
     sides = [np.sign(motion.det)]
-    if len(cell.solved) == len(cell.arm) - cell.rails:
-        # joint 5 is singular where axes 4 and 6 are parallel; of seven axes, other joints can be
+    if len(cell.solved) == len(cell.arm) - cell.rails and wrist_straightens(cell):
+        # joint 5 is singular where axes 4 and 6 are parallel; of seven axes and skew wrists, other joints can be
         fifth = t.q[:, 4 + cell.rails]
         if away := straight_at(cell):
             fifth = fifth - away

@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array
 from planner.base.compiled import njit
-from planner.cell.kinematics import offset_wrist, placed_wrist, seven_axes_kernel, spherical_wrist
+from planner.cell.kinematics import offset_wrist, placed_wrist, seven_axes_kernel, skew_wrist_kernel, spherical_wrist
 from planner.cell.kinematics.axes import wrap
 from planner.cell.kinematics.chain import Chain, chain_state, refine
 from planner.cell.kinematics.offset_wrist import OffsetWrist
 from planner.cell.kinematics.placed_wrist import PlacedWrist
 from planner.cell.kinematics.seven_axes import SevenAxes
+from planner.cell.kinematics.skew_wrist import SkewWrist
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
 
 # ----------------------------------------------------------------------------------------------------
@@ -120,7 +121,7 @@ class OnRail:
     rest   all these joints' angles or places where nobody gives any [rad, m]
     """
 
-    arm: SphericalWrist | PlacedWrist | OffsetWrist | SevenAxes | Corrected
+    arm: SphericalWrist | PlacedWrist | OffsetWrist | SkewWrist | SevenAxes | Corrected
     rail: Chain
     rest: tuple[float, ...]
 
@@ -207,20 +208,21 @@ def _seen_from_arm(p: Array, given: Array, R: Array, t: Array, out: Array) -> No
 # ----------------------------------------------------------------------------------------------------
 # What everybody needs of an arm's inverse kinematics, whatever its kind; and one compiled entry to all kinds.
 
-SPHERICAL_WRIST, OFFSET_WRIST, SEVEN_AXES, PLACED_WRIST, CORRECTED, ON_RAIL = 0, 1, 2, 3, 4, 8
-_solve_spherical, _solve_offset, _solve_seven, _solve_placed = (
+SPHERICAL_WRIST, OFFSET_WRIST, SEVEN_AXES, PLACED_WRIST, SKEW_WRIST, CORRECTED, ON_RAIL = 0, 1, 2, 3, 4, 8, 16
+_solve_spherical, _solve_offset, _solve_seven, _solve_placed, _solve_skew = (
     spherical_wrist.solve_one,
     offset_wrist.solve_one,
     seven_axes_kernel.solve_one,
     placed_wrist.solve_one,
+    skew_wrist_kernel.solve_one,
 )
 
 
 class InverseKinematics(Protocol):
-    """Closed-form inverse kinematics of an arm; poses are those of the flange in the arm's base frame.
+    """Inverse kinematics of an arm; poses are those of the flange in the arm's base frame.
 
-    Branches are numbered: a posture's number is its index in what `solve` returns, and it changes along a
-    continuous motion only in a singularity.
+    Branches are numbered: a posture's number is its index in what `solve` returns. With a closed form it changes along a
+    continuous motion only in a singularity; of a `SkewWrist` in few places besides.
     """
 
     @property
@@ -267,6 +269,8 @@ def kind_of(inverse: InverseKinematics) -> int:
         return SPHERICAL_WRIST
     if isinstance(inverse, PlacedWrist):
         return PLACED_WRIST
+    if isinstance(inverse, SkewWrist):
+        return SKEW_WRIST
     return OFFSET_WRIST if isinstance(inverse, OffsetWrist) else SEVEN_AXES
 
 
@@ -307,9 +311,15 @@ def track(
     return turned, ok
 
 
+@njit(cache=True, nogil=True)
+def branches_of(kind: int) -> int:
+    """How many branches an arm of a kind has."""
+    return skew_wrist_kernel.SLOTS if kind % CORRECTED == SKEW_WRIST else spherical_wrist.BRANCHES
+
+
 @njit(cache=True)
 def solve_one(kind: int, p: Array, redundant: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> None:
-    """Fill q (8, n) and ok (8) with the postures for one flange pose, rotation R (3, 3) and origin t (3).
+    """Fill q (B, n) and ok (B) with the postures for one flange pose, rotation R (3, 3) and origin t (3); B: `branches_of`.
 
     kind, p  of the arm: `kind_of`, `parameters`
     redundant (k)  the redundant joints' angles or places [rad, m], one number whatever without any
@@ -339,6 +349,8 @@ def _solve_standing(kind: int, p: Array, redundant: float, R: Array, t: Array, q
         _solve_offset(own, R, t, q, ok)
     elif kind % CORRECTED == PLACED_WRIST:
         _solve_placed(own, R, t, q, ok)
+    elif kind % CORRECTED == SKEW_WRIST:
+        _solve_skew(own, R, t, q, ok)
     else:
         _solve_seven(own, redundant, R, t, q, ok)
     if kind >= CORRECTED:
