@@ -119,6 +119,7 @@ class Bead(ReadOnlyArrays):
     width, height (n,) of the bead [m]
     closed         the last point is the first one again (both are kept)
     material       its name in process.materials; empty where they have no names
+    round          a strut in space: its section is a circle, width and height are its diameter
     """
 
     name: str
@@ -132,6 +133,7 @@ class Bead(ReadOnlyArrays):
     height: Array
     closed: bool
     material: str = ""
+    round: bool = False
 
     @property
     def length(self) -> float:
