@@ -12,12 +12,14 @@ from tempfile import mkdtemp
 import numpy as np
 import pytest
 
+from benchmarks.nozzle_count import counted
 from planner import Plan, solve, write
 from planner.base.errors import InputError, PlannerError
 from planner.collision.print_body import print_body
 from planner.export.rapid.language import differences
 from planner.motion.extrusion import bead_area
 from planner.problem import Problem, load_problem
+from planner.problem.layers import WaypointLayersSpec
 from planner.report.scene import plan_scene
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
@@ -207,3 +209,10 @@ def test_programs_are_read_back_and_played_and_the_report_draws_struts(tmp_path:
     assert "lines.round" in page
     told = json.loads((tmp_path / "out" / "plan.json").read_text(encoding="utf-8"))
     assert told["metrics"]["beads"] == len(CUBE)
+
+
+@pytest.mark.parametrize(("lines", "said"), [(COLUMN, "clear everywhere"), (INTO_ITSELF, "lacks")], ids=["up", "down"])
+def test_the_count_without_a_planner_agrees(tmp_path: Path, lines: list[Line], said: str) -> None:
+    problem = problem_of(tmp_path, lines)
+    assert isinstance(problem.layers, WaypointLayersSpec)
+    assert counted(problem, problem.layers.source).startswith(said)
