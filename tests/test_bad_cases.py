@@ -136,7 +136,7 @@ def test_what_is_no_bead_is_named_with_its_line(rows: list[str], line: int, word
     (tmp_path / "bad.txt").write_text("\n".join(rows), encoding="utf-8")
     (tmp_path / "bad.yaml").write_text(CAP.format(options="", speed=40, strategy="ladder"), encoding="utf-8")
     with pytest.raises(InputError) as caught:
-        build_toolpath(load_problem(tmp_path / "bad.yaml"))
+        build_toolpath(load_problem(tmp_path / "bad.yaml", ["layers.source.kind=surface"]))
     assert words in caught.value.reason
     assert caught.value.line == line
 
