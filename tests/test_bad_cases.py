@@ -136,7 +136,7 @@ def test_what_is_no_bead_is_named_with_its_line(rows: list[str], line: int, word
     (tmp_path / "bad.txt").write_text("\n".join(rows), encoding="utf-8")
     (tmp_path / "bad.yaml").write_text(CAP.format(options="", speed=40, strategy="ladder"), encoding="utf-8")
     with pytest.raises(InputError) as caught:
-        build_toolpath(load_problem(tmp_path / "bad.yaml"))
+        build_toolpath(load_problem(tmp_path / "bad.yaml", ["layers.source.kind=surface"]))
     assert words in caught.value.reason
     assert caught.value.line == line
 
@@ -268,7 +268,7 @@ def test_the_axis_is_judged_by_its_own_pass(seed: int, wrong: str, tmp_path: Pat
 def test_a_path_beneath_another_pass_is_named_with_its_line(lower: float, tmp_path: Path) -> None:
     across = [" ".join(map(str, (6.0, k - 6.0, RADIUS - lower, 0, 0, 1))) for k in range(13)]
     (tmp_path / "bad.txt").write_text("\n".join([row(k, 0) for k in range(13)] + across), encoding="utf-8")
-    options = ", split_mm: 2"
+    options = ", split_mm: 2, kind: surface"
     (tmp_path / "bad.yaml").write_text(CAP.format(options=options, speed=40, strategy="ladder"), encoding="utf-8")
     problem = load_problem(tmp_path / "bad.yaml")
     if lower < 0.5:

@@ -144,6 +144,9 @@ _MOST = 100_000  # points of either kind, about: more and they stand farther apa
 _CORNER_AREA = 0.3  # of the square of that side, of the surface that falls to one corner
 _MERGED = 0.125  # of that side: corners nearer to each other count as one
 _OVERHANG = 0.25  # of the height by which a bead may be wider than its balls
+_CAPSULE = (
+    0.25  # diameters between the balls of a strut: their common surface is nowhere deeper than 2 % beneath its own
+)
 _CHORD = 2e-3  # m that a picture's triangles may leave the true surface
 _ON = 1e-5  # m: as near is on the surface
 _PART = "part"
@@ -198,7 +201,7 @@ def print_body(toolpath: Toolpath, bodies: Sequence[Body] = ()) -> PrintBody:
         points.append(at)
         radius.append(np.hypot(CLEARANCE, spread) - CLEARANCE)
         time.append(np.full(len(at), FROM_THE_START))
-    if corners is None:
+    if corners is None and not beads[0].round:  # nothing is known to be beneath a strut
         first = [_rows(bead, 1.0)[0] for bead in toolpath.lowest]
         names.append(_PART)
         points.append(np.concatenate(first))
@@ -291,7 +294,8 @@ def _rows(bead: Bead, depth: float) -> tuple[Array, Array, Array]:
     depth: of the centres below the nozzle's tip, in heights of the bead.
     """
     thick = np.minimum(bead.height, bead.width)
-    count = max(2, int(np.ceil(bead.length / float(thick.min()))) + 1)
+    apart = _CAPSULE if bead.round else 1.0  # a strut's length shows, a bead's lies between its neighbours
+    count = max(2, int(np.ceil(bead.length / (apart * float(thick.min())))) + 1)
     s = np.linspace(0.0, bead.length, count)
     point, normal = (_along(bead.s, values, s) for values in (bead.points, bead.normals))
     width, height = (np.interp(s, bead.s, values) for values in (bead.width, bead.height))

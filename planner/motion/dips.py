@@ -175,7 +175,9 @@ def _cause(problem: Problem, line: _Line, dip: _Stretch) -> tuple[str, str, tupl
     if dip.begins or dip.ends:
         start = dip.begins and (not dip.ends or dip.at < 0.5 * line.bead.length)
         more = dip.high if start else line.bead.length - dip.low
-        return "", "start" if start else "end", _longer_run(problem, problem.process.run_in + more)
+        # a strut may have no run, and will have no longer one
+        runs = not line.bead.round or (task.first > 0 if start else task.last < len(task) - 1)
+        return "", "start" if start else "end", _longer_run(problem, problem.process.run_in + more) if runs else ()
     return line.names[joint], LIMITS[order], ()  # no limit asks for it: the one that is nearest is named
 
 

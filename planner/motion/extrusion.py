@@ -112,6 +112,8 @@ def cross_section(section: str, width: Array, height: Array, filament_diameter: 
 
 def bead_area(bead: Bead, process: ProcessSpec) -> Array:
     """Area (n) [m^2] of the bead's cross-section at its samples."""
+    if bead.round and process.section != "fibre":
+        return 0.25 * np.pi * bead.width**2
     return cross_section(process.section, bead.width, bead.height, process.filament_diameter)
 
 

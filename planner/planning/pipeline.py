@@ -36,6 +36,7 @@ from planner.planning.options import DEFAULT_DT, MAX_DT, MIN_DT
 from planner.planning.pieces import MORE_ROOM, in_pieces
 from planner.planning.robustness import assess_robustness
 from planner.planning.short_runs import all_short, may_be_short, with_short_runs
+from planner.planning.struts import check_struts
 from planner.planning.tried import hints_that_hold
 from planner.problem import Problem, load_problem
 from planner.report.html import write_report
@@ -121,6 +122,7 @@ def solve(
             return _planned(strategy, given, dt, stages, shared, over)
 
         try:
+            check_struts(given)
             (given, planned, maps), nearer = _as_clear_as_can_be(strategy, given, print_of, stages, over)
         except Refusal as refusal:
             again = partial(solve, strategy=strategy, dt=dt, first_bead=first_bead, baseline=False)

@@ -143,6 +143,12 @@ class WaypointsSpec(SourceSection):
         "normals", "where the file's normals point: outward, against the nozzle, or inward, along it", "outward"
     )
     origin: Position = key("origin_mm", "the file's origin in the part frame, its axes turned [mm]", (0, 0, 0))
+    kind: Annotated[Literal["surface", "spatial"], one_of(("surface", "spatial"))] | None = key(
+        "kind",
+        "what the beads lie on: surface, each other or a substrate; spatial, nothing: struts and columns, round and in space; "
+        "default: surface, and spatial where the file describes no surface",
+        None,
+    )
     split: Annotated[float, Quantity("mm", 0.01, 10_000)] | None = key(
         "split_mm",
         "a step longer than this begins a new bead [mm]; default: three median steps, or no step with a column bead",

@@ -112,6 +112,7 @@ EXAMPLES: dict[str, str] = {
     "speed_deg_s": "200",
     "speed_mm_s": "25",
     "split_beads": "true",
+    "WaypointsSpec.kind": "spatial",
     "split_mm": "5",
     "station": "STN1",
     "style": "demand",

@@ -118,6 +118,12 @@ def scene_of(problem: Problem) -> Scene:
     """All that is needed of a problem. Raises InputError for what is wrong with it."""
     cell = build_cell(problem)
     toolpath = build_toolpath(problem)
+    if any(bead.round for bead in toolpath.beads):
+        raise problem.error(
+            "layers.source.kind",
+            "struts in space lie on no surface that could be touched",
+            "touch what stands there in their place",
+        )
     surface = toolpath.surface.before(0)
     T = cell.T_world_holder if cell.holder_robot is None else cell.T_plate_part
     points, normals = surface_places(toolpath, surface)

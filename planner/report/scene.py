@@ -291,8 +291,9 @@ def plan_scene(plan: Plan, places: Sequence[ReportPlace]) -> dict[str, Any]:
     traj = plan.trajectory
     cell = cell_data(plan.cell, plan.view)
     width = _width(plan.beads)
+    look = {"width": width, "round": _round(plan.beads)}
     earlier = plan.toolpath.beads[: plan.first_bead]
-    still = [bead_lines(earlier, EARLIER_BUDGET) | {"width": width, "colour": EARLIER}] if earlier else []
+    still = [bead_lines(earlier, EARLIER_BUDGET) | look | {"colour": EARLIER}] if earlier else []
     if plan.toolpath.left_out:
         still.append(cut_lines(plan.toolpath.left_out) | {"width": 0.5 * width, "colour": ALARM})
     facing = -traj.axis[traj.deposit].mean(axis=0) if traj.deposit.any() else np.zeros(3)
@@ -303,7 +304,7 @@ def plan_scene(plan: Plan, places: Sequence[ReportPlace]) -> dict[str, Any]:
         "dt": traj.dt,
         "end": float(traj.t[-1]),
         "facing": facing.round(4).tolist(),
-        "lines": plan_lines(plan) | {"width": width},
+        "lines": plan_lines(plan) | look,
         "still": still,
         "places": places_data(plan, places),
         "dips": dip_marks(plan),
@@ -322,11 +323,11 @@ def failed_scene(
     view: CellView | None,
 ) -> dict[str, Any]:
     """Scene where there is no trajectory: all beads as planned, the failed one in red, the robots at their start."""
-    width = _width(beads)
+    look = {"width": _width(beads), "round": _round(beads)}
     others = [bead for k, bead in enumerate(beads) if k != failed]
-    still = [bead_lines(others, SCENE_BUDGET) | {"width": width, "colour": PLANNED}]
+    still = [bead_lines(others, SCENE_BUDGET) | look | {"colour": PLANNED}]
     if failed is not None:
-        still.append(bead_lines([beads[failed]], SCENE_BUDGET) | {"width": width, "thick": 2.0, "colour": ALARM})
+        still.append(bead_lines([beads[failed]], SCENE_BUDGET) | look | {"thick": 2.0, "colour": ALARM})
     shown = beads if failed is None else [beads[failed]]
     facing = np.mean([np.mean(bead.normals, axis=0) for bead in shown], axis=0) if shown else np.zeros(3)
     return {
@@ -350,3 +351,8 @@ def _width(beads: Sequence[Bead]) -> float:
     """The usual width of beads [m]."""
     widths = [float(np.median(bead.width)) for bead in beads if len(getattr(bead, "width", ()))]
     return float(np.median(widths)) if widths else DEFAULT_WIDTH
+
+
+def _round(beads: Sequence[Bead]) -> bool:
+    """Whether they are struts in space."""
+    return any(bead.round for bead in beads)

@@ -40,6 +40,7 @@ _THINNING = 10.0  # samples in which their distance grows e-fold
 _UPRIGHT = 1e-6  # sine of the angle between a bead and its normal: below, it stands upright on its surface
 _STEEP = 0.5  # cosine of a bead's elevation above its surface: a steeper one is not a bead on it
 _STEEPEST_RUN = 1.0  # rad; elevation with which a run goes on
+_DOWN = np.sin(0.02)  # sine of the slope with which a strut is left downwards: less is what rounding makes of level
 _SUBSTEPS = 8  # of the integration of a run, per sample
 
 
@@ -176,11 +177,12 @@ def with_runs(bead: Bead, length: float, ramp: float | None = None) -> BeadRun:
     A run leaves along the bead's tangent with its curvature (continuous to the second derivative) and becomes
     straight. Without a `ramp` it rises from the surface with the cube of the distance, which is then counted along
     the surface; else its far half is straight and stands at the angle `ramp` [rad] to the bead's surface at that end.
+
+    A strut has no run where that would first lead down, into what it stands on or what is laid: there the nozzle begins or
+    ends at rest.
     """
-    (before, s_before), (after, s_after) = (
-        _leave(end, _run_length(end, length, short), ramp)
-        for end, short in zip((end_of(bead, at_end=False), end_of(bead, at_end=True)), bead.short_runs, strict=True)
-    )
+    before, s_before = _run_of(bead, False, length, ramp)
+    after, s_after = _run_of(bead, True, length, ramp)
     points, normals, roll_zero = (
         np.vstack([a[::-1], here, b])
         for a, here, b in zip(before, (bead.points, bead.normals, bead.roll_zero), after, strict=True)
@@ -196,6 +198,15 @@ def with_runs(bead: Bead, length: float, ramp: float | None = None) -> BeadRun:
 def _run_length(end: BeadEnd, length: float, short: bool) -> float:
     """How long a run is [m] that should be of a length, or short."""
     return max(min(length, SHORTEST), _FEWEST_SHORT * end.step) if short else max(length, _FEWEST * end.step)
+
+
+def _run_of(bead: Bead, at_end: bool, length: float, ramp: float | None) -> tuple[tuple[Array, Array, Array], Array]:
+    """As `_leave`, of an end of a bead; no samples where a strut's end is left downwards."""
+    end = end_of(bead, at_end)
+    if bead.round and float(end.tangent @ end.frame[:, 2]) < -_DOWN:
+        nothing = np.zeros((0, 3))
+        return (nothing, nothing, nothing), np.zeros(0)
+    return _leave(end, _run_length(end, length, bead.short_runs[int(at_end)]), ramp)
 
 
 def _leave(end: BeadEnd, length: float, ramp: float | None) -> tuple[tuple[Array, Array, Array], Array]:

@@ -59,13 +59,14 @@ class Volume:
 
 
 def volume_of(bead: Bead, process: ProcessSpec) -> Volume:
-    """The bead's volume, from its measures and the section that the problem asks for."""
+    """The bead's volume, from its measures and the section that the problem asks for; a strut in space is round."""
     w, h = bead.width, bead.height
     area = {
         "rectangle": w * h,
         "rounded": w * h - (1.0 - np.pi / 4.0) * h**2,  # a rectangle without its four corners
+        "round": np.pi * (0.5 * w) ** 2,
         "fibre": np.pi * (0.5 * process.filament_diameter) ** 2 + 0.0 * w,
-    }[process.section]
+    }["round" if bead.round and process.section != "fibre" else process.section]
     pieces = np.diff(bead.s) * (area[:-1] + area[1:]) / 2.0
     return Volume(bead.s, area, np.concatenate([[0.0], np.cumsum(pieces)]))
 

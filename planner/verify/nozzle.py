@@ -37,6 +37,7 @@ from planner.verify.executed import ExecutedMotion
 
 _ZERO: Any = np.int64(0)  # a plain 0 is a type of its own, for which kernels would be compiled once more
 _OFTEN = 25  # samples after which every body is looked at again, wherever it is
+_LOOK = 0.25  # share of the tip's zone ahead of it in which beads on a surface may count as laid before they are
 _BLOCK = 1e-3  # m of the tip's way, on which points are looked at together: the longer, the more of them may matter
 _MOST_PARTS = 64  # of the time between two samples
 _RATE = 1.0 + TIP_SLOPE  # of a motion, by which a margin beyond the tip's zone changes at most
@@ -381,24 +382,36 @@ def slack_along(problem: Problem, toolpath: Toolpath, trajectory: Trajectory) ->
 
 
 def nozzle_nearness(
-    tree: PointTree, bodies: Packed, motion: ExecutedMotion, now: Array, slack: Array, clearance: float
+    tree: PointTree,
+    bodies: Packed,
+    motion: ExecutedMotion,
+    now: Array,
+    slack: Array,
+    clearance: float,
+    look: float = _LOOK,
 ) -> Nearness:
     """The least of distance - min(clearance, TIP_SLOPE * distance from the tip - slack) along a motion (see
     `nearest_point`), to TOLERANCE, also between samples."""
-    way = _way(motion, now, slack, _looked_ahead(motion.tip, now, slack))
+    way = _way(motion, now, slack, _looked_ahead(motion.tip, now, slack, look))
     found = least_along(tree.arrays, _solids(bodies), way, clearance, TIP_SLOPE, search_room())
     return Nearness(np.empty(0), *found)
 
 
 def beyond_the_tip(
-    tree: PointTree, bodies: Packed, motion: ExecutedMotion, now: Array, slack: Array, clearance: float
+    tree: PointTree,
+    bodies: Packed,
+    motion: ExecutedMotion,
+    now: Array,
+    slack: Array,
+    clearance: float,
+    look: float = _LOOK,
 ) -> Nearness:
     """Margins of true distances, less the clearance, from points beyond the tip's zone.
 
     The least is exact, to TOLERANCE, only where it is negative.
     """
     zone = (clearance + slack) / TIP_SLOPE
-    way = _way(motion, now, _STEEP * zone, _looked_ahead(motion.tip, now, slack))
+    way = _way(motion, now, _STEEP * zone, _looked_ahead(motion.tip, now, slack, look))
     margin = np.full(len(now), FAR)
     found = margins_along(tree.arrays, _solids(bodies), way, clearance, _STEEP, margin, search_room())
     return Nearness(margin, *found)
@@ -420,7 +433,7 @@ def by_the_tip(judged: Judged) -> Nearness:
     problem, toolpath, t = judged.problem, judged.toolpath, judged.trajectory
     now, slack = print_times(toolpath, t), slack_along(problem, toolpath, t)
     return nozzle_nearness(
-        judged.body.tree, packed(judged.cell.head), judged.motion, now, slack, problem.collision.nozzle
+        judged.body.tree, packed(judged.cell.head), judged.motion, now, slack, problem.collision.nozzle, _look(toolpath)
     )
 
 
@@ -429,7 +442,7 @@ def beyond(judged: Judged) -> Nearness:
     problem, toolpath, t = judged.problem, judged.toolpath, judged.trajectory
     now, slack = print_times(toolpath, t), slack_along(problem, toolpath, t)
     return beyond_the_tip(
-        judged.body.tree, packed(judged.cell.head), judged.motion, now, slack, problem.collision.nozzle
+        judged.body.tree, packed(judged.cell.head), judged.motion, now, slack, problem.collision.nozzle, _look(toolpath)
     )
 
 
@@ -444,12 +457,17 @@ def check_nozzle(judged: Judged, rule: Nearness) -> Check:
     return Check("nozzle clear of part and print", worst * 1e3, need * 1e3, "mm", ok, where, least=True, sample=at)
 
 
-def _looked_ahead(tip: Array, now: Array, slack: Array) -> Ints:
+def _look(toolpath: Toolpath) -> float:
+    """Share of the tip's zone ahead of it in which what is laid may count as there: none where struts rise into the nozzle."""
+    return 0.0 if any(bead.round for bead in toolpath.beads) else _LOOK
+
+
+def _looked_ahead(tip: Array, now: Array, slack: Array, look: float) -> Ints:
     """The later sample (n) up to which what is laid may count as printed at each: a part of the tip's zone ahead."""
     far = arc_lengths(tip)
     bead = np.floor(now)
     last = np.searchsorted(bead, bead, side="right") - 1
-    reach = np.searchsorted(far, far + 0.25 * slack / TIP_SLOPE, side="right") - 1
+    reach = np.searchsorted(far, far + look * slack / TIP_SLOPE, side="right") - 1
     return np.asarray(np.maximum(np.minimum(last, reach), np.arange(len(now))), dtype=np.int64)
 
 

@@ -25,7 +25,8 @@ from planner.toolpath.interpolation import Interpolated, TooRough, interpolate
 from planner.toolpath.plane_paths import check_size, length, make_bead
 from planner.toolpath.task import noise_of, roll_zeros
 from planner.toolpath.waypoints.normals import UNASKED, calm_normals
-from planner.toolpath.waypoints.reader import Waypoints, read_waypoints
+from planner.toolpath.waypoints.reader import WaypointFile, Waypoints, read_waypoints
+from planner.toolpath.waypoints.struts import struts_of
 from planner.toolpath.waypoints.surfels import Surfels, with_layers
 
 MOST_TURN = 90.0  # deg, of the normal from one waypoint to the next: no surface that a nozzle can follow turns further
@@ -34,16 +35,20 @@ LOOKS_PER_WIDTH = 4.0  # places in each bead's width of a path at which it is se
 NOTED = np.radians(0.05)  # noise of half the normals; of those that come from formulas it is less than a tenth
 CLEAR = 2e-5  # m, and a tenth of a bead's height: how far it must be, since it may be that far off its path
 
+SPATIAL = "layers.source.kind: spatial"
 _UNLIKE = 1.5  # times a bead's height from which on layers are evidently farther apart than that
 _APART = 0.5  # of the bead's width: passes lie no closer to each other
 _PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
+
+
+class NoSurface(InputError):
+    """Waypoints that lie on no surface: what they print, if anything, are struts in space."""
 
 
 def check_waypoints(path: Waypoints, file: Path, width: float) -> None:
     """Raise InputError, with file and line, for a path that is no bead of this width [m]."""
     _check_length(path, file, width)
     _check_normals(path, file)
-    _check_slope(path, file)
 
 
 def check_section(path: Waypoints, process: ProcessSpec, file: Path) -> None:
@@ -88,23 +93,24 @@ def _check_normals(path: Waypoints, file: Path) -> None:
         )
 
 
-def _check_slope(path: Waypoints, file: Path) -> None:
-    """A path may climb to its next layer, but not run along its normals throughout."""
+def check_slope(path: Waypoints, file: Path) -> None:
+    """A path may climb to its next layer, but not run along its normals throughout. Raises NoSurface."""
     way, middle = np.diff(path.points, axis=0), path.normals[:-1] + path.normals[1:]
     length = np.linalg.norm(way, axis=1)
     climb = np.abs((way * middle).sum(axis=1)) / np.linalg.norm(middle, axis=1)
     steep = climb > STEEPEST * length
     if 2.0 * float(length[steep].sum()) > float(length.sum()):
-        raise InputError(
+        raise NoSurface(
             f"{path.name} runs along its normals, not along a surface",
             file=file,
             line=int(path.lines[int(np.argmax(steep))]),
-            hint="nx ny nz is the normal of the surface, not the direction of the path",
+            hint="nx ny nz is the normal of the surface, not the direction of the path; of columns and struts in space, which "
+            f"lie on none, it is against the nozzle: {SPATIAL}",
         )
 
 
 def check_clear(path: Waypoints, bead: Bead, surface: Surfels, file: Path) -> None:
-    """Raise InputError, with file and line, where the nozzle would lay the path's bead inside the part.
+    """Raise NoSurface, with file and line, where the nozzle would lay the path's bead inside the part.
 
     surface: what the first layer lies on and all that is printed before the bead. Inside is where passes contradict
     each other: what one lies on is where another one runs.
@@ -121,7 +127,8 @@ def check_clear(path: Waypoints, bead: Bead, surface: Surfels, file: Path) -> No
         layer, height = surface.nearest_layer(points[i]), float(bead.height.min())
         if layer > _UNLIKE * height:
             hint += f"; here the nearest one above or below is {layer * 1e3:.1f} mm away, beads are {height * 1e3:g} mm high"
-        raise InputError(
+        hint += f"; struts in space: {SPATIAL}"
+        raise NoSurface(
             f"near here {path.name} runs {depth}in what another pass lies on",
             file=file,
             line=int(path.lines[nearest]),
@@ -130,37 +137,46 @@ def check_clear(path: Waypoints, bead: Bead, surface: Surfels, file: Path) -> No
 
 
 def through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
-    """Lay a bead through each path of a file of waypoints, in the file's order."""
-    process = problem.process
+    """Lay a bead through each path of a file of waypoints, in the file's order: on a surface, or as struts in space.
+
+    Where the problem does not say which, they are on a surface if there is one.
+    """
+    process, kind = problem.process, spec.source.kind
     file = spec.source.waypoints
     read = read_waypoints(spec.source, partial(problem.error, "layers.source.waypoints"), process.bead.width)
     widths = [process.bead.width if path.width is None else float(path.width.min()) for path in read.beads]
     for path, width in zip(read.beads, widths, strict=True):
         check_waypoints(path, file, width)
+    if kind == "spatial":
+        return in_space(problem, spec, read)
+    try:
+        return _on_a_surface(problem, spec, read, widths)
+    except NoSurface as none:
+        if kind == "surface":
+            raise
+        place = f" (line {none.line})" if none.line is not None else ""
+        why = f"taken for struts in space, since {none.reason}{place}; layers.source.kind says it otherwise"
+        return in_space(problem, spec, replace(read, notes=(*read.notes, f"{file.name}: {why}")))
+
+
+def _on_a_surface(problem: Problem, spec: WaypointLayersSpec, read: WaypointFile, widths: Sequence[float]) -> Toolpath:
+    """Beads on what lies beneath them. Raises NoSurface where the waypoints contradict one."""
+    process, file = problem.process, spec.source.waypoints
+    for path in read.beads:
+        check_slope(path, file)
         check_section(path, process, file)
     # a nozzle that may lean passes over noise by itself
     unasked = UNASKED if process.cones.tilt == 0.0 else 0.0
     paths, told = calm_normals(read.beads, spec.source.smoothing, unasked)
-    ends = process.run_in / _PER_RUN
-    curves = [_curve(problem, spec, path, _APART * width, ends) for path, width in zip(paths, widths, strict=True)]
-    zeros = roll_zeros([curve.normals for curve in curves])
-    beads = [
-        make_bead(
-            path.name,
-            0,
-            curve.points,
-            curve.normals,
-            zero,
-            curve.source,
-            width=_sizes(path, path.width, process.bead.width, curve),
-            height=_sizes(path, path.height, process.bead.height, curve),
+    sizes = [
+        (
+            process.bead.width if path.width is None else path.width,
+            process.bead.height if path.height is None else path.height,
         )
-        for path, curve, zero in zip(paths, curves, zeros, strict=True)
+        for path in paths
     ]
-    laid, surface = with_layers(beads)
-    if paths[0].layer is not None:  # the file knows
-        _, layers = np.unique([path.layer for path in paths], return_inverse=True)
-        laid = tuple(replace(bead, layer=int(layer)) for bead, layer in zip(laid, layers, strict=True))
+    laid, surface = with_layers(laid_through(problem, spec, paths, sizes))
+    laid = with_file_layers(laid, paths)
     for i, (path, bead) in enumerate(zip(paths, laid, strict=True)):
         check_clear(path, bead, surface.before(i), file)
     if told:
@@ -168,6 +184,67 @@ def through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
     else:
         notes = [] if process.cones.tilt > 0.0 else list(_noise_note(laid))
     return Toolpath(laid, surface, notes=(*read.notes, *notes))
+
+
+def in_space(problem: Problem, spec: WaypointLayersSpec, read: WaypointFile) -> Toolpath:
+    """Struts and columns in space: round beads that lie on nothing.
+
+    Their diameter is the file's width; where it has none, that of a circle as large as the section of a usual bead.
+    """
+    process = problem.process
+    unasked = UNASKED if process.cones.tilt == 0.0 else 0.0
+    paths, told = calm_normals(read.beads, spec.source.smoothing, unasked)
+    usual = diameter_of(process)
+    sizes = [(usual, usual) if path.width is None else (path.width, path.width) for path in paths]
+    laid = tuple(replace(bead, round=True) for bead in laid_through(problem, spec, paths, sizes))
+    laid = with_file_layers(laid, paths)
+    notes = [f"{spec.source.waypoints.name}: {told}"] if told else []
+    return Toolpath(laid, struts_of(laid), notes=(*read.notes, *notes))
+
+
+def diameter_of(process: ProcessSpec) -> float:
+    """Diameter [m] of a round bead with the cross-section of a usual one."""
+    w, h = process.bead.width, process.bead.height
+    if process.section == "fibre":
+        return process.filament_diameter
+    area = w * h if process.section == "rectangle" else (w - h) * h + 0.25 * np.pi * h**2
+    return float(np.sqrt(4.0 * area / np.pi))
+
+
+def with_file_layers(beads: Sequence[Bead], paths: Sequence[Waypoints]) -> tuple[Bead, ...]:
+    """The same beads, in the layers that the file says, if it does."""
+    if paths[0].layer is None:
+        return tuple(beads)
+    _, layers = np.unique([path.layer for path in paths], return_inverse=True)
+    return tuple(replace(bead, layer=int(layer)) for bead, layer in zip(beads, layers, strict=True))
+
+
+def laid_through(
+    problem: Problem,
+    spec: WaypointLayersSpec,
+    paths: Sequence[Waypoints],
+    sizes: Sequence[tuple[Array | float, Array | float]],
+) -> list[Bead]:
+    """A bead through each path, all in layer 0; sizes: their widths and heights [m], at each waypoint or throughout."""
+    ends = problem.process.run_in / _PER_RUN
+    curves = [
+        _curve(problem, spec, path, _APART * float(np.min(width)), ends)
+        for path, (width, _) in zip(paths, sizes, strict=True)
+    ]
+    zeros = roll_zeros([curve.normals for curve in curves])
+    return [
+        make_bead(
+            path.name,
+            0,
+            curve.points,
+            curve.normals,
+            zero,
+            curve.source,
+            width=_sizes(path, width, curve),
+            height=_sizes(path, height, curve),
+        )
+        for path, curve, zero, (width, height) in zip(paths, curves, zeros, sizes, strict=True)
+    ]
 
 
 def _noise_note(beads: Sequence[Bead]) -> Iterator[str]:
@@ -182,10 +259,10 @@ def _noise_note(beads: Sequence[Bead]) -> Iterator[str]:
         )
 
 
-def _sizes(path: Waypoints, given: Array | None, usual: float, curve: Interpolated) -> Array:
-    """Width or height (n) [m] along the curve: linear between waypoints, where the file says it; else the usual one."""
-    if given is None:
-        return np.full(len(curve.points), usual)
+def _sizes(path: Waypoints, given: Array | float, curve: Interpolated) -> Array:
+    """Width or height (n) [m] along the curve: linear between waypoints, where it is given for each; else the same all along."""
+    if isinstance(given, float):
+        return np.full(len(curve.points), given)
     return np.interp(curve.chord, arc_lengths(path.points), given)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -57,19 +58,8 @@ class Surfels:
 
     def signed_distance(self, points: Array) -> Array:
         """Distance (n,) of points (n, 3) from what is there, FAR at most; negative inside a shell."""
-        workers = _workers(points)
-        best, nearest = self.bare_tree.query(points, distance_upper_bound=FAR, workers=workers)
-        nearest = self.bare[nearest]
-        start, left = 0, self.printed
-        for size in sorted({size for size, _ in self.trees}, reverse=True):
-            if left >= size:  # the printed beads are one block for each binary digit of their number
-                distance, index = self.trees[size, start // size].query(
-                    points, distance_upper_bound=FAR, workers=workers
-                )
-                closer = distance < best
-                best = np.where(closer, distance, best)
-                nearest = np.where(closer, index + self.first[start], nearest)  # none closer: none found
-                start, left = start + size, left - size
+        best, nearest = self.bare_tree.query(points, distance_upper_bound=FAR, workers=workers_for(points))
+        _, nearest = nearest_printed(self.trees, self.first, self.printed, points, (best, self.bare[nearest]))
         away = points - self.centres[nearest]
         above = (away * self.outward[nearest]).sum(axis=1)
         aside = np.linalg.norm(away - above[:, None] * self.outward[nearest], axis=1)
@@ -89,21 +79,92 @@ class Surfels:
 
     def normals(self, points: Array) -> Array:
         """Outward unit normals (n, 3) at the places of the beads nearest to points (n, 3)."""
-        _, k = self.tip_tree.query(points, workers=_workers(points))
-        bead = np.searchsorted(self.first, k, side="right") - 1
-        start = np.clip(k - _STENCIL // 2 + 1, self.first[bead], self.first[bead + 1] - _STENCIL)
-        return _normals(read_only(points), self.tips, self.outward, start, (k - start).astype(float))
+        return normals_nearest(self, points)
 
     def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
         """Outward unit normals (n, 3) of a bead nearest to tips (n, 3) beside its arc lengths s (n) [m].
 
         However close other passes lie, or other parts of the bead, they say nothing here.
         """
-        first, last = self.first[bead], self.first[bead + 1]
-        along = self.along[first:last]
-        start = np.clip(first + np.searchsorted(along, s) - _STENCIL // 2, first, last - _STENCIL)
-        near = first + np.interp(s, along, np.arange(last - first)) - start
-        return _normals(np.ascontiguousarray(tips), self.tips, self.outward, start, near)
+        return normals_beside(self, bead, s, tips)
+
+
+class Samples(Protocol):
+    """The samples of all beads, as `Surfels` has them."""
+
+    @property
+    def tips(self) -> Array:
+        """As of Surfels."""
+        ...
+
+    @property
+    def outward(self) -> Array:
+        """As of Surfels."""
+        ...
+
+    @property
+    def along(self) -> Array:
+        """As of Surfels."""
+        ...
+
+    @property
+    def first(self) -> Ints:
+        """As of Surfels."""
+        ...
+
+    @property
+    def tip_tree(self) -> cKDTree:
+        """As of Surfels."""
+        ...
+
+
+def normals_nearest(of: Samples, points: Array) -> Array:
+    """Outward unit normals (n, 3) at the places of the beads nearest to points (n, 3)."""
+    _, k = of.tip_tree.query(points, workers=workers_for(points))
+    bead = np.searchsorted(of.first, k, side="right") - 1
+    start = np.clip(k - _STENCIL // 2 + 1, of.first[bead], of.first[bead + 1] - _STENCIL)
+    return _normals(read_only(points), of.tips, of.outward, start, (k - start).astype(float))
+
+
+def normals_beside(of: Samples, bead: int, s: Array, tips: Array) -> Array:
+    """Outward unit normals (n, 3) of a bead nearest to tips (n, 3) beside its arc lengths s (n) [m]."""
+    first, last = of.first[bead], of.first[bead + 1]
+    along = of.along[first:last]
+    start = np.clip(first + np.searchsorted(along, s) - _STENCIL // 2, first, last - _STENCIL)
+    near = first + np.interp(s, along, np.arange(last - first)) - start
+    return _normals(np.ascontiguousarray(tips), of.tips, of.outward, start, near)
+
+
+def nearest_printed(
+    trees: dict[tuple[int, int], cKDTree], first: Ints, printed: int, points: Array, known: tuple[Array, Ints]
+) -> tuple[Array, Ints]:
+    """Distance (n) [m] of points (n, 3) from the nearest point of the first `printed` beads, and its index (n).
+
+    first: index of each bead's first point; known: distances and indices of what is nearer otherwise, FAR at most.
+    """
+    best, nearest = known
+    start, left = 0, printed
+    for size in sorted({size for size, _ in trees}, reverse=True):
+        if left >= size:  # the printed beads are one block for each binary digit of their number
+            distance, index = trees[size, start // size].query(
+                points, distance_upper_bound=FAR, workers=workers_for(points)
+            )
+            closer = distance < best
+            best = np.where(closer, distance, best)
+            nearest = np.where(closer, index + first[start], nearest)  # none closer: none found
+            start, left = start + size, left - size
+    return best, nearest
+
+
+def block_trees(points: Array, first: Ints) -> dict[tuple[int, int], cKDTree]:
+    """Search trees of the points (n, 3) of beads, by (size, number) of a block of beads; first as in `nearest_printed`."""
+    trees: dict[tuple[int, int], cKDTree] = {}
+    beads, size = len(first) - 1, 1
+    while size <= beads:
+        for number in range(beads // size):
+            trees[size, number] = tree_of(points[first[number * size] : first[(number + 1) * size]])
+        size *= 2
+    return trees
 
 
 @njit(cache=True)
@@ -156,7 +217,7 @@ def with_layers(beads: Sequence[Bead]) -> tuple[tuple[Bead, ...], Surfels]:
     centres = tips - height[:, None] * normals
     spacing = float(np.median(np.concatenate([np.diff(bead.s) for bead in beads])))
     radius = 0.5 * (spacing + max(float(bead.width.max()) for bead in beads))
-    tip_tree = _tree(tips)
+    tip_tree = tree_of(tips)
     beneath = _beneath(tips, normals, centres, height, 2.0 * radius, tip_tree)
     owner = np.where(beneath >= 0, np.searchsorted(first, beneath, side="right") - 1, -1)
     layers: list[int] = []
@@ -166,25 +227,21 @@ def with_layers(beads: Sequence[Bead]) -> tuple[tuple[Bead, ...], Surfels]:
         most = 2 * len(below) > len(bead.points)
         layers.append(int(np.median(np.array(layers)[below])) + 1 if most else 0)
     bare = np.flatnonzero(beneath < 0)
-    trees: dict[tuple[int, int], cKDTree] = {}
-    size = 1
-    while size <= len(beads):
-        for number in range(len(beads) // size):
-            trees[size, number] = _tree(centres[first[number * size] : first[(number + 1) * size]])
-        size *= 2
-    bare_tree = _tree(centres[bare])
+    trees = block_trees(centres, first)
+    bare_tree = tree_of(centres[bare])
     surfels = Surfels(
         tips, normals, along, centres, radius, first, np.append(bare, -1), len(beads), trees, bare_tree, tip_tree
     )
     return tuple(replace(bead, layer=layer) for bead, layer in zip(beads, layers, strict=True)), surfels
 
 
-def _workers(points: Array) -> int:
+def workers_for(points: Array) -> int:
     """How many threads search trees for points (n, 3)."""
     return 1 if len(points) < _MANY else -1
 
 
-def _tree(points: Array) -> cKDTree:
+def tree_of(points: Array) -> cKDTree:
+    """A search tree that is made quickly."""
     return cKDTree(points, balanced_tree=False, compact_nodes=False)
 
 

@@ -1,0 +1,71 @@
+"""Struts that no posture can lay: where the nozzle's axis is given, what it meets of its own print is known before any search.
+
+A search looks at some places of a path, and sees struts that are as steep as the nozzle just clears pass at these and fail at
+others. Here each bead is followed as verification follows it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from planner.base.arrays import Array
+from planner.base.errors import Blocked
+from planner.cell.solids import packed
+from planner.collision.print_body import tip_slack
+from planner.planning.clearance import may_come_nearer
+from planner.planning.context import PlanningContext
+from planner.resolve.joint_path import refuse_at
+from planner.toolpath.bead import Bead
+from planner.verify.checks import DIGITS
+from planner.verify.executed import UNKNOWN, ExecutedMotion
+from planner.verify.nozzle import nozzle_nearness
+
+_STEP = 0.2e-3  # m between places along a strut; between these it is looked at as closely as it takes
+_HINT = "a slenderer nozzle (cell.nozzle.profile_mm), or one that may lean (process.cones.nozzle_normal_deg), may pass: not planned"
+
+
+def check_struts(given: PlanningContext) -> None:
+    """Raise Blocked, by place, where an upright nozzle would be in the struts that are laid, in whatever posture.
+
+    Beads on a surface, and nozzles that may lean, are the search's.
+    """
+    problem, beads = given.problem, given.toolpath.beads
+    if not beads[0].round or problem.process.cones.tilt > 0.0:
+        return
+    head, tree = packed(given.cell.head), given.body.tree
+    clearance = 0.0 if may_come_nearer(problem) else problem.collision.nozzle
+    slack = tip_slack(problem.cell.nozzle, given.toolpath)
+    for k in range(given.first_bead, len(beads)):
+        bead, task = beads[k], given.tasks[k]
+        s, motion = _along(bead)
+        now = np.minimum(k + s / bead.length, np.nextafter(k + 1.0, 0.0))
+        found = nozzle_nearness(tree, head, motion, now, np.full(len(s), slack[k]), clearance, look=0.0)
+        if found.point < 0 or found.least >= -DIGITS:
+            continue
+        at = s[found.at]
+        i = task.first + int(np.argmin(np.abs(bead.s - at)))
+        name, near = given.cell.head[found.body].name, given.body.name_of(found.point)
+        tangent = np.gradient(bead.points, axis=0)[i - task.first]
+        down = np.degrees(np.arcsin(np.clip(-(tangent @ task.normals[i]) / np.linalg.norm(tangent), -1.0, 1.0)))
+        reason = f"collision of {name} with {near}: with the axis that is given every posture lacks {-found.least * 1e3:.2f} mm"
+        if near == f"bead {k}" and down > 0.0:
+            reason += f"; the path runs {down:.0f} deg down its own normals here, so that a nozzle on them dips into what it has "
+            reason += "just laid"
+        refuse_at(task, i, reason, hints=lambda: (_HINT,), kind=Blocked)
+
+
+def _along(bead: Bead) -> tuple[Array, ExecutedMotion]:
+    """Arc lengths (n) along a bead [m], and the nozzle's motion there as far as the print is concerned."""
+    n = max(int(np.ceil(bead.length / _STEP)), 1) + 1
+    s = np.union1d(bead.s, np.linspace(0.0, bead.length, n))
+    tip = np.asarray(CubicSpline(bead.s, bead.points)(s))
+    z, x = (
+        np.column_stack([np.interp(s, bead.s, column) for column in each.T]) for each in (-bead.normals, bead.roll_zero)
+    )
+    z = z / np.linalg.norm(z, axis=1)[:, None]
+    x = x - (x * z).sum(axis=1)[:, None] * z
+    x = x / np.linalg.norm(x, axis=1)[:, None]
+    rotation = np.stack([x, np.cross(z, x), z], axis=-1)
+    none = np.full(len(s), np.nan)
+    return s, ExecutedMotion(tip, z, rotation, np.zeros_like(tip), none, none, np.full(len(s), UNKNOWN, dtype=np.int8))

@@ -1,0 +1,97 @@
+"""Beads that lie on no surface: struts and columns in space, known by the nozzle's tip and axis along them.
+
+What is laid hangs from the nozzle: a round bead whose middle is half its diameter before the tip, along the nozzle's axis,
+whatever way the tip takes. A column along the axis is then a capsule that ends at the tip, and the nozzle that draws back
+from it touches it there alone. Nothing is known of what stands beneath, so nothing is claimed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from planner.base.arrays import Array, Ints
+from planner.toolpath.bead import Bead
+from planner.toolpath.waypoints.surfels import (
+    FAR,
+    block_trees,
+    nearest_printed,
+    normals_beside,
+    normals_nearest,
+    tree_of,
+)
+
+# Struts fuse where they meet, and the later one begins or ends within the earlier one: its tip may come into the outer
+# half of that. The inner half is its core, where no tip has to be.
+CORE = 0.5
+_APART = 0.125  # diameters between points along a strut's middle
+
+
+@dataclass(frozen=True)
+class Struts:
+    """The cores of struts, in print order; lengths in metres, part frame.
+
+    tips, outward (n, 3)  the samples of all beads, and unit vectors against the nozzle's axis
+    along (n)             arc length of the samples in their bead
+    first (beads + 1)     index of each bead's first sample
+    middles (m, 3)        points along the middles of the struts; radius (m) of their cores there
+    begin (beads + 1)     index of each bead's first one of these
+    printed               how many beads are there
+    trees                 search trees of the middles, see `block_trees`; and of all tips
+    """
+
+    tips: Array
+    outward: Array
+    along: Array
+    first: Ints
+    middles: Array
+    radius: Array
+    begin: Ints
+    printed: int
+    trees: dict[tuple[int, int], cKDTree]
+    tip_tree: cKDTree
+
+    def before(self, bead: int) -> Struts:
+        """What is there when the first `bead` beads have been printed."""
+        return replace(self, printed=bead)
+
+    def signed_distance(self, points: Array) -> Array:
+        """Distance (n,) of points (n, 3) from the cores that are there, FAR at most; negative inside."""
+        nothing = np.full(len(points), FAR), np.full(len(points), -1, dtype=np.int64)
+        distance, nearest = nearest_printed(self.trees, self.begin, self.printed, points, nothing)
+        return np.asarray(np.where(nearest < 0, FAR, distance - self.radius[nearest]))
+
+    def normals(self, points: Array) -> Array:
+        """Unit vectors (n, 3) against the nozzle's axis at the places of the beads nearest to points (n, 3)."""
+        return normals_nearest(self, points)
+
+    def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
+        """Unit vectors (n, 3) against the nozzle's axis of a bead nearest to tips (n, 3) beside its arc lengths s (n) [m]."""
+        return normals_beside(self, bead, s, tips)
+
+
+def struts_of(beads: Sequence[Bead]) -> Struts:
+    """The cores of all beads."""
+    tips, outward = (np.vstack([getattr(bead, name) for bead in beads]) for name in ("points", "normals"))
+    middles, radius = zip(*(_middle(bead) for bead in beads), strict=True)
+    first = np.concatenate([[0], np.cumsum([len(bead.points) for bead in beads])])
+    begin = np.concatenate([[0], np.cumsum([len(each) for each in radius])])
+    laid = np.concatenate(middles)
+    along = np.concatenate([bead.s for bead in beads])
+    cores = np.append(CORE * np.concatenate(radius), 0.0)
+    trees = block_trees(laid, begin)
+    return Struts(tips, outward, along, first, laid, cores, begin, len(beads), trees, tree_of(tips))
+
+
+def _middle(bead: Bead) -> tuple[Array, Array]:
+    """Points (n, 3) along the middle of a strut, and its radii (n) there [m]."""
+    count = max(2, int(np.ceil(bead.length / (_APART * float(bead.width.min())))) + 1)
+    s = np.linspace(0.0, bead.length, count)
+    tip, outward = (
+        np.column_stack([np.interp(s, bead.s, column) for column in values.T]) for values in (bead.points, bead.normals)
+    )
+    radius = 0.5 * np.interp(s, bead.s, bead.width)
+    return tip - radius[:, None] * outward, radius
