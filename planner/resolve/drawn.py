@@ -19,7 +19,8 @@ from planner.resolve.reach import grid_scale
 from planner.toolpath.task import NozzleTask
 
 PLACES = 48  # spread over a print that are looked at besides the one where a search ended
-FEW, DRAWN = 150, 4_000  # rolls, leans and angles of all chosen joints drawn at each, each with all branches of the arm
+FEW, DRAWN = 150, 4_000  # rolls and angles of one joint drawn at each, each with all branches of the arm;
+_EACH, _MOST_DRAWN = 4, 64_000  # so many times more for each freedom besides, up to so many
 _BEYOND = 1.5  # times the cone: it is about the true normal, and frames stand on smoothed ones
 SLIGHT = 1e-4  # m of clearance that a path between rungs may lack
 _SAME = 1e-6  # m: a sample that a refusal names is no farther from the point that it gives
@@ -52,7 +53,8 @@ def passable(cell: Cell, tasks: Sequence[NozzleTask], refusal: Refusal, obstacle
 
 def _passed(cell: Cell, task: NozzleTask, i: int, obstacles: Obstacles) -> bool:
     """Whether something drawn at sample i of a task is clear: few postures first, and many where none of those is."""
-    for n in (FEW, DRAWN):
+    freedoms = 1 + len(cell.chosen) + (2 if task.cones.tilt > 0.0 else 0)
+    for n in (FEW, min(DRAWN * _EACH ** max(freedoms - 2, 0), _MOST_DRAWN)):
         q = postures_drawn(cell, task, i, n)
         margin, _ = obstacles.margins(q, np.full(len(q), float(task.moments[i])), 0.0)
         if (margin >= -SLIGHT).any():
