@@ -23,7 +23,7 @@ HEAVY = {
     "ruckig": {"motion.travel"},
     "shapely": {"toolpath.step", "toolpath.svg", "toolpath.volume"},
     "svgelements": {"toolpath"},
-    "OCP": {"toolpath.step.reader"},
+    "OCP": {"toolpath.step.reader", "toolpath.step.shapes"},
     "trimesh": {"problem.mesh_files", "export.tables", "report.picture"},
     "pyvrp": {"toolpath.coverage.tours"},
     "pydantic": {"problem", "view.content"},

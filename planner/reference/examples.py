@@ -136,6 +136,7 @@ EXAMPLES: dict[str, str] = {
     "weights": "{effort: 2.0, singularity: 0.5}",
     "time_lost": "2",
     "effort": "2",
+    "sew_mm": "0.05",
     "singularity": "0.5",
     "joint_limits": "3",
     "WeightsSpec.tilt": "10",

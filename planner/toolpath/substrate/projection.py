@@ -39,7 +39,7 @@ from planner.toolpath.plane_paths import (
     round_corners,
     seam_on_smooth_part,
 )
-from planner.toolpath.step.files import read_step
+from planner.toolpath.step.files import read_faces
 from planner.toolpath.step.top import FaceTop, NotSmooth, UpperFaces
 from planner.toolpath.substrate.bodies import Facing, SubstrateBody, exact_body
 from planner.toolpath.substrate.clipping import (
@@ -255,7 +255,7 @@ def _laid(substrate: Substrate, rows: Sequence[Sequence[PlaneCurve]], width: flo
     grown = replace(substrate, layers=tuple(bead.layer for bead in beads))
     body = substrate.body
     if not isinstance(body, MeshTop):
-        return Toolpath(tuple(beads), grown, body.shape())
+        return Toolpath(tuple(beads), grown, body.shape(), body.faces.notes if isinstance(body, FaceTop) else ())
     notes = (f"part.mesh: {body.words}",) if body.words else ()
     return Toolpath(tuple(beads), grown, body.shape(), notes, body.facets.corners)
 
@@ -389,9 +389,9 @@ def _too_rough(error: TooRoughMesh, where: Complaint, more: str = "") -> Excepti
 
 
 def _upper_faces(problem: Problem, spec: StepSpec) -> UpperFaces:
-    """The faces of a STEP file that look upwards."""
+    """The faces of a STEP or IGES file that look upwards."""
     complain = partial(problem.error, "part.step.file")
-    upper = UpperFaces.of(read_step(spec, _EDGES, complain))
+    upper = UpperFaces.of(*read_faces(spec, _EDGES, complain))
     if upper is None:
         raise complain(f"no face of {spec.file.name} looks upwards", hint="turn it with part.step.rpy_deg")
     return upper
