@@ -23,6 +23,7 @@ HEAVY = {
     "ruckig": {"motion.travel"},
     "shapely": {"toolpath.step", "toolpath.svg", "toolpath.volume"},
     "svgelements": {"toolpath"},
+    "ezdxf": {"toolpath.dxf.reader"},
     "OCP": {"toolpath.step.reader", "toolpath.step.shapes"},
     "trimesh": {"problem.mesh_files", "export.tables", "report.picture"},
     "pyvrp": {"toolpath.coverage.tours"},
